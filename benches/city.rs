@@ -75,8 +75,8 @@ fn rules(criterion: &mut Criterion) {
     let mut simulation =
         Simulation::new(Arc::clone(&world), Split::Test, Seed(1), Settings::default()).expect("agents placed");
     let count = simulation.agents().len();
-    let mut frame: BitState<WIDTH> = BitState::new(&dense, count);
-    let moments: Vec<BitFacts<WIDTH>> = (0..64)
+    let mut bit_state: BitState<WIDTH> = BitState::new(&dense, count);
+    let states: Vec<BitFacts<WIDTH>> = (0..64)
         .map(|_| {
             for _ in 0..7 {
                 simulation.tick(&[]).expect("within limits");
@@ -84,15 +84,15 @@ fn rules(criterion: &mut Criterion) {
             let vocabulary = &world.vocabulary;
             let facts = simulation.facts(|predicate| vocabulary.is_read(predicate));
             let facts: BitFacts<WIDTH> = facts.to_bits(vocabulary, &dense, count);
-            facts.load(&dense, &mut frame);
-            frame.run(&dense, &facts);
-            for speed in Action::ALL {
-                let relation = world.vocabulary.action(speed).expect("all are in use");
-                let set = frame.set(&dense, relation).expect("it is derived");
-                let moment = simulation.snapshot().expect("within limits");
+            facts.load(&dense, &mut bit_state);
+            bit_state.run(&dense, &facts);
+            for action in Action::ALL {
+                let relation = world.vocabulary.action(action).expect("all are in use");
+                let set = bit_state.set(&dense, relation).expect("it is derived");
+                let state = simulation.snapshot().expect("within limits");
                 for agent in 0..count {
-                    let holds = moment.session().contains(relation, &[moment.value(agent)]);
-                    assert_eq!(has(set, agent), holds, "{} of {agent}", speed.name());
+                    let holds = state.session().contains(relation, &[state.value(agent)]);
+                    assert_eq!(has(set, agent), holds, "{} of {agent}", action.name());
                 }
             }
             facts
@@ -101,12 +101,12 @@ fn rules(criterion: &mut Criterion) {
     let mut group = criterion.benchmark_group("rules");
     group.throughput(Throughput::Elements(count as u64));
     group.bench_function("expert", |bencher| {
-        let mut moment = 0;
+        let mut state = 0;
         bencher.iter(|| {
-            moment = (moment + 1) % moments.len();
-            moments[moment].load(&dense, &mut frame);
-            frame.run(&dense, &moments[moment]);
-            black_box(&frame);
+            state = (state + 1) % states.len();
+            states[state].load(&dense, &mut bit_state);
+            bit_state.run(&dense, &states[state]);
+            black_box(&bit_state);
         });
     });
     group.finish();

@@ -65,6 +65,7 @@ configs/*.yaml --config--> Scenario --> World --> Simulation --ground--> facts -
 //! See also the [life of a program](datalog#the-life-of-a-program), [what is incremental](datalog#what-is-incremental)
 //! and the [limits](datalog#limits).
 
+pub mod cancel;
 pub mod datalog;
 pub mod diag;
 pub mod files;

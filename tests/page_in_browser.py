@@ -208,7 +208,7 @@ def test_a_click_on_the_map_chooses_an_agent(page: Callable[..., WebDriver], tra
 
 
 @pytest.mark.parametrize(
-    ("address", "told"),
+    ("address", "expected"),
     [
         ("#tick=300", ["no tick 300", f"0 to {TICKS - 1}"]),
         ("#tick=-1&agent=Car_1", ["no tick -1"]),
@@ -216,9 +216,9 @@ def test_a_click_on_the_map_chooses_an_agent(page: Callable[..., WebDriver], tra
         ("#tick=soon&agent=me&clause=S99", ["no tick soon", "no agent me", "no clause S99"]),
     ],
 )
-def test_an_address_that_leads_nowhere_is_told(page: Callable[..., WebDriver], address: str, told: list[str]) -> None:
+def test_an_address_that_leads_nowhere_is_reported(page: Callable[..., WebDriver], address: str, expected: list[str]) -> None:
     browser = page(address)
-    assert all(words in text(browser, "notice") for words in told)
+    assert all(words in text(browser, "notice") for words in expected)
     assert text(browser, "tick") == ("tick 5" if "tick=5" in address else "tick 0")
     browser.find_element(By.TAG_NAME, "body").send_keys(Keys.ARROW_RIGHT)
     assert not browser.find_element(By.ID, "notice").is_displayed()

@@ -118,8 +118,8 @@ def _compare(name: str, scenes: Sequence[Scene], expected: list[set[str]], found
         raise Refused(f"{name} answers {len(found)} of {len(scenes)} scenes")
     for scene, right, wrong in zip(scenes, expected, found, strict=True):
         if right != wrong:
-            told = f"{name} derives {sorted(wrong)}, logicity {sorted(right)}; nothing is timed. The scene:"
-            raise Refused(f"{told}\n{json.dumps(scene.to_json())}")
+            message = f"{name} derives {sorted(wrong)}, logicity {sorted(right)}; nothing is timed. The scene:"
+            raise Refused(f"{message}\n{json.dumps(scene.to_json())}")
 
 
 def measure(
@@ -152,15 +152,15 @@ def table(rows: Sequence[Row]) -> str:
     for row in rows:
         ratios = [row.microseconds / ours.microseconds for ours in rows[:2]]
         places = 3 if row.microseconds < 1 else 1 if row.microseconds < 100 else 0
-        told_ratios = [f"{ratio:,.{0 if ratio >= 10 else 2}f}" for ratio in ratios]
-        lines.append((row.name, f"{row.microseconds:,.{places}f}", *told_ratios, f"{row.scenes}", f"{row.decisions:,}"))
+        ratio_cells = [f"{ratio:,.{0 if ratio >= 10 else 2}f}" for ratio in ratios]
+        lines.append((row.name, f"{row.microseconds:,.{places}f}", *ratio_cells, f"{row.scenes}", f"{row.decisions:,}"))
     widths = [max(map(len, column)) for column in zip(*lines, strict=True)]
 
-    def told(cells: Sequence[str]) -> str:
+    def format_row(cells: Sequence[str]) -> str:
         return f"| {cells[0]:<{widths[0]}} | " + " | ".join(map(str.rjust, cells[1:], widths[1:])) + " |"
 
-    rule = told(["-" * widths[0], *("-" * (width - 1) + ":" for width in widths[1:])])
-    return "\n".join([told(lines[0]), rule, *map(told, lines[1:])])
+    rule = format_row(["-" * widths[0], *("-" * (width - 1) + ":" for width in widths[1:])])
+    return "\n".join([format_row(lines[0]), rule, *map(format_row, lines[1:])])
 
 
 def rules_of(config: Path) -> Path:
@@ -238,8 +238,8 @@ def _run(arguments: argparse.Namespace, folder: Path) -> None:
         }
         print(json.dumps(result))
         return
-    told = ", ".join(f"{count} {actions}" for actions, count in decisions.most_common())
-    print(f"all decide the same in {len(recorded)} scenes of a city and {len(invented)} random ones ({told})")
+    counts = ", ".join(f"{count} {actions}" for actions, count in decisions.most_common())
+    print(f"all decide the same in {len(recorded)} scenes of a city and {len(invented)} random ones ({counts})")
     print(f"z3 {versions['z3']}, clingo {versions['clingo']}; CPU time, median of {ROUNDS} rounds\n")
     print(table(rows))
 

@@ -110,9 +110,9 @@ def _rewards(tasks: dict[str, Any]) -> str:
     rows: list[tuple[object, ...]] = []
     for mode, task in tasks.items():
         by_action: dict[str, dict[float, list[str]]] = {}
-        for demand in task["demands"]:
-            clauses = by_action.setdefault(demand["action"], {})
-            clauses.setdefault(demand["reward"], []).append(demand["clause"])
+        for constraint in task["constraints"]:
+            clauses = by_action.setdefault(constraint["action"], {})
+            clauses.setdefault(constraint["reward"], []).append(constraint["clause"])
         broken = "; ".join(
             f"{action} ({', '.join(clauses)}) {reward:g}"
             for action, rewards in by_action.items()

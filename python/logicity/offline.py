@@ -331,7 +331,7 @@ def demonstrations(
         env.close()
     description = _logicity.describe(task)
     atoms = tuple(atoms_of(description)) if observation == "groundings" else ()
-    asked = {demand["action"] for demand in description["demands"]}
+    asked = {constraint["action"] for constraint in description["constraints"]}
     named = tuple(action for action in ACTIONS if action in asked)
     return Demonstrations(name, split, description["splits"][split]["hash"], atoms, named, env.spec, trajectories)
 

@@ -10,7 +10,7 @@ from typing import Any, Literal, NoReturn, cast, overload
 import numpy.typing as npt
 
 from . import _logicity
-from .types import Clause, Diagnostic, StratumWork
+from .types import Clause, Diagnostic, StratumStats
 
 __all__ = ["Change", "Column", "Explanation", "Program", "Relation", "Rows", "Session", "check"]
 
@@ -404,9 +404,9 @@ class Session:
         return Explanation(*self._session.explain(fact, row, True))
 
     @property
-    def work(self) -> list[StratumWork]:
+    def work(self) -> list[StratumStats]:
         """The work of the last successful commit, by stratum; empty before the first."""
-        return cast(list[StratumWork], self._session.work())
+        return cast(list[StratumStats], self._session.work())
 
     def plan(self) -> str:
         """Return the plan of every clause, for relations of their current sizes."""

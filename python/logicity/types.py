@@ -12,15 +12,15 @@ __all__ = [
     "Agent",
     "Answer",
     "Clause",
-    "ClauseWork",
     "Diagnostic",
     "EgoAnswer",
     "Executor",
     "Heading",
     "Label",
+    "RuleStats",
     "Scene",
     "Split",
-    "StratumWork",
+    "StratumStats",
     "SymbolicScene",
 ]
 
@@ -136,26 +136,26 @@ class Clause(TypedDict):
     column: int
 
 
-class ClauseWork(TypedDict):
+class RuleStats(TypedDict):
     """The work of a clause in a commit.
 
     Attributes:
-        given: Changed rows it was evaluated from (0: one evaluation over all rows).
+        delta_rows: Changed rows it was evaluated from (0: one evaluation over all rows).
         rows_scanned: Rows that its scans and tests read.
         derived: Rows it derived, including repeated ones.
     """
 
     clause: str
-    given: int
+    delta_rows: int
     rows_scanned: int
     derived: int
 
 
-class StratumWork(TypedDict):
+class StratumStats(TypedDict):
     """The work of a commit on a stratum. `rounds` is 1 if the stratum is not recursive."""
 
     relations: list[str]
     how: Literal["skipped", "maintained", "recomputed"]
     rounds: int
     rows_scanned: int
-    clauses: list[ClauseWork]
+    clauses: list[RuleStats]

@@ -2,6 +2,7 @@
 
 use crate::{Shared, Signals, input_error, read_error, to_python};
 use logicity::builtin::{BuiltinFiles, ReadWith};
+use logicity::cancel::Cancel;
 use logicity::city::{Action, Split};
 use logicity::city::{Agent, Cell, Heading, MoveReason};
 use logicity::config::missing_file;
@@ -146,9 +147,9 @@ impl PyInference {
     fn answer<'py>(&self, py: Python<'py>, scene: &str) -> PyResult<Bound<'py, PyAny>> {
         let mut sources = Sources::new();
         let source = sources.add("<scene>", scene);
-        let answer = self.inference.detached(py, |inference, signals| {
-            inference.answer_until(&sources, source, &|| signals.raised())
-        })?;
+        let answer = self
+            .inference
+            .detached(py, |inference, cancel| inference.answer_with(&sources, source, cancel))?;
         match answer {
             Ok(answer) => to_python(py, &answer.to_json()),
             Err(faults) => Err(input_error(py, &faults, &sources)),
@@ -224,10 +225,10 @@ impl PySimulation {
             count_firings,
             threads,
         };
-        let stop = signals.stop();
+        let cancel = signals.cancel();
         let made = signals.on_thread(py, move || {
             let world = Arc::new(city.world()?);
-            let city = Simulation::new_until(Arc::clone(&world), split, Seed(seed), settings, stop);
+            let city = Simulation::new_with(Arc::clone(&world), split, Seed(seed), settings, &cancel);
             Ok((city.map_err(|fault| vec![fault])?, world))
         })?;
         let (city, world) = made.map_err(|faults: Vec<Diagnostic>| input_error(py, &faults, &sources))?;
@@ -323,9 +324,9 @@ impl PySimulation {
 
     /// Runs ticks, and writes their trace to a file.
     fn run(&self, py: Python<'_>, ticks: u64, trace: Option<PathBuf>) -> PyResult<()> {
-        let done = self.city.detached(py, |city, signals| match &trace {
-            None => run(city, ticks, signals, |_| Ok(())),
-            Some(path) => self.run_traced(city, ticks, signals, path),
+        let done = self.city.detached(py, |city, cancel| match &trace {
+            None => run(city, ticks, cancel, |_| Ok(())),
+            Some(path) => self.run_traced(city, ticks, cancel, path),
         })?;
         done.map_err(|failure| match failure {
             Failure::Fault(fault) => input_error(py, &[fault], &self.sources),
@@ -338,8 +339,8 @@ impl PySimulation {
 
     /// The base facts of the last tick by predicate: positions of agents.
     fn facts<'py>(&self, py: Python<'py>) -> PyResult<Bound<'py, PyDict>> {
-        let found = self.city.detached(py, |city, _| match city.agents().len() {
-            0..=MAX_ENTITIES => city.facts_until(|_| true, city.stop()),
+        let found = self.city.detached(py, |city, cancel| match city.agents().len() {
+            0..=MAX_ENTITIES => city.facts_with(|_| true, cancel),
             agents => Err(too_many(agents, "facts about pairs")),
         })?;
         let facts = found.map_err(|fault| input_error(py, &[fault], &self.sources))?;
@@ -361,8 +362,8 @@ impl PySimulation {
         why_not: Option<usize>,
     ) -> PyResult<(String, Bound<'py, PyAny>)> {
         let why_not = why_not.map(|action| Action::ALL[action]);
-        let explained = self.city.detached(py, |city, signals| {
-            let account = city.decision(agent)?.account(why_not, &|| signals.raised())?;
+        let explained = self.city.detached(py, |city, cancel| {
+            let account = city.decision(agent)?.account(why_not, cancel)?;
             Ok((account.text(&self.sources), account.json(&self.sources)))
         })?;
         let (text, json) = explained.map_err(|fault: Diagnostic| input_error(py, &[fault], &self.sources))?;
@@ -372,16 +373,16 @@ impl PySimulation {
     /// The label of each clause, and the rows it derived in the last tick.
     fn firings(&self) -> PyResult<Vec<(String, usize)>> {
         let rules = self.world.program.rules();
-        let teller = ExplanationPrinter::new(rules, &rules.symbols, &self.sources);
+        let printer = ExplanationPrinter::new(rules, &rules.symbols, &self.sources);
         self.city.with(|city| {
             let counts = city.clauses().iter().zip(city.firings());
-            Ok(counts.map(|(&clause, &count)| (teller.label(clause), count)).collect())
+            Ok(counts.map(|(&clause, &count)| (printer.label(clause), count)).collect())
         })
     }
 }
 
 impl PySimulation {
-    fn run_traced(&self, city: &mut Simulation, ticks: u64, signals: &Signals, path: &Path) -> Result<(), Failure> {
+    fn run_traced(&self, city: &mut Simulation, ticks: u64, cancel: &Cancel, path: &Path) -> Result<(), Failure> {
         if city.agents().len() > MAX_ENTITIES {
             return Err(Failure::Fault(too_many(city.agents().len(), "a trace")));
         }
@@ -390,22 +391,22 @@ impl PySimulation {
         let config = self.config.to_string_lossy();
         let writer = TraceWriter::new(file, city, &self.sources, &config, self.rule_files[0], &hash);
         let mut writer = writer.map_err(Failure::File)?;
-        let done = run(city, ticks, signals, |city| writer.tick(city).map_err(Failure::File));
+        let done = run(city, ticks, cancel, |city| writer.tick(city).map_err(Failure::File));
         // The ticks before a failure are kept.
         let written = writer.into_inner().finish().map_err(Failure::File);
         done.and(written)
     }
 }
 
-/// Runs ticks until a signal handler raises an exception.
+/// Runs ticks until the end or cancellation.
 fn run(
     city: &mut Simulation,
     ticks: u64,
-    signals: &Signals,
+    cancel: &Cancel,
     mut record: impl FnMut(&Simulation) -> Result<(), Failure>,
 ) -> Result<(), Failure> {
     for _ in 0..ticks {
-        if signals.raised() {
+        if cancel.requested() {
             break;
         }
         city.tick(&[]).map_err(Failure::Fault)?;

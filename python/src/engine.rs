@@ -39,14 +39,14 @@ fn check<'py>(py: Python<'py>, text: &str, name: &str) -> PyResult<Bound<'py, Py
 
 /// A checked and planned program, with its texts.
 struct Loaded {
-    texts: Workspace,
+    workspace: Workspace,
     sources: Sources,
     program: Program,
     warnings: Vec<Diagnostic>,
 }
 
 impl Loaded {
-    fn teller<'a>(&'a self, session: &'a datalog::Session) -> ExplanationPrinter<'a> {
+    fn printer<'a>(&'a self, session: &'a datalog::Session) -> ExplanationPrinter<'a> {
         ExplanationPrinter::new(self.program.rules(), session.symbols(), &self.sources).quoting()
     }
 
@@ -92,15 +92,15 @@ impl PyProgram {
             (None, _) => Err(ReadError::NotFound),
         };
         let (loaded, sources) = Signals::new().on_thread(py, move || {
-            let mut texts = Workspace::new(Edb::Extensible);
-            texts.add(&mut sources, entry, &read);
-            let checked = texts.check();
+            let mut workspace = Workspace::new(Edb::Extensible);
+            workspace.add(&mut sources, entry, &read);
+            let checked = workspace.check();
             let program = checked.rules.map(Program::new).transpose();
-            ((texts, checked.diagnostics, program), sources)
+            ((workspace, checked.diagnostics, program), sources)
         })?;
         match loaded {
-            (texts, warnings, Ok(Some(program))) => Ok(PyProgram(Arc::new(Loaded {
-                texts,
+            (workspace, warnings, Ok(Some(program))) => Ok(PyProgram(Arc::new(Loaded {
+                workspace,
                 sources,
                 program,
                 warnings,
@@ -149,12 +149,12 @@ impl PyProgram {
     fn clauses<'py>(&self, py: Python<'py>) -> PyResult<Bound<'py, PyAny>> {
         let Loaded { sources, program, .. } = &*self.0;
         let rules = program.rules();
-        let teller = ExplanationPrinter::new(rules, &rules.symbols, sources);
+        let printer = ExplanationPrinter::new(rules, &rules.symbols, sources);
         let shown = (rules.clauses.iter().zip((0..).map(ClauseId)))
             .filter(|(clause, _)| !rules.relations[clause.head.relation.index()].hidden);
         let clauses = shown.map(|(clause, id)| {
-            let mut entry = teller.clause_json(id);
-            entry["label"] = json!(teller.label(id));
+            let mut entry = printer.clause_json(id);
+            entry["label"] = json!(printer.label(id));
             entry["text"] = json!(sources.slice(clause.span));
             entry["column"] = json!(sources.position(clause.span).column);
             entry
@@ -228,7 +228,7 @@ impl PySession {
         let (py, this) = (slf.py(), slf.get());
         let committed = this
             .session
-            .detached(py, |session, signals| session.commit_until(&|| signals.raised()))?;
+            .detached(py, |session, cancel| session.commit_with(cancel))?;
         let Loaded { program, sources, .. } = &*this.loaded;
         let delta = committed.map_err(|error| input_error(py, &[error.diagnostic(program.rules())], sources))?;
         let changes = PyDict::new(py);
@@ -300,26 +300,24 @@ impl PySession {
             None => {
                 let mut sources = loaded.sources.clone();
                 let question = sources.add("<fact>", fact);
-                let fact = loaded.texts.fact(&sources, question, session.symbols());
+                let fact = loaded.workspace.fact(&sources, question, session.symbols());
                 let fact = fact.map_err(|faults| input_error(py, &faults, &sources))?;
                 Ok((fact.relation, fact.values))
             }
         })?;
-        let explained = self.session.detached(py, |session, signals| {
-            let stop = || signals.raised();
-            let mut explainer = Explainer::new(session);
-            explainer.stop_when(&stop);
+        let explained = self.session.detached(py, |session, cancel| {
+            let mut explainer = Explainer::new_with(session, cancel);
             let (holds, explanation) = explainer.explain_either(relation, &pattern)?;
-            let teller = loaded.teller(session);
-            let fact = teller.row(relation, &pattern);
+            let printer = loaded.printer(session);
+            let fact = printer.row(relation, &pattern);
             let mut text = match (holds, why_not) {
                 (false, false) => format!("{fact} does not hold, because:\n"),
                 (true, true) => format!("{fact} holds, because:\n"),
                 _ => String::new(),
             };
             let explanation = explanation.unwrap_or_default();
-            text += &teller.tree(&explanation);
-            Ok((fact, holds, text, teller.json(&explanation)["nodes"].take()))
+            text += &printer.tree(&explanation);
+            Ok((fact, holds, text, printer.json(&explanation)["nodes"].take()))
         })?;
         let (fact, holds, text, nodes) = explained
             .map_err(|error: datalog::explain::ExplainError| input_error(py, &[error.into()], &loaded.sources))?;
@@ -331,7 +329,7 @@ impl PySession {
         let Loaded { program, sources, .. } = &*self.loaded;
         let rules = program.rules();
         self.session.with(|session| {
-            let teller = ExplanationPrinter::new(rules, session.symbols(), sources);
+            let printer = ExplanationPrinter::new(rules, session.symbols(), sources);
             let strata = session.work().strata.iter().zip(&rules.strata).map(|(work, stratum)| {
                 let names = stratum.relations.iter().map(|id| &rules.relations[id.index()]);
                 let names: Vec<&str> = names
@@ -346,8 +344,8 @@ impl PySession {
                 let done = work.work();
                 let clauses = done.iter().flat_map(|work| &work.rules).map(|rule| {
                     json!({
-                        "clause": teller.label(rule.clause),
-                        "given": rule.given,
+                        "clause": printer.label(rule.clause),
+                        "delta_rows": rule.delta_rows,
                         "rows_scanned": rule.rows_scanned,
                         "derived": rule.derived,
                     })

@@ -2,7 +2,7 @@
 
 use crate::city::one_of;
 use crate::episode::{PyEpisode, PyEpisodeOption, read_episode};
-use crate::task::{PyTask, gymnasium_error, speed, split_named, view_named};
+use crate::task::{PyTask, gymnasium_error, read_action, split_named, view_named};
 use crate::{Signals, borrowed, borrowed_mut, slice_of};
 use logicity::city::{Action, Split};
 use logicity::task::spf::{Autoreset, Begin, Episode, EpisodeSource, Info, SubEnv, VectorEnv, describe};
@@ -99,10 +99,10 @@ impl PyVectorEnv {
         let sources = std::iter::repeat_n(EpisodeSource::new(0, recorded.clone()), count);
         let shared = &task.get().task;
         let signals = Signals::new();
-        let stop = signals.stop();
+        let cancel = signals.cancel();
         let vector = signals
             .detach(py, || {
-                VectorEnv::new_until(shared, split, sources, autoreset, view, threads, stop)
+                VectorEnv::new_with(shared, split, sources, autoreset, view, threads, &cancel)
             })?
             .map_err(|fault| task.get().error(py, fault))?;
         Ok(PyVectorEnv {
@@ -118,7 +118,7 @@ impl PyVectorEnv {
     /// Gives an environment the episodes of a seed, starting at a number.
     fn seed(slf: &Bound<'_, Self>, at: usize, seed: u64, begun: u64) -> PyResult<()> {
         let this = &mut *borrowed_mut(slf)?;
-        this.member(at)?;
+        this.sub_env(at)?;
         let mut source = EpisodeSource::new(seed, this.recorded.clone());
         source.skip_to(begun);
         this.vector.set_source(at, source);
@@ -128,7 +128,7 @@ impl PyVectorEnv {
     /// The seed of an environment's episodes, and the number of begun ones.
     fn source(slf: &Bound<'_, Self>, at: usize) -> PyResult<[u64; 2]> {
         let this = borrowed(slf)?;
-        Ok(this.member(at)?.source().place())
+        Ok(this.sub_env(at)?.source().place())
     }
 
     /// Begins episodes, see `PyEpisodeOption`. Observations of other environments are unchanged.
@@ -142,7 +142,7 @@ impl PyVectorEnv {
         let mut observations = observations.try_readwrite()?;
         let task = this.task.get();
         this.check(begin.len())?;
-        let read = |(begin, member): (PyEpisodeOption<'_>, &SubEnv)| match begin {
+        let read = |(begin, sub_env): (PyEpisodeOption<'_>, &SubEnv)| match begin {
             PyEpisodeOption::Next(next) => Ok(next.then_some(Begin::Next)),
             PyEpisodeOption::Recorded(number) => {
                 let recorded = task.recorded_episodes(py, this.split)?;
@@ -153,14 +153,14 @@ impl PyVectorEnv {
                 })?;
                 Ok(Some(Begin::Given(Arc::new(episode.clone()))))
             }
-            PyEpisodeOption::Given(episode) => match read_episode(&episode, member.env()) {
+            PyEpisodeOption::Given(episode) => match read_episode(&episode, sub_env.env()) {
                 Ok(episode) => Ok(Some(Begin::Given(Arc::new(episode)))),
                 Err(fault) => Err(task.error(py, fault)),
             },
         };
         let begin: Vec<Option<Begin>> = begin
             .into_iter()
-            .zip(this.vector.members())
+            .zip(this.vector.sub_envs())
             .map(read)
             .collect::<PyResult<_>>()?;
         let rows = this.rows(&mut observations)?;
@@ -179,17 +179,17 @@ impl PyVectorEnv {
         let mut observation = observation.try_readwrite()?;
         this.check(1)?;
         this.check_ready(py)?;
-        let actions = [speed(py, action, String::new)?];
+        let actions = [read_action(py, action, String::new)?];
         let task = this.task.get();
         let rows = this.rows(&mut observation)?;
         (this.signals.run_polled(|| this.vector.step(&actions, rows))?).map_err(|fault| task.error(py, fault))?;
-        let member = &this.vector.members()[0];
-        let outcome = member.outcome();
+        let sub_env = &this.vector.sub_envs()[0];
+        let outcome = sub_env.outcome();
         Ok((
             outcome.reward,
             outcome.terminated,
             outcome.truncated,
-            task.info(py, member.info())?,
+            task.info(py, sub_env.info())?,
         ))
     }
 
@@ -212,7 +212,7 @@ impl PyVectorEnv {
         this.actions.clear();
         for (at, &action) in given.iter().enumerate() {
             this.actions
-                .push(speed(py, action, || format!(" (of environment {at})"))?);
+                .push(read_action(py, action, || format!(" (of environment {at})"))?);
         }
         let task = this.task.get();
         let rows = this.rows(&mut observations)?;
@@ -223,22 +223,22 @@ impl PyVectorEnv {
         let (mut rewards, mut terminated, mut truncated) = outcomes;
         let (rewards, terminated) = (slice_of(&mut rewards, count)?, slice_of(&mut terminated, count)?);
         let truncated = slice_of(&mut truncated, count)?;
-        let members = this.vector.members();
-        for (at, member) in members.iter().enumerate() {
-            let outcome = member.outcome();
+        let sub_envs = this.vector.sub_envs();
+        for (at, sub_env) in sub_envs.iter().enumerate() {
+            let outcome = sub_env.outcome();
             (rewards[at], terminated[at], truncated[at]) = (outcome.reward, outcome.terminated, outcome.truncated);
         }
         write_infos(
             &mut columns,
             count,
-            members.iter().map(|member| member.info()).enumerate(),
+            sub_envs.iter().map(|sub_env| sub_env.info()).enumerate(),
         )?;
-        let broken = members
+        let broken = sub_envs
             .iter()
             .enumerate()
-            .filter(|(_, member)| !member.info().broken.is_empty());
+            .filter(|(_, sub_env)| !sub_env.info().broken.is_empty());
         broken
-            .map(|(at, member)| Ok((at, task.labels(py, &member.info().broken)?)))
+            .map(|(at, sub_env)| Ok((at, task.labels(py, &sub_env.info().broken)?)))
             .collect()
     }
 
@@ -250,14 +250,14 @@ impl PyVectorEnv {
         mut columns: Columns<'py>,
     ) -> PyResult<Vec<EpisodeEnd<'py>>> {
         let this = borrowed(slf)?;
-        let members = this.vector.members();
+        let sub_envs = this.vector.sub_envs();
         let ended = || {
-            members
+            sub_envs
                 .iter()
                 .enumerate()
-                .filter_map(|(at, member)| Some((at, member.ended()?)))
+                .filter_map(|(at, sub_env)| Some((at, sub_env.ended()?)))
         };
-        write_infos(&mut columns, members.len(), ended().map(|(at, (_, info))| (at, info)))?;
+        write_infos(&mut columns, sub_envs.len(), ended().map(|(at, (_, info))| (at, info)))?;
         let task = this.task.get();
         let last = |(at, (observation, info)): (usize, (&[f32], &Info))| {
             Ok((
@@ -272,13 +272,13 @@ impl PyVectorEnv {
     /// The info of an environment.
     fn info<'py>(slf: &Bound<'py, Self>, py: Python<'py>, at: usize) -> PyResult<Bound<'py, PyDict>> {
         let this = borrowed(slf)?;
-        this.task.get().info(py, this.member(at)?.info())
+        this.task.get().info(py, this.sub_env(at)?.info())
     }
 
     /// The true atoms that an ego observes.
     fn atoms<'py>(slf: &Bound<'py, Self>, py: Python<'py>, at: usize) -> PyResult<Bound<'py, PyTuple>> {
         let this = borrowed(slf)?;
-        let env = this.member(at)?.env();
+        let env = this.sub_env(at)?.env();
         (this.task.get()).atoms(py, env, env.controlled_cars()[0].observer().atoms())
     }
 
@@ -291,15 +291,15 @@ impl PyVectorEnv {
     /// The true atoms at the end of the episode that the last step ended, if they were kept.
     fn ended_atoms<'py>(slf: &Bound<'py, Self>, py: Python<'py>, at: usize) -> PyResult<Bound<'py, PyTuple>> {
         let this = borrowed(slf)?;
-        let member = this.member(at)?;
-        let atoms = member.ended_atoms().unwrap_or_default().iter().cloned();
-        this.task.get().atoms(py, member.env(), atoms)
+        let sub_env = this.sub_env(at)?;
+        let atoms = sub_env.ended_atoms().unwrap_or_default().iter().cloned();
+        this.task.get().atoms(py, sub_env.env(), atoms)
     }
 
     /// Whether an episode of an environment has begun, or begun and ended.
     fn has_begun(slf: &Bound<'_, Self>, at: usize) -> PyResult<bool> {
         let this = borrowed(slf)?;
-        Ok(this.member(at)?.is_ready(Autoreset::NextStep))
+        Ok(this.sub_env(at)?.is_ready(Autoreset::NextStep))
     }
 
     /// The start of an environment's episode.
@@ -331,22 +331,22 @@ impl PyVectorEnv {
 }
 
 impl PyVectorEnv {
-    fn member(&self, at: usize) -> PyResult<&SubEnv> {
-        let member = self.vector.members().get(at);
-        member.ok_or_else(|| PyIndexError::new_err(format!("there is no environment {at}")))
+    fn sub_env(&self, at: usize) -> PyResult<&SubEnv> {
+        let sub_env = self.vector.sub_envs().get(at);
+        sub_env.ok_or_else(|| PyIndexError::new_err(format!("there is no environment {at}")))
     }
 
     /// The environment, if it has an episode.
     fn begun(&self, py: Python<'_>, at: usize) -> PyResult<&SubEnv> {
-        let member = self.member(at)?;
-        match member.is_ready(Autoreset::NextStep) {
-            true => Ok(member),
+        let sub_env = self.sub_env(at)?;
+        match sub_env.is_ready(Autoreset::NextStep) {
+            true => Ok(sub_env),
             false => Err(self.reset_needed(py, at, "has not begun")),
         }
     }
 
     fn reset_needed(&self, py: Python<'_>, at: usize, why: &str) -> PyErr {
-        let which = match self.vector.members().len() {
+        let which = match self.vector.sub_envs().len() {
             1 => String::new(),
             _ => format!(" of environment {at}"),
         };
@@ -355,7 +355,7 @@ impl PyVectorEnv {
     }
 
     fn check(&self, given: usize) -> PyResult<()> {
-        let count = self.vector.members().len();
+        let count = self.vector.sub_envs().len();
         match given == count {
             true => Ok(()),
             false => Err(PyValueError::new_err(format!("{given} given for {count} environments"))),
@@ -364,14 +364,14 @@ impl PyVectorEnv {
 
     fn check_ready(&self, py: Python<'_>) -> PyResult<()> {
         let mode = self.vector.autoreset();
-        let mut members = self.vector.members().iter();
-        match members.position(|member| !member.is_ready(mode)) {
+        let mut sub_envs = self.vector.sub_envs().iter();
+        match sub_envs.position(|sub_env| !sub_env.is_ready(mode)) {
             None => Ok(()),
             Some(at) => Err(self.reset_needed(py, at, "has ended or not begun")),
         }
     }
 
     fn rows<'a>(&self, observations: &'a mut PyReadwriteArrayDyn<'_, f32>) -> PyResult<&'a mut [f32]> {
-        slice_of(observations, self.vector.width() * self.vector.members().len())
+        slice_of(observations, self.vector.width() * self.vector.sub_envs().len())
     }
 }

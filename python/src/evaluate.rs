@@ -1,7 +1,7 @@
 //! Measures of policies on recorded episodes, and the description of a task.
 
 use crate::episode::PyEpisode;
-use crate::task::{PyTask, speed, split_named, view_named};
+use crate::task::{PyTask, read_action, split_named, view_named};
 use crate::{Signals, slice_of, to_python};
 use logicity::city::{Action, Split};
 use logicity::task::spf::{
@@ -37,9 +37,9 @@ impl PyRandomBaseline {
         let split = split_named(split)?;
         let shared = &task.get().task;
         let signals = Signals::new();
-        let stop = signals.stop();
+        let cancel = signals.cancel();
         let env = signals.detach(py, || {
-            Env::new_until(Arc::clone(shared), split, ControlMode::First, stop)
+            Env::new_with(Arc::clone(shared), split, ControlMode::First, &cancel)
         })?;
         Ok(PyRandomBaseline {
             env: env.map_err(|fault| task.get().error(py, fault))?,
@@ -81,7 +81,7 @@ impl PyRandomBaseline {
 #[pyclass(name = "BatchEvaluator", module = "logicity._logicity")]
 struct PyBatchEvaluator {
     task: Py<PyTask>,
-    exam: BatchEvaluator,
+    evaluator: BatchEvaluator,
     view: ObservationKind,
     actions: Vec<Action>,
     signals: Arc<Signals>,
@@ -93,10 +93,10 @@ impl PyBatchEvaluator {
     fn new(py: Python<'_>, baseline: &PyRandomBaseline, observation: &str) -> PyResult<Self> {
         let (task, set, view) = (baseline.task.clone_ref(py), &baseline.set, view_named(observation)?);
         let signals = Signals::new();
-        let stop = signals.stop();
-        let exam = signals.detach(py, || BatchEvaluator::new_until(&task.get().task, set, &stop))?;
+        let cancel = signals.cancel();
+        let evaluator = signals.detach(py, || BatchEvaluator::new_with(&task.get().task, set, &cancel))?;
         Ok(PyBatchEvaluator {
-            exam: exam.map_err(|fault| task.get().error(py, fault))?,
+            evaluator: evaluator.map_err(|fault| task.get().error(py, fault))?,
             actions: Vec::with_capacity(set.episodes.len()),
             task,
             view,
@@ -106,12 +106,12 @@ impl PyBatchEvaluator {
 
     /// The number of episodes.
     fn __len__(&self) -> usize {
-        self.exam.envs().len()
+        self.evaluator.envs().len()
     }
 
     /// The start of an episode.
     fn episode(&self, at: usize) -> PyResult<PyEpisode> {
-        let env = self.exam.envs().get(at);
+        let env = self.evaluator.envs().get(at);
         let env = env.ok_or_else(|| PyIndexError::new_err(format!("there is no episode {at}")))?;
         Ok(PyEpisode::of(env.episode()))
     }
@@ -119,8 +119,8 @@ impl PyBatchEvaluator {
     /// Writes the observations, one row for each episode.
     fn observe(&self, mut out: PyReadwriteArrayDyn<'_, f32>) -> PyResult<()> {
         let width: usize = self.view.shape(&self.task.get().task).iter().product();
-        let rows = slice_of(&mut out, width * self.exam.envs().len())?;
-        for (env, row) in self.exam.envs().iter().zip(rows.chunks_exact_mut(width)) {
+        let rows = slice_of(&mut out, width * self.evaluator.envs().len())?;
+        for (env, row) in self.evaluator.envs().iter().zip(rows.chunks_exact_mut(width)) {
             self.view.write(env, 0, row);
         }
         Ok(())
@@ -128,34 +128,35 @@ impl PyBatchEvaluator {
 
     /// Writes the mask of running episodes.
     fn running(&self, mut out: PyReadwriteArray1<'_, bool>) -> PyResult<()> {
-        let out = slice_of(&mut out, self.exam.envs().len())?;
+        let out = slice_of(&mut out, self.evaluator.envs().len())?;
         out.iter_mut()
-            .zip(self.exam.running())
+            .zip(self.evaluator.running())
             .for_each(|(out, running)| *out = running);
         Ok(())
     }
 
     /// The oracle's actions.
     fn oracle_actions<'py>(&self, py: Python<'py>) -> Bound<'py, PyArray1<i64>> {
-        let actions = self.exam.envs().iter().map(|env| env.oracle_action(0) as i64);
+        let actions = self.evaluator.envs().iter().map(|env| env.oracle_action(0) as i64);
         actions.collect::<Vec<i64>>().into_pyarray(py)
     }
 
     /// Steps every running episode.
     fn step(&mut self, py: Python<'_>, actions: PyReadonlyArray1<'_, i64>) -> PyResult<()> {
         let given = actions.as_array();
-        check(given.len(), self.exam.envs().len())?;
+        check(given.len(), self.evaluator.envs().len())?;
         self.actions.clear();
         for (at, &action) in given.iter().enumerate() {
-            self.actions.push(speed(py, action, || format!(" (of episode {at})"))?);
+            self.actions
+                .push(read_action(py, action, || format!(" (of episode {at})"))?);
         }
-        let (exam, actions) = (&mut self.exam, &self.actions);
-        (self.signals.detach(py, || exam.step(actions))?).map_err(|fault| self.task.get().error(py, fault))
+        let (evaluator, actions) = (&mut self.evaluator, &self.actions);
+        (self.signals.detach(py, || evaluator.step(actions))?).map_err(|fault| self.task.get().error(py, fault))
     }
 
     /// The results: `summary`, with a score against a baseline on the same episodes, and `episodes`.
     fn report<'py>(&self, py: Python<'py>, baseline: &PyRandomBaseline) -> PyResult<Bound<'py, PyAny>> {
-        let (task, rollouts) = (self.task.get(), self.exam.rollouts());
+        let (task, rollouts) = (self.task.get(), self.evaluator.rollouts());
         check(baseline.baseline.returns().len(), rollouts.len())?;
         let summary = summarise(&task.task, rollouts, Some(baseline.baseline.returns()));
         report(py, task, &summary, rollouts.iter().enumerate())
@@ -183,7 +184,7 @@ fn report<'py, 'a>(
             .zip(rollout.constrained)
             .filter(|(_, steps)| *steps > 0);
         let constrained: BTreeMap<&str, u32> = constrained.map(|(action, steps)| (action.name(), steps)).collect();
-        let labels = rollout.broken.iter().map(|&demand| task.task.label(demand));
+        let labels = rollout.broken.iter().map(|&constraint| task.task.label(constraint));
         json!({
             "episode": episode, "steps": rollout.steps, "total": rollout.total, "success": rollout.success,
             "truncated": rollout.truncated, "constrained": constrained, "violations": labels.collect::<Vec<&str>>(),
@@ -202,9 +203,9 @@ fn describe<'py>(py: Python<'py>, task: &PyTask) -> PyResult<Bound<'py, PyAny>> 
         let predicate = &world.vocabulary.predicates[predicate];
         json!({"predicate": predicate.name, "arity": predicate.arity, "width": width})
     });
-    let demands = oracle.demands().iter().enumerate().map(|(number, demand)| {
-        let reward = shared.reward(demand.action, &[number], 1);
-        json!({"clause": shared.label(number), "action": demand.action.name(), "reward": reward})
+    let constraints = oracle.constraints().iter().enumerate().map(|(number, constraint)| {
+        let reward = shared.reward(constraint.action, &[number], 1);
+        json!({"clause": shared.label(number), "action": constraint.action.name(), "reward": reward})
     });
     let by_action = Action::ALL.map(|action| (action.name(), config.reward.actions[action as usize]));
     let mut splits = serde_json::Map::new();
@@ -228,7 +229,7 @@ fn describe<'py>(py: Python<'py>, task: &PyTask) -> PyResult<Bound<'py, PyAny>> 
         "width": shared.observation_width(), "state": shared.state_shape(), "view": world.scenario.view,
         "priority_scale": shared.priority_scale(), "route_length": config.route_length,
         "horizon": config.horizon, "patience": config.patience, "overtime": config.reward.overtime,
-        "actions": BTreeMap::from(by_action), "demands": demands.collect::<Vec<Value>>(), "splits": splits,
+        "actions": BTreeMap::from(by_action), "constraints": constraints.collect::<Vec<Value>>(), "splits": splits,
     });
     to_python(py, &description)
 }

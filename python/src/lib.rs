@@ -22,10 +22,10 @@ mod task;
 mod vap;
 
 use logicity::builtin::BuiltinFiles;
+use logicity::cancel::Cancel;
 use logicity::cli::{Outcome, PYTHON_COMMANDS, run_with_python};
 use logicity::diag::{Code, Diagnostic, Sources, render, to_json};
 use logicity::files::{ReadError, ReadFile as _};
-use logicity::sim::Stop;
 use numpy::ndarray::Dimension;
 use numpy::{Element, PyReadwriteArray};
 use pyo3::PyClass;
@@ -149,20 +149,20 @@ fn slice_of<'a, T: Element, D: Dimension>(
 /// Checks for signals, such as Ctrl-C, during long work in Rust.
 pub struct Signals {
     /// The thread that called from Python, and the time of its last check.
-    looked: Mutex<(ThreadId, Instant)>,
+    last_check: Mutex<(ThreadId, Instant)>,
     raised: AtomicBool,
     error: Mutex<Option<PyErr>>,
 }
 
 impl Signals {
     /// The interval between checks.
-    const PAUSE: Duration = Duration::from_millis(50);
+    const POLL_INTERVAL: Duration = Duration::from_millis(50);
     /// The stack size of loading threads, as main threads usually have.
     const STACK: usize = 8 << 20;
 
     fn new() -> Arc<Signals> {
         Arc::new(Signals {
-            looked: Mutex::new((thread::current().id(), Instant::now())),
+            last_check: Mutex::new((thread::current().id(), Instant::now())),
             raised: AtomicBool::new(false),
             error: Mutex::new(None),
         })
@@ -174,14 +174,14 @@ impl Signals {
         if self.raised.load(Ordering::Relaxed) {
             return true;
         }
-        let Ok(mut looked) = self.looked.try_lock() else {
+        let Ok(mut last_check) = self.last_check.try_lock() else {
             return false;
         };
-        if looked.1.elapsed() < Self::PAUSE || looked.0 != thread::current().id() {
+        if last_check.1.elapsed() < Self::POLL_INTERVAL || last_check.0 != thread::current().id() {
             return false;
         }
-        looked.1 = Instant::now();
-        drop(looked);
+        last_check.1 = Instant::now();
+        drop(last_check);
         if let Err(error) = Python::attach(|py| py.check_signals()) {
             locked(&self.error).get_or_insert(error);
             self.raised.store(true, Ordering::Relaxed);
@@ -189,15 +189,15 @@ impl Signals {
         self.raised.load(Ordering::Relaxed)
     }
 
-    /// The cancellation callback.
-    fn stop(self: &Arc<Self>) -> Stop {
+    /// Requests cancellation when a handler has raised an exception.
+    fn cancel(self: &Arc<Self>) -> Cancel {
         let signals = Arc::clone(self);
-        Arc::new(move || signals.raised())
+        Cancel::when(move || signals.raised())
     }
 
-    /// Runs work that polls `raised` and stops if it is true. Raises the exception of the handler.
+    /// Runs work that polls [`Signals::cancel`]. Raises the exception of the handler.
     fn run_polled<R>(&self, work: impl FnOnce() -> R) -> PyResult<R> {
-        locked(&self.looked).0 = thread::current().id();
+        locked(&self.last_check).0 = thread::current().id();
         let done = work();
         match self.raised.swap(false, Ordering::Relaxed) {
             true => Err(locked(&self.error).take().expect("stored before `raised` is set")),
@@ -218,7 +218,7 @@ impl Signals {
         thread.map_err(|error| PyOSError::new_err(format!("a thread cannot be started: {error}")))?;
         let received = self.detach(py, move || {
             loop {
-                match result.recv_timeout(Self::PAUSE) {
+                match result.recv_timeout(Self::POLL_INTERVAL) {
                     Err(RecvTimeoutError::Timeout) if !self.raised() => {}
                     received => break received,
                 }
@@ -248,7 +248,7 @@ impl<T: Send> Shared<T> {
         Shared::with_signals(what, content, Signals::new())
     }
 
-    /// For content that holds the cancellation callback of these signals.
+    /// For content that polls these signals.
     fn with_signals(what: &'static str, content: T, signals: Arc<Signals>) -> Self {
         Shared {
             what,
@@ -283,12 +283,12 @@ impl<T: Send> Shared<T> {
     }
 
     /// Runs long work without the GIL. Raises the exception of a signal handler, which cancels the work.
-    fn detached<R: Send>(&self, py: Python<'_>, work: impl FnOnce(&mut T, &Signals) -> R + Send) -> PyResult<R> {
+    fn detached<R: Send>(&self, py: Python<'_>, work: impl FnOnce(&mut T, &Cancel) -> R + Send) -> PyResult<R> {
         let mut guard = self.lock()?;
         let content = &mut *guard;
-        let signals = &*self.signals;
-        let result = signals.detach(py, || {
-            let work = || content.as_mut().map(|content| work(content, signals));
+        let cancel = self.signals.cancel();
+        let result = self.signals.detach(py, || {
+            let work = || content.as_mut().map(|content| work(content, &cancel));
             let result = catch_unwind(AssertUnwindSafe(work));
             if result.is_err() {
                 *content = None;

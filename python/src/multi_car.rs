@@ -1,7 +1,7 @@
 //! An environment that controls every car of a city.
 
 use crate::episode::{PyEpisode, read_episode};
-use crate::task::{PyTask, speed, split_named, view_named};
+use crate::task::{PyTask, read_action, split_named, view_named};
 use crate::{Signals, borrowed, borrowed_mut, slice_of};
 use logicity::city::Action;
 use logicity::task::spf::{ControlMode, Env, EpisodeSource, Info, ObservationKind, describe};
@@ -33,9 +33,9 @@ impl PyMultiCarEnv {
         let (split, view) = (split_named(split)?, view_named(observation)?);
         let shared = Arc::clone(&task.get().task);
         let signals = Signals::new();
-        let stop = signals.stop();
+        let cancel = signals.cancel();
         let env = signals
-            .detach(py, || Env::new_until(shared, split, ControlMode::Cars, stop))?
+            .detach(py, || Env::new_with(shared, split, ControlMode::Cars, &cancel))?
             .map_err(|fault| task.get().error(py, fault))?;
         Ok(PyMultiCarEnv {
             task,
@@ -89,7 +89,7 @@ impl PyMultiCarEnv {
         this.actions.clear();
         for (controlled_car, action) in actions.into_iter().enumerate() {
             this.actions
-                .push(speed(py, action, || format!(" (of car {controlled_car})"))?);
+                .push(read_action(py, action, || format!(" (of car {controlled_car})"))?);
         }
         let (env, actions) = (&mut this.env, &this.actions);
         (this.signals.detach(py, || env.step(actions))?).map_err(|fault| this.task.get().error(py, fault))

@@ -54,7 +54,7 @@ pub fn gymnasium_error(py: Python<'_>, name: &str, message: String) -> PyErr {
     }
 }
 
-pub fn speed(py: Python<'_>, action: i64, of: impl Fn() -> String) -> PyResult<Action> {
+pub fn read_action(py: Python<'_>, action: i64, of: impl Fn() -> String) -> PyResult<Action> {
     let known = usize::try_from(action).ok().and_then(|action| Action::ALL.get(action));
     known.copied().ok_or_else(|| {
         let message = format!(
@@ -77,10 +77,10 @@ impl PyTask {
             (world.and_then(|world| SpfTask::new(world, &sources)), sources)
         })?;
         let task = made.map_err(|faults| input_error(py, &faults, &sources))?;
-        let demands = 0..task.oracle().demands().len();
+        let constraints = 0..task.oracle().constraints().len();
         Ok(PyTask {
-            labels: demands
-                .map(|demand| PyString::new(py, task.label(demand)).unbind())
+            labels: constraints
+                .map(|constraint| PyString::new(py, task.label(constraint)).unbind())
                 .collect(),
             sources: Mutex::new(sources),
             rule_files,
@@ -107,11 +107,12 @@ impl PyTask {
         config: &str,
     ) -> PyResult<()> {
         let split = split_named(split)?;
-        let actions = actions.into_iter().map(|action| speed(py, action, String::new));
+        let actions = actions.into_iter().map(|action| read_action(py, action, String::new));
         let actions: Vec<Action> = actions.collect::<PyResult<_>>()?;
         let signals = Signals::new();
+        let cancel = signals.cancel();
         let env = signals.detach(py, || {
-            Env::new_until(Arc::clone(&self.task), split, ControlMode::First, signals.stop())
+            Env::new_with(Arc::clone(&self.task), split, ControlMode::First, &cancel)
         })?;
         let episode = env.and_then(|env| read_episode(episode, &env));
         let episode = episode.map_err(|fault| self.error(py, fault))?;
@@ -124,7 +125,7 @@ impl PyTask {
         let written = signals.detach(py, || {
             let file = Output::create(&path)?;
             let driven = (&episode, actions.as_slice());
-            record(&self.task, split, driven, origin, signals.stop(), file)?.finish()?;
+            record(&self.task, split, driven, origin, file, &cancel)?.finish()?;
             Ok(())
         })?;
         written.map_err(|error| match error {
@@ -175,7 +176,7 @@ impl PyTask {
 
     /// The names of broken clauses.
     pub fn labels<'py>(&self, py: Python<'py>, broken: &[usize]) -> PyResult<Bound<'py, PyTuple>> {
-        PyTuple::new(py, broken.iter().map(|&demand| self.labels[demand].bind(py)))
+        PyTuple::new(py, broken.iter().map(|&constraint| self.labels[constraint].bind(py)))
     }
 
     pub fn info<'py>(&self, py: Python<'py>, info: &Info) -> PyResult<Bound<'py, PyDict>> {

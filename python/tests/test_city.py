@@ -127,7 +127,7 @@ def test_an_inference_is_pickled_with_its_texts(tmp_path: Path) -> None:
         assert again.answer(symbolic)["egos"]["a"]["action"] == "Fast"
 
 
-def test_a_simulation_tells_its_state_in_arrays() -> None:
+def test_the_state_of_a_simulation_is_arrays() -> None:
     city = Simulation()
     n = len(city.agents)
     assert (n, city.now, city.executor, city.map_name) == (18, 0, "dense", "square-5x5")

@@ -49,12 +49,12 @@ def test_options_keep_to_the_rules_of_gymnasium(observation: str) -> None:
 def play(env: SPFEnv, steps: int, seed: int) -> list[Any]:
     """Random steps and what came of them, beginning again at the end of each episode."""
     generator = np.random.default_rng(seed)
-    told: list[Any] = []
+    steps: list[Any] = []
     for _ in range(steps):
-        told.append(env.step(int(generator.integers(4))))
-        if told[-1][2] or told[-1][3]:
-            told.append(env.reset())
-    return told
+        steps.append(env.step(int(generator.integers(4))))
+        if steps[-1][2] or steps[-1][3]:
+            steps.append(env.reset())
+    return steps
 
 
 def test_a_seed_gives_a_sequence_of_episodes() -> None:
@@ -115,12 +115,12 @@ def test_an_end_is_an_end_and_a_time_limit_is_not() -> None:
 def test_violations_have_the_names_of_clauses() -> None:
     env, names = SPFEnv("expert"), set()
     env.reset(seed=0)
-    for told in play(env, 3000, 0):
-        names.update(told[-1]["violations"])
+    for step in play(env, 3000, 0):
+        names.update(step[-1]["violations"])
     assert {"S1", "S7", "L1", "F2"} <= names <= {f"{of}{at}" for of in "SLF" for at in range(1, 8)}
 
 
-def test_true_atoms_are_told_on_request() -> None:
+def test_true_atoms_are_returned_on_request() -> None:
     env = SPFEnv("easy", atoms=True)
     observation, info = env.reset(seed=2)
     assert len(info["true_atoms"]) == observation.sum()
@@ -200,8 +200,8 @@ def test_a_trace_is_that_of_the_episode(tmp_path: Path) -> None:
     cars = [tick["agents"][0] for tick in ticks]
     assert tuple(cars[0]["at"]) == env.episode["agents"][0]["start"] and {car["action"] for car in cars} == {"Fast"}
     labels = [clause["doc"].split(":")[0] for clause in header["clauses"]]
-    told = [(car["driven"]["wanted"], tuple(labels[at] for at in car["driven"]["broken"])) for car in cars]
-    assert told == infos and infos[-1][1]
+    recorded = [(car["driven"]["wanted"], tuple(labels[at] for at in car["driven"]["broken"])) for car in cars]
+    assert recorded == infos and infos[-1][1]
     assert all(car["driven"]["observes"][0] == "Car_1" for car in cars)
     assert not any("driven" in agent for tick in ticks for agent in tick["agents"][1:])
 
@@ -255,7 +255,7 @@ def test_a_trace_leaves_configurations_as_they_are(tmp_path: Path) -> None:
     assert (trace.read_bytes(), config.read_bytes()) == before
 
 
-def test_two_threads_on_one_environment_are_told_what_to_do() -> None:
+def test_concurrent_use_of_an_environment_raises() -> None:
     envs = SPFVectorEnv(64, "expert", autoreset_mode=AutoresetMode.SAME_STEP)
     envs.reset(seed=1)
     actions, said = np.ones(64, np.int64), []
@@ -299,7 +299,7 @@ def test_overrides_may_be_of_numpy(tmp_path: Path) -> None:
 
 
 @pytest.mark.parametrize(
-    ("make", "name", "told"),
+    ("make", "name", "message"),
     [
         (partial(gymnasium.make, IDS[0]), "observations", "did you mean `observation`"),
         (partial(gymnasium.make, IDS[0]), "episode", "did you mean `episodes`"),
@@ -308,8 +308,8 @@ def test_overrides_may_be_of_numpy(tmp_path: Path) -> None:
         (partial(logicity.demonstrations, "easy", 1), "rule", "did you mean `rules`"),
     ],
 )
-def test_options_that_there_are_not_are_told(make: Any, name: str, told: str) -> None:
-    with pytest.raises(TypeError, match=f"no option `{name}`; {told}"):
+def test_options_that_there_are_not_are_reported(make: Any, name: str, message: str) -> None:
+    with pytest.raises(TypeError, match=f"no option `{name}`; {message}"):
         make(**{name: 1})
 
 
@@ -333,7 +333,7 @@ def test_a_copy_goes_on_alike(way: str) -> None:
     assert env.np_random.integers(1000) == twin.np_random.integers(1000)
 
 
-def test_wrong_use_is_told_in_the_words_of_gymnasium() -> None:
+def test_wrong_use_is_reported_in_the_words_of_gymnasium() -> None:
     env = SPFEnv("easy")
     for use in (lambda: env.step(0), env.explain, lambda: env.episode):
         with pytest.raises(ResetNeeded):
@@ -376,7 +376,7 @@ def test_wrong_arguments_are_refused() -> None:
         SPFEnv("easy", overrides={"task": {"reward": {"clauses": {"S9": -1}}}})
 
 
-def test_a_faulty_rule_file_is_told_with_its_place(tmp_path: Any) -> None:
+def test_a_faulty_rule_file_is_reported_with_its_place(tmp_path: Any) -> None:
     rules = tmp_path / "mine.dl"
     rules.write_text('.include "vocabulary.dl"\nStop(X) :- IsCarr(X).\n')
     with pytest.raises(logicity.InputError) as caught:
@@ -460,8 +460,8 @@ def test_a_batch_is_as_many_singles(mode: AutoresetMode, id: str, threads: int, 
     generator, ends, done = np.random.default_rng(0), 0, np.zeros(count, np.bool_)
     for _ in range(steps):
         if mode is AutoresetMode.DISABLED and done.any():
-            told = [envs.reset(options={"reset_mask": done.copy()}) for envs in (batch, alone)]
-            assert data_equivalence(told[0], told[1], exact=True)
+            results = [envs.reset(options={"reset_mask": done.copy()}) for envs in (batch, alone)]
+            assert data_equivalence(results[0], results[1], exact=True)
         actions = generator.integers(4, size=count)
         one, other = batch.step(actions), alone.step(actions)
         for a, b in zip(one, other, strict=True):
@@ -504,7 +504,7 @@ def test_a_batch_begins_given_episodes() -> None:
     assert envs.explain(2).startswith("tick 0: Car_1 at [")
 
 
-def test_wrong_use_of_a_batch_is_told() -> None:
+def test_wrong_use_of_a_batch_is_reported() -> None:
     envs = SPFVectorEnv(3, "easy", autoreset_mode=AutoresetMode.DISABLED)
     with pytest.raises(ResetNeeded, match="environment 0"):
         envs.step(np.zeros(3, int))
@@ -605,7 +605,7 @@ def test_what_a_handler_of_a_signal_raises_is_raised(kind: type[Exception], tmp_
         signal.signal(signal.SIGALRM, previous)
 
 
-def test_a_batch_that_has_not_begun_has_nothing_to_tell() -> None:
+def test_a_batch_needs_a_reset_first() -> None:
     envs = SPFVectorEnv(3, "easy", render_mode="ansi", autoreset_mode=AutoresetMode.DISABLED)
     for use in (partial(envs.episode, 0), partial(envs.explain, 0), envs.render):
         with pytest.raises(ResetNeeded, match="of environment 0 has not begun"):

@@ -94,7 +94,7 @@ def test_traces_replace_nothing(own_city: Path, capsys: pytest.CaptureFixture[st
     assert not (folder / "easy").exists(), "of the second mode it is told before the first is driven"
 
 
-def test_folders_that_take_no_traces_are_told_at_once(tmp_path: Path) -> None:
+def test_folders_that_take_no_traces_are_reported_at_once(tmp_path: Path) -> None:
     (tmp_path / "file").write_text("")
     for folder in (tmp_path / "file", tmp_path / "file" / "below"):
         with pytest.raises(OSError, match="file"):
@@ -131,9 +131,9 @@ def test_all_kinds_of_policies_go_alike() -> None:
 
 
 def test_results_print_short() -> None:
-    told = repr(evaluate("oracle", "easy", "val"))
-    assert told.startswith("<Evaluation of oracle in easy, val: TSR 1.00 [0.91, 1.00], DSR 1.00 [0.91, 1.00], Score ")
-    assert told.endswith(", 40 episodes>") and len(told) < 150
+    shown = repr(evaluate("oracle", "easy", "val"))
+    assert shown.startswith("<Evaluation of oracle in easy, val: TSR 1.00 [0.91, 1.00], DSR 1.00 [0.91, 1.00], Score ")
+    assert shown.endswith(", 40 episodes>") and len(shown) < 150
 
 
 def test_an_evaluation_is_what_single_environments_say() -> None:
@@ -271,11 +271,11 @@ def test_the_command_prints_rows_and_writes_what_was_measured(
     file = tmp_path / "out.json"
     arguments = ["evaluate", "--policy", "oracle", "--modes", "easy,hard", "--split", "val", "--json", str(file)]
     assert main(arguments) == 0
-    told = capsys.readouterr()
-    rows = told.out.splitlines()
+    output = capsys.readouterr()
+    rows = output.out.splitlines()
     assert rows[0].split() == ["policy", "mode", "TSR", "DSR", "Score", "return", "steps"]
     assert rows[1].split()[:4] == ["oracle", "easy", "1.00", "[0.91,"] and rows[2].split()[1] == "hard"
-    assert told.err == "", "progress is for terminals"
+    assert output.err == "", "progress is for terminals"
     written = json.loads(file.read_text())
     direct: Evaluation = evaluate("oracle", "easy", "val")
     assert written[0] == json.loads(json.dumps(direct.to_dict()))
@@ -393,7 +393,7 @@ def test_the_table_of_exact_observations_says_what_environments_show(mode: str, 
     env = gymnasium.make(ENVIRONMENTS[mode], observation="state", atoms=True, overrides=overrides)
     names = _columns_of_state(mode)
     assert env.observation_space.shape is not None and env.observation_space.shape[1] == 8 + len(names)
-    told = _logicity.describe(load_task(mode))
+    task = _logicity.describe(load_task(mode))
     headed = 0
     for seed in range(5):
         state, info = env.reset(seed=seed)
@@ -402,15 +402,15 @@ def test_the_table_of_exact_observations_says_what_environments_show(mode: str, 
         there = [
             agent
             for agent in start
-            if agent is not ego and max(abs(agent["start"][at] - ego["start"][at]) for at in (0, 1)) <= told["view"]
+            if agent is not ego and max(abs(agent["start"][at] - ego["start"][at]) for at in (0, 1)) <= task["view"]
         ]
         rows = [ego, *there][: len(state)]
         assert state[:, 0].tolist() == [1.0] * len(rows) + [0.0] * (len(state) - len(rows))
         assert not state[len(rows) :].any() and not state[:, 3:7].any()
         for row, agent in zip(state, rows, strict=False):
             cells = [agent["start"][at] - ego["start"][at] for at in (0, 1)]
-            assert row[1:3] * told["view"] == pytest.approx(cells, abs=1e-4)
-            assert row[7] * told["priority_scale"] == pytest.approx(agent["priority"], abs=1e-4)
+            assert row[1:3] * task["view"] == pytest.approx(cells, abs=1e-4)
+            assert row[7] * task["priority_scale"] == pytest.approx(agent["priority"], abs=1e-4)
         # What is true of the ego is among the atoms, too.
         true = {atom for atom in info["true_atoms"] if atom.endswith("(Car_1)") and "," not in atom}
         assert {f"{name}(Car_1)" for name, value in zip(names, state[0, 8:], strict=True) if value} == true

@@ -28,7 +28,7 @@ def test_everything_public_is_documented() -> None:
                     assert value.__doc__, f"{name}.{member}"
 
 
-def test_what_an_extra_would_bring_is_told_with_its_name() -> None:
+def test_what_an_extra_would_bring_is_reported_with_its_name() -> None:
     # As if none of them were installed, wherever this runs.
     text = """
 import sys

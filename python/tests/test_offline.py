@@ -146,9 +146,9 @@ def test_prolog_reads_what_popper_reads(tmp_path: Path) -> None:
     command = [swipl, "-q", "--on-warning=halt", "--on-error=halt", "-g", "main", "-t", "halt", "check.pl"]
     done = subprocess.run(command, capture_output=True, text=True, cwd=folder, check=False)
     assert (done.returncode, done.stderr) == (0, "")
-    told = dict(re.findall(r"\[(\w+),(\d+,\d+)\]", done.stdout))
+    scores = dict(re.findall(r"\[(\w+),(\d+,\d+)\]", done.stdout))
     positive = (folder / "exs.pl").read_text().count("pos(")
-    (s1, s1_wrong), (all_rules, wrong) = ([int(count) for count in told[rule].split(",")] for rule in ("s1", "stops"))
+    (s1, s1_wrong), (all_rules, wrong) = ([int(count) for count in scores[rule].split(",")] for rule in ("s1", "stops"))
     assert 0 < s1 < all_rules == positive and s1_wrong == wrong == 0
 
 

@@ -19,7 +19,7 @@ def test_pettingzoo_has_nothing_to_say_against(mode: str) -> None:
     parallel_seed_test(lambda: logicity.parallel_env(mode), num_cycles=100)
 
 
-def test_options_that_there_are_not_are_told() -> None:
+def test_options_that_there_are_not_are_reported() -> None:
     with pytest.raises(TypeError, match="no option `episodes`; known: split, .*, render_mode$"):
         logicity.parallel_env("easy", episodes="recorded")
 
@@ -47,7 +47,7 @@ def test_cars_that_have_ended_go_on_by_the_rules() -> None:
     assert env.explain("Car_2").startswith("tick 0: Car_2 at [")
 
 
-def test_wrong_use_is_told() -> None:
+def test_wrong_use_is_reported() -> None:
     env = logicity.parallel_env("easy")
     with pytest.raises(ResetNeeded):
         env.step({})

@@ -143,7 +143,7 @@ def test_a_grade_counts_every_question_once() -> None:
 
 
 @pytest.mark.parametrize(
-    ("text", "told"),
+    ("text", "message"),
     [
         ("", "no questions"),
         ("{", ":1: not JSON"),
@@ -159,21 +159,21 @@ def test_a_grade_counts_every_question_once() -> None:
         ),
     ],
 )
-def test_faulty_questions_are_told_with_their_line(text: str, told: str, tmp_path: Path) -> None:
+def test_faulty_questions_are_reported_with_their_line(text: str, message: str, tmp_path: Path) -> None:
     path = tmp_path / "questions.jsonl"
     path.write_text(text, encoding="utf-8")
-    with pytest.raises(ValueError, match=told):
+    with pytest.raises(ValueError, match=message):
         load_questions(path)
 
 
-def test_faulty_answers_are_told_with_their_line(tmp_path: Path) -> None:
+def test_faulty_answers_are_reported_with_their_line(tmp_path: Path) -> None:
     path = tmp_path / "answers.jsonl"
-    for text, told in [
+    for text, message in [
         ('{"id": "a"}', ":1: expected a text as `answer`"),
         ('{"id": "a", "answer": "A"}\n\n{"id": "a", "answer": "B"}', ":3: the id 'a' is answered twice"),
     ]:
         path.write_text(text, encoding="utf-8")
-        with pytest.raises(ValueError, match=told):
+        with pytest.raises(ValueError, match=message):
             load_answers(path)
 
 
@@ -213,7 +213,7 @@ def serve() -> Iterator[Callable[[Callable[[BaseHTTPRequestHandler, int, dict[st
                 server.keys.append(self.headers.get("Authorization"))
                 server.act(self, len(server.requests) - 1, body)
 
-            def log_message(self, *told: Any) -> None:
+            def log_message(self, *message: Any) -> None:
                 pass
 
         http = ThreadingHTTPServer(("127.0.0.1", 0), Handler)
@@ -309,16 +309,16 @@ def test_what_was_replied_is_kept_when_the_server_gives_out(
 
 def test_what_is_refused_is_not_tried_again(serve: Serve, tmp_path: Path) -> None:
     other = serve(lambda handler, number, _: say(handler, "A"))
-    for code, told in [(401, "401 .*: who are you"), (404, "404"), (302, "302"), (307, "307")]:
+    for code, message in [(401, "401 .*: who are you"), (404, "404"), (302, "302"), (307, "307")]:
         server = serve(lambda handler, _, __, code=code: send(handler, code, b"who are you", Location=other.url))  # type: ignore[misc]
-        with pytest.raises(ConnectionError, match=told):
+        with pytest.raises(ConnectionError, match=message):
             ask(made_up(1), Endpoint(server.url, "stub", key="sesame"), tmp_path / "replies.jsonl")
         assert len(server.requests) == 1
     # A key follows no redirection.
     assert other.requests == []
 
 
-def test_faulty_endpoints_are_refused_without_telling_the_key(
+def test_errors_of_endpoints_do_not_show_the_key(
     monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str], tmp_path: Path
 ) -> None:
     for faulty in (
@@ -340,11 +340,11 @@ def test_faulty_endpoints_are_refused_without_telling_the_key(
         main([*arguments, "--settings", "[1]"])
 
 
-def test_what_is_counted_as_wrong_is_told(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+def test_what_is_counted_as_wrong_is_reported(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     questions = load_questions(QUESTIONS)
     answers = tmp_path / "answers.jsonl"
-    told = {questions[0].id: questions[0].answer, questions[1].id: "hm", "another": "A"}
-    answers.write_text("".join(json.dumps({"id": name, "answer": text}) + "\n" for name, text in told.items()))
+    replies = {questions[0].id: questions[0].answer, questions[1].id: "hm", "another": "A"}
+    answers.write_text("".join(json.dumps({"id": name, "answer": text}) + "\n" for name, text in replies.items()))
     assert main(["grade", str(answers), "--questions", str(QUESTIONS)]) == 0
     printed = capsys.readouterr()
     assert printed.out.splitlines()[-1].startswith("all           8          0.12 [0.02, 0.47]")

@@ -52,7 +52,7 @@ def test_a_clean_text_has_no_diagnostics() -> None:
     assert logicity.check('.include "vocabulary.dl"\nStop(X) :- IsCar(X), IsInInter(X).\n') == []
 
 
-def test_a_fault_is_told_with_its_place() -> None:
+def test_a_fault_is_reported_with_its_place() -> None:
     (fault,) = logicity.check('.include "vocabulary.dl"\nStop(X) :- IsCarr(X).\n', "mine.dl")
     assert fault["code"] == "unknown-predicate"
     label = fault["labels"][0]
@@ -67,7 +67,7 @@ def test_a_faulty_program_raises_all_its_faults() -> None:
     assert (str(again), again.diagnostics) == (str(caught.value), caught.value.diagnostics)
 
 
-def test_a_program_tells_what_it_is_made_of() -> None:
+def test_a_program_lists_its_relations_and_clauses() -> None:
     program = Program(PATH + ".decl lonely(x: number)\nlonely(x) :- edge(x2, y), x = 1.\n", "test.dl")
     path = program.relations["path"]
     assert [(column.name, column.type, column.base) for column in path.columns] == [
@@ -120,7 +120,7 @@ def test_programs_are_pickled_with_all_their_texts(tmp_path: Path, again: Callab
     assert held.commit()["b"].added == [(1,)]
 
 
-def test_a_commit_tells_exactly_what_changed() -> None:
+def test_a_commit_reports_exactly_what_changed() -> None:
     held = session(PATH)
     assert held.insert("edge", [("a", "b"), ["b", "c"]]) == 2
     assert held.rows("path") == []
@@ -310,7 +310,7 @@ def test_why_a_fact_holds_and_why_not() -> None:
         held.explain("pth", ("a", "b"))
 
 
-def test_the_work_log_tells_what_was_done() -> None:
+def test_the_work_log_counts_rows() -> None:
     held = session(PATH)
     assert held.work == []
     held.insert("edge", [(str(n), str(n + 1)) for n in range(50)])

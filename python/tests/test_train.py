@@ -183,7 +183,7 @@ def test_the_network_has_the_layers_of_the_configuration(tmp_path: Path) -> None
         ("base: config.yaml", "builds on itself"),
     ],
 )
-def test_faulty_configurations_are_told(
+def test_faulty_configurations_are_reported(
     text: str, message: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     (tmp_path / "config.yaml").write_text(text)

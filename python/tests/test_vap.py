@@ -184,8 +184,8 @@ def test_entities_outside_have_no_box(own: Path, tmp_path: Path) -> None:
         assert np.isnan(sample.boxes[gone]).all() and not np.isnan(sample.boxes[~gone]).any()
         assert (sample.h[gone, :4] == 0).all() and (sample.h[~gone, 2:4] > 0).all()
     to_coco(own, tmp_path / "boxes.json", images=False)
-    told = check_coco(tmp_path / "boxes.json", samples)
-    assert len(told["annotations"]) == 2 * 89 * 14 - outside.sum()
+    coco = check_coco(tmp_path / "boxes.json", samples)
+    assert len(coco["annotations"]) == 2 * 89 * 14 - outside.sum()
 
 
 def image_of(sample: VapSample) -> NDArray[np.uint8]:
@@ -217,7 +217,7 @@ def test_pictures_go_only_where_they_fit(shown: Path) -> None:
 
 
 @pytest.mark.parametrize(
-    ("damage", "told"),
+    ("damage", "message"),
     [
         (lambda whole: b"", "not a valid PNG"),
         (lambda whole: whole[: len(whole) // 2], "not a valid PNG"),
@@ -228,12 +228,12 @@ def test_pictures_go_only_where_they_fit(shown: Path) -> None:
         (lambda whole: png(picture(0, 11), interlaced=1), "not a valid PNG"),
     ],
 )
-def test_faulty_pictures_are_told(damage: Callable[[bytes], bytes], told: str, shown: Path) -> None:
+def test_faulty_pictures_are_reported(damage: Callable[[bytes], bytes], message: str, shown: Path) -> None:
     samples = VapDataset(shown)
     path = samples.picture_path(5)
     whole = path.read_bytes()
     path.write_bytes(damage(whole))
-    with pytest.raises(InputError, match=told) as error:
+    with pytest.raises(InputError, match=message) as error:
         samples[5]
     assert path.name in str(error.value) and error.value.diagnostics[0]["code"] == "invalid-data-set"
     path.unlink()
@@ -242,13 +242,13 @@ def test_faulty_pictures_are_told(damage: Callable[[bytes], bytes], told: str, s
     path.write_bytes(whole)
 
 
-def test_faulty_data_sets_are_told(own: Path, tmp_path: Path) -> None:
+def test_faulty_data_sets_are_reported(own: Path, tmp_path: Path) -> None:
     with pytest.raises(FileNotFoundError):
         VapDataset(tmp_path / "nowhere")
     with pytest.raises(ValueError, match="made with `--no-pictures`"):
         VapDataset(own)
     manifest = (own / "manifest.json").read_text()
-    for text, told in [
+    for text, message in [
         (manifest.replace('"version": 2', '"version": 1'), "version 1; this package reads version 2"),
         (manifest.replace('"logicity vap"', '"photographs"'), "a data set `photographs`"),
         ("{", "no manifest"),
@@ -258,18 +258,18 @@ def test_faulty_data_sets_are_told(own: Path, tmp_path: Path) -> None:
     ]:
         assert text != manifest
         (own / "manifest.json").write_text(text)
-        with pytest.raises(ValueError, match=told):
+        with pytest.raises(ValueError, match=message):
             VapDataset(own, images=False)
     (own / "manifest.json").write_text(manifest.replace('"frames": 89', '"frames": 88'))
     with pytest.raises(ValueError, match="has 89 frames, the manifest lists 88"):
         VapDataset(own, images=False)[0]
 
 
-def test_faulty_tables_are_told(own: Path) -> None:
+def test_faulty_tables_are_reported(own: Path) -> None:
     samples = VapDataset(own, images=False, cached_worlds=0)
     entities, pairs = (own / "world-00001" / name for name in ("entities.parquet", "pairs.parquet"))
     whole = entities.read_bytes()
-    for damaged, told in [
+    for damaged, message in [
         (whole[: len(whole) // 2], "not a table of frames"),
         (pairs.read_bytes(), "there is no column `agent`"),
         ((own / "world-00000" / "entities.parquet").read_bytes(), "not those of one sample"),
@@ -279,7 +279,7 @@ def test_faulty_tables_are_told(own: Path) -> None:
         assert damaged != whole
         entities.write_bytes(damaged)
         assert alike(samples[0], samples[0]), "the other world is whole"
-        with pytest.raises(InputError, match=told) as error:
+        with pytest.raises(InputError, match=message) as error:
             samples[100]
         assert "world-00001" in str(error.value) and error.value.diagnostics[0]["code"] == "invalid-data-set"
     entities.unlink()
@@ -356,7 +356,7 @@ def test_metrics_of_a_case_by_hand() -> None:
 
 
 @pytest.mark.parametrize(
-    ("labels", "predictions", "frames", "error", "told"),
+    ("labels", "predictions", "frames", "error", "message"),
     [
         ([], [], [], ValueError, "at least one car"),
         ([0], [0, 1], [0], ValueError, "1 labels, 2 predictions and 1 frames"),
@@ -370,9 +370,9 @@ def test_metrics_of_a_case_by_hand() -> None:
     ],
 )
 def test_faulty_predictions_are_refused(
-    labels: Any, predictions: Any, frames: Any, error: type[Exception], told: str
+    labels: Any, predictions: Any, frames: Any, error: type[Exception], message: str
 ) -> None:
-    with pytest.raises(error, match=told):
+    with pytest.raises(error, match=message):
         vap_metrics(labels, predictions, frames)
 
 
@@ -390,9 +390,9 @@ def test_shards_hold_every_sample(shown: Path, tmp_path: Path) -> None:
                 key = f"world-{sample.world:05}-frame-{sample.tick:03}"
                 names = [member.name for member in (json_member, npz_member, png_member)]
                 assert names == [f"{key}.json", f"{key}.npz", f"{key}.png"]
-                told, arrays, image = (tar.extractfile(member) for member in (json_member, npz_member, png_member))
-                assert told is not None and arrays is not None and image is not None
-                said = json.load(told)
+                text, arrays, image = (tar.extractfile(member) for member in (json_member, npz_member, png_member))
+                assert text is not None and arrays is not None and image is not None
+                said = json.load(text)
                 assert (said["world"], said["tick"]) == (sample.world, sample.tick)
                 assert (said["names"], said["concepts"]) == (list(sample.names), list(sample.concepts))
                 assert (said["mode"], said["split"]) == ("easy", "val")
@@ -437,17 +437,17 @@ def test_webdataset_reads_the_shards(shown: Path, tmp_path: Path) -> None:
 
 def check_coco(path: Path, samples: VapDataset) -> dict[str, Any]:
     """Check a file against the format of COCO and the samples."""
-    told: dict[str, Any] = json.loads(path.read_text())
-    assert [picture["id"] for picture in told["images"]] == list(range(len(samples)))
-    ids = [annotation["id"] for annotation in told["annotations"]]
+    coco: dict[str, Any] = json.loads(path.read_text())
+    assert [picture["id"] for picture in coco["images"]] == list(range(len(samples)))
+    ids = [annotation["id"] for annotation in coco["annotations"]]
     assert ids == list(range(1, len(ids) + 1))
-    categories = {category["id"]: category for category in told["categories"]}
+    categories = {category["id"]: category for category in coco["categories"]}
     assert list(categories) == list(range(1, len(categories) + 1))
-    by_picture: dict[int, list[dict[str, Any]]] = {picture["id"]: [] for picture in told["images"]}
-    for annotation in told["annotations"]:
+    by_picture: dict[int, list[dict[str, Any]]] = {picture["id"]: [] for picture in coco["images"]}
+    for annotation in coco["annotations"]:
         by_picture[annotation["image_id"]].append(annotation)
     for index, sample in enumerate(samples):
-        place = told["images"][index]
+        place = coco["images"][index]
         assert samples.folder / place["file_name"] == samples.picture_path(index)
         assert (place["width"], place["height"]) == (PICTURE_SIDE, PICTURE_SIDE)
         inside = [at for at in range(len(sample.names)) if not math.isnan(sample.boxes[at, 0])]
@@ -460,18 +460,18 @@ def check_coco(path: Path, samples: VapDataset) -> dict[str, Any]:
             kind = "Car" if sample.mask[at] else "Pedestrian"
             assert (category["name"], category["supercategory"]) == (sample.concepts[at] or kind.lower(), kind)
             assert annotation.get("action") == (ACTIONS[sample.actions[at]] if sample.mask[at] else None)
-    return told
+    return coco
 
 
-def test_boxes_are_told_as_coco_has_them(shown: Path, sets: Path, tmp_path: Path) -> None:
+def test_boxes_have_the_format_of_coco(shown: Path, sets: Path, tmp_path: Path) -> None:
     out = tmp_path / "boxes.json"
     to_coco(shown, out)
     check_coco(out, VapDataset(shown))
     to_coco(sets / "hard", out, images=False)
-    told = check_coco(out, VapDataset(sets / "hard", images=False))
+    coco = check_coco(out, VapDataset(sets / "hard", images=False))
     names = ["car", "ambulance", "bus", "police", "tiro", "reckless", "pedestrian", "old", "young"]
-    assert [category["name"] for category in told["categories"]] == names
-    assert told["info"] == {"description": "LogiCity, Visual Action Prediction, hard, test", "pictures": False}
+    assert [category["name"] for category in coco["categories"]] == names
+    assert coco["info"] == {"description": "LogiCity, Visual Action Prediction, hard, test", "pictures": False}
     to_coco(shown, out, images=False)
     assert json.loads(out.read_text())["info"]["pictures"] is True, "they are there, asked for or not"
     assert [path.name for path in tmp_path.iterdir()] == ["boxes.json"]
@@ -486,8 +486,8 @@ def test_several_concepts_are_a_category_of_their_own(own: Path, tmp_path: Path)
     for path in own.glob("world-*/entities.parquet"):
         path.write_bytes(path.read_bytes().replace(b"ambulance", b"bus+tiros"))
     to_coco(own, tmp_path / "boxes.json", images=False)
-    told = check_coco(tmp_path / "boxes.json", VapDataset(own, images=False))
-    assert told["categories"][9:] == [{"id": 10, "name": "bus+tiros", "supercategory": "Car"}]
+    coco = check_coco(tmp_path / "boxes.json", VapDataset(own, images=False))
+    assert coco["categories"][9:] == [{"id": 10, "name": "bus+tiros", "supercategory": "Car"}]
 
 
 def test_pycocotools_reads_the_boxes(shown: Path, tmp_path: Path) -> None:
@@ -515,14 +515,14 @@ def test_the_commands_convert(shown: Path, sets: Path, tmp_path: Path, capsys: p
     assert "made with `--no-pictures`" in capsys.readouterr().err
     assert main(["vap", "coco", str(sets / "hard"), str(boxes), "--no-pictures"]) == 0 and boxes.is_file()
     assert main(["vap", "webdataset", str(sets / "hard"), str(tmp_path / "facts"), "--no-pictures"]) == 0
-    told = {}
+    helps = {}
     for command in ("webdataset", "coco"):
         capsys.readouterr()
         with pytest.raises(SystemExit):
             main(["vap", command, "--help"])
-        told[command] = " ".join(capsys.readouterr().out.split())
-    assert "leave pictures out" in told["webdataset"] and "leave" not in told["coco"]
-    assert "`file_name`s are written nevertheless" in told["coco"]
+        helps[command] = " ".join(capsys.readouterr().out.split())
+    assert "leave pictures out" in helps["webdataset"] and "leave" not in helps["coco"]
+    assert "`file_name`s are written nevertheless" in helps["coco"]
 
 
 def needs_torch() -> Any:
@@ -530,7 +530,7 @@ def needs_torch() -> Any:
     return pytest.importorskip("torch", reason="needs the extra `vap`: `make python-all` installs it")
 
 
-def test_without_torch_it_is_told_what_to_install(hard: VapDataset) -> None:
+def test_without_torch_the_error_names_the_extra(hard: VapDataset) -> None:
     try:
         import torch  # noqa: F401
     except ImportError:
@@ -674,7 +674,7 @@ def test_baselines_are_measured(sets: Path, tmp_path: Path, capsys: pytest.Captu
     assert main([*command, "--seed", "1"]) == 0 and capsys.readouterr().out != printed
 
 
-def test_labels_that_do_not_follow_are_told(own: Path, sets: Path, capsys: pytest.CaptureFixture[str]) -> None:
+def test_labels_that_do_not_follow_are_reported(own: Path, sets: Path, capsys: pytest.CaptureFixture[str]) -> None:
     needs_torch()
     manifest = own / "manifest.json"
     manifest.write_text(manifest.read_text().replace('"mode": "hard"', '"mode": "easy"'))

@@ -1,5 +1,6 @@
 //! Agents and their placement.
 
+use crate::cancel::Cancel;
 use crate::city::{AgentConfig, AgentKind, AgentName, AgentSet};
 use crate::city::{Cell, Heading, Places, Route, Router};
 use crate::diag::{Code, Diagnostic};
@@ -163,22 +164,22 @@ impl Agent {
 /// `no-start-cell` if the region has fewer start cells than agents of a kind, `no-route` if no goal can be reached.
 pub fn place_agents(set: &AgentSet, router: &Router, places: &Places, seed: Seed) -> Result<Vec<Agent>, Diagnostic> {
     let mut agents = Vec::with_capacity(set.len());
-    place_agents_until(&mut agents, set, router, places, seed, &|| false)?;
+    place_agents_into(&mut agents, set, router, places, seed, &Cancel::never())?;
     Ok(agents)
 }
 
-/// The same, in a list of other agents, whose memory is used again, and given up when `stop` says so, which is asked for every agent. After
-/// a fault some of them are left.
+/// Places a set of agents in the memory of other agents. Polls `cancel` for every agent. After an error or cancellation, the list holds some
+/// of both.
 ///
 /// # Errors
-/// As [`place_agents`]; `cancelled` if the caller cancelled it.
-pub fn place_agents_until(
+/// As [`place_agents`]; `cancelled` on cancellation.
+pub fn place_agents_into(
     agents: &mut Vec<Agent>,
     set: &AgentSet,
     router: &Router,
     places: &Places,
     seed: Seed,
-    stop: &dyn Fn() -> bool,
+    cancel: &Cancel,
 ) -> Result<(), Diagnostic> {
     for kind in AgentKind::ALL {
         check_room(set, places, kind)?;
@@ -186,7 +187,7 @@ pub fn place_agents_until(
     let mut free = AgentKind::ALL.map(|kind| Free::new(places.count(kind)));
     let mut count = 0;
     for (index, (name, group)) in set.members().enumerate() {
-        if stop() {
+        if cancel.requested() {
             return Err(Diagnostic::cancelled());
         }
         let mut stream = seed.stream(Purpose::PLACEMENT, index as u64, 0);

@@ -19,7 +19,7 @@ mod route;
 mod view;
 mod walk;
 
-pub use agent::{Agent, Rest, place_agents, place_agents_until};
+pub use agent::{Agent, Rest, place_agents, place_agents_into};
 pub use codes::CODES;
 pub use grid::{Cell, Heading};
 pub use map::{CityMap, Ground, Junction, Layout, SEMANTIC_MAX, STATIC_LAYERS};

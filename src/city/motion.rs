@@ -17,8 +17,8 @@ const CAR_REACH: usize = 3;
 
 /// Returns the number of cells that agents of a kind move in one tick at a speed. `None` for speeds that pedestrians do
 /// not have.
-pub const fn speed_cells(kind: AgentKind, speed: Action) -> Option<usize> {
-    match (kind, speed) {
+pub const fn speed_cells(kind: AgentKind, action: Action) -> Option<usize> {
+    match (kind, action) {
         (_, Action::Stop) => Some(0),
         (AgentKind::Pedestrian, Action::Normal) | (AgentKind::Car, Action::Slow) => Some(1),
         (AgentKind::Car, Action::Normal) => Some(2),

@@ -11,7 +11,7 @@ use crate::files;
 use crate::render::{Difficulty, Icons, Picture, Renderer, Scale, Sprite, Viewport, read_png, write_png};
 use crate::rng::{Purpose, RngExt, Seed};
 use crate::sim::{
-    CROWD_MAX, Executor, Facts, Inference, LoadedCity, Phase, Settings, Simulation, WHOLE_MAX, Width, World, in_words,
+    Executor, Facts, Inference, LoadedCity, Phase, Settings, Simulation, WHOLE_MAX, WINDOW_MAX, Width, World, in_words,
 };
 use crate::task::spf::{ControlMode, Env, SpfTask};
 use serde_json::{Value, json};
@@ -23,8 +23,8 @@ use std::sync::Arc;
 use std::time::{Duration, Instant};
 
 /// States of the city on which `infer` evaluates the rules. Fewer if together they exceed `MOMENTS_BYTES` (256 MiB).
-const MOMENTS: usize = 64;
-const MOMENTS_BYTES: usize = 1 << 28;
+const STATES: usize = 64;
+const STATES_BYTES: usize = 1 << 28;
 /// Ticks between two of these states.
 const BETWEEN: usize = 7;
 /// The most entities in a scene: the bits of one word.
@@ -394,12 +394,12 @@ impl<'a> Bench<'a> {
         let names: Vec<String> = (self.simulation.agents().iter())
             .map(|agent| agent.name().to_string())
             .collect();
-        let mut moments = Vec::with_capacity(MOMENTS);
-        for _ in 0..MOMENTS {
+        let mut states = Vec::with_capacity(STATES);
+        for _ in 0..STATES {
             for _ in 0..BETWEEN {
                 self.simulation.tick(&[])?;
             }
-            moments.push(self.simulation.agents().to_vec());
+            states.push(self.simulation.agents().to_vec());
         }
         let wrong = |error: crate::render::ViewportError| Failure::Usage(error.to_string());
         let corner = Cell::new(0, 0);
@@ -417,7 +417,7 @@ impl<'a> Bench<'a> {
             (published, 50, Done::Read),
             (small, 0, Done::Drawn),
         ] {
-            self.pictures(&moments, &names, view, percent, what)?;
+            self.pictures(&states, &names, view, percent, what)?;
         }
         Ok(())
     }
@@ -425,7 +425,7 @@ impl<'a> Bench<'a> {
     /// Measures pictures of `view` over the states `moments`, at a difficulty in percent.
     fn pictures(
         &self,
-        moments: &[Vec<Agent>],
+        states: &[Vec<Agent>],
         names: &[String],
         view: Viewport,
         percent: u8,
@@ -436,9 +436,9 @@ impl<'a> Bench<'a> {
         let renderer = Renderer::new(self.world.map(), icons, view);
         let (mut picture, mut next) = (Picture::default(), 0);
         let (mut written, mut pictures) = (0, 0);
-        let mut files = vec![Vec::new(); moments.len()];
-        let draw = |moment: usize, picture: &mut Picture| {
-            let agents = moments[moment].iter().zip(names);
+        let mut files = vec![Vec::new(); states.len()];
+        let draw = |state: usize, picture: &mut Picture| {
+            let agents = states[state].iter().zip(names);
             let sprites: Vec<_> = agents.map(|(agent, name)| Sprite::of(agent, name, None)).collect();
             renderer.draw_into(&sprites, picture);
         };
@@ -447,8 +447,8 @@ impl<'a> Bench<'a> {
             write_png(picture, file).expect("a vector takes all that is written");
         };
         // Icons are drawn on first use; this loop keeps that out of the measurement.
-        for (moment, file) in files.iter_mut().enumerate() {
-            draw(moment, &mut picture);
+        for (state, file) in files.iter_mut().enumerate() {
+            draw(state, &mut picture);
             if what == Done::Read {
                 write(&picture, file);
             }
@@ -465,7 +465,7 @@ impl<'a> Bench<'a> {
                 }
                 black_box((&picture, &files[next]));
                 written += files[next].len();
-                (next, pictures) = ((next + 1) % moments.len(), pictures + 1);
+                (next, pictures) = ((next + 1) % states.len(), pictures + 1);
             }
             Ok(())
         })?;
@@ -493,7 +493,7 @@ impl<'a> Bench<'a> {
         let many = self.agents();
         let width = Width::of(many).ok_or_else(|| {
             Failure::Usage(format!(
-                "the dense executor holds facts of at most {CROWD_MAX} agents, not {many}; choose fewer with --agents"
+                "the dense executor holds facts of at most {WINDOW_MAX} agents, not {many}; choose fewer with --agents"
             ))
         })?;
         in_words!(width, W => self.infer_dense::<W>())
@@ -503,39 +503,39 @@ impl<'a> Bench<'a> {
         let (world, count) = (Arc::clone(&self.world), self.agents());
         let dense = world.compile(TrackFirings::Off)?;
         let sets = dense.inputs().len() + dense.lists().len() * 64 * W;
-        let moments: Vec<BitFacts<W>> = self.moments(BETWEEN, |facts| {
+        let states: Vec<BitFacts<W>> = self.states(BETWEEN, |facts| {
             (
                 facts.to_bits(&world.vocabulary, &dense, count),
                 sets * size_of::<[u64; W]>(),
             )
         })?;
-        let timed = evaluate(self.arguments.seconds, &dense, &moments, count)?;
-        self.print_result("evaluations", timed, &[("states", json!(moments.len()))])
+        let timed = evaluate(self.arguments.seconds, &dense, &states, count)?;
+        self.print_result("evaluations", timed, &[("states", json!(states.len()))])
     }
 
     /// Returns facts about states of the city that are `between` ticks apart. `make` converts them and returns their
     /// size in bytes.
-    fn moments<T>(&mut self, between: usize, make: impl Fn(Facts) -> (T, usize)) -> Result<Vec<T>, Failure> {
-        let (mut moments, mut bytes) = (Vec::new(), 0);
-        while moments.len() < MOMENTS {
+    fn states<T>(&mut self, between: usize, make: impl Fn(Facts) -> (T, usize)) -> Result<Vec<T>, Failure> {
+        let (mut states, mut bytes) = (Vec::new(), 0);
+        while states.len() < STATES {
             for _ in 0..between {
                 self.simulation.tick(&[])?;
             }
             let vocabulary = &self.world.vocabulary;
-            let (moment, size) = make(self.simulation.facts(|predicate| vocabulary.is_read(predicate)));
+            let (state, size) = make(self.simulation.facts(|predicate| vocabulary.is_read(predicate)));
             bytes += size;
             // A single state would make every evaluation repeat the one before.
-            if bytes > MOMENTS_BYTES && moments.len() >= 2 {
+            if bytes > STATES_BYTES && states.len() >= 2 {
                 break;
             }
-            moments.push(moment);
+            states.push(state);
         }
-        Ok(moments)
+        Ok(states)
     }
 
     /// Measures incremental evaluation: the differences from each state to the next, and from the last to the first.
     fn infer_relational(&mut self) -> Result<(), Failure> {
-        let moments = self.moments(1, |facts| {
+        let states = self.states(1, |facts| {
             let rows: usize = facts.rows.iter().map(Vec::len).sum();
             (facts, rows * size_of::<[u32; 2]>())
         })?;
@@ -543,12 +543,12 @@ impl<'a> Bench<'a> {
         let mut next = 0;
         let timed = Timed::run(self.arguments.seconds, |times| {
             for _ in 0..times {
-                simulation.evaluate(&moments[next])?;
-                next = (next + 1) % moments.len();
+                simulation.evaluate(&states[next])?;
+                next = (next + 1) % states.len();
             }
             Ok(())
         })?;
-        self.print_result("evaluations", timed, &[("states", json!(moments.len()))])
+        self.print_result("evaluations", timed, &[("states", json!(states.len()))])
     }
 
     fn ground(&mut self) -> Result<(), Failure> {
@@ -611,18 +611,18 @@ impl<'a> Bench<'a> {
 fn evaluate<const W: usize>(
     seconds: Duration,
     dense: &Dense,
-    moments: &[BitFacts<W>],
+    states: &[BitFacts<W>],
     count: usize,
 ) -> Result<Timed, Failure> {
-    let mut frame = BitState::new(dense, count);
+    let mut bit_state = BitState::new(dense, count);
     let mut next = 0;
     Timed::run(seconds, |times| {
         for _ in 0..times {
-            moments[next].load(dense, &mut frame);
-            frame.run(dense, &moments[next]);
-            black_box(&frame);
+            states[next].load(dense, &mut bit_state);
+            bit_state.run(dense, &states[next]);
+            black_box(&bit_state);
             next += 1;
-            if next == moments.len() {
+            if next == states.len() {
                 next = 0;
             }
         }
@@ -667,20 +667,20 @@ fn infer_scenes(arguments: &Arguments, city: LoadedCity, path: &Path) -> Result<
         });
         scenes.push(scene.map_err(|faults| {
             super::report(&faults, &sources);
-            Failure::Told
+            Failure::Reported
         })?);
     }
     let Some(most) = scenes.iter().map(|scene| scene.names.len()).max() else {
         return Err(Diagnostic::new(Code::INVALID_SCENE, format!("`{from}` contains no scene")).into());
     };
-    let moments: Vec<BitFacts<1>> = (scenes.iter())
+    let states: Vec<BitFacts<1>> = (scenes.iter())
         .map(|scene| scene.facts.to_bits(inference.vocabulary(), &dense, most))
         .collect();
-    let timed = evaluate(arguments.seconds, &dense, &moments, most)?;
+    let timed = evaluate(arguments.seconds, &dense, &states, most)?;
     let result = json!({
         "what": "infer",
         "config": name,
-        "scenes": moments.len(),
+        "scenes": states.len(),
         "entities": most,
         "seconds": timed.wall.as_secs_f64(),
         "evaluations": timed.times,

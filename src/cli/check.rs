@@ -1,13 +1,13 @@
 //! `logicity check`
 
 use crate::cli::trace::TraceReader;
-use crate::cli::{Failure, load_texts, report};
+use crate::cli::{Failure, load_workspace, report};
 use crate::datalog::diff::{Cut, Equivalence};
 use crate::datalog::explain::ExplanationPrinter;
 use crate::datalog::{ClauseId, Edb, RelId, Rules};
 use crate::datalog::{Program, dense, optimize};
 use crate::diag::{Code, Diagnostic, Sources, to_json};
-use crate::sim::{CONFLICT_EFFORT, Coverage, Finding, Overlap, conflicts, scene_json};
+use crate::sim::{CONFLICT_BUDGET, Coverage, Finding, Overlap, conflicts, scene_json};
 use serde_json::json;
 use std::collections::HashSet;
 use std::io::{self, Write};
@@ -71,7 +71,7 @@ pub fn run(arguments: &Arguments, sources: &mut Sources) -> Result<(), Failure> 
     if !unreadable.is_empty() {
         return Err(Failure::Usage(unreadable.join("\nerror: ")));
     }
-    if faulty { Err(Failure::Told) } else { Ok(()) }
+    if faulty { Err(Failure::Reported) } else { Ok(()) }
 }
 
 /// The results for one file.
@@ -92,7 +92,7 @@ fn examine(arguments: &Arguments, path: &Path, sources: &mut Sources) -> Result<
         overlaps: Vec::new(),
         covered: None,
     };
-    let loaded = match load_texts(sources, path, Edb::Fixed) {
+    let loaded = match load_workspace(sources, path, Edb::Fixed) {
         Ok(texts) => texts.check(),
         Err(Failure::Input(faults)) => {
             report.found = faults;
@@ -235,10 +235,10 @@ fn print_overlaps(out: &mut impl Write, overlaps: &[Overlap], rules: &Rules, sou
                 writeln!(out, "    {first} by {a}\n    {second} by {b}")?;
                 printed = true;
             }
-            Finding::NotFound(verdict) => {
-                let searched = searched(verdict);
+            Finding::NotFound(equivalence) => {
+                let searched = searched(equivalence);
                 writeln!(out, "  conflicts: none found for {first} and {second} in {searched}")?;
-                for reason in unproved(verdict) {
+                for reason in unproved(equivalence) {
                     writeln!(out, "    not a proof: {reason}")?;
                 }
                 printed = true;
@@ -256,8 +256,8 @@ fn agents(count: usize) -> String {
 }
 
 /// Describes the scenes in which a search found nothing.
-fn searched(verdict: &Equivalence) -> String {
-    match verdict {
+fn searched(equivalence: &Equivalence) -> String {
+    match equivalence {
         Equivalence::NoneFound { entities: None, .. } => "0 scenes (even the smallest exceeds a limit)".to_owned(),
         Equivalence::NoneFound {
             entities: Some(most), ..
@@ -271,15 +271,15 @@ fn searched(verdict: &Equivalence) -> String {
 }
 
 /// Explains why a search that found nothing is not a proof.
-fn unproved(verdict: &Equivalence) -> Vec<String> {
-    match verdict {
+fn unproved(equivalence: &Equivalence) -> Vec<String> {
+    match equivalence {
         Equivalence::NoneFound { proof, cut, .. } => {
             let needed = match proof {
                 Some(needed) => format!("larger scenes, up to {}, may show a conflict", agents(*needed)),
                 None => "the number of agents that a proof needs is unknown".to_owned(),
             };
             let cuts = cut.iter().map(|cut| match cut {
-                Cut::Effort => format!("the search reached its limit of {CONFLICT_EFFORT} solver conflicts"),
+                Cut::Conflicts => format!("the search reached its limit of {CONFLICT_BUDGET} solver conflicts"),
                 Cut::Size => "larger scenes have too many possible facts or derivations".to_owned(),
                 Cut::Proof => "there are too many rules to compute the number of agents that a proof needs".to_owned(),
             });
@@ -305,11 +305,11 @@ fn overlaps_json(overlaps: &[Overlap], rules: &Rules, sources: &Sources) -> serd
                 "clauses": clauses.map(|clause| printer.clause_json(clause)),
                 "scene": scene_json(scene),
             }),
-            Finding::NotFound(verdict) => json!({
+            Finding::NotFound(equivalence) => json!({
                 "actions": actions,
                 "finding": "not-found",
-                "searched": searched(verdict),
-                "because": unproved(verdict),
+                "searched": searched(equivalence),
+                "because": unproved(equivalence),
             }),
         }
     });

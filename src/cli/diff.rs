@@ -43,13 +43,13 @@ pub fn run(arguments: &Arguments, sources: &mut Sources) -> Result<u8, Failure> 
         conflicts_max: arguments.effort,
         ..Options::default()
     };
-    let verdict = diff(left.rules(), right.rules(), &options)?;
+    let equivalence = diff(left.rules(), right.rules(), &options)?;
 
     let mut out = anstream::stdout();
     let names = [&arguments.left, &arguments.right].map(|path| path.display().to_string());
     if arguments.json {
-        writeln!(out, "{}", to_json(&verdict))?;
-    } else if let Equivalence::Different(difference) = &verdict {
+        writeln!(out, "{}", to_json(&equivalence))?;
+    } else if let Equivalence::Different(difference) = &equivalence {
         writeln!(
             out,
             "{}",
@@ -60,9 +60,9 @@ pub fn run(arguments: &Arguments, sources: &mut Sources) -> Result<u8, Failure> 
             }
         )?;
     } else if !arguments.scene {
-        writeln!(out, "{}", equal(&verdict))?;
+        writeln!(out, "{}", equal(&equivalence))?;
     }
-    Ok(match verdict {
+    Ok(match equivalence {
         Equivalence::Different(_) => 1,
         _ => 0,
     })
@@ -72,8 +72,8 @@ fn plural(count: usize) -> String {
     format!("{count} {}", if count == 1 { "entity" } else { "entities" })
 }
 
-fn equal(verdict: &Equivalence) -> String {
-    match verdict {
+fn equal(equivalence: &Equivalence) -> String {
+    match equivalence {
         Equivalence::Equivalent { entities } => format!(
             "equivalent: proved by searching all scenes of up to {}",
             plural(*entities)
@@ -112,7 +112,7 @@ fn equal(verdict: &Equivalence) -> String {
 
 fn reason(cut: Cut) -> &'static str {
     match cut {
-        Cut::Effort => "the search reached the limit of `--effort`",
+        Cut::Conflicts => "the search reached the limit of `--effort`",
         Cut::Size => "larger scenes have too many possible facts or derivations",
         Cut::Proof => "computing the number of entities that a proof needs takes too long for these rules",
     }
@@ -145,8 +145,8 @@ fn show_difference(difference: &Difference, names: &[String; 2]) -> String {
     text
 }
 
-fn to_json(verdict: &Equivalence) -> Value {
-    match verdict {
+fn to_json(equivalence: &Equivalence) -> Value {
+    match equivalence {
         Equivalence::Equivalent { entities } => {
             json!({ "verdict": "equivalent", "proved": true, "entities": entities })
         }

@@ -1,5 +1,6 @@
 //! `logicity explain`
 
+use crate::cancel::Cancel;
 use crate::city::Action;
 use crate::city::Cell;
 use crate::cli::Failure;
@@ -37,7 +38,7 @@ pub struct Arguments {
 }
 
 fn action(text: &str) -> Result<Action, String> {
-    let known = Action::ALL.into_iter().find(|speed| speed.name() == text);
+    let known = Action::ALL.into_iter().find(|action| action.name() == text);
     known.ok_or_else(|| "expected Slow, Normal, Fast or Stop".to_owned())
 }
 
@@ -61,8 +62,8 @@ pub fn run(arguments: &Arguments, sources: &mut Sources) -> Result<(), Failure> 
     let Some(state) = tick.agents.get(position) else {
         return Err(trace.placed(Diagnostic::new(Code::INVALID_TRACE, "an agent is missing")));
     };
-    if !derived.iter().map(|speed| speed.name()).eq(state.derived.iter()) {
-        let found: Vec<&str> = derived.iter().map(|speed| speed.name()).collect();
+    if !derived.iter().map(|action| action.name()).eq(state.derived.iter()) {
+        let found: Vec<&str> = derived.iter().map(|action| action.name()).collect();
         let message = format!(
             "the state of tick {} gives {} [{}], but the trace has [{}]",
             tick.tick,
@@ -115,7 +116,7 @@ fn print(
         derived: replay.derived(position),
         action: state.action()?,
     };
-    let account = (decision.account(arguments.why_not, &|| false)).map_err(Diagnostic::from)?;
+    let account = (decision.account(arguments.why_not, &Cancel::never())).map_err(Diagnostic::from)?;
     let mut out = anstream::stdout();
     if arguments.json {
         let mut line = account.json(sources);
@@ -142,12 +143,12 @@ fn steering(driven: &Driven, world: &World, sources: &Sources) -> Result<String,
         (clause.map(|clause| printer.label(clause))).ok_or_else(|| Diagnostic::new(Code::INVALID_TRACE, message()))
     };
     let broken: Vec<String> = driven.broken.iter().map(label).collect::<Result<_, _>>()?;
-    let judged = match broken.is_empty() {
+    let judgement = match broken.is_empty() {
         true => "its action violated no clause".to_owned(),
         false => format!("its action violated {}", broken.join(", ")),
     };
     Ok(format!(
-        "controlled externally: given its observation of ({}), the rules wanted {}; {judged}",
+        "controlled externally: given its observation of ({}), the rules wanted {}; {judgement}",
         driven.observes.join(", "),
         driven.wanted()?.name()
     ))

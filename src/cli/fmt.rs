@@ -58,7 +58,7 @@ pub fn run(arguments: &Arguments, sources: &mut Sources) -> Result<(), Failure> 
         return Err(faults.into());
     }
     if arguments.check && !clean {
-        Err(Failure::Told)
+        Err(Failure::Reported)
     } else {
         Ok(())
     }

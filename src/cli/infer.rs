@@ -88,7 +88,7 @@ pub fn run(arguments: &Arguments, sources: &mut Sources) -> Result<(), Failure> 
 }
 
 fn finish(faulty: bool) -> Result<(), Failure> {
-    if faulty { Err(Failure::Told) } else { Ok(()) }
+    if faulty { Err(Failure::Reported) } else { Ok(()) }
 }
 
 /// Answers every scene. Writes `{"error": [diagnostics]}` for a faulty one, so that answers stay aligned with scenes.

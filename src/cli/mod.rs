@@ -100,7 +100,7 @@ enum Failure {
     /// The input is faulty, as the diagnostics describe. Exit code 1.
     Input(Vec<Diagnostic>),
     /// The input is faulty, and the command has printed the diagnostics. Exit code 1.
-    Told,
+    Reported,
     /// Wrong usage, or a file that cannot be read or written. Exit code 2.
     Usage(String),
     /// The user interrupted the command; its results so far are on disk. Exit code 130, as in shells.
@@ -308,7 +308,7 @@ fn exit(failure: Failure, sources: &Sources) -> u8 {
             report(&diagnostics, sources);
             1
         }
-        Failure::Told => 1,
+        Failure::Reported => 1,
         Failure::Interrupted => 130,
         Failure::Usage(message) => {
             let _ = writeln!(io::stderr(), "error: {message}");
@@ -440,19 +440,19 @@ pub(super) fn too_much(error: &EvalError, rules: &Rules) -> Diagnostic {
         EvalError::TooManyRows { .. } => "--max-rows",
         EvalError::TooManySteps { .. } => "--max-steps",
         EvalError::TooMuchMemory { .. } => "--max-memory",
-        EvalError::Interrupted { .. } => return fault,
+        EvalError::Cancelled { .. } => return fault,
     };
     fault.note(format!("raise the limit with `{option}`"))
 }
 
 /// Reads, checks and plans a rule file. Also returns the warnings.
 fn load_program(sources: &mut Sources, path: &Path) -> Result<(Program, Vec<Diagnostic>), Failure> {
-    compile(&load_texts(sources, path, Edb::Fixed)?)
+    compile(&load_workspace(sources, path, Edb::Fixed)?)
 }
 
 /// Checks and plans rules. Also returns the warnings.
-fn compile(texts: &Workspace) -> Result<(Program, Vec<Diagnostic>), Failure> {
-    let loaded = texts.check();
+fn compile(workspace: &Workspace) -> Result<(Program, Vec<Diagnostic>), Failure> {
+    let loaded = workspace.check();
     match loaded.rules {
         Some(rules) => Ok((Program::new(rules)?, loaded.diagnostics)),
         None => Err(loaded.diagnostics.into()),
@@ -460,12 +460,12 @@ fn compile(texts: &Workspace) -> Result<(Program, Vec<Diagnostic>), Failure> {
 }
 
 /// Reads a rule file and its includes.
-fn load_texts(sources: &mut Sources, path: &Path, inputs: Edb) -> Result<Workspace, Failure> {
+fn load_workspace(sources: &mut Sources, path: &Path, edb: Edb) -> Result<Workspace, Failure> {
     let text = read(path)?;
     let entry = sources.add(path.display().to_string(), text);
-    let mut texts = Workspace::new(inputs);
-    texts.add(sources, entry, &BuiltinFiles);
-    Ok(texts)
+    let mut workspace = Workspace::new(edb);
+    workspace.add(sources, entry, &BuiltinFiles);
+    Ok(workspace)
 }
 
 /// Loads a configuration with its rules, or those in the file `rules`, and prints the warnings.

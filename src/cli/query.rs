@@ -2,7 +2,7 @@
 
 use crate::cli::why;
 use crate::cli::why::Question;
-use crate::cli::{Failure, LimitOptions, compile, load_texts, make_folder, report, too_much};
+use crate::cli::{Failure, LimitOptions, compile, load_workspace, make_folder, report, too_much};
 use crate::datalog::{ClauseId, Edb, MarkKind, RelId, RowPlace};
 use crate::datalog::{Delta, EvalEvent, Limits, Options, Program, RuleStats, Session, Threads, constraints, facts};
 use crate::diag::{Code, Diagnostic, Sources, Span};
@@ -64,11 +64,11 @@ pub fn run(arguments: &Arguments, sources: &mut Sources) -> Result<(), Failure> 
     if arguments.json && question.is_none() {
         return Err(Failure::Usage("--json requires --explain or --why-not".to_owned()));
     }
-    let texts = load_texts(sources, &arguments.rules, Edb::Extensible)?;
-    let (program, warnings) = compile(&texts)?;
+    let workspace = load_workspace(sources, &arguments.rules, Edb::Extensible)?;
+    let (program, warnings) = compile(&workspace)?;
     report(&warnings, sources);
     // Frees the texts, which may be large.
-    let texts = question.map(|_| texts);
+    let workspace = question.map(|_| workspace);
     // The session checks constraints after the commit, before it prints any answer.
     let options = Options {
         constraints: true,
@@ -111,9 +111,9 @@ pub fn run(arguments: &Arguments, sources: &mut Sources) -> Result<(), Failure> 
         let _ = write!(anstream::stderr(), "{}", profile(&session, &times, sources));
     }
     let mut out = io::BufWriter::new(anstream::stdout());
-    if let (Some((fact, name, question)), Some(texts)) = (question, texts) {
+    if let (Some((fact, name, question)), Some(workspace)) = (question, workspace) {
         let asked = (question, sources.add(format!("<{name}>"), fact));
-        return why::explain(&mut out, asked, &texts, &session, sources, arguments.json);
+        return why::explain(&mut out, asked, &workspace, &session, sources, arguments.json);
     }
     write_results(&mut out, &session, &arguments.output)?;
     out.flush()?;
@@ -164,7 +164,7 @@ pub(super) struct Times {
 pub(super) fn timed_commit(session: &mut Session) -> Result<(Delta, Times), Diagnostic> {
     let start = Instant::now();
     let (begun, times) = (Cell::new(start), RefCell::new(Times::default()));
-    let watch = |moment| match moment {
+    let watch = |event| match event {
         EvalEvent::Begin(_) => begun.set(Instant::now()),
         EvalEvent::End(clause) => {
             let mut times = times.borrow_mut();
@@ -188,9 +188,10 @@ pub(super) fn profile(session: &Session, times: &Times, sources: &Sources) -> St
     );
     let mut line = |time: Duration, numbers: [String; 4], what: &str| {
         let share = 100.0 * time.as_secs_f64() / times.total.as_secs_f64().max(f64::MIN_POSITIVE);
-        let [given, rows_scanned, derived, runs] = numbers;
+        let [delta_rows, rows_scanned, derived, runs] = numbers;
         let time = format!("{:.3} ms", time.as_secs_f64() * 1e3);
-        text += &format!("{time:>10} {share:>5.1}% {given:>13} {rows_scanned:>13} {derived:>13} {runs:>6}  {what}\n");
+        text +=
+            &format!("{time:>10} {share:>5.1}% {delta_rows:>13} {rows_scanned:>13} {derived:>13} {runs:>6}  {what}\n");
     };
     let mut rules: Vec<(Duration, u64, &RuleStats)> = (session.work().rules())
         .map(|rule| {
@@ -200,7 +201,7 @@ pub(super) fn profile(session: &Session, times: &Times, sources: &Sources) -> St
         .collect();
     rules.sort_by_key(|&(time, _, rule)| (Reverse(time), rule.clause));
     for &(time, runs, rule) in &rules {
-        let numbers = [rule.given, rule.rows_scanned, rule.derived, runs].map(|number| number.to_string());
+        let numbers = [rule.delta_rows, rule.rows_scanned, rule.derived, runs].map(|number| number.to_string());
         line(time, numbers, &session.program().show_clause(rule.clause, sources));
     }
     let clauses: Duration = times.clauses.values().map(|(time, _)| *time).sum();
@@ -209,7 +210,7 @@ pub(super) fn profile(session: &Session, times: &Times, sources: &Sources) -> St
     let sum = |number: fn(&RuleStats) -> u64| rules.iter().map(|&(_, _, rule)| number(rule)).sum::<u64>();
     let runs = rules.iter().map(|&(_, runs, _)| runs).sum::<u64>();
     let totals = [
-        sum(|rule| rule.given),
+        sum(|rule| rule.delta_rows),
         sum(|rule| rule.rows_scanned),
         sum(|rule| rule.derived),
         runs,

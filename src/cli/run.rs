@@ -1,5 +1,6 @@
 //! `logicity run`
 
+use crate::cancel::Cancel;
 use crate::city::{Action, AgentKind, Split};
 use crate::cli::icons::IconOptions;
 use crate::cli::{Failure, load_city, make_folder, one_of};
@@ -13,7 +14,7 @@ use crate::render::{Animation, Overview, Sprite, write_png};
 use crate::rng::Seed;
 use crate::sim::{
     DeadlockReport, Executor, LOOK_TICKS, MAX_ENTITIES, STUCK_TICKS, Settings, Simulation, TraceWriter, WaitsFor,
-    standstill, waits,
+    find_deadlocks, waits,
 };
 use indicatif::{ProgressBar, ProgressStyle};
 use std::collections::BTreeSet;
@@ -103,7 +104,7 @@ pub fn run(arguments: &Arguments, sources: &mut Sources) -> Result<(), Failure> 
         },
     )?;
 
-    let stop = stop_on_interrupt()?;
+    let cancel = cancel_on_interrupt()?;
     if !arguments.no_trace && simulation.agents().len() > MAX_ENTITIES {
         let agents = simulation.agents().len();
         let message = format!("a trace of {agents} agents would be too large; the limit is {MAX_ENTITIES}");
@@ -132,7 +133,7 @@ pub fn run(arguments: &Arguments, sources: &mut Sources) -> Result<(), Failure> 
         firings: vec![0; simulation.clauses().len()],
         ..Tally::default()
     };
-    while tally.ticks < ticks && !stop.load(Ordering::Relaxed) {
+    while tally.ticks < ticks && !cancel.requested() {
         let begin = Instant::now();
         let tick = simulation.tick(&[])?.tick;
         tally.deciding += begin.elapsed();
@@ -266,16 +267,16 @@ impl Record {
 
 /// Returns a flag that becomes true when the user interrupts the run (Ctrl-C) or the system asks it to end. The command
 /// then writes its results and exits. A second interrupt ends the process at once.
-fn stop_on_interrupt() -> Result<Arc<AtomicBool>, Failure> {
-    let stop = Arc::new(AtomicBool::new(false));
-    let flag = Arc::clone(&stop);
+fn cancel_on_interrupt() -> Result<Cancel, Failure> {
+    let interrupted = Arc::new(AtomicBool::new(false));
+    let flag = Arc::clone(&interrupted);
     ctrlc::set_handler(move || {
-        if flag.swap(true, Ordering::Relaxed) {
+        if interrupted.swap(true, Ordering::Relaxed) {
             std::process::exit(130);
         }
     })
     .map_err(|error| Failure::Usage(format!("cannot listen for interrupts: {error}")))?;
-    Ok(stop)
+    Ok(Cancel::when(move || flag.load(Ordering::Relaxed)))
 }
 
 /// Returns the agents as sprites, with their actions in the last tick if there was one. `names` are the agents' names.
@@ -317,8 +318,8 @@ impl Tally {
                 return;
             }
             // If there are too many waits to examine, the summary says so.
-            let Ok(moment) = simulation.snapshot() else { return };
-            for wait in waits(&moment, &still).unwrap_or_default() {
+            let Ok(snapshot) = simulation.snapshot() else { return };
+            for wait in waits(&snapshot, &still).unwrap_or_default() {
                 self.waited[wait.agent].insert((wait.on, wait.clause));
             }
         }
@@ -380,7 +381,7 @@ fn summary(simulation: &mut Simulation, tally: &Tally, sources: &Sources, writte
     for (kind, counts) in ["cars", "pedestrians"].into_iter().zip(tally.actions) {
         let counts: String = Action::ALL
             .iter()
-            .map(|&speed| format!("{:>10}", counts[speed as usize]))
+            .map(|&action| format!("{:>10}", counts[action as usize]))
             .collect();
         let _ = writeln!(text, "{kind:<12}{counts}");
     }
@@ -450,10 +451,10 @@ fn stuck(simulation: &mut Simulation, tally: &Tally, sources: &Sources, text: &m
         return;
     }
 
-    let found = (simulation.snapshot().map_err(|fault| fault.message)).and_then(|moment| {
+    let found = (simulation.snapshot().map_err(|fault| fault.message)).and_then(|snapshot| {
         Ok((
-            waits(&moment, &stuck).map_err(|error| error.to_string())?,
-            moment.session(),
+            waits(&snapshot, &stuck).map_err(|error| error.to_string())?,
+            snapshot.session(),
         ))
     });
     let (waits, session) = match found {
@@ -475,7 +476,7 @@ fn stuck(simulation: &mut Simulation, tally: &Tally, sources: &Sources, text: &m
         deadlocks,
         behind,
         starving,
-    } = standstill(&stuck, &waits);
+    } = find_deadlocks(&stuck, &waits);
     for circle in &deadlocks {
         let since = circle.iter().map(|wait| tally.last_move[wait.agent]).max().unwrap_or(0);
         let _ = writeln!(text, "  deadlock since tick {since}: {}", chain(circle));

@@ -26,13 +26,13 @@ pub enum Question {
 pub fn explain(
     out: &mut impl Write,
     asked: (Question, SourceId),
-    texts: &Workspace,
+    workspace: &Workspace,
     session: &Session,
     sources: &Sources,
     as_json: bool,
 ) -> Result<(), Failure> {
     let (question, source) = asked;
-    let fact = texts.fact(sources, source, session.symbols())?;
+    let fact = workspace.fact(sources, source, session.symbols())?;
     let (holds, explanation) =
         (Explainer::new(session).explain_either(fact.relation, &fact.values)).map_err(Diagnostic::from)?;
     let printer = ExplanationPrinter::new(session.program().rules(), session.symbols(), sources).quoting();

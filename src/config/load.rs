@@ -312,7 +312,7 @@ fn predicates(node: &Node, faults: &mut Vec<Diagnostic>) -> Option<Predicates> {
     for (key, node) in entries.iter().filter(|(_, node)| !node.is_null()) {
         let fault = if key.text == SEES {
             Some(format!("`{SEES}` is predefined: it is the field of view"))
-        } else if Action::ALL.iter().any(|speed| speed.name() == key.text) {
+        } else if Action::ALL.iter().any(|action| action.name() == key.text) {
             Some(format!("`{}` is an action, which rules derive", key.text))
         } else if !is_name(&key.text) {
             let message = "expected the name of a predicate (letters, digits and `_`, no digit first)";
@@ -736,7 +736,7 @@ pub(super) fn carried(
 }
 
 fn actions(node: &Node, faults: &mut Vec<Diagnostic>) -> Option<ActionsConfig> {
-    let speeds = Action::ALL.map(|speed| (speed.name(), speed));
+    let speeds = Action::ALL.map(|action| (action.name(), action));
     let mut fields = Fields::open(node, "the actions", faults)?;
     let priority = fields.required("priority", faults).and_then(|node| {
         let items = list(node, "the four actions", faults)?;

@@ -63,8 +63,8 @@ fn reward(node: &Node, faults: &mut Vec<Diagnostic>) -> Option<RewardConfig> {
     let mut fields = Fields::open(node, "the reward", faults)?;
     let actions = fields.required("actions", faults).and_then(|node| {
         let mut fields = Fields::open(node, "the rewards of actions", faults)?;
-        let rewards = Action::ALL.map(|speed| {
-            let node = fields.required(speed.name(), faults)?;
+        let rewards = Action::ALL.map(|action| {
+            let node = fields.required(action.name(), faults)?;
             reward_value(node, faults)
         });
         fields.close(faults);

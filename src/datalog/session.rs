@@ -2,6 +2,7 @@
 
 use std::fmt;
 
+use crate::cancel::Cancel;
 use crate::datalog::check::{ClauseId, RelId, Relation};
 use crate::datalog::eval::delta::Delta;
 use crate::datalog::eval::exec::{self, CommitOptions, Store};
@@ -120,7 +121,7 @@ impl Session {
         let (relation, known) = (self.program.base(rel)?, self.symbols.len());
         let (to, arity) = (relation.edb.unwrap_or(rel), relation.arity());
         let symbolic = relation.columns.iter().any(|column| column.base == BaseType::Symbol);
-        let before = self.store.noted(to);
+        let before = self.store.pending(to);
         let mut words: Vec<Value> = Vec::with_capacity(PART);
         let rows = rows.into_iter();
         self.store.reserve(to, rows.size_hint().0);
@@ -179,39 +180,37 @@ impl Session {
     /// If the evaluation exceeds a limit. In that case the session stays as before the call, with the same changes
     /// pending; see [`rollback`](Session::rollback).
     pub fn commit(&mut self) -> Result<Delta, EvalError> {
-        self.commit_with(None, None)
+        self.run_commit(None, &Cancel::never())
     }
 
     /// Commits and calls `watch` on the calling thread whenever the evaluation of a clause begins or ends.
     ///
     /// The engine reads no clock; the callback may.
     pub fn commit_watched(&mut self, watch: &dyn Fn(EvalEvent)) -> Result<Delta, EvalError> {
-        self.commit_with(Some(watch), None)
+        self.run_commit(Some(watch), &Cancel::never())
     }
 
-    /// The same, given up when `stop` says so, which is asked on the calling thread: a few thousand times a second at most while
-    /// rules are evaluated, less often while rows are sorted.
+    /// Cancellable variant of [`commit`](Session::commit). On cancellation the session is as before the call, with the same changes
+    /// noted.
+    ///
+    /// The calling thread polls `cancel`: up to a few thousand times a second while it evaluates rules, less often while it sorts rows.
     ///
     /// # Errors
-    /// [`EvalError::Interrupted`] if it was given up, with the session as after any commit that fails.
-    pub fn commit_until(&mut self, stop: &dyn Fn() -> bool) -> Result<Delta, EvalError> {
-        self.commit_with(None, Some(stop))
+    /// [`EvalError::Cancelled`] on cancellation.
+    pub fn commit_with(&mut self, cancel: &Cancel) -> Result<Delta, EvalError> {
+        self.run_commit(None, cancel)
     }
 
-    fn commit_with(
-        &mut self,
-        watch: Option<&dyn Fn(EvalEvent)>,
-        ask: Option<&dyn Fn() -> bool>,
-    ) -> Result<Delta, EvalError> {
-        let orders = CommitOptions {
+    fn run_commit(&mut self, watch: Option<&dyn Fn(EvalEvent)>, cancel: &Cancel) -> Result<Delta, EvalError> {
+        let options = CommitOptions {
             strategy: self.strategy,
             limits: self.limits,
             workers: &self.workers,
             watch,
-            ask,
+            cancel,
         };
         let known = self.symbols.len();
-        match self.store.commit(&self.program.0, &self.symbols, orders) {
+        match self.store.commit(&self.program.0, &self.symbols, options) {
             Ok((delta, work)) => {
                 self.work = work;
                 Ok(delta)

@@ -65,9 +65,9 @@ pub fn load(sources: &mut Sources, entry: SourceId, read: &dyn ReadFile) -> Load
 
 /// Loads as [`load`] does; `inputs` determines whether rules may derive `.input` predicates.
 pub fn load_with(sources: &mut Sources, entry: SourceId, read: &dyn ReadFile, inputs: Edb) -> Loaded {
-    let mut texts = Workspace::new(inputs);
-    texts.add(sources, entry, read);
-    texts.check()
+    let mut workspace = Workspace::new(inputs);
+    workspace.add(sources, entry, read);
+    workspace.check()
 }
 
 /// The parsed sources of a program, which can grow and shrink between checks.

@@ -15,7 +15,9 @@ use crate::datalog::explain::{Explainer, ExplanationPrinter};
 use crate::datalog::{ClauseId, Value};
 use crate::diag::{Code, Diagnostic, Sources};
 use crate::render::{Class, Facing, Icons};
-use crate::sim::{LOOK_TICKS, Replay, STUCK_TICKS, TraceAgent, TraceHeader, TraceTick, WaitsFor, standstill, waits};
+use crate::sim::{
+    LOOK_TICKS, Replay, STUCK_TICKS, TraceAgent, TraceHeader, TraceTick, WaitsFor, find_deadlocks, waits,
+};
 use base64::Engine as _;
 use base64::engine::general_purpose::STANDARD;
 use flate2::Compression;
@@ -32,7 +34,7 @@ pub const DECISIONS_MAX: usize = 400_000;
 const TICK_MAX: u64 = 1 << 53;
 
 /// The most icon instances per class.
-const CROWD: u32 = 20;
+const ICON_VARIANTS: u32 = 20;
 
 const TEMPLATE: &str = include_str!("page.html");
 const STYLE: &str = include_str!("page.css");
@@ -80,7 +82,7 @@ pub struct Page {
     routes: Vec<Vec<(usize, Vec<[i32; 2]>)>>,
     deadlocks: Vec<Deadlock>,
     /// Number of deadlock searches that reached a limit.
-    looks_given_up: u32,
+    deadlock_searches_cut: u32,
     /// The steps of externally controlled agents, with the actions that the rules wanted.
     #[serde(skip_serializing_if = "Vec::is_empty")]
     driven: Vec<Driven>,
@@ -214,7 +216,7 @@ impl Page {
                 .map(|clause| {
                     let head = world.program.rules().clauses[clause.index()].head.relation;
                     let is_action = Action::ALL
-                        .map(|speed| world.vocabulary.action(speed))
+                        .map(|action| world.vocabulary.action(action))
                         .contains(&Some(head));
                     (0, is_action)
                 })
@@ -225,7 +227,7 @@ impl Page {
             last: Vec::new(),
             routes: vec![Vec::new(); agents.len()],
             deadlocks: Vec::new(),
-            looks_given_up: 0,
+            deadlock_searches_cut: 0,
             driven: Vec::new(),
             most: DECISIONS_MAX,
             still_since: vec![0; agents.len()],
@@ -420,10 +422,10 @@ impl Page {
             return;
         }
         let Ok(waits) = waits(&replay.snapshot(), &stuck) else {
-            self.looks_given_up += 1;
+            self.deadlock_searches_cut += 1;
             return;
         };
-        let found = standstill(&stuck, &waits);
+        let found = find_deadlocks(&stuck, &waits);
         for circle in found.deadlocks {
             let agents: Vec<usize> = circle.iter().map(|wait| wait.agent).collect();
             let same = |known: &&mut Deadlock| known.agents == agents && known.until + LOOK_TICKS >= now;
@@ -467,7 +469,7 @@ impl Shown {
     fn of(&mut self, icons: &Icons, kind: AgentKind, agent: &TraceAgent, position: usize) -> Vec<usize> {
         let class = Class::agent(kind, &agent.concepts);
         let number = agent.id.rsplit('_').next().and_then(|number| number.parse().ok());
-        let instance = number.unwrap_or(u32::try_from(position).unwrap_or(0)) % CROWD;
+        let instance = number.unwrap_or(u32::try_from(position).unwrap_or(0)) % ICON_VARIANTS;
         let facings = match kind {
             AgentKind::Car => vec![Facing::Up],
             AgentKind::Pedestrian => Heading::ALL.map(Facing::from).to_vec(),

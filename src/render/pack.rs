@@ -371,7 +371,7 @@ mod tests {
     }
 
     #[test]
-    fn what_cannot_be_used_is_told_with_the_file_and_why() {
+    fn what_cannot_be_used_is_reported_with_the_file_and_why() {
         // Each level shows the one before four times.
         let bomb = (1..16).fold(svg_group(0, r#"<rect width="1" height="1"/>"#), |all, level| {
             let before = format!("<use href='#g{}'/>", level - 1);

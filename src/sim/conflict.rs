@@ -14,7 +14,7 @@ use crate::diag::Diagnostic;
 use serde_json::{Map, json};
 
 /// Bound of the search for one pair of actions; see [`Options::conflicts_max`].
-pub const CONFLICT_EFFORT: u64 = 20_000;
+pub const CONFLICT_BUDGET: u64 = 20_000;
 
 /// See [`Options::literals_max`].
 const LITERALS_MAX: usize = 1_000_000;
@@ -53,8 +53,8 @@ pub enum Finding {
 /// If [`diff`] refuses the rules.
 pub fn conflicts(program: &Program) -> Result<Vec<Overlap>, Vec<Diagnostic>> {
     let rules = program.rules();
-    let action = |speed: Action| {
-        let relation = program.relation(speed.name())?;
+    let action = |action: Action| {
+        let relation = program.relation(action.name())?;
         let columns = &rules.relations[relation.index()].columns;
         let symbol = columns.len() == 1 && columns[0].base == BaseType::Symbol;
         (symbol && clauses(rules, relation).next().is_some()).then_some(relation)
@@ -85,7 +85,7 @@ fn find(rules: &Rules, actions: [RelId; 2]) -> Result<Finding, Vec<Diagnostic>> 
     }
     let options = Options {
         predicates: vec![CONFLICT.to_owned()],
-        conflicts_max: CONFLICT_EFFORT,
+        conflicts_max: CONFLICT_BUDGET,
         literals_max: LITERALS_MAX,
         self_sight: true,
         ..Options::default()
@@ -97,7 +97,7 @@ fn find(rules: &Rules, actions: [RelId; 2]) -> Result<Finding, Vec<Diagnostic>> 
                 clauses: firing(rules, actions, &scene),
                 scene,
             },
-            verdict => Finding::NotFound(verdict),
+            equivalence => Finding::NotFound(equivalence),
         },
     )
 }

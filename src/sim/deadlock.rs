@@ -42,22 +42,22 @@ pub struct DeadlockReport {
 ///
 /// # Errors
 /// If the ways to derive `Stop` are too many to look at.
-pub fn waits(moment: &Snapshot<'_>, agents: &[usize]) -> Result<Vec<WaitsFor>, ExplainError> {
-    let Some(stop) = moment.world().vocabulary.action(Action::Stop) else {
+pub fn waits(snapshot: &Snapshot<'_>, agents: &[usize]) -> Result<Vec<WaitsFor>, ExplainError> {
+    let Some(stop) = snapshot.world().vocabulary.action(Action::Stop) else {
         return Ok(Vec::new());
     };
-    let session = moment.session();
+    let session = snapshot.session();
     let rules = session.program().rules();
     let mut explainer = Explainer::new(session);
     let mut waits = BTreeSet::new();
     for &agent in agents {
-        for (clause, binding) in explainer.derivations(stop, &[moment.value(agent)])? {
+        for (clause, binding) in explainer.derivations(stop, &[snapshot.value(agent)])? {
             let named = symbols(rules, &rules.clauses[clause.index()]);
             let values = binding
                 .iter()
                 .enumerate()
                 .filter(|(variable, _)| named.contains(variable));
-            for on in values.filter_map(|(_, value)| moment.agent((*value)?)) {
+            for on in values.filter_map(|(_, value)| snapshot.agent((*value)?)) {
                 if on != agent {
                     waits.insert(WaitsFor { agent, on, clause });
                 }
@@ -84,7 +84,7 @@ fn symbols(rules: &Rules, clause: &Clause) -> BTreeSet<usize> {
 }
 
 /// Sorts out why `stuck` agents stand still, given for whom they wait. Sorted, and the same for the same input.
-pub fn standstill(stuck: &[usize], waits: &[WaitsFor]) -> DeadlockReport {
+pub fn find_deadlocks(stuck: &[usize], waits: &[WaitsFor]) -> DeadlockReport {
     let among: Vec<WaitsFor> = (waits.iter().copied())
         .filter(|wait| stuck.contains(&wait.agent) && stuck.contains(&wait.on))
         .collect();
@@ -180,7 +180,7 @@ mod tests {
     }
 
     #[test]
-    fn circles_those_behind_them_and_the_others_are_told_apart() {
+    fn deadlocks_blocked_and_starving_agents_are_distinguished() {
         // 1 <-> 2; 1 -> 4 -> 1 is no shorter; 3 waits for 4; 5 for 6, which moves; 7 for nobody; 8 -> 9 -> 10 -> 8; 11 for 5.
         let pairs = [
             (1, 2),
@@ -194,7 +194,7 @@ mod tests {
             (10, 8),
             (11, 5),
         ];
-        let found = standstill(&[1, 2, 3, 4, 5, 7, 8, 9, 10, 11], &waits(&pairs));
+        let found = find_deadlocks(&[1, 2, 3, 4, 5, 7, 8, 9, 10, 11], &waits(&pairs));
         let lists = |list: &[Vec<WaitsFor>]| list.iter().map(|way| agents(way)).collect::<Vec<_>>();
         assert_eq!(lists(&found.deadlocks), [vec![1, 2], vec![8, 9, 10]]);
         assert_eq!(lists(&found.behind), [vec![3, 4], vec![4], vec![11]]);
@@ -203,7 +203,7 @@ mod tests {
 
     #[test]
     fn a_circle_of_those_that_move_is_none() {
-        let found = standstill(&[1], &waits(&[(1, 2), (2, 1)]));
+        let found = find_deadlocks(&[1], &waits(&[(1, 2), (2, 1)]));
         assert!(found.deadlocks.is_empty() && found.starving == [1]);
     }
 }

@@ -17,7 +17,7 @@ use std::sync::Mutex;
 use std::sync::atomic::{AtomicU8, AtomicU64, Ordering};
 
 /// The most entities that are looked at together.
-pub const CROWD_MAX: usize = Width::SixtyFour.entities();
+pub const WINDOW_MAX: usize = Width::SixtyFour.entities();
 /// A city of more agents is cut into tiles, if the rules let it, and may go on several threads.
 pub const WHOLE_MAX: usize = Width::Four.entities();
 
@@ -159,7 +159,7 @@ impl Reading {
     fn read<const W: usize>(&self, window: &Window<W>, egos: &Set<W>, out: &Decisions, firings: &mut [usize]) {
         let dense = &self.grounder.dense;
         for &(action, relation) in &self.actions {
-            if let Some(set) = window.frame.set(dense, relation) {
+            if let Some(set) = window.bit_state.set(dense, relation) {
                 debug_assert!(members(set).all(|entity| has(egos, entity)));
                 for entity in members(set) {
                     out.add(window.bodies[entity].agent as usize, action);
@@ -167,8 +167,8 @@ impl Reading {
             }
         }
         for (position, (firings, &(clause, of_action))) in firings.iter_mut().zip(&self.clauses).enumerate() {
-            *firings += window.frame.count_fired(dense, clause).unwrap_or(0);
-            if of_action && let Some(set) = window.frame.fired(dense, clause) {
+            *firings += window.bit_state.count_fired(dense, clause).unwrap_or(0);
+            if of_action && let Some(set) = window.bit_state.fired(dense, clause) {
                 for entity in members(set) {
                     out.add_fired(window.bodies[entity].agent as usize, position);
                 }
@@ -242,12 +242,12 @@ impl DenseExecutor {
         let width = Width::of(agents.len());
         if width.is_none() && !in_tiles {
             return Err(not_dense(&format!(
-                "they look beyond the field of view, and there are more than {CROWD_MAX} agents"
+                "they look beyond the field of view, and there are more than {WINDOW_MAX} agents"
             )));
         }
 
         let vocabulary: &Vocabulary = &world.vocabulary;
-        let action = |speed: &Action| Some((*speed, vocabulary.action(*speed)?));
+        let action = |action: &Action| Some((*action, vocabulary.action(*action)?));
         let actions: Vec<(Action, RelId)> = Action::ALL.iter().filter_map(action).collect();
         let of_action = |clause: &ClauseId| {
             let head = rules.clauses[clause.index()].head.relation;
@@ -281,7 +281,7 @@ impl DenseExecutor {
     /// Decides for all agents; `out` is cleared before, and left empty by an error.
     ///
     /// # Errors
-    /// `limit-exceeded` for more than [`CROWD_MAX`] agents around one cell.
+    /// `limit-exceeded` for more than [`WINDOW_MAX`] agents around one cell.
     pub fn decide(&mut self, map: &CityMap, draws: Draws, out: &mut Decisions) -> Result<(), Diagnostic> {
         out.clear();
         let decided = match &mut self.shape {
@@ -609,7 +609,7 @@ impl Tiles {
             Some(Width::SixtyFour) => evaluate.run(&mut worker.widest, found, &mut worker.firings),
             None => {
                 let (many, Cell { row, col }) = (found.len(), tile.first);
-                let message = format!("{many} agents around the cell [{row}, {col}], the limit is {CROWD_MAX}");
+                let message = format!("{many} agents around the cell [{row}, {col}], the limit is {WINDOW_MAX}");
                 return Err(Diagnostic::new(Code::LIMIT_EXCEEDED, message).help("take a larger map or fewer agents"));
             }
         }
@@ -651,7 +651,7 @@ impl Evaluate<'_> {
         let Area { first, rows, cols } = self.window;
         window.fill(&self.reading.grounder, first, [rows, cols]);
         let egos = crate::datalog::dense::first(self.egos);
-        window.frame.set_egos(egos);
+        window.bit_state.set_egos(egos);
         window.run(&self.reading.grounder, self.draws);
         self.reading.read(window, &egos, self.out, firings);
         std::mem::swap(&mut window.bodies, found);

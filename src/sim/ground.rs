@@ -2,6 +2,7 @@
 //!
 //! This is the definition of every base predicate, written to be read.
 
+use crate::cancel::Cancel;
 use crate::city::AgentKind;
 use crate::city::{Cell, CityMap, Heading, field_of_view};
 use crate::config::Definition;
@@ -46,19 +47,19 @@ pub fn ground(
     chance: &impl Chance,
     skip: impl Fn(usize) -> bool,
 ) -> Facts {
-    let facts = ground_until(vocabulary, map, view, entities, chance, skip, &|| false);
-    facts.expect("nobody gives it up")
+    let facts = ground_with(vocabulary, map, view, entities, chance, skip, &Cancel::never());
+    facts.expect("never cancelled")
 }
 
-/// The same, given up when `stop` says so, which is asked for every entity: then there is nothing.
-pub(super) fn ground_until(
+/// Cancellable variant of [`ground`], `None` on cancellation. Polls `cancel` for every entity.
+pub(super) fn ground_with(
     vocabulary: &Vocabulary,
     map: &CityMap,
     view: u32,
     entities: &[Entity<'_>],
     chance: &impl Chance,
     skip: impl Fn(usize) -> bool,
-    stop: &dyn Fn() -> bool,
+    cancel: &Cancel,
 ) -> Option<Facts> {
     let mut facts = Facts {
         rows: vec![Vec::new(); vocabulary.predicates.len()],
@@ -69,7 +70,7 @@ pub(super) fn ground_until(
         }
         let rows = &mut facts.rows[index];
         for (x, first) in entities.iter().enumerate() {
-            if stop() {
+            if cancel.requested() {
                 return None;
             }
             if *arity == 1 {

@@ -1,5 +1,6 @@
 //! Inference: what the rules decide in one scene.
 
+use crate::cancel::Cancel;
 use crate::city::Action;
 use crate::city::CityMap;
 use crate::config::{Definition, Scenario, load_map};
@@ -10,7 +11,7 @@ use crate::diag::{Code, Diagnostic, SourceId, Sources, Span};
 use crate::files::ReadFile;
 use crate::rng::{Purpose, RngExt, Seed};
 use crate::sim::executor::{Choice, Executor, compile};
-use crate::sim::ground::{Chance, Entity, Facts, ground_until};
+use crate::sim::ground::{Chance, Entity, Facts, ground_with};
 use crate::sim::scene::{GeometricScene, GivenPredicate, MAX_ENTITIES, Scene, SymbolicScene, Terms, parse_scene};
 use crate::sim::vocabulary::{Actions, Vocabulary};
 use crate::sim::width::{Width, in_words};
@@ -164,23 +165,23 @@ impl Inference {
     /// All faults of the scene: `invalid-scene`; `limit-exceeded` if it is too large or the rules derive too much from it;
     /// `constraint-violation` after [`Inference::check_constraints`].
     pub fn answer(&mut self, sources: &Sources, source: SourceId) -> Result<Answer, Vec<Diagnostic>> {
-        self.answer_until(sources, source, &|| false)
+        self.answer_with(sources, source, &Cancel::never())
     }
 
-    /// The same, given up when `stop` says so, which is asked now and then.
+    /// Cancellable variant of [`Inference::answer`]. On cancellation `self` is unchanged.
     ///
     /// # Errors
-    /// As [`Inference::answer`]; `cancelled` if `stop` cancelled it.
-    pub fn answer_until(
+    /// As [`Inference::answer`]; `cancelled` on cancellation.
+    pub fn answer_with(
         &mut self,
         sources: &Sources,
         source: SourceId,
-        stop: &dyn Fn() -> bool,
+        cancel: &Cancel,
     ) -> Result<Answer, Vec<Diagnostic>> {
-        let scene = self.ground_until(sources, source, stop)?;
+        let scene = self.ground_with(sources, source, cancel)?;
         // What the rules derive stands in no text; it follows from the scene as a whole.
         let whole = Span::new(source, 0..sources.text(source).len());
-        (self.decide(&scene, stop)).map_err(|fault| vec![fault.at(whole, "in this scene")])
+        (self.decide(&scene, cancel)).map_err(|fault| vec![fault.at(whole, "in this scene")])
     }
 
     /// The facts of the scene in `source`: those that it gives, and those that follow from where its agents are.
@@ -188,14 +189,14 @@ impl Inference {
     /// # Errors
     /// As [`Inference::answer`], but for what the rules derive.
     pub fn ground(&mut self, sources: &Sources, source: SourceId) -> Result<SceneFacts, Vec<Diagnostic>> {
-        self.ground_until(sources, source, &|| false)
+        self.ground_with(sources, source, &Cancel::never())
     }
 
-    fn ground_until(
+    fn ground_with(
         &mut self,
         sources: &Sources,
         source: SourceId,
-        stop: &dyn Fn() -> bool,
+        cancel: &Cancel,
     ) -> Result<SceneFacts, Vec<Diagnostic>> {
         let terms = Terms {
             predicates: (self.vocabulary.predicates.iter())
@@ -209,12 +210,12 @@ impl Inference {
                 .collect(),
         };
         match parse_scene(sources, source, &terms)? {
-            Scene::Geometric(scene) => self.geometric(scene, stop),
+            Scene::Geometric(scene) => self.geometric(scene, cancel),
             Scene::Symbolic(scene) => Ok(self.symbolic(scene)),
         }
     }
 
-    fn geometric(&mut self, scene: GeometricScene, stop: &dyn Fn() -> bool) -> Result<SceneFacts, Vec<Diagnostic>> {
+    fn geometric(&mut self, scene: GeometricScene, cancel: &Cancel) -> Result<SceneFacts, Vec<Diagnostic>> {
         let map = self.map(&scene).map_err(|fault| vec![fault])?;
         scene.check_cells(&map)?;
         let entities: Vec<Entity<'_>> = scene
@@ -229,7 +230,7 @@ impl Inference {
             })
             .collect();
         let given = |index: usize| given(&self.vocabulary, &scene.given, index);
-        let grounded = ground_until(
+        let grounded = ground_with(
             &self.vocabulary,
             &map,
             self.scenario.view,
@@ -239,7 +240,7 @@ impl Inference {
                 time: scene.tick,
             },
             |index| given(index).is_some(),
-            stop,
+            cancel,
         );
         let mut facts = grounded.ok_or_else(|| vec![Diagnostic::cancelled()])?;
         for index in 0..facts.rows.len() {
@@ -312,13 +313,13 @@ impl Inference {
             let message = format!("{count} entities; the limit is {MAX_ENTITIES}");
             return Err(Diagnostic::new(Code::LIMIT_EXCEEDED, message));
         }
-        self.decide(scene, &|| false)
+        self.decide(scene, &Cancel::never())
     }
 
-    fn decide(&self, scene: &SceneFacts, stop: &dyn Fn() -> bool) -> Result<Answer, Diagnostic> {
+    fn decide(&self, scene: &SceneFacts, cancel: &Cancel) -> Result<Answer, Diagnostic> {
         let SceneFacts { names, egos, facts } = scene;
         let names: Vec<&str> = names.iter().map(String::as_str).collect();
-        let derived = self.derive(scene, &names, stop)?;
+        let derived = self.derive(scene, &names, cancel)?;
         let egos = egos.iter().zip(derived).map(|(&ego, derived)| {
             let sees = entities_in_view(&facts.rows[self.vocabulary.sees], ego);
             EgoAnswer {
@@ -333,13 +334,13 @@ impl Inference {
     }
 
     /// The actions that hold for each ego.
-    fn derive(&self, scene: &SceneFacts, names: &[&str], stop: &dyn Fn() -> bool) -> Result<Vec<Actions>, Diagnostic> {
+    fn derive(&self, scene: &SceneFacts, names: &[&str], cancel: &Cancel) -> Result<Vec<Actions>, Diagnostic> {
         if let (Some(dense), false) = (&self.dense, self.check_constraints) {
             let width = Width::of(names.len()).expect("a scene has fewer entities than the widest set");
-            return in_words!(width, W => self.derive_dense::<W>(dense, scene, stop));
+            return in_words!(width, W => self.derive_dense::<W>(dense, scene, cancel));
         }
         let mut state = GroundState::new(&self.program, &self.vocabulary, names.iter().copied());
-        state.set_until(&scene.facts, stop)?;
+        state.set_with(&scene.facts, cancel)?;
         if self.check_constraints {
             // The rules are another text than the scene, so where it was declared is not pointed at.
             let mut broken = constraints::violations(state.session()).into_iter();
@@ -357,40 +358,45 @@ impl Inference {
         &self,
         dense: &Dense,
         scene: &SceneFacts,
-        stop: &dyn Fn() -> bool,
+        cancel: &Cancel,
     ) -> Result<Vec<Actions>, Diagnostic> {
         let count = scene.names.len();
         let bits: BitFacts<W> = scene.facts.to_bits(&self.vocabulary, dense, count);
-        let mut frame = BitState::new(dense, count);
-        bits.load(dense, &mut frame);
-        let asking = Asking {
+        let mut bit_state = BitState::new(dense, count);
+        bits.load(dense, &mut bit_state);
+        let facts = CancellableFacts {
             facts: &bits,
-            stop,
-            looks: Cell::new(0),
-            stopped: Cell::new(false),
+            cancel,
+            polls: Cell::new(0),
+            cancelled: Cell::new(false),
         };
-        frame.run(dense, &asking);
-        if asking.stopped.get() {
+        bit_state.run(dense, &facts);
+        if facts.cancelled.get() {
             return Err(Diagnostic::cancelled());
         }
         let holds = |action: Action, ego: usize| {
             let relation = self.vocabulary.action(action);
-            relation.is_some_and(|relation| frame.set(dense, relation).is_some_and(|set| has(set, ego)))
+            relation.is_some_and(|relation| bit_state.set(dense, relation).is_some_and(|set| has(set, ego)))
         };
         let derived = |&ego: &usize| Action::ALL.into_iter().filter(|&action| holds(action, ego)).collect();
         Ok(scene.egos.iter().map(derived).collect())
     }
 }
 
-/// Facts about pairs, and now and then the question whether to give up.
-struct Asking<'a, const W: usize> {
+/// Binary facts with cancellation.
+struct CancellableFacts<'a, const W: usize> {
     facts: &'a BitFacts<W>,
-    stop: &'a dyn Fn() -> bool,
-    looks: Cell<u32>,
-    stopped: Cell<bool>,
+    cancel: &'a Cancel,
+    polls: Cell<u32>,
+    cancelled: Cell<bool>,
 }
 
-impl<const W: usize> BinaryFacts<W> for Asking<'_, W> {
+impl<const W: usize> CancellableFacts<'_, W> {
+    /// Calls of `cancelled` for each one that polls.
+    const POLL_INTERVAL: u32 = 1024;
+}
+
+impl<const W: usize> BinaryFacts<W> for CancellableFacts<'_, W> {
     #[inline]
     fn narrow(&self, list: usize, at: usize, among: Set<W>) -> Set<W> {
         self.facts.narrow(list, at, among)
@@ -402,12 +408,12 @@ impl<const W: usize> BinaryFacts<W> for Asking<'_, W> {
     }
 
     #[inline]
-    fn stopped(&self) -> bool {
-        self.looks.set(self.looks.get().wrapping_add(1));
-        if self.looks.get().is_multiple_of(1024) && (self.stop)() {
-            self.stopped.set(true);
+    fn cancelled(&self) -> bool {
+        self.polls.set(self.polls.get().wrapping_add(1));
+        if self.polls.get().is_multiple_of(Self::POLL_INTERVAL) && self.cancel.requested() {
+            self.cancelled.set(true);
         }
-        self.stopped.get()
+        self.cancelled.get()
     }
 }
 
@@ -526,11 +532,11 @@ impl GroundState {
     /// Makes `facts` the true ones: inserts and retracts the difference from those before, and commits. If that fails, all is
     /// as before.
     pub fn set(&mut self, facts: &Facts) -> Result<(), EvalError> {
-        self.set_until(facts, &|| false)
+        self.set_with(facts, &Cancel::never())
     }
 
-    /// The same, given up when `stop` says so; see [`Session::commit_until`].
-    pub fn set_until(&mut self, facts: &Facts, stop: &dyn Fn() -> bool) -> Result<(), EvalError> {
+    /// Cancellable variant of [`set`](Self::set). On cancellation `self` is unchanged; see [`Session::commit_with`].
+    pub fn set_with(&mut self, facts: &Facts, cancel: &Cancel) -> Result<(), EvalError> {
         for (index, relation) in self.relations.iter().enumerate() {
             let Some((relation, arity)) = *relation else { continue };
             let (old, new) = (&self.facts.rows[index], &facts.rows[index]);
@@ -548,7 +554,7 @@ impl GroundState {
                     .expect("bound relations fit");
             }
         }
-        if let Err(error) = self.session.commit_until(stop) {
+        if let Err(error) = self.session.commit_with(cancel) {
             self.session.rollback();
             return Err(error);
         }
@@ -558,8 +564,8 @@ impl GroundState {
 
     /// The actions that hold for an entity.
     pub fn derived(&self, vocabulary: &Vocabulary, entity: usize) -> Actions {
-        let holds = |speed: &Action| {
-            let relation = vocabulary.action(*speed);
+        let holds = |action: &Action| {
+            let relation = vocabulary.action(*action);
             relation.is_some_and(|relation| self.session.contains(relation, &[self.entities[entity]]))
         };
         Action::ALL.into_iter().filter(holds).collect()

@@ -35,7 +35,7 @@ pub struct Oracle {
     /// By predicate of the vocabulary.
     how: Vec<How>,
     views: [Reach; 5],
-    judge: RuleMonitor,
+    monitor: RuleMonitor,
 }
 
 /// How a predicate is computed.
@@ -69,7 +69,7 @@ impl Oracle {
             entities,
             how: definitions.enumerate().map(how).collect(),
             views: views(world.scenario.view),
-            judge: RuleMonitor::new(&world.program, vocabulary)?,
+            monitor: RuleMonitor::new(&world.program, vocabulary)?,
             world,
         })
     }
@@ -85,8 +85,8 @@ impl Oracle {
     }
 
     /// The clauses that ask an action, in the order of the text. The default is not among them.
-    pub fn demands(&self) -> &[ActionConstraint] {
-        self.judge.demands()
+    pub fn constraints(&self) -> &[ActionConstraint] {
+        self.monitor.constraints()
     }
 
     /// What the ego sees.
@@ -131,7 +131,7 @@ pub struct Observer {
     /// The observed entities, the ego first.
     bodies: Vec<Body>,
     atoms: Atoms,
-    verdict: Violations,
+    violations: Violations,
     broken: Vec<usize>,
 }
 
@@ -150,8 +150,8 @@ impl Observer {
                 rows: vec![0; predicates * oracle.entities],
                 entities: oracle.entities,
             },
-            verdict: Violations::new(&oracle.judge),
-            broken: Vec::with_capacity(oracle.demands().len()),
+            violations: Violations::new(&oracle.monitor),
+            broken: Vec::with_capacity(oracle.constraints().len()),
             oracle,
         }
     }
@@ -173,7 +173,7 @@ impl Observer {
 
     /// Takes note of what the agents of a city are. They may have changed since the last time if the city was restarted.
     pub fn begin(&mut self, city: &Simulation) {
-        self.verdict.forget();
+        self.violations.forget();
         let agents = city.agents();
         if self.like.len() != agents.len() {
             self.like.clear();
@@ -228,7 +228,7 @@ impl Observer {
                 self.bodies.push(Body::new(map, position, agent));
             }
         }
-        self.verdict.forget();
+        self.violations.forget();
         self.compute(chance);
     }
 
@@ -374,7 +374,7 @@ impl Observer {
         let names: Vec<String> = city.agents().iter().map(|agent| agent.name().to_string()).collect();
         let mut state = GroundState::new(&world.program, &world.vocabulary, names.iter().map(String::as_str));
         let facts = observed(&self.atoms, &self.bodies, city).facts(self.oracle.how.len());
-        let set = state.set_until(&facts, city.stop());
+        let set = state.set_with(&facts, city.cancel());
         set.map_err(|error| error.diagnostic(world.program.rules()))?;
         let (session, values) = state.into_parts();
         Ok((session, values[self.ego]))
@@ -387,19 +387,19 @@ impl Observer {
     pub fn derived(&mut self, city: &Simulation) -> Result<Actions, Diagnostic> {
         let (oracle, vocabulary) = (&*self.oracle, &self.oracle.world.vocabulary);
         let observed = observed(&self.atoms, &self.bodies, city);
-        let derived = self.verdict.derived(&oracle.judge, vocabulary, observed)?;
+        let derived = self.violations.derived(&oracle.monitor, vocabulary, observed)?;
         Ok(vocabulary.before_default(derived))
     }
 
     /// The clauses that an action breaks: those whose body holds if the ego takes it, and whose head is another action. They are named by
-    /// their positions in [`Oracle::demands`].
+    /// their positions in [`Oracle::constraints`].
     ///
     /// # Errors
     /// `limit-exceeded` for rules that derive too much.
     pub fn violations(&mut self, city: &Simulation, action: Action) -> Result<&[usize], Diagnostic> {
         let observed = observed(&self.atoms, &self.bodies, city);
-        self.verdict
-            .violations(&self.oracle.judge, observed, action, &mut self.broken)?;
+        self.violations
+            .violations(&self.oracle.monitor, observed, action, &mut self.broken)?;
         Ok(&self.broken)
     }
 }
@@ -410,7 +410,7 @@ fn observed<'a>(atoms: &'a Atoms, bodies: &'a [Body], city: &'a Simulation) -> O
         bodies,
         agents: city.agents(),
         given: None,
-        stop: city.stop(),
+        cancel: city.cancel(),
     }
 }
 

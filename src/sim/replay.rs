@@ -118,7 +118,7 @@ impl Driven {
 }
 
 fn action_named(name: &str) -> Result<Action, Diagnostic> {
-    let known = Action::ALL.into_iter().find(|speed| speed.name() == name);
+    let known = Action::ALL.into_iter().find(|action| action.name() == name);
     known.ok_or_else(|| invalid(format!("`{name}` is not the name of an action")))
 }
 

@@ -4,6 +4,7 @@
 //! depend on what it does ([`Conditions`]). Other rules are evaluated as they stand for what is wanted, and once more for each action that
 //! is judged, with the actions in all bodies replaced by inputs.
 
+use crate::cancel::Cancel;
 use crate::city::Action;
 use crate::city::Agent;
 use crate::datalog;
@@ -31,7 +32,7 @@ pub struct ActionConstraint {
 /// The rules as far as they decide about one agent. Immutable; what changes is in a [`Violations`].
 #[derive(Debug)]
 pub(super) struct RuleMonitor {
-    demands: Vec<ActionConstraint>,
+    constraints: Vec<ActionConstraint>,
     how: How,
 }
 
@@ -42,7 +43,7 @@ enum How {
         /// What the rules derive.
         wanted: Evaluator,
         /// Which bodies hold if the ego's action is given.
-        judged: Evaluator,
+        checked: Evaluator,
     },
 }
 
@@ -62,8 +63,8 @@ struct Condition {
     /// The actions that must hold of the ego, and those that must not.
     given: Actions,
     refused: Actions,
-    /// Its position among the demands; `None` for the default.
-    demand: Option<usize>,
+    /// Its position among the constraints; `None` for the default.
+    constraint: Option<usize>,
 }
 
 impl Condition {
@@ -95,18 +96,18 @@ struct DenseRules {
 
 /// The action that a predicate is.
 fn action_of(vocabulary: &Vocabulary, relation: RelId) -> Option<Action> {
-    (Action::ALL.into_iter()).find(|&speed| vocabulary.action(speed) == Some(relation))
+    (Action::ALL.into_iter()).find(|&action| vocabulary.action(action) == Some(relation))
 }
 
 /// The rules with the actions in all bodies replaced by predicates that are given, which come last.
 fn with_actions_given(rules: &Rules, vocabulary: &Vocabulary) -> (Rules, [Option<RelId>; 4]) {
     let mut rules = rules.clone();
-    let given = Action::ALL.map(|speed| {
-        let action = vocabulary.action(speed)?;
+    let given = Action::ALL.map(|action| {
+        let derived = vocabulary.action(action)?;
         let place = RelId(u32::try_from(rules.relations.len()).expect("fewer than 2^32 predicates"));
         let relation = datalog::Relation {
-            name: format!("+given {}", speed.name()),
-            doc: format!("the action `{}` that is given", speed.name()),
+            name: format!("+given {}", action.name()),
+            doc: format!("the action `{}` that is given", action.name()),
             input: true,
             edb: None,
             output: false,
@@ -114,10 +115,10 @@ fn with_actions_given(rules: &Rules, vocabulary: &Vocabulary) -> (Rules, [Option
             derived: false,
             hidden: true,
             directives: Vec::new(),
-            ..rules.relations[action.index()].clone()
+            ..rules.relations[derived.index()].clone()
         };
         rules.relations.push(relation);
-        Some((action, place))
+        Some((derived, place))
     });
     for literal in rules.clauses.iter_mut().flat_map(|clause| &mut clause.body) {
         let (Literal::Positive(atom)
@@ -135,7 +136,7 @@ fn with_actions_given(rules: &Rules, vocabulary: &Vocabulary) -> (Rules, [Option
 }
 
 /// The clauses that ask an action. The default is none: a clause for it that looks only at the other actions and the ego itself.
-fn demands(rules: &Rules, vocabulary: &Vocabulary) -> Vec<ActionConstraint> {
+fn constraints(rules: &Rules, vocabulary: &Vocabulary) -> Vec<ActionConstraint> {
     let sees = vocabulary.predicates[vocabulary.sees].relation;
     let is_default = |clause: &datalog::Clause| {
         clause.body.iter().all(|literal| match literal {
@@ -148,7 +149,7 @@ fn demands(rules: &Rules, vocabulary: &Vocabulary) -> Vec<ActionConstraint> {
             _ => false,
         })
     };
-    let demand = |(position, clause): (u32, &datalog::Clause)| {
+    let constraint = |(position, clause): (u32, &datalog::Clause)| {
         let action = action_of(vocabulary, clause.head.relation)?;
         let default = action == vocabulary.default_action() && is_default(clause);
         (!clause.body.is_empty() && !default).then_some(ActionConstraint {
@@ -156,12 +157,12 @@ fn demands(rules: &Rules, vocabulary: &Vocabulary) -> Vec<ActionConstraint> {
             action,
         })
     };
-    (0..).zip(&rules.clauses).filter_map(demand).collect()
+    (0..).zip(&rules.clauses).filter_map(constraint).collect()
 }
 
 impl Conditions {
     /// `None` if some body asks for an action otherwise than of the head's own agent, or the dense executor cannot evaluate the rules.
-    fn new(rules: &Rules, vocabulary: &Vocabulary, demands: &[ActionConstraint]) -> Option<Conditions> {
+    fn new(rules: &Rules, vocabulary: &Vocabulary, constraints: &[ActionConstraint]) -> Option<Conditions> {
         // Not all rules that can be evaluated without the actions in their bodies can be with them.
         compile(rules, vocabulary, TrackFirings::Off).ok()?;
         let mut others = rules.clone();
@@ -201,7 +202,7 @@ impl Conditions {
                     action,
                     given,
                     refused,
-                    demand: demands.iter().position(|demand| demand.clause == *id),
+                    constraint: constraints.iter().position(|constraint| constraint.clause == *id),
                 }),
                 None if given.is_empty() && refused.is_empty() => {}
                 None => return None,
@@ -215,12 +216,16 @@ impl Conditions {
     }
 
     /// Finds out which conditions hold, unless that is known.
-    fn evaluate(&self, frame: &mut BitState<1>, held: &mut Vec<usize>, known: &mut bool, observed: Observed<'_>) {
+    fn evaluate(&self, bit_state: &mut BitState<1>, held: &mut Vec<usize>, known: &mut bool, observed: Observed<'_>) {
         if *known {
             return;
         }
-        self.rules.run(frame, observed);
-        let holds = |clause| frame.fired(&self.rules.dense, clause).is_some_and(|set| has(set, 0));
+        self.rules.run(bit_state, observed);
+        let holds = |clause| {
+            bit_state
+                .fired(&self.rules.dense, clause)
+                .is_some_and(|set| has(set, 0))
+        };
         let clauses = self.clauses.iter().enumerate();
         held.clear();
         held.extend(
@@ -242,12 +247,12 @@ impl Conditions {
         })
     }
 
-    /// Collects the demands that an action breaks, in ascending order.
+    /// Collects the constraints that an action breaks, in ascending order.
     fn violations(&self, held: &[usize], action: Action, broken: &mut Vec<usize>) {
         let given = [action].into_iter().collect();
         let conditions = held.iter().map(|&position| &self.clauses[position]);
         let refusing = conditions.filter(|condition| condition.action != action && condition.allows(given));
-        broken.extend(refusing.filter_map(|condition| condition.demand));
+        broken.extend(refusing.filter_map(|condition| condition.constraint));
         broken.sort_unstable();
     }
 }
@@ -278,12 +283,12 @@ impl DenseRules {
     }
 
     /// Evaluates them for the first entity.
-    fn run(&self, frame: &mut BitState<1>, observed: Observed<'_>) {
+    fn run(&self, bit_state: &mut BitState<1>, observed: Observed<'_>) {
         let (atoms, count) = (observed.atoms, observed.bodies.len());
-        if frame.count() != count {
-            frame.reset(&self.dense, count);
+        if bit_state.count() != count {
+            bit_state.reset(&self.dense, count);
             if self.dense.is_local() {
-                frame.set_egos(first(1));
+                bit_state.set_egos(first(1));
             }
         }
         for (input, source) in self.inputs.iter().enumerate() {
@@ -292,10 +297,10 @@ impl DenseRules {
                 Some((predicate, false)) => observed.unary(predicate),
                 Some((predicate, true)) => (0..count).fold(0, |set, at| set | atoms.row(predicate, at) & 1 << at),
             };
-            frame.set_input(&self.dense, input, [set]);
+            bit_state.set_input(&self.dense, input, [set]);
         }
         let lists = &self.lists;
-        frame.run(&self.dense, &Related { atoms, lists });
+        bit_state.run(&self.dense, &Related { atoms, lists });
     }
 }
 
@@ -319,23 +324,23 @@ impl RuleMonitor {
     /// Rules that cannot be planned.
     pub fn new(program: &Program, vocabulary: &Vocabulary) -> Result<RuleMonitor, Diagnostic> {
         let rules = program.rules();
-        let demands = demands(rules, vocabulary);
-        let how = match Conditions::new(rules, vocabulary, &demands) {
+        let constraints = constraints(rules, vocabulary);
+        let how = match Conditions::new(rules, vocabulary, &constraints) {
             Some(conditions) => How::Once(conditions),
             None => {
-                let (judged, given) = with_actions_given(rules, vocabulary);
+                let (checked, given) = with_actions_given(rules, vocabulary);
                 How::Twice {
                     wanted: Evaluator::new(program.clone(), vocabulary, [None; 4], TrackFirings::Off),
-                    judged: Evaluator::new(Program::new(judged)?, vocabulary, given, TrackFirings::Each),
+                    checked: Evaluator::new(Program::new(checked)?, vocabulary, given, TrackFirings::Each),
                 }
             }
         };
-        Ok(RuleMonitor { demands, how })
+        Ok(RuleMonitor { constraints, how })
     }
 
     /// The clauses that ask an action, in the order of the text. The default is not among them.
-    pub fn demands(&self) -> &[ActionConstraint] {
-        &self.demands
+    pub fn constraints(&self) -> &[ActionConstraint] {
+        &self.constraints
     }
 }
 
@@ -385,8 +390,8 @@ pub(super) struct Observed<'a> {
     pub agents: &'a [Agent],
     /// What the ego does, where that is an input.
     pub given: Option<Action>,
-    /// Whether to give up.
-    pub stop: &'a dyn Fn() -> bool,
+    /// Polled by the relational executor.
+    pub cancel: &'a Cancel,
 }
 
 impl Observed<'_> {
@@ -417,7 +422,7 @@ impl Observed<'_> {
 /// What a [`RuleMonitor`] says at a moment.
 pub(super) enum Violations {
     Once {
-        frame: Box<BitState<1>>,
+        bit_state: Box<BitState<1>>,
         /// The conditions that hold, by position.
         held: Vec<usize>,
         /// Whether they are those of the present moment.
@@ -425,7 +430,7 @@ pub(super) enum Violations {
     },
     Twice {
         wanted: State,
-        judged: State,
+        checked: State,
     },
 }
 
@@ -445,8 +450,8 @@ impl State {
     /// Evaluates the rules on the facts.
     fn run(&mut self, evaluator: &Evaluator, observed: Observed<'_>) -> Result<(), Diagnostic> {
         match (self, evaluator) {
-            (State::Dense(frame), Evaluator::Dense(rules)) => {
-                rules.run(frame, observed);
+            (State::Dense(bit_state), Evaluator::Dense(rules)) => {
+                rules.run(bit_state, observed);
                 Ok(())
             }
             (State::Relational(state), Evaluator::Relational { program, relations }) => {
@@ -456,7 +461,7 @@ impl State {
                     Box::new(GroundState::over(program, relations.clone(), names))
                 });
                 let facts = observed.facts(relations.len());
-                let set = state.set_until(&facts, observed.stop);
+                let set = state.set_with(&facts, observed.cancel);
                 set.map_err(|error| error.diagnostic(program.rules()))
             }
             _ => unreachable!("a state is made for its evaluator"),
@@ -466,10 +471,10 @@ impl State {
     /// The actions derived for the ego.
     fn derived(&self, evaluator: &Evaluator, vocabulary: &Vocabulary, ego: usize) -> Actions {
         match (self, evaluator) {
-            (State::Dense(frame), Evaluator::Dense(rules)) => {
-                let holds = |speed: &Action| {
-                    let relation = vocabulary.action(*speed);
-                    relation.is_some_and(|action| frame.set(&rules.dense, action).is_some_and(|set| has(set, 0)))
+            (State::Dense(bit_state), Evaluator::Dense(rules)) => {
+                let holds = |action: &Action| {
+                    let relation = vocabulary.action(*action);
+                    relation.is_some_and(|action| bit_state.set(&rules.dense, action).is_some_and(|set| has(set, 0)))
                 };
                 Action::ALL.into_iter().filter(holds).collect()
             }
@@ -481,8 +486,8 @@ impl State {
     /// Whether a clause derives its head of the ego.
     fn fired(&self, evaluator: &Evaluator, clause: ClauseId, ego: usize) -> bool {
         match (self, evaluator) {
-            (State::Dense(frame), Evaluator::Dense(rules)) => {
-                frame.fired(&rules.dense, clause).is_some_and(|set| has(set, 0))
+            (State::Dense(bit_state), Evaluator::Dense(rules)) => {
+                bit_state.fired(&rules.dense, clause).is_some_and(|set| has(set, 0))
             }
             (State::Relational(Some(state)), _) => {
                 let value = state.value(ego);
@@ -494,16 +499,16 @@ impl State {
 }
 
 impl Violations {
-    pub fn new(judge: &RuleMonitor) -> Violations {
-        match &judge.how {
+    pub fn new(monitor: &RuleMonitor) -> Violations {
+        match &monitor.how {
             How::Once(conditions) => Violations::Once {
-                frame: Box::new(BitState::new(&conditions.rules.dense, 0)),
+                bit_state: Box::new(BitState::new(&conditions.rules.dense, 0)),
                 held: Vec::with_capacity(conditions.clauses.len()),
                 known: false,
             },
-            How::Twice { wanted, judged } => Violations::Twice {
+            How::Twice { wanted, checked } => Violations::Twice {
                 wanted: State::new(wanted),
-                judged: State::new(judged),
+                checked: State::new(checked),
             },
         }
     }
@@ -521,55 +526,56 @@ impl Violations {
     /// `limit-exceeded` for rules that derive too much.
     pub fn derived(
         &mut self,
-        judge: &RuleMonitor,
+        monitor: &RuleMonitor,
         vocabulary: &Vocabulary,
         observed: Observed<'_>,
     ) -> Result<Actions, Diagnostic> {
         let ego = observed.bodies[0].agent as usize;
-        match (self, &judge.how) {
-            (Violations::Once { frame, held, known }, How::Once(conditions)) => {
-                conditions.evaluate(frame, held, known, observed);
+        match (self, &monitor.how) {
+            (Violations::Once { bit_state, held, known }, How::Once(conditions)) => {
+                conditions.evaluate(bit_state, held, known, observed);
                 Ok(conditions.derived(held))
             }
             (Violations::Twice { wanted: state, .. }, How::Twice { wanted, .. }) => {
                 state.run(wanted, observed)?;
                 Ok(state.derived(wanted, vocabulary, ego))
             }
-            _ => unreachable!("a verdict is made for its judge"),
+            _ => unreachable!("violations are computed by their own monitor"),
         }
     }
 
-    /// Collects the demands that an action of the ego breaks, in ascending order.
+    /// Collects the constraints that an action of the ego breaks, in ascending order.
     ///
     /// # Errors
     /// `limit-exceeded` for rules that derive too much.
     pub fn violations(
         &mut self,
-        judge: &RuleMonitor,
+        monitor: &RuleMonitor,
         observed: Observed<'_>,
         action: Action,
         broken: &mut Vec<usize>,
     ) -> Result<(), Diagnostic> {
         let ego = observed.bodies[0].agent as usize;
         broken.clear();
-        match (self, &judge.how) {
-            (Violations::Once { frame, held, known }, How::Once(conditions)) => {
-                conditions.evaluate(frame, held, known, observed);
+        match (self, &monitor.how) {
+            (Violations::Once { bit_state, held, known }, How::Once(conditions)) => {
+                conditions.evaluate(bit_state, held, known, observed);
                 conditions.violations(held, action, broken);
             }
-            (Violations::Twice { judged: state, .. }, How::Twice { judged, .. }) => {
+            (Violations::Twice { checked: state, .. }, How::Twice { checked, .. }) => {
                 let given = Some(action);
-                state.run(judged, Observed { given, ..observed })?;
-                let demands = judge.demands.iter().enumerate();
-                let holds =
-                    |demand: &ActionConstraint| demand.action != action && state.fired(judged, demand.clause, ego);
+                state.run(checked, Observed { given, ..observed })?;
+                let constraints = monitor.constraints.iter().enumerate();
+                let holds = |constraint: &ActionConstraint| {
+                    constraint.action != action && state.fired(checked, constraint.clause, ego)
+                };
                 broken.extend(
-                    demands
-                        .filter(|(_, demand)| holds(demand))
+                    constraints
+                        .filter(|(_, constraint)| holds(constraint))
                         .map(|(position, _)| position),
                 );
             }
-            _ => unreachable!("a verdict is made for its judge"),
+            _ => unreachable!("violations are computed by their own monitor"),
         }
         Ok(())
     }

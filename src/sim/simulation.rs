@@ -1,13 +1,14 @@
 //! The tick: all agents decide on the same state, then all move.
 
+use crate::cancel::Cancel;
 use crate::city::{Action, Split};
-use crate::city::{Agent, Cell, Heading, MoveReason, Moved, Places, Surroundings, advance, place_agents_until};
+use crate::city::{Agent, Cell, Heading, MoveReason, Moved, Places, Surroundings, advance, place_agents_into};
 use crate::datalog::Session;
 use crate::datalog::{ClauseId, Value};
 use crate::diag::{Code, Diagnostic};
 use crate::rng::Seed;
 use crate::sim::executor::{Choice, Decisions, DenseExecutor, Executor, WHOLE_MAX};
-use crate::sim::ground::{Entity, Facts, ground_until};
+use crate::sim::ground::{Entity, Facts, ground_with};
 use crate::sim::infer::{Draws, GroundState};
 use crate::sim::scene::MAX_ENTITIES;
 use crate::sim::vocabulary::Actions;
@@ -39,9 +40,6 @@ impl Default for Settings {
     }
 }
 
-/// Asked now and then in long work whether to give it up, on any thread that takes part. To be asked often, so it should be cheap.
-pub type Stop = Arc<dyn Fn() -> bool + Send + Sync>;
-
 /// A city in motion. The same world, split and seed give the same ticks.
 pub struct Simulation {
     world: Arc<World>,
@@ -54,7 +52,7 @@ pub struct Simulation {
     /// What moves change of each agent. Close together, since many agents are looked up in the order of where they are.
     positions: Vec<Position>,
     /// Decides densely; `None` if `state` decides.
-    crowd: Option<DenseExecutor>,
+    dense: Option<DenseExecutor>,
     /// Why `state` decides, if that was not asked for.
     fallback: Option<String>,
     decisions: Decisions,
@@ -67,7 +65,7 @@ pub struct Simulation {
     /// The clauses whose firings can be counted: all with a body, hidden ones left out.
     clauses: Vec<ClauseId>,
     threads: Option<ThreadPool>,
-    stop: Stop,
+    cancel: Cancel,
 }
 
 /// What happened in a tick.
@@ -145,19 +143,20 @@ impl Simulation {
     /// [`MAX_ENTITIES`] agents, since its facts about pairs of them take memory in the square of their number, or the dense one is
     /// to evaluate rules that it cannot.
     pub fn new(world: Arc<World>, split: Split, seed: Seed, settings: Settings) -> Result<Simulation, Diagnostic> {
-        Simulation::new_until(world, split, seed, settings, Arc::new(|| false))
+        Simulation::new_with(world, split, seed, settings, &Cancel::never())
     }
 
-    /// The same. Long work, this and all that follows, is given up when `stop` says so: with `cancelled`, the city being as before.
+    /// Cancellable variant of [`new`](Simulation::new). The simulation keeps `cancel`, so its later work is cancellable, too. On
+    /// cancellation the simulation is unchanged.
     ///
     /// # Errors
-    /// As [`Simulation::new`].
-    pub fn new_until(
+    /// As [`Simulation::new`]; `cancelled` on cancellation.
+    pub fn new_with(
         world: Arc<World>,
         split: Split,
         seed: Seed,
         settings: Settings,
-        stop: Stop,
+        cancel: &Cancel,
     ) -> Result<Simulation, Diagnostic> {
         let scenario = &world.scenario;
         let set = scenario.agent_set(split).ok_or_else(|| {
@@ -167,7 +166,7 @@ impl Simulation {
         })?;
         let places = world.places(split, set);
         let mut agents = Vec::with_capacity(set.len());
-        place_agents_until(&mut agents, set, &world.router, &places, seed, &*stop)?;
+        place_agents_into(&mut agents, set, &world.router, &places, seed, cancel)?;
         let clauses: Vec<ClauseId> = world.clauses().collect();
         let to_count: &[ClauseId] = if settings.count_firings { &clauses } else { &[] };
         // Fewer agents are decided about faster than threads are woken.
@@ -178,11 +177,11 @@ impl Simulation {
         let chosen = (settings.executor)
             .choose(|| DenseExecutor::new(&world, &agents, to_count, threads))
             .map_err(|fault| fault.at(scenario.rules.span, "these rules"))?;
-        let (crowd, fallback) = match chosen {
-            Choice::Dense(crowd) => (Some(crowd), None),
+        let (dense, fallback) = match chosen {
+            Choice::Dense(dense) => (Some(dense), None),
             Choice::Relational(reason) => (None, reason),
         };
-        if crowd.is_none() && agents.len() > MAX_ENTITIES {
+        if dense.is_none() && agents.len() > MAX_ENTITIES {
             let message = format!(
                 "{} agents, the limit of the relational executor is {MAX_ENTITIES}",
                 agents.len()
@@ -209,14 +208,14 @@ impl Simulation {
             given: vec![None; agents.len()],
             positions: agents.iter().map(Position::of).collect(),
             agents,
-            crowd,
+            dense,
             fallback,
             state: None,
             stated: None,
             report,
             clauses,
             threads: pool,
-            stop,
+            cancel: cancel.clone(),
             world,
         })
     }
@@ -235,8 +234,8 @@ impl Simulation {
         }
         self.seed = seed;
         (self.tick, self.stated) = (0, None);
-        if let Some(crowd) = &mut self.crowd {
-            crowd.restart(self.world.map(), &self.agents);
+        if let Some(dense) = &mut self.dense {
+            dense.restart(self.world.map(), &self.agents);
         }
         self.decisions.clear();
         self.report.tick = 0;
@@ -255,7 +254,7 @@ impl Simulation {
             .scenario
             .agent_set(self.split)
             .expect("the simulation was made for it");
-        place_agents_until(agents, set, &self.world.router, &self.places, seed, &*self.stop)
+        place_agents_into(agents, set, &self.world.router, &self.places, seed, &self.cancel)
     }
 
     /// Where agents start and arrive.
@@ -263,9 +262,9 @@ impl Simulation {
         &self.places
     }
 
-    /// Whether to give up long work on it.
-    pub fn stop(&self) -> &dyn Fn() -> bool {
-        &*self.stop
+    /// The cancellation request that long work of this simulation polls.
+    pub fn cancel(&self) -> &Cancel {
+        &self.cancel
     }
 
     /// What does not change.
@@ -311,7 +310,7 @@ impl Simulation {
 
     /// What evaluates the rules: dense or relational.
     pub fn executor(&self) -> Executor {
-        match self.crowd {
+        match self.dense {
             Some(_) => Executor::Dense,
             None => Executor::Relational,
         }
@@ -373,12 +372,12 @@ impl Simulation {
             time: self.tick,
         };
         let map = self.world.map();
-        match &mut self.crowd {
-            Some(crowd) => {
+        match &mut self.dense {
+            Some(dense) => {
                 let decisions = &mut self.decisions;
                 match &self.threads {
-                    Some(pool) => pool.install(|| crowd.decide(map, draws, decisions)),
-                    None => crowd.decide(map, draws, decisions),
+                    Some(pool) => pool.install(|| dense.decide(map, draws, decisions)),
+                    None => dense.decide(map, draws, decisions),
                 }?;
             }
             None => self.decide_by_facts(draws)?,
@@ -386,11 +385,11 @@ impl Simulation {
         ended(Phase::Decide);
         self.advance(controls);
         ended(Phase::Move);
-        if let Some(crowd) = &mut self.crowd {
+        if let Some(dense) = &mut self.dense {
             let (map, positions) = (self.world.map(), &self.positions);
             match &self.threads {
-                Some(pool) => pool.install(|| crowd.follow(map, positions)),
-                None => crowd.follow(map, positions),
+                Some(pool) => pool.install(|| dense.follow(map, positions)),
+                None => dense.follow(map, positions),
             }
         }
         ended(Phase::Note);
@@ -459,11 +458,11 @@ impl Simulation {
         let entities: Vec<Entity<'_>> = self.agents.iter().map(entity).collect();
         let (vocabulary, view) = (&world.vocabulary, world.scenario.view);
         let unread = |index: usize| !vocabulary.is_read(index);
-        let facts = ground_until(vocabulary, world.map(), view, &entities, &draws, unread, self.stop());
+        let facts = ground_with(vocabulary, world.map(), view, &entities, &draws, unread, &self.cancel);
         let facts = facts.ok_or_else(Diagnostic::cancelled)?;
         let state = (self.state).get_or_insert_with(|| ground_state(&self.world, &self.agents));
         state
-            .set_until(&facts, &*self.stop)
+            .set_with(&facts, &self.cancel)
             .map_err(|error| error.diagnostic(self.world.program.rules()))?;
         self.stated = Some(draws.time);
         self.decisions.clear();
@@ -477,7 +476,7 @@ impl Simulation {
             for (index, &clause) in self.clauses.iter().enumerate() {
                 let rows = state.session().fired(clause);
                 let head = rules.clauses[clause.index()].head.relation;
-                if (Action::ALL.into_iter()).any(|speed| self.world.vocabulary.action(speed) == Some(head)) {
+                if (Action::ALL.into_iter()).any(|action| self.world.vocabulary.action(action) == Some(head)) {
                     for agent in rows.iter().filter_map(|row| state.entity(row[0])) {
                         self.decisions.add_fired(agent, index);
                     }
@@ -502,10 +501,10 @@ impl Simulation {
                 );
                 return Err(Diagnostic::new(Code::LIMIT_EXCEEDED, message));
             }
-            let facts = self.facts_until(|index| self.world.vocabulary.is_read(index), self.stop())?;
+            let facts = self.facts_with(|index| self.world.vocabulary.is_read(index), &self.cancel)?;
             let state = (self.state).get_or_insert_with(|| ground_state(&self.world, &self.agents));
             state
-                .set_until(&facts, &*self.stop)
+                .set_with(&facts, &self.cancel)
                 .map_err(|error| error.diagnostic(self.world.program.rules()))?;
             self.stated = (self.tick > 0).then_some(tick);
         }
@@ -518,14 +517,14 @@ impl Simulation {
     /// The base facts on which the last tick was decided: of the predicates, by their positions in the vocabulary, for which
     /// `wanted` holds.
     pub fn facts(&self, wanted: impl Fn(usize) -> bool) -> Facts {
-        self.facts_until(wanted, &|| false).expect("nobody gives it up")
+        self.facts_with(wanted, &Cancel::never()).expect("never cancelled")
     }
 
-    /// The same, given up when `stop` says so.
+    /// Cancellable variant of [`facts`](Simulation::facts).
     ///
     /// # Errors
-    /// `cancelled` if the caller cancelled it.
-    pub fn facts_until(&self, wanted: impl Fn(usize) -> bool, stop: &dyn Fn() -> bool) -> Result<Facts, Diagnostic> {
+    /// `cancelled` on cancellation.
+    pub fn facts_with(&self, wanted: impl Fn(usize) -> bool, cancel: &Cancel) -> Result<Facts, Diagnostic> {
         let world = &self.world;
         let draws = Draws {
             seed: self.seed,
@@ -533,8 +532,16 @@ impl Simulation {
         };
         let view = world.scenario.view;
         let unwanted = |index| !wanted(index);
-        let judged = self.judged();
-        let facts = ground_until(&world.vocabulary, world.map(), view, &judged, &draws, unwanted, stop);
+        let decided_entities = self.decided_entities();
+        let facts = ground_with(
+            &world.vocabulary,
+            world.map(),
+            view,
+            &decided_entities,
+            &draws,
+            unwanted,
+            cancel,
+        );
         facts.ok_or_else(Diagnostic::cancelled)
     }
 
@@ -545,7 +552,7 @@ impl Simulation {
     pub fn evaluate(&mut self, facts: &Facts) -> Result<(), Diagnostic> {
         self.stated = None;
         let state = (self.state).get_or_insert_with(|| ground_state(&self.world, &self.agents));
-        (state.set_until(facts, &*self.stop)).map_err(|error| error.diagnostic(self.world.program.rules()))
+        (state.set_with(facts, &self.cancel)).map_err(|error| error.diagnostic(self.world.program.rules()))
     }
 
     /// Computes all facts about the present state that the rules can ask for, as bits; how many there are. `None` unless the dense
@@ -555,11 +562,11 @@ impl Simulation {
             seed: self.seed,
             time: self.tick,
         };
-        self.crowd.as_mut()?.count_facts(draws)
+        self.dense.as_mut()?.count_facts(draws)
     }
 
     /// The agents as they were when the last tick was decided.
-    fn judged(&self) -> Vec<Entity<'_>> {
+    fn decided_entities(&self) -> Vec<Entity<'_>> {
         let before = |(agent, done): (_, &AgentTick)| Entity {
             at: done.moved.from,
             heading: done.heading,

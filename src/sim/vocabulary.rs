@@ -123,12 +123,12 @@ impl Vocabulary {
         faults.extend(undefined(scenario, &unknown_inputs(program, &predicates), &predicates));
         faults.extend(unfilled(scenario, program));
 
-        let actions = Action::ALL.map(|speed| {
-            program.relation(speed.name()).filter(|&relation| {
+        let actions = Action::ALL.map(|action| {
+            program.relation(action.name()).filter(|&relation| {
                 fits(&rules.relations[relation.index()], 1, &mut faults, || {
                     Diagnostic::new(
                         Code::RULE_MISMATCH,
-                        format!("the action `{}` is not a predicate over one agent", speed.name()),
+                        format!("the action `{}` is not a predicate over one agent", action.name()),
                     )
                 })
             })
@@ -162,8 +162,8 @@ impl Vocabulary {
     }
 
     /// The relation of an action, if the rules mention it.
-    pub fn action(&self, speed: Action) -> Option<RelId> {
-        self.actions[speed as usize]
+    pub fn action(&self, action: Action) -> Option<RelId> {
+        self.actions[action as usize]
     }
 
     /// The one action to take, given those that are derived: the first by the scenario's priority, else its default.
@@ -188,7 +188,7 @@ impl Vocabulary {
 fn decisions(config: &ActionsConfig) -> [Action; 16] {
     std::array::from_fn(|bits| {
         let derived = Actions(u8::try_from(bits).expect("it is less than 16"));
-        let first = config.priority.iter().copied().find(|&speed| derived.contains(speed));
+        let first = config.priority.iter().copied().find(|&action| derived.contains(action));
         first.unwrap_or(config.default)
     })
 }

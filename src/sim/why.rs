@@ -1,5 +1,6 @@
 //! Why an agent did what it did in a tick.
 
+use crate::cancel::Cancel;
 use crate::city::Action;
 use crate::city::{Cell, Heading};
 use crate::datalog::Session;
@@ -55,13 +56,13 @@ impl Simulation {
     pub fn decision(&mut self, agent: usize) -> Result<Decision<'_>, Diagnostic> {
         let (name, report) = (self.agents()[agent].name().to_string(), self.report());
         let (tick, done) = (report.tick, report.agents[agent]);
-        let moment = self.snapshot()?;
+        let snapshot = self.snapshot()?;
         Ok(Decision {
-            world: moment.world(),
-            session: moment.session(),
+            world: snapshot.world(),
+            session: snapshot.session(),
             tick,
             agent: name,
-            value: moment.value(agent),
+            value: snapshot.value(agent),
             at: done.moved.from,
             heading: done.heading,
             derived: done.derived,
@@ -72,11 +73,11 @@ impl Simulation {
 
 impl<'a> Decision<'a> {
     /// Why it was so: the actions that were derived, the one that the rules take first; if none was derived, the default, or why all four
-    /// were not. With `why_not`, that action alone. `stop` is asked now and then whether to give up.
+    /// were not. With `why_not`, that action alone.
     ///
     /// # Errors
-    /// If that is more work than [`Explainer::LIMIT`], or `stop` says so.
-    pub fn account(self, why_not: Option<Action>, stop: &dyn Fn() -> bool) -> Result<Account<'a>, ExplainError> {
+    /// If that is more work than [`Explainer::LIMIT`], or on cancellation.
+    pub fn account(self, why_not: Option<Action>, cancel: &Cancel) -> Result<Account<'a>, ExplainError> {
         let vocabulary = &self.world.vocabulary;
         let by_rules = vocabulary.decide(self.derived);
         let mut actions = match why_not {
@@ -88,8 +89,7 @@ impl<'a> Decision<'a> {
             None => self.derived.iter().collect(),
         };
         actions.sort_by_key(|action| *action != by_rules);
-        let mut explainer = Explainer::new(self.session);
-        explainer.stop_when(stop);
+        let mut explainer = Explainer::new_with(self.session, cancel);
         let mut explanations = Vec::new();
         for action in actions {
             let explanation = match vocabulary.action(action) {
@@ -108,7 +108,7 @@ impl<'a> Decision<'a> {
 }
 
 impl Account<'_> {
-    fn teller<'s>(&'s self, sources: &'s Sources) -> ExplanationPrinter<'s> {
+    fn printer<'s>(&'s self, sources: &'s Sources) -> ExplanationPrinter<'s> {
         let session = self.decision.session;
         ExplanationPrinter::new(session.program().rules(), session.symbols(), sources)
     }
@@ -138,7 +138,7 @@ impl Account<'_> {
         if *action != by_rules {
             let _ = writeln!(text, "the action came from outside; the rules say {}", by_rules.name());
         } else if derived.len() > 1 {
-            let names: Vec<&str> = derived.iter().map(|speed| speed.name()).collect();
+            let names: Vec<&str> = derived.iter().map(|action| action.name()).collect();
             let _ = writeln!(
                 text,
                 "derived were {}; the first by the configured order was taken",
@@ -150,10 +150,10 @@ impl Account<'_> {
         if let Some(action) = self.why_not.filter(|action| derived.contains(*action)) {
             let _ = writeln!(text, "{} was derived, and this is why", action.name());
         }
-        let teller = self.teller(sources);
+        let printer = self.printer(sources);
         for (action, explanation) in &self.explanations {
             let _ = match explanation {
-                Some(explanation) => write!(text, "\n{}", teller.tree(explanation)),
+                Some(explanation) => write!(text, "\n{}", printer.tree(explanation)),
                 None => writeln!(text, "\n{}: the rules do not mention it", action.name()),
             };
         }
@@ -163,12 +163,12 @@ impl Account<'_> {
     /// For programs: `tick`, `agent`, `at`, `heading`, `derived`, `action`, and `explanations`, each with its `action` and, unless the
     /// rules do not mention it, the `nodes` of [`ExplanationPrinter::json`].
     pub fn json(&self, sources: &Sources) -> serde_json::Value {
-        let teller = self.teller(sources);
-        let told: Vec<serde_json::Value> = (self.explanations.iter())
+        let printer = self.printer(sources);
+        let explanations: Vec<serde_json::Value> = (self.explanations.iter())
             .map(|(action, explanation)| {
                 let mut entry = json!({ "action": action.name() });
                 if let Some(explanation) = explanation {
-                    entry["nodes"] = teller.json(explanation)["nodes"].take();
+                    entry["nodes"] = printer.json(explanation)["nodes"].take();
                 }
                 entry
             })
@@ -181,7 +181,7 @@ impl Account<'_> {
             "heading": decision.heading.map(Heading::name),
             "derived": decision.derived.iter().map(Action::name).collect::<Vec<_>>(),
             "action": decision.action.name(),
-            "explanations": told,
+            "explanations": explanations,
         })
     }
 }

@@ -391,7 +391,7 @@ fn cone(definition: &Definition, kind: AgentKind, heading: Heading) -> Reach {
 #[derive(Clone, Debug)]
 pub(super) struct Window<const W: usize> {
     pub bodies: Vec<Body>,
-    pub frame: BitState<W>,
+    pub bit_state: BitState<W>,
     /// By input of the program.
     inputs: Vec<Set<W>>,
     place: Place<W>,
@@ -459,7 +459,7 @@ impl<const W: usize> Window<W> {
     pub fn new(grounder: &Grounder) -> Self {
         Window {
             bodies: Vec::new(),
-            frame: BitState::new(&grounder.dense, 0),
+            bit_state: BitState::new(&grounder.dense, 0),
             inputs: Vec::new(),
             place: Place {
                 first: Cell::new(0, 0),
@@ -475,7 +475,7 @@ impl<const W: usize> Window<W> {
     /// If they are more than the window holds, or one is outside of the area.
     pub fn fill(&mut self, grounder: &Grounder, first_cell: Cell, [rows, cols]: [i32; 2]) {
         let count = self.bodies.len();
-        self.frame.reset(&grounder.dense, count);
+        self.bit_state.reset(&grounder.dense, count);
         let Place {
             first: area_first,
             rows: row_lists,
@@ -552,7 +552,7 @@ impl<const W: usize> Window<W> {
     /// Evaluates the rules.
     pub fn run(&mut self, grounder: &Grounder, draws: Draws) {
         for (input, set) in self.inputs.iter().enumerate() {
-            self.frame.set_input(&grounder.dense, input, *set);
+            self.bit_state.set_input(&grounder.dense, input, *set);
         }
         let scene = Scene {
             grounder,
@@ -560,7 +560,7 @@ impl<const W: usize> Window<W> {
             place: &self.place,
             draws,
         };
-        self.frame.run(&grounder.dense, &scene);
+        self.bit_state.run(&grounder.dense, &scene);
     }
 }
 

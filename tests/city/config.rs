@@ -25,13 +25,13 @@ const FIXTURES: [&str; 8] = [
     "missing-file",
 ];
 
-fn told(sources: &Sources, faults: &[Diagnostic]) -> String {
+fn rendered(sources: &Sources, faults: &[Diagnostic]) -> String {
     render(faults, sources, false)
 }
 
 fn load(path: &Path) -> Scenario {
     let mut sources = Sources::new();
-    load_scenario(&mut sources, path, &BuiltinFiles).unwrap_or_else(|faults| panic!("{}", told(&sources, &faults)))
+    load_scenario(&mut sources, path, &BuiltinFiles).unwrap_or_else(|faults| panic!("{}", rendered(&sources, &faults)))
 }
 
 /// Loads `main.yaml` of a few files that exist in memory only; beside them the built-in files.
@@ -50,12 +50,12 @@ fn load_memory(files: &[(&str, &str)]) -> (Sources, Result<Scenario, Vec<Diagnos
 
 fn good(files: &[(&str, &str)]) -> Scenario {
     let (sources, result) = load_memory(files);
-    result.unwrap_or_else(|faults| panic!("{}", told(&sources, &faults)))
+    result.unwrap_or_else(|faults| panic!("{}", rendered(&sources, &faults)))
 }
 
 fn bad(files: &[(&str, &str)]) -> String {
     let (sources, result) = load_memory(files);
-    told(&sources, &result.expect_err("a fault"))
+    rendered(&sources, &result.expect_err("a fault"))
 }
 
 #[test]
@@ -149,7 +149,12 @@ fn fixtures_give_the_faults_they_say() {
         let text = read_text(&path).expect("fixture");
         let wanted = expected(&text);
         assert!(wanted.iter().all(|(_, wanted)| wanted == code) && !wanted.is_empty());
-        assert_eq!(found(&sources, &faults), wanted, "{code}\n{}", told(&sources, &faults));
+        assert_eq!(
+            found(&sources, &faults),
+            wanted,
+            "{code}\n{}",
+            rendered(&sources, &faults)
+        );
     }
 }
 
@@ -406,17 +411,20 @@ fn maps_are_found_by_path_and_by_name() {
     }
     let mut sources = Sources::new();
     let faults = load_map(&mut sources, Path::new("sqare-5x5"), &BuiltinFiles).expect_err("no such map");
-    let told = told(&sources, &faults);
+    let rendered = rendered(&sources, &faults);
     assert!(
-        told.contains("missing-file") && told.contains("did you mean `square-5x5`?"),
-        "{told}"
+        rendered.contains("missing-file") && rendered.contains("did you mean `square-5x5`?"),
+        "{rendered}"
     );
 }
 
 #[test]
-fn files_that_build_on_themselves_are_told() {
-    let told = bad(&[("main.yaml", "base: b.yaml\n"), ("b.yaml", "base: ./x/../main.yaml\n")]);
-    assert!(told.contains("include-cycle") && told.contains("b.yaml:1:7"), "{told}");
+fn files_that_build_on_themselves_are_reported() {
+    let rendered = bad(&[("main.yaml", "base: b.yaml\n"), ("b.yaml", "base: ./x/../main.yaml\n")]);
+    assert!(
+        rendered.contains("include-cycle") && rendered.contains("b.yaml:1:7"),
+        "{rendered}"
+    );
     let names: Vec<String> = (0..30).map(|n| format!("f{n}.yaml")).collect();
     let texts: Vec<String> = (0..30).map(|n| format!("base: f{}.yaml\n", n + 1)).collect();
     let mut files: Vec<_> = names
@@ -430,33 +438,36 @@ fn files_that_build_on_themselves_are_told() {
 
 #[test]
 fn a_missing_base_is_the_only_fault() {
-    let told = bad(&[("main.yaml", "base: b.yaml\nview: 3\n"), ("b.yaml", "base: c.yaml\n")]);
+    let rendered = bad(&[("main.yaml", "base: b.yaml\nview: 3\n"), ("b.yaml", "base: c.yaml\n")]);
     assert!(
-        told.contains("b.yaml:1:7") && told.matches("error[").count() == 1,
-        "{told}"
+        rendered.contains("b.yaml:1:7") && rendered.matches("error[").count() == 1,
+        "{rendered}"
     );
-    let told = bad(&[(
+    let rendered = bad(&[(
         "main.yaml",
         "base: configs/expert.yaml\nagents: {base: nowhere.yaml}\nveiw: 3\n",
     )]);
-    assert!(told.contains("missing-file") && told.contains("unknown-key"), "{told}");
-    assert_eq!(told.matches("error[").count(), 2, "{told}");
+    assert!(
+        rendered.contains("missing-file") && rendered.contains("unknown-key"),
+        "{rendered}"
+    );
+    assert_eq!(rendered.matches("error[").count(), 2, "{rendered}");
 }
 
 #[test]
 fn a_wrong_letter_of_a_map_is_pointed_at() {
     let map = "blocks: [1, 1]\nwidths: {street: 11, sidewalk: 5, building: 10, inner_sidewalk: 5}\nbuildings:\n  rows:\n    - OX\n    - H\n";
-    let told = bad(&[
+    let rendered = bad(&[
         ("main.yaml", "base: configs/expert.yaml\nmap: m.yaml\n"),
         ("m.yaml", map),
     ]);
     assert!(
-        told.contains("m.yaml:5:8") && told.contains("`X` is no letter"),
-        "{told}"
+        rendered.contains("m.yaml:5:8") && rendered.contains("`X` is no letter"),
+        "{rendered}"
     );
     assert!(
-        told.contains("m.yaml:6:7") && told.contains("expected 2 buildings"),
-        "{told}"
+        rendered.contains("m.yaml:6:7") && rendered.contains("expected 2 buildings"),
+        "{rendered}"
     );
 }
 
@@ -527,7 +538,7 @@ fn survive(text: &str) -> String {
     for (sources, faults) in [(&sources, &map), (&scenario_sources, &scenario)] {
         assert!(faults.len() <= MAX_FAULTS + 1);
         to_json(faults, sources);
-        out.push_str(&told(sources, faults));
+        out.push_str(&rendered(sources, faults));
     }
     assert!(start.elapsed() < Duration::from_secs(20), "took {:?}", start.elapsed());
     out
@@ -537,10 +548,10 @@ fn survive(text: &str) -> String {
 fn what_an_alias_stands_for_counts_in_the_nesting() {
     let (open, close) = ("[".repeat(40), "]".repeat(40));
     let twice = format!("base: configs/expert.yaml\na: &a {open}x{close}\nb: {open}*a{close}\n");
-    let told = bad(&[("main.yaml", &twice)]);
+    let rendered = bad(&[("main.yaml", &twice)]);
     assert!(
-        told.contains("nested more than 64 deep") && told.contains("main.yaml:3:"),
-        "{told}"
+        rendered.contains("nested more than 64 deep") && rendered.contains("main.yaml:3:"),
+        "{rendered}"
     );
 }
 
@@ -611,12 +622,12 @@ fn slow_hostile_files_fail_fast() {
     ];
     for (name, text, expected) in cases {
         let start = Instant::now();
-        let told = survive(&text);
+        let rendered = survive(&text);
         println!("{name}: {:?}", start.elapsed());
         assert!(
-            told.contains(expected),
+            rendered.contains(expected),
             "{name}: {}",
-            told.chars().take(2000).collect::<String>()
+            rendered.chars().take(2000).collect::<String>()
         );
     }
     assert!(survive(&"- 1\n".repeat(1_000_000)).contains("more than 200000 values"));
@@ -672,7 +683,7 @@ proptest! {
             _ => main,
         };
         let (sources, result) = load_memory(&[("main.yaml", &main), (path, &text)]);
-        told(&sources, &result.err().unwrap_or_default());
+        rendered(&sources, &result.err().unwrap_or_default());
     }
 }
 
@@ -705,7 +716,7 @@ fn blocks_of_the_reference_load_or_fail_as_they_say() {
             found(&sources, &faults),
             expected(block),
             "{block}\n{}",
-            told(&sources, &faults)
+            rendered(&sources, &faults)
         );
         blocks += 1;
     }

@@ -45,7 +45,8 @@ fn holds(program: &Program, scene: &Difference, actions: [Action; 2]) -> bool {
     session.commit().unwrap();
     let ego = session.intern(&scene.entities[0]);
     let action = |action: Action| program.relation(action.name()).unwrap();
-    constraints::violations(&session).is_empty() && actions.iter().all(|speed| session.contains(action(*speed), &[ego]))
+    constraints::violations(&session).is_empty()
+        && actions.iter().all(|&wanted| session.contains(action(wanted), &[ego]))
 }
 
 fn rules(body: &str) -> String {
@@ -85,7 +86,7 @@ fn the_modes_of_the_paper() {
 }
 
 #[test]
-fn the_smallest_scene_is_told() {
+fn the_smallest_scene_is_reported() {
     let both = [Action::Slow, Action::Stop];
     assert_eq!(
         scene(

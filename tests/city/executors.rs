@@ -1,11 +1,12 @@
 //! The executors against each other: whatever evaluates the rules, on however many threads, a city goes the same way.
 
 use crate::shipped_world::{MODES, world};
+use logicity::cancel::Cancel;
 use logicity::city::{Action, Building, Buildings, Split};
 use logicity::config::Scenario;
 use logicity::diag::Code;
 use logicity::rng::Seed;
-use logicity::sim::{Batch, CROWD_MAX, Executor, Settings, Simulation, Stop, World};
+use logicity::sim::{Batch, Executor, Settings, Simulation, WINDOW_MAX, World};
 use std::sync::Arc;
 use std::sync::atomic::{AtomicI64, Ordering};
 
@@ -61,22 +62,22 @@ fn executors_agree_in_every_mode() {
     }
 }
 
-/// Wherever a tick is given up, the city is as it was and goes on as one that was left alone.
+/// Cancelled at any poll of a tick, the simulation is unchanged, and its next ticks are those of another that was never cancelled.
 #[test]
-fn a_tick_that_is_given_up_leaves_no_trace() {
+fn a_cancelled_tick_leaves_the_simulation_unchanged() {
     let world = world("expert", None, |_| ());
     let settings = Settings {
         executor: Executor::Relational,
         ..Settings::default()
     };
     let left = Arc::new(AtomicI64::new(i64::MAX));
-    let asked = Arc::clone(&left);
-    let stop: Stop = Arc::new(move || asked.fetch_sub(1, Ordering::Relaxed) <= 0);
-    let city = |stop| Simulation::new_until(Arc::clone(&world), Split::Test, Seed(5), settings, stop);
+    let polls = Arc::clone(&left);
+    let cancel = Cancel::when(move || polls.fetch_sub(1, Ordering::Relaxed) <= 0);
+    let city = || Simulation::new_with(Arc::clone(&world), Split::Test, Seed(5), settings, &cancel);
     left.store(3, Ordering::Relaxed);
-    assert_eq!(city(Arc::clone(&stop)).err().unwrap().code, Code::CANCELLED);
+    assert_eq!(city().err().unwrap().code, Code::CANCELLED);
     left.store(i64::MAX, Ordering::Relaxed);
-    let (mut city, mut twin) = (city(stop).unwrap(), simulation(&world, Executor::Dense, 1));
+    let (mut city, mut twin) = (city().unwrap(), simulation(&world, Executor::Dense, 1));
     for tick in 0..20 {
         let mut given_up = 0;
         while let Err(fault) = {
@@ -236,11 +237,11 @@ fn slow_crowds_have_a_limit() {
         scenario.view = 1000;
     });
     let mut everything = simulation(&everything, Executor::Dense, 1);
-    assert!((1025..CROWD_MAX).contains(&everything.agents().len()));
+    assert!((1025..WINDOW_MAX).contains(&everything.agents().len()));
     fits.tick(&[]).unwrap();
     everything.tick(&[]).unwrap();
 
-    let crowd = world("expert", None, |scenario| {
+    let dense_city = world("expert", None, |scenario| {
         let mut splits = scenario.splits.iter_mut();
         let (_, set) = splits.find(|(split, _)| *split == Split::Test).unwrap();
         (set.region, set.repeat, set.cars) = (None, 300, Vec::new());
@@ -254,26 +255,26 @@ fn slow_crowds_have_a_limit() {
         scenario.view = 1000;
     });
     // Several tiles are too crowded; the same one is told whatever the threads do.
-    let told = |threads| {
-        simulation(&crowd, Executor::Dense, threads)
+    let error = |threads| {
+        simulation(&dense_city, Executor::Dense, threads)
             .tick(&[])
             .unwrap_err()
             .message
     };
-    let first = told(1);
+    let first = error(1);
     for threads in [2, 3, 4] {
-        assert_eq!(told(threads), first);
+        assert_eq!(error(threads), first);
     }
-    let mut crowd = simulation(&crowd, Executor::Dense, 2);
-    let before: Vec<_> = crowd.agents().iter().map(|agent| agent.cell).collect();
-    let fault = crowd.tick(&[]).unwrap_err();
+    let mut dense_city = simulation(&dense_city, Executor::Dense, 2);
+    let before: Vec<_> = dense_city.agents().iter().map(|agent| agent.cell).collect();
+    let fault = dense_city.tick(&[]).unwrap_err();
     assert!(
         fault.message.contains("4500 agents around the cell"),
         "{}",
         fault.message
     );
-    assert!(crowd.agents().iter().map(|agent| agent.cell).eq(before));
-    assert_eq!((crowd.now(), crowd.firings().iter().sum::<usize>()), (0, 0));
+    assert!(dense_city.agents().iter().map(|agent| agent.cell).eq(before));
+    assert_eq!((dense_city.now(), dense_city.firings().iter().sum::<usize>()), (0, 0));
 }
 
 /// Everybody sees everybody: windows of several words, up to what is asked of about 300 entities in view.
@@ -320,7 +321,7 @@ fn executors_agree_about_rules_that_ask_for_everything() {
 }
 
 #[test]
-fn rules_that_are_not_dense_are_told() {
+fn rules_that_are_not_dense_are_reported() {
     let text = ".include \"vocabulary.dl\"\n.decl Linked(x: agent, y: agent)\nLinked(X, Y) :- NextTo(X, Y).\n\
                 Linked(X, Z) :- Linked(X, Y), NextTo(Y, Z).\nStop(X) :- Linked(X, Y), IsBus(Y).";
     let world = world("expert", Some(text), |_| ());

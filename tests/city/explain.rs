@@ -21,16 +21,16 @@ fn slow_every_decision_of_an_expert_run_is_explained() {
     let (mut proofs, mut absences) = (0, 0);
     for _ in 0..300 {
         let report = simulation.tick(&[]).unwrap().clone();
-        let moment = simulation.snapshot().unwrap();
-        let session = moment.session();
+        let snapshot = simulation.snapshot().unwrap();
+        let session = snapshot.session();
         let rules = session.program().rules();
         let model = database(session);
         let mut explainer = Explainer::new(session);
         for (position, agent) in report.agents.iter().enumerate() {
             let mut held = Vec::new();
             for action in Action::ALL {
-                let relation = moment.world().vocabulary.action(action).unwrap();
-                let row = [moment.value(position)];
+                let relation = snapshot.world().vocabulary.action(action).unwrap();
+                let row = [snapshot.value(position)];
                 let explanation = match explainer.explain(relation, &row).unwrap() {
                     Some(proof) => {
                         held.push(action);

@@ -612,7 +612,7 @@ proptest! {
 }
 
 #[test]
-fn too_many_agents_for_a_region_are_told() {
+fn too_many_agents_for_a_region_are_reported() {
     let widths = Widths {
         street: 11,
         sidewalk: 5,

@@ -110,7 +110,7 @@ impl Plain {
             other => panic!("{other:?}"),
         };
         let row: Vec<usize> = atom.terms.iter().map(term).collect();
-        let holds = match Action::ALL.iter().any(|speed| speed.name() == name) {
+        let holds = match Action::ALL.iter().any(|action| action.name() == name) {
             true => row[0] == self.entities[0] && given.contains(name.as_str()),
             false => self.facts.contains(&(name.clone(), row)),
         };
@@ -133,7 +133,7 @@ impl Plain {
                 let actions = |name| {
                     Action::ALL
                         .iter()
-                        .map(|speed| speed.name())
+                        .map(|action| action.name())
                         .find(|action| action == name)
                 };
                 let new: Actions = names
@@ -152,12 +152,14 @@ impl Plain {
         derived
     }
 
-    /// The demands that an action breaks.
+    /// The constraints that an action breaks.
     fn violations(&self, task: &SpfTask, action: Action) -> Vec<usize> {
         let (rules, given) = (task.world().program.rules(), Actions::from([action.name()]));
-        let demands = task.oracle().demands().iter().enumerate();
-        demands
-            .filter(|(_, demand)| demand.action != action && self.holds(rules, demand.clause.index(), &given))
+        let constraints = task.oracle().constraints().iter().enumerate();
+        constraints
+            .filter(|(_, constraint)| {
+                constraint.action != action && self.holds(rules, constraint.clause.index(), &given)
+            })
             .map(|(position, _)| position)
             .collect()
     }
@@ -327,7 +329,7 @@ fn slow_random_clauses_are_judged_as_defined() {
             let body = rules.clauses[clause.index()].body.iter();
             let name = |literal: &Literal| Some(rules.relations[literal.atom()?.relation.index()].name.clone());
             body.filter_map(name)
-                .filter(|name| Action::ALL.iter().any(|speed| speed.name() == name))
+                .filter(|name| Action::ALL.iter().any(|action| action.name() == name))
                 .count()
         };
         for city in &cities {
@@ -372,8 +374,10 @@ fn slow_random_clauses_are_judged_as_defined() {
                         "case {case} {ego} {action:?}\n{text}"
                     );
                     broke[action as usize] += broken.len();
-                    let demands = broken.iter().map(|&demand| once.oracle().demands()[demand].clause);
-                    chains += demands.filter(|clause| actions(clause) > 1).count();
+                    let constraints = broken
+                        .iter()
+                        .map(|&constraint| once.oracle().constraints()[constraint].clause);
+                    chains += constraints.filter(|clause| actions(clause) > 1).count();
                 }
             }
         }
@@ -501,7 +505,12 @@ fn slow_recorded_episodes() {
                     *asked += usize::from(steps > 0);
                 }
             }
-            let of = |action: Action| task.oracle().demands().iter().any(|demand| demand.action == action);
+            let of = |action: Action| {
+                task.oracle()
+                    .constraints()
+                    .iter()
+                    .any(|constraint| constraint.action == action)
+            };
             for action in Action::ALL.into_iter().filter(|action| of(*action)) {
                 assert!(
                     asked[action as usize] >= 6,
@@ -530,21 +539,21 @@ fn an_exam_goes_as_its_episodes_would_alone() {
         Policy::Always(Action::Normal),
         Policy::Always(Action::Stop),
     ] {
-        let mut exam = BatchEvaluator::new(&task, &set).unwrap();
-        while exam.running().any(|running| running) {
+        let mut evaluator = BatchEvaluator::new(&task, &set).unwrap();
+        while evaluator.running().any(|running| running) {
             let act = |env: &Env| match policy {
                 Policy::Always(action) => action,
                 _ => env.oracle_action(0),
             };
-            let actions: Vec<Action> = exam.envs().iter().map(act).collect();
-            exam.step(&actions).unwrap();
+            let actions: Vec<Action> = evaluator.envs().iter().map(act).collect();
+            evaluator.step(&actions).unwrap();
         }
         let mut env = Env::new(Arc::clone(&task), Split::Val, ControlMode::First).unwrap();
         let alone = set.episodes.iter().map(|episode| {
             env.reset_to(episode).unwrap();
             rollout(&mut env, policy).unwrap()
         });
-        assert_eq!(exam.rollouts(), alone.collect::<Vec<Rollout>>(), "{policy:?}");
+        assert_eq!(evaluator.rollouts(), alone.collect::<Vec<Rollout>>(), "{policy:?}");
     }
 }
 
@@ -584,7 +593,7 @@ fn the_random_policy_is_the_zero_of_scores() {
 }
 
 /// What a step tells, for comparison.
-fn told(env: &Env) -> (Vec<f32>, f64, bool, bool) {
+fn observed(env: &Env) -> (Vec<f32>, f64, bool, bool) {
     let mut out = vec![0.0; env.task().observation_width()];
     env.observe(0, &mut out);
     let last = env.controlled_cars()[0].last();
@@ -603,7 +612,7 @@ fn an_episode_can_be_begun_again() {
         other.reset_to(&episode).unwrap();
         assert_eq!((other.episode(), other.horizon()), (&episode, env.horizon()));
         for step in 0..60 {
-            assert_eq!(told(&env), told(&other), "seed {seed} step {step}");
+            assert_eq!(observed(&env), observed(&other), "seed {seed} step {step}");
             if !env.controlled_cars()[0].is_running() {
                 break;
             }
@@ -712,7 +721,7 @@ fn fault_of(text: &str) -> Diagnostic {
 }
 
 #[test]
-fn faulty_tasks_are_told() {
+fn faulty_tasks_are_reported() {
     let fault = |task: &str| fault_of(&format!("base: configs/expert.yaml\ntask: {task}\n"));
     assert_eq!(fault("~").code, Code::MISSING_KEY);
     assert_eq!(fault("{entities: 0}").code, Code::INVALID_VALUE);
@@ -740,8 +749,8 @@ fn clauses_can_have_weights_of_their_own() {
         ("clause", [-26.0, -5.0, -1.0, -25.0]),
     ] {
         let task = task_of(&text.replace("PER", per)).unwrap();
-        let demand = |label: &str| (0..).find(|&demand| task.label(demand) == label).unwrap();
-        let [s1, s2, s7, l1] = ["S1", "S2", "S7", "L1"].map(demand);
+        let constraint = |label: &str| (0..).find(|&constraint| task.label(constraint) == label).unwrap();
+        let [s1, s2, s7, l1] = ["S1", "S2", "S7", "L1"].map(constraint);
         let rewards =
             [vec![s1, s2, s7], vec![s2], vec![s7], vec![s1, l1]].map(|broken| task.reward(Action::Normal, &broken, 10));
         assert_eq!(rewards, expected, "{per}");
@@ -751,7 +760,7 @@ fn clauses_can_have_weights_of_their_own() {
 
 /// What an agent of an episode carries is checked like an entry of an agent set.
 #[test]
-fn agents_of_episodes_are_what_predicates_can_tell() {
+fn agents_of_episodes_have_known_concepts() {
     let mut env = Env::new(task("expert", None), Split::Test, ControlMode::First).unwrap();
     env.reset(1).unwrap();
     let episode = env.episode().clone();
@@ -801,7 +810,7 @@ fn set_of(text: &str) -> Result<EpisodeSet, Diagnostic> {
 }
 
 #[test]
-fn faulty_episodes_are_told() {
+fn faulty_episodes_are_reported() {
     let header = r#"{"episodes":"logicity","version":1,"config":"x","split":"test","seed":0,"agents":[{"id":"Car_1","concepts":[],"priority":1}]}"#;
     let good = format!("{header}\n{{\"seed\":1,\"trips\":[[46,20,56,64]]}}\n");
     assert_eq!(set_of(&good).unwrap().episodes.len(), 1);
@@ -833,7 +842,7 @@ fn faulty_episodes_are_told() {
 
 /// A key that is misspelt is told with its line; it is not passed over.
 #[test]
-fn unknown_keys_of_episodes_are_told() {
+fn unknown_keys_of_episodes_are_reported() {
     let lines = [
         r#"{"episodes":"logicity","version":1,"config":"x","split":"test","seed":0,"agents":[{"id":"Car_1","concepts":[],"priority":1}]}"#,
         r#"{"seed":1,"trips":[[46,20,56,64]],"changes":{"Car_1":{"concepts":["bus"],"priority":2}},"oracle":{"steps":1,"return":0,"constrained":{}}}"#,

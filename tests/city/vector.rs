@@ -1,6 +1,7 @@
 //! Many environments that take a step together: each goes as it would alone.
 
 use crate::shipped_world::task;
+use logicity::cancel::Cancel;
 use logicity::city::{Action, Split};
 use logicity::diag::Code;
 use logicity::rng::{Purpose, RngExt, Seed};
@@ -35,13 +36,13 @@ fn compare(config: &str, split: Split, view: ObservationKind, autoreset: Autores
     const COUNT: usize = 24;
     let task = task(config, None);
     let width: usize = view.shape(&task).iter().product();
-    let source = |member: usize| EpisodeSource::new(100 + member as u64, None);
+    let source = |sub_env: usize| EpisodeSource::new(100 + sub_env as u64, None);
     let mut batch = VectorEnv::new(&task, split, (0..COUNT).map(source), autoreset, view, threads).unwrap();
     batch.keep_last_atoms();
     let mut alone: Vec<Alone> = (0..COUNT)
-        .map(|member| Alone {
+        .map(|sub_env| Alone {
             env: Env::new(Arc::clone(&task), split, ControlMode::First).unwrap(),
-            source: source(member),
+            source: source(sub_env),
             shown: vec![0.0; width],
             info: Info::default(),
             over: false,
@@ -59,17 +60,17 @@ fn compare(config: &str, split: Split, view: ObservationKind, autoreset: Autores
         }
         let actions: Vec<Action> = (0..COUNT).map(|_| Action::ALL[random.random_range(0..4)]).collect();
         batch.step(&actions, &mut shown).unwrap();
-        for (member, one) in alone.iter_mut().enumerate() {
-            let together = &batch.members()[member];
+        for (sub_env, one) in alone.iter_mut().enumerate() {
+            let together = &batch.sub_envs()[sub_env];
             let outcome = together.outcome();
-            let told = (outcome.reward, outcome.terminated, outcome.truncated);
+            let result = (outcome.reward, outcome.terminated, outcome.truncated);
             if one.over {
                 one.begin(view);
-                assert_eq!(told, (0.0, false, false), "step {step}");
+                assert_eq!(result, (0.0, false, false), "step {step}");
             } else {
-                one.env.step(&actions[member..=member]).unwrap();
+                one.env.step(&actions[sub_env..=sub_env]).unwrap();
                 let last = one.env.controlled_cars()[0].last();
-                assert_eq!(told, (last.reward, last.terminated, last.truncated), "step {step}");
+                assert_eq!(result, (last.reward, last.terminated, last.truncated), "step {step}");
                 one.over = last.terminated || last.truncated;
                 one.look(view);
             }
@@ -83,7 +84,7 @@ fn compare(config: &str, split: Split, view: ObservationKind, autoreset: Autores
                 one.begin(view);
             }
             ended += usize::from(one.over);
-            assert_eq!(shown[member * width..(member + 1) * width], one.shown, "step {step}");
+            assert_eq!(shown[sub_env * width..(sub_env + 1) * width], one.shown, "step {step}");
             assert_eq!(*together.info(), one.info, "step {step}");
         }
     }
@@ -171,7 +172,7 @@ fn recorded_episodes_are_taken_by_the_seed() {
     let mut seen = Vec::new();
     for _ in 0..20 {
         batch.reset(&vec![Some(Begin::Next); 2], &mut shown).unwrap();
-        let begun: Vec<_> = batch.members().iter().map(|member| member.env().episode()).collect();
+        let begun: Vec<_> = batch.sub_envs().iter().map(|sub_env| sub_env.env().episode()).collect();
         assert_eq!(begun[0], begun[1]);
         assert!(recorded.contains(begun[0]));
         seen.push(begun[0].seed);
@@ -182,23 +183,23 @@ fn recorded_episodes_are_taken_by_the_seed() {
     // One that is given does not use up one of the source.
     let given = Begin::Given(Arc::new(recorded[4].clone()));
     batch.reset(&[Some(given), None], &mut shown).unwrap();
-    assert_eq!(*batch.members()[0].env().episode(), recorded[4]);
+    assert_eq!(*batch.sub_envs()[0].env().episode(), recorded[4]);
     batch.reset(&vec![Some(Begin::Next); 2], &mut shown).unwrap();
-    assert_eq!(batch.members()[0].env().episode(), batch.members()[1].env().episode());
+    assert_eq!(batch.sub_envs()[0].env().episode(), batch.sub_envs()[1].env().episode());
 }
 
-/// What a batch has not reached when it is given up needs a reset; then it goes on as ever.
+/// After a cancelled step, the environments that took none need a reset, and the others can take the next step.
 #[test]
-fn a_batch_is_given_up_when_it_is_told_to() {
+fn after_cancellation_the_rest_of_a_batch_needs_a_reset() {
     const COUNT: usize = 64;
     let task = task("easy", None);
     for threads in [1, 3] {
         let left = Arc::new(AtomicI64::new(i64::MAX));
-        let asked = Arc::clone(&left);
-        let stop = Arc::new(move || asked.fetch_sub(1, Ordering::Relaxed) <= 0);
-        let sources = (0..COUNT).map(|member| EpisodeSource::new(member as u64, None));
+        let polls = Arc::clone(&left);
+        let cancel = Cancel::when(move || polls.fetch_sub(1, Ordering::Relaxed) <= 0);
+        let sources = (0..COUNT).map(|sub_env| EpisodeSource::new(sub_env as u64, None));
         let (autoreset, view) = (Autoreset::Disabled, ObservationKind::Groundings);
-        let batch = VectorEnv::new_until(&task, Split::Train, sources, autoreset, view, threads, stop);
+        let batch = VectorEnv::new_with(&task, Split::Train, sources, autoreset, view, threads, &cancel);
         let mut batch = batch.unwrap();
         let mut shown = vec![0.0; COUNT * task.observation_width()];
         batch.reset(&vec![Some(Begin::Next); COUNT], &mut shown).unwrap();
@@ -206,15 +207,19 @@ fn a_batch_is_given_up_when_it_is_told_to() {
         let fault = batch.step(&[Action::Stop; COUNT], &mut shown).unwrap_err();
         assert_eq!(fault.code, Code::CANCELLED);
         left.store(i64::MAX, Ordering::Relaxed);
-        let gone: Vec<bool> = batch.members().iter().map(|member| member.env().steps() == 1).collect();
+        let gone: Vec<bool> = batch
+            .sub_envs()
+            .iter()
+            .map(|sub_env| sub_env.env().steps() == 1)
+            .collect();
         let reached = gone.iter().filter(|gone| **gone).count();
         assert!((1..COUNT).contains(&reached), "{reached} on {threads} threads");
         if threads == 1 {
             assert!(gone[..reached].iter().all(|gone| *gone), "{gone:?}");
         }
         let ready = |batch: &VectorEnv| -> Vec<bool> {
-            let members = batch.members().iter();
-            members.map(|member| member.is_ready(autoreset)).collect()
+            let sub_envs = batch.sub_envs().iter();
+            sub_envs.map(|sub_env| sub_env.is_ready(autoreset)).collect()
         };
         let again: Vec<Option<Begin>> = (ready(&batch).iter().zip(&gone))
             .map(|(ready, gone)| {

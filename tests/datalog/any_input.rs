@@ -123,7 +123,7 @@ fn explain(program: &Program, script: &[Batch], sources: &Sources) {
         note(&mut session, batch);
         session.commit().expect("few rows");
     }
-    let teller = ExplanationPrinter::new(rules, session.symbols(), sources);
+    let printer = ExplanationPrinter::new(rules, session.symbols(), sources);
     let mut explainer = Explainer::new(&session);
     explainer.set_limit(EXPLAIN_STEPS);
     for (relation, rel) in rules.relations.iter().zip((0..).map(RelId)) {
@@ -131,8 +131,8 @@ fn explain(program: &Program, script: &[Batch], sources: &Sources) {
         let rows = session.rows(rel).take(EXPLAINED_MAX);
         let proofs = rows.map(|row| explainer.explain(rel, row)).chain([nothing]);
         for explanation in proofs.filter_map(Result::ok).flatten() {
-            assert!(!teller.tree(&explanation).is_empty());
-            assert!(teller.json(&explanation).is_object());
+            assert!(!printer.tree(&explanation).is_empty());
+            assert!(printer.json(&explanation).is_object());
         }
     }
 }
@@ -182,10 +182,10 @@ pub fn rows(bytes: &[u8]) {
         Err(faults) => {
             assert!(!faults.is_empty());
             // The last of a great many says that there are more.
-            let told = &faults[..faults.len().min(MAX_FAULTS)];
-            assert!(told.iter().all(|fault| fault.code == Code::INVALID_FACT));
+            let reported = &faults[..faults.len().min(MAX_FAULTS)];
+            assert!(reported.iter().all(|fault| fault.code == Code::INVALID_FACT));
             assert!(
-                faults[told.len()..]
+                faults[reported.len()..]
                     .iter()
                     .all(|fault| fault.code == Code::LIMIT_EXCEEDED)
             );

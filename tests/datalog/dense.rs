@@ -234,16 +234,16 @@ fn check<const W: usize>(
             given.insert(&dense, *relation, row);
         }
         // Nothing is left of what held of other entities before.
-        let mut frame: BitState<W> = BitState::new(&dense, 64 * W);
+        let mut bit_state: BitState<W> = BitState::new(&dense, 64 * W);
         for input in 0..dense.inputs().len() {
-            frame.set_input(&dense, input, [u64::MAX; W]);
+            bit_state.set_input(&dense, input, [u64::MAX; W]);
         }
-        frame.run(&dense, &BitFacts::new(&dense, 64 * W));
-        frame.reset(&dense, entities);
-        given.load(&dense, &mut frame);
+        bit_state.run(&dense, &BitFacts::new(&dense, 64 * W));
+        bit_state.reset(&dense, entities);
+        given.load(&dense, &mut bit_state);
         // A second run starts from what the first left.
         for _ in 0..2 {
-            frame.run(&dense, &given);
+            bit_state.run(&dense, &given);
         }
         for (relation, expected) in rules
             .relations
@@ -256,7 +256,7 @@ fn check<const W: usize>(
             let name = &rules.relations[relation.index()].name;
             match rules.relations[relation.index()].arity() {
                 1 => {
-                    let set = frame.set(&dense, relation).expect("it is derived");
+                    let set = bit_state.set(&dense, relation).expect("it is derived");
                     for (entity, value) in value.iter().enumerate() {
                         let holds = expected.contains(&vec![*value]);
                         prop_assert_eq!(has(set, entity), holds, "{}({})", name, entity);
@@ -264,7 +264,7 @@ fn check<const W: usize>(
                 }
                 _ => {
                     for x in 0..entities {
-                        let row = frame.row(&dense, relation, x).expect("it is derived");
+                        let row = bit_state.row(&dense, relation, x).expect("it is derived");
                         for y in 0..entities {
                             let holds = expected.contains(&vec![value[x], value[y]]);
                             prop_assert_eq!(has(row, y), holds, "{}({}, {})", name, x, y);
@@ -274,14 +274,14 @@ fn check<const W: usize>(
             }
         }
         for (id, &fired) in (0..).map(ClauseId).zip(&expected_fired) {
-            match (counting, frame.count_fired(&dense, id)) {
+            match (counting, bit_state.count_fired(&dense, id)) {
                 (TrackFirings::Off, count) => prop_assert_eq!(count, None),
                 // A clause that can never fire is not in the program.
                 (TrackFirings::Each, count) => prop_assert_eq!(count.unwrap_or(0), fired),
             }
         }
         if dense.is_local() {
-            check_egos(&dense, &given, &frame, rules)?;
+            check_egos(&dense, &given, &bit_state, rules)?;
         }
     }
     Ok(())

@@ -3,6 +3,7 @@
 use crate::random_program::agree::{agrees, database};
 use crate::random_program::{Genome, computing_genomes, genomes, recursive_genomes};
 use crate::written_program::program;
+use logicity::cancel::Cancel;
 use logicity::datalog;
 use logicity::datalog::{ClauseId, Edb, RelId, Value};
 use logicity::datalog::{
@@ -11,8 +12,9 @@ use logicity::datalog::{
 use logicity::diag::{Code, MAX_FAULTS, Sources};
 use proptest::prelude::*;
 use proptest::strategy::Strategy as _;
-use std::cell::Cell;
 use std::collections::BTreeSet;
+use std::sync::Arc;
+use std::sync::atomic::{AtomicU32, Ordering::Relaxed};
 
 /// The least program.
 const COPY: &str = ".decl Base(x: number)
@@ -30,6 +32,13 @@ fn eager(count: usize) -> Threads {
         split_from: 0,
         ..Threads::new(count.try_into().unwrap())
     }
+}
+
+/// Cancels at the first poll after `polls` others, and counts polls.
+fn counted_cancel(polls: u32) -> (Cancel, Arc<AtomicU32>) {
+    let count = Arc::new(AtomicU32::new(0));
+    let counter = Arc::clone(&count);
+    (Cancel::when(move || counter.fetch_add(1, Relaxed) >= polls), count)
 }
 
 /// Runs the genome's script with several numbers of threads: everything is as with one, also where a limit is passed.
@@ -190,7 +199,7 @@ fn a_closure_that_leaves_the_dense_words_forgets_nothing() {
         session.commit().unwrap();
         assert!(session.rows(path).eq(&expected));
         let work = session.work().strata.last().and_then(StratumStats::work).unwrap();
-        let derived: Vec<u64> = work.rules.iter().map(|rule| rule.given).collect();
+        let derived: Vec<u64> = work.rules.iter().map(|rule| rule.delta_rows).collect();
         assert_eq!(derived, [0, expected.len() as u64], "every row was new once");
     }
 }
@@ -328,7 +337,9 @@ fn what_did_not_change_is_not_redone() {
 /// What the clauses did that ran: the clause's position, rows given, rows derived.
 fn ran(session: &Session) -> Vec<(u32, u64, u64)> {
     let rules = session.work().rules();
-    rules.map(|rule| (rule.clause.0, rule.given, rule.derived)).collect()
+    rules
+        .map(|rule| (rule.clause.0, rule.delta_rows, rule.derived))
+        .collect()
 }
 
 #[test]
@@ -389,7 +400,7 @@ fn only_clauses_that_read_what_changed_run_and_only_on_that() {
     // The row itself, whose neighbour it is, and whether that neighbour is known.
     let expected = RuleStats {
         clause: ClauseId(0),
-        given: 2,
+        delta_rows: 2,
         rows_scanned: 6,
         derived: 1,
     };
@@ -1280,36 +1291,32 @@ fn a_commit_ends_when_its_caller_says_so() {
             session.commit().unwrap();
             let before = session.rows(session.program().relation(from).unwrap()).count();
             insert(&mut session, "Seed", &[&[7]]);
-            let asked = Cell::new(0);
-            let stop = || asked.replace(asked.get() + 1) >= 2;
-            let error = session.commit_until(&stop).unwrap_err();
+            let (cancel, polls) = counted_cancel(2);
+            let error = session.commit_with(&cancel).unwrap_err();
             let clause = &session.program().rules().clauses[error.clause().index()];
-            assert!(matches!(error, EvalError::Interrupted { .. }), "{error}");
+            assert!(matches!(error, EvalError::Cancelled { .. }), "{error}");
             assert_eq!(
                 session.program().rules().relations[clause.head.relation.index()].name,
                 from
             );
-            assert_eq!(asked.get(), 3, "it is not asked again");
+            assert_eq!(polls.load(Relaxed), 3, "not polled again after cancellation");
             // As it was, with the change still noted, which can be taken back.
             let relation = session.program().relation(from).unwrap();
             assert_eq!(session.rows(relation).count(), before);
             session.rollback();
-            assert!(session.commit_until(&|| true).unwrap().is_empty());
+            assert!(session.commit_with(&Cancel::when(|| true)).unwrap().is_empty());
         }
     }
 }
 
 #[test]
-fn a_commit_that_nobody_ends_is_like_any_other() {
+fn a_commit_that_is_not_cancelled_equals_commit() {
     let text =
         ".decl A(x: number) .decl B(x: number, y: number) A(x) :- x = range(0, 300). B(x, y) :- A(x), A(y), x < y.";
-    let (mut until, mut plain) = (program(text).session(), program(text).session());
-    let asked = Cell::new(0);
-    let delta = until.commit_until(&|| {
-        asked.set(asked.get() + 1);
-        false
-    });
+    let (mut cancellable, mut plain) = (program(text).session(), program(text).session());
+    let (cancel, polls) = counted_cancel(u32::MAX);
+    let delta = cancellable.commit_with(&cancel);
     assert_eq!(delta, plain.commit());
-    assert_eq!(until.work(), plain.work());
-    assert!(asked.get() > 0);
+    assert_eq!(cancellable.work(), plain.work());
+    assert!(polls.load(Relaxed) > 0);
 }

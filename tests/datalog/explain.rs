@@ -5,6 +5,7 @@ use crate::proofs::{check, database};
 use crate::random_program::{Genome, NUMBERS, TEXTS, computing_genomes, genomes, recursive_genomes};
 use crate::rule_files::RuleFiles;
 use crate::written_program::program;
+use logicity::cancel::Cancel;
 use logicity::datalog::explain::{
     AbsenceReason, ExplainError, Explainer, ExplanationPrinter, FailureKind, Node, Obstacle, Origin, Premise,
 };
@@ -12,8 +13,9 @@ use logicity::datalog::{ClauseId, Literal, RelId, Rules, Value};
 use logicity::datalog::{Program, Session, naive};
 use logicity::diag::Sources;
 use proptest::prelude::*;
-use std::cell::Cell;
 use std::collections::{BTreeMap, BTreeSet};
+use std::sync::Arc;
+use std::sync::atomic::{AtomicBool, AtomicU32, Ordering::Relaxed};
 
 /// The height of every fact: the round in which it appears if each round fires every clause once on what the rounds before
 /// derived, negated atoms being asked of the finished model.
@@ -238,7 +240,7 @@ fn expressions_and_aggregates_are_leaves_with_their_values() {
     let rules = session.program().rules();
     let model = database(&session);
     let sources = Sources::new();
-    let teller = ExplanationPrinter::new(rules, session.symbols(), &sources);
+    let printer = ExplanationPrinter::new(rules, session.symbols(), &sources);
     let leaves = |name: &str, row: &[i32]| {
         let rel = session.program().relation(name).unwrap();
         let proof = session.explain(rel, &numbers(row)).unwrap().unwrap();
@@ -250,7 +252,7 @@ fn expressions_and_aggregates_are_leaves_with_their_values() {
         let clause = &rules.clauses[derivation.clause.index()];
         let computed = |premise: &Premise| matches!(premise, Premise::Computed { .. });
         let at = derivation.premises.iter().position(computed).unwrap();
-        teller.literal(clause, &clause.body[at], &derivation.binding)
+        printer.literal(clause, &clause.body[at], &derivation.binding)
     };
     assert_eq!(leaves("next", &[1, 4]), "4 = 3 + 1");
     assert_eq!(leaves("degree", &[1, 3]), "3 = count : { edge(1, _) }");
@@ -263,10 +265,10 @@ fn expressions_and_aggregates_are_leaves_with_their_values() {
         let wanted: Vec<Option<Value>> = numbers(&row).into_iter().map(Some).collect();
         let absence = session.explain_absence(rel, &wanted).unwrap().unwrap();
         check(&session, &model, &absence);
-        let Node::Absence(told) = &absence.nodes()[0] else {
+        let Node::Absence(explained) = &absence.nodes()[0] else {
             panic!()
         };
-        let AbsenceReason::NoClause(misses) = &told.reason else {
+        let AbsenceReason::NoClause(misses) = &explained.reason else {
             panic!()
         };
         let Obstacle::Body { failures, .. } = &misses[0].obstacle else {
@@ -309,28 +311,30 @@ fn too_much_work_is_said_and_leaves_nothing_half_done() {
 }
 
 #[test]
-fn a_question_ends_when_its_caller_says_so() {
+fn a_question_can_be_cancelled_and_repeated() {
     let edges: Vec<Vec<i32>> = (0..60).map(|at| vec![at, at + 1]).collect();
     let edges: Vec<&[i32]> = edges.iter().map(Vec::as_slice).collect();
     let session = session(PATHS, &[("edge", &edges)]);
     let path = session.program().relation("path").unwrap();
-    let asked = Cell::new(0);
-    let ended = Cell::new(true);
-    let stop = || {
-        asked.set(asked.get() + 1);
-        ended.get()
+    let polls = Arc::new(AtomicU32::new(0));
+    let cancelled = Arc::new(AtomicBool::new(true));
+    let cancel = {
+        let (polls, cancelled) = (Arc::clone(&polls), Arc::clone(&cancelled));
+        Cancel::when(move || {
+            polls.fetch_add(1, Relaxed);
+            cancelled.load(Relaxed)
+        })
     };
-    let mut explainer = Explainer::new(&session);
-    explainer.stop_when(&stop);
+    let mut explainer = Explainer::new_with(&session, &cancel);
     assert_eq!(
         explainer.explain(path, &numbers(&[0, 60])),
-        Err(ExplainError::Interrupted)
+        Err(ExplainError::Cancelled)
     );
-    assert_eq!(asked.get(), 1);
-    ended.set(false);
+    assert_eq!(polls.load(Relaxed), 1);
+    cancelled.store(false, Relaxed);
     let expected = session.explain(path, &numbers(&[0, 60]));
     assert_eq!(explainer.explain(path, &numbers(&[0, 60])), expected);
-    assert!(expected.unwrap().is_some() && asked.get() > 1);
+    assert!(expected.unwrap().is_some() && polls.load(Relaxed) > 1);
 }
 
 #[test]
@@ -347,7 +351,7 @@ fn questions_that_make_no_sense_have_no_answer() {
 }
 
 /// A program, its facts, what is asked, and how the answer reads.
-fn told(text: &str, facts: &[(&str, &[&[i32]])], name: &str, row: &[i32]) -> String {
+fn explained(text: &str, facts: &[(&str, &[&[i32]])], name: &str, row: &[i32]) -> String {
     let mut sources = Sources::new();
     let entry = sources.add("rules.dl", text);
     let rules = logicity::datalog::load(&mut sources, entry, &RuleFiles).rules.unwrap();
@@ -364,11 +368,11 @@ fn told(text: &str, facts: &[(&str, &[&[i32]])], name: &str, row: &[i32]) -> Str
         Some(proof) => proof,
         None => session.explain_absence(rel, &wanted).unwrap().unwrap(),
     };
-    let teller = ExplanationPrinter::new(program.rules(), session.symbols(), &sources);
-    let json = teller.json(&explanation);
+    let printer = ExplanationPrinter::new(program.rules(), session.symbols(), &sources);
+    let json = printer.json(&explanation);
     assert_eq!(json["nodes"].as_array().unwrap().len(), explanation.nodes().len());
     assert!(!json.to_string().contains('+'), "a hidden predicate is shown by name");
-    teller.tree(&explanation)
+    printer.tree(&explanation)
 }
 
 #[test]
@@ -388,7 +392,7 @@ lone(x) :- big(x), !path(x, _).
 ";
     let edges: &[(&str, &[&[i32]])] = &[("edge", &[&[1, 2], &[2, 3], &[9, 1]])];
     assert_eq!(
-        told(text, edges, "path", &[1, 3]),
+        explained(text, edges, "path", &[1, 3]),
         "\
 path(1, 3)  by P: and so is one after another  [rules.dl:10]
 ├─ path(1, 2)  by E: an edge is a path  [rules.dl:8]
@@ -398,7 +402,7 @@ path(1, 3)  by P: and so is one after another  [rules.dl:10]
 "
     );
     assert_eq!(
-        told(text, edges, "path", &[9, 2]),
+        explained(text, edges, "path", &[9, 2]),
         "\
 Not(path(9, 2)): no clause of path holds
 ├─ E: an edge is a path  [rules.dl:8]
@@ -408,7 +412,7 @@ Not(path(9, 2)): no clause of path holds
 "
     );
     assert_eq!(
-        told(text, edges, "lone", &[7]),
+        explained(text, edges, "lone", &[7]),
         "\
 lone(7)  by lone(x) :- big(x), !path(x, _).  [rules.dl:12]
 ├─ big(7)  [rules.dl:11]
@@ -427,7 +431,7 @@ lone(7)  by lone(x) :- big(x), !path(x, _).  [rules.dl:12]
 }
 
 #[test]
-fn views_are_told_and_hidden_predicates_are_not() {
+fn views_are_reported_and_hidden_predicates_are_not() {
     let text = "
 .decl sees(x: number, y: number)
 .decl near(x: number, y: number)
@@ -448,7 +452,7 @@ go(X) :- car(X), free(Y).
     ];
     // 2 is near to 3, but does not see it.
     assert_eq!(
-        told(text, facts, "go", &[1]),
+        explained(text, facts, "go", &[1]),
         "\
 go(1)  by G: somebody in view is free  [rules.dl:12]
 ├─ car(1)
@@ -460,7 +464,7 @@ go(1)  by G: somebody in view is free  [rules.dl:12]
 "
     );
     assert_eq!(
-        told(text, facts, "free", &[1]),
+        explained(text, facts, "free", &[1]),
         "\
 Not(free(1)): no clause of free holds
 └─ F: nobody in view is near  [rules.dl:10]
@@ -471,7 +475,7 @@ Not(free(1)): no clause of free holds
 "
     );
     assert_eq!(
-        told(text, &[facts[0], facts[1]], "go", &[1]),
+        explained(text, &[facts[0], facts[1]], "go", &[1]),
         "\
 Not(go(1)): no clause of go holds
 └─ G: somebody in view is free  [rules.dl:12]
@@ -481,7 +485,7 @@ Not(go(1)): no clause of go holds
 }
 
 #[test]
-fn a_range_is_told_as_it_is_written() {
+fn a_range_is_reported_as_it_is_written() {
     let text = "
 .decl upto(n: number)
 .decl a(x: number)
@@ -490,7 +494,7 @@ a(x) :- upto(n), x = range(0, n).
 ";
     let facts: &[(&str, &[&[i32]])] = &[("upto", &[&[3]])];
     assert_eq!(
-        told(text, facts, "a", &[2]),
+        explained(text, facts, "a", &[2]),
         "\
 a(2)  by a(x) :- upto(n), x = range(0, n).  [rules.dl:5]
 ├─ upto(3)
@@ -498,7 +502,7 @@ a(2)  by a(x) :- upto(n), x = range(0, n).  [rules.dl:5]
 "
     );
     assert_eq!(
-        told(text, facts, "a", &[3]),
+        explained(text, facts, "a", &[3]),
         "\
 Not(a(3)): no clause of a holds
 └─ a(x) :- upto(n), x = range(0, n).  [rules.dl:5]

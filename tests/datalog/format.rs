@@ -115,7 +115,7 @@ fn long_clauses_go_on_below() {
 }
 
 #[test]
-fn faults_are_told_and_nothing_is_written() {
+fn faults_are_reported_and_nothing_is_written() {
     let mut sources = Sources::new();
     let id = sources.add("test.dl", ".decl A(x: number\nA(1)");
     assert!(!format(&sources, id).unwrap_err().is_empty());

@@ -55,7 +55,7 @@ proptest! {
 
 /// Found by fuzzing: more faults than are told.
 #[test]
-fn rows_with_more_faults_than_are_told_are_refused() {
+fn rows_with_more_faults_than_the_limit_are_refused() {
     let bytes: Vec<u8> = std::iter::once(0)
         .chain(b"x\n".repeat(2 * logicity::diag::MAX_FAULTS))
         .collect();

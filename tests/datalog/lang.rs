@@ -65,7 +65,7 @@ fn helps(text: &str) -> Vec<String> {
 }
 
 #[test]
-fn habits_of_other_languages_are_told_once_with_what_to_write_here() {
+fn habits_of_other_languages_are_reported_once_with_help() {
     const HEAD: &str = ".decl A, B(x: number)\n.input A\n.output B\n";
     for (written, help) in [
         ("B(x) :- A(x) and x < 2.", "commas"),
@@ -973,7 +973,7 @@ fn twice_the_clauses_are_compared_in_little_more_than_twice_the_steps() {
 
 /// Whether a walk of nine steps can end where it began, in a graph where that takes an even number, is not found out in time.
 #[test]
-fn comparing_that_is_given_up_is_told() {
+fn comparing_that_is_given_up_is_reported() {
     let both = |a: String, b: String| format!("E({a}, {b}), E({b}, {a})");
     let graph: Vec<String> = (0..4)
         .flat_map(|a| (0..4).map(move |b| both(format!("a{a}"), format!("b{b}"))))

@@ -13,8 +13,8 @@ fn rules(text: &str) -> (Sources, Rules) {
     let mut sources = Sources::new();
     let entry = sources.add("test.dl", text);
     let loaded = datalog::load(&mut sources, entry, &RuleFiles);
-    let told = render(&loaded.diagnostics, &sources, false);
-    let rules = loaded.rules.unwrap_or_else(|| panic!("{told}\n{text}"));
+    let rendered = render(&loaded.diagnostics, &sources, false);
+    let rules = loaded.rules.unwrap_or_else(|| panic!("{rendered}\n{text}"));
     (sources, rules)
 }
 
@@ -111,7 +111,7 @@ fn check(rules: &Rules, facts: &BTreeSet<(RelId, Vec<Value>)>, constraints: bool
 const BASE: &str = ".decl A, B, C(x: symbol) .decl R, S(x: symbol, y: symbol) .input A, B, C, R, S
     .decl P(x: symbol) .decl T(x: symbol, y: symbol) .decl Q(x: symbol) .output P, T, Q\n";
 
-const PROMISES: [&str; 9] = [
+const CONSTRAINTS: [&str; 9] = [
     ".disjoint A, B",
     ".implies C, A",
     ".implies C, B",
@@ -126,7 +126,7 @@ const PROMISES: [&str; 9] = [
 /// Rules over those predicates from small numbers.
 fn written(clauses: &[Vec<u8>], constraints: u16) -> String {
     let mut text = BASE.to_owned();
-    for (bit, constraint) in PROMISES.iter().enumerate() {
+    for (bit, constraint) in CONSTRAINTS.iter().enumerate() {
         if constraints >> bit & 1 == 1 {
             text += constraint;
             text.push('\n');
@@ -333,7 +333,7 @@ fn city(clauses: &str) -> String {
 }
 
 #[test]
-fn the_simpler_form_is_told() {
+fn the_simpler_form_is_suggested() {
     let found = lints(&city(
         "Stop(X) :- IsCar(X), IsBus(X), Not(IsPedestrian(X)), NextTo(X, Y), NextTo(Y, X), X != Y.",
     ));
@@ -347,7 +347,7 @@ fn the_simpler_form_is_told() {
 
 /// Under a scope a predicate of its own sees the same only if it is about the same agent.
 #[test]
-fn what_is_repeated_is_told() {
+fn what_is_repeated_is_reported() {
     let three = |part: &str| {
         let clause = |head: &str, more: &str| format!("{head}(X) :- {part}, {more}(X).\n");
         lints(&city(
@@ -394,7 +394,7 @@ fn contradictions_are_found_and_cost_nothing() {
 }
 
 #[test]
-fn clauses_that_others_cover_under_the_constraints_are_told_and_not_run() {
+fn clauses_that_others_cover_under_the_constraints_are_reported_and_not_run() {
     let text =
         city("Stop(X) :- IsAtInter(X), IsClose(X, Y), IsCar(Y).\nStop(X) :- IsClose(Y, X), IsBus(Y), IsAtInter(X).");
     let found = lints(&text);
@@ -486,7 +486,7 @@ fn twice_the_clauses_take_little_more_than_twice_the_steps() {
 
 /// Whether a walk of nine steps can end where it began, in a graph where that takes an even number, is not found out in time.
 #[test]
-fn what_is_not_searched_to_the_end_is_told() {
+fn what_is_not_searched_to_the_end_is_reported() {
     let graph: Vec<String> = (0..4)
         .flat_map(|a| (0..4).map(move |b| format!("NextTo(A{a}, B{b})")))
         .collect();

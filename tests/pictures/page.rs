@@ -2,6 +2,7 @@
 
 use base64::Engine as _;
 use flate2::read::ZlibDecoder;
+use logicity::cancel::Cancel;
 use logicity::city::Cell;
 use logicity::city::{Action, Split};
 use logicity::datalog::explain::{Explainer, ExplanationPrinter};
@@ -74,8 +75,12 @@ fn drive(config: &str, seed: u64, action: Action) -> (Run, Vec<Value>) {
         let (wanted, at) = (env.oracle_action(0).name(), env.city().agents()[0].cell);
         env.step(&[action]).unwrap();
         actions.push(action);
-        let demands = task.oracle().demands();
-        let position = |&demand: &usize| world.clauses().position(|clause| clause == demands[demand].clause);
+        let constraints = task.oracle().constraints();
+        let position = |&constraint: &usize| {
+            world
+                .clauses()
+                .position(|clause| clause == constraints[constraint].clause)
+        };
         let broken: Option<Vec<usize>> = env.controlled_cars()[0].last().broken.iter().map(position).collect();
         steps.push(json!({"observes": observes, "wanted": wanted, "broken": broken.unwrap(), "at": [at.row, at.col]}));
     }
@@ -87,8 +92,8 @@ fn drive(config: &str, seed: u64, action: Action) -> (Run, Vec<Value>) {
         rule_files: &rule_files,
     };
     let write = |actions: &[Action]| {
-        let stop = Arc::new(|| false);
-        record(&task, Split::Test, (&episode, actions), origin, stop, Vec::new())
+        let driven = (&episode, actions);
+        record(&task, Split::Test, driven, origin, Vec::new(), &Cancel::never())
     };
     let trace = write(&actions).unwrap_or_else(|error| panic!("{error:?}"));
     // Nothing is driven beyond the end of the episode.
@@ -205,41 +210,41 @@ fn engine_tree(nodes: &Value, number: u64) -> Value {
 }
 
 #[test]
-fn a_page_tells_the_decisions_of_the_trace_and_why() {
+fn a_page_shows_the_decisions_of_the_trace_and_why() {
     let run = run("expert", 25);
     let data = unpack(&run.page());
     let mut replay = run.replay();
     let mut rows: Vec<Value> = Vec::new();
     for (number, tick) in run.ticks().enumerate() {
         replay.set(&tick).unwrap();
-        let told = &data["ticks"][number];
+        let shown = &data["ticks"][number];
         rows.resize(replay.facts().rows.len(), json!([]));
-        for change in told["facts"].as_array().unwrap() {
+        for change in shown["facts"].as_array().unwrap() {
             rows[usize::try_from(change[0].as_u64().unwrap()).unwrap()] = change[1].clone();
         }
-        for (predicate, (told, rows)) in rows.iter().zip(&replay.facts().rows).enumerate() {
+        for (predicate, (shown, rows)) in rows.iter().zip(&replay.facts().rows).enumerate() {
             let arity = usize::try_from(data["predicates"][predicate]["arity"].as_u64().unwrap()).unwrap();
             let flat: Vec<u32> = rows.iter().flat_map(|row| row[..arity].to_vec()).collect();
-            assert_eq!(told, &json!(flat), "predicate {predicate} in tick {number}");
+            assert_eq!(shown, &json!(flat), "predicate {predicate} in tick {number}");
         }
         let session = replay.session();
-        let teller = ExplanationPrinter::new(session.program().rules(), session.symbols(), &run.sources);
+        let printer = ExplanationPrinter::new(session.program().rules(), session.symbols(), &run.sources);
         for (agent, state) in tick.agents.iter().enumerate() {
             let name = |list: &str, at: &Value| data[list][usize::try_from(at.as_u64().unwrap()).unwrap()].clone();
-            assert_eq!(told["at"][agent], json!(state.at));
-            assert_eq!(told["goal"][agent], json!(state.goal));
-            assert_eq!(told["fired"][agent], json!(state.clauses));
-            assert_eq!(name("actions", &told["action"][agent]), json!(state.action));
+            assert_eq!(shown["at"][agent], json!(state.at));
+            assert_eq!(shown["goal"][agent], json!(state.goal));
+            assert_eq!(shown["fired"][agent], json!(state.clauses));
+            assert_eq!(name("actions", &shown["action"][agent]), json!(state.action));
             match &state.heading {
-                None => assert_eq!(told["heading"][agent], json!(-1)),
-                Some(heading) => assert_eq!(name("headings", &told["heading"][agent]), json!(heading)),
+                None => assert_eq!(shown["heading"][agent], json!(-1)),
+                Some(heading) => assert_eq!(name("headings", &shown["heading"][agent]), json!(heading)),
             }
-            for (action, number) in Action::ALL.into_iter().zip(told["why"][agent].as_array().unwrap()) {
+            for (action, number) in Action::ALL.into_iter().zip(shown["why"][agent].as_array().unwrap()) {
                 let relation = run.world.vocabulary.action(action).unwrap();
                 let (_, explanation) = (Explainer::new(session))
                     .explain_either(relation, &[Some(replay.value(agent))])
                     .unwrap();
-                let nodes = teller.json(&explanation.unwrap())["nodes"].take();
+                let nodes = printer.json(&explanation.unwrap())["nodes"].take();
                 assert_eq!(page_tree(&data, number.as_i64().unwrap()), engine_tree(&nodes, 0));
             }
         }
@@ -324,12 +329,12 @@ fn clauses_of_a_line_are_counted_apart() {
     assert_eq!(heads, wanted);
     assert_eq!(heads.iter().filter(|head| **head == "Stop").count(), 2);
     // Of clauses that decide, the trace has every firing.
-    for (clause, told) in data["firings"].as_array().unwrap().iter().enumerate() {
-        assert_eq!(told[1], true);
+    for (clause, shown) in data["firings"].as_array().unwrap().iter().enumerate() {
+        assert_eq!(shown[1], true);
         let fired = |agent: &Value| agent.as_array().unwrap().iter().any(|fired| *fired == clause);
         let ticks = data["ticks"].as_array().unwrap();
         let agents = ticks.iter().flat_map(|tick| tick["fired"].as_array().unwrap());
-        assert_eq!(told[0], agents.filter(|agent| fired(agent)).count());
+        assert_eq!(shown[0], agents.filter(|agent| fired(agent)).count());
     }
 }
 
@@ -382,7 +387,7 @@ fn too_long_a_run_is_refused() {
 
 /// A trace and a page tell of the driven car what the task knew of it in every step, and of everything else what the rules say.
 #[test]
-fn a_driven_car_is_told_of_as_the_task_judged_it() {
+fn the_trace_of_a_driven_car_matches_the_task() {
     let (mut broke, mut disobeyed, mut heeded) = (0, 0, 0);
     for (config, seed, action) in [
         ("easy", 3, Action::Fast),
@@ -393,12 +398,12 @@ fn a_driven_car_is_told_of_as_the_task_judged_it() {
         let (run, steps) = drive(config, seed, action);
         let data = unpack(&run.page());
         let names: Vec<String> = run.header().agents.into_iter().map(|agent| agent.id).collect();
-        let told = data["driven"].as_array().unwrap();
-        assert_eq!(told.len(), steps.len());
+        let shown = data["driven"].as_array().unwrap();
+        assert_eq!(shown.len(), steps.len());
         let mut replay = run.replay();
         for (number, (tick, step)) in run.ticks().zip(&steps).enumerate() {
             replay.set(&tick).unwrap();
-            let driven = &told[number];
+            let driven = &shown[number];
             assert_eq!((&driven["tick"], &driven["agent"]), (&json!(number), &json!(0)));
             assert_eq!(
                 data["actions"][usize::try_from(driven["wanted"].as_u64().unwrap()).unwrap()],
@@ -463,9 +468,9 @@ fn the_program_reads_the_trace_of_a_driven_car() {
         text.contains(&format!("the action came from outside; the rules say {wanted}")),
         "{text}"
     );
-    let told: Value = serde_json::from_str(&logicity(&["explain", "--json", "--agent", "Car_1"])).unwrap();
+    let shown: Value = serde_json::from_str(&logicity(&["explain", "--json", "--agent", "Car_1"])).unwrap();
     for key in ["observes", "wanted", "broken"] {
-        assert_eq!(told["driven"][key], last[key]);
+        assert_eq!(shown["driven"][key], last[key]);
     }
     let other: Value = serde_json::from_str(&logicity(&["explain", "--json", "--agent", "Car_2"])).unwrap();
     assert!(other.get("driven").is_none());

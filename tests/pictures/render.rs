@@ -378,7 +378,7 @@ fn accuracy(difficulty: Difficulty) -> f64 {
 }
 
 #[test]
-fn classes_are_told_apart_the_better_the_cleaner_they_are() {
+fn cleaner_classes_are_recognized_better() {
     let [clean, half, noisy] = [0, 50, 100].map(|percent| accuracy(Difficulty::percent(percent).unwrap()));
     println!("nearest mean of 14 classes: {clean:.2} clean, {half:.2} at 50, {noisy:.2} noisy");
     assert!(clean > 0.8, "{clean}");

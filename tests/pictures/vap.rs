@@ -35,7 +35,7 @@ fn vap(arguments: &[&str]) -> Output {
 }
 
 /// What a command that succeeds prints.
-fn told(arguments: &[&str]) -> String {
+fn stdout_of(arguments: &[&str]) -> String {
     let output = vap(arguments);
     assert!(output.status.success(), "{}", String::from_utf8_lossy(&output.stderr));
     String::from_utf8(output.stdout).unwrap()
@@ -55,7 +55,7 @@ fn refused(arguments: &[&str], words: &[&str]) {
 const MAKE: [&str; 6] = ["make", "--mode", "hard", "--split", "test", "--no-pictures"];
 
 fn make(folder: &Path, more: &[&str]) -> String {
-    told(&[&MAKE[..], &["--out", folder.to_str().unwrap()], more].concat())
+    stdout_of(&[&MAKE[..], &["--out", folder.to_str().unwrap()], more].concat())
 }
 
 /// All files below a folder by name.
@@ -236,9 +236,9 @@ fn parts_are_the_whole() {
 /// Changes a file of world 1, with the counts and hashes that stand for it or without them.
 fn tampered_sets_are_found_out(folder: &Path) {
     let path = folder.to_str().unwrap();
-    let check = || told(&["check", path]);
+    let check = || stdout_of(&["check", path]);
     assert!(check().starts_with("worlds: 3, frames: 267, pictures: 0, every label follows from the facts\n"));
-    let counts: Value = serde_json::from_str(&told(&["check", path, "--json"])).unwrap();
+    let counts: Value = serde_json::from_str(&stdout_of(&["check", path, "--json"])).unwrap();
     assert_eq!(counts["published"], serde_json::json!([4155, 2882, 715, 6488]));
     let total: u64 = counts["actions"]
         .as_array()
@@ -350,11 +350,11 @@ fn tampered_sets_are_found_out(folder: &Path) {
 fn put(folder: &Path, name: &str, bytes: &[u8]) {
     fs::write(folder.join(name), bytes).unwrap();
     let (world, file) = name.split_once('/').unwrap();
-    for (told, at) in [
+    for (stdout_of, at) in [
         (format!("{world}/world.json"), "/files"),
         ("manifest.json".into(), "/worlds/1/files"),
     ] {
-        let path = folder.join(told);
+        let path = folder.join(stdout_of);
         let mut value: Value = serde_json::from_str(&fs::read_to_string(&path).unwrap()).unwrap();
         let record = &mut value.pointer_mut(at).unwrap()[file];
         record["bytes"] = bytes.len().into();
@@ -481,7 +481,7 @@ fn killed_or_not_and_on_any_threads_pictures_are_the_same() {
 
 fn tampered_pictures_are_found_out(folder: &Path, original: &BTreeMap<String, Vec<u8>>) {
     let path = folder.to_str().unwrap();
-    let said = told(&["check", path]);
+    let said = stdout_of(&["check", path]);
     assert!(said.starts_with("worlds: 2, frames: 178, pictures: 178, "), "{said}");
     let frame = |tick: u32| format!("world-00001/frame-{tick:03}.png");
     let picture = read_png(&original[&frame(42)]).unwrap();
@@ -531,14 +531,14 @@ fn tampered_pictures_are_found_out(folder: &Path, original: &BTreeMap<String, Ve
     // Files that nobody has asked for.
     fs::write(folder.join("notes.txt"), "").unwrap();
     fs::write(folder.join(frame(100)), &original[&frame(42)]).unwrap();
-    let strangers = [
+    let unexpected_files = [
         "belongs to no data set",
         "notes.txt",
         "is not of the world",
         &frame(100),
         "2 errors",
     ];
-    refused(&["check", path], &strangers);
+    refused(&["check", path], &unexpected_files);
     fs::remove_file(folder.join("notes.txt")).unwrap();
     put(folder, &frame(100), &original[&frame(42)]);
     refused(
@@ -575,7 +575,7 @@ fn boxes_are_where_agents_are_in_the_picture() {
     let worlds = worlds(Agents::Fixed, Split::Test);
     let renderer = worlds.renderer(0);
     let frames = worlds.frames(0).unwrap();
-    let mut looked_at = 0;
+    let mut checked = 0;
     for frame in frames.iter().step_by(22) {
         let sprites = frame.sprites();
         let boxes = worlds.boxes(frame);
@@ -613,14 +613,14 @@ fn boxes_are_where_agents_are_in_the_picture() {
                     "{side:?} of {sprite:?}"
                 );
             }
-            looked_at += 1;
+            checked += 1;
         }
         // What is written is what was drawn.
         let mut bytes = Vec::new();
         write_png(&renderer.draw(&sprites), &mut bytes).unwrap();
         assert!(read_png(&bytes).unwrap() == renderer.draw(&sprites));
     }
-    assert!(looked_at > 30, "{looked_at}");
+    assert!(checked > 30, "{checked}");
 }
 
 #[test]
@@ -650,7 +650,7 @@ fn every_world_has_a_ground_and_every_split_icons_of_its_own() {
 }
 
 #[test]
-fn what_is_no_data_set_is_told() {
+fn what_is_no_data_set_is_reported() {
     refused(
         &["check", "tests/fixtures/diagnostics/invalid-data-set"],
         &["error[invalid-data-set]", "manifest.json"],

@@ -228,7 +228,7 @@ fn a_trace_can_be_replayed_through_infer() {
 }
 
 #[test]
-fn explain_tells_why_and_why_not() {
+fn explain_shows_why_and_why_not() {
     let folder = tempfile::tempdir().unwrap();
     let target = folder.path().to_str().unwrap();
     let output = logicity([
@@ -248,15 +248,15 @@ fn explain_tells_why_and_why_not() {
     assert_eq!((code(&output), err(&output).as_str()), (0, ""));
     assert!(out(&output).starts_with("tick 5: Car_3 at [53, 41], heading Right: Stop\n\nStop(Car_3)  by S1: "));
     let output = logicity(["explain", trace, "--agent", "Car_3", "--why-not", "Normal", "--json"]);
-    let told: Value = serde_json::from_str(&out(&output)).unwrap();
+    let printed: Value = serde_json::from_str(&out(&output)).unwrap();
     assert_eq!(
-        (&told["tick"], &told["agent"]),
+        (&printed["tick"], &printed["agent"]),
         (&Value::from(29), &Value::from("Car_3"))
     );
-    let node = &told["explanations"][0]["nodes"][0];
+    let node = &printed["explanations"][0]["nodes"][0];
     assert!(
         node["holds"] == "Normal(Car_3)" || node["absent"] == "Normal(Car_3)",
-        "{told}"
+        "{printed}"
     );
 
     fails(
@@ -368,7 +368,7 @@ fn a_page_is_not_written_over_its_trace() {
 }
 
 #[test]
-fn the_summary_tells_deadlocks() {
+fn the_summary_reports_deadlocks() {
     let folder = tempfile::tempdir().unwrap();
     let target = folder.path().to_str().unwrap();
     let run = |ticks: &str, seed: &str| {
@@ -411,7 +411,7 @@ fn check_prints_the_strata() {
 }
 
 #[test]
-fn check_tells_conflicts() {
+fn check_reports_conflicts() {
     let output = logicity(["check", "rules/expert.dl"]);
     assert!(out(&output).ends_with("  conflicts: none\n"), "{}", out(&output));
     let output = logicity(["check", "rules/vap-hard.dl"]);
@@ -440,7 +440,7 @@ fn check_tells_conflicts() {
 }
 
 #[test]
-fn check_tells_what_a_run_covers() {
+fn check_reports_what_a_run_covers() {
     let folder = tempfile::tempdir().unwrap();
     let target = folder.path().to_str().unwrap();
     let output = logicity([
@@ -463,11 +463,11 @@ fn check_tells_what_a_run_covers() {
     let line: Value = serde_json::from_str(&out(&output)).unwrap();
     let clauses = line["coverage"]["clauses"].as_array().unwrap();
     // The summary of the run counts the same firings.
-    for (clause, told) in clauses
+    for (clause, printed) in clauses
         .iter()
         .zip(summary.lines().skip_while(|line| !line.contains("fired")).skip(1))
     {
-        assert_eq!(told.split_whitespace().next().unwrap(), clause["fired"].to_string());
+        assert_eq!(printed.split_whitespace().next().unwrap(), clause["fired"].to_string());
     }
 
     // Of two literals that say the same, neither matters.
@@ -515,7 +515,7 @@ fn all_rule_files_of_all_modes_are_clean() {
 }
 
 #[test]
-fn check_tells_all_faults_and_exits_with_1() {
+fn check_reports_all_faults_and_exits_with_1() {
     let folder = tempfile::tempdir().unwrap();
     let one = write(
         folder.path(),
@@ -546,7 +546,7 @@ fn check_tells_all_faults_and_exits_with_1() {
 }
 
 #[test]
-fn check_tells_what_it_did_not_search_to_the_end() {
+fn check_reports_what_it_did_not_search_to_the_end() {
     // Does the second clause derive nothing new? A walk of nine steps in a graph of two sides never ends where it began.
     let graph: Vec<String> = (0..16)
         .map(|at| format!("E(a{0}, b{1}), E(b{1}, a{0})", at / 4, at % 4))
@@ -664,15 +664,15 @@ fn query_explains_in_the_language() {
          path(x, y) :- edge(x, y).\npath(x, z) :- path(x, y), path(y, z).\n",
     );
     let why = |option: &str, fact: &str| out(&logicity(["query", &rules, option, fact]));
-    let told = why("--explain", "path(\"a\", _)");
+    let printed = why("--explain", "path(\"a\", _)");
     assert!(
-        told.starts_with("path(\"a\", \"b \\\"c\\\"\")  by path(x, y)"),
-        "{told}"
+        printed.starts_with("path(\"a\", \"b \\\"c\\\"\")  by path(x, y)"),
+        "{printed}"
     );
-    let (fact, _) = told.split_once("  by").unwrap();
-    assert_eq!(why("--explain", fact), told, "what is told can be asked");
-    let told = why("--why-not", "path(\"b\", \"a\")");
-    assert!(told.contains("path(\"b\", y) does not hold"), "{told}");
+    let (fact, _) = printed.split_once("  by").unwrap();
+    assert_eq!(why("--explain", fact), printed, "what is told can be asked");
+    let printed = why("--why-not", "path(\"b\", \"a\")");
+    assert!(printed.contains("path(\"b\", y) does not hold"), "{printed}");
 }
 
 #[test]
@@ -703,12 +703,12 @@ fn memory_is_given_in_mebibytes_or_with_a_unit() {
             &["expected a whole number of MiB, or one with a unit", "50M"],
         );
     }
-    for (little, told) in [
+    for (little, printed) in [
         ("0", "more than 0 MiB"),
         ("3K", "more than 3 KiB"),
         ("20k", "more than 20 KiB"),
     ] {
-        fails(&with("--max-memory", little), 1, &[told]);
+        fails(&with("--max-memory", little), 1, &[printed]);
     }
     for option in ["--max-rows", "--max-steps"] {
         for wrong in ["-1", "", "K", "1.5K", "3 MiB", "99999999999999999999"] {
@@ -1096,7 +1096,7 @@ fn constraints_are_checked_where_asked_for() {
 }
 
 #[test]
-fn scenes_beyond_the_limits_are_told_and_the_next_one_is_answered() {
+fn scenes_beyond_the_limits_are_reported_and_the_next_one_is_answered() {
     let scene = r#"{"entities":["e0"],"ego":"e0"}"#;
     let names: Vec<String> = (0..2001).map(|number| format!("\"e{number}\"")).collect();
     let crowd = format!(r#"{{"entities":[{}],"ego":"e0"}}"#, names.join(","));
@@ -1124,7 +1124,7 @@ fn scenes_beyond_the_limits_are_told_and_the_next_one_is_answered() {
 
 /// What `check` accepts can be evaluated.
 #[test]
-fn check_tells_what_is_too_large_to_evaluate() {
+fn check_reports_what_is_too_large_to_evaluate() {
     let folder = tempfile::tempdir().unwrap();
     let columns: Vec<String> = (0..40).map(|number| format!("c{number}: number")).collect();
     let text = format!(".decl wide({})\n.output wide\n", columns.join(", "));
@@ -1155,7 +1155,7 @@ fn route_prints_the_cells() {
 }
 
 #[test]
-fn cities_that_cannot_be_are_told() {
+fn cities_that_cannot_be_are_reported() {
     let folder = tempfile::tempdir().unwrap();
     let config = |changes: &str| {
         let config = format!("base: configs/expert.yaml\n{changes}");
@@ -1210,7 +1210,7 @@ fn cities_that_cannot_be_are_told() {
 
 /// Columns are chosen by `columns`, and other values of the row are not looked at.
 #[test]
-fn query_reads_the_columns_it_is_told_to() {
+fn query_reads_the_requested_columns() {
     let folder = tempfile::tempdir().unwrap();
     let rules = write(
         folder.path(),
@@ -1245,18 +1245,18 @@ fn query_reads_the_columns_it_is_told_to() {
 /// What a measurement says, by key. Each is explained in README.
 fn measured(output: &Output) -> Value {
     assert_eq!(code(output), 0, "{}", err(output));
-    let told: Value = serde_json::from_str(&out(output)).unwrap();
+    let printed: Value = serde_json::from_str(&out(output)).unwrap();
     let readme = fs::read_to_string(Path::new(env!("CARGO_MANIFEST_DIR")).join("README.md")).unwrap();
     let (_, keys) = readme
         .split_once("### What `bench` prints")
         .expect("README has the keys");
     let (keys, _) = keys.split_once("\n## ").expect("README goes on");
-    for key in told.as_object().unwrap().keys() {
+    for key in printed.as_object().unwrap().keys() {
         let unit = key.trim_end_matches("_per_cpu_s").trim_end_matches("_per_s");
         let known = |name: &str| keys.contains(&format!("`{name}`"));
         assert!(known(key) || known(unit), "README does not say what `{key}` is");
     }
-    told
+    printed
 }
 
 #[test]
@@ -1269,20 +1269,20 @@ fn bench_measures_what_it_is_asked_for() {
     };
     // The list of 18 agents is repeated, however often the configuration repeats it.
     for config in ["configs/metropolis.yaml", "configs/expert.yaml"] {
-        let told = measured(&bench(&["tick", "--config", config, "--agents", "300"]));
+        let printed = measured(&bench(&["tick", "--config", config, "--agents", "300"]));
         assert_eq!(
-            (&told["agents"], &told["threads"]),
+            (&printed["agents"], &printed["threads"]),
             (&306.into(), &1.into()),
             "{config}"
         );
-        assert!(told["ticks"].as_u64() > Some(0));
+        assert!(printed["ticks"].as_u64() > Some(0));
     }
     let several = |agents| measured(&bench(&["tick", "--agents", agents, "--threads", "2"]))["threads"].clone();
     assert_eq!((several("18"), several("300")), (1.into(), 2.into()));
     for what in ["infer", "ground"] {
-        let told = measured(&bench(&[what]));
+        let printed = measured(&bench(&[what]));
         assert_eq!(
-            (&told["agents"], &told["executor"]),
+            (&printed["agents"], &printed["executor"]),
             (&18.into(), &"dense".into()),
             "{what}"
         );
@@ -1304,8 +1304,11 @@ fn bench_measures_what_it_is_asked_for() {
         &["omit --executor relational"],
     );
     fails(&bench(&["infer", "--agents", "5000"]), 2, &["4096", "--agents"]);
-    let told = measured(&bench(&["env"]));
-    assert!(told["what"] == "env" && told["steps"].as_u64() > Some(0), "{told}");
+    let printed = measured(&bench(&["env"]));
+    assert!(
+        printed["what"] == "env" && printed["steps"].as_u64() > Some(0),
+        "{printed}"
+    );
     fails(
         &bench(&["env", "--config", "vap-easy"]),
         1,
@@ -1372,8 +1375,8 @@ fn bench_takes_scenes() {
         all.extend(more);
         run(&all, input)
     };
-    let told = measured(&bench(&file, &[], b""));
-    assert_eq!((&told["scenes"], &told["entities"]), (&2.into(), &2.into()));
+    let printed = measured(&bench(&file, &[], b""));
+    assert_eq!((&printed["scenes"], &printed["entities"]), (&2.into(), &2.into()));
     assert_eq!(measured(&bench("-", &[], scene.as_bytes()))["scenes"], 1);
     for more in [["--agents", "20"], ["--split", "val"], ["--threads", "2"]] {
         fails(&bench(&file, &more, b""), 2, &[more[0], "--scenes"]);
@@ -1437,7 +1440,7 @@ fn the_summary_names_the_executor() {
 }
 
 #[test]
-fn slow_icons_come_from_a_pack_or_the_fault_is_told() {
+fn slow_icons_come_from_a_pack_or_the_fault_is_reported() {
     let folder = tempfile::tempdir().unwrap();
     let sheet = |arguments: &[&str], name: &str| {
         let path = folder.path().join(name);
@@ -1498,18 +1501,18 @@ fn slow_icons_come_from_a_pack_or_the_fault_is_told() {
     );
     let (output, _) = sheet(&["--pack", "nowhere"], "none.png");
     fails(&output, 2, &["`nowhere`", "no such folder"]);
-    for (option, value, told) in [
+    for (option, value, printed) in [
         ("--difficulty", "101", "0 to 100"),
         ("--class", "plane", "concepts joined by `+`"),
     ] {
         let (output, _) = sheet(&[option, value], "wrong.png");
-        fails(&output, 2, &[told]);
+        fails(&output, 2, &[printed]);
     }
 }
 
 /// A predicate that the configuration computes but the rules only declare would stay empty.
 #[test]
-fn a_predicate_that_is_never_filled_is_told() {
+fn a_predicate_that_is_never_filled_is_reported() {
     let folder = tempfile::tempdir().unwrap();
     let rules = ".include \"vocabulary.dl\"\n.decl IsTaxi(x: agent)\nStop(X) :- IsTaxi(X).\n";
     write(folder.path(), "taxi.dl", rules);

@@ -4,6 +4,7 @@
 //! facts, and the count of all.
 
 use logicity::builtin::BuiltinFiles;
+use logicity::cancel::Cancel;
 use logicity::datalog::{Limits, Program};
 use logicity::diag::{Code, Sources};
 use logicity::{city, config, datalog, diag, sim, task};
@@ -134,7 +135,7 @@ fn a_cancelled_commit_has_a_code_of_its_own() {
     let code = |limits: Limits, cancelled: bool| {
         let mut session = program.session();
         session.set_limits(limits);
-        let error = session.commit_until(&|| cancelled).unwrap_err();
+        let error = session.commit_with(&Cancel::when(move || cancelled)).unwrap_err();
         error.diagnostic(program.rules()).code
     };
     assert_eq!(code(Limits::default(), true), Code::CANCELLED);
@@ -212,7 +213,7 @@ fn facts_that_break_constraints_are_refused() {
 
 /// Lints stand on the lines that the fixtures mark, and nowhere else.
 #[test]
-fn lints_are_told_as_their_fixtures_say() {
+fn lints_are_reported_as_their_fixtures_say() {
     for code in ["contradictory-body", "redundant-literal", "repeated-body"] {
         let path = fixtures().join(code).with_extension("dl");
         let text = fs::read_to_string(&path).unwrap();
@@ -292,7 +293,7 @@ fn the_scenes_of_the_reference_do_what_it_says() {
 
 /// `query` takes given rows and derived ones; everybody else refuses the rule.
 #[test]
-fn an_input_that_is_derived_is_told_by_query_and_refused_by_check() {
+fn an_input_that_is_derived_is_reported_by_query_and_refused_by_check() {
     let folder = fixtures().join("extended-input");
     let folder = folder.to_str().unwrap();
     let rules = format!("{folder}/main.dl");

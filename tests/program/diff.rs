@@ -43,7 +43,7 @@ fn the_command_says_what_it_knows() {
 }
 
 #[test]
-fn the_command_tells_the_bound() {
+fn the_command_reports_the_bound() {
     let folder = tempfile::tempdir().unwrap();
     let write = |name: &str, body: &str| {
         let text = format!(".decl a(x: number)\n.input a\n.decl b(x: number)\n.output b\nb(x) :- {body}.\n");

@@ -309,7 +309,8 @@ fn files_import_each_other_in_no_circle() {
         .find(|&module| left[module].is_empty() || !left.values().any(|others| others.contains(module)))
     {
         left.remove(free);
-        left.values_mut().for_each(|others| drop(others.remove(free)));
+        left.values_mut()
+            .for_each(|others| others.retain(|&other| other != free));
     }
     let names = left.iter().map(|(module, others)| {
         let others: Vec<String> = others.iter().map(|other| other.join("::")).collect();

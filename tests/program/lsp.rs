@@ -41,7 +41,7 @@ impl Editor {
         );
         assert_eq!(answer["capabilities"]["hoverProvider"], true);
         assert_eq!(answer["capabilities"]["positionEncoding"], "utf-16");
-        editor.tell("initialized", json!({}));
+        editor.notify("initialized", json!({}));
         editor
     }
 
@@ -49,7 +49,7 @@ impl Editor {
         message.write(&mut self.to).unwrap();
     }
 
-    fn tell(&mut self, method: &str, params: Value) {
+    fn notify(&mut self, method: &str, params: Value) {
         self.send(Message::Notification(Notification::new(method.to_owned(), params)));
     }
 
@@ -83,14 +83,14 @@ impl Editor {
 
     fn open(&mut self, name: &str, text: &str) -> Vec<Value> {
         let document = json!({ "uri": self.uri(name), "languageId": "logicity", "version": 1, "text": text });
-        self.tell("textDocument/didOpen", json!({ "textDocument": document }));
+        self.notify("textDocument/didOpen", json!({ "textDocument": document }));
         self.diagnostics(name)
     }
 
     fn change(&mut self, name: &str, text: &str) -> Vec<Value> {
         let document = json!({ "uri": self.uri(name), "version": 2 });
         let params = json!({ "textDocument": document, "contentChanges": [{ "text": text }] });
-        self.tell("textDocument/didChange", params);
+        self.notify("textDocument/didChange", params);
         self.diagnostics(name)
     }
 
@@ -129,7 +129,7 @@ impl Editor {
 
     fn end(mut self) {
         assert_eq!(self.ask("shutdown", Value::Null), Value::Null);
-        self.tell("exit", Value::Null);
+        self.notify("exit", Value::Null);
         assert!(self.process.wait().unwrap().success());
     }
 }
@@ -216,21 +216,26 @@ fn a_text_without_faults_is_explored() {
 }
 
 #[test]
-fn faults_are_told_as_the_text_changes() {
+fn faults_are_reported_as_the_text_changes() {
     let mut editor = Editor::start();
     assert!(editor.open("a.dl", RULES).is_empty());
     // The wrong name stands behind a character of two units.
     let faulty = RULES.replace("Road(y, z).", "Raod(y, z).");
-    let told = editor.change("a.dl", &faulty);
-    assert_eq!(codes(&told), ["unknown-predicate"]);
+    let diagnostics = editor.change("a.dl", &faulty);
+    assert_eq!(codes(&diagnostics), ["unknown-predicate"]);
     let column = "/* \u{e9} \u{1f697} */ Way(x, z) :- Way(x, y), ".encode_utf16().count() as u32;
-    assert_eq!(told[0]["range"], range(4, column, column + 4));
+    assert_eq!(diagnostics[0]["range"], range(4, column, column + 4));
     assert_eq!(
-        (&told[0]["severity"], &told[0]["source"]),
+        (&diagnostics[0]["severity"], &diagnostics[0]["source"]),
         (&json!(1), &json!("logicity"))
     );
-    assert!(told[0]["message"].as_str().unwrap().contains("did you mean `Road`?"));
-    let related = &told[0]["relatedInformation"][0];
+    assert!(
+        diagnostics[0]["message"]
+            .as_str()
+            .unwrap()
+            .contains("did you mean `Road`?")
+    );
+    let related = &diagnostics[0]["relatedInformation"][0];
     assert_eq!(
         related["location"],
         json!({ "uri": editor.uri("a.dl"), "range": range(2, 6, 10) })
@@ -238,19 +243,19 @@ fn faults_are_told_as_the_text_changes() {
     assert!(related["message"].as_str().unwrap().contains("is declared here"));
 
     let lone = RULES.replace("Way(x, y) :- Road(x, y).", "Way(x, x) :- Road(x, y).");
-    let told = editor.change("a.dl", &lone);
+    let diagnostics = editor.change("a.dl", &lone);
     assert_eq!(
-        (codes(&told), &told[0]["severity"]),
+        (codes(&diagnostics), &diagnostics[0]["severity"]),
         (vec!["singleton-variable"], &json!(2))
     );
     let needless = ".decl A(x: symbol)\n.input A\n.decl B(x: symbol)\n.output B\n.decl C(x: symbol)\n.input C\n.implies A, C\nB(x) :- A(x), C(x).\n";
-    let told = editor.change("a.dl", needless);
+    let diagnostics = editor.change("a.dl", needless);
     assert_eq!(
-        (codes(&told), &told[0]["severity"]),
+        (codes(&diagnostics), &diagnostics[0]["severity"]),
         (vec!["redundant-literal"], &json!(3))
     );
     assert!(editor.change("a.dl", RULES).is_empty());
-    editor.tell(
+    editor.notify(
         "textDocument/didClose",
         json!({ "textDocument": { "uri": editor.uri("a.dl") } }),
     );
@@ -290,16 +295,19 @@ fn includes_are_read_from_open_texts_before_the_disk() {
 
     // A fault in an included text is told where it is included.
     editor.change("parts.dl", ".decl Old, New(x: symbol)\n.input Old, New\nOld(1).\n");
-    let told = editor.diagnostics("main.dl");
+    let diagnostics = editor.diagnostics("main.dl");
     assert_eq!(
-        (codes(&told), &told[0]["range"]),
+        (codes(&diagnostics), &diagnostics[0]["range"]),
         (vec!["type-mismatch"], &range(0, 9, 19))
     );
     assert!(
-        told[0]["message"].as_str().unwrap().contains("parts.dl:3:5"),
-        "{told:?}"
+        diagnostics[0]["message"].as_str().unwrap().contains("parts.dl:3:5"),
+        "{diagnostics:?}"
     );
-    assert_eq!(told[0]["relatedInformation"][0]["location"]["range"], range(2, 4, 5));
+    assert_eq!(
+        diagnostics[0]["relatedInformation"][0]["location"]["range"],
+        range(2, 4, 5)
+    );
     editor.end();
 }
 
@@ -391,9 +399,9 @@ fn nothing_an_editor_sends_ends_the_server() {
     assert_eq!(refused["code"], -32601);
     let refused = editor.ask("textDocument/hover", json!({ "position": 3 }));
     assert_eq!(refused["code"], -32602);
-    editor.tell("textDocument/didOpen", json!({ "nonsense": true }));
-    editor.tell("$/setTrace", json!({ "value": "off" }));
-    editor.tell("textDocument/didOpen", json!({ "textDocument": "a.dl" }));
+    editor.notify("textDocument/didOpen", json!({ "nonsense": true }));
+    editor.notify("$/setTrace", json!({ "value": "off" }));
+    editor.notify("textDocument/didOpen", json!({ "textDocument": "a.dl" }));
     assert_eq!(editor.ask("shutdown?", Value::Null)["code"], -32601);
     let logged = editor.published.pop_back().expect("what cannot be read is told");
     assert_eq!(logged["type"], 1);
@@ -414,7 +422,7 @@ fn nothing_an_editor_sends_ends_the_server() {
         }
     }
     let text = json!({ "uri": "untitled:Untitled-1", "languageId": "logicity", "version": 1, "text": RULES });
-    editor.tell("textDocument/didOpen", json!({ "textDocument": text }));
+    editor.notify("textDocument/didOpen", json!({ "textDocument": text }));
     let at = json!({ "textDocument": { "uri": "untitled:Untitled-1" }, "position": { "line": 5, "character": 1 } });
     assert_eq!(editor.ask("textDocument/definition", at)["uri"], "untitled:Untitled-1");
     editor.end();
@@ -426,8 +434,8 @@ fn the_shipped_rules_have_no_faults() {
     let rules = Path::new(env!("CARGO_MANIFEST_DIR")).join("rules");
     for name in ["vocabulary.dl", "expert.dl", "vap-hard.dl"] {
         let text = fs::read_to_string(rules.join(name)).unwrap();
-        let told = editor.open(name, &text);
-        let severe: Vec<&Value> = told.iter().filter(|one| one["severity"] != 3).collect();
+        let diagnostics = editor.open(name, &text);
+        let severe: Vec<&Value> = diagnostics.iter().filter(|one| one["severity"] != 3).collect();
         assert!(severe.is_empty(), "{name}: {severe:?}");
     }
     editor.end();

@@ -282,7 +282,7 @@ fn the_small_set_asks_about_tiro_and_reckless_cars() {
 }
 
 #[test]
-fn a_question_tells_where_it_is_from() {
+fn a_question_names_its_source() {
     let questions = questions(&["expert", "--count", "40"]);
     let world = crate::shipped_world::world("expert", None, |_| ());
     for question in questions {
@@ -316,9 +316,9 @@ fn the_same_seed_gives_the_same_bytes() {
     assert_eq!(printed, text(&arguments));
     assert_ne!(printed, text(&["vap-hard", "--count", "60", "--seed", "10"]));
     let files = ["--output", &file, "--csv", &table, "--demonstrations-csv", &shown];
-    let told = text(&[&arguments[..], &files].concat());
+    let summary = text(&[&arguments[..], &files].concat());
     assert_eq!(
-        told,
+        summary,
         format!("wrote 60 questions to {file}: Slow 15, Normal 15, Fast 15, Stop 15\n")
     );
     assert_eq!(fs::read_to_string(&file).unwrap(), printed);

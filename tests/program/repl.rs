@@ -176,7 +176,7 @@ fn facts_stay_when_their_predicate_gets_rules_or_loses_them() {
 }
 
 #[test]
-fn why_and_why_not_are_told() {
+fn why_and_why_not_are_explained() {
     let asked =
         format!("{GRAPH}Edge(1, 2). Edge(2, 3).\nexplain Path(1, 3)\nwhy-not Path(3, _).\n.explain Edge(1, 2)\n");
     let out = good(&asked);
@@ -295,7 +295,7 @@ fn a_question_ends_where_it_can_be_answered() {
 }
 
 #[test]
-fn words_of_other_prompts_are_told() {
+fn words_of_other_prompts_are_reported() {
     for (input, meant) in [
         (".why Path(1, 2)", "explain FACT"),
         ("why Path(1, 2)", "explain FACT"),
@@ -317,7 +317,7 @@ fn words_of_other_prompts_are_told() {
 }
 
 #[test]
-fn reading_again_tells_rows_that_took_the_place_of_others() {
+fn reading_again_reports_rows_that_took_the_place_of_others() {
     let folder = tempfile::tempdir().unwrap();
     let path = folder.path().join("p.dl");
     let text = |fact: &str| format!(".decl E(x: symbol)\n.decl P(x: symbol)\n{fact}\nP(x) :- E(x).\n");
@@ -412,9 +412,9 @@ fn query_explains_a_fact() {
         "{out}"
     );
     let (out, _, code) = query(&["--why-not", "Path(1, 2)", "--json"]);
-    let told: serde_json::Value = serde_json::from_str(&out).unwrap();
-    assert_eq!((code, told["holds"].as_bool()), (0, Some(true)));
-    assert_eq!(told["nodes"][0]["holds"], "Path(1, 2)");
+    let printed: serde_json::Value = serde_json::from_str(&out).unwrap();
+    assert_eq!((code, printed["holds"].as_bool()), (0, Some(true)));
+    assert_eq!(printed["nodes"][0]["holds"], "Path(1, 2)");
     let (_, err, code) = query(&["--explain", "Path(1, two)"]);
     assert!(
         code == 1 && err.contains("<--explain>:1:9") && err.contains("error[invalid-fact]"),
@@ -541,7 +541,7 @@ mod terminal {
     }
 
     #[test]
-    fn who_waits_is_told_that_there_is_something_to_wait_for() {
+    fn a_long_evaluation_is_announced() {
         let folder = tempfile::tempdir().unwrap();
         let mut terminal = Terminal::open(folder.path());
         terminal.sees("> ");

@@ -103,7 +103,7 @@ pub fn run(arguments: &Arguments, sources: &mut Sources) -> Result<(), Failure> 
         repl.out.flush()?;
     }
     if faulty && !lines.is_interactive() {
-        return Err(Failure::Told);
+        return Err(Failure::Reported);
     }
     Ok(())
 }
@@ -219,8 +219,8 @@ impl<W: Write> Repl<W> {
     }
 
     fn why(&mut self, bench: &Workbench<'_>, question: Question, id: SourceId) -> Result<(), Failure> {
-        let (texts, session) = (&bench.texts, &bench.session);
-        why::explain(&mut self.out, (question, id), texts, session, bench.sources, false)
+        let (workspace, session) = (&bench.workspace, &bench.session);
+        why::explain(&mut self.out, (question, id), workspace, session, bench.sources, false)
     }
 
     /// Prints the outcome of a change, for example `Edge +1, Path +3`.

@@ -21,7 +21,7 @@ use std::path::{Path, PathBuf};
 
 pub struct Workbench<'s> {
     pub sources: &'s mut Sources,
-    pub texts: Workspace,
+    pub workspace: Workspace,
     pub session: Session,
     /// Times of the last change.
     pub times: Times,
@@ -66,12 +66,12 @@ pub struct Answer {
 impl<'s> Workbench<'s> {
     /// Returns a workbench without texts.
     pub fn new(sources: &'s mut Sources, limits: Limits) -> Result<Self, Failure> {
-        let texts = Workspace::new(Edb::Extensible);
-        let loaded = texts.check();
+        let workspace = Workspace::new(Edb::Extensible);
+        let loaded = workspace.check();
         let rules = loaded.rules.ok_or(loaded.diagnostics)?;
         Ok(Workbench {
             sources,
-            texts,
+            workspace,
             session: Program::new(rules)?.session(),
             times: Times::default(),
             limits,
@@ -88,30 +88,30 @@ impl<'s> Workbench<'s> {
             .cloned()
             .collect();
         let first_new = self.sources.ids().count();
-        let mut texts = self.texts.clone();
+        let mut workspace = self.workspace.clone();
         for path in &new {
             let text = read(path)?;
             let entry = self.sources.add(path.display().to_string(), text);
-            texts.add(self.sources, entry, &BuiltinFiles);
+            workspace.add(self.sources, entry, &BuiltinFiles);
         }
         self.files.extend(new);
-        self.adopt(texts, self.made.clone(), first_new)
+        self.adopt(workspace, self.made.clone(), first_new)
     }
 
     /// Reloads all files. Typed text stays; clauses and facts retracted from files return.
     pub fn reload(&mut self) -> Result<Outcome, Failure> {
         let first_new = self.sources.ids().count();
-        let mut texts = Workspace::new(Edb::Extensible);
+        let mut workspace = Workspace::new(Edb::Extensible);
         for path in &self.files {
             let text = read(path)?;
             let entry = self.sources.add(path.display().to_string(), text);
-            texts.add(self.sources, entry, &BuiltinFiles);
+            workspace.add(self.sources, entry, &BuiltinFiles);
         }
         for &typed in &self.made.typed {
-            texts.add(self.sources, typed, &BuiltinFiles);
+            workspace.add(self.sources, typed, &BuiltinFiles);
         }
-        texts.remove_heads(&self.made.retracted);
-        self.adopt(texts, self.made.clone(), first_new)
+        workspace.remove_heads(&self.made.retracted);
+        self.adopt(workspace, self.made.clone(), first_new)
     }
 
     /// Reads the facts of all input predicates from a folder.
@@ -123,7 +123,7 @@ impl<'s> Workbench<'s> {
     /// Adds a text of facts, clauses, declarations and directives.
     pub fn add(&mut self, id: SourceId) -> Result<Outcome, Failure> {
         let rules = self.session.program().rules();
-        let rows = self.texts.facts(self.sources, id, self.session.symbols())?;
+        let rows = self.workspace.facts(self.sources, id, self.session.symbols())?;
         if rows.as_ref().is_some_and(Vec::is_empty) {
             return Ok(Outcome::default()); // a comment
         }
@@ -138,15 +138,15 @@ impl<'s> Workbench<'s> {
             return self.commit(inserted.map_err(not_taken));
         }
         let first_new = self.sources.ids().count() - 1;
-        let (mut texts, mut made) = (self.texts.clone(), self.made.clone());
-        texts.add(self.sources, id, &BuiltinFiles);
+        let (mut workspace, mut made) = (self.workspace.clone(), self.made.clone());
+        workspace.add(self.sources, id, &BuiltinFiles);
         made.typed.push(id);
-        self.adopt(texts, made, first_new)
+        self.adopt(workspace, made, first_new)
     }
 
     /// Retracts facts or clauses.
     pub fn retract(&mut self, id: SourceId) -> Result<Outcome, Failure> {
-        if let Some(rows) = self.texts.facts(self.sources, id, self.session.symbols())? {
+        if let Some(rows) = self.workspace.facts(self.sources, id, self.session.symbols())? {
             return self.retract_facts(id, &rows);
         }
         let parsed = datalog::parse(self.sources, id);
@@ -161,7 +161,7 @@ impl<'s> Workbench<'s> {
                 let help = "remove it from the file, and `.reload`";
                 return Err(fault.at(whole, "").help(help).into());
             };
-            let found = self.texts.find(clause);
+            let found = self.workspace.find(clause);
             if found.is_empty() {
                 let fault = Diagnostic::new(Code::INVALID_FACT, "no such clause");
                 let help = "`.show` prints the clauses of a predicate; variable names do not matter";
@@ -218,11 +218,11 @@ impl<'s> Workbench<'s> {
     }
 
     fn take_out(&mut self, heads: HashSet<Span>) -> Result<Outcome, Failure> {
-        let (mut texts, mut made) = (self.texts.clone(), self.made.clone());
-        texts.remove_heads(&heads);
+        let (mut workspace, mut made) = (self.workspace.clone(), self.made.clone());
+        workspace.remove_heads(&heads);
         made.retracted.extend(heads);
         let first_new = self.sources.ids().count();
-        self.adopt(texts, made, first_new)
+        self.adopt(workspace, made, first_new)
     }
 
     /// Commits the pending facts, unless noting them failed.
@@ -261,8 +261,8 @@ impl<'s> Workbench<'s> {
 
     /// Makes `texts` the program and moves the facts to it. Reports only warnings about texts from number `first_new`
     /// on.
-    fn adopt(&mut self, mut texts: Workspace, mut made: Made, first_new: usize) -> Result<Outcome, Failure> {
-        let mut loaded = texts.check();
+    fn adopt(&mut self, mut workspace: Workspace, mut made: Made, first_new: usize) -> Result<Outcome, Failure> {
+        let mut loaded = workspace.check();
         let mut rules = loaded
             .rules
             .take()
@@ -271,10 +271,10 @@ impl<'s> Workbench<'s> {
         if !stated.is_empty() {
             for (name, text) in stated {
                 let id = self.sources.add(format!("<facts of {name}>"), text);
-                texts.add(self.sources, id, &BuiltinFiles);
+                workspace.add(self.sources, id, &BuiltinFiles);
                 made.typed.push(id);
             }
-            loaded = texts.check();
+            loaded = workspace.check();
             rules = loaded
                 .rules
                 .take()
@@ -296,7 +296,7 @@ impl<'s> Workbench<'s> {
             warnings: loaded.diagnostics.into_iter().filter(is_new).collect(),
             notes,
         };
-        (self.texts, self.made, self.session, self.times) = (texts, made, session, times);
+        (self.workspace, self.made, self.session, self.times) = (workspace, made, session, times);
         Ok(outcome)
     }
 
@@ -444,7 +444,7 @@ impl<'s> Workbench<'s> {
 
     /// Returns the program that answers a question.
     pub fn compile_question(&self, id: SourceId) -> Result<(Program, Vec<Diagnostic>), Failure> {
-        let loaded = self.texts.ask(self.sources, id, self.session.symbols().clone());
+        let loaded = self.workspace.ask(self.sources, id, self.session.symbols().clone());
         let Some(rules) = loaded.rules else {
             return Err(loaded.diagnostics.into());
         };

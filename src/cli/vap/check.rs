@@ -3,7 +3,7 @@
 use crate::builtin::BuiltinFiles;
 use crate::cli::vap::folder;
 use crate::cli::vap::folder::{ENTITIES, Manifest, PAIRS, Record, Settings, add, file_record, wrong};
-use crate::cli::vap::{City, Mode, on_threads, shares, told};
+use crate::cli::vap::{City, Mode, label_shares, on_threads, shares};
 use crate::cli::{Failure, progress, threads};
 use crate::diag::{Code, Diagnostic, Sources};
 use crate::render::read_png;
@@ -57,13 +57,13 @@ impl Check {
         if !faults.is_empty() {
             return Err(faults.into());
         }
-        self.tell(mode, &manifest)
+        self.print(mode, &manifest)
     }
 
     /// What is there and not in the manifest.
     fn unlisted(&self, manifest: &Manifest) -> Result<Vec<Diagnostic>, Failure> {
         let mut faults = Vec::new();
-        for path in folder::strangers(&self.folder)? {
+        for path in folder::unexpected_files(&self.folder)? {
             faults.push(wrong(&path, "belongs to no data set"));
         }
         for (path, file) in folder::worlds(&self.folder)? {
@@ -88,10 +88,10 @@ impl Check {
         if !faults.is_empty() {
             return Ok(faults);
         }
-        for path in folder::strangers_in_world(&path, record)? {
+        for path in folder::unexpected_in_world(&path, record)? {
             faults.push(wrong(&path, "is not of the world"));
         }
-        let told = read_tables(inference, record, tables).and_then(|(entities, samples)| {
+        let label_shares = read_tables(inference, record, tables).and_then(|(entities, samples)| {
             let mut actions = [0; 4];
             for sample in &samples {
                 actions = add(actions, check_sample(inference, sample)?);
@@ -99,7 +99,7 @@ impl Check {
             let concepts = count_concepts(&entities)?;
             Ok((entities, samples, actions, concepts))
         });
-        match told {
+        match label_shares {
             Err(fault) => faults.push(fault.note(format!("in `{}`", path.display()))),
             Ok((entities, samples, actions, concepts)) => {
                 let counted = Record {
@@ -126,7 +126,7 @@ impl Check {
         Ok(faults)
     }
 
-    fn tell(&self, mode: Mode, manifest: &Manifest) -> Result<(), Failure> {
+    fn print(&self, mode: Mode, manifest: &Manifest) -> Result<(), Failure> {
         let Manifest {
             settings,
             frames,
@@ -151,8 +151,8 @@ impl Check {
             out,
             "worlds: {worlds}, frames: {frames}, pictures: {pictures}, every label follows from the facts"
         )?;
-        writeln!(out, "labels of cars: {}", told(*actions))?;
-        writeln!(out, "published test: {}", told(mode.published()))?;
+        writeln!(out, "labels of cars: {}", label_shares(*actions))?;
+        writeln!(out, "published test: {}", label_shares(mode.published()))?;
         let concepts = concepts.iter().map(|(name, count)| (name.as_str(), *count));
         writeln!(out, "agents: {}", shares(concepts, *agents))?;
         let atoms = atoms.iter().map(|(name, count)| format!("{name} {count}"));

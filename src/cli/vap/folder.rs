@@ -264,13 +264,13 @@ fn is_world(path: &Path) -> bool {
 }
 
 /// What is in the folder of a set and belongs to none.
-pub(super) fn strangers(set: &Path) -> Result<Vec<PathBuf>, Failure> {
+pub(super) fn unexpected_files(set: &Path) -> Result<Vec<PathBuf>, Failure> {
     let known = |path: &PathBuf| is_world(path) || [CARD, MANIFEST].iter().any(|name| path.ends_with(name));
     Ok(entries(set)?.into_iter().filter(|path| !known(path)).collect())
 }
 
 /// What is in the folder of a world and not in its record.
-pub(super) fn strangers_in_world(folder: &Path, record: &Record) -> Result<Vec<PathBuf>, Failure> {
+pub(super) fn unexpected_in_world(folder: &Path, record: &Record) -> Result<Vec<PathBuf>, Failure> {
     let known = |path: &PathBuf| {
         let name = path.file_name().and_then(OsStr::to_str);
         name.is_some_and(|name| name == RECORD || record.files.contains_key(name))

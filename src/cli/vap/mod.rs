@@ -181,7 +181,7 @@ impl Make {
             "worlds made: {made}, in {}: {}; labels of cars: {}",
             self.out.display(),
             manifest.worlds.len(),
-            told(manifest.actions)
+            label_shares(manifest.actions)
         )?;
         Ok(())
     }
@@ -262,7 +262,7 @@ fn shares<'a>(counts: impl Iterator<Item = (&'a str, u64)>, total: u64) -> Strin
 }
 
 /// How many labels are which.
-fn told(actions: [u64; 4]) -> String {
+fn label_shares(actions: [u64; 4]) -> String {
     let names = Action::ALL.iter().map(|action| action.name());
     shares(names.zip(actions), actions.iter().sum())
 }

@@ -58,17 +58,17 @@ impl<const W: usize> BitFacts<W> {
     /// Writes the inputs of a state with the same number of entities.
     ///
     /// If the state has another number of entities.
-    pub fn load(&self, program: &Dense, frame: &mut BitState<W>) {
-        assert_eq!(self.count, frame.count);
+    pub fn load(&self, program: &Dense, bit_state: &mut BitState<W>) {
+        assert_eq!(self.count, bit_state.count);
         let (restless, steady) = self.inputs.split_at(program.restless);
-        let (into, steady_into) = (frame.sets[Reg::INPUTS.index()..]).split_at_mut(program.restless);
+        let (into, steady_into) = (bit_state.sets[Reg::INPUTS.index()..]).split_at_mut(program.restless);
         for (into, set) in into.iter_mut().zip(restless) {
             *into = *set;
         }
         let steady_into = &mut steady_into[..steady.len()];
         if steady_into != steady {
             steady_into.copy_from_slice(steady);
-            frame.unsettled = true;
+            bit_state.unsettled = true;
         }
     }
 }

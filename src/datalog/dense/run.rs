@@ -9,9 +9,9 @@ pub trait BinaryFacts<const W: usize> {
     /// Returns the members of `among` that a list relates to entity `at`. `list` is a position in [`Dense::lists`].
     fn narrow(&self, list: usize, at: usize, among: Set<W>) -> Set<W>;
 
-    /// Whether to give up. What is computed from then on means nothing.
+    /// Polls for cancellation. Once it returns true, the results are meaningless.
     #[inline]
-    fn stopped(&self) -> bool {
+    fn cancelled(&self) -> bool {
         false
     }
 
@@ -112,14 +112,14 @@ impl<const W: usize> BitState<W> {
     /// # Panics
     /// If `count` exceeds `64 * W`.
     pub fn new(program: &Dense, count: usize) -> Self {
-        let mut frame = BitState {
+        let mut bit_state = BitState {
             count: 0,
             sets: vec![[0; W]; program.set_count.max(FEW)],
             unsettled: true,
             rows: Vec::new(),
         };
-        frame.reset(program, count);
-        frame
+        bit_state.reset(program, count);
+        bit_state
     }
 
     /// Resets the state to another universe of the same program, with empty inputs. Allocates only if this universe is
@@ -360,7 +360,7 @@ impl<const W: usize, P: BinaryFacts<W>> Search<'_, W, P> {
         let Some(next) = steps.get(depth + 1) else {
             return !is_empty(&set);
         };
-        if is_empty(&set) || is_empty(&self.sets[next.among.index()]) || self.pairs.stopped() {
+        if is_empty(&set) || is_empty(&self.sets[next.among.index()]) || self.pairs.cancelled() {
             return false;
         }
         members(&set).any(|value| {

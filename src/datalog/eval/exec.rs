@@ -1,11 +1,12 @@
 //! Holds the rows of all relations, makes commits and evaluates strata. [`super::recursion`] evaluates the recursive
 //! ones.
 
+use crate::cancel::Cancel;
 use crate::datalog::check::{ClauseId, RelId, Term};
 use crate::datalog::eval::adapt::Basis;
 use crate::datalog::eval::delta::{Delta, Rows};
 use crate::datalog::eval::join;
-use crate::datalog::eval::join::{Abort, CancelFn, JoinState, Output, RowView};
+use crate::datalog::eval::join::{Abort, JoinState, Output, RowView};
 use crate::datalog::eval::limits::{EvalError, Limits};
 use crate::datalog::eval::pending::PendingChanges;
 use crate::datalog::eval::stats::{EvalEvent, EvalStats, RuleStats, Strategy, StratumStats, WorkCounts};
@@ -28,7 +29,7 @@ pub(crate) trait Store: Send + Sync {
     /// Reserves memory for `rows` insertions.
     fn reserve(&mut self, relation: RelId, rows: usize);
     /// The number of pending changes of a relation.
-    fn noted(&self, relation: RelId) -> usize;
+    fn pending(&self, relation: RelId) -> usize;
     /// Drops all but the first `len` pending changes of a relation.
     fn forget(&mut self, relation: RelId, len: usize);
     /// Drops the changes recorded since the last commit.
@@ -38,7 +39,7 @@ pub(crate) trait Store: Send + Sync {
         &mut self,
         compiled: &Compiled,
         symbols: &Symbols,
-        orders: CommitOptions<'_>,
+        options: CommitOptions<'_>,
     ) -> Result<(Delta, EvalStats), EvalError>;
     /// Whether the relation contains the row, which has the right arity.
     fn contains(&self, relation: RelId, row: &[Value]) -> bool;
@@ -60,8 +61,8 @@ pub(crate) struct CommitOptions<'a> {
     pub(crate) workers: &'a Workers,
     /// Called when the evaluation of a clause begins and ends.
     pub(crate) watch: Option<&'a dyn Fn(EvalEvent)>,
-    /// Whether to give the commit up. Asked on the calling thread.
-    pub(crate) ask: CancelFn<'a>,
+    /// Polled on the calling thread.
+    pub(crate) cancel: &'a Cancel,
 }
 
 /// The resources that the limits leave for a stratum.
@@ -107,7 +108,7 @@ pub(crate) struct State<const W: usize> {
     /// retracted.
     given: Vec<Vec<Row<W>>>,
     /// By [`RelId`]: the changes that the next commit makes.
-    noted: Vec<PendingChanges<W>>,
+    pending: Vec<PendingChanges<W>>,
     /// The plans in use, made for about the current sizes of the relations.
     pub(crate) plans: Arc<Plans>,
     /// By position of the stratum: the sizes that its plans were made for.
@@ -136,28 +137,32 @@ pub(crate) struct Commit<'a, const W: usize> {
     /// The session's plans.
     pub(crate) plans: Arc<Plans>,
     pub(crate) symbols: &'a Symbols,
-    orders: CommitOptions<'a>,
+    options: CommitOptions<'a>,
     /// By [`RelId`]: the change of the relation so far, and its table before the commit.
     pub(crate) changed: Vec<Option<(TableDelta<W>, Table<W>)>>,
 }
 
 impl<const W: usize> Commit<'_, W> {
     /// Returns all changes and drops the old tables.
-    fn delta(self) -> Delta {
+    fn into_delta(self) -> Delta {
         let mut delta = Delta::default();
         // Skip relations that the optimizer added.
         let relations = self.compiled.rules.relations.iter().zip((0..).map(RelId));
         for (changed, (relation, id)) in self.changed.into_iter().zip(relations) {
-            let Some((net, _)) = changed else { continue };
+            let Some((change, _)) = changed else { continue };
             let arity = relation.arity();
-            delta.push(id, Rows::of(arity, net.added), Rows::of(arity, net.removed.into()));
+            delta.push(
+                id,
+                Rows::of(arity, change.added),
+                Rows::of(arity, change.removed.into()),
+            );
         }
         delta
     }
 
     /// The change of a relation, or `None`.
-    pub(crate) fn net(&self, relation: RelId) -> Option<&TableDelta<W>> {
-        self.changed[relation.index()].as_ref().map(|(net, _)| net)
+    pub(crate) fn delta(&self, relation: RelId) -> Option<&TableDelta<W>> {
+        self.changed[relation.index()].as_ref().map(|(delta, _)| delta)
     }
 }
 
@@ -166,25 +171,25 @@ pub(crate) type Failure = (ClauseId, Abort);
 
 /// Runs plans and counts their work.
 pub(crate) struct Meter<'a> {
-    effort: JoinState,
+    state: JoinState,
     rules: Vec<RuleStats>,
     /// `None` to use the calling thread alone.
     workers: Option<&'a Workers>,
     watch: Option<&'a dyn Fn(EvalEvent)>,
-    ask: CancelFn<'a>,
+    cancel: &'a Cancel,
 }
 
 impl<'a> Meter<'a> {
     /// A meter that allows `budget` rows to be scanned.
-    fn new(budget: u64, orders: CommitOptions<'a>, workers: Option<&'a Workers>) -> Self {
-        let mut effort = JoinState::new(budget);
-        effort.text_bytes = orders.limits.bytes;
+    fn new(budget: u64, options: CommitOptions<'a>, workers: Option<&'a Workers>) -> Self {
+        let mut state = JoinState::new(budget);
+        state.text_bytes = options.limits.bytes;
         Meter {
-            effort,
+            state,
             rules: Vec::new(),
             workers,
-            watch: orders.watch,
-            ask: orders.ask,
+            watch: options.watch,
+            cancel: options.cancel,
         }
     }
 
@@ -201,23 +206,23 @@ impl<'a> Meter<'a> {
         &mut self,
         clause: ClauseId,
         plan: &Plan,
-        (views, given): (&[RowView<'_, W>], usize),
+        (views, delta_rows): (&[RowView<'_, W>], usize),
         symbols: &Symbols,
         out: &mut Output<W>,
     ) -> Result<(), Failure> {
-        let before = (self.effort.rows_scanned, out.pushed);
+        let before = (self.state.rows_scanned, out.pushed);
         let notify = |event| self.watch.iter().for_each(|watch| watch(event));
         notify(EvalEvent::Begin(clause));
         let result = match self.workers {
-            Some(workers) => workers.run(plan, views, (symbols, self.ask), &mut self.effort, out),
-            None => join::run(plan, views, (symbols, self.ask), &mut self.effort, out),
+            Some(workers) => workers.run(plan, views, (symbols, self.cancel), &mut self.state, out),
+            None => join::run(plan, views, (symbols, self.cancel), &mut self.state, out),
         };
         notify(EvalEvent::End(clause));
         let position = self.rules.binary_search_by_key(&clause, |rule| rule.clause);
         let position = position.unwrap_or_else(|position| {
             let rule = RuleStats {
                 clause,
-                given: 0,
+                delta_rows: 0,
                 rows_scanned: 0,
                 derived: 0,
             };
@@ -225,8 +230,8 @@ impl<'a> Meter<'a> {
             position
         });
         let rule = &mut self.rules[position];
-        rule.given += given as u64;
-        rule.rows_scanned += self.effort.rows_scanned - before.0;
+        rule.delta_rows += delta_rows as u64;
+        rule.rows_scanned += self.state.rows_scanned - before.0;
         rule.derived += out.pushed - before.1;
         result.map_err(|stop| (clause, stop))
     }
@@ -270,7 +275,7 @@ impl<const W: usize> State<W> {
             copies_max: indexes().max().unwrap_or(0) + 1,
             costs: vec![Cost::default(); compiled.plans.strata.len()],
             // The first commit inserts the facts of the text like any others.
-            noted: given.iter().cloned().map(PendingChanges::of).collect(),
+            pending: given.iter().cloned().map(PendingChanges::of).collect(),
             plans: Arc::clone(&compiled.plans),
             bases: vec![Basis::default(); compiled.plans.strata.len()],
             given,
@@ -279,17 +284,17 @@ impl<const W: usize> State<W> {
     }
 
     fn try_commit(&mut self, commit: &mut Commit<'_, W>) -> Result<(EvalStats, Vec<Cost>), EvalError> {
-        let limits = commit.orders.limits;
+        let limits = commit.options.limits;
         let Compiled { rules, plans, .. } = commit.compiled;
         for relation in (0..rules.relations.len() as u32).map(RelId) {
-            let noted = &mut self.noted[relation.index()];
-            if noted.is_empty() {
+            let pending = &mut self.pending[relation.index()];
+            if pending.is_empty() {
                 continue;
             }
             let table = &self.tables[relation.index()];
-            if let Some((net, rows)) = noted.apply(table) {
-                let table = table.replaced(&specs(&commit.plans, relation), &net, rows);
-                self.put(commit, relation, net, table);
+            if let Some((delta, rows)) = pending.apply(table) {
+                let table = table.replaced(&specs(&commit.plans, relation), &delta, rows);
+                self.put(commit, relation, delta, table);
             }
         }
 
@@ -298,18 +303,18 @@ impl<const W: usize> State<W> {
         // Rows derived and scanned by the strata so far. These sums alone decide whether a limit is exceeded.
         let (mut derived, mut steps) = (0, 0);
         for ((stratum, cost), number) in plans.strata.iter().zip(&mut costs).zip(0..) {
-            let changes = stratum.inputs.iter().any(|&input| commit.net(input).is_some());
+            let changes = stratum.inputs.iter().any(|&input| commit.delta(input).is_some());
             let work = if self.committed && !changes {
                 StratumStats::Skipped
             } else {
-                let room = self.room(commit, stratum, (derived, steps));
-                let work = self.update(commit, (stratum, number), cost, room);
+                let quota = self.quota(commit, stratum, (derived, steps));
+                let work = self.update(commit, (stratum, number), cost, quota);
                 work.map_err(|(clause, stop)| match stop {
                     Abort::Budget => EvalError::TooManySteps {
                         limit: limits.steps,
                         clause,
                     },
-                    Abort::Overflow if !room.narrowed => EvalError::TooManyRows {
+                    Abort::Overflow if !quota.narrowed => EvalError::TooManyRows {
                         limit: limits.rows,
                         clause,
                     },
@@ -317,7 +322,7 @@ impl<const W: usize> State<W> {
                         limit: limits.bytes,
                         clause,
                     },
-                    Abort::Interrupted => EvalError::Interrupted { clause },
+                    Abort::Cancelled => EvalError::Cancelled { clause },
                 })?
             };
             steps += work.work().map_or(0, |work| work.rows_scanned() + work.given_up);
@@ -329,8 +334,8 @@ impl<const W: usize> State<W> {
     }
 
     /// The resources left for a stratum after earlier strata derived and scanned this many rows.
-    fn room(&self, commit: &Commit<'_, W>, stratum: &StratumPlan, (derived, steps): (usize, u64)) -> Quota {
-        let limits = commit.orders.limits;
+    fn quota(&self, commit: &Commit<'_, W>, stratum: &StratumPlan, (derived, steps): (usize, u64)) -> Quota {
+        let limits = commit.options.limits;
         let most = (self.rows * self.copies_max * size_of::<Row<W>>()) as u64;
         // Use an upper bound where it suffices: adding up the tables takes longer than many commits.
         let held = if most <= limits.bytes / 16 {
@@ -383,9 +388,9 @@ impl<const W: usize> State<W> {
         commit: &mut Commit<'_, W>,
         (stratum, number): (&StratumPlan, usize),
         cost: &mut Cost,
-        room: Quota,
+        quota: Quota,
     ) -> Result<StratumStats, Failure> {
-        let CommitOptions { strategy, workers, .. } = commit.orders;
+        let CommitOptions { strategy, workers, .. } = commit.options;
         // One thread must make all new symbols, since they are numbered in the order of creation.
         let several = workers.are_several() && !makes_texts(&commit.plans, stratum);
         let workers = several.then_some(workers);
@@ -401,21 +406,21 @@ impl<const W: usize> State<W> {
                 Strategy::Maintain => Some(u64::MAX),
                 _ => (maintaining() <= recomputing).then_some(recomputing),
             };
-            if let Some(budget) = budget.map(|budget| budget.min(room.steps)) {
+            if let Some(budget) = budget.map(|budget| budget.min(quota.steps)) {
                 self.adapt(commit, (stratum, number), Aim::Maintain);
-                let mut meter = Meter::new(budget, commit.orders, workers);
-                match self.maintain(commit, stratum, room, &mut meter) {
-                    Ok((nets, rounds)) => {
-                        for (&relation, net) in stratum.members.iter().zip(nets) {
-                            if !net.is_empty() {
+                let mut meter = Meter::new(budget, commit.options, workers);
+                match self.maintain(commit, stratum, quota, &mut meter) {
+                    Ok((deltas, rounds)) => {
+                        for (&relation, delta) in stratum.members.iter().zip(deltas) {
+                            if !delta.is_empty() {
                                 let table =
-                                    self.tables[relation.index()].patched(&specs(&commit.plans, relation), &net);
-                                self.put(commit, relation, net, table);
+                                    self.tables[relation.index()].patched(&specs(&commit.plans, relation), &delta);
+                                self.put(commit, relation, delta, table);
                             }
                         }
                         return Ok(StratumStats::Maintained(meter.finish(rounds)));
                     }
-                    Err(failure @ (_, Abort::Interrupted)) => return Err(failure),
+                    Err(failure @ (_, Abort::Cancelled)) => return Err(failure),
                     // The number of threads may decide where the evaluation stops, but not whether it exceeds the
                     // budget.
                     Err(_) => given_up = budget,
@@ -423,38 +428,38 @@ impl<const W: usize> State<W> {
             }
         }
 
-        let room = Quota {
-            steps: room.steps - given_up,
-            ..room
+        let quota = Quota {
+            steps: quota.steps - given_up,
+            ..quota
         };
         self.adapt(commit, (stratum, number), Aim::Recompute);
-        if room.narrowed || room.bytes < commit.orders.limits.bytes / 2 {
+        if quota.narrowed || quota.bytes < commit.options.limits.bytes / 2 {
             let missing = self.missing_indexes(&commit.plans, stratum);
-            if let (true, Some(&clause)) = (missing > room.bytes, stratum.clauses.first()) {
+            if let (true, Some(&clause)) = (missing > quota.bytes, stratum.clauses.first()) {
                 return Err((clause, Abort::Memory));
             }
         }
         let attempt = |workers| {
-            let mut meter = Meter::new(room.steps, commit.orders, workers);
-            let result = self.evaluate(commit, stratum, room, &mut meter);
+            let mut meter = Meter::new(quota.steps, commit.options, workers);
+            let result = self.evaluate(commit, stratum, quota, &mut meter);
             result.map(|(results, rounds)| (results, rounds, meter))
         };
         let (results, rounds, meter) = match attempt(workers) {
             // The number of threads may decide which limit the evaluation exceeds first, and where.
-            Err((_, stop)) if several && stop != Abort::Interrupted => attempt(None)?,
+            Err((_, stop)) if several && stop != Abort::Cancelled => attempt(None)?,
             result => result?,
         };
         *cost = Cost {
-            rows_scanned: meter.effort.rows_scanned,
+            rows_scanned: meter.state.rows_scanned,
             inputs,
         };
         for (&relation, rows) in stratum.members.iter().zip(results) {
             let table = &self.tables[relation.index()];
             let rows = Arc::new(rows);
-            let net = TableDelta::between(&table.rows, &rows);
-            if !net.is_empty() {
-                let table = table.replaced(&specs(&commit.plans, relation), &net, rows);
-                self.put(commit, relation, net, table);
+            let delta = TableDelta::between(&table.rows, &rows);
+            if !delta.is_empty() {
+                let table = table.replaced(&specs(&commit.plans, relation), &delta, rows);
+                self.put(commit, relation, delta, table);
             }
         }
         let mut work = meter.finish(rounds);
@@ -470,15 +475,15 @@ impl<const W: usize> State<W> {
         const CLAUSE: u64 = 8;
         let clauses = stratum.clauses.iter();
         let changes = clauses.flat_map(|clause| &commit.plans.clauses[clause.index()].changes);
-        let nets = changes.filter_map(|change| commit.net(change.over));
-        nets.map(|net| CLAUSE + ROW * net.len() as u64).sum()
+        let deltas = changes.filter_map(|change| commit.delta(change.over));
+        deltas.map(|delta| CLAUSE + ROW * delta.len() as u64).sum()
     }
 
     /// Replaces a relation's table.
-    fn put(&mut self, commit: &mut Commit<'_, W>, relation: RelId, net: TableDelta<W>, table: Table<W>) {
+    fn put(&mut self, commit: &mut Commit<'_, W>, relation: RelId, delta: TableDelta<W>, table: Table<W>) {
         let old = std::mem::replace(&mut self.tables[relation.index()], table);
         self.rows = self.rows + self.len(relation) - old.rows.len();
-        commit.changed[relation.index()] = Some((net, old));
+        commit.changed[relation.index()] = Some((delta, old));
     }
 
     /// Computes the stratum's derived relations from scratch. Returns their rows and the number of rounds.
@@ -486,11 +491,11 @@ impl<const W: usize> State<W> {
         &self,
         commit: &Commit<'_, W>,
         stratum: &StratumPlan,
-        room: Quota,
+        quota: Quota,
         meter: &mut Meter<'_>,
     ) -> Result<(Vec<Vec<Row<W>>>, usize), Failure> {
         let plans = &commit.plans;
-        let mut outputs: Vec<Output<W>> = stratum.members.iter().map(|_| Output::new(room.rows)).collect();
+        let mut outputs: Vec<Output<W>> = stratum.members.iter().map(|_| Output::new(quota.rows)).collect();
         let mut views = Vec::new();
         for &clause in &stratum.clauses {
             let plan = &plans.clauses[clause.index()];
@@ -511,11 +516,11 @@ impl<const W: usize> State<W> {
             }
         }
         if stratum.recursive {
-            return self.grow(commit, stratum, None, outputs, room, meter);
+            return self.grow(commit, stratum, None, outputs, quota, meter);
         }
         let rows: Vec<_> = outputs.iter_mut().map(|output| meter.take(output)).collect();
         let total: usize = rows.iter().map(Vec::len).sum();
-        room.check_rows(total, stratum, meter)?;
+        quota.check_rows(total, stratum, meter)?;
         Ok((rows, 1))
     }
 
@@ -548,31 +553,31 @@ impl<const W: usize> Store for State<W> {
     fn change(&mut self, relation: RelId, row: &[Value], present: bool) {
         let row = Row::new(row);
         if present || self.given[relation.index()].binary_search(&row).is_err() {
-            self.noted[relation.index()].push(row, present);
+            self.pending[relation.index()].push(row, present);
         }
     }
 
     fn insert_all(&mut self, relation: RelId, words: &[Value], arity: usize) {
-        self.noted[relation.index()].extend(words, arity);
+        self.pending[relation.index()].extend(words, arity);
     }
 
     fn reserve(&mut self, relation: RelId, rows: usize) {
-        self.noted[relation.index()].reserve(rows);
+        self.pending[relation.index()].reserve(rows);
     }
 
-    fn noted(&self, relation: RelId) -> usize {
-        self.noted[relation.index()].len()
+    fn pending(&self, relation: RelId) -> usize {
+        self.pending[relation.index()].len()
     }
 
     fn forget(&mut self, relation: RelId, len: usize) {
-        self.noted[relation.index()].truncate(len);
+        self.pending[relation.index()].truncate(len);
     }
 
     fn rollback(&mut self) {
-        for (noted, given) in self.noted.iter_mut().zip(&self.given) {
-            noted.clear();
+        for (pending, given) in self.pending.iter_mut().zip(&self.given) {
+            pending.clear();
             if !self.committed {
-                *noted = PendingChanges::of(given.clone());
+                *pending = PendingChanges::of(given.clone());
             }
         }
     }
@@ -581,36 +586,36 @@ impl<const W: usize> Store for State<W> {
         &mut self,
         compiled: &Compiled,
         symbols: &Symbols,
-        orders: CommitOptions<'_>,
+        options: CommitOptions<'_>,
     ) -> Result<(Delta, EvalStats), EvalError> {
         let mut commit = Commit {
             compiled,
             // The commit is the only owner while it runs, so that it can change the plans in place.
             plans: std::mem::replace(&mut self.plans, Arc::clone(&compiled.plans)),
             symbols,
-            orders,
+            options,
             changed: self.tables.iter().map(|_| None).collect(),
         };
         let result = self.try_commit(&mut commit);
         self.plans = Arc::clone(&commit.plans);
         match result {
             Ok((log, costs)) => {
-                self.noted.iter_mut().for_each(PendingChanges::clear);
+                self.pending.iter_mut().for_each(PendingChanges::clear);
                 self.costs = costs;
                 self.committed = true;
-                Ok((commit.delta(), log))
+                Ok((commit.into_delta(), log))
             }
             Err(error) => {
                 for (position, changed) in commit.changed.into_iter().enumerate() {
-                    let Some((net, old)) = changed else { continue };
-                    drop(net);
+                    let Some((delta, old)) = changed else { continue };
+                    drop(delta);
                     self.rows = self.rows + old.rows.len() - self.tables[position].rows.len();
                     let base = commit.plans.member[position].is_none();
-                    let noted = &mut self.noted[position];
+                    let pending = &mut self.pending[position];
                     let new = std::mem::replace(&mut self.tables[position], old);
                     // The table took these insertions.
-                    if base && noted.is_empty() {
-                        noted.put_back(new.rows);
+                    if base && pending.is_empty() {
+                        pending.put_back(new.rows);
                     }
                 }
                 Err(error)
@@ -641,7 +646,13 @@ impl<const W: usize> Store for State<W> {
         if self.committed {
             let views: Vec<RowView<'_, W>> = self.complete_views(&self.plans, plan).collect();
             // This cannot overflow: what a clause derives is in its head's relation, which is within the limit.
-            let _ = join::run(plan, &views, (symbols, None), &mut JoinState::new(u64::MAX), &mut out);
+            let _ = join::run(
+                plan,
+                &views,
+                (symbols, &Cancel::never()),
+                &mut JoinState::new(u64::MAX),
+                &mut out,
+            );
         }
         let arity = compiled.rules.relations[plan.head.index()].arity();
         out.take().iter().map(|row| row.0[..arity].to_vec()).collect()

@@ -1,5 +1,6 @@
 //! Runs a plan: a pipelined nested-loop join over sorted rows, without intermediate relations.
 
+use crate::cancel::Cancel;
 use crate::datalog::eval::seen_bitmap::{Added, SeenBitmap, raise};
 use crate::datalog::plan::steps::{List, Plan, Slot, Source, Step};
 use crate::datalog::row::{Batch, Row, difference, gallop, normalise};
@@ -97,12 +98,9 @@ pub(crate) enum Abort {
     Budget,
     /// Rows, indexes or texts take more memory than allowed.
     Memory,
-    /// The caller will not wait longer.
-    Interrupted,
+    /// The caller cancelled it.
+    Cancelled,
 }
-
-/// Is asked now and then whether to give an evaluation up.
-pub(crate) type CancelFn<'a> = Option<&'a dyn Fn() -> bool>;
 
 /// The scratch memory, counters and limits of evaluations.
 #[derive(Debug)]
@@ -112,15 +110,15 @@ pub(crate) struct JoinState {
     pub(crate) rows_scanned: u64,
     /// The maximum of `rows_scanned`.
     pub(crate) budget: u64,
-    /// With more rows than this it is time to see whether to go on.
-    pause: u64,
+    /// With more rows than this, budget and cancellation are checked.
+    next_poll: u64,
     /// The maximum size of all texts, in bytes.
     pub(crate) text_bytes: u64,
 }
 
 impl JoinState {
-    /// So many rows are looked at between two questions whether to go on: a fraction of a millisecond.
-    const PAUSE: u64 = 1 << 14;
+    /// Cancellation polling interval, in rows looked at: a fraction of a millisecond.
+    const POLL_INTERVAL: u64 = 1 << 14;
 
     /// A state that has scanned nothing.
     pub(crate) fn new(budget: u64) -> Self {
@@ -128,7 +126,7 @@ impl JoinState {
             slots: Vec::new(),
             rows_scanned: 0,
             budget,
-            pause: budget.min(Self::PAUSE),
+            next_poll: budget.min(Self::POLL_INTERVAL),
             text_bytes: u64::MAX,
         }
     }
@@ -388,31 +386,31 @@ impl<const W: usize> Output<W> {
 pub(crate) fn run<const W: usize>(
     plan: &Plan,
     views: &[RowView<'_, W>],
-    (symbols, ask): (&Symbols, CancelFn<'_>),
-    effort: &mut JoinState,
+    (symbols, cancel): (&Symbols, &Cancel),
+    state: &mut JoinState,
     out: &mut Output<W>,
 ) -> Result<(), Abort> {
-    effort.slots.clear();
-    effort.slots.extend_from_slice(&plan.slots);
+    state.slots.clear();
+    state.slots.extend_from_slice(&plan.slots);
     let mut join = Join {
         plan,
         views,
         symbols,
-        slots: &mut effort.slots,
-        rows_scanned: effort.rows_scanned,
-        budget: effort.budget,
-        pause: effort.pause,
-        ask,
-        text_bytes: effort.text_bytes,
+        slots: &mut state.slots,
+        rows_scanned: state.rows_scanned,
+        budget: state.budget,
+        next_poll: state.next_poll,
+        cancel,
+        text_bytes: state.text_bytes,
         patterns: None,
         cursors: Vec::new(),
         out,
     };
     let result = join.from(0, plan.steps.len());
-    (effort.rows_scanned, effort.pause) = (join.rows_scanned, join.pause);
+    (state.rows_scanned, state.next_poll) = (join.rows_scanned, join.next_poll);
     result?;
     // The last scan may have exceeded the budget.
-    if effort.rows_scanned > effort.budget {
+    if state.rows_scanned > state.budget {
         return Err(Abort::Budget);
     }
     Ok(())
@@ -428,8 +426,8 @@ struct Join<'a, const W: usize> {
     slots: &'a mut [Value],
     rows_scanned: u64,
     budget: u64,
-    pause: u64,
-    ask: CancelFn<'a>,
+    next_poll: u64,
+    cancel: &'a Cancel,
     text_bytes: u64,
     /// Created on first use.
     patterns: Option<Patterns>,
@@ -501,8 +499,8 @@ impl<const W: usize> Join<'_, W> {
                     let views = self.views;
                     let ranges = views[depth].batches().map(|batch| batch.range(&words[..key.len()]));
                     self.rows_scanned += ranges.map(|range| range.len() as u64).sum::<u64>();
-                    if self.rows_scanned > self.pause {
-                        self.pause()?;
+                    if self.rows_scanned > self.next_poll {
+                        self.poll()?;
                     }
                     let rows = views[depth]
                         .batches()
@@ -520,16 +518,16 @@ impl<const W: usize> Join<'_, W> {
         }
     }
 
-    /// Whether to go on after so many rows.
+    /// Checks the budget and polls for cancellation.
     #[cold]
-    fn pause(&mut self) -> Result<(), Abort> {
+    fn poll(&mut self) -> Result<(), Abort> {
         if self.rows_scanned > self.budget {
             return Err(Abort::Budget);
         }
-        if self.ask.is_some_and(|ask| ask()) {
-            return Err(Abort::Interrupted);
+        if self.cancel.requested() {
+            return Err(Abort::Cancelled);
         }
-        self.pause = self.budget.min(self.rows_scanned + JoinState::PAUSE);
+        self.next_poll = self.budget.min(self.rows_scanned + JoinState::POLL_INTERVAL);
         Ok(())
     }
 
@@ -547,8 +545,8 @@ impl<const W: usize> Join<'_, W> {
     /// Runs a step that may continue more than once, and the steps behind it up to `end`. With `once`, stops at the
     /// first success.
     fn branch(&mut self, step: &Step, depth: usize, (end, once): (usize, bool)) -> Result<bool, Abort> {
-        if self.rows_scanned > self.pause {
-            self.pause()?;
+        if self.rows_scanned > self.next_poll {
+            self.poll()?;
         }
         match step {
             Step::Scan {

@@ -53,8 +53,8 @@ pub enum EvalError {
         /// A clause of the stratum that exceeded it.
         clause: ClauseId,
     },
-    /// The caller put an end to it; see [`Session::commit_until`](crate::datalog::session::Session::commit_until).
-    Interrupted {
+    /// The caller cancelled it; see [`Session::commit_with`](crate::datalog::session::Session::commit_with).
+    Cancelled {
         /// The clause that was evaluated.
         clause: ClauseId,
     },
@@ -67,7 +67,7 @@ impl EvalError {
             EvalError::TooManyRows { clause, .. }
             | EvalError::TooManySteps { clause, .. }
             | EvalError::TooMuchMemory { clause, .. }
-            | EvalError::Interrupted { clause } => clause,
+            | EvalError::Cancelled { clause } => clause,
         }
     }
 
@@ -101,7 +101,7 @@ impl fmt::Display for EvalError {
                 let (scale, unit) = fitting.next().expect("it is a whole number of bytes");
                 write!(f, "rows, indexes and texts take more than {} {unit}", limit >> scale)
             }
-            EvalError::Interrupted { .. } => write!(f, "the evaluation was cancelled"),
+            EvalError::Cancelled { .. } => write!(f, "the evaluation was cancelled"),
         }
     }
 }
@@ -112,7 +112,7 @@ impl std::error::Error for EvalError {}
 impl From<EvalError> for Diagnostic {
     fn from(error: EvalError) -> Self {
         let code = match error {
-            EvalError::Interrupted { .. } => Code::CANCELLED,
+            EvalError::Cancelled { .. } => Code::CANCELLED,
             EvalError::TooManyRows { .. } | EvalError::TooManySteps { .. } | EvalError::TooMuchMemory { .. } => {
                 Code::LIMIT_EXCEEDED
             }

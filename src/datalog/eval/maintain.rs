@@ -31,7 +31,7 @@ impl<const W: usize> State<W> {
         &self,
         commit: &Commit<'_, W>,
         stratum: &StratumPlan,
-        room: Quota,
+        quota: Quota,
         meter: &mut Meter<'_>,
     ) -> Result<(Vec<TableDelta<W>>, usize), Failure> {
         let plans = &commit.plans;
@@ -40,12 +40,12 @@ impl<const W: usize> State<W> {
 
         // In a recursive stratum, a row that may be lost must not support others.
         let without = |(relation, lost): (&RelId, &Vec<Row<W>>)| {
-            let net = TableDelta {
+            let delta = TableDelta {
                 added: Arc::default(),
                 removed: lost.clone(),
             };
             let needed = stratum.recursive && !lost.is_empty();
-            needed.then(|| self.tables[relation.index()].patched(&specs(plans, *relation), &net))
+            needed.then(|| self.tables[relation.index()].patched(&specs(plans, *relation), &delta))
         };
         let shrunk: Vec<Option<Table<W>>> = members.iter().zip(&lost).map(without).collect();
         let tables = members.iter().map(|relation| &self.tables[relation.index()]);
@@ -56,33 +56,34 @@ impl<const W: usize> State<W> {
             .collect();
 
         let gone = self.keep(commit, stratum, &base, &lost, meter)?;
-        let gained = self.gain(commit, stratum, &base, room, meter)?;
-        let nets: Vec<TableDelta<W>> = if stratum.recursive {
+        let gained = self.gain(commit, stratum, &base, quota, meter)?;
+        let deltas: Vec<TableDelta<W>> = if stratum.recursive {
             let again = lost.iter().zip(&gone).map(|(lost, gone)| difference(lost, gone));
             let seeds = again.zip(gained).map(|(again, gained)| merge(&again, &gained));
-            let seeds = seeds.map(|rows| Output::of(rows, room.rows)).collect();
-            let (grown, more) = self.grow(commit, stratum, Some(&base), seeds, room, meter)?;
+            let seeds = seeds.map(|rows| Output::of(rows, quota.rows)).collect();
+            let (grown, more) = self.grow(commit, stratum, Some(&base), seeds, quota, meter)?;
             rounds += more;
-            let net = |(lost, grown): (&Vec<Row<W>>, &Vec<Row<W>>)| TableDelta {
+            let delta = |(lost, grown): (&Vec<Row<W>>, &Vec<Row<W>>)| TableDelta {
                 added: difference(grown, lost).into(),
                 removed: difference(lost, grown),
             };
-            lost.iter().zip(&grown).map(net).collect()
+            lost.iter().zip(&grown).map(delta).collect()
         } else {
-            let nets = gained.into_iter().zip(gone);
-            nets.map(|(added, removed)| TableDelta {
-                added: added.into(),
-                removed,
-            })
-            .collect()
+            let deltas = gained.into_iter().zip(gone);
+            deltas
+                .map(|(added, removed)| TableDelta {
+                    added: added.into(),
+                    removed,
+                })
+                .collect()
         };
 
-        let after = |(relation, net): (&RelId, &TableDelta<W>)| {
-            self.tables[relation.index()].rows.len() + net.added.len() - net.removed.len()
+        let after = |(relation, delta): (&RelId, &TableDelta<W>)| {
+            self.tables[relation.index()].rows.len() + delta.added.len() - delta.removed.len()
         };
-        let total: usize = members.iter().zip(&nets).map(after).sum();
-        room.check_rows(total, stratum, meter)?;
-        Ok((nets, rounds.max(1)))
+        let total: usize = members.iter().zip(&deltas).map(after).sum();
+        quota.check_rows(total, stratum, meter)?;
+        Ok((deltas, rounds.max(1)))
     }
 
     /// Returns the rows that may be lost and the number of rounds.
@@ -102,8 +103,10 @@ impl<const W: usize> State<W> {
         let mut steps: Vec<RowView<'_, W>> = Vec::new();
         for &clause in &stratum.clauses {
             for change in &plans.clauses[clause.index()].changes {
-                let Some(net) = commit.net(change.over) else { continue };
-                let rows = if change.negated { &net.added } else { &net.removed };
+                let Some(delta) = commit.delta(change.over) else {
+                    continue;
+                };
+                let rows = if change.negated { &delta.added } else { &delta.removed };
                 if let (false, Some(head)) = (rows.is_empty(), plans.member[change.plan.head.index()]) {
                     steps.clear();
                     steps.extend(views(commit, &change.plan, rows, None, &before));
@@ -195,17 +198,19 @@ impl<const W: usize> State<W> {
         commit: &Commit<'_, W>,
         stratum: &StratumPlan,
         base: &[&Table<W>],
-        room: Quota,
+        quota: Quota,
         meter: &mut Meter<'_>,
     ) -> Result<ByMember<W>, Failure> {
         let plans = &commit.plans;
         let now = |relation| self.now(stratum, base, relation);
-        let mut outputs: Vec<Output<W>> = stratum.members.iter().map(|_| Output::new(room.rows)).collect();
+        let mut outputs: Vec<Output<W>> = stratum.members.iter().map(|_| Output::new(quota.rows)).collect();
         let mut steps: Vec<RowView<'_, W>> = Vec::new();
         for &clause in &stratum.clauses {
             for change in &plans.clauses[clause.index()].changes {
-                let Some(net) = commit.net(change.over) else { continue };
-                let rows = if change.negated { &net.removed } else { &net.added };
+                let Some(delta) = commit.delta(change.over) else {
+                    continue;
+                };
+                let rows = if change.negated { &delta.removed } else { &delta.added };
                 if let (false, Some(head)) = (rows.is_empty(), plans.member[change.plan.head.index()]) {
                     steps.clear();
                     steps.extend(views(commit, &change.plan, rows, Some(base[head]), &now));

@@ -26,7 +26,7 @@ impl<const W: usize> State<W> {
         stratum: &StratumPlan,
         base: Option<&[&Table<W>]>,
         mut outputs: Vec<Output<W>>,
-        room: Quota,
+        quota: Quota,
         meter: &mut Meter<'_>,
     ) -> Result<(Vec<Vec<Row<W>>>, usize), Failure> {
         let plans = &commit.plans;
@@ -55,9 +55,9 @@ impl<const W: usize> State<W> {
             let held = recursion.hold();
             let known: usize = base.unwrap_or_default().iter().map(|table| table.rows.len()).sum();
             let total = known + recursion.left_out.iter().sum::<usize>() + held.iter().map(Held::len).sum::<usize>();
-            room.check_rows(total, stratum, meter)?;
+            quota.check_rows(total, stratum, meter)?;
             let copies: usize = recursion.grown.iter().map(Grown::len).sum();
-            room.check_bytes((total + copies) * size_of::<Row<W>>(), stratum, meter)?;
+            quota.check_bytes((total + copies) * size_of::<Row<W>>(), stratum, meter)?;
             let mut views: Vec<RowView<'_, W>> = Vec::new();
             for &(clause, over, plan) in &chosen {
                 let Some(head) = plans.member[plan.head.index()] else {

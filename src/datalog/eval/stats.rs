@@ -77,7 +77,7 @@ pub struct RuleStats {
     /// The clause.
     pub clause: ClauseId,
     /// The number of changed rows and doubtful heads that its evaluation began with. 0 if it ran once over all rows.
-    pub given: u64,
+    pub delta_rows: u64,
     /// Rows that its scans and tests visited.
     pub rows_scanned: u64,
     /// Rows it derived, repetitions included. Under maintenance these include heads that may be lost, heads kept, and

@@ -128,17 +128,17 @@ impl<const W: usize> Table<W> {
     }
 
     /// Returns the table after a change. Patches the indexes in use.
-    pub(crate) fn patched(&self, specs: &[&IndexSpec], net: &TableDelta<W>) -> Table<W> {
-        let rows = patch(self.known(), net);
-        self.replaced(specs, net, rows.into())
+    pub(crate) fn patched(&self, specs: &[&IndexSpec], delta: &TableDelta<W>) -> Table<W> {
+        let rows = patch(self.known(), delta);
+        self.replaced(specs, delta, rows.into())
     }
 
     /// Like `patched`, if the new rows are known.
-    pub(crate) fn replaced(&self, specs: &[&IndexSpec], net: &TableDelta<W>, rows: Arc<Vec<Row<W>>>) -> Table<W> {
+    pub(crate) fn replaced(&self, specs: &[&IndexSpec], delta: &TableDelta<W>, rows: Arc<Vec<Row<W>>>) -> Table<W> {
         let indexes = self.indexes.iter().zip(specs).map(|(index, spec)| {
-            let index = index.get().filter(|_| net.len() <= rows.len() / 2);
+            let index = index.get().filter(|_| delta.len() <= rows.len() / 2);
             index
-                .and_then(|index| index.patched(&self.rows, spec, net, &rows))
+                .and_then(|index| index.patched(&self.rows, spec, delta, &rows))
                 .map_or_else(OnceLock::new, OnceLock::from)
         });
         Table {
@@ -189,25 +189,25 @@ impl<const W: usize> Index<W> {
 
     /// Returns the index after a change, or `None` if it is unused. `old` and `new` are the relation's rows in primary
     /// order.
-    fn patched(&self, old: &[Row<W>], spec: &IndexSpec, net: &TableDelta<W>, new: &[Row<W>]) -> Option<Self> {
+    fn patched(&self, old: &[Row<W>], spec: &IndexSpec, delta: &TableDelta<W>, new: &[Row<W>]) -> Option<Self> {
         let idle = if self.used.load(Relaxed) { 0 } else { self.idle + 1 };
         if idle > Self::IDLE_MAX {
             return None;
         }
         let (rows, starts) = if spec.position == 0 {
-            (Vec::new(), patch_directory(&self.starts, net, new))
+            (Vec::new(), patch_directory(&self.starts, delta, new))
         } else {
-            let net = TableDelta {
-                added: project(&net.added, &spec.columns).into(),
-                removed: project(&net.removed, &spec.columns),
+            let delta = TableDelta {
+                added: project(&delta.added, &spec.columns).into(),
+                removed: project(&delta.removed, &spec.columns),
             };
             debug_assert_eq!(self.rows.len(), old.len());
             let batch = Batch {
                 rows: &self.rows,
                 starts: &self.starts,
             };
-            let rows = patch(batch, &net);
-            let starts = patch_directory(&self.starts, &net, &rows);
+            let rows = patch(batch, &delta);
+            let starts = patch_directory(&self.starts, &delta, &rows);
             (rows, starts)
         };
         Some(Index {
@@ -293,10 +293,10 @@ fn append<const W: usize>(to: &mut Vec<Row<W>>, rows: &[Row<W>]) {
 }
 
 /// Returns the rows after a change.
-fn patch<const W: usize>(batch: Batch<'_, W>, net: &TableDelta<W>) -> Vec<Row<W>> {
-    let mut rows = Vec::with_capacity((batch.rows.len() + net.added.len()).saturating_sub(net.removed.len()));
+fn patch<const W: usize>(batch: Batch<'_, W>, delta: &TableDelta<W>) -> Vec<Row<W>> {
+    let mut rows = Vec::with_capacity((batch.rows.len() + delta.added.len()).saturating_sub(delta.removed.len()));
     let mut finder = Finder::new(batch);
-    let (mut added, mut removed) = (&net.added[..], &net.removed[..]);
+    let (mut added, mut removed) = (&delta.added[..], &delta.removed[..]);
     let mut copied = 0;
     loop {
         let comes = match (added.first(), removed.first()) {
@@ -341,14 +341,17 @@ fn directory<const W: usize>(rows: &[Row<W>]) -> Vec<u32> {
 }
 
 /// Returns the directory after a change; `rows` are the new rows.
-fn patch_directory<const W: usize>(old: &[u32], net: &TableDelta<W>, rows: &[Row<W>]) -> Vec<u32> {
-    let beyond = net.added.last().is_some_and(|row| row.0[0].0 as usize + 1 >= old.len());
+fn patch_directory<const W: usize>(old: &[u32], delta: &TableDelta<W>, rows: &[Row<W>]) -> Vec<u32> {
+    let beyond = delta
+        .added
+        .last()
+        .is_some_and(|row| row.0[0].0 as usize + 1 >= old.len());
     if old.is_empty() || beyond || !Index::<W>::dense(rows.len(), old.len()) {
         return directory(rows);
     }
     // An added row shifts all later positions up by one, a removed row shifts them down.
     let mut starts = Vec::with_capacity(old.len());
-    let (mut added, mut removed) = (&net.added[..], &net.removed[..]);
+    let (mut added, mut removed) = (&delta.added[..], &delta.removed[..]);
     let mut shift = 0_u32;
     while starts.len() < old.len() {
         let first = |list: &[Row<W>]| list.first().map_or(usize::MAX, |row| row.0[0].0 as usize);
@@ -454,21 +457,21 @@ mod tests {
             for step in 0..60 {
                 specs.iter().for_each(|spec| _ = table.batch(spec));
                 let count = if step % 10 == 0 { 900 } else { 20 };
-                let mut noted: Vec<(Row<2>, bool)> = (0..count)
+                let mut changes: Vec<(Row<2>, bool)> = (0..count)
                     .map(|_| match table.rows.len() as u32 {
                         rows if rows > 0 && random(2) == 0 => (table.rows[random(rows) as usize], false),
                         _ => (Row([Value(random(words)), Value(random(words))]), true),
                     })
                     .collect();
-                noted.sort_unstable();
-                noted.dedup_by_key(|(row, _)| *row);
-                let Some((net, rows)) = table.update(noted.into_iter()) else {
+                changes.sort_unstable();
+                changes.dedup_by_key(|(row, _)| *row);
+                let Some((delta, rows)) = table.update(changes.into_iter()) else {
                     continue;
                 };
-                let expected = merge(&difference(&table.rows, &net.removed), &net.added);
-                assert_eq!(*net.added, difference(&expected, &table.rows));
+                let expected = merge(&difference(&table.rows, &delta.removed), &delta.added);
+                assert_eq!(*delta.added, difference(&expected, &table.rows));
                 assert_eq!(*rows, expected);
-                table = table.patched(&specs, &net);
+                table = table.patched(&specs, &delta);
                 assert_eq!(*table.rows, expected);
                 let built = Table::new(expected, 2);
                 for spec in &specs {
@@ -498,11 +501,11 @@ mod tests {
                 word < u32::from(Index::<2>::IDLE_MAX) + 2,
                 "{word}"
             );
-            let net = TableDelta {
+            let delta = TableDelta {
                 added: vec![Row([Value(200 + word), Value(0)])].into(),
                 removed: Vec::new(),
             };
-            table = table.patched(&specs, &net);
+            table = table.patched(&specs, &delta);
         }
         assert!(table.indexes[1].get().is_none());
     }

@@ -4,14 +4,16 @@
 //! the outputs are merged. The assignment of chunks to threads affects neither the rows nor the number of rows scanned,
 //! so answers and statistics equal those of one thread. Small work stays on the calling thread.
 
+use crate::cancel::Cancel;
 use crate::datalog::eval::join;
-use crate::datalog::eval::join::{Abort, CancelFn, JoinState, Output, RowView};
+use crate::datalog::eval::join::{Abort, JoinState, Output, RowView};
 use crate::datalog::plan::estimate::Shape;
 use crate::datalog::plan::steps::{Plan, Slot, Step};
 use crate::datalog::row::{Batch, Row, gallop, normalise};
 use crate::symbol::Symbols;
 use rayon::slice::ParallelSliceMut;
 use std::num::NonZeroUsize;
+use std::sync::Arc;
 use std::sync::atomic::{AtomicBool, AtomicUsize, Ordering::Relaxed};
 use std::sync::mpsc::{self, RecvTimeoutError};
 use std::time::Duration;
@@ -59,13 +61,13 @@ pub(crate) struct Workers {
 /// The work of one thread.
 struct Hand<const W: usize> {
     out: Output<W>,
-    effort: JoinState,
+    state: JoinState,
     result: Result<(), Abort>,
 }
 
 impl Workers {
-    /// So often it is asked whether to go on.
-    const PAUSE: Duration = Duration::from_millis(10);
+    /// Cancellation polling interval of the calling thread while others evaluate.
+    const POLL_INTERVAL: Duration = Duration::from_millis(10);
 
     /// Chunks per thread. Several chunks balance the load.
     const CHUNKS: usize = 16;
@@ -96,20 +98,20 @@ impl Workers {
         &self,
         plan: &Plan,
         views: &[RowView<'_, W>],
-        (symbols, ask): (&Symbols, CancelFn<'_>),
-        effort: &mut JoinState,
+        (symbols, cancel): (&Symbols, &Cancel),
+        state: &mut JoinState,
         out: &mut Output<W>,
     ) -> Result<(), Abort> {
         if let Some(pool) = &self.pool {
             let chunks = self.split(plan, views, out.seen_bytes());
             if !chunks.is_empty() {
-                let hands = self.evaluate(pool, (plan, views, &chunks), (symbols, ask), effort, out);
-                if let Some(result) = join_hands(hands, effort, out) {
+                let hands = self.evaluate(pool, (plan, views, &chunks), (symbols, cancel), state, out);
+                if let Some(result) = join_hands(hands, state, out) {
                     return result;
                 }
             }
         }
-        join::run(plan, views, (symbols, ask), effort, out)
+        join::run(plan, views, (symbols, cancel), state, out)
     }
 
     /// Sorts rows and removes repetitions.
@@ -158,30 +160,32 @@ impl Workers {
         &self,
         pool: &rayon::ThreadPool,
         (plan, views, chunks): (&Plan, &[RowView<'_, W>], &[&[Row<W>]]),
-        (symbols, ask): (&Symbols, CancelFn<'_>),
-        effort: &JoinState,
+        (symbols, cancel): (&Symbols, &Cancel),
+        state: &JoinState,
         out: &Output<W>,
     ) -> Vec<Hand<W>> {
         let count = self.threads.count.get();
         let hand = || Hand {
             out: out.fork(out.limit() / count),
-            effort: JoinState::new(effort.budget.saturating_sub(effort.rows_scanned)),
+            state: JoinState::new(state.budget.saturating_sub(state.rows_scanned)),
             result: Ok(()),
         };
         let mut hands: Vec<Hand<W>> = (0..count).map(|_| hand()).collect();
-        let (next, stopped, interrupted) = (AtomicUsize::new(0), AtomicBool::new(false), AtomicBool::new(false));
-        let (next, stopped, interrupted) = (&next, &stopped, &interrupted);
+        let (next, stopped) = (&AtomicUsize::new(0), &AtomicBool::new(false));
+        // The callback of `cancel` runs on the calling thread only; the others poll a flag.
+        let cancelled = Arc::new(AtomicBool::new(false));
+        let flag = Arc::clone(&cancelled);
+        let flagged = &Cancel::when(move || flag.load(Relaxed));
         let (working, done) = mpsc::channel::<()>();
         pool.in_place_scope(|scope| {
             for hand in &mut hands {
                 let working = working.clone();
                 scope.spawn(move |_| {
                     let mut views = views.to_vec();
-                    let give_up = || interrupted.load(Relaxed);
                     while let (Some(chunk), false) = (chunks.get(next.fetch_add(1, Relaxed)), stopped.load(Relaxed)) {
                         views[0] = RowView::of(Batch::plain(chunk));
-                        let (symbols, out) = ((symbols, Some(&give_up as _)), &mut hand.out);
-                        hand.result = join::run(plan, &views, symbols, &mut hand.effort, out);
+                        let (symbols, out) = ((symbols, flagged), &mut hand.out);
+                        hand.result = join::run(plan, &views, symbols, &mut hand.state, out);
                         if hand.result.is_err() {
                             stopped.store(true, Relaxed);
                         }
@@ -192,16 +196,16 @@ impl Workers {
             }
             drop(working);
             // The channel carries no message; it closes when all threads are done.
-            while let (Some(ask), Err(RecvTimeoutError::Timeout)) = (ask, done.recv_timeout(Self::PAUSE)) {
-                if ask() {
-                    interrupted.store(true, Relaxed);
+            while !cancel.is_never() && done.recv_timeout(Self::POLL_INTERVAL) == Err(RecvTimeoutError::Timeout) {
+                if cancel.requested() {
+                    cancelled.store(true, Relaxed);
                     break;
                 }
             }
         });
-        if interrupted.load(Relaxed) {
-            // Also if all were done before they saw it.
-            hands[0].result = Err(Abort::Interrupted);
+        if cancelled.load(Relaxed) {
+            // Even if all threads were done before they polled the flag.
+            hands[0].result = Err(Abort::Cancelled);
         }
         hands
     }
@@ -211,18 +215,18 @@ impl Workers {
 /// derived the same rows.
 fn join_hands<const W: usize>(
     hands: Vec<Hand<W>>,
-    effort: &mut JoinState,
+    state: &mut JoinState,
     out: &mut Output<W>,
 ) -> Option<Result<(), Abort>> {
     let stopped = |with: Abort| hands.iter().any(|hand| hand.result == Err(with));
-    if stopped(Abort::Interrupted) {
-        return Some(Err(Abort::Interrupted));
+    if stopped(Abort::Cancelled) {
+        return Some(Err(Abort::Cancelled));
     }
     if stopped(Abort::Overflow) {
         return None;
     }
-    effort.rows_scanned += hands.iter().map(|hand| hand.effort.rows_scanned).sum::<u64>();
-    if stopped(Abort::Budget) || effort.rows_scanned > effort.budget {
+    state.rows_scanned += hands.iter().map(|hand| hand.state.rows_scanned).sum::<u64>();
+    if stopped(Abort::Budget) || state.rows_scanned > state.budget {
         return Some(Err(Abort::Budget));
     }
     Some(hands.into_iter().try_for_each(|hand| out.absorb(hand.out)))
@@ -306,12 +310,12 @@ mod tests {
                 let view = |step: &Step| RowView::for_step(step, batch);
                 let views: Vec<RowView<'_, 2>> = plan.steps.iter().map(view).collect();
                 let run = |workers: &Workers, budget: u64, limit: usize| -> Result<Done, Abort> {
-                    let (mut effort, mut out) = (JoinState::new(budget), Output::new(limit));
+                    let (mut state, mut out) = (JoinState::new(budget), Output::new(limit));
                     // In the second run most rows are known.
-                    workers.run(plan, &views, (&symbols, None), &mut effort, &mut out)?;
-                    workers.run(plan, &views, (&symbols, None), &mut effort, &mut out)?;
+                    workers.run(plan, &views, (&symbols, &Cancel::never()), &mut state, &mut out)?;
+                    workers.run(plan, &views, (&symbols, &Cancel::never()), &mut state, &mut out)?;
                     let pushed = out.pushed;
-                    Ok((out.take_by(|rows| workers.normalise(rows)), pushed, effort.rows_scanned))
+                    Ok((out.take_by(|rows| workers.normalise(rows)), pushed, state.rows_scanned))
                 };
                 let alone = Workers::default();
                 let expected = run(&alone, u64::MAX, usize::MAX).unwrap();

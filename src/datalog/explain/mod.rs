@@ -27,6 +27,7 @@ mod search;
 
 pub use explanation_printer::ExplanationPrinter;
 
+use crate::cancel::Cancel;
 use crate::datalog::check::{ClauseId, Literal, RelId};
 use crate::datalog::session::Session;
 use crate::datalog::value::Value;
@@ -229,8 +230,8 @@ pub enum ExplainError {
         /// The limit.
         limit: u64,
     },
-    /// The caller put an end to it; see [`Explainer::stop_when`].
-    Interrupted,
+    /// The caller cancelled it; see [`Explainer::new_with`].
+    Cancelled,
 }
 
 impl fmt::Display for ExplainError {
@@ -240,7 +241,7 @@ impl fmt::Display for ExplainError {
                 f,
                 "no explanation found within {limit} steps; there are too many facts for this search"
             ),
-            ExplainError::Interrupted => write!(f, "the search for an explanation was cancelled"),
+            ExplainError::Cancelled => write!(f, "the search for an explanation was cancelled"),
         }
     }
 }
@@ -251,7 +252,7 @@ impl std::error::Error for ExplainError {}
 impl From<ExplainError> for Diagnostic {
     fn from(error: ExplainError) -> Self {
         let code = match error {
-            ExplainError::Interrupted => Code::CANCELLED,
+            ExplainError::Cancelled => Code::CANCELLED,
             ExplainError::TooMuchWork { .. } => Code::LIMIT_EXCEEDED,
         };
         Diagnostic::new(code, error.to_string())
@@ -314,8 +315,14 @@ impl<'s> Explainer<'s> {
 
     /// Creates an explainer for the current state of `session`.
     pub fn new(session: &'s Session) -> Self {
+        Explainer::new_with(session, &Cancel::never())
+    }
+
+    /// Cancellable variant of [`new`](Explainer::new): every question polls `cancel` a few hundred times a second. On cancellation it
+    /// fails with [`ExplainError::Cancelled`], and the explainer is ready for the next question.
+    pub fn new_with(session: &'s Session, cancel: &Cancel) -> Self {
         Explainer {
-            search: Search::new(session),
+            search: Search::new(session, cancel),
             limit: Self::LIMIT,
         }
     }
@@ -325,11 +332,6 @@ impl<'s> Explainer<'s> {
     /// A step visits a row or a literal; a million steps take well below a second.
     pub fn set_limit(&mut self, steps: u64) {
         self.limit = steps;
-    }
-
-    /// Gives a question up when `stop` says so, which is asked a few hundred times a second.
-    pub fn stop_when(&mut self, stop: &'s dyn Fn() -> bool) {
-        self.search.ask = Some(stop);
     }
 
     /// Explains the first row that matches the pattern, or why none matches.

@@ -76,43 +76,43 @@ pub(crate) fn choose<'a, const W: usize>(
 ) -> &'a Plan {
     let mut best = (first, f64::INFINITY);
     if !others.is_empty() {
-        best.1 = effort(first, indexes, shape) / 2.0;
+        best.1 = cost(first, indexes, shape) / 2.0;
     }
     for other in others {
-        let effort = effort(other, indexes, shape);
-        if effort < best.1 {
-            best = (other, effort);
+        let cost = cost(other, indexes, shape);
+        if cost < best.1 {
+            best = (other, cost);
         }
     }
     best.0
 }
 
 /// The estimated number of rows that a plan scans.
-fn effort<const W: usize>(plan: &Plan, indexes: &Indexes, shape: &dyn Fn(Source) -> Shape<W>) -> f64 {
+fn cost<const W: usize>(plan: &Plan, indexes: &Indexes, shape: &dyn Fn(Source) -> Shape<W>) -> f64 {
     let found = |source: Source, key: usize| shape(source).found(&indexes[source.index].columns[..key]);
     follow(&plan.steps, &found).1
 }
 
 /// Returns two estimates for one row that enters the steps: the rows that leave them, and the rows scanned.
 fn follow(steps: &[Step], found: &dyn Fn(Source, usize) -> f64) -> (f64, f64) {
-    let (mut flow, mut effort) = (1.0, 0.0);
+    let (mut flow, mut cost) = (1.0, 0.0);
     for step in steps {
-        effort += flow;
+        cost += flow;
         match step {
             Step::Scan { source, key, .. } => {
                 flow *= found(*source, key.len());
-                effort += flow;
+                cost += flow;
             }
             Step::LeapfrogJoin { lists, .. } => {
                 let found = lists.iter().map(|list| found(list.source, list.key.len()));
                 let least = found.fold(f64::INFINITY, f64::min);
-                effort += flow * least * lists.len() as f64;
+                cost += flow * least * lists.len() as f64;
                 flow *= least;
             }
             Step::Exists { source, key } => flow *= found(*source, key.len()).min(1.0),
             Step::AntiJoin { source, key } => flow *= 1.0 - found(*source, key.len()).min(0.9),
             Step::Copy { .. } | Step::Compute { test: false, .. } => {}
-            Step::Aggregate { source, key, .. } => effort += flow * found(*source, key.len()),
+            Step::Aggregate { source, key, .. } => cost += flow * found(*source, key.len()),
             Step::Compare {
                 op: Comparison::Equal, ..
             }
@@ -120,7 +120,7 @@ fn follow(steps: &[Step], found: &dyn Fn(Source, usize) -> f64) -> (f64, f64) {
             Step::Compare { .. } => flow *= Flow::COMPARED,
         }
     }
-    (flow, effort)
+    (flow, cost)
 }
 
 /// The number of rows of a relation and the distribution of words in its columns, measured on a sample.
@@ -225,24 +225,24 @@ pub(crate) struct Reckoning {
     /// Rows that reach the next step.
     rows: f64,
     /// Rows scanned by the steps so far.
-    effort: f64,
+    cost: f64,
 }
 
 /// The estimated number of rows that a plan scans if each existential group stops at its first success; see
 /// [`Plan::enough`].
-pub(crate) fn effort_of_parts(trail: &[Reckoning], enough: &[u16]) -> f64 {
-    let (mut rows, mut effort, mut at) = (1.0, 0.0, 0);
-    let mut before = Reckoning { rows: 1.0, effort: 0.0 };
+pub(crate) fn cost_of_parts(trail: &[Reckoning], enough: &[u16]) -> f64 {
+    let (mut rows, mut cost, mut at) = (1.0, 0.0, 0);
+    let mut before = Reckoning { rows: 1.0, cost: 0.0 };
     while at < trail.len() && before.rows > 0.0 {
         let end = (enough[at] as usize).max(at + 1);
         let after = trail[end - 1];
         let successes = after.rows / before.rows;
         let tries = if enough[at] > 0 { successes.max(1.0) } else { 1.0 };
-        effort += rows * (after.effort - before.effort) / before.rows / tries;
+        cost += rows * (after.cost - before.cost) / before.rows / tries;
         rows *= successes / tries;
         (before, at) = (after, end);
     }
-    effort
+    cost
 }
 
 /// The running estimate of a plan while the planner builds it.
@@ -251,7 +251,7 @@ pub(crate) struct Flow {
     /// Rows that reach the next step.
     rows: f64,
     /// Rows scanned by the steps so far.
-    effort: f64,
+    cost: f64,
     /// By variable: the estimated number of distinct words; 0 if unknown.
     words: Vec<f64>,
 }
@@ -265,7 +265,7 @@ impl Flow {
     pub(crate) fn new(variables: usize) -> Self {
         Flow {
             rows: 1.0,
-            effort: 0.0,
+            cost: 0.0,
             words: vec![0.0; variables],
         }
     }
@@ -274,7 +274,7 @@ impl Flow {
     pub(crate) fn reckoning(&self) -> Reckoning {
         Reckoning {
             rows: self.rows,
-            effort: self.effort,
+            cost: self.cost,
         }
     }
 
@@ -301,9 +301,9 @@ impl Flow {
 
     /// Accounts for a scan of the rows that match the key and bind variables.
     pub(crate) fn scan(&mut self, size: &Size, key: &Key, bind: &[(u16, u16)]) {
-        self.effort += self.rows;
+        self.cost += self.rows;
         self.rows *= self.found(size, key);
-        self.effort += self.rows;
+        self.cost += self.rows;
         self.narrow(size, key);
         for &(column, slot) in bind {
             self.words[slot as usize] = size.columns[column as usize].distinct.min(self.rows.max(1.0));
@@ -312,19 +312,19 @@ impl Flow {
 
     /// Accounts for a scan that runs once: without an index for its key it visits all rows.
     pub(crate) fn passes(&mut self, size: &Size) {
-        self.effort += size.rows as f64;
+        self.cost += size.rows as f64;
     }
 
     /// Accounts for a test that some row matches the key.
     pub(crate) fn exists(&mut self, size: &Size, key: &Key) {
-        self.effort += self.rows;
+        self.cost += self.rows;
         self.rows *= self.found(size, key).min(1.0);
         self.narrow(size, key);
     }
 
     /// Accounts for a test that no row matches the key.
     pub(crate) fn absent(&mut self, size: &Size, key: &Key) {
-        self.effort += self.rows;
+        self.cost += self.rows;
         self.rows *= 1.0 - self.found(size, key).min(0.9);
     }
 
@@ -332,7 +332,7 @@ impl Flow {
     pub(crate) fn leapfrog_join(&mut self, lists: &[(&Size, Vec<Known>)], variable: VarId) {
         let found = lists.iter().map(|(size, key)| self.found(size, key));
         let least = found.fold(f64::INFINITY, f64::min);
-        self.effort += self.rows * lists.len() as f64 * (1.0 + least);
+        self.cost += self.rows * lists.len() as f64 * (1.0 + least);
         self.rows *= least;
         lists.iter().for_each(|(size, key)| self.narrow(size, key));
         self.words[variable.index()] = self.rows.max(1.0);
@@ -340,7 +340,7 @@ impl Flow {
 
     /// Accounts for a comparison that passes a fraction of the rows.
     pub(crate) fn filter(&mut self, share: f64) {
-        self.effort += self.rows;
+        self.cost += self.rows;
         self.rows *= share;
     }
 
@@ -400,7 +400,7 @@ mod tests {
         let (x, y) = (VarId(0), VarId(1));
         let mut flow = Flow::new(2);
         flow.scan(&size, &[], &[(0, 0), (1, 1)]);
-        assert_eq!((flow.rows, flow.effort), (100.0, 101.0));
+        assert_eq!((flow.rows, flow.cost), (100.0, 101.0));
         // Of the 100 words of `x`, 20 occur in the second column, five times each.
         assert_eq!(flow.found(&size, &[(1, Some(x))]).round(), 1.0);
         assert_eq!(flow.found(&size, &[(1, Some(y))]).round(), 5.0);
@@ -414,11 +414,11 @@ mod tests {
     #[test]
     fn parts_end_at_their_first_success() {
         let trail = [(100.0, 100.0), (1_000.0, 1_100.0), (500.0, 2_100.0), (500.0, 2_600.0)];
-        let trail = trail.map(|(rows, effort)| Reckoning { rows, effort });
-        assert_eq!(effort_of_parts(&trail, &[0, 0, 0, 0]), 2_600.0);
+        let trail = trail.map(|(rows, cost)| Reckoning { rows, cost });
+        assert_eq!(cost_of_parts(&trail, &[0, 0, 0, 0]), 2_600.0);
         // The second and third step together find five rows for each row.
-        assert_eq!(effort_of_parts(&trail, &[0, 3, 0, 0]), 100.0 + 2_000.0 / 5.0 + 100.0);
-        assert_eq!(effort_of_parts(&trail, &[0, 0, 4, 0]), 2_600.0);
+        assert_eq!(cost_of_parts(&trail, &[0, 3, 0, 0]), 100.0 + 2_000.0 / 5.0 + 100.0);
+        assert_eq!(cost_of_parts(&trail, &[0, 0, 4, 0]), 2_600.0);
     }
 
     #[test]

@@ -6,7 +6,7 @@
 //! same variable, one leapfrog join can bind it.
 
 use crate::datalog::check::{Atom, Clause, Literal, RelId, Term, VarId};
-use crate::datalog::plan::estimate::{Flow, Known, Reckoning, Size, effort_of_parts};
+use crate::datalog::plan::estimate::{Flow, Known, Reckoning, Size, cost_of_parts};
 use crate::datalog::plan::steps::{ChangePlan, ClausePlans, IndexId, Indexes, List, Plan, Slot, Source, Step, Version};
 use crate::datalog::syntax::ast::{BaseType, Comparison};
 use crate::datalog::value::Value;
@@ -138,9 +138,9 @@ pub(crate) fn plan_complete(clause: &Clause, indexes: &mut Indexes, sizes: &[Opt
     starts.truncate(STARTS_MAX);
     let version = |_| Version::Complete;
     if starts.len() > 1 {
-        for (effort, start) in &mut starts {
+        for (cost, start) in &mut starts {
             let known = indexes.len();
-            *effort = Planner::new(clause, indexes, order)
+            *cost = Planner::new(clause, indexes, order)
                 .run(First::Literal(*start), &version)
                 .ok()?
                 .1;
@@ -297,8 +297,8 @@ impl<'a> Planner<'a> {
             slots: self.slots,
             fresh,
         };
-        let effort = self.ordering + effort_of_parts(&self.trail, &plan.enough);
-        Ok((plan, effort))
+        let cost = self.ordering + cost_of_parts(&self.trail, &plan.enough);
+        Ok((plan, cost))
     }
 
     /// Appends a step after the flow has accounted for it.

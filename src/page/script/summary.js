@@ -46,7 +46,7 @@ class Summary {
         `${when}: ${chain} → ${names[0]}`));
     }
     if (!data.deadlocks.length) $("deadlocks").append("no deadlock");
-    if (data.looks_given_up) $("deadlocks").append(` (${data.looks_given_up} deadlock searches reached their limit)`);
+    if (data.deadlock_searches_cut) $("deadlocks").append(` (${data.deadlock_searches_cut} deadlock searches reached their limit)`);
   }
 
   /** Lists driven agents, and their decisions that violated a clause. */

@@ -1,10 +1,11 @@
 //! The environment: one city with externally controlled cars.
 
+use crate::cancel::Cancel;
 use crate::city::Agent;
 use crate::city::{Action, AgentKind, Split};
 use crate::diag::{Code, Diagnostic};
 use crate::rng::{Purpose, RngExt, Seed};
-use crate::sim::{Actions, Observer, Settings, Simulation, Stop};
+use crate::sim::{Actions, Observer, Settings, Simulation};
 use crate::task::spf::{Episode, SpfTask};
 use std::sync::Arc;
 
@@ -26,7 +27,7 @@ pub enum ControlMode {
 pub struct Env {
     task: Arc<SpfTask>,
     city: Simulation,
-    egos: ControlMode,
+    control: ControlMode,
     controlled_cars: Vec<ControlledCar>,
     /// The most steps of the episode.
     horizon: u32,
@@ -100,35 +101,41 @@ impl Env {
     ///
     /// # Errors
     /// `unknown-split`, `no-start-cell`, `no-route`, `limit-exceeded`: see [`Simulation::new`]; `invalid-value` if the split has no car.
-    pub fn new(task: Arc<SpfTask>, split: Split, egos: ControlMode) -> Result<Env, Diagnostic> {
-        Env::new_until(task, split, egos, Arc::new(|| false))
+    pub fn new(task: Arc<SpfTask>, split: Split, control: ControlMode) -> Result<Env, Diagnostic> {
+        Env::new_with(task, split, control, &Cancel::never())
     }
 
-    /// The same. Long work, this and all that follows, is given up when `stop` says so, with `cancelled`; a reset comes next then.
+    /// Cancellable variant of [`Env::new`]. The environment keeps `cancel`, so its later work is cancellable, too. After cancellation it
+    /// needs a reset.
     ///
     /// # Errors
-    /// As [`Env::new`].
-    pub fn new_until(task: Arc<SpfTask>, split: Split, egos: ControlMode, stop: Stop) -> Result<Env, Diagnostic> {
-        Env::with(task, split, egos, Settings::default(), stop)
+    /// As [`Env::new`]; `cancelled` on cancellation.
+    pub fn new_with(
+        task: Arc<SpfTask>,
+        split: Split,
+        control: ControlMode,
+        cancel: &Cancel,
+    ) -> Result<Env, Diagnostic> {
+        Env::configured(task, split, control, Settings::default(), cancel)
     }
 
     /// Variant of `new` with settings for the simulation.
     ///
     /// # Errors
-    /// As [`Env::new`].
-    pub(super) fn with(
+    /// As [`Env::new_with`].
+    pub(super) fn configured(
         task: Arc<SpfTask>,
         split: Split,
-        egos: ControlMode,
+        control: ControlMode,
         settings: Settings,
-        stop: Stop,
+        cancel: &Cancel,
     ) -> Result<Env, Diagnostic> {
-        let city = Simulation::new_until(Arc::clone(task.world()), split, Seed(0), settings, stop)?;
+        let city = Simulation::new_with(Arc::clone(task.world()), split, Seed(0), settings, cancel)?;
         let agents = city.agents().iter().enumerate();
         let cars = agents
             .filter(|(_, agent)| agent.kind == AgentKind::Car)
             .map(|(position, _)| position);
-        let driven = cars.take(match egos {
+        let driven = cars.take(match control {
             ControlMode::First => 1,
             ControlMode::Cars => usize::MAX,
         });
@@ -150,7 +157,7 @@ impl Env {
             controls: Vec::with_capacity(controlled_cars.len()),
             episode: Episode::of(0, city.agents()),
             spare: Vec::new(),
-            egos,
+            control,
             controlled_cars,
             city,
             task,
@@ -228,7 +235,7 @@ impl Env {
     pub fn reset_to(&mut self, episode: &Episode) -> Result<(), Diagnostic> {
         self.spare = episode.place(self.task.world(), self.city.agents())?;
         let config = self.task.config();
-        let oracle = episode.oracle.as_ref().filter(|_| self.egos == ControlMode::First);
+        let oracle = episode.oracle.as_ref().filter(|_| self.control == ControlMode::First);
         let horizon = oracle.map(|oracle| oracle.steps.saturating_mul(config.patience));
         self.horizon = horizon.unwrap_or(config.horizon).max(1);
         self.begin(episode.seed)?;

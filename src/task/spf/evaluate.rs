@@ -1,9 +1,9 @@
 //! Evaluation of policies on recorded episodes.
 
+use crate::cancel::Cancel;
 use crate::city::Action;
 use crate::diag::Diagnostic;
 use crate::rng::{Purpose, RngExt, Seed};
-use crate::sim::Stop;
 use crate::task::spf::metrics::{mean_return, summarise_runs};
 use crate::task::spf::{ControlMode, Env, Episode, EpisodeSet, Policy, Rollout, SpfTask, Summary, rollout};
 use std::sync::Arc;
@@ -64,19 +64,20 @@ impl BatchEvaluator {
     /// # Errors
     /// As [`Env::new`] and [`Env::reset_to`].
     pub fn new(task: &Arc<SpfTask>, set: &EpisodeSet) -> Result<BatchEvaluator, Diagnostic> {
-        BatchEvaluator::new_until(task, set, &(Arc::new(|| false) as Stop))
+        BatchEvaluator::new_with(task, set, &Cancel::never())
     }
 
-    /// The same. Long work, this and all that follows, is given up when `stop` says so, with `cancelled`; it is of no use then.
+    /// Cancellable variant of [`BatchEvaluator::new`]. The evaluator keeps `cancel`, so its steps are cancellable, too. After cancellation
+    /// it is inconsistent: make another.
     ///
     /// # Errors
-    /// As [`BatchEvaluator::new`].
-    pub fn new_until(task: &Arc<SpfTask>, set: &EpisodeSet, stop: &Stop) -> Result<BatchEvaluator, Diagnostic> {
+    /// As [`BatchEvaluator::new`]; `cancelled` on cancellation.
+    pub fn new_with(task: &Arc<SpfTask>, set: &EpisodeSet, cancel: &Cancel) -> Result<BatchEvaluator, Diagnostic> {
         let begin = |episode| {
-            if stop() {
+            if cancel.requested() {
                 return Err(Diagnostic::cancelled());
             }
-            let mut env = Env::new_until(Arc::clone(task), set.split, ControlMode::First, Arc::clone(stop))?;
+            let mut env = Env::new_with(Arc::clone(task), set.split, ControlMode::First, cancel)?;
             env.reset_to(episode)?;
             Ok(env)
         };
@@ -112,7 +113,7 @@ impl BatchEvaluator {
         assert!(actions.len() == self.envs.len(), "one action for each episode");
         for ((env, done), &action) in self.envs.iter_mut().zip(&mut self.rollouts).zip(actions) {
             if env.controlled_cars()[0].is_running() {
-                if (env.city().stop())() {
+                if env.city().cancel().requested() {
                     return Err(Diagnostic::cancelled());
                 }
                 let asked = env.controlled_cars()[0].derived();

@@ -58,6 +58,6 @@ pub fn explain(env: &Env, controlled_car: usize, sources: &Sources) -> Result<St
         derived: ego.derived(),
         action: env.oracle_action(controlled_car),
     };
-    let account = decision.account(None, env.city().stop()).map_err(Diagnostic::from)?;
+    let account = decision.account(None, env.city().cancel()).map_err(Diagnostic::from)?;
     Ok(account.text(sources))
 }

@@ -148,11 +148,16 @@ pub(super) fn summarise_runs(task: &SpfTask, rollouts: &[Rollout], runs: usize, 
             [counted.clone().filter(|hit| *hit).count(), counted.count()]
         }))
     };
-    let demands = task.oracle().demands();
-    let asked = |action: Action| demands.iter().any(|demand| demand.action == action);
+    let constraints = task.oracle().constraints();
+    let asked = |action: Action| constraints.iter().any(|constraint| constraint.action == action);
     let by_action = |action: Action| {
         let constrained = |rollout: &Rollout| rollout.constrained[action as usize] > 0;
-        let obeyed = |rollout: &Rollout| rollout.broken.iter().all(|&demand| demands[demand].action != action);
+        let obeyed = |rollout: &Rollout| {
+            rollout
+                .broken
+                .iter()
+                .all(|&constraint| constraints[constraint].action != action)
+        };
         ActionRate {
             action: action.name(),
             rate: rate(&|rollout| constrained(rollout).then(|| obeyed(rollout))),
@@ -214,7 +219,7 @@ mod tests {
 
     #[test]
     #[allow(clippy::cast_precision_loss)]
-    fn runs_of_an_episode_count_for_what_they_tell() {
+    fn intervals_depend_on_how_far_runs_of_an_episode_agree() {
         let is_wilson = |rate: Rate, n: f64| {
             let [low, high] = wilson(rate.value, n);
             assert!(

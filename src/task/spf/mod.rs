@@ -48,7 +48,7 @@ pub struct SpfTask {
     oracle: Arc<Oracle>,
     config: SpfConfig,
     /// For each demand of the oracle, its label and the reward for violating it.
-    demands: Vec<(String, f64)>,
+    constraints: Vec<(String, f64)>,
     /// The greatest possible priority number.
     priority_scale: f32,
 }
@@ -70,9 +70,9 @@ impl SpfTask {
         let oracle = Oracle::new(Arc::clone(&world), config.entities as usize).map_err(|fault| vec![fault])?;
         let printer = ExplanationPrinter::new(world.program.rules(), &world.program.rules().symbols, sources);
         let labels: Vec<String> = oracle
-            .demands()
+            .constraints()
             .iter()
-            .map(|demand| printer.label(demand.clause))
+            .map(|constraint| printer.label(constraint.clause))
             .collect();
         let unknown = config
             .reward
@@ -96,7 +96,7 @@ impl SpfTask {
             let own = config.reward.clauses.iter().find(|(given, _)| given.value == label);
             own.map_or(config.reward.violation, |(_, reward)| *reward)
         };
-        let demands = labels.iter().map(|label| (label.clone(), reward(label))).collect();
+        let constraints = labels.iter().map(|label| (label.clone(), reward(label))).collect();
         let of_sets =
             (scenario.splits.iter()).flat_map(|(_, set)| set.entries().map(|group| group.priority.unsigned_abs()));
         let of_egos = config.ego.iter().flat_map(|ego| ego.priority);
@@ -104,7 +104,7 @@ impl SpfTask {
         let priority_scale = of_sets.chain(of_egos).max().unwrap_or(1).max(1) as f32;
         Ok(SpfTask {
             oracle: Arc::new(oracle),
-            demands,
+            constraints,
             priority_scale,
             config,
         })
@@ -126,8 +126,8 @@ impl SpfTask {
     }
 
     /// Returns the label of a clause, by its position in [`Oracle::demands`]: `S2`, or `file:line` if it has none.
-    pub fn label(&self, demand: usize) -> &str {
-        &self.demands[demand].0
+    pub fn label(&self, constraint: usize) -> &str {
+        &self.constraints[constraint].0
     }
 
     /// Returns the length of the groundings observation: the atoms, and the length of the route if configured.
@@ -152,13 +152,17 @@ impl SpfTask {
             #[allow(clippy::cast_precision_loss)] // a route has fewer than 2^32 cells
             return self.config.reward.actions[action as usize] / (4.0 * cells as f64);
         }
-        let of = |demand: &usize| self.demands[*demand].1;
+        let of = |constraint: &usize| self.constraints[*constraint].1;
         match self.config.reward.violations_per {
             ViolationsPer::Clause => broken.iter().map(of).sum(),
             ViolationsPer::Action => {
-                let demands = self.oracle.demands();
-                let of_action = |speed| broken.iter().filter(move |&&demand| demands[demand].action == speed);
-                let worst = |speed| of_action(speed).map(of).reduce(f64::min);
+                let constraints = self.oracle.constraints();
+                let of_action = |action| {
+                    broken
+                        .iter()
+                        .filter(move |&&constraint| constraints[constraint].action == action)
+                };
+                let worst = |action| of_action(action).map(of).reduce(f64::min);
                 Action::ALL.into_iter().filter_map(worst).sum()
             }
         }

@@ -1,8 +1,9 @@
 //! Traces of episodes.
 
+use crate::cancel::Cancel;
 use crate::city::{Action, Split};
 use crate::diag::{Code, Diagnostic, SourceId, Sources};
-use crate::sim::{Driven, MAX_ENTITIES, Settings, Stop, TraceWriter, hash_sources};
+use crate::sim::{Driven, MAX_ENTITIES, Settings, TraceWriter, hash_sources};
 use crate::task::spf::{ControlMode, Env, Episode, SpfTask};
 use std::io::{self, Write};
 use std::sync::Arc;
@@ -45,7 +46,7 @@ impl From<io::Error> for RecordError {
 ///
 /// # Errors
 /// As [`Env::new`] and [`Env::reset_to`]; `invalid-value` for more actions than the episode has steps, `limit-exceeded` for more than
-/// [`MAX_ENTITIES`] agents, or if `stop` says so.
+/// [`MAX_ENTITIES`] agents; `cancelled` on cancellation. Ticks written before that stay in `out`.
 ///
 /// # Panics
 /// If `origin` names no rule file.
@@ -54,14 +55,14 @@ pub fn record<W: Write>(
     split: Split,
     (episode, actions): (&Episode, &[Action]),
     origin: Origin<'_>,
-    stop: Stop,
     out: W,
+    cancel: &Cancel,
 ) -> Result<W, RecordError> {
     let settings = Settings {
         count_firings: true,
         ..Settings::default()
     };
-    let mut env = Env::with(Arc::clone(task), split, ControlMode::First, settings, stop)?;
+    let mut env = Env::configured(Arc::clone(task), split, ControlMode::First, settings, cancel)?;
     env.reset_to(episode)?;
     let agents = env.city().agents().len();
     if agents > MAX_ENTITIES {
@@ -76,7 +77,7 @@ pub fn record<W: Write>(
     let hash = hash_sources(sources, rule_files);
     let mut trace = TraceWriter::new(out, env.city(), sources, config_file, rule_files[0], &hash)?;
     for &action in actions {
-        if (env.city().stop())() {
+        if env.city().cancel().requested() {
             return Err(Diagnostic::cancelled().into());
         }
         if !env.controlled_cars()[0].is_running() {
@@ -108,10 +109,12 @@ fn observed(env: &Env) -> Driven {
 
 /// Returns the clauses that its last action violated.
 fn broken(env: &Env) -> Vec<usize> {
-    let (controlled_car, demands) = (&env.controlled_cars()[0], env.task().oracle().demands());
+    let (controlled_car, constraints) = (&env.controlled_cars()[0], env.task().oracle().constraints());
     let clauses = env.city().clauses();
-    let position = |&demand: &usize| {
-        let found = clauses.iter().position(|clause| *clause == demands[demand].clause);
+    let position = |&constraint: &usize| {
+        let found = clauses
+            .iter()
+            .position(|clause| *clause == constraints[constraint].clause);
         found.expect("a clause that derives an action has a body")
     };
     controlled_car.last().broken.iter().map(position).collect()

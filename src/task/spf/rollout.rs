@@ -76,7 +76,7 @@ pub fn rollout(env: &mut Env, policy: Policy) -> Result<Rollout, Diagnostic> {
     let mut done = Rollout::default();
     let mut actions: Vec<Action> = Vec::new();
     while env.controlled_cars()[0].is_running() {
-        if (env.city().stop())() {
+        if env.city().cancel().requested() {
             return Err(Diagnostic::cancelled());
         }
         let act = |controlled_car: usize| match policy {
@@ -117,8 +117,8 @@ impl Wanted {
         for (kind, (_, wanted)) in concepts.iter_mut().enumerate() {
             *wanted = count / kinds + usize::from(kind < count % kinds);
         }
-        let demands = task.oracle().demands();
-        let asked = Action::ALL.map(|action| demands.iter().any(|demand| demand.action == action));
+        let constraints = task.oracle().constraints();
+        let asked = Action::ALL.map(|action| constraints.iter().any(|constraint| constraint.action == action));
         // Half of an equal share, because the rules may derive some actions for few egos only.
         let share = count.div_ceil(2 * asked.iter().filter(|asked| **asked).count().max(1));
         Wanted {

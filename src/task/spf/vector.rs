@@ -1,9 +1,10 @@
 //! Sequences of episodes, and vectorized environments.
 
+use crate::cancel::Cancel;
 use crate::city::{Action, Split};
 use crate::diag::Diagnostic;
 use crate::rng::{Purpose, RngExt, Seed};
-use crate::sim::{Stop, start_threads};
+use crate::sim::start_threads;
 use crate::task::spf::{ControlMode, Env, Episode, SpfTask};
 use rayon::ThreadPool;
 use rayon::prelude::*;
@@ -14,8 +15,8 @@ use std::time::Duration;
 /// The fewest environments per thread.
 const SHARE: usize = 8;
 
-/// While other threads work, the one that waits for them asks so often whether to give up.
-const PAUSE: Duration = Duration::from_millis(50);
+/// Cancellation polling interval of the calling thread while others work.
+const POLL_INTERVAL: Duration = Duration::from_millis(50);
 
 /// The episodes of one environment: each is a function of the seed and of the number of episodes before it.
 #[derive(Clone, Debug)]
@@ -248,7 +249,7 @@ impl SubEnv {
         }
     }
 
-    fn give_up(&mut self) -> Result<(), Diagnostic> {
+    fn cancel(&mut self) -> Result<(), Diagnostic> {
         self.stage = Stage::Idle;
         Err(Diagnostic::cancelled())
     }
@@ -303,13 +304,13 @@ impl SubEnv {
 
 /// A vectorized environment. Results equal those of the individual environments, on any number of threads.
 pub struct VectorEnv {
-    members: Vec<SubEnv>,
+    sub_envs: Vec<SubEnv>,
     autoreset: Autoreset,
     view: ObservationKind,
     /// Numbers per observation.
     width: usize,
     threads: Option<ThreadPool>,
-    stop: Stop,
+    cancel: Cancel,
 }
 
 impl VectorEnv {
@@ -325,30 +326,30 @@ impl VectorEnv {
         view: ObservationKind,
         threads: usize,
     ) -> Result<VectorEnv, Diagnostic> {
-        VectorEnv::new_until(task, split, sources, autoreset, view, threads, Arc::new(|| false))
+        VectorEnv::new_with(task, split, sources, autoreset, view, threads, &Cancel::never())
     }
 
-    /// The same. Long work, this and all that follows, is given up when `stop` says so, with `cancelled`; the environments that have
-    /// not gone on then need a reset.
+    /// Cancellable variant of [`VectorEnv::new`]. The environments keep `cancel`, so their later work is cancellable, too. After
+    /// cancellation those that took no step need a reset.
     ///
     /// # Errors
-    /// As [`VectorEnv::new`].
-    pub fn new_until(
+    /// As [`VectorEnv::new`]; `cancelled` on cancellation.
+    pub fn new_with(
         task: &Arc<SpfTask>,
         split: Split,
         sources: impl IntoIterator<Item = EpisodeSource>,
         autoreset: Autoreset,
         view: ObservationKind,
         threads: usize,
-        stop: Stop,
+        cancel: &Cancel,
     ) -> Result<VectorEnv, Diagnostic> {
         let width = view.shape(task).iter().product();
-        let member = |source| {
-            if stop() {
+        let sub_env = |source| {
+            if cancel.requested() {
                 return Err(Diagnostic::cancelled());
             }
             Ok(SubEnv {
-                env: Env::new_until(Arc::clone(task), split, ControlMode::First, Arc::clone(&stop))?,
+                env: Env::new_with(Arc::clone(task), split, ControlMode::First, cancel)?,
                 source,
                 stage: Stage::Idle,
                 outcome: Outcome::default(),
@@ -361,23 +362,23 @@ impl VectorEnv {
         };
         let threads = start_threads(threads)?;
         Ok(VectorEnv {
-            members: sources.into_iter().map(member).collect::<Result<_, _>>()?,
+            sub_envs: sources.into_iter().map(sub_env).collect::<Result<_, _>>()?,
             autoreset,
             view,
             width,
             threads,
-            stop,
+            cancel: cancel.clone(),
         })
     }
 
     /// Returns the environments.
-    pub fn members(&self) -> &[SubEnv] {
-        &self.members
+    pub fn sub_envs(&self) -> &[SubEnv] {
+        &self.sub_envs
     }
 
     /// Returns the environments for queries that need `&mut`.
-    pub fn members_mut(&mut self) -> &mut [SubEnv] {
-        &mut self.members
+    pub fn sub_envs_mut(&mut self) -> &mut [SubEnv] {
+        &mut self.sub_envs
     }
 
     /// Returns the numbers per observation.
@@ -392,14 +393,14 @@ impl VectorEnv {
 
     /// Keeps from now on the atoms at the end of an episode whose successor begins in the same step.
     pub fn keep_last_atoms(&mut self) {
-        for member in &mut self.members {
-            member.ended.atoms = Some(Vec::new());
+        for sub_env in &mut self.sub_envs {
+            sub_env.ended.atoms = Some(Vec::new());
         }
     }
 
     /// Replaces the source of an environment's episodes.
-    pub fn set_source(&mut self, member: usize, source: EpisodeSource) {
-        self.members[member].source = source;
+    pub fn set_source(&mut self, sub_env: usize, source: EpisodeSource) {
+        self.sub_envs[sub_env].source = source;
     }
 
     /// Begins episodes; `None` leaves an environment unchanged. Writes one row of `observations` for each begun
@@ -413,13 +414,13 @@ impl VectorEnv {
     /// If the length of `begin` differs from the number of environments.
     pub fn reset(&mut self, begin: &[Option<Begin>], observations: &mut [f32]) -> Result<(), Diagnostic> {
         let view = self.view;
-        self.each(begin, observations, |member, how, row, stopped| {
+        self.each(begin, observations, |sub_env, how, row, cancelled| {
             let Some(how) = how else { return Ok(()) };
-            if stopped {
-                return member.give_up();
+            if cancelled {
+                return sub_env.cancel();
             }
-            member.begin(how)?;
-            view.write(&member.env, 0, row);
+            sub_env.begin(how)?;
+            view.write(&sub_env.env, 0, row);
             Ok(())
         })
     }
@@ -434,13 +435,13 @@ impl VectorEnv {
     /// If the number of actions differs from that of environments, or an environment is not [ready](SubEnv::is_ready).
     pub fn step(&mut self, actions: &[Action], observations: &mut [f32]) -> Result<(), Diagnostic> {
         let (autoreset, view) = (self.autoreset, self.view);
-        self.each(actions, observations, |member, &action, row, stopped| {
-            assert!(member.is_ready(autoreset), "an episode must begin first");
-            if stopped {
-                return member.give_up();
+        self.each(actions, observations, |sub_env, &action, row, cancelled| {
+            assert!(sub_env.is_ready(autoreset), "an episode must begin first");
+            if cancelled {
+                return sub_env.cancel();
             }
-            member.step(action, autoreset, view)?;
-            view.write(&member.env, 0, row);
+            sub_env.step(action, autoreset, view)?;
+            view.write(&sub_env.env, 0, row);
             Ok(())
         })
     }
@@ -451,7 +452,7 @@ impl VectorEnv {
         observations: &mut [f32],
         act: impl Fn(&mut SubEnv, &T, &mut [f32], bool) -> Result<(), Diagnostic> + Sync,
     ) -> Result<(), Diagnostic> {
-        let count = self.members.len();
+        let count = self.sub_envs.len();
         assert!(given.len() == count, "{} given for {count} environments", given.len());
         assert!(observations.len() == count * self.width, "a row for each environment");
         let width = self.width;
@@ -460,17 +461,17 @@ impl VectorEnv {
             (Some(a), Some(b)) => Some(if a.0 <= b.0 { a } else { b }),
             (a, b) => a.or(b),
         };
-        let (stop, stopped) = (&*self.stop, AtomicBool::new(false));
-        let act = |(position, ((member, given), row)): (usize, ((&mut SubEnv, &T), &mut [f32]))| {
-            if position % SHARE == 0 && stop() {
-                stopped.store(true, Ordering::Relaxed);
+        let (cancel, cancelled) = (&self.cancel, AtomicBool::new(false));
+        let act = |(position, ((sub_env, given), row)): (usize, ((&mut SubEnv, &T), &mut [f32]))| {
+            if position % SHARE == 0 && cancel.requested() {
+                cancelled.store(true, Ordering::Relaxed);
             }
-            let stopped = stopped.load(Ordering::Relaxed);
-            act(member, given, row, stopped).err().map(|fault| (position, fault))
+            let cancelled = cancelled.load(Ordering::Relaxed);
+            act(sub_env, given, row, cancelled).err().map(|fault| (position, fault))
         };
         let fault = match &self.threads {
-            Some(pool) => wait_asking(pool, stop, || {
-                (self.members.par_iter_mut().with_min_len(SHARE))
+            Some(pool) => run_in_pool(pool, cancel, || {
+                (self.sub_envs.par_iter_mut().with_min_len(SHARE))
                     .zip(given)
                     .zip(observations.par_chunks_exact_mut(width))
                     .enumerate()
@@ -478,7 +479,7 @@ impl VectorEnv {
                     .reduce(|| None, first)
             }),
             None => (self
-                .members
+                .sub_envs
                 .iter_mut()
                 .zip(given)
                 .zip(observations.chunks_exact_mut(width))
@@ -490,17 +491,17 @@ impl VectorEnv {
     }
 }
 
-/// Does work in a pool. Meanwhile this thread asks `stop`, which may be able to tell here what it cannot tell in the pool.
-fn wait_asking<R: Send>(pool: &ThreadPool, stop: &(dyn Fn() -> bool + Sync), work: impl FnOnce() -> R + Send) -> R {
+/// Runs work in a pool. Meanwhile this thread polls `cancel`, since its callback may only work on the calling thread.
+fn run_in_pool<R: Send>(pool: &ThreadPool, cancel: &Cancel, work: impl FnOnce() -> R + Send) -> R {
     let (done, result) = mpsc::channel();
-    let told = pool.in_place_scope(|scope| {
-        scope.spawn(move |_| done.send(work()).expect("it is waited for"));
+    let received = pool.in_place_scope(|scope| {
+        scope.spawn(move |_| done.send(work()).expect("the calling thread waits for it"));
         loop {
-            match result.recv_timeout(PAUSE) {
-                Err(mpsc::RecvTimeoutError::Timeout) => drop(stop()),
-                told => break told,
+            match result.recv_timeout(POLL_INTERVAL) {
+                Err(mpsc::RecvTimeoutError::Timeout) => drop(cancel.requested()),
+                received => break received,
             }
         }
     });
-    told.expect("a panic of the work goes on at the end of the scope")
+    received.expect("the end of the scope has re-raised a panic of the work")
 }

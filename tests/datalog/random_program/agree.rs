@@ -160,7 +160,7 @@ fn check_work(
             StratumStats::Maintained(work) => {
                 prop_assert!(!first && strategy != Strategy::Recompute && work.given_up == 0);
                 for rule in &work.rules {
-                    prop_assert!(stratum.clauses.contains(&rule.clause) && rule.given > 0);
+                    prop_assert!(stratum.clauses.contains(&rule.clause) && rule.delta_rows > 0);
                 }
                 // As long as nothing may be lost, a clause that reads nothing that changed does not run.
                 if !stratum.recursive && work.rules.iter().any(|rule| !changed(rule.clause)) {

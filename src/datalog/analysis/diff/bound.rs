@@ -59,7 +59,7 @@ pub(super) fn entities(
     sides: [&Side<'_>; 2],
     output: &Output,
     equal: &BTreeSet<String>,
-    room: &mut usize,
+    literals_left: &mut usize,
 ) -> Option<usize> {
     let arity = output.columns.len();
     let mut total = arity;
@@ -70,10 +70,10 @@ pub(super) fn entities(
         let mut at = 0;
         while let Some((relation, row)) = facts.get_index(at).cloned() {
             at += 1;
-            *room = room.checked_sub(1)?;
+            *literals_left = literals_left.checked_sub(1)?;
             let witnesses = side.witnesses(relation, &row, &mut facts, &mut costs);
             if facts.len() > FACTS_OF_OUTPUT_MAX || costs.too_deep {
-                *room = 0;
+                *literals_left = 0;
             }
             let witnesses = witnesses?;
             let name = side.rules.relations[relation.index()].name.as_str();

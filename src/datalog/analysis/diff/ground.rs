@@ -46,7 +46,7 @@ pub(super) struct Circuit<'a> {
     /// The positions of constants among the individuals, by side.
     places: [HashMap<(BaseType, Value), Option<usize>>; 2],
     /// The number of literals, and rows of literals with `_`, that may still be instantiated.
-    pub(super) room: usize,
+    pub(super) literals_left: usize,
     /// The number of derived facts being expanded, each for the one before.
     depth: usize,
 }
@@ -56,7 +56,12 @@ pub(super) struct Circuit<'a> {
 const DEPTH_MAX: usize = 64;
 
 impl<'a> Circuit<'a> {
-    pub(super) fn new(sides: [&'a Side<'a>; 2], individuals: &'a [Individual], view: ScopeRows, room: usize) -> Self {
+    pub(super) fn new(
+        sides: [&'a Side<'a>; 2],
+        individuals: &'a [Individual],
+        view: ScopeRows,
+        literals_left: usize,
+    ) -> Self {
         let mut solver = Solver::new();
         let yes = solver.fresh();
         solver.add(&[yes]);
@@ -72,7 +77,7 @@ impl<'a> Circuit<'a> {
             derived: HashMap::new(),
             unrolled: BTreeSet::new(),
             places: [HashMap::new(), HashMap::new()],
-            room,
+            literals_left,
             depth: 0,
         }
     }
@@ -238,7 +243,7 @@ impl<'a> Circuit<'a> {
         if let Some(&known) = self.atoms.get(&key) {
             return Ok(known);
         }
-        self.room = self.room.checked_sub(1).ok_or(TooLarge)?;
+        self.literals_left = self.literals_left.checked_sub(1).ok_or(TooLarge)?;
         let fresh = self.solver.fresh();
         self.asked.push(key.clone());
         self.atoms.insert(key, fresh);
@@ -310,7 +315,7 @@ impl<'a> Circuit<'a> {
         let mark = search.inputs.len();
         for index in 0..search.ready[depth].len() {
             let literal = search.ready[depth][index];
-            self.room = self.room.checked_sub(1).ok_or(TooLarge)?;
+            self.literals_left = self.literals_left.checked_sub(1).ok_or(TooLarge)?;
             let lit = self.literal(search, literal)?;
             if self.is_no(lit) {
                 search.inputs.truncate(mark);
@@ -364,7 +369,7 @@ impl<'a> Circuit<'a> {
             };
             if values.len() > 1 {
                 let many = rows.len().saturating_mul(values.len());
-                self.room = self.room.checked_sub(many).ok_or(TooLarge)?;
+                self.literals_left = self.literals_left.checked_sub(many).ok_or(TooLarge)?;
             }
             rows = (rows.iter())
                 .flat_map(|row| {

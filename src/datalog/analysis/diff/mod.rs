@@ -93,7 +93,7 @@ pub enum Equivalence {
 #[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord)]
 pub enum Cut {
     /// The search reached [`Options::conflicts_max`].
-    Effort,
+    Conflicts,
     /// The next larger scenes have too many possible facts or derivations.
     Size,
     /// The computation of the size for a proof exceeded its limit.
@@ -172,7 +172,7 @@ struct Output {
 }
 
 /// Maximum number of literals instantiated for scenes of one size.
-const ROOM: usize = 3_000_000;
+const LITERALS_MAX: usize = 3_000_000;
 
 /// Maximum number of scenes taken from the circuit of rules with clauses that have none.
 const MODELS_MAX: usize = 4;
@@ -188,9 +188,9 @@ pub fn diff(left: &Rules, right: &Rules, options: &Options) -> Result<Equivalenc
     let rules = [left, right];
     let sides = rules.map(|rules| side(rules, &base));
     let sides = [&sides[0], &sides[1]];
-    let mut effort = Remaining {
+    let mut budget = Remaining {
         conflicts: options.conflicts_max,
-        room: options.literals_max,
+        literals_left: options.literals_max,
     };
     let scoped = sides.iter().any(|side| !side.scopes.is_empty());
     let open = match options.self_sight {
@@ -199,7 +199,7 @@ pub fn diff(left: &Rules, right: &Rules, options: &Options) -> Result<Equivalenc
     };
     let views: &[ScopeRows] = if scoped { &[ScopeRows::Full, open] } else { &[open] };
     if !rules.into_iter().all(has_circuit) {
-        let models = models(sides, &outputs, options.entities_max, views[0], &mut effort);
+        let models = models(sides, &outputs, options.entities_max, views[0], &mut budget);
         return trial::search(rules, &base, &outputs, options, &models);
     }
 
@@ -208,9 +208,9 @@ pub fn diff(left: &Rules, right: &Rules, options: &Options) -> Result<Equivalenc
     order.sort_by_key(|output| sides[0].stratum[output.ids[0].index()]);
     let mut equal = BTreeSet::new();
     let mut proof = Some(0);
-    let mut room = bound::FACTS_MAX;
+    let mut literals_left = bound::FACTS_MAX;
     for output in order {
-        let needed = bound::entities(sides, output, &equal, &mut room);
+        let needed = bound::entities(sides, output, &equal, &mut literals_left);
         if needed.is_some() {
             equal.insert(output.name.clone());
         }
@@ -220,17 +220,17 @@ pub fn diff(left: &Rules, right: &Rules, options: &Options) -> Result<Equivalenc
     let last = proof.map_or(options.entities_max, |proof| proof.min(options.entities_max));
     let mut seen_all = Some(last);
     let mut cut = BTreeSet::new();
-    if proof.is_none() && room == 0 {
+    if proof.is_none() && literals_left == 0 {
         cut.insert(Cut::Proof);
     }
     for (&view, views) in views.iter().zip((1..=views.len()).rev()) {
         // Each view gets an equal share, so that an expensive one leaves enough for the others.
         let mut share = Remaining {
-            conflicts: effort.conflicts / views as u64,
-            room: effort.room / views,
+            conflicts: budget.conflicts / views as u64,
+            literals_left: budget.literals_left / views,
         };
-        effort.conflicts -= share.conflicts;
-        effort.room -= share.room;
+        budget.conflicts -= share.conflicts;
+        budget.literals_left -= share.literals_left;
         for entities in 0..=last {
             match search(sides, &outputs, entities, view, &mut share) {
                 Ok(Some(model)) => return Ok(Equivalence::Different(describe(sides, &base, &outputs, view, &model))),
@@ -242,8 +242,8 @@ pub fn diff(left: &Rules, right: &Rules, options: &Options) -> Result<Equivalenc
                 }
             }
         }
-        effort.conflicts += share.conflicts;
-        effort.room += share.room;
+        budget.conflicts += share.conflicts;
+        budget.literals_left += share.literals_left;
     }
     Ok(match (proof, seen_all) {
         (Some(entities), Some(seen_all)) if entities <= seen_all => Equivalence::Equivalent { entities },
@@ -262,9 +262,9 @@ fn models(
     outputs: &[Output],
     entities_max: usize,
     view: ScopeRows,
-    effort: &mut Remaining,
+    budget: &mut Remaining,
 ) -> Vec<Model> {
-    let found = (0..=entities_max).map(|entities| search(sides, outputs, entities, view, effort));
+    let found = (0..=entities_max).map(|entities| search(sides, outputs, entities, view, budget));
     let found = found.map_while(Result::ok).flatten();
     found.take(MODELS_MAX).collect()
 }
@@ -448,7 +448,7 @@ struct Remaining {
     /// Conflicts in the SAT search.
     conflicts: u64,
     /// Literals to instantiate.
-    room: usize,
+    literals_left: usize,
 }
 
 /// A scene, as indexes.
@@ -472,7 +472,7 @@ fn search(
     outputs: &[Output],
     entities: usize,
     view: ScopeRows,
-    effort: &mut Remaining,
+    budget: &mut Remaining,
 ) -> Result<Option<Model>, Cut> {
     let individuals = individuals(sides, entities);
     let [left, right] = sides.map(|side| Side {
@@ -483,11 +483,16 @@ fn search(
         facts: text_facts(side, &individuals),
         scopes: side.scopes.clone(),
     });
-    let mut circuit = Circuit::new([&left, &right], &individuals, view, ROOM.min(effort.room));
-    let before = circuit.room;
+    let mut circuit = Circuit::new(
+        [&left, &right],
+        &individuals,
+        view,
+        LITERALS_MAX.min(budget.literals_left),
+    );
+    let before = circuit.literals_left;
     let asked = questions(&mut circuit, outputs, entities, &individuals);
     let kept = circuit.constraints();
-    effort.room -= before - circuit.room;
+    budget.literals_left -= before - circuit.literals_left;
     let (Ok(questions), Ok(())) = (asked, kept) else {
         return Err(Cut::Size);
     };
@@ -496,15 +501,15 @@ fn search(
         return Ok(None);
     }
     circuit.solver.add(&[any]);
-    match circuit.solver.solve(&[], &mut effort.conflicts) {
+    match circuit.solver.solve(&[], &mut budget.conflicts) {
         Outcome::Unsatisfiable => return Ok(None),
-        Outcome::Unknown => return Err(Cut::Effort),
+        Outcome::Unknown => return Err(Cut::Conflicts),
         Outcome::Satisfiable => {}
     }
-    let smallest = shrink(&mut circuit, &mut effort.conflicts);
+    let smallest = shrink(&mut circuit, &mut budget.conflicts);
     let asked = (questions.into_iter())
         .find(|question| circuit.solver.is_true(question.differs))
-        .ok_or(Cut::Effort)?;
+        .ok_or(Cut::Conflicts)?;
     let facts: Vec<BaseFact> = (circuit.atoms.iter())
         .filter(|(_, lit)| circuit.solver.is_true(**lit))
         .map(|(fact, _)| fact.clone())

@@ -449,6 +449,7 @@ fn highest(clause: &Clause, rows: &[Option<u32>], of: impl Fn(RelId, u32) -> Opt
 #[cfg(test)]
 mod tests {
     use super::*;
+    use crate::cancel::Cancel;
     use crate::datalog::program::Program;
     use crate::datalog::workspace;
     use crate::diag::Sources;
@@ -490,7 +491,7 @@ mod tests {
                 .expect("a row that fits");
         }
         session.commit().expect("few rows");
-        let mut forwards = Search::new(&session);
+        let mut forwards = Search::new(&session, &Cancel::never());
         forwards.refill(1_000_000);
         for stratum in 0..program.rules().strata.len() {
             forwards.settle(stratum, None).expect("few rows");
@@ -499,7 +500,7 @@ mod tests {
         for name in ["hop", "path", "round"] {
             let rel = program.relation(name).expect("declared");
             for position in 0..u32::try_from(session.len(rel)).expect("few rows") {
-                let mut backwards = Search::new(&session);
+                let mut backwards = Search::new(&session, &Cancel::never());
                 backwards.refill(1_000_000);
                 assert!(backwards.settle_relevant((rel, position)));
                 let height = forwards.heights.of(rel, position);

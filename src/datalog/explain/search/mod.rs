@@ -3,6 +3,7 @@
 
 pub(super) mod heights;
 
+use crate::cancel::Cancel;
 use crate::datalog::check::{Atom, Clause, ClauseId, Literal, RelId, Rules, Term};
 use crate::datalog::explain::search::heights::Heights;
 use crate::datalog::explain::{ExplainError, Pattern};
@@ -41,9 +42,10 @@ pub(super) struct Search<'s> {
     clauses: Vec<Vec<ClauseId>>,
     limit: Cell<u64>,
     left: Cell<u64>,
-    /// Whether to give up is asked now and then; once it is so, it stays so.
-    pub(super) ask: Option<&'s dyn Fn() -> bool>,
-    interrupted: Cell<bool>,
+    /// Polled every [`Search::POLL_INTERVAL`] steps.
+    cancel: Cancel,
+    /// Whether a poll of the present question returned true.
+    cancelled: Cell<bool>,
     patterns: RefCell<Patterns>,
     heights: Heights,
 }
@@ -120,7 +122,10 @@ struct Undo {
 }
 
 impl<'s> Search<'s> {
-    pub(super) fn new(session: &'s Session) -> Self {
+    /// Cancellation polling interval, in steps.
+    const POLL_INTERVAL: u64 = 1 << 14;
+
+    pub(super) fn new(session: &'s Session, cancel: &Cancel) -> Self {
         let rules = session.program().rules();
         let mut clauses = vec![Vec::new(); rules.relations.len()];
         for (clause, id) in rules.clauses.iter().zip(0..) {
@@ -132,8 +137,8 @@ impl<'s> Search<'s> {
             clauses,
             limit: Cell::new(0),
             left: Cell::new(0),
-            ask: None,
-            interrupted: Cell::new(false),
+            cancel: cancel.clone(),
+            cancelled: Cell::new(false),
             patterns: RefCell::default(),
             heights: Heights::new(rules),
         }
@@ -151,7 +156,7 @@ impl<'s> Search<'s> {
     pub(super) fn refill(&mut self, steps: u64) {
         self.limit.set(steps);
         self.left.set(steps);
-        self.interrupted.set(false);
+        self.cancelled.set(false);
     }
 
     /// Returns the number of steps left.
@@ -166,20 +171,18 @@ impl<'s> Search<'s> {
 
     /// Counts a step.
     pub(super) fn step(&self) -> Result<(), ExplainError> {
-        /// So many steps are between two questions whether to go on.
-        const PAUSE: u64 = 1 << 14;
         match self.left.get().checked_sub(1) {
             Some(left) => {
                 self.left.set(left);
-                if left.is_multiple_of(PAUSE) && self.ask.is_some_and(|ask| ask()) {
-                    self.interrupted.set(true);
+                if left.is_multiple_of(Self::POLL_INTERVAL) && self.cancel.requested() {
+                    self.cancelled.set(true);
                 }
-                match self.interrupted.get() {
-                    true => Err(ExplainError::Interrupted),
+                match self.cancelled.get() {
+                    true => Err(ExplainError::Cancelled),
                     false => Ok(()),
                 }
             }
-            None if self.interrupted.get() => Err(ExplainError::Interrupted),
+            None if self.cancelled.get() => Err(ExplainError::Cancelled),
             None => Err(ExplainError::TooMuchWork {
                 limit: self.limit.get(),
             }),

@@ -150,12 +150,15 @@ pub fn lints(rules: &Rules) -> Lints {
     lints.extend(parts.iter().map(|uses| worth_a_name(rules, uses)));
     lints.sort_by_key(|lint| lint.primary.as_ref().map(|label| (label.span.source, label.span.start)));
     let unfinished = [
-        (found.effort.complete, "clauses that others cover under the constraints"),
+        (
+            found.comparing.complete,
+            "clauses that others cover under the constraints",
+        ),
         (all_parts, "parts that several bodies share"),
     ];
     Lints {
         diagnostics: lints,
-        steps: found.effort.steps,
+        steps: found.comparing.steps,
         unfinished: unfinished
             .into_iter()
             .filter(|(all, _)| !all)
@@ -281,7 +284,7 @@ fn simplest(clause: &Clause, theory: &Constraints) -> Option<Option<Vec<usize>>>
 struct Found {
     findings: Vec<Finding>,
     /// The work of the search for subsumed clauses.
-    effort: Comparing,
+    comparing: Comparing,
 }
 
 fn find(rules: &Rules, theory: &Constraints, covered: bool) -> Found {
@@ -312,11 +315,11 @@ fn find(rules: &Rules, theory: &Constraints, covered: bool) -> Found {
             }
         }
     }
-    let effort = match covered {
+    let comparing = match covered {
         true => subsumed(rules, theory, &mut findings),
         false => Comparing::default(),
     };
-    Found { findings, effort }
+    Found { findings, comparing }
 }
 
 /// Finds the clauses that others subsume. Clauses that never fire take no part.

@@ -1,0 +1,62 @@
+//! Cancellation: one type for requests to stop long work.
+//!
+//! A function that can be cancelled takes `cancel: &Cancel` as its last argument. If it also exists without that argument, its name
+//! ends in `_with`: `commit` cannot be cancelled, `commit_with` can.
+//!
+//! ```
+//! use logicity::cancel::Cancel;
+//! use std::sync::Arc;
+//! use std::sync::atomic::{AtomicBool, Ordering::Relaxed};
+//!
+//! let interrupted = Arc::new(AtomicBool::new(false));
+//! let flag = Arc::clone(&interrupted);
+//! let cancel = Cancel::when(move || flag.load(Relaxed));
+//! assert!(!cancel.requested());
+//! interrupted.store(true, Relaxed);
+//! assert!(cancel.requested());
+//! ```
+
+use std::fmt;
+use std::sync::Arc;
+
+type Requested = dyn Fn() -> bool + Send + Sync;
+
+/// A request to stop long work, polled by the worker.
+///
+/// Workers poll on every thread that takes part, some thousands of times a second, so the callback should be cheap. Clones share it.
+#[derive(Clone, Default)]
+pub struct Cancel(Option<Arc<Requested>>);
+
+impl Cancel {
+    /// Work that is never cancelled. Polling it costs one branch.
+    pub const fn never() -> Cancel {
+        Cancel(None)
+    }
+
+    /// Work is cancelled as soon as `requested` returns true.
+    pub fn when(requested: impl Fn() -> bool + Send + Sync + 'static) -> Cancel {
+        Cancel(Some(Arc::new(requested)))
+    }
+
+    /// Whether the work should stop now.
+    #[inline]
+    pub fn requested(&self) -> bool {
+        self.0.as_ref().is_some_and(|requested| requested())
+    }
+
+    /// Whether polling is pointless: made by [`Cancel::never`].
+    #[inline]
+    pub(crate) fn is_never(&self) -> bool {
+        self.0.is_none()
+    }
+}
+
+impl fmt::Debug for Cancel {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        f.write_str(if self.is_never() {
+            "Cancel::never()"
+        } else {
+            "Cancel::when(..)"
+        })
+    }
+}
