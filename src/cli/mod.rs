@@ -455,8 +455,8 @@ fn load_workspace(sources: &mut Sources, path: &Path, edb: Edb) -> Result<Worksp
     Ok(workspace)
 }
 
-/// A configuration and its rules, or those of the file that is given instead. Warnings have been told; the workspace of the rules are
-/// the last of `sources`, from the one returned on.
+/// A configuration and its rules, or those of the file that is given instead. Warnings are reported; the texts of the
+/// rules are the last of `sources`, from the one returned on.
 fn load_city(
     sources: &mut Sources,
     config: &Path,

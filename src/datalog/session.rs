@@ -163,16 +163,17 @@ impl Session {
         self.run_commit(None, &Cancel::never())
     }
 
-    /// Commits and calls `watch` on the calling thread when the evaluation of a clause begins and ends. The engine reads no clock; `watch`
-    /// may.
+    /// Commits and calls `watch` on the calling thread when the evaluation of a clause begins and ends. The engine
+    /// reads no clock; `watch` may.
     pub fn commit_watched(&mut self, watch: &dyn Fn(EvalEvent)) -> Result<Delta, EvalError> {
         self.run_commit(Some(watch), &Cancel::never())
     }
 
-    /// Cancellable variant of [`commit`](Session::commit). On cancellation the session is as before the call, with the same changes
-    /// noted.
+    /// Cancellable variant of [`commit`](Session::commit). On cancellation the session is as before the call, with the
+    /// same changes noted.
     ///
-    /// The calling thread polls `cancel`: up to a few thousand times a second while it evaluates rules, less often while it sorts rows.
+    /// The calling thread polls `cancel`: up to a few thousand times a second while it evaluates rules, less often
+    /// while it sorts rows.
     ///
     /// # Errors
     /// [`EvalError::Cancelled`] on cancellation.

@@ -259,7 +259,8 @@ impl<'s> Workbench<'s> {
             .collect()
     }
 
-    /// Makes `workspace` the program and moves the facts to it. Told are the warnings about texts from number `first_new` on.
+    /// Makes `workspace` the program and moves the facts to it. Reports the warnings about texts from number
+    /// `first_new` on.
     fn adopt(&mut self, mut workspace: Workspace, mut made: Made, first_new: usize) -> Result<Outcome, Failure> {
         let mut loaded = workspace.check();
         let mut rules = loaded

@@ -59,7 +59,8 @@ pub struct Transition {
     pub truncated: bool,
     /// Whether the goal is reached without a rule broken.
     pub success: bool,
-    /// The clauses that the action broke, by their positions in [`Oracle::constraints`](crate::sim::Oracle::constraints).
+    /// The clauses that the action broke, by their positions in
+    /// [`Oracle::constraints`](crate::sim::Oracle::constraints).
     pub broken: Vec<usize>,
 }
 
@@ -104,8 +105,8 @@ impl Env {
         Env::new_with(task, split, control, &Cancel::never())
     }
 
-    /// Cancellable variant of [`Env::new`]. The environment keeps `cancel`, so its later work is cancellable, too. After cancellation it
-    /// needs a reset.
+    /// Cancellable variant of [`Env::new`]. The environment keeps `cancel`, so its later work is cancellable, too.
+    /// After cancellation it needs a reset.
     ///
     /// # Errors
     /// As [`Env::new`]; `cancelled` on cancellation.

@@ -125,7 +125,8 @@ impl SpfTask {
         &self.config
     }
 
-    /// The short name of a clause that can be broken, by its position in [`Oracle::constraints`]: `S2`, or `file:line` if it has none.
+    /// The short name of a clause that can be broken, by its position in [`Oracle::constraints`]: `S2`, or `file:line`
+    /// if it has none.
     pub fn label(&self, constraint: usize) -> &str {
         &self.constraints[constraint].0
     }
@@ -145,8 +146,8 @@ impl SpfTask {
         self.priority_scale
     }
 
-    /// The reward of a step: for the clauses it breaks, by their positions in [`Oracle::constraints`], or else for its action on a route of
-    /// so many cells.
+    /// The reward of a step: for the clauses it breaks, by their positions in [`Oracle::constraints`], or else for its
+    /// action on a route of so many cells.
     pub fn reward(&self, action: Action, broken: &[usize], cells: usize) -> f64 {
         if broken.is_empty() {
             #[allow(clippy::cast_precision_loss)] // a route has fewer than 2^32 cells

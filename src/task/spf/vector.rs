@@ -116,7 +116,8 @@ impl ObservationKind {
 pub struct Info {
     /// What the rules want now, by its number.
     pub oracle_action: usize,
-    /// The clauses that the last action broke, by their positions in [`Oracle::constraints`](crate::sim::Oracle::constraints).
+    /// The clauses that the last action broke, by their positions in
+    /// [`Oracle::constraints`](crate::sim::Oracle::constraints).
     pub broken: Vec<usize>,
     /// How much of its route it has gone, 0 to 1.
     pub progress: f64,
@@ -326,8 +327,8 @@ impl VectorEnv {
         VectorEnv::new_with(task, split, sources, autoreset, view, threads, &Cancel::never())
     }
 
-    /// Cancellable variant of [`VectorEnv::new`]. The environments keep `cancel`, so their later work is cancellable, too. After
-    /// cancellation those that took no step need a reset.
+    /// Cancellable variant of [`VectorEnv::new`]. The environments keep `cancel`, so their later work is cancellable,
+    /// too. After cancellation those that took no step need a reset.
     ///
     /// # Errors
     /// As [`VectorEnv::new`]; `cancelled` on cancellation.

@@ -50,9 +50,9 @@ enum Argument {
     Constant(Individual),
 }
 
-/// The number of entities that suffice to show a difference in the output of that name; `None` if no number is known to. Outputs
-/// in `equal` are the same on both sides wherever those are, so their witnesses count once. There is no `literals_left` left if it would have
-/// taken too long.
+/// The number of entities that suffice to show a difference in the output of that name; `None` if no number is known
+/// to. Outputs in `equal` are the same on both sides wherever those are, so their witnesses count once. `literals_left`
+/// is 0 if it would have taken too long.
 pub(super) fn entities(
     sides: [&Side<'_>; 2],
     output: &Output,
