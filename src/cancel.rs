@@ -1,7 +1,7 @@
 //! Cancellation: one type for requests to stop long work.
 //!
-//! A function that can be cancelled takes `cancel: &Cancel` as its last argument. If it also exists without that argument, its name
-//! ends in `_with`: `commit` cannot be cancelled, `commit_with` can.
+//! A function that can be cancelled takes `cancel: &Cancel` as its last argument. If it also exists without that
+//! argument, its name ends in `_with`: `commit` cannot be cancelled, `commit_with` can.
 //!
 //! ```
 //! use logicity::cancel::Cancel;
@@ -23,7 +23,8 @@ type Requested = dyn Fn() -> bool + Send + Sync;
 
 /// A request to stop long work, polled by the worker.
 ///
-/// Workers poll on every thread that takes part, some thousands of times a second, so the callback should be cheap. Clones share it.
+/// Workers poll on every thread that takes part, some thousands of times a second, so the callback should be cheap.
+/// Clones share it.
 #[derive(Clone, Default)]
 pub struct Cancel(Option<Arc<Requested>>);
 

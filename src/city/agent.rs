@@ -168,8 +168,8 @@ pub fn place_agents(set: &AgentSet, router: &Router, places: &Places, seed: Seed
     Ok(agents)
 }
 
-/// Places a set of agents in the memory of other agents. Polls `cancel` for every agent. After an error or cancellation, the list holds some
-/// of both.
+/// Places a set of agents in the memory of other agents. Polls `cancel` for every agent. After an error or
+/// cancellation, the list holds some of both.
 ///
 /// # Errors
 /// As [`place_agents`]; `cancelled` on cancellation.

@@ -190,10 +190,11 @@ impl Session {
         self.run_commit(Some(watch), &Cancel::never())
     }
 
-    /// Cancellable variant of [`commit`](Session::commit). On cancellation the session is as before the call, with the same changes
-    /// noted.
+    /// Cancellable variant of [`commit`](Session::commit). On cancellation the session is as before the call, with the
+    /// same changes noted.
     ///
-    /// The calling thread polls `cancel`: up to a few thousand times a second while it evaluates rules, less often while it sorts rows.
+    /// The calling thread polls `cancel`: up to a few thousand times a second while it evaluates rules, less often
+    /// while it sorts rows.
     ///
     /// # Errors
     /// [`EvalError::Cancelled`] on cancellation.

@@ -146,8 +146,8 @@ impl Simulation {
         Simulation::new_with(world, split, seed, settings, &Cancel::never())
     }
 
-    /// Cancellable variant of [`new`](Simulation::new). The simulation keeps `cancel`, so its later work is cancellable, too. On
-    /// cancellation the simulation is unchanged.
+    /// Cancellable variant of [`new`](Simulation::new). The simulation keeps `cancel`, so its later work is
+    /// cancellable, too. On cancellation the simulation is unchanged.
     ///
     /// # Errors
     /// As [`Simulation::new`]; `cancelled` on cancellation.

@@ -62,7 +62,8 @@ fn executors_agree_in_every_mode() {
     }
 }
 
-/// Cancelled at any poll of a tick, the simulation is unchanged, and its next ticks are those of another that was never cancelled.
+/// Cancelled at any poll of a tick, the simulation is unchanged, and its next ticks are those of another that was never
+/// cancelled.
 #[test]
 fn a_cancelled_tick_leaves_the_simulation_unchanged() {
     let world = world("expert", None, |_| ());

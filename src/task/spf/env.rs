@@ -105,8 +105,8 @@ impl Env {
         Env::new_with(task, split, control, &Cancel::never())
     }
 
-    /// Cancellable variant of [`Env::new`]. The environment keeps `cancel`, so its later work is cancellable, too. After cancellation it
-    /// needs a reset.
+    /// Cancellable variant of [`Env::new`]. The environment keeps `cancel`, so its later work is cancellable, too.
+    /// After cancellation it needs a reset.
     ///
     /// # Errors
     /// As [`Env::new`]; `cancelled` on cancellation.

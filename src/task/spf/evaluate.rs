@@ -67,8 +67,8 @@ impl BatchEvaluator {
         BatchEvaluator::new_with(task, set, &Cancel::never())
     }
 
-    /// Cancellable variant of [`BatchEvaluator::new`]. The evaluator keeps `cancel`, so its steps are cancellable, too. After cancellation
-    /// it is inconsistent: make another.
+    /// Cancellable variant of [`BatchEvaluator::new`]. The evaluator keeps `cancel`, so its steps are cancellable, too.
+    /// After cancellation it is inconsistent: make another.
     ///
     /// # Errors
     /// As [`BatchEvaluator::new`]; `cancelled` on cancellation.

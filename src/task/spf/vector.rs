@@ -329,8 +329,8 @@ impl VectorEnv {
         VectorEnv::new_with(task, split, sources, autoreset, view, threads, &Cancel::never())
     }
 
-    /// Cancellable variant of [`VectorEnv::new`]. The environments keep `cancel`, so their later work is cancellable, too. After
-    /// cancellation those that took no step need a reset.
+    /// Cancellable variant of [`VectorEnv::new`]. The environments keep `cancel`, so their later work is cancellable,
+    /// too. After cancellation those that took no step need a reset.
     ///
     /// # Errors
     /// As [`VectorEnv::new`]; `cancelled` on cancellation.
