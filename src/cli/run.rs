@@ -1,4 +1,4 @@
-//! `logicity run`
+//! `logicity run`: runs a city.
 
 use crate::city::{Action, AgentKind, Split};
 use crate::cli::icons::IconOptions;
