@@ -259,7 +259,7 @@ pub fn run(arguments: &Arguments, sources: &mut Sources) -> Result<(), Failure> 
     }
     if arguments.scenes.is_some() && arguments.executor == Executor::Relational {
         return Err(Failure::Usage(
-            "--scenes times the dense executor only; leave out --executor relational".to_owned(),
+            "--scenes measures the dense executor only; omit --executor relational".to_owned(),
         ));
     }
     let city = load_city(sources, &arguments.config, None)?;
@@ -444,7 +444,7 @@ impl<'a> Bench<'a> {
         };
         let write = |picture: &Picture, file: &mut Vec<u8>| {
             file.clear();
-            write_png(picture, file).expect("a vector takes all that is written");
+            write_png(picture, file).expect("writing to a vector cannot fail");
         };
         // Icons are drawn on first use; this loop keeps that out of the measurement.
         for (state, file) in files.iter_mut().enumerate() {

@@ -1,4 +1,4 @@
-//! `logicity check`
+//! `logicity check`: checks rule files.
 
 use crate::cli::trace::TraceReader;
 use crate::cli::{Failure, load_workspace, report};

@@ -1,4 +1,4 @@
-//! `logicity diff`
+//! `logicity diff`: compares two rule sets.
 
 use crate::cli::{Failure, load_program, report};
 use crate::datalog::diff::{Cut, Difference, Equivalence, Options, diff};

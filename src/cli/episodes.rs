@@ -1,4 +1,4 @@
-//! `logicity episodes`
+//! `logicity episodes`: generates, checks and prints recorded episodes.
 
 use crate::builtin::BuiltinFiles;
 use crate::city::Split;
@@ -57,7 +57,7 @@ struct Make {
     #[arg(long, default_value_t = 0, allow_negative_numbers = true)]
     seed: u64,
     /// Write the episodes to FILE [default: the file that the configuration names]
-    #[arg(short, long)]
+    #[arg(short, long, value_name = "FILE")]
     output: Option<PathBuf>,
 }
 

@@ -1,4 +1,4 @@
-//! `logicity explain`
+//! `logicity explain`: explains a decision in a trace.
 
 use crate::cancel::Cancel;
 use crate::city::Action;

@@ -1,4 +1,4 @@
-//! `logicity fmt`
+//! `logicity fmt`: formats rule files.
 
 use crate::cli::{Failure, read};
 use crate::datalog;

@@ -26,7 +26,7 @@ pub struct IconOptions {
 
 fn difficulty(text: &str) -> Result<Difficulty, String> {
     let percent = text.parse().ok().and_then(Difficulty::percent);
-    percent.ok_or_else(|| "expected a whole number from 0 to 100".to_owned())
+    percent.ok_or_else(|| "expected an integer from 0 to 100".to_owned())
 }
 
 impl IconOptions {

@@ -1,4 +1,4 @@
-//! `logicity infer`
+//! `logicity infer`: evaluates the rules on scenes.
 
 use crate::builtin::BuiltinFiles;
 use crate::cli::{Failure, load_city, one_of, report};
@@ -37,7 +37,7 @@ pub struct Arguments {
     #[arg(long)]
     check_constraints: bool,
     /// Write the answers to FILE [default: standard output]
-    #[arg(long)]
+    #[arg(long, value_name = "FILE")]
     out: Option<PathBuf>,
 }
 

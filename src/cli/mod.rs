@@ -81,7 +81,7 @@ enum Command {
     Vap(vap::Arguments),
     /// Plan one route and print its cells
     Route(route::Arguments),
-    /// Draw the icons of pictures
+    /// Draw sheets of the icons in pictures
     Icons(icons::Arguments),
     /// Measure the speed of rules, ticks, episodes, pictures, and cities of up to a million agents
     Bench(bench::Arguments),

@@ -1,4 +1,4 @@
-//! `logicity query`
+//! `logicity query`: runs a Datalog program on facts files.
 
 use crate::cli::why;
 use crate::cli::why::Question;

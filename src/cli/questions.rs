@@ -1,4 +1,4 @@
-//! `logicity questions`
+//! `logicity questions`: generates language questions.
 
 use crate::city::Split;
 use crate::cli::{Failure, load_city, one_of, progress};
@@ -47,7 +47,7 @@ pub struct Arguments {
     #[arg(long, conflicts_with_all = ["count", "about"])]
     mini: bool,
     /// Write the questions to FILE, one JSON object per line [default: standard output]
-    #[arg(short, long)]
+    #[arg(short, long, value_name = "FILE")]
     output: Option<PathBuf>,
     /// Also write the questions to FILE in the CSV format of MMLU, without a header
     #[arg(long, value_name = "FILE")]

@@ -1,4 +1,4 @@
-//! `logicity route`
+//! `logicity route`: plans a route.
 
 use crate::city::{AgentKind, Routing};
 use crate::city::{Cell, CityMap, NoRoute, Router};
@@ -53,7 +53,7 @@ pub fn run(arguments: &Arguments, sources: &mut Sources) -> Result<(), Failure> 
         let what = traveller(kind);
         let outside = |cell: Cell| {
             let bounds = format!("rows 0 to {}, columns 0 to {}", map.rows() - 1, map.cols() - 1);
-            (!map.contains(cell)).then(|| format!("{} is not on the map: it has {bounds}", place(cell)))
+            (!map.contains(cell)).then(|| format!("{} is not on the map, which has {bounds}", place(cell)))
         };
         let rule = match kind {
             AgentKind::Car => "cars start and end on a traffic street, next to the mid line and outside intersections",

@@ -1,4 +1,4 @@
-//! `logicity run`
+//! `logicity run`: runs a city.
 
 use crate::cancel::Cancel;
 use crate::city::{Action, AgentKind, Split};

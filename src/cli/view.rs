@@ -1,4 +1,4 @@
-//! `logicity view`
+//! `logicity view`: writes an HTML page of a trace.
 
 use crate::cli::Failure;
 use crate::cli::icons::IconOptions;

@@ -507,7 +507,7 @@ fn tampered_pictures_are_found_out(folder: &Path, original: &BTreeMap<String, Ve
         (42, "is not the file that was made"),
         (43, "No such file"),
         (44, "10 x 1 pixels instead of 1024 x 1024"),
-        (45, "are not red, green and blue"),
+        (45, "the pixels are not 8-bit RGB"),
         (46, "not a valid PNG"),
     ];
     let output = vap(&["check", path]);

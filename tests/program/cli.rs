@@ -363,7 +363,7 @@ fn a_page_is_not_written_over_its_trace() {
     let before = fs::read(&trace).unwrap();
     let output = logicity(["view", trace.to_str().unwrap(), "-o", trace.to_str().unwrap()]);
     assert_eq!(code(&output), 2);
-    assert!(err(&output).contains("over its trace"), "{}", err(&output));
+    assert!(err(&output).contains("overwrite its trace"), "{}", err(&output));
     assert_eq!(fs::read(&trace).unwrap(), before);
 }
 
@@ -700,7 +700,7 @@ fn memory_is_given_in_mebibytes_or_with_a_unit() {
         fails(
             &output,
             2,
-            &["expected a whole number of MiB, or one with a unit", "50M"],
+            &["expected an integer number of MiB, or one with a suffix", "50M"],
         );
     }
     for (little, printed) in [
@@ -715,7 +715,7 @@ fn memory_is_given_in_mebibytes_or_with_a_unit() {
             fails(
                 &with(option, wrong),
                 2,
-                &["expected a whole number from 0 on, or one with a unit"],
+                &["expected a nonnegative integer, optionally with a suffix"],
             );
         }
         assert_eq!(code(&with(option, "1g")), 0);
@@ -1349,7 +1349,7 @@ fn episodes_are_made_checked_and_shown() {
     fails(
         &episodes(&["show", "easy", "--episode", "100"]),
         2,
-        &["numbered from 0 to 99"],
+        &["the numbers are 0 to 99"],
     );
     fails(&episodes(&["check", "vap-easy"]), 1, &["has no `task`"]);
     fails(
@@ -1381,7 +1381,11 @@ fn bench_takes_scenes() {
     for more in [["--agents", "20"], ["--split", "val"], ["--threads", "2"]] {
         fails(&bench(&file, &more, b""), 2, &[more[0], "--scenes"]);
     }
-    fails(&bench("-", &[], b" \n"), 1, &["invalid-scene", "no scene in `<stdin>`"]);
+    fails(
+        &bench("-", &[], b" \n"),
+        1,
+        &["invalid-scene", "`<stdin>` contains no scene"],
+    );
     fails(&bench("-", &[], b"{}"), 1, &["invalid-scene", "<stdin>:1"]);
     let names: Vec<String> = (0..65).map(|number| format!("\"e{number}\"")).collect();
     let crowd = format!(r#"{{"entities":[{}],"ego":"e0"}}"#, names.join(","));

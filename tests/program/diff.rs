@@ -31,7 +31,7 @@ fn the_command_says_what_it_knows() {
     let output = logicity(["diff", "rules/vap-easy.dl", copy, "--entities", "2"]);
     let said = String::from_utf8(output.stdout).unwrap();
     assert!(
-        said.starts_with("no difference in any scene of at most 2 entities; a proof needs"),
+        said.starts_with("no difference in any scene of at most 2 entities; a proof requires"),
         "{said}"
     );
 

@@ -210,7 +210,7 @@ fn faults_point_into_what_was_typed_and_change_nothing() {
         ),
         (
             "retract Path(1, 2).",
-            "error[invalid-fact]: `Path` is derived",
+            "error[invalid-fact]: rules derive `Path`",
             "<input 6>:1:1",
         ),
         (

@@ -1,6 +1,6 @@
-//! `logicity lsp`
+//! `logicity lsp`: runs a language server.
 //!
-//! A language server: an editor sends its open texts and queries positions in them. After every change the server
+//! An editor sends its open texts and queries positions in them. After every change the server
 //! checks all open texts and their includes again. An open text takes precedence over the file on disk.
 
 mod analysis;

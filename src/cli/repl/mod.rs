@@ -1,4 +1,4 @@
-//! `logicity repl`
+//! `logicity repl`: runs an interactive prompt.
 //!
 //! Input passes through three stages. Lines accumulate until they are complete. The input gets a name such as `<input
 //! 3>` for diagnostics. It is then a question, a command, or text of the language.
