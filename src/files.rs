@@ -8,6 +8,12 @@ use std::io::Write;
 use std::io::{self, Read};
 use std::path::{Component, Path, PathBuf};
 
+#[cfg(feature = "parquet")]
+mod folder;
+
+#[cfg(feature = "parquet")]
+pub use folder::{FileError, Folder, make_folder};
+
 /// The folder, as paths name it, that holds the built-in files and nothing else.
 pub const BUILTIN_FOLDER: &str = "<builtin>";
 

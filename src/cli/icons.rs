@@ -5,7 +5,6 @@ use crate::files;
 use crate::files::Output;
 use crate::render::{Class, Difficulty, Icons, Mode, PACK_FILE_MAX, PACK_FILES_MAX, Pack, PackFault, sheet, write_png};
 use crate::rng::Seed;
-use sha2::{Digest, Sha256};
 use std::io::Write;
 use std::path::{Path, PathBuf};
 
@@ -17,7 +16,7 @@ pub struct IconOptions {
     pack: Option<PathBuf>,
     /// extend: its icons come in addition to those drawn by parameters. replace: a class that it has shows only its icons
     #[arg(long, value_parser = one_of(&Mode::ALL, Mode::name), default_value = "extend", requires = "pack")]
-    pub(super) pack_mode: Mode,
+    pack_mode: Mode,
     /// From clean (0) to noisy (100 percent): how much colours, light, sharpness, markings and what lies around vary
     #[arg(long, value_name = "PERCENT", value_parser = difficulty, default_value = "0", allow_negative_numbers = true)]
     difficulty: Difficulty,
@@ -29,18 +28,13 @@ fn difficulty(text: &str) -> Result<Difficulty, String> {
 }
 
 impl IconOptions {
-    /// The icons of a seed. Which classes a pack lacks is told on standard error.
+    /// The icons of a seed. A note on standard error names the classes that a pack lacks.
     pub fn load(&self, seed: Seed) -> Result<Icons, Failure> {
-        Ok(self.load_hashed(seed)?.0)
-    }
-
-    /// The same, and the SHA-256 of the names and bytes of the pack's files, if there is one.
-    pub fn load_hashed(&self, seed: Seed) -> Result<(Icons, Option<String>), Failure> {
         let icons = Icons::new(seed, self.difficulty);
         let Some(folder) = &self.pack else {
-            return Ok((icons, None));
+            return Ok(icons);
         };
-        let (pack, hash) = load_pack(folder, self.pack_mode)?;
+        let pack = load_pack(folder, self.pack_mode)?;
         let lacks: Vec<String> = (Class::known().into_iter())
             .filter(|class| !pack.classes().any(|(has, _)| has == class))
             .map(|class| class.to_string())
@@ -53,27 +47,17 @@ impl IconOptions {
                 lacks.join(", ")
             );
         }
-        Ok((icons.with_pack(pack), Some(hash)))
+        Ok(icons.with_pack(pack))
     }
 }
 
-/// A pack, and what [`IconOptions::load_hashed`] tells of it.
-fn load_pack(folder: &Path, mode: Mode) -> Result<(Pack, String), Failure> {
+fn load_pack(folder: &Path, mode: Mode) -> Result<Pack, Failure> {
     let files = files::read_folders(folder, PACK_FILES_MAX, PACK_FILE_MAX as u64)
         .map_err(|(path, error)| Failure::file("read", &path, error))?;
-    let mut hash = Sha256::new();
-    for (name, bytes) in &files {
-        // Lengths keep apart what one and another file hold.
-        for part in [name.as_bytes(), bytes] {
-            hash.update((part.len() as u64).to_le_bytes());
-            hash.update(part);
-        }
-    }
-    let pack = Pack::new(mode, files).map_err(|faults| {
+    Pack::new(mode, files).map_err(|faults| {
         let told = |PackFault { file, reason }: &PackFault| format!("icon `{}`: {reason}", folder.join(file).display());
         Failure::Usage(faults.iter().map(told).collect::<Vec<_>>().join("\nerror: "))
-    })?;
-    Ok((pack, format!("{:x}", hash.finalize())))
+    })
 }
 
 #[derive(clap::Args)]

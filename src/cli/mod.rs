@@ -33,7 +33,7 @@ use crate::datalog::{Edb, Rules, Workspace};
 use crate::datalog::{EvalError, Limits, Program};
 use crate::diag::Located;
 use crate::diag::{Code, Diagnostic, SourceId, Sources, Span, render};
-use crate::files::ReadError;
+use crate::files::{FileError, ReadError};
 use clap::builder::{PossibleValuesParser, TypedValueParser};
 use clap::{CommandFactory, FromArgMatches, Parser, Subcommand};
 use indicatif::{ProgressBar, ProgressStyle};
@@ -128,6 +128,12 @@ impl From<io::Error> for Failure {
             io::ErrorKind::BrokenPipe => Failure::Closed,
             _ => Failure::Usage(format!("cannot write to standard output: {error}")),
         }
+    }
+}
+
+impl From<FileError> for Failure {
+    fn from(error: FileError) -> Self {
+        Failure::Usage(error.to_string())
     }
 }
 
@@ -507,18 +513,6 @@ fn missing_is_usage(faults: Vec<Diagnostic>) -> Failure {
         }
         _ => faults.into(),
     }
-}
-
-/// Makes a folder for results, and those it lies in.
-fn make_folder(path: &Path) -> Result<(), Failure> {
-    std::fs::create_dir_all(path).map_err(|error| match error.kind() {
-        io::ErrorKind::AlreadyExists | io::ErrorKind::NotADirectory => Failure::file(
-            "make the folder",
-            path,
-            "there is a file of that name, or of a folder it lies in",
-        ),
-        _ => Failure::file("make the folder", path, error),
-    })
 }
 
 /// A bar on a terminal.

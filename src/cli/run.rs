@@ -2,12 +2,12 @@
 
 use crate::city::{Action, AgentKind, Split};
 use crate::cli::icons::IconOptions;
-use crate::cli::{Failure, load_city, make_folder, one_of};
+use crate::cli::{Failure, load_city, one_of};
 use crate::datalog::constraints;
 use crate::datalog::explain::ExplanationPrinter;
 use crate::datalog::{Clause, ClauseId};
 use crate::diag::{Code, Diagnostic, SourceId, Sources};
-use crate::files::Output;
+use crate::files::{Output, make_folder};
 use crate::page::DECISIONS_MAX;
 use crate::render::{Animation, Overview, Sprite, write_png};
 use crate::rng::Seed;

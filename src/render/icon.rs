@@ -162,6 +162,11 @@ impl Icons {
         self.difficulty
     }
 
+    /// The pack, if there is one.
+    pub fn pack(&self) -> Option<&Pack> {
+        self.pack.as_ref()
+    }
+
     /// How many instances of a class there are before they repeat.
     pub fn instances(&self, class: &Class) -> u32 {
         let art = self.art(class);

@@ -16,7 +16,8 @@ use crate::sim::world::World;
 use ndarray::Array3;
 use rayon::prelude::*;
 use rayon::{ThreadPool, ThreadPoolBuilder};
-use std::sync::Arc;
+use std::sync::{Arc, mpsc};
+use std::time::Duration;
 
 /// How a [`Simulation`] works. Ticks are the same whatever is chosen.
 #[derive(Clone, Copy, Debug)]
@@ -579,6 +580,29 @@ pub(crate) fn start_threads(threads: usize) -> Result<Option<ThreadPool>, Diagno
         let message = format!("{threads} threads cannot be started: {error}");
         Diagnostic::new(Code::LIMIT_EXCEEDED, message).help("take fewer")
     })
+}
+
+/// The interval between polls of the thread that waits for a pool.
+const PAUSE: Duration = Duration::from_millis(50);
+
+/// Does work in a pool while the calling thread waits and calls `poll`, whose result it ignores. Some callbacks can do their work on the
+/// calling thread only, for example look for signals of Python.
+pub(crate) fn run_polled<R: Send>(
+    pool: &ThreadPool,
+    poll: &(dyn Fn() -> bool + Sync),
+    work: impl FnOnce() -> R + Send,
+) -> R {
+    let (done, result) = mpsc::channel();
+    let received = pool.in_place_scope(|scope| {
+        scope.spawn(move |_| done.send(work()).expect("the caller waits for it"));
+        loop {
+            match result.recv_timeout(PAUSE) {
+                Err(mpsc::RecvTimeoutError::Timeout) => drop(poll()),
+                received => break received,
+            }
+        }
+    });
+    received.expect("the scope resumes a panic of the work")
 }
 
 /// Independent cities that go at the same pace. Each goes as it would alone.

@@ -3,19 +3,15 @@
 use crate::city::{Action, Split};
 use crate::diag::Diagnostic;
 use crate::rng::{Purpose, RngExt, Seed};
-use crate::sim::{Stop, start_threads};
+use crate::sim::{Stop, run_polled, start_threads};
 use crate::task::spf::{ControlMode, Env, Episode, SpfTask};
 use rayon::ThreadPool;
 use rayon::prelude::*;
+use std::sync::Arc;
 use std::sync::atomic::{AtomicBool, Ordering};
-use std::sync::{Arc, mpsc};
-use std::time::Duration;
 
 /// So many environments at least are one thread's work.
 const SHARE: usize = 8;
-
-/// While other threads work, the one that waits for them asks so often whether to give up.
-const PAUSE: Duration = Duration::from_millis(50);
 
 /// The episodes of one environment: each is a function of the seed and of how many there were before it.
 #[derive(Clone, Debug)]
@@ -464,7 +460,7 @@ impl VectorEnv {
             act(member, given, row, stopped).err().map(|fault| (position, fault))
         };
         let fault = match &self.threads {
-            Some(pool) => wait_asking(pool, stop, || {
+            Some(pool) => run_polled(pool, stop, || {
                 (self.members.par_iter_mut().with_min_len(SHARE))
                     .zip(given)
                     .zip(observations.par_chunks_exact_mut(width))
@@ -483,19 +479,4 @@ impl VectorEnv {
         };
         fault.map_or(Ok(()), |(_, fault)| Err(fault))
     }
-}
-
-/// Does work in a pool. Meanwhile this thread asks `stop`, which may be able to tell here what it cannot tell in the pool.
-fn wait_asking<R: Send>(pool: &ThreadPool, stop: &(dyn Fn() -> bool + Sync), work: impl FnOnce() -> R + Send) -> R {
-    let (done, result) = mpsc::channel();
-    let told = pool.in_place_scope(|scope| {
-        scope.spawn(move |_| done.send(work()).expect("it is waited for"));
-        loop {
-            match result.recv_timeout(PAUSE) {
-                Err(mpsc::RecvTimeoutError::Timeout) => drop(stop()),
-                told => break told,
-            }
-        }
-    });
-    told.expect("a panic of the work goes on at the end of the scope")
 }

@@ -1,73 +1,106 @@
-//! `logicity vap check`
+//! Opening and checking data sets.
 
-use crate::builtin::BuiltinFiles;
-use crate::cli::vap::folder;
-use crate::cli::vap::folder::{ENTITIES, Manifest, PAIRS, Record, Settings, add, file_record, wrong};
-use crate::cli::vap::{City, Mode, on_threads, shares, told};
-use crate::cli::{Failure, progress, threads};
-use crate::diag::{Code, Diagnostic, Sources};
+use crate::diag::{Code, Diagnostic};
+use crate::files::{Folder, ReadError};
 use crate::render::read_png;
 use crate::rng::Seed;
 use crate::sim::{Executor, Inference, SceneFacts};
+use crate::task::vap::dataset::{Monitor, Step};
+use crate::task::vap::folder::{ENTITIES, MANIFEST, PAIRS, add, file_record, wrong};
 use crate::task::vap::table::{Sample, Table, boxes, count_concepts, samples};
-use crate::task::vap::{SIDE, count_atoms};
+use crate::task::vap::{DatasetError, DatasetSource, Manifest, Mode, SIDE, WorldRecord, count_atoms, folder};
 use std::collections::{BTreeMap, BTreeSet};
-use std::fs;
-use std::io::{self, Write};
 use std::num::NonZeroUsize;
 use std::path::{Component, Path, PathBuf};
 
-#[derive(clap::Args)]
-pub(super) struct Check {
-    /// The folder of the data set
-    folder: PathBuf,
-    /// Threads; 0 is one for each core
-    #[arg(long, value_parser = threads, default_value = "0", allow_negative_numbers = true)]
-    threads: NonZeroUsize,
-    /// One JSON object
-    #[arg(long)]
-    json: bool,
+/// A data set on disk.
+pub struct Dataset {
+    folder: Folder,
+    mode: Mode,
+    manifest: Manifest,
 }
 
-impl Check {
-    pub(super) fn run(&self, sources: &mut Sources) -> Result<(), Failure> {
-        let path = self.folder.join(folder::MANIFEST);
-        let manifest = folder::read_manifest(&self.folder)?;
-        let settings = &manifest.settings;
-        let mode = Mode::ALL.into_iter().find(|mode| mode.name() == settings.mode);
-        let mode = mode.ok_or_else(|| wrong(&path, format!("`{}` is not a mode", settings.mode)))?;
-        let city = City::load(mode, sources)?;
-        if [&city.config_hash, &city.rules_hash] != [&settings.config_hash, &settings.rules_hash] {
-            let message = format!("made with another configuration `{}`, or other rules", mode.config());
-            return Err(wrong(&path, message).into());
-        }
-        let inference = city.inference(settings.seed)?;
-        let mut faults = self.unlisted(&manifest)?;
-        let bar = progress("world", manifest.worlds.len() as u64);
-        let found = on_threads(self.threads, &manifest.worlds, |record| {
-            let found = self.check_world(&inference, settings, record)?;
-            bar.inc(1);
-            Ok(found)
-        })?;
-        bar.finish_and_clear();
-        faults.extend(found.into_iter().flatten());
-        if Manifest::new(settings.clone(), manifest.worlds.clone()) != manifest {
-            faults.push(wrong(&path, "does not count what its worlds have"));
-        }
-        if !faults.is_empty() {
-            return Err(faults.into());
-        }
-        self.tell(mode, &manifest)
+impl Dataset {
+    /// Reads the manifest.
+    ///
+    /// # Errors
+    /// `invalid-data-set` if it is no manifest of this version; a file that cannot be read.
+    pub fn open(folder: Folder) -> Result<Dataset, DatasetError> {
+        let manifest = folder::read_manifest(&folder)?;
+        let name = &manifest.settings.mode;
+        let mode = Mode::ALL.into_iter().find(|mode| mode.name() == name);
+        let path = folder.path().join(MANIFEST);
+        Ok(Dataset {
+            mode: mode.ok_or_else(|| wrong(&path, format!("`{name}` is not a mode")))?,
+            folder,
+            manifest,
+        })
     }
 
-    /// What is there and not in the manifest.
-    fn unlisted(&self, manifest: &Manifest) -> Result<Vec<Diagnostic>, Failure> {
+    /// The rules.
+    pub fn mode(&self) -> Mode {
+        self.mode
+    }
+
+    /// The manifest.
+    pub fn manifest(&self) -> &Manifest {
+        &self.manifest
+    }
+
+    fn manifest_path(&self) -> PathBuf {
+        self.folder.path().join(MANIFEST)
+    }
+
+    /// Checks files, hashes, order, pictures and boxes, and derives every label from the facts. `source` has the rules of
+    /// [`mode`](Dataset::mode).
+    ///
+    /// `progress` receives the numbers of worlds checked and to check. It and `cancel` are called on the calling thread only.
+    ///
+    /// # Errors
+    /// `invalid-data-set` for every fault; `cancelled`; a folder that cannot be read.
+    pub fn check(
+        &self,
+        source: DatasetSource,
+        threads: NonZeroUsize,
+        progress: &(dyn Fn(u64, u64) + Sync),
+        cancel: &(dyn Fn() -> bool + Sync),
+    ) -> Result<(), DatasetError> {
+        let (path, settings) = (self.manifest_path(), &self.manifest.settings);
+        if [&source.scenario.hash, &source.rules_hash] != [&settings.config_hash, &settings.rules_hash] {
+            let config = self.mode.config();
+            let message = format!("made with another configuration `{config}`, or other rules");
+            return Err(wrong(&path, message).into());
+        }
+        // The facts of a sample name no map file.
+        let read = |_: &Path| Err(ReadError::NotFound);
+        let seed = Seed(settings.seed);
+        let inference = Inference::new(source.scenario, source.program, seed, Executor::Auto, read)?;
+        let mut faults = self.unlisted()?;
+        let records = &self.manifest.worlds;
+        let monitor = Monitor::new(records.len() as u64, progress, cancel);
+        let found = monitor.run(threads, records, |record, step| {
+            let found = self.check_world(&inference, record, step)?;
+            step(1)?;
+            Ok(found)
+        })?;
+        faults.extend(found.into_iter().flatten());
+        if Manifest::new(settings.clone(), records.clone()) != self.manifest {
+            faults.push(wrong(&path, "does not count what its worlds have"));
+        }
+        match faults.is_empty() {
+            true => Ok(()),
+            false => Err(faults.into()),
+        }
+    }
+
+    /// The faults of files that are not in the manifest.
+    fn unlisted(&self) -> Result<Vec<Diagnostic>, DatasetError> {
         let mut faults = Vec::new();
         for path in folder::strangers(&self.folder)? {
             faults.push(wrong(&path, "belongs to no data set"));
         }
         for (path, file) in folder::worlds(&self.folder)? {
-            if !manifest.worlds.contains(&file.record) || file.settings != manifest.settings {
+            if !self.manifest.worlds.contains(&file.record) || file.settings != self.manifest.settings {
                 let fault = wrong(&path, "is not as the manifest lists it");
                 faults.push(fault.help("`logicity vap make` lists what is there"));
             }
@@ -75,23 +108,24 @@ impl Check {
         Ok(faults)
     }
 
-    /// What is wrong with a world.
+    /// The faults of a world.
     fn check_world(
         &self,
         inference: &Inference,
-        settings: &Settings,
-        record: &Record,
-    ) -> Result<Vec<Diagnostic>, Failure> {
-        let path = self.folder.join(folder::world_name(record.world));
+        record: &WorldRecord,
+        step: Step<'_>,
+    ) -> Result<Vec<Diagnostic>, DatasetError> {
+        let folder = self.folder.folder(&folder::world_name(record.world));
+        let path = folder.path();
         let mut faults = Vec::new();
-        let tables = read_files(&path, record, &mut faults);
+        let tables = read_files(&folder, record, step, &mut faults)?;
         if !faults.is_empty() {
             return Ok(faults);
         }
-        for path in folder::strangers_in_world(&path, record)? {
+        for path in folder::strangers_in_world(&folder, record)? {
             faults.push(wrong(&path, "is not of the world"));
         }
-        let told = read_tables(inference, record, tables).and_then(|(entities, samples)| {
+        let read = read_tables(inference, record, tables).and_then(|(entities, samples)| {
             let mut actions = [0; 4];
             for sample in &samples {
                 actions = add(actions, check_sample(inference, sample)?);
@@ -99,10 +133,10 @@ impl Check {
             let concepts = count_concepts(&entities)?;
             Ok((entities, samples, actions, concepts))
         });
-        match told {
+        match read {
             Err(fault) => faults.push(fault.note(format!("in `{}`", path.display()))),
             Ok((entities, samples, actions, concepts)) => {
-                let counted = Record {
+                let counted = WorldRecord {
                     world: record.world,
                     seed: record.seed,
                     frames: samples.len(),
@@ -113,85 +147,38 @@ impl Check {
                     files: record.files.clone(),
                 };
                 if counted != *record {
-                    faults.push(wrong(&path, "does not count what its tables have"));
+                    faults.push(wrong(path, "does not count what its tables have"));
                 }
-                let pictures = samples.iter().filter(|_| settings.pictures);
+                let pictures = samples.iter().filter(|_| self.manifest.settings.pictures);
                 let names: BTreeSet<String> = pictures.map(|sample| folder::frame_name(sample.tick)).collect();
-                let there = record.files.keys().filter(|name| name.ends_with(".png"));
-                if !there.eq(&names) {
-                    faults.push(wrong(&path, "has not one picture for each of its frames"));
+                let listed = record.files.keys().filter(|name| name.ends_with(".png"));
+                if !listed.eq(&names) {
+                    faults.push(wrong(path, "has not one picture for each of its frames"));
                 }
             }
         }
         Ok(faults)
     }
-
-    fn tell(&self, mode: Mode, manifest: &Manifest) -> Result<(), Failure> {
-        let Manifest {
-            settings,
-            frames,
-            actions,
-            agents,
-            concepts,
-            atoms,
-            worlds,
-        } = manifest;
-        let pictures = if settings.pictures { *frames } else { 0 };
-        let mut out = io::stdout().lock();
-        if self.json {
-            let counts = serde_json::json!({
-                "worlds": worlds.len(), "frames": frames, "pictures": pictures, "actions": actions,
-                "published": mode.published(), "agents": agents, "concepts": concepts, "atoms": atoms,
-            });
-            writeln!(out, "{counts}")?;
-            return Ok(());
-        }
-        let worlds = worlds.len();
-        writeln!(
-            out,
-            "worlds: {worlds}, frames: {frames}, pictures: {pictures}, every label follows from the facts"
-        )?;
-        writeln!(out, "labels of cars: {}", told(*actions))?;
-        writeln!(out, "published test: {}", told(mode.published()))?;
-        let concepts = concepts.iter().map(|(name, count)| (name.as_str(), *count));
-        writeln!(out, "agents: {}", shares(concepts, *agents))?;
-        let atoms = atoms.iter().map(|(name, count)| format!("{name} {count}"));
-        let atoms: Vec<String> = atoms.collect();
-        writeln!(out, "true, of pairs if the first sees the second: {}", atoms.join(", "))?;
-        Ok(())
-    }
 }
 
-impl City {
-    fn inference(&self, seed: u64) -> Result<Inference, Failure> {
-        let (scenario, program) = (self.scenario.clone(), self.program.clone());
-        Ok(Inference::new(
-            scenario,
-            program,
-            Seed(seed),
-            Executor::Auto,
-            BuiltinFiles,
-        )?)
-    }
-}
-
-/// Reads the files of a world, and compares them with what is told of them. The bytes of those that are not pictures.
-fn read_files<'a>(folder: &Path, record: &'a Record, faults: &mut Vec<Diagnostic>) -> BTreeMap<&'a str, Vec<u8>> {
+/// Compares the files of a world with its record. Returns the bytes of those that are not pictures.
+fn read_files<'a>(
+    folder: &Folder,
+    record: &'a WorldRecord,
+    step: Step<'_>,
+    faults: &mut Vec<Diagnostic>,
+) -> Result<BTreeMap<&'a str, Vec<u8>>, Diagnostic> {
     let mut others = BTreeMap::new();
     for (name, expected) in &record.files {
-        let path = folder.join(name);
+        step(0)?;
+        let path = folder.path().join(name);
         if !Path::new(name).components().eq([Component::Normal(name.as_ref())]) {
             faults.push(wrong(&path, "is not in the folder of the world"));
             continue;
         }
         let again = "remove the folder of the world and run `logicity vap make` again";
         let other = || wrong(&path, "is not the file that was made").help(again);
-        // What has another size is not read.
-        let read = || match fs::metadata(&path)?.len() == expected.bytes as u64 {
-            true => fs::read(&path).map(Some),
-            false => Ok(None),
-        };
-        match read() {
+        match folder.read_of_length(name, expected.bytes as u64) {
             Err(error) => faults.push(wrong(&path, error).help(again)),
             Ok(None) => faults.push(other()),
             Ok(Some(bytes)) if file_record(&bytes) != *expected => faults.push(other()),
@@ -205,7 +192,7 @@ fn read_files<'a>(folder: &Path, record: &'a Record, faults: &mut Vec<Diagnostic
             }
         }
     }
-    others
+    Ok(others)
 }
 
 fn check_picture(bytes: &[u8]) -> Result<(), String> {
@@ -219,7 +206,7 @@ fn check_picture(bytes: &[u8]) -> Result<(), String> {
 /// The entities and the samples of a world, if all files besides pictures are its tables and boxes lie in the picture.
 fn read_tables(
     inference: &Inference,
-    record: &Record,
+    record: &WorldRecord,
     mut files: BTreeMap<&str, Vec<u8>>,
 ) -> Result<(Table, Vec<Sample>), Diagnostic> {
     let mut table = |name: &str| {
