@@ -8,7 +8,7 @@
 //! - `city`: scenes and simulations; `config`: configuration files that Python interprets;
 //! - `task`: the task of environments; `episode`: its episodes; `env`: environments with one controlled car; `multi_car`: an environment
 //!   that controls every car; `evaluate`: measures of policies;
-//! - `vap`: data sets of pictures and facts.
+//! - `vap`: making, checking and reading data sets of pictures and facts.
 
 mod city;
 mod columns;
@@ -181,10 +181,15 @@ impl Signals {
         looked.1 = Instant::now();
         drop(looked);
         if let Err(error) = Python::attach(|py| py.check_signals()) {
-            locked(&self.error).get_or_insert(error);
-            self.raised.store(true, Ordering::Relaxed);
+            self.cancel(error);
         }
         self.raised.load(Ordering::Relaxed)
+    }
+
+    /// Cancels the work, which then raises this exception. The first exception counts.
+    fn cancel(&self, error: PyErr) {
+        locked(&self.error).get_or_insert(error);
+        self.raised.store(true, Ordering::Relaxed);
     }
 
     /// The cancellation callback.
