@@ -9,7 +9,13 @@ use std::io::Write;
 use std::io::{self, Read};
 use std::path::{Component, Path, PathBuf};
 
-/// The path prefix of the built-in files; nothing else is below it.
+#[cfg(feature = "parquet")]
+mod folder;
+
+#[cfg(feature = "parquet")]
+pub use folder::{FileError, Folder, make_folder};
+
+/// The folder, as paths name it, that holds the built-in files and nothing else.
 pub const BUILTIN_FOLDER: &str = "<builtin>";
 
 /// The maximum size of an input file: 1 GiB.

@@ -11,7 +11,7 @@ Where to start:
 - `observation_names` names the numbers of an observation.
 - `evaluate` measures a policy, `Benchmark` several; `demonstrations` returns trajectories of the oracle.
 - `logicity.questions` asks a language model about cars.
-- `logicity.vap` reads data sets of Visual Action Prediction.
+- `logicity.vap` makes and reads data sets of Visual Action Prediction.
 
 The core needs numpy only. Environments and `demonstrations` need the extra `gym`; `logicity.sb3`, `train`, `parallel`
 and `icons` need extras of their own. Every module is imported on first use.

@@ -1,4 +1,5 @@
 import os
+from collections.abc import Callable
 from typing import Any, TypeAlias, final
 
 import numpy as np
@@ -22,8 +23,10 @@ __all__ = [
     "Task",
     "__version__",
     "check",
+    "check_dataset",
     "describe",
     "did_you_mean",
+    "make_dataset",
     "python_commands",
     "read_file",
     "read_picture",
@@ -218,3 +221,19 @@ def read_world(
     npt.NDArray[np.bool_],
 ]: ...
 def read_picture(path: _Path, out: npt.NDArray[np.uint8]) -> None: ...
+def make_dataset(
+    folder: _Path,
+    mode: str,
+    split: str,
+    agents: str,
+    worlds: int | None,
+    first_world: int,
+    seed: int,
+    images: bool,
+    pack: _Path | None,
+    pack_mode: str,
+    difficulty: int,
+    threads: int,
+    progress: Callable[[int, int], object] | None,
+) -> None: ...
+def check_dataset(folder: _Path, threads: int, progress: Callable[[int, int], object] | None) -> dict[str, Any]: ...

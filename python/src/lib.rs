@@ -8,7 +8,7 @@
 //! - `city`: scenes and simulations; `config`: configuration files that Python interprets;
 //! - `task`: the task of environments; `episode`: its episodes; `env`: environments with one controlled car; `multi_car`: an environment
 //!   that controls every car; `evaluate`: measures of policies;
-//! - `vap`: data sets of pictures and facts.
+//! - `vap`: making, checking and reading data sets of pictures and facts.
 
 mod city;
 mod columns;
@@ -183,10 +183,15 @@ impl Signals {
         last_check.1 = Instant::now();
         drop(last_check);
         if let Err(error) = Python::attach(|py| py.check_signals()) {
-            locked(&self.error).get_or_insert(error);
-            self.raised.store(true, Ordering::Relaxed);
+            self.fail(error);
         }
         self.raised.load(Ordering::Relaxed)
+    }
+
+    /// Cancels the work, which then raises this exception. The first exception counts.
+    fn fail(&self, error: PyErr) {
+        locked(&self.error).get_or_insert(error);
+        self.raised.store(true, Ordering::Relaxed);
     }
 
     /// Requests cancellation when a handler has raised an exception.

@@ -1,58 +1,77 @@
-//! Data sets of Visual Action Prediction: tables of a world as arrays, and pictures.
+//! Data sets of Visual Action Prediction: making, checking, tables of a world as arrays, and pictures.
 
-use crate::{input_error, slice_of};
-use logicity::city::Action;
+use crate::city::{Loaded, one_of};
+use crate::{Signals, input_error, read_error, slice_of, to_python};
+use logicity::cancel::Cancel;
 use logicity::city::Heading;
+use logicity::city::{Action, Split};
 use logicity::diag::{Code, Diagnostic, Sources};
-use logicity::render::{PixelBox, read_png_into};
-use logicity::task::vap::SIDE;
+use logicity::files::{FileError, Folder, ReadError, read_folders};
+use logicity::render::{
+    Difficulty, Icons, Mode as PackMode, PACK_FILE_MAX, PACK_FILES_MAX, Pack, PackFault, PixelBox, read_png_into,
+};
+use logicity::sim::LoadedCity;
 use logicity::task::vap::table::{Table, boxes, sample_rows};
+use logicity::task::vap::{
+    Agents, Dataset, DatasetError, DatasetRequest, DatasetWriter, Mode, SIDE, WORLDS_MAX, published_worlds,
+};
 use numpy::ndarray::{Array2, ArrayView1, array};
 use numpy::{IntoPyArray, PyArray1, PyArray2, PyReadwriteArray3, PyUntypedArrayMethods};
-use pyo3::exceptions::{PyOSError, PyValueError};
+use pyo3::exceptions::{PyFileExistsError, PyFileNotFoundError, PyOSError, PyRuntimeError, PyValueError};
 use pyo3::prelude::*;
 use pyo3::types::PyString;
+use serde_json::json;
 use std::collections::HashMap;
 use std::fs;
-use std::io;
+use std::io::ErrorKind;
+use std::num::NonZeroUsize;
 use std::path::{Path, PathBuf};
+use std::sync::Arc;
 
 pub fn register(module: &Bound<'_, PyModule>) -> PyResult<()> {
     module.add("PICTURE_SIDE", SIDE)?;
     module.add_function(wrap_pyfunction!(read_world, module)?)?;
-    module.add_function(wrap_pyfunction!(read_picture, module)?)
+    module.add_function(wrap_pyfunction!(read_picture, module)?)?;
+    module.add_function(wrap_pyfunction!(make_dataset, module)?)?;
+    module.add_function(wrap_pyfunction!(check_dataset, module)?)
 }
 
-/// The reason why a file of a data set cannot be read.
-enum DataSetError {
-    File(PathBuf, io::Error),
-    Faulty(Diagnostic),
-}
-
-impl From<Diagnostic> for DataSetError {
-    fn from(fault: Diagnostic) -> Self {
-        DataSetError::Faulty(fault)
+/// The exception for a file.
+fn file_error(failed: &FileError) -> PyErr {
+    let FileError { path, error, .. } = failed;
+    // The number selects the class, as in Python's own errors.
+    if let Some(code) = error.raw_os_error() {
+        return PyOSError::new_err((code, error.kind().to_string(), path.clone()));
+    }
+    let message = failed.to_string();
+    match error.kind() {
+        ErrorKind::NotFound => PyFileNotFoundError::new_err(message),
+        ErrorKind::AlreadyExists | ErrorKind::NotADirectory => PyFileExistsError::new_err(message),
+        _ => PyOSError::new_err(message),
     }
 }
 
-impl DataSetError {
-    fn raise(self, py: Python<'_>, path: &Path) -> PyErr {
-        match self {
-            // The number selects the class, as in Python's own errors.
-            DataSetError::File(path, error) => match error.raw_os_error() {
-                Some(code) => PyOSError::new_err((code, error.kind().to_string(), path)),
-                None => PyOSError::new_err(format!("cannot read `{}`: {error}", path.display())),
-            },
-            DataSetError::Faulty(fault) => {
-                let placed = fault.note(format!("in `{}`", path.display()));
-                input_error(py, &[placed], &Sources::new())
-            }
-        }
+/// The exception for a data set. `sources` has the texts of its rules.
+fn raise(py: Python<'_>, error: DatasetError, sources: &Sources) -> PyErr {
+    match error {
+        DatasetError::File(error) => file_error(&error),
+        DatasetError::Faulty(faults) => input_error(py, &faults, sources),
+        error => PyRuntimeError::new_err(error.to_string()),
     }
 }
 
-fn faulty(message: impl Into<String>) -> DataSetError {
-    DataSetError::Faulty(Diagnostic::new(Code::INVALID_DATA_SET, message))
+/// The exception for a file of a data set, in which all faults are.
+fn raise_in(py: Python<'_>, error: DatasetError, path: &Path) -> PyErr {
+    let place = |fault: Diagnostic| fault.note(format!("in `{}`", path.display()));
+    let error = match error {
+        DatasetError::Faulty(faults) => DatasetError::Faulty(faults.into_iter().map(place).collect()),
+        error => error,
+    };
+    raise(py, error, &Sources::new())
+}
+
+fn faulty(message: impl Into<String>) -> DatasetError {
+    Diagnostic::new(Code::INVALID_DATA_SET, message).into()
 }
 
 /// The two tables of a world, row by row.
@@ -70,12 +89,13 @@ struct WorldTables {
     sees: Vec<bool>,
 }
 
-fn read_bytes(path: PathBuf) -> Result<Vec<u8>, DataSetError> {
-    fs::read(&path).map_err(|error| DataSetError::File(path, error))
+fn read_bytes(path: PathBuf) -> Result<Vec<u8>, DatasetError> {
+    let action = "read";
+    fs::read(&path).map_err(|error| FileError { action, path, error }.into())
 }
 
 /// The codes of a column, -1 for absent values.
-fn codes(table: &Table, name: &str, count: usize) -> Result<Vec<i64>, DataSetError> {
+fn codes(table: &Table, name: &str, count: usize) -> Result<Vec<i64>, DatasetError> {
     let code = |value: &Option<i32>| match value {
         None => Ok(-1),
         Some(code) if usize::try_from(*code).is_ok_and(|code| code < count) => Ok(i64::from(*code)),
@@ -85,7 +105,7 @@ fn codes(table: &Table, name: &str, count: usize) -> Result<Vec<i64>, DataSetErr
 }
 
 /// Columns of truth values side by side.
-fn truths(table: &Table, names: &[String]) -> Result<Array2<bool>, DataSetError> {
+fn truths(table: &Table, names: &[String]) -> Result<Array2<bool>, DatasetError> {
     let mut all = Array2::from_elem((table.rows(), names.len()), false);
     for (name, mut column) in names.iter().zip(all.columns_mut()) {
         column.assign(&ArrayView1::from(table.bools(name)?));
@@ -94,7 +114,7 @@ fn truths(table: &Table, names: &[String]) -> Result<Array2<bool>, DataSetError>
 }
 
 impl WorldTables {
-    fn read(folder: &Path, number: u32, unary: &[String], binary: &[String]) -> Result<WorldTables, DataSetError> {
+    fn read(folder: &Path, number: u32, unary: &[String], binary: &[String]) -> Result<WorldTables, DatasetError> {
         let entities = Table::read(read_bytes(folder.join("entities.parquet"))?)?;
         let pairs = Table::read(read_bytes(folder.join("pairs.parquet"))?)?;
         let samples = sample_rows(number, &entities, &pairs)?;
@@ -161,7 +181,7 @@ fn read_world(
     binary: Vec<String>,
 ) -> PyResult<WorldArrays<'_>> {
     let read = py.detach(|| WorldTables::read(&folder, number, &unary, &binary));
-    let world = read.map_err(|unread| unread.raise(py, &folder))?;
+    let world = read.map_err(|error| raise_in(py, error, &folder))?;
     Ok((
         world.ticks.into_pyarray(py),
         world.starts.into_pyarray(py),
@@ -176,7 +196,7 @@ fn read_world(
 }
 
 /// Decodes a PNG of the given rows and columns.
-fn decode(path: &Path, (rows, columns): (u32, u32), pixels: &mut [u8]) -> Result<(), DataSetError> {
+fn decode(path: &Path, (rows, columns): (u32, u32), pixels: &mut [u8]) -> Result<(), DatasetError> {
     let bytes = read_bytes(path.to_owned())?;
     read_png_into(&bytes, (columns, rows), pixels).map_err(faulty)
 }
@@ -192,5 +212,162 @@ fn read_picture(py: Python<'_>, path: PathBuf, mut out: PyReadwriteArray3<'_, u8
     let size = (side(rows)?, side(columns)?);
     let pixels = slice_of(&mut out, 3 * rows * columns)?;
     let decoded = py.detach(|| decode(&path, size, pixels));
-    decoded.map_err(|unread| unread.raise(py, &path))
+    decoded.map_err(|error| raise_in(py, error, &path))
+}
+
+/// The largest number of threads, as on the command line.
+const THREADS_MAX: usize = 1024;
+
+/// A number of threads; 0 means one for each core.
+fn threads_of(given: usize) -> PyResult<NonZeroUsize> {
+    match NonZeroUsize::new(given) {
+        None => Ok(std::thread::available_parallelism().unwrap_or(NonZeroUsize::MIN)),
+        Some(threads) if given <= THREADS_MAX => Ok(threads),
+        Some(_) => Err(PyValueError::new_err(format!(
+            "threads: expected 0 to {THREADS_MAX}, not {given}"
+        ))),
+    }
+}
+
+fn load(py: Python<'_>, signals: &Signals, mode: Mode) -> PyResult<Loaded> {
+    Loaded::new(py, signals, mode.config().into(), None, None, None)
+}
+
+/// The reason why a data set cannot be begun.
+enum BeginError {
+    Unread(PathBuf, ReadError),
+    Pack(String),
+    Faulty(Vec<Diagnostic>),
+}
+
+fn begin(
+    request: DatasetRequest,
+    city: LoadedCity,
+    difficulty: Difficulty,
+    pack: Option<(PathBuf, PackMode)>,
+) -> Result<DatasetWriter, BeginError> {
+    let mut icons = Icons::new(request.icon_seed(), difficulty);
+    if let Some((folder, mode)) = pack {
+        let files = read_folders(&folder, PACK_FILES_MAX, PACK_FILE_MAX as u64);
+        let files = files.map_err(|(path, error)| BeginError::Unread(path, error))?;
+        let message =
+            |PackFault { file, reason }: &PackFault| format!("icon `{}`: {reason}", folder.join(file).display());
+        let pack = Pack::new(mode, files).map_err(|faults| {
+            let messages: Vec<String> = faults.iter().map(message).collect();
+            BeginError::Pack(messages.join("\n"))
+        });
+        icons = icons.with_pack(pack?);
+    }
+    DatasetWriter::new(request, city, icons).map_err(BeginError::Faulty)
+}
+
+/// Runs work on a data set with a progress callback of Python, which receives the numbers of units done and in total. An exception in the
+/// callback cancels the work.
+fn with_progress<R: Send>(
+    py: Python<'_>,
+    signals: &Arc<Signals>,
+    progress: Option<Py<PyAny>>,
+    work: impl FnOnce(&(dyn Fn(u64, u64) + Sync), &Cancel) -> R + Send,
+) -> PyResult<R> {
+    let report = |done: u64, total: u64| {
+        let Some(callback) = &progress else { return };
+        if let Err(error) = Python::attach(|py| callback.call1(py, (done, total))) {
+            signals.fail(error);
+        }
+    };
+    let cancel = signals.cancel();
+    signals.detach(py, || work(&report, &cancel))
+}
+
+/// Makes the worlds that a folder lacks.
+#[pyfunction]
+#[expect(clippy::too_many_arguments, reason = "each is an argument in Python")]
+fn make_dataset(
+    py: Python<'_>,
+    folder: PathBuf,
+    mode: &str,
+    split: &str,
+    agents: &str,
+    worlds: Option<u32>,
+    first_world: u32,
+    seed: u64,
+    images: bool,
+    pack: Option<PathBuf>,
+    pack_mode: &str,
+    difficulty: u8,
+    threads: usize,
+    progress: Option<Py<PyAny>>,
+) -> PyResult<()> {
+    let mode = one_of("mode", mode, &Mode::ALL, Mode::name)?;
+    let split = one_of("split", split, &Split::ALL, Split::name)?;
+    let pack_mode = one_of("pack_mode", pack_mode, &PackMode::ALL, PackMode::name)?;
+    let count = worlds.unwrap_or(published_worlds(split));
+    if !(1..=WORLDS_MAX).contains(&count) {
+        let message = format!("worlds: expected 1 to {WORLDS_MAX}, not {count}");
+        return Err(PyValueError::new_err(message));
+    }
+    if first_world >= WORLDS_MAX {
+        let message = format!("first_world: expected 0 to {}, not {first_world}", WORLDS_MAX - 1);
+        return Err(PyValueError::new_err(message));
+    }
+    let wrong = || PyValueError::new_err(format!("difficulty: expected 0 to 100, not {difficulty}"));
+    let difficulty = Difficulty::percent(difficulty).ok_or_else(wrong)?;
+    let request = DatasetRequest {
+        mode,
+        agents: one_of("agents", agents, &Agents::ALL, Agents::name)?,
+        split,
+        worlds: first_world..first_world + count,
+        seed,
+        pictures: images,
+        threads: threads_of(threads)?,
+    };
+    let signals = Signals::new();
+    let Loaded { city, sources, .. } = load(py, &signals, mode)?;
+    let pack = pack.map(|folder| (folder, pack_mode));
+    let begun = signals.on_thread(py, move || begin(request, city, difficulty, pack))?;
+    let writer = begun.map_err(|error| match error {
+        BeginError::Unread(path, error) => read_error(py, &path, &error),
+        BeginError::Pack(message) => PyValueError::new_err(message),
+        BeginError::Faulty(faults) => input_error(py, &faults, &sources),
+    })?;
+    let folder = Folder::make(&folder).map_err(|error| file_error(&error))?;
+    let written = with_progress(py, &signals, progress, |progress, cancel| {
+        writer.write(&folder, progress, cancel)
+    })?;
+    written.map_err(|error| raise(py, error, &sources))?;
+    Ok(())
+}
+
+/// Checks a data set. Returns its counts.
+#[pyfunction]
+fn check_dataset(
+    py: Python<'_>,
+    folder: PathBuf,
+    threads: usize,
+    progress: Option<Py<PyAny>>,
+) -> PyResult<Bound<'_, PyAny>> {
+    let threads = threads_of(threads)?;
+    let dataset = Dataset::open(Folder::new(folder)).map_err(|error| raise(py, error, &Sources::new()))?;
+    let signals = Signals::new();
+    let Loaded { city, sources, .. } = load(py, &signals, dataset.mode())?;
+    let checked = with_progress(py, &signals, progress, |progress, cancel| {
+        dataset.check(city, threads, progress, cancel)
+    })?;
+    checked.map_err(|error| raise(py, error, &sources))?;
+    let manifest = dataset.manifest();
+    let by_name = |counts: [u64; 4]| -> serde_json::Map<String, serde_json::Value> {
+        let names = Action::ALL.iter().map(|action| action.name().to_owned());
+        names.zip(counts.map(Into::into)).collect()
+    };
+    let counts = json!({
+        "worlds": manifest.worlds.len(),
+        "frames": manifest.frames,
+        "pictures": manifest.pictures(),
+        "agents": manifest.agents,
+        "actions": by_name(manifest.actions),
+        "published_actions": by_name(dataset.mode().published_actions()),
+        "concepts": manifest.concepts,
+        "atoms": manifest.atoms,
+    });
+    to_python(py, &counts)
 }

@@ -5,7 +5,6 @@ use crate::files;
 use crate::files::Output;
 use crate::render::{Class, Difficulty, Icons, Mode, PACK_FILE_MAX, PACK_FILES_MAX, Pack, PackFault, sheet, write_png};
 use crate::rng::Seed;
-use sha2::{Digest, Sha256};
 use std::io::Write;
 use std::path::{Path, PathBuf};
 
@@ -18,7 +17,7 @@ pub struct IconOptions {
     /// How to use the icons of the pack. extend: add them to the generated icons. replace: use only them, for the
     /// classes that the pack has
     #[arg(long, value_parser = one_of(&Mode::ALL, Mode::name), default_value = "extend", requires = "pack")]
-    pub(super) pack_mode: Mode,
+    pack_mode: Mode,
     /// Visual variation from 0 (clean) to 100 (noisy), in percent: colors, light, sharpness, markings and clutter
     #[arg(long, value_name = "PERCENT", value_parser = difficulty, default_value = "0", allow_negative_numbers = true)]
     difficulty: Difficulty,
@@ -30,19 +29,13 @@ fn difficulty(text: &str) -> Result<Difficulty, String> {
 }
 
 impl IconOptions {
-    /// Returns the icons of a seed. Lists on standard error the classes that a pack lacks.
+    /// The icons of a seed. A note on standard error names the classes that a pack lacks.
     pub fn load(&self, seed: Seed) -> Result<Icons, Failure> {
-        Ok(self.load_hashed(seed)?.0)
-    }
-
-    /// Returns the icons as `load` does, and the SHA-256 of the names and bytes of the pack's files, if there is a
-    /// pack.
-    pub fn load_hashed(&self, seed: Seed) -> Result<(Icons, Option<String>), Failure> {
         let icons = Icons::new(seed, self.difficulty);
         let Some(folder) = &self.pack else {
-            return Ok((icons, None));
+            return Ok(icons);
         };
-        let (pack, hash) = load_pack(folder, self.pack_mode)?;
+        let pack = load_pack(folder, self.pack_mode)?;
         let lacks: Vec<String> = (Class::known().into_iter())
             .filter(|class| !pack.classes().any(|(has, _)| has == class))
             .map(|class| class.to_string())
@@ -55,28 +48,18 @@ impl IconOptions {
                 lacks.join(", ")
             );
         }
-        Ok((icons.with_pack(pack), Some(hash)))
+        Ok(icons.with_pack(pack))
     }
 }
 
-/// Returns a pack, and the hash for [`IconOptions::load_hashed`].
-fn load_pack(folder: &Path, mode: Mode) -> Result<(Pack, String), Failure> {
+fn load_pack(folder: &Path, mode: Mode) -> Result<Pack, Failure> {
     let files = files::read_folders(folder, PACK_FILES_MAX, PACK_FILE_MAX as u64)
         .map_err(|(path, error)| Failure::file("read", &path, error))?;
-    let mut hash = Sha256::new();
-    for (name, bytes) in &files {
-        // The lengths make the encoding unambiguous.
-        for part in [name.as_bytes(), bytes] {
-            hash.update((part.len() as u64).to_le_bytes());
-            hash.update(part);
-        }
-    }
-    let pack = Pack::new(mode, files).map_err(|faults| {
+    Pack::new(mode, files).map_err(|faults| {
         let message =
             |PackFault { file, reason }: &PackFault| format!("icon `{}`: {reason}", folder.join(file).display());
         Failure::Usage(faults.iter().map(message).collect::<Vec<_>>().join("\nerror: "))
-    })?;
-    Ok((pack, format!("{:x}", hash.finalize())))
+    })
 }
 
 #[derive(clap::Args)]

@@ -32,7 +32,7 @@ use crate::config::{load_map, missing_file};
 use crate::datalog::{Edb, Rules, Workspace};
 use crate::datalog::{EvalError, Limits, Program};
 use crate::diag::{Code, Diagnostic, Sources, render};
-use crate::files::{ReadError, ReadFile as _};
+use crate::files::{FileError, ReadError, ReadFile as _};
 use crate::sim::{LoadError, LoadedCity};
 use clap::builder::{PossibleValuesParser, TypedValueParser};
 use clap::{CommandFactory, FromArgMatches, Parser, Subcommand};
@@ -138,6 +138,12 @@ impl From<io::Error> for Failure {
             io::ErrorKind::BrokenPipe => Failure::Closed,
             _ => Failure::Usage(format!("cannot write to standard output: {error}")),
         }
+    }
+}
+
+impl From<FileError> for Failure {
+    fn from(error: FileError) -> Self {
+        Failure::Usage(error.to_string())
     }
 }
 
@@ -500,16 +506,6 @@ fn missing_is_usage(faults: Vec<Diagnostic>) -> Failure {
         }
         None => faults.into(),
     }
-}
-
-/// Creates a folder for results, and its parents.
-fn make_folder(path: &Path) -> Result<(), Failure> {
-    std::fs::create_dir_all(path).map_err(|error| match error.kind() {
-        io::ErrorKind::AlreadyExists | io::ErrorKind::NotADirectory => {
-            Failure::file("create the folder", path, "it or one of its parents is a file")
-        }
-        _ => Failure::file("create the folder", path, error),
-    })
 }
 
 /// Returns a progress bar.

@@ -2,12 +2,12 @@
 
 use crate::cli::why;
 use crate::cli::why::Question;
-use crate::cli::{Failure, LimitOptions, compile, load_workspace, make_folder, report, too_much};
+use crate::cli::{Failure, LimitOptions, compile, load_workspace, report, too_much};
 use crate::datalog::{ClauseId, Edb, MarkKind, RelId, RowPlace};
 use crate::datalog::{Delta, EvalEvent, Limits, Options, Program, RuleStats, Session, Threads, constraints, facts};
 use crate::diag::{Code, Diagnostic, Sources, Span};
 use crate::files;
-use crate::files::Output;
+use crate::files::{Output, make_folder};
 use std::cell::{Cell, RefCell};
 use std::cmp::Reverse;
 use std::collections::BTreeMap;

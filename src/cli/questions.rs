@@ -59,7 +59,7 @@ pub struct Arguments {
 
 pub fn run(arguments: &Arguments, sources: &mut Sources) -> Result<(), Failure> {
     let city = load_city(sources, &arguments.config, arguments.rules.as_deref())?;
-    let (rule_file, hash) = (city.rule_files[0], city.rules_hash(sources));
+    let (rule_file, hash) = (city.rule_files[0], city.rules_hash.clone());
     let world = Arc::new(city.world()?);
     let (count, about) = match arguments.mini {
         true => (MINI.0, MINI.1.map(str::to_owned).to_vec()),

@@ -3,12 +3,12 @@
 use crate::cancel::Cancel;
 use crate::city::{Action, AgentKind, Split};
 use crate::cli::icons::IconOptions;
-use crate::cli::{Failure, load_city, make_folder, one_of};
+use crate::cli::{Failure, load_city, one_of};
 use crate::datalog::constraints;
 use crate::datalog::explain::ExplanationPrinter;
 use crate::datalog::{Clause, ClauseId};
 use crate::diag::{Code, Diagnostic, SourceId, Sources};
-use crate::files::Output;
+use crate::files::{Output, make_folder};
 use crate::page::DECISIONS_MAX;
 use crate::render::{Animation, Overview, Sprite, write_png};
 use crate::rng::Seed;
@@ -91,7 +91,7 @@ struct Tally {
 
 pub fn run(arguments: &Arguments, sources: &mut Sources) -> Result<(), Failure> {
     let city = load_city(sources, &arguments.config, arguments.rules.as_deref())?;
-    let (rule_file, rules_hash) = (city.rule_files[0], city.rules_hash(sources));
+    let (rule_file, rules_hash) = (city.rule_files[0], city.rules_hash.clone());
     let ticks = arguments.ticks.unwrap_or(u64::from(city.scenario.ticks));
     let mut simulation = Simulation::new(
         Arc::new(city.world()?),

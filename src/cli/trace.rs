@@ -80,7 +80,7 @@ impl TraceReader {
         let hashes = [&city.scenario.hash, &self.header.config_hash];
         matching("configuration", config_path, hashes, &self.path, "--config")?;
         if strict {
-            let hashes = [&city.rules_hash(sources), &self.header.rules_hash];
+            let hashes = [&city.rules_hash, &self.header.rules_hash];
             matching("rules", rules_path, hashes, &self.path, "--rules")?;
         }
         let world = city.world()?;

@@ -123,6 +123,11 @@ impl Icons {
         self.difficulty
     }
 
+    /// Returns the pack, if there is one.
+    pub fn pack(&self) -> Option<&Pack> {
+        self.pack.as_ref()
+    }
+
     /// Returns the number of distinct instances of a class.
     pub fn instances(&self, class: &Class) -> u32 {
         let art = self.art(class);

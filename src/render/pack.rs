@@ -3,6 +3,7 @@
 use crate::render::class::Class;
 use resvg::tiny_skia::{IntSize, Pixmap, Transform};
 use resvg::usvg::{self, ImageHrefResolver, Options, Tree, roxmltree};
+use sha2::{Digest, Sha256};
 use std::collections::BTreeMap;
 use std::fmt;
 use std::panic::{AssertUnwindSafe, catch_unwind};
@@ -67,6 +68,7 @@ impl std::error::Error for PackFault {}
 #[derive(Clone, Debug)]
 pub struct Pack {
     mode: Mode,
+    hash: String,
     classes: BTreeMap<Class, Vec<Pixmap>>,
 }
 
@@ -77,6 +79,7 @@ impl Pack {
     /// # Errors
     /// All unusable files with reasons; a pack without icons.
     pub fn new(mode: Mode, mut files: Vec<(String, Vec<u8>)>) -> Result<Pack, Vec<PackFault>> {
+        let hash = hash(&files);
         files.sort();
         let mut faults = Vec::new();
         let mut classes: BTreeMap<Class, Vec<Pixmap>> = BTreeMap::new();
@@ -95,7 +98,7 @@ impl Pack {
             });
         }
         if faults.is_empty() {
-            Ok(Pack { mode, classes })
+            Ok(Pack { mode, hash, classes })
         } else {
             Err(faults)
         }
@@ -106,7 +109,12 @@ impl Pack {
         self.mode
     }
 
-    /// Returns the classes in the pack, with their numbers of icons.
+    /// The SHA-256 of the paths and bytes of its files, in the order in which they were given.
+    pub fn hash(&self) -> &str {
+        &self.hash
+    }
+
+    /// The classes it has icons of, each with their number.
     pub fn classes(&self) -> impl Iterator<Item = (&Class, usize)> {
         self.classes.iter().map(|(class, icons)| (class, icons.len()))
     }
@@ -116,7 +124,19 @@ impl Pack {
     }
 }
 
-/// Reads the class and the icon of a file.
+fn hash(files: &[(String, Vec<u8>)]) -> String {
+    let mut hash = Sha256::new();
+    for (name, bytes) in files {
+        // Lengths keep apart what one and another file hold.
+        for part in [name.as_bytes(), bytes] {
+            hash.update((part.len() as u64).to_le_bytes());
+            hash.update(part);
+        }
+    }
+    format!("{:x}", hash.finalize())
+}
+
+/// The class and the icon of a file, or why there is none.
 fn icon(file: &str, bytes: &[u8]) -> Result<(Class, Pixmap), String> {
     let (folder, name) = file
         .split_once('/')

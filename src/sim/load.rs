@@ -17,6 +17,8 @@ pub struct LoadedCity {
     pub program: Program,
     /// The rule file, then the files it includes.
     pub rule_files: Vec<SourceId>,
+    /// The hash of the rule files ([`hash_sources`]).
+    pub rules_hash: String,
     /// The warnings of the rules.
     pub warnings: Vec<Diagnostic>,
 }
@@ -60,17 +62,14 @@ impl LoadedCity {
             let span = Span::new(entry, 0..0);
             scenario.rules = Located { value: path, span };
         }
+        let rule_files: Vec<SourceId> = sources.ids().skip_while(|&id| id != entry).collect();
         Ok(LoadedCity {
             scenario,
             program,
-            rule_files: sources.ids().skip_while(|&id| id != entry).collect(),
+            rules_hash: hash_sources(sources, &rule_files),
+            rule_files,
             warnings: diagnostics,
         })
-    }
-
-    /// The hash of the rule files, as traces and data sets name it.
-    pub fn rules_hash(&self, sources: &Sources) -> String {
-        hash_sources(sources, &self.rule_files)
     }
 
     /// Generates the map and binds the predicates to the rules.

@@ -17,7 +17,8 @@ use crate::sim::world::World;
 use ndarray::Array3;
 use rayon::prelude::*;
 use rayon::{ThreadPool, ThreadPoolBuilder};
-use std::sync::Arc;
+use std::sync::{Arc, mpsc};
+use std::time::Duration;
 
 /// How a [`Simulation`] works. Ticks are the same whatever is chosen.
 #[derive(Clone, Copy, Debug)]
@@ -586,6 +587,25 @@ pub(crate) fn start_threads(threads: usize) -> Result<Option<ThreadPool>, Diagno
         let message = format!("{threads} threads cannot be started: {error}");
         Diagnostic::new(Code::LIMIT_EXCEEDED, message).help("take fewer")
     })
+}
+
+/// The interval between polls of the thread that waits for a pool.
+const POLL_INTERVAL: Duration = Duration::from_millis(50);
+
+/// Runs work in a pool while the calling thread waits and calls `poll`. Some callbacks work on the calling thread only;
+/// for example, Python checks for signals on its main thread.
+pub(crate) fn run_polled<R: Send>(pool: &ThreadPool, poll: &(dyn Fn() + Sync), work: impl FnOnce() -> R + Send) -> R {
+    let (done, result) = mpsc::channel();
+    let received = pool.in_place_scope(|scope| {
+        scope.spawn(move |_| done.send(work()).expect("the caller waits for it"));
+        loop {
+            match result.recv_timeout(POLL_INTERVAL) {
+                Err(mpsc::RecvTimeoutError::Timeout) => poll(),
+                received => break received,
+            }
+        }
+    });
+    received.expect("the scope resumes a panic of the work")
 }
 
 /// Independent cities that go at the same pace. Each goes as it would alone.

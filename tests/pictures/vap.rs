@@ -1,27 +1,39 @@
 //! Visual Action Prediction: worlds, tables, pictures, and data sets that are ended early, made in parts, or tampered with.
 
 use logicity::builtin::BuiltinFiles;
+use logicity::cancel::Cancel;
 use logicity::city::{AgentKind, Split};
-use logicity::diag::Sources;
+use logicity::diag::{Code, Sources};
+use logicity::files::Folder;
 use logicity::render::{Difficulty, Icons, Picture, PixelBox, read_png, write_png};
 use logicity::rng::{Purpose, RngExt, Seed};
 use logicity::sim::LoadedCity;
 use logicity::task::vap::table::{Sample, Table, Values, samples};
-use logicity::task::vap::{Agents, FIRST_TICK, Frame, SIDE, TICKS, Worlds, count_actions, icon_seed};
+use logicity::task::vap::{
+    Agents, Dataset, DatasetError, DatasetRequest, DatasetWriter, FIRST_TICK, Frame, Mode, SIDE, TICKS, Worlds,
+    count_actions, icon_seed,
+};
 use serde_json::Value;
 use sha2::{Digest, Sha256};
 use std::collections::{BTreeMap, BTreeSet};
 use std::fs;
+use std::num::NonZeroUsize;
 use std::path::Path;
 use std::process::{Command, Output, Stdio};
+use std::sync::atomic::{AtomicU64, Ordering};
 use std::sync::{Arc, OnceLock};
+use std::thread;
 use std::time::Duration;
+
+fn hard_mode() -> LoadedCity {
+    LoadedCity::load(&mut Sources::new(), Path::new(Mode::Hard.config()), None, &BuiltinFiles).unwrap()
+}
 
 fn worlds(agents: Agents, split: Split) -> Worlds {
     // Icons take long to draw; all worlds share them.
     static ICONS: OnceLock<Arc<Icons>> = OnceLock::new();
     let icons = ICONS.get_or_init(|| Arc::new(Icons::new(Seed(0), Difficulty::CLEAN)));
-    let city = LoadedCity::load(&mut Sources::new(), Path::new("vap-hard"), None, &BuiltinFiles).unwrap();
+    let city = hard_mode();
     Worlds::new(city.scenario, city.program, Arc::clone(icons), agents, split, 0).unwrap()
 }
 
@@ -231,6 +243,88 @@ fn parts_are_the_whole() {
     refused(&again, &["version 1; this program reads version 2"]);
 
     tampered_sets_are_found_out(&whole);
+}
+
+/// The library makes the files of the command. It calls both callbacks on the calling thread.
+#[test]
+fn a_cancelled_data_set_is_resumed() {
+    let folder = tempfile::tempdir().unwrap();
+    let by_command = folder.path().join("command");
+    make(&by_command, &["--worlds", "2", "--threads", "1"]);
+    let expected = contents(&by_command);
+
+    let writer = |threads: usize| {
+        let request = DatasetRequest {
+            worlds: 0..2,
+            pictures: false,
+            threads: NonZeroUsize::new(threads).unwrap(),
+            ..DatasetRequest::new(Mode::Hard, Split::Test)
+        };
+        let icons = Icons::new(request.icon_seed(), Difficulty::percent(50).unwrap());
+        DatasetWriter::new(request, hard_mode(), icons).unwrap()
+    };
+    let here = thread::current().id();
+    let is_cancelled = |error: DatasetError| match error {
+        DatasetError::Faulty(faults) => assert_eq!(faults[0].code, Code::CANCELLED),
+        error => panic!("{error}"),
+    };
+    let writers = [1, 2].map(writer);
+    for (index, writer) in writers.iter().enumerate() {
+        let out = Folder::make(&folder.path().join(format!("library-{index}"))).unwrap();
+        // Before the first world.
+        is_cancelled(writer.write(&out, &|_, _| (), &Cancel::when(|| true)).unwrap_err());
+        assert!(contents(out.path()).is_empty());
+        // Before the tables of the last world.
+        let frames = Arc::new(AtomicU64::new(0));
+        let progress = |done, total| {
+            assert_eq!((thread::current().id(), total), (here, 178));
+            assert!(done >= frames.swap(done, Ordering::Relaxed));
+        };
+        let made = Arc::clone(&frames);
+        let cancel = Cancel::when(move || {
+            assert_eq!(thread::current().id(), here);
+            made.load(Ordering::Relaxed) == 178
+        });
+        let written = writer.write(&out, &progress, &cancel);
+        let kept = contents(out.path());
+        let complete: BTreeSet<&str> = kept
+            .keys()
+            .filter_map(|name| Some(name.split_once("/world.json")?.0))
+            .collect();
+        if index == 0 {
+            is_cancelled(written.unwrap_err());
+            assert_eq!((kept.len(), &complete), (3, &BTreeSet::from(["world-00000"])));
+        } else if let Err(error) = written {
+            // Two threads can be done before the next poll.
+            is_cancelled(error);
+        }
+        assert!(
+            kept.iter()
+                .all(|(name, bytes)| name.starts_with('.') || *bytes == expected[name])
+        );
+        // Another call makes the rest, with any number of threads.
+        let summary = writers[1 - index].write(&out, &|_, _| (), &Cancel::never()).unwrap();
+        assert_eq!((summary.made, summary.manifest.frames), (2 - complete.len(), 178));
+        assert!(contents(out.path()) == expected);
+    }
+
+    let set = Dataset::open(Folder::new(&by_command)).unwrap();
+    assert_eq!((set.mode(), set.manifest().worlds.len()), (Mode::Hard, 2));
+    let worlds = AtomicU64::new(0);
+    let progress = |done, _| worlds.store(done, Ordering::Relaxed);
+    set.check(hard_mode(), NonZeroUsize::MIN, &progress, &Cancel::never())
+        .unwrap();
+    assert_eq!(worlds.load(Ordering::Relaxed), 2);
+    is_cancelled(
+        set.check(hard_mode(), NonZeroUsize::MIN, &|_, _| (), &Cancel::when(|| true))
+            .unwrap_err(),
+    );
+    let mut other = hard_mode();
+    other.rules_hash.push('0');
+    let refused = set
+        .check(other, NonZeroUsize::MIN, &|_, _| (), &Cancel::never())
+        .unwrap_err();
+    assert!(refused.to_string().contains("other rules"), "{refused}");
 }
 
 /// Changes a file of world 1, with the counts and hashes that stand for it or without them.

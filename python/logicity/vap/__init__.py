@@ -1,7 +1,6 @@
 """Visual Action Prediction: predict the next action of every car from a picture of the city.
 
-`logicity vap make` makes data sets.
-
+- `make_dataset` and `check_dataset` make and check data sets, as `logicity vap make` and `logicity vap check` do.
 - `VapDataset` reads samples as numpy arrays.
 - `torch_dataset` and `collate` serve a `DataLoader` of PyTorch. They need the extra `vap`.
 - `vap_metrics` measures predictions as the paper does.
@@ -18,6 +17,7 @@ from typing import TYPE_CHECKING, Any
 from .baselines import BaselineResult, baseline_table, measure_baselines
 from .data import BINARY, PICTURE_SIDE, UNARY, VapDataset, VapSample
 from .export import to_coco, to_webdataset
+from .make import VapCounts, check_dataset, make_dataset
 from .metrics import VapMetrics, vap_metrics
 
 if TYPE_CHECKING:
@@ -28,11 +28,14 @@ __all__ = [
     "PICTURE_SIDE",
     "UNARY",
     "BaselineResult",
+    "VapCounts",
     "VapDataset",
     "VapMetrics",
     "VapSample",
     "baseline_table",
+    "check_dataset",
     "collate",
+    "make_dataset",
     "measure_baselines",
     "to_coco",
     "to_webdataset",

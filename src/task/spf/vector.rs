@@ -4,19 +4,15 @@ use crate::cancel::Cancel;
 use crate::city::{Action, Split};
 use crate::diag::Diagnostic;
 use crate::rng::{Purpose, RngExt, Seed};
-use crate::sim::start_threads;
+use crate::sim::{run_polled, start_threads};
 use crate::task::spf::{ControlMode, Env, Episode, SpfTask};
 use rayon::ThreadPool;
 use rayon::prelude::*;
+use std::sync::Arc;
 use std::sync::atomic::{AtomicBool, Ordering};
-use std::sync::{Arc, mpsc};
-use std::time::Duration;
 
 /// The fewest environments per thread.
 const SHARE: usize = 8;
-
-/// Cancellation polling interval of the calling thread while others work.
-const POLL_INTERVAL: Duration = Duration::from_millis(50);
 
 /// The episodes of one environment: each is a function of the seed and of the number of episodes before it.
 #[derive(Clone, Debug)]
@@ -470,7 +466,7 @@ impl VectorEnv {
             act(sub_env, given, row, cancelled).err().map(|fault| (position, fault))
         };
         let fault = match &self.threads {
-            Some(pool) => run_in_pool(pool, cancel, || {
+            Some(pool) => run_polled(pool, &|| _ = cancel.requested(), || {
                 (self.sub_envs.par_iter_mut().with_min_len(SHARE))
                     .zip(given)
                     .zip(observations.par_chunks_exact_mut(width))
@@ -489,19 +485,4 @@ impl VectorEnv {
         };
         fault.map_or(Ok(()), |(_, fault)| Err(fault))
     }
-}
-
-/// Runs work in a pool. Meanwhile this thread polls `cancel`, since its callback may only work on the calling thread.
-fn run_in_pool<R: Send>(pool: &ThreadPool, cancel: &Cancel, work: impl FnOnce() -> R + Send) -> R {
-    let (done, result) = mpsc::channel();
-    let received = pool.in_place_scope(|scope| {
-        scope.spawn(move |_| done.send(work()).expect("the calling thread waits for it"));
-        loop {
-            match result.recv_timeout(POLL_INTERVAL) {
-                Err(mpsc::RecvTimeoutError::Timeout) => drop(cancel.requested()),
-                received => break received,
-            }
-        }
-    });
-    received.expect("the end of the scope has re-raised a panic of the work")
 }

@@ -1,12 +1,21 @@
 //! Visual Action Prediction: what does every car do next, given a picture of the city?
 //!
-//! A [`Worlds`] is the cities of one split; each has [`TICKS`] ticks, of which all but the first are [`Frame`]s, and a [`Renderer`] that draws
-//! them on a ground of its own. [`table`] holds what is true of a frame as columns.
+//! - [`DatasetWriter`] writes the worlds of a split to a folder. [`Dataset`] opens and checks such a folder.
+//! - [`Worlds`] is the cities of one split. A world has [`TICKS`] ticks, all but the first of which are [`Frame`]s, and a [`Renderer`] that
+//!   draws them on its own ground.
+//! - [`table`] has the facts of frames as columns.
 
+mod card;
+mod check;
 mod codes;
+mod dataset;
+mod folder;
 pub mod table;
 
+pub use check::Dataset;
 pub use codes::CODES;
+pub use dataset::{DatasetError, DatasetRequest, DatasetSummary, DatasetWriter, WORLDS_MAX};
+pub use folder::{DatasetSettings, FileRecord, Manifest, WorldRecord};
 
 use crate::city::{Action, AgentGroup, AgentKind, AgentName, AgentSet, Split};
 use crate::city::{Cell, Heading};
@@ -40,6 +49,44 @@ pub const FIRST_TICK: u64 = 11;
 const CONCEPTS: [&str; 5] = ["ambulance", "bus", "police", "reckless", "tiro"];
 const CONCEPT: u32 = 18;
 const PLAIN: u32 = 10;
+
+/// The rules of a data set.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Mode {
+    /// Easy mode.
+    Easy,
+    /// Hard mode.
+    Hard,
+}
+
+impl Mode {
+    /// Both.
+    pub const ALL: [Mode; 2] = [Mode::Easy, Mode::Hard];
+
+    /// Its name: `easy` or `hard`.
+    pub const fn name(self) -> &'static str {
+        match self {
+            Mode::Easy => "easy",
+            Mode::Hard => "hard",
+        }
+    }
+
+    /// The name of its built-in configuration: `vap-easy` or `vap-hard`.
+    pub const fn config(self) -> &'static str {
+        match self {
+            Mode::Easy => "vap-easy",
+            Mode::Hard => "vap-hard",
+        }
+    }
+
+    /// The labels of the paper's fixed test set, in the order of [`Action::ALL`].
+    pub const fn published_actions(self) -> [u64; 4] {
+        match self {
+            Mode::Easy => [3042, 3978, 0, 7220],
+            Mode::Hard => [4155, 2882, 715, 6488],
+        }
+    }
+}
 
 /// Which agents worlds have.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -350,6 +397,18 @@ pub fn count_atoms<'a>(vocabulary: &Vocabulary, all: impl IntoIterator<Item = &'
         }
     }
     counts
+}
+
+/// A share, for example `41.0 %`.
+pub(crate) fn percent(count: u64, total: u64) -> String {
+    let (count, total) = (u128::from(count), u128::from(total));
+    let tenths = (count * 1000 + total / 2) / total.max(1);
+    format!("{}.{} %", tenths / 10, tenths % 10)
+}
+
+/// The sum of counts, which may come from a damaged file.
+pub(crate) fn total(counts: [u64; 4]) -> u64 {
+    counts.into_iter().fold(0, u64::saturating_add)
 }
 
 /// A fault of a table, which no text has a place for.

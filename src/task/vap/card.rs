@@ -1,13 +1,12 @@
-//! What README of a data set says.
+//! The `README.md` of a data set.
 
 use crate::city::Action;
-use crate::cli::vap::folder::{Manifest, Settings};
-use crate::cli::vap::{Mode, percent};
+use crate::task::vap::folder::{DatasetSettings, Manifest};
 use crate::task::vap::table::{ENTITY_NAMES, ENTITY_NUMBERS, PAIR_NAMES};
-use crate::task::vap::{FIRST_TICK, SIDE, TICKS, Worlds};
+use crate::task::vap::{FIRST_TICK, Mode, SIDE, TICKS, Worlds, percent, total};
 use std::fmt::Write as _;
 
-/// The card of a data set.
+/// The text of the file.
 pub(super) fn card(mode: Mode, manifest: &Manifest, worlds: &Worlds) -> String {
     let parts = [
         beginning(manifest),
@@ -21,7 +20,7 @@ pub(super) fn card(mode: Mode, manifest: &Manifest, worlds: &Worlds) -> String {
 }
 
 fn beginning(manifest: &Manifest) -> String {
-    let Settings {
+    let DatasetSettings {
         mode,
         agents,
         split,
@@ -39,7 +38,7 @@ fn beginning(manifest: &Manifest) -> String {
          configuration {config_hash}  \nrules {rules_hash}  \ndrawing {drawing_hash}\n",
         manifest.worlds.len(),
         manifest.frames,
-        manifest.actions.iter().sum::<u64>(),
+        total(manifest.actions),
         command(
             manifest,
             &format!("--mode {mode} --agents {agents} --split {split} --seed {seed}")
@@ -105,8 +104,8 @@ fn labels(mode: Mode, manifest: &Manifest) -> String {
         A label is what the rules want of a car in the state that the frame shows, not the move that followed.\n\n\
         | label | here | share | published fixed test set | share |\n|---|---|---|---|---|\n"
         .to_owned();
-    let published = mode.published();
-    let totals = [manifest.actions, published].map(|counts| counts.iter().sum());
+    let published = mode.published_actions();
+    let totals = [manifest.actions, published].map(total);
     for (index, action) in Action::ALL.into_iter().enumerate() {
         let (here, there) = (manifest.actions[index], published[index]);
         let [share, share_there] = [percent(here, totals[0]), percent(there, totals[1])];

@@ -1,0 +1,186 @@
+//! `logicity vap`
+
+use crate::cancel::Cancel;
+use crate::city::{Action, Split};
+use crate::cli::icons::IconOptions;
+use crate::cli::{Failure, load_city, one_of, progress, threads};
+use crate::diag::Sources;
+use crate::files::Folder;
+use crate::task::vap::{
+    Agents, Dataset, DatasetError, DatasetRequest, DatasetWriter, Manifest, Mode, WORLDS_MAX, percent,
+    published_worlds, total,
+};
+use std::io::{self, Write};
+use std::num::NonZeroUsize;
+use std::path::{Path, PathBuf};
+
+#[derive(clap::Args)]
+pub struct Arguments {
+    #[command(subcommand)]
+    what: What,
+}
+
+#[derive(clap::Subcommand)]
+enum What {
+    /// Make worlds, or go on where making them was ended; worlds that are there stay
+    Make(Make),
+    /// Check files, hashes, order, pictures and boxes of a data set, and derive every label from what it says is true
+    Check(Check),
+}
+
+#[derive(clap::Args)]
+#[command(mut_arg("difficulty", |difficulty| difficulty.default_value("50")))]
+struct Make {
+    /// Which rules: those of configs/vap-easy.yaml or configs/vap-hard.yaml
+    #[arg(long, value_parser = one_of(&Mode::ALL, Mode::name))]
+    mode: Mode,
+    /// The agents: those of the configuration, or drawn for each world
+    #[arg(long, value_parser = one_of(&Agents::ALL, Agents::name), default_value = "fixed")]
+    agents: Agents,
+    /// Which split
+    #[arg(long, value_parser = one_of(&Split::ALL, Split::name))]
+    split: Split,
+    /// How many worlds; 100 for train and 20 otherwise unless given
+    #[arg(long, value_parser = clap::value_parser!(u32).range(1..=i64::from(WORLDS_MAX)), allow_negative_numbers = true)]
+    worlds: Option<u32>,
+    /// Number of the first: several processes can make parts of a data set in folders of their own, or one after the other in one
+    #[arg(long, value_parser = clap::value_parser!(u32).range(0..i64::from(WORLDS_MAX)), allow_negative_numbers = true,
+        default_value_t = 0)]
+    first_world: u32,
+    /// What everything is drawn from
+    #[arg(long, default_value_t = 0, allow_negative_numbers = true)]
+    seed: u64,
+    /// Tables only; boxes are those of the pictures that would be there
+    #[arg(long)]
+    no_pictures: bool,
+    #[command(flatten)]
+    icons: IconOptions,
+    /// Threads; 0 is one for each core. The bytes are the same with any number
+    #[arg(long, value_parser = threads, default_value = "0", allow_negative_numbers = true)]
+    threads: NonZeroUsize,
+    /// The folder to write
+    #[arg(short, long)]
+    out: PathBuf,
+}
+
+#[derive(clap::Args)]
+struct Check {
+    /// The folder of the data set
+    folder: PathBuf,
+    /// Threads; 0 is one for each core
+    #[arg(long, value_parser = threads, default_value = "0", allow_negative_numbers = true)]
+    threads: NonZeroUsize,
+    /// One JSON object
+    #[arg(long)]
+    json: bool,
+}
+
+pub fn run(arguments: &Arguments, sources: &mut Sources) -> Result<(), Failure> {
+    match &arguments.what {
+        What::Make(make) => make.run(sources),
+        What::Check(check) => check.run(sources),
+    }
+}
+
+impl From<DatasetError> for Failure {
+    fn from(error: DatasetError) -> Self {
+        match error {
+            DatasetError::Faulty(faults) => faults.into(),
+            DatasetError::File(error) => error.into(),
+        }
+    }
+}
+
+/// Does work with a progress bar, which it updates by the numbers of units done and in total.
+fn with_bar<R>(unit: &str, work: impl FnOnce(&(dyn Fn(u64, u64) + Sync)) -> R) -> R {
+    let bar = progress(unit, 0);
+    let result = work(&|done, total| {
+        bar.set_length(total);
+        bar.set_position(done);
+    });
+    bar.finish_and_clear();
+    result
+}
+
+impl Make {
+    fn run(&self, sources: &mut Sources) -> Result<(), Failure> {
+        let city = load_city(sources, Path::new(self.mode.config()), None)?;
+        let count = self.worlds.unwrap_or(published_worlds(self.split));
+        let request = DatasetRequest {
+            mode: self.mode,
+            agents: self.agents,
+            split: self.split,
+            worlds: self.first_world..self.first_world + count,
+            seed: self.seed,
+            pictures: !self.no_pictures,
+            threads: self.threads,
+        };
+        let icons = self.icons.load(request.icon_seed())?;
+        let writer = DatasetWriter::new(request, city, icons)?;
+        let folder = Folder::make(&self.out)?;
+        let summary = with_bar("frame", |progress| writer.write(&folder, progress, &Cancel::never()))?;
+        writeln!(
+            io::stdout(),
+            "worlds made: {}, in {}: {}; labels of cars: {}",
+            summary.made,
+            self.out.display(),
+            summary.manifest.worlds.len(),
+            action_shares(summary.manifest.actions)
+        )?;
+        Ok(())
+    }
+}
+
+impl Check {
+    fn run(&self, sources: &mut Sources) -> Result<(), Failure> {
+        let dataset = Dataset::open(Folder::new(&self.folder))?;
+        let city = load_city(sources, Path::new(dataset.mode().config()), None)?;
+        with_bar("world", |progress| {
+            dataset.check(city, self.threads, progress, &Cancel::never())
+        })?;
+        let published = dataset.mode().published_actions();
+        let manifest = dataset.manifest();
+        let pictures = manifest.pictures();
+        let Manifest {
+            frames,
+            actions,
+            agents,
+            concepts,
+            atoms,
+            worlds,
+            ..
+        } = manifest;
+        let worlds = worlds.len();
+        let mut out = io::stdout().lock();
+        if self.json {
+            let counts = serde_json::json!({
+                "worlds": worlds, "frames": frames, "pictures": pictures, "actions": actions,
+                "published": published, "agents": agents, "concepts": concepts, "atoms": atoms,
+            });
+            writeln!(out, "{counts}")?;
+            return Ok(());
+        }
+        writeln!(
+            out,
+            "worlds: {worlds}, frames: {frames}, pictures: {pictures}, every label follows from the facts"
+        )?;
+        writeln!(out, "labels of cars: {}", action_shares(*actions))?;
+        writeln!(out, "published test: {}", action_shares(published))?;
+        let concepts = concepts.iter().map(|(name, count)| (name.as_str(), *count));
+        writeln!(out, "agents: {}", shares(concepts, *agents))?;
+        let atoms: Vec<String> = atoms.iter().map(|(name, count)| format!("{name} {count}")).collect();
+        writeln!(out, "true, of pairs if the first sees the second: {}", atoms.join(", "))?;
+        Ok(())
+    }
+}
+
+/// Counts and shares, for example `Slow 12 (80.0 %), Normal 3 (20.0 %)`.
+fn shares<'a>(counts: impl Iterator<Item = (&'a str, u64)>, total: u64) -> String {
+    let words = counts.map(|(name, count)| format!("{name} {count} ({})", percent(count, total)));
+    words.collect::<Vec<_>>().join(", ")
+}
+
+fn action_shares(actions: [u64; 4]) -> String {
+    let names = Action::ALL.iter().map(|action| action.name());
+    shares(names.zip(actions), total(actions))
+}

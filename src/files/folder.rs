@@ -1,0 +1,165 @@
+//! Folders of several files, such as data sets.
+
+use crate::files::{ReadError, read_text};
+use std::fmt;
+use std::fs;
+use std::io;
+use std::path::{Path, PathBuf};
+
+/// A file or folder that cannot be read, written, made or removed.
+#[derive(Debug)]
+pub struct FileError {
+    /// What failed, as a verb: `read`.
+    pub action: &'static str,
+    /// The file or folder.
+    pub path: PathBuf,
+    /// The reason.
+    pub error: io::Error,
+}
+
+impl FileError {
+    fn new(action: &'static str, path: PathBuf) -> impl FnOnce(io::Error) -> FileError {
+        move |error| FileError { action, path, error }
+    }
+}
+
+impl fmt::Display for FileError {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        write!(f, "cannot {} `{}`: {}", self.action, self.path.display(), self.error)
+    }
+}
+
+impl std::error::Error for FileError {
+    fn source(&self) -> Option<&(dyn std::error::Error + 'static)> {
+        Some(&self.error)
+    }
+}
+
+/// Makes a folder for results, and its missing parents.
+///
+/// # Errors
+/// A file of that name, or of a parent; those of the system.
+pub fn make_folder(path: &Path) -> Result<(), FileError> {
+    let taken = "there is a file of that name, or of a folder it lies in";
+    let reason = |error: io::Error| match error.kind() {
+        kind @ (io::ErrorKind::AlreadyExists | io::ErrorKind::NotADirectory) => io::Error::new(kind, taken),
+        _ => error,
+    };
+    (fs::create_dir_all(path).map_err(reason)).map_err(FileError::new("make the folder", path.to_owned()))
+}
+
+/// A folder that a caller opens to a room that does no I/O of its own. The room reads and writes files in it by name.
+#[derive(Clone, Debug)]
+pub struct Folder {
+    path: PathBuf,
+}
+
+impl Folder {
+    /// Makes a folder for results as [`make_folder`] does. An existing folder stays as it is.
+    ///
+    /// # Errors
+    /// As [`make_folder`].
+    pub fn make(path: &Path) -> Result<Folder, FileError> {
+        make_folder(path)?;
+        Ok(Folder::new(path))
+    }
+
+    /// The folder of this path, which need not exist.
+    pub fn new(path: impl Into<PathBuf>) -> Folder {
+        Folder { path: path.into() }
+    }
+
+    /// The folder of this name inside.
+    pub fn folder(&self, name: &str) -> Folder {
+        Folder::new(self.path.join(name))
+    }
+
+    /// Its path.
+    pub fn path(&self) -> &Path {
+        &self.path
+    }
+
+    /// Whether there is a file or folder of this name.
+    pub fn has(&self, name: &str) -> bool {
+        self.path.join(name).exists()
+    }
+
+    /// Makes the folder, whose parent must exist.
+    ///
+    /// # Errors
+    /// Those of the system, also if the folder exists.
+    pub fn create(&self) -> Result<(), FileError> {
+        fs::create_dir(&self.path).map_err(FileError::new("write", self.path.clone()))
+    }
+
+    /// The paths of all files and folders inside, sorted.
+    ///
+    /// # Errors
+    /// Those of the system.
+    pub fn entries(&self) -> Result<Vec<PathBuf>, FileError> {
+        let list = || -> io::Result<Vec<PathBuf>> {
+            let paths = fs::read_dir(&self.path)?.map(|entry| Ok(entry?.path()));
+            paths.collect()
+        };
+        let mut paths = list().map_err(FileError::new("read", self.path.clone()))?;
+        paths.sort();
+        Ok(paths)
+    }
+
+    /// The text of a file.
+    ///
+    /// # Errors
+    /// As [`read_text`].
+    pub fn read_text(&self, name: &str) -> Result<String, FileError> {
+        let path = self.path.join(name);
+        let kind = |error: &ReadError| match error {
+            ReadError::NotFound => io::ErrorKind::NotFound,
+            ReadError::NotText { .. } => io::ErrorKind::InvalidData,
+            _ => io::ErrorKind::Other,
+        };
+        (read_text(&path).map_err(|error| io::Error::new(kind(&error), error))).map_err(FileError::new("read", path))
+    }
+
+    /// The bytes of a file if it has this length. A file of another length is not read.
+    ///
+    /// # Errors
+    /// Those of the system.
+    pub fn read_of_length(&self, name: &str, length: u64) -> io::Result<Option<Vec<u8>>> {
+        let path = self.path.join(name);
+        match fs::metadata(&path)?.len() == length {
+            true => fs::read(&path).map(Some),
+            false => Ok(None),
+        }
+    }
+
+    /// Writes a file.
+    ///
+    /// # Errors
+    /// Those of the system.
+    pub fn write(&self, name: &str, bytes: impl AsRef<[u8]>) -> Result<(), FileError> {
+        let path = self.path.join(name);
+        fs::write(&path, bytes).map_err(FileError::new("write", path))
+    }
+
+    /// Renames a file or folder inside.
+    ///
+    /// # Errors
+    /// Those of the system.
+    pub fn rename(&self, from: &str, to: &str) -> Result<(), FileError> {
+        let whole = self.path.join(to);
+        fs::rename(self.path.join(from), &whole).map_err(FileError::new("write", whole))
+    }
+
+    /// Removes a file, or a folder and everything inside.
+    ///
+    /// # Errors
+    /// Those of the system.
+    pub fn remove(&self, name: &str) -> Result<(), FileError> {
+        let path = self.path.join(name);
+        let removed = match path.is_dir() {
+            true => fs::remove_dir_all(&path),
+            false => fs::remove_file(&path),
+        };
+        removed.map_err(FileError::new("remove", path))
+    }
+}

@@ -1,0 +1,256 @@
+//! Opening and checking data sets.
+
+use crate::cancel::Cancel;
+use crate::diag::{Code, Diagnostic};
+use crate::files::{Folder, ReadError};
+use crate::render::read_png;
+use crate::rng::Seed;
+use crate::sim::{Executor, Inference, LoadedCity, SceneFacts};
+use crate::task::vap::dataset::{Monitor, Step};
+use crate::task::vap::folder::{ENTITIES, MANIFEST, PAIRS, add, file_record, wrong};
+use crate::task::vap::table::{Sample, Table, boxes, count_concepts, samples};
+use crate::task::vap::{DatasetError, Manifest, Mode, SIDE, WorldRecord, count_atoms, folder};
+use std::collections::{BTreeMap, BTreeSet};
+use std::num::NonZeroUsize;
+use std::path::{Component, Path, PathBuf};
+
+/// A data set on disk.
+pub struct Dataset {
+    folder: Folder,
+    mode: Mode,
+    manifest: Manifest,
+}
+
+impl Dataset {
+    /// Reads the manifest.
+    ///
+    /// # Errors
+    /// `invalid-data-set` if it is no manifest of this version; a file that cannot be read.
+    pub fn open(folder: Folder) -> Result<Dataset, DatasetError> {
+        let manifest = folder::read_manifest(&folder)?;
+        let name = &manifest.settings.mode;
+        let mode = Mode::ALL.into_iter().find(|mode| mode.name() == name);
+        let path = folder.path().join(MANIFEST);
+        Ok(Dataset {
+            mode: mode.ok_or_else(|| wrong(&path, format!("`{name}` is not a mode")))?,
+            folder,
+            manifest,
+        })
+    }
+
+    /// The rules.
+    pub fn mode(&self) -> Mode {
+        self.mode
+    }
+
+    /// The manifest.
+    pub fn manifest(&self) -> &Manifest {
+        &self.manifest
+    }
+
+    fn manifest_path(&self) -> PathBuf {
+        self.folder.path().join(MANIFEST)
+    }
+
+    /// Checks files, hashes, order, pictures and boxes, and derives every label from the facts. `city` has the
+    /// configuration of [`mode`](Dataset::mode).
+    ///
+    /// `progress` receives the numbers of worlds checked and to check. It is called, and `cancel` is polled, on the
+    /// calling thread only.
+    ///
+    /// # Errors
+    /// `invalid-data-set` for every fault; `cancelled`; a folder that cannot be read.
+    pub fn check(
+        &self,
+        city: LoadedCity,
+        threads: NonZeroUsize,
+        progress: &(dyn Fn(u64, u64) + Sync),
+        cancel: &Cancel,
+    ) -> Result<(), DatasetError> {
+        let (path, settings) = (self.manifest_path(), &self.manifest.settings);
+        if [&city.scenario.hash, &city.rules_hash] != [&settings.config_hash, &settings.rules_hash] {
+            let config = self.mode.config();
+            let message = format!("made with another configuration `{config}`, or other rules");
+            return Err(wrong(&path, message).into());
+        }
+        // The facts of a sample name no map file.
+        let read = |_: &Path| Err(ReadError::NotFound);
+        let seed = Seed(settings.seed);
+        let inference = Inference::new(city.scenario, city.program, seed, Executor::Auto, read)?;
+        let mut faults = self.unlisted()?;
+        let records = &self.manifest.worlds;
+        let monitor = Monitor::new(records.len() as u64, progress, cancel);
+        let found = monitor.run(threads, records, |record, step| {
+            let found = self.check_world(&inference, record, step)?;
+            step(1)?;
+            Ok(found)
+        })?;
+        faults.extend(found.into_iter().flatten());
+        if Manifest::new(settings.clone(), records.clone()) != self.manifest {
+            faults.push(wrong(&path, "does not count what its worlds have"));
+        }
+        match faults.is_empty() {
+            true => Ok(()),
+            false => Err(faults.into()),
+        }
+    }
+
+    /// The faults of files that are not in the manifest.
+    fn unlisted(&self) -> Result<Vec<Diagnostic>, DatasetError> {
+        let mut faults = Vec::new();
+        for path in folder::strangers(&self.folder)? {
+            faults.push(wrong(&path, "belongs to no data set"));
+        }
+        for (path, file) in folder::worlds(&self.folder)? {
+            if !self.manifest.worlds.contains(&file.record) || file.settings != self.manifest.settings {
+                let fault = wrong(&path, "is not as the manifest lists it");
+                faults.push(fault.help("`logicity vap make` lists what is there"));
+            }
+        }
+        Ok(faults)
+    }
+
+    /// The faults of a world.
+    fn check_world(
+        &self,
+        inference: &Inference,
+        record: &WorldRecord,
+        step: Step<'_>,
+    ) -> Result<Vec<Diagnostic>, DatasetError> {
+        let folder = self.folder.folder(&folder::world_name(record.world));
+        let path = folder.path();
+        let mut faults = Vec::new();
+        let tables = read_files(&folder, record, step, &mut faults)?;
+        if !faults.is_empty() {
+            return Ok(faults);
+        }
+        for path in folder::strangers_in_world(&folder, record)? {
+            faults.push(wrong(&path, "is not of the world"));
+        }
+        let read = read_tables(inference, record, tables).and_then(|(entities, samples)| {
+            let mut actions = [0; 4];
+            for sample in &samples {
+                actions = add(actions, check_sample(inference, sample)?);
+            }
+            let concepts = count_concepts(&entities)?;
+            Ok((entities, samples, actions, concepts))
+        });
+        match read {
+            Err(fault) => faults.push(fault.note(format!("in `{}`", path.display()))),
+            Ok((entities, samples, actions, concepts)) => {
+                let counted = WorldRecord {
+                    world: record.world,
+                    seed: record.seed,
+                    frames: samples.len(),
+                    actions,
+                    agents: entities.rows() as u64,
+                    concepts,
+                    atoms: count_atoms(inference.vocabulary(), samples.iter().map(|sample| &sample.facts)),
+                    files: record.files.clone(),
+                };
+                if counted != *record {
+                    faults.push(wrong(path, "does not count what its tables have"));
+                }
+                let pictures = samples.iter().filter(|_| self.manifest.settings.pictures);
+                let names: BTreeSet<String> = pictures.map(|sample| folder::frame_name(sample.tick)).collect();
+                let listed = record.files.keys().filter(|name| name.ends_with(".png"));
+                if !listed.eq(&names) {
+                    faults.push(wrong(path, "has not one picture for each of its frames"));
+                }
+            }
+        }
+        Ok(faults)
+    }
+}
+
+/// Compares the files of a world with its record. Returns the bytes of those that are not pictures.
+fn read_files<'a>(
+    folder: &Folder,
+    record: &'a WorldRecord,
+    step: Step<'_>,
+    faults: &mut Vec<Diagnostic>,
+) -> Result<BTreeMap<&'a str, Vec<u8>>, Diagnostic> {
+    let mut others = BTreeMap::new();
+    for (name, expected) in &record.files {
+        step(0)?;
+        let path = folder.path().join(name);
+        if !Path::new(name).components().eq([Component::Normal(name.as_ref())]) {
+            faults.push(wrong(&path, "is not in the folder of the world"));
+            continue;
+        }
+        let again = "remove the folder of the world and run `logicity vap make` again";
+        let other = || wrong(&path, "is not the file that was made").help(again);
+        match folder.read_of_length(name, expected.bytes as u64) {
+            Err(error) => faults.push(wrong(&path, error).help(again)),
+            Ok(None) => faults.push(other()),
+            Ok(Some(bytes)) if file_record(&bytes) != *expected => faults.push(other()),
+            Ok(Some(bytes)) if name.ends_with(".png") => {
+                if let Err(fault) = check_picture(&bytes) {
+                    faults.push(wrong(&path, fault));
+                }
+            }
+            Ok(Some(bytes)) => {
+                others.insert(name.as_str(), bytes);
+            }
+        }
+    }
+    Ok(others)
+}
+
+fn check_picture(bytes: &[u8]) -> Result<(), String> {
+    let picture = read_png(bytes)?;
+    match (picture.width(), picture.height()) {
+        (SIDE, SIDE) => Ok(()),
+        (width, height) => Err(format!("{width} x {height} pixels instead of {SIDE} x {SIDE}")),
+    }
+}
+
+/// The entities and the samples of a world, if all files besides pictures are its tables and boxes lie in the picture.
+fn read_tables(
+    inference: &Inference,
+    record: &WorldRecord,
+    mut files: BTreeMap<&str, Vec<u8>>,
+) -> Result<(Table, Vec<Sample>), Diagnostic> {
+    let mut table = |name: &str| {
+        let missing = || Diagnostic::new(Code::INVALID_DATA_SET, format!("there is no `{name}`"));
+        Table::read(files.remove(name).ok_or_else(missing)?)
+    };
+    let (entities, pairs) = (table(ENTITIES)?, table(PAIRS)?);
+    if let Some((name, _)) = files.first_key_value() {
+        return Err(Diagnostic::new(
+            Code::INVALID_DATA_SET,
+            format!("`{name}` is neither a table nor a picture"),
+        ));
+    }
+    boxes(&entities)?;
+    let samples = samples(inference.vocabulary(), record.world, &entities, &pairs)?;
+    Ok((entities, samples))
+}
+
+/// Counts the labels of a sample, which must be what the rules derive from its facts.
+fn check_sample(inference: &Inference, sample: &Sample) -> Result<[u64; 4], Diagnostic> {
+    let cars: Vec<usize> = (0..sample.names.len())
+        .filter(|&agent| sample.labels[agent].is_some())
+        .collect();
+    let scene = SceneFacts {
+        names: sample.names.clone(),
+        egos: cars.clone(),
+        facts: sample.facts.clone(),
+    };
+    let mut actions = [0; 4];
+    for (car, answer) in cars.into_iter().zip(inference.answer_facts(&scene)?.egos) {
+        let label = sample.labels[car].expect("a car has one");
+        if label != answer.action {
+            let message = format!(
+                "tick {}: {} is labelled {}, the rules want {}",
+                sample.tick,
+                answer.id,
+                label.name(),
+                answer.action.name()
+            );
+            return Err(Diagnostic::new(Code::INVALID_DATA_SET, message));
+        }
+        actions[label as usize] += 1;
+    }
+    Ok(actions)
+}

@@ -1,0 +1,329 @@
+//! Making data sets. A data set is a function of its request, so an interrupted one can be resumed.
+
+use crate::cancel::Cancel;
+use crate::city::Split;
+use crate::diag::Diagnostic;
+use crate::files::{FileError, Folder};
+use crate::render::{Icons, Picture, write_png};
+use crate::rng::Seed;
+use crate::sim::{LoadedCity, run_polled, start_threads};
+use crate::task::vap::folder::{ENTITIES, PAIRS, WorldWriter, wrong};
+use crate::task::vap::table::{Table, count_concepts};
+use crate::task::vap::{
+    Agents, DatasetSettings, FIRST_TICK, Manifest, Mode, TICKS, WorldRecord, Worlds, card, count_actions, count_atoms,
+    folder, icon_seed, published_worlds,
+};
+use rayon::prelude::*;
+use std::fmt;
+use std::num::NonZeroUsize;
+use std::ops::Range;
+use std::sync::Arc;
+use std::sync::atomic::{AtomicBool, AtomicU64, Ordering};
+
+/// The largest number of worlds of a data set.
+pub const WORLDS_MAX: u32 = 100_000;
+
+/// The reason why a data set was not made or checked.
+#[derive(Debug)]
+#[non_exhaustive]
+pub enum DatasetError {
+    /// Faulty input, or `cancelled`.
+    Faulty(Vec<Diagnostic>),
+    /// A file that cannot be read or written.
+    File(FileError),
+}
+
+impl From<Diagnostic> for DatasetError {
+    fn from(fault: Diagnostic) -> Self {
+        DatasetError::Faulty(vec![fault])
+    }
+}
+
+impl From<Vec<Diagnostic>> for DatasetError {
+    fn from(faults: Vec<Diagnostic>) -> Self {
+        DatasetError::Faulty(faults)
+    }
+}
+
+impl From<FileError> for DatasetError {
+    fn from(error: FileError) -> Self {
+        DatasetError::File(error)
+    }
+}
+
+impl fmt::Display for DatasetError {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        match self {
+            DatasetError::Faulty(faults) => {
+                let messages: Vec<&str> = faults.iter().map(|fault| fault.message.as_str()).collect();
+                f.write_str(&messages.join("\n"))
+            }
+            DatasetError::File(error) => error.fmt(f),
+        }
+    }
+}
+
+impl std::error::Error for DatasetError {}
+
+/// The worlds to make.
+#[derive(Clone, Debug)]
+pub struct DatasetRequest {
+    /// The rules.
+    pub mode: Mode,
+    /// The agents: those of the configuration, or drawn for each world.
+    pub agents: Agents,
+    /// The split.
+    pub split: Split,
+    /// The numbers of the worlds.
+    pub worlds: Range<u32>,
+    /// The seed of all draws.
+    pub seed: u64,
+    /// Whether to draw pictures. Without pictures the tables are the same.
+    pub pictures: bool,
+    /// The number of threads. The files are the same with any number.
+    pub threads: NonZeroUsize,
+}
+
+impl DatasetRequest {
+    /// The worlds of the published set: fixed agents, seed 0, pictures, one thread.
+    pub fn new(mode: Mode, split: Split) -> DatasetRequest {
+        DatasetRequest {
+            mode,
+            agents: Agents::Fixed,
+            split,
+            worlds: 0..published_worlds(split),
+            seed: 0,
+            pictures: true,
+            threads: NonZeroUsize::MIN,
+        }
+    }
+
+    /// The seed of the icons.
+    pub fn icon_seed(&self) -> Seed {
+        icon_seed(self.seed, self.split)
+    }
+}
+
+/// The result of [`DatasetWriter::write`].
+#[derive(Clone, Debug)]
+pub struct DatasetSummary {
+    /// The number of worlds that this call made.
+    pub made: usize,
+    /// All worlds in the folder.
+    pub manifest: Manifest,
+}
+
+/// Makes the worlds of a request.
+pub struct DatasetWriter {
+    request: DatasetRequest,
+    settings: DatasetSettings,
+    worlds: Worlds,
+}
+
+impl DatasetWriter {
+    /// Prepares what all worlds share. `city` has the configuration [`Mode::config`], and the seed of the icons is
+    /// [`DatasetRequest::icon_seed`].
+    ///
+    /// # Errors
+    /// As [`Worlds::new`].
+    pub fn new(request: DatasetRequest, city: LoadedCity, icons: Icons) -> Result<DatasetWriter, Vec<Diagnostic>> {
+        let difficulty = icons.difficulty().as_percent();
+        let pack = icons
+            .pack()
+            .map(|pack| (pack.hash().to_owned(), pack.mode().name().to_owned()));
+        let (pack_hash, pack_mode) = pack.unzip();
+        let config_hash = city.scenario.hash.clone();
+        let worlds = Worlds::new(
+            city.scenario,
+            city.program,
+            Arc::new(icons),
+            request.agents,
+            request.split,
+            request.seed,
+        )?;
+        let settings = DatasetSettings {
+            data: folder::DATA.to_owned(),
+            version: folder::VERSION,
+            mode: request.mode.name().to_owned(),
+            agents: request.agents.name().to_owned(),
+            split: request.split.name().to_owned(),
+            seed: request.seed,
+            config_hash,
+            rules_hash: city.rules_hash,
+            pictures: request.pictures,
+            difficulty,
+            pack_hash,
+            pack_mode,
+            drawing_hash: folder::hash(worlds.specimen().pixels()),
+        };
+        Ok(DatasetWriter {
+            request,
+            settings,
+            worlds,
+        })
+    }
+
+    /// Writes the requested worlds that the folder lacks, then its `README.md` and `manifest.json`. Worlds in the folder stay as they are.
+    ///
+    /// `progress` receives the numbers of frames made and to make. It is called, and `cancel` is polled, on the calling
+    /// thread only. After cancellation the complete worlds stay in the folder, and another call makes the others.
+    ///
+    /// # Errors
+    /// `invalid-data-set` if the folder has worlds with other settings; those of [`Worlds::frames`]; `cancelled`; files that cannot be read
+    /// or written.
+    pub fn write(
+        &self,
+        folder: &Folder,
+        progress: &(dyn Fn(u64, u64) + Sync),
+        cancel: &Cancel,
+    ) -> Result<DatasetSummary, DatasetError> {
+        for (path, file) in folder::worlds(folder)? {
+            if file.settings != self.settings {
+                let fault = wrong(
+                    &path,
+                    "is of a data set with other settings, configuration, rules or pictures",
+                );
+                return Err(fault.help("name another folder with `--out`").into());
+            }
+        }
+        folder::remove_partials(folder)?;
+        let numbers = self.request.worlds.clone();
+        let missing: Vec<u32> = numbers
+            .filter(|&number| !folder.has(&folder::world_name(number)))
+            .collect();
+        let monitor = Monitor::new(missing.len() as u64 * (TICKS - FIRST_TICK), progress, cancel);
+        monitor.run(self.request.threads, &missing, |&number, step| {
+            self.write_world(folder, number, step)
+        })?;
+        let records = folder::worlds(folder)?.into_iter().map(|(_, file)| file.record);
+        let manifest = Manifest::new(self.settings.clone(), records.collect());
+        let card = card::card(self.request.mode, &manifest, &self.worlds);
+        folder::write_description(folder, &card, &manifest)?;
+        Ok(DatasetSummary {
+            made: missing.len(),
+            manifest,
+        })
+    }
+
+    fn write_world(&self, set: &Folder, number: u32, step: Step<'_>) -> Result<(), DatasetError> {
+        let worlds = &self.worlds;
+        let mut writer = WorldWriter::begin(set, number)?;
+        let frames = worlds.frames(number)?;
+        if self.settings.pictures {
+            let renderer = worlds.renderer(number);
+            let (mut picture, mut bytes) = (Picture::default(), Vec::new());
+            for frame in &frames {
+                renderer.draw_into(&frame.sprites(), &mut picture);
+                bytes.clear();
+                write_png(&picture, &mut bytes).expect("memory does not fail");
+                writer.put(folder::frame_name(frame.tick), &bytes)?;
+                step(1)?;
+            }
+        } else {
+            step(frames.len() as u64)?;
+        }
+        // After the pictures, since the boxes of the drawn icons are cached.
+        let entities = Table::entities(worlds, number, &frames);
+        let concepts = count_concepts(&entities)?;
+        for (name, table) in [(ENTITIES, entities), (PAIRS, Table::pairs(worlds, number, &frames))] {
+            let mut bytes = Vec::new();
+            table.write(&mut bytes).expect("memory does not fail");
+            writer.put(name.to_owned(), &bytes)?;
+        }
+        writer.finish(self.settings.clone(), |files| WorldRecord {
+            world: number,
+            seed: worlds.seed(number),
+            frames: frames.len(),
+            actions: count_actions(&frames),
+            agents: frames.iter().map(|frame| frame.agents.len() as u64).sum(),
+            concepts,
+            atoms: count_atoms(&worlds.world().vocabulary, frames.iter().map(|frame| &frame.facts)),
+            files,
+        })?;
+        Ok(())
+    }
+}
+
+/// Counts units of work as done. Fails after cancellation.
+pub(super) type Step<'s> = &'s dyn Fn(u64) -> Result<(), Diagnostic>;
+
+/// Progress and cancellation of work on several threads.
+pub(super) struct Monitor<'c> {
+    done: AtomicU64,
+    total: u64,
+    /// The last number that `progress` has received.
+    reported: AtomicU64,
+    cancelled: AtomicBool,
+    progress: &'c (dyn Fn(u64, u64) + Sync),
+    cancel: &'c Cancel,
+}
+
+impl<'c> Monitor<'c> {
+    pub(super) fn new(total: u64, progress: &'c (dyn Fn(u64, u64) + Sync), cancel: &'c Cancel) -> Monitor<'c> {
+        Monitor {
+            done: AtomicU64::new(0),
+            total,
+            reported: AtomicU64::new(u64::MAX),
+            cancelled: AtomicBool::new(false),
+            progress,
+            cancel,
+        }
+    }
+
+    fn report(&self) {
+        let done = self.done.load(Ordering::Relaxed);
+        if self.reported.swap(done, Ordering::Relaxed) != done {
+            (self.progress)(done, self.total);
+        }
+    }
+
+    /// Reports progress and polls for cancellation. Returns whether the work is cancelled.
+    fn poll(&self) -> bool {
+        self.report();
+        if self.cancel.requested() {
+            self.cancelled.store(true, Ordering::Relaxed);
+        }
+        self.cancelled.load(Ordering::Relaxed)
+    }
+
+    fn check(&self) -> Result<(), Diagnostic> {
+        match self.cancelled.load(Ordering::Relaxed) {
+            true => Err(Diagnostic::cancelled()),
+            false => Ok(()),
+        }
+    }
+
+    /// Does the work for every item. The first failure ends it; with several threads, which one that is may vary.
+    pub(super) fn run<T: Sync, R: Send>(
+        &self,
+        threads: NonZeroUsize,
+        items: &[T],
+        work: impl Fn(&T, Step<'_>) -> Result<R, DatasetError> + Sync,
+    ) -> Result<Vec<R>, DatasetError> {
+        self.poll();
+        self.check()?;
+        let count = |units| self.done.fetch_add(units, Ordering::Relaxed);
+        let results = match start_threads(threads.get().min(items.len()))? {
+            None => {
+                let step = |units| {
+                    count(units);
+                    self.poll();
+                    self.check()
+                };
+                items.iter().map(|item| work(item, &step)).collect()
+            }
+            Some(pool) => {
+                let step = |units| {
+                    count(units);
+                    self.check()
+                };
+                run_polled(&pool, &|| _ = self.poll(), || {
+                    let items = items.par_iter().with_max_len(1);
+                    items.map(|item| work(item, &step)).collect::<Result<Vec<R>, _>>()
+                })
+            }
+        }?;
+        self.report();
+        Ok(results)
+    }
+}

@@ -1,0 +1,320 @@
+//! The layout of a data set on disk: one folder per world, named by its number, and at the end `README.md` and `manifest.json`.
+//!
+//! Everything is written under a temporary name, `.NAME.partial`, and renamed when complete. The next command removes temporary files that
+//! an interrupted command has left.
+
+use crate::diag::{Code, Diagnostic};
+use crate::files::{FileError, Folder};
+use crate::task::vap::dataset::DatasetError;
+use serde::{Deserialize, Serialize};
+use sha2::{Digest, Sha256};
+use std::collections::BTreeMap;
+use std::ffi::OsStr;
+use std::path::{Path, PathBuf};
+
+/// The value of [`DatasetSettings::data`].
+pub(super) const DATA: &str = "logicity vap";
+
+/// The version of the format. It increases when a reader of the old version would misread the new one.
+pub(super) const VERSION: u32 = 2;
+
+pub(super) const MANIFEST: &str = "manifest.json";
+const CARD: &str = "README.md";
+pub(super) const ENTITIES: &str = "entities.parquet";
+pub(super) const PAIRS: &str = "pairs.parquet";
+/// In the folder of a world, a [`WorldFile`].
+const RECORD: &str = "world.json";
+const PARTIAL: &str = ".partial";
+
+/// What all worlds of a data set have in common.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+pub struct DatasetSettings {
+    /// Always `logicity vap`.
+    pub data: String,
+    /// The version of the format.
+    pub version: u32,
+    /// The name of the [`Mode`](crate::task::vap::Mode).
+    pub mode: String,
+    /// The name of the [`Agents`](crate::task::vap::Agents).
+    pub agents: String,
+    /// The name of the [`Split`](crate::city::Split).
+    pub split: String,
+    /// The seed of the data set.
+    pub seed: u64,
+    /// The SHA-256 of the content of the configuration.
+    pub config_hash: String,
+    /// The SHA-256 of the content of the rules.
+    pub rules_hash: String,
+    /// Whether there are pictures. Without pictures the boxes are the same.
+    pub pictures: bool,
+    /// The difficulty of the icons in percent.
+    pub difficulty: u8,
+    /// The hash of the icon pack.
+    pub pack_hash: Option<String>,
+    /// The mode of the icon pack.
+    pub pack_mode: Option<String>,
+    /// The SHA-256 of the pixels of [`Worlds::specimen`](crate::task::vap::Worlds::specimen). It changes with the way of drawing.
+    pub drawing_hash: String,
+}
+
+/// The counts and files of a world.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+pub struct WorldRecord {
+    /// The number of the world.
+    pub world: u32,
+    /// The seed of the city.
+    pub seed: u64,
+    /// The number of frames.
+    pub frames: usize,
+    /// The number of cars with each label, in the order of [`Action::ALL`](crate::city::Action::ALL).
+    pub actions: [u64; 4],
+    /// The number of agents in all frames.
+    pub agents: u64,
+    /// The number of agents with each concept. Agents without concepts count by type.
+    pub concepts: BTreeMap<String, u64>,
+    /// The result of [`count_atoms`](crate::task::vap::count_atoms).
+    pub atoms: BTreeMap<String, u64>,
+    /// The files by name.
+    pub files: BTreeMap<String, FileRecord>,
+}
+
+/// Size and hash of a file.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+pub struct FileRecord {
+    /// The size in bytes.
+    pub bytes: usize,
+    /// The SHA-256.
+    pub sha256: String,
+}
+
+/// The file `world.json`.
+#[derive(Debug, PartialEq, Serialize, Deserialize)]
+pub(super) struct WorldFile {
+    pub(super) settings: DatasetSettings,
+    #[serde(flatten)]
+    pub(super) record: WorldRecord,
+}
+
+/// The file `manifest.json`: settings, worlds, and their sums.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+pub struct Manifest {
+    /// What all worlds have in common.
+    pub settings: DatasetSettings,
+    /// The number of frames.
+    pub frames: usize,
+    /// As in [`WorldRecord`].
+    pub actions: [u64; 4],
+    /// As in [`WorldRecord`].
+    pub agents: u64,
+    /// As in [`WorldRecord`].
+    pub concepts: BTreeMap<String, u64>,
+    /// As in [`WorldRecord`].
+    pub atoms: BTreeMap<String, u64>,
+    /// The worlds by number.
+    pub worlds: Vec<WorldRecord>,
+}
+
+impl Manifest {
+    /// The manifest of these worlds.
+    pub(super) fn new(settings: DatasetSettings, worlds: Vec<WorldRecord>) -> Manifest {
+        let sum = |counts: fn(&WorldRecord) -> &BTreeMap<String, u64>| {
+            let mut sums = BTreeMap::new();
+            for (name, count) in worlds.iter().flat_map(counts) {
+                let sum: &mut u64 = sums.entry(name.clone()).or_default();
+                *sum = sum.saturating_add(*count);
+            }
+            sums
+        };
+        let frames = worlds.iter().map(|record| record.frames);
+        let agents = worlds.iter().map(|record| record.agents);
+        Manifest {
+            frames: frames.fold(0, usize::saturating_add),
+            actions: worlds.iter().map(|record| record.actions).fold([0; 4], add),
+            agents: agents.fold(0, u64::saturating_add),
+            concepts: sum(|record| &record.concepts),
+            atoms: sum(|record| &record.atoms),
+            worlds,
+            settings,
+        }
+    }
+
+    /// The number of pictures.
+    pub fn pictures(&self) -> usize {
+        if self.settings.pictures { self.frames } else { 0 }
+    }
+
+    /// The size in bytes of all files of the worlds whose names end with `extension`.
+    pub(super) fn bytes(&self, extension: &str) -> usize {
+        let files = self.worlds.iter().flat_map(|record| &record.files);
+        let named = files.filter(|(name, _)| name.ends_with(extension));
+        named.map(|(_, file)| file.bytes).fold(0, usize::saturating_add)
+    }
+}
+
+/// Adds counts, which may come from a damaged file.
+pub(super) fn add(left: [u64; 4], right: [u64; 4]) -> [u64; 4] {
+    std::array::from_fn(|action| left[action].saturating_add(right[action]))
+}
+
+/// A fault of a file or folder.
+pub(super) fn wrong(path: &Path, message: impl std::fmt::Display) -> Diagnostic {
+    Diagnostic::new(Code::INVALID_DATA_SET, format!("`{}`: {message}", path.display()))
+}
+
+pub(super) fn file_record(bytes: &[u8]) -> FileRecord {
+    FileRecord {
+        bytes: bytes.len(),
+        sha256: hash(bytes),
+    }
+}
+
+pub(super) fn hash(bytes: &[u8]) -> String {
+    format!("{:x}", Sha256::digest(bytes))
+}
+
+/// The name of a world's folder.
+pub(super) fn world_name(world: u32) -> String {
+    format!("world-{world:05}")
+}
+
+/// The name of the picture of a tick.
+pub(super) fn frame_name(tick: impl std::fmt::Display) -> String {
+    format!("frame-{tick:0>3}.png")
+}
+
+fn pretty(value: &impl Serialize) -> String {
+    serde_json::to_string_pretty(value).expect("it has a form in JSON") + "\n"
+}
+
+fn partial(name: &str) -> String {
+    format!(".{name}{PARTIAL}")
+}
+
+/// A world that is being written.
+pub(super) struct WorldWriter<'f> {
+    set: &'f Folder,
+    name: String,
+    /// The folder under its temporary name.
+    partial: Folder,
+    files: BTreeMap<String, FileRecord>,
+}
+
+impl<'f> WorldWriter<'f> {
+    /// Begins a world that does not exist yet.
+    pub(super) fn begin(set: &'f Folder, world: u32) -> Result<WorldWriter<'f>, FileError> {
+        let name = world_name(world);
+        let partial = set.folder(&partial(&name));
+        partial.create()?;
+        Ok(WorldWriter {
+            set,
+            name,
+            partial,
+            files: BTreeMap::new(),
+        })
+    }
+
+    pub(super) fn put(&mut self, name: String, bytes: &[u8]) -> Result<(), FileError> {
+        self.partial.write(&name, bytes)?;
+        self.files.insert(name, file_record(bytes));
+        Ok(())
+    }
+
+    /// Writes the record of the world, which `record` makes from its files, and gives the folder its name.
+    pub(super) fn finish(
+        self,
+        settings: DatasetSettings,
+        record: impl FnOnce(BTreeMap<String, FileRecord>) -> WorldRecord,
+    ) -> Result<(), FileError> {
+        let record = record(self.files);
+        self.partial.write(RECORD, pretty(&WorldFile { settings, record }))?;
+        self.set.rename(&partial(&self.name), &self.name)
+    }
+}
+
+/// Writes `README.md` and `manifest.json`.
+pub(super) fn write_description(set: &Folder, card: &str, manifest: &Manifest) -> Result<(), FileError> {
+    for (name, text) in [(CARD, card), (MANIFEST, &pretty(manifest))] {
+        set.write(&partial(name), text)?;
+        set.rename(&partial(name), name)?;
+    }
+    Ok(())
+}
+
+/// Removes files and folders with temporary names.
+pub(super) fn remove_partials(set: &Folder) -> Result<(), FileError> {
+    for path in set.entries()? {
+        let Some(name) = path.file_name().and_then(OsStr::to_str) else {
+            continue;
+        };
+        let whole = name.strip_prefix('.').and_then(|name| name.strip_suffix(PARTIAL));
+        if whole.is_some_and(|whole| is_world(Path::new(whole)) || [CARD, MANIFEST].contains(&whole)) {
+            set.remove(name)?;
+        }
+    }
+    Ok(())
+}
+
+/// The worlds in a folder by number, each with the path of its folder.
+pub(super) fn worlds(set: &Folder) -> Result<Vec<(PathBuf, WorldFile)>, DatasetError> {
+    let mut worlds = Vec::new();
+    for path in set.entries()?.into_iter().filter(|path| is_world(path)) {
+        let file: WorldFile = read_json(&Folder::new(&path), RECORD)?;
+        if path
+            .file_name()
+            .is_none_or(|name| *name != *world_name(file.record.world))
+        {
+            return Err(wrong(&path, format!("holds world {}", file.record.world)).into());
+        }
+        worlds.push((path, file));
+    }
+    worlds.sort_by_key(|(_, file)| file.record.world);
+    Ok(worlds)
+}
+
+fn is_world(path: &Path) -> bool {
+    let name = path.file_name().and_then(OsStr::to_str);
+    name.is_some_and(|name| name.starts_with("world-"))
+}
+
+/// The files and folders in the folder of a data set that are not part of it.
+pub(super) fn strangers(set: &Folder) -> Result<Vec<PathBuf>, FileError> {
+    let known = |path: &PathBuf| is_world(path) || [CARD, MANIFEST].iter().any(|name| path.ends_with(name));
+    Ok(set.entries()?.into_iter().filter(|path| !known(path)).collect())
+}
+
+/// The files and folders in the folder of a world that are not in its record.
+pub(super) fn strangers_in_world(folder: &Folder, record: &WorldRecord) -> Result<Vec<PathBuf>, FileError> {
+    let known = |path: &PathBuf| {
+        let name = path.file_name().and_then(OsStr::to_str);
+        name.is_some_and(|name| name == RECORD || record.files.contains_key(name))
+    };
+    Ok(folder.entries()?.into_iter().filter(|path| !known(path)).collect())
+}
+
+/// The manifest of a data set of this version.
+pub(super) fn read_manifest(set: &Folder) -> Result<Manifest, DatasetError> {
+    read_json(set, MANIFEST)
+}
+
+/// A manifest, or the file of a world.
+fn read_json<T: for<'de> Deserialize<'de>>(folder: &Folder, name: &str) -> Result<T, DatasetError> {
+    /// What both have in every version.
+    #[derive(Deserialize)]
+    struct Versioned {
+        settings: Version,
+    }
+    #[derive(Deserialize)]
+    struct Version {
+        data: String,
+        version: u32,
+    }
+    let path = folder.path().join(name);
+    let text = folder.read_text(name)?;
+    let fail = |error| wrong(&path, format!("not of a data set: {error}"));
+    let Version { data, version } = serde_json::from_str::<Versioned>(&text).map_err(fail)?.settings;
+    if data != DATA || version != VERSION {
+        let message = format!("a data set `{data}`, version {version}; this program reads version {VERSION}");
+        return Err(wrong(&path, message).into());
+    }
+    Ok(serde_json::from_str(&text).map_err(fail)?)
+}
