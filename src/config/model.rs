@@ -2,61 +2,12 @@
 //!
 //! The serialised form holds the content without file names and places. It is what [`Scenario::hash`] is taken of.
 
-use crate::city::{Action, AgentKind, AgentSet, MapConfig, Routing, Split};
+use crate::city::{Action, AgentSet, MapConfig, Routing, Split};
 use crate::diag::{Located, Span};
+use crate::predicate::Definition;
 use serde::Serialize;
 use std::path::PathBuf;
 use std::sync::Arc;
-
-/// How a base predicate is computed from the state of the city.
-#[derive(Clone, Debug, PartialEq, Serialize)]
-pub enum Definition {
-    /// Unary: the agent is of this kind.
-    Kind(AgentKind),
-    /// Unary: the agent is of this kind and carries this concept.
-    Concept {
-        /// Which agents can carry it.
-        of: AgentKind,
-        /// Its name in agent sets and scenes.
-        concept: String,
-    },
-    /// Unary: a car is on an entrance line or a pedestrian on an outline of an intersection.
-    AtIntersection,
-    /// Unary: the agent is inside an intersection.
-    InIntersection,
-    /// Binary: Euclidean distance d in cells within the bounds that are given.
-    Distance {
-        /// d > above.
-        above: Option<f64>,
-        /// d >= at_least.
-        at_least: Option<f64>,
-        /// d < below.
-        below: Option<f64>,
-        /// d <= at_most.
-        at_most: Option<f64>,
-    },
-    /// Binary: the first has the smaller priority number.
-    HigherPriority,
-    /// Binary: the first lies left of the second, seen along the second's heading.
-    LeftOf,
-    /// Binary: the first lies right of the second, seen along the second's heading.
-    RightOf,
-    /// Binary: the first is about to run into the second.
-    Colliding {
-        /// Greatest distance in cells if the first is a car.
-        car_range: f64,
-        /// Greatest distance in cells if the first is a pedestrian.
-        pedestrian_range: f64,
-        /// The angle between the first's heading and the way to the second is smaller than this, in radians.
-        angle: f64,
-        /// Probability that a pedestrian notices.
-        pedestrian_chance: f64,
-        /// Probability if both are in one cell.
-        same_cell_chance: f64,
-    },
-    /// Binary, and the only reflexive one: the second is in the field of view of the first.
-    Sees,
-}
 
 /// A base predicate of a scenario.
 #[derive(Clone, Debug, Serialize)]
@@ -65,13 +16,6 @@ pub struct PredicateConfig {
     pub name: Located<String>,
     /// How it is computed.
     pub definition: Definition,
-}
-
-impl Definition {
-    /// Whether it depends on what an agent is, and not on where anybody is.
-    pub fn is_steady(&self) -> bool {
-        matches!(self, Definition::Kind(_) | Definition::Concept { .. })
-    }
 }
 
 /// How derived action predicates become one action.

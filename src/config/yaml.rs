@@ -14,15 +14,15 @@ use std::ops::Range;
 
 /// The largest configuration file in bytes. A map of 1000 x 1000 blocks with every building given is half of it. The caller
 /// asks, so that a larger text is never looked through.
-pub(super) const MAX_BYTES: usize = 8 << 20;
+pub(crate) const MAX_BYTES: usize = 8 << 20;
 /// The deepest nesting of lists and mappings.
-pub(super) const MAX_DEPTH: usize = 64;
+pub(crate) const MAX_DEPTH: usize = 64;
 /// The most values in a configuration with all its parts, after aliases are expanded.
-pub(super) const MAX_NODES: usize = 200_000;
+pub(crate) const MAX_NODES: usize = 200_000;
 
 /// A YAML value and where it stands.
 #[derive(Clone, Debug)]
-pub(super) struct Node {
+pub(crate) struct Node {
     /// A scalar; the key of a block collection, or its own first key; the first line of a collection in brackets.
     pub span: Span,
     pub value: Value,
@@ -31,7 +31,7 @@ pub(super) struct Node {
 }
 
 #[derive(Clone, Debug)]
-pub(super) enum Value {
+pub(crate) enum Value {
     Scalar {
         text: String,
         /// Without quotes: `5` is a number and `~` is nothing, `"5"` and `"~"` are text.
@@ -44,7 +44,7 @@ pub(super) enum Value {
 }
 
 #[derive(Clone, Debug)]
-pub(super) struct Key {
+pub(crate) struct Key {
     pub text: String,
     pub span: Span,
 }
@@ -123,7 +123,7 @@ struct Builder<'a> {
 
 /// Parses one text. `None` if there is no tree to go on with; then at least one fault was pushed. Faults that leave a tree
 /// (a duplicate key) are pushed too. `nodes_left` bounds the size of all trees of one configuration.
-pub(super) fn parse(
+pub(crate) fn parse(
     sources: &Sources,
     source: SourceId,
     nodes_left: &mut usize,

@@ -199,7 +199,7 @@ pub(super) fn compile(rules: &Rules, vocabulary: &Vocabulary, counting: TrackFir
     }
     let steady = |relation| {
         let mut predicates = vocabulary.predicates.iter();
-        predicates.any(|predicate| predicate.relation == Some(relation) && predicate.definition.is_steady())
+        predicates.any(|predicate| predicate.relation == Some(relation) && predicate.definition.is_static())
     };
     Ok(Dense::new(rules, &choice, counting, steady))
 }

@@ -2,15 +2,16 @@
 
 use crate::city::Action;
 use crate::city::CityMap;
-use crate::config::{Definition, Scenario, load_map};
+use crate::config::{Scenario, load_map};
 use crate::datalog::dense::{BinaryFacts, BitFacts, BitState, Dense, Set, TrackFirings, has};
 use crate::datalog::{EvalError, Program, Session, constraints};
 use crate::datalog::{RelId, Value};
 use crate::diag::{Code, Diagnostic, SourceId, Sources, Span};
 use crate::files::ReadFile;
+use crate::predicate::Entity;
 use crate::rng::{Purpose, RngExt, Seed};
 use crate::sim::executor::{Choice, Executor, compile};
-use crate::sim::ground::{Chance, Entity, Facts, ground_until};
+use crate::sim::ground::{Chance, Facts, ground_until};
 use crate::sim::scene::{GeometricScene, GivenPredicate, MAX_ENTITIES, Scene, SymbolicScene, Terms, parse_scene};
 use crate::sim::vocabulary::{Actions, Vocabulary};
 use crate::sim::width::{Width, in_words};
@@ -202,10 +203,8 @@ impl Inference {
                 .map(|predicate| (predicate.name.as_str(), predicate.arity))
                 .collect(),
             concepts: (self.scenario.predicates.iter())
-                .filter_map(|predicate| match &predicate.definition {
-                    Definition::Concept { of, concept } => Some((*of, concept.as_str())),
-                    _ => None,
-                })
+                .filter_map(|predicate| predicate.definition.concept())
+                .map(|concept| (concept.of, concept.concept.as_str()))
                 .collect(),
         };
         match parse_scene(sources, source, &terms)? {

@@ -24,12 +24,13 @@ mod width;
 mod window;
 mod world;
 
+pub use crate::predicate::Entity;
 pub use codes::CODES;
 pub use conflict::{CONFLICT_EFFORT, Finding, Overlap, conflicts, scene_json};
 pub use coverage::{ClauseCoverage, Coverage};
 pub use deadlock::{DeadlockReport, LOOK_TICKS, STUCK_TICKS, WaitsFor, standstill, waits};
 pub use executor::{CROWD_MAX, Executor, WHOLE_MAX};
-pub use ground::{Chance, Entity, Facts, ground};
+pub use ground::{Chance, Facts, ground};
 pub use infer::{Answer, EgoAnswer, Inference, SceneFacts};
 pub use observe::{OBSERVED_MAX, Observer, Oracle};
 pub use replay::{Replay, TraceAgent, TraceHeader, TraceState, TraceTick};

@@ -5,9 +5,10 @@ use crate::city::{Agent, Cell, Heading, MoveReason, Moved, Places, Surroundings,
 use crate::datalog::Session;
 use crate::datalog::{ClauseId, Value};
 use crate::diag::{Code, Diagnostic};
+use crate::predicate::Entity;
 use crate::rng::Seed;
 use crate::sim::executor::{Choice, Decisions, DenseExecutor, Executor, WHOLE_MAX};
-use crate::sim::ground::{Entity, Facts, ground_until};
+use crate::sim::ground::{Facts, ground_until};
 use crate::sim::infer::{Draws, GroundState};
 use crate::sim::scene::MAX_ENTITIES;
 use crate::sim::vocabulary::Actions;

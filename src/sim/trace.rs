@@ -2,7 +2,6 @@
 
 use crate::city::Action;
 use crate::city::{Heading, Moved};
-use crate::config::Definition;
 use crate::diag::{SourceId, Sources};
 use crate::sim::simulation::Simulation;
 use serde::{Deserialize, Serialize};
@@ -92,7 +91,7 @@ impl<W: Write> TraceWriter<W> {
         });
         writeln!(out, "{header}")?;
         let drawn = (world.vocabulary.predicates.iter().enumerate())
-            .filter(|(_, predicate)| matches!(predicate.definition, Definition::Colliding { .. }))
+            .filter(|(_, predicate)| predicate.definition.is_drawn())
             .map(|(index, _)| index)
             .collect();
         Ok(TraceWriter { out, drawn })

@@ -1,13 +1,16 @@
 //! Some entities of a city and what relates them, as bits for the dense executor. Facts about pairs are computed where a rule asks
-//! for them, from whole numbers; [`super::ground`] has the definitions, and tests compare the two.
+//! for them, by the fast form of its predicate ([`Relation`]): entities in the rectangle that it reaches are found by rows and columns,
+//! and tested one by one.
 
 use crate::city::AgentKind;
-use crate::city::{Agent, Cell, CityMap, FieldOfView, Heading, Junction, view_reach};
-use crate::config::Definition;
+use crate::city::{Agent, Cell, CityMap, Heading, Junction};
 use crate::datalog::dense::{
     Argument, BinaryFacts, BitState, Dense, Input, List, Set, and, first, is_empty, members, without,
 };
-use crate::sim::ground::{Chance, Entity, binary, is_far_enough, is_near_enough, side, side_of};
+use crate::predicate::{
+    CellTable, Definition, Pair, PairRelation, Reach, Relation, Static, Subject, Views, with_relation,
+};
+use crate::sim::ground::Chance;
 use crate::sim::infer::Draws;
 use crate::sim::vocabulary::Vocabulary;
 use std::collections::BTreeMap;
@@ -59,6 +62,17 @@ impl Body {
         }
     }
 
+    /// What predicates over two agents see of it.
+    #[inline]
+    pub fn subject(&self) -> Subject {
+        Subject {
+            kind: self.kind,
+            priority: self.priority,
+            at: self.at,
+            heading: self.heading,
+        }
+    }
+
     /// Takes note of a move.
     pub fn shift(&mut self, map: &CityMap, to: Position) {
         self.heading = to.heading;
@@ -69,61 +83,15 @@ impl Body {
     }
 }
 
-/// How many cells something reaches: up, down, left, right.
-pub(super) type Reach = [i32; 4];
-
-/// Farther apart are no two cells of a map.
-const FARTHEST: i32 = 1 << 24;
-
-/// The greatest squared distance that is looked at: no two cells of a map are so far apart.
-const SQUARE_MAX: i64 = 1 << 50;
-
-/// How a predicate with one column, or its diagonal, is computed.
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
-enum Unary {
-    /// By what the agent is: its class knows.
-    Class,
-    AtIntersection,
-    InIntersection,
-    /// The diagonal of the field of view: everybody sees himself.
-    Always,
-    /// The diagonal of another predicate.
-    Never,
-}
-
-/// How facts about pairs are computed.
-#[derive(Clone, Debug)]
-pub(super) enum Relation {
-    Sees,
-    /// Squared distances from `least` to `most`; no farther than `reach` in rows or columns.
-    Distance {
-        least: i64,
-        most: i64,
-        reach: i32,
-    },
-    HigherPriority,
-    /// Of the first, seen along the second's heading: left if 1, right if -1.
-    Side(i64),
-    Colliding(Box<Colliding>),
-    /// Of nobody.
-    Never,
-}
-
-#[derive(Clone, Debug)]
-pub(super) struct Colliding {
-    /// By kind and heading of the first: where the second can be.
-    cones: [[Reach; 4]; 2],
-    /// Position in the vocabulary.
-    predicate: usize,
-    definition: Definition,
-}
-
 /// A list that a dense program asks for.
 #[derive(Clone, Debug)]
 struct Asked {
-    relation: Relation,
+    /// Its position in the vocabulary and its fast form; `None` if it is not in the vocabulary and so holds of nobody.
+    predicate: Option<(usize, PairRelation)>,
     axis: Argument,
-    /// Whether whom it relates to an entity is in that one's field of view.
+    /// Whether it is the field of view of the first.
+    is_view: bool,
+    /// Whether all entities that it relates to an entity are in that one's field of view.
     in_view: bool,
 }
 
@@ -132,14 +100,14 @@ struct Asked {
 #[derive(Debug)]
 pub(super) struct Plan {
     pub dense: Dense,
-    inputs: Vec<Unary>,
-    /// The inputs that depend on the cell where an agent is: whether it is inside an intersection, or at one.
-    placed: Vec<(usize, bool)>,
+    /// The inputs that depend on what an agent is.
+    fixed: Vec<(usize, Static)>,
+    /// The inputs that depend on the cell where an agent is.
+    local: Vec<(usize, CellTable)>,
+    /// The inputs that hold of all agents: diagonals of reflexive predicates.
+    always: Vec<usize>,
     lists: Vec<Asked>,
-    /// The inputs of which what an agent is decides.
-    steady: Vec<(usize, Definition)>,
-    /// How far an agent without a heading sees, and one with each.
-    views: [Reach; 5],
+    views: Views,
 }
 
 /// A plan, and what the agents of a city are.
@@ -172,58 +140,48 @@ impl Plan {
             let position = predicates.position(|predicate| predicate.relation == Some(relation))?;
             Some((position, &vocabulary.predicates[position].definition))
         };
-        let inputs: Vec<Unary> = (dense.inputs().iter())
-            .map(|&input| match input {
-                Input::Unary(relation) => match find(relation) {
-                    Some((_, Definition::AtIntersection)) => Unary::AtIntersection,
-                    Some((_, Definition::InIntersection)) => Unary::InIntersection,
-                    Some(_) => Unary::Class,
-                    None => Unary::Never,
-                },
-                Input::Diagonal(relation) => match find(relation) {
-                    Some((_, Definition::Sees)) => Unary::Always,
-                    _ => Unary::Never,
-                },
-            })
-            .collect();
-        let views = views(view);
+        let views = Views::new(view);
+        let (mut fixed, mut local, mut always) = (Vec::new(), Vec::new(), Vec::new());
+        for (input, asked) in dense.inputs().iter().enumerate() {
+            let (Input::Unary(relation) | Input::Diagonal(relation)) = *asked;
+            match find(relation) {
+                Some((_, Definition::Static(predicate))) => fixed.push((input, predicate.clone())),
+                Some((_, Definition::Local(predicate))) => local.push((input, predicate.table())),
+                Some((_, Definition::Pair(pair))) if pair.is_reflexive() => always.push(input),
+                Some((_, Definition::Pair(_))) | None => {}
+            }
+        }
         let lists = (dense.lists().iter())
             .map(|&List(relation, axis)| {
-                let relation = find(relation).map_or(Relation::Never, |(predicate, definition)| {
-                    Relation::new(predicate, definition)
+                let predicate = find(relation).and_then(|(position, definition)| match definition {
+                    Definition::Pair(pair) => Some((position, pair)),
+                    Definition::Static(_) | Definition::Local(_) => None,
                 });
+                let forward = axis == Argument::Second;
+                let is_view = forward && matches!(predicate, Some((_, Pair::Sees(_))));
+                let predicate = predicate.map(|(position, pair)| (position, pair.relation()));
+                let in_view = |(_, relation): &(_, PairRelation)| relation.is_in_view(&views);
                 Asked {
-                    in_view: axis == Argument::Second && relation.is_in_view(&views),
-                    relation,
+                    in_view: forward && !is_view && predicate.as_ref().is_none_or(in_view),
+                    is_view,
+                    predicate,
                     axis,
                 }
             })
             .collect();
-        let steady = (dense.inputs().iter().enumerate())
-            .filter_map(|(position, input)| match input {
-                Input::Unary(relation) => Some((position, find(*relation)?.1.clone())),
-                Input::Diagonal(_) => None,
-            })
-            .filter(|(_, definition)| definition.is_steady())
-            .collect();
-        let placed = |(input, how): (usize, &Unary)| match how {
-            Unary::InIntersection => Some((input, true)),
-            Unary::AtIntersection => Some((input, false)),
-            Unary::Class | Unary::Always | Unary::Never => None,
-        };
         Plan {
-            placed: inputs.iter().enumerate().filter_map(placed).collect(),
-            inputs,
+            fixed,
+            local,
+            always,
             lists,
-            steady,
             views,
             dense,
         }
     }
 
-    /// How far anybody sees.
+    /// The most cells that agents see in any direction.
     pub fn farthest_view(&self) -> i32 {
-        self.views.iter().flatten().copied().max().unwrap_or(0)
+        self.views.farthest()
     }
 }
 
@@ -257,134 +215,11 @@ impl Grounder {
             if likely.len() < Self::LIKELY {
                 likely.push((kind, Arc::clone(concepts)));
             }
-            let holds = (plan.steady.iter()).filter(|(_, definition)| holds_of(definition, kind, concepts));
+            let holds = (plan.fixed.iter()).filter(|(_, predicate)| predicate.holds(kind, concepts));
             classes.push(holds.map(|(input, _)| *input).collect());
             next
         })
     }
-}
-
-/// Whether a [steady](Definition::is_steady) definition holds of agents of this kind that carry these concepts.
-pub(super) fn holds_of(definition: &Definition, kind: AgentKind, concepts: &[String]) -> bool {
-    match definition {
-        Definition::Kind(of) => *of == kind,
-        Definition::Concept { of, concept } => *of == kind && concepts.contains(concept),
-        _ => unreachable!("it depends on where agents are"),
-    }
-}
-
-/// How far an agent without a heading sees, and one with each, if the half-width of the field of view is so many cells.
-pub(super) fn views(half_width: u32) -> [Reach; 5] {
-    let reach = |heading| view_reach(heading, half_width).map(|cells| cells.min(FARTHEST));
-    let [left, right, up, down] = Heading::ALL.map(|heading| reach(Some(heading)));
-    [reach(None), left, right, up, down]
-}
-
-impl Relation {
-    /// Of the predicate at this position of the vocabulary.
-    pub fn new(predicate: usize, definition: &Definition) -> Relation {
-        match *definition {
-            Definition::Sees => Relation::Sees,
-            Definition::Distance { .. } => {
-                // Both bounds are monotone in the distance, and the distance in its square.
-                let least = first_square(|d| is_far_enough(definition, d));
-                let most = first_square(|d| !is_near_enough(definition, d)) - 1;
-                let reach = most.max(0).isqrt().min(i64::from(FARTHEST));
-                Relation::Distance {
-                    least,
-                    most,
-                    reach: i32::try_from(reach).expect("it is at most the farthest"),
-                }
-            }
-            Definition::HigherPriority => Relation::HigherPriority,
-            Definition::LeftOf => Relation::Side(1),
-            Definition::RightOf => Relation::Side(-1),
-            Definition::Colliding { .. } => {
-                let cone = |kind| Heading::ALL.map(|heading| cone(definition, kind, heading));
-                Relation::Colliding(Box::new(Colliding {
-                    cones: AgentKind::ALL.map(cone),
-                    predicate,
-                    definition: definition.clone(),
-                }))
-            }
-            Definition::Kind(_)
-            | Definition::Concept { .. }
-            | Definition::AtIntersection
-            | Definition::InIntersection => unreachable!("a unary definition"),
-        }
-    }
-}
-
-impl Relation {
-    /// Whether the first sees the second wherever it holds.
-    fn is_in_view(&self, views: &[Reach; 5]) -> bool {
-        match self {
-            Relation::Colliding(colliding) => {
-                let within = |cone: &Reach, view: &Reach| cone.iter().zip(view).all(|(cone, view)| cone <= view);
-                let all_within =
-                    |cones: &[Reach; 4]| cones.iter().zip(&views[1..]).all(|(cone, view)| within(cone, view));
-                colliding.cones.iter().all(all_within)
-            }
-            Relation::Never => true,
-            _ => false,
-        }
-    }
-}
-
-/// The least square of a distance for which something holds that holds from there on; [`SQUARE_MAX`] if it never does.
-#[allow(clippy::cast_precision_loss)] // exact: squares are below 2^53
-fn first_square(holds: impl Fn(f64) -> bool) -> i64 {
-    let (mut low, mut high) = (0, SQUARE_MAX);
-    while low < high {
-        let middle = low + (high - low) / 2;
-        match holds((middle as f64).sqrt()) {
-            true => high = middle,
-            false => low = middle + 1,
-        }
-    }
-    low
-}
-
-/// Where what an agent of this kind and heading may collide with can be.
-fn cone(definition: &Definition, kind: AgentKind, heading: Heading) -> Reach {
-    /// Farther than this it is not looked for single cells.
-    const LOOK: i32 = 32;
-    let Definition::Colliding {
-        car_range,
-        pedestrian_range,
-        ..
-    } = *definition
-    else {
-        unreachable!("the definition of another predicate")
-    };
-    let range = match kind {
-        AgentKind::Car => car_range,
-        AgentKind::Pedestrian => pedestrian_range,
-    };
-    #[allow(clippy::cast_possible_truncation)] // a number beyond the limits becomes the limit
-    let range = (range.max(0.0).floor() as i32).min(FARTHEST);
-    if range > LOOK {
-        return [range; 4];
-    }
-    let agent = |at| Entity {
-        kind,
-        concepts: &[],
-        priority: 0,
-        at,
-        heading: Some(heading),
-    };
-    let here = agent(Cell::new(0, 0));
-    let mut reach = [0; 4];
-    for row in -range..=range {
-        for col in -range..=range {
-            if binary(definition, &here, &agent(Cell::new(row, col))) > 0.0 {
-                for (reach, cells) in reach.iter_mut().zip([-row, row, -col, col]) {
-                    *reach = cells.max(*reach);
-                }
-            }
-        }
-    }
-    reach
 }
 
 /// Up to `64 * W` entities and where they are.
@@ -410,7 +245,7 @@ struct Place<const W: usize> {
 impl<const W: usize> Place<W> {
     /// Those at most so far from a cell.
     #[inline]
-    fn around(&self, at: Cell, [up, down, left, right]: Reach) -> Set<W> {
+    fn around(&self, at: Cell, [up, down, left, right]: [i32; 4]) -> Set<W> {
         let (row, col) = (at.row - self.first.row, at.col - self.first.col);
         let rows = between(&self.rows, row - up, row + down);
         and(rows, &between(&self.cols, col - left, col + right))
@@ -492,16 +327,14 @@ impl<const W: usize> Window<W> {
         self.place.sum();
 
         self.inputs.clear();
-        self.inputs.resize(grounder.inputs.len(), [0; W]);
+        self.inputs.resize(grounder.dense.inputs().len(), [0; W]);
         for (entity, body) in self.bodies.iter().enumerate() {
             for &input in &grounder.classes[body.class as usize] {
                 self.inputs[input][entity / 64] |= 1 << (entity % 64);
             }
         }
-        for (input, how) in grounder.inputs.iter().enumerate() {
-            if *how == Unary::Always {
-                self.inputs[input] = first(count);
-            }
+        for &input in &grounder.always {
+            self.inputs[input] = first(count);
         }
         for entity in 0..count {
             self.look(grounder, entity);
@@ -511,9 +344,8 @@ impl<const W: usize> Window<W> {
     /// Sets what depends on the cell where an entity is.
     fn look(&mut self, grounder: &Grounder, entity: usize) {
         let body = &self.bodies[entity];
-        let (is_inside, is_at) = (body.junction.is_inside(), body.junction.is_at(body.kind));
-        for &(input, inside) in &grounder.placed {
-            let holds = (inside & is_inside) | (!inside & is_at);
+        for &(input, table) in &grounder.local {
+            let holds = table.holds(body.junction, body.kind);
             let word = &mut self.inputs[input][entity / 64];
             *word = *word & !(1 << (entity % 64)) | u64::from(holds) << (entity % 64);
         }
@@ -576,41 +408,25 @@ impl<const W: usize> BinaryFacts<W> for Scene<'_, W> {
     #[inline]
     fn narrow(&self, list: usize, at: usize, among: Set<W>) -> Set<W> {
         let asked = &self.grounder.lists[list];
-        let body = &self.bodies[at];
-        let near = |reach| and(among, &self.place.around(body.at, reach));
-        match (&asked.relation, asked.axis) {
-            (Relation::Sees, Argument::Second) => near(self.view(body)),
-            (Relation::Distance { least, most, reach }, _) => keep(near([*reach; 4]), |other| {
-                other != at && (*least..=*most).contains(&square(body.at, self.bodies[other].at))
-            }),
-            (Relation::Never, _) => [0; W],
-            (Relation::Colliding(colliding), Argument::Second) => {
-                let Some(heading) = body.heading else { return [0; W] };
-                keep(near(colliding.cones[body.kind as usize][heading as usize]), |other| {
-                    self.holds(&asked.relation, at, other)
-                })
-            }
-            (_, Argument::Second) => keep(among, |other| self.holds(&asked.relation, at, other)),
-            (_, Argument::First) => keep(among, |other| self.holds(&asked.relation, other, at)),
-        }
+        let Some((predicate, relation)) = &asked.predicate else {
+            return [0; W];
+        };
+        with_relation!(relation, relation => match asked.axis {
+            Argument::Second => self.seconds(*predicate, relation, at, among),
+            Argument::First => self.firsts(*predicate, relation, at, among),
+        })
     }
 
     #[inline]
     fn any<const N: usize>(&self, lists: [usize; N], demand: Set<W>, among: Set<W>) -> Set<W> {
         let asked = |list: usize| &self.grounder.lists[list];
-        let is_view = |list: usize| {
-            matches!(
-                (&asked(list).relation, asked(list).axis),
-                (Relation::Sees, Argument::Second)
-            )
-        };
-        // Who is in view need not be found out where another list has none but those.
+        // The field of view need not be computed where another list has only entities in it.
         let skips = lists.iter().any(|&list| asked(list).in_view);
         let mut found = [0; W];
         for at in members(&demand) {
             let mut set = among;
             for list in lists {
-                if skips && is_view(list) {
+                if skips && asked(list).is_view {
                     continue;
                 }
                 set = self.narrow(list, at, set);
@@ -627,112 +443,50 @@ impl<const W: usize> BinaryFacts<W> for Scene<'_, W> {
 }
 
 impl<const W: usize> Scene<'_, W> {
-    fn view(&self, body: &Body) -> Reach {
-        self.grounder.views[body.heading.map_or(0, |heading| heading as usize + 1)]
+    /// Those among which a relation holds of `at` and them.
+    #[inline(always)]
+    fn seconds<R: Relation>(&self, predicate: usize, relation: &R, at: usize, among: Set<W>) -> Set<W> {
+        let x = &self.bodies[at];
+        let near = self.reached(x.at, relation.reach(&self.grounder.views, x.kind, x.heading), among);
+        if R::FILLS_REACH {
+            return near;
+        }
+        keep(near, |other| {
+            let y = &self.bodies[other];
+            let draw = |probability| self.decides(predicate, x, y, probability);
+            match other == at {
+                true => R::REFLEXIVE,
+                false => relation.test(&x.subject(), &y.subject(), draw),
+            }
+        })
     }
 
-    fn holds(&self, relation: &Relation, first: usize, second: usize) -> bool {
-        let (x, y) = (&self.bodies[first], &self.bodies[second]);
-        relation.holds(&self.grounder.views, &self.draws, x, y)
+    /// Those among which a relation holds of them and `at`.
+    #[inline(always)]
+    fn firsts<R: Relation>(&self, predicate: usize, relation: &R, at: usize, among: Set<W>) -> Set<W> {
+        let y = &self.bodies[at];
+        keep(self.reached(y.at, relation.reach_back(), among), |other| {
+            let x = &self.bodies[other];
+            let draw = |probability| self.decides(predicate, x, y, probability);
+            match other == at {
+                true => R::REFLEXIVE,
+                false => relation.holds(&self.grounder.views, &x.subject(), &y.subject(), draw),
+            }
+        })
     }
-}
 
-impl Relation {
-    /// Whether it holds of two agents.
-    #[inline]
-    pub fn holds(&self, views: &[Reach; 5], chance: &impl Chance, x: &Body, y: &Body) -> bool {
-        let same = x.agent == y.agent;
-        match *self {
-            Relation::Sees => {
-                let reach = views[x.heading.map_or(0, |heading| heading as usize + 1)];
-                same || FieldOfView::around(x.at, reach).contains(y.at)
-            }
-            _ if same => false,
-            Relation::Distance { least, most, .. } => (least..=most).contains(&square(x.at, y.at)),
-            Relation::HigherPriority => x.priority < y.priority,
-            Relation::Side(wanted) => side(&x.entity(), &y.entity()) * wanted > 0,
-            Relation::Never => false,
-            Relation::Colliding(ref colliding) => {
-                let probability = binary(&colliding.definition, &x.entity(), &y.entity());
-                probability >= 1.0
-                    || probability > 0.0
-                        && chance.happens(colliding.predicate, x.agent as usize, y.agent as usize, probability)
-            }
+    #[inline(always)]
+    fn reached(&self, from: Cell, reach: Reach, among: Set<W>) -> Set<W> {
+        match reach {
+            Reach::Nowhere => [0; W],
+            Reach::Within(cells) => and(among, &self.place.around(from, cells)),
+            Reach::Anywhere => among,
         }
     }
-}
 
-impl Relation {
-    /// Adds to the row of each body those to which it relates it. Agrees with [`Relation::holds`].
-    pub fn relate(&self, views: &[Reach; 5], chance: &impl Chance, bodies: &[Body], rows: &mut [u64]) {
-        let set = |rows: &mut [u64], first: usize, second: usize, holds: bool| {
-            rows[first] |= u64::from(holds) << second;
-        };
-        match *self {
-            Relation::Sees => {
-                for (first, x) in bodies.iter().enumerate() {
-                    let view = FieldOfView::around(x.at, views[x.heading.map_or(0, |heading| heading as usize + 1)]);
-                    for (second, y) in bodies.iter().enumerate() {
-                        set(rows, first, second, first == second || view.contains(y.at));
-                    }
-                }
-            }
-            Relation::Distance { least, most, .. } => {
-                for (first, x) in bodies.iter().enumerate() {
-                    for (second, y) in bodies[..first].iter().enumerate() {
-                        let holds = (least..=most).contains(&square(x.at, y.at));
-                        set(rows, first, second, holds);
-                        set(rows, second, first, holds);
-                    }
-                }
-            }
-            Relation::HigherPriority => {
-                for (first, x) in bodies.iter().enumerate() {
-                    for (second, y) in bodies.iter().enumerate() {
-                        set(rows, first, second, x.priority < y.priority);
-                    }
-                }
-            }
-            Relation::Side(wanted) => {
-                for (second, y) in bodies.iter().enumerate() {
-                    let Some(heading) = y.heading else { continue };
-                    for (first, x) in bodies.iter().enumerate() {
-                        set(rows, first, second, side_of(heading, x.at, y.at) * wanted > 0);
-                    }
-                }
-            }
-            Relation::Never => {}
-            Relation::Colliding(ref colliding) => {
-                for (first, x) in bodies.iter().enumerate() {
-                    let Some(heading) = x.heading else { continue };
-                    let cone = FieldOfView::around(x.at, colliding.cones[x.kind as usize][heading as usize]);
-                    for (second, y) in bodies.iter().enumerate() {
-                        if cone.contains(y.at) {
-                            set(rows, first, second, self.holds(views, chance, x, y));
-                        }
-                    }
-                }
-            }
-        }
+    fn decides(&self, predicate: usize, x: &Body, y: &Body, probability: f64) -> bool {
+        (self.draws).decides(predicate, x.agent as usize, y.agent as usize, probability)
     }
-}
-
-impl Body {
-    fn entity(&self) -> Entity<'static> {
-        Entity {
-            kind: self.kind,
-            concepts: &[],
-            priority: self.priority,
-            at: self.at,
-            heading: self.heading,
-        }
-    }
-}
-
-/// The square of the distance of two cells on a map.
-fn square(from: Cell, to: Cell) -> i64 {
-    let (rows, cols) = to.offset_from(from);
-    rows * rows + cols * cols
 }
 
 /// Those of a set for which it holds.
@@ -747,79 +501,4 @@ fn keep<const W: usize>(set: Set<W>, holds: impl Fn(usize) -> bool) -> Set<W> {
         }
     }
     kept
-}
-
-#[cfg(test)]
-mod tests {
-    use super::*;
-    use crate::rng::{Purpose, RngExt, Seed};
-
-    /// Holds of about half of all pairs.
-    struct Parity;
-
-    impl Chance for Parity {
-        fn happens(&self, predicate: usize, first: usize, second: usize, _: f64) -> bool {
-            (predicate + first * 3 + second * 5 + first * second).is_multiple_of(2)
-        }
-    }
-
-    fn distance(above: Option<f64>, at_least: Option<f64>, below: Option<f64>, at_most: Option<f64>) -> Definition {
-        Definition::Distance {
-            above,
-            at_least,
-            below,
-            at_most,
-        }
-    }
-
-    #[test]
-    fn all_pairs_at_once_are_as_one_by_one() {
-        let definitions = [
-            Definition::Sees,
-            distance(Some(3.0), None, None, Some(8.0)),
-            distance(None, Some(2.5), Some(6.0), None),
-            Definition::HigherPriority,
-            Definition::LeftOf,
-            Definition::RightOf,
-            Definition::Colliding {
-                car_range: 8.0,
-                pedestrian_range: 3.0,
-                angle: 0.6,
-                pedestrian_chance: 0.5,
-                same_cell_chance: 0.5,
-            },
-        ];
-        let definitions = definitions.iter().enumerate();
-        let relations: Vec<Relation> = definitions
-            .map(|(place, definition)| Relation::new(place, definition))
-            .collect();
-        let views = views(6);
-        let mut random = Seed(1).stream(Purpose::SCENE, 0, 0);
-        let mut found = vec![0; relations.len()];
-        for _ in 0..400 {
-            let count = random.random_range(1..=9);
-            let body = |agent| Body {
-                at: Cell::new(random.random_range(0..12), random.random_range(0..12)),
-                priority: random.random_range(0..4),
-                agent,
-                class: 0,
-                kind: AgentKind::ALL[random.random_range(0..2)],
-                heading: (Heading::ALL.get(random.random_range(0..5))).copied(),
-                junction: Junction::default(),
-            };
-            let bodies: Vec<Body> = (0..count).map(body).collect();
-            for (relation, found) in relations.iter().zip(&mut found) {
-                let mut rows = vec![0; bodies.len()];
-                relation.relate(&views, &Parity, &bodies, &mut rows);
-                let row = |x: &Body| {
-                    let holds = |y: &Body| relation.holds(&views, &Parity, x, y);
-                    (bodies.iter().enumerate()).fold(0, |row, (at, y)| row | u64::from(holds(y)) << at)
-                };
-                let expected: Vec<u64> = bodies.iter().map(row).collect();
-                assert_eq!(rows, expected, "{relation:?} {bodies:?}");
-                *found += expected.iter().map(|row| row.count_ones()).sum::<u32>();
-            }
-        }
-        assert!(found.iter().all(|found| *found > 100), "{found:?}");
-    }
 }

@@ -5,7 +5,16 @@ use std::fs;
 use std::path::{Path, PathBuf};
 
 /// Rooms that do no input or output of their own and read no clock, with all rooms inside them.
-const PURE: &[&str] = &["datalog", "config", "city", "sim", "render", "page", "task"];
+const PURE: &[&str] = &[
+    "datalog",
+    "config",
+    "city",
+    "predicate",
+    "sim",
+    "render",
+    "page",
+    "task",
+];
 
 /// Crates that only one room may use.
 const ONLY_IN: &[(&str, &str)] = &[

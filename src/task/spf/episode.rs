@@ -7,7 +7,7 @@
 
 use crate::city::{Action, AgentConfig, AgentKind, AgentName, Split};
 use crate::city::{Agent, Cell};
-use crate::config::{Definition, PredicateConfig};
+use crate::config::PredicateConfig;
 use crate::diag::{Code, Diagnostic, SourceId, Sources, Span, did_you_mean};
 use crate::files::ReadFile;
 use crate::sim::World;
@@ -89,11 +89,8 @@ impl EpisodeAgent {
             if self.concepts[..position].contains(carried) {
                 return Err(invalid(format!("the concept `{carried}` is given twice to {name}")));
             }
-            let told = predicates.iter().filter_map(|predicate| match &predicate.definition {
-                Definition::Concept { of, concept } => Some((*of, concept.as_str())),
-                _ => None,
-            });
-            let mut kinds = told.clone().filter(|(_, concept)| concept == carried).map(|(of, _)| of);
+            let told = predicates.iter().filter_map(|predicate| predicate.definition.concept());
+            let mut kinds = told.clone().filter(|told| told.concept == *carried).map(|told| told.of);
             if kinds.clone().any(|of| of == kind) {
                 continue;
             }
@@ -101,8 +98,8 @@ impl EpisodeAgent {
                 let other = other.name().to_lowercase();
                 return Err(invalid(format!("`{carried}` is a concept of a {other}, not of {name}")));
             }
-            let known: Vec<&str> = (told.filter(|(of, _)| *of == kind))
-                .map(|(_, concept)| concept)
+            let known: Vec<&str> = (told.filter(|told| told.of == kind))
+                .map(|told| told.concept.as_str())
                 .collect();
             let fault = invalid(format!("no predicate tells whether {name} is `{carried}`"));
             return Err(match did_you_mean(carried, known.iter().copied()) {
