@@ -3,8 +3,14 @@
 //! It evaluates the definition of every base predicate ([`predicate`](crate::predicate)) for all entities.
 
 use crate::city::CityMap;
+use crate::datalog::dense::{BitFacts, Dense};
 use crate::predicate::{Definition, Entity, PairKind, Relation, Sight, Subject, with_pair};
+use crate::sim::chance::Chance;
 use crate::sim::vocabulary::Vocabulary;
+
+/// The most agents or entities of a scene, or of a city for the relational executor: facts about pairs of them take memory in the square
+/// of their number.
+pub const MAX_ENTITIES: usize = 2000;
 
 /// The true rows of each predicate of a [`Vocabulary`], in its order. A row holds positions in the list of entities; the second
 /// is 0 where the predicate has only one column. Rows are sorted.
@@ -14,15 +20,18 @@ pub struct Facts {
     pub rows: Vec<Vec<[u32; 2]>>,
 }
 
-/// Decides whether a predicate that holds only with a probability holds now, for the pair (first, second) of entities.
-pub trait Chance {
-    /// `predicate` is its position in the vocabulary; `probability` is in 0..=1.
-    fn happens(&self, predicate: usize, first: usize, second: usize, probability: f64) -> bool;
-
-    /// The same, where what is certain is not drawn.
-    #[inline]
-    fn decides(&self, predicate: usize, first: usize, second: usize, probability: f64) -> bool {
-        probability >= 1.0 || probability > 0.0 && self.happens(predicate, first, second, probability)
+impl Facts {
+    /// The facts about `count` entities that a dense program for the vocabulary reads, as bits.
+    pub fn to_bits<const W: usize>(&self, vocabulary: &Vocabulary, dense: &Dense, count: usize) -> BitFacts<W> {
+        let mut bits = BitFacts::new(dense, count);
+        for (predicate, rows) in vocabulary.predicates.iter().zip(&self.rows) {
+            if let Some(relation) = predicate.relation {
+                for row in rows {
+                    bits.insert(dense, relation, &row.map(|entity| entity as usize)[..predicate.arity]);
+                }
+            }
+        }
+        bits
     }
 }
 

@@ -5,12 +5,15 @@
 //! those of the tick before. One action is taken of those derived ([`Vocabulary::decide`]). [`Inference`] does the same for single scenes
 //! that come from outside.
 
+mod chance;
 mod codes;
 mod conflict;
 mod coverage;
 mod deadlock;
+mod dense_executor;
 mod executor;
 mod ground;
+mod ground_state;
 mod infer;
 mod observe;
 mod replay;
@@ -25,17 +28,18 @@ mod window;
 mod world;
 
 pub use crate::predicate::Entity;
+pub use chance::Chance;
 pub use codes::CODES;
 pub use conflict::{CONFLICT_EFFORT, Finding, Overlap, conflicts, scene_json};
 pub use coverage::{ClauseCoverage, Coverage};
 pub use deadlock::{DeadlockReport, LOOK_TICKS, STUCK_TICKS, WaitsFor, standstill, waits};
-pub use executor::{CROWD_MAX, Executor, WHOLE_MAX};
-pub use ground::{Chance, Facts, ground};
+pub use dense_executor::{CROWD_MAX, WHOLE_MAX};
+pub use executor::Executor;
+pub use ground::{Facts, MAX_ENTITIES, ground};
 pub use infer::{Answer, EgoAnswer, Inference, SceneFacts};
 pub use observe::{OBSERVED_MAX, Observer, Oracle};
 pub use replay::{Replay, TraceAgent, TraceHeader, TraceState, TraceTick};
 pub use rule_monitor::ActionConstraint;
-pub use scene::MAX_ENTITIES;
 pub(crate) use simulation::start_threads;
 pub use simulation::{AgentTick, Batch, Phase, Settings, Simulation, Snapshot, Stop, TickReport};
 pub use trace::{Driven, TRACE_VERSION, TraceWriter, hash_sources};

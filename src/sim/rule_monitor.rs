@@ -15,7 +15,7 @@ use crate::datalog::{ClauseId, Literal, RelId, Rules};
 use crate::diag::Diagnostic;
 use crate::sim::executor::compile;
 use crate::sim::ground::Facts;
-use crate::sim::infer::GroundState;
+use crate::sim::ground_state::GroundState;
 use crate::sim::vocabulary::{Actions, Vocabulary};
 use crate::sim::window::Body;
 

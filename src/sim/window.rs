@@ -10,8 +10,7 @@ use crate::datalog::dense::{
 use crate::predicate::{
     CellTable, Definition, Pair, PairRelation, Reach, Relation, Static, Subject, Views, with_relation,
 };
-use crate::sim::ground::Chance;
-use crate::sim::infer::Draws;
+use crate::sim::chance::{Chance, Draws};
 use crate::sim::vocabulary::Vocabulary;
 use std::collections::BTreeMap;
 use std::ops::Deref;

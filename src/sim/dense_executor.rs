@@ -1,0 +1,570 @@
+//! Deciding for all agents at once: densely, in one window or in many.
+
+use crate::city::Action;
+use crate::city::{Agent, Cell, CityMap};
+use crate::datalog::dense::{Set, TrackFirings, has, members};
+use crate::datalog::{ClauseId, RelId};
+use crate::diag::{Code, Diagnostic};
+use crate::sim::chance::Draws;
+use crate::sim::executor::not_dense;
+use crate::sim::vocabulary::{Actions, Vocabulary};
+use crate::sim::width::{Width, in_words};
+use crate::sim::window::{Body, Grounder, Position, Window};
+use crate::sim::world::World;
+use rayon::prelude::*;
+use std::ops::Range;
+use std::sync::Mutex;
+use std::sync::atomic::{AtomicU8, AtomicU64, Ordering};
+
+/// The most entities that are looked at together.
+pub const CROWD_MAX: usize = Width::SixtyFour.entities();
+/// A city of more agents is cut into tiles, if the rules let it, and may go on several threads.
+pub const WHOLE_MAX: usize = Width::Four.entities();
+
+/// About as many entities are in the window of a tile.
+const TILE_ENTITIES: f64 = 40.0;
+
+/// What the agents decided in a tick, before the default.
+#[derive(Debug, Default)]
+pub(super) struct Decisions {
+    /// For each agent the bits of its [`Actions`].
+    derived: Vec<AtomicU8>,
+    /// For each counted clause how many rows it derived; empty if clauses are not counted.
+    pub firings: Vec<usize>,
+    /// For each agent `words` words: bit i if the counted clause i derived an action for it.
+    fired: Vec<AtomicU64>,
+    words: usize,
+}
+
+impl Decisions {
+    /// For so many agents and counted clauses.
+    pub fn new(agents: usize, clauses: usize) -> Self {
+        let words = clauses.div_ceil(64);
+        Decisions {
+            derived: (0..agents).map(|_| AtomicU8::new(0)).collect(),
+            firings: vec![0; clauses],
+            fired: (0..agents * words).map(|_| AtomicU64::new(0)).collect(),
+            words,
+        }
+    }
+
+    pub fn clear(&mut self) {
+        self.derived.iter_mut().for_each(|bits| *bits.get_mut() = 0);
+        self.firings.fill(0);
+        self.fired.iter_mut().for_each(|bits| *bits.get_mut() = 0);
+    }
+
+    #[inline]
+    pub fn derived(&self, agent: usize) -> Actions {
+        Actions::from_bits(self.derived[agent].load(Ordering::Relaxed))
+    }
+
+    pub fn add(&self, agent: usize, action: Action) {
+        // One window decides for an agent, so no other thread writes here.
+        let bits = &self.derived[agent];
+        bits.store(
+            bits.load(Ordering::Relaxed) | [action].into_iter().collect::<Actions>().bits(),
+            Ordering::Relaxed,
+        );
+    }
+
+    pub fn add_fired(&self, agent: usize, clause: usize) {
+        let word = &self.fired[agent * self.words + clause / 64];
+        word.store(word.load(Ordering::Relaxed) | 1 << (clause % 64), Ordering::Relaxed);
+    }
+
+    /// The counted clauses that derived an action for the agent.
+    pub fn fired(&self, agent: usize) -> impl Iterator<Item = usize> {
+        let words = self.fired[agent * self.words..(agent + 1) * self.words]
+            .iter()
+            .enumerate();
+        words.flat_map(|(at, word)| {
+            let word = word.load(Ordering::Relaxed);
+            (0..64)
+                .filter(move |bit| word >> bit & 1 != 0)
+                .map(move |bit| at * 64 + bit)
+        })
+    }
+}
+
+/// What is read off a window after it is evaluated.
+#[derive(Clone, Debug)]
+struct Reading {
+    grounder: Grounder,
+    actions: Vec<(Action, RelId)>,
+    /// The counted clauses, and whether they are clauses of actions.
+    clauses: Vec<(ClauseId, bool)>,
+}
+
+impl Reading {
+    /// Adds what a window decides for its `egos`, and how often its clauses fired to `firings`.
+    fn read<const W: usize>(&self, window: &Window<W>, egos: &Set<W>, out: &Decisions, firings: &mut [usize]) {
+        let dense = &self.grounder.dense;
+        for &(action, relation) in &self.actions {
+            if let Some(set) = window.frame.set(dense, relation) {
+                debug_assert!(members(set).all(|entity| has(egos, entity)));
+                for entity in members(set) {
+                    out.add(window.bodies[entity].agent as usize, action);
+                }
+            }
+        }
+        for (position, (firings, &(clause, of_action))) in firings.iter_mut().zip(&self.clauses).enumerate() {
+            *firings += window.frame.count_fired(dense, clause).unwrap_or(0);
+            if of_action && let Some(set) = window.frame.fired(dense, clause) {
+                for entity in members(set) {
+                    out.add_fired(window.bodies[entity].agent as usize, position);
+                }
+            }
+        }
+    }
+}
+
+/// A city that is decided about densely.
+pub(super) struct DenseExecutor {
+    reading: Reading,
+    shape: Shape,
+}
+
+enum Shape {
+    One(Box<dyn OneWindow>),
+    Tiles(Box<Tiles>),
+}
+
+impl DenseExecutor {
+    /// `clauses` are those to be counted; none, and nothing is counted.
+    ///
+    /// # Errors
+    /// `dense-unsupported` if it cannot evaluate the rules for this number of agents; the message names the reason.
+    pub fn new(
+        world: &World,
+        agents: &[Agent],
+        clauses: &[ClauseId],
+        threads: usize,
+    ) -> Result<DenseExecutor, Diagnostic> {
+        let rules = world.program.rules();
+        let counting = match clauses {
+            [] => TrackFirings::Off,
+            _ => TrackFirings::Each,
+        };
+        let plan = world.plan(counting)?;
+        let dense = &plan.dense;
+        let sees = world.vocabulary.predicates[world.vocabulary.sees].relation;
+        let in_tiles = dense.is_local() && sees.is_some_and(|sees| dense.is_guarded_by(sees));
+        let width = Width::of(agents.len());
+        if width.is_none() && !in_tiles {
+            return Err(not_dense(&format!(
+                "they look beyond the field of view, and there are more than {CROWD_MAX} agents"
+            )));
+        }
+
+        let vocabulary: &Vocabulary = &world.vocabulary;
+        let action = |speed: &Action| Some((*speed, vocabulary.action(*speed)?));
+        let actions: Vec<(Action, RelId)> = Action::ALL.iter().filter_map(action).collect();
+        let of_action = |clause: &ClauseId| {
+            let head = rules.clauses[clause.index()].head.relation;
+            actions.iter().any(|(_, action)| *action == head)
+        };
+        let mut reading = Reading {
+            grounder: Grounder::new(plan),
+            clauses: clauses.iter().map(|clause| (*clause, of_action(clause))).collect(),
+            actions,
+        };
+        let mut bodies = Vec::new();
+        list_bodies(&mut bodies, &mut reading.grounder, world.map(), agents);
+        let shape = match width {
+            Some(width) if agents.len() <= WHOLE_MAX || !in_tiles => {
+                Shape::One(in_words!(width, W => Box::new(One::<W>::new(&reading.grounder, world.map(), bodies))))
+            }
+            _ => Shape::Tiles(Box::new(Tiles::new(&reading.grounder, world.map(), bodies, threads))),
+        };
+        Ok(DenseExecutor { reading, shape })
+    }
+
+    /// Takes note of other agents, as many as before.
+    pub fn restart(&mut self, map: &CityMap, agents: &[Agent]) {
+        let grounder = &mut self.reading.grounder;
+        match &mut self.shape {
+            Shape::One(one) => one.restart(grounder, map, agents),
+            Shape::Tiles(tiles) => list_bodies(&mut tiles.bodies, grounder, map, agents),
+        }
+    }
+
+    /// Decides for all agents; `out` is cleared before, and left empty by an error.
+    ///
+    /// # Errors
+    /// `limit-exceeded` for more than [`CROWD_MAX`] agents around one cell.
+    pub fn decide(&mut self, map: &CityMap, draws: Draws, out: &mut Decisions) -> Result<(), Diagnostic> {
+        out.clear();
+        let decided = match &mut self.shape {
+            Shape::One(one) => {
+                one.decide(&self.reading, draws, out);
+                Ok(())
+            }
+            Shape::Tiles(tiles) => tiles.decide(&self.reading, map, draws, out),
+        };
+        if decided.is_err() {
+            out.clear();
+        }
+        decided
+    }
+
+    /// Computes all facts that the rules can ask for; how many there are. `None` for a city that is looked at by tiles.
+    pub fn count_facts(&mut self, draws: Draws) -> Option<u64> {
+        match &mut self.shape {
+            Shape::One(one) => Some(one.count_facts(&self.reading.grounder, draws)),
+            Shape::Tiles(_) => None,
+        }
+    }
+
+    /// Takes note of where the agents are.
+    pub fn follow(&mut self, map: &CityMap, positions: &[Position]) {
+        match &mut self.shape {
+            Shape::One(one) => one.follow(&self.reading.grounder, map, positions),
+            Shape::Tiles(tiles) => tiles.follow(map, positions),
+        }
+    }
+}
+
+/// Makes a list of what the predicates can see of agents.
+fn list_bodies(bodies: &mut Vec<Body>, grounder: &mut Grounder, map: &CityMap, agents: &[Agent]) {
+    let body = |(position, agent): (usize, &Agent)| Body {
+        class: grounder.class_of(agent.kind, &agent.concepts),
+        ..Body::new(map, position, agent)
+    };
+    bodies.clear();
+    bodies.extend(agents.iter().enumerate().map(body));
+}
+
+/// A whole city in one window.
+trait OneWindow: Send + Sync {
+    fn restart(&mut self, grounder: &mut Grounder, map: &CityMap, agents: &[Agent]);
+    fn decide(&mut self, reading: &Reading, draws: Draws, out: &mut Decisions);
+    fn follow(&mut self, grounder: &Grounder, map: &CityMap, positions: &[Position]);
+    fn count_facts(&mut self, grounder: &Grounder, draws: Draws) -> u64;
+}
+
+struct One<const W: usize> {
+    window: Window<W>,
+    all: Set<W>,
+}
+
+impl<const W: usize> One<W> {
+    fn new(grounder: &Grounder, map: &CityMap, bodies: Vec<Body>) -> Self {
+        let mut one = One {
+            window: Window::new(grounder),
+            all: crate::datalog::dense::first(bodies.len()),
+        };
+        one.window.bodies = bodies;
+        one.fill(grounder, map);
+        one
+    }
+
+    fn fill(&mut self, grounder: &Grounder, map: &CityMap) {
+        (self.window).fill(grounder, Cell::new(0, 0), [map.rows(), map.cols()]);
+    }
+}
+
+impl<const W: usize> OneWindow for One<W> {
+    fn restart(&mut self, grounder: &mut Grounder, map: &CityMap, agents: &[Agent]) {
+        list_bodies(&mut self.window.bodies, grounder, map, agents);
+        self.fill(grounder, map);
+    }
+
+    fn decide(&mut self, reading: &Reading, draws: Draws, out: &mut Decisions) {
+        self.window.run(&reading.grounder, draws);
+        let mut firings = std::mem::take(&mut out.firings);
+        reading.read(&self.window, &self.all, out, &mut firings);
+        out.firings = firings;
+    }
+
+    fn follow(&mut self, grounder: &Grounder, map: &CityMap, positions: &[Position]) {
+        for (entity, position) in positions.iter().enumerate() {
+            self.window.shift(grounder, map, entity, *position);
+        }
+    }
+
+    fn count_facts(&mut self, grounder: &Grounder, draws: Draws) -> u64 {
+        self.window.count_facts(grounder, draws)
+    }
+}
+
+/// A city in tiles. For each tile the agents in it are decided about, in a window that has all they can see.
+struct Tiles {
+    /// By bins, row by row. Between ticks it may be that bodies have left their bins: but they do not go far, so that sorting them again
+    /// reads and writes memory nearly in order.
+    bodies: Vec<Body>,
+    /// Where they are sorted to.
+    sorted: Vec<Body>,
+    /// Where each bin begins in `bodies`, and where the last one ends.
+    bins: Vec<u32>,
+    /// Bins along both axes.
+    size: [i32; 2],
+    /// Side of a tile in cells: it consists of whole bins, also where it is cut into smaller ones.
+    side: i32,
+    view: i32,
+    workers: Vec<Mutex<Worker>>,
+}
+
+/// Side of a bin in cells.
+const BIN: i32 = 32;
+
+/// What a thread needs.
+struct Worker {
+    narrow: Window<1>,
+    pair: Window<2>,
+    wide: Window<4>,
+    wider: Window<16>,
+    widest: Window<64>,
+    found: Vec<Body>,
+    firings: Vec<usize>,
+}
+
+/// A rectangle of cells.
+#[derive(Clone, Copy, Debug)]
+struct Area {
+    first: Cell,
+    rows: i32,
+    cols: i32,
+}
+
+impl Area {
+    fn contains(&self, cell: Cell) -> bool {
+        let (row, col) = (cell.row - self.first.row, cell.col - self.first.col);
+        (0..self.rows).contains(&row) && (0..self.cols).contains(&col)
+    }
+}
+
+/// A rectangle of bins.
+struct Bins {
+    rows: Range<i32>,
+    cols: Range<i32>,
+}
+
+impl Tiles {
+    fn new(grounder: &Grounder, map: &CityMap, bodies: Vec<Body>, threads: usize) -> Self {
+        let view = grounder.farthest_view();
+        let area = f64::from(map.rows()) * f64::from(map.cols());
+        #[allow(clippy::cast_precision_loss)]
+        let wanted = (TILE_ENTITIES * area / bodies.len() as f64).sqrt() - 2.0 * f64::from(view);
+        #[allow(clippy::cast_possible_truncation)] // it is at most the side of the map
+        let side = wanted.min(f64::from(map.rows().max(map.cols()))).max(f64::from(BIN)) as i32;
+        let size = [map.rows(), map.cols()].map(|cells| (cells + BIN - 1) / BIN);
+        let worker = || {
+            Mutex::new(Worker {
+                narrow: Window::new(grounder),
+                pair: Window::new(grounder),
+                wide: Window::new(grounder),
+                wider: Window::new(grounder),
+                widest: Window::new(grounder),
+                found: Vec::new(),
+                firings: Vec::new(),
+            })
+        };
+        Tiles {
+            sorted: bodies.clone(),
+            bins: vec![0; (size[0] * size[1]) as usize + 1],
+            bodies,
+            size,
+            side: (side + BIN - 1) / BIN * BIN,
+            view,
+            workers: (0..threads).map(|_| worker()).collect(),
+        }
+    }
+
+    fn bin(&self, cell: Cell) -> usize {
+        (cell.row / BIN * self.size[1] + cell.col / BIN) as usize
+    }
+
+    /// Sorts the bodies into bins.
+    fn sort(&mut self) {
+        let mut bins = std::mem::take(&mut self.bins);
+        bins.fill(0);
+        for body in &self.bodies {
+            bins[self.bin(body.at)] += 1;
+        }
+        let mut end = 0;
+        for bin in &mut bins {
+            end += *bin;
+            *bin = end;
+        }
+        for body in self.bodies.iter().rev() {
+            let place = &mut bins[self.bin(body.at)];
+            *place -= 1;
+            self.sorted[*place as usize] = *body;
+        }
+        self.bins = bins;
+        std::mem::swap(&mut self.bodies, &mut self.sorted);
+    }
+
+    /// Takes note of where the agents are.
+    fn follow(&mut self, map: &CityMap, positions: &[Position]) {
+        let follow = |body: &mut Body| body.shift(map, positions[body.agent as usize]);
+        match self.workers.len() {
+            1 => self.bodies.iter_mut().for_each(follow),
+            _ => self.bodies.par_iter_mut().with_min_len(4096).for_each(follow),
+        }
+    }
+
+    fn decide(
+        &mut self,
+        reading: &Reading,
+        map: &CityMap,
+        draws: Draws,
+        out: &mut Decisions,
+    ) -> Result<(), Diagnostic> {
+        self.sort();
+        for worker in &mut self.workers {
+            let firings = &mut worker.get_mut().expect("no thread has panicked").firings;
+            firings.clear();
+            firings.resize(out.firings.len(), 0);
+        }
+        let lines = |cells: i32| (cells + self.side - 1) / self.side;
+        let fault_in_row = |row: i32| {
+            // With one worker the thread may be anybody's, with several it is of the simulation's own pool.
+            let thread = match self.workers.len() {
+                1 => 0,
+                _ => rayon::current_thread_index().unwrap_or(0),
+            };
+            let mut worker = self.workers[thread].lock().expect("no thread has panicked");
+            (0..lines(map.cols())).find_map(|col| {
+                let tile = Area {
+                    first: Cell::new(row * self.side, col * self.side),
+                    rows: self.side,
+                    cols: self.side,
+                };
+                self.decide_tile(tile, &mut worker, reading, map, draws, out).err()
+            })
+        };
+        // The first in the order of tiles is told, however many threads there are.
+        let mut rows = 0..lines(map.rows());
+        let fault = match self.workers.len() {
+            1 => rows.find_map(fault_in_row),
+            _ => rows.into_par_iter().find_map_first(fault_in_row),
+        };
+        if let Some(fault) = fault {
+            return Err(fault);
+        }
+        for worker in &mut self.workers {
+            let firings = &worker.get_mut().expect("no thread has panicked").firings;
+            for (sum, fired) in out.firings.iter_mut().zip(firings) {
+                *sum += fired;
+            }
+        }
+        Ok(())
+    }
+
+    fn decide_tile(
+        &self,
+        tile: Area,
+        worker: &mut Worker,
+        reading: &Reading,
+        map: &CityMap,
+        draws: Draws,
+        out: &Decisions,
+    ) -> Result<(), Diagnostic> {
+        let found = &mut worker.found;
+        found.clear();
+        let inner = self.bins_of(tile);
+        for row in inner.rows.clone() {
+            found.extend_from_slice(self.run(row, inner.cols.clone()));
+        }
+        if found.is_empty() {
+            return Ok(());
+        }
+        let egos = found.len();
+        let first = Cell::new((tile.first.row - self.view).max(0), (tile.first.col - self.view).max(0));
+        let window = Area {
+            first,
+            rows: (tile.first.row + tile.rows + self.view).min(map.rows()) - first.row,
+            cols: (tile.first.col + tile.cols + self.view).min(map.cols()) - first.col,
+        };
+        let outer = self.bins_of(window);
+        for row in outer.rows {
+            let hole = match inner.rows.contains(&row) {
+                true => inner.cols.clone(),
+                false => outer.cols.start..outer.cols.start,
+            };
+            for cols in [outer.cols.start..hole.start, hole.end..outer.cols.end] {
+                found.extend(self.run(row, cols).iter().filter(|body| window.contains(body.at)));
+            }
+        }
+        let evaluate = Evaluate {
+            reading,
+            draws,
+            out,
+            window,
+            egos,
+        };
+        match Width::of(found.len()) {
+            Some(Width::One) => evaluate.run(&mut worker.narrow, found, &mut worker.firings),
+            Some(Width::Two) => evaluate.run(&mut worker.pair, found, &mut worker.firings),
+            Some(Width::Four) => evaluate.run(&mut worker.wide, found, &mut worker.firings),
+            _ if tile.rows > BIN || tile.cols > BIN => {
+                // Where the city is crowded tiles are smaller.
+                let half = |cells: i32| (cells / 2 + BIN - 1) / BIN * BIN;
+                let (row, col) = (half(tile.rows), half(tile.cols));
+                for (row, rows) in [(0, row), (row, tile.rows - row)] {
+                    for (col, cols) in [(0, col), (col, tile.cols - col)] {
+                        let part = Area {
+                            first: Cell::new(tile.first.row + row, tile.first.col + col),
+                            rows,
+                            cols,
+                        };
+                        if rows > 0 && cols > 0 {
+                            self.decide_tile(part, worker, reading, map, draws, out)?;
+                        }
+                    }
+                }
+            }
+            Some(Width::Sixteen) => evaluate.run(&mut worker.wider, found, &mut worker.firings),
+            Some(Width::SixtyFour) => evaluate.run(&mut worker.widest, found, &mut worker.firings),
+            None => {
+                let (many, Cell { row, col }) = (found.len(), tile.first);
+                let message = format!("{many} agents around the cell [{row}, {col}], the limit is {CROWD_MAX}");
+                return Err(Diagnostic::new(Code::LIMIT_EXCEEDED, message).help("take a larger map or fewer agents"));
+            }
+        }
+        Ok(())
+    }
+
+    /// The bins that an area touches.
+    fn bins_of(&self, area: Area) -> Bins {
+        let along = |first: i32, cells: i32, bins: i32| {
+            let end = ((first + cells + BIN - 1) / BIN).min(bins);
+            (first / BIN).min(end)..end
+        };
+        Bins {
+            rows: along(area.first.row, area.rows, self.size[0]),
+            cols: along(area.first.col, area.cols, self.size[1]),
+        }
+    }
+
+    /// The bodies in adjacent bins of a row.
+    fn run(&self, row: i32, cols: Range<i32>) -> &[Body] {
+        let [start, end] = [cols.start, cols.end].map(|col| self.bins[(row * self.size[1] + col) as usize]);
+        &self.bodies[start as usize..end as usize]
+    }
+}
+
+/// Evaluates the window of a tile.
+struct Evaluate<'a> {
+    reading: &'a Reading,
+    draws: Draws,
+    out: &'a Decisions,
+    window: Area,
+    /// The first so many entities are decided about.
+    egos: usize,
+}
+
+impl Evaluate<'_> {
+    fn run<const W: usize>(&self, window: &mut Window<W>, found: &mut Vec<Body>, firings: &mut [usize]) {
+        std::mem::swap(&mut window.bodies, found);
+        let Area { first, rows, cols } = self.window;
+        window.fill(&self.reading.grounder, first, [rows, cols]);
+        let egos = crate::datalog::dense::first(self.egos);
+        window.frame.set_egos(egos);
+        window.run(&self.reading.grounder, self.draws);
+        self.reading.read(window, &egos, self.out, firings);
+        std::mem::swap(&mut window.bodies, found);
+    }
+}
