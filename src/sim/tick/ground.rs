@@ -5,8 +5,8 @@
 use crate::city::CityMap;
 use crate::datalog::dense::{BitFacts, Dense};
 use crate::predicate::{Definition, Entity, PairKind, Relation, Sight, Subject, with_pair};
-use crate::sim::chance::Chance;
-use crate::sim::vocabulary::Vocabulary;
+use crate::sim::tick::chance::Chance;
+use crate::sim::tick::vocabulary::Vocabulary;
 
 /// The most agents or entities of a scene, or of a city for the relational executor: facts about pairs of them take memory in the square
 /// of their number.
@@ -50,7 +50,7 @@ pub fn ground(
 }
 
 /// The same, given up when `stop` says so, which is asked for every entity: then there is nothing.
-pub(super) fn ground_until(
+pub(crate) fn ground_until(
     vocabulary: &Vocabulary,
     map: &CityMap,
     view: u32,

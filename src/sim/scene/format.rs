@@ -3,7 +3,7 @@
 use crate::city::AgentKind;
 use crate::city::{Cell, CityMap, Heading};
 use crate::diag::{Code, Diagnostic, Faults, SourceId, Sources, Span, did_you_mean};
-use crate::sim::ground::MAX_ENTITIES;
+use crate::sim::tick::ground::MAX_ENTITIES;
 use indexmap::IndexMap;
 use indexmap::map::Entry;
 use serde::Deserialize;

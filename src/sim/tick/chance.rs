@@ -21,7 +21,7 @@ pub trait Chance {
 
 /// Draws from seeded streams: the same for the same seed, time, predicate and pair of entities.
 #[derive(Clone, Copy, Debug)]
-pub(super) struct Draws {
+pub(crate) struct Draws {
     pub seed: Seed,
     pub time: u64,
 }

@@ -9,13 +9,13 @@ use crate::diag::{Code, Diagnostic, SourceId, Sources, Span};
 use crate::files::ReadFile;
 use crate::predicate::Entity;
 use crate::rng::Seed;
-use crate::sim::chance::Draws;
-use crate::sim::executor::{Choice, Executor, compile};
-use crate::sim::ground::{Facts, MAX_ENTITIES, ground_until};
-use crate::sim::ground_state::GroundState;
-use crate::sim::scene::{GeometricScene, GivenPredicate, Scene, SymbolicScene, Terms, parse_scene};
-use crate::sim::vocabulary::{Actions, Vocabulary};
-use crate::sim::width::{Width, in_words};
+use crate::sim::scene::format::{GeometricScene, GivenPredicate, Scene, SymbolicScene, Terms, parse_scene};
+use crate::sim::tick::chance::Draws;
+use crate::sim::tick::executor::{Choice, Executor, compile};
+use crate::sim::tick::ground::{Facts, MAX_ENTITIES, ground_until};
+use crate::sim::tick::ground_state::GroundState;
+use crate::sim::tick::vocabulary::{Actions, Vocabulary};
+use crate::sim::tick::width::{Width, in_words};
 use serde_json::{Map, json};
 use std::cell::Cell;
 use std::collections::HashMap;
@@ -299,7 +299,7 @@ impl Inference {
     /// Answers a scene whose facts are known.
     ///
     /// # Errors
-    /// `limit-exceeded` if it has more than [`MAX_ENTITIES`](super::MAX_ENTITIES) entities, or the rules derive too much from it;
+    /// `limit-exceeded` if it has more than [`MAX_ENTITIES`](crate::sim::MAX_ENTITIES) entities, or the rules derive too much from it;
     /// `constraint-violation` after [`Inference::check_constraints`].
     pub fn answer_facts(&self, scene: &SceneFacts) -> Result<Answer, Diagnostic> {
         let count = scene.names.len();

@@ -38,12 +38,12 @@ impl Actions {
     }
 
     /// One bit for each action, in the order of [`Action::ALL`] from the lowest.
-    pub(super) fn bits(self) -> u8 {
+    pub(crate) fn bits(self) -> u8 {
         self.0
     }
 
     /// The converse of [`Actions::bits`].
-    pub(super) fn from_bits(bits: u8) -> Actions {
+    pub(crate) fn from_bits(bits: u8) -> Actions {
         Actions(bits & 15)
     }
 }

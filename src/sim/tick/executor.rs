@@ -3,7 +3,7 @@
 use crate::datalog::Rules;
 use crate::datalog::dense::{Dense, TrackFirings, choose};
 use crate::diag::{Code, Diagnostic};
-use crate::sim::vocabulary::Vocabulary;
+use crate::sim::tick::vocabulary::Vocabulary;
 
 /// What evaluates the rules.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
@@ -34,7 +34,7 @@ impl Executor {
     ///
     /// # Errors
     /// That of `make`, if the dense executor has to and cannot.
-    pub(super) fn choose<T>(self, make: impl FnOnce() -> Result<T, Diagnostic>) -> Result<Choice<T>, Diagnostic> {
+    pub(crate) fn choose<T>(self, make: impl FnOnce() -> Result<T, Diagnostic>) -> Result<Choice<T>, Diagnostic> {
         if self == Executor::Relational {
             return Ok(Choice::Relational(None));
         }
@@ -50,7 +50,7 @@ impl Executor {
 }
 
 /// Which executor evaluates the rules.
-pub(super) enum Choice<T> {
+pub(crate) enum Choice<T> {
     /// The dense one, made into this.
     Dense(T),
     /// The relational one; if it was not asked for, why the dense one does not.
@@ -67,7 +67,7 @@ pub(super) fn not_dense(reason: &str) -> Diagnostic {
 ///
 /// # Errors
 /// `dense-unsupported` if it cannot evaluate them; the message names the reason.
-pub(super) fn compile(rules: &Rules, vocabulary: &Vocabulary, counting: TrackFirings) -> Result<Dense, Diagnostic> {
+pub(crate) fn compile(rules: &Rules, vocabulary: &Vocabulary, counting: TrackFirings) -> Result<Dense, Diagnostic> {
     let choice = choose(rules);
     if let Some(reason) = choice.relational.iter().flatten().next() {
         return Err(not_dense(&reason.show(rules)));

@@ -10,15 +10,15 @@ use crate::datalog::dense::{
 use crate::predicate::{
     CellTable, Definition, Pair, PairRelation, Reach, Relation, Static, Subject, Views, with_relation,
 };
-use crate::sim::chance::{Chance, Draws};
-use crate::sim::vocabulary::Vocabulary;
+use crate::sim::tick::chance::{Chance, Draws};
+use crate::sim::tick::vocabulary::Vocabulary;
 use std::collections::BTreeMap;
 use std::ops::Deref;
 use std::sync::Arc;
 
 /// What the predicates can see of an agent.
 #[derive(Clone, Copy, Debug)]
-pub(super) struct Body {
+pub(crate) struct Body {
     pub at: Cell,
     pub priority: i32,
     /// Position in the list of agents.
@@ -33,7 +33,7 @@ pub(super) struct Body {
 
 /// What moves change of an agent.
 #[derive(Clone, Copy, Debug)]
-pub(super) struct Position {
+pub(crate) struct Position {
     pub cell: Cell,
     pub heading: Option<Heading>,
 }

@@ -3,7 +3,7 @@
 use crate::city::Action;
 use crate::city::{Heading, Moved};
 use crate::diag::{SourceId, Sources};
-use crate::sim::simulation::Simulation;
+use crate::sim::tick::simulation::Simulation;
 use serde::{Deserialize, Serialize};
 use serde_json::{Map, Value, json};
 use sha2::{Digest, Sha256};
@@ -20,7 +20,7 @@ pub struct Driven {
     pub observes: Vec<String>,
     /// Name of the action that the rules wanted of it there.
     pub wanted: String,
-    /// The clauses that its action broke there: positions in [`World::clauses`](super::World::clauses).
+    /// The clauses that its action broke there: positions in [`World::clauses`](crate::sim::World::clauses).
     pub broken: Vec<usize>,
 }
 

@@ -14,13 +14,13 @@ use crate::datalog::Value;
 use crate::datalog::dense::members;
 use crate::diag::Diagnostic;
 use crate::predicate::{CellTable, Definition, PairRelation, Relation, Static, Views, with_relation};
-use crate::sim::chance::{Chance, Draws};
-use crate::sim::ground_state::GroundState;
-use crate::sim::rule_monitor::{ActionConstraint, Atoms, Observed, RuleMonitor, Violations};
-use crate::sim::simulation::Simulation;
-use crate::sim::vocabulary::Actions;
-use crate::sim::window::Body;
-use crate::sim::world::World;
+use crate::sim::observe::rule_monitor::{ActionConstraint, Atoms, Observed, RuleMonitor, Violations};
+use crate::sim::tick::chance::{Chance, Draws};
+use crate::sim::tick::ground_state::GroundState;
+use crate::sim::tick::simulation::Simulation;
+use crate::sim::tick::vocabulary::Actions;
+use crate::sim::tick::window::Body;
+use crate::sim::tick::world::World;
 use std::sync::Arc;
 
 /// The most entities that are observed.

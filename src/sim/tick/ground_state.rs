@@ -2,8 +2,8 @@
 
 use crate::city::Action;
 use crate::datalog::{EvalError, Program, RelId, Session, Value};
-use crate::sim::ground::Facts;
-use crate::sim::vocabulary::{Actions, Vocabulary};
+use crate::sim::tick::ground::Facts;
+use crate::sim::tick::vocabulary::{Actions, Vocabulary};
 use std::collections::HashMap;
 
 /// A session that is kept equal to grounded facts.
@@ -24,7 +24,7 @@ impl GroundState {
     }
 
     /// The same for facts of these relations, with one or two columns each.
-    pub(super) fn over<'n>(
+    pub(crate) fn over<'n>(
         program: &Program,
         relations: Vec<Option<(RelId, usize)>>,
         names: impl Iterator<Item = &'n str>,
