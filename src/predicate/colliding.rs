@@ -1,4 +1,5 @@
-//! `{colliding: {...}}`: the first is about to run into the second, which lies ahead of it within a narrow angle. It may be drawn.
+//! `{colliding: {...}}`: the first is about to run into the second, which lies ahead of it within a narrow angle. It
+//! may be drawn.
 //!
 //! The fast form looks in the smallest rectangle of cells for which the definition can hold.
 

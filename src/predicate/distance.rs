@@ -1,7 +1,7 @@
 //! `{distance: {above: 12, at_most: 20}}`: the Euclidean distance in cells is within the bounds.
 //!
-//! The fast form compares squares of distances as whole numbers. Their bounds are found by bisection, so that it agrees with the
-//! definition to the last bit.
+//! The fast form compares squares of distances as whole numbers. Their bounds are found by bisection, so that it agrees
+//! with the definition to the last bit.
 
 use crate::city::{AgentKind, Cell, Heading};
 use crate::config::read::{Fields, invalid, number};

@@ -1,9 +1,11 @@
 //! The base predicates: what each kind means, how a tick computes it, and how a configuration writes it.
 //!
-//! A kind of predicate is a file of this folder and an entry of `kinds!` below; no other code names it. The file implements
+//! A kind of predicate is a file of this folder and an entry of `kinds!` below. Other code names only two kinds, for what
+//! they mean beyond their rows: [`Sees`] bounds what rules look at, and a [`Concept`] is what agents carry. The file of a
+//! kind implements
 //!
 //! 1. `PredicateKind`: how a configuration writes the kind and reads its parameters;
-//! 2. the *definition*, written to be read, by which [`sim::ground`](crate::sim::ground) computes the rows of a predicate;
+//! 2. the *definition*, written to be read; [`sim::ground`](crate::sim::ground) computes rows by it;
 //! 3. the *fast form* of the same predicate, which windows of the dense executor and observations of a task compute.
 //!
 //! What a predicate depends on decides where it belongs, and so when it is computed:
@@ -11,11 +13,11 @@
 //! | | depends on | definition | fast form | computed |
 //! |---|---|---|---|---|
 //! | [`Static`] | what an agent is | `StaticKind::holds` | the same | once for agents that are alike |
-//! | [`Local`] | the agent's kind and its cell | `LocalKind::holds` | `CellTable`, by `LocalKind::holds_on` | when the agent moves |
+//! | [`Local`] | the agent's kind and its cell | `LocalKind::holds` | `CellTable` | when the agent moves |
 //! | [`Pair`] | two agents | `PairKind::holds` | `Relation` | where a rule asks for it |
 //!
-//! A `Relation` answers in two steps, as spatial queries do: a rectangle of cells is the filter, a test of two agents the refinement.
-//! Property tests compare the fast forms with the definitions.
+//! A `Relation` answers in two steps, as spatial queries do: a rectangle of cells is the filter, a test of two agents
+//! the refinement. Property tests compare the fast forms with the definitions.
 
 mod colliding;
 mod concept;
@@ -123,7 +125,7 @@ pub(crate) trait LocalKind: PredicateKind {
     fn holds_on(&self, junction: Junction, kind: AgentKind) -> bool;
 }
 
-/// A kind of predicate over two agents. It never holds of an agent and itself, unless [`Relation::REFLEXIVE`] says that it always does.
+/// A kind of predicate over two agents. [`Relation::REFLEXIVE`] decides whether it relates agents to themselves.
 pub(crate) trait PairKind: PredicateKind {
     /// The fast form.
     type Relation: Relation;
@@ -131,8 +133,8 @@ pub(crate) trait PairKind: PredicateKind {
     /// Whether the predicate holds with a probability, so that `holds` draws.
     const DRAWN: bool = false;
 
-    /// The definition: whether it holds of two agents, in this order. `draw` returns whether something of a probability happens;
-    /// its answer is a function of the predicate and the two agents.
+    /// The definition: whether it holds of two different agents, in this order. `draw` returns whether something of a
+    /// given probability happens; it always returns the same for the same predicate and agents.
     fn holds(&self, sight: Sight<'_>, x: &Subject, y: &Subject, draw: impl FnOnce(f64) -> bool) -> bool;
 
     /// Prepares the fast form.
@@ -141,10 +143,10 @@ pub(crate) trait PairKind: PredicateKind {
 
 /// The fast form of a predicate over two agents.
 pub(crate) trait Relation {
-    /// Whether it holds of every agent and itself, and not of none.
+    /// Whether it relates every agent to itself; otherwise it relates none to itself.
     const REFLEXIVE: bool = false;
 
-    /// Whether it holds of all agents in [`Relation::reach`], so that there is nothing to test.
+    /// Whether it holds of all agents in [`Relation::reach`], so that no test is needed.
     const FILLS_REACH: bool = false;
 
     /// Where the second agent can be, seen from a first agent of this kind and heading.
@@ -169,7 +171,8 @@ pub(crate) trait Relation {
         field.is_some_and(|field| field.contains(y.at)) && (Self::FILLS_REACH || self.test(x, y, draw))
     }
 
-    /// Adds to `rows[x]` the bits of all y of which it holds, for up to 64 agents. `draw` gets the positions of both.
+    /// Sets the bit y of `rows[x]` for each x and y of which it holds, for up to 64 agents. `draw` takes the positions
+    /// of both. A kind may override this with a faster loop.
     #[inline]
     fn relate(
         &self,
@@ -256,7 +259,8 @@ impl CellTable {
     }
 }
 
-/// Makes the lists of all kinds from their names. The first argument is a `$`, for the macros that it makes.
+/// Defines the types that list all kinds, and their dispatch. The first argument is a `$` for the macros that this one
+/// defines.
 macro_rules! kinds {
     (
         $d:tt
@@ -280,14 +284,15 @@ macro_rules! kinds {
         #[derive(Clone, Debug)]
         pub(crate) enum PairRelation { $($pair(<$pair as PairKind>::Relation),)* }
 
-        /// `with_pair!(pair, kind => f(kind))`: the value of an expression about the [`PairKind`] of a [`Pair`].
+        /// `with_pair!(pair, kind => f(kind))`: evaluates an expression with the [`PairKind`] of a [`Pair`].
         macro_rules! with_pair {
             ($d pair:expr, $d kind:ident => $d work:expr) => {
                 match $d pair { $($crate::predicate::Pair::$pair($d kind) => $d work,)* }
             };
         }
 
-        /// `with_relation!(relation, kind => f(kind))`: the value of an expression about the [`Relation`] of a [`PairRelation`].
+        /// `with_relation!(any, relation => f(relation))`: evaluates an expression with the [`Relation`] of a
+        /// [`PairRelation`].
         macro_rules! with_relation {
             ($d relation:expr, $d kind:ident => $d work:expr) => {
                 match $d relation { $($crate::predicate::PairRelation::$pair($d kind) => $d work,)* }
@@ -319,7 +324,7 @@ macro_rules! kinds {
                 match self { $(Pair::$pair(predicate) => PairRelation::$pair(predicate.relation()),)* }
             }
 
-            /// Whether it holds of every agent and itself, and not of none.
+            /// Whether it relates every agent to itself; otherwise it relates none to itself.
             pub(crate) fn is_reflexive(&self) -> bool {
                 match self { $(Pair::$pair(_) => <$pair as PairKind>::Relation::REFLEXIVE,)* }
             }

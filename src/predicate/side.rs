@@ -56,8 +56,8 @@ impl PairKind for RightOf {
     }
 }
 
-/// Where x lies, seen from y along a heading (dr, dc): positive left, negative right, zero straight. With (rr, rc) = x - y it is
-/// dr * rc - dc * rr.
+/// Where x lies, seen from y along a heading (dr, dc): positive left, negative right, zero straight. With (rr, rc) = x
+/// - y it is dr * rc - dc * rr.
 #[inline]
 fn side_of(heading: Heading, x: Cell, y: Cell) -> i64 {
     let (dr, dc) = heading.delta();
