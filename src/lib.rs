@@ -83,6 +83,8 @@ pub mod cli;
 pub mod config;
 #[cfg(feature = "render")]
 pub mod page;
+#[cfg(feature = "sim")]
+pub mod predicate;
 #[cfg(feature = "render")]
 pub mod render;
 #[cfg(feature = "sim")]

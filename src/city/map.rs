@@ -284,6 +284,8 @@ struct Square(u8);
 const CAR_AT: u8 = 1 << 2;
 const PEDESTRIAN_AT: u8 = 1 << 3;
 const INSIDE: u8 = 1 << 4;
+/// Below the three flags of a [`Junction`].
+const JUNCTION_SHIFT: u8 = 2;
 const MID_LINE: u8 = 1 << 5;
 const BUILDING: u8 = 1 << 6;
 
@@ -357,6 +359,23 @@ impl Square {
 pub struct Junction(u8);
 
 impl Junction {
+    /// All values, in the order of [`Junction::index`].
+    pub(crate) const ALL: [Junction; 8] = {
+        let mut all = [Junction(0); 8];
+        let mut index = 0;
+        while index < 8 {
+            all[index as usize] = Junction(index << JUNCTION_SHIFT);
+            index += 1;
+        }
+        all
+    };
+
+    /// Returns its position in [`Junction::ALL`].
+    #[inline]
+    pub(crate) const fn index(self) -> usize {
+        (self.0 >> JUNCTION_SHIFT) as usize
+    }
+
     /// Returns whether cars are *At* an intersection here: on its entrance line.
     pub const fn car_is_at(self) -> bool {
         self.0 & CAR_AT != 0

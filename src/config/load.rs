@@ -10,6 +10,7 @@ use crate::config::read::{Fields, choice, entries, integer, invalid, is_name, li
 use crate::config::task;
 use crate::config::yaml::{Node, Value};
 use crate::diag::{Code, Diagnostic, Faults, Located, MAX_FAULTS, Sources, Span, did_you_mean};
+use crate::predicate::{Concept, Definition, Sees};
 use sha2::{Digest, Sha256};
 use std::collections::HashMap;
 use std::path::Path;
@@ -328,7 +329,7 @@ fn predicates(node: &Node, faults: &mut Vec<Diagnostic>) -> Option<Predicates> {
             value: key.text.clone(),
             span: key.span,
         };
-        defined.extend(definition(node, faults).map(|definition| PredicateConfig { name, definition }));
+        defined.extend(Definition::read(node, faults).map(|definition| PredicateConfig { name, definition }));
     }
     let used = match selection {
         None => Some(defined.clone()),
@@ -344,7 +345,7 @@ fn predicates(node: &Node, faults: &mut Vec<Diagnostic>) -> Option<Predicates> {
             value: SEES.into(),
             span: node.span,
         },
-        definition: Definition::Sees,
+        definition: Sees.into(),
     });
     Some(Predicates { used, defined })
 }
@@ -389,118 +390,6 @@ fn selected(node: &Node, defined: &[PredicateConfig], faults: &mut Vec<Diagnosti
         }
     }
     Some(used)
-}
-
-fn definition(node: &Node, faults: &mut Vec<Diagnostic>) -> Option<Definition> {
-    const WORDS: [(&str, Definition); 5] = [
-        ("at-intersection", Definition::AtIntersection),
-        ("in-intersection", Definition::InIntersection),
-        ("higher-priority", Definition::HigherPriority),
-        ("left-of", Definition::LeftOf),
-        ("right-of", Definition::RightOf),
-    ];
-    if matches!(node.value, Value::Scalar { .. }) {
-        let words: [_; 5] = std::array::from_fn(|index| (WORDS[index].0, index));
-        return choice(node, &words, faults).map(|index| WORDS[index].1.clone());
-    }
-    let mut fields = Fields::open(node, "the definition of a predicate", faults)?;
-    let given = ["kind", "concept", "distance", "colliding"].map(|key| fields.optional(key));
-    let of = fields.optional("of");
-    fields.close(faults);
-    match (given, of) {
-        ([Some(kind), None, None, None], None) => self::kind(kind, faults).map(Definition::Kind),
-        ([None, Some(concept), None, None], Some(of)) => {
-            let concept = name(concept, "the name of a concept", faults).map(str::to_owned);
-            let of = self::kind(of, faults);
-            Some(Definition::Concept {
-                of: of?,
-                concept: concept?,
-            })
-        }
-        ([None, None, Some(distance), None], None) => self::distance(distance, faults),
-        ([None, None, None, Some(colliding)], None) => self::colliding(colliding, faults),
-        _ => {
-            invalid(
-                node,
-                "exactly one of `kind`, `concept` with `of`, `distance`, `colliding`",
-                faults,
-            );
-            if let Some(fault) = faults.last_mut() {
-                fault
-                    .notes
-                    .push("keys inherited through `base` count; `key: ~` removes one".into());
-            }
-            None
-        }
-    }
-}
-
-fn kind(node: &Node, faults: &mut Vec<Diagnostic>) -> Option<AgentKind> {
-    choice(node, &AgentKind::ALL.map(|kind| (kind.name(), kind)), faults)
-}
-
-fn distance(node: &Node, faults: &mut Vec<Diagnostic>) -> Option<Definition> {
-    let mut fields = Fields::open(node, "a distance", faults)?;
-    let mut bound = |key| match fields.optional(key) {
-        Some(node) => number(node, 0.0..=1e9, "a distance from 0 to 1e9 cells", faults).map(Some),
-        None => Some(None),
-    };
-    let [above, at_least, below, at_most] = ["above", "at_least", "below", "at_most"].map(&mut bound);
-    fields.close(faults);
-    let (above, at_least, below, at_most) = (above?, at_least?, below?, at_most?);
-    if above.is_some() && at_least.is_some() || below.is_some() && at_most.is_some() {
-        invalid(
-            node,
-            "at most one lower bound (`above`, `at_least`) and one upper bound (`below`, `at_most`)",
-            faults,
-        );
-        return None;
-    }
-    let empty = match (above.or(at_least), below.or(at_most)) {
-        (None, None) => {
-            let message = "expected at least one of `above`, `at_least`, `below`, `at_most`, found none";
-            faults.push(Diagnostic::new(Code::INVALID_VALUE, message).at(node.span, ""));
-            return None;
-        }
-        (low, high) => {
-            let closed = above.is_none() && below.is_none();
-            let (low, high) = (low.unwrap_or(0.0), high.unwrap_or(f64::INFINITY));
-            low > high || low == high && !closed
-        }
-    };
-    if empty {
-        let fault = Diagnostic::new(Code::INVALID_VALUE, "no distance lies within these bounds");
-        faults.push(fault.at(node.span, ""));
-        return None;
-    }
-    Some(Definition::Distance {
-        above,
-        at_least,
-        below,
-        at_most,
-    })
-}
-
-fn colliding(node: &Node, faults: &mut Vec<Diagnostic>) -> Option<Definition> {
-    let mut fields = Fields::open(node, "the definition of a collision", faults)?;
-    let mut value = |key, most: f64, what| {
-        fields
-            .required(key, faults)
-            .and_then(|node| number(node, 0.0..=most, what, faults))
-    };
-    let car_range = value("car_range", 1e9, "a distance from 0 to 1e9 cells");
-    let pedestrian_range = value("pedestrian_range", 1e9, "a distance from 0 to 1e9 cells");
-    let angle = value("angle", 3.2, "an angle from 0 to 3.2 radians");
-    let pedestrian_chance = value("pedestrian_chance", 1.0, "a probability from 0 to 1");
-    let same_cell_chance = value("same_cell_chance", 1.0, "a probability from 0 to 1");
-    fields.close(faults);
-    Some(Definition::Colliding {
-        car_range: car_range?,
-        pedestrian_range: pedestrian_range?,
-        angle: angle?,
-        pedestrian_chance: pedestrian_chance?,
-        same_cell_chance: same_cell_chance?,
-    })
 }
 
 /// Returns the region of each split, in the order of [`Split::ALL`].
@@ -558,7 +447,7 @@ impl<'p> Concepts<'p> {
     pub fn new(predicates: &'p Predicates) -> Self {
         let mut used: HashMap<&str, Vec<AgentKind>> = HashMap::new();
         for predicate in &predicates.used {
-            if let Definition::Concept { of, concept } = &predicate.definition {
+            if let Some(Concept { of, concept }) = predicate.definition.concept() {
                 used.entry(concept).or_default().push(*of);
             }
         }
@@ -570,7 +459,10 @@ impl<'p> Concepts<'p> {
         if kinds.is_some_and(|kinds| kinds.contains(&kind)) {
             return;
         }
-        let carried = |predicate: &&PredicateConfig| matches!(&predicate.definition, Definition::Concept { of, concept: defined } if *of == kind && defined == concept);
+        let carried = |predicate: &&PredicateConfig| {
+            let defined = predicate.definition.concept();
+            defined.is_some_and(|defined| defined.of == kind && defined.concept == concept)
+        };
         let fault = if kinds.is_some() {
             let other = if kind == AgentKind::Car { "pedestrians" } else { "cars" };
             Diagnostic::new(Code::INVALID_VALUE, format!("`{concept}` is a concept of {other} only")).at(span, "")

@@ -12,10 +12,10 @@ mod codes;
 mod compose;
 mod load;
 mod model;
-mod read;
+pub(crate) mod read;
 mod task;
 mod tree;
-mod yaml;
+pub(crate) mod yaml;
 
 pub use codes::CODES;
 pub use compose::Read;

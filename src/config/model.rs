@@ -2,61 +2,12 @@
 //!
 //! The serialized form omits file names and places. [`Scenario::hash`] is its hash.
 
-use crate::city::{Action, AgentKind, AgentSet, MapConfig, Routing, Split};
+use crate::city::{Action, AgentSet, MapConfig, Routing, Split};
 use crate::diag::{Located, Span};
+use crate::predicate::Definition;
 use serde::Serialize;
 use std::path::PathBuf;
 use std::sync::Arc;
-
-/// The definition of a base predicate: how it follows from the state of the city.
-#[derive(Clone, Debug, PartialEq, Serialize)]
-pub enum Definition {
-    /// Unary: the agent is of this kind.
-    Kind(AgentKind),
-    /// Unary: the agent is of this kind and carries this concept.
-    Concept {
-        /// The kind of agents that can carry it.
-        of: AgentKind,
-        /// Its name in agent sets and scenes.
-        concept: String,
-    },
-    /// Unary: a car on an entrance line, or a pedestrian on the outline, of an intersection.
-    AtIntersection,
-    /// Unary: the agent is inside an intersection.
-    InIntersection,
-    /// Binary: the Euclidean distance d in cells is within the given bounds.
-    Distance {
-        /// d > above.
-        above: Option<f64>,
-        /// d >= at_least.
-        at_least: Option<f64>,
-        /// d < below.
-        below: Option<f64>,
-        /// d <= at_most.
-        at_most: Option<f64>,
-    },
-    /// Binary: the first has the smaller priority number.
-    HigherPriority,
-    /// Binary: the first is left of the second, relative to the second's heading.
-    LeftOf,
-    /// Binary: the first is right of the second, relative to the second's heading.
-    RightOf,
-    /// Binary: the first is about to run into the second.
-    Colliding {
-        /// The maximum distance in cells if the first is a car.
-        car_range: f64,
-        /// The maximum distance in cells if the first is a pedestrian.
-        pedestrian_range: f64,
-        /// The exclusive maximum angle, in radians, between the first's heading and the direction to the second.
-        angle: f64,
-        /// The probability that the predicate holds if the first is a pedestrian.
-        pedestrian_chance: f64,
-        /// The probability if both are in one cell.
-        same_cell_chance: f64,
-    },
-    /// Binary, and the only reflexive one: the second is in the field of view of the first.
-    Sees,
-}
 
 /// A base predicate of a scenario.
 #[derive(Clone, Debug, Serialize)]
@@ -65,13 +16,6 @@ pub struct PredicateConfig {
     pub name: Located<String>,
     /// How it is computed.
     pub definition: Definition,
-}
-
-impl Definition {
-    /// Returns whether it depends only on what an agent is, not on positions.
-    pub fn is_steady(&self) -> bool {
-        matches!(self, Definition::Kind(_) | Definition::Concept { .. })
-    }
 }
 
 /// How the derived actions of an agent become one.

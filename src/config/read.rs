@@ -9,13 +9,13 @@ use std::fmt::Display;
 use std::ops::RangeInclusive;
 
 /// Reports that a value is not what was expected.
-pub(super) fn invalid(node: &Node, expected: impl Display, faults: &mut Vec<Diagnostic>) {
+pub(crate) fn invalid(node: &Node, expected: impl Display, faults: &mut Vec<Diagnostic>) {
     let message = format!("expected {expected}, found {}", node.describe());
     faults.push(Diagnostic::new(Code::INVALID_VALUE, message).at(node.span, ""));
 }
 
 /// A mapping that the caller reads key by key.
-pub(super) struct Fields<'n> {
+pub(crate) struct Fields<'n> {
     /// The name of the mapping in messages, with its article: `a map`.
     what: &'static str,
     span: Span,
@@ -98,7 +98,7 @@ impl<'n> Fields<'n> {
 }
 
 /// Returns the entries of a mapping with arbitrary keys.
-pub(super) fn entries<'n>(node: &'n Node, what: &str, faults: &mut Vec<Diagnostic>) -> Option<&'n [(Key, Node)]> {
+pub(crate) fn entries<'n>(node: &'n Node, what: &str, faults: &mut Vec<Diagnostic>) -> Option<&'n [(Key, Node)]> {
     match &node.value {
         Value::Map(entries) => Some(entries),
         _ => {
@@ -108,7 +108,7 @@ pub(super) fn entries<'n>(node: &'n Node, what: &str, faults: &mut Vec<Diagnosti
     }
 }
 
-pub(super) fn list<'n>(node: &'n Node, what: &str, faults: &mut Vec<Diagnostic>) -> Option<&'n [Node]> {
+pub(crate) fn list<'n>(node: &'n Node, what: &str, faults: &mut Vec<Diagnostic>) -> Option<&'n [Node]> {
     match &node.value {
         Value::List(items) => Some(items),
         _ => {
@@ -118,7 +118,7 @@ pub(super) fn list<'n>(node: &'n Node, what: &str, faults: &mut Vec<Diagnostic>)
     }
 }
 
-pub(super) fn text<'n>(node: &'n Node, what: &str, faults: &mut Vec<Diagnostic>) -> Option<&'n str> {
+pub(crate) fn text<'n>(node: &'n Node, what: &str, faults: &mut Vec<Diagnostic>) -> Option<&'n str> {
     match &node.value {
         Value::Scalar { text, .. } if !node.is_null() => Some(text),
         _ => {
@@ -129,7 +129,7 @@ pub(super) fn text<'n>(node: &'n Node, what: &str, faults: &mut Vec<Diagnostic>)
 }
 
 /// Reads a word that is valid in rule files and scenes: letters, digits and `_`, no digit first.
-pub(super) fn name<'n>(node: &'n Node, what: &str, faults: &mut Vec<Diagnostic>) -> Option<&'n str> {
+pub(crate) fn name<'n>(node: &'n Node, what: &str, faults: &mut Vec<Diagnostic>) -> Option<&'n str> {
     let text = text(node, what, faults)?;
     if is_name(text) {
         return Some(text);
@@ -142,13 +142,13 @@ pub(super) fn name<'n>(node: &'n Node, what: &str, faults: &mut Vec<Diagnostic>)
     None
 }
 
-pub(super) fn is_name(text: &str) -> bool {
+pub(crate) fn is_name(text: &str) -> bool {
     text.starts_with(|c: char| c.is_ascii_alphabetic() || c == '_')
         && text.chars().all(|c| c.is_ascii_alphanumeric() || c == '_')
 }
 
 /// Reads one of a few words, ignoring case.
-pub(super) fn choice<T: Copy>(node: &Node, choices: &[(&str, T)], faults: &mut Vec<Diagnostic>) -> Option<T> {
+pub(crate) fn choice<T: Copy>(node: &Node, choices: &[(&str, T)], faults: &mut Vec<Diagnostic>) -> Option<T> {
     let words = || choices.iter().map(|&(word, _)| word);
     let list = || words().map(|word| format!("`{word}`")).collect::<Vec<_>>().join(", ");
     let text = match &node.value {
@@ -169,7 +169,7 @@ pub(super) fn choice<T: Copy>(node: &Node, choices: &[(&str, T)], faults: &mut V
 }
 
 /// Reads an integer within a range.
-pub(super) fn integer<T>(node: &Node, range: RangeInclusive<T>, faults: &mut Vec<Diagnostic>) -> Option<T>
+pub(crate) fn integer<T>(node: &Node, range: RangeInclusive<T>, faults: &mut Vec<Diagnostic>) -> Option<T>
 where
     T: std::str::FromStr + PartialOrd + Display + Copy,
 {
@@ -188,7 +188,7 @@ where
 }
 
 /// Reads a finite number within a range; `what` describes it in messages.
-pub(super) fn number(node: &Node, range: RangeInclusive<f64>, what: &str, faults: &mut Vec<Diagnostic>) -> Option<f64> {
+pub(crate) fn number(node: &Node, range: RangeInclusive<f64>, what: &str, faults: &mut Vec<Diagnostic>) -> Option<f64> {
     let value = match &node.value {
         Value::Scalar { text, plain: true } => text.parse().ok().filter(|value| range.contains(value)),
         _ => None,

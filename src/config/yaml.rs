@@ -14,15 +14,15 @@ use std::ops::Range;
 
 /// The maximum size of a configuration file, in bytes. A map of 1000 x 1000 blocks with all buildings given takes half
 /// of it. The caller checks the size before it adds the text.
-pub(super) const MAX_BYTES: usize = 8 << 20;
+pub(crate) const MAX_BYTES: usize = 8 << 20;
 /// The maximum nesting of lists and mappings.
-pub(super) const MAX_DEPTH: usize = 64;
+pub(crate) const MAX_DEPTH: usize = 64;
 /// The maximum number of values in a configuration with all its parts, after alias expansion.
-pub(super) const MAX_NODES: usize = 200_000;
+pub(crate) const MAX_NODES: usize = 200_000;
 
 /// A YAML value and its place.
 #[derive(Clone, Debug)]
-pub(super) struct Node {
+pub(crate) struct Node {
     /// The scalar; for a block collection its key, or else its own first key; for a collection in brackets its first
     /// line.
     pub span: Span,
@@ -32,7 +32,7 @@ pub(super) struct Node {
 }
 
 #[derive(Clone, Debug)]
-pub(super) enum Value {
+pub(crate) enum Value {
     Scalar {
         text: String,
         /// Without quotes: `5` is a number and `~` is null, but `"5"` and `"~"` are text.
@@ -45,7 +45,7 @@ pub(super) enum Value {
 }
 
 #[derive(Clone, Debug)]
-pub(super) struct Key {
+pub(crate) struct Key {
     pub text: String,
     pub span: Span,
 }
@@ -124,7 +124,7 @@ struct Builder<'a> {
 
 /// Parses one text. Returns `None` if there is no usable tree; then it has pushed at least one fault. It also pushes
 /// faults that leave a tree, such as duplicate keys. `nodes_left` bounds the size of all trees of one configuration.
-pub(super) fn parse(
+pub(crate) fn parse(
     sources: &Sources,
     source: SourceId,
     nodes_left: &mut usize,

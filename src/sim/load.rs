@@ -4,8 +4,8 @@ use crate::config::{Scenario, load_scenario};
 use crate::datalog::Program;
 use crate::diag::{Diagnostic, Located, SourceId, Sources, Span};
 use crate::files::{ReadError, ReadFile};
+use crate::sim::tick::world::World;
 use crate::sim::trace::hash_sources;
-use crate::sim::world::World;
 use std::path::{Path, PathBuf};
 
 /// A scenario and the program of its rules. [`LoadedCity::world`] joins them.

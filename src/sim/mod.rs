@@ -1,48 +1,35 @@
 //! Where the city meets the engine.
 //!
 //! Each tick, [`Simulation`] lets the rules decide on the state of the agents and the agents move. The dense executor computes base facts
-//! as bits where a rule asks for them; the relational one is given the *difference* of all facts ([`ground`](ground::ground)) from
+//! as bits where a rule asks for them; the relational one is given the *difference* of all facts ([`ground`]) from
 //! those of the tick before. One action is taken of those derived ([`Vocabulary::decide`]). [`Inference`] does the same for single scenes
 //! that come from outside.
 
 mod codes;
-mod conflict;
-mod coverage;
-mod deadlock;
-mod executor;
-mod ground;
-mod infer;
 mod load;
 mod observe;
-mod replay;
-mod rule_monitor;
 mod scene;
-mod simulation;
+mod tick;
 mod trace;
-mod vocabulary;
-mod why;
-mod width;
-mod window;
-mod world;
 
+pub use crate::predicate::Entity;
 pub use codes::CODES;
-pub use conflict::{CONFLICT_BUDGET, Finding, Overlap, conflicts, scene_json};
-pub use coverage::{ClauseCoverage, Coverage};
-pub use deadlock::{DeadlockReport, LOOK_TICKS, STUCK_TICKS, WaitsFor, find_deadlocks, waits};
-pub use executor::{Executor, WHOLE_MAX, WINDOW_MAX};
-pub use ground::{Chance, Entity, Facts, ground};
-pub use infer::{Answer, EgoAnswer, Inference, SceneFacts};
 pub use load::{LoadError, LoadedCity};
-pub use observe::{OBSERVED_MAX, Observer, Oracle};
-pub use replay::{Replay, TraceAgent, TraceHeader, TraceState, TraceTick};
-pub use rule_monitor::ActionConstraint;
-pub use scene::MAX_ENTITIES;
-pub use simulation::{AgentTick, Batch, Phase, Settings, Simulation, Snapshot, TickReport};
-pub(crate) use simulation::{run_polled, start_threads};
-pub use trace::{Driven, TRACE_VERSION, TraceWriter, hash_sources};
-pub use vocabulary::{Actions, Predicate, Vocabulary};
-pub use why::{Account, Decision};
-pub use width::Width;
+pub use observe::{ActionConstraint, OBSERVED_MAX, Observer, Oracle};
+pub use scene::{Answer, CONFLICT_BUDGET, EgoAnswer, Finding, Inference, Overlap, SceneFacts, conflicts, scene_json};
+pub use tick::chance::Chance;
+pub use tick::executor::Executor;
+pub use tick::ground::{Facts, MAX_ENTITIES, ground};
+pub use tick::simulation::{AgentTick, Batch, Phase, Settings, Simulation, Snapshot, TickReport};
+pub(crate) use tick::simulation::{run_polled, start_threads};
+pub use tick::vocabulary::{Actions, Predicate, Vocabulary};
+pub use tick::width::Width;
 #[cfg(feature = "cli")]
-pub(crate) use width::in_words;
-pub use world::World;
+pub(crate) use tick::width::in_words;
+pub use tick::world::World;
+pub use tick::{WHOLE_MAX, WINDOW_MAX};
+pub use trace::{
+    Account, ClauseCoverage, Coverage, DeadlockReport, Decision, Driven, LOOK_TICKS, Replay, STUCK_TICKS,
+    TRACE_VERSION, TraceAgent, TraceHeader, TraceState, TraceTick, TraceWriter, WaitsFor, find_deadlocks, hash_sources,
+    waits,
+};

@@ -2,9 +2,10 @@
 
 use logicity::builtin::{self, BuiltinFiles};
 use logicity::city::{Action, AgentConfig, AgentKind, Buildings, Split};
-use logicity::config::{Definition, Scenario, load_map, load_scenario};
+use logicity::config::{Scenario, load_map, load_scenario};
 use logicity::diag::{Code, Diagnostic, MAX_FAULTS, Sources, render, to_json};
 use logicity::files::{BUILTIN_FOLDER, ReadError, ReadFile, read_text};
+use logicity::predicate::{Colliding, Distance};
 use logicity::{city, config, diag, sim};
 use proptest::prelude::*;
 use std::path::Path;
@@ -224,31 +225,31 @@ fn values_are_those_of_the_reference() {
             .find(|predicate| predicate.name.value == name);
         found.expect("predicate").definition.clone()
     };
-    let close = Definition::Distance {
+    let close = Distance {
         above: Some(12.0),
         at_least: None,
         below: None,
         at_most: Some(20.0),
     };
-    let next = Definition::Distance {
+    let next = Distance {
         above: None,
         at_least: None,
         below: Some(12.0),
         at_most: None,
     };
-    assert_eq!(definition(&expert, "IsClose"), close);
-    assert_eq!(definition(&expert, "NextTo"), next);
-    let colliding = |car_range, pedestrian_range| Definition::Colliding {
+    assert_eq!(definition(&expert, "IsClose"), close.into());
+    assert_eq!(definition(&expert, "NextTo"), next.into());
+    let colliding = |car_range, pedestrian_range| Colliding {
         car_range,
         pedestrian_range,
         angle: 0.1,
         pedestrian_chance: 0.5,
         same_cell_chance: 0.5,
     };
-    assert_eq!(definition(&expert, "CollidingClose"), colliding(8.0, 3.0));
+    assert_eq!(definition(&expert, "CollidingClose"), colliding(8.0, 3.0).into());
     assert_eq!(
         definition(&load(Path::new("vap-hard")), "CollidingClose"),
-        colliding(11.0, 4.0)
+        colliding(11.0, 4.0).into()
     );
     let region = |scenario: &Scenario| {
         Split::ALL.map(|split| {
@@ -293,13 +294,13 @@ agents:
         .collect();
     assert_eq!(names[11], "IsClose");
     assert_eq!(names[17..], ["IsTaxi", "Sees"]);
-    let close = Definition::Distance {
+    let close = Distance {
         above: Some(12.0),
         at_least: None,
         below: None,
         at_most: Some(15.0),
     };
-    assert_eq!(scenario.predicates[11].definition, close);
+    assert_eq!(scenario.predicates[11].definition, close.into());
     // A list replaces the list of the base; what is not mentioned stays.
     let set = scenario.agent_set(Split::Test).expect("test");
     assert_eq!(set.len(), 1 + 8);

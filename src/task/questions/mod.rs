@@ -9,7 +9,6 @@ mod wording;
 pub use wording::{RulesFile, letter};
 
 use crate::city::{Action, AgentKind, AgentName, AgentSet, Split};
-use crate::config::Definition;
 use crate::diag::{Code, Diagnostic, did_you_mean};
 use crate::rng::{Purpose, Rng, RngExt, Seed};
 use crate::sim::{Facts, MAX_ENTITIES, Settings, Simulation, World};
@@ -200,13 +199,9 @@ pub fn askable(world: &World) -> Vec<Action> {
 fn check(world: &World, request: &Request) -> Result<(), Vec<Diagnostic>> {
     let scenario = &world.scenario;
     let concepts: Vec<&str> = (scenario.predicates.iter())
-        .filter_map(|predicate| match &predicate.definition {
-            Definition::Concept {
-                of: AgentKind::Car,
-                concept,
-            } => Some(concept.as_str()),
-            _ => None,
-        })
+        .filter_map(|predicate| predicate.definition.concept())
+        .filter(|concept| concept.of == AgentKind::Car)
+        .map(|concept| concept.concept.as_str())
         .collect();
     let unknown = request
         .about
@@ -456,7 +451,7 @@ fn composition(world: &World, question: &Question) -> Vec<Vec<usize>> {
     let mut entities = vec![Vec::new(); question.entities];
     let predicates = world.vocabulary.predicates.iter().zip(&question.facts.rows);
     for (index, (predicate, rows)) in predicates.enumerate() {
-        if predicate.definition.is_steady() {
+        if predicate.definition.is_static() {
             rows.iter().for_each(|[x, _]| entities[*x as usize].push(index));
         }
     }

@@ -8,7 +8,7 @@
 
 use crate::city::{Action, AgentConfig, AgentKind, AgentName, Split};
 use crate::city::{Agent, Cell};
-use crate::config::{Definition, PredicateConfig};
+use crate::config::PredicateConfig;
 use crate::diag::{Code, Diagnostic, SourceId, Sources, Span, did_you_mean};
 use crate::files::ReadFile;
 use crate::sim::World;
@@ -91,14 +91,11 @@ impl EpisodeAgent {
             if self.concepts[..position].contains(carried) {
                 return Err(invalid(format!("{name} has the concept `{carried}` twice")));
             }
-            let defined = predicates.iter().filter_map(|predicate| match &predicate.definition {
-                Definition::Concept { of, concept } => Some((*of, concept.as_str())),
-                _ => None,
-            });
+            let defined = predicates.iter().filter_map(|predicate| predicate.definition.concept());
             let mut kinds = defined
                 .clone()
-                .filter(|(_, concept)| concept == carried)
-                .map(|(of, _)| of);
+                .filter(|told| told.concept == *carried)
+                .map(|told| told.of);
             if kinds.clone().any(|of| of == kind) {
                 continue;
             }
@@ -106,8 +103,8 @@ impl EpisodeAgent {
                 let other = other.name().to_lowercase();
                 return Err(invalid(format!("`{carried}` is a concept of a {other}, not of {name}")));
             }
-            let known: Vec<&str> = (defined.filter(|(of, _)| *of == kind))
-                .map(|(_, concept)| concept)
+            let known: Vec<&str> = (defined.filter(|told| told.of == kind))
+                .map(|told| told.concept.as_str())
                 .collect();
             let fault = invalid(format!("no predicate defines the concept `{carried}` of {name}"));
             return Err(match did_you_mean(carried, known.iter().copied()) {

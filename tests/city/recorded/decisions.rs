@@ -3,9 +3,10 @@
 use super::{Recording, recordings, solved};
 use crate::shipped_world::world;
 use logicity::city::Action;
-use logicity::config::{Definition, Scenario};
+use logicity::config::Scenario;
 use logicity::diag::{Sources, render};
 use logicity::files::read_text;
+use logicity::predicate::{Definition, Pair};
 use logicity::rng::Seed;
 use logicity::sim::{EgoAnswer, Executor, Inference};
 use serde_json::{Value, json};
@@ -149,13 +150,8 @@ fn slow_collisions_follow_from_positions() {
 fn always(scenario: &mut Scenario) {
     let mut found = false;
     for predicate in &mut scenario.predicates {
-        if let Definition::Colliding {
-            pedestrian_chance,
-            same_cell_chance,
-            ..
-        } = &mut predicate.definition
-        {
-            (*pedestrian_chance, *same_cell_chance) = (1.0, 1.0);
+        if let Definition::Pair(Pair::Colliding(colliding)) = &mut predicate.definition {
+            (colliding.pedestrian_chance, colliding.same_cell_chance) = (1.0, 1.0);
             found = true;
         }
     }

@@ -3,15 +3,13 @@
 use crate::city::AgentKind;
 use crate::city::{Cell, CityMap, Heading};
 use crate::diag::{Code, Diagnostic, Faults, SourceId, Sources, Span, did_you_mean};
+use crate::sim::tick::ground::MAX_ENTITIES;
 use indexmap::IndexMap;
 use indexmap::map::Entry;
 use serde::Deserialize;
 use serde::de::{self, Deserializer, MapAccess, Visitor};
 use serde_json::value::RawValue;
 use std::collections::HashMap;
-
-/// The most agents or entities of a scene: facts about pairs of them take memory in the square of their number.
-pub const MAX_ENTITIES: usize = 2000;
 
 /// A scene.
 #[derive(Clone, Debug)]

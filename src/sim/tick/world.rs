@@ -7,9 +7,9 @@ use crate::datalog::ClauseId;
 use crate::datalog::Program;
 use crate::datalog::dense::{Dense, TrackFirings};
 use crate::diag::Diagnostic;
-use crate::sim::executor::compile;
-use crate::sim::vocabulary::Vocabulary;
-use crate::sim::window::Plan;
+use crate::sim::tick::executor::compile;
+use crate::sim::tick::vocabulary::Vocabulary;
+use crate::sim::tick::window::Plan;
 use std::sync::{Arc, OnceLock};
 
 /// A scenario made ready: immutable, shared by every simulation over it.

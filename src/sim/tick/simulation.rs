@@ -6,14 +6,16 @@ use crate::city::{Agent, Cell, Heading, MoveReason, Moved, Places, Surroundings,
 use crate::datalog::Session;
 use crate::datalog::{ClauseId, Value};
 use crate::diag::{Code, Diagnostic};
+use crate::predicate::Entity;
 use crate::rng::Seed;
-use crate::sim::executor::{Choice, Decisions, DenseExecutor, Executor, WHOLE_MAX};
-use crate::sim::ground::{Entity, Facts, ground_with};
-use crate::sim::infer::{Draws, GroundState};
-use crate::sim::scene::MAX_ENTITIES;
-use crate::sim::vocabulary::Actions;
-use crate::sim::window::Position;
-use crate::sim::world::World;
+use crate::sim::tick::chance::Draws;
+use crate::sim::tick::dense_executor::{Decisions, DenseExecutor, WHOLE_MAX};
+use crate::sim::tick::executor::{Choice, Executor};
+use crate::sim::tick::ground::{Facts, MAX_ENTITIES, ground_with};
+use crate::sim::tick::ground_state::GroundState;
+use crate::sim::tick::vocabulary::Actions;
+use crate::sim::tick::window::Position;
+use crate::sim::tick::world::World;
 use ndarray::Array3;
 use rayon::prelude::*;
 use rayon::{ThreadPool, ThreadPoolBuilder};
@@ -110,8 +112,8 @@ impl Phase {
 /// The state on which the last tick was decided, as facts of a session.
 #[derive(Clone, Copy)]
 pub struct Snapshot<'a> {
-    pub(super) world: &'a World,
-    pub(super) state: &'a GroundState,
+    pub(crate) world: &'a World,
+    pub(crate) state: &'a GroundState,
 }
 
 impl<'a> Snapshot<'a> {

@@ -3,28 +3,25 @@
 use crate::cancel::Cancel;
 use crate::city::Action;
 use crate::city::CityMap;
-use crate::config::{Definition, Scenario, load_map};
+use crate::config::{Scenario, load_map};
 use crate::datalog::dense::{BinaryFacts, BitFacts, BitState, Dense, Set, TrackFirings, has};
-use crate::datalog::{EvalError, Program, Session, constraints};
-use crate::datalog::{RelId, Value};
+use crate::datalog::{Program, constraints};
 use crate::diag::{Code, Diagnostic, SourceId, Sources, Span};
 use crate::files::ReadFile;
-use crate::rng::{Purpose, RngExt, Seed};
-use crate::sim::executor::{Choice, Executor, compile};
-use crate::sim::ground::{Chance, Entity, Facts, ground_with};
-use crate::sim::scene::{GeometricScene, GivenPredicate, MAX_ENTITIES, Scene, SymbolicScene, Terms, parse_scene};
-use crate::sim::vocabulary::{Actions, Vocabulary};
-use crate::sim::width::{Width, in_words};
+use crate::predicate::Entity;
+use crate::rng::Seed;
+use crate::sim::scene::format::{GeometricScene, GivenPredicate, Scene, SymbolicScene, Terms, parse_scene};
+use crate::sim::tick::chance::Draws;
+use crate::sim::tick::executor::{Choice, Executor, compile};
+use crate::sim::tick::ground::{Facts, MAX_ENTITIES, ground_with};
+use crate::sim::tick::ground_state::GroundState;
+use crate::sim::tick::vocabulary::{Actions, Vocabulary};
+use crate::sim::tick::width::{Width, in_words};
 use serde_json::{Map, json};
 use std::cell::Cell;
 use std::collections::HashMap;
 use std::path::Path;
 use std::sync::Arc;
-
-impl Purpose {
-    /// Predicates that hold with a probability; index: the pair of agents, see `sim::ground`.
-    pub const PREDICATE: Purpose = Purpose::new(5);
-}
 
 /// How a map file that a scene asks for is read.
 type Reader = dyn ReadFile + Send + Sync;
@@ -203,10 +200,8 @@ impl Inference {
                 .map(|predicate| (predicate.name.as_str(), predicate.arity))
                 .collect(),
             concepts: (self.scenario.predicates.iter())
-                .filter_map(|predicate| match &predicate.definition {
-                    Definition::Concept { of, concept } => Some((*of, concept.as_str())),
-                    _ => None,
-                })
+                .filter_map(|predicate| predicate.definition.concept())
+                .map(|concept| (concept.of, concept.concept.as_str()))
                 .collect(),
         };
         match parse_scene(sources, source, &terms)? {
@@ -305,7 +300,7 @@ impl Inference {
     /// Answers a scene whose facts are known.
     ///
     /// # Errors
-    /// `limit-exceeded` if it has more than [`MAX_ENTITIES`](super::MAX_ENTITIES) entities, or the rules derive too much from it;
+    /// `limit-exceeded` if it has more than [`MAX_ENTITIES`](crate::sim::MAX_ENTITIES) entities, or the rules derive too much from it;
     /// `constraint-violation` after [`Inference::check_constraints`].
     pub fn answer_facts(&self, scene: &SceneFacts) -> Result<Answer, Diagnostic> {
         let count = scene.names.len();
@@ -471,163 +466,4 @@ fn atoms_over(
         }
     }
     atoms
-}
-
-/// Draws from seeded streams: the same for the same seed, time, predicate and pair of entities.
-#[derive(Clone, Copy, Debug)]
-pub(super) struct Draws {
-    pub seed: Seed,
-    pub time: u64,
-}
-
-impl Chance for Draws {
-    fn happens(&self, predicate: usize, first: usize, second: usize, probability: f64) -> bool {
-        // 16 bits of predicate and 24 bits for each entity: a scene has fewer of either.
-        let index = (predicate as u64) << 48 | (first as u64) << 24 | second as u64;
-        let mut stream = self.seed.stream(Purpose::PREDICATE, index, self.time);
-        stream.random::<f64>() < probability
-    }
-}
-
-/// A session that is kept equal to grounded facts.
-pub struct GroundState {
-    session: Session,
-    entities: Vec<Value>,
-    positions: HashMap<Value, usize>,
-    relations: Vec<Option<(RelId, usize)>>,
-    facts: Facts,
-}
-
-impl GroundState {
-    /// A session without facts about the entities of these names.
-    pub fn new<'n>(program: &Program, vocabulary: &Vocabulary, names: impl Iterator<Item = &'n str>) -> Self {
-        let predicates = vocabulary.predicates.iter();
-        let relations = predicates.map(|predicate| predicate.relation.map(|relation| (relation, predicate.arity)));
-        GroundState::over(program, relations.collect(), names)
-    }
-
-    /// The same for facts of these relations, with one or two columns each.
-    pub(super) fn over<'n>(
-        program: &Program,
-        relations: Vec<Option<(RelId, usize)>>,
-        names: impl Iterator<Item = &'n str>,
-    ) -> Self {
-        let mut session = program.session();
-        let entities: Vec<Value> = names.map(|name| session.intern(name)).collect();
-        GroundState {
-            session,
-            positions: entities
-                .iter()
-                .enumerate()
-                .map(|(index, &value)| (value, index))
-                .collect(),
-            entities,
-            facts: Facts {
-                rows: vec![Vec::new(); relations.len()],
-            },
-            relations,
-        }
-    }
-
-    /// Makes `facts` the true ones: inserts and retracts the difference from those before, and commits. If that fails, all is
-    /// as before.
-    pub fn set(&mut self, facts: &Facts) -> Result<(), EvalError> {
-        self.set_with(facts, &Cancel::never())
-    }
-
-    /// Cancellable variant of [`set`](Self::set). On cancellation `self` is unchanged; see [`Session::commit_with`].
-    pub fn set_with(&mut self, facts: &Facts, cancel: &Cancel) -> Result<(), EvalError> {
-        for (index, relation) in self.relations.iter().enumerate() {
-            let Some((relation, arity)) = *relation else { continue };
-            let (old, new) = (&self.facts.rows[index], &facts.rows[index]);
-            let row = |row: &[u32; 2]| row.map(|entity| self.entities[entity as usize]);
-            for gone in old.iter().filter(|row| new.binary_search(row).is_err()) {
-                let row = row(gone);
-                self.session
-                    .retract(relation, &row[..arity])
-                    .expect("bound relations fit");
-            }
-            for come in new.iter().filter(|row| old.binary_search(row).is_err()) {
-                let row = row(come);
-                self.session
-                    .insert(relation, &row[..arity])
-                    .expect("bound relations fit");
-            }
-        }
-        if let Err(error) = self.session.commit_with(cancel) {
-            self.session.rollback();
-            return Err(error);
-        }
-        self.facts.clone_from(facts);
-        Ok(())
-    }
-
-    /// The actions that hold for an entity.
-    pub fn derived(&self, vocabulary: &Vocabulary, entity: usize) -> Actions {
-        let holds = |action: &Action| {
-            let relation = vocabulary.action(*action);
-            relation.is_some_and(|relation| self.session.contains(relation, &[self.entities[entity]]))
-        };
-        Action::ALL.into_iter().filter(holds).collect()
-    }
-
-    pub fn session(&self) -> &Session {
-        &self.session
-    }
-
-    /// The session alone, and the values that stand for the entities.
-    pub fn into_parts(self) -> (Session, Vec<Value>) {
-        (self.session, self.entities)
-    }
-
-    /// The value that stands for an entity.
-    pub fn value(&self, entity: usize) -> Value {
-        self.entities[entity]
-    }
-
-    /// The position of the entity that a value stands for.
-    pub fn entity(&self, value: Value) -> Option<usize> {
-        self.positions.get(&value).copied()
-    }
-}
-
-#[cfg(test)]
-mod tests {
-    use super::*;
-    use crate::builtin::BuiltinFiles;
-    use crate::config::load_scenario;
-    use crate::datalog::Limits;
-
-    #[test]
-    fn facts_that_derive_too_much_leave_no_trace() {
-        let mut sources = Sources::new();
-        let scenario = load_scenario(&mut sources, Path::new("expert"), &BuiltinFiles).expect("built in");
-        let rules = sources.add("test.dl", ".include \"vocabulary.dl\"\nStop(X) :- IsBus(X).");
-        let loaded = crate::datalog::load(&mut sources, rules, &BuiltinFiles);
-        let program = Program::new(loaded.rules.expect("no errors")).expect("within limits");
-        let vocabulary = Vocabulary::bind(&scenario, &program).expect("they fit");
-        let bus = vocabulary
-            .predicates
-            .iter()
-            .position(|predicate| predicate.name == "IsBus")
-            .expect("it is in use");
-        let nothing = Facts {
-            rows: vec![Vec::new(); vocabulary.predicates.len()],
-        };
-        let mut one_bus = nothing.clone();
-        one_bus.rows[bus].push([0, 0]);
-
-        let rows = |rows| Limits {
-            rows,
-            ..Limits::default()
-        };
-        let mut state = GroundState::new(&program, &vocabulary, ["Car_1"].into_iter());
-        state.session.set_limits(rows(0));
-        assert!(state.set(&one_bus).is_err());
-        state.set(&nothing).expect("it derives nothing");
-        state.session.set_limits(rows(10));
-        assert!(state.derived(&vocabulary, 0).is_empty());
-        state.set(&one_bus).expect("within the limit");
-        assert_eq!(state.derived(&vocabulary, 0), [Action::Stop].into_iter().collect());
-    }
 }

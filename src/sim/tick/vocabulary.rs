@@ -1,10 +1,11 @@
 //! What the rules can read and what they can decide: the base predicates and actions of a scenario, bound to a program.
 
 use crate::city::Action;
-use crate::config::{ActionsConfig, Definition, PredicateConfig, Scenario};
+use crate::config::{ActionsConfig, PredicateConfig, Scenario};
 use crate::datalog::Program;
 use crate::datalog::{BaseType, Literal, RelId, Relation};
 use crate::diag::{Code, Diagnostic, did_you_mean};
+use crate::predicate::{Definition, Sees};
 
 /// A set of actions.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Hash)]
@@ -37,12 +38,12 @@ impl Actions {
     }
 
     /// One bit for each action, in the order of [`Action::ALL`] from the lowest.
-    pub(super) fn bits(self) -> u8 {
+    pub(crate) fn bits(self) -> u8 {
         self.0
     }
 
     /// The converse of [`Actions::bits`].
-    pub(super) fn from_bits(bits: u8) -> Actions {
+    pub(crate) fn from_bits(bits: u8) -> Actions {
         Actions(bits & 15)
     }
 }
@@ -93,7 +94,7 @@ impl Vocabulary {
         let mut faults = Vec::new();
         let mut predicates = Vec::new();
         for PredicateConfig { name, definition } in &scenario.predicates {
-            let arity = arity(definition);
+            let arity = definition.arity();
             let relation = program.relation(&name.value).filter(|&relation| {
                 let relation = &rules.relations[relation.index()];
                 relation.input
@@ -117,7 +118,7 @@ impl Vocabulary {
         }
         let sees = predicates
             .iter()
-            .position(|predicate| predicate.definition == Definition::Sees)
+            .position(|predicate| predicate.definition == Sees.into())
             .expect("every scenario defines the field of view");
 
         faults.extend(undefined(scenario, &unknown_inputs(program, &predicates), &predicates));
@@ -191,19 +192,6 @@ fn decisions(config: &ActionsConfig) -> [Action; 16] {
         let first = config.priority.iter().copied().find(|&action| derived.contains(action));
         first.unwrap_or(config.default)
     })
-}
-
-/// The number of agents a definition speaks of.
-fn arity(definition: &Definition) -> usize {
-    match definition {
-        Definition::Kind(_) | Definition::Concept { .. } | Definition::AtIntersection | Definition::InIntersection => 1,
-        Definition::Distance { .. }
-        | Definition::HigherPriority
-        | Definition::LeftOf
-        | Definition::RightOf
-        | Definition::Colliding { .. }
-        | Definition::Sees => 2,
-    }
 }
 
 /// Whether a relation has `arity` columns, all made of symbols; if not, a fault is pushed.

@@ -7,9 +7,9 @@ use crate::datalog::Session;
 use crate::datalog::Value;
 use crate::datalog::explain::{ExplainError, Explainer, Explanation, ExplanationPrinter};
 use crate::diag::{Diagnostic, Sources};
-use crate::sim::simulation::Simulation;
-use crate::sim::vocabulary::Actions;
-use crate::sim::world::World;
+use crate::sim::tick::simulation::Simulation;
+use crate::sim::tick::vocabulary::Actions;
+use crate::sim::tick::world::World;
 use serde_json::json;
 use std::fmt::Write;
 

@@ -2,15 +2,15 @@
 
 use crate::city::Action;
 use crate::city::{Agent, Cell, CityMap};
-use crate::datalog::dense::{BitFacts, Dense, Set, TrackFirings, choose, has, members};
-use crate::datalog::{ClauseId, RelId, Rules};
+use crate::datalog::dense::{Set, TrackFirings, has, members};
+use crate::datalog::{ClauseId, RelId};
 use crate::diag::{Code, Diagnostic};
-use crate::sim::ground::Facts;
-use crate::sim::infer::Draws;
-use crate::sim::vocabulary::{Actions, Vocabulary};
-use crate::sim::width::{Width, in_words};
-use crate::sim::window::{Body, Grounder, Position, Window};
-use crate::sim::world::World;
+use crate::sim::tick::chance::Draws;
+use crate::sim::tick::executor::not_dense;
+use crate::sim::tick::vocabulary::{Actions, Vocabulary};
+use crate::sim::tick::width::{Width, in_words};
+use crate::sim::tick::window::{Body, Grounder, Position, Window};
+use crate::sim::tick::world::World;
 use rayon::prelude::*;
 use std::ops::Range;
 use std::sync::Mutex;
@@ -23,64 +23,6 @@ pub const WHOLE_MAX: usize = Width::Four.entities();
 
 /// About as many entities are in the window of a tile.
 const TILE_ENTITIES: f64 = 40.0;
-
-/// What evaluates the rules.
-#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
-pub enum Executor {
-    /// The dense one if it can take the rules and the number of agents, else the relational one.
-    #[default]
-    Auto,
-    /// Bit words.
-    Dense,
-    /// Sorted lists of rows, kept up to date by differences.
-    Relational,
-}
-
-impl Executor {
-    /// All three.
-    pub const ALL: [Executor; 3] = [Executor::Auto, Executor::Dense, Executor::Relational];
-
-    /// Its name on the command line.
-    pub const fn name(self) -> &'static str {
-        match self {
-            Executor::Auto => "auto",
-            Executor::Dense => "dense",
-            Executor::Relational => "relational",
-        }
-    }
-
-    /// What the dense executor is made into, if it is to evaluate the rules and can; else why the relational one does.
-    ///
-    /// # Errors
-    /// That of `make`, if the dense executor has to and cannot.
-    pub(super) fn choose<T>(self, make: impl FnOnce() -> Result<T, Diagnostic>) -> Result<Choice<T>, Diagnostic> {
-        if self == Executor::Relational {
-            return Ok(Choice::Relational(None));
-        }
-        match make() {
-            Ok(made) => Ok(Choice::Dense(made)),
-            Err(fault) if self == Executor::Auto => Ok(Choice::Relational(Some(fault.message))),
-            Err(fault) => {
-                Err(fault
-                    .help("`--executor auto` takes the relational one, for fewer agents, where the dense one cannot"))
-            }
-        }
-    }
-}
-
-/// Which executor evaluates the rules.
-pub(super) enum Choice<T> {
-    /// The dense one, made into this.
-    Dense(T),
-    /// The relational one; if it was not asked for, why the dense one does not.
-    Relational(Option<String>),
-}
-
-/// The diagnostic of rules that the dense executor cannot evaluate. `reason` goes after "because".
-fn not_dense(reason: &str) -> Diagnostic {
-    let message = format!("the dense executor cannot evaluate these rules, because {reason}");
-    Diagnostic::new(Code::DENSE_UNSUPPORTED, message)
-}
 
 /// What the agents decided in a tick, before the default.
 #[derive(Debug, Default)]
@@ -186,37 +128,6 @@ pub(super) struct DenseExecutor {
 enum Shape {
     One(Box<dyn OneWindow>),
     Tiles(Box<Tiles>),
-}
-
-/// Compiles the rules for the dense executor.
-///
-/// # Errors
-/// `dense-unsupported` if it cannot evaluate them; the message names the reason.
-pub(super) fn compile(rules: &Rules, vocabulary: &Vocabulary, counting: TrackFirings) -> Result<Dense, Diagnostic> {
-    let choice = choose(rules);
-    if let Some(reason) = choice.relational.iter().flatten().next() {
-        return Err(not_dense(&reason.show(rules)));
-    }
-    let steady = |relation| {
-        let mut predicates = vocabulary.predicates.iter();
-        predicates.any(|predicate| predicate.relation == Some(relation) && predicate.definition.is_steady())
-    };
-    Ok(Dense::new(rules, &choice, counting, steady))
-}
-
-impl Facts {
-    /// The facts about `count` entities that a dense program for the vocabulary reads, as bits.
-    pub fn to_bits<const W: usize>(&self, vocabulary: &Vocabulary, dense: &Dense, count: usize) -> BitFacts<W> {
-        let mut bits = BitFacts::new(dense, count);
-        for (predicate, rows) in vocabulary.predicates.iter().zip(&self.rows) {
-            if let Some(relation) = predicate.relation {
-                for row in rows {
-                    bits.insert(dense, relation, &row.map(|entity| entity as usize)[..predicate.arity]);
-                }
-            }
-        }
-        bits
-    }
 }
 
 impl DenseExecutor {

@@ -9,18 +9,18 @@
 
 use crate::city::{Action, AgentKind};
 use crate::city::{Cell, FieldOfView};
-use crate::config::Definition;
 use crate::datalog::Session;
 use crate::datalog::Value;
 use crate::datalog::dense::members;
 use crate::diag::Diagnostic;
-use crate::sim::ground::Chance;
-use crate::sim::infer::{Draws, GroundState};
-use crate::sim::rule_monitor::{ActionConstraint, Atoms, Observed, RuleMonitor, Violations};
-use crate::sim::simulation::Simulation;
-use crate::sim::vocabulary::Actions;
-use crate::sim::window::{Body, Reach, Relation, holds_of, views};
-use crate::sim::world::World;
+use crate::predicate::{CellTable, Definition, PairRelation, Relation, Static, Views, with_relation};
+use crate::sim::observe::rule_monitor::{ActionConstraint, Atoms, Observed, RuleMonitor, Violations};
+use crate::sim::tick::chance::{Chance, Draws};
+use crate::sim::tick::ground_state::GroundState;
+use crate::sim::tick::simulation::Simulation;
+use crate::sim::tick::vocabulary::Actions;
+use crate::sim::tick::window::Body;
+use crate::sim::tick::world::World;
 use std::sync::Arc;
 
 /// The most entities that are observed.
@@ -34,17 +34,16 @@ pub struct Oracle {
     entities: usize,
     /// By predicate of the vocabulary.
     how: Vec<How>,
-    views: [Reach; 5],
+    views: Views,
     monitor: RuleMonitor,
 }
 
 /// How a predicate is computed.
 #[derive(Debug)]
 enum How {
-    Steady(Definition),
-    AtIntersection,
-    InIntersection,
-    Pair(Relation),
+    Static(Static),
+    Local(CellTable),
+    Pair(PairRelation),
 }
 
 impl Oracle {
@@ -58,17 +57,16 @@ impl Oracle {
     pub fn new(world: Arc<World>, entities: usize) -> Result<Oracle, Diagnostic> {
         assert!((1..=OBSERVED_MAX).contains(&entities), "{entities} entities");
         let vocabulary = &world.vocabulary;
-        let how = |(position, definition): (usize, &Definition)| match definition {
-            Definition::Kind(_) | Definition::Concept { .. } => How::Steady(definition.clone()),
-            Definition::AtIntersection => How::AtIntersection,
-            Definition::InIntersection => How::InIntersection,
-            pair => How::Pair(Relation::new(position, pair)),
+        let how = |definition: &Definition| match definition {
+            Definition::Static(predicate) => How::Static(predicate.clone()),
+            Definition::Local(predicate) => How::Local(predicate.table()),
+            Definition::Pair(pair) => How::Pair(pair.relation()),
         };
         let definitions = vocabulary.predicates.iter().map(|predicate| &predicate.definition);
         Ok(Oracle {
             entities,
-            how: definitions.enumerate().map(how).collect(),
-            views: views(world.scenario.view),
+            how: definitions.map(how).collect(),
+            views: Views::new(world.scenario.view),
             monitor: RuleMonitor::new(&world.program, vocabulary)?,
             world,
         })
@@ -91,10 +89,7 @@ impl Oracle {
 
     /// What the ego sees.
     fn view(&self, ego: &Body) -> FieldOfView {
-        FieldOfView::around(
-            ego.at,
-            self.views[ego.heading.map_or(0, |heading| heading as usize + 1)],
-        )
+        FieldOfView::around(ego.at, self.views.of(ego.heading))
     }
 
     /// How many numbers [`Observer::write`] writes: for each predicate, `Sees` left out, one for each entity or pair of entities.
@@ -195,8 +190,8 @@ impl Observer {
             let words = &mut self.steady[position * self.words..][..self.words];
             words.fill(0);
             for (predicate, how) in self.oracle.how.iter().enumerate() {
-                if let How::Steady(definition) = how
-                    && holds_of(definition, agent.kind, &agent.concepts)
+                if let How::Static(fixed) = how
+                    && fixed.holds(agent.kind, &agent.concepts)
                 {
                     words[predicate / 64] |= 1 << (predicate % 64);
                 }
@@ -248,18 +243,23 @@ impl Observer {
                 unary[predicate] |= 1 << entity;
             }
         }
-        let collect = |holds: fn(&Body) -> bool| {
-            let entities = bodies.iter().enumerate();
-            entities.fold(0, |set, (entity, body)| set | u64::from(holds(body)) << entity)
-        };
         for (predicate, how) in oracle.how.iter().enumerate() {
             match how {
-                How::Steady(_) => {}
-                How::AtIntersection => unary[predicate] = collect(|body| body.junction.is_at(body.kind)),
-                How::InIntersection => unary[predicate] = collect(|body| body.junction.is_inside()),
+                How::Static(_) => {}
+                How::Local(table) => {
+                    let holds = bodies.iter().map(|body| table.holds(body.junction, body.kind));
+                    unary[predicate] = holds
+                        .enumerate()
+                        .fold(0, |set, (at, holds)| set | u64::from(holds) << at);
+                }
                 How::Pair(relation) => {
                     let rows = &mut self.atoms.rows[predicate * self.atoms.entities..][..bodies.len()];
-                    relation.relate(&oracle.views, chance, bodies, rows);
+                    let subjects = bodies.iter().map(Body::subject);
+                    let draw = |first: usize, second: usize, probability| {
+                        let [first, second] = [first, second].map(|entity| bodies[entity].agent as usize);
+                        chance.decides(predicate, first, second, probability)
+                    };
+                    with_relation!(relation, relation => relation.relate(&oracle.views, subjects, draw, rows));
                 }
             }
         }
@@ -320,18 +320,12 @@ impl Observer {
                 row[3 + heading as usize] = 1.0;
             }
             row[7] = (body.priority as f32 / priority_scale).clamp(-1.0, 1.0);
-            let unary = oracle
-                .how
-                .iter()
-                .enumerate()
-                .filter(|(_, how)| !matches!(how, How::Pair(_)));
-            for ((predicate, how), value) in unary.zip(&mut row[8..]) {
-                let holds = match how {
-                    How::Steady(_) => self.is_steadily(body, predicate),
-                    How::AtIntersection => body.junction.is_at(body.kind),
-                    How::InIntersection => body.junction.is_inside(),
-                    How::Pair(_) => false,
-                };
+            let unary = oracle.how.iter().enumerate().filter_map(|(predicate, how)| match how {
+                How::Static(_) => Some(self.is_steadily(body, predicate)),
+                How::Local(table) => Some(table.holds(body.junction, body.kind)),
+                How::Pair(_) => None,
+            });
+            for (holds, value) in unary.zip(&mut row[8..]) {
                 *value = f32::from(u8::from(holds));
             }
         };

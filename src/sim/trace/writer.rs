@@ -2,9 +2,8 @@
 
 use crate::city::Action;
 use crate::city::{Heading, Moved};
-use crate::config::Definition;
 use crate::diag::{SourceId, Sources};
-use crate::sim::simulation::Simulation;
+use crate::sim::tick::simulation::Simulation;
 use serde::{Deserialize, Serialize};
 use serde_json::{Map, Value, json};
 use sha2::{Digest, Sha256};
@@ -21,7 +20,7 @@ pub struct Driven {
     pub observes: Vec<String>,
     /// Name of the action that the rules wanted of it there.
     pub wanted: String,
-    /// The clauses that its action broke there: positions in [`World::clauses`](super::World::clauses).
+    /// The clauses that its action broke there: positions in [`World::clauses`](crate::sim::World::clauses).
     pub broken: Vec<usize>,
 }
 
@@ -92,7 +91,7 @@ impl<W: Write> TraceWriter<W> {
         });
         writeln!(out, "{header}")?;
         let drawn = (world.vocabulary.predicates.iter().enumerate())
-            .filter(|(_, predicate)| matches!(predicate.definition, Definition::Colliding { .. }))
+            .filter(|(_, predicate)| predicate.definition.is_drawn())
             .map(|(index, _)| index)
             .collect();
         Ok(TraceWriter { out, drawn })

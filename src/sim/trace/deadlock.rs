@@ -7,7 +7,7 @@
 use crate::city::Action;
 use crate::datalog::explain::{ExplainError, Explainer};
 use crate::datalog::{BaseType, Clause, ClauseId, Literal, Rules, Term};
-use crate::sim::simulation::Snapshot;
+use crate::sim::tick::simulation::Snapshot;
 use std::collections::{BTreeSet, VecDeque};
 
 /// An agent that has not moved in this many ticks is called stuck; a circle of stuck agents that wait for each other is a deadlock.

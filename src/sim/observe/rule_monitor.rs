@@ -14,11 +14,11 @@ use crate::datalog::dense::{
 };
 use crate::datalog::{ClauseId, Literal, RelId, Rules};
 use crate::diag::Diagnostic;
-use crate::sim::executor::compile;
-use crate::sim::ground::Facts;
-use crate::sim::infer::GroundState;
-use crate::sim::vocabulary::{Actions, Vocabulary};
-use crate::sim::window::Body;
+use crate::sim::tick::executor::compile;
+use crate::sim::tick::ground::Facts;
+use crate::sim::tick::ground_state::GroundState;
+use crate::sim::tick::vocabulary::{Actions, Vocabulary};
+use crate::sim::tick::window::Body;
 
 /// A clause that asks an action of an agent.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]

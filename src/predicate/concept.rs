@@ -1,0 +1,49 @@
+//! `{concept: taxi, of: Car}`: the agent is of this kind and carries this concept.
+
+use crate::city::AgentKind;
+use crate::config::read::name;
+use crate::predicate::{Definition, PredicateKind, Static, StaticKind, Syntax, kind};
+use serde::Serialize;
+
+/// The agent is of this kind and carries this concept.
+#[derive(Clone, Debug, PartialEq, Eq, Serialize)]
+pub struct Concept {
+    /// Which agents can carry it.
+    pub of: AgentKind,
+    /// Its name in agent sets and scenes.
+    pub concept: String,
+}
+
+impl PredicateKind for Concept {
+    const SYNTAX: Syntax = Syntax::Keys(&["concept", "of"], |nodes, faults| {
+        let concept = name(nodes[0], "the name of a concept", faults).map(str::to_owned);
+        let of = kind::read(nodes[1], faults);
+        let (concept, of) = (concept?, of?);
+        Some(Concept { of, concept }.into())
+    });
+
+    #[cfg(test)]
+    fn samples() -> Vec<Definition> {
+        let concept = |of| Concept {
+            of,
+            concept: "old".into(),
+        };
+        AgentKind::ALL.map(|of| concept(of).into()).into()
+    }
+}
+
+impl StaticKind for Concept {
+    fn holds(&self, kind: AgentKind, concepts: &[String]) -> bool {
+        kind == self.of && concepts.contains(&self.concept)
+    }
+}
+
+impl Definition {
+    /// The concept that the predicate is about, if it is about one.
+    pub fn concept(&self) -> Option<&Concept> {
+        match self {
+            Definition::Static(Static::Concept(concept)) => Some(concept),
+            _ => None,
+        }
+    }
+}

@@ -1,0 +1,186 @@
+//! `{distance: {above: 12, at_most: 20}}`: the Euclidean distance in cells is within the bounds.
+//!
+//! The fast form compares squares of distances as whole numbers. Their bounds are found by bisection, so that it agrees
+//! with the definition to the last bit.
+
+use crate::city::{AgentKind, Cell, Heading};
+use crate::config::read::{Fields, invalid, number};
+use crate::config::yaml::Node;
+use crate::diag::{Code, Diagnostic};
+#[cfg(test)]
+use crate::predicate::Definition;
+use crate::predicate::{PairKind, PredicateKind, Reach, Relation, Sight, Subject, Syntax, Views};
+use serde::Serialize;
+
+/// The Euclidean distance d in cells is within the bounds that are given.
+#[derive(Clone, Copy, Debug, PartialEq, Serialize)]
+pub struct Distance {
+    /// d > above.
+    pub above: Option<f64>,
+    /// d >= at_least.
+    pub at_least: Option<f64>,
+    /// d < below.
+    pub below: Option<f64>,
+    /// d <= at_most.
+    pub at_most: Option<f64>,
+}
+
+/// The greatest squared distance in question: no two cells of a map are so far apart.
+const SQUARE_MAX: i64 = 1 << 50;
+
+impl PredicateKind for Distance {
+    const SYNTAX: Syntax = Syntax::Keys(&["distance"], |nodes, faults| Some(read(nodes[0], faults)?.into()));
+
+    #[cfg(test)]
+    fn samples() -> Vec<Definition> {
+        let distance = |above, at_least, below, at_most| Distance {
+            above,
+            at_least,
+            below,
+            at_most,
+        };
+        vec![
+            distance(Some(3.0), None, None, Some(8.0)).into(),
+            distance(None, Some(2.5), Some(6.0), None).into(),
+            distance(None, None, None, Some(5.0)).into(),
+            distance(Some(4.0), None, None, None).into(),
+        ]
+    }
+}
+
+fn read(node: &Node, faults: &mut Vec<Diagnostic>) -> Option<Distance> {
+    let mut fields = Fields::open(node, "a distance", faults)?;
+    let mut bound = |key| match fields.optional(key) {
+        Some(node) => number(node, 0.0..=1e9, "a distance from 0 to 1e9 cells", faults).map(Some),
+        None => Some(None),
+    };
+    let [above, at_least, below, at_most] = ["above", "at_least", "below", "at_most"].map(&mut bound);
+    fields.close(faults);
+    let (above, at_least, below, at_most) = (above?, at_least?, below?, at_most?);
+    if above.is_some() && at_least.is_some() || below.is_some() && at_most.is_some() {
+        invalid(
+            node,
+            "at most one lower bound (`above`, `at_least`) and one upper bound (`below`, `at_most`)",
+            faults,
+        );
+        return None;
+    }
+    let empty = match (above.or(at_least), below.or(at_most)) {
+        (None, None) => {
+            let message = "expected at least one of `above`, `at_least`, `below`, `at_most`, found none";
+            faults.push(Diagnostic::new(Code::INVALID_VALUE, message).at(node.span, ""));
+            return None;
+        }
+        (low, high) => {
+            let closed = above.is_none() && below.is_none();
+            let (low, high) = (low.unwrap_or(0.0), high.unwrap_or(f64::INFINITY));
+            low > high || low == high && !closed
+        }
+    };
+    if empty {
+        let fault = Diagnostic::new(Code::INVALID_VALUE, "no distance lies within these bounds");
+        faults.push(fault.at(node.span, ""));
+        return None;
+    }
+    Some(Distance {
+        above,
+        at_least,
+        below,
+        at_most,
+    })
+}
+
+impl Distance {
+    fn is_far_enough(&self, d: f64) -> bool {
+        self.above.is_none_or(|bound| d > bound) && self.at_least.is_none_or(|bound| d >= bound)
+    }
+
+    fn is_near_enough(&self, d: f64) -> bool {
+        self.below.is_none_or(|bound| d < bound) && self.at_most.is_none_or(|bound| d <= bound)
+    }
+}
+
+impl PairKind for Distance {
+    type Relation = Squares;
+
+    fn holds(&self, _: Sight<'_>, x: &Subject, y: &Subject, _: impl FnOnce(f64) -> bool) -> bool {
+        let d = x.at.distance(y.at);
+        self.is_far_enough(d) && self.is_near_enough(d)
+    }
+
+    fn relation(&self) -> Squares {
+        // Both bounds are monotone in the distance, and the distance in its square.
+        let least = first_square(|d| self.is_far_enough(d));
+        let most = first_square(|d| !self.is_near_enough(d)) - 1;
+        let reach = most.max(0).isqrt().min(i64::from(Reach::FARTHEST));
+        Squares {
+            least,
+            most,
+            reach: i32::try_from(reach).expect("it is at most the farthest"),
+        }
+    }
+}
+
+/// Squared distances from `least` to `most`; no farther than `reach` in rows or columns.
+#[derive(Clone, Copy, Debug)]
+pub(crate) struct Squares {
+    least: i64,
+    most: i64,
+    reach: i32,
+}
+
+impl Relation for Squares {
+    #[inline]
+    fn reach(&self, _: &Views, _: AgentKind, _: Option<Heading>) -> Reach {
+        self.reach_back()
+    }
+
+    #[inline]
+    fn reach_back(&self) -> Reach {
+        Reach::Within([self.reach; 4])
+    }
+
+    #[inline]
+    fn test(&self, x: &Subject, y: &Subject, _: impl FnOnce(f64) -> bool) -> bool {
+        (self.least..=self.most).contains(&square(x.at, y.at))
+    }
+
+    /// Each two agents are tested once: the relation is symmetric.
+    #[inline]
+    fn relate(
+        &self,
+        _: &Views,
+        subjects: impl Iterator<Item = Subject> + Clone,
+        draw: impl Fn(usize, usize, f64) -> bool,
+        rows: &mut [u64],
+    ) {
+        for (first, x) in subjects.clone().enumerate() {
+            for (second, y) in subjects.clone().take(first).enumerate() {
+                let holds = u64::from(self.test(&x, &y, |probability| draw(first, second, probability)));
+                rows[first] |= holds << second;
+                rows[second] |= holds << first;
+            }
+        }
+    }
+}
+
+/// The square of the distance of two cells on a map.
+#[inline]
+fn square(from: Cell, to: Cell) -> i64 {
+    let (rows, cols) = to.offset_from(from);
+    rows * rows + cols * cols
+}
+
+/// The least square of a distance for which something holds that holds from there on; [`SQUARE_MAX`] if it never does.
+#[allow(clippy::cast_precision_loss)] // exact: squares are below 2^53
+fn first_square(holds: impl Fn(f64) -> bool) -> i64 {
+    let (mut low, mut high) = (0, SQUARE_MAX);
+    while low < high {
+        let middle = low + (high - low) / 2;
+        match holds((middle as f64).sqrt()) {
+            true => high = middle,
+            false => low = middle + 1,
+        }
+    }
+    low
+}

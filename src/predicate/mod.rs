@@ -1,0 +1,598 @@
+//! The base predicates: what each kind means, how a tick computes it, and how a configuration writes it.
+//!
+//! A kind of predicate is a file of this folder and an entry of `kinds!` below. Other code names only two kinds, for what
+//! they mean beyond their rows: [`Sees`] bounds what rules look at, and a [`Concept`] is what agents carry. The file of a
+//! kind implements
+//!
+//! 1. `PredicateKind`: how a configuration writes the kind and reads its parameters;
+//! 2. the *definition*, written to be read; [`sim::ground`](crate::sim::ground) computes rows by it;
+//! 3. the *fast form* of the same predicate, which windows of the dense executor and observations of a task compute.
+//!
+//! What a predicate depends on decides where it belongs, and so when it is computed:
+//!
+//! | | depends on | definition | fast form | computed |
+//! |---|---|---|---|---|
+//! | [`Static`] | what an agent is | `StaticKind::holds` | the same | once for agents that are alike |
+//! | [`Local`] | the agent's kind and its cell | `LocalKind::holds` | `CellTable` | when the agent moves |
+//! | [`Pair`] | two agents | `PairKind::holds` | `Relation` | where a rule asks for it |
+//!
+//! A `Relation` answers in two steps, as spatial queries do: a rectangle of cells is the filter, a test of two agents
+//! the refinement. Property tests compare the fast forms with the definitions.
+
+mod colliding;
+mod concept;
+mod distance;
+mod intersection;
+mod kind;
+mod priority;
+mod sees;
+mod side;
+
+use crate::city::{AgentKind, Cell, CityMap, FieldOfView, Heading, Junction};
+use crate::config::read::{Fields, choice, invalid};
+use crate::config::yaml::{Node, Value};
+use crate::diag::Diagnostic;
+use serde::{Serialize, Serializer};
+
+pub use colliding::Colliding;
+pub use concept::Concept;
+pub use distance::Distance;
+pub use intersection::{AtIntersection, InIntersection};
+pub use kind::Kind;
+pub use priority::HigherPriority;
+pub use sees::Sees;
+pub(crate) use sees::Views;
+pub use side::{LeftOf, RightOf};
+
+/// What the predicates see of an agent.
+#[derive(Clone, Copy, Debug)]
+pub struct Entity<'a> {
+    /// Car or pedestrian.
+    pub kind: AgentKind,
+    /// Names of its concepts.
+    pub concepts: &'a [String],
+    /// Right of way; a smaller number goes first.
+    pub priority: i32,
+    /// Where it is.
+    pub at: Cell,
+    /// The direction of its last move; none before the first.
+    pub heading: Option<Heading>,
+}
+
+/// What the predicates over two agents see of each.
+#[derive(Clone, Copy, Debug)]
+pub(crate) struct Subject {
+    pub kind: AgentKind,
+    pub priority: i32,
+    pub at: Cell,
+    pub heading: Option<Heading>,
+}
+
+impl Entity<'_> {
+    /// Leaves out what only predicates over one agent see.
+    pub(crate) fn subject(&self) -> Subject {
+        Subject {
+            kind: self.kind,
+            priority: self.priority,
+            at: self.at,
+            heading: self.heading,
+        }
+    }
+}
+
+/// What limits the sight of all agents.
+#[derive(Clone, Copy, Debug)]
+pub(crate) struct Sight<'a> {
+    pub map: &'a CityMap,
+    /// Half-width of the field of view in cells.
+    pub half_width: u32,
+}
+
+/// How a configuration writes the predicates of a kind.
+pub(crate) enum Syntax {
+    /// As one word.
+    Word(&'static str, fn() -> Definition),
+    /// As a mapping with exactly these keys. The first names the kind; the function gets the value of each.
+    Keys(
+        &'static [&'static str],
+        fn(&[&Node], &mut Vec<Diagnostic>) -> Option<Definition>,
+    ),
+    /// Not at all: every scenario has it.
+    Always,
+}
+
+/// A kind of predicate.
+pub(crate) trait PredicateKind: Into<Definition> {
+    const SYNTAX: Syntax;
+
+    /// Predicates of the kind for tests, which compare the fast form of each with its definition.
+    #[cfg(test)]
+    fn samples() -> Vec<Definition>;
+}
+
+/// A kind of predicate that depends on what an agent is.
+pub(crate) trait StaticKind: PredicateKind {
+    /// Whether it holds of agents of this kind that carry these concepts.
+    fn holds(&self, kind: AgentKind, concepts: &[String]) -> bool;
+}
+
+/// A kind of predicate that depends on the kind of an agent and the cell where it is.
+pub(crate) trait LocalKind: PredicateKind {
+    /// The definition.
+    fn holds(&self, map: &CityMap, kind: AgentKind, at: Cell) -> bool;
+
+    /// The same for all cells that lie alike with respect to intersections.
+    fn holds_on(&self, junction: Junction, kind: AgentKind) -> bool;
+}
+
+/// A kind of predicate over two agents. [`Relation::REFLEXIVE`] decides whether it relates agents to themselves.
+pub(crate) trait PairKind: PredicateKind {
+    /// The fast form.
+    type Relation: Relation;
+
+    /// Whether the predicate holds with a probability, so that `holds` draws.
+    const DRAWN: bool = false;
+
+    /// The definition: whether it holds of two different agents, in this order. `draw` returns whether something of a
+    /// given probability happens; it always returns the same for the same predicate and agents.
+    fn holds(&self, sight: Sight<'_>, x: &Subject, y: &Subject, draw: impl FnOnce(f64) -> bool) -> bool;
+
+    /// Prepares the fast form.
+    fn relation(&self) -> Self::Relation;
+}
+
+/// The fast form of a predicate over two agents.
+pub(crate) trait Relation {
+    /// Whether it relates every agent to itself; otherwise it relates none to itself.
+    const REFLEXIVE: bool = false;
+
+    /// Whether it holds of all agents in [`Relation::reach`], so that no test is needed.
+    const FILLS_REACH: bool = false;
+
+    /// Where the second agent can be, seen from a first agent of this kind and heading.
+    #[inline]
+    fn reach(&self, _views: &Views, _kind: AgentKind, _heading: Option<Heading>) -> Reach {
+        Reach::Anywhere
+    }
+
+    /// Where the first agent can be, seen from any second agent.
+    #[inline]
+    fn reach_back(&self) -> Reach {
+        Reach::Anywhere
+    }
+
+    /// Whether it holds of two different agents of which the second is in reach of the first.
+    fn test(&self, x: &Subject, y: &Subject, draw: impl FnOnce(f64) -> bool) -> bool;
+
+    /// Whether it holds of two different agents.
+    #[inline]
+    fn holds(&self, views: &Views, x: &Subject, y: &Subject, draw: impl FnOnce(f64) -> bool) -> bool {
+        let field = self.reach(views, x.kind, x.heading).around(x.at);
+        field.is_some_and(|field| field.contains(y.at)) && (Self::FILLS_REACH || self.test(x, y, draw))
+    }
+
+    /// Sets the bit y of `rows[x]` for each x and y of which it holds, for up to 64 agents. `draw` takes the positions
+    /// of both. A kind may override this with a faster loop.
+    #[inline]
+    fn relate(
+        &self,
+        views: &Views,
+        subjects: impl Iterator<Item = Subject> + Clone,
+        draw: impl Fn(usize, usize, f64) -> bool,
+        rows: &mut [u64],
+    ) {
+        for (first, (x, row)) in subjects.clone().zip(rows).enumerate() {
+            let Some(field) = self.reach(views, x.kind, x.heading).around(x.at) else {
+                continue;
+            };
+            for (second, y) in subjects.clone().enumerate() {
+                let holds = field.contains(y.at)
+                    && match first == second {
+                        true => Self::REFLEXIVE,
+                        false => Self::FILLS_REACH || self.test(&x, &y, |probability| draw(first, second, probability)),
+                    };
+                *row |= u64::from(holds) << second;
+            }
+        }
+    }
+}
+
+/// The cells around an agent that a relation reaches.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub(crate) enum Reach {
+    Nowhere,
+    /// At most so many cells up, down, left, right.
+    Within([i32; 4]),
+    Anywhere,
+}
+
+impl Reach {
+    /// No two cells of a map are farther apart.
+    pub const FARTHEST: i32 = 1 << 24;
+
+    /// The cells in reach of a cell, if there are any.
+    #[inline]
+    fn around(self, cell: Cell) -> Option<FieldOfView> {
+        match self {
+            Reach::Nowhere => None,
+            Reach::Within(cells) => Some(FieldOfView::around(cell, cells)),
+            Reach::Anywhere => Some(FieldOfView {
+                first: Cell::new(i32::MIN, i32::MIN),
+                last: Cell::new(i32::MAX, i32::MAX),
+            }),
+        }
+    }
+
+    /// Whether it lies in a rectangle around the same cell.
+    fn is_within(self, rectangle: [i32; 4]) -> bool {
+        match self {
+            Reach::Nowhere => true,
+            Reach::Within(cells) => cells.iter().zip(rectangle).all(|(cells, limit)| *cells <= limit),
+            Reach::Anywhere => false,
+        }
+    }
+}
+
+/// A local predicate as a table: a bit for each kind of agent and each [`Junction`].
+#[derive(Clone, Copy, Debug)]
+pub(crate) struct CellTable(u16);
+
+impl CellTable {
+    fn new(predicate: &impl LocalKind) -> CellTable {
+        let entries = AgentKind::ALL.map(|kind| Junction::ALL.map(|junction| (kind, junction)));
+        let holds = |&&(kind, junction): &&(AgentKind, Junction)| predicate.holds_on(junction, kind);
+        let bits = entries.as_flattened().iter().filter(holds);
+        CellTable(bits.fold(0, |table, &(kind, junction)| {
+            table | 1 << CellTable::place(junction, kind)
+        }))
+    }
+
+    #[inline]
+    fn place(junction: Junction, kind: AgentKind) -> usize {
+        kind as usize * Junction::ALL.len() + junction.index()
+    }
+
+    /// Whether the predicate holds of agents of this kind on such a cell.
+    #[inline]
+    pub fn holds(self, junction: Junction, kind: AgentKind) -> bool {
+        self.0 >> CellTable::place(junction, kind) & 1 != 0
+    }
+}
+
+/// Defines the types that list all kinds, and their dispatch. The first argument is a `$` for the macros that this one
+/// defines.
+macro_rules! kinds {
+    (
+        $d:tt
+        Static { $($(#[$static_doc:meta])* $static:ident,)* }
+        Local { $($(#[$local_doc:meta])* $local:ident,)* }
+        Pair { $($(#[$pair_doc:meta])* $pair:ident,)* }
+    ) => {
+        /// A predicate that depends on what an agent is.
+        #[derive(Clone, Debug, PartialEq)]
+        pub enum Static { $($(#[$static_doc])* $static($static),)* }
+
+        /// A predicate that depends on the kind of an agent and the cell where it is.
+        #[derive(Clone, Debug, PartialEq)]
+        pub enum Local { $($(#[$local_doc])* $local($local),)* }
+
+        /// A predicate over two agents.
+        #[derive(Clone, Debug, PartialEq)]
+        pub enum Pair { $($(#[$pair_doc])* $pair($pair),)* }
+
+        /// The fast form of a [`Pair`].
+        #[derive(Clone, Debug)]
+        pub(crate) enum PairRelation { $($pair(<$pair as PairKind>::Relation),)* }
+
+        /// `with_pair!(pair, kind => f(kind))`: evaluates an expression with the [`PairKind`] of a [`Pair`].
+        macro_rules! with_pair {
+            ($d pair:expr, $d kind:ident => $d work:expr) => {
+                match $d pair { $($crate::predicate::Pair::$pair($d kind) => $d work,)* }
+            };
+        }
+
+        /// `with_relation!(any, relation => f(relation))`: evaluates an expression with the [`Relation`] of a
+        /// [`PairRelation`].
+        macro_rules! with_relation {
+            ($d relation:expr, $d kind:ident => $d work:expr) => {
+                match $d relation { $($crate::predicate::PairRelation::$pair($d kind) => $d work,)* }
+            };
+        }
+
+        impl Static {
+            /// Whether it holds of agents of this kind that carry these concepts.
+            pub(crate) fn holds(&self, kind: AgentKind, concepts: &[String]) -> bool {
+                match self { $(Static::$static(predicate) => predicate.holds(kind, concepts),)* }
+            }
+        }
+
+        impl Local {
+            /// Whether it holds of an agent of this kind on this cell.
+            pub(crate) fn holds(&self, map: &CityMap, kind: AgentKind, at: Cell) -> bool {
+                match self { $(Local::$local(predicate) => predicate.holds(map, kind, at),)* }
+            }
+
+            /// The fast form.
+            pub(crate) fn table(&self) -> CellTable {
+                match self { $(Local::$local(predicate) => CellTable::new(predicate),)* }
+            }
+        }
+
+        impl Pair {
+            /// The fast form.
+            pub(crate) fn relation(&self) -> PairRelation {
+                match self { $(Pair::$pair(predicate) => PairRelation::$pair(predicate.relation()),)* }
+            }
+
+            /// Whether it relates every agent to itself; otherwise it relates none to itself.
+            pub(crate) fn is_reflexive(&self) -> bool {
+                match self { $(Pair::$pair(_) => <$pair as PairKind>::Relation::REFLEXIVE,)* }
+            }
+
+            fn is_drawn(&self) -> bool {
+                match self { $(Pair::$pair(_) => <$pair as PairKind>::DRAWN,)* }
+            }
+        }
+
+        impl Serialize for Definition {
+            fn serialize<S: Serializer>(&self, serializer: S) -> Result<S::Ok, S::Error> {
+                match self {
+                    $(Definition::Static(Static::$static(it)) => tagged(serializer, stringify!($static), it),)*
+                    $(Definition::Local(Local::$local(it)) => tagged(serializer, stringify!($local), it),)*
+                    $(Definition::Pair(Pair::$pair(it)) => tagged(serializer, stringify!($pair), it),)*
+                }
+            }
+        }
+
+        $(impl From<$static> for Definition {
+            fn from(predicate: $static) -> Definition { Definition::Static(Static::$static(predicate)) }
+        })*
+        $(impl From<$local> for Definition {
+            fn from(predicate: $local) -> Definition { Definition::Local(Local::$local(predicate)) }
+        })*
+        $(impl From<$pair> for Definition {
+            fn from(predicate: $pair) -> Definition { Definition::Pair(Pair::$pair(predicate)) }
+        })*
+
+        /// Predicates of all kinds.
+        #[cfg(test)]
+        fn samples() -> Vec<Vec<Definition>> {
+            vec![$($static::samples(),)* $($local::samples(),)* $($pair::samples(),)*]
+        }
+
+        /// Of all kinds.
+        const SYNTAX: &[Syntax] = &[$($static::SYNTAX,)* $($local::SYNTAX,)* $($pair::SYNTAX,)*];
+    };
+}
+
+kinds! { $
+    Static {
+        /// The agent is of a kind.
+        Kind,
+        /// The agent is of a kind and carries a concept.
+        Concept,
+    }
+    Local {
+        /// A car is on an entrance line or a pedestrian on an outline of an intersection.
+        AtIntersection,
+        /// The agent is inside an intersection.
+        InIntersection,
+    }
+    Pair {
+        /// The Euclidean distance is within bounds.
+        Distance,
+        /// The first has the smaller priority number.
+        HigherPriority,
+        /// The first lies left of the second, seen along the second's heading.
+        LeftOf,
+        /// The first lies right of the second, seen along the second's heading.
+        RightOf,
+        /// The first is about to run into the second.
+        Colliding,
+        /// The second is in the field of view of the first.
+        Sees,
+    }
+}
+pub(crate) use {with_pair, with_relation};
+
+/// How a base predicate is computed from the state of the city.
+///
+/// The serialized form is the name of the kind, with its parameters if it has any.
+#[derive(Clone, Debug, PartialEq)]
+pub enum Definition {
+    /// By what an agent is.
+    Static(Static),
+    /// By the kind of an agent and the cell where it is.
+    Local(Local),
+    /// By two agents.
+    Pair(Pair),
+}
+
+impl Definition {
+    /// The number of agents that the predicate relates.
+    pub fn arity(&self) -> usize {
+        match self {
+            Definition::Static(_) | Definition::Local(_) => 1,
+            Definition::Pair(_) => 2,
+        }
+    }
+
+    /// Whether it depends on what an agent is, and not on where agents are.
+    pub fn is_static(&self) -> bool {
+        matches!(self, Definition::Static(_))
+    }
+
+    /// Whether it holds with a probability.
+    pub fn is_drawn(&self) -> bool {
+        matches!(self, Definition::Pair(pair) if pair.is_drawn())
+    }
+
+    /// Reads a definition from a configuration.
+    pub(crate) fn read(node: &Node, faults: &mut Vec<Diagnostic>) -> Option<Definition> {
+        if matches!(node.value, Value::Scalar { .. }) {
+            let words = SYNTAX.iter().filter_map(|syntax| match syntax {
+                Syntax::Word(word, definition) => Some((*word, *definition)),
+                Syntax::Keys(..) | Syntax::Always => None,
+            });
+            return choice(node, &words.collect::<Vec<_>>(), faults).map(|definition| definition());
+        }
+        let mappings = SYNTAX.iter().filter_map(|syntax| match syntax {
+            Syntax::Keys(keys, read) => Some((*keys, *read)),
+            Syntax::Word(..) | Syntax::Always => None,
+        });
+        let mut fields = Fields::open(node, "the definition of a predicate", faults)?;
+        let further_keys = mappings.clone().flat_map(|(keys, _)| &keys[1..]);
+        let keys = mappings.clone().map(|(keys, _)| &keys[0]).chain(further_keys);
+        let given: Vec<(&str, &Node)> = keys.filter_map(|key| Some((*key, fields.optional(key)?))).collect();
+        fields.close(faults);
+        let value = |key: &&str| Some(given.iter().find(|(given, _)| given == key)?.1);
+        let found = mappings.clone().find_map(|(keys, read)| {
+            let nodes: Vec<&Node> = keys.iter().map(value).collect::<Option<_>>()?;
+            (nodes.len() == given.len()).then_some((nodes, read))
+        });
+        if let Some((nodes, read)) = found {
+            return read(&nodes, faults);
+        }
+        let forms: Vec<String> = mappings
+            .map(|(keys, _)| format!("`{}`", keys.join("` with `")))
+            .collect();
+        invalid(node, format_args!("exactly one of {}", forms.join(", ")), faults);
+        if let Some(fault) = faults.last_mut() {
+            fault
+                .notes
+                .push("what is inherited through `base` counts; `key: ~` removes it".into());
+        }
+        None
+    }
+}
+
+/// A kind without parameters is written as its name.
+fn tagged<S: Serializer, K: Serialize>(serializer: S, name: &'static str, kind: &K) -> Result<S::Ok, S::Error> {
+    match size_of::<K>() {
+        0 => serializer.serialize_unit_variant("Definition", 0, name),
+        _ => serializer.serialize_newtype_variant("Definition", 0, name, kind),
+    }
+}
+
+impl PairRelation {
+    /// Whether the first sees the second wherever it holds.
+    pub fn is_in_view(&self, views: &Views) -> bool {
+        let headings = || Heading::ALL.into_iter().map(Some).chain([None]);
+        with_relation!(self, relation => AgentKind::ALL.into_iter().all(|kind| {
+            headings().all(|heading| relation.reach(views, kind, heading).is_within(views.of(heading)))
+        }))
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::builtin::BuiltinFiles;
+    use crate::config::load_map;
+    use crate::diag::Sources;
+    use crate::rng::{Purpose, RngExt, Seed};
+    use std::collections::BTreeSet;
+    use std::path::Path;
+
+    fn map() -> CityMap {
+        let config = load_map(&mut Sources::new(), Path::new("square-5x5"), &BuiltinFiles).expect("built in");
+        CityMap::generate(&config).expect("a valid map")
+    }
+
+    /// Of half of all pairs.
+    fn happens(first: usize, second: usize) -> bool {
+        (first * 3 + second * 5 + first * second).is_multiple_of(2)
+    }
+
+    /// Compares the fast form with the definition for all pairs of random agents.
+    fn compare<K: PairKind>(kind: &K, map: &CityMap) {
+        let (half_width, relation) = (6, kind.relation());
+        let (sight, views) = (Sight { map, half_width }, Views::new(half_width));
+        let mut random = Seed(1).stream(Purpose::SCENE, 0, 0);
+        let mut counts = [0; 2];
+        for _ in 0..400 {
+            let agent = |_| Subject {
+                kind: AgentKind::ALL[random.random_range(0..2)],
+                priority: random.random_range(0..4),
+                at: Cell::new(random.random_range(0..12), random.random_range(0..12)),
+                heading: (Heading::ALL.get(random.random_range(0..5))).copied(),
+            };
+            let agents: Vec<Subject> = (0..9).map(agent).collect();
+            let draw = |first, second, probability| {
+                assert!(K::DRAWN, "it draws");
+                probability >= 1.0 || probability > 0.0 && happens(first, second)
+            };
+            let mut rows = vec![0; agents.len()];
+            relation.relate(&views, agents.iter().copied(), draw, &mut rows);
+            for (first, x) in agents.iter().enumerate() {
+                for (second, y) in agents.iter().enumerate() {
+                    let draw = |probability| draw(first, second, probability);
+                    let holds = match first == second {
+                        true => K::Relation::REFLEXIVE,
+                        false => kind.holds(sight, x, y, draw),
+                    };
+                    assert_eq!(rows[first] >> second & 1 != 0, holds, "{x:?} {y:?}");
+                    if first != second {
+                        assert_eq!(relation.holds(&views, x, y, draw), holds, "{x:?} {y:?}");
+                        let back = relation.reach_back().around(y.at);
+                        assert!(!holds || back.is_some_and(|field| field.contains(x.at)), "{x:?} {y:?}");
+                        counts[usize::from(holds)] += 1;
+                    }
+                }
+            }
+        }
+        assert!(counts.iter().all(|count| *count > 500), "{counts:?}");
+    }
+
+    #[test]
+    fn fast_forms_agree_with_the_definitions() {
+        let map = map();
+        for definition in samples().concat() {
+            match &definition {
+                // It has no other form.
+                Definition::Static(_) => {}
+                Definition::Local(predicate) => {
+                    let (table, mut found) = (predicate.table(), BTreeSet::new());
+                    for cell in (0..map.rows()).flat_map(|row| (0..map.cols()).map(move |col| Cell::new(row, col))) {
+                        for kind in AgentKind::ALL {
+                            let holds = predicate.holds(&map, kind, cell);
+                            assert_eq!(
+                                table.holds(map.junction(cell), kind),
+                                holds,
+                                "{predicate:?} {kind:?} {cell:?}"
+                            );
+                            found.insert(holds);
+                        }
+                    }
+                    assert_eq!(found.len(), 2);
+                }
+                Definition::Pair(pair) => with_pair!(pair, kind => compare(kind, &map)),
+            }
+        }
+    }
+
+    #[test]
+    fn kinds_are_serialized_by_name_and_written_in_one_way() {
+        let samples = samples();
+        let name = |definition: &Definition| match serde_json::to_value(definition).expect("no map with other keys") {
+            serde_json::Value::String(name) => name,
+            tagged => tagged
+                .as_object()
+                .expect("name and parameters")
+                .keys()
+                .next()
+                .expect("a name")
+                .clone(),
+        };
+        let names: BTreeSet<String> = samples.iter().flatten().map(name).collect();
+        assert_eq!((names.len(), SYNTAX.len()), (samples.len(), samples.len()));
+        let written: BTreeSet<&str> = (SYNTAX.iter())
+            .map(|syntax| match syntax {
+                Syntax::Word(word, _) => *word,
+                Syntax::Keys(keys, _) => keys[0],
+                Syntax::Always => "",
+            })
+            .collect();
+        assert_eq!(written.len(), SYNTAX.len());
+    }
+}

@@ -1,0 +1,38 @@
+//! `higher-priority`: the first has the smaller priority number.
+
+#[cfg(test)]
+use crate::predicate::Definition;
+use crate::predicate::{PairKind, PredicateKind, Relation, Sight, Subject, Syntax};
+use serde::Serialize;
+
+/// The first has the smaller priority number.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize)]
+pub struct HigherPriority;
+
+impl PredicateKind for HigherPriority {
+    const SYNTAX: Syntax = Syntax::Word("higher-priority", || HigherPriority.into());
+
+    #[cfg(test)]
+    fn samples() -> Vec<Definition> {
+        vec![HigherPriority.into()]
+    }
+}
+
+impl PairKind for HigherPriority {
+    type Relation = HigherPriority;
+
+    fn holds(&self, _: Sight<'_>, x: &Subject, y: &Subject, _: impl FnOnce(f64) -> bool) -> bool {
+        x.priority < y.priority
+    }
+
+    fn relation(&self) -> HigherPriority {
+        HigherPriority
+    }
+}
+
+impl Relation for HigherPriority {
+    #[inline]
+    fn test(&self, x: &Subject, y: &Subject, _: impl FnOnce(f64) -> bool) -> bool {
+        x.priority < y.priority
+    }
+}

@@ -1,0 +1,131 @@
+//! Grounding: from the state of the agents to the base facts that are true in it.
+//!
+//! It evaluates the definition of every base predicate ([`predicate`](crate::predicate)) for all entities.
+
+use crate::cancel::Cancel;
+use crate::city::CityMap;
+use crate::datalog::dense::{BitFacts, Dense};
+use crate::predicate::{Definition, Entity, PairKind, Relation, Sight, Subject, with_pair};
+use crate::sim::tick::chance::Chance;
+use crate::sim::tick::vocabulary::Vocabulary;
+
+/// The most agents or entities of a scene, or of a city for the relational executor: facts about pairs of them take memory in the square
+/// of their number.
+pub const MAX_ENTITIES: usize = 2000;
+
+/// The true rows of each predicate of a [`Vocabulary`], in its order. A row holds positions in the list of entities; the second
+/// is 0 where the predicate has only one column. Rows are sorted.
+#[derive(Clone, Debug, Default, PartialEq, Eq)]
+pub struct Facts {
+    /// The rows of each predicate.
+    pub rows: Vec<Vec<[u32; 2]>>,
+}
+
+impl Facts {
+    /// The facts about `count` entities that a dense program for the vocabulary reads, as bits.
+    pub fn to_bits<const W: usize>(&self, vocabulary: &Vocabulary, dense: &Dense, count: usize) -> BitFacts<W> {
+        let mut bits = BitFacts::new(dense, count);
+        for (predicate, rows) in vocabulary.predicates.iter().zip(&self.rows) {
+            if let Some(relation) = predicate.relation {
+                for row in rows {
+                    bits.insert(dense, relation, &row.map(|entity| entity as usize)[..predicate.arity]);
+                }
+            }
+        }
+        bits
+    }
+}
+
+/// The facts that are true of `entities` on `map`. `view` is the half-width of the field of view in cells. The predicates for
+/// which `skip` holds are left empty.
+pub fn ground(
+    vocabulary: &Vocabulary,
+    map: &CityMap,
+    view: u32,
+    entities: &[Entity<'_>],
+    chance: &impl Chance,
+    skip: impl Fn(usize) -> bool,
+) -> Facts {
+    let facts = ground_with(vocabulary, map, view, entities, chance, skip, &Cancel::never());
+    facts.expect("never cancelled")
+}
+
+/// Cancellable variant of [`ground`], `None` on cancellation. Polls `cancel` for every entity.
+pub(crate) fn ground_with(
+    vocabulary: &Vocabulary,
+    map: &CityMap,
+    view: u32,
+    entities: &[Entity<'_>],
+    chance: &impl Chance,
+    skip: impl Fn(usize) -> bool,
+    cancel: &Cancel,
+) -> Option<Facts> {
+    let mut facts = Facts {
+        rows: vec![Vec::new(); vocabulary.predicates.len()],
+    };
+    let sight = Sight { map, half_width: view };
+    let subjects: Vec<Subject> = entities.iter().map(Entity::subject).collect();
+    for (index, predicate) in vocabulary.predicates.iter().enumerate() {
+        if skip(index) {
+            continue;
+        }
+        let rows = &mut facts.rows[index];
+        match &predicate.definition {
+            Definition::Static(kind) => unary(rows, entities, cancel, |x| kind.holds(x.kind, x.concepts)),
+            Definition::Local(kind) => unary(rows, entities, cancel, |x| kind.holds(map, x.kind, x.at)),
+            Definition::Pair(pair) => {
+                let draw = |x, y, probability| chance.decides(index, x, y, probability);
+                with_pair!(pair, kind => binary(rows, kind, sight, &subjects, cancel, draw))
+            }
+        }?;
+    }
+    Some(facts)
+}
+
+/// Adds the rows of a predicate over one entity; `None` on cancellation.
+fn unary(
+    rows: &mut Vec<[u32; 2]>,
+    entities: &[Entity<'_>],
+    cancel: &Cancel,
+    holds: impl Fn(&Entity<'_>) -> bool,
+) -> Option<()> {
+    for (x, entity) in entities.iter().enumerate() {
+        if cancel.requested() {
+            return None;
+        }
+        if holds(entity) {
+            rows.push([number(x), 0]);
+        }
+    }
+    Some(())
+}
+
+/// Adds the rows of a predicate over two entities; `None` on cancellation.
+fn binary<K: PairKind>(
+    rows: &mut Vec<[u32; 2]>,
+    kind: &K,
+    sight: Sight<'_>,
+    subjects: &[Subject],
+    cancel: &Cancel,
+    draw: impl Fn(usize, usize, f64) -> bool,
+) -> Option<()> {
+    for (x, first) in subjects.iter().enumerate() {
+        if cancel.requested() {
+            return None;
+        }
+        for (y, second) in subjects.iter().enumerate() {
+            let holds = match x == y {
+                true => K::Relation::REFLEXIVE,
+                false => kind.holds(sight, first, second, |probability| draw(x, y, probability)),
+            };
+            if holds {
+                rows.push([number(x), number(y)]);
+            }
+        }
+    }
+    Some(())
+}
+
+fn number(index: usize) -> u32 {
+    u32::try_from(index).expect("fewer than 2^32 entities")
+}

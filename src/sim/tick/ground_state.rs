@@ -1,0 +1,153 @@
+//! Facts of a city or a scene as those of a session, which follows their changes.
+
+use crate::cancel::Cancel;
+use crate::city::Action;
+use crate::datalog::{EvalError, Program, RelId, Session, Value};
+use crate::sim::tick::ground::Facts;
+use crate::sim::tick::vocabulary::{Actions, Vocabulary};
+use std::collections::HashMap;
+
+/// A session that is kept equal to grounded facts.
+pub struct GroundState {
+    session: Session,
+    entities: Vec<Value>,
+    positions: HashMap<Value, usize>,
+    relations: Vec<Option<(RelId, usize)>>,
+    facts: Facts,
+}
+
+impl GroundState {
+    /// A session without facts about the entities of these names.
+    pub fn new<'n>(program: &Program, vocabulary: &Vocabulary, names: impl Iterator<Item = &'n str>) -> Self {
+        let predicates = vocabulary.predicates.iter();
+        let relations = predicates.map(|predicate| predicate.relation.map(|relation| (relation, predicate.arity)));
+        GroundState::over(program, relations.collect(), names)
+    }
+
+    /// The same for facts of these relations, with one or two columns each.
+    pub(crate) fn over<'n>(
+        program: &Program,
+        relations: Vec<Option<(RelId, usize)>>,
+        names: impl Iterator<Item = &'n str>,
+    ) -> Self {
+        let mut session = program.session();
+        let entities: Vec<Value> = names.map(|name| session.intern(name)).collect();
+        GroundState {
+            session,
+            positions: entities
+                .iter()
+                .enumerate()
+                .map(|(index, &value)| (value, index))
+                .collect(),
+            entities,
+            facts: Facts {
+                rows: vec![Vec::new(); relations.len()],
+            },
+            relations,
+        }
+    }
+
+    /// Makes `facts` the true ones: inserts and retracts the difference from those before, and commits. If that fails, all is
+    /// as before.
+    pub fn set(&mut self, facts: &Facts) -> Result<(), EvalError> {
+        self.set_with(facts, &Cancel::never())
+    }
+
+    /// Cancellable variant of [`set`](Self::set). On cancellation `self` is unchanged; see [`Session::commit_with`].
+    pub fn set_with(&mut self, facts: &Facts, cancel: &Cancel) -> Result<(), EvalError> {
+        for (index, relation) in self.relations.iter().enumerate() {
+            let Some((relation, arity)) = *relation else { continue };
+            let (old, new) = (&self.facts.rows[index], &facts.rows[index]);
+            let row = |row: &[u32; 2]| row.map(|entity| self.entities[entity as usize]);
+            for gone in old.iter().filter(|row| new.binary_search(row).is_err()) {
+                let row = row(gone);
+                self.session
+                    .retract(relation, &row[..arity])
+                    .expect("bound relations fit");
+            }
+            for come in new.iter().filter(|row| old.binary_search(row).is_err()) {
+                let row = row(come);
+                self.session
+                    .insert(relation, &row[..arity])
+                    .expect("bound relations fit");
+            }
+        }
+        if let Err(error) = self.session.commit_with(cancel) {
+            self.session.rollback();
+            return Err(error);
+        }
+        self.facts.clone_from(facts);
+        Ok(())
+    }
+
+    /// The actions that hold for an entity.
+    pub fn derived(&self, vocabulary: &Vocabulary, entity: usize) -> Actions {
+        let holds = |action: &Action| {
+            let relation = vocabulary.action(*action);
+            relation.is_some_and(|relation| self.session.contains(relation, &[self.entities[entity]]))
+        };
+        Action::ALL.into_iter().filter(holds).collect()
+    }
+
+    pub fn session(&self) -> &Session {
+        &self.session
+    }
+
+    /// The session alone, and the values that stand for the entities.
+    pub fn into_parts(self) -> (Session, Vec<Value>) {
+        (self.session, self.entities)
+    }
+
+    /// The value that stands for an entity.
+    pub fn value(&self, entity: usize) -> Value {
+        self.entities[entity]
+    }
+
+    /// The position of the entity that a value stands for.
+    pub fn entity(&self, value: Value) -> Option<usize> {
+        self.positions.get(&value).copied()
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::builtin::BuiltinFiles;
+    use crate::config::load_scenario;
+    use crate::datalog::Limits;
+    use crate::diag::Sources;
+    use std::path::Path;
+
+    #[test]
+    fn facts_that_derive_too_much_leave_no_trace() {
+        let mut sources = Sources::new();
+        let scenario = load_scenario(&mut sources, Path::new("expert"), &BuiltinFiles).expect("built in");
+        let rules = sources.add("test.dl", ".include \"vocabulary.dl\"\nStop(X) :- IsBus(X).");
+        let loaded = crate::datalog::load(&mut sources, rules, &BuiltinFiles);
+        let program = Program::new(loaded.rules.expect("no errors")).expect("within limits");
+        let vocabulary = Vocabulary::bind(&scenario, &program).expect("they fit");
+        let bus = vocabulary
+            .predicates
+            .iter()
+            .position(|predicate| predicate.name == "IsBus")
+            .expect("it is in use");
+        let nothing = Facts {
+            rows: vec![Vec::new(); vocabulary.predicates.len()],
+        };
+        let mut one_bus = nothing.clone();
+        one_bus.rows[bus].push([0, 0]);
+
+        let rows = |rows| Limits {
+            rows,
+            ..Limits::default()
+        };
+        let mut state = GroundState::new(&program, &vocabulary, ["Car_1"].into_iter());
+        state.session.set_limits(rows(0));
+        assert!(state.set(&one_bus).is_err());
+        state.set(&nothing).expect("it derives nothing");
+        state.session.set_limits(rows(10));
+        assert!(state.derived(&vocabulary, 0).is_empty());
+        state.set(&one_bus).expect("within the limit");
+        assert_eq!(state.derived(&vocabulary, 0), [Action::Stop].into_iter().collect());
+    }
+}

@@ -1,0 +1,503 @@
+//! Some entities of a city and what relates them, as bits for the dense executor. Facts about pairs are computed where a rule asks
+//! for them, by the fast form of its predicate ([`Relation`]): entities in the rectangle that it reaches are found by rows and columns,
+//! and tested one by one.
+
+use crate::city::AgentKind;
+use crate::city::{Agent, Cell, CityMap, Heading, Junction};
+use crate::datalog::dense::{
+    Argument, BinaryFacts, BitState, Dense, Input, List, Set, and, first, is_empty, members, without,
+};
+use crate::predicate::{
+    CellTable, Definition, Pair, PairRelation, Reach, Relation, Static, Subject, Views, with_relation,
+};
+use crate::sim::tick::chance::{Chance, Draws};
+use crate::sim::tick::vocabulary::Vocabulary;
+use std::collections::BTreeMap;
+use std::ops::Deref;
+use std::sync::Arc;
+
+/// What the predicates can see of an agent.
+#[derive(Clone, Copy, Debug)]
+pub(crate) struct Body {
+    pub at: Cell,
+    pub priority: i32,
+    /// Position in the list of agents.
+    pub agent: u32,
+    /// Position in [`Grounder::classes`].
+    pub class: u32,
+    pub kind: AgentKind,
+    pub heading: Option<Heading>,
+    /// Of the cell where it is.
+    pub junction: Junction,
+}
+
+/// What moves change of an agent.
+#[derive(Clone, Copy, Debug)]
+pub(crate) struct Position {
+    pub cell: Cell,
+    pub heading: Option<Heading>,
+}
+
+impl Position {
+    pub fn of(agent: &Agent) -> Position {
+        Position {
+            cell: agent.cell,
+            heading: agent.heading,
+        }
+    }
+}
+
+impl Body {
+    /// Of an agent of the list. Its class is 0.
+    pub fn new(map: &CityMap, position: usize, agent: &Agent) -> Self {
+        Body {
+            at: agent.cell,
+            priority: agent.priority,
+            agent: u32::try_from(position).expect("fewer than 2^32 agents"),
+            class: 0,
+            kind: agent.kind,
+            heading: agent.heading,
+            junction: map.junction(agent.cell),
+        }
+    }
+
+    /// What predicates over two agents see of it.
+    #[inline]
+    pub fn subject(&self) -> Subject {
+        Subject {
+            kind: self.kind,
+            priority: self.priority,
+            at: self.at,
+            heading: self.heading,
+        }
+    }
+
+    /// Takes note of a move.
+    pub fn shift(&mut self, map: &CityMap, to: Position) {
+        self.heading = to.heading;
+        if self.at != to.cell {
+            self.at = to.cell;
+            self.junction = map.junction(to.cell);
+        }
+    }
+}
+
+/// A list that a dense program asks for.
+#[derive(Clone, Debug)]
+struct Asked {
+    /// Its position in the vocabulary and its fast form; `None` if it is not in the vocabulary and so holds of nobody.
+    predicate: Option<(usize, PairRelation)>,
+    axis: Argument,
+    /// Whether it is the field of view of the first.
+    is_view: bool,
+    /// Whether all entities that it relates to an entity are in that one's field of view.
+    in_view: bool,
+}
+
+/// How everything that a dense program asks for is computed. Cities of one world share it, which keeps it in the cache when many of them
+/// take turns.
+#[derive(Debug)]
+pub(super) struct Plan {
+    pub dense: Dense,
+    /// The inputs that depend on what an agent is.
+    fixed: Vec<(usize, Static)>,
+    /// The inputs that depend on the cell where an agent is.
+    local: Vec<(usize, CellTable)>,
+    /// The inputs that hold of all agents: diagonals of reflexive predicates.
+    always: Vec<usize>,
+    lists: Vec<Asked>,
+    views: Views,
+}
+
+/// A plan, and what the agents of a city are.
+#[derive(Clone, Debug)]
+pub(super) struct Grounder {
+    plan: Arc<Plan>,
+    /// The classes of agents that are known.
+    known: BTreeMap<(AgentKind, Arc<[String]>), u32>,
+    /// The first of them, up to [`Grounder::LIKELY`]. Agents of one entry of a set share their concepts, so it is enough to look whether
+    /// they are the very same.
+    likely: Vec<(AgentKind, Arc<[String]>)>,
+    /// By class: the inputs that hold of its members.
+    classes: Vec<Vec<usize>>,
+}
+
+impl Deref for Grounder {
+    type Target = Plan;
+
+    fn deref(&self) -> &Plan {
+        &self.plan
+    }
+}
+
+impl Plan {
+    /// `dense` must ask only for predicates of the vocabulary.
+    pub fn new(dense: Dense, vocabulary: &Vocabulary, view: u32) -> Self {
+        // What is not a predicate of the vocabulary is one that no clause derives: binding has refused all others.
+        let find = |relation| {
+            let mut predicates = vocabulary.predicates.iter();
+            let position = predicates.position(|predicate| predicate.relation == Some(relation))?;
+            Some((position, &vocabulary.predicates[position].definition))
+        };
+        let views = Views::new(view);
+        let (mut fixed, mut local, mut always) = (Vec::new(), Vec::new(), Vec::new());
+        for (input, asked) in dense.inputs().iter().enumerate() {
+            let (Input::Unary(relation) | Input::Diagonal(relation)) = *asked;
+            match find(relation) {
+                Some((_, Definition::Static(predicate))) => fixed.push((input, predicate.clone())),
+                Some((_, Definition::Local(predicate))) => local.push((input, predicate.table())),
+                Some((_, Definition::Pair(pair))) if pair.is_reflexive() => always.push(input),
+                Some((_, Definition::Pair(_))) | None => {}
+            }
+        }
+        let lists = (dense.lists().iter())
+            .map(|&List(relation, axis)| {
+                let predicate = find(relation).and_then(|(position, definition)| match definition {
+                    Definition::Pair(pair) => Some((position, pair)),
+                    Definition::Static(_) | Definition::Local(_) => None,
+                });
+                let forward = axis == Argument::Second;
+                let is_view = forward && matches!(predicate, Some((_, Pair::Sees(_))));
+                let predicate = predicate.map(|(position, pair)| (position, pair.relation()));
+                let in_view = |(_, relation): &(_, PairRelation)| relation.is_in_view(&views);
+                Asked {
+                    in_view: forward && !is_view && predicate.as_ref().is_none_or(in_view),
+                    is_view,
+                    predicate,
+                    axis,
+                }
+            })
+            .collect();
+        Plan {
+            fixed,
+            local,
+            always,
+            lists,
+            views,
+            dense,
+        }
+    }
+
+    /// The most cells that agents see in any direction.
+    pub fn farthest_view(&self) -> i32 {
+        self.views.farthest()
+    }
+}
+
+impl Grounder {
+    /// No agents are known.
+    pub fn new(plan: Arc<Plan>) -> Self {
+        Grounder {
+            plan,
+            known: BTreeMap::new(),
+            likely: Vec::new(),
+            classes: Vec::new(),
+        }
+    }
+
+    const LIKELY: usize = 16;
+
+    /// The class of agents of this kind that carry these concepts.
+    pub fn class_of(&mut self, kind: AgentKind, concepts: &Arc<[String]>) -> u32 {
+        let Grounder {
+            plan,
+            known,
+            likely,
+            classes,
+        } = self;
+        let same = |(of, carried): &(AgentKind, Arc<[String]>)| *of == kind && Arc::ptr_eq(carried, concepts);
+        if let Some(class) = likely.iter().position(same) {
+            return u32::try_from(class).expect("it is less than 16");
+        }
+        let next = u32::try_from(known.len()).expect("fewer classes than agents");
+        *(known.entry((kind, Arc::clone(concepts)))).or_insert_with(|| {
+            if likely.len() < Self::LIKELY {
+                likely.push((kind, Arc::clone(concepts)));
+            }
+            let holds = (plan.fixed.iter()).filter(|(_, predicate)| predicate.holds(kind, concepts));
+            classes.push(holds.map(|(input, _)| *input).collect());
+            next
+        })
+    }
+}
+
+/// Up to `64 * W` entities and where they are.
+#[derive(Clone, Debug)]
+pub(super) struct Window<const W: usize> {
+    pub bodies: Vec<Body>,
+    pub bit_state: BitState<W>,
+    /// By input of the program.
+    inputs: Vec<Set<W>>,
+    place: Place<W>,
+}
+
+/// Who is where, by rows and columns.
+#[derive(Clone, Debug)]
+struct Place<const W: usize> {
+    /// The first cell of the area.
+    first: Cell,
+    /// Item i: the entities in the first i rows.
+    rows: Vec<Set<W>>,
+    cols: Vec<Set<W>>,
+}
+
+impl<const W: usize> Place<W> {
+    /// Those at most so far from a cell.
+    #[inline]
+    fn around(&self, at: Cell, [up, down, left, right]: [i32; 4]) -> Set<W> {
+        let (row, col) = (at.row - self.first.row, at.col - self.first.col);
+        let rows = between(&self.rows, row - up, row + down);
+        and(rows, &between(&self.cols, col - left, col + right))
+    }
+
+    fn mark(&mut self, entity: usize, at: Cell) {
+        let flip = |lists: &mut [Set<W>], line: i32| lists[line as usize + 1][entity / 64] ^= 1 << (entity % 64);
+        flip(&mut self.rows, at.row - self.first.row);
+        flip(&mut self.cols, at.col - self.first.col);
+    }
+
+    /// Turns the entities of single lines into those of all lines so far.
+    fn sum(&mut self) {
+        for lists in [&mut self.rows, &mut self.cols] {
+            let mut sum = [0; W];
+            for set in lists {
+                for (sum, word) in sum.iter_mut().zip(set) {
+                    *sum |= *word;
+                    *word = *sum;
+                }
+            }
+        }
+    }
+
+    fn shift(&mut self, entity: usize, from: Cell, to: Cell) {
+        let first = self.first;
+        let flip = |lists: &mut [Set<W>], from: i32, to: i32| {
+            for set in &mut lists[from.min(to) as usize + 1..=from.max(to) as usize] {
+                set[entity / 64] ^= 1 << (entity % 64);
+            }
+        };
+        flip(&mut self.rows, from.row - first.row, to.row - first.row);
+        flip(&mut self.cols, from.col - first.col, to.col - first.col);
+    }
+}
+
+/// The entities in the lines from `low` to `high`, as far as there are such lines. One of them is in between.
+#[inline]
+fn between<const W: usize>(lists: &[Set<W>], low: i32, high: i32) -> Set<W> {
+    let last = lists.len() - 1;
+    let high = ((high + 1) as usize).min(last);
+    without(lists[high], &lists[(low.max(0) as usize).min(last)])
+}
+
+impl<const W: usize> Window<W> {
+    pub fn new(grounder: &Grounder) -> Self {
+        Window {
+            bodies: Vec::new(),
+            bit_state: BitState::new(&grounder.dense, 0),
+            inputs: Vec::new(),
+            place: Place {
+                first: Cell::new(0, 0),
+                rows: Vec::new(),
+                cols: Vec::new(),
+            },
+        }
+    }
+
+    /// Takes note of `bodies` afresh, all of them in the area of so many rows and columns from the cell `first` on.
+    ///
+    /// # Panics
+    /// If they are more than the window holds, or one is outside of the area.
+    pub fn fill(&mut self, grounder: &Grounder, first_cell: Cell, [rows, cols]: [i32; 2]) {
+        let count = self.bodies.len();
+        self.bit_state.reset(&grounder.dense, count);
+        let Place {
+            first: area_first,
+            rows: row_lists,
+            cols: col_lists,
+        } = &mut self.place;
+        *area_first = first_cell;
+        for (lists, lines) in [(row_lists, rows), (col_lists, cols)] {
+            lists.clear();
+            lists.resize(lines as usize + 1, [0; W]);
+        }
+        for (entity, body) in self.bodies.iter().enumerate() {
+            self.place.mark(entity, body.at);
+        }
+        self.place.sum();
+
+        self.inputs.clear();
+        self.inputs.resize(grounder.dense.inputs().len(), [0; W]);
+        for (entity, body) in self.bodies.iter().enumerate() {
+            for &input in &grounder.classes[body.class as usize] {
+                self.inputs[input][entity / 64] |= 1 << (entity % 64);
+            }
+        }
+        for &input in &grounder.always {
+            self.inputs[input] = first(count);
+        }
+        for entity in 0..count {
+            self.look(grounder, entity);
+        }
+    }
+
+    /// Sets what depends on the cell where an entity is.
+    fn look(&mut self, grounder: &Grounder, entity: usize) {
+        let body = &self.bodies[entity];
+        for &(input, table) in &grounder.local {
+            let holds = table.holds(body.junction, body.kind);
+            let word = &mut self.inputs[input][entity / 64];
+            *word = *word & !(1 << (entity % 64)) | u64::from(holds) << (entity % 64);
+        }
+    }
+
+    /// Takes note of a move.
+    pub fn shift(&mut self, grounder: &Grounder, map: &CityMap, entity: usize, to: Position) {
+        let body = &mut self.bodies[entity];
+        let from = body.at;
+        body.shift(map, to);
+        if from != to.cell {
+            self.place.shift(entity, from, to.cell);
+            self.look(grounder, entity);
+        }
+    }
+
+    /// Takes note of the bodies afresh and computes all facts that the rules can ask for. How many there are.
+    pub fn count_facts(&mut self, grounder: &Grounder, draws: Draws) -> u64 {
+        let lines = |lists: &[Set<W>]| i32::try_from(lists.len() - 1).expect("an area has fewer than 2^31 lines");
+        let size = [lines(&self.place.rows), lines(&self.place.cols)];
+        self.fill(grounder, self.place.first, size);
+        let scene = Scene {
+            grounder,
+            bodies: &self.bodies,
+            place: &self.place,
+            draws,
+        };
+        let all = first(self.bodies.len());
+        let lists = (0..grounder.lists.len())
+            .flat_map(|list| (0..self.bodies.len()).map(move |at| (list, at)))
+            .map(|(list, at)| scene.narrow(list, at, all));
+        let ones = |set: Set<W>| set.iter().map(|word| u64::from(word.count_ones())).sum::<u64>();
+        self.inputs.iter().copied().chain(lists).map(ones).sum()
+    }
+
+    /// Evaluates the rules.
+    pub fn run(&mut self, grounder: &Grounder, draws: Draws) {
+        for (input, set) in self.inputs.iter().enumerate() {
+            self.bit_state.set_input(&grounder.dense, input, *set);
+        }
+        let scene = Scene {
+            grounder,
+            bodies: &self.bodies,
+            place: &self.place,
+            draws,
+        };
+        self.bit_state.run(&grounder.dense, &scene);
+    }
+}
+
+/// Answers what the executor asks about pairs.
+struct Scene<'a, const W: usize> {
+    grounder: &'a Grounder,
+    bodies: &'a [Body],
+    place: &'a Place<W>,
+    draws: Draws,
+}
+
+impl<const W: usize> BinaryFacts<W> for Scene<'_, W> {
+    #[inline]
+    fn narrow(&self, list: usize, at: usize, among: Set<W>) -> Set<W> {
+        let asked = &self.grounder.lists[list];
+        let Some((predicate, relation)) = &asked.predicate else {
+            return [0; W];
+        };
+        with_relation!(relation, relation => match asked.axis {
+            Argument::Second => self.seconds(*predicate, relation, at, among),
+            Argument::First => self.firsts(*predicate, relation, at, among),
+        })
+    }
+
+    #[inline]
+    fn any<const N: usize>(&self, lists: [usize; N], demand: Set<W>, among: Set<W>) -> Set<W> {
+        let asked = |list: usize| &self.grounder.lists[list];
+        // The field of view need not be computed where another list has only entities in it.
+        let skips = lists.iter().any(|&list| asked(list).in_view);
+        let mut found = [0; W];
+        for at in members(&demand) {
+            let mut set = among;
+            for list in lists {
+                if skips && asked(list).is_view {
+                    continue;
+                }
+                set = self.narrow(list, at, set);
+                if is_empty(&set) {
+                    break;
+                }
+            }
+            if !is_empty(&set) {
+                found[at / 64] |= 1 << (at % 64);
+            }
+        }
+        found
+    }
+}
+
+impl<const W: usize> Scene<'_, W> {
+    /// Those among which a relation holds of `at` and them.
+    #[inline(always)]
+    fn seconds<R: Relation>(&self, predicate: usize, relation: &R, at: usize, among: Set<W>) -> Set<W> {
+        let x = &self.bodies[at];
+        let near = self.reached(x.at, relation.reach(&self.grounder.views, x.kind, x.heading), among);
+        if R::FILLS_REACH {
+            return near;
+        }
+        keep(near, |other| {
+            let y = &self.bodies[other];
+            let draw = |probability| self.decides(predicate, x, y, probability);
+            match other == at {
+                true => R::REFLEXIVE,
+                false => relation.test(&x.subject(), &y.subject(), draw),
+            }
+        })
+    }
+
+    /// Those among which a relation holds of them and `at`.
+    #[inline(always)]
+    fn firsts<R: Relation>(&self, predicate: usize, relation: &R, at: usize, among: Set<W>) -> Set<W> {
+        let y = &self.bodies[at];
+        keep(self.reached(y.at, relation.reach_back(), among), |other| {
+            let x = &self.bodies[other];
+            let draw = |probability| self.decides(predicate, x, y, probability);
+            match other == at {
+                true => R::REFLEXIVE,
+                false => relation.holds(&self.grounder.views, &x.subject(), &y.subject(), draw),
+            }
+        })
+    }
+
+    #[inline(always)]
+    fn reached(&self, from: Cell, reach: Reach, among: Set<W>) -> Set<W> {
+        match reach {
+            Reach::Nowhere => [0; W],
+            Reach::Within(cells) => and(among, &self.place.around(from, cells)),
+            Reach::Anywhere => among,
+        }
+    }
+
+    fn decides(&self, predicate: usize, x: &Body, y: &Body, probability: f64) -> bool {
+        (self.draws).decides(predicate, x.agent as usize, y.agent as usize, probability)
+    }
+}
+
+/// Those of a set for which it holds.
+#[inline]
+fn keep<const W: usize>(set: Set<W>, holds: impl Fn(usize) -> bool) -> Set<W> {
+    let mut kept = set;
+    if !is_empty(&set) {
+        for member in members(&set) {
+            if !holds(member) {
+                kept[member / 64] &= !(1 << (member % 64));
+            }
+        }
+    }
+    kept
+}

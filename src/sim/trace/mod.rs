@@ -1,0 +1,13 @@
+//! What a run leaves behind: its trace, the state of a tick from it, and why agents decided or waited.
+
+mod coverage;
+mod deadlock;
+mod replay;
+mod why;
+mod writer;
+
+pub use coverage::{ClauseCoverage, Coverage};
+pub use deadlock::{DeadlockReport, LOOK_TICKS, STUCK_TICKS, WaitsFor, find_deadlocks, waits};
+pub use replay::{Replay, TraceAgent, TraceHeader, TraceState, TraceTick};
+pub use why::{Account, Decision};
+pub use writer::{Driven, TRACE_VERSION, TraceWriter, hash_sources};
