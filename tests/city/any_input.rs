@@ -1,5 +1,5 @@
-//! What is true whatever bytes come in, of configurations, scenes and rules of a city. `hostile` asks it of many inputs in every
-//! test run, `tests/fuzz` of as many as there is time for. Each function panics where something is not as it should be.
+//! Properties that hold for any bytes as a configuration, a scene or rules of a city. `hostile` checks them on many
+//! inputs in every test run, `tests/fuzz` for as long as it runs. Each function panics if a property does not hold.
 
 use logicity::builtin::BuiltinFiles;
 use logicity::config::{load_map, load_scenario};
@@ -11,7 +11,7 @@ use logicity::sim::{Executor, Finding, Inference, conflicts as find_conflicts, s
 use std::cell::RefCell;
 use std::path::Path;
 
-/// Actions of rules that can be derived together are found; each scene that shows it can be written.
+/// The search for conflicting actions ends, and each scene it finds can be written as JSON.
 pub fn conflicts(bytes: &[u8]) {
     let mut sources = Sources::new();
     let entry = sources.add("any.dl", String::from_utf8_lossy(bytes));
@@ -29,7 +29,7 @@ pub fn conflicts(bytes: &[u8]) {
     }
 }
 
-/// A text is taken as a configuration and as a map, or refused.
+/// A text loads as a configuration and as a map, or gives diagnostics.
 pub fn config(bytes: &[u8]) {
     let text = String::from_utf8_lossy(bytes);
     let read = |path: &Path| match path == Path::new("any.yaml") {
@@ -44,14 +44,14 @@ pub fn config(bytes: &[u8]) {
     draw(&scenario.err().unwrap_or_default(), &sources);
 }
 
-/// A scene is answered, and always in the same way, or refused.
+/// A scene gets the same answer every time, or diagnostics.
 pub fn scene(bytes: &[u8]) {
     let text = String::from_utf8_lossy(bytes);
     let mut sources = Sources::new();
     let source = sources.add_from("scene", text, 9);
     INFERENCE.with_borrow_mut(|inference| match inference.answer(&sources, source) {
         Ok(answer) => {
-            let again = inference.answer(&sources, source).expect("it was just answered");
+            let again = inference.answer(&sources, source).expect("the same scene");
             assert_eq!(again.to_json(), answer.to_json());
         }
         Err(faults) => {
@@ -64,18 +64,18 @@ pub fn scene(bytes: &[u8]) {
 }
 
 thread_local! {
-    /// Preparing it takes far longer than answering a scene.
+    /// Shared, since preparing it takes far longer than answering a scene.
     static INFERENCE: RefCell<Inference> = RefCell::new(inference());
 }
 
 fn inference() -> Inference {
     let mut sources = Sources::new();
-    let scenario = load_scenario(&mut sources, Path::new("expert"), &BuiltinFiles).expect("it is built in");
+    let scenario = load_scenario(&mut sources, Path::new("expert"), &BuiltinFiles).expect("built in");
     let entry = sources.add("any.dl", ".include \"expert.dl\"");
     let (program, _) = Program::load(&mut sources, entry, &BuiltinFiles);
     Inference::new(
         scenario,
-        program.expect("it is built in"),
+        program.expect("built in"),
         Seed(0),
         Executor::Auto,
         BuiltinFiles,
@@ -83,7 +83,7 @@ fn inference() -> Inference {
     .expect("they fit")
 }
 
-/// Every diagnostic can be shown.
+/// Prints every diagnostic as text and as JSON.
 fn draw(diagnostics: &[Diagnostic], sources: &Sources) {
     if !diagnostics.is_empty() {
         assert!(!render(diagnostics, sources, false).is_empty());

@@ -1,4 +1,4 @@
-//! Configurations: the files we ship, every message, the blocks of the reference, and hostile input.
+//! Configurations: the shipped files, every message, the blocks of the reference, and hostile input.
 
 use logicity::builtin::{self, BuiltinFiles};
 use logicity::city::{Action, AgentConfig, AgentKind, Buildings, Split};
@@ -14,7 +14,7 @@ use std::time::{Duration, Instant};
 
 const ROOT: &str = env!("CARGO_MANIFEST_DIR");
 
-/// The codes that loading a configuration gives; each has a fixture `<code>.yaml` or `<code>/main.yaml`.
+/// The codes of faults in configurations. Each has a fixture `<code>.yaml` or `<code>/main.yaml`.
 const FIXTURES: [&str; 8] = [
     "not-text",
     "limit-exceeded",
@@ -35,7 +35,7 @@ fn load(path: &Path) -> Scenario {
     load_scenario(&mut sources, path, &BuiltinFiles).unwrap_or_else(|faults| panic!("{}", rendered(&sources, &faults)))
 }
 
-/// Loads `main.yaml` of a few files that exist in memory only; beside them the built-in files.
+/// Loads `main.yaml` of a few files in memory, which may refer to built-in files.
 fn load_memory(files: &[(&str, &str)]) -> (Sources, Result<Scenario, Vec<Diagnostic>>) {
     let read = |path: &Path| {
         let found = files.iter().find(|(name, _)| Path::new(name) == path);
@@ -61,7 +61,7 @@ fn bad(files: &[(&str, &str)]) -> String {
 
 #[test]
 fn every_mode_loads_with_the_agents_of_the_reference() {
-    // Cars and pedestrians in train, val and test; predicates besides `Sees`.
+    // Cars and pedestrians in train, val and test; predicates except `Sees`.
     let table = [
         ("easy", [(6, 2), (7, 3), (9, 6)], 9),
         ("medium", [(6, 3), (7, 5), (10, 8)], 12),
@@ -105,7 +105,7 @@ fn every_mode_loads_with_the_agents_of_the_reference() {
     }
 }
 
-/// The faults a text says it has, beside the lines that have them: (line, code).
+/// Returns the faults that the comments of a text expect: (line, code).
 fn expected(text: &str) -> Vec<(usize, String)> {
     let mut out = Vec::new();
     for (line, text) in text.lines().enumerate() {
@@ -117,7 +117,7 @@ fn expected(text: &str) -> Vec<(usize, String)> {
     out
 }
 
-/// The faults that were found: (line, code).
+/// Returns the line and the code of each fault.
 fn found(sources: &Sources, faults: &[Diagnostic]) -> Vec<(usize, String)> {
     let mut out: Vec<_> = faults
         .iter()
@@ -134,7 +134,7 @@ fn found(sources: &Sources, faults: &[Diagnostic]) -> Vec<(usize, String)> {
 }
 
 #[test]
-fn fixtures_give_the_faults_they_say() {
+fn fixtures_give_the_faults_they_expect() {
     let folder = Path::new(ROOT).join("tests/fixtures/diagnostics");
     for code in FIXTURES {
         let file = folder.join(code).with_extension("yaml");
@@ -160,7 +160,7 @@ fn fixtures_give_the_faults_they_say() {
 }
 
 #[test]
-fn sets_that_were_recorded_are_as_recorded() {
+fn agent_sets_equal_the_recorded_ones() {
     let sets = |mode: &str| {
         let scenario = load(&Path::new(ROOT).join("configs").join(mode).with_extension("yaml"));
         let set = scenario.agent_set(Split::Test).expect("test").clone();
@@ -267,7 +267,7 @@ fn values_are_those_of_the_reference() {
     );
     assert_eq!(expert.actions.priority, Action::ALL);
     let Buildings::Fixed(rows) = &expert.map.buildings.value else {
-        panic!("the map of the paper is fixed")
+        panic!("the paper's map has fixed buildings")
     };
     assert_eq!((rows.len(), rows[0].len()), (10, 10));
 }
@@ -301,7 +301,7 @@ agents:
         at_most: Some(15.0),
     };
     assert_eq!(scenario.predicates[11].definition, close.into());
-    // A list replaces the list of the base; what is not mentioned stays.
+    // A list replaces the list of the base; other keys stay.
     let set = scenario.agent_set(Split::Test).expect("test");
     assert_eq!(set.len(), 1 + 8);
     assert_eq!(set.agents().next().expect("a car").concepts[..], ["taxi"]);
@@ -309,7 +309,7 @@ agents:
 }
 
 #[test]
-fn nothing_removes_what_the_base_has() {
+fn null_removes_a_key_of_the_base() {
     let scenario = good(&[(
         "main.yaml",
         "base: configs/expert.yaml\nregion: ~\nagents: {train: ~}\n",
@@ -319,7 +319,7 @@ fn nothing_removes_what_the_base_has() {
 }
 
 #[test]
-fn a_part_with_a_path_or_a_base_of_its_own_replaces_the_part_of_the_base() {
+fn a_part_with_its_own_path_or_base_replaces_the_part_of_the_base() {
     let part = "train: {cars: [{priority: 1}]}\n";
     let by_path = good(&[
         ("main.yaml", "base: configs/expert.yaml\nagents: mine.yaml\n"),
@@ -333,7 +333,7 @@ fn a_part_with_a_path_or_a_base_of_its_own_replaces_the_part_of_the_base() {
 }
 
 #[test]
-fn the_hash_is_of_the_content_and_not_of_files_places_or_names() {
+fn the_hash_depends_on_content_and_not_on_files_places_or_names() {
     let one = good(&[("main.yaml", "base: configs/expert.yaml\nview: 30\n")]);
     let same = good(&[
         (
@@ -352,13 +352,13 @@ fn the_hash_is_of_the_content_and_not_of_files_places_or_names() {
             .iter()
             .all(|hash| modes.iter().filter(|other| *other == hash).count() == 1)
     );
-    // The rules have a hash of their own.
+    // The rules have a separate hash.
     let ruled = good(&[("main.yaml", "base: configs/hard.yaml\nrules: rules/transfer-hard.dl\n")]);
     assert_eq!(load(Path::new("hard")).hash, ruled.hash);
 }
 
 #[test]
-fn a_set_is_there_many_times() {
+fn repeat_multiplies_an_agent_set() {
     let set = "test: {cars: [{priority: 1, concepts: [bus]}, {count: 2, priority: 2}], pedestrians: [{priority: 7}]";
     let scenario = |more: &str| {
         let text = format!("base: configs/expert.yaml\nagents: {{train: ~, val: ~, {set}{more}}}}}\n");
@@ -387,7 +387,7 @@ fn a_set_is_there_many_times() {
 }
 
 #[test]
-fn a_million_agents_are_a_few_lines() {
+fn a_few_lines_configure_a_million_agents() {
     let scenario = load(Path::new("metropolis"));
     let set = scenario.agent_set(Split::Test).expect("test");
     assert_eq!(AgentKind::ALL.map(|kind| set.count(kind)), [555_560, 444_448]);
@@ -395,7 +395,7 @@ fn a_million_agents_are_a_few_lines() {
     assert_eq!((last.name.to_string().as_str(), last.priority), ("Car_555560", 10));
 }
 
-/// Reads the built-in files; there are no others.
+/// Reads built-in files only.
 fn builtin_only(path: &Path) -> Result<String, ReadError> {
     match path.starts_with(BUILTIN_FOLDER) {
         true => BuiltinFiles.read(path),
@@ -420,7 +420,7 @@ fn maps_are_found_by_path_and_by_name() {
 }
 
 #[test]
-fn files_that_build_on_themselves_are_reported() {
+fn cycles_of_bases_are_reported() {
     let rendered = bad(&[("main.yaml", "base: b.yaml\n"), ("b.yaml", "base: ./x/../main.yaml\n")]);
     assert!(
         rendered.contains("include-cycle") && rendered.contains("b.yaml:1:7"),
@@ -456,7 +456,7 @@ fn a_missing_base_is_the_only_fault() {
 }
 
 #[test]
-fn a_wrong_letter_of_a_map_is_pointed_at() {
+fn a_wrong_letter_of_a_map_is_reported_at_its_place() {
     let map = "blocks: [1, 1]\nwidths: {street: 11, sidewalk: 5, building: 10, inner_sidewalk: 5}\nbuildings:\n  rows:\n    - OX\n    - H\n";
     let rendered = bad(&[
         ("main.yaml", "base: configs/expert.yaml\nmap: m.yaml\n"),
@@ -501,7 +501,7 @@ fn built_in_files_are_the_files_of_the_folders() {
 }
 
 #[test]
-fn built_in_files_are_read_where_there_is_no_repository() {
+fn built_in_files_are_read_without_a_repository() {
     let same = |path: &str, builtin_path: &str| {
         assert_eq!(
             BuiltinFiles.read_or_builtin(Path::new(path)).ok().as_deref(),
@@ -520,12 +520,12 @@ fn built_in_files_are_read_where_there_is_no_repository() {
         BuiltinFiles.read_or_builtin(Path::new("vocabulary.dl")),
         Err(ReadError::NotFound)
     );
-    // What a built-in configuration names is built in, too.
+    // A built-in configuration refers to built-in files.
     let expert = load_scenario(&mut Sources::new(), Path::new("expert"), &builtin_only).expect("built in");
     same(expert.rules.value.to_str().expect("UTF-8"), "rules/expert.dl");
 }
 
-/// Loads a text as a run configuration and as a map and draws what is wrong, within a bound of time.
+/// Loads a text as a run configuration and as a map, and renders the faults. Fails if that takes more than 20 s.
 fn survive(text: &str) -> String {
     let start = Instant::now();
     let mut out = String::new();
@@ -546,7 +546,7 @@ fn survive(text: &str) -> String {
 }
 
 #[test]
-fn what_an_alias_stands_for_counts_in_the_nesting() {
+fn the_nesting_limit_counts_the_content_of_aliases() {
     let (open, close) = ("[".repeat(40), "]".repeat(40));
     let twice = format!("base: configs/expert.yaml\na: &a {open}x{close}\nb: {open}*a{close}\n");
     let rendered = bad(&[("main.yaml", &twice)]);
@@ -635,7 +635,7 @@ fn slow_hostile_files_fail_fast() {
     assert!(survive(&"\n".repeat(10_000_000)).contains("has 10000000 bytes"));
 }
 
-/// Text that is nearly a configuration: pieces of ours in any order.
+/// Text close to a configuration: pieces of real ones in any order.
 fn near_yaml() -> impl Strategy<Value = String> {
     let piece = prop_oneof![
         Just("base: configs/expert.yaml\n".to_owned()),
@@ -650,23 +650,23 @@ proptest! {
     #![proptest_config(ProptestConfig { cases: 300, failure_persistence: None, ..ProptestConfig::default() })]
 
     #[test]
-    fn no_bytes_make_it_panic(bytes in proptest::collection::vec(any::<u8>(), 0..400)) {
+    fn any_bytes_load_without_a_panic(bytes in proptest::collection::vec(any::<u8>(), 0..400)) {
         survive(&String::from_utf8_lossy(&bytes));
     }
 
     #[test]
-    fn nothing_near_yaml_makes_it_panic(text in near_yaml()) {
+    fn text_close_to_yaml_loads_without_a_panic(text in near_yaml()) {
         survive(&text);
     }
 
     #[test]
-    fn no_mutation_of_our_files_makes_it_panic(
+    fn mutated_built_in_files_load_without_a_panic(
         file in any::<prop::sample::Index>(),
         edits in proptest::collection::vec((any::<prop::sample::Index>(), 0..4usize, "[ -~\n\téß]{0,6}"), 1..6),
     ) {
         let paths = builtin::paths();
         let path = file.get(&paths);
-        let text = builtin::text(path).expect("it is listed");
+        let text = builtin::text(path).expect("listed");
         let mut text: Vec<char> = text.chars().collect();
         for (at, removed, added) in edits {
             let at = at.index(text.len() + 1);
@@ -675,7 +675,7 @@ proptest! {
         }
         let text: String = text.into_iter().collect();
         survive(&text);
-        // As the part it is, too.
+        // Also as part of another configuration.
         let main = format!("base: {path}\n");
         let kind = path.split('/').nth(1).unwrap_or_default();
         let main = match kind {
@@ -689,7 +689,7 @@ proptest! {
 }
 
 #[test]
-fn blocks_of_the_reference_load_or_fail_as_they_say() {
+fn blocks_of_the_reference_load_or_give_the_faults_they_expect() {
     let text = read_text(&Path::new(ROOT).join("configs/README.md")).expect("reference");
     let mut blocks = 0;
     for part in text.split("```yaml\n").skip(1) {
@@ -707,7 +707,7 @@ fn blocks_of_the_reference_load_or_fail_as_they_say() {
                 "predicates.yaml",
                 Some("base: configs/expert.yaml\npredicates: predicates.yaml\n"),
             ),
-            _ => panic!("the first line says what the block is:\n{block}"),
+            _ => panic!("the first line must name the kind of the block:\n{block}"),
         };
         let mut files = vec![(name, block)];
         files.extend(main.map(|main| ("main.yaml", main)));
@@ -725,7 +725,7 @@ fn blocks_of_the_reference_load_or_fail_as_they_say() {
 }
 
 #[test]
-fn every_message_has_a_section_and_those_of_configurations_a_fixture() {
+fn every_message_has_a_section_and_every_configuration_message_a_fixture() {
     let reference = read_text(&Path::new(ROOT).join("configs/README.md")).expect("reference");
     // Their sections are in rules/README.md.
     let others = [Code::INVALID_TRACE, Code::TRACE_MISMATCH, Code::CANCELLED];

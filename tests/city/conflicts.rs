@@ -1,4 +1,4 @@
-//! Actions that can be derived together: each scene that is told is asked again, and a brute force finds nothing smaller.
+//! Conflicts of actions: `infer` confirms each scene that the search reports, and brute force finds no smaller scene.
 
 use crate::shipped_world::MODES;
 use crate::written_program::program;
@@ -18,10 +18,10 @@ fn finding(text: &str, pair: [Action; 2]) -> Finding {
         }
     }
     let overlap = found.into_iter().find(|overlap| overlap.actions == pair);
-    overlap.expect("both actions have clauses").finding
+    overlap.expect("clauses for both actions").finding
 }
 
-/// Whether both actions follow for the first entity, and the scene keeps the constraints.
+/// Whether the rules derive both actions for the first entity, and the scene satisfies the constraints.
 fn holds(program: &Program, scene: &Difference, actions: [Action; 2]) -> bool {
     let mut session = program.session();
     let given = |name: &str| scene.facts.iter().any(|(given, _)| given == name);
@@ -95,12 +95,12 @@ fn the_smallest_scene_is_reported() {
         ),
         r#"{"entities":["e0"],"ego":"e0","facts":{"IsCar":["e0"],"IsTiro":["e0"],"IsAtInter":["e0"],"IsInInter":["e0"]}}"#
     );
-    // One agent alone would have to stand next to itself.
+    // A single agent would have to be next to itself.
     assert_eq!(
         scene("Stop(X) :- NextTo(X, Y). Slow(X) :- NextTo(Z, X).", both),
         r#"{"entities":["e0","e1"],"ego":"e0","facts":{"NextTo":[["e0","e1"],["e1","e0"]]}}"#
     );
-    // The same Y must not be it: three are needed.
+    // The clauses need different Y, so the scene has three agents.
     assert_eq!(
         scene(
             "Stop(X) :- LeftOf(Y, X), Not(IsCar(Y)). Slow(X) :- LeftOf(Y, X), IsCar(Y), IsBus(Y), Not(IsBus(X)).",
@@ -121,7 +121,7 @@ fn slow_derived_predicates_are_searched() {
         Slow(X) :- IsTiro(X), Not(IsOld(_)), IsBus(X).
         Fast(X) :- IsTiro(X), Not(NextTo(X, _)), IsBus(X).
         Fast(X) :- Near(X, Y), Not(NextTo(X, Y)), IsBus(Y).";
-    // No scene shows it, and a way along `Near` may be of any length.
+    // No scene shows a conflict, and paths along `Near` have any length.
     let found = finding(&rules(text), [Action::Slow, Action::Stop]);
     assert!(
         matches!(found, Finding::NotFound(Equivalence::NoneFound { entities: Some(most), proof: None, .. }) if most >= 4),
@@ -131,7 +131,7 @@ fn slow_derived_predicates_are_searched() {
         scene(text, [Action::Fast, Action::Stop]),
         r#"{"entities":["e0","e1"],"ego":"e0","facts":{"IsPedestrian":["e1"],"IsCar":["e0"],"IsBus":["e0"],"IsOld":["e1"],"NextTo":[["e0","e1"],["e1","e0"]]}}"#
     );
-    // Held must not hold, so Free has to, of which neither action speaks.
+    // `Held` must not hold, so `Free` must hold, which no clause of the actions mentions.
     let text = ".decl Held, Free(x: agent)
         Fast(X) :- IsBus(X), Not(Held(X)).
         Held(X) :- IsBus(X), Not(Free(X)).
@@ -155,7 +155,7 @@ fn constants_and_comparisons_are_respected() {
     );
     let never = "Stop(X) :- IsCar(X), X = \"Car_1\". Slow(X) :- IsCar(X), X = \"Car_2\".";
     assert_eq!(finding(&rules(never), both), Finding::Excluded);
-    // A fact of the text derives an action, too.
+    // A fact in the text also derives an action.
     let given = "Stop(\"a\"). Slow(X) :- IsCar(X).";
     assert_eq!(
         scene(given, both),
@@ -172,13 +172,13 @@ fn constants_and_comparisons_are_respected() {
     assert!(scene(many, both).contains("e4"));
 }
 
-/// Constraints exclude pairs, and are kept where the view is not complete.
+/// Constraints exclude pairs, and scenes with a partial view satisfy them.
 #[test]
-fn constraints_are_relied_on() {
+fn the_search_relies_on_constraints() {
     let both = [Action::Slow, Action::Stop];
     let text = "Stop(X) :- IsBus(X). Slow(X) :- IsOld(X).";
     assert_eq!(finding(&rules(text), both), Finding::Excluded);
-    // Two that see each other stop, and no bus is left that does not.
+    // Two buses that see each other are both `Met`. So e1 must not see e0.
     let text = ".decl Met(x: agent) Met(X) :- IsBus(X), IsBus(Y), X != Y. Stop(X) :- Met(X).
         Slow(X) :- IsBus(Y), Not(Met(Y)), NextTo(X, Y).";
     let shown = scene(text, both);
@@ -188,9 +188,9 @@ fn constraints_are_relied_on() {
     );
 }
 
-/// Rules with expressions and aggregates have no circuit, so nothing is proved of them.
+/// Rules with expressions and aggregates have no circuit, so the search samples scenes and proves nothing.
 #[test]
-fn what_has_no_circuit_is_tried() {
+fn rules_without_a_circuit_are_sampled() {
     let both = [Action::Slow, Action::Stop];
     let computed = "Stop(X) :- IsCar(X), 5 = strlen(X). Slow(X) :- IsCar(X).";
     let found = finding(&rules(computed), both);
@@ -208,22 +208,22 @@ fn what_has_no_circuit_is_tried() {
         scene(none_near, both),
         r#"{"entities":["e0"],"ego":"e0","facts":{"IsCar":["e0"],"IsBus":["e0"]}}"#
     );
-    // The scene of seven facts comes from the clauses that have a circuit.
+    // The clauses that have a circuit suggest the scene of seven facts.
     let counted = "Slow(X) :- IsCar(X), n = count : { NextTo(X, _) }, n > 3.";
     let found = finding(
         &format!(".include \"vap-hard.dl\"\n{counted}"),
         [Action::Slow, Action::Fast],
     );
     assert!(matches!(found, Finding::Together { .. }), "{found:?}");
-    // If each clause negates the other action, it does not matter what else it says.
+    // If each clause negates the other action, its other literals do not matter.
     let excluded = "Stop(X) :- IsBus(X). Slow(X) :- IsCar(X), Not(Stop(X)), 5 = strlen(X).";
     assert_eq!(finding(&rules(excluded), both), Finding::Excluded);
 }
 
-/// Every set of facts over two entities that keeps the constraints, for rules over a few predicates: the search finds a conflict wherever
-/// there is one.
+/// The search finds a conflict if and only if brute force finds one among all sets of facts over two entities that
+/// satisfy the constraints.
 #[test]
-fn a_brute_force_agrees() {
+fn the_search_agrees_with_brute_force() {
     let bodies = [
         "IsCar(X)",
         "Not(IsCar(X)), IsBus(X)",

@@ -1,4 +1,4 @@
-//! The executors against each other: whatever evaluates the rules, on however many threads, a city goes the same way.
+//! Compares the executors: a run is the same with either one, on any number of threads.
 
 use crate::shipped_world::{MODES, world};
 use logicity::cancel::Cancel;
@@ -10,7 +10,7 @@ use logicity::sim::{Batch, Executor, Settings, Simulation, WINDOW_MAX, World};
 use std::sync::Arc;
 use std::sync::atomic::{AtomicI64, Ordering};
 
-/// Every agent of the test split `times` times, anywhere on the map.
+/// The agents of the test split, repeated `times` times, anywhere on the map.
 fn multiply(scenario: &mut Scenario, times: u32) {
     let mut splits = scenario.splits.iter_mut();
     let (_, set) = splits.find(|(split, _)| *split == Split::Test).unwrap();
@@ -26,7 +26,7 @@ fn simulation(world: &Arc<World>, executor: Executor, threads: usize) -> Simulat
     Simulation::new(Arc::clone(world), Split::Test, Seed(5), settings).unwrap()
 }
 
-/// Lets the simulations run and compares everything they tell.
+/// Runs the simulations and compares their reports.
 fn go_the_same_way(mut simulations: Vec<Simulation>, ticks: u64) {
     let (first, others) = simulations.split_first_mut().unwrap();
     for _ in 0..ticks {
@@ -46,7 +46,7 @@ fn go_the_same_way(mut simulations: Vec<Simulation>, ticks: u64) {
     }
 }
 
-/// How many ticks to compare; README names the long mode.
+/// The number of ticks to compare. README describes `LOGICITY_TICKS`.
 fn ticks() -> u64 {
     std::env::var("LOGICITY_TICKS").map_or(300, |ticks| ticks.parse().expect("a number of ticks"))
 }
@@ -93,9 +93,9 @@ fn a_cancelled_tick_leaves_the_simulation_unchanged() {
     }
 }
 
-/// Cities of a batch go as they would alone, on any number of threads.
+/// Runs of a batch equal single runs, on any number of threads.
 #[test]
-fn a_batch_goes_as_single_cities_do() {
+fn a_batch_equals_single_cities() {
     for &mode in MODES {
         let world = world(mode, None, |_| ());
         let city = |seed| Simulation::new(Arc::clone(&world), Split::Test, Seed(seed), Settings::default()).unwrap();
@@ -105,7 +105,7 @@ fn a_batch_goes_as_single_cities_do() {
         let mut alone: Vec<Simulation> = (0..5).map(city).collect();
         for tick in 0..ticks() {
             for batch in &mut batches {
-                // The third city's first agent is told to stop.
+                // The first agent of the third city must stop.
                 batch
                     .tick(|city| if city == 2 { &[(0, Action::Stop)] } else { &[] })
                     .unwrap();
@@ -125,7 +125,7 @@ fn a_batch_goes_as_single_cities_do() {
     }
 }
 
-/// A given action replaces the decided one, the last of several for an agent, in one tick; whatever the number of threads.
+/// A control replaces the decided action in one tick, on any number of threads. The last control of an agent counts.
 #[test]
 fn controls_replace_decisions() {
     let world = world("expert", None, |scenario| multiply(scenario, 20));
@@ -137,7 +137,7 @@ fn controls_replace_decisions() {
         assert_eq!(led.threads(), threads);
         let count = led.agents().len();
         for tick in 0..10 {
-            // Both begin every tick alike, so only the action given can differ.
+            // Both simulations have the same state before every tick, so only the control can make a difference.
             let decided = free.tick(&[]).unwrap().clone();
             let given = [
                 (count - 1, Action::Fast),
@@ -155,15 +155,15 @@ fn controls_replace_decisions() {
                 _ => assert_eq!(*done, decided[agent]),
             }
         }
-        // Nothing is given from one tick to the next.
+        // A control does not last until the next tick.
         let rested = led.tick(&[]).unwrap();
         assert!(rested.agents.iter().any(|done| done.action != Action::Stop));
     }
 }
 
-/// A control of nobody is refused before anything happens; the other cities of a batch go on.
+/// A control of a missing agent fails before the tick; the other cities of a batch take theirs.
 #[test]
-fn controls_of_nobody_are_refused() {
+fn controls_of_missing_agents_are_errors() {
     let world = world("easy", None, |_| ());
     let mut city = simulation(&world, Executor::Dense, 1);
     let count = city.agents().len();
@@ -179,7 +179,7 @@ fn controls_of_nobody_are_refused() {
     assert_eq!(
         city.tick(&[]).unwrap().agents,
         alone.tick(&[]).unwrap().agents,
-        "the good control of a bad list is forgotten"
+        "a list with an error has no effect"
     );
 
     for threads in [1, 3] {
@@ -197,9 +197,9 @@ fn controls_of_nobody_are_refused() {
     }
 }
 
-/// More agents than one window takes: tiles, on one thread and on three.
+/// More agents than fit one window: tiles on one thread and on three equal the relational executor.
 #[test]
-fn slow_a_crowd_goes_the_same_way_in_tiles() {
+fn slow_tiles_equal_the_relational_executor() {
     for (mode, times, ticks) in [("expert", 20, 30), ("vap-hard", 30, 12)] {
         let world = world(mode, None, |scenario| multiply(scenario, times));
         let simulations = vec![
@@ -213,9 +213,9 @@ fn slow_a_crowd_goes_the_same_way_in_tiles() {
     }
 }
 
-/// A city of tiles in a batch: threads that are not its own evaluate it.
+/// Threads of a batch evaluate a city of tiles.
 #[test]
-fn a_batch_of_crowds_goes_as_single_ones_do() {
+fn a_batch_of_large_cities_equals_single_cities() {
     let world = world("expert", None, |scenario| multiply(scenario, 20));
     let mut batch = Batch::new((0..3).map(|_| simulation(&world, Executor::Dense, 1)).collect(), 3).unwrap();
     let mut alone = simulation(&world, Executor::Dense, 1);
@@ -228,7 +228,7 @@ fn a_batch_of_crowds_goes_as_single_ones_do() {
     }
 }
 
-/// Windows of 64 words, and more agents around one place than are looked at together.
+/// Windows of 64 words, and more agents around one place than a window holds.
 #[test]
 fn slow_crowds_have_a_limit() {
     let fits = world("vap-hard", None, |scenario| multiply(scenario, 100));
@@ -255,7 +255,7 @@ fn slow_crowds_have_a_limit() {
         };
         scenario.view = 1000;
     });
-    // Several tiles are too crowded; the same one is told whatever the threads do.
+    // Several tiles are too crowded; the error names the same one on any number of threads.
     let error = |threads| {
         simulation(&dense_city, Executor::Dense, threads)
             .tick(&[])
@@ -278,7 +278,7 @@ fn slow_crowds_have_a_limit() {
     assert_eq!((dense_city.now(), dense_city.firings().iter().sum::<usize>()), (0, 0));
 }
 
-/// Everybody sees everybody: windows of several words, up to what is asked of about 300 entities in view.
+/// All agents see each other: windows of several words, with up to 300 entities in view.
 #[test]
 fn slow_executors_agree_about_many_entities_in_view() {
     for times in [4, 9, 17] {
@@ -296,9 +296,9 @@ fn slow_executors_agree_about_many_entities_in_view() {
     }
 }
 
-/// Rules that ask for every predicate in both directions, and look beyond the field of view.
+/// Rules that use every predicate in both directions, and beyond the field of view.
 #[test]
-fn executors_agree_about_rules_that_ask_for_everything() {
+fn executors_agree_about_rules_with_all_predicates() {
     let text = r#"
         .include "vocabulary.dl"
         .decl Behind(x: agent, y: agent)
@@ -332,7 +332,7 @@ fn rules_that_are_not_dense_are_reported() {
         ..Settings::default()
     };
     let Err(fault) = Simulation::new(Arc::clone(&world), Split::Test, Seed(5), settings) else {
-        panic!("recursive rules are not dense")
+        panic!("the dense executor took recursive rules")
     };
     let reason = "the dense executor cannot evaluate these rules, because a predicate depends on itself";
     assert_eq!(fault.message, reason);

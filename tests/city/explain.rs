@@ -13,8 +13,8 @@ fn city(config: &str) -> Simulation {
     Simulation::new(world(config, None, |_| ()), Split::Test, Seed(0), Settings::default()).unwrap()
 }
 
-/// For every decision of the paper's expert city: the proof of each derived action can be replayed and its leaves alone suffice
-/// to derive the action; every literal that is said to keep another action away is false.
+/// For every decision of the paper's expert city: the proof of each derived action replays, and its leaves alone derive
+/// the action. Every literal that the explanation of an absent action calls false is false.
 #[test]
 fn slow_every_decision_of_an_expert_run_is_explained() {
     let mut simulation = city("configs/expert.yaml");

@@ -1,11 +1,12 @@
-//! Configurations, scenes and rules of any kind are used or refused, whatever bytes they are. (`config` has hostile texts of its own.)
+//! Any bytes are valid input or give diagnostics: configurations, scenes and rules. `config` tests further hostile
+//! texts.
 
 use crate::any_input;
 use crate::near_files::{any_bytes, files, near};
 use proptest::prelude::*;
 use std::sync::LazyLock;
 
-/// What the fuzzer begins with.
+/// The seeds of the fuzzer.
 static RULES: LazyLock<Vec<Vec<u8>>> =
     LazyLock::new(|| files(&["tests/corpus", "rules", "tests/fixtures/diagnostics"]));
 static CONFIGS: LazyLock<Vec<Vec<u8>>> = LazyLock::new(|| files(&["configs", "tests/fixtures/diagnostics"]));
@@ -25,12 +26,12 @@ proptest! {
     }
 
     #[test]
-    fn any_configuration_is_used_or_refused(bytes in prop_oneof![4 => near(&CONFIGS), 1 => any_bytes()]) {
+    fn any_configuration_loads_or_gives_diagnostics(bytes in prop_oneof![4 => near(&CONFIGS), 1 => any_bytes()]) {
         any_input::config(&bytes);
     }
 
     #[test]
-    fn any_scene_is_answered_or_refused(bytes in prop_oneof![4 => near(&SCENES), 1 => any_bytes()]) {
+    fn any_scene_gets_an_answer_or_diagnostics(bytes in prop_oneof![4 => near(&SCENES), 1 => any_bytes()]) {
         any_input::scene(&bytes);
     }
 }

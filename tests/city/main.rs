@@ -1,4 +1,4 @@
-//! The city: configurations, maps and moves, decisions, Safe Path Following.
+//! Tests of the city: configurations, maps, moves, decisions and Safe Path Following.
 
 mod any_input;
 mod config;

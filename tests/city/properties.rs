@@ -1,4 +1,4 @@
-//! What holds on every map: the generator, routes compared with the slow and obvious way to find them, and agents under random
+//! Properties of every map: the generator, routes compared with slow and obvious searches, and agents under random
 //! decisions.
 
 use logicity::builtin::BuiltinFiles;
@@ -42,12 +42,12 @@ fn config(blocks: [u32; 2], widths: Widths, buildings: Buildings) -> MapConfig {
     }
 }
 
-/// Any map that can be generated, up to 4 x 4 blocks.
+/// Valid maps of up to 4 x 4 blocks.
 fn maps() -> impl Strategy<Value = Arc<CityMap>> {
     maps_of(1..=4)
 }
 
-/// Maps of so many rows and columns of blocks.
+/// Valid maps with these numbers of rows and columns of blocks.
 fn maps_of(blocks: RangeInclusive<u32>) -> impl Strategy<Value = Arc<CityMap>> {
     let widths =
         (1..=7_u32, 1..=6_u32, 1..=10_u32, 0..=5_u32).prop_map(|(half, sidewalk, building, inner_sidewalk)| Widths {
@@ -63,7 +63,7 @@ fn maps_of(blocks: RangeInclusive<u32>) -> impl Strategy<Value = Arc<CityMap>> {
     })
 }
 
-/// Sizes of every kind: small, odd, and absurd.
+/// Small, odd and absurd sizes.
 fn sizes() -> impl Strategy<Value = u32> {
     prop_oneof![8 => 0..8_u32, 1 => any::<u32>(), 1 => Just(1_000_000_000)]
 }
@@ -84,20 +84,20 @@ fn cells(map: &CityMap) -> impl Iterator<Item = Cell> + use<> {
     (0..rows).flat_map(move |row| (0..cols).map(move |col| Cell::new(row, col)))
 }
 
-/// All places for agents of a kind.
+/// The start and goal cells of a kind.
 fn list(places: &Places, kind: AgentKind) -> Vec<Cell> {
     (0..places.count(kind))
         .map(|number| places.nth(kind, number).unwrap())
         .collect()
 }
 
-/// A map painted layer by layer, later strokes over earlier ones: the definition of what is where. Numbers count from 1.
+/// A map painted layer by layer, later strokes over earlier ones: the definition of a map. Numbers count from 1.
 struct Painted {
     ground: Array2<Ground>,
     mid_line: Array2<bool>,
-    /// Of the block, where a building stands.
+    /// The number of the block on cells with a building.
     block: Array2<u32>,
-    /// Of the intersection whose entrance line, outline or inside this is.
+    /// The number of the intersection on its entrance lines, its outline and its inside.
     entrance: Array2<u32>,
     outline: Array2<u32>,
     inside: Array2<u32>,
@@ -132,7 +132,7 @@ impl Painted {
         painted
     }
 
-    /// Walking streets, buildings and the mid lines along them. What stays untouched is traffic street.
+    /// Walking streets, buildings and the mid lines along them. Other cells are traffic street.
     fn lay_blocks(&mut self, layout: &Layout) {
         let [block_rows, block_cols] = layout.blocks();
         for block_row in 0..block_rows {
@@ -189,7 +189,7 @@ impl Painted {
         }
     }
 
-    /// The side of an intersection that cars with this heading enter by, if a street leads up to it from that side.
+    /// The side by which cars with this heading enter an intersection, if a street leads to that side.
     fn lay_side(&mut self, layout: &Layout, entering: Heading, [street_row, street_col]: [i32; 2], number: u32) {
         let [block_rows, block_cols] = layout.blocks();
         let down = matches!(entering, Heading::Down | Heading::Up);
@@ -200,7 +200,7 @@ impl Painted {
         };
         let (across, along) = (layout.intersection_span(street), layout.intersection_span(end));
         let forward = matches!(entering, Heading::Down | Heading::Right);
-        // A street that comes from beyond the world is none, and cars on a street along an edge have no line to wait at.
+        // No street comes from beyond the world, and cars on a street along an edge have no line to wait at.
         let beyond = if forward { end == 0 } else { end == ends };
         if beyond || street == 0 || street == streets {
             return;
@@ -228,7 +228,7 @@ impl Painted {
     }
 }
 
-/// A shortest way on foot: its number of cells.
+/// The number of cells of a shortest path on foot.
 fn walk(map: &CityMap, start: Cell, goal: Cell) -> Option<usize> {
     let mut seen = BTreeSet::from([start]);
     let mut queue = VecDeque::from([(start, 1)]);
@@ -249,7 +249,7 @@ fn distance(from: Cell, to: Cell) -> u32 {
     from.row.abs_diff(to.row) + from.col.abs_diff(to.col)
 }
 
-/// The cost of going on from lane to lane.
+/// The cost of a connector between lanes.
 fn cost(routing: Routing, from: Lane, to: Lane) -> u32 {
     match routing {
         Routing::Hops => 2,
@@ -292,8 +292,8 @@ fn is_beside(map: &CityMap, lane: Lane, cell: Cell) -> bool {
     (0..=lane.length().cast_signed()).contains(&along) && (1..=half_street).contains(&right_of_mid_line)
 }
 
-/// On which side of a cell, seen along the heading, the mid line of its street is: walk to both sides up to where cars cannot
-/// be. `None` where the street has no mid line to either side.
+/// The side of a cell, seen along the heading, with the mid line of its street: search both sides up to where cars
+/// cannot be. `None` where the street has no mid line to either side.
 fn mid_line_is_left(map: &CityMap, cell: Cell, heading: Heading) -> Option<bool> {
     let (left, right) = match heading {
         Heading::Left => (Heading::Down, Heading::Up),
@@ -301,7 +301,7 @@ fn mid_line_is_left(map: &CityMap, cell: Cell, heading: Heading) -> Option<bool>
         Heading::Up => (Heading::Left, Heading::Right),
         Heading::Down => (Heading::Right, Heading::Left),
     };
-    // The mid line of this street, not the end of one that comes from the side.
+    // Only the mid line of this street counts, not the end of a side street's.
     let is_along =
         |cell: Cell| map.is_mid_line(cell) && [1, -1].iter().any(|&step| map.is_mid_line(cell.ahead(heading, step)));
     let reaches = |side: Heading| {
@@ -316,7 +316,7 @@ fn mid_line_is_left(map: &CityMap, cell: Cell, heading: Heading) -> Option<bool>
     }
 }
 
-/// How many cells an agent can move along the cells before it, by definition: straight on, and over no node of the road graph.
+/// The number of cells that an agent can move, by definition: straight ahead, and over no node of the road graph.
 fn plainly_possible(map: &CityMap, kind: AgentKind, cells: &[Cell]) -> usize {
     let reach = if kind == AgentKind::Car { 3 } else { 1 };
     let heading = |steps: usize| Heading::between(cells[steps - 1], cells[steps]);
@@ -390,7 +390,7 @@ proptest! {
     #![proptest_config(ProptestConfig::with_cases(64))]
 
     #[test]
-    fn the_generator_answers_every_configuration(
+    fn the_generator_accepts_or_rejects_every_configuration(
         blocks in [sizes(), sizes()],
         (street, sidewalk, building, inner_sidewalk) in (sizes(), sizes(), sizes(), sizes()),
         buildings in building_tables(),
@@ -405,9 +405,9 @@ proptest! {
         }
     }
 
-    /// What the map says of a cell, against a map that was painted layer by layer.
+    /// Each cell of the map equals that of a map painted layer by layer.
     #[test]
-    fn the_map_is_the_painted_one(map in maps()) {
+    fn the_map_equals_the_painted_one(map in maps()) {
         let painted = Painted::new(&map);
         let nodes: BTreeSet<Cell> = Router::new(map.clone(), Routing::Weighted).lanes().flat_map(|lane| [lane.start, lane.end]).collect();
         let semantic = map.semantic(&[Cell::new(0, 1), Cell::new(-1, 0)]).unwrap();
@@ -439,7 +439,7 @@ proptest! {
         }
     }
 
-    /// Start cells against their definition, cell by cell.
+    /// Start cells equal their definition, cell by cell.
     #[test]
     fn start_cells_are_beside_the_right_buildings(map in maps(), region in 0..120_u32, trip in 0..100_u32, pick in any::<Index>()) {
         let building = |cell: Cell| map.building_at(cell);
@@ -464,7 +464,7 @@ proptest! {
             for cell in cells(&map).step_by(7) {
                 prop_assert_eq!(places.contains(kind, cell), expected.contains(&cell));
             }
-            // The goals of an agent that starts at a place, or where none is.
+            // The goals of an agent, with and without a start cell.
             if expected.is_empty() {
                 continue;
             }
@@ -484,7 +484,7 @@ proptest! {
     }
 
     #[test]
-    fn cars_get_everywhere_by_the_best_way_and_keep_right(map in maps(), picks in proptest::collection::vec(any::<[Index; 2]>(), 6)) {
+    fn cars_reach_every_goal_by_a_best_route_and_keep_right(map in maps(), picks in proptest::collection::vec(any::<[Index; 2]>(), 6)) {
         let places = list(&Places::new(&Router::new(map.clone(), Routing::Weighted), None, None), AgentKind::Car);
         prop_assume!(!places.is_empty());
         for routing in [Routing::Weighted, Routing::Hops] {
@@ -504,9 +504,9 @@ proptest! {
         }
     }
 
-    /// Where a map is too large to be searched as a whole.
+    /// On maps that are too large for a search of the whole.
     #[test]
-    fn slow_ways_over_large_maps_are_as_good(map in maps_of(7..=13), pick in any::<[Index; 2]>(), near in any::<Index>()) {
+    fn slow_routes_on_large_maps_are_best(map in maps_of(7..=13), pick in any::<[Index; 2]>(), near in any::<Index>()) {
         for routing in [Routing::Weighted, Routing::Hops] {
             let router = Router::new(map.clone(), routing);
             let places = Places::new(&router, None, None);
@@ -544,7 +544,7 @@ proptest! {
     }
 
     #[test]
-    fn slow_pedestrians_take_a_shortest_way(map in maps(), picks in proptest::collection::vec(any::<[Index; 2]>(), 12)) {
+    fn slow_pedestrians_take_a_shortest_path(map in maps(), picks in proptest::collection::vec(any::<[Index; 2]>(), 12)) {
         let routers = [Routing::Weighted, Routing::Hops].map(|routing| Router::new(map.clone(), routing));
         let places: Vec<Cell> = cells(&map).filter(|&cell| map.is_walkable(cell)).collect();
         for (pick, router) in picks.into_iter().flat_map(|pick| routers.iter().map(move |router| (pick, router))) {
@@ -559,7 +559,7 @@ proptest! {
     }
 
     #[test]
-    fn agents_stay_on_their_way_under_any_decisions(
+    fn agents_stay_on_their_routes_under_any_decisions(
         map in maps(),
         seed in any::<u64>(),
         trip in proptest::option::of(20..200_u32),
@@ -570,7 +570,7 @@ proptest! {
         let set = agent_set(places.count(AgentKind::Car).min(3), places.count(AgentKind::Pedestrian).min(3), None);
         let agents = match place_agents(&set, &router, &places, Seed(seed)) {
             Ok(agents) => agents,
-            // Pedestrians go to another block: there is none, or the trip is too short.
+            // Pedestrians walk to another block, which may not exist or lie beyond the trip.
             Err(diagnostic) => {
                 prop_assert_eq!(diagnostic.code, Code::NO_ROUTE);
                 return Ok(());
@@ -626,7 +626,7 @@ fn too_many_agents_for_a_region_are_reported() {
         let places = Places::new(&router, set.region.map(|region| region.value), None);
         place_agents(set, &router, &places, Seed(1)).map_err(|diagnostic| diagnostic.code)
     };
-    // Two stores with two kerbs of ten cells each.
+    // Two stores with two curbs of ten cells each.
     assert_eq!(place(&agent_set(40, 0, None)).map(|agents| agents.len()), Ok(40));
     assert_eq!(
         place(&agent_set(41, 0, None)).map(|agents| agents.len()),
@@ -643,9 +643,9 @@ fn too_many_agents_for_a_region_are_reported() {
     assert_eq!(place(&agent_set(0, 0, Some(5))).map(|agents| agents.len()), Ok(0));
 }
 
-/// The published way is searched for, and a search has an end; other ways are found on any map.
+/// The search for the published path has a limit; the formula for other paths has none.
 #[test]
-fn slow_published_ways_on_foot_can_be_too_far() {
+fn slow_published_paths_on_foot_can_be_too_long() {
     let config = load_map(&mut Sources::new(), Path::new("metropolis"), &BuiltinFiles).expect("built in");
     let map = Arc::new(CityMap::generate(&config).expect("a valid map"));
     let [published, ours] = [Routing::Hops, Routing::Weighted].map(|routing| Router::new(map.clone(), routing));
@@ -671,7 +671,7 @@ fn slow_agents_of_a_metropolis_are_small_and_keep_to_their_trips() {
     let router = Router::new(Arc::new(map), scenario.routing);
     let trip = set.trip.map(|trip| trip.value);
     let places = Places::new(&router, None, trip);
-    let mut agents = place_agents(&set, &router, &places, Seed(1)).expect("there is room");
+    let mut agents = place_agents(&set, &router, &places, Seed(1)).expect("free start cells");
     let starts: BTreeSet<Cell> = agents.iter().map(|agent| agent.cell).collect();
     assert_eq!((agents.len(), starts.len()), (9_000, 9_000));
     let routes: usize = agents.iter().map(|agent| agent.route().heap_bytes()).sum();
@@ -702,7 +702,7 @@ fn slow_agents_of_a_metropolis_are_small_and_keep_to_their_trips() {
     assert!(replanned > 9_000);
 }
 
-/// Which part of the cells of some ways are at an intersection and which are in one, in thousandths.
+/// The share of path cells that are at an intersection, and of those in one, in thousandths.
 fn at_and_in(router: &Router, trips: &[[Cell; 2]]) -> [usize; 2] {
     let map = router.map();
     let route = |&[start, goal]: &[Cell; 2]| router.plan(AgentKind::Pedestrian, start, goal).unwrap();
@@ -718,7 +718,7 @@ fn at_and_in(router: &Router, trips: &[[Cell; 2]]) -> [usize; 2] {
 }
 
 #[test]
-fn pedestrians_meet_intersections_as_often_as_by_the_published_ways() {
+fn pedestrians_meet_intersections_as_often_as_in_the_published_program() {
     let config = load_map(&mut Sources::new(), Path::new("square-5x5"), &BuiltinFiles).expect("built in");
     let map = Arc::new(CityMap::generate(&config).expect("a valid map"));
     let [published, ours] = [Routing::Hops, Routing::Weighted].map(|routing| Router::new(map.clone(), routing));

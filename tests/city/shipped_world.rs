@@ -11,7 +11,7 @@ use std::cell::OnceCell;
 use std::path::Path;
 use std::sync::Arc;
 
-/// The modes of the paper: configurations, and rule files of the same names.
+/// The modes of the paper: the names of their configurations and rule files.
 pub const MODES: &[&str] = &[
     "easy",
     "medium",
@@ -24,26 +24,26 @@ pub const MODES: &[&str] = &[
     "vap-hard",
 ];
 
-/// Those of Safe Path Following.
+/// The modes of Safe Path Following.
 pub const PATH_MODES: &[&str] = MODES.split_at(7).0;
 
-/// A world of a built-in configuration, changed by `edit`; with its rules, or those of `text`.
+/// A world of a built-in configuration, changed by `edit`, with its rules or those of `text`.
 pub fn world(config: &str, text: Option<&str>, edit: impl FnOnce(&mut Scenario)) -> Arc<World> {
-    load(config, &BuiltinFiles, text, edit).expect("it is built in").0
+    load(config, &BuiltinFiles, text, edit).expect("built in").0
 }
 
-/// A world of a built-in configuration with its rules, or those of `text`, and the texts it was made of.
+/// A world of a built-in configuration with its rules or those of `text`, and its sources.
 pub fn with_sources(config: &str, text: Option<&str>) -> (Arc<World>, Sources) {
     load(config, &BuiltinFiles, text, |_| ()).expect("it is built in")
 }
 
-/// Safe Path Following in a built-in configuration; with its rules, or those of `text`.
+/// Safe Path Following in a built-in configuration, with its rules or those of `text`.
 pub fn task(config: &str, text: Option<&str>) -> Arc<SpfTask> {
     let (world, sources) = load(config, &BuiltinFiles, text, |_| ()).expect("it is built in");
     Arc::new(SpfTask::new(world, &sources).unwrap_or_else(|faults| panic!("{faults:?}")))
 }
 
-/// Safe Path Following as the text of a configuration has it.
+/// Safe Path Following in the configuration with this text.
 pub fn task_of(config: &str) -> Result<SpfTask, Vec<Diagnostic>> {
     let read = |path: &Path| match path.to_str() {
         Some("mine.yaml") => Ok(config.to_owned()),
@@ -61,7 +61,7 @@ fn load(
     edit: impl FnOnce(&mut Scenario),
 ) -> Result<(Arc<World>, Sources), Vec<Diagnostic>> {
     let mut sources = Sources::new();
-    // The first rule file that is read is the one that the configuration names.
+    // The loader reads the rule file of the configuration before the files it includes.
     let named = OnceCell::new();
     let read = ReadWith(|path: &Path| match text {
         Some(text) if path.extension() == Some("dl".as_ref()) && named.get_or_init(|| path.to_owned()) == path => {

@@ -1,4 +1,4 @@
-//! Safe Path Following: what is observed, wanted, judged and rewarded.
+//! Safe Path Following: observations, the oracle's actions, violations and rewards.
 
 use crate::shipped_world::{PATH_MODES, task, task_of};
 use logicity::builtin::BuiltinFiles;
@@ -16,13 +16,13 @@ use proptest::prelude::*;
 use std::collections::BTreeSet;
 use std::sync::Arc;
 
-/// Facts about what one agent observes, straight from the definitions.
+/// Facts about the entities that one agent observes, from the definitions.
 struct Plain {
     entities: Vec<usize>,
     facts: BTreeSet<(String, Vec<usize>)>,
 }
 
-/// Draws as a simulation does: only predicates with a chance ask, and the observer's answer is trusted for those.
+/// Draws as a simulation does. Only predicates with a chance draw; for those it takes the observer's value.
 struct Trusted<'a>(&'a BTreeSet<(usize, Vec<usize>)>);
 
 impl Chance for Trusted<'_> {
@@ -31,7 +31,7 @@ impl Chance for Trusted<'_> {
     }
 }
 
-/// All that is true of a city before rules.
+/// All base facts of a city.
 fn facts_of(city: &Simulation, chance: &impl Chance) -> Facts {
     let entities: Vec<Entity<'_>> = (city.agents().iter())
         .map(|agent| Entity {
@@ -70,7 +70,8 @@ impl Plain {
         Plain { entities, facts: known }
     }
 
-    /// Whether a body holds for the ego, trying all entities for all variables. Of the actions `given` hold, of the ego alone.
+    /// Whether a body holds for the ego, by trying all entities for all variables. Of the actions, only `given` of the
+    /// ego hold.
     fn holds(&self, rules: &Rules, clause: usize, given: &Actions) -> bool {
         let clause = &rules.clauses[clause];
         let mut values = vec![self.entities[0]; clause.variables.len()];
@@ -117,8 +118,8 @@ impl Plain {
         holds != matches!(literal, Literal::Negative(_))
     }
 
-    /// What is derived for the ego before the default: strata in their order, so that each negation looks at what is finished, and the
-    /// clauses of each until nothing new follows.
+    /// The actions derived for the ego before the default. Evaluates the strata in order, each to its fixpoint, so that
+    /// negation reads complete relations.
     fn derived(&self, rules: &Rules) -> Actions {
         let mut derived = Actions::new();
         for stratum in &rules.strata {
@@ -152,7 +153,7 @@ impl Plain {
         derived
     }
 
-    /// The constraints that an action breaks.
+    /// The clauses that an action breaks.
     fn violations(&self, task: &SpfTask, action: Action) -> Vec<usize> {
         let (rules, given) = (task.world().program.rules(), Actions::from([action.name()]));
         let constraints = task.oracle().constraints().iter().enumerate();
@@ -172,18 +173,19 @@ fn rules_of(task: &SpfTask) -> String {
     format!(".include \"rules/{rules}\"\n")
 }
 
-/// Rules that mean the same and that the dense executor cannot take. What is added comes last.
+/// Appends a clause to the rules that changes no action but that the dense executor cannot evaluate.
 fn relational(rules: &str) -> String {
     format!("{rules}Stop(X) :- IsCar(X), IsPedestrian(X), IsCar(Y), X != Y.\n")
 }
 
-/// Rules that mean the same, but a body asks for an action in passing: what is wanted and what is broken are evaluated apart.
+/// Appends a clause to the rules that changes no action but whose body reads an action, so that the monitor needs two
+/// evaluations: one for wanted actions and one for broken clauses.
 fn apart(rules: &str) -> String {
     format!("{rules}.decl Halts(x: agent)\nHalts(X) :- Stop(X).\n")
 }
 
-/// Observations, wanted actions and broken clauses are those of the definitions, by either executor and in one evaluation or two, for any
-/// agent as the ego.
+/// Observations, wanted actions and broken clauses equal those of the definitions for every ego, with either executor
+/// and with one evaluation or two.
 #[test]
 fn observers_agree_with_the_definitions() {
     for &mode in PATH_MODES {
@@ -240,7 +242,7 @@ fn observers_agree_with_the_definitions() {
                         let broken = dense.violations(&city, action).unwrap().to_vec();
                         let expected = plain.violations(&plain_task, action);
                         assert_eq!(broken, expected, "{mode} seed {seed} ego {ego} {action:?}");
-                        // The clauses of the included file come first.
+                        // Clauses of the included file come first.
                         assert_eq!(broken, slow.violations(&city, action).unwrap());
                         assert_eq!(broken, twice.violations(&city, action).unwrap());
                         seen[action as usize] += broken.len();
@@ -253,8 +255,8 @@ fn observers_agree_with_the_definitions() {
     }
 }
 
-/// Random clauses that ask actions. What they ask of the actions of their own agent, true or not, comes earlier in a random order; or all
-/// of it is positive and goes in circles.
+/// Random clauses with actions in their bodies. The actions of the head's agent, negated or not, come earlier in a
+/// random order; or all are positive and recursive.
 fn random_clauses(random: &mut impl RngExt) -> String {
     const FACTS: [&str; 10] = [
         "IsTiro(X)",
@@ -284,7 +286,7 @@ fn random_clauses(random: &mut impl RngExt) -> String {
                 vec![["IsCar(X)", "IsPedestrian(X)"][usize::from(random.random_range(0..4) == 0)].to_owned()];
             for fact in 0..random.random_range(0..3) {
                 let fact_of = FACTS[random.random_range(0..FACTS.len())];
-                // Each with a variable of its own.
+                // Each with its own variable.
                 body.push(fact_of.replace('Y', &format!("Y{fact}")));
             }
             for action in asked {
@@ -303,9 +305,10 @@ fn random_clauses(random: &mut impl RngExt) -> String {
     format!(".include \"rules/vocabulary.dl\"\n{}", clauses.concat())
 }
 
-/// What random clauses want and what breaks them is the same in one evaluation, in two, by the relational executor and by the definitions.
+/// Wanted actions and violations of random clauses are the same with one evaluation, two, the relational executor, and
+/// the definitions.
 #[test]
-fn slow_random_clauses_are_judged_as_defined() {
+fn slow_violations_of_random_clauses_agree_with_the_definitions() {
     const CASES: u64 = 48;
     let shipped = task("expert", None);
     let cities: Vec<Simulation> = (0..4)
@@ -388,7 +391,7 @@ fn slow_random_clauses_are_judged_as_defined() {
     );
 }
 
-/// The exact observation, number by number from the agents and the definitions of predicates.
+/// Compares the exact observation, number by number, with the agents and the definitions of predicates.
 #[test]
 fn exact_observations_agree_with_the_definitions() {
     let mut met = [0; 4];
@@ -472,7 +475,7 @@ fn plain_state(city: &Simulation, ego: usize, scale: i32) -> Vec<Vec<f32>> {
     std::iter::once(ego).chain(seen).map(row_of).collect()
 }
 
-/// The recorded episodes of all modes and splits are solved by the oracle as recorded, and break no rule.
+/// The oracle solves the recorded episodes of all modes and splits as recorded, and breaks no rule.
 #[test]
 fn slow_recorded_episodes() {
     for &mode in PATH_MODES {
@@ -514,7 +517,7 @@ fn slow_recorded_episodes() {
             for action in Action::ALL.into_iter().filter(|action| of(*action)) {
                 assert!(
                     asked[action as usize] >= 6,
-                    "{mode} {}: {action:?} is asked in {asked:?}",
+                    "{mode} {}: {action:?} occurs in {asked:?}",
                     split.name()
                 );
             }
@@ -529,9 +532,9 @@ fn some_recorded(task: &SpfTask, split: Split, count: usize) -> EpisodeSet {
     set
 }
 
-/// Side by side, episodes go as one after the other.
+/// Episodes evaluated in one batch equal episodes evaluated alone.
 #[test]
-fn an_exam_goes_as_its_episodes_would_alone() {
+fn a_batch_evaluation_equals_single_episodes() {
     let task = task("expert", None);
     let set = some_recorded(&task, Split::Val, 6);
     for policy in [
@@ -587,12 +590,12 @@ fn the_random_policy_is_the_zero_of_scores() {
     let runs = |episode: usize| &baseline.rollouts()[10 * episode..10 * episode + 10];
     assert!(
         runs(0).iter().any(|run| run != &runs(0)[0]),
-        "each run has draws of its own"
+        "each run has its own draws"
     );
     assert_eq!(drive().rollouts(), baseline.rollouts());
 }
 
-/// What a step tells, for comparison.
+/// The result of a step, for comparison.
 fn observed(env: &Env) -> (Vec<f32>, f64, bool, bool) {
     let mut out = vec![0.0; env.task().observation_width()];
     env.observe(0, &mut out);
@@ -601,7 +604,7 @@ fn observed(env: &Env) -> (Vec<f32>, f64, bool, bool) {
 }
 
 #[test]
-fn an_episode_can_be_begun_again() {
+fn an_episode_can_be_repeated() {
     let task = task("expert", None);
     let mut env = Env::new(Arc::clone(&task), Split::Train, ControlMode::First).unwrap();
     let mut other = Env::new(task, Split::Train, ControlMode::First).unwrap();
@@ -667,7 +670,7 @@ fn every_car_can_be_driven() {
         for (position, was) in running.into_iter().enumerate() {
             let controlled_car = &env.controlled_cars()[position];
             assert!(was || !controlled_car.is_running());
-            // Also of a car whose episode has ended the present is told.
+            // The description of a car whose episode has ended is current, too.
             let mut alone = Observer::new(Arc::clone(task.oracle()), controlled_car.agent());
             alone.begin(env.city());
             alone.look(env.city());
@@ -694,9 +697,9 @@ fn every_car_can_be_driven() {
     assert!(!env.controlled_cars()[2].last().success, "racing breaks a rule");
 }
 
-/// The oracle's steps are those of the first car; the others have the horizon of the configuration.
+/// The first car's horizon follows from the oracle's steps; other cars have that of the configuration.
 #[test]
-fn the_horizon_of_an_episode_is_that_of_who_is_driven() {
+fn the_horizon_depends_on_the_controlled_car() {
     let task = task("expert", None);
     let episode = &some_recorded(&task, Split::Test, 1).episodes[0];
     let steps = episode.oracle.as_ref().unwrap().steps;
@@ -711,7 +714,7 @@ fn the_horizon_of_an_episode_is_that_of_who_is_driven() {
     assert_ne!(2 * steps, task.config().horizon);
 }
 
-/// The fault of a configuration made of `text`.
+/// The fault of a configuration with this task.
 fn fault_of(text: &str) -> Diagnostic {
     let faults = task_of(text).err().unwrap_or_default();
     faults
@@ -742,7 +745,7 @@ fn faulty_tasks_are_reported() {
 }
 
 #[test]
-fn clauses_can_have_weights_of_their_own() {
+fn clauses_can_have_their_own_weights() {
     let text = "base: configs/expert.yaml\ntask: {reward: {violations_per: PER, clauses: {S1: -20, S7: -1}}}\n";
     for (per, expected) in [
         ("action", [-20.0, -5.0, -1.0, -25.0]),
@@ -758,7 +761,7 @@ fn clauses_can_have_weights_of_their_own() {
     }
 }
 
-/// What an agent of an episode carries is checked like an entry of an agent set.
+/// Concepts of an episode's agents are checked as those of an agent set.
 #[test]
 fn agents_of_episodes_have_known_concepts() {
     let mut env = Env::new(task("expert", None), Split::Test, ControlMode::First).unwrap();
@@ -840,7 +843,7 @@ fn faulty_episodes_are_reported() {
     }
 }
 
-/// A key that is misspelt is told with its line; it is not passed over.
+/// An unknown key is an error with a line.
 #[test]
 fn unknown_keys_of_episodes_are_reported() {
     let lines = [
@@ -878,9 +881,9 @@ fn unknown_keys_of_episodes_are_reported() {
 }
 
 proptest! {
-    /// Any text at all is read or refused, and what is written is read the same.
+    /// Any text parses or gives an error, and written episodes parse to the same values.
     #[test]
-    fn episodes_are_read_as_they_are_written(text in ".{0,200}", seed in 0u64..1000) {
+    fn written_episodes_parse_to_the_same_values(text in ".{0,200}", seed in 0u64..1000) {
         let _ = set_of(&text);
         let mut env = Env::new(task("easy", None), Split::Val, ControlMode::First).unwrap();
         env.reset(seed).unwrap();

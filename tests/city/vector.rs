@@ -1,4 +1,4 @@
-//! Many environments that take a step together: each goes as it would alone.
+//! Vectorized environments: results equal those of the individual environments.
 
 use crate::shipped_world::task;
 use logicity::cancel::Cancel;
@@ -9,7 +9,7 @@ use logicity::task::spf::{Autoreset, Begin, ControlMode, Env, EpisodeSource, Inf
 use std::sync::Arc;
 use std::sync::atomic::{AtomicI64, Ordering};
 
-/// An environment alone, and what it was shown last.
+/// An individual environment with its last observation.
 struct Alone {
     env: Env,
     source: EpisodeSource,
@@ -31,7 +31,8 @@ impl Alone {
     }
 }
 
-/// A batch of `count` environments and as many alone, random actions, for so many steps of all of them together.
+/// Compares a batch of `count` environments with individual ones under random actions. `steps` counts those of all
+/// environments together.
 fn compare(config: &str, split: Split, view: ObservationKind, autoreset: Autoreset, threads: usize, steps: usize) {
     const COUNT: usize = 24;
     let task = task(config, None);
@@ -91,9 +92,9 @@ fn compare(config: &str, split: Split, view: ObservationKind, autoreset: Autores
     assert!(ended > 30, "{ended} episodes ended");
 }
 
-/// 10^4 steps for each way to go on after an end.
+/// Compares 10^4 steps in each autoreset mode.
 #[test]
-fn slow_a_batch_goes_as_its_members_would_alone() {
+fn slow_a_batch_equals_individual_environments() {
     compare(
         "expert",
         Split::Train,
@@ -149,7 +150,7 @@ fn the_seeds_of_episodes_are_functions_of_seed_and_number() {
 }
 
 #[test]
-fn recorded_episodes_are_taken_by_the_seed() {
+fn the_seed_chooses_recorded_episodes() {
     let task = task("easy", None);
     let mut env = Env::new(Arc::clone(&task), Split::Val, ControlMode::First).unwrap();
     let recorded: Arc<[_]> = (0..6)
@@ -180,7 +181,7 @@ fn recorded_episodes_are_taken_by_the_seed() {
     seen.sort_unstable();
     seen.dedup();
     assert!(seen.len() > 3, "{seen:?}");
-    // One that is given does not use up one of the source.
+    // An episode from the options takes none from the source.
     let given = Begin::Given(Arc::new(recorded[4].clone()));
     batch.reset(&[Some(given), None], &mut shown).unwrap();
     assert_eq!(*batch.sub_envs()[0].env().episode(), recorded[4]);

@@ -1,5 +1,5 @@
-//! What is true whatever bytes come in. `hostile` asks it of many inputs in every test run, `tests/fuzz` of as many as there is
-//! time for. Each function panics where something is not as it should be.
+//! Properties that hold for any bytes. `hostile` checks them on many inputs in every test run, `tests/fuzz` for as long
+//! as it runs. Each function panics if a property does not hold.
 
 use crate::random_program::agree::agrees;
 use crate::random_program::{Batch, Genome};
@@ -12,8 +12,8 @@ use logicity::diag::{Code, Diagnostic, MAX_FAULTS, Sources, render, to_json};
 use logicity::files::{BUILTIN_FOLDER, ReadError, ReadFile, normalise};
 use std::path::Path;
 
-/// A text is parsed or refused. If it is parsed, what is printed or formatted is read as the same rules, and doing it twice changes
-/// nothing.
+/// A text parses or gives diagnostics. If it parses, the printed and the formatted text parse to the same rules, and
+/// both operations are idempotent.
 pub fn parse(bytes: &[u8]) {
     let text = String::from_utf8_lossy(bytes);
     let mut sources = Sources::new();
@@ -32,7 +32,7 @@ pub fn parse(bytes: &[u8]) {
             "{}",
             render(&again.diagnostics, &sources, false)
         );
-        (again.file, datalog::format(&sources, id).expect("it was just parsed"))
+        (again.file, datalog::format(&sources, id).expect("the text parses"))
     };
     let (again, twice) = read(&formatted);
     assert_eq!(again, parsed.file, "formatted:\n{formatted}");
@@ -43,8 +43,8 @@ pub fn parse(bytes: &[u8]) {
     assert_eq!(datalog::print(&again), printed);
 }
 
-/// Rule files are checked, with all that `check` and `query --plan` tell of them, or refused. A line `// file: NAME` begins another
-/// file.
+/// Rule files pass the checker, and `check` and `query --plan` can print everything about them, or they give
+/// diagnostics. A line `// file: NAME` begins another file.
 pub fn check(bytes: &[u8]) {
     let text = String::from_utf8_lossy(bytes);
     let files = split_files(&text);
@@ -68,7 +68,8 @@ pub fn check(bytes: &[u8]) {
     draw(&logicity::datalog::optimize::lints(rules).diagnostics, &sources);
     for constraints in [false, true] {
         let optimize = constraints;
-        let program = Program::with(rules.clone(), Options { optimize, constraints }).expect("it was just planned");
+        let program =
+            Program::with(rules.clone(), Options { optimize, constraints }).expect("the same rules have a plan");
         program.show_plans(&sources);
     }
     let options = diff::Options {
@@ -80,7 +81,7 @@ pub fn check(bytes: &[u8]) {
     assert!(!matches!(same, Ok(diff::Equivalence::Different(_))), "{same:?}");
 }
 
-/// The program and script of changes that the bytes are read as agree with `naive`.
+/// Sessions agree with `naive` on the program and the script of changes that the bytes encode.
 pub fn evaluate(bytes: &[u8]) {
     let genome = Genome::read(bytes);
     let rules = genome.rules();
@@ -91,7 +92,7 @@ pub fn evaluate(bytes: &[u8]) {
     }
 }
 
-/// A program with its changes, written as in `tests/corpus`, agrees with `naive`, and what it derives is explained.
+/// Sessions agree with `naive` on a program with changes, written as in `tests/corpus`, and explain its rows.
 pub fn query(bytes: &[u8]) {
     let text = String::from_utf8_lossy(bytes);
     let mut sources = Sources::new();
@@ -111,11 +112,11 @@ pub fn query(bytes: &[u8]) {
     }
 }
 
-/// Rows of a relation that are explained, and steps that each may take.
+/// The number of rows to explain in a relation, and the steps for each.
 const EXPLAINED_MAX: usize = 3;
 const EXPLAIN_STEPS: u64 = 20_000;
 
-/// What holds after the script, and what does not, is explained.
+/// Explains rows that hold after the script and rows that do not.
 fn explain(program: &Program, script: &[Batch], sources: &Sources) {
     let rules = program.rules();
     let mut session = program.session();
@@ -147,7 +148,8 @@ fn note(session: &mut Session, batch: &Batch) {
     }
 }
 
-/// A text is taken as rows, which are printed so that they are read as the same, or refused. The first byte chooses the format.
+/// A text loads as rows, whose printed form loads as the same rows, or gives diagnostics. The first byte chooses the
+/// format.
 pub fn rows(bytes: &[u8]) {
     let Some((&kind, bytes)) = bytes.split_first() else {
         return;
@@ -164,8 +166,8 @@ pub fn rows(bytes: &[u8]) {
         ".decl p(x: symbol, n: number, u: unsigned, f: float, y: symbol)\n.input p\n",
     );
     let (program, _) = Program::load(&mut sources, entry, &RuleFiles);
-    let program = program.expect("the rules are good");
-    let p = program.relation("p").expect("it is declared");
+    let program = program.expect("valid rules");
+    let p = program.relation("p").expect("declared");
     let source = sources.add("p.facts", String::from_utf8_lossy(bytes));
     let mut session = program.session();
     match facts::load_as(&mut session, p, &sources, source, &format) {
@@ -175,13 +177,13 @@ pub fn rows(bytes: &[u8]) {
             let printed = written(&session, p, &format);
             let mut again = program.session();
             let source = sources.add("again", printed.as_str());
-            facts::load_as(&mut again, p, &sources, source, &format).expect("it was just printed");
+            facts::load_as(&mut again, p, &sources, source, &format).expect("printed rows load");
             again.commit().expect("nothing is derived");
             assert_eq!(written(&again, p, &format), printed);
         }
         Err(faults) => {
             assert!(!faults.is_empty());
-            // The last of a great many says that there are more.
+            // If there are more faults than the limit, the last one says so.
             let reported = &faults[..faults.len().min(MAX_FAULTS)];
             assert!(reported.iter().all(|fault| fault.code == Code::INVALID_FACT));
             assert!(
@@ -194,7 +196,7 @@ pub fn rows(bytes: &[u8]) {
     }
 }
 
-/// What a file with the rows would hold.
+/// The content of a file with the rows.
 fn written(session: &Session, relation: RelId, format: &RowFormat) -> String {
     let declared = &session.program().rules().relations[relation.index()];
     let mut out = facts::header(declared, format).into_bytes();
@@ -202,7 +204,7 @@ fn written(session: &Session, relation: RelId, format: &RowFormat) -> String {
     String::from_utf8(out).expect("texts are written whole")
 }
 
-/// Every diagnostic can be shown.
+/// Prints every diagnostic as text and as JSON.
 fn draw(diagnostics: &[Diagnostic], sources: &Sources) {
     if !diagnostics.is_empty() {
         assert!(!render(diagnostics, sources, false).is_empty());
@@ -224,15 +226,15 @@ fn split_files(text: &str) -> Vec<(String, String)> {
     files
 }
 
-/// The changes that a text asks for in lines `// insert P: a, 1 | b, 2` and `// retract P: ..`; `// expect` ends a batch. Lines that
-/// do not fit the rules are left out.
+/// Returns the changes in the lines `// insert P: a, 1 | b, 2` and `// retract P: ..` of a text. `// expect` ends a
+/// batch. Ignores lines that do not fit the rules.
 fn batches(rules: &Rules, text: &str) -> Vec<Batch> {
     let mut batches = vec![Batch::new()];
     for line in text.lines() {
         let Some((verb, rest)) = line.strip_prefix("// ").and_then(|line| line.split_once(' ')) else {
             continue;
         };
-        let last = batches.last_mut().expect("one was put there");
+        let last = batches.last_mut().expect("not empty");
         match (verb, rest.split_once(": ")) {
             ("insert" | "retract", Some((name, rows))) => {
                 let rows = rows.split(" | ").filter_map(|row| row_of(rules, name, row));
@@ -259,17 +261,17 @@ fn row_of(rules: &Rules, name: &str, row: &str) -> Option<(RelId, Vec<Value>)> {
         .map(|row| (rel, row))
 }
 
-/// What a program that is compared with `naive` may take.
+/// The limits of a program that is compared with `naive`.
 const LIMITS: Limits = Limits {
     rows: 100,
     steps: 100_000,
     bytes: 1 << 24,
 };
 
-/// Combinations of rows that `naive` tries for one clause.
+/// The combinations of rows that `naive` may try for one clause.
 const COMBINATIONS_MAX: usize = 20_000;
 
-/// Whether `naive` comes to an end soon, after every batch and when the last is undone.
+/// Whether `naive` ends soon after every batch, and after the last batch is undone.
 fn ends_soon(program: &Program, script: &[Batch]) -> bool {
     let rules = program.rules();
     let undo = |(present, rel, row): &(bool, RelId, Vec<Value>)| (!present, *rel, row.clone());
@@ -283,7 +285,7 @@ fn ends_soon(program: &Program, script: &[Batch]) -> bool {
     })
 }
 
-/// How many combinations of rows there are for the atoms of a clause.
+/// The number of combinations of rows for the atoms of a clause.
 fn combinations(clause: &Clause, session: &Session) -> usize {
     let atoms = clause.body.iter().filter_map(positive);
     let sizes = atoms.map(|atom| session.len(atom.relation).max(1));

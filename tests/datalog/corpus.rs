@@ -1,4 +1,4 @@
-//! Programs with their answers beside them, run in every mode. `tests/corpus/README.md` says how such a file is written.
+//! Runs programs with expected answers in every mode. `tests/corpus/README.md` describes the format of the files.
 
 use crate::rule_files::RuleFiles;
 use logicity::datalog;
@@ -10,7 +10,7 @@ use std::collections::{BTreeMap, BTreeSet};
 use std::fs;
 use std::path::{Path, PathBuf};
 
-/// A change of the facts or a question, in the order of the text.
+/// A change of the facts, or a query.
 #[derive(Debug)]
 enum Step {
     Change {
@@ -25,7 +25,7 @@ enum Step {
     },
 }
 
-/// What a file says.
+/// A parsed file.
 #[derive(Default)]
 struct Script {
     steps: Vec<Step>,
@@ -74,22 +74,22 @@ fn read_script(text: &str) -> Script {
 /// The facts that hold, as rows of text.
 type Facts = BTreeMap<String, BTreeSet<String>>;
 
-/// The answer to a question: the rows of a relation as text, sorted.
+/// The answer to a query: the rows of a relation as text, sorted.
 type Answer = Vec<String>;
 
-/// How to evaluate a program.
+/// A mode of evaluation.
 #[derive(Clone, Copy, Debug)]
 enum Mode {
-    /// By the specification.
+    /// The specification.
     Naive,
-    /// A new session for each question.
+    /// A new session for each query.
     FromScratch(Options),
-    /// One session for all, a commit before each question.
+    /// One session for all queries, with a commit before each.
     OneSession(Options, Strategy),
 }
 
-/// Every way to evaluate a program: as written and optimised, with and without relying on constraints, which the facts of the corpus keep; and
-/// of one session, every way to follow a change.
+/// All modes: the original and the optimized program, with and without relying on constraints (the facts of the corpus
+/// satisfy them), and a single session under every strategy.
 fn modes() -> Vec<Mode> {
     let options = |optimize, constraints| Options { optimize, constraints };
     let options = [options(false, false), options(true, false), options(true, true)];
@@ -102,7 +102,7 @@ fn modes() -> Vec<Mode> {
 }
 
 impl Mode {
-    /// Runs all steps and gives the answers to the questions.
+    /// Runs all steps and returns the answers to the queries.
     fn run(self, rules: &Rules, steps: &[Step]) -> Vec<Answer> {
         let program = |options| Program::with(rules.clone(), options).expect("a small program");
         match self {
@@ -245,7 +245,7 @@ fn in_one_session(program: &Program, strategy: Strategy, steps: &[Step]) -> Vec<
             }
             Step::Expect { relation, .. } => {
                 session.commit().expect("few rows");
-                // What the modes that rely on constraints are allowed to rely on.
+                // Some modes rely on the constraints.
                 assert!(
                     constraints::violations(&session).is_empty(),
                     "facts violate a constraint"
@@ -284,7 +284,7 @@ fn check(path: &Path) -> Result<(), String> {
             };
             let mut expected: Answer = rows.iter().map(|row| row.replace("()", "")).collect();
             expected.sort();
-            let answer = answers.next().expect("an answer for each question");
+            let answer = answers.next().expect("an answer for each query");
             if answer != expected {
                 return Err(format!(
                     "{mode:?}, line {line}: `{relation}` is {answer:?}, not {expected:?}"
@@ -327,7 +327,7 @@ fn corpus() -> Vec<PathBuf> {
 }
 
 #[test]
-fn every_program_of_the_corpus_has_its_answers_in_every_mode() {
+fn every_program_of_the_corpus_gives_its_answers_in_every_mode() {
     let files = corpus();
     assert!(files.len() > 20);
     let failures: Vec<String> = (files.iter())
@@ -340,7 +340,7 @@ fn every_program_of_the_corpus_has_its_answers_in_every_mode() {
     assert!(failures.is_empty(), "{}", failures.join("\n\n"));
 }
 
-/// What is printed is read as the same program.
+/// The printed program parses to the same program.
 #[test]
 fn the_corpus_survives_printing() {
     for path in corpus() {

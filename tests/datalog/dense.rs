@@ -1,4 +1,4 @@
-//! The dense executor against the specification, on random programs and scenes.
+//! Compares the dense executor with the specification on random programs and scenes.
 
 use crate::written_program::program;
 use logicity::datalog::dense::{BitFacts, BitState, Dense, Set, TrackFirings, choose, has};
@@ -8,11 +8,11 @@ use proptest::prelude::*;
 use std::collections::BTreeSet;
 use std::fmt::Write;
 
-/// Base predicates, the one-column ones first.
+/// Base predicates, unary ones first.
 const BASE: [(&str, usize); 6] = [("A", 1), ("B", 1), ("C", 1), ("G", 2), ("R", 2), ("S", 2)];
 const VARIABLES: [&str; 4] = ["x", "y", "z", "w"];
 
-/// A literal before it is known what it may speak of.
+/// Raw material of a literal, before its predicates and variables are known.
 #[derive(Clone, Debug)]
 struct LiteralGene {
     relation: usize,
@@ -31,10 +31,11 @@ struct Genome {
     /// Columns of each derived predicate, and its clauses.
     derived: Vec<(usize, Vec<ClauseGene>)>,
     scoped: bool,
-    /// Predicates before the others that are copies of a base predicate: a program with more than 256 sets runs by other code.
+    /// The number of leading predicates that copy a base predicate. A program with more than 256 sets takes another
+    /// code path.
     copies: usize,
     entities: usize,
-    /// Of 16: how often a fact about one or two entities holds.
+    /// The probabilities, in sixteenths, that a unary and a binary fact hold.
     density: u8,
     seed: u64,
 }
@@ -68,7 +69,7 @@ fn genomes() -> impl Strategy<Value = Genome> {
 }
 
 impl Genome {
-    /// The program as text. Every variable of a body has a positive atom.
+    /// The program as text. A positive atom binds every variable of a body.
     fn text(&self) -> String {
         let mut text = String::new();
         let mut known: Vec<(String, usize)> = BASE.iter().map(|&(name, arity)| (name.to_owned(), arity)).collect();
@@ -101,7 +102,7 @@ impl Genome {
     }
 
     fn clause(&self, name: &str, arity: usize, clause: &ClauseGene, known: &[(String, usize)]) -> String {
-        // In a scope the head's first variable is the one in the middle.
+        // In a scope, the head's first variable is the middle one.
         let head: Vec<&str> = clause.head_terms[..arity].iter().map(|&term| VARIABLES[term]).collect();
         let mut used: BTreeSet<&str> = head.iter().copied().collect();
         let mut bound: BTreeSet<&str> = BTreeSet::new();
@@ -157,7 +158,7 @@ impl Genome {
             ((state >> 33) as u32 % of) < u32::from(self.density)
         };
         let mut facts = Vec::new();
-        // In a crowd a pair is related more rarely, so that searches fail now and then.
+        // Among many entities, relate pairs more rarely, so that some searches fail.
         let crowd = 16 * u32::try_from(self.entities / 4 + 1).unwrap();
         for (name, arity) in BASE {
             let relation = rules.relation(name).unwrap();
@@ -179,10 +180,11 @@ impl Genome {
     }
 }
 
-/// More entities than this are too many for `naive`; the relational executor, which is compared with it elsewhere, stands in.
+/// Beyond this number of entities, the relational executor replaces `naive`, which is too slow. Other tests compare the
+/// two.
 const NAIVE_MAX: usize = 8;
 
-/// What is expected of a program and facts: all that holds, and how many rows each clause derives.
+/// The expected result: all facts that hold, and the number of rows that each clause derives.
 fn expected(program: &Program, value: &[Value], facts: &[(RelId, Vec<usize>)]) -> (naive::Database, Vec<usize>) {
     let rules = program.rules();
     let rows = facts.iter().map(|(relation, row)| {
@@ -213,7 +215,7 @@ fn expected(program: &Program, value: &[Value], facts: &[(RelId, Vec<usize>)]) -
     )
 }
 
-/// Evaluates densely and compares every derived predicate and, if they are counted, every clause with what is expected.
+/// Runs the dense executor and compares every derived predicate, and the counts of every clause if there are any.
 fn check<const W: usize>(
     program: &Program,
     facts: &[(RelId, Vec<usize>)],
@@ -233,7 +235,7 @@ fn check<const W: usize>(
         for (relation, row) in facts {
             given.insert(&dense, *relation, row);
         }
-        // Nothing is left of what held of other entities before.
+        // Facts about other entities from an earlier run are gone.
         let mut bit_state: BitState<W> = BitState::new(&dense, 64 * W);
         for input in 0..dense.inputs().len() {
             bit_state.set_input(&dense, input, [u64::MAX; W]);
@@ -241,7 +243,7 @@ fn check<const W: usize>(
         bit_state.run(&dense, &BitFacts::new(&dense, 64 * W));
         bit_state.reset(&dense, entities);
         given.load(&dense, &mut bit_state);
-        // A second run starts from what the first left.
+        // The second run starts from the state of the first.
         for _ in 0..2 {
             bit_state.run(&dense, &given);
         }
@@ -256,7 +258,7 @@ fn check<const W: usize>(
             let name = &rules.relations[relation.index()].name;
             match rules.relations[relation.index()].arity() {
                 1 => {
-                    let set = bit_state.set(&dense, relation).expect("it is derived");
+                    let set = bit_state.set(&dense, relation).expect("derived");
                     for (entity, value) in value.iter().enumerate() {
                         let holds = expected.contains(&vec![*value]);
                         prop_assert_eq!(has(set, entity), holds, "{}({})", name, entity);
@@ -264,7 +266,7 @@ fn check<const W: usize>(
                 }
                 _ => {
                     for x in 0..entities {
-                        let row = bit_state.row(&dense, relation, x).expect("it is derived");
+                        let row = bit_state.row(&dense, relation, x).expect("derived");
                         for y in 0..entities {
                             let holds = expected.contains(&vec![value[x], value[y]]);
                             prop_assert_eq!(has(row, y), holds, "{}({}, {})", name, x, y);
@@ -276,7 +278,7 @@ fn check<const W: usize>(
         for (id, &fired) in (0..).map(ClauseId).zip(&expected_fired) {
             match (counting, bit_state.count_fired(&dense, id)) {
                 (TrackFirings::Off, count) => prop_assert_eq!(count, None),
-                // A clause that can never fire is not in the program.
+                // The program does not contain clauses that can never fire.
                 (TrackFirings::Each, count) => prop_assert_eq!(count.unwrap_or(0), fired),
             }
         }
@@ -287,7 +289,7 @@ fn check<const W: usize>(
     Ok(())
 }
 
-/// Deciding about some entities only gives the same about them.
+/// Evaluation for some entities gives the same facts about them.
 fn check_egos<const W: usize>(
     program: &Dense,
     given: &BitFacts<W>,

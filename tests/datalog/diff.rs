@@ -1,4 +1,4 @@
-//! `diff`: whether two rule sets are equal, and the smallest scene in which they are not.
+//! `diff`: whether two rule sets are equivalent, and a minimal counterexample if not.
 
 use crate::rule_files::RuleFiles;
 use logicity::datalog;
@@ -36,7 +36,7 @@ fn difference(left: &Rules, right: &Rules) -> Difference {
     }
 }
 
-/// vap-easy as `tests/fixtures/vap-easy-bloated.dl` says it.
+/// The rules of vap-easy, rewritten in `tests/fixtures/vap-easy-bloated.dl`.
 fn bloated() -> String {
     std::fs::read_to_string(root().join("tests/fixtures/vap-easy-bloated.dl")).unwrap()
 }
@@ -51,7 +51,7 @@ fn vap_easy_is_proved_equal_to_a_shuffled_and_bloated_copy() {
             "{found:?}"
         );
     }
-    // Without the constraints they are different, and so are they after a slip of the pen.
+    // Without the constraints they differ, and so they do after a small error.
     let slip = rules(&bloated().replace("IsInInter(A), IsCar(A)", "IsInInter(A), IsBus(A)"));
     let found = difference(&left, &slip);
     assert_eq!(found.entities.len(), 1);
@@ -93,7 +93,7 @@ fn the_smallest_scene_between_medium_and_hard() {
         let rows = rows.iter().map(|row| row.iter().map(|&word| word.to_owned()).collect());
         (name.to_owned(), rows.collect::<Vec<Vec<String>>>())
     };
-    // Police that are close on the left: a car, as declared, and close both ways.
+    // The constraints make the police a car, and closeness symmetric.
     let expected = [
         fact("IsCar", &[&["e0"], &["e1"]]),
         fact("IsPolice", &[&["e1"]]),
@@ -106,7 +106,7 @@ fn the_smallest_scene_between_medium_and_hard() {
 }
 
 #[test]
-fn recursion_and_numbers_are_searched_and_not_proved() {
+fn rules_with_recursion_or_numbers_are_searched_without_a_proof() {
     let base = ".decl Edge(x: symbol, y: symbol) .input Edge .decl Path(x: symbol, y: symbol) .output Path
         Path(x, y) :- Edge(x, y).";
     let left = rules(&format!("{base} Path(x, z) :- Path(x, y), Path(y, z)."));
@@ -128,7 +128,7 @@ fn recursion_and_numbers_are_searched_and_not_proved() {
     assert_eq!(
         (found.entities.len(), found.facts[0].1.len()),
         (3, 3),
-        "a circle of three"
+        "a cycle of three"
     );
 
     let speed = |rule: &str| {
@@ -149,7 +149,7 @@ fn recursion_and_numbers_are_searched_and_not_proved() {
 }
 
 #[test]
-fn what_does_not_fit_is_refused() {
+fn incomparable_programs_are_errors() {
     let left = rules(".decl A(x: symbol) .input A .decl B(x: symbol) .output B B(x) :- A(x).");
     let right = rules(
         ".decl C(x: symbol) .input C .decl A(x: symbol) .decl B(x: symbol) .output B A(x) :- C(x). B(x) :- A(x).",
@@ -162,10 +162,10 @@ fn what_does_not_fit_is_refused() {
     assert!(diff(&left, &left, &options).is_err());
 }
 
-/// "Everybody has a successor" depends on whom it is asked of, so the size of a scene with a difference is not bounded by the number of
-/// variables: here labels go round in a circle of five.
+/// "Every entity has a successor" is a for-all over an exists, so the number of variables does not bound the size of a
+/// counterexample: here it is a cycle of five labels.
 #[test]
-fn for_all_there_is_is_not_taken_for_proved() {
+fn for_all_over_exists_is_not_proved() {
     let base = ".decl A, D(x: symbol) .decl L0, L1, L2, L3, L4(x: symbol) .decl R(x: symbol, y: symbol)
         .input A, D, L0, L1, L2, L3, L4, R .disjoint L0, L1, L2, L3, L4
         .decl Next(x: symbol) .decl P(x: symbol) .output P
@@ -203,9 +203,9 @@ fn for_all_there_is_is_not_taken_for_proved() {
     );
 }
 
-/// Nothing in a text makes the comparison crash or run on for ever.
+/// No text makes the comparison panic or run without end.
 #[test]
-fn large_programs_are_given_up_in_time() {
+fn comparison_of_large_programs_is_bounded() {
     let mut chain = ".decl P0(x: symbol) .input P0\n".to_owned();
     for number in 1..5000 {
         chain += &format!(".decl P{number}(x: symbol) P{number}(x) :- P{}(x).\n", number - 1);
@@ -227,9 +227,9 @@ fn large_programs_are_given_up_in_time() {
     assert!(matches!(found, Equivalence::Different(_)), "{found:?}");
 }
 
-// --- against trying everything
+// --- comparison with exhaustive search
 
-/// A program over A, B (unary) and R (binary), of P and then S and T from small numbers.
+/// Makes a program over A, B (unary) and R (binary) from small numbers. It defines P, then S and T.
 fn written(genes: &[(u8, u8, u8, u8)], constraints: u8) -> String {
     let mut text = ".decl A, B(x: symbol) .decl R(x: symbol, y: symbol) .input A, B, R
         .decl P(x: symbol) .decl S(x: symbol) .decl T(x: symbol, y: symbol) .output P, S, T\n"
@@ -250,7 +250,7 @@ fn written(genes: &[(u8, u8, u8, u8)], constraints: u8) -> String {
         "!A(x)", "!B(x)", "!R(x, y)", "x != y", "!R(x, _)", "!B(y)", "!R(y, _)", "R(y, _)",
     ];
     for &(head, a, b, c) in genes {
-        // Whatever is tested is bound.
+        // A positive atom binds each tested variable.
         let mut body = vec![
             "A(x)".to_owned(),
             base[a as usize % 8].into(),
@@ -286,7 +286,7 @@ fn written(genes: &[(u8, u8, u8, u8)], constraints: u8) -> String {
     text
 }
 
-/// The rows of P, S and T in a scene, by bits: A, B, R over the first entities.
+/// The rows of P, S and T in a scene, whose bits are A, B and R over the first entities.
 fn outputs(rules: &Rules, entities: u32, scene: u32) -> Option<Vec<(RelId, Vec<Vec<Value>>)>> {
     let symbols = rules.symbols.clone();
     let names: Vec<Value> = (0..entities)
@@ -330,7 +330,7 @@ proptest! {
     #![proptest_config(ProptestConfig { cases: 150, ..ProptestConfig::default() })]
 
     #[test]
-    fn differences_are_those_that_trying_everything_finds(
+    fn differences_equal_those_of_exhaustive_search(
         shared in proptest::collection::vec(any::<(u8, u8, u8, u8)>(), 0..4),
         left in proptest::collection::vec(any::<(u8, u8, u8, u8)>(), 0..2),
         right in proptest::collection::vec(any::<(u8, u8, u8, u8)>(), 0..2),
@@ -339,7 +339,7 @@ proptest! {
         let left = rules(&written(&[left, shared.clone()].concat(), constraints));
         let right = rules(&written(&[shared, right].concat(), constraints));
         let found = diff(&left, &right, &Options { entities_max: 2, ..Options::default() }).unwrap();
-        // Entities, then facts, of the smallest scene with a difference.
+        // The entities and facts of the smallest counterexample.
         let least = (1..=2_u32).find_map(|entities| {
             let scenes = 0..1_u32 << (2 * entities + entities * entities);
             let differs = |scene: &u32| outputs(&left, entities, *scene) != outputs(&right, entities, *scene);
@@ -350,7 +350,7 @@ proptest! {
                 let facts: usize = difference.facts.iter().map(|(_, rows)| rows.len()).sum();
                 prop_assert!(difference.smallest);
                 prop_assert_ne!(&difference.derived[0], &difference.derived[1]);
-                let (entities, least) = least.expect("a difference that trying everything does not find");
+                let (entities, least) = least.expect("a difference that exhaustive search does not find");
                 prop_assert_eq!(least, facts);
                 prop_assert!(difference.entities.len() <= entities);
             }
@@ -359,9 +359,9 @@ proptest! {
                 prop_assert_eq!(least, None);
             }
             Equivalence::Equivalent { .. } => prop_assert_eq!(least, None),
-            Equivalence::NoneTried { .. } => prop_assert!(false, "these rules are compared by circuit"),
+            Equivalence::NoneTried { .. } => prop_assert!(false, "these rules have a circuit"),
         }
-        // A proof holds for larger scenes too: whatever is proved up to its bound is still so one entity further.
+        // A proof also holds for larger scenes: check one entity beyond its bound.
         let proved = diff(&left, &right, &Options { entities_max: 6, ..Options::default() }).unwrap();
         if let Equivalence::Equivalent { entities } = proved {
             for scene in (0..1_u32 << 15).step_by(97) {
@@ -371,7 +371,7 @@ proptest! {
     }
 }
 
-// --- what is compared by trial
+// --- comparison by sampling
 
 fn few() -> Options {
     Options {
@@ -380,9 +380,10 @@ fn few() -> Options {
     }
 }
 
-/// Expressions, aggregates, floats, unsigned numbers and texts: a slip of the pen is found, and nothing where there is none.
+/// Expressions, aggregates, floats, unsigned numbers and texts: sampling finds a small error, and nothing in equal
+/// rules.
 #[test]
-fn expressions_and_aggregates_are_tried_within_a_bound() {
+fn expressions_and_aggregates_are_sampled_within_a_bound() {
     let base =
         ".decl A(x: symbol, v: number) .decl F(x: symbol, v: float) .decl U(x: symbol, v: unsigned) .input A, F, U
         .decl P(x: symbol) .output P\n";
@@ -436,13 +437,13 @@ fn expressions_and_aggregates_are_tried_within_a_bound() {
             panic!("a difference");
         };
         assert_ne!(found.derived[0], found.derived[1]);
-        // As few facts as show it: taking one away shows nothing, so there are at most three.
+        // The scene is minimal: no fact can be removed, so it has at most three.
         let facts: usize = found.facts.iter().map(|(_, rows)| rows.len()).sum();
         assert!((1..=3).contains(&facts), "{found:?}");
     }
 }
 
-/// A difference that needs more facts than can be tried is found by chance, and made smaller.
+/// Random sampling finds a difference that needs more facts than exhaustive search covers, and minimizes it.
 #[test]
 fn larger_scenes_are_drawn_at_random() {
     let base = ".decl A(x: symbol) .decl R(x: symbol, y: symbol) .input A, R .decl P(x: symbol) .output P
@@ -469,9 +470,9 @@ fn larger_scenes_are_drawn_at_random() {
     );
 }
 
-/// Where the search by circuit proves something, trying agrees: a literal that always holds makes the rules ones to be tried.
+/// Sampling agrees with proofs. A clause with an expression makes `diff` sample the same rules.
 #[test]
-fn trying_agrees_with_what_is_proved() {
+fn sampling_agrees_with_proofs() {
     for (left, right) in [
         ("easy.dl", "medium.dl"),
         ("medium.dl", "hard.dl"),

@@ -1,4 +1,4 @@
-//! The engine against its specification, and fixed examples of what it must know.
+//! Compares the engine with its specification, and tests fixed examples.
 
 use crate::random_program::agree::{agrees, database};
 use crate::random_program::{Genome, computing_genomes, genomes, recursive_genomes};
@@ -26,7 +26,7 @@ fn check_script(genome: &Genome) -> Result<(), TestCaseError> {
     agrees(&rules, &genome.batches(&rules))
 }
 
-/// So many threads that share every work, however small.
+/// Threads that share all work, however small.
 fn eager(count: usize) -> Threads {
     Threads {
         split_from: 0,
@@ -41,7 +41,7 @@ fn counted_cancel(polls: u32) -> (Cancel, Arc<AtomicU32>) {
     (Cancel::when(move || counter.fetch_add(1, Relaxed) >= polls), count)
 }
 
-/// Runs the genome's script with several numbers of threads: everything is as with one, also where a limit is passed.
+/// Runs the genome's script with several numbers of threads. The results equal those with one, also beyond a limit.
 fn check_threads(genome: &Genome, limits: Limits) -> Result<(), TestCaseError> {
     let rules = genome.rules();
     let program = Program::new(rules.clone()).expect("a generated program is safe and small");
@@ -161,9 +161,9 @@ fn transitive_closure_and_its_complement() {
     assert!(delta.of(program.relation("Sink").unwrap()).is_none());
 }
 
-/// While words are dense, what a recursion derived is known as bits only; then there come words for which there are none.
+/// While words are dense, a recursion keeps its rows as bits only. Then it derives words beyond the bits.
 #[test]
-fn a_closure_that_leaves_the_dense_words_forgets_nothing() {
+fn a_closure_beyond_the_dense_words_keeps_its_rows() {
     let program = program(
         ".decl Edge(x: number, y: number)
         .decl Path(x: number, y: number)
@@ -171,7 +171,7 @@ fn a_closure_that_leaves_the_dense_words_forgets_nothing() {
         Path(x, z) :- Path(x, y), Edge(y, z).",
     );
     let (edge, path) = (program.relation("Edge").unwrap(), program.relation("Path").unwrap());
-    // Circles of 8 nodes with chords, one behind the other, and a long way out of the last to nodes with large numbers and back again.
+    // A chain of cycles of 8 nodes with chords, then a long path to nodes with large numbers and back.
     let mut edges: Vec<(i32, i32)> = (199..260).map(|node| (node, node + 1)).collect();
     for node in 0..200 {
         edges.extend([
@@ -200,7 +200,7 @@ fn a_closure_that_leaves_the_dense_words_forgets_nothing() {
         assert!(session.rows(path).eq(&expected));
         let work = session.work().strata.last().and_then(StratumStats::work).unwrap();
         let derived: Vec<u64> = work.rules.iter().map(|rule| rule.delta_rows).collect();
-        assert_eq!(derived, [0, expected.len() as u64], "every row was new once");
+        assert_eq!(derived, [0, expected.len() as u64], "every row is new once");
     }
 }
 
@@ -280,7 +280,7 @@ fn predicates_without_columns() {
 }
 
 #[test]
-fn what_did_not_change_is_not_redone() {
+fn unchanged_strata_are_not_evaluated_again() {
     let program = program(
         ".decl In(x: number, size: number)
         .decl Out(x: number)
@@ -297,7 +297,7 @@ fn what_did_not_change_is_not_redone() {
     insert(&mut session, "In", &[&[1, 9]]);
     insert(&mut session, "Out", &[&[5]]);
     session.commit().unwrap();
-    // The relations of the strata that were evaluated, in the order of the text.
+    // The relations of the evaluated strata, in the order of the text.
     let evaluated = |session: &Session| {
         let rules = session.program().rules();
         let mut relations: Vec<RelId> = session
@@ -313,7 +313,7 @@ fn what_did_not_change_is_not_redone() {
     };
     assert_eq!(evaluated(&session), ["Big", "Any", "Far", "Side"]);
 
-    // Nothing noted, or nothing in effect.
+    // No change, or no net change.
     assert!(session.commit().unwrap().is_empty());
     assert!(evaluated(&session).is_empty());
     insert(&mut session, "In", &[&[1, 9], &[2, 9]]);
@@ -321,7 +321,7 @@ fn what_did_not_change_is_not_redone() {
     assert!(session.commit().unwrap().is_empty());
     assert!(evaluated(&session).is_empty());
 
-    // `Big` is evaluated and stays the same: the change ends there.
+    // `Big` is evaluated and stays the same, so the change ends there.
     insert(&mut session, "In", &[&[2, 3]]);
     session.commit().unwrap();
     assert_eq!(evaluated(&session), ["Big"]);
@@ -334,7 +334,7 @@ fn what_did_not_change_is_not_redone() {
     assert_eq!(evaluated(&session), ["Far", "Side"]);
 }
 
-/// What the clauses did that ran: the clause's position, rows given, rows derived.
+/// The work of the clauses that ran: position, delta rows, derived rows.
 fn ran(session: &Session) -> Vec<(u32, u64, u64)> {
     let rules = session.work().rules();
     rules
@@ -343,7 +343,7 @@ fn ran(session: &Session) -> Vec<(u32, u64, u64)> {
 }
 
 #[test]
-fn only_clauses_that_read_what_changed_run_and_only_on_that() {
+fn only_clauses_that_read_the_change_run_and_only_on_the_change() {
     let program = program(
         ".decl Near(x: number, y: number)
         .decl Old(x: number)
@@ -370,8 +370,8 @@ fn only_clauses_that_read_what_changed_run_and_only_on_that() {
             .all(|work| matches!(work, StratumStats::Recomputed(_)))
     );
 
-    // One more row: one clause runs, on one row, and finds one head that was not known. So one row of `Go` is in doubt, which
-    // its clause is asked about: lost, and not derived again.
+    // One more row: one clause runs on one row and derives one new head. So one row of `Go` is in doubt. Its clause
+    // does not derive it again, so it is lost.
     insert(&mut session, "Ill", &[&[500]]);
     let delta = session.commit().unwrap();
     assert_eq!(shown(&session, "Stop"), "9, 19, 499, 500");
@@ -380,7 +380,7 @@ fn only_clauses_that_read_what_changed_run_and_only_on_that() {
     let rows_scanned: u64 = session.work().rules().map(|rule| rule.rows_scanned).sum();
     assert!(rows_scanned < 30, "{rows_scanned}");
 
-    // What is known already is not derived again.
+    // A known row is not derived again.
     insert(&mut session, "Old", &[&[500]]);
     assert_eq!(session.commit().unwrap().changes().len(), 1);
     assert_eq!(ran(&session), [(0, 1, 0)]);
@@ -389,7 +389,7 @@ fn only_clauses_that_read_what_changed_run_and_only_on_that() {
         [StratumStats::Maintained(_), StratumStats::Skipped]
     ));
 
-    // The row goes; the head in doubt has another reason, and the change ends there.
+    // The row goes. The head in doubt has another derivation, and the change ends there.
     retract(&mut session, "Old", &[&[500]]);
     assert_eq!(session.commit().unwrap().changes().len(), 1);
     assert_eq!(ran(&session), [(0, 2, 1), (1, 1, 1)]);
@@ -397,7 +397,7 @@ fn only_clauses_that_read_what_changed_run_and_only_on_that() {
         let mut rules = session.work().rules();
         *rules.find(|rule| rule.clause == ClauseId(clause)).unwrap()
     };
-    // The row itself, whose neighbour it is, and whether that neighbour is known.
+    // The row itself, its neighbor, and whether that neighbor is known.
     let expected = RuleStats {
         clause: ClauseId(0),
         delta_rows: 2,
@@ -407,7 +407,7 @@ fn only_clauses_that_read_what_changed_run_and_only_on_that() {
     assert_eq!(rule(0), expected);
 }
 
-/// A session for a program in which relations of numbers have these rows, committed once.
+/// A session after its first commit, with these rows in relations of numbers.
 fn committed(text: &str, facts: &[(&str, Vec<Vec<i32>>)]) -> Session {
     let mut session = program(text).session();
     for (name, rows) in facts {
@@ -417,7 +417,7 @@ fn committed(text: &str, facts: &[(&str, Vec<Vec<i32>>)]) -> Session {
     session
 }
 
-/// How many rows the last commit looked at.
+/// The number of rows that the last commit scanned.
 fn rows_scanned(session: &Session) -> u64 {
     session.work().rules().map(|rule| rule.rows_scanned).sum()
 }
@@ -435,7 +435,7 @@ fn orders<T: Copy>(list: &[T]) -> Vec<Vec<T>> {
 fn joins_follow_the_sizes_of_relations_and_not_the_text() {
     let numbers = |count: i32, row: &dyn Fn(i32) -> Vec<i32>| (0..count).map(row).collect::<Vec<_>>();
     type Facts<'a> = Vec<(&'a str, Vec<Vec<i32>>)>;
-    // Declarations, head, body, facts, rows of the result, and how many rows may be looked at.
+    // Declarations, head, body, facts, rows of the result, and the most rows that the commit may scan.
     let cases: Vec<(&str, &[&str], Facts, usize, u64)> = vec![
         (
             "R(x: number, z: number)",
@@ -456,7 +456,7 @@ fn joins_follow_the_sizes_of_relations_and_not_the_text() {
                 ("Also", numbers(20_000, &|n| vec![n % 2_000, n / 10])),
                 ("Last", numbers(10, &|n| vec![n * 3 / 10 * 200 + n, n])),
             ],
-            // Ten ways from `Few` to `Last`, and ten rows of `Many` for each.
+            // Ten paths from `Few` to `Last`, and ten rows of `Many` for each.
             100,
             600,
         ),
@@ -480,7 +480,7 @@ fn joins_follow_the_sizes_of_relations_and_not_the_text() {
                 ("Tag", numbers(3_000, &|n| vec![n, n / 100])),
             ],
             400,
-            // Once through all tags, for which no index is made, then only those that are wanted.
+            // One scan of all tags, without an index, then only the wanted rows.
             3_000 + 1_000,
         ),
     ];
@@ -498,7 +498,7 @@ fn joins_follow_the_sizes_of_relations_and_not_the_text() {
             assert_eq!(found, rows, "{order:?}");
             assert!(
                 rows_scanned(&session) <= most,
-                "{order:?} looks at {}",
+                "{order:?} scans {}",
                 rows_scanned(&session)
             );
         }
@@ -519,7 +519,7 @@ fn maintenance_follows_the_sizes_of_relations() {
     (0..10_000).for_each(|n| insert(&mut session, "Big", &[&[n % 10, n]]));
     (0..10).for_each(|n| insert(&mut session, "Small", &[&[n, 20 + n], &[20 + n, n]]));
     session.commit().unwrap();
-    // The row that came finds one row of `Small` and that another; only then is it known which row of `Big` to ask for.
+    // The new row finds one row of `Small`, which finds another. Only then the key of `Big` is bound.
     insert(&mut session, "Seed", &[&[3]]);
     session.commit().unwrap();
     assert_eq!(shown(&session, "R"), "3 23");
@@ -529,7 +529,7 @@ fn maintenance_follows_the_sizes_of_relations() {
     assert!(rows_scanned(&session) < 30, "{}", rows_scanned(&session));
 }
 
-/// A hub that is linked with all nodes, both ways, and some nodes that are all linked with each other.
+/// A hub linked with all nodes in both directions, and some nodes that are all linked with each other.
 fn star_and_clique(spokes: i32, clique: i32) -> Vec<Vec<i32>> {
     let star = (1..=spokes).flat_map(|node| [vec![0, node], vec![node, 0]]);
     let pairs = (1..=clique).flat_map(|a| (1..=clique).map(move |b| vec![a, b]));
@@ -537,12 +537,12 @@ fn star_and_clique(spokes: i32, clique: i32) -> Vec<Vec<i32>> {
 }
 
 #[test]
-fn cycles_of_atoms_look_at_no_more_than_the_worst_case_allows() {
+fn cyclic_joins_scan_no_more_rows_than_the_worst_case_bound() {
     let edges = star_and_clique(3_000, 20);
     let most = (edges.len() as f64).powf(1.5) as u64;
     let declared = ".decl E(x: number, y: number)\n.decl R(x: number, y: number, z: number, u: number)\n";
-    // Ordered triangles and cliques of four among the 21 nodes that are all linked; a triangle and the end of a fourth edge would
-    // be far more than the bound.
+    // Ordered triangles and cliques of four among the 21 linked nodes. Triangles with a fourth edge would be far beyond
+    // the bound.
     for (body, rows) in [
         ("E(x, y), E(y, z), E(x, z), u = 0", 21 * 20 * 19),
         ("E(y, x), E(z, y), E(x, z), u = 1", 21 * 20 * 19),
@@ -555,14 +555,14 @@ fn cycles_of_atoms_look_at_no_more_than_the_worst_case_allows() {
         let session = committed(&text, &[("E", edges.clone())]);
         assert_eq!(session.len(session.program().relation("R").unwrap()), rows);
         let rows_scanned = rows_scanned(&session);
-        // Two at a time, each of 3,000 edges to the hub is followed by 3,000 from it.
+        // A binary join would pair each of 3,000 edges to the hub with 3,000 edges from it.
         assert!(
             rows_scanned < most + 4 * rows as u64,
-            "{body} looks at {rows_scanned}, not {most}"
+            "{body} scans {rows_scanned}, more than {most}"
         );
-        assert!(rows_scanned < 3_000 * 3_000 / 10, "{body} looks at {rows_scanned}");
+        assert!(rows_scanned < 3_000 * 3_000 / 10, "{body} scans {rows_scanned}");
 
-        // A change looks at what its rows have in common, not at all that the hub is linked with.
+        // Maintenance scans the common neighbors of the changed rows, not all neighbors of the hub.
         let mut session = session;
         session.set_strategy(Strategy::Maintain);
         insert(&mut session, "E", &[&[1, 2_000], &[2_000, 1], &[2, 2_000], &[2_000, 2]]);
@@ -570,14 +570,14 @@ fn cycles_of_atoms_look_at_no_more_than_the_worst_case_allows() {
         assert_eq!(delta.changes().len(), 2);
         assert!(
             self::rows_scanned(&session) < 2_000,
-            "{body} looks at {}",
+            "{body} scans {}",
             self::rows_scanned(&session)
         );
     }
 }
 
 #[test]
-fn one_witness_is_enough_where_nothing_of_it_is_needed_later() {
+fn one_witness_is_enough_if_no_later_literal_needs_it() {
     let hundred = |row: &dyn Fn(i32) -> Vec<i32>| (0..100).map(row).collect::<Vec<_>>();
     let facts = [
         ("A", vec![vec![1], vec![2]]),
@@ -600,7 +600,7 @@ fn one_witness_is_enough_where_nothing_of_it_is_needed_later() {
         (session.work().rules().next().unwrap().derived, rows_scanned(&session)),
         (10, 2 + 2 * 2 + 10)
     );
-    // At the end, two atoms deep; a witness of a witness is not looked for again where the last test fails.
+    // At the end, two atoms deep. If the last test fails, the search tries no other witness of the witness.
     let session = committed(
         &format!("{declared}H(x, w) :- A(x), D(x, w), B(x, y), F(y, z), C(z)."),
         &facts,
@@ -617,8 +617,8 @@ fn one_witness_is_enough_where_nothing_of_it_is_needed_later() {
     assert!(rows_scanned(&session) <= 2 + 4, "{}", rows_scanned(&session));
 }
 
-/// Bodies of two to four atoms over three binary relations and four variables: mostly cyclic. The relations are large enough to be
-/// planned by size, and skewed.
+/// Bodies of two to four atoms over three binary relations and four variables, mostly cyclic. The relations are skewed
+/// and large enough for planning by size.
 #[test]
 fn slow_cyclic_bodies_agree_with_naive() {
     let mut state = 11_u32;
@@ -658,7 +658,7 @@ fn slow_cyclic_bodies_agree_with_naive() {
         let mut facts = BTreeSet::new();
         for (name, count) in [("R", 400), ("S", 300), ("T", 30)] {
             let rel = program.relation(name).unwrap();
-            // The less likely, the larger.
+            // Larger values are less likely.
             let mut node = || {
                 let most = 1 + random(40);
                 random(most)
@@ -723,16 +723,16 @@ fn a_large_change_is_recomputed_and_a_small_one_maintained() {
     assert_eq!(maintained(&session), "mm");
     retract(&mut session, "Edge", &[&[29 + 30 * 7 - 1, 29 + 30 * 7]]);
     let delta = session.commit().unwrap();
-    // `Path` loses 29 rows of 4,350. `Reached` looks at 25 to begin with.
+    // `Path` loses 29 of 4,350 rows. `Reached` begins with 25 rows.
     assert_eq!(maintained(&session), "mr");
     assert_eq!(delta.of(program.relation("Path").unwrap()).unwrap().removed.len(), 29);
     assert!(session.work().rules().map(|rule| rule.rows_scanned).sum::<u64>() < 1_000);
 
-    // All chains become one: it looks cheap, turns out not to be, and is given up.
+    // All chains become one: maintenance seems cheap, exceeds its budget, and is abandoned.
     (0..9).for_each(|chain| insert(&mut session, "Edge", &[&[chain * 30 + 29, chain * 30 + 30]]));
     session.commit().unwrap();
     assert_eq!(maintained(&session), "Rr");
-    // Nearly all marks change: it does not look cheap.
+    // Nearly all marks change: maintenance does not seem cheap.
     (6..290).for_each(|x| insert(&mut session, "Mark", &[&[x]]));
     session.commit().unwrap();
     assert_eq!(maintained(&session), "-r");
@@ -764,7 +764,7 @@ fn facts_in_the_text_hold_and_cannot_be_retracted() {
     assert!(session.fired(ClauseId(99)).is_empty());
 }
 
-/// The usual limits but for the rows.
+/// The default limits except for rows.
 fn rows(rows: usize) -> Limits {
     Limits {
         rows,
@@ -793,7 +793,7 @@ fn a_failed_commit_changes_nothing() {
     };
     assert_eq!(session.commit(), Err(limit.clone()));
     assert_eq!(database(&session), before);
-    assert_eq!(session.commit(), Err(limit), "what was noted is kept");
+    assert_eq!(session.commit(), Err(limit), "the changes stay pending");
     retract(&mut session, "Node", &[&[4]]);
     session.commit().unwrap();
     assert_eq!(session.len(program.relation("Pair").unwrap()), 9);
@@ -801,13 +801,13 @@ fn a_failed_commit_changes_nothing() {
     session.rollback();
     assert!(session.commit().unwrap().is_empty());
 
-    // Rows of a relation that had none.
+    // Rows of an empty relation.
     let mut session = program.session();
     session.set_limits(rows(9));
     insert(&mut session, "Node", &[&[4], &[2], &[1], &[4], &[3]]);
     assert!(session.commit().is_err());
     assert_eq!(database(&session), database(&program.session()));
-    assert!(session.commit().is_err(), "what was noted is kept");
+    assert!(session.commit().is_err(), "the changes stay pending");
     retract(&mut session, "Node", &[&[2]]);
     session.commit().unwrap();
     assert_eq!(shown(&session, "Node"), "1, 3, 4");
@@ -815,7 +815,7 @@ fn a_failed_commit_changes_nothing() {
 }
 
 #[test]
-fn rows_noted_together_are_as_if_noted_one_by_one() {
+fn inserting_rows_together_equals_inserting_them_one_by_one() {
     let program = program(
         ".decl Base(x: number, y: number)
         .decl Flag()
@@ -846,7 +846,7 @@ fn rows_noted_together_are_as_if_noted_one_by_one() {
             assert_eq!(database(&together), database(&alone));
         }
     }
-    // A row that cannot be inserted leaves those before it out.
+    // If one row is invalid, none is inserted.
     let word = together.intern("word");
     let arity = together.insert_all(base, rows(5_000, 9_000).chain([numbers(&[1])]));
     assert!(matches!(arity, Err(RowError::Arity { found: 1, .. })));
@@ -887,7 +887,7 @@ fn recursion_past_the_limit_fails() {
 }
 
 #[test]
-fn values_without_end_are_stopped() {
+fn endless_derivations_reach_a_limit() {
     let program = program(
         ".decl Seed(x: number)
         .input Seed
@@ -910,7 +910,7 @@ fn values_without_end_are_stopped() {
     assert!(session.commit().unwrap().is_empty());
 }
 
-/// What a commit of the program's facts says about a limit, with one thread and with three; the session is empty afterwards.
+/// The error of a commit beyond a limit, with one thread and with three. The session stays empty.
 fn stopped(text: &str, limits: Limits) -> EvalError {
     let program = program(text);
     let [one, three] = [1, 3].map(|threads| {
@@ -926,13 +926,13 @@ fn stopped(text: &str, limits: Limits) -> EvalError {
     one
 }
 
-/// So many facts.
+/// This number of facts.
 fn facts_of(name: &str, count: usize) -> String {
     (0..count).map(|n| format!("{name}({n}).\n")).collect()
 }
 
 #[test]
-fn a_product_that_derives_nothing_is_stopped() {
+fn a_product_that_derives_nothing_reaches_a_limit() {
     let text = facts_of("A", 100)
         + ".decl A(x: number)
         .decl B(x: number)
@@ -953,7 +953,7 @@ fn a_product_that_derives_nothing_is_stopped() {
     );
     let fault = error.diagnostic(program(&text).rules());
     assert_eq!((fault.code, fault.secondary.len()), (Code::LIMIT_EXCEEDED, 1));
-    // An aggregate looks at rows, too.
+    // An aggregate scans rows, too.
     let counted = facts_of("A", 2_000)
         + ".decl A(x: number)
         .decl Group(x: number, g: number)
@@ -983,7 +983,7 @@ fn wide_rows_indexes_and_texts_are_counted_in_bytes() {
     let spread = ".decl Text(x: symbol)\nText(\"0123456789\").\nText(cat(x, x, x, x, x, x, x, x)) :- Text(x), strlen(x) < 1000000000.";
     assert!(matches!(stopped(spread, limits), EvalError::TooMuchMemory { .. }));
 
-    // The rows fit, an index over them in another order does not.
+    // The rows fit, but an index in another order does not.
     let index = facts_of("A", 280)
         + ".decl A(x: number)
         .decl P(x: number, y: number)
@@ -994,7 +994,7 @@ fn wide_rows_indexes_and_texts_are_counted_in_bytes() {
 }
 
 #[test]
-fn rows_that_do_not_fit_are_refused() {
+fn rows_that_do_not_fit_are_errors() {
     let program = program(COPY);
     let (base, copy) = (program.relation("Base").unwrap(), program.relation("Copy").unwrap());
     let mut session = program.session();
@@ -1017,7 +1017,7 @@ fn rows_that_do_not_fit_are_refused() {
 }
 
 #[test]
-fn rows_may_have_any_number_of_columns_up_to_the_widest() {
+fn rows_may_have_any_number_of_columns_up_to_the_limit() {
     for arity in 1..=32 {
         let list = |name: &str| {
             (0..arity)
@@ -1052,7 +1052,7 @@ fn rows_may_have_any_number_of_columns_up_to_the_widest() {
 }
 
 #[test]
-fn what_is_too_large_to_plan_is_refused() {
+fn programs_too_large_to_plan_are_errors() {
     let mut rules = program(COPY).rules().clone();
     let literal = rules.clauses[0].body[0].clone();
     rules.clauses[0].body = vec![literal; 1_000];
@@ -1065,7 +1065,7 @@ fn what_is_too_large_to_plan_is_refused() {
 }
 
 #[test]
-fn an_unsafe_clause_is_refused() {
+fn an_unsafe_clause_is_an_error() {
     let mut rules = program(COPY).rules().clone();
     rules.clauses[0].body.clear();
     assert_eq!(Program::new(rules).unwrap_err().code, Code::UNBOUND_VARIABLE);
@@ -1091,7 +1091,7 @@ fn mixed() -> Session {
     program.session()
 }
 
-/// Loads a text into a relation; the faults as `line:column message`, one without a place as its message.
+/// Loads a text into a relation. Returns the faults as `line:column message`, those without a place as messages.
 fn load(session: &mut Session, relation: &str, text: &str) -> Result<usize, Vec<String>> {
     let mut sources = Sources::new();
     let source = sources.add("R.facts", text);
@@ -1148,7 +1148,7 @@ fn faulty_facts_are_located_and_nothing_is_inserted() {
     assert_eq!(many[MAX_FAULTS], "100 errors; further ones are not shown");
 }
 
-/// What `range` gives, by counting.
+/// The values of `range`, by counting.
 fn counted(from: i64, to: i64, step: i64) -> BTreeSet<i64> {
     let before = |x: i64| if step > 0 { x < to } else { x > to };
     let all = std::iter::successors(Some(from), |x| Some(x + step)).take_while(|&x| before(x));
@@ -1158,7 +1158,7 @@ fn counted(from: i64, to: i64, step: i64) -> BTreeSet<i64> {
     }
 }
 
-/// Beginning, end and step of ranges of some hundred values, anywhere among all numbers.
+/// Start, end and step of ranges with some hundred values, anywhere among all numbers.
 fn ranges(least: i64, greatest: i64) -> impl proptest::strategy::Strategy<Value = (i64, i64, i64)> {
     let near = prop_oneof![-3_i64..=3, least.max(-greatest)..=greatest];
     let edge = prop_oneof![Just(least), Just(greatest), least..=greatest, -20_i64..=20];
@@ -1170,7 +1170,7 @@ fn ranges(least: i64, greatest: i64) -> impl proptest::strategy::Strategy<Value 
 
 proptest! {
     #[test]
-    fn a_range_is_what_counting_gives(signed in ranges(i64::from(i32::MIN), i64::from(i32::MAX)), unsigned in ranges(0, i64::from(u32::MAX))) {
+    fn a_range_equals_counting(signed in ranges(i64::from(i32::MIN), i64::from(i32::MAX)), unsigned in ranges(0, i64::from(u32::MAX))) {
         let program = program(
             ".decl S(f: number, t: number, s: number)
             .decl U(f: unsigned, t: unsigned, s: unsigned)
@@ -1187,7 +1187,7 @@ proptest! {
         let find = |name: &str| program.relation(name).unwrap();
         let narrow = |x: i64| Value(u32::try_from(x & i64::from(u32::MAX)).unwrap());
         let row = |(from, to, step): (i64, i64, i64)| [narrow(from), narrow(to), narrow(step)];
-        // A step below zero is a large one of an unsigned number.
+        // As an unsigned number, a negative step is large.
         let unsigned = (unsigned.0, unsigned.1, unsigned.2.rem_euclid(1 << 32));
         session.insert(find("S"), &row(signed)).unwrap();
         session.insert(find("U"), &row(unsigned)).unwrap();
@@ -1206,9 +1206,9 @@ proptest! {
         }
     }
 
-    /// An input that rules extend, in every strategy.
+    /// Rules extend an input, in every strategy.
     #[test]
-    fn an_extended_input_is_what_naive_derives(script in proptest::collection::vec((any::<bool>(), 0_i32..5, 0_i32..5), 1..12)) {
+    fn an_extended_input_agrees_with_naive(script in proptest::collection::vec((any::<bool>(), 0_i32..5, 0_i32..5), 1..12)) {
         let mut sources = Sources::new();
         let entry = sources.add(
             "edges.dl",
@@ -1253,7 +1253,7 @@ proptest! {
 }
 
 #[test]
-fn the_clause_that_derives_without_end_is_named() {
+fn the_error_names_the_clause_that_derives_without_end() {
     let text = ".decl N(x: number) .decl Seed(x: number) .input Seed
         N(0).
         N(x) :- Seed(x).
@@ -1275,8 +1275,8 @@ fn the_clause_that_derives_without_end_is_named() {
 }
 
 #[test]
-fn a_commit_ends_when_its_caller_says_so() {
-    // Without end in rounds, in one plan, and in the rows an aggregate looks at.
+fn a_commit_can_be_cancelled() {
+    // Endless work in rounds, in one plan, and in the rows that an aggregate scans.
     let counting = ".decl N(x: number) .decl Seed(x: number) .input Seed N(x) :- Seed(x). N(x + 1) :- N(x).";
     let product =
         ".decl A(x: number) .decl Seed(x: number) .input Seed A(x) :- Seed(x), x < 0. A(x) :- x = range(0, 1000).
@@ -1300,7 +1300,7 @@ fn a_commit_ends_when_its_caller_says_so() {
                 from
             );
             assert_eq!(polls.load(Relaxed), 3, "not polled again after cancellation");
-            // As it was, with the change still noted, which can be taken back.
+            // The session is unchanged, and the pending change can be undone.
             let relation = session.program().relation(from).unwrap();
             assert_eq!(session.rows(relation).count(), before);
             session.rollback();

@@ -1,5 +1,5 @@
-//! Explanations against the specification: every proof can be replayed and is of least height, every literal that is said to
-//! fail is false.
+//! Compares explanations with the specification: every proof replays and has the least height, and every literal that
+//! an explanation calls false is false.
 
 use crate::proofs::{check, database};
 use crate::random_program::{Genome, NUMBERS, TEXTS, computing_genomes, genomes, recursive_genomes};
@@ -17,8 +17,8 @@ use std::collections::{BTreeMap, BTreeSet};
 use std::sync::Arc;
 use std::sync::atomic::{AtomicBool, AtomicU32, Ordering::Relaxed};
 
-/// The height of every fact: the round in which it appears if each round fires every clause once on what the rounds before
-/// derived, negated atoms being asked of the finished model.
+/// The height of every fact: the round that derives it, if each round fires every clause once on the facts of earlier
+/// rounds. Negated atoms read the complete model.
 fn heights(rules: &Rules, session: &Session, model: &naive::Database) -> Vec<BTreeMap<Vec<Value>, u32>> {
     let count = rules.relations.len();
     let clauses: Vec<_> = rules
@@ -118,7 +118,7 @@ fn check_genome(genome: &Genome) {
                 }
             }
             check(&session, &model, &explanation);
-            // A fresh explainer, which has settled and found nothing yet, says the same.
+            // A fresh explainer gives the same explanation.
             if Some(row) == rows.first() || Some(row) == rows.iter().take(30).next_back() {
                 assert_eq!(
                     session.explain(RelId(rel as u32), row).unwrap().as_ref(),
@@ -143,7 +143,7 @@ fn check_genome(genome: &Genome) {
     }
 }
 
-/// A literal matters if the clause without it, asked of all that holds, derives something new.
+/// A literal matters if the clause without it derives new rows from the complete model.
 fn check_matters(genome: &Genome) {
     let rules = genome.rules();
     let mut session = Program::new(rules.clone()).unwrap().session();
@@ -176,7 +176,7 @@ proptest! {
     }
 
     #[test]
-    fn literals_that_matter_are_known(genome in genomes(1..2)) {
+    fn literals_that_matter_agree_with_the_definition(genome in genomes(1..2)) {
         check_matters(&genome);
     }
 
@@ -293,7 +293,7 @@ fn slow_a_proof_may_be_deep() {
 }
 
 #[test]
-fn too_much_work_is_said_and_leaves_nothing_half_done() {
+fn a_search_beyond_its_limit_is_reported_and_leaves_no_partial_result() {
     let edges: Vec<Vec<i32>> = (0..40).map(|at| vec![at, at + 1]).collect();
     let edges: Vec<&[i32]> = edges.iter().map(Vec::as_slice).collect();
     let session = session(PATHS, &[("edge", &edges)]);
@@ -338,7 +338,7 @@ fn a_question_can_be_cancelled_and_repeated() {
 }
 
 #[test]
-fn questions_that_make_no_sense_have_no_answer() {
+fn invalid_questions_have_no_answer() {
     let session = session(PATHS, &[("edge", &[&[1, 2]])]);
     let path = session.program().relation("path").unwrap();
     assert!(session.explain(RelId(9), &[]).unwrap().is_none());
@@ -350,7 +350,7 @@ fn questions_that_make_no_sense_have_no_answer() {
     assert!(Explainer::new(&session).matters(ClauseId(0), 9).unwrap().is_some());
 }
 
-/// A program, its facts, what is asked, and how the answer reads.
+/// A program, its facts, a question, and the printed answer.
 fn explained(text: &str, facts: &[(&str, &[&[i32]])], name: &str, row: &[i32]) -> String {
     let mut sources = Sources::new();
     let entry = sources.add("rules.dl", text);
@@ -371,12 +371,12 @@ fn explained(text: &str, facts: &[(&str, &[&[i32]])], name: &str, row: &[i32]) -
     let printer = ExplanationPrinter::new(program.rules(), session.symbols(), &sources);
     let json = printer.json(&explanation);
     assert_eq!(json["nodes"].as_array().unwrap().len(), explanation.nodes().len());
-    assert!(!json.to_string().contains('+'), "a hidden predicate is shown by name");
+    assert!(!json.to_string().contains('+'), "the JSON names a hidden predicate");
     printer.tree(&explanation)
 }
 
 #[test]
-fn trees_read_well() {
+fn trees_are_printed_as_expected() {
     let text = "
 .decl edge(x: number, y: number)
 .decl big(x: number)
@@ -485,7 +485,7 @@ Not(go(1)): no clause of go holds
 }
 
 #[test]
-fn a_range_is_reported_as_it_is_written() {
+fn a_range_is_printed_as_in_the_text() {
     let text = "
 .decl upto(n: number)
 .decl a(x: number)

@@ -1,4 +1,4 @@
-//! `fmt`: one layout; tokens, comments and meaning stay.
+//! `fmt` gives one layout and preserves tokens, comments and meaning.
 
 use logicity::datalog::{ast, format, parse};
 use logicity::diag::{Sources, render};
@@ -27,7 +27,7 @@ fn tree(text: &str) -> ast::File {
     parsed.file
 }
 
-/// The comments of a text in order, by a reader of its own.
+/// The comments of a text in order, found independently of the lexer.
 fn comments(text: &str) -> Vec<String> {
     let mut found = Vec::new();
     let mut rest = text;
@@ -79,7 +79,7 @@ fn the_shipped_rules_are_formatted() {
 }
 
 #[test]
-fn everything_in_its_place() {
+fn all_items_are_laid_out() {
     let text = "// top\n\n\n\n.decl   A( x :number,y: symbol )   // trailing\n.decl B(x:number).input A\n\
         /// doc\nB(x):-A(x,_),!B( x ),Not  (B(x)) , not B(x),x<-7,x!=  3 . // end\n\
         A(1,\"a,  b\").A(2,\"/* no */\"). /* both */ A(3 , \"c\").\n\n\n// last\n";
@@ -90,19 +90,19 @@ fn everything_in_its_place() {
 }
 
 #[test]
-fn a_full_stop_touches_what_stands_before() {
-    // The stop stands at the beginning of a line, in front of a name.
+fn a_full_stop_touches_the_token_before_it() {
+    // A stop at the beginning of a line, before a name.
     assert_eq!(check("A(x) :- x = y\n.b(2).\n"), "A(x) :- x = y.\nb(2).\n");
 }
 
 #[test]
-fn long_clauses_go_on_below() {
+fn long_clauses_are_broken() {
     let literals: Vec<String> = (0..12).map(|number| format!("Literal{number}(x, y)")).collect();
     let text = format!("Head(x) :- {}.", literals.join(","));
     let once = check(&text);
     assert!(once.starts_with("Head(x) :-\n    Literal0(x, y), "), "{once}");
     assert!(once.lines().all(|line| line.len() <= 120), "{once}");
-    // The author's breaks stay, and so do comments between literals.
+    // The formatter keeps the author's breaks and the comments between literals.
     let text = format!(
         "Head(x) :-\n A(x), // why\n  /* what */ B(x),\n  // alone\n  {}.",
         literals[..7].join(", ")
@@ -123,7 +123,7 @@ fn faults_are_reported_and_nothing_is_written() {
     assert_eq!(formatted("\n\n  \n"), "");
 }
 
-/// Tokens of valid items, with anything that may stand between tokens.
+/// Tokens of valid items, with any valid gaps between them.
 fn texts() -> impl Strategy<Value = String> {
     let items = prop::sample::select(vec![
         ".decl Car ( x : symbol , y : number )",
@@ -167,7 +167,7 @@ fn texts() -> impl Strategy<Value = String> {
     proptest::collection::vec((items, proptest::collection::vec(gaps, 60)), 0..8).prop_map(|items| {
         let mut text = String::new();
         for (item, gaps) in items {
-            // A directive's dot and name touch; words are kept apart.
+            // A directive's dot and name touch. Words need a gap.
             let words: Vec<&str> = item.split(' ').collect();
             for (word, gap) in words.iter().zip(gaps.iter().cycle()) {
                 text += word;
@@ -183,8 +183,8 @@ proptest! {
     #![proptest_config(ProptestConfig { cases: 600, ..ProptestConfig::default() })]
 
     #[test]
-    fn any_text_is_formatted_once_and_keeps_its_meaning(text in texts()) {
-        // Some gaps split what must stay on a line; such texts are not rules.
+    fn formatting_is_idempotent_and_preserves_the_meaning(text in texts()) {
+        // Some gaps break tokens that must be on one line; such texts do not parse.
         let mut sources = Sources::new();
         let id = sources.add("test.dl", text.as_str());
         prop_assume!(parse(&sources, id).diagnostics.is_empty());

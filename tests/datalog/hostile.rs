@@ -1,13 +1,13 @@
-//! Rules, programs and rows of any kind are used or refused, whatever bytes they are: what `tests/fuzz` asks of millions of inputs
-//! is asked here of the files of the repository, of files like them, and of what was once found. (`lang` has hostile texts of its
-//! own.)
+//! Any bytes are valid input or give diagnostics: rules, programs and rows. This is what `tests/fuzz` checks on
+//! millions of inputs. Here the inputs are the files of the repository, variants of them, and past failures. `lang`
+//! tests further hostile texts.
 
 use crate::any_input;
 use crate::near_files::{any_bytes, files, near};
 use proptest::prelude::*;
 use std::sync::LazyLock;
 
-/// What the fuzzer begins with.
+/// The seeds of the fuzzer.
 static RULES: LazyLock<Vec<Vec<u8>>> =
     LazyLock::new(|| files(&["tests/corpus", "rules", "tests/fixtures/diagnostics"]));
 static ROWS: LazyLock<Vec<Vec<u8>>> = LazyLock::new(|| {
@@ -18,7 +18,7 @@ static ROWS: LazyLock<Vec<Vec<u8>>> = LazyLock::new(|| {
 });
 
 #[test]
-fn every_rule_file_is_used_or_refused() {
+fn every_rule_file_evaluates_or_gives_diagnostics() {
     for bytes in RULES.iter() {
         any_input::parse(bytes);
         any_input::check(bytes);
@@ -28,17 +28,17 @@ fn every_rule_file_is_used_or_refused() {
 
 proptest! {
     #[test]
-    fn any_rules_are_parsed_or_refused(bytes in prop_oneof![4 => near(&RULES), 1 => any_bytes()]) {
+    fn any_rules_parse_or_give_diagnostics(bytes in prop_oneof![4 => near(&RULES), 1 => any_bytes()]) {
         any_input::parse(&bytes);
     }
 
     #[test]
-    fn any_rules_are_checked_or_refused(bytes in near(&RULES)) {
+    fn any_rules_pass_the_checker_or_give_diagnostics(bytes in near(&RULES)) {
         any_input::check(&bytes);
     }
 
     #[test]
-    fn any_rules_mean_what_they_mean_to_naive(bytes in near(&RULES)) {
+    fn any_rules_agree_with_naive(bytes in near(&RULES)) {
         any_input::query(&bytes);
     }
 
@@ -48,14 +48,14 @@ proptest! {
     }
 
     #[test]
-    fn any_rows_are_read_or_refused(bytes in prop_oneof![4 => near(&ROWS), 1 => any_bytes()]) {
+    fn any_rows_load_or_give_diagnostics(bytes in prop_oneof![4 => near(&ROWS), 1 => any_bytes()]) {
         any_input::rows(&bytes);
     }
 }
 
-/// Found by fuzzing: more faults than are told.
+/// Found by fuzzing: more faults than are reported.
 #[test]
-fn rows_with_more_faults_than_the_limit_are_refused() {
+fn rows_with_more_faults_than_the_limit_give_diagnostics() {
     let bytes: Vec<u8> = std::iter::once(0)
         .chain(b"x\n".repeat(2 * logicity::diag::MAX_FAULTS))
         .collect();

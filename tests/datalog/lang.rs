@@ -24,7 +24,7 @@ fn load_text(name: &str, text: &str) -> (Sources, Loaded) {
     (sources, loaded)
 }
 
-/// The rules of a text that must have no fault at all.
+/// The rules of a text without any diagnostic.
 fn load_clean(name: &str, text: &str) -> Rules {
     let (sources, loaded) = load_text(name, text);
     assert!(
@@ -39,10 +39,7 @@ fn load_clean(name: &str, text: &str) -> Rules {
 
 fn load_rule_file(name: &str) -> Rules {
     let path = root().join("rules").join(name);
-    load_clean(
-        &path.display().to_string(),
-        &read_text(&path).expect("the file is there"),
-    )
+    load_clean(&path.display().to_string(), &read_text(&path).expect("the file exists"))
 }
 
 fn strata(rules: &Rules) -> Vec<Vec<&str>> {
@@ -57,7 +54,7 @@ fn strata(rules: &Rules) -> Vec<Vec<&str>> {
         .collect()
 }
 
-/// The help of the errors of a text, and nothing of its warnings.
+/// The help of a text's errors, without that of warnings.
 fn helps(text: &str) -> Vec<String> {
     let (_, loaded) = load_text("main.dl", text);
     let errors = loaded.diagnostics.into_iter().filter(Diagnostic::is_error);
@@ -105,7 +102,7 @@ fn habits_of_other_languages_are_reported_once_with_help() {
         let said = helps(&format!("{HEAD}{written}\n"));
         assert!(said.len() == 1 && said[0].contains(help), "{written}: {said:?}");
     }
-    // What only looks like it.
+    // Similar code in our syntax.
     load_clean(
         "main.dl",
         &format!("{HEAD}B(x) :- A(x), x <-1.\n.decl and(x: number)\n.output and\nand(x) :- A(x).\n"),
@@ -113,7 +110,7 @@ fn habits_of_other_languages_are_reported_once_with_help() {
 }
 
 #[test]
-fn a_missing_include_suggests_the_file_that_is_meant() {
+fn a_missing_include_suggests_a_similar_file() {
     for (written, meant) in [
         ("vocabulary", "vocabulary.dl"),
         ("vocabulry.dl", "vocabulary.dl"),
@@ -162,9 +159,10 @@ fn stopping_comes_before_slowing_before_speeding() {
     assert_eq!(strata(&load_rule_file("easy.dl")), [["Stop"], ["Normal"]]);
 }
 
-// --- expectations beside the input
+// --- fixtures with expected diagnostics
 
-/// Loads the first of some texts, the others being the files beside it. One that expects `extended-input` is loaded as for a query.
+/// Loads the first of some files; the others are in the same folder. A text that expects `extended-input` loads as for
+/// `query`.
 fn load_files(files: &[(String, String)]) -> (Sources, Loaded) {
     let read_one = |path: &Path| {
         let clean: PathBuf = path
@@ -195,7 +193,7 @@ fn split_files(name: &str, text: &str) -> Vec<(String, String)> {
         if let Some(name) = line.strip_prefix("// file: ") {
             files.push((name.to_owned(), String::new()));
         } else {
-            let (_, text) = files.last_mut().expect("one was put there");
+            let (_, text) = files.last_mut().expect("not empty");
             text.push_str(line);
             text.push('\n');
         }
@@ -203,7 +201,7 @@ fn split_files(name: &str, text: &str) -> Vec<(String, String)> {
     files
 }
 
-/// `error[code]: part of the message`, `warning[code]`, `label[code]: part of the label`, said of a line.
+/// An expectation for a line: `error[code]: part of the message`, `warning[code]`, `label[code]: part of the label`.
 #[derive(Debug)]
 struct Expectation {
     file: String,
@@ -241,7 +239,7 @@ fn expectations(file: &str, text: &str) -> Vec<Expectation> {
     found
 }
 
-/// Every diagnostic is expected on its line, and every expectation met. Labels may be more than are expected.
+/// Checks that the diagnostics are exactly the expected ones of each line. There may be further labels.
 fn check_expectations(what: &str, files: &[(String, String)]) -> Result<(), String> {
     let (sources, loaded) = load_files(files);
     let drawn = render(&loaded.diagnostics, &sources, false);
@@ -298,12 +296,12 @@ fn check_expectations(what: &str, files: &[(String, String)]) -> Result<(), Stri
     assert_eq!(
         loaded.rules.is_none(),
         failed,
-        "{what}: rules exactly if there is no error"
+        "{what}: there are rules if and only if there is no error"
     );
     Ok(())
 }
 
-/// The codes that this room produces.
+/// The codes that the checker produces.
 fn rule_codes() -> impl Iterator<Item = Code> {
     let others = [
         Code::INVALID_FACT,
@@ -348,7 +346,7 @@ fn each_code_has_a_fixture_that_produces_it() {
 
 // --- the paper's notation
 
-/// The table of clauses of the expert mode as it is printed.
+/// The paper's table of clauses of the expert mode, as printed.
 const PAPER: &str = r#"
 .include "vocabulary.dl"
 Stop(X):- Not(IsAmbulance(X)), Not(IsOld(X)), IsAtInter(X), IsInInter(Y).
@@ -366,7 +364,7 @@ Fast(X):- Not(Stop(X)), Not(Slow(X)), IsBus(X).
 Fast(X):- Not(Stop(X)), Not(Slow(X)), IsPolice(X), IsReckless(Y).
 "#;
 
-/// The clauses of some rules without their order, places and docs: one line each.
+/// The clauses of rules, sorted, without places and doc comments: one line each.
 fn clause_lines(rules: &Rules) -> Vec<String> {
     let mut lines: Vec<String> = (rules.clauses.iter())
         .map(|clause| {
@@ -392,7 +390,7 @@ fn clause_lines(rules: &Rules) -> Vec<String> {
 }
 
 #[test]
-fn the_papers_clauses_load_as_printed_and_are_those_of_expert() {
+fn the_papers_clauses_load_as_printed_and_equal_those_of_expert() {
     assert_eq!(
         clause_lines(&load_clean("paper.dl", PAPER)),
         clause_lines(&load_rule_file("expert.dl"))
@@ -400,9 +398,9 @@ fn the_papers_clauses_load_as_printed_and_are_those_of_expert() {
 }
 
 #[test]
-fn rule_sets_nest_as_the_modes_do() {
+fn rule_sets_nest_like_the_modes() {
     let clauses = |name| load_rule_file(name).clauses.len();
-    // The default clause counts too.
+    // The default clause counts, too.
     assert_eq!(clauses("easy.dl"), 4);
     assert_eq!(clauses("medium.dl"), 7);
     assert_eq!(clauses("hard.dl"), 8);
@@ -415,7 +413,7 @@ fn rule_sets_nest_as_the_modes_do() {
 }
 
 #[test]
-fn docs_of_clauses_are_kept() {
+fn clauses_keep_their_doc_comments() {
     let rules = load_rule_file("expert.dl");
     let titles: Vec<&str> = rules
         .clauses
@@ -432,7 +430,7 @@ fn docs_of_clauses_are_kept() {
 
 // --- scope
 
-/// The clauses of a text after `vocabulary.dl`, written out.
+/// The clauses of a text after `vocabulary.dl`, printed.
 fn expanded(text: &str) -> Vec<String> {
     let rules = load_clean("main.dl", &format!(".include \"vocabulary.dl\"\n{text}"));
     let vocabulary = load_rule_file("vocabulary.dl").clauses.len();
@@ -479,7 +477,7 @@ fn written(rules: &Rules, clause: &Clause) -> String {
 }
 
 #[test]
-fn a_scope_guards_every_variable_but_the_heads_first() {
+fn a_scope_guards_every_variable_except_the_heads_first() {
     assert_eq!(
         expanded("Stop(X) :- IsPolice(X), IsYoung(Y), IsYoung(Z), NextTo(Y, Z)."),
         ["Stop(X0) :- IsPolice(X0), IsYoung(Y1), IsYoung(Z2), NextTo(Y1, Z2), [Sees(X0, Y1)], [Sees(X0, Z2)]"]
@@ -488,7 +486,7 @@ fn a_scope_guards_every_variable_but_the_heads_first() {
         expanded("Stop(X) :- IsPolice(X), Not(IsBus(X))."),
         ["Stop(X0) :- IsPolice(X0), !IsBus(X0)"]
     );
-    // What the author wrote is not written twice.
+    // A guard that the author wrote is not added again.
     assert_eq!(
         expanded("Stop(X) :- Sees(X, Y), IsBus(Y)."),
         ["Stop(X0) :- Sees(X0, Y1), IsBus(Y1)"]
@@ -500,7 +498,7 @@ fn a_scope_guards_every_variable_but_the_heads_first() {
 }
 
 #[test]
-fn under_a_scope_a_wildcard_is_somebody_in_view() {
+fn under_a_scope_a_wildcard_ranges_over_the_view() {
     assert_eq!(
         expanded("Stop(X) :- IsClose(X, _)."),
         ["Stop(X0) :- IsClose(X0, _1), [Sees(X0, _1)]"]
@@ -523,7 +521,7 @@ fn under_a_scope_a_wildcard_is_somebody_in_view() {
 }
 
 #[test]
-fn a_scope_leaves_other_types_alone() {
+fn a_scope_guards_no_other_types() {
     assert_eq!(
         expanded(
             ".decl Action(x: agent, v: number)\n.input Action\nStop(X) :- Action(X, V), Action(Y, W), V < W, Action(_, _)."
@@ -532,7 +530,7 @@ fn a_scope_leaves_other_types_alone() {
     );
 }
 
-// --- forms of the text
+// --- notation
 
 #[test]
 fn negations_and_parentheses_fold() {
@@ -562,7 +560,7 @@ fn numbers_and_texts() {
     assert!(rules.symbols.get("a\n\t\"\\'\u{e9}").is_some());
 }
 
-// --- there and back
+// --- printing and parsing
 
 fn name() -> impl Strategy<Value = String> {
     "[a-zA-Z?_][a-zA-Z0-9_?]{0,5}".prop_filter("a word of the language", |name| {
@@ -742,7 +740,7 @@ fn item() -> impl Strategy<Value = ast::Item> {
 
 proptest! {
     #[test]
-    fn what_is_printed_parses_to_the_same(items in proptest::collection::vec(item(), 0..8)) {
+    fn printed_rules_parse_to_the_same_rules(items in proptest::collection::vec(item(), 0..8)) {
         let file = ast::File { items };
         let text = print(&file);
         let mut sources = Sources::new();
@@ -773,7 +771,7 @@ fn the_rule_files_survive_printing() {
 
 // --- hostile texts
 
-/// No panic, and rules exactly if there is no error.
+/// Checks that the text loads without a panic, and that there are rules if and only if there is no error.
 fn survives(text: &str) {
     let (sources, loaded) = load_text("hostile.dl", text);
     assert_eq!(
@@ -786,7 +784,7 @@ fn survives(text: &str) {
     }
 }
 
-/// Pieces that rules are made of, and some that they are not.
+/// Pieces of rules, and some that are not valid.
 const PIECES: &[&str] = &[
     ".decl A(x: symbol)",
     ".decl B(x: number, y: symbol)",
@@ -855,17 +853,17 @@ const PIECES: &[&str] = &[
 
 proptest! {
     #[test]
-    fn no_bytes_make_it_panic(bytes in proptest::collection::vec(any::<u8>(), 0..300)) {
+    fn any_bytes_load_without_a_panic(bytes in proptest::collection::vec(any::<u8>(), 0..300)) {
         survives(&String::from_utf8_lossy(&bytes));
     }
 
     #[test]
-    fn no_order_of_pieces_makes_it_panic(pieces in proptest::collection::vec(proptest::sample::select(PIECES), 0..60)) {
+    fn any_order_of_pieces_loads_without_a_panic(pieces in proptest::collection::vec(proptest::sample::select(PIECES), 0..60)) {
         survives(&pieces.concat());
     }
 
     #[test]
-    fn no_mutation_of_good_rules_makes_it_panic(
+    fn mutated_rules_load_without_a_panic(
         changes in proptest::collection::vec((any::<prop::sample::Index>(), proptest::sample::select(PIECES), 0_usize..12), 1..12)
     ) {
         let mut text: Vec<char> = PAPER.chars().collect();
@@ -878,7 +876,7 @@ proptest! {
     }
 }
 
-/// Neither depth nor length exhausts the stack. How fast they are loaded is measured in `benches/engine.rs`.
+/// Neither depth nor length exhausts the stack. `benches/engine.rs` measures the speed.
 #[test]
 fn slow_large_texts_are_loaded() {
     let many = 200_000;
@@ -939,9 +937,9 @@ fn slow_large_texts_are_loaded() {
 const EDGES: &str =
     ".decl E(x: symbol, y: symbol)\n.decl W(x: symbol, n: number)\n.input E, W\n.decl P(x: symbol)\n.output P\n";
 
-/// Clauses are compared with those that have as much to say, not with all.
+/// The search compares a clause only with clauses that have all of its traits.
 #[test]
-fn twice_the_clauses_are_compared_in_little_more_than_twice_the_steps() {
+fn comparing_twice_the_clauses_takes_little_more_than_twice_the_steps() {
     type Written = fn(usize) -> String;
     let kinds: [(&str, Written); 4] = [
         ("duplicate-clause", |_| "P(x) :- E(x, y), E(y, x).\n".to_owned()),
@@ -971,9 +969,10 @@ fn twice_the_clauses_are_compared_in_little_more_than_twice_the_steps() {
     }
 }
 
-/// Whether a walk of nine steps can end where it began, in a graph where that takes an even number, is not found out in time.
+/// The search ends at its limit: it looks for a closed walk of nine steps in a graph whose closed walks have even
+/// length.
 #[test]
-fn comparing_that_is_given_up_is_reported() {
+fn a_comparison_beyond_its_limit_is_reported() {
     let both = |a: String, b: String| format!("E({a}, {b}), E({b}, {a})");
     let graph: Vec<String> = (0..4)
         .flat_map(|a| (0..4).map(move |b| both(format!("a{a}"), format!("b{b}"))))
@@ -985,9 +984,9 @@ fn comparing_that_is_given_up_is_reported() {
     assert!(!loaded.compared.complete);
 }
 
-/// Every literal of a clause with more to say stands in the one with less, so it is found wherever it stands among many others.
+/// The search finds a redundant clause anywhere among many others.
 #[test]
-fn redundant_clauses_are_found_wherever_they_stand() {
+fn redundant_clauses_are_found_anywhere() {
     let general = "P(x) :- E(x, y), W(y, 7).\n";
     let special = "P(a) :- W(c, 7), a != c, W(a, n), n < 9, E(a, c).\n";
     let others: Vec<String> = (0..200)
@@ -1010,7 +1009,7 @@ fn redundant_clauses_are_found_wherever_they_stand() {
 
 #[test]
 fn includes_end() {
-    // Every file includes a further one.
+    // Every file includes another one.
     let endless = |path: &Path| match path.starts_with(BUILTIN_FOLDER) {
         true => Err(ReadError::NotFound),
         false => Ok(format!(
@@ -1027,7 +1026,7 @@ fn includes_end() {
 
 // --- the reference
 
-/// The blocks of a language in a Markdown text, with the number of the line before each.
+/// The code blocks of a language in a Markdown text, with the number of the line before each.
 fn blocks<'a>(text: &'a str, language: &str) -> Vec<(usize, String)> {
     let mut found = Vec::new();
     let mut lines = text.lines().enumerate();
@@ -1047,7 +1046,7 @@ fn blocks<'a>(text: &'a str, language: &str) -> Vec<(usize, String)> {
 }
 
 #[test]
-fn every_block_of_the_reference_does_what_it_says() {
+fn every_block_of_the_reference_gives_the_diagnostics_it_expects() {
     let text = read_text(&root().join("rules/README.md")).expect("the reference is there");
     let blocks = blocks(&text, "dl");
     assert!(blocks.len() > 20);
@@ -1068,7 +1067,7 @@ fn each_code_has_a_section_whose_example_produces_it() {
             .split_once(&heading)
             .unwrap_or_else(|| panic!("no section for {}", code.name()));
         let section = section.split("\n### ").next().unwrap_or(section);
-        // What is not UTF-8 cannot stand in an example.
+        // An example cannot contain text that is not UTF-8.
         if code != Code::NOT_TEXT {
             assert!(
                 section.contains(&format!("[{}]", code.name())),
@@ -1081,10 +1080,10 @@ fn each_code_has_a_section_whose_example_produces_it() {
 
 // --- redundant clauses
 
-/// A small database: for each relation of the rules its rows.
+/// A small database: the rows of each relation.
 type Database = Vec<BTreeSet<Vec<u32>>>;
 
-/// What a clause derives, by trying every assignment of {0, 1, 2} to its variables.
+/// The rows that a clause derives, by trying every assignment of {0, 1, 2} to its variables.
 fn derived(clause: &Clause, database: &Database) -> BTreeSet<Vec<u32>> {
     let count = u32::try_from(clause.variables.len()).expect("few variables");
     let mut heads = BTreeSet::new();
@@ -1126,7 +1125,7 @@ fn derived(clause: &Clause, database: &Database) -> BTreeSet<Vec<u32>> {
     heads
 }
 
-/// A clause for `P`. Variables that only negated atoms and comparisons use get an atom.
+/// A clause for `P`. Variables in negated atoms and comparisons alone get a positive atom.
 fn random_clause() -> impl Strategy<Value = String> {
     let symbol = || proptest::sample::select(vec!["x", "y", "z", "_", "\"a\""]);
     let bound = || proptest::sample::select(vec!["x", "y", "z", "\"a\""]);
@@ -1167,7 +1166,7 @@ fn random_clause() -> impl Strategy<Value = String> {
 proptest! {
     #![proptest_config(ProptestConfig::with_cases(2048))]
     #[test]
-    fn no_clause_is_called_redundant_that_is_not(
+    fn every_clause_reported_as_redundant_is_redundant(
         clauses in proptest::collection::vec(random_clause(), 2..5),
         scoped: bool,
         databases in proptest::collection::vec(any::<(u8, u16, u16)>(), 8),
@@ -1184,7 +1183,7 @@ proptest! {
                 Code::SUBSUMED_CLAUSE => false,
                 _ => continue,
             };
-            let at = |span: Span| rules.clauses.iter().find(|clause| clause.span == span).expect("a clause is there");
+            let at = |span: Span| rules.clauses.iter().find(|clause| clause.span == span).expect("the clause exists");
             let redundant = at(diagnostic.primary.as_ref().expect("it has a place").span);
             let other = at(diagnostic.secondary[0].span);
             for (a, b, v) in &databases {
@@ -1204,9 +1203,9 @@ proptest! {
     }
 }
 
-// --- what the engine may rely on
+// --- invariants of checked rules
 
-/// The constraints of [`Rules`].
+/// The invariants of [`Rules`].
 fn check_constraints(rules: &Rules) {
     let mut stratum_of = vec![None; rules.relations.len()];
     for (number, stratum) in rules.strata.iter().enumerate() {
@@ -1326,7 +1325,7 @@ fn check_constraints(rules: &Rules) {
 
 proptest! {
     #[test]
-    fn rules_keep_their_constraints(
+    fn rules_keep_their_invariants(
         clauses in proptest::collection::vec((random_clause(), 0_usize..4, 0_usize..4), 1..6),
         scoped: bool,
     ) {
@@ -1370,7 +1369,7 @@ fn strata_follow_dependence_and_then_declaration() {
 }
 
 #[test]
-fn includes_are_found_beside_the_including_file_and_read_once() {
+fn includes_are_relative_to_the_including_file_and_read_once() {
     let files = [
         (
             "rules/main.dl",
@@ -1409,7 +1408,7 @@ fn includes_are_found_beside_the_including_file_and_read_once() {
 }
 
 #[test]
-fn signs_in_a_row_are_printed_as_deep_as_they_were_read() {
+fn consecutive_signs_keep_their_depth_when_printed() {
     let text = format!(
         ".decl A, B(x: number)\nB({}x) :- A(bnot -x), x = -(5).\n",
         "- ".repeat(60)

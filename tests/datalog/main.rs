@@ -1,4 +1,4 @@
-//! The rule language and the engine alone: no city, no configuration, no program on the path.
+//! Tests of the rule language and the engine alone, without a city, a configuration or the binary.
 
 mod any_input;
 mod corpus;

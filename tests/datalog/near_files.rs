@@ -1,4 +1,4 @@
-//! Bytes like those of the files of the repository.
+//! Random variants of the files of the repository.
 
 use proptest::prelude::*;
 use proptest::sample::Index;
@@ -6,7 +6,7 @@ use std::fs;
 use std::path::Path;
 use std::sync::LazyLock;
 
-/// The files of these folders and of those in them.
+/// The files of these folders and their subfolders.
 pub fn files(folders: &[&str]) -> Vec<Vec<u8>> {
     let mut folders: Vec<_> = folders
         .iter()
@@ -27,7 +27,7 @@ pub fn files(folders: &[&str]) -> Vec<Vec<u8>> {
         .collect()
 }
 
-/// One of the files with some bytes replaced, removed, doubled or put in, and some lines exchanged.
+/// One of the files with some bytes replaced, removed, doubled or inserted, and some lines swapped.
 pub fn near(files: &'static LazyLock<Vec<Vec<u8>>>) -> impl Strategy<Value = Vec<u8>> {
     let edit = (any::<Index>(), any::<Index>(), 0..5u8, any::<u8>());
     (any::<Index>(), prop::collection::vec(edit, 0..8)).prop_map(|(file, edits)| {

@@ -1,4 +1,4 @@
-//! The optimiser: answers and firings stay as they are, and what it finds is what it says.
+//! The optimizer preserves answers and firings, and its lints are correct.
 
 use crate::random_program::{genomes, recursive_genomes};
 use crate::rule_files::RuleFiles;
@@ -28,7 +28,7 @@ fn holds(constraint: &DeclaredConstraint, facts: &BTreeSet<(RelId, Vec<Value>)>,
     }
 }
 
-/// The largest part of the facts that keeps the constraints.
+/// The largest subset of the facts that satisfies the constraints.
 fn kept(rules: &Rules, mut facts: BTreeSet<(RelId, Vec<Value>)>) -> BTreeSet<(RelId, Vec<Value>)> {
     loop {
         let bad: Vec<_> = facts
@@ -48,7 +48,7 @@ fn kept(rules: &Rules, mut facts: BTreeSet<(RelId, Vec<Value>)>) -> BTreeSet<(Re
     }
 }
 
-/// All rows, and for each clause what it derives.
+/// All rows, and the rows that each clause derives.
 type Answer = (naive::Database, Vec<Vec<Vec<Value>>>);
 
 fn answer(session: &Session) -> Answer {
@@ -78,7 +78,7 @@ fn check(rules: &Rules, facts: &BTreeSet<(RelId, Vec<Value>)>, constraints: bool
     ];
     for options in modes {
         let mut session = Program::with(rules.clone(), options).unwrap().session();
-        // In two batches, so that maintenance is seen too.
+        // Two batches, to test maintenance, too.
         for part in [0, 1] {
             for (number, (rel, row)) in facts.iter().enumerate() {
                 if number % 2 == part {
@@ -123,7 +123,7 @@ const CONSTRAINTS: [&str; 9] = [
     ".irreflexive S",
 ];
 
-/// Rules over those predicates from small numbers.
+/// Makes rules over those predicates from small numbers.
 fn written(clauses: &[Vec<u8>], constraints: u16) -> String {
     let mut text = BASE.to_owned();
     for (bit, constraint) in CONSTRAINTS.iter().enumerate() {
@@ -176,7 +176,7 @@ proptest! {
     #![proptest_config(ProptestConfig { cases: 400, ..ProptestConfig::default() })]
 
     #[test]
-    fn slow_constraints_change_no_answer_of_facts_that_keep_them(
+    fn slow_constraints_change_no_answer_for_facts_that_satisfy_them(
         clauses in proptest::collection::vec(proptest::collection::vec(any::<u8>(), 3..10), 1..5),
         constraints in 0..512_u16,
         facts in proptest::collection::vec((0..5_u8, 0..3_u8, 0..3_u8), 0..24),
@@ -186,7 +186,7 @@ proptest! {
             .map(Value)
             .find(|value| rules.symbols.text(logicity::symbol::Symbol(value.0)) == Some(name))
             .unwrap());
-        // Symmetric facts come in pairs, so that some are left.
+        // Symmetric facts come in pairs, so that some remain.
         let facts: BTreeSet<(RelId, Vec<Value>)> = facts.iter().flat_map(|&(rel, x, y)| {
             let relation = rules.relation(["A", "B", "C", "R", "S"][rel as usize]).unwrap();
             let (x, y) = (names[x as usize], names[y as usize]);
@@ -196,7 +196,7 @@ proptest! {
     }
 
     #[test]
-    fn slow_without_constraints_nothing_changes(
+    fn slow_optimizing_without_constraints_changes_nothing(
         genome in genomes(1..2),
         recursive in recursive_genomes(1..2),
     ) {
@@ -218,7 +218,8 @@ fn with(rules: &Rules, optimize: bool) -> Program {
     Program::with(rules.clone(), Options { optimize, constraints }).unwrap()
 }
 
-/// Inserts the facts of a city of 1,000 agents that see some others each; one in a hundred of the binary ones is returned too.
+/// Inserts the facts of a city of 1,000 agents that each see some others. Also returns one in a hundred of the binary
+/// facts.
 fn insert_city(session: &mut Session) -> Vec<(RelId, Vec<Value>)> {
     let program = session.program().clone();
     let inputs = program
@@ -258,9 +259,9 @@ fn insert_city(session: &mut Session) -> Vec<(RelId, Vec<Value>)> {
     moving
 }
 
-/// Simplified clauses look at no more rows, neither at first nor from tick to tick.
+/// Simplified clauses scan no more rows, neither in the first commit nor from tick to tick.
 #[test]
-fn simplified_rules_look_at_no_more_rows() {
+fn simplified_rules_scan_no_more_rows() {
     let files = [
         "rules/easy.dl",
         "rules/medium.dl",
@@ -297,9 +298,9 @@ fn simplified_rules_look_at_no_more_rows() {
     }
 }
 
-/// All pairs of comparisons of two values, either way round, and of a value with a number.
+/// All pairs of comparisons of two values, in both orders, and of a value with a number.
 #[test]
-fn comparisons_are_understood() {
+fn pairs_of_comparisons_are_simplified() {
     let ops = ["=", "!=", "<", "<=", ">", ">="];
     let mut text = ".decl N(x: number) .input N .decl P(x: number, y: number) .output P\n".to_owned();
     for one in ops {
@@ -322,7 +323,7 @@ fn comparisons_are_understood() {
     check(&rules, &facts, true).unwrap();
 }
 
-// --- what is found
+// --- lints
 
 fn lints(text: &str) -> Vec<Diagnostic> {
     optimize::lints(&rules(text).1).diagnostics
@@ -345,9 +346,9 @@ fn the_simpler_form_is_suggested() {
     );
 }
 
-/// Under a scope a predicate of its own sees the same only if it is about the same agent.
+/// Under a scope, a separate predicate has the same view only if its first variable is the same agent.
 #[test]
-fn what_is_repeated_is_reported() {
+fn repeated_bodies_are_reported() {
     let three = |part: &str| {
         let clause = |head: &str, more: &str| format!("{head}(X) :- {part}, {more}(X).\n");
         lints(&city(
@@ -368,7 +369,7 @@ fn what_is_repeated_is_reported() {
 }
 
 #[test]
-fn contradictions_are_found_and_cost_nothing() {
+fn contradictions_are_reported_and_never_evaluated() {
     let text = city("Slow(X) :- IsBus(X), IsClose(X, Y), IsOld(X).\nFast(X) :- IsTiro(X), NextTo(X, X).");
     let found = lints(&text);
     assert_eq!(
@@ -439,9 +440,9 @@ fn clauses_that_others_cover_under_the_constraints_are_reported_and_not_run() {
     assert_eq!((derived(false), derived(true)), (2, 1));
 }
 
-/// Of the paper's own clauses: what is known to be said twice, and nothing that can never fire.
+/// The lints of the paper's clauses: the known repetitions, and no contradiction.
 #[test]
-fn the_shipped_rules_contradict_nowhere() {
+fn the_shipped_rules_have_no_contradiction() {
     for name in [
         "easy",
         "medium",
@@ -459,9 +460,9 @@ fn the_shipped_rules_contradict_nowhere() {
     }
 }
 
-/// What the constraints imply is looked for among the clauses that have as much to say, not among all pairs.
+/// The search for clauses that others cover compares a clause only with those that have all of its traits.
 #[test]
-fn twice_the_clauses_take_little_more_than_twice_the_steps() {
+fn searching_twice_the_clauses_takes_little_more_than_twice_the_steps() {
     let kinds = ["IsCar", "IsBus", "IsPedestrian", "IsOld"];
     let program = |count: usize| {
         let clause = |at: usize| {
@@ -477,16 +478,17 @@ fn twice_the_clauses_take_little_more_than_twice_the_steps() {
             .diagnostics
             .iter()
             .filter(|lint| lint.code == Code::SUBSUMED_CLAUSE);
-        assert_eq!(covered.count(), count / 2, "a bus is a car, who is old is a pedestrian");
+        assert_eq!(covered.count(), count / 2, "a bus is a car, an old agent a pedestrian");
         assert_eq!(lints.unfinished, [""; 0]);
         lints.steps
     });
     assert!(one > 1_000 && two < one * 5 / 2, "{one} and {two} steps");
 }
 
-/// Whether a walk of nine steps can end where it began, in a graph where that takes an even number, is not found out in time.
+/// The search ends at its limit: it looks for a closed walk of nine steps in a graph whose closed walks have even
+/// length.
 #[test]
-fn what_is_not_searched_to_the_end_is_reported() {
+fn incomplete_searches_are_reported() {
     let graph: Vec<String> = (0..4)
         .flat_map(|a| (0..4).map(move |b| format!("NextTo(A{a}, B{b})")))
         .collect();

@@ -1,4 +1,5 @@
-//! Checks explanations against the specification: a proof can be replayed, a literal that is said to fail is false.
+//! Checks explanations against the specification: proofs replay, and literals that an explanation calls false are
+//! false.
 
 use logicity::datalog::explain::{AbsenceReason, Explainer, Explanation, FailureKind, Node, Obstacle, Origin, Premise};
 use logicity::datalog::{Atom, ClauseId, Literal, RelId, Rules, Term, Value};
@@ -13,7 +14,7 @@ pub fn database(session: &Session) -> naive::Database {
         .collect()
 }
 
-/// What the atom says under the binding.
+/// The atom's row under the binding.
 fn pattern(atom: &Atom, binding: &[Option<Value>]) -> Vec<Option<Value>> {
     atom.terms.iter().map(|term| value_of(term, binding)).collect()
 }
@@ -34,7 +35,7 @@ fn matches(row: &[Value], pattern: &[Option<Value>]) -> bool {
         .all(|(value, wanted)| wanted.is_none_or(|wanted| wanted == *value))
 }
 
-/// Checks every node of an explanation against all that holds.
+/// Checks every node of an explanation against the complete model.
 pub fn check(session: &Session, model: &naive::Database, explanation: &Explanation) {
     let rules = session.program().rules();
     for node in explanation.nodes() {
@@ -48,7 +49,7 @@ pub fn check(session: &Session, model: &naive::Database, explanation: &Explanati
                         let clause = &rules.clauses[derivation.clause.index()];
                         assert_eq!(clause.head.relation, fact.relation);
                         assert_eq!(clause.body.len(), derivation.premises.len());
-                        // Only what the proof names holds; of what is negated, all that holds does.
+                        // Positive atoms read the facts of the proof alone; negated atoms read the complete model.
                         let mut little: naive::Database = vec![BTreeSet::new(); rules.relations.len()];
                         let mut highest = 0;
                         for (literal, premise) in clause.body.iter().zip(&derivation.premises) {
@@ -125,7 +126,7 @@ fn check_miss(
 ) {
     let clause = &rules.clauses[clause.index()];
     let Obstacle::Body { binding, failures } = obstacle else {
-        // Either a constant is another one, or a variable would have to be two things.
+        // Either constants differ, or a variable would need two values.
         let mut known: BTreeMap<u32, Value> = BTreeMap::new();
         let clash = clause
             .head

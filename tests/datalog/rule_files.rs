@@ -1,9 +1,9 @@
-//! The rule files of the repository, which the engine alone does not contain.
+//! Reads the rule files of the repository, which the engine alone does not contain.
 
 use logicity::files::{BUILTIN_FOLDER, ReadError, ReadFile, read_text};
 use std::path::Path;
 
-/// Reads files; under [`BUILTIN_FOLDER`] those of `rules/`.
+/// Reads files from the disk, and under [`BUILTIN_FOLDER`] those of `rules/`.
 pub struct RuleFiles;
 
 impl ReadFile for RuleFiles {
@@ -15,8 +15,7 @@ impl ReadFile for RuleFiles {
     }
 
     fn builtin_paths(&self) -> Vec<String> {
-        let files =
-            std::fs::read_dir(Path::new(env!("CARGO_MANIFEST_DIR")).join("rules")).expect("the folder is there");
+        let files = std::fs::read_dir(Path::new(env!("CARGO_MANIFEST_DIR")).join("rules")).expect("the folder exists");
         let mut paths: Vec<String> = files
             .map(|file| format!("rules/{}", file.expect("an entry").file_name().to_string_lossy()))
             .collect();

@@ -1,10 +1,10 @@
-//! Programs from text, for fixed examples and benches.
+//! Programs from text, for examples and benches.
 
 use logicity::datalog;
 use logicity::datalog::Program;
 use logicity::diag::{Sources, render};
 
-/// The program of a text in the rule language, which may include the files of `rules/`.
+/// Compiles a text, which may include the files of `rules/`.
 pub fn program(text: &str) -> Program {
     let mut sources = Sources::new();
     let entry = sources.add(concat!(env!("CARGO_MANIFEST_DIR"), "/rules/example.dl"), text);

@@ -1,4 +1,4 @@
-//! What the targets ask of every input, from the modules that the tests use.
+//! The properties that the targets check, from the modules of the tests.
 
 #[path = "../city/any_input.rs"]
 pub mod city;

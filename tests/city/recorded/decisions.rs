@@ -1,4 +1,4 @@
-//! What egos see, what is true for them and what the rules decide is as recorded: every ego of every tick is put as a scene.
+//! Views, atoms and decisions equal the recorded ones: each ego of each tick becomes a scene.
 
 use super::{Recording, recordings, solved};
 use crate::shipped_world::world;
@@ -12,21 +12,21 @@ use logicity::sim::{EgoAnswer, Executor, Inference};
 use serde_json::{Value, json};
 use std::collections::{BTreeMap, BTreeSet, HashMap};
 
-/// True atoms by predicate, without the predicates of which nothing is true.
+/// True atoms by predicate, without predicates that have none.
 type Atoms = BTreeMap<String, BTreeSet<Vec<String>>>;
 
-/// What was recorded of one ego in one tick.
+/// The record of one ego in one tick.
 struct Recorded {
     place: String,
-    /// A scene for this ego alone, since each ego drew its own `CollidingClose`.
+    /// A scene for this ego alone, since each ego drew `CollidingClose` separately.
     scene: Value,
     sees: Vec<String>,
     atoms: Atoms,
-    /// `None` where the solver found no model.
+    /// `None` if the solver found no model.
     actions: Option<BTreeSet<Action>>,
 }
 
-/// A configuration with the predicates of a recording. Where its rules are not known, all predicates of the paper.
+/// A configuration with the predicates of a recording: all predicates of the paper if its rules are not known.
 fn config(recording: &Recording) -> &'static str {
     recording.mode().unwrap_or("expert")
 }
@@ -46,10 +46,10 @@ fn slow_egos_see_and_decide_as_recorded() {
         let (mut differences, mut decisions, mut unsolved) = (Vec::new(), 0, 0);
         for (answer, recorded) in answers.iter().zip(&expected) {
             let [ego] = answer.as_slice() else {
-                panic!("{}: one ego was asked about", recorded.place)
+                panic!("{}: expected one ego", recorded.place)
             };
             let mut atoms = atoms_of(ego);
-            // A mode has exactly the predicates of its configuration.
+            // The record has exactly the predicates of the configuration.
             if recording.mode().is_none() {
                 atoms.retain(|name, _| predicates.contains(name));
             }
@@ -79,7 +79,7 @@ fn slow_egos_see_and_decide_as_recorded() {
         }
         if recording.mode().is_none() {
             recording.report(&format!(
-                "{} decisions not compared: `{}` is no mode of ours, so its rules are not known",
+                "{} decisions not compared: `{}` is no shipped mode, so its rules are unknown",
                 expected.len(),
                 recording.tag
             ));
@@ -95,7 +95,8 @@ fn slow_egos_see_and_decide_as_recorded() {
     }
 }
 
-/// Whether the rules derive what the solver found. Normal is what is done where nothing else is derived; the solver may say so or not.
+/// Whether the rules derive the actions that the solver found. Normal is the default if no other action is derived; the
+/// solver's model may contain it or not.
 fn decides(ego: &EgoAnswer, solved: &BTreeSet<Action>) -> bool {
     let but_normal = |action: &Action| *action != Action::Normal;
     let derived: BTreeSet<Action> = ego.derived.iter().filter(but_normal).collect();
@@ -103,14 +104,14 @@ fn decides(ego: &EgoAnswer, solved: &BTreeSet<Action>) -> bool {
     derived == wanted && solved.contains(&ego.action)
 }
 
-/// `CollidingClose` as we compute it, with every chance set to one, holds wherever it was recorded; where it was not, a chance was
-/// at play: a pedestrian, or two agents in one cell.
+/// With every chance set to one, `CollidingClose` holds wherever it was recorded. Where it holds but was not recorded,
+/// a chance decides: for a pedestrian, or for two agents in one cell.
 #[test]
 fn slow_collisions_follow_from_positions() {
     let mut certain = 0;
     for recording in recordings("trace") {
         let expected: Vec<Recorded> = recording.lines().flat_map(|tick| egos_of_tick(&tick)).collect();
-        // The same scene for all egos of a tick.
+        // All egos of a tick share the scene.
         let mut scenes: Vec<Value> = Vec::new();
         let mut of_ego = Vec::new();
         for recorded in &expected {
@@ -143,7 +144,7 @@ fn slow_collisions_follow_from_positions() {
         recording.report(&format!("{here} atoms of CollidingClose follow from the positions"));
         certain += here;
     }
-    assert!(certain > 1000, "{certain} in all, with those of the repository");
+    assert!(certain > 1000, "{certain} in all files");
 }
 
 /// Sets every chance to one.
@@ -158,7 +159,7 @@ fn always(scenario: &mut Scenario) {
     assert!(found);
 }
 
-/// One for each agent of a tick.
+/// One record for each agent of a tick.
 fn egos_of_tick(tick: &Value) -> Vec<Recorded> {
     let list = tick["agents"].as_array().unwrap();
     let names: HashMap<i64, &str> = list
@@ -213,22 +214,20 @@ fn egos_of_tick(tick: &Value) -> Vec<Recorded> {
     tick["ego"].as_object().unwrap().iter().map(recorded).collect()
 }
 
-/// Leaves out what is recorded of predicates that no configuration of ours has, and says so.
+/// Removes recorded predicates that no shipped configuration has, and prints them.
 fn drop_unknown_predicates(recording: &Recording, predicates: &BTreeSet<String>, expected: &mut [Recorded]) {
     let world = world(config(recording), None, |_| ());
     let known = |name: &String| (world.vocabulary.predicates.iter()).any(|predicate| predicate.name == *name);
     let unknown: Vec<&String> = predicates.iter().filter(|name| !known(name)).collect();
     if !unknown.is_empty() {
-        recording.report(&format!(
-            "atoms of {unknown:?} not compared: the predicates are not known"
-        ));
+        recording.report(&format!("atoms of {unknown:?} not compared: unknown predicates"));
     }
     for recorded in expected {
         recorded.atoms.retain(|name, _| known(name));
     }
 }
 
-/// The predicates that are recorded in a tick.
+/// The recorded predicates of a tick.
 fn predicates_of_tick(tick: &Value) -> BTreeSet<String> {
     let egos = tick["ego"].as_object().unwrap().values();
     egos.flat_map(|ego| ego["true"].as_object().unwrap().keys().cloned())
@@ -241,7 +240,7 @@ fn atoms_of(ego: &EgoAnswer) -> Atoms {
         .collect()
 }
 
-/// The answers to scenes, which both executors give.
+/// Answers scenes with both executors, which must agree.
 fn answers(config: &str, edit: fn(&mut Scenario), scenes: &[&Value]) -> Vec<Vec<EgoAnswer>> {
     std::thread::scope(|scope| {
         let by = |executor| scope.spawn(move || answers_by(executor, config, edit, scenes));

@@ -1,4 +1,4 @@
-//! The map, its road graph and the cells where agents start are those of the published program.
+//! The map, its road graph and its start cells equal those of the published program.
 
 use super::{folder, square_5x5};
 use logicity::city::{AgentKind, Building, Routing};
@@ -9,14 +9,14 @@ use std::collections::BTreeSet;
 use std::fs::File;
 use std::sync::Arc;
 
-/// What a map says of each of its cells.
+/// The value of a function for each cell of a map.
 fn layer<T>(map: &CityMap, of: impl Fn(Cell) -> T) -> Array2<T> {
     let shape = (map.rows() as usize, map.cols() as usize);
     Array2::from_shape_fn(shape, |(row, col)| of(Cell::new(row as i32, col as i32)))
 }
 
 #[test]
-fn the_map_is_the_recorded_one_in_every_layer() {
+fn every_layer_of_the_map_equals_the_recorded_one() {
     let map = square_5x5();
     let mut npz = NpzReader::new(File::open(folder().join("map_square_5x5.npz")).unwrap()).unwrap();
     let street: Array2<f32> = npz.by_name("street").unwrap();
@@ -56,7 +56,7 @@ fn the_map_is_the_recorded_one_in_every_layer() {
 }
 
 #[test]
-fn start_cells_are_as_many_as_in_the_published_program() {
+fn the_number_of_start_cells_equals_that_of_the_published_program() {
     let router = Router::new(Arc::new(square_5x5()), Routing::Weighted);
     let count = |kind| {
         [Some(60), Some(100), Some(120), Some(140), None].map(|region| Places::new(&router, region, None).count(kind))
@@ -66,7 +66,7 @@ fn start_cells_are_as_many_as_in_the_published_program() {
 }
 
 #[test]
-fn the_road_graph_is_that_of_the_paper() {
+fn the_road_graph_equals_that_of_the_paper() {
     let router = Router::new(Arc::new(square_5x5()), Routing::Weighted);
     let lanes: Vec<Lane> = router.lanes().collect();
     assert_eq!(lanes.len(), 120);
@@ -74,7 +74,7 @@ fn the_road_graph_is_that_of_the_paper() {
     let nodes: BTreeSet<Cell> = lanes.iter().flat_map(|lane| [lane.start, lane.end]).collect();
     assert_eq!(nodes.len(), 240);
 
-    // The connectors are exactly the pairs within reach, and nothing else is near.
+    // The connectors are exactly the pairs within reach, and no other pair is close.
     let connectors: BTreeSet<(Cell, Cell)> = router
         .connectors()
         .map(|(from, to)| (lanes[from].end, lanes[to].start))

@@ -1,4 +1,4 @@
-//! Recorded runs of the published simulator: those of `tests/recorded`, and all that `LOGICITY_CASES` names a folder of.
+//! Recorded runs of the published simulator: the files of `tests/recorded` and of the folder `LOGICITY_CASES`.
 
 mod decisions;
 mod map;
@@ -65,7 +65,7 @@ impl Recording {
         lines.map(|line| serde_json::from_str(&line.unwrap()).unwrap())
     }
 
-    /// The shipped configuration with the rules of the recorded run. `None` for a tag that is no mode of ours.
+    /// The shipped configuration with the rules of the recorded run. `None` if the tag is no shipped mode.
     fn mode(&self) -> Option<&'static str> {
         let name = self.tag.replace('_', "-");
         MODES.iter().copied().find(|mode| *mode == name)
@@ -78,9 +78,9 @@ impl Recording {
         recordings_in(folder, kind).into_iter().find(same)
     }
 
-    /// Prints what was compared, also where the test passes.
+    /// Prints what was compared, even if the test passes.
     fn report(&self, text: &str) {
-        // `println!` and `eprintln!` are captured.
+        // The test harness captures `println!` and `eprintln!`.
         let _ = writeln!(std::io::stderr(), "recorded {}_{}: {text}", self.kind, self.tag);
     }
 }
@@ -100,7 +100,7 @@ fn cell(value: &Value) -> Cell {
     Cell::new(coordinate(0), coordinate(1))
 }
 
-/// A route, in which a cell may be repeated at once.
+/// A route. Its cells may repeat in a row.
 fn cells(value: &Value) -> Vec<Cell> {
     let mut cells: Vec<Cell> = value.as_array().unwrap().iter().map(cell).collect();
     cells.dedup();
@@ -111,7 +111,7 @@ fn kind(value: &Value) -> AgentKind {
     match value.as_str().unwrap() {
         "Car" => AgentKind::Car,
         "Pedestrian" => AgentKind::Pedestrian,
-        other => panic!("no kind of agent: {other}"),
+        other => panic!("unknown kind of agent: {other}"),
     }
 }
 
@@ -130,7 +130,7 @@ fn solved(ego: &Value) -> BTreeSet<Action> {
     actions
 }
 
-/// An agent of which nothing but its kind matters.
+/// An agent of this kind; its other properties do not matter.
 fn plain_agent(kind: AgentKind) -> AgentConfig {
     AgentConfig {
         name: AgentName { kind, number: 1 },

@@ -1,4 +1,4 @@
-//! Fields of view, routes and moves are as recorded.
+//! Fields of view, routes and moves equal the recorded ones.
 
 use super::{Recording, cell, cells, heading, index, kind, plain_agent, recordings, square_5x5};
 use logicity::city::{Action, AgentKind, Routing};
@@ -22,7 +22,7 @@ fn router(map: CityMap) -> Router {
 }
 
 #[test]
-fn routes_are_the_recorded_ones() {
+fn routes_equal_the_recorded_ones() {
     let router = router(square_5x5());
     let weighted = Router::new(router.map().clone(), Routing::Weighted);
     let places = Places::new(&router, Some(REGION), None);
@@ -34,7 +34,7 @@ fn routes_are_the_recorded_ones() {
             assert_eq!((recorded[0], recorded[recorded.len() - 1]), (start, goal));
             let route = router.plan(kind, start, goal).unwrap();
             assert!([start, goal].iter().all(|cell| places.contains(kind, *cell)));
-            // Not only as many nodes or steps: the same cells.
+            // The cells are the same, not only the numbers of nodes and steps.
             assert!(route.cells().eq(recorded.iter().copied()), "{start:?} to {goal:?}");
             assert_eq!(route, router.follow(kind, recorded).unwrap());
             let other = weighted.plan(kind, start, goal).unwrap();
@@ -56,7 +56,7 @@ fn routes_are_the_recorded_ones() {
 }
 
 #[test]
-fn fields_of_view_are_the_recorded_ones() {
+fn fields_of_view_equal_the_recorded_ones() {
     let map = square_5x5();
     for recording in recordings("trace") {
         let mut egos = 0;
@@ -84,7 +84,7 @@ struct Step<'a> {
 }
 
 impl Step<'_> {
-    /// The actions that the rules allow, as the published program wrote them down: moves by one, two or three cells, and none.
+    /// The moves that the rules allow, as the published program recorded them: by one, two, three or no cells.
     fn decided(&self) -> BTreeSet<Action> {
         let local = self.ego["local"].as_array().unwrap().iter().map(index);
         local
@@ -93,12 +93,12 @@ impl Step<'_> {
                 (AgentKind::Car, 0..4) => Action::Slow,
                 (AgentKind::Car, 8..12) => Action::Fast,
                 (AgentKind::Pedestrian, 4) | (AgentKind::Car, 12) => Action::Stop,
-                (kind, action) => panic!("no action of a {kind:?}: {action}"),
+                (kind, action) => panic!("a {kind:?} has no action {action}"),
             })
             .collect()
     }
 
-    /// The moves that the route allows. `None` where the published program did not ask.
+    /// The moves that the route allows. `None` if the published program did not use the route.
     fn allowed(&self) -> Option<BTreeSet<(Heading, usize)>> {
         const HEADINGS: [Heading; 4] = [Heading::Left, Heading::Right, Heading::Up, Heading::Down];
         let allowed = self.ego["global"].as_array()?.iter().map(index);
@@ -121,7 +121,8 @@ fn possible(agent: &Agent) -> BTreeSet<(Heading, usize)> {
         .collect()
 }
 
-/// How many cells an agent may move: as one of the decided actions says if the route allows it, else as the route allows.
+/// The numbers of cells that an agent may move: those of the decided actions that the route allows, or else those that
+/// the route allows.
 fn choices(agent: &Agent, decided: &BTreeSet<Action>) -> BTreeSet<usize> {
     let most = possible_cells(agent);
     let wanted = decided.iter().filter_map(|&action| speed_cells(agent.kind, action));
@@ -138,7 +139,7 @@ fn action_of(kind: AgentKind, cells: usize) -> Action {
     Action::ALL.into_iter().find(moves).expect("the reach of an agent")
 }
 
-/// The routes of a run: those that were recorded, else what is planned for recorded starts and goals.
+/// The routes of a run: the recorded ones, or else planned ones for recorded starts and goals.
 struct Planned {
     recorded: BTreeMap<(u64, u64, i64), Route>,
     /// Goals by seed, agent and tick.
@@ -163,13 +164,13 @@ impl Planned {
         Planned { recorded, goals }
     }
 
-    /// Whether routes were recorded at all.
+    /// Whether the run has recorded routes.
     fn is_recorded(&self) -> bool {
         !self.recorded.is_empty()
     }
 
-    /// The route that was planned in a tick, `-1` for the first. `None` if no route was recorded and the trace ends before the goal is
-    /// seen.
+    /// The route that was planned in a tick, `-1` for the first. `None` if no route was recorded and the trace ends
+    /// before it shows the goal.
     fn route(&self, router: &Router, key: (u64, u64, i64), kind: AgentKind, start: Cell) -> Option<Route> {
         if self.is_recorded() {
             return Some(self.recorded.get(&key).expect("a recorded route").clone());
@@ -187,7 +188,7 @@ fn agents_move_as_recorded() {
     for recording in recordings("trace") {
         let planned = Planned::new(&router, &recording);
         let (mut moves, mut drawn, mut replans, mut unseen, mut lost) = (0, 0, 0, 0, Vec::new());
-        // Without an agent whose route is not known any more.
+        // Without agents whose route is unknown.
         let mut agents: BTreeMap<(u64, u64), Option<Agent>> = BTreeMap::new();
         for line in recording.lines() {
             let (seed, tick) = (line["seed"].as_u64().unwrap(), line["tick"].as_i64().unwrap());
@@ -222,8 +223,9 @@ fn agents_move_as_recorded() {
                 );
 
                 let allowed = step.allowed();
-                // Where a route comes through a cell twice, the published program takes the second time for the first and
-                // drives around again, for ever. Ours keeps its place on the route; here it is put back to go on comparing.
+                // If a route passes a cell twice, the published program confuses the second pass with the first and
+                // drives around endlessly. Our agent keeps its place; the test moves it back to continue the
+                // comparison.
                 let passed = (agent.route().cells().take(agent.position())).position(|cell| cell == agent.cell);
                 if let (Some(first), Some(allowed)) = (passed, &allowed)
                     && agent.rest == Rest::UnderWay
@@ -241,11 +243,11 @@ fn agents_move_as_recorded() {
                     let moved = advance(&mut agent, position, action, &surroundings);
                     (agent, moved)
                 };
-                // Only for what does not depend on the decision, if there are several.
+                // If there are several decisions, only moves that do not depend on them.
                 let action = decided.first().copied().unwrap_or(Action::Normal);
                 let (mut moved_agent, mut moved) = by(agent, action);
                 if moved.replanned {
-                    // Where it goes is drawn; the recorded route takes the place of ours, and the decision is followed on it.
+                    // The goal is drawn, so the recorded route replaces ours, and the agent follows the decision on it.
                     replans += 1;
                     assert_eq!(
                         router.plan(agent.kind, agent.cell, moved_agent.goal()).as_ref(),
@@ -262,7 +264,7 @@ fn agents_move_as_recorded() {
                 } else {
                     assert!(
                         !planned.recorded.contains_key(&(seed, id, tick)),
-                        "{place}: should have replanned"
+                        "{place}: must replan"
                     );
                 }
                 if let Some(allowed) = allowed {
@@ -275,7 +277,7 @@ fn agents_move_as_recorded() {
                     let cells = cells.unwrap_or_else(|| panic!("{place}: {to:?} is not on its route"));
                     let choices = choices(agent, &decided);
                     assert!(choices.contains(&cells), "{place}: {cells} of {choices:?}");
-                    // Each decision alone leads to one of these choices, or to what is possible without it.
+                    // Each decision alone leads to one of these choices, or to a move that is possible without it.
                     for &action in &decided {
                         let (alone, moved) = by(agent, action);
                         let cells = alone.position() - agent.position();
@@ -304,7 +306,7 @@ fn agents_move_as_recorded() {
         ));
         if unseen > 0 {
             recording.report(&format!(
-                "{unseen} moves not compared: no routes recorded, and the trace ends"
+                "{unseen} moves not compared: no routes recorded, and the trace ends before it shows the goal"
             ));
         }
         if !lost.is_empty() {

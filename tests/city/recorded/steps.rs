@@ -1,4 +1,5 @@
-//! Observations, wanted actions, violations, rewards and moves of the controlled car are those of the published environment.
+//! Observations, wanted actions, violations, rewards and moves of the controlled car equal those of the published
+//! environment.
 
 use super::{cell, cells, heading, index, plain_agent, recordings, square_5x5};
 use crate::shipped_world::{PATH_MODES, task};
@@ -11,13 +12,13 @@ use serde_json::Value;
 use std::collections::BTreeSet;
 use std::sync::Arc;
 
-/// From every recorded state of the published environment: observation, wanted action, reward and violation are the recorded ones.
+/// In every recorded state, the observation, wanted action, reward and violation equal the recorded ones.
 #[test]
 fn recorded_steps() {
     for recording in recordings("gym") {
         let Some(mode) = recording.mode().filter(|mode| PATH_MODES.contains(mode)) else {
             recording.report(
-                "steps not compared: the tag is no mode of Safe Path Following of ours, so its rules are not known",
+                "steps not compared: the tag is no shipped mode of Safe Path Following, so its rules are unknown",
             );
             continue;
         };
@@ -104,7 +105,7 @@ fn placed(recorded: &Value, like: &Agent, world: &World) -> Agent {
     agent
 }
 
-/// The draws of the published program, read off the recorded observation.
+/// The draws of the published program, read from the recorded observation.
 struct Draws<'a> {
     task: &'a SpfTask,
     entities: &'a [usize],
@@ -124,7 +125,7 @@ impl Chance for Draws<'_> {
     }
 }
 
-/// The controlled car on its way.
+/// The controlled car on its route.
 struct Ego {
     id: Value,
     route: Vec<Cell>,
@@ -165,7 +166,7 @@ fn the_controlled_car_moves_as_recorded() {
             };
             let state = agents.iter().find(|agent| agent["id"] == ego.id).unwrap();
             let (from, to) = (ego.route[ego.at], cell(&state["pos"]));
-            // Where the route comes through a cell twice, the published program takes the second time for the first.
+            // If the route passes a cell twice, the published program confuses the second pass with the first.
             let first = ego.route.iter().position(|cell| *cell == from).unwrap();
             let moved = [ego.at, first].into_iter().find_map(|at| {
                 let rest = router.follow(AgentKind::Car, ego.route[at..].iter().copied()).unwrap();

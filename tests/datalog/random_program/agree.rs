@@ -1,4 +1,4 @@
-//! A session against the specification: any program, any script of changes.
+//! Compares a session with the specification on any program and any script of changes.
 
 use super::Batch;
 use logicity::datalog::{ClauseId, Literal, RelId, Rules, Value};
@@ -6,7 +6,7 @@ use logicity::datalog::{Options, Program, Session, Strategy, StratumStats, naive
 use proptest::prelude::*;
 use std::collections::BTreeSet;
 
-/// Everything a session holds.
+/// All rows of a session.
 pub fn database(session: &Session) -> naive::Database {
     let relations = session.program().rules().relations.len();
     (0..relations as u32)
@@ -14,10 +14,10 @@ pub fn database(session: &Session) -> naive::Database {
         .collect()
 }
 
-/// Runs the script in every strategy, with and without the optimiser; after every batch each session is what `naive` derives from
-/// scratch, and its delta is exactly the difference.
+/// Runs the script under every strategy, with and without the optimizer. After every batch, each session equals what
+/// `naive` derives from scratch, and its delta is exactly the difference.
 pub fn agrees(rules: &Rules, script: &[Batch]) -> Result<(), TestCaseError> {
-    // Workspace that the rules make are interned here, so that they have one word in all sessions.
+    // Interns the texts that the rules make, so that each has the same word in all sessions.
     let states = states(rules, script);
     for optimize in [false, true] {
         let options = Options {
@@ -29,7 +29,7 @@ pub fn agrees(rules: &Rules, script: &[Batch]) -> Result<(), TestCaseError> {
     Ok(())
 }
 
-/// What holds after every batch.
+/// The model after every batch.
 fn states(rules: &Rules, script: &[Batch]) -> Vec<naive::Database> {
     let mut facts: BTreeSet<(RelId, Vec<Value>)> = BTreeSet::new();
     let state = |batch: &Batch| {
@@ -71,7 +71,7 @@ fn agrees_with(
         before = after;
     }
 
-    // The same change there and back again: nothing happens. There, then back: what happened is undone.
+    // A batch with a change and its inverse has no effect. Two batches undo each other.
     let Some(batch) = script.last() else {
         return Ok(());
     };
@@ -115,7 +115,7 @@ fn set(session: &mut Session, rel: RelId, row: &[Value], present: bool) {
     noted.expect("a row that fits");
 }
 
-/// Commits; the session holds `after`, and its delta is the difference to `before`.
+/// Commits and checks that the session holds `after` and that its delta is the difference from `before`.
 fn check_commit(session: &mut Session, before: &naive::Database, after: &naive::Database) -> Result<(), TestCaseError> {
     let delta = session.commit().unwrap();
     prop_assert_eq!(&database(session), after);
@@ -137,8 +137,8 @@ fn check_commit(session: &mut Session, before: &naive::Database, after: &naive::
     Ok(())
 }
 
-/// Only strata whose inputs changed were touched, in the way asked for, and in those maintained only clauses that read what
-/// changed or that might derive again what was lost.
+/// Checks that the commit evaluated only strata whose inputs changed, with the requested strategy. In maintained
+/// strata, only clauses that read a change or that might rederive a lost row ran.
 fn check_work(
     session: &Session,
     strategy: Strategy,
@@ -153,7 +153,7 @@ fn check_work(
         let changed = |clause: ClauseId| input_changed(rules, clause, &stratum.relations, before, after);
         let any = stratum.clauses.iter().any(|clause| changed(*clause));
         let (evaluated, due) = (*work != StratumStats::Skipped, first || any);
-        // The optimiser may find that a clause does not depend on what changed.
+        // The optimizer may find that a clause does not depend on the change.
         prop_assert!(evaluated == due || (optimize && due));
         match work {
             StratumStats::Skipped => {}
@@ -162,7 +162,7 @@ fn check_work(
                 for rule in &work.rules {
                     prop_assert!(stratum.clauses.contains(&rule.clause) && rule.delta_rows > 0);
                 }
-                // As long as nothing may be lost, a clause that reads nothing that changed does not run.
+                // If no row can be lost, a clause that reads no change does not run.
                 if !stratum.recursive && work.rules.iter().any(|rule| !changed(rule.clause)) {
                     prop_assert!(work.rules.iter().any(|rule| changed(rule.clause) && rule.derived > 0));
                 }
@@ -179,7 +179,7 @@ fn check_work(
     Ok(())
 }
 
-/// Whether the clause reads a relation outside of its stratum that is not what it was.
+/// Whether the clause reads a changed relation outside of its stratum.
 fn input_changed(
     rules: &Rules,
     clause: ClauseId,

@@ -1,7 +1,7 @@
 //! Random safe, stratified programs, facts and scripts of changes, made to shrink well.
 //!
-//! proptest draws plain lists of small numbers (a [`Genome`]); [`Genome::rules`] reads any such list as a program, mending what
-//! would not be safe. So every shrunk list is a valid program too.
+//! proptest draws lists of small numbers (a [`Genome`]). [`Genome::rules`] reads any such list as a program and repairs
+//! unsafe clauses. So every shrunk list is a valid program, too.
 
 #![allow(dead_code, reason = "each test target uses its own part")]
 
@@ -16,18 +16,18 @@ use logicity::symbol::Symbols;
 use proptest::collection::vec;
 use proptest::prelude::*;
 
-/// The symbols of the domain; their order of interning is not that of their texts.
+/// The symbols of the domain. Their order of interning differs from that of their texts.
 pub const TEXTS: [&str; 5] = ["m", "b", "", "é", "a"];
 /// The numbers of the domain.
 pub const NUMBERS: [i32; 8] = [0, 1, -1, i32::MIN, 7, 2, 3, i32::MAX];
 
-/// Variables of a clause that stand in atoms: the even ones hold symbols, the odd ones numbers.
+/// The variables in the atoms of a clause: even ones hold symbols, odd ones numbers.
 const VARIABLES: usize = 8;
 
-/// After them those that hold floats. They are computed and compared, and stand in no atom.
+/// The variables after them hold floats, which clauses compute and compare but no atom contains.
 const FLOATS: [usize; 2] = [8, 9];
 
-/// Among them one without a value of its own: "not a number".
+/// The floats of the domain, with "not a number".
 const FLOAT_CONSTANTS: [f32; 6] = [0.0, -0.0, 0.5, -2.5, f32::INFINITY, f32::NAN];
 
 /// Raw material of an atom or comparison.
@@ -49,10 +49,10 @@ pub struct ClauseGene {
 /// A change of a base fact: whether it is inserted, relation, values.
 pub type ChangeGene = (bool, u8, [u8; 5]);
 
-/// Changes of facts that are committed together: whether the row is inserted, else it is retracted.
+/// Changes of one commit: true inserts the row, false retracts it.
 pub type Batch = Vec<(bool, RelId, Vec<Value>)>;
 
-/// Raw material of a program and of what happens to it.
+/// Raw material of a program and its script of changes.
 #[derive(Clone, Debug)]
 pub struct Genome {
     /// Column bases of the base relations.
@@ -92,7 +92,7 @@ pub fn genomes(batches: std::ops::Range<usize>) -> impl Strategy<Value = Genome>
     })
 }
 
-/// Programs that are mostly recursion over pairs: everything joins with everything, and the way to the fixpoint is long.
+/// Programs of mostly recursion over pairs, with many joins and a late fixpoint.
 pub fn recursive_genomes(batches: std::ops::Range<usize>) -> impl Strategy<Value = Genome> {
     let pairs = |count| vec(Just(vec![true; 2]), count);
     // Variables only.
@@ -116,7 +116,7 @@ pub fn recursive_genomes(batches: std::ops::Range<usize>) -> impl Strategy<Value
     (pairs(1..=2), vec(stratum, 1..=2), script).prop_map(|(base, strata, script)| Genome { base, strata, script })
 }
 
-/// Programs of which most literals compute, aggregate or compare, with floats too, over relations of numbers.
+/// Programs whose literals mostly compute, aggregate or compare, with floats, too, over relations of numbers.
 pub fn computing_genomes(batches: std::ops::Range<usize>) -> impl Strategy<Value = Genome> {
     let columns = || vec(prop::bool::weighted(0.8), 1..=2);
     let kind = prop_oneof![2 => 0..130u8, 1 => 150..190u8, 5 => 225..233u8, 1 => 233..241u8, 3 => 241..=255u8];
@@ -158,8 +158,7 @@ impl Numbers<'_> {
 }
 
 impl Genome {
-    /// The genome that the bytes are read as, whatever they are: one like those of [`genomes`], or, if the first byte is odd, of
-    /// [`recursive_genomes`].
+    /// Reads any bytes as a genome: one of [`genomes`], or, if the first byte is odd, of [`recursive_genomes`].
     pub fn read(bytes: &[u8]) -> Genome {
         let mut numbers = Numbers(bytes.iter());
         let pairs = numbers.next() % 2 == 1;
@@ -312,7 +311,7 @@ fn variable(base: BaseType, gene: u8) -> usize {
     2 * (gene as usize % (VARIABLES / 2)) + usize::from(base == BaseType::Number)
 }
 
-/// Mostly a variable, now and then a constant or a wildcard.
+/// Mostly a variable, sometimes a constant or a wildcard.
 fn term(base: BaseType, gene: u8) -> Term {
     match gene / 8 {
         0..24 => Term::Variable(VarId(variable(base, gene) as u32)),
@@ -321,7 +320,7 @@ fn term(base: BaseType, gene: u8) -> Term {
     }
 }
 
-/// The term, if it is bound; else a bound variable of that base, else a constant.
+/// The term if it is bound, else a bound variable of that base, else a constant.
 fn bound_term(base: BaseType, gene: u8, bound: &[bool; VARIABLES + FLOATS.len()]) -> Term {
     match term(base, gene) {
         Term::Variable(variable) if bound[variable.index()] => Term::Variable(variable),
@@ -337,7 +336,7 @@ fn bound_term(base: BaseType, gene: u8, bound: &[bool; VARIABLES + FLOATS.len()]
     }
 }
 
-/// Mostly a bound variable, if there is one; else a constant.
+/// Mostly a bound variable if there is one, else a constant.
 fn float_term(gene: u8, bound: &[bool; VARIABLES + FLOATS.len()]) -> Term {
     let variable = FLOATS[gene as usize % 2];
     match bound[variable] && gene % 8 != 7 {
@@ -346,7 +345,7 @@ fn float_term(gene: u8, bound: &[bool; VARIABLES + FLOATS.len()]) -> Term {
     }
 }
 
-/// A clause whose head is one of the relations from `first` on; those before may be negated.
+/// A clause whose head is a relation from `first` on. Earlier relations may be negated.
 fn clause(gene: &ClauseGene, rules: &Rules, first: usize, span: Span) -> Clause {
     let mut bound = [false; VARIABLES + FLOATS.len()];
     let atom = |relation: usize, terms: Vec<Term>| Atom {
@@ -365,7 +364,7 @@ fn clause(gene: &ClauseGene, rules: &Rules, first: usize, span: Span) -> Clause 
                 .collect(),
         )
     };
-    // Positive atoms bind first, wherever they stand.
+    // Positive atoms bind first, wherever they occur.
     for literal in gene.body.iter().filter(|literal| literal.kind < 150) {
         for term in positive(literal).terms {
             if let Term::Variable(variable) = term {
@@ -392,7 +391,7 @@ fn clause(gene: &ClauseGene, rules: &Rules, first: usize, span: Span) -> Clause 
                 Literal::Negative(atom(relation, columns(relation).zip(literal.terms).map(term).collect()))
             }
             190..225 => {
-                // An equality that may bind its left side.
+                // An equality that may bind its left-hand side.
                 let right = bound_term(base, literal.terms[1], &bound);
                 let left = variable(base, literal.terms[0]);
                 bound[left] = true;
@@ -409,7 +408,7 @@ fn clause(gene: &ClauseGene, rules: &Rules, first: usize, span: Span) -> Clause 
                 }
             }
             225..233 if literal.relation % 2 == 1 => {
-                // A float: of a number, or of floats; or a test of one.
+                // A float from a number or from floats, or a test of one.
                 let float = |gene: u8| float_term(gene, &bound);
                 let to = Term::Variable(VarId(FLOATS[literal.terms[3] as usize % 2] as u32));
                 use Functor::*;
@@ -436,7 +435,7 @@ fn clause(gene: &ClauseGene, rules: &Rules, first: usize, span: Span) -> Clause 
                 }
             }
             225..233 => {
-                // An expression that may bind what it computes. Its values are few, so that recursion ends.
+                // An expression that may bind its result. It has few values, so that recursion ends.
                 let (functor, argument) = [
                     (Functor::Min, BaseType::Number),
                     (Functor::Max, BaseType::Symbol),
@@ -480,7 +479,7 @@ fn clause(gene: &ClauseGene, rules: &Rules, first: usize, span: Span) -> Clause 
                 let fits = |column: &Column| column.base == BaseType::Number;
                 let column = columns(relation).position(fits);
                 let op = if column.is_none() { Count } else { op };
-                // A sum within a recursion would make new values without end.
+                // A sum within a recursion would derive new values without end.
                 let op = if op == Sum { Min } else { op };
                 let to = variable(BaseType::Number, literal.terms[3]);
                 bound[to] = true;
@@ -520,7 +519,7 @@ fn clause(gene: &ClauseGene, rules: &Rules, first: usize, span: Span) -> Clause 
         .zip(gene.head)
         .map(|(column, gene)| bound_term(column.base, gene, &bound))
         .collect();
-    // Variables that occur nowhere would be unbound.
+    // Variables without an occurrence would be unbound.
     Clause {
         head: atom(relation, terms),
         body,
