@@ -1,9 +1,9 @@
-# `make test` runs every test; `.ci/run` calls it. Each part can run alone. `make quick` is for the time between two edits.
+# `make test` runs every test; `.ci/run` calls it. Each part can run alone. `make quick` runs the fast tests.
 PYTHON ?= python3
 VENV := .venv
 SOLVERS := .venv-solvers
 
-# What `make fuzz` runs, each for so many seconds.
+# The targets of `make fuzz`, and the time for each in seconds.
 FUZZ_TARGETS := parse check query evaluate config scene rows
 FUZZ_SECONDS := 600
 
@@ -11,7 +11,7 @@ FUZZ_SECONDS := 600
 
 test: lint features rust doc python page
 
-# No Python, no pictures, no test whose name begins with slow_, fewer random cases.
+# Omits Python, pictures and tests whose names begin with slow_, and tries fewer random cases.
 quick:
 	cargo fmt --all --check
 	PROPTEST_CASES=32 cargo test --locked --lib --bins --test datalog --test city --test program -- --skip slow_
@@ -22,7 +22,7 @@ lint:
 	cargo clippy --workspace --all-targets --locked -- -D warnings
 	cargo clippy --manifest-path tests/fuzz/Cargo.toml --target-dir target --no-default-features --locked -- -D warnings
 
-# The engine alone with its tests, then each feature alone.
+# Lints and tests the engine alone, then lints each feature alone.
 FEATURES := $(filter-out default,$(shell sed -n '/^\[features\]/,/^\[dep/s/^\([a-z]*\) = .*/\1/p' Cargo.toml))
 features:
 	cargo clippy --locked --no-default-features --all-targets -- -D warnings
@@ -37,7 +37,7 @@ rust:
 doc:
 	RUSTDOCFLAGS="-D warnings" cargo doc --no-deps --locked
 
-# The wheel of the Python package. `make python WHEEL_PROFILE=dev` builds it faster, and what it runs is slower.
+# The wheel of the Python package. `make python WHEEL_PROFILE=dev` builds it faster, but its code is slower.
 WHEELS := target/wheels
 WHEEL_PROFILE := release
 wheel: $(VENV)/bin/python
@@ -45,7 +45,7 @@ wheel: $(VENV)/bin/python
 	$(VENV)/bin/pip install --quiet --disable-pip-version-check 'maturin>=1.10,<2'
 	$(VENV)/bin/maturin build --quiet --locked --profile $(WHEEL_PROFILE) --manifest-path python/Cargo.toml --out $(WHEELS)
 
-# The wheel is installed as a user would, into an environment of its own; `test_wheel.py` installs it into an empty one.
+# Installs the wheel into a virtual environment and tests it there; `test_wheel.py` installs it into an empty one.
 python: wheel
 	$(VENV)/bin/pip install --quiet --disable-pip-version-check --force-reinstall --no-deps $(WHEELS)/*.whl
 	$(VENV)/bin/pip install --quiet --disable-pip-version-check "$$(echo $(WHEELS)/*.whl)[test]"
@@ -54,7 +54,7 @@ python: wheel
 	$(VENV)/bin/mypy --strict --config-file python/pyproject.toml python/logicity python/tests python/benches python/examples
 	LOGICITY_WHEEL=$$(echo $(WHEELS)/*.whl) $(VENV)/bin/python -m pytest -q python/tests
 
-# The page of a run, in headless Chromium. Without a browser the last line prints what it skips and exits with 0.
+# Tests the page of a run in headless Chromium. Without a browser, the last line prints what it skips and exits with 0.
 page: $(VENV)/bin/python
 	cargo build --locked
 	$(VENV)/bin/pip install --quiet --disable-pip-version-check pytest ruff selenium
@@ -62,7 +62,7 @@ page: $(VENV)/bin/python
 	$(VENV)/bin/ruff format --config python/pyproject.toml --check tests/page_in_browser.py
 	$(VENV)/bin/python tests/page_in_browser.py
 
-# The same with Stable-Baselines3, whose tests are skipped above: it brings torch, some gigabytes.
+# `make python` skips the tests with Stable-Baselines3, since it depends on torch, which takes some gigabytes.
 python-all: wheel $(VENV)-all/bin/python
 	$(VENV)-all/bin/pip install --quiet --disable-pip-version-check --force-reinstall --no-deps $(WHEELS)/*.whl
 	$(VENV)-all/bin/pip install --quiet --disable-pip-version-check "$$(echo $(WHEELS)/*.whl)[test-all]"
@@ -71,7 +71,7 @@ python-all: wheel $(VENV)-all/bin/python
 $(VENV)/bin/python $(VENV)-all/bin/python: %/bin/python:
 	$(PYTHON) -m venv $* || { echo "on Debian: apt-get install python3-venv"; exit 1; }
 
-# Not part of `make test`: z3 and clingo beside our program, by benches/solvers; SOLVERS_OPTIONS are options of its compare.py.
+# Not part of `make test`. Compares logicity with z3 and clingo. SOLVERS_OPTIONS are options of benches/solvers/compare.py.
 solvers: $(SOLVERS)/installed
 	cargo build --release --locked
 	$(SOLVERS)/bin/python benches/solvers/compare.py $(SOLVERS_OPTIONS)
@@ -79,11 +79,11 @@ solvers: $(SOLVERS)/installed
 $(SOLVERS)/installed: benches/solvers/requirements.txt
 	$(PYTHON) -m venv $(SOLVERS) || { echo "on Debian: apt-get install python3-venv"; exit 1; }
 	$(SOLVERS)/bin/pip install --quiet --disable-pip-version-check -r $< || \
-	    { echo "cannot install what $< names: it takes Python 3.10 or later and a package index that has wheels for this machine"; exit 1; }
+	    { echo "cannot install the packages in $<: this needs Python 3.10 or later and a package index with wheels for this machine"; exit 1; }
 	touch $@
 
-# Not part of `make test`. Wants a C++ compiler and `cargo install cargo-fuzz`. There is no unsafe code to sanitize, so any
-# toolchain will do. What is found stays in tests/fuzz/corpus, and an input that breaks something in tests/fuzz/artifacts.
+# Not part of `make test`. Needs a C++ compiler and `cargo install cargo-fuzz`. There is no unsafe code to sanitize, so any
+# toolchain works. The fuzzer writes new inputs to tests/fuzz/corpus, and inputs that fail to tests/fuzz/artifacts.
 fuzz: $(FUZZ_TARGETS:%=fuzz-%)
 
 fuzz-parse fuzz-check fuzz-query: SEEDS := tests/corpus rules tests/fixtures/diagnostics

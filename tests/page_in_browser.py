@@ -1,7 +1,7 @@
-"""The page of a run, opened from the disk in headless Chromium: clicked, scrubbed, read, photographed.
+"""Tests the page of a run in headless Chromium: clicks, moves the slider, reads texts and takes screenshots.
 
 `make page` runs this file as a program. Without a browser it prints what it skips and exits with 0; with one it exits
-as pytest does. Tests leave screenshots in the folder that LOGICITY_SCREENSHOTS names.
+as pytest does. Tests write screenshots to the folder LOGICITY_SCREENSHOTS if it is set.
 """
 
 import json
@@ -74,7 +74,7 @@ def browser() -> Iterator[WebDriver]:
 
 @pytest.fixture(scope="module")
 def driven(folder: pathlib.Path, trace: list[dict]) -> list[dict]:
-    """The first 40 ticks of the trace as if Car_1 had been driven, badly in the end; `driven.html` is its page."""
+    """Write `driven.html`: the first 40 ticks of the trace, edited as if a policy drove Car_1 and broke a rule in the last."""
     header, *ticks = json.loads(json.dumps(trace[:41]))
     agents = [agent["id"] for agent in header["agents"]]
     for tick in ticks:
@@ -92,7 +92,7 @@ def driven(folder: pathlib.Path, trace: list[dict]) -> list[dict]:
 
 @pytest.fixture
 def page(browser: WebDriver, folder: pathlib.Path) -> Iterator[Callable[..., WebDriver]]:
-    """Opens the page anew at an address; afterwards nothing may have been complained of."""
+    """Open the page at an address. After the test, neither the browser nor the page may have reported an error."""
 
     def open_at(address: str = "", name: str = "city.html") -> WebDriver:
         browser.get("about:blank")
@@ -120,7 +120,7 @@ def scrub(browser: WebDriver, tick: int) -> None:
 
 
 def click_strip(browser: WebDriver, tick: int, agent: int, agents: int) -> None:
-    """Clicks a decision on the strip chart."""
+    """Click a decision on the strip chart."""
     strip = browser.find_element(By.ID, "strip")
     width, height = strip.size["width"], strip.size["height"]
     across = (tick + 0.5) / TICKS * width - width / 2
@@ -128,7 +128,7 @@ def click_strip(browser: WebDriver, tick: int, agent: int, agents: int) -> None:
     ActionChains(browser).move_to_element_with_offset(strip, round(across), round(down)).click().perform()
 
 
-def test_three_agents_with_different_actions_say_why(page: Callable[..., WebDriver], trace: list[dict]) -> None:
+def test_the_page_explains_three_different_actions(page: Callable[..., WebDriver], trace: list[dict]) -> None:
     browser = page()
     header, ticks = trace[0], trace[1:]
     names = [agent["id"] for agent in header["agents"]]
@@ -141,7 +141,7 @@ def test_three_agents_with_different_actions_say_why(page: Callable[..., WebDriv
             if state["action"] == wanted and tick["tick"] > 10
         )
         click_strip(browser, tick, agent, len(names))
-        # The chart has fewer pixels than ticks may need: the slider sets the tick exactly.
+        # The chart may have fewer pixels than ticks, so the slider sets the exact tick.
         scrub(browser, tick)
         shown = text(browser, "agent")
         assert names[agent] in shown and text(browser, "action") == wanted
@@ -189,7 +189,7 @@ def test_why_not_and_atoms_unfold_and_partners_can_be_clicked(
 
 
 def test_a_click_on_the_map_chooses_an_agent(page: Callable[..., WebDriver], trace: list[dict]) -> None:
-    # Somebody far from the edges, at which the map is held back, and from all others.
+    # An agent far from all others, and from the edges, where the map cannot center it.
     places = [state["at"] for state in trace[51]["agents"]]
 
     def apart(agent: int) -> bool:
@@ -216,7 +216,7 @@ def test_a_click_on_the_map_chooses_an_agent(page: Callable[..., WebDriver], tra
         ("#tick=soon&agent=me&clause=S99", ["no tick soon", "no agent me", "no clause S99"]),
     ],
 )
-def test_an_address_that_leads_nowhere_is_reported(page: Callable[..., WebDriver], address: str, expected: list[str]) -> None:
+def test_an_invalid_address_is_reported(page: Callable[..., WebDriver], address: str, expected: list[str]) -> None:
     browser = page(address)
     assert all(words in text(browser, "notice") for words in expected)
     assert text(browser, "tick") == ("tick 5" if "tick=5" in address else "tick 0")
@@ -243,7 +243,7 @@ def test_a_driven_car_is_marked(page: Callable[..., WebDriver], driven: list[dic
     assert "because" in text(browser, "agent") and not browser.find_elements(By.ID, "judged")
 
 
-def test_nobody_is_driven_in_a_run(page: Callable[..., WebDriver]) -> None:
+def test_a_run_has_no_driven_car(page: Callable[..., WebDriver]) -> None:
     browser = page("#tick=3&agent=Car_1")
     assert not browser.find_element(By.ID, "driven").is_displayed()
     assert "driven" not in text(browser, "legend") and not browser.find_elements(By.ID, "judged")
@@ -257,7 +257,7 @@ def test_the_chart_has_no_gaps(page: Callable[..., WebDriver]) -> None:
     assert browser.execute_script(clear, browser.find_element(By.ID, "strip")) == 0
 
 
-def test_time_runs_and_stops(page: Callable[..., WebDriver]) -> None:
+def test_playback_starts_and_stops(page: Callable[..., WebDriver]) -> None:
     browser = page("#tick=5")
     body = browser.find_element(By.TAG_NAME, "body")
     body.send_keys(Keys.ARROW_RIGHT)
@@ -299,7 +299,7 @@ def test_deadlocks_are_marked(page: Callable[..., WebDriver]) -> None:
     assert text(browser, "tick") == "tick 5"
 
 
-def test_dark_and_light(page: Callable[..., WebDriver]) -> None:
+def test_the_theme_can_be_changed(page: Callable[..., WebDriver]) -> None:
     browser = page("#tick=100&agent=Car_1")
     colour = "return getComputedStyle(document.body).backgroundColor"
     light = browser.execute_script(colour)
@@ -308,13 +308,13 @@ def test_dark_and_light(page: Callable[..., WebDriver]) -> None:
     photograph(browser, "dark.png")
 
 
-def test_it_fits_a_phone(folder: pathlib.Path) -> None:
+def test_the_page_fits_a_phone(folder: pathlib.Path) -> None:
     browser = start(500, 900)
     try:
         browser.get((folder / "city.html").as_uri() + "#tick=210&agent=Car_6")
         WebDriverWait(browser, 20).until(lambda _: text(browser, "tick"))
         wide, room = browser.execute_script("return [document.documentElement.scrollWidth, innerWidth]")
-        assert wide <= room, "nothing has to be scrolled sideways"
+        assert wide <= room, "the page needs no horizontal scrolling"
         photograph(browser, "phone.png")
     finally:
         browser.quit()

@@ -1,4 +1,4 @@
-//! What is drawn: pictures, the page of a run, data sets of Visual Action Prediction.
+//! Tests of pictures, of the page of a run, and of data sets of Visual Action Prediction.
 
 mod page;
 mod render;

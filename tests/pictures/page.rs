@@ -1,4 +1,4 @@
-//! The page of a run, unpacked: it has what the trace has, and every explanation is the engine's.
+//! The unpacked page of a run: its data equals the trace, and every explanation equals the engine's.
 
 use base64::Engine as _;
 use flate2::read::ZlibDecoder;
@@ -19,7 +19,7 @@ use std::sync::Arc;
 
 use crate::shipped_world::with_sources;
 
-/// A run of `ticks` ticks: its trace, and the way that every agent was on in every tick.
+/// A run of `ticks` ticks: its trace, and the route of every agent in every tick.
 struct Run {
     world: Arc<World>,
     sources: Sources,
@@ -60,8 +60,8 @@ fn run_with(config: &str, rules: Option<&str>, seed: Seed, ticks: u64) -> Run {
     }
 }
 
-/// An episode in which the first car drives on at that speed whatever the rules want, from its beginning to its end; and what was observed
-/// then, step by step: whom, what the rules wanted, which clauses were broken, where the car was.
+/// An episode in which the first car always takes this action, whatever the rules want. Also returns, for each step,
+/// the observed agents, the wanted action, the broken clauses and the cell of the car.
 fn drive(config: &str, seed: u64, action: Action) -> (Run, Vec<Value>) {
     let (world, sources) = with_sources(config, None);
     let task = Arc::new(SpfTask::new(Arc::clone(&world), &sources).unwrap());
@@ -96,7 +96,7 @@ fn drive(config: &str, seed: u64, action: Action) -> (Run, Vec<Value>) {
         record(&task, Split::Test, driven, origin, Vec::new(), &Cancel::never())
     };
     let trace = write(&actions).unwrap_or_else(|error| panic!("{error:?}"));
-    // Nothing is driven beyond the end of the episode.
+    // A policy must not act beyond the end of the episode.
     actions.push(action);
     let Err(RecordError::Fault(fault)) = write(&actions) else {
         panic!("the episode has ended")
@@ -147,7 +147,7 @@ fn unpack(page: &str) -> Value {
     serde_json::from_str(&text).unwrap()
 }
 
-/// An explanation of the page as a tree of the words of [`ExplanationPrinter::json`].
+/// An explanation of the page, as a tree with the words of [`ExplanationPrinter::json`].
 fn page_tree(data: &Value, number: i64) -> Value {
     let node = &data["nodes"][usize::try_from(number).unwrap()];
     let clause = |index: &Value| {
@@ -180,7 +180,7 @@ fn page_tree(data: &Value, number: i64) -> Value {
     }
 }
 
-/// The same of an explanation of the engine.
+/// The same tree for an explanation of the engine.
 fn engine_tree(nodes: &Value, number: u64) -> Value {
     let node = &nodes[usize::try_from(number).unwrap()];
     let literals = |list: &Value| -> Value {
@@ -252,9 +252,9 @@ fn a_page_shows_the_decisions_of_the_trace_and_why() {
     assert_eq!(data["ticks"].as_array().unwrap().len(), 25);
 }
 
-/// The corners that the page plans again from start and goal are those of the way the agent really was on.
+/// The corners that the page replans from start and goal equal those of the agent's route.
 #[test]
-fn routes_are_those_that_were_driven() {
+fn routes_equal_the_driven_ones() {
     let run = run("expert", 250);
     let data = unpack(&run.page());
     let mut checked = 0;
@@ -265,13 +265,13 @@ fn routes_are_those_that_were_driven() {
                 col: i32::try_from(cell[1].as_i64().unwrap()).unwrap(),
             };
             let corners: Vec<Cell> = route[1].as_array().unwrap().iter().map(cell).collect();
-            // Who sets out again does so within the tick.
+            // An agent that reaches its goal takes its next route within the tick.
             let since = usize::try_from(route[0].as_u64().unwrap()).unwrap();
             let way = &run.ways[since + usize::from(since > 0)][agent];
             let mut cells = vec![corners[0]];
             for pair in corners.windows(2) {
                 let (rows, cols) = (pair[1].row - pair[0].row, pair[1].col - pair[0].col);
-                assert!(rows == 0 || cols == 0, "between corners it goes straight");
+                assert!(rows == 0 || cols == 0, "the route is straight between corners");
                 for step in 1..=rows.abs().max(cols.abs()) {
                     cells.push(Cell {
                         row: pair[0].row + step * rows.signum(),
@@ -283,11 +283,14 @@ fn routes_are_those_that_were_driven() {
             checked += 1;
         }
     }
-    assert!(checked > run.header().agents.len(), "some agents had set out again");
+    assert!(
+        checked > run.header().agents.len(),
+        "some agents have taken a second route"
+    );
 }
 
 #[test]
-fn a_deadlock_is_on_the_page() {
+fn the_page_shows_a_deadlock() {
     let run = run_with("expert", None, Seed(10), 300);
     let page = run.page();
     let data = unpack(&page);
@@ -304,14 +307,14 @@ fn a_deadlock_is_on_the_page() {
 }
 
 #[test]
-fn a_page_needs_nothing_but_itself() {
+fn a_page_needs_no_other_file() {
     let page = run("easy", 3).page();
     for outside in ["http:", "https:", " src=", "url(", "import ", "fetch(", "<link"] {
         assert!(!page.contains(outside), "{outside}");
     }
 }
 
-/// Clauses of one line and one comment are told apart, and traces that were changed by hand are refused.
+/// The page distinguishes clauses with the same line and comment. Traces that were edited are errors.
 #[test]
 fn clauses_of_a_line_are_counted_apart() {
     let rules = "//! Two in one.\n.include \"vocabulary.dl\"\n// X: or\nStop(X) :- IsTiro(X); IsAmbulance(X).\nFast(X) :- IsBus(X).\n";
@@ -328,7 +331,7 @@ fn clauses_of_a_line_are_counted_apart() {
         .collect();
     assert_eq!(heads, wanted);
     assert_eq!(heads.iter().filter(|head| **head == "Stop").count(), 2);
-    // Of clauses that decide, the trace has every firing.
+    // The trace has every firing of the clauses that decide.
     for (clause, shown) in data["firings"].as_array().unwrap().iter().enumerate() {
         assert_eq!(shown[1], true);
         let fired = |agent: &Value| agent.as_array().unwrap().iter().any(|fired| *fired == clause);
@@ -339,7 +342,7 @@ fn clauses_of_a_line_are_counted_apart() {
 }
 
 #[test]
-fn ticks_come_one_after_the_other() {
+fn ticks_are_consecutive() {
     let run = run("easy", 3);
     let mut replay = run.replay();
     let ticks: Vec<TraceTick> = run.ticks().collect();
@@ -368,7 +371,7 @@ fn ticks_come_one_after_the_other() {
 }
 
 #[test]
-fn too_long_a_run_is_refused() {
+fn a_run_that_is_too_long_is_an_error() {
     let run = run("easy", 1);
     let mut replay = run.replay();
     let mut tick = run.ticks().next().unwrap();
@@ -385,7 +388,8 @@ fn too_long_a_run_is_refused() {
     assert_eq!(fault.code, Code::LIMIT_EXCEEDED);
 }
 
-/// A trace and a page tell of the driven car what the task knew of it in every step, and of everything else what the rules say.
+/// For the driven car, trace and page show what the task computed in every step. For all other agents, they show what
+/// the rules decide.
 #[test]
 fn the_trace_of_a_driven_car_matches_the_task() {
     let (mut broke, mut disobeyed, mut heeded) = (0, 0, 0);
@@ -420,7 +424,7 @@ fn the_trace_of_a_driven_car_matches_the_task() {
                 let derived: Vec<&str> = replay.derived(agent).iter().map(Action::name).collect();
                 assert_eq!(
                     derived, state.derived,
-                    "what the rules derive is what they say without a driver"
+                    "the derived actions do not depend on the driver"
                 );
                 assert_eq!(state.driven.is_some(), agent == 0);
                 let by_rules = run.world.vocabulary.decide(replay.derived(agent));
@@ -484,9 +488,9 @@ fn the_program_reads_the_trace_of_a_driven_car() {
     );
 }
 
-/// What is told of a driven car fits the rules and the agents, or the trace is refused.
+/// A trace whose record of a driven car does not fit its rules or agents is an error.
 #[test]
-fn a_driver_that_cannot_be_is_refused() {
+fn an_impossible_record_of_a_driven_car_is_an_error() {
     let (run, _) = drive("easy", 3, Action::Fast);
     let mut replay = run.replay();
     for (key, wrong) in [

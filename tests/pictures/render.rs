@@ -1,5 +1,5 @@
-//! Pictures through the public interface: equal input, equal bytes; a crop is a part of the whole; icons of a class differ, and classes can be
-//! told apart; nothing panics.
+//! Pictures through the public interface. Equal input gives equal bytes, a crop equals a part of the whole, icons of a
+//! class differ, a classifier distinguishes classes, and nothing panics.
 
 use logicity::city::{Action, AgentKind, Building, Buildings, MapConfig, Split, Widths};
 use logicity::city::{Cell, CityMap};
@@ -17,7 +17,7 @@ use std::path::Path;
 use std::sync::{Arc, LazyLock};
 use std::time::Duration;
 
-/// A map of one row of blocks, every building type on it.
+/// A map of one row of blocks, with every building type.
 fn map(name: &str, block_cols: u32, widths: Widths) -> CityMap {
     let mut sources = Sources::new();
     let span = Span::new(sources.add("map", ""), 0..0);
@@ -61,7 +61,7 @@ static TINY_MAP: LazyLock<CityMap> = LazyLock::new(|| {
 });
 static TINY: LazyLock<Overview> = LazyLock::new(|| Overview::new(&TINY_MAP, Arc::default()).expect("it has cells"));
 
-/// An agent that owns what a [`Sprite`] borrows.
+/// An agent that owns the data that a [`Sprite`] borrows.
 #[derive(Clone, Debug)]
 struct Agent {
     name: String,
@@ -95,7 +95,7 @@ fn draw(overview: &Overview, tick: u64, agents: &[Agent]) -> Picture {
     overview.draw(tick, &sprites(agents))
 }
 
-/// Agents on the cells of a map of that size and up to `beyond` cells outside.
+/// Agents on the cells of a map of this size and up to `beyond` cells outside.
 fn agents(rows: i32, cols: i32, beyond: i32, most: usize) -> impl Strategy<Value = Vec<Agent>> {
     let concept = prop_oneof![
         4 => prop::sample::select(vec!["ambulance", "police", "bus", "tiro", "reckless", "old", "young"])
@@ -138,7 +138,8 @@ fn png_of(picture: &Picture) -> Vec<u8> {
     bytes
 }
 
-/// What a viewer shows of a GIF, frame by frame, in red, green and blue, with the delay of each: each frame is laid over the ones before.
+/// The frames of a GIF as a viewer shows them, in red, green and blue, with their delays. Each frame covers the ones
+/// before.
 fn shown(bytes: &[u8]) -> Vec<(Vec<u8>, u16)> {
     let mut decoder = gif::DecodeOptions::new().read_info(bytes).unwrap();
     let palette = decoder.global_palette().unwrap().to_vec();
@@ -197,7 +198,7 @@ proptest! {
         let decoded = shown(&bytes);
         prop_assert_eq!(decoded.len(), frames.len());
         for (frame, (pixels, delay)) in frames.iter().zip(decoded) {
-            // The differences add up to what the frame alone would show.
+            // The sum of the differences equals the frame alone.
             prop_assert!(shown(&gif_of(&frames[0], std::slice::from_ref(frame)))[0].0 == pixels);
             prop_assert!(mean_difference(frame.pixels(), &pixels) < 4.0);
             prop_assert_eq!(delay, 15);
@@ -206,11 +207,11 @@ proptest! {
     }
 
     #[test]
-    fn any_agents_can_be_drawn_and_a_picture_depends_on_nothing_else(
+    fn any_agents_can_be_drawn_and_a_picture_depends_only_on_its_input(
         first in agents(35, 63, 3, 12),
         mut second in agents(35, 63, i32::MAX - 63, 12),
     ) {
-        // The highest tick there is, and names longer than any line.
+        // The highest tick, and names longer than any line.
         let alone = draw(&TINY, u64::MAX, &first);
         prop_assert_eq!((alone.width(), alone.height()), TINY.size());
         for agent in &mut second {
@@ -237,12 +238,12 @@ proptest! {
         let small = Renderer::new(&TINY_MAP, Arc::new(Icons::new(Seed(seed), icons.difficulty())), view);
         let sprites = sprites(&agents);
         let picture = small.draw(&sprites);
-        // The middles of one cell on both pictures tell how they lie to each other.
+        // The center of one cell in both pictures gives their offset.
         let (here, there) = (view.middle(Cell::new(row, col)).unwrap(), whole.middle(Cell::new(row, col)).unwrap());
         let (x, y) = (there.0 - here.0, there.1 - here.1);
         let area = PixelBox { x, y, width: picture.width(), height: picture.height() };
         prop_assert!(part(&large.draw(&sprites), area) == picture.pixels());
-        // So do boxes, and a buffer that held something else.
+        // Boxes have the same offset, and the buffer's earlier content does not matter.
         let moved = large.boxes(&sprites).into_iter().map(|found| {
             let PixelBox { x, y, width, height } = found?;
             PixelBox { x: x - area.x, y: y - area.y, width, height }.clipped(picture.width(), picture.height())
@@ -254,7 +255,7 @@ proptest! {
     }
 }
 
-/// Each agent, alone on the ground, changes the picture inside of its box most of all, and next to nothing far around it.
+/// An agent that is alone on the ground changes the picture mostly inside its box, and hardly at all far from it.
 #[test]
 fn boxes_hold_what_shows_of_an_agent() {
     let view = Viewport::published(Cell::new(0, 0)).unwrap();
@@ -281,7 +282,7 @@ fn boxes_hold_what_shows_of_an_agent() {
                 instance: 4,
                 action: None,
             };
-            let PixelBox { x, y, width, height } = renderer.boxes(&[agent.sprite()])[0].expect("it is on the picture");
+            let PixelBox { x, y, width, height } = renderer.boxes(&[agent.sprite()])[0].expect("it is in the picture");
             let picture = renderer.draw(&[agent.sprite()]);
             let (mut inside, mut outside) = (0, 0);
             for (at, (a, b)) in (0_i32..).zip(picture.pixels().chunks(3).zip(renderer.ground().pixels().chunks(3))) {
@@ -303,14 +304,14 @@ fn boxes_hold_what_shows_of_an_agent() {
                         "{about}"
                     );
                 }
-                (AgentKind::Car, _) => assert!(long - short < 20, "a square stands on its corner; {about}"),
+                (AgentKind::Car, _) => assert!(long - short < 20, "a diagonal car has a square box; {about}"),
                 (AgentKind::Pedestrian, _) => assert!((20..=34).contains(&long), "{about}"),
             }
         }
     }
 }
 
-/// The pixels of instances at 48 pixels, without what is transparent.
+/// The pixels of instances at 48 x 48 pixels, without transparent ones.
 fn instances(icons: &Icons, class: &Class, numbers: std::ops::Range<u32>) -> Vec<Vec<u8>> {
     numbers
         .map(|number| {
@@ -335,8 +336,8 @@ fn the_hundred_instances_of_a_class_differ() {
     for class in Class::known().into_iter().chain(combined) {
         assert_eq!(icons.instances(&class), 100);
         let all = instances(&icons, &class, 0..101);
-        assert!(all[100] == all[0], "then they repeat");
-        // A part of the bytes says enough.
+        assert!(all[100] == all[0], "after a hundred, instances repeat");
+        // Comparing a part of the bytes is enough.
         let some: Vec<Vec<u8>> = all[..100]
             .iter()
             .map(|one| one.iter().copied().step_by(11).collect())
@@ -350,7 +351,7 @@ fn the_hundred_instances_of_a_class_differ() {
     }
 }
 
-/// How often the class of an icon is found by the nearest of the mean pictures of each class, learned from other instances.
+/// The share of icons that a nearest-mean classifier, trained on other instances, assigns to their class.
 fn accuracy(difficulty: Difficulty) -> f64 {
     const LEARNED: u32 = 30;
     let icons = Icons::new(Seed(3), difficulty);
@@ -383,7 +384,7 @@ fn cleaner_classes_are_recognized_better() {
     println!("nearest mean of 14 classes: {clean:.2} clean, {half:.2} at 50, {noisy:.2} noisy");
     assert!(clean > 0.8, "{clean}");
     assert!(clean > half && half > noisy, "{clean} {half} {noisy}");
-    // One of 14 by chance.
+    // Guessing finds one of 14.
     assert!(noisy > 0.25 && noisy < 0.8, "{noisy}");
 }
 
@@ -435,7 +436,7 @@ fn pack_files() -> Vec<(String, Vec<u8>)> {
 }
 
 #[test]
-fn icons_of_a_pack_come_in_addition_or_instead() {
+fn icons_of_a_pack_extend_or_replace_the_drawn_ones() {
     let [bus, learner] = ["bus", "bus+tiro"].map(|name| Class::from_name(name).unwrap());
     let drawn = Icons::default();
     for (mode, count) in [(Mode::Extend, 102), (Mode::Replace, 2)] {
@@ -450,7 +451,7 @@ fn icons_of_a_pack_come_in_addition_or_instead() {
         assert_eq!((icons.instances(&bus), icons.instances(&learner)), (count, 100));
         assert!(
             instances(&icons, &learner, 0..3) == instances(&drawn, &learner, 0..3),
-            "what the pack lacks is drawn"
+            "a class without a folder is drawn"
         );
         let all = instances(&icons, &bus, 0..3);
         let colour = |pixels: &[u8], row: usize| <[u8; 3]>::try_from(&pixels[3 * (row * 48 + 24)..][..3]).unwrap();
@@ -463,22 +464,19 @@ fn icons_of_a_pack_come_in_addition_or_instead() {
         }
         assert!(
             mean_difference(&all[0], &all[1]) < 3.0,
-            "the picture and the drawing show the same"
+            "the PNG and the SVG show the same"
         );
         if mode == Mode::Extend {
-            assert!(
-                mean_difference(&all[0], &all[2]) > 10.0,
-                "then come those that are drawn"
-            );
+            assert!(mean_difference(&all[0], &all[2]) > 10.0, "the drawn ones follow");
         } else {
             assert!(all[2] == all[0]);
         }
     }
 }
 
-/// Drawings that are allowed, however odd: each is drawn or refused, and neither overflows a stack nor takes minutes.
+/// Valid but odd drawings: each is drawn or is an error, without a stack overflow and within seconds.
 #[test]
-fn odd_drawings_are_drawn_or_refused() {
+fn odd_drawings_are_drawn_or_give_errors() {
     let deep = |depth: usize| "<g opacity='.5'>".repeat(depth) + "<rect width='5' height='9'/>" + &"</g>".repeat(depth);
     let masks: String = (1..30)
         .map(|at| {
@@ -516,7 +514,7 @@ fn odd_drawings_are_drawn_or_refused() {
 }
 
 #[test]
-fn a_gif_stores_only_what_changes() {
+fn a_gif_stores_only_changed_pixels() {
     let overview = Overview::new(&map("one", 1, ORDINARY), Arc::default()).unwrap();
     let car = |col| Agent {
         name: "Car_1".into(),
@@ -556,7 +554,7 @@ fn a_png_holds_the_picture() {
     assert!(decode_png(&bytes) == picture.pixels());
 }
 
-/// Compares a file with what `encode` makes of the picture. `UPDATE_SNAPSHOTS=1` writes it anew; look at it then.
+/// Compares a snapshot with the encoded picture. `UPDATE_SNAPSHOTS=1` writes the file; check the new picture then.
 fn compare(name: &str, encode: impl FnOnce(&mut png::Encoder<'_, &mut Vec<u8>>) -> Vec<u8>, picture: &Picture) {
     let path = Path::new(env!("CARGO_MANIFEST_DIR")).join("tests/snapshots").join(name);
     let mut bytes = Vec::new();
@@ -567,9 +565,9 @@ fn compare(name: &str, encode: impl FnOnce(&mut png::Encoder<'_, &mut Vec<u8>>) 
     if std::env::var_os("UPDATE_SNAPSHOTS").is_some() {
         std::fs::write(&path, &bytes).unwrap();
     }
-    let known = std::fs::read(&path).expect("the snapshot is there");
+    let known = std::fs::read(&path).expect("the snapshot exists");
     assert!(known.len() < 300_000, "{name} has {} bytes", known.len());
-    // Not the bytes, since a compressor may get better.
+    // Compare pixels, not bytes, since another compressor may give other bytes.
     let decoded = |bytes: &[u8]| {
         let mut reader = png::Decoder::new(Cursor::new(bytes)).read_info().unwrap();
         let palette = reader.info().palette.as_ref().map(|palette| palette.to_vec());
@@ -580,7 +578,7 @@ fn compare(name: &str, encode: impl FnOnce(&mut png::Encoder<'_, &mut Vec<u8>>) 
     let same = decoded(&known) == decoded(&bytes);
     assert!(
         same,
-        "if the change is meant, run with UPDATE_SNAPSHOTS=1 and look at {}",
+        "if the change is intended, run with UPDATE_SNAPSHOTS=1 and check {}",
         path.display()
     );
 }
@@ -594,7 +592,7 @@ fn compare_exactly(name: &str, picture: &Picture) {
     compare(name, rgb, picture);
 }
 
-/// Compares a picture for README, which has the colours of an animation, so that it stays small.
+/// Compares a picture for README. It has the colors of an animation, so that the file stays small.
 fn compare_palette(name: &str, picture: &Picture) {
     let indexed = |encoder: &mut png::Encoder<'_, &mut Vec<u8>>| {
         let bytes = gif_of(picture, std::slice::from_ref(picture));
@@ -607,7 +605,7 @@ fn compare_palette(name: &str, picture: &Picture) {
     compare(name, indexed, picture);
 }
 
-/// One agent of each look, stopped and moving, on a tiny map.
+/// One agent of each appearance, stopped and moving, on a tiny map.
 #[test]
 fn the_picture_of_a_tiny_city() {
     let agent = |name: &str, concepts: &[&str], at: (i32, i32), facing: Facing, action: Option<Action>| Agent {
@@ -643,7 +641,7 @@ fn the_picture_of_a_tiny_city() {
     compare_exactly("tiny_city.png", &draw(&TINY, 42, &agents));
 }
 
-/// The expert city after some ticks: as `run` shows it, and a part of it as a visual data set does, clean and noisy.
+/// The expert city after some ticks: the picture of `run`, and a part as in a visual data set, clean and noisy.
 #[test]
 fn the_pictures_of_the_expert_city() {
     let world = crate::shipped_world::world("expert", None, |_| ());
@@ -672,7 +670,7 @@ fn the_pictures_of_the_expert_city() {
 }
 
 #[test]
-fn cars_turn_by_halves_and_who_stops_keeps_its_pose() {
+fn cars_turn_in_two_halves_and_keep_their_pose_when_they_stop() {
     let world = crate::shipped_world::world("expert", None, |_| ());
     let mut city = Simulation::new(world, Split::Test, Seed(2), Settings::default()).unwrap();
     let poses = |city: &Simulation| -> Vec<Facing> {
@@ -708,7 +706,7 @@ fn the_picture_of_all_icons() {
 }
 
 #[test]
-fn the_picture_of_a_huge_map_is_bounded() {
+fn the_size_of_the_picture_of_a_huge_map_is_bounded() {
     // 57 x 4059 cells.
     let long = map("long", 88, ORDINARY);
     let (width, height) = Overview::new(&long, Arc::default()).unwrap().size();
@@ -720,7 +718,7 @@ fn the_picture_of_a_huge_map_is_bounded() {
 }
 
 #[test]
-fn views_that_cannot_be_drawn_are_refused() {
+fn views_that_cannot_be_drawn_are_errors() {
     let scale = Scale::pixels(8).unwrap();
     assert_eq!(Viewport::new(Cell::new(0, 0), 0, 1, scale), Err(ViewportError::Empty));
     assert_eq!(
@@ -741,7 +739,7 @@ fn views_that_cannot_be_drawn_are_refused() {
         (Scale::pixels(0), Scale::pixels(65), Scale::cells(0)),
         (None, None, None)
     );
-    // The last cell there is.
+    // The last possible cell.
     let last = Viewport::new(Cell::new(i32::MAX, i32::MIN), 1, 1, scale).unwrap();
     assert_eq!(
         Renderer::new(&TINY_MAP, Arc::default(), last).draw(&[]).pixels().len(),
@@ -750,7 +748,7 @@ fn views_that_cannot_be_drawn_are_refused() {
 }
 
 #[test]
-fn frames_of_another_size_are_refused() {
+fn frames_of_another_size_are_errors() {
     let sample = draw(&TINY, 0, &[]);
     let other = draw(
         &Overview::new(&map("other", 1, ORDINARY), Arc::default()).unwrap(),
@@ -764,7 +762,7 @@ fn frames_of_another_size_are_refused() {
 
 #[test]
 fn a_failing_output_is_an_error_and_no_panic() {
-    /// Takes so many bytes and then fails.
+    /// Accepts this number of bytes, then fails.
     struct Full(usize);
     impl Write for Full {
         fn write(&mut self, bytes: &[u8]) -> io::Result<usize> {

@@ -1,4 +1,5 @@
-//! Visual Action Prediction: worlds, tables, pictures, and data sets that are ended early, made in parts, or tampered with.
+//! Visual Action Prediction: worlds, tables, pictures, and data sets that are cancelled, made in parts, or tampered
+//! with.
 
 use logicity::builtin::BuiltinFiles;
 use logicity::cancel::Cancel;
@@ -30,7 +31,7 @@ fn hard_mode() -> LoadedCity {
 }
 
 fn worlds(agents: Agents, split: Split) -> Worlds {
-    // Icons take long to draw; all worlds share them.
+    // Drawing icons takes long, so all worlds share them.
     static ICONS: OnceLock<Arc<Icons>> = OnceLock::new();
     let icons = ICONS.get_or_init(|| Arc::new(Icons::new(Seed(0), Difficulty::CLEAN)));
     let city = hard_mode();
@@ -46,7 +47,7 @@ fn vap(arguments: &[&str]) -> Output {
     command.output().unwrap()
 }
 
-/// What a command that succeeds prints.
+/// The output of a command that must succeed.
 fn stdout_of(arguments: &[&str]) -> String {
     let output = vap(arguments);
     assert!(output.status.success(), "{}", String::from_utf8_lossy(&output.stderr));
@@ -63,14 +64,14 @@ fn refused(arguments: &[&str], words: &[&str]) {
     }
 }
 
-/// Tables only.
+/// A request for tables without pictures.
 const MAKE: [&str; 6] = ["make", "--mode", "hard", "--split", "test", "--no-pictures"];
 
 fn make(folder: &Path, more: &[&str]) -> String {
     stdout_of(&[&MAKE[..], &["--out", folder.to_str().unwrap()], more].concat())
 }
 
-/// All files below a folder by name.
+/// All files below a folder, by name.
 fn contents(folder: &Path) -> BTreeMap<String, Vec<u8>> {
     let mut found = BTreeMap::new();
     let mut folders = vec![folder.to_owned()];
@@ -90,7 +91,7 @@ fn contents(folder: &Path) -> BTreeMap<String, Vec<u8>> {
 }
 
 #[test]
-fn tables_say_what_frames_hold() {
+fn tables_equal_frames() {
     let worlds = worlds(Agents::Fixed, Split::Test);
     let vocabulary = &worlds.world().vocabulary;
     let frames = worlds.frames(3).unwrap();
@@ -120,23 +121,23 @@ fn tables_say_what_frames_hold() {
     };
     assert_eq!(read, frames.iter().map(of).collect::<Vec<_>>());
     assert!(samples(vocabulary, 4, &entities, &pairs).is_err());
-    // Cars have labels, and they alone.
+    // Cars have labels; other agents have none.
     let mut unlabelled = entities.clone();
     let labels = unlabelled.columns.iter_mut().find(|(name, _)| name == "label");
     let Some((_, Values::MaybeInt(labels))) = labels else {
-        panic!("there are labels")
+        panic!("no labels")
     };
     let car = labels.iter().position(Option::is_some).unwrap();
     labels[car] = None;
     let fault = samples(vocabulary, 3, &unlabelled, &pairs).unwrap_err();
     assert!(fault.message.contains("cars have labels"), "{}", fault.message);
 
-    // Any bytes are read or refused.
+    // Any bytes are a table or give an error.
     let mut bytes = Vec::new();
     entities.write(&mut bytes).unwrap();
     for number in 0..1000_usize {
         let mut damaged = bytes.clone();
-        // Mostly in the description of the columns, which is at the end.
+        // Mostly in the metadata of the columns, which is at the end.
         let back = number.wrapping_mul(2_654_435_761) % if number % 3 == 0 { bytes.len() } else { 3000 };
         let at = bytes.len() - 1 - back;
         damaged[at] = damaged[at].wrapping_add(1 + (number / 7 % 255) as u8);
@@ -145,7 +146,7 @@ fn tables_say_what_frames_hold() {
         }
     }
 
-    // Boxes surround the middle of the agent's cell, as far as it is in the picture.
+    // A box contains the center of the agent's cell if the picture does.
     let mut inside = 0;
     let boxes = frames
         .iter()
@@ -173,7 +174,7 @@ fn tables_say_what_frames_hold() {
 }
 
 #[test]
-fn drawn_agents_are_as_the_paper_says() {
+fn random_agents_have_the_distribution_of_the_paper() {
     for split in Split::ALL {
         let worlds = worlds(Agents::Random, split);
         let mut seen = BTreeSet::new();
@@ -211,7 +212,7 @@ fn drawn_agents_are_as_the_paper_says() {
 }
 
 #[test]
-fn parts_are_the_whole() {
+fn parts_equal_the_whole() {
     let folder = tempfile::tempdir().unwrap();
     let [whole, part] = ["whole", "part"].map(|name| folder.path().join(name));
     let said = make(&whole, &["--worlds", "3"]);
@@ -227,7 +228,7 @@ fn parts_are_the_whole() {
     for name in parts.keys().filter(|name| name.starts_with("world-00002")) {
         assert_eq!(parts[name], expected[name], "{name}");
     }
-    // What is to be made must be what is there.
+    // The settings must equal those of the folder.
     let again = [&MAKE[..], &["--out", part.to_str().unwrap()]].concat();
     for more in [["--seed", "1"], ["--difficulty", "0"]] {
         refused(&[&again[..], &more].concat(), &["invalid-data-set", "other settings"]);
@@ -295,7 +296,7 @@ fn a_cancelled_data_set_is_resumed() {
             is_cancelled(written.unwrap_err());
             assert_eq!((kept.len(), &complete), (3, &BTreeSet::from(["world-00000"])));
         } else if let Err(error) = written {
-            // Two threads can be done before the next poll.
+            // Two threads may finish before the next poll.
             is_cancelled(error);
         }
         assert!(
@@ -327,7 +328,7 @@ fn a_cancelled_data_set_is_resumed() {
     assert!(refused.to_string().contains("other rules"), "{refused}");
 }
 
-/// Changes a file of world 1, with the counts and hashes that stand for it or without them.
+/// Changes a file of world 1, with or without the matching counts and hashes.
 fn tampered_sets_are_found_out(folder: &Path) {
     let path = folder.to_str().unwrap();
     let check = || stdout_of(&["check", path]);
@@ -357,36 +358,36 @@ fn tampered_sets_are_found_out(folder: &Path) {
         &["invalid-data-set", "is not the file that was made", entities],
     );
 
-    // With hashes to match, the rules tell.
+    // With matching hashes, the rules detect the change.
     let label = |table: &mut Table| {
         let (_, Values::MaybeInt(labels)) = table.columns.iter_mut().find(|(name, _)| name == "label").unwrap() else {
-            panic!("labels are numbers")
+            panic!("a label that is not a number")
         };
         let label = labels.iter_mut().flatten().next().unwrap();
         *label = (*label + 1) % 4;
     };
     let fact = |table: &mut Table| {
         let (_, Values::Bool(holds)) = table.columns.iter_mut().find(|(name, _)| name == "IsInInter").unwrap() else {
-            panic!("facts are true or not")
+            panic!("a fact that is not a Boolean")
         };
         holds.iter_mut().for_each(|holds| *holds = !*holds);
     };
     let order = |table: &mut Table| {
         let Values::Int(agents) = &mut table.columns[2].1 else {
-            panic!("positions are numbers")
+            panic!("a position that is not a number")
         };
         agents.swap(0, 1);
     };
     let column = |table: &mut Table| drop(table.columns.pop());
     let corner = |table: &mut Table| {
         let (_, Values::MaybeInt(xs)) = table.columns.iter_mut().find(|(name, _)| name == "x").unwrap() else {
-            panic!("corners are numbers")
+            panic!("a corner that is not a number")
         };
         *xs.iter_mut().flatten().next().unwrap() = 1020;
     };
     let concept = |table: &mut Table| {
         let (_, Values::Text(concepts)) = table.columns.iter_mut().find(|(name, _)| name == "concepts").unwrap() else {
-            panic!("concepts are texts")
+            panic!("a concept that is not text")
         };
         concepts[0] = "taxi".to_owned();
     };
@@ -440,7 +441,7 @@ fn tampered_sets_are_found_out(folder: &Path) {
     check();
 }
 
-/// Replaces a file of world 1 and what is told of it.
+/// Replaces a file of world 1 and its record in the manifest.
 fn put(folder: &Path, name: &str, bytes: &[u8]) {
     fs::write(folder.join(name), bytes).unwrap();
     let (world, file) = name.split_once('/').unwrap();
@@ -457,7 +458,7 @@ fn put(folder: &Path, name: &str, bytes: &[u8]) {
     }
 }
 
-/// Icons of one instance each, so that even a debug build has soon drawn them all.
+/// A pack with one instance per class, so that a debug build draws all icons quickly.
 fn write_pack(folder: &Path) {
     let classes = [
         "car",
@@ -486,16 +487,16 @@ fn write_pack(folder: &Path) {
     }
 }
 
-/// How many files are in folders of a folder.
+/// The number of files in the subfolders of a folder.
 fn files_inside(folder: &Path) -> usize {
     let entries = fs::read_dir(folder).into_iter().flatten().flatten();
-    // A folder may be renamed meanwhile.
+    // The program may rename a folder in the meantime.
     let inside = entries.filter_map(|entry| Some(fs::read_dir(entry.path()).ok()?.count()));
     inside.sum()
 }
 
 #[test]
-fn killed_or_not_and_on_any_threads_pictures_are_the_same() {
+fn pictures_are_the_same_after_a_kill_and_on_any_number_of_threads() {
     let folder = tempfile::tempdir().unwrap();
     let [whole, killed, pack] = ["whole", "killed", "pack"].map(|name| folder.path().join(name));
     write_pack(&pack);
@@ -526,7 +527,7 @@ fn killed_or_not_and_on_any_threads_pictures_are_the_same() {
     let mut stream = Seed(5).stream(Purpose::SCENE, 0, 0);
     for round in 0..5 {
         let mut process = make(&killed, if round % 2 == 0 { "2" } else { "1" }).spawn().unwrap();
-        // Somewhere in what it writes; what an earlier round left does not count.
+        // Kill it after some files, without those of earlier rounds.
         let begin = files_inside(&killed);
         let end = begin + stream.random_range(1..30);
         while files_inside(&killed) < end && process.try_wait().unwrap().is_none() {
@@ -541,7 +542,7 @@ fn killed_or_not_and_on_any_threads_pictures_are_the_same() {
             );
         }
     }
-    // And at the worst moment.
+    // Leave the files of a kill at the worst moment.
     fs::create_dir_all(killed.join(".world-00001.partial")).unwrap();
     fs::write(killed.join(".world-00001.partial/entities.parquet"), "PAR1").unwrap();
     fs::write(killed.join(".manifest.json.partial"), "{").unwrap();
@@ -549,7 +550,7 @@ fn killed_or_not_and_on_any_threads_pictures_are_the_same() {
         assert!(make(&killed, "3").status().unwrap().success());
         assert!(contents(&killed) == expected);
     }
-    // Only what is missing is made.
+    // The next run makes only missing worlds.
     fs::remove_dir_all(killed.join("world-00001")).unwrap();
     let written = || {
         fs::metadata(killed.join("world-00000/frame-011.png"))
@@ -564,7 +565,7 @@ fn killed_or_not_and_on_any_threads_pictures_are_the_same() {
         assert!(said.starts_with(&format!("worlds made: {made}, in ")), "{said}");
         assert!(written() == before && contents(&killed) == expected);
     }
-    // Without pictures the tables are the same.
+    // The tables are the same without pictures.
     let tables = folder.path().join("tables");
     assert!(make(&tables, "2").arg("--no-pictures").status().unwrap().success());
     for (name, bytes) in contents(&tables).iter().filter(|(name, _)| name.ends_with(".parquet")) {
@@ -581,7 +582,8 @@ fn tampered_pictures_are_found_out(folder: &Path, original: &BTreeMap<String, Ve
     let picture = read_png(&original[&frame(42)]).unwrap();
     assert_eq!((picture.width(), picture.height()), (SIDE, SIDE));
 
-    // All at once, and every fault is told: a changed pixel, a missing picture, and with hashes to match what is no such picture.
+    // `check` reports all faults together: a changed pixel, a missing picture, and invalid pictures with matching
+    // hashes.
     let mut pixels = picture.pixels().to_vec();
     pixels[3_000] ^= 1;
     fs::write(folder.join(frame(42)), encoded(&pixels, SIDE, png::ColorType::Rgb)).unwrap();
@@ -622,7 +624,7 @@ fn tampered_pictures_are_found_out(folder: &Path, original: &BTreeMap<String, Ve
         .iter()
         .for_each(|(name, bytes)| fs::write(folder.join(name), bytes).unwrap());
 
-    // Files that nobody has asked for.
+    // Files that do not belong to the data set.
     fs::write(folder.join("notes.txt"), "").unwrap();
     fs::write(folder.join(frame(100)), &original[&frame(42)]).unwrap();
     let unexpected_files = [
@@ -641,7 +643,7 @@ fn tampered_pictures_are_found_out(folder: &Path, original: &BTreeMap<String, Ve
     );
 }
 
-/// A PNG of so many columns.
+/// A PNG with this number of columns.
 fn encoded(pixels: &[u8], width: u32, colours: png::ColorType) -> Vec<u8> {
     let mut bytes = Vec::new();
     let height = u32::try_from(pixels.len() / colours.samples()).unwrap() / width;
@@ -685,7 +687,7 @@ fn boxes_are_where_agents_are_in_the_picture() {
                 "{count} of {} pixels: {sprite:?}",
                 changed.len()
             );
-            // Each side of the box touches the agent: a smaller one would miss something.
+            // Each side of the box touches the agent.
             let PixelBox { x, y, width, height } = area;
             let (right, bottom) = (x + width.cast_signed() - 1, y + height.cast_signed() - 1);
             for side in [
@@ -709,7 +711,7 @@ fn boxes_are_where_agents_are_in_the_picture() {
             }
             checked += 1;
         }
-        // What is written is what was drawn.
+        // The written picture equals the drawn one.
         let mut bytes = Vec::new();
         write_png(&renderer.draw(&sprites), &mut bytes).unwrap();
         assert!(read_png(&bytes).unwrap() == renderer.draw(&sprites));
@@ -718,7 +720,7 @@ fn boxes_are_where_agents_are_in_the_picture() {
 }
 
 #[test]
-fn every_world_has_a_ground_and_every_split_icons_of_its_own() {
+fn every_world_has_its_own_ground_and_every_split_its_own_icons() {
     let worlds = worlds(Agents::Fixed, Split::Test);
     let grounds = [0, 1].map(|number| worlds.renderer(number).ground().clone());
     let whole = PixelBox {
@@ -732,7 +734,7 @@ fn every_world_has_a_ground_and_every_split_icons_of_its_own() {
     assert!(grounds[0] == *worlds.renderer(0).ground());
     let seeds = [0, 1].map(|seed| Split::ALL.map(|split| icon_seed(seed, split).0));
     assert_eq!(BTreeSet::from_iter(seeds.concat()).len(), 6);
-    // Over the frames of a world everybody is shown as many instances.
+    // Over the frames of a world, each agent shows many instances.
     let frames = worlds.frames(0).unwrap();
     for agent in 0..frames[0].agents.len() {
         let shown: BTreeSet<u32> = frames.iter().map(|frame| frame.agents[agent].instance).collect();
@@ -744,7 +746,7 @@ fn every_world_has_a_ground_and_every_split_icons_of_its_own() {
 }
 
 #[test]
-fn what_is_no_data_set_is_reported() {
+fn folders_without_a_data_set_are_reported() {
     refused(
         &["check", "tests/fixtures/diagnostics/invalid-data-set"],
         &["error[invalid-data-set]", "manifest.json"],
@@ -766,8 +768,8 @@ fn what_is_no_data_set_is_reported() {
     );
 }
 
-/// The published fixed test set has 29, 20, 5 and 46 % of the labels. Ours has fewer of slow and normal and 8 % more of stop: more cars wait
-/// for each other.
+/// The published fixed test set has 29, 20, 5 and 46 % of the labels. Ours has fewer Slow and Normal and 8 % more Stop,
+/// since more cars wait for each other.
 #[test]
 fn labels_are_about_as_frequent_as_published() {
     let worlds = worlds(Agents::Fixed, Split::Test);

@@ -1,4 +1,4 @@
-//! The command line as a user meets it: the real program, real files, exit codes.
+//! The command line: runs the binary on files and checks its output and exit codes.
 
 use serde_json::Value;
 use std::fs;
@@ -26,7 +26,7 @@ fn run(arguments: &[&str], input: &[u8]) -> Output {
         .unwrap();
     let mut stdin = process.stdin.take().unwrap();
     let input = input.to_owned();
-    // The program may end without having read everything.
+    // The program may end before it has read all input.
     let writer = std::thread::spawn(move || drop(stdin.write_all(&input)));
     let output = process.wait_with_output().unwrap();
     writer.join().unwrap();
@@ -34,7 +34,7 @@ fn run(arguments: &[&str], input: &[u8]) -> Output {
 }
 
 fn code(output: &Output) -> i32 {
-    output.status.code().expect("ended by itself")
+    output.status.code().expect("no signal ended it")
 }
 
 fn out(output: &Output) -> String {
@@ -45,7 +45,7 @@ fn err(output: &Output) -> String {
     String::from_utf8(output.stderr.clone()).unwrap()
 }
 
-/// Asserts that a command failed with this exit code and said all of `words`, without a panic.
+/// Asserts that a command failed with this exit code and printed all of `words`, without a panic.
 fn fails(output: &Output, exit: i32, words: &[&str]) {
     let said = err(output);
     assert_eq!(code(output), exit, "{said}");
@@ -62,7 +62,7 @@ fn write(folder: &Path, name: &str, text: impl AsRef<[u8]>) -> String {
 }
 
 #[test]
-fn run_leaves_a_trace_an_animation_and_a_picture() {
+fn run_writes_a_trace_an_animation_and_a_picture() {
     let folder = tempfile::tempdir().unwrap();
     let target = folder.path().join("deep/er");
     let output = logicity([
@@ -105,12 +105,12 @@ fn run_leaves_a_trace_an_animation_and_a_picture() {
     }
     assert!(fs::read(target.join("city.gif")).unwrap().starts_with(b"GIF89a"));
     assert!(fs::read(target.join("last.png")).unwrap().starts_with(b"\x89PNG"));
-    assert_eq!(fs::read_dir(&target).unwrap().count(), 3, "no temporary file is left");
+    assert_eq!(fs::read_dir(&target).unwrap().count(), 3, "no temporary file remains");
 }
 
 #[cfg(unix)]
 #[test]
-fn an_interrupted_run_keeps_what_was_done() {
+fn an_interrupted_run_keeps_its_ticks() {
     let folder = tempfile::tempdir().unwrap();
     let process = Command::new(env!("CARGO_BIN_EXE_logicity"))
         .args(["run", "expert", "--ticks", "1000000000", "--out"])
@@ -119,7 +119,7 @@ fn an_interrupted_run_keeps_what_was_done() {
         .stderr(Stdio::piped())
         .spawn()
         .unwrap();
-    // The files are begun before the first tick, and whoever sees them can interrupt.
+    // The program creates the files before the first tick, so the test interrupts once they exist.
     while fs::read_dir(folder.path()).unwrap().count() < 2 {
         std::thread::sleep(std::time::Duration::from_millis(10));
     }
@@ -165,7 +165,7 @@ fn the_same_seed_gives_the_same_bytes() {
     assert_ne!(run("a", "7"), run("c", "8"));
 }
 
-/// What a trace says can be asked again: every tick, put as a scene, is decided the same way.
+/// Every tick of a trace, written as a scene, gets the same decisions from `infer`.
 #[test]
 fn a_trace_can_be_replayed_through_infer() {
     let folder = tempfile::tempdir().unwrap();
@@ -199,7 +199,7 @@ fn a_trace_can_be_replayed_through_infer() {
                 agent["at"] = state["at"].clone();
                 agent["heading"] = state["heading"].clone();
             }
-            // Once with what was drawn, once to be drawn again.
+            // Once with the recorded draws, once drawing them again.
             let given = serde_json::json!({ "map": header["map"], "agents": agents, "given": tick["given"] });
             let drawn = serde_json::json!({ "map": header["map"], "agents": agents, "tick": tick["tick"] });
             format!("{given}\n{drawn}\n")
@@ -292,7 +292,7 @@ fn explain_shows_why_and_why_not() {
 }
 
 #[test]
-fn hostile_traces_are_refused() {
+fn hostile_traces_are_errors() {
     let folder = tempfile::tempdir().unwrap();
     let target = folder.path().to_str().unwrap();
     let output = logicity([
@@ -354,7 +354,7 @@ fn hostile_traces_are_refused() {
 }
 
 #[test]
-fn a_page_is_not_written_over_its_trace() {
+fn a_page_does_not_overwrite_its_trace() {
     let folder = tempfile::tempdir().unwrap();
     let target = folder.path().to_str().unwrap();
     let run = ["run", "easy", "--no-pictures", "--ticks", "3", "--out", target];
@@ -429,7 +429,7 @@ fn check_reports_conflicts() {
     assert_eq!(together.len(), 1);
     assert_eq!(together[0]["scene"]["ego"], "e0");
     assert!(together[0]["clauses"][1]["doc"].as_str().unwrap().starts_with("VF4"));
-    // Programs without actions have nothing to say.
+    // Programs without actions have no conflicts.
     let folder = tempfile::tempdir().unwrap();
     let rules = write(
         folder.path(),
@@ -470,7 +470,7 @@ fn check_reports_what_a_run_covers() {
         assert_eq!(printed.split_whitespace().next().unwrap(), clause["fired"].to_string());
     }
 
-    // Of two literals that say the same, neither matters.
+    // Of two equivalent literals, neither matters.
     let rules = write(
         folder.path(),
         "mine.dl",
@@ -546,8 +546,8 @@ fn check_reports_all_faults_and_exits_with_1() {
 }
 
 #[test]
-fn check_reports_what_it_did_not_search_to_the_end() {
-    // Does the second clause derive nothing new? A walk of nine steps in a graph of two sides never ends where it began.
+fn check_reports_incomplete_searches() {
+    // The search for redundant clauses looks for a closed walk of nine steps in a bipartite graph, which has none.
     let graph: Vec<String> = (0..16)
         .map(|at| format!("E(a{0}, b{1}), E(b{1}, a{0})", at / 4, at % 4))
         .collect();
@@ -647,7 +647,7 @@ fn a_file_that_is_not_text_exits_with_1() {
         1,
         &["not-text", "a.facts:2:7"],
     );
-    // Nor does it hide what else is wrong with the file.
+    // The fault does not hide others.
     write(folder.path(), "n.facts", b"1\n\xff\nthree\n4\n");
     let program = write(folder.path(), "n.dl", ".decl n(x: number)\n.input n\n.output n\n");
     let output = logicity(["query", &program, "-F", parent]);
@@ -670,7 +670,7 @@ fn query_explains_in_the_language() {
         "{printed}"
     );
     let (fact, _) = printed.split_once("  by").unwrap();
-    assert_eq!(why("--explain", fact), printed, "what is told can be asked");
+    assert_eq!(why("--explain", fact), printed, "a printed fact can be queried");
     let printed = why("--why-not", "path(\"b\", \"a\")");
     assert!(printed.contains("path(\"b\", y) does not hold"), "{printed}");
 }
@@ -857,7 +857,7 @@ fn query_takes_threads_and_limits() {
 }
 
 #[test]
-fn query_shows_plans_for_the_facts_it_is_given() {
+fn query_shows_plans_for_its_facts() {
     let folder = tempfile::tempdir().unwrap();
     let rules = write(
         folder.path(),
@@ -896,7 +896,7 @@ stratum 2: near
 "
     );
     assert_eq!((code(&output), out(&output)), (0, expected));
-    // Before there are facts, the text decides.
+    // Before there are facts, the plans depend on the text alone.
     let output = logicity(["query", &rules, "--plan"]);
     assert_eq!((code(&output), out(&output).contains("meet")), (0, false));
     assert!(!folder.path().join("cycle.csv").exists());
@@ -949,7 +949,7 @@ fn query_follows_the_options_of_directives() {
 }
 
 #[test]
-fn a_million_facts_are_read() {
+fn a_million_facts_load() {
     let folder = tempfile::tempdir().unwrap();
     let rules = write(
         folder.path(),
@@ -969,7 +969,7 @@ fn a_million_facts_are_read() {
 }
 
 #[test]
-fn a_faulty_scene_keeps_answers_in_step() {
+fn a_faulty_scene_still_gives_one_line() {
     let scene = r#"{"entities":["e0","e1"],"ego":"e0","facts":{"IsCar":["e0"],"HigherPri":[["e1","e0"]]}}"#;
     let faulty = [
         "{",
@@ -1011,9 +1011,9 @@ fn a_faulty_scene_keeps_answers_in_step() {
     fails(&with_input(["infer"], deep.as_bytes()), 1, &["invalid-scene"]);
 }
 
-/// Constraints of the rules are no rules: only who asks is told where facts break one.
+/// Constraints are not rules: commands report violations only with `--check-constraints`.
 #[test]
-fn constraints_are_checked_where_asked_for() {
+fn constraints_are_checked_on_request() {
     let bus = r#"{"entities":["e0","e1"],"ego":"e0","facts":{"IsBus":["e1"]}}"#;
     let car = r#"{"entities":["e0","e1"],"ego":"e0","facts":{"IsBus":["e1"],"IsCar":["e1"]}}"#;
     let input = format!("{bus}\n{car}\n");
@@ -1092,11 +1092,11 @@ fn constraints_are_checked_where_asked_for() {
             "first violated in tick 0; violated in 3 of 3 ticks",
         ],
     );
-    assert!(out(&output).contains("3 ticks"), "the summary is told nevertheless");
+    assert!(out(&output).contains("3 ticks"), "the summary is still printed");
 }
 
 #[test]
-fn scenes_beyond_the_limits_are_reported_and_the_next_one_is_answered() {
+fn scenes_beyond_the_limits_are_reported_and_the_next_scene_gets_an_answer() {
     let scene = r#"{"entities":["e0"],"ego":"e0"}"#;
     let names: Vec<String> = (0..2001).map(|number| format!("\"e{number}\"")).collect();
     let crowd = format!(r#"{{"entities":[{}],"ego":"e0"}}"#, names.join(","));
@@ -1122,9 +1122,9 @@ fn scenes_beyond_the_limits_are_reported_and_the_next_one_is_answered() {
     }
 }
 
-/// What `check` accepts can be evaluated.
+/// `check` accepts only rules that can be evaluated.
 #[test]
-fn check_reports_what_is_too_large_to_evaluate() {
+fn check_reports_rules_too_large_to_evaluate() {
     let folder = tempfile::tempdir().unwrap();
     let columns: Vec<String> = (0..40).map(|number| format!("c{number}: number")).collect();
     let text = format!(".decl wide({})\n.output wide\n", columns.join(", "));
@@ -1155,7 +1155,7 @@ fn route_prints_the_cells() {
 }
 
 #[test]
-fn cities_that_cannot_be_are_reported() {
+fn impossible_cities_are_reported() {
     let folder = tempfile::tempdir().unwrap();
     let config = |changes: &str| {
         let config = format!("base: configs/expert.yaml\n{changes}");
@@ -1208,7 +1208,7 @@ fn cities_that_cannot_be_are_reported() {
     );
 }
 
-/// Columns are chosen by `columns`, and other values of the row are not looked at.
+/// `columns` selects columns; the reader ignores the other values of a row.
 #[test]
 fn query_reads_the_requested_columns() {
     let folder = tempfile::tempdir().unwrap();
@@ -1242,32 +1242,32 @@ fn query_reads_the_requested_columns() {
     );
 }
 
-/// What a measurement says, by key. Each is explained in README.
+/// Parses a measurement, by key. README must explain each key.
 fn measured(output: &Output) -> Value {
     assert_eq!(code(output), 0, "{}", err(output));
     let printed: Value = serde_json::from_str(&out(output)).unwrap();
     let readme = fs::read_to_string(Path::new(env!("CARGO_MANIFEST_DIR")).join("README.md")).unwrap();
     let (_, keys) = readme
         .split_once("### What `bench` prints")
-        .expect("README has the keys");
+        .expect("README lists the keys");
     let (keys, _) = keys.split_once("\n## ").expect("README goes on");
     for key in printed.as_object().unwrap().keys() {
         let unit = key.trim_end_matches("_per_cpu_s").trim_end_matches("_per_s");
         let known = |name: &str| keys.contains(&format!("`{name}`"));
-        assert!(known(key) || known(unit), "README does not say what `{key}` is");
+        assert!(known(key) || known(unit), "README does not explain `{key}`");
     }
     printed
 }
 
 #[test]
-fn bench_measures_what_it_is_asked_for() {
+fn bench_measures_the_requested_case() {
     let bench = |arguments: &[&str]| {
         let mut all = vec!["bench"];
         all.extend(arguments);
         all.extend(["--seconds", "0.05", "--json"]);
         run(&all, b"")
     };
-    // The list of 18 agents is repeated, however often the configuration repeats it.
+    // `--agents` repeats the list of 18 agents, whatever the configuration's `repeat` is.
     for config in ["configs/metropolis.yaml", "configs/expert.yaml"] {
         let printed = measured(&bench(&["tick", "--config", config, "--agents", "300"]));
         assert_eq!(
@@ -1316,7 +1316,7 @@ fn bench_measures_what_it_is_asked_for() {
     );
 }
 
-/// Making a set writes what the repository has, showing it tells how the oracle fares, and nothing half done is left behind.
+/// `make` writes the file of the repository and leaves no partial file. `show` prints the results of the oracle.
 #[test]
 fn episodes_are_made_checked_and_shown() {
     let folder = tempfile::tempdir().unwrap();
@@ -1357,7 +1357,7 @@ fn episodes_are_made_checked_and_shown() {
         2,
         &["/nowhere/x.jsonl"],
     );
-    // Other rules, and the oracle does otherwise.
+    // Under other rules, the oracle's results differ.
     fails(
         &episodes(&["check", "easy", "--rules", "rules/expert.dl"]),
         1,
@@ -1394,7 +1394,7 @@ fn bench_takes_scenes() {
         1,
         &["limit-exceeded", "65 entities; the limit is 64"],
     );
-    // Rules with recursion are not for the dense executor, and no option would change that.
+    // The dense executor takes no recursive rules, so the message suggests no option.
     let rules = write(
         folder.path(),
         "far.dl",
@@ -1444,7 +1444,7 @@ fn the_summary_names_the_executor() {
 }
 
 #[test]
-fn slow_icons_come_from_a_pack_or_the_fault_is_reported() {
+fn slow_icons_come_from_a_pack_and_its_faults_are_reported() {
     let folder = tempfile::tempdir().unwrap();
     let sheet = |arguments: &[&str], name: &str| {
         let path = folder.path().join(name);
@@ -1514,7 +1514,7 @@ fn slow_icons_come_from_a_pack_or_the_fault_is_reported() {
     }
 }
 
-/// A predicate that the configuration computes but the rules only declare would stay empty.
+/// A predicate that the configuration computes but that is no input of the rules would stay empty.
 #[test]
 fn a_predicate_that_is_never_filled_is_reported() {
     let folder = tempfile::tempdir().unwrap();
@@ -1581,9 +1581,9 @@ fn fmt_writes_checks_and_pipes() {
     assert_eq!(std::fs::read_to_string(&file).unwrap(), "A(1");
 }
 
-/// The example of `check`, fed to `infer`.
+/// The scene that `check` prints is valid input of `infer`.
 #[test]
-fn the_scene_of_check_can_be_fed_to_infer() {
+fn infer_accepts_the_scene_of_check() {
     let folder = tempfile::tempdir().unwrap();
     let root = Path::new(env!("CARGO_MANIFEST_DIR"));
     let command = "logicity check rules/vap-hard.dl | grep '^ *{' | logicity infer --config configs/vap-hard.yaml";
@@ -1603,7 +1603,7 @@ fn the_scene_of_check_can_be_fed_to_infer() {
 }
 
 #[test]
-fn commands_of_the_python_package_name_it() {
+fn commands_of_the_python_package_refer_to_it() {
     for arguments in [
         &["train", "x.yaml"] as &[&str],
         &["describe"],

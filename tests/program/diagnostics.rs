@@ -1,7 +1,7 @@
 //! Every message has a stable name, a fixture that produces it, and a section in a reference.
 //!
-//! `tests/datalog/lang.rs` and `tests/city/config.rs` run the fixtures of what their rooms find alone; here are those that need a whole city, scenes or
-//! facts, and the count of all.
+//! `tests/datalog/lang.rs` and `tests/city/config.rs` run the fixtures of their rooms. This file runs those that need a
+//! whole city, scenes or facts, and checks that no code lacks a fixture.
 
 use logicity::builtin::BuiltinFiles;
 use logicity::cancel::Cancel;
@@ -70,7 +70,7 @@ fn every_code_has_a_fixture_and_a_section() {
 }
 
 #[test]
-fn cities_fail_as_their_fixtures_say() {
+fn cities_fail_as_their_fixtures_expect() {
     let out = tempfile::tempdir().unwrap();
     let out = out.path().to_str().unwrap();
     for code in [
@@ -108,7 +108,7 @@ fn cities_fail_as_their_fixtures_say() {
 }
 
 #[test]
-fn the_dense_executor_refuses_its_fixture() {
+fn the_dense_executor_rejects_its_fixture() {
     let config = fixtures().join("dense-unsupported/main.yaml");
     let config = config.to_str().unwrap();
     let run = |executor| logicity(&["run", config, "--ticks", "1", "--no-trace", "--executor", executor]);
@@ -126,7 +126,7 @@ fn the_dense_executor_refuses_its_fixture() {
 }
 
 #[test]
-fn a_cancelled_commit_has_a_code_of_its_own() {
+fn a_cancelled_commit_has_its_own_code() {
     let mut sources = Sources::new();
     let text = fs::read_to_string(fixtures().join("cancelled.dl")).unwrap();
     let entry = sources.add("cancelled.dl", text);
@@ -147,7 +147,7 @@ fn a_cancelled_commit_has_a_code_of_its_own() {
 }
 
 #[test]
-fn scenes_and_facts_fail_as_their_fixtures_say() {
+fn scenes_and_facts_fail_as_their_fixtures_expect() {
     let scenes = fixtures().join("invalid-scene.jsonl");
     let output = logicity(&["infer", scenes.to_str().unwrap()]);
     assert_eq!(output.status.code(), Some(1));
@@ -171,7 +171,7 @@ fn scenes_and_facts_fail_as_their_fixtures_say() {
 }
 
 #[test]
-fn traces_fail_as_their_fixtures_say() {
+fn traces_fail_as_their_fixtures_expect() {
     for code in ["invalid-trace", "trace-mismatch"] {
         let path = fixtures().join(code).with_extension("jsonl");
         let output = logicity(&["explain", path.to_str().unwrap(), "--agent", "Car_1"]);
@@ -182,7 +182,7 @@ fn traces_fail_as_their_fixtures_say() {
 }
 
 #[test]
-fn episodes_fail_as_their_fixture_says() {
+fn episodes_fail_as_their_fixture_expects() {
     let path = fixtures().join("invalid-episode/main.yaml");
     let output = logicity(&["episodes", "check", path.to_str().unwrap()]);
     let said = String::from_utf8(output.stderr).unwrap();
@@ -193,7 +193,7 @@ fn episodes_fail_as_their_fixture_says() {
 }
 
 #[test]
-fn facts_that_break_constraints_are_refused() {
+fn facts_that_violate_constraints_are_errors() {
     let folder = fixtures().join("constraint-violation");
     let folder = folder.to_str().unwrap();
     let output = logicity(&["query", &format!("{folder}/main.dl"), "-F", folder, "-D", "-"]);
@@ -211,9 +211,9 @@ fn facts_that_break_constraints_are_refused() {
     }
 }
 
-/// Lints stand on the lines that the fixtures mark, and nowhere else.
+/// Lints are on the lines that the fixtures mark, and nowhere else.
 #[test]
-fn lints_are_reported_as_their_fixtures_say() {
+fn lints_are_reported_as_their_fixtures_expect() {
     for code in ["contradictory-body", "redundant-literal", "repeated-body"] {
         let path = fixtures().join(code).with_extension("dl");
         let text = fs::read_to_string(&path).unwrap();
@@ -244,7 +244,7 @@ fn lints_are_reported_as_their_fixtures_say() {
 }
 
 #[test]
-fn the_shipped_rules_are_checked_without_a_word() {
+fn the_shipped_rules_pass_without_a_diagnostic() {
     for entry in fs::read_dir(root().join("rules")).unwrap() {
         let path = entry.unwrap().path();
         if path.extension().is_some_and(|extension| extension == "dl") {
@@ -254,9 +254,9 @@ fn the_shipped_rules_are_checked_without_a_word() {
     }
 }
 
-/// The scenes in the reference are answered; the ones that stand for faults are refused.
+/// Scenes in the reference get answers; those that show faults give diagnostics.
 #[test]
-fn the_scenes_of_the_reference_do_what_it_says() {
+fn the_scenes_of_the_reference_behave_as_documented() {
     let text = fs::read_to_string(Path::new(&root()).join("configs/README.md")).unwrap();
     let mut heading = "";
     let mut lines = text.lines();
@@ -291,9 +291,9 @@ fn the_scenes_of_the_reference_do_what_it_says() {
     assert!(count >= 4);
 }
 
-/// `query` takes given rows and derived ones; everybody else refuses the rule.
+/// `query` accepts rules for an input; all other commands reject them.
 #[test]
-fn an_input_that_is_derived_is_reported_by_query_and_refused_by_check() {
+fn query_warns_of_a_derived_input_and_check_rejects_it() {
     let folder = fixtures().join("extended-input");
     let folder = folder.to_str().unwrap();
     let rules = format!("{folder}/main.dl");

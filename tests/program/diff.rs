@@ -1,9 +1,9 @@
-//! `logicity diff`: verdicts, bounds and scenes as a user gets them.
+//! `logicity diff`: printed verdicts, bounds and scenes.
 
 use super::cli::logicity;
 
 #[test]
-fn the_scene_is_one_that_infer_answers_differently() {
+fn infer_answers_the_scene_differently_under_both_rule_sets() {
     let output = logicity(["diff", "rules/medium.dl", "rules/hard.dl", "--scene"]);
     assert_eq!(output.status.code(), Some(1));
     let folder = tempfile::tempdir().unwrap();
@@ -21,7 +21,7 @@ fn the_scene_is_one_that_infer_answers_differently() {
 }
 
 #[test]
-fn the_command_says_what_it_knows() {
+fn the_command_prints_its_verdict() {
     let copy = "tests/fixtures/vap-easy-bloated.dl";
     let output = logicity(["diff", "rules/vap-easy.dl", copy]);
     let said = String::from_utf8(output.stdout).unwrap();

@@ -1,4 +1,5 @@
-//! The TextMate grammar: every expression compiles, every directive is known, and every word of a rule file gets a colour.
+//! The TextMate grammar: every expression compiles, it knows every directive, and every word of a rule file gets a
+//! scope.
 
 use logicity::datalog::DIRECTIVES;
 use regex::Regex;
@@ -15,17 +16,17 @@ fn grammar() -> Value {
     serde_json::from_str(&text).unwrap()
 }
 
-/// A rule of the grammar: what it matches and which scopes it gives; with an end, it contains others.
+/// A rule of the grammar: its expression and its scopes. A rule with an end contains others.
 struct Rule {
     begin: Regex,
     name: Option<String>,
     captures: Vec<(usize, String)>,
-    /// Of what matches its end.
+    /// The scopes of the match of its end.
     end_name: Option<String>,
     block: Option<(Regex, Vec<Rule>)>,
 }
 
-/// The rules of a list of patterns, with includes followed.
+/// The rules of a list of patterns. Follows includes.
 fn rules(patterns: &Value, repository: &Value) -> Vec<Rule> {
     let mut found = Vec::new();
     for pattern in patterns.as_array().unwrap() {
@@ -76,7 +77,8 @@ fn rules(patterns: &Value, repository: &Value) -> Vec<Rule> {
     found
 }
 
-/// The scope of every byte, as an editor finds it: at each place the rule that matches first, of those the one that stands first.
+/// The scope of every byte, as an editor finds it: the rule with the earliest match wins, and among those the first in
+/// the list.
 fn colours(text: &str, rules: &[Rule]) -> Vec<Option<String>> {
     let mut scopes = vec![None; text.len()];
     let mut offset = 0;
@@ -147,7 +149,7 @@ fn scope_of<'s>(text: &str, scopes: &'s [Option<String>], word: &str) -> &'s str
 }
 
 #[test]
-fn words_get_their_colours() {
+fn words_get_their_scopes() {
     let grammar = grammar();
     let rules = rules(&grammar["patterns"], &grammar["repository"]);
     let text = r#"/// doc
@@ -185,7 +187,7 @@ Stop(X) :- Car(X, 0x2A), Not(IsBus(X)), !Near(X, _), X != "a\"b", /* block */ X 
 }
 
 #[test]
-fn every_word_of_the_shipped_rules_has_a_colour() {
+fn every_word_of_the_shipped_rules_has_a_scope() {
     let grammar = grammar();
     let rules = rules(&grammar["patterns"], &grammar["repository"]);
     for entry in fs::read_dir(root().join("rules")).unwrap() {

@@ -32,7 +32,7 @@ const ONLY_IN: &[(&str, &str)] = &[
 /// Rooms whose files import one another without a cycle, with all rooms inside them.
 const ACYCLIC: &[&str] = &["sim"];
 
-/// Files that name files of the product.
+/// Rooms that may contain paths of shipped files.
 const PRODUCT_PATHS_IN: &[&str] = &["builtin", "cli"];
 
 fn root() -> PathBuf {
@@ -89,13 +89,13 @@ fn sources() -> Vec<Source> {
     found
 }
 
-/// The room that a path from the root of the crate leads to: the longest beginning of it that the table names.
+/// The room of a path from the root of the crate: its longest prefix in the table.
 fn room(levels: &BTreeMap<String, u32>, path: &[String]) -> Option<String> {
     let beginnings = (1..=path.len()).rev().map(|length| path[..length].join("::"));
     beginnings.into_iter().find(|beginning| levels.contains_key(beginning))
 }
 
-/// The paths, from the root of the crate, that the code of a module names after `crate::` or `super::`, lists in braces taken apart.
+/// The paths after `crate::` or `super::` in the code of a module, from the root of the crate. Expands lists in braces.
 fn imports(source: &Source) -> Vec<Vec<String>> {
     let mut found = Vec::new();
     for (at, start) in (source.code.match_indices("crate::")).chain(source.code.match_indices("super::")) {
@@ -117,7 +117,7 @@ fn imports(source: &Source) -> Vec<Vec<String>> {
     found
 }
 
-/// Adds the leaves of a tree of paths; gives back what follows it.
+/// Adds the leaves of a tree of paths. Returns the text after it.
 fn tree<'a>(mut rest: &'a str, mut path: Vec<String>, found: &mut Vec<Vec<String>>) -> &'a str {
     loop {
         rest = rest.trim_start();
@@ -135,12 +135,12 @@ fn tree<'a>(mut rest: &'a str, mut path: Vec<String>, found: &mut Vec<Vec<String
         let (word, after) = rest.split_at(end.unwrap_or(rest.len()));
         assert!(
             !word.is_empty(),
-            "a path goes on with a name: {}",
+            "a path continues with a name: {}",
             &rest[..rest.len().min(60)]
         );
         path.push(word.to_owned());
         match after.strip_prefix("::") {
-            // A type's arguments are no path.
+            // The arguments of a type are not part of a path.
             Some(next) if !next.starts_with('<') => rest = next,
             _ => {
                 found.push(path);
@@ -181,7 +181,7 @@ fn rooms_import_only_lower_rooms() {
     assert!(faults.is_empty(), "{}", faults.join("\n"));
 }
 
-/// The file of a folder itself, `mod.rs`, names all others and does not count.
+/// `mod.rs` names all other files of a folder and does not count.
 #[test]
 fn files_of_a_room_import_one_another_without_a_cycle() {
     for room in ACYCLIC {
@@ -199,7 +199,7 @@ fn files_of_a_room_import_one_another_without_a_cycle() {
             })
             .collect();
         assert!(left.values().map(BTreeSet::len).sum::<usize>() > left.len(), "{left:?}");
-        // A file that imports no other one that is left is in no cycle.
+        // A file that imports no other remaining file is in no cycle.
         loop {
             let remaining: BTreeSet<&[String]> = left.keys().copied().collect();
             left.retain(|module, others| others.iter().any(|other| other != module && remaining.contains(other)));
@@ -212,7 +212,7 @@ fn files_of_a_room_import_one_another_without_a_cycle() {
     }
 }
 
-/// The constants that match `{kind}::{NAME}` are used only where the room that declares them is the same or lower.
+/// Checks that rooms use the constants `{kind}::{NAME}` only of their own and of lower rooms.
 fn constants_come_from_below(kind: &str, declares: impl Fn(&str) -> Vec<String>) {
     let levels = levels();
     let sources = sources();
@@ -245,7 +245,7 @@ fn constants_come_from_below(kind: &str, declares: impl Fn(&str) -> Vec<String>)
 }
 
 #[test]
-fn codes_are_declared_in_the_room_that_uses_them_or_below() {
+fn rooms_use_codes_of_their_own_and_of_lower_rooms() {
     constants_come_from_below("Code", |code| {
         let Some(at) = code.find("diagnostic_codes! {\n") else {
             return Vec::new();
@@ -257,7 +257,7 @@ fn codes_are_declared_in_the_room_that_uses_them_or_below() {
 }
 
 #[test]
-fn purposes_of_draws_are_declared_in_the_room_that_uses_them_or_below() {
+fn rooms_use_purposes_of_draws_of_their_own_and_of_lower_rooms() {
     constants_come_from_below("Purpose", |code| {
         let lines = code.lines().filter_map(|line| line.trim().strip_prefix("pub const "));
         let names = lines.filter_map(|line| line.split_once(": Purpose = "));
@@ -277,7 +277,7 @@ fn purposes_of_draws_are_declared_in_the_room_that_uses_them_or_below() {
 }
 
 #[test]
-fn only_the_top_names_files_of_the_product() {
+fn only_top_rooms_contain_paths_of_shipped_files() {
     let mut faults = Vec::new();
     for source in sources() {
         let top = source.module[0].as_str();
@@ -298,7 +298,7 @@ fn only_the_top_names_files_of_the_product() {
 }
 
 #[test]
-fn pure_rooms_touch_no_files_and_no_clock() {
+fn pure_rooms_use_no_files_and_no_clock() {
     let mut faults = Vec::new();
     for source in sources() {
         if PURE.contains(&source.module[0].as_str()) {
@@ -319,7 +319,7 @@ fn pure_rooms_touch_no_files_and_no_clock() {
 }
 
 #[test]
-fn a_crate_with_one_purpose_is_used_in_one_place() {
+fn a_crate_with_one_purpose_is_used_in_one_file() {
     for (name, home) in ONLY_IN {
         let users: Vec<PathBuf> = (sources().into_iter())
             .filter(|source| source.code.contains(&format!("{name}::")))
@@ -329,9 +329,10 @@ fn a_crate_with_one_purpose_is_used_in_one_place() {
     }
 }
 
-/// Files that import each other cannot be understood one after the other. A file and the files in its folder count as one.
+/// Files in a cycle of imports cannot be understood one after the other. A file and the files in its folder count as
+/// one.
 #[test]
-fn files_import_each_other_in_no_circle() {
+fn files_import_each_other_without_a_cycle() {
     let sources = sources();
     let modules: BTreeSet<&[String]> = sources.iter().map(|source| source.module.as_slice()).collect();
     let mut left: BTreeMap<&[String], BTreeSet<&[String]>> = BTreeMap::new();
@@ -347,7 +348,7 @@ fn files_import_each_other_in_no_circle() {
         left.insert(module, others.collect());
     }
     assert!(left.values().map(BTreeSet::len).sum::<usize>() > 300, "{left:?}");
-    // Take away files that import none or that none imports, until only circles and what lies between them stay.
+    // Remove files that import no other or that no other imports, until only cycles and the files between them remain.
     while let Some(free) = (left.keys().copied())
         .find(|&module| left[module].is_empty() || !left.values().any(|others| others.contains(module)))
     {

@@ -1,4 +1,4 @@
-//! The language server as an editor meets it: the real program, real messages.
+//! The language server: runs the binary and exchanges messages with it.
 
 use lsp_server::{Message, Notification, Request, RequestId};
 use serde_json::{Value, json};
@@ -12,7 +12,7 @@ struct Editor {
     process: Child,
     to: ChildStdin,
     from: BufReader<ChildStdout>,
-    /// Diagnostics that came while something else was waited for.
+    /// Diagnostics that arrived while the test waited for another message.
     published: VecDeque<Value>,
     folder: tempfile::TempDir,
     next: i32,
@@ -68,7 +68,7 @@ impl Editor {
                     };
                 }
                 Message::Notification(notification) => self.published.push_back(notification.params),
-                Message::Request(request) => panic!("the server asks {}", request.method),
+                Message::Request(request) => panic!("unexpected request {}", request.method),
             }
         }
     }
@@ -94,7 +94,7 @@ impl Editor {
         self.diagnostics(name)
     }
 
-    /// The next diagnostics of a text; those of others are kept.
+    /// The next diagnostics of a text. Keeps those of other texts.
     fn diagnostics(&mut self, name: &str) -> Vec<Value> {
         let uri = self.uri(name);
         loop {
@@ -109,7 +109,7 @@ impl Editor {
         }
     }
 
-    /// Asks about a place: line and column in UTF-16 units, from 0.
+    /// Sends a request about a position: line and column in UTF-16 units, from 0.
     fn at(&mut self, method: &str, name: &str, place: (u32, u32), more: Value) -> Value {
         let mut params = json!({
             "textDocument": { "uri": self.uri(name) },
@@ -142,7 +142,7 @@ fn codes(diagnostics: &[Value]) -> Vec<&str> {
     diagnostics.iter().map(|one| one["code"].as_str().unwrap()).collect()
 }
 
-/// Line 4 holds characters that take one, two and four bytes, and one and two UTF-16 units, before the names that are asked about.
+/// Line 4 has characters of one, two and four bytes, and of one and two UTF-16 units, before the names of the test.
 const RULES: &str = "\
 .type place <: symbol
 /// A road for cars.
@@ -154,7 +154,7 @@ Road(\"\u{1f697}\", \"b\").
 ";
 
 #[test]
-fn a_text_without_faults_is_explored() {
+fn a_valid_text_can_be_navigated() {
     let mut editor = Editor::start();
     assert_eq!(editor.open("a.dl", RULES), Vec::<Value>::new());
     // `Road` on line 4: `/* é 🚗 */ ` takes 11 units.
@@ -219,7 +219,7 @@ fn a_text_without_faults_is_explored() {
 fn faults_are_reported_as_the_text_changes() {
     let mut editor = Editor::start();
     assert!(editor.open("a.dl", RULES).is_empty());
-    // The wrong name stands behind a character of two units.
+    // The wrong name follows a character of two units.
     let faulty = RULES.replace("Road(y, z).", "Raod(y, z).");
     let diagnostics = editor.change("a.dl", &faulty);
     assert_eq!(codes(&diagnostics), ["unknown-predicate"]);
@@ -269,7 +269,7 @@ fn faults_are_reported_as_the_text_changes() {
 }
 
 #[test]
-fn includes_are_read_from_open_texts_before_the_disk() {
+fn open_texts_have_precedence_over_files() {
     let mut editor = Editor::start();
     fs::write(editor.path("parts.dl"), ".decl Old(x: symbol)\n.input Old\n").unwrap();
     let main = ".include \"parts.dl\"\n.include \"vocabulary.dl\"\n.decl Main(x: symbol)\nMain(x) :- New(x), Old(x).\n";
@@ -293,7 +293,7 @@ fn includes_are_read_from_open_texts_before_the_disk() {
         "built in"
     );
 
-    // A fault in an included text is told where it is included.
+    // A fault in an included text is reported at the include.
     editor.change("parts.dl", ".decl Old, New(x: symbol)\n.input Old, New\nOld(1).\n");
     let diagnostics = editor.diagnostics("main.dl");
     assert_eq!(
@@ -337,7 +337,7 @@ fn names_are_completed_and_renamed_in_all_open_texts() {
     let items = editor.at("textDocument/completion", "main.dl", (1, 2), json!({}));
     assert!(labels(&items).contains(&"printsize".to_owned()));
 
-    // A program of its own, whose predicate only has the same name.
+    // A separate program, whose predicate only has the same name.
     editor.open("other.dl", ".decl Old(x: symbol)\nOld(\"a\").\n");
     let renamed = editor.at("textDocument/rename", "main.dl", (2, 12), json!({ "newName": "Given" }));
     let edit = |range: Value| json!({ "range": range, "newText": "Given" });
@@ -375,7 +375,7 @@ fn names_are_completed_and_renamed_in_all_open_texts() {
 }
 
 #[test]
-fn a_text_is_laid_out() {
+fn a_text_is_formatted() {
     let mut editor = Editor::start();
     editor.open("a.dl", ".decl A( x:symbol )\n\n\n\nA(\"\u{1f697}\").A(\"b\")  .");
     let edits = editor.of("textDocument/formatting", "a.dl");
@@ -393,7 +393,7 @@ fn a_text_is_laid_out() {
 }
 
 #[test]
-fn nothing_an_editor_sends_ends_the_server() {
+fn no_message_ends_the_server() {
     let mut editor = Editor::start();
     let refused = editor.ask("textDocument/foldingRange", json!({}));
     assert_eq!(refused["code"], -32601);
@@ -403,7 +403,7 @@ fn nothing_an_editor_sends_ends_the_server() {
     editor.notify("$/setTrace", json!({ "value": "off" }));
     editor.notify("textDocument/didOpen", json!({ "textDocument": "a.dl" }));
     assert_eq!(editor.ask("shutdown?", Value::Null)["code"], -32601);
-    let logged = editor.published.pop_back().expect("what cannot be read is told");
+    let logged = editor.published.pop_back().expect("invalid messages are reported");
     assert_eq!(logged["type"], 1);
     assert!(
         logged["message"]

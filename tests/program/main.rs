@@ -1,4 +1,4 @@
-//! The program as a user meets it, and checks of the repository as a whole.
+//! Tests of the binary, and checks of the repository as a whole.
 
 mod cli;
 mod diagnostics;

@@ -1,4 +1,5 @@
-//! Language questions, from the files that the program writes: answers follow from the text alone, and the sets are what they claim.
+//! Language questions in the files that the program writes: answers follow from the text alone, and the sets are
+//! balanced.
 
 use logicity::city::Split;
 use logicity::rng::Seed;
@@ -49,7 +50,7 @@ fn string(value: &Value) -> &str {
     value.as_str().unwrap()
 }
 
-/// Reads the text of a question as a scene, as an evaluated model has to.
+/// Parses the text of a question as a scene, as an evaluated model must.
 fn read(question: &str) -> Value {
     let line = |prefix: &str| {
         let rest = question.lines().find_map(|line| line.strip_prefix(prefix));
@@ -82,7 +83,7 @@ fn read(question: &str) -> Value {
     json!({"entities": entities, "ego": ego, "facts": facts})
 }
 
-/// What `logicity infer` decides, by letters.
+/// The decisions of `logicity infer`, as letters.
 fn inferred(config: &str, scenes: &[Value]) -> Vec<&'static str> {
     let lines: String = scenes.iter().map(|scene| format!("{scene}\n")).collect();
     let output = run(&["infer", "--config", config], &lines);
@@ -125,7 +126,7 @@ fn slow_every_answer_follows_from_the_text() {
             let letter = LETTERS.iter().position(|letter| question["answer"] == *letter).unwrap();
             assert_eq!(question["action"], ACTIONS[letter]);
         }
-        // The structured scene says the same as the text.
+        // The structured scene equals the text.
         let given: Vec<Value> = questions.iter().map(|question| question["scene"].clone()).collect();
         assert_eq!(inferred(config, &given), wanted[..questions.len()]);
         for (given, read) in given.iter().zip(&scenes) {
@@ -154,7 +155,7 @@ fn slow_every_answer_follows_from_the_text() {
     }
 }
 
-/// The letters in an order that nothing depends on.
+/// A pseudorandom letter, independent of the answers.
 fn guess(number: usize) -> &'static str {
     let mixed = (number as u64 + 1).wrapping_mul(0x9e37_79b9_7f4a_7c15);
     LETTERS[(mixed >> 62) as usize]
@@ -165,7 +166,7 @@ fn slow_sets_are_balanced_and_without_repetition() {
     for config in CONFIGS {
         let questions = questions(&[config, "--seed", "5"]);
         let (count, shares) = (questions.len(), shares(&questions));
-        // The rules of easy mode never ask Fast.
+        // The rules of easy mode never derive Fast.
         let expected = if config == "vap-easy" {
             [334, 333, 0, 333]
         } else {
@@ -175,7 +176,7 @@ fn slow_sets_are_balanced_and_without_repetition() {
         let guessed = (0..count)
             .filter(|&number| questions[number]["answer"] == guess(number))
             .count();
-        // Four standard deviations of a binomial with a quarter: 55.
+        // Four standard deviations of a binomial distribution with probability 1/4: 55.
         assert!(guessed.abs_diff(count / 4) < 55, "{guessed} of {count}");
 
         let shown = questions[0]["demonstrations"].as_array().unwrap();
@@ -196,7 +197,7 @@ fn slow_sets_are_balanced_and_without_repetition() {
         let asked: Vec<Value> = questions.iter().map(|question| question["scene"].clone()).collect();
         let compositions: BTreeSet<_> = shown.iter().map(composition).collect();
         assert!(asked.iter().all(|scene| !compositions.contains(&composition(scene))));
-        // No two are alike but for the names: where all renamings can be tried, none makes one of the other.
+        // No two questions are equal up to renaming: where the test can try all renamings, none maps one to the other.
         let small = shown
             .iter()
             .chain(&asked)
@@ -207,7 +208,7 @@ fn slow_sets_are_balanced_and_without_repetition() {
     }
 }
 
-/// What the entities are, whichever is which.
+/// The kinds of the entities, independent of their order.
 fn composition(scene: &Value) -> Vec<Vec<String>> {
     let steady = [
         "IsPedestrian",
@@ -238,7 +239,7 @@ fn composition(scene: &Value) -> Vec<Vec<String>> {
     all
 }
 
-/// The least text of a scene under all orders of its entities.
+/// The smallest text of a scene under all orders of its entities.
 fn first_of_all_renamings(scene: &Value) -> String {
     let entities: Vec<&str> = scene["entities"].as_array().unwrap().iter().map(string).collect();
     let facts = scene["facts"].as_object().unwrap();
@@ -345,14 +346,14 @@ fn the_same_seed_gives_the_same_bytes() {
 }
 
 #[test]
-fn without_demonstrations_nobody_speaks_of_them() {
+fn without_demonstrations_no_text_mentions_them() {
     let questions = questions(&["vap-easy", "--count", "30", "--shots", "0", "--demonstrations", "test"]);
     assert_eq!(questions[0]["demonstrations"], json!([]));
     assert!(!string(&questions[0]["system"]).contains("explain"));
 }
 
 #[test]
-fn slow_what_cannot_be_asked_is_refused() {
+fn slow_impossible_requests_are_errors() {
     let refused = |arguments: &[&str], exit: i32, words: &[&str]| {
         let output = run(&[&["questions"], arguments].concat(), "");
         let said = String::from_utf8(output.stderr).unwrap();
@@ -378,7 +379,7 @@ fn slow_what_cannot_be_asked_is_refused() {
         &["limit-exceeded", "1000008 agents"],
     );
     refused(&["metropolis", "--count", "3"], 1, &["unknown-split"]);
-    // Of a car that is alone there is little to ask.
+    // A car that is alone allows few questions.
     let folder = tempfile::tempdir().unwrap();
     let config = folder.path().join("alone.yaml");
     let agents =
@@ -393,10 +394,10 @@ fn slow_what_cannot_be_asked_is_refused() {
     refused(&["-o", "no/such/folder/q.jsonl", "--count", "4"], 2, &["cannot write"]);
 }
 
-/// The Python package is tested on this file. `cargo run -- questions --count 8 --shots 4 --output tests/fixtures/questions.jsonl`
-/// makes it again.
+/// The Python tests read this file. `cargo run -- questions --count 8 --shots 4 --output
+/// tests/fixtures/questions.jsonl` writes it.
 #[test]
-fn the_file_for_the_tests_in_python_is_ours() {
+fn the_file_for_the_python_tests_is_up_to_date() {
     let kept = fs::read_to_string(concat!(env!("CARGO_MANIFEST_DIR"), "/tests/fixtures/questions.jsonl")).unwrap();
     assert_eq!(text(&["--count", "8", "--shots", "4"]), kept);
 }

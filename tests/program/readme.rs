@@ -1,5 +1,5 @@
-//! What README shows is what happens: its rule files are written to a folder, its commands run there, and what they print is
-//! compared.
+//! The examples of README: writes its rule files to a folder, runs its commands there, and compares their output with
+//! the quoted one.
 
 use std::fs;
 use std::path::{Path, PathBuf};
@@ -30,7 +30,7 @@ fn blocks() -> Vec<Block> {
     blocks
 }
 
-/// What a shell command prints, on either output, with this program first on the path.
+/// Returns the standard output and error of a shell command, with this program first on the path.
 fn shell(command: &str, folder: &Path) -> String {
     let program = Path::new(env!("CARGO_BIN_EXE_logicity")).parent().unwrap();
     let path = format!("{}:{}", program.display(), std::env::var("PATH").unwrap());
@@ -44,7 +44,7 @@ fn shell(command: &str, folder: &Path) -> String {
 }
 
 #[test]
-fn slow_the_commands_print_what_readme_says() {
+fn slow_commands_print_the_output_in_readme() {
     let folder = tempfile::tempdir().unwrap();
     let mut last_file = String::new();
     let mut last_output = String::new();
@@ -73,7 +73,7 @@ fn slow_the_commands_print_what_readme_says() {
             _ => {}
         }
     }
-    assert!(compared >= 4, "README has lost its examples");
+    assert!(compared >= 4, "README has too few examples");
 }
 
 #[test]

@@ -1,4 +1,4 @@
-//! The prompt as a user meets it: through a pipe, where all is text, and at a terminal.
+//! The prompt, through a pipe and at a terminal.
 
 use std::fs;
 use std::io::{BufRead, BufReader, Write};
@@ -18,7 +18,7 @@ fn logicity(arguments: &[&str], folder: &Path, input: &str) -> Output {
     process.wait_with_output().unwrap()
 }
 
-/// What the prompt prints on standard output and on standard error, and the exit code.
+/// The standard output, standard error and exit code of the prompt.
 fn typed(input: &str) -> (String, String, i32) {
     let folder = tempfile::tempdir().unwrap();
     typed_in(folder.path(), &[], input)
@@ -27,11 +27,11 @@ fn typed(input: &str) -> (String, String, i32) {
 fn typed_in(folder: &Path, arguments: &[&str], input: &str) -> (String, String, i32) {
     let output = logicity(&[&["repl"], arguments].concat(), folder, input);
     let text = |bytes: Vec<u8>| String::from_utf8(bytes).unwrap();
-    let code = output.status.code().expect("ended by itself");
+    let code = output.status.code().expect("no signal ended it");
     (text(output.stdout), text(output.stderr), code)
 }
 
-/// All that is typed is good; what is printed.
+/// The output for input without errors.
 fn good(input: &str) -> String {
     let (out, err, code) = typed(input);
     assert_eq!((err.as_str(), code), ("", 0), "{out}");
@@ -48,7 +48,7 @@ Path(x, z) :- Path(x, y),
 ";
 
 #[test]
-fn facts_are_followed_and_questions_answered() {
+fn facts_are_maintained_and_questions_answered() {
     let out = good(&format!(
         "{GRAPH}Edge(1, 2). Edge(2, 3).\nEdge(3, 10).\n?- Path(x, 10), x != 3.\n"
     ));
@@ -56,7 +56,7 @@ fn facts_are_followed_and_questions_answered() {
 }
 
 #[test]
-fn a_question_is_any_body() {
+fn a_question_may_be_any_body() {
     let ask = |question: &str| good(&format!("{GRAPH}Edge(1, 2). Edge(2, 3).\n?- {question}\n"));
     let answer = |question: &str| ask(question).split_once('\n').unwrap().1.to_owned();
     assert_eq!(answer("Path(1, _)."), "true\n");
@@ -158,7 +158,7 @@ fn a_fact_of_a_file_is_retracted_until_the_file_is_read_again() {
 }
 
 #[test]
-fn facts_stay_when_their_predicate_gets_rules_or_loses_them() {
+fn facts_stay_when_their_predicate_gains_or_loses_rules() {
     let out = good(
         ".decl A(x: symbol, y: float, z: unsigned, n: number)\n.decl B(x: symbol)\n\
          A(\"say \\\"hi\\\"\\n\", -2.5, 7, -3). A(\"b\", to_float(\"inf\"), 0, 1).\n\
@@ -191,7 +191,7 @@ fn why_and_why_not_are_explained() {
 }
 
 #[test]
-fn faults_point_into_what_was_typed_and_change_nothing() {
+fn faults_point_into_the_input_and_change_nothing() {
     let faults = [
         ("Pth(1, 2).", "error[unknown-predicate]", "<input 6>:1:1"),
         ("?- Path(x, y), z > 1.", "error[unbound-variable]", "<input 6>:1:16"),
@@ -231,7 +231,7 @@ fn faults_point_into_what_was_typed_and_change_nothing() {
         ("Edge(1, 2", "error[syntax]", "<input 6>:1:"),
     ];
     for (input, message, place) in faults {
-        // An input that is not complete is only at the end.
+        // Only the last input can be incomplete.
         let (before, after) = match input {
             "Edge(1, 2" => ("?- Path(x, y).\n", ""),
             _ => ("", "?- Path(x, y).\n"),
@@ -247,14 +247,14 @@ fn faults_point_into_what_was_typed_and_change_nothing() {
         let first_line = input.lines().next().unwrap();
         assert!(
             err.contains(first_line) || input.contains('\n'),
-            "the line is shown as typed: {err}"
+            "the message shows the typed line: {err}"
         );
         assert_eq!(out, "Edge +1, Path +1\nx  y\n-  -\n4  5\n1 row\n", "{input}");
     }
 }
 
 #[test]
-fn a_faulty_file_can_be_mended() {
+fn a_faulty_file_can_be_corrected() {
     let folder = tempfile::tempdir().unwrap();
     fs::write(folder.path().join("g.dl"), ".decl A(x: number)\nA(x) :- B(x).").unwrap();
     let (out, err, code) = typed_in(folder.path(), &["g.dl"], ".relations\n");
@@ -278,7 +278,7 @@ fn facts_come_from_a_folder() {
 }
 
 #[test]
-fn a_question_ends_where_it_can_be_answered() {
+fn questions_may_span_lines_and_end_as_soon_as_they_are_complete() {
     let facts = format!("{GRAPH}Edge(1, 2). Edge(2, 3).\n");
     let stopped = good(&format!("{facts}?- Path(x, y), y = 3.\n"));
     for question in [
@@ -317,7 +317,7 @@ fn words_of_other_prompts_are_reported() {
 }
 
 #[test]
-fn reading_again_reports_rows_that_took_the_place_of_others() {
+fn reloading_reports_replaced_rows() {
     let folder = tempfile::tempdir().unwrap();
     let path = folder.path().join("p.dl");
     let text = |fact: &str| format!(".decl E(x: symbol)\n.decl P(x: symbol)\n{fact}\nP(x) :- E(x).\n");
@@ -344,7 +344,7 @@ fn reading_again_reports_rows_that_took_the_place_of_others() {
 }
 
 #[test]
-fn a_recursion_without_an_end_is_stopped_and_changes_nothing() {
+fn endless_recursion_reaches_a_limit_and_changes_nothing() {
     let folder = tempfile::tempdir().unwrap();
     let input = ".decl N(x: number)\nN(1).\nN(x * 3 + 1) :- N(x).\n?- N(x).\n";
     let (out, err, code) = typed_in(folder.path(), &["--max-rows", "1000"], input);
@@ -353,7 +353,7 @@ fn a_recursion_without_an_end_is_stopped_and_changes_nothing() {
 }
 
 #[test]
-fn facts_typed_and_in_a_file_are_retracted_together_or_not_at_all() {
+fn typed_facts_and_facts_of_a_file_are_retracted_together_or_not_at_all() {
     let folder = tempfile::tempdir().unwrap();
     let rules = ".decl N(x: number)\n.decl Off(x: number)\n.decl Pair(x: number, y: number)\n\
                  Off(1).\nPair(x, y) :- N(x), N(y), !Off(1).\n";
@@ -366,7 +366,7 @@ fn facts_typed_and_in_a_file_are_retracted_together_or_not_at_all() {
 }
 
 #[test]
-fn what_is_there_is_shown() {
+fn the_prompt_lists_rules_facts_and_plans() {
     let out = good(&format!(
         "{GRAPH}Edge(1, 2).\n.relations\n.show Path\n.plan\n.plan ?- Path(1, x).\n.profile\n.help\n"
     ));
@@ -429,7 +429,7 @@ fn query_explains_a_fact() {
     );
 }
 
-/// A terminal that is typed into, and what it shows.
+/// A pseudoterminal with the prompt, and its output.
 #[cfg(unix)]
 mod terminal {
     use super::*;
@@ -481,7 +481,7 @@ mod terminal {
             self.keys.write_all(keys.as_bytes()).unwrap();
         }
 
-        /// Waits until the screen has shown this, and forgets what came before.
+        /// Waits until the terminal has shown these words, and forgets the output before them.
         fn sees(&mut self, words: &str) -> String {
             loop {
                 if let Some(at) = self.seen.find(words) {
@@ -489,14 +489,14 @@ mod terminal {
                 }
                 match self.shown.recv_timeout(Duration::from_secs(60)) {
                     Ok(bytes) => self.seen += &String::from_utf8_lossy(&bytes),
-                    Err(error) => panic!("`{words}` is not shown ({error}): {:?}", self.seen),
+                    Err(error) => panic!("the terminal does not show `{words}` ({error}): {:?}", self.seen),
                 }
             }
         }
     }
 
     #[test]
-    fn a_terminal_has_completion_history_colours_and_a_way_out() {
+    fn a_terminal_has_completion_history_colors_and_an_exit() {
         let folder = tempfile::tempdir().unwrap();
         let mut terminal = Terminal::open(folder.path());
         terminal.sees("> ");
@@ -505,10 +505,10 @@ mod terminal {
         terminal.press("Reach\t(7).\r");
         terminal.sees("Reachable +1");
         terminal.sees("> ");
-        // An unfinished input goes on in the next line, and Ctrl-C drops it.
+        // Incomplete input continues in the next line, and Ctrl-C discards it.
         terminal.press("Reachable(8\r");
         terminal.press("\u{3}");
-        // The end of bracketed paste: the line editor has let go of what was typed.
+        // The end of bracketed paste: the line editor has returned the input.
         terminal.sees("\u{1b}[?2004l");
         terminal.sees("> ");
         terminal.press("Reachable(\"a\").\r");
@@ -522,7 +522,7 @@ mod terminal {
         terminal.press("\u{4}");
         assert!(
             terminal.process.wait().unwrap().success(),
-            "a fault at a terminal is told and done with"
+            "a fault at a terminal does not change the exit code"
         );
         let history = fs::read_to_string(folder.path().join("logicity/history")).unwrap();
         assert!(
@@ -532,7 +532,7 @@ mod terminal {
 
         let mut terminal = Terminal::open(folder.path());
         terminal.sees("> ");
-        // The key for the input before.
+        // The key for the previous input.
         terminal.press("\u{1b}[A\r");
         terminal.sees("unknown-predicate");
         terminal.sees("> ");
