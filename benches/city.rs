@@ -1,4 +1,4 @@
-//! The city: a tick of the simulation, and the inference of one scene.
+//! Benchmarks of the city: ticks, the inference of one scene, routes and moves.
 
 #[path = "../tests/city/shipped_world.rs"]
 mod shipped_world;
@@ -64,7 +64,7 @@ fn infer(criterion: &mut Criterion) {
     group.finish();
 }
 
-/// The rules alone, on facts that are ready: the bit rows of the expert test city at 64 moments of a run. Throughput is in
+/// The rules alone, on prepared facts: the bit rows of the expert test city at 64 ticks of a run. Throughput is in
 /// decisions.
 fn rules(criterion: &mut Criterion) {
     const WIDTH: usize = 1;
@@ -87,8 +87,8 @@ fn rules(criterion: &mut Criterion) {
             facts.load(&dense, &mut bit_state);
             bit_state.run(&dense, &facts);
             for action in Action::ALL {
-                let relation = world.vocabulary.action(action).expect("all are in use");
-                let set = bit_state.set(&dense, relation).expect("it is derived");
+                let relation = world.vocabulary.action(action).expect("the rules use every action");
+                let set = bit_state.set(&dense, relation).expect("derived");
                 let state = simulation.snapshot().expect("within limits");
                 for agent in 0..count {
                     let holds = state.session().contains(relation, &[state.value(agent)]);
@@ -112,9 +112,9 @@ fn rules(criterion: &mut Criterion) {
     group.finish();
 }
 
-/// The test agents of a configuration, and its map with their places.
+/// The test agents of a configuration, with its router and start cells.
 fn planner(config: &str) -> (AgentSet, Router, Places) {
-    let city = LoadedCity::load(&mut Sources::new(), Path::new(config), None, &BuiltinFiles).expect("it is built in");
+    let city = LoadedCity::load(&mut Sources::new(), Path::new(config), None, &BuiltinFiles).expect("built in");
     let World { router, scenario, .. } = city.world().expect("the rules fit");
     let set = scenario.agent_set(Split::Test).expect("a test set").clone();
     let cells = |given: &Option<Located<u32>>| given.as_ref().map(|given| given.value);
@@ -122,8 +122,8 @@ fn planner(config: &str) -> (AgentSet, Router, Places) {
     (set, router, places)
 }
 
-/// Drawing a goal and planning the way there, from one goal to the next, on the map of the paper and on one for a million
-/// agents; `far` is a goal anywhere on that map. Throughput is in routes.
+/// Draws a goal and plans the route to it, from one goal to the next, on the paper's map and on a map for a million
+/// agents. `far` draws goals anywhere on the large map. Throughput is in routes.
 fn route(criterion: &mut Criterion) {
     let mut group = criterion.benchmark_group("route");
     group.throughput(Throughput::Elements(1));
@@ -158,7 +158,7 @@ fn route(criterion: &mut Criterion) {
     group.finish();
 }
 
-/// Moves of the agents of the expert test city, each at its normal speed; replanning included. Throughput is in moves.
+/// Moves the agents of the expert test city at their normal speeds, replanning included. Throughput is in moves.
 fn moves(criterion: &mut Criterion) {
     let (set, router, places) = planner("expert");
     let mut agents = place_agents(&set, &router, &places, Seed(1)).expect("agents placed");
@@ -183,7 +183,7 @@ fn moves(criterion: &mut Criterion) {
 
 criterion_group! {
     name = city;
-    // Long enough for figures that agree within some percent, and all of `cargo bench` takes minutes.
+    // Long enough for figures within some percent of each other; all of `cargo bench` takes minutes.
     config = Criterion::default().warm_up_time(Duration::from_secs(1)).measurement_time(Duration::from_secs(3));
     targets = tick, infer, rules, route, moves
 }

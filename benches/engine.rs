@@ -1,7 +1,7 @@
-//! The engine on programs with known answers, beside the same programs written by hand on datafrog.
+//! Benchmarks of the engine on programs with known answers, and of the same programs hand-written with datafrog.
 //!
-//! `cargo bench --bench engine` prints times; each case checks its number of rows before it is timed. Times include loading the
-//! base facts into a fresh session.
+//! `cargo bench --bench engine` prints times. Each case checks its number of rows first. Times include loading the base
+//! facts into a new session.
 
 #[path = "../tests/datalog/written_program.rs"]
 mod written_program;
@@ -23,7 +23,7 @@ const SAME_GENERATION: &str = ".decl Parent(child: number, parent: number)
     Same(x, y) :- Parent(x, p), Parent(y, p).
     Same(x, y) :- Parent(x, p), Same(p, q), Parent(y, q).";
 
-/// A fixed congruential generator.
+/// A linear congruential generator with a fixed seed.
 fn generator(seed: u64) -> impl FnMut() -> u32 {
     let mut state = seed;
     move || {
@@ -128,7 +128,7 @@ fn fixpoints(c: &mut Criterion) {
         let program = program(case.rules);
         let run = |rows: &[(u32, u32)]| derived_rows(&program, case.base, case.derived, rows);
         assert_eq!(run(&case.rows), case.expected, "{}", case.name);
-        assert_eq!((case.by_hand)(&case.rows), case.expected, "{} by hand", case.name);
+        assert_eq!((case.by_hand)(&case.rows), case.expected, "{}, hand-written", case.name);
         let mut group = c.benchmark_group(case.name);
         group.sample_size(10);
         group.bench_function("engine", |b| b.iter(|| run(black_box(&case.rows))));
@@ -136,10 +136,10 @@ fn fixpoints(c: &mut Criterion) {
     }
 }
 
-/// A relation and a row of it.
+/// A relation and one of its rows.
 type Fact = (RelId, Vec<Value>);
 
-/// The rules of the expert city over 18 entities: what a small tick costs.
+/// The rules of the expert city over 18 entities: the cost of a small tick.
 fn ticks(c: &mut Criterion) {
     let program = program(".include \"expert.dl\"");
     let inputs: Vec<RelId> = (program.rules().relations.iter().zip((0..).map(RelId)))
@@ -147,7 +147,7 @@ fn ticks(c: &mut Criterion) {
         .collect();
     let arity = |rel: &RelId| program.rules().relations[rel.index()].arity();
     let rel = |name: &str| program.relation(name).expect("the program has it");
-    // Facts of an imagined tick, one in four of those that could be.
+    // Facts of an invented tick: one in four of the possible ones.
     let facts = |seed: u64| {
         let mut random = generator(seed);
         let mut facts = Vec::new();
@@ -177,7 +177,7 @@ fn ticks(c: &mut Criterion) {
     let delta = session.commit().expect("within the limit");
     let expected = naive::evaluate(program.rules(), session.symbols(), even.iter().cloned());
     for action in ["Stop", "Slow", "Fast"] {
-        let added = &delta.of(rel(action)).expect("some agent does it").added;
+        let added = &delta.of(rel(action)).expect("an agent takes it").added;
         assert!(added.iter().eq(&expected[rel(action).index()]), "{action}");
     }
 
@@ -208,7 +208,7 @@ fn ticks(c: &mut Criterion) {
     });
 }
 
-/// The expert rules over 10,000 agents that see few others each: about 30,000 unary and 280,000 binary facts.
+/// The expert rules over 10,000 agents that each see few others: about 30,000 unary and 280,000 binary facts.
 fn large_city(c: &mut Criterion) {
     let program = program(".include \"expert.dl\"");
     let inputs: Vec<RelId> = (program.rules().relations.iter().zip((0..).map(RelId)))
@@ -229,7 +229,7 @@ fn large_city(c: &mut Criterion) {
                 .map(|&rel| (rel, vec![x])),
         );
         for _ in 0..14 {
-            // Those seen are near, and near agents have near numbers.
+            // Agents see near agents, and near agents have near numbers.
             let y = agents[(position + random() as usize % 60) % agents.len()];
             let related = binary
                 .iter()
@@ -286,7 +286,7 @@ fn large_city(c: &mut Criterion) {
     });
 }
 
-/// Large texts of two sizes, from the text to a session: the time of the second should be about twice that of the first.
+/// Loads large texts of two sizes into sessions. The second should take about twice the time of the first.
 fn large_texts(c: &mut Criterion) {
     let declarations = ".decl P(x: symbol)\n.decl Q(x: symbol, y: symbol)\n.input Q\n.output P\n";
     let text = |count: usize, clause: &dyn Fn(usize) -> String| {
@@ -323,7 +323,7 @@ fn large_texts(c: &mut Criterion) {
 
 criterion_group! {
     name = benches;
-    // Long enough for figures that agree within some percent, and all of `cargo bench` takes minutes.
+    // Long enough for figures within some percent of each other; all of `cargo bench` takes minutes.
     config = Criterion::default().warm_up_time(Duration::from_secs(1)).measurement_time(Duration::from_secs(3));
     targets = fixpoints, ticks, large_city, large_texts
 }

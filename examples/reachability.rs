@@ -1,4 +1,4 @@
-//! Reachability, kept up to date while edges come and go. Needs the engine alone:
+//! Maintains reachability while edges are added and removed. Needs the engine alone:
 //! `cargo run --no-default-features --example reachability`.
 
 use logicity::datalog::{Program, Value};

@@ -74,7 +74,7 @@ def browser() -> Iterator[WebDriver]:
 
 @pytest.fixture(scope="module")
 def driven(folder: pathlib.Path, trace: list[dict]) -> list[dict]:
-    """Write `driven.html`: the first 40 ticks of the trace, edited as if a policy drove Car_1 and broke a rule in the last."""
+    """Write `driven.html` for the first 40 ticks, edited as if a policy drove Car_1 and broke a rule in the last."""
     header, *ticks = json.loads(json.dumps(trace[:41]))
     agents = [agent["id"] for agent in header["agents"]]
     for tick in ticks:

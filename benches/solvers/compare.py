@@ -1,6 +1,6 @@
-"""Times one ego's decision by logicity, z3 and clingo on the same facts, after checking that all decide the same.
+"""Time one ego's decision by logicity, z3 and clingo on the same facts, after checking that all decide the same.
 
-`make solvers` runs it. Every figure is CPU time on one thread; facts are ready for each in the form that suits it.
+`make solvers` runs it. Every figure is CPU time on one thread. The facts are prepared in each solver's own form.
 """
 
 from __future__ import annotations
@@ -28,24 +28,24 @@ try:
 
     from deciders import DECIDERS, Decider
 except ImportError as error:
-    sys.exit(f"error: {error}; `make solvers` installs what benches/solvers/requirements.txt names")
+    sys.exit(f"error: {error}; `make solvers` installs the packages of benches/solvers/requirements.txt")
 
 ROOT = Path(__file__).resolve().parents[2]
 ROUNDS = 5
 BATCH = 20
-"""Decisions between looks at the clock."""
+"""Decisions between checks of the clock."""
 
 
 @dataclass
 class Row:
-    """What was measured of one way to decide."""
+    """The measurements of one decider."""
 
     name: str
     scenes: int
-    """Over how many scenes it goes round and round; less than all where one decision takes long."""
+    """The number of scenes that it repeats; less than all if one decision takes long."""
     decisions: int = 0
     rounds: list[float] = field(default_factory=list)
-    """Microseconds a decision."""
+    """Microseconds per decision."""
 
     @property
     def microseconds(self) -> float:
@@ -54,7 +54,7 @@ class Row:
 
 
 class Timer:
-    """Goes through the scenes with one decider."""
+    """Runs one decider over the scenes."""
 
     def __init__(self, decider: Decider[Any], scenes: Sequence[Scene]) -> None:
         self.decider = decider
@@ -63,7 +63,7 @@ class Timer:
         self.next = 0
 
     def round(self, seconds: float) -> None:
-        """Decides for about so long."""
+        """Decide for about this CPU time."""
         decide, facts, done = self.decider.decide, self.facts, 0
         start = time.process_time()
         while (spent := time.process_time() - start) < seconds:
@@ -76,7 +76,7 @@ class Timer:
 
 
 class OwnTimer:
-    """Has `logicity bench infer` go through scenes."""
+    """Runs `logicity bench infer` over scenes."""
 
     def __init__(self, logicity: Logicity, row: Row, path: Path, written: Sequence[dict[str, Any]]) -> None:
         self.logicity = logicity
@@ -86,7 +86,7 @@ class OwnTimer:
         write(path, written)
 
     def round(self, seconds: float) -> None:
-        """Decides for about so long."""
+        """Decide for about this CPU time."""
         asked = ("--scenes", self.path, "--seconds", str(seconds), "--json")
         result = json.loads(self.logicity.call("bench", "infer", "--config", self.logicity.config, *asked))
         self.row.decisions += round(result["evaluations"] * self.decisions_each)
@@ -94,14 +94,14 @@ class OwnTimer:
 
 
 def check(logicity: Logicity, rules: rule_files.Rules, folder: Path, scenes: Sequence[Scene]) -> Counter[str]:
-    """That all derive the same in every scene. How often what is derived."""
+    """Check that all deciders derive the same in every scene. Return how often each action is derived."""
     single, packed = folder / "checked.jsonl", folder / "checked-together.jsonl"
     write(single, [scene.to_json() for scene in scenes])
     write(packed, [scene for group in together(scenes, rules.scope) for scene in group])
 
     def ours(path: Path, executor: str) -> list[set[str]]:
         answers = [answer for egos in logicity.answers(path, "--executor", executor) for answer in egos.values()]
-        # `derived` leaves out the default.
+        # `derived` omits the default.
         return [set(answer["derived"]) or {answer["action"]} for answer in answers]
 
     expected = ours(single, "relational")
@@ -125,7 +125,7 @@ def _compare(name: str, scenes: Sequence[Scene], expected: list[set[str]], found
 def measure(
     logicity: Logicity, rules: rule_files.Rules, folder: Path, scenes: Sequence[Scene], seconds: float
 ) -> list[Row]:
-    """Rounds in turn, so that a busy machine is busy for all. The first two rows are logicity's."""
+    """Measure the deciders in interleaved rounds, so that other load affects all. The first two rows are logicity's."""
     single, packed = Row("logicity", len(scenes)), Row(f"logicity, {TOGETHER} scenes side by side", len(scenes))
     groups = [group[0] for group in together(scenes, rules.scope)]
     timers: list[OwnTimer | Timer] = [
@@ -145,7 +145,7 @@ def _progress(what: str) -> None:
 
 
 def table(rows: Sequence[Row]) -> str:
-    """Markdown."""
+    """Return the rows as a Markdown table."""
     lines: list[tuple[str, ...]] = [
         ("one ego's decision", "microseconds", "to the first", "to the second", "scenes", "decisions")
     ]
@@ -164,29 +164,29 @@ def table(rows: Sequence[Row]) -> str:
 
 
 def rules_of(config: Path) -> Path:
-    """The rule file that a configuration names."""
+    """Return the rule file that a configuration names."""
     try:
         found = re.search(r"^rules:\s*(\S+)\s*$", config.read_text(encoding="utf-8"), re.MULTILINE)
     except OSError as error:
         raise Refused(f"cannot read {config}: {error.strerror}") from None
     if found is None:
-        raise Refused(f"{config} names no rule file itself (`rules: FILE`)")
+        raise Refused(f"{config} itself names no rule file (`rules: FILE`)")
     return config.parent / found.group(1)
 
 
 def _arguments() -> argparse.Namespace:
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument(
-        "--config", type=Path, default=ROOT / "configs/expert.yaml", help="of the city; it names the rules"
+        "--config", type=Path, default=ROOT / "configs/expert.yaml", help="city configuration, which names the rules"
     )
     parser.add_argument(
-        "--program", type=Path, default=ROOT / "target/release/logicity", help="logicity, as built for release"
+        "--program", type=Path, default=ROOT / "target/release/logicity", help="release build of logicity"
     )
-    parser.add_argument("--seed", type=int, default=0, help="of the city, and of what is drawn")
-    parser.add_argument("--ticks", type=_positive, default=300, help="of the city, from which scenes are drawn")
-    parser.add_argument("--scenes", type=_positive, default=300, help="to be timed; as many more are only checked")
-    parser.add_argument("--seconds", type=_seconds, default=10, help="CPU time for each way to decide, 0.5 or more")
-    parser.add_argument("--keep", type=Path, metavar="FOLDER", help="where to leave trace and scenes")
+    parser.add_argument("--seed", type=int, default=0, help="seed of the city and of random scenes")
+    parser.add_argument("--ticks", type=_positive, default=300, help="ticks of the city, from which scenes are drawn")
+    parser.add_argument("--scenes", type=_positive, default=300, help="scenes to time; checks as many random ones")
+    parser.add_argument("--seconds", type=_seconds, default=10, help="CPU seconds for each decider, 0.5 or more")
+    parser.add_argument("--keep", type=Path, metavar="FOLDER", help="folder for the trace and the scenes")
     parser.add_argument("--json", action="store_true", help="one JSON object instead of a table")
     return parser.parse_args()
 
@@ -245,7 +245,7 @@ def _run(arguments: argparse.Namespace, folder: Path) -> None:
 
 
 def main() -> None:
-    """Runs the comparison; ends with 1 and a message where it cannot."""
+    """Run the comparison. On failure, exit with 1 and a message."""
     arguments = _arguments()
     try:
         if arguments.keep is not None:

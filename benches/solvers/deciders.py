@@ -1,4 +1,4 @@
-"""One ego's decision by z3 and by clingo: the meaning of the rules in the solvers' terms, and how they are asked."""
+"""One ego's decision by z3 and by clingo: encodings of the rules, and interfaces of the solvers."""
 
 from __future__ import annotations
 
@@ -17,30 +17,30 @@ Facts = TypeVar("Facts")
 
 
 class Decider(ABC, Generic[Facts]):
-    """One way to decide."""
+    """An encoding of the rules for a solver, and an interface of it."""
 
     name: str
     every = 1
-    """Of so many scenes one is timed: more than one where a decision takes long."""
+    """Every how many scenes one is timed: more than 1 if a decision takes long."""
 
     @abstractmethod
     def __init__(self, rules: Rules) -> None:
-        """What can be done before there are scenes."""
+        """Prepare everything that does not depend on scenes."""
 
     @abstractmethod
     def prepare(self, scenes: Sequence[Scene]) -> list[Facts]:
-        """The facts of each scene, as ready for the solver as they can be. This is not timed.
+        """Convert the facts of each scene to the solver's form. This is not timed.
 
-        They are then given to `decide` in this order, after the last the first again.
+        `decide` then takes them in this order, repeatedly.
         """
 
     @abstractmethod
     def decide(self, facts: Facts) -> set[str]:
-        """The actions that are derived for the ego."""
+        """Return the actions that are derived for the ego."""
 
 
 def _bindings(clause: Clause) -> Iterator[dict[str, str]]:
-    """All that the variables of a clause can stand for."""
+    """Yield all bindings of the variables of a clause."""
     others = clause.others()
     for row in product(ENTITIES, repeat=len(others)):
         yield {clause.ego: EGO, **dict(zip(others, row, strict=True))}
@@ -51,7 +51,7 @@ def _atom(literal: Literal, binding: dict[str, str]) -> Atom:
 
 
 def _needed(rules: Rules) -> list[Atom]:
-    """The base atoms on which the decision about the ego can depend."""
+    """Return the base atoms on which the decision about the ego can depend."""
     read = {
         _atom(literal, binding)
         for group in rules.clauses.values()
@@ -77,10 +77,10 @@ class Afresh(Decider[Scene]):
 
 
 class Quantified(Afresh):
-    """As the published simulator does it.
+    """Encodes the decision like the published simulator.
 
-    Its ontology is an uninterpreted sort with a constant for each entity. Every base atom is asserted or denied; every
-    action of the ego is defined by its clauses, whose other variables are quantified; and nobody else exists.
+    The entities are constants of an uninterpreted sort. Every base atom is asserted or denied. The clauses define every
+    action of the ego, with quantifiers over their other variables. There are no further entities.
     """
 
     name = "z3, made afresh, quantifiers (as published)"
@@ -121,7 +121,7 @@ class Quantified(Afresh):
 
 
 class _Propositional:
-    """The rules for the ego without variables: every clause once for each binding."""
+    """The ground rules for the ego: every clause once for each binding."""
 
     def __init__(self, rules: Rules) -> None:
         self.atoms = {atom: z3.Bool(f"{atom[0]}({','.join(atom[1])})") for atom in _needed(rules)}
@@ -133,7 +133,7 @@ class _Propositional:
         ]
 
     def _clause(self, clause: Clause) -> Any:
-        """What is asked of the ego alone once, the rest for each binding."""
+        """Encode literals about the ego alone once, the others for each binding."""
         own = [literal for literal in clause.body if set(literal.variables) <= {clause.ego}]
         rest = [literal for literal in clause.body if literal not in own]
         formula = [self._literal(literal, {clause.ego: EGO}) for literal in own]
@@ -155,7 +155,7 @@ class _Propositional:
 
 
 class Expanded(Afresh):
-    """Without quantifiers, and with no more atoms than the decision can depend on."""
+    """Uses no quantifiers, and only atoms on which the decision can depend."""
 
     name = "z3, made afresh, expanded"
     every = 5
@@ -169,7 +169,7 @@ class Expanded(Afresh):
 
 
 class Prebuilt(Decider[Any]):
-    """One solver for all decisions, without quantifiers. The one for finite domains is z3's fastest here."""
+    """Uses one solver for all decisions, without quantifiers. Here z3's solver for finite domains is the fastest."""
 
     def __init__(self, rules: Rules) -> None:
         self.rules = _Propositional(rules)
@@ -181,7 +181,7 @@ class Prebuilt(Decider[Any]):
 
 
 class Pushed(Prebuilt):
-    """Facts are asserted and taken back."""
+    """Asserts facts and retracts them."""
 
     name = "z3, built once, push and pop"
 
@@ -195,7 +195,7 @@ class Pushed(Prebuilt):
 
 
 class Assumed(Prebuilt):
-    """Facts are assumptions."""
+    """Passes facts as assumptions."""
 
     name = "z3, built once, assumptions"
 
@@ -205,7 +205,7 @@ class Assumed(Prebuilt):
 
 
 class AssumedBare(Prebuilt):
-    """The same by bare calls of the C interface, with arrays that are ready: Python has next to nothing to do."""
+    """Passes prepared arrays of assumptions to the C interface, with hardly any work in Python."""
 
     name = "z3, built once, assumptions, C interface"
 
@@ -214,7 +214,7 @@ class AssumedBare(Prebuilt):
         self.constants = [(action, variable.decl().ast) for action, variable in self.rules.actions]
 
     def prepare(self, scenes: Sequence[Scene]) -> list[Any]:
-        # The arrays hold no references: the formulas have to be kept.
+        # The arrays hold no references, so this object must keep the formulas.
         self.kept = super().prepare(scenes)
         return [(z3.Ast * len(facts))(*(fact.as_ast() for fact in facts)) for facts in self.kept]
 
@@ -233,10 +233,10 @@ class AssumedBare(Prebuilt):
 
 
 class MultiShot(Decider[Facts]):
-    """Grounded once, with an atom for every fact that the decision can depend on."""
+    """Grounds once, with an atom for every fact on which the decision can depend."""
 
     atom_statement: str
-    """What says of an atom that it may hold."""
+    """The statement that allows an atom to hold."""
 
     def __init__(self, rules: Rules) -> None:
         self.control = clingo.Control(["--warn=none"])
@@ -244,7 +244,7 @@ class MultiShot(Decider[Facts]):
         self.control.ground([("base", [])])
         known = {found.symbol: found.literal for found in self.control.symbolic_atoms}
         self.literals = {atom: known[_symbol(atom)] for atom in _needed(rules)}
-        # An action that no clause derives is no atom.
+        # An action without a clause has no atom.
         actions = [(action, _symbol((action, (EGO,)))) for action in rules.actions]
         self.actions = [(action, known[symbol]) for action, symbol in actions if symbol in known]
         self.found: set[str] = set()
@@ -258,7 +258,7 @@ class MultiShot(Decider[Facts]):
 
 
 class External(MultiShot[list[tuple[int, bool]]]):
-    """Facts are externals; those that differ from the scene before are set."""
+    """Declares facts as externals, and sets those that differ from the previous scene."""
 
     name = "clingo, multi-shot, externals"
     atom_statement = "#external {}."
@@ -278,7 +278,7 @@ class External(MultiShot[list[tuple[int, bool]]]):
 
 
 class Chosen(MultiShot[list[int]]):
-    """Facts are free choices, and assumed."""
+    """Declares facts as choices, and assumes them."""
 
     name = "clingo, multi-shot, assumptions"
     atom_statement = "{{{}}}."
@@ -299,7 +299,7 @@ def _expect(satisfiable: bool) -> None:
 
 
 def _program(rules: Rules, atom_statement: str) -> Iterator[str]:
-    """The rules for the ego as an answer set program."""
+    """Yield the rules for the ego as an answer set program."""
     yield f"entity({';'.join(ENTITIES)})."
     for atom in _needed(rules):
         yield atom_statement.format(_symbol(atom))
@@ -314,7 +314,7 @@ def _program(rules: Rules, atom_statement: str) -> Iterator[str]:
 
 
 def _named(predicate: str) -> str:
-    """A name that begins with a small letter, as clingo wants it, and is no other's."""
+    """Return a unique name that begins with a lower-case letter, as clingo requires."""
     return f"p_{predicate}"
 
 

@@ -1,7 +1,7 @@
-"""Reads rule files: the part of the language that the solvers' encodings can express.
+"""Parse rule files in the part of the language that the solvers' encodings can express.
 
-That is: base predicates and derived ones, clauses for one agent each, atoms of variables, negation, scope. Rules about
-anything else are refused rather than compared under another meaning.
+That part has base and derived predicates, clauses for one agent each, atoms over variables, negation and scope. All
+other rules raise `Refused`.
 """
 
 from __future__ import annotations
@@ -24,7 +24,7 @@ NEGATIONS = {"Not", "not", "!"}
 
 
 class Refused(Exception):
-    """Rules that the encodings cannot express, or that are not to be read."""
+    """The encodings cannot express the rules, or a file or program cannot be used."""
 
 
 @dataclass(frozen=True)
@@ -38,34 +38,34 @@ class Literal:
 
 @dataclass(frozen=True)
 class Clause:
-    """`head(ego) :- body`. The body's other variables range over all that the ego sees."""
+    """`head(ego) :- body`. The body's other variables range over the entities that the ego sees."""
 
     head: str
     ego: str
     body: tuple[Literal, ...]
 
     def others(self) -> list[str]:
-        """The variables besides the ego, in the order of the body."""
+        """Return the variables other than the ego, in the order of the body."""
         return list(dict.fromkeys(v for literal in self.body for v in literal.variables if v != self.ego))
 
 
 @dataclass
 class Rules:
-    """What a rule file and all that it includes say."""
+    """The rules of a file and its includes."""
 
     arities: dict[str, int] = field(default_factory=dict)
     base: list[str] = field(default_factory=list)
-    """Predicates whose facts are given, without the scope."""
+    """The base predicates, without the scope."""
     actions: list[str] = field(default_factory=list)
     scope: str = ""
-    """The predicate that says who is in view."""
+    """The predicate of the field of view."""
     clauses: dict[str, list[Clause]] = field(default_factory=dict)
-    """Of every derived predicate, what is negated or needed before what needs it."""
+    """The clauses of every derived predicate, dependencies first."""
 
 
 @dataclass(frozen=True)
 class Token:
-    """A word of a rule file, and where it stands."""
+    """A token of a rule file with its place."""
 
     kind: str
     text: str
@@ -73,12 +73,12 @@ class Token:
 
 
 def read(path: Path) -> Rules:
-    """The rules of a file, with what it includes."""
+    """Return the rules of a file and its includes."""
     rules = Rules()
     clauses: list[tuple[Clause, str]] = []
     _read_file(path, rules, clauses, set())
     if rules.scope not in rules.base:
-        raise Refused(f"{path}: rules without a `.scope` that is given have no encoding here")
+        raise Refused(f"{path}: rules need a `.scope` over a base predicate here")
     rules.base.remove(rules.scope)
     grouped: dict[str, list[Clause]] = {action: [] for action in rules.actions}
     for clause, place in clauses:
@@ -94,12 +94,12 @@ def read(path: Path) -> Rules:
     for head, group in grouped.items():
         for literal in (literal for clause in group for literal in clause.body):
             if literal.predicate in grouped and len(literal.variables) != 1:
-                raise Refused(f"{path}: {head} needs {literal.predicate}, which is derived and not of one agent")
+                raise Refused(f"{path}: {head} needs {literal.predicate}, a derived predicate of several agents")
     return rules
 
 
 def _in_view(clause: Clause, rules: Rules, place: str) -> Clause:
-    """The clause where everybody sees everybody: the scope's atoms are true."""
+    """Simplify a clause for scenes where all entities see each other: atoms of the scope are true."""
     body = []
     for literal in clause.body:
         arity = rules.arities.get(literal.predicate)
@@ -107,7 +107,7 @@ def _in_view(clause: Clause, rules: Rules, place: str) -> Clause:
             raise Refused(f"{place}: {literal.predicate} is not declared with {len(literal.variables)} columns")
         if literal.predicate == rules.scope:
             if not literal.positive:
-                raise Refused(f"{place}: a negated {rules.scope} has no encoding here, where everybody sees everybody")
+                raise Refused(f"{place}: a negated {rules.scope} has no encoding: all entities see each other")
             continue
         if literal.predicate not in rules.base and literal.variables != (clause.ego,):
             raise Refused(
@@ -165,7 +165,7 @@ def _tokens(path: Path, text: str) -> Iterator[Token]:
 
 
 class _Tokens:
-    """What is left of a file."""
+    """The remaining tokens of a file."""
 
     def __init__(self, tokens: list[Token], end: str) -> None:
         self.tokens = tokens[::-1]
@@ -184,7 +184,7 @@ class _Tokens:
         return self.tokens.pop()
 
     def takes(self, text: str) -> bool:
-        """Takes the next token if it is this one."""
+        """Take the next token if it is this one."""
         found = self.peek().text == text
         if found:
             self.take()
@@ -211,7 +211,7 @@ def _clause(tokens: _Tokens) -> tuple[Clause, str]:
     start = tokens.peek().place
     head, arguments = _atom(tokens)
     if len(arguments) != 1:
-        raise Refused(f"{start}: a head of other than one agent has no encoding here")
+        raise Refused(f"{start}: a head without exactly one agent has no encoding here")
     tokens.take(text=":-")
     body = [_literal(tokens)]
     while tokens.takes(","):

@@ -1,7 +1,7 @@
 """Scenes to decide: an ego and four others, with all base facts about them.
 
-Some are recorded: egos of a run of the city that see four others or more. Few things ever happen together in a city,
-so the others are drawn at random, to be checked and not to be timed.
+Some are recorded: egos of a run of the city that see four others or more. Recorded scenes have few combinations of
+facts, so the check also uses random scenes, which are not timed.
 """
 
 from __future__ import annotations
@@ -25,12 +25,12 @@ Atom = tuple[str, tuple[str, ...]]
 
 @dataclass(frozen=True)
 class Scene:
-    """What is true of `ENTITIES`, the first of which is the ego."""
+    """The facts about `ENTITIES`, the first of which is the ego."""
 
     facts: frozenset[Atom]
 
     def to_json(self) -> dict[str, Any]:
-        """As `logicity infer` takes it."""
+        """Return the scene in the format of `logicity infer`."""
         return _to_json(ENTITIES, EGO, self.facts)
 
 
@@ -42,11 +42,11 @@ def _to_json(entities: Sequence[str], ego: str, atoms: Iterable[Atom]) -> dict[s
 
 
 TOGETHER = 64 // len(ENTITIES)
-"""So many scenes have entities enough for the bits of a word."""
+"""The number of scenes whose entities fit a word of 64 bits."""
 
 
 def together(scenes: Sequence[Scene], scope: str) -> list[list[dict[str, Any]]]:
-    """Scenes side by side in large ones, where nobody sees anybody of another; a large one for each ego in it."""
+    """Combine scenes to large ones, where no entity sees one of another scene. Return one copy for each ego in it."""
     in_view = {(scope, row) for row in product(ENTITIES, repeat=2)}
     groups = []
     for start in range(0, len(scenes), TOGETHER):
@@ -62,14 +62,14 @@ def together(scenes: Sequence[Scene], scope: str) -> list[list[dict[str, Any]]]:
 
 
 class Logicity:
-    """The program that is compared."""
+    """The binary of logicity."""
 
     def __init__(self, program: Path, config: Path) -> None:
         self.program = program.resolve()
         self.config = config
 
     def call(self, *arguments: str | Path) -> str:
-        """What the program prints."""
+        """Run the program and return its output."""
         command = [str(self.program), *map(str, arguments)]
         try:
             return subprocess.run(command, check=True, capture_output=True, text=True).stdout
@@ -79,18 +79,18 @@ class Logicity:
             raise Refused(f"`{' '.join(command)}` failed:\n{error.stderr or error.stdout}") from None
 
     def answers(self, scenes: Path, *options: str) -> Iterator[dict[str, dict[str, Any]]]:
-        """For every scene of a file what `infer` answers about each ego."""
+        """Return the answers of `infer` about each ego, for every scene of a file."""
         for line in self.call("infer", "--config", self.config, *options, scenes).splitlines():
             yield json.loads(line)["egos"]
 
 
 def write(path: Path, scenes: Sequence[dict[str, Any]]) -> None:
-    """One scene a line."""
+    """Write one scene per line."""
     path.write_text("".join(json.dumps(scene, separators=(",", ":")) + "\n" for scene in scenes), encoding="utf-8")
 
 
 def record(logicity: Logicity, folder: Path, seed: int, ticks: int, count: int) -> list[Scene]:
-    """So many different scenes, drawn from a run of the city."""
+    """Return this number of different scenes, drawn from a run of the city."""
     logicity.call("run", logicity.config, "--no-pictures", "--seed", str(seed), "--ticks", str(ticks), "--out", folder)
     header, *states = map(json.loads, (folder / "trace.jsonl").read_text(encoding="utf-8").splitlines())
     moments = folder / "moments.jsonl"
@@ -129,7 +129,7 @@ def _scene(answer: dict[str, Any], entities: Sequence[str]) -> Scene:
 
 
 def invent(rules: Rules, seed: int, count: int) -> list[Scene]:
-    """Scenes of anything that the rules ask about, from few facts to many, whether a city could be so or not."""
+    """Return random scenes over the predicates of the rules, with few to many facts, possible in a city or not."""
     draw = random.Random(seed)
     asked = {literal.predicate for group in rules.clauses.values() for clause in group for literal in clause.body}
     atoms = [atom for atom in all_atoms(rules) if atom[0] in asked]
@@ -141,5 +141,5 @@ def invent(rules: Rules, seed: int, count: int) -> list[Scene]:
 
 
 def all_atoms(rules: Rules) -> list[Atom]:
-    """Every base atom about `ENTITIES`."""
+    """Return every base atom about `ENTITIES`."""
     return [(predicate, row) for predicate in rules.base for row in product(ENTITIES, repeat=rules.arities[predicate])]

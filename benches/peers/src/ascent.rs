@@ -1,4 +1,4 @@
-//! ascent: rules become Rust when the crate is compiled; relations are hashed.
+//! ascent: a macro compiles the rules to Rust; relations are hashed.
 
 use crate::case::{Case, Facts};
 
@@ -84,7 +84,7 @@ mod city {
     }
 }
 
-/// How many rows of each derived relation follow.
+/// The number of rows of each derived relation.
 pub fn counts(case: Case, facts: &Facts) -> Vec<usize> {
     match case {
         Case::Random | Case::Chain => {

@@ -1,4 +1,4 @@
-//! The five cases: a program in the core language and its facts, which depend on nothing but this file.
+//! The five cases: programs in the core language with their facts, which depend on this file alone.
 
 #![allow(dead_code, reason = "each binary uses its own part")]
 
@@ -34,7 +34,7 @@ impl fmt::Display for Case {
 /// A pair of numbers.
 pub type Pair = (u32, u32);
 
-/// By relation: pairs, and whether they come or go.
+/// The changes of each relation: pairs, and whether they are inserted or retracted.
 pub type Changes = Vec<(&'static str, Vec<(Pair, bool)>)>;
 
 /// The base facts of a case, by the name of the relation.
@@ -59,10 +59,10 @@ impl Facts {
 }
 
 impl Case {
-    /// All, in the order of the table.
+    /// All cases, in the order of the table.
     pub const ALL: [Case; 5] = [Case::Random, Case::Chain, Case::Generation, Case::Pointsto, Case::City];
 
-    /// What it is called in the table.
+    /// Its name in the table.
     pub fn title(self) -> &'static str {
         match self {
             Case::Random => "TC random",
@@ -83,7 +83,7 @@ impl Case {
         }
     }
 
-    /// The relations whose rows are counted, in the order of the program.
+    /// The counted relations, in the order of the program.
     pub fn derived(self) -> &'static [&'static str] {
         match self {
             Case::Random | Case::Chain => &["Path"],
@@ -93,7 +93,7 @@ impl Case {
         }
     }
 
-    /// The base facts. Always the same.
+    /// The base facts, the same in every run.
     pub fn facts(self) -> Facts {
         let mut random = generator(1 + self as u64);
         let mut below = |bound: u32| random() % bound;
@@ -122,7 +122,7 @@ impl Case {
     }
 }
 
-/// Agents that see few others, all of them near; who is near has a near number.
+/// Agents that see few others, all of them near. Near agents have near numbers.
 pub fn city(facts: &mut Facts, agents: u32, below: &mut impl FnMut(u32) -> u32) {
     const UNARY: [&str; 11] = [
         "IsPedestrian",
@@ -162,7 +162,7 @@ fn distinct(pairs: impl Iterator<Item = Pair>) -> Vec<Pair> {
     pairs
 }
 
-/// A fixed congruential generator.
+/// A linear congruential generator with a fixed seed.
 pub fn generator(seed: u64) -> impl FnMut() -> u32 {
     let mut state = seed;
     move || {
@@ -179,7 +179,7 @@ mod tests {
     use crate::engine;
 
     #[test]
-    fn the_city_is_that_of_the_expert_rules() {
+    fn the_city_has_the_expert_rules() {
         let facts = Case::City.facts();
         let expert = engine::counts(".include \"expert.dl\"", &facts, Case::City.derived());
         assert_eq!(
@@ -189,7 +189,7 @@ mod tests {
     }
 
     #[test]
-    fn facts_are_what_they_were() {
+    fn facts_are_unchanged() {
         for case in Case::ALL {
             let facts = case.facts();
             let sizes: Vec<usize> = (facts.unary.iter().map(|(_, rows)| rows.len()))

@@ -1,4 +1,4 @@
-//! crepe: rules become Rust when the crate is compiled; relations are hashed.
+//! crepe: a macro compiles the rules to Rust; relations are hashed.
 
 use crate::case::{Case, Facts};
 
@@ -111,7 +111,7 @@ mod city {
     }
 }
 
-/// How many rows of each derived relation follow.
+/// The number of rows of each derived relation.
 pub fn counts(case: Case, facts: &Facts) -> Vec<usize> {
     let unary = |name: &str| facts.unary(name).iter().copied();
     let binary = |name: &str| facts.binary(name).iter().copied();

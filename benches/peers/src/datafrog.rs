@@ -1,11 +1,11 @@
-//! datafrog, by hand: the joins, their order and the indexes are written out.
+//! Hand-written datafrog: joins with an explicit order and explicit indexes.
 
 #![allow(dead_code, reason = "each binary uses its own part")]
 
 use crate::case::{Case, Facts, Pair};
 use datafrog::{Iteration, Relation, RelationLeaper};
 
-/// How many rows of each derived relation follow.
+/// The number of rows of each derived relation.
 pub fn counts(case: Case, facts: &Facts) -> Vec<usize> {
     match case {
         Case::Random | Case::Chain => vec![closure(facts.binary("Edge"))],
@@ -66,7 +66,7 @@ fn points_to(facts: &Facts) -> usize {
 
 type One = (u32, ());
 
-/// Every clause is one multiway join from the relation that has least rows, or from pairs seen.
+/// Every clause is one multiway join that begins with the relation with the fewest rows, or with pairs in view.
 fn city(facts: &Facts) -> Vec<usize> {
     let one = |name: &str| facts.unary(name).iter().map(|&x| (x, ())).collect::<Relation<One>>();
     let any = |name: &str| {

@@ -1,4 +1,4 @@
-//! differential-dataflow, by hand: the same joins as a dataflow, loaded at one time on one thread.
+//! Hand-written differential-dataflow: the same joins as a dataflow, loaded at once on one thread.
 
 #![allow(dead_code, reason = "each binary uses its own part")]
 
@@ -15,7 +15,7 @@ use timely::worker::Worker;
 type Pairs<'s> = VecCollection<'s, u32, (u32, u32)>;
 type Ones<'s> = VecCollection<'s, u32, u32>;
 
-/// How many rows of each derived relation follow.
+/// The number of rows of each derived relation.
 pub fn counts(case: Case, facts: Facts) -> Vec<usize> {
     timely::execute_directly(move |worker| {
         let probe = Handle::new();
@@ -55,7 +55,7 @@ pub fn counts(case: Case, facts: Facts) -> Vec<usize> {
 struct Base<'a, 's> {
     scope: Scope<'s, u32>,
     facts: &'a Facts,
-    /// Where changes of the pairs of a relation go in.
+    /// The input of a binary relation.
     inputs: RefCell<Edb>,
 }
 
@@ -100,7 +100,7 @@ impl City {
         city
     }
 
-    /// Makes changes: by relation, pairs and whether they come or go.
+    /// Applies changes: by relation, pairs and whether they are inserted or retracted.
     pub fn tick(&mut self, worker: &mut Worker, changes: &Changes) {
         self.now += 1;
         for (name, input) in &mut self.inputs {
@@ -115,7 +115,7 @@ impl City {
         worker.step_while(|| self.probe.less_than(&self.now));
     }
 
-    /// How many rows of each derived relation there are.
+    /// The current number of rows of each derived relation.
     pub fn counts(&self) -> Vec<usize> {
         self.counters.iter().map(|counter| counter.get() as usize).collect()
     }

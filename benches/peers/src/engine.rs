@@ -1,29 +1,29 @@
-//! Our engine, as a library.
+//! logicity as a library.
 
 #![allow(dead_code, reason = "each binary uses its own part")]
 
-use logicity::builtin::BuiltinFiles;
 use crate::case::Facts;
-use logicity::diag::{render, Sources};
-use logicity::datalog::{Program, Session};
-use logicity::files;
+use logicity::builtin::BuiltinFiles;
 use logicity::datalog;
 use logicity::datalog::{BaseType, Value};
+use logicity::datalog::{Program, Session};
+use logicity::diag::{Sources, render};
+use logicity::files;
 
-/// How many rows of each of the relations follow.
+/// The number of rows of each of the relations.
 pub fn counts(text: &str, facts: &Facts, derived: &[&str]) -> Vec<usize> {
     let mut session = load(text, facts);
     session.commit().expect("within the limit");
     lengths(&session, derived)
 }
 
-/// How many rows the relations have.
+/// The current number of rows of each of the relations.
 pub fn lengths(session: &Session, relations: &[&str]) -> Vec<usize> {
     let relation = |name: &&str| session.program().relation(name).expect("the program has the relation");
     relations.iter().map(|name| session.len(relation(name))).collect()
 }
 
-/// A session for which the facts are noted.
+/// A session with the facts inserted and not yet committed.
 pub fn load(text: &str, facts: &Facts) -> Session {
     let mut sources = Sources::new();
     let entry = sources.add("program.dl", text);
@@ -35,7 +35,7 @@ pub fn load(text: &str, facts: &Facts) -> Session {
     let mut session = program.session();
     let relation = |name: &str| program.relation(name).expect("the program has the relation");
 
-    // Where a column holds symbols, the number stands for the symbol interned in that place.
+    // In a column of symbols, number n stands for the symbol that is interned as the n-th.
     let symbolic = |name: &str| program.rules().relations[relation(name).index()].columns[0].base == BaseType::Symbol;
     if facts.unary.iter().any(|(name, _)| symbolic(name)) {
         let largest = facts

@@ -1,4 +1,5 @@
-//! The engine beside its peers: five programs, the same facts, counts compared, CPU time and memory measured.
+//! Compares logicity with its peers on five programs: checks that they count the same, and measures CPU time and
+//! memory.
 
 mod ascent;
 mod case;
@@ -16,7 +17,7 @@ use peer::Peer;
 use std::path::PathBuf;
 use std::process::ExitCode;
 
-/// The engine of logicity beside its peers.
+/// Compare the engine of logicity with its peers.
 #[derive(Parser)]
 struct Arguments {
     #[command(subcommand)]
@@ -24,31 +25,32 @@ struct Arguments {
     /// Only these cases
     #[arg(long, value_delimiter = ',')]
     cases: Vec<Case>,
-    /// Only these peers, beside the engine
+    /// Only these peers, and the engine
     #[arg(long, value_delimiter = ',')]
     peers: Vec<Peer>,
-    /// Measured runs of each peer on each case, interleaved; the median counts. One more is made first to compare counts
+    /// Measured runs of each peer on each case, interleaved, of which the table has the median. A first run compares
+    /// counts
     #[arg(long, default_value_t = 5)]
     repeats: usize,
-    /// Where to write all figures
+    /// File for all figures
     #[arg(long, value_name = "FILE")]
     json: Option<PathBuf>,
 }
 
 #[derive(clap::Subcommand)]
 enum Command {
-    /// Write the program and the facts of every case, to run an engine by hand
+    /// Write the program and the facts of every case, to run an engine manually
     Data {
-        /// Folder to write to; each case gets a folder of its own
+        /// Folder to write to; each case gets a folder
         folder: PathBuf,
     },
-    /// One run, in this process: what the others start
+    /// One run in this process, which other commands start
     #[command(hide = true)]
     Once { peer: Peer, case: Case },
 }
 
 fn main() -> ExitCode {
-    // The command reads its own arguments, so that `query` can be measured without building it apart.
+    // Run the `logicity` command in this binary, to measure `query` without building another one.
     if std::env::var_os(peer::AS_LOGICITY).is_some() {
         return logicity::cli::main();
     }
@@ -82,7 +84,7 @@ fn compare(arguments: &Arguments) -> Result<(), Box<dyn std::error::Error>> {
     let mut peers: Vec<Peer> = Peer::ALL.into_iter().filter(wanted).collect();
     let souffle = peer::souffle_version();
     if souffle.is_none() && peers.iter().any(|peer| peer.is_souffle()) {
-        eprintln!("souffle was not found on the path; it is not compared");
+        eprintln!("souffle is not on the path; omitting it");
         peers.retain(|peer| !peer.is_souffle());
     }
 
@@ -95,7 +97,7 @@ fn compare(arguments: &Arguments) -> Result<(), Box<dyn std::error::Error>> {
             eprintln!("{case}: souffle compiles the program");
             peer::compile(&folder)?;
         }
-        // One pass first whose figures are dropped: all must count the same.
+        // An unmeasured pass first: all peers must count the same.
         let mut expected = None;
         for &peer in &peers {
             let run = measure::run(peer, case, &folder)?;

@@ -1,4 +1,4 @@
-//! One run of a peer: what it counts, its CPU time and its peak memory. Each run is a process of its own.
+//! Measures one run of a peer: its counts, CPU time and peak memory. Each run is a separate process.
 
 use crate::case::Case;
 use crate::peer::Peer;
@@ -9,7 +9,7 @@ use std::path::Path;
 use std::time::Duration;
 use wait4::Wait4;
 
-/// What one run took.
+/// The measurement of one run.
 #[derive(Clone, Debug)]
 pub struct Run {
     /// By position in [`Case::derived`].
@@ -20,8 +20,8 @@ pub struct Run {
     pub peak_kib: u64,
 }
 
-/// Runs a peer in this process and prints counts, nanoseconds and KiB, separated by spaces. The clock starts when the facts lie in
-/// lists of numbers and stops when the rows are counted.
+/// Runs a peer in this process and prints counts, nanoseconds and KiB, separated by spaces. The measured time begins
+/// with the facts in lists of numbers and ends with the counts of rows.
 pub fn once(peer: Peer, case: Case) -> Result<(), Box<dyn std::error::Error>> {
     let facts = case.facts();
     let start = ProcessTime::now();

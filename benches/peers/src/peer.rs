@@ -1,28 +1,28 @@
-//! The peers, and how those that are programs of their own are started.
+//! The peers, and the commands of those that are separate programs.
 
 use crate::case::Case;
 use std::fmt::{self, Write};
 use std::path::Path;
 use std::process::{Command, Stdio};
 
-/// An engine, or a way to use one.
+/// An engine, or one of its interfaces.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, clap::ValueEnum)]
 pub enum Peer {
-    /// Ours as a library
+    /// logicity as a library
     Engine,
-    /// Ours as `logicity query`, with starting, reading the rules and the facts
+    /// `logicity query`, including startup and reading rules and facts
     Query,
     /// ascent
     Ascent,
-    /// datafrog, by hand
+    /// hand-written datafrog
     Datafrog,
     /// crepe
     Crepe,
-    /// differential-dataflow, by hand
+    /// hand-written differential-dataflow
     Differential,
-    /// Soufflé's interpreter, with starting and reading
+    /// Soufflé's interpreter, including startup and reading rules and facts
     Souffle,
-    /// A program compiled by Soufflé, with starting and reading the facts
+    /// A program compiled by Soufflé, including startup and reading facts
     SouffleCompiled,
 }
 
@@ -32,7 +32,7 @@ impl fmt::Display for Peer {
             Peer::Engine => "logicity, library",
             Peer::Query => "logicity query *",
             Peer::Ascent => "ascent",
-            Peer::Datafrog => "datafrog, by hand",
+            Peer::Datafrog => "hand-written datafrog",
             Peer::Crepe => "crepe",
             Peer::Differential => "differential-dataflow",
             Peer::Souffle => "Soufflé interpreted *",
@@ -41,11 +41,11 @@ impl fmt::Display for Peer {
     }
 }
 
-/// Set for a process that is to be the `logicity` command.
+/// The environment variable that makes a process the `logicity` command.
 pub const AS_LOGICITY: &str = "LOGICITY_PEERS_AS_LOGICITY";
 
 impl Peer {
-    /// All, ours first.
+    /// All peers, logicity first.
     pub const ALL: [Peer; 8] = [
         Peer::Engine,
         Peer::Query,
@@ -62,7 +62,7 @@ impl Peer {
         matches!(self, Peer::Souffle | Peer::SouffleCompiled)
     }
 
-    /// Whether it is measured as a whole process, from its start to its end.
+    /// Whether the measurement covers the whole process.
     pub fn is_whole(self) -> bool {
         self == Peer::Query || self.is_souffle()
     }
@@ -103,7 +103,7 @@ impl Peer {
     }
 }
 
-/// Writes the program and its facts, one file a relation.
+/// Writes the program and its facts, one file per relation.
 pub fn write_case(case: Case, folder: &Path) -> std::io::Result<()> {
     std::fs::create_dir_all(folder)?;
     std::fs::write(folder.join("program.dl"), case.program())?;
@@ -122,7 +122,7 @@ pub fn write_case(case: Case, folder: &Path) -> std::io::Result<()> {
     Ok(())
 }
 
-/// What Soufflé says of itself, if it is installed.
+/// The version of Soufflé, if it is installed.
 pub fn souffle_version() -> Option<String> {
     let output = Command::new("souffle").arg("--version").output().ok()?;
     let text = String::from_utf8_lossy(&output.stdout).into_owned();
@@ -130,7 +130,7 @@ pub fn souffle_version() -> Option<String> {
     Some(line.unwrap_or("unknown version").trim().to_owned())
 }
 
-/// Lets Soufflé compile the program in the folder.
+/// Compiles the program in the folder with Soufflé.
 pub fn compile(folder: &Path) -> Result<(), Box<dyn std::error::Error>> {
     let mut command = Command::new("souffle");
     command

@@ -1,4 +1,4 @@
-//! From runs to one table of ratios.
+//! Summarizes runs in one table of ratios.
 
 use crate::case::Case;
 use crate::measure::Run;
@@ -6,7 +6,7 @@ use crate::peer::{Peer, name};
 use serde_json::json;
 use std::fmt::Write;
 
-/// All runs, in the order they were made.
+/// All runs, in order.
 #[derive(Default)]
 pub struct Results(Vec<(Peer, Case, Run)>);
 
@@ -39,7 +39,7 @@ impl Results {
         })
     }
 
-    /// Lines of `CPU / memory` in multiples of the engine's, whose own line has milliseconds and MiB.
+    /// A table of `CPU / memory` as multiples of the engine's, whose own line has milliseconds and MiB.
     pub fn table(&self, peers: &[Peer], cases: &[Case]) -> String {
         let mut out = String::new();
         let mut line = |first: String, cells: &mut dyn Iterator<Item = String>| {

@@ -1,10 +1,10 @@
-//! A city of 10,000 agents, tick after tick: what it costs to bring the decisions up to date when a part of the binary facts
-//! changes, beside differential-dataflow and beside a full recomputation by hand-written datafrog.
+//! Measures the cost of updating the decisions in a city of 10,000 agents when a part of the binary facts changes.
+//! Compares the engine with differential-dataflow and with a full recomputation in hand-written datafrog.
 //!
-//! `cargo run --release --manifest-path benches/peers/Cargo.toml --bin churn` prints CPU times and ratios. A tick takes so many of the binary facts away, chosen at random,
-//! and puts as many others in their place. The engine and differential-dataflow are given the difference, and the time counts
-//! from the first change that is noted; datafrog is given the facts as they are then. In every tick all three must come to the
-//! same numbers of decisions.
+//! `cargo run --release --manifest-path benches/peers/Cargo.toml --bin churn` prints CPU times and ratios. A tick
+//! replaces a part of the binary facts, chosen at random, by as many others. The engine and differential-dataflow get
+//! the difference, and their time begins with the first change. datafrog gets all facts. In every tick, all three must
+//! derive the same numbers of decisions.
 
 #[path = "../case.rs"]
 mod case;
@@ -18,24 +18,24 @@ mod engine;
 use case::{Case, Changes, Facts, Pair};
 use clap::Parser;
 use cpu_time::ThreadTime;
-use logicity::datalog::{Strategy, StratumStats};
 use logicity::datalog::Value;
+use logicity::datalog::{Strategy, StratumStats};
 use std::collections::BTreeSet;
 use std::time::Duration;
 
-/// What a tick costs when a part of the facts changes.
+/// Measure the cost of a tick when a part of the facts changes.
 #[derive(Parser)]
 struct Arguments {
-    /// Ticks measured of each case; the median counts
+    /// Measured ticks of each case, of which the table has the median
     #[arg(long, default_value_t = 200)]
     ticks: usize,
-    /// Percentages of the binary facts that are replaced in a tick; 0 stands for a single fact
+    /// Percentages of the binary facts to replace in a tick; 0 replaces a single fact
     #[arg(long, value_delimiter = ',', default_value = "0,1,5,30")]
     percent: Vec<f64>,
     /// Sizes of the city
     #[arg(long, value_delimiter = ',', default_value = "10000,40")]
     agents: Vec<u32>,
-    /// Only the engine, in one of its strategies: auto, maintain or recompute
+    /// Measure only the engine, with one strategy: auto, maintain or recompute
     #[arg(long, value_parser = strategy)]
     alone: Option<Strategy>,
 }
@@ -63,7 +63,7 @@ fn strategy(text: &str) -> Result<Strategy, &'static str> {
     }
 }
 
-/// The pairs of every binary relation, and the next change of them.
+/// The pairs of every binary relation, and their next change.
 struct City {
     agents: u32,
     below: Box<dyn FnMut(u32) -> u32 + Send + Sync>,
@@ -94,7 +94,7 @@ impl City {
         self.sets.iter().map(BTreeSet::len).sum()
     }
 
-    /// Changes so many percent of the pairs; 0 stands for a single pair.
+    /// Replaces this percentage of the pairs; 0 replaces a single pair.
     fn change(&mut self, percent: f64) -> Changes {
         let mut changes = Changes::new();
         for ((name, rows), set) in self.facts.binary.iter_mut().zip(&mut self.sets) {
@@ -103,7 +103,7 @@ impl City {
                 0.0 => usize::from(*name == "IsClose"),
                 _ => ((rows.len() as f64 * percent / 100.0).round() as usize).max(1),
             };
-            // Every agent goes on seeing itself.
+            // Every agent still sees itself.
             while changed.len() < count {
                 let (x, y) = rows[(self.below)(rows.len() as u32) as usize];
                 if x != y {
@@ -139,7 +139,7 @@ fn measure(agents: u32, percent: f64, ticks: usize, strategy: Strategy, peers: b
         let mut dataflow = peers.then(|| differential::City::new(worker, &city.facts));
         let mut times: [Vec<Duration>; 3] = Default::default();
         let mut strata = String::new();
-        // Some ticks to warm up.
+        // Warm up.
         for tick in 0..ticks + 10 {
             let changes = city.change(percent);
             let start = ThreadTime::now();
