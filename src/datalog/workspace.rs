@@ -252,8 +252,8 @@ impl Workspace {
         Ok(rules.clauses.iter().map(row).collect())
     }
 
-    /// Returns the declarations of types and predicates; with `given`, the predicates are input.
-    fn declarations(&self, given: bool) -> Vec<Item> {
+    /// Returns the declarations of types and predicates; with `input`, all predicates are input.
+    fn declarations(&self, input: bool) -> Vec<Item> {
         let declared = |item: &&Item| matches!(item, Item::Type(_) | Item::Decl(_));
         let mut items: Vec<Item> = self.gathered.items.iter().filter(declared).cloned().collect();
         let mut names = Vec::new();
@@ -264,7 +264,7 @@ impl Workspace {
                 names.extend(decl.names.iter().cloned());
             }
         }
-        if given && !names.is_empty() {
+        if input && !names.is_empty() {
             items.push(Item::Mark(Mark {
                 kind: MarkKind::Input,
                 names,

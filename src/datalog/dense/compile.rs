@@ -116,7 +116,7 @@ impl<'a> Compiler<'a> {
                 settling: Vec::new(),
                 ops: Vec::new(),
                 cleared: Vec::new(),
-                homes: vec![Home::Given; rules.relations.len()],
+                homes: vec![Home::Input; rules.relations.len()],
                 fired: vec![None; rules.clauses.len()],
                 local: true,
                 guards: Vec::new(),
@@ -279,7 +279,7 @@ impl<'a> Compiler<'a> {
                     self.out.ops.push(Op::Rare(Rare::OrRows { dst: rows, from: dst }));
                 }
             }
-            Home::Given => unreachable!("a clause of a dense stratum derives its predicate"),
+            Home::Input => unreachable!("a clause of a dense stratum derives its predicate"),
         }
     }
 
@@ -338,7 +338,7 @@ impl<'a> Compiler<'a> {
             return None;
         };
         let list = |test: &Test| match test.list {
-            Place::Given(list) if test.holds => u16::try_from(list).ok(),
+            Place::Input(list) if test.holds => u16::try_from(list).ok(),
             _ => None,
         };
         let lists: Vec<u16> = self.out.tests(tests).iter().map(list).collect::<Option<_>>()?;
@@ -371,11 +371,11 @@ impl<'a> Compiler<'a> {
         let set = match property {
             Property::Holds(relation) => match self.out.homes[relation.index()] {
                 Home::Set(set) => set,
-                Home::Given | Home::Rows(_) => unreachable!("given sets are numbered before"),
+                Home::Input | Home::Rows(_) => unreachable!("input sets are numbered before"),
             },
             Property::Diagonal(relation) => {
                 let Home::Rows(rows) = self.out.homes[relation.index()] else {
-                    unreachable!("given sets are numbered before")
+                    unreachable!("input sets are numbered before")
                 };
                 let dst = self.set(Changes::Often);
                 self.out.ops.push(Op::Rare(Rare::Diagonal { dst, rows }));
@@ -490,7 +490,7 @@ impl<'a> Compiler<'a> {
         }
         let list = List(relation, axis);
         let known = self.out.lists.iter().position(|&known| known == list);
-        Place::Given(known.unwrap_or_else(|| {
+        Place::Input(known.unwrap_or_else(|| {
             self.out.lists.push(list);
             self.out.lists.len() - 1
         }))

@@ -132,7 +132,7 @@ pub(super) struct Test {
 #[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord)]
 pub(super) enum Place {
     /// A position in [`Dense::lists`].
-    Given(usize),
+    Input(usize),
     /// A list of derived rows, and the column of the value.
     Derived(usize, Argument),
     /// The variable itself.
@@ -199,7 +199,7 @@ pub struct Dense {
 #[derive(Clone, Copy, Debug)]
 pub(super) enum Home {
     /// With the caller.
-    Given,
+    Input,
     Set(Reg),
     Rows(usize),
 }

@@ -377,7 +377,7 @@ impl<const W: usize, P: BinaryFacts<W>> Search<'_, W, P> {
         for test in self.program.tests(step.tests) {
             let at = bound[test.to];
             let fitting = match test.list {
-                Place::Given(list) => self.pairs.narrow(list, at, set),
+                Place::Input(list) => self.pairs.narrow(list, at, set),
                 Place::Derived(list, Argument::Second) => and(set, &self.rows[list * self.count + at]),
                 Place::Derived(list, Argument::First) => {
                     let mut fitting = [0; W];

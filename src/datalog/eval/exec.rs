@@ -106,7 +106,7 @@ pub(crate) struct State<const W: usize> {
     pub(crate) tables: Vec<Table<W>>,
     /// By [`RelId`]: the facts in the program text, for relations that no clause with a body derives. They cannot be
     /// retracted.
-    given: Vec<Vec<Row<W>>>,
+    text_facts: Vec<Vec<Row<W>>>,
     /// By [`RelId`]: the changes that the next commit makes.
     pending: Vec<PendingChanges<W>>,
     /// The plans in use, made for about the current sizes of the relations.
@@ -261,13 +261,13 @@ impl<'a> Meter<'a> {
 impl<const W: usize> State<W> {
     fn new(compiled: &Compiled) -> Self {
         let rules = &compiled.rules;
-        let mut given = vec![Vec::new(); rules.relations.len()];
+        let mut text_facts = vec![Vec::new(); rules.relations.len()];
         for clause in &rules.clauses {
             if !rules.relations[clause.head.relation.index()].derived {
-                given[clause.head.relation.index()].push(constants(&clause.head.terms));
+                text_facts[clause.head.relation.index()].push(constants(&clause.head.terms));
             }
         }
-        given.iter_mut().for_each(normalise);
+        text_facts.iter_mut().for_each(normalise);
         let indexes = || compiled.plans.indexes.counts();
         State {
             tables: indexes().map(|count| Table::new(Vec::new(), count)).collect(),
@@ -275,10 +275,10 @@ impl<const W: usize> State<W> {
             copies_max: indexes().max().unwrap_or(0) + 1,
             costs: vec![Cost::default(); compiled.plans.strata.len()],
             // The first commit inserts the facts of the text like any others.
-            pending: given.iter().cloned().map(PendingChanges::of).collect(),
+            pending: text_facts.iter().cloned().map(PendingChanges::of).collect(),
             plans: Arc::clone(&compiled.plans),
             bases: vec![Basis::default(); compiled.plans.strata.len()],
-            given,
+            text_facts,
             committed: false,
         }
     }
@@ -552,7 +552,7 @@ pub(crate) fn specs(plans: &Plans, relation: RelId) -> Vec<&IndexSpec> {
 impl<const W: usize> Store for State<W> {
     fn change(&mut self, relation: RelId, row: &[Value], present: bool) {
         let row = Row::new(row);
-        if present || self.given[relation.index()].binary_search(&row).is_err() {
+        if present || self.text_facts[relation.index()].binary_search(&row).is_err() {
             self.pending[relation.index()].push(row, present);
         }
     }
@@ -574,10 +574,10 @@ impl<const W: usize> Store for State<W> {
     }
 
     fn rollback(&mut self) {
-        for (pending, given) in self.pending.iter_mut().zip(&self.given) {
+        for (pending, facts) in self.pending.iter_mut().zip(&self.text_facts) {
             pending.clear();
             if !self.committed {
-                *pending = PendingChanges::of(given.clone());
+                *pending = PendingChanges::of(facts.clone());
             }
         }
     }
