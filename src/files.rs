@@ -23,6 +23,7 @@ pub const MAX_BYTES: u64 = 1 << 30;
 
 /// The reason why a file could not be read.
 #[derive(Clone, Debug, PartialEq, Eq)]
+#[non_exhaustive]
 pub enum ReadError {
     /// The file does not exist.
     NotFound,

@@ -91,7 +91,7 @@ fn read_error(py: Python<'_>, path: &Path, error: &ReadError) -> PyErr {
     match error {
         ReadError::NotFound => PyFileNotFoundError::new_err(message),
         ReadError::NotText { .. } => input_error(py, &[Diagnostic::new(Code::NOT_TEXT, message)], &Sources::new()),
-        ReadError::TooLarge | ReadError::Io(_) => PyOSError::new_err(message),
+        _ => PyOSError::new_err(message),
     }
 }
 

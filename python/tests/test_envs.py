@@ -49,12 +49,12 @@ def test_options_keep_to_the_rules_of_gymnasium(observation: str) -> None:
 def play(env: SPFEnv, steps: int, seed: int) -> list[Any]:
     """Random steps and what came of them, beginning again at the end of each episode."""
     generator = np.random.default_rng(seed)
-    steps: list[Any] = []
+    results: list[Any] = []
     for _ in range(steps):
-        steps.append(env.step(int(generator.integers(4))))
-        if steps[-1][2] or steps[-1][3]:
-            steps.append(env.reset())
-    return steps
+        results.append(env.step(int(generator.integers(4))))
+        if results[-1][2] or results[-1][3]:
+            results.append(env.reset())
+    return results
 
 
 def test_a_seed_gives_a_sequence_of_episodes() -> None:

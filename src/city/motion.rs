@@ -41,6 +41,7 @@ pub fn possible_cells(agent: &Agent) -> usize {
 
 /// The reason for an agent's move.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Hash)]
+#[non_exhaustive]
 pub enum MoveReason {
     /// The move follows the decision.
     Decided,

@@ -5,6 +5,7 @@ use crate::city::{Cell, CityMap, Heading};
 
 /// The reason why there is no route.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
+#[non_exhaustive]
 pub enum NoRoute {
     /// Agents of this kind cannot start there: a pedestrian outside of walking streets and crossings, or a car that is
     /// not beside a lane (on the mid line, in an intersection, off the street).

@@ -6,17 +6,14 @@
 use crate::city::{Action, AgentGroup, AgentKind, AgentSet, Building, Buildings, MapConfig, Routing, Split, Widths};
 use crate::config::compose::{Composer, Read};
 use crate::config::model::*;
-use crate::config::read::{Fields, choice, entries, integer, invalid, is_name, list, name, number, text};
+use crate::config::predicates::{Concepts, Predicates, carried, predicates};
+use crate::config::read::{Fields, choice, integer, invalid, list, number, text};
 use crate::config::task;
 use crate::config::yaml::{Node, Value};
-use crate::diag::{Code, Diagnostic, Faults, Located, MAX_FAULTS, Sources, Span, did_you_mean};
-use crate::predicate::{Concept, Definition, Sees};
+use crate::diag::{Code, Diagnostic, Faults, Located, MAX_FAULTS, Sources, Span};
 use sha2::{Digest, Sha256};
-use std::collections::HashMap;
 use std::path::Path;
 
-/// The maximum number of base predicates of a scenario.
-const MAX_PREDICATES: usize = 1000;
 /// The maximum number of agents of a split before repetition, plus the concepts that they carry.
 const MAX_AGENTS: u32 = 1_000_000;
 /// The maximum number of agents of a split.
@@ -40,8 +37,6 @@ const BUILDINGS: [(&str, char, Building); 5] = [
     ("Store", 'S', Building::Store),
     ("GasStation", 'G', Building::GasStation),
 ];
-/// The predicate of the field of view. It is always defined, so configurations cannot define it.
-const SEES: &str = "Sees";
 
 /// Loads a run configuration composed of all its files. A bare name such as `expert` means `configs/expert.yaml`.
 ///
@@ -286,112 +281,6 @@ fn random_buildings(node: &Node, faults: &mut Vec<Diagnostic>) -> Option<Buildin
     })
 }
 
-/// The base predicates of a configuration.
-pub(super) struct Predicates {
-    used: Vec<PredicateConfig>,
-    /// All definitions, used or not.
-    defined: Vec<PredicateConfig>,
-}
-
-fn predicates(node: &Node, faults: &mut Vec<Diagnostic>) -> Option<Predicates> {
-    let before = faults.len();
-    let mut fields = Fields::open(node, "the predicates", faults)?;
-    fields.optional("base");
-    let define = fields.required("define", faults);
-    let selection = fields.optional("use");
-    fields.close(faults);
-    let entries = entries(define?, "definitions of predicates", faults)?;
-    if entries.len() > MAX_PREDICATES {
-        let message = format!(
-            "{} predicates are defined, the limit is {MAX_PREDICATES}",
-            entries.len()
-        );
-        faults.push(Diagnostic::new(Code::LIMIT_EXCEEDED, message).at(define?.span, ""));
-        return None;
-    }
-    let mut defined = Vec::new();
-    for (key, node) in entries.iter().filter(|(_, node)| !node.is_null()) {
-        let fault = if key.text == SEES {
-            Some(format!("`{SEES}` is predefined: it is the field of view"))
-        } else if Action::ALL.iter().any(|action| action.name() == key.text) {
-            Some(format!("`{}` is an action, which rules derive", key.text))
-        } else if !is_name(&key.text) {
-            let message = "expected the name of a predicate (letters, digits and `_`, no digit first)";
-            Some(format!("{message}, found `{}`", key.text))
-        } else {
-            None
-        };
-        if let Some(message) = fault {
-            faults.push(Diagnostic::new(Code::INVALID_VALUE, message).at(key.span, ""));
-            continue;
-        }
-        let name = Located {
-            value: key.text.clone(),
-            span: key.span,
-        };
-        defined.extend(Definition::read(node, faults).map(|definition| PredicateConfig { name, definition }));
-    }
-    let used = match selection {
-        None => Some(defined.clone()),
-        Some(node) => selected(node, &defined, faults),
-    };
-    // A failed definition would make each use of it a second fault.
-    if faults.len() > before {
-        return None;
-    }
-    let mut used = used?;
-    used.push(PredicateConfig {
-        name: Located {
-            value: SEES.into(),
-            span: node.span,
-        },
-        definition: Sees.into(),
-    });
-    Some(Predicates { used, defined })
-}
-
-/// Returns the predicates that `use` names, in its order.
-fn selected(node: &Node, defined: &[PredicateConfig], faults: &mut Vec<Diagnostic>) -> Option<Vec<PredicateConfig>> {
-    let mut used: Vec<PredicateConfig> = Vec::new();
-    for item in list(node, "names of predicates", faults)? {
-        let Some(wanted) = name(item, "the name of a predicate", faults) else {
-            continue;
-        };
-        if let Some(first) = used.iter().find(|predicate| predicate.name.value == wanted) {
-            let fault = Diagnostic::new(Code::INVALID_VALUE, format!("`{wanted}` is used twice"));
-            faults.push(
-                fault
-                    .at(item.span, "used again")
-                    .also(first.name.span, "first used here"),
-            );
-            continue;
-        }
-        match defined.iter().find(|predicate| predicate.name.value == wanted) {
-            Some(predicate) => used.push(PredicateConfig {
-                name: Located {
-                    value: wanted.to_owned(),
-                    span: item.span,
-                },
-                definition: predicate.definition.clone(),
-            }),
-            None => {
-                let mut fault = Diagnostic::new(Code::INVALID_VALUE, format!("no predicate `{wanted}` is defined"));
-                let names = defined.iter().map(|predicate| predicate.name.value.as_str());
-                if wanted == SEES {
-                    fault = fault.help(format!("remove it: `{SEES}` is predefined"));
-                } else if let Some(near) = did_you_mean(wanted, names) {
-                    fault = fault.help(format!("did you mean `{near}`?"));
-                }
-                faults.push(fault.at(item.span, ""));
-            }
-        }
-        if faults.len() > MAX_FAULTS {
-            return None;
-        }
-    }
-    Some(used)
-}
-
 /// Returns the region of each split, in the order of [`Split::ALL`].
 fn regions(node: &Node, faults: &mut Vec<Diagnostic>) -> [Option<Located<u32>>; 3] {
     let region = |node: &Node, faults: &mut Vec<Diagnostic>| {
@@ -435,66 +324,6 @@ fn splits(
         faults.push(fault.at(node.span, ""));
     }
     (faults.len() == before).then_some(splits)
-}
-
-/// The concepts that agents can carry.
-pub(super) struct Concepts<'p> {
-    used: HashMap<&'p str, Vec<AgentKind>>,
-    predicates: &'p Predicates,
-}
-
-impl<'p> Concepts<'p> {
-    pub fn new(predicates: &'p Predicates) -> Self {
-        let mut used: HashMap<&str, Vec<AgentKind>> = HashMap::new();
-        for predicate in &predicates.used {
-            if let Some(Concept { of, concept }) = predicate.definition.concept() {
-                used.entry(concept).or_default().push(*of);
-            }
-        }
-        Concepts { used, predicates }
-    }
-
-    fn check(&self, concept: &str, span: Span, kind: AgentKind, faults: &mut Vec<Diagnostic>) {
-        let kinds = self.used.get(concept);
-        if kinds.is_some_and(|kinds| kinds.contains(&kind)) {
-            return;
-        }
-        let carried = |predicate: &&PredicateConfig| {
-            let defined = predicate.definition.concept();
-            defined.is_some_and(|defined| defined.of == kind && defined.concept == concept)
-        };
-        let fault = if kinds.is_some() {
-            let other = if kind == AgentKind::Car { "pedestrians" } else { "cars" };
-            Diagnostic::new(Code::INVALID_VALUE, format!("`{concept}` is a concept of {other} only")).at(span, "")
-        } else if let Some(unused) = self.predicates.defined.iter().find(carried) {
-            let predicate = &unused.name.value;
-            Diagnostic::new(
-                Code::INVALID_VALUE,
-                format!("no predicate in use defines the concept `{concept}`"),
-            )
-            .at(span, "")
-            .help(format!("add `{predicate}` to the predicates' `use`"))
-        } else {
-            let fault = Diagnostic::new(Code::INVALID_VALUE, format!("unknown concept `{concept}`")).at(span, "");
-            let mut known: Vec<_> = self
-                .used
-                .iter()
-                .filter(|(_, kinds)| kinds.contains(&kind))
-                .map(|(&name, _)| name)
-                .collect();
-            known.sort_unstable();
-            match did_you_mean(concept, known.iter().copied()) {
-                Some(near) => fault.help(format!("did you mean `{near}`?")),
-                None => fault.help("a predicate defines it, for example `IsTaxi: {concept: taxi, of: Car}`"),
-            }
-            .note(format!(
-                "concepts of a {}: {}",
-                kind.name().to_lowercase(),
-                known.join(", ")
-            ))
-        };
-        faults.push(fault);
-    }
 }
 
 fn agents(
@@ -593,38 +422,6 @@ fn group(
         concepts: concepts.into_iter().map(|concept| concept.value).collect(),
         priority,
     })
-}
-
-/// Reads the concepts of one entry of an agent list.
-pub(super) fn carried(
-    node: &Node,
-    kind: AgentKind,
-    known: Option<&Concepts<'_>>,
-    faults: &mut Vec<Diagnostic>,
-) -> Option<Vec<Located<String>>> {
-    let items = list(node, "concepts", faults)?;
-    if items.len() > MAX_PREDICATES {
-        let message = format!("{} concepts, the limit is {MAX_PREDICATES}", items.len());
-        faults.push(Diagnostic::new(Code::LIMIT_EXCEEDED, message).at(node.span, ""));
-        return None;
-    }
-    let mut concepts: Vec<Located<String>> = Vec::new();
-    for item in items {
-        let Some(concept) = name(item, "the name of a concept", faults) else {
-            continue;
-        };
-        if let Some(first) = concepts.iter().find(|given| given.value == concept) {
-            let fault = Diagnostic::new(Code::INVALID_VALUE, format!("the concept `{concept}` is given twice"));
-            faults.push(fault.at(item.span, "given again").also(first.span, "first given here"));
-            continue;
-        }
-        if let Some(known) = known {
-            known.check(concept, item.span, kind, faults);
-        }
-        let (value, span) = (concept.to_owned(), item.span);
-        concepts.push(Located { value, span });
-    }
-    Some(concepts)
 }
 
 fn actions(node: &Node, faults: &mut Vec<Diagnostic>) -> Option<ActionsConfig> {

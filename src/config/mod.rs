@@ -12,6 +12,7 @@ mod codes;
 mod compose;
 mod load;
 mod model;
+mod predicates;
 pub(crate) mod read;
 mod task;
 mod tree;

@@ -2,8 +2,8 @@
 
 use crate::city::{Action, AgentKind, Split};
 use crate::config::compose::Composer;
-use crate::config::load::{Concepts, Predicates, carried};
 use crate::config::model::*;
+use crate::config::predicates::{Concepts, Predicates, carried};
 use crate::config::read::{Fields, choice, entries, integer, invalid, list, number};
 use crate::config::yaml::{Node, Value};
 use crate::diag::{Diagnostic, Located};

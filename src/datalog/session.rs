@@ -298,6 +298,7 @@ impl fmt::Debug for Session {
 
 /// The reason why a session refuses a row.
 #[derive(Clone, Debug, PartialEq, Eq)]
+#[non_exhaustive]
 pub enum RowError {
     /// The program has no relation with that id.
     UnknownRelation,

@@ -56,6 +56,7 @@ impl Scale {
 
 /// The reason why a view is invalid.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
+#[non_exhaustive]
 pub enum ViewportError {
     /// It has no cells.
     Empty,

@@ -463,7 +463,7 @@ fn a_wrong_letter_of_a_map_is_reported_at_its_place() {
         ("m.yaml", map),
     ]);
     assert!(
-        rendered.contains("m.yaml:5:8") && rendered.contains("`X` is no letter"),
+        rendered.contains("m.yaml:5:8") && rendered.contains("`X` does not denote a building"),
         "{rendered}"
     );
     assert!(

@@ -792,7 +792,7 @@ fn agents_of_episodes_have_known_concepts() {
         (car, &["zeppelin"], "`zeppelin`", Some("concepts of a car: ")),
         (walker, &["ambulance"], "concept of a car", None),
         (car, &["old"], "concept of a pedestrian", None),
-        (car, &["bus", "tiro", "bus"], "`bus` is given twice", None),
+        (car, &["bus", "tiro", "bus"], "has the concept `bus` twice", None),
     ];
     for (agent, concepts, message, help) in bad {
         let fault = begun(agent, concepts).unwrap_err();

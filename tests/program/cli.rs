@@ -846,7 +846,7 @@ fn query_takes_threads_and_limits() {
                     "product.dl:4",
                     option,
                     "shares no variable",
-                    "makes the join large",
+                    "the join is a Cartesian product",
                 ],
             );
             assert!(!folder.path().join("b.csv").exists());

@@ -29,9 +29,6 @@ const ONLY_IN: &[(&str, &str)] = &[
     ("serde_yaml", "src/config/yaml.rs"),
 ];
 
-/// Rooms whose files import one another without a cycle, with all rooms inside them.
-const ACYCLIC: &[&str] = &["sim"];
-
 /// Rooms that may contain paths of shipped files.
 const PRODUCT_PATHS_IN: &[&str] = &["builtin", "cli"];
 
@@ -179,37 +176,6 @@ fn rooms_import_only_lower_rooms() {
         }
     }
     assert!(faults.is_empty(), "{}", faults.join("\n"));
-}
-
-/// `mod.rs` names all other files of a folder and does not count.
-#[test]
-fn files_of_a_room_import_one_another_without_a_cycle() {
-    for room in ACYCLIC {
-        let inside = |source: &Source| source.module[0] == *room && !source.path.ends_with("mod.rs");
-        let sources: Vec<Source> = sources().into_iter().filter(inside).collect();
-        let modules: BTreeSet<&[String]> = sources.iter().map(|source| &source.module[..]).collect();
-        let module_of = |import: &[String]| {
-            let mut beginnings = (1..=import.len()).rev().map(|length| &import[..length]);
-            beginnings.find_map(|beginning| modules.get(beginning).copied())
-        };
-        let mut left: BTreeMap<&[String], BTreeSet<&[String]>> = (sources.iter())
-            .map(|source| {
-                let others = imports(source).iter().filter_map(|import| module_of(import)).collect();
-                (&source.module[..], others)
-            })
-            .collect();
-        assert!(left.values().map(BTreeSet::len).sum::<usize>() > left.len(), "{left:?}");
-        // A file that imports no other remaining file is in no cycle.
-        loop {
-            let remaining: BTreeSet<&[String]> = left.keys().copied().collect();
-            left.retain(|module, others| others.iter().any(|other| other != module && remaining.contains(other)));
-            if left.len() == remaining.len() {
-                break;
-            }
-        }
-        let files = left.keys().map(|module| module.join("::")).collect::<Vec<_>>();
-        assert!(files.is_empty(), "in a cycle or above one: {}", files.join(", "));
-    }
 }
 
 /// Checks that rooms use the constants `{kind}::{NAME}` only of their own and of lower rooms.

@@ -27,6 +27,7 @@ impl Choice {
 
 /// The reason why the dense executor cannot evaluate a stratum.
 #[derive(Clone, Debug, PartialEq, Eq)]
+#[non_exhaustive]
 pub enum Unsupported {
     /// The stratum is recursive.
     Recursive,

@@ -31,6 +31,7 @@ impl Default for Limits {
 
 /// Why a commit failed: what it takes is beyond [`Limits`], or whoever asked for it will not wait longer.
 #[derive(Clone, Debug, PartialEq, Eq)]
+#[non_exhaustive]
 pub enum EvalError {
     /// The derived relations together have more rows than allowed.
     TooManyRows {

@@ -8,7 +8,6 @@
 //! - `workers` holds the threads, and `limits` bounds the resources of a commit.
 //! - `delta` and `stats` report what a commit changed and did.
 
-mod adapt;
 pub mod delta;
 pub(crate) mod exec;
 mod join;

@@ -4,6 +4,7 @@ use crate::datalog::check::ClauseId;
 
 /// An event of [`Session::commit_watched`](crate::datalog::Session::commit_watched).
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
+#[non_exhaustive]
 pub enum EvalEvent {
     /// The evaluation of a clause begins.
     Begin(ClauseId),
@@ -49,6 +50,7 @@ impl StratumStats {
 
 /// The work of updating a stratum.
 #[derive(Clone, Debug, Default, PartialEq, Eq)]
+#[non_exhaustive]
 pub struct WorkCounts {
     /// Rounds to the fixpoint; 1 if the stratum is not recursive.
     pub rounds: usize,
@@ -73,6 +75,7 @@ impl WorkCounts {
 
 /// The work of one clause in a commit.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
+#[non_exhaustive]
 pub struct RuleStats {
     /// The clause.
     pub clause: ClauseId,
@@ -87,6 +90,7 @@ pub struct RuleStats {
 
 /// The statistics of a commit.
 #[derive(Clone, Debug, Default, PartialEq, Eq)]
+#[non_exhaustive]
 pub struct EvalStats {
     /// By position in [`Rules::strata`](crate::datalog::Rules::strata); empty before the first commit.
     pub strata: Vec<StratumStats>,

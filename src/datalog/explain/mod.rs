@@ -224,6 +224,7 @@ pub enum FailureKind {
 
 /// The reason why a query has no answer.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
+#[non_exhaustive]
 pub enum ExplainError {
     /// The search would exceed its limit of steps; see [`Explainer::set_limit`].
     TooMuchWork {

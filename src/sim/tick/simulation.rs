@@ -73,6 +73,7 @@ pub struct Simulation {
 
 /// What happened in a tick.
 #[derive(Clone, Debug, Default)]
+#[non_exhaustive]
 pub struct TickReport {
     /// Number of the tick, from 0.
     pub tick: u64,
@@ -82,6 +83,7 @@ pub struct TickReport {
 
 /// The tick of one agent: the state it was judged on, what the rules decided, what it did.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
+#[non_exhaustive]
 pub struct AgentTick {
     /// Its heading before it moved; where it was is in `moved`.
     pub heading: Option<Heading>,

@@ -6,6 +6,7 @@ use crate::datalog::{ClauseId, Literal, Rules};
 
 /// What is known of the clauses of a program after a number of states.
 #[derive(Clone, Debug, Default, PartialEq, Eq)]
+#[non_exhaustive]
 pub struct Coverage {
     /// How many states were looked at.
     pub states: u64,
@@ -15,6 +16,7 @@ pub struct Coverage {
 
 /// What is known of one clause.
 #[derive(Clone, Debug, PartialEq, Eq)]
+#[non_exhaustive]
 pub struct ClauseCoverage {
     /// The clause.
     pub clause: ClauseId,

@@ -18,6 +18,7 @@ pub const LOOK_TICKS: u64 = 10;
 
 /// One agent stops, and the clause that says so names another.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord)]
+#[non_exhaustive]
 pub struct WaitsFor {
     /// Who waits: position in the list of agents.
     pub agent: usize,
@@ -29,6 +30,7 @@ pub struct WaitsFor {
 
 /// Why agents that have not moved for long stand still.
 #[derive(Clone, Debug, Default, PartialEq, Eq)]
+#[non_exhaustive]
 pub struct DeadlockReport {
     /// Deadlocks: in each, a wait for every agent of a shortest circle, in order.
     pub deadlocks: Vec<Vec<WaitsFor>>,

@@ -3,10 +3,11 @@
 use crate::cancel::Cancel;
 use crate::city::Split;
 use crate::diag::Diagnostic;
-use crate::files::{FileError, Folder};
+use crate::files::Folder;
 use crate::render::{Icons, Picture, write_png};
 use crate::rng::Seed;
 use crate::sim::{LoadedCity, run_polled, start_threads};
+use crate::task::vap::error::DatasetError;
 use crate::task::vap::folder::{ENTITIES, PAIRS, WorldWriter, wrong};
 use crate::task::vap::table::{Table, count_concepts};
 use crate::task::vap::{
@@ -14,7 +15,6 @@ use crate::task::vap::{
     folder, icon_seed, published_worlds,
 };
 use rayon::prelude::*;
-use std::fmt;
 use std::num::NonZeroUsize;
 use std::ops::Range;
 use std::sync::Arc;
@@ -22,48 +22,6 @@ use std::sync::atomic::{AtomicBool, AtomicU64, Ordering};
 
 /// The largest number of worlds of a data set.
 pub const WORLDS_MAX: u32 = 100_000;
-
-/// The reason why a data set was not made or checked.
-#[derive(Debug)]
-#[non_exhaustive]
-pub enum DatasetError {
-    /// Faulty input, or `cancelled`.
-    Faulty(Vec<Diagnostic>),
-    /// A file that cannot be read or written.
-    File(FileError),
-}
-
-impl From<Diagnostic> for DatasetError {
-    fn from(fault: Diagnostic) -> Self {
-        DatasetError::Faulty(vec![fault])
-    }
-}
-
-impl From<Vec<Diagnostic>> for DatasetError {
-    fn from(faults: Vec<Diagnostic>) -> Self {
-        DatasetError::Faulty(faults)
-    }
-}
-
-impl From<FileError> for DatasetError {
-    fn from(error: FileError) -> Self {
-        DatasetError::File(error)
-    }
-}
-
-impl fmt::Display for DatasetError {
-    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
-        match self {
-            DatasetError::Faulty(faults) => {
-                let messages: Vec<&str> = faults.iter().map(|fault| fault.message.as_str()).collect();
-                f.write_str(&messages.join("\n"))
-            }
-            DatasetError::File(error) => error.fmt(f),
-        }
-    }
-}
-
-impl std::error::Error for DatasetError {}
 
 /// The worlds to make.
 #[derive(Clone, Debug)]

@@ -5,7 +5,7 @@
 
 use crate::diag::{Code, Diagnostic};
 use crate::files::{FileError, Folder};
-use crate::task::vap::dataset::DatasetError;
+use crate::task::vap::error::DatasetError;
 use serde::{Deserialize, Serialize};
 use sha2::{Digest, Sha256};
 use std::collections::BTreeMap;

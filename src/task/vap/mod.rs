@@ -9,12 +9,14 @@ mod card;
 mod check;
 mod codes;
 mod dataset;
+mod error;
 mod folder;
 pub mod table;
 
 pub use check::Dataset;
 pub use codes::CODES;
-pub use dataset::{DatasetError, DatasetRequest, DatasetSummary, DatasetWriter, WORLDS_MAX};
+pub use dataset::{DatasetRequest, DatasetSummary, DatasetWriter, WORLDS_MAX};
+pub use error::DatasetError;
 pub use folder::{DatasetSettings, FileRecord, Manifest, WorldRecord};
 
 use crate::city::{Action, AgentGroup, AgentKind, AgentName, AgentSet, Split};

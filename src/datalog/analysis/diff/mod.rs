@@ -91,6 +91,7 @@ pub enum Equivalence {
 
 /// The reason why a search ended early.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord)]
+#[non_exhaustive]
 pub enum Cut {
     /// The search reached [`Options::conflicts_max`].
     Conflicts,

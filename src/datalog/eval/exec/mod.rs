@@ -1,10 +1,12 @@
 //! Holds the rows of all relations, makes commits and evaluates strata. [`super::recursion`] evaluates the recursive
 //! ones.
 
+mod adapt;
+
 use crate::cancel::Cancel;
 use crate::datalog::check::{ClauseId, RelId, Term};
-use crate::datalog::eval::adapt::Basis;
 use crate::datalog::eval::delta::{Delta, Rows};
+use crate::datalog::eval::exec::adapt::Basis;
 use crate::datalog::eval::join;
 use crate::datalog::eval::join::{Abort, JoinState, Output, RowView};
 use crate::datalog::eval::limits::{EvalError, Limits};

@@ -1,0 +1,47 @@
+//! The error of data sets.
+
+use crate::diag::Diagnostic;
+use crate::files::FileError;
+use std::fmt;
+
+/// The reason why a data set was not made or checked.
+#[derive(Debug)]
+#[non_exhaustive]
+pub enum DatasetError {
+    /// Faulty input, or `cancelled`.
+    Faulty(Vec<Diagnostic>),
+    /// A file that cannot be read or written.
+    File(FileError),
+}
+
+impl From<Diagnostic> for DatasetError {
+    fn from(fault: Diagnostic) -> Self {
+        DatasetError::Faulty(vec![fault])
+    }
+}
+
+impl From<Vec<Diagnostic>> for DatasetError {
+    fn from(faults: Vec<Diagnostic>) -> Self {
+        DatasetError::Faulty(faults)
+    }
+}
+
+impl From<FileError> for DatasetError {
+    fn from(error: FileError) -> Self {
+        DatasetError::File(error)
+    }
+}
+
+impl fmt::Display for DatasetError {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        match self {
+            DatasetError::Faulty(faults) => {
+                let messages: Vec<&str> = faults.iter().map(|fault| fault.message.as_str()).collect();
+                f.write_str(&messages.join("\n"))
+            }
+            DatasetError::File(error) => error.fmt(f),
+        }
+    }
+}
+
+impl std::error::Error for DatasetError {}
