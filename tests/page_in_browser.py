@@ -301,10 +301,10 @@ def test_deadlocks_are_marked(page: Callable[..., WebDriver]) -> None:
 
 def test_the_theme_can_be_changed(page: Callable[..., WebDriver]) -> None:
     browser = page("#tick=100&agent=Car_1")
-    colour = "return getComputedStyle(document.body).backgroundColor"
-    light = browser.execute_script(colour)
+    color = "return getComputedStyle(document.body).backgroundColor"
+    light = browser.execute_script(color)
     browser.find_element(By.ID, "theme").click()
-    assert browser.execute_script(colour) != light
+    assert browser.execute_script(color) != light
     photograph(browser, "dark.png")
 
 

@@ -336,7 +336,7 @@ fn check_drive(router: &Router, route: &Route, start: Cell, goal: Cell) -> Resul
     for pair in cells.windows(2) {
         prop_assert_eq!(distance(pair[0], pair[1]), 1);
         prop_assert!(map.is_drivable(pair[0]) && map.is_drivable(pair[1]), "{:?}", pair);
-        let heading = Heading::between(pair[0], pair[1]).expect("neighbours");
+        let heading = Heading::between(pair[0], pair[1]).expect("neighbors");
         prop_assert_ne!(
             mid_line_is_left(map, pair[0], heading),
             Some(false),

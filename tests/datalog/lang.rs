@@ -136,7 +136,7 @@ fn a_cycle_is_reported_once_with_help() {
 #[test]
 fn all_rule_files_load_without_a_diagnostic() {
     let mut count = 0;
-    for entry in std::fs::read_dir(root().join("rules")).expect("rules/ is there") {
+    for entry in std::fs::read_dir(root().join("rules")).expect("rules/ exists") {
         let name = entry
             .expect("a readable folder")
             .file_name()
@@ -754,7 +754,7 @@ proptest! {
 
 #[test]
 fn the_rule_files_survive_printing() {
-    for entry in std::fs::read_dir(root().join("rules")).expect("rules/ is there") {
+    for entry in std::fs::read_dir(root().join("rules")).expect("rules/ exists") {
         let path = entry.expect("a readable folder").path();
         if path.extension().is_some_and(|extension| extension == "dl") {
             let mut sources = Sources::new();
@@ -1047,7 +1047,7 @@ fn blocks<'a>(text: &'a str, language: &str) -> Vec<(usize, String)> {
 
 #[test]
 fn every_block_of_the_reference_gives_the_diagnostics_it_expects() {
-    let text = read_text(&root().join("rules/README.md")).expect("the reference is there");
+    let text = read_text(&root().join("rules/README.md")).expect("the reference exists");
     let blocks = blocks(&text, "dl");
     assert!(blocks.len() > 20);
     let failures: Vec<String> = (blocks.iter())
@@ -1060,7 +1060,7 @@ fn every_block_of_the_reference_gives_the_diagnostics_it_expects() {
 
 #[test]
 fn each_code_has_a_section_whose_example_produces_it() {
-    let text = read_text(&root().join("rules/README.md")).expect("the reference is there");
+    let text = read_text(&root().join("rules/README.md")).expect("the reference exists");
     for code in rule_codes() {
         let heading = format!("\n### `{}`\n", code.name());
         let (_, section) = text

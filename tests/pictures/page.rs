@@ -300,7 +300,7 @@ fn the_page_shows_a_deadlock() {
     assert_eq!(
         last["agents"],
         json!([position("Car_6"), position("Car_9"), position("Car_10")]),
-        "as `run` tells"
+        "as in the summary of `run`"
     );
     assert_eq!(last["since"], 5);
     assert!(page.len() < 500_000, "{} bytes", page.len());

@@ -320,11 +320,11 @@ fn instances(icons: &Icons, class: &Class, numbers: std::ops::Range<u32>) -> Vec
             let mut pixels = vec![0; reader.output_buffer_size().unwrap()];
             reader.next_frame(&mut pixels).unwrap();
             assert_eq!(pixels.len(), 4 * 48 * 48);
-            let over_grey = |pixel: &[u8]| {
+            let over_gray = |pixel: &[u8]| {
                 let alpha = u32::from(pixel[3]);
                 [0, 1, 2].map(|at| ((u32::from(pixel[at]) * alpha + 128 * (255 - alpha)) / 255) as u8)
             };
-            pixels.chunks_exact(4).flat_map(over_grey).collect()
+            pixels.chunks_exact(4).flat_map(over_gray).collect()
         })
         .collect()
 }
@@ -454,10 +454,10 @@ fn icons_of_a_pack_extend_or_replace_the_drawn_ones() {
             "a class without a folder is drawn"
         );
         let all = instances(&icons, &bus, 0..3);
-        let colour = |pixels: &[u8], row: usize| <[u8; 3]>::try_from(&pixels[3 * (row * 48 + 24)..][..3]).unwrap();
+        let color = |pixels: &[u8], row: usize| <[u8; 3]>::try_from(&pixels[3 * (row * 48 + 24)..][..3]).unwrap();
         for of_pack in &all[..2] {
             assert_eq!(
-                (colour(of_pack, 6), colour(of_pack, 30)),
+                (color(of_pack, 6), color(of_pack, 30)),
                 ([0, 0, 255], [255, 0, 0]),
                 "front and rear"
             );

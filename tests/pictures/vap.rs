@@ -122,14 +122,14 @@ fn tables_equal_frames() {
     assert_eq!(read, frames.iter().map(of).collect::<Vec<_>>());
     assert!(samples(vocabulary, 4, &entities, &pairs).is_err());
     // Cars have labels; other agents have none.
-    let mut unlabelled = entities.clone();
-    let labels = unlabelled.columns.iter_mut().find(|(name, _)| name == "label");
+    let mut unlabeled = entities.clone();
+    let labels = unlabeled.columns.iter_mut().find(|(name, _)| name == "label");
     let Some((_, Values::MaybeInt(labels))) = labels else {
         panic!("no labels")
     };
     let car = labels.iter().position(Option::is_some).unwrap();
     labels[car] = None;
-    let fault = samples(vocabulary, 3, &unlabelled, &pairs).unwrap_err();
+    let fault = samples(vocabulary, 3, &unlabeled, &pairs).unwrap_err();
     assert!(fault.message.contains("cars have labels"), "{}", fault.message);
 
     // Any bytes are a table or give an error.
@@ -644,11 +644,11 @@ fn tampered_pictures_are_found_out(folder: &Path, original: &BTreeMap<String, Ve
 }
 
 /// A PNG with this number of columns.
-fn encoded(pixels: &[u8], width: u32, colours: png::ColorType) -> Vec<u8> {
+fn encoded(pixels: &[u8], width: u32, color_type: png::ColorType) -> Vec<u8> {
     let mut bytes = Vec::new();
-    let height = u32::try_from(pixels.len() / colours.samples()).unwrap() / width;
+    let height = u32::try_from(pixels.len() / color_type.samples()).unwrap() / width;
     let mut encoder = png::Encoder::new(&mut bytes, width, height);
-    encoder.set_color(colours);
+    encoder.set_color(color_type);
     let mut writer = encoder.write_header().unwrap();
     writer.write_image_data(pixels).unwrap();
     writer.finish().unwrap();

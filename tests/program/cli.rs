@@ -1250,7 +1250,7 @@ fn measured(output: &Output) -> Value {
     let (_, keys) = readme
         .split_once("### What `bench` prints")
         .expect("README lists the keys");
-    let (keys, _) = keys.split_once("\n## ").expect("README goes on");
+    let (keys, _) = keys.split_once("\n## ").expect("a section after the keys");
     for key in printed.as_object().unwrap().keys() {
         let unit = key.trim_end_matches("_per_cpu_s").trim_end_matches("_per_s");
         let known = |name: &str| keys.contains(&format!("`{name}`"));

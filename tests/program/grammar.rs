@@ -79,7 +79,7 @@ fn rules(patterns: &Value, repository: &Value) -> Vec<Rule> {
 
 /// The scope of every byte, as an editor finds it: the rule with the earliest match wins, and among those the first in
 /// the list.
-fn colours(text: &str, rules: &[Rule]) -> Vec<Option<String>> {
+fn scopes_of(text: &str, rules: &[Rule]) -> Vec<Option<String>> {
     let mut scopes = vec![None; text.len()];
     let mut offset = 0;
     let mut open: Option<&Rule> = None;
@@ -158,7 +158,7 @@ fn words_get_their_scopes() {
 .disjoint Car, Walker
 Stop(X) :- Car(X, 0x2A), Not(IsBus(X)), !Near(X, _), X != "a\"b", /* block */ X = "c".
 "#;
-    let scopes = colours(text, &rules);
+    let scopes = scopes_of(text, &rules);
     for (word, scope) in [
         ("/// doc", "comment.line.documentation"),
         (".decl", "keyword.control.directive"),
@@ -196,7 +196,7 @@ fn every_word_of_the_shipped_rules_has_a_scope() {
             continue;
         }
         let text = fs::read_to_string(&path).unwrap();
-        for (at, scope) in colours(&text, &rules).iter().enumerate() {
+        for (at, scope) in scopes_of(&text, &rules).iter().enumerate() {
             let blank = text.as_bytes()[at].is_ascii_whitespace();
             assert!(
                 blank || scope.is_some(),
@@ -215,7 +215,7 @@ fn every_directive_is_a_keyword() {
     let rules = rules(&grammar["patterns"], &grammar["repository"]);
     for name in DIRECTIVES {
         let text = format!(".{name} a");
-        let scopes = colours(&text, &rules);
+        let scopes = scopes_of(&text, &rules);
         assert_eq!(
             scope_of(&text, &scopes, "."),
             "keyword.control.directive.logicity",

@@ -513,7 +513,7 @@ mod terminal {
         terminal.sees("> ");
         terminal.press("Reachable(\"a\").\r");
         let shown = terminal.sees("type-mismatch");
-        assert!(shown.contains("\u{1b}["), "without colour: {shown:?}");
+        assert!(shown.contains("\u{1b}["), "without color: {shown:?}");
         terminal.sees("<input 3>");
         terminal.sees("> ");
         terminal.press("?- Reachable(x).\r");

@@ -31,7 +31,7 @@ pub fn once(peer: Peer, case: Case) -> Result<(), Box<dyn std::error::Error>> {
         Peer::Datafrog => datafrog::counts(case, &facts),
         Peer::Crepe => crepe::counts(case, &facts),
         Peer::Differential => differential::counts(case, facts),
-        Peer::Query | Peer::Souffle | Peer::SouffleCompiled => return Err("this peer is a program of its own".into()),
+        Peer::Query | Peer::Souffle | Peer::SouffleCompiled => return Err("this peer is a separate program".into()),
     };
     let nanoseconds = start.elapsed().as_nanos();
     let status = std::fs::read_to_string("/proc/self/status")?;
