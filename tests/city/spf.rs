@@ -561,7 +561,7 @@ fn a_batch_evaluation_equals_single_episodes() {
 }
 
 #[test]
-fn the_random_policy_is_the_zero_of_scores() {
+fn the_random_policy_scores_zero() {
     let task = task("easy", None);
     let set = some_recorded(&task, Split::Val, 3);
     let mut env = Env::new(Arc::clone(&task), Split::Val, ControlMode::First).unwrap();
@@ -631,7 +631,7 @@ fn an_episode_can_be_repeated() {
 }
 
 #[test]
-fn the_horizon_cuts_an_episode_short() {
+fn the_horizon_truncates_an_episode() {
     let mut env = Env::new(task("easy", None), Split::Train, ControlMode::First).unwrap();
     env.reset(1).unwrap();
     let cells = env.controlled_cars()[0].cells();

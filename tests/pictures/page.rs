@@ -316,7 +316,7 @@ fn a_page_needs_no_other_file() {
 
 /// The page distinguishes clauses with the same line and comment. Traces that were edited are errors.
 #[test]
-fn clauses_of_a_line_are_counted_apart() {
+fn clauses_of_one_line_are_counted_separately() {
     let rules = "//! Two in one.\n.include \"vocabulary.dl\"\n// X: or\nStop(X) :- IsTiro(X); IsAmbulance(X).\nFast(X) :- IsBus(X).\n";
     let run = run_with("expert", Some(rules), Seed(0), 3);
     let data = unpack(&run.page());

@@ -183,7 +183,7 @@ proptest! {
     #![proptest_config(ProptestConfig::with_cases(6))]
 
     #[test]
-    fn a_gif_shows_the_frames_that_were_pushed(
+    fn a_gif_shows_the_pushed_frames(
         states in prop::collection::vec(agents(35, 63, 2, 6), 1..4),
         pause in prop::collection::vec(any::<bool>(), 4),
     ) {
@@ -257,7 +257,7 @@ proptest! {
 
 /// An agent that is alone on the ground changes the picture mostly inside its box, and hardly at all far from it.
 #[test]
-fn boxes_hold_what_shows_of_an_agent() {
+fn boxes_contain_the_visible_agent() {
     let view = Viewport::published(Cell::new(0, 0)).unwrap();
     let renderer = Renderer::new(&map("one", 3, ORDINARY), Arc::default(), view);
     for class in Class::known() {

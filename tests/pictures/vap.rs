@@ -174,7 +174,7 @@ fn tables_equal_frames() {
 }
 
 #[test]
-fn random_agents_have_the_distribution_of_the_paper() {
+fn random_agents_follow_the_paper() {
     for split in Split::ALL {
         let worlds = worlds(Agents::Random, split);
         let mut seen = BTreeSet::new();

@@ -440,7 +440,7 @@ fn check_reports_conflicts() {
 }
 
 #[test]
-fn check_reports_what_a_run_covers() {
+fn check_reports_coverage() {
     let folder = tempfile::tempdir().unwrap();
     let target = folder.path().to_str().unwrap();
     let output = logicity([
