@@ -19,7 +19,8 @@ mod route;
 mod view;
 mod walk;
 
-pub use agent::{Agent, Rest, place_agents, place_agents_into};
+pub(crate) use agent::place_agents_into;
+pub use agent::{Agent, Rest, place_agents};
 pub use codes::CODES;
 pub use grid::{Cell, Heading};
 pub use map::{CityMap, Ground, Junction, Layout, SEMANTIC_MAX, STATIC_LAYERS};
@@ -31,4 +32,5 @@ pub use motion::{MoveReason, Moved, Surroundings, advance, possible_cells, speed
 pub use places::Places;
 pub use roads::{Lane, Router};
 pub use route::{NoRoute, Route};
-pub use view::{FieldOfView, field_of_view, view_reach};
+pub(crate) use view::view_reach;
+pub use view::{FieldOfView, field_of_view};

@@ -145,7 +145,7 @@ impl Icons {
 
     /// Returns an icon. Instances count from 0 and repeat after [`Icons::instances`]. `size` is the short side of a car
     /// or the side of a pedestrian or building, in pixels, clamped to 1..=[`ICON_MAX`].
-    pub fn stamp(&self, class: &Class, instance: u32, facing: Facing, size: u32) -> Arc<Stamp> {
+    pub(super) fn stamp(&self, class: &Class, instance: u32, facing: Facing, size: u32) -> Arc<Stamp> {
         let key = self.key(class, instance, facing, size);
         if let Some(stamp) = self.kept().stamps.get(&key) {
             return Arc::clone(stamp);

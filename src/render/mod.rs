@@ -62,7 +62,7 @@ pub use encode::{Animation, read_png, read_png_into, write_png};
 pub use icon::{Difficulty, ICON_MAX, Icons};
 pub use overview::{Marked, Overview};
 pub use pack::{Mode, PACK_FILE_MAX, PACK_FILES_MAX, Pack, PackFault};
-pub use picture::{Picture, PixelBox, Stamp};
+pub use picture::{Picture, PixelBox};
 pub use renderer::{Placement, Renderer};
 pub use sheet::sheet;
 pub use sprite::Sprite;
