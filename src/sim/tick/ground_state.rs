@@ -61,14 +61,12 @@ impl GroundState {
             let row = |row: &[u32; 2]| row.map(|entity| self.entities[entity as usize]);
             for removed in old.iter().filter(|row| new.binary_search(row).is_err()) {
                 let row = row(removed);
-                let row = row(gone);
                 self.session
                     .retract(relation, &row[..arity])
                     .expect("bound relations fit");
             }
             for added in new.iter().filter(|row| old.binary_search(row).is_err()) {
                 let row = row(added);
-                let row = row(come);
                 self.session
                     .insert(relation, &row[..arity])
                     .expect("bound relations fit");

@@ -140,7 +140,11 @@ impl Account<'_> {
             let _ = writeln!(text, "the action came from outside; the rules say {}", by_rules.name());
         } else if derived.len() > 1 {
             let names: Vec<&str> = derived.iter().map(|action| action.name()).collect();
-            let _ = writeln!(text, "derived: {}; the first in the configured order was taken", names.join(", "));
+            let _ = writeln!(
+                text,
+                "derived: {}; the first in the configured order was taken",
+                names.join(", ")
+            );
         } else if derived.is_empty() && self.explanations.len() > 1 {
             text += "no action was derived, so the default was taken\n";
         }
