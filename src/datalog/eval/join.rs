@@ -117,7 +117,7 @@ pub(crate) struct JoinState {
 }
 
 impl JoinState {
-    /// Cancellation polling interval, in rows looked at: a fraction of a millisecond.
+    /// Cancellation polling interval, in scanned rows: a fraction of a millisecond.
     const POLL_INTERVAL: u64 = 1 << 14;
 
     /// A state that has scanned nothing.

@@ -272,7 +272,7 @@ impl Observer {
     /// vocabulary, without `Sees`.
     ///
     /// Let n be [`Oracle::entities`]. A unary predicate P takes n numbers, with P(entity i) at i. A binary one takes n
-    /// * n numbers, with P(i, j) at n * i + j. Absent entities have zeros.
+    /// times n numbers, with P(i, j) at `n * i + j`. Absent entities have zeros.
     ///
     /// # Panics
     /// If `out` is shorter than [`Oracle::width`].

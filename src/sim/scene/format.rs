@@ -392,7 +392,7 @@ impl<'a> Reader<'a> {
             vec![raw]
         };
         if terms.len() != arity {
-            let message = format!("a row of {} where the predicate has {arity}", terms.len());
+            let message = format!("a row of {} names; the predicate takes {arity}", terms.len());
             return Err(vec![self.fault(raw, message, "wrong number of names")]);
         }
         all(terms.into_iter().map(|term| self.named(term, names, what)))

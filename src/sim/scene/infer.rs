@@ -158,7 +158,7 @@ impl Inference {
     /// Evaluates the scene in `source`.
     ///
     /// Equal scenes have equal answers. Predicates that hold with a probability, unless the scene states them, are
-    /// drawn from the seed, the scene's `tick` and the positions of the two agents.
+    /// drawn from the seed, the scene's `tick` and the list positions of the two agents.
     ///
     /// # Errors
     /// All errors of the scene: `invalid-scene`; `limit-exceeded` if it is too large or the rules derive too many rows

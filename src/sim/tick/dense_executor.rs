@@ -153,7 +153,7 @@ impl DenseExecutor {
         let width = Width::of(agents.len());
         if width.is_none() && !in_tiles {
             return Err(not_dense(&format!(
-                "they look beyond the field of view, and there are more than {WINDOW_MAX} agents"
+                "they read facts beyond the field of view, and there are more than {WINDOW_MAX} agents"
             )));
         }
 

@@ -149,13 +149,13 @@ impl Account<'_> {
             text += "no action was derived, so the default was taken\n";
         }
         if let Some(action) = self.why_not.filter(|action| derived.contains(*action)) {
-            let _ = writeln!(text, "{} was derived, and this is why", action.name());
+            let _ = writeln!(text, "{} was derived as follows", action.name());
         }
         let printer = self.printer(sources);
         for (action, explanation) in &self.explanations {
             let _ = match explanation {
                 Some(explanation) => write!(text, "\n{}", printer.tree(explanation)),
-                None => writeln!(text, "\n{}: the rules do not mention it", action.name()),
+                None => writeln!(text, "\n{}: the rules do not declare it", action.name()),
             };
         }
         text
