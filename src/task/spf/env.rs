@@ -59,7 +59,7 @@ pub struct Transition {
     pub truncated: bool,
     /// Whether the car is at its goal without a violation.
     pub success: bool,
-    /// The violated clauses, by their positions in [`Oracle::demands`](crate::sim::Oracle::demands).
+    /// The violated clauses, by their positions in [`Oracle::constraints`](crate::sim::Oracle::constraints).
     pub broken: Vec<usize>,
 }
 
