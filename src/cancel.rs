@@ -23,29 +23,29 @@ type Requested = dyn Fn() -> bool + Send + Sync;
 
 /// A request to stop long work, polled by the worker.
 ///
-/// Workers poll on every thread that takes part, some thousands of times a second, so the callback should be cheap.
+/// Workers poll on every participating thread, some thousands of times per second, so the callback should be cheap.
 /// Clones share it.
 #[derive(Clone, Default)]
 pub struct Cancel(Option<Arc<Requested>>);
 
 impl Cancel {
-    /// Work that is never cancelled. Polling it costs one branch.
+    /// Returns a request that never arrives. Polling it costs one branch.
     pub const fn never() -> Cancel {
         Cancel(None)
     }
 
-    /// Work is cancelled as soon as `requested` returns true.
+    /// Returns a request that arrives as soon as `requested` returns true.
     pub fn when(requested: impl Fn() -> bool + Send + Sync + 'static) -> Cancel {
         Cancel(Some(Arc::new(requested)))
     }
 
-    /// Whether the work should stop now.
+    /// Returns whether the work should stop now.
     #[inline]
     pub fn requested(&self) -> bool {
         self.0.as_ref().is_some_and(|requested| requested())
     }
 
-    /// Whether polling is pointless: made by [`Cancel::never`].
+    /// Returns whether the request comes from [`Cancel::never`], so that polling is pointless.
     #[inline]
     pub(crate) fn is_never(&self) -> bool {
         self.0.is_none()

@@ -126,7 +126,7 @@ def test_faults_of_a_data_set_are_listed(sets: Path, tmp_path: Path) -> None:
         check_dataset(folder)
     messages = [fault["message"] for fault in refused.value.diagnostics]
     assert len(messages) == 2
-    assert "belongs to no data set" in messages[0] and "not the file that was made" in messages[1]
+    assert "belongs to no data set" in messages[0] and "has changed since it was made" in messages[1]
 
 
 @pytest.mark.parametrize(
@@ -144,7 +144,7 @@ def test_faults_of_a_data_set_are_listed(sets: Path, tmp_path: Path) -> None:
         ({"worlds": -1}, OverflowError, "conver(t|sion)"),
         ({"difficulty": 300}, OverflowError, "conver(t|sion)"),
         ({"pack": "no/such/folder"}, OSError, "no such folder"),
-        ({"folder": __file__}, FileExistsError, "there is a file of that name"),
+        ({"folder": __file__}, FileExistsError, "a file has this name"),
     ],
 )
 def test_wrong_arguments_are_refused(

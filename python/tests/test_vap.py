@@ -272,9 +272,9 @@ def test_faulty_tables_are_reported(own: Path) -> None:
     for damaged, message in [
         (whole[: len(whole) // 2], "not a table of frames"),
         (pairs.read_bytes(), "there is no column `agent`"),
-        ((own / "world-00000" / "entities.parquet").read_bytes(), "not those of one sample"),
+        ((own / "world-00000" / "entities.parquet").read_bytes(), "do not form one sample"),
         (whole.replace(b"IsInInter", b"IsInOuter"), "there is no column `IsInInter`"),
-        (whole.replace(b"\x03\0\0\0Car", b"\x03\0\0\0Bar"), "cars have labels, and they alone: Car_1 is a Bar"),
+        (whole.replace(b"\x03\0\0\0Car", b"\x03\0\0\0Bar"), "cars, and only cars, have labels: Car_1 is a Bar"),
     ]:
         assert damaged != whole
         entities.write_bytes(damaged)

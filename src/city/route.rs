@@ -14,7 +14,8 @@ pub enum NoRoute {
     Goal,
     /// Start and goal are not connected.
     Unconnected,
-    /// The search for a pedestrian's route with [`Routing::Hops`] would visit more than 2^20 cells.
+    /// The search for a pedestrian's route with [`Routing::Hops`](crate::city::Routing::Hops) would visit more than
+    /// 2^20 cells.
     TooFar,
 }
 

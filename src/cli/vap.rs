@@ -22,40 +22,41 @@ pub struct Arguments {
 
 #[derive(clap::Subcommand)]
 enum What {
-    /// Make worlds, or go on where making them was ended; worlds that are there stay
+    /// Make the worlds of a data set; existing worlds stay, so an interrupted run can be resumed
     Make(Make),
-    /// Check files, hashes, order, pictures and boxes of a data set, and derive every label from what it says is true
+    /// Check files, hashes, order, pictures and boxes of a data set, and derive every label from the facts
     Check(Check),
 }
 
 #[derive(clap::Args)]
 #[command(mut_arg("difficulty", |difficulty| difficulty.default_value("50")))]
 struct Make {
-    /// Which rules: those of configs/vap-easy.yaml or configs/vap-hard.yaml
+    /// The rules: those of configs/vap-easy.yaml or configs/vap-hard.yaml
     #[arg(long, value_parser = one_of(&Mode::ALL, Mode::name))]
     mode: Mode,
-    /// The agents: those of the configuration, or drawn for each world
+    /// The agents: from the configuration, or drawn for each world
     #[arg(long, value_parser = one_of(&Agents::ALL, Agents::name), default_value = "fixed")]
     agents: Agents,
-    /// Which split
+    /// The split
     #[arg(long, value_parser = one_of(&Split::ALL, Split::name))]
     split: Split,
-    /// How many worlds; 100 for train and 20 otherwise unless given
-    #[arg(long, value_parser = clap::value_parser!(u32).range(1..=i64::from(WORLDS_MAX)), allow_negative_numbers = true)]
+    /// Number of worlds [default: 100 for train, 20 for val and test]
+    #[arg(long, value_parser = clap::value_parser!(u32).range(1..=i64::from(WORLDS_MAX)),
+        allow_negative_numbers = true)]
     worlds: Option<u32>,
-    /// Number of the first: several processes can make parts of a data set in folders of their own, or one after the other in one
+    /// Number of the first world, so that several processes can make parts of a data set
     #[arg(long, value_parser = clap::value_parser!(u32).range(0..i64::from(WORLDS_MAX)), allow_negative_numbers = true,
         default_value_t = 0)]
     first_world: u32,
-    /// What everything is drawn from
+    /// The seed of all draws
     #[arg(long, default_value_t = 0, allow_negative_numbers = true)]
     seed: u64,
-    /// Tables only; boxes are those of the pictures that would be there
+    /// Write tables only; boxes are the same as with pictures
     #[arg(long)]
     no_pictures: bool,
     #[command(flatten)]
     icons: IconOptions,
-    /// Threads; 0 is one for each core. The bytes are the same with any number
+    /// Number of threads; 0 means one per core. The files are the same with any number
     #[arg(long, value_parser = threads, default_value = "0", allow_negative_numbers = true)]
     threads: NonZeroUsize,
     /// The folder to write
@@ -67,10 +68,10 @@ struct Make {
 struct Check {
     /// The folder of the data set
     folder: PathBuf,
-    /// Threads; 0 is one for each core
+    /// Number of threads; 0 means one per core
     #[arg(long, value_parser = threads, default_value = "0", allow_negative_numbers = true)]
     threads: NonZeroUsize,
-    /// One JSON object
+    /// Print one JSON object
     #[arg(long)]
     json: bool,
 }
@@ -91,7 +92,7 @@ impl From<DatasetError> for Failure {
     }
 }
 
-/// Does work with a progress bar, which it updates by the numbers of units done and in total.
+/// Runs `work` with a progress bar. `work` reports the numbers of units done and in total.
 fn with_bar<R>(unit: &str, work: impl FnOnce(&(dyn Fn(u64, u64) + Sync)) -> R) -> R {
     let bar = progress(unit, 0);
     let result = work(&|done, total| {
@@ -169,12 +170,16 @@ impl Check {
         let concepts = concepts.iter().map(|(name, count)| (name.as_str(), *count));
         writeln!(out, "agents: {}", shares(concepts, *agents))?;
         let atoms: Vec<String> = atoms.iter().map(|(name, count)| format!("{name} {count}")).collect();
-        writeln!(out, "true, of pairs if the first sees the second: {}", atoms.join(", "))?;
+        writeln!(
+            out,
+            "true atoms, pairs if the first sees the second: {}",
+            atoms.join(", ")
+        )?;
         Ok(())
     }
 }
 
-/// Counts and shares, for example `Slow 12 (80.0 %), Normal 3 (20.0 %)`.
+/// Formats counts and shares, for example `Slow 12 (80.0 %), Normal 3 (20.0 %)`.
 fn shares<'a>(counts: impl Iterator<Item = (&'a str, u64)>, total: u64) -> String {
     let words = counts.map(|(name, count)| format!("{name} {count} ({})", percent(count, total)));
     words.collect::<Vec<_>>().join(", ")

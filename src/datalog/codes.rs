@@ -35,7 +35,7 @@ crate::diagnostic_codes! {
     INVALID_CONSTRAINT = "invalid-constraint", Error;
     /// A named variable that occurs only once in its rule.
     SINGLETON_VARIABLE = "singleton-variable", Warning;
-    /// A clause that derives nothing that another clause does not derive.
+    /// A clause whose rows another clause derives as well.
     SUBSUMED_CLAUSE = "subsumed-clause", Warning;
     /// A clause equal to another up to variable names and the order of literals.
     DUPLICATE_CLAUSE = "duplicate-clause", Warning;

@@ -1,4 +1,4 @@
-//! Folders of several files, such as data sets.
+//! Folders of several files, for example data sets.
 
 use crate::files::{ReadError, read_text};
 use std::fmt;
@@ -6,10 +6,10 @@ use std::fs;
 use std::io;
 use std::path::{Path, PathBuf};
 
-/// A file or folder that cannot be read, written, made or removed.
+/// An error of a file or folder operation.
 #[derive(Debug)]
 pub struct FileError {
-    /// What failed, as a verb: `read`.
+    /// The failed operation as a verb, for example `read`.
     pub action: &'static str,
     /// The file or folder.
     pub path: PathBuf,
@@ -35,12 +35,12 @@ impl std::error::Error for FileError {
     }
 }
 
-/// Makes a folder for results, and its missing parents.
+/// Creates a folder for results, and its missing parents.
 ///
 /// # Errors
-/// A file of that name, or of a parent; those of the system.
+/// If a file has the name of the folder or of a parent; I/O errors.
 pub fn make_folder(path: &Path) -> Result<(), FileError> {
-    let taken = "there is a file of that name, or of a folder it lies in";
+    let taken = "a file has this name, or the name of a parent folder";
     let reason = |error: io::Error| match error.kind() {
         kind @ (io::ErrorKind::AlreadyExists | io::ErrorKind::NotADirectory) => io::Error::new(kind, taken),
         _ => error,
@@ -48,14 +48,14 @@ pub fn make_folder(path: &Path) -> Result<(), FileError> {
     (fs::create_dir_all(path).map_err(reason)).map_err(FileError::new("make the folder", path.to_owned()))
 }
 
-/// A folder that a caller opens to a room that does no I/O of its own. The room reads and writes files in it by name.
+/// A folder that callers pass to a module without I/O of its own. The module reads and writes files in it by name.
 #[derive(Clone, Debug)]
 pub struct Folder {
     path: PathBuf,
 }
 
 impl Folder {
-    /// Makes a folder for results as [`make_folder`] does. An existing folder stays as it is.
+    /// Creates a folder for results as [`make_folder`] does. An existing folder stays as it is.
     ///
     /// # Errors
     /// As [`make_folder`].
@@ -64,38 +64,38 @@ impl Folder {
         Ok(Folder::new(path))
     }
 
-    /// The folder of this path, which need not exist.
+    /// Returns the folder with this path, which need not exist.
     pub fn new(path: impl Into<PathBuf>) -> Folder {
         Folder { path: path.into() }
     }
 
-    /// The folder of this name inside.
+    /// Returns the subfolder with this name.
     pub fn folder(&self, name: &str) -> Folder {
         Folder::new(self.path.join(name))
     }
 
-    /// Its path.
+    /// Returns the path.
     pub fn path(&self) -> &Path {
         &self.path
     }
 
-    /// Whether there is a file or folder of this name.
+    /// Returns whether the folder contains a file or folder with this name.
     pub fn has(&self, name: &str) -> bool {
         self.path.join(name).exists()
     }
 
-    /// Makes the folder, whose parent must exist.
+    /// Creates the folder, whose parent must exist.
     ///
     /// # Errors
-    /// Those of the system, also if the folder exists.
+    /// I/O errors, also if the folder exists.
     pub fn create(&self) -> Result<(), FileError> {
         fs::create_dir(&self.path).map_err(FileError::new("write", self.path.clone()))
     }
 
-    /// The paths of all files and folders inside, sorted.
+    /// Returns the paths of all files and folders inside, sorted.
     ///
     /// # Errors
-    /// Those of the system.
+    /// I/O errors.
     pub fn entries(&self) -> Result<Vec<PathBuf>, FileError> {
         let list = || -> io::Result<Vec<PathBuf>> {
             let paths = fs::read_dir(&self.path)?.map(|entry| Ok(entry?.path()));
@@ -106,7 +106,7 @@ impl Folder {
         Ok(paths)
     }
 
-    /// The text of a file.
+    /// Reads a text file.
     ///
     /// # Errors
     /// As [`read_text`].
@@ -120,10 +120,10 @@ impl Folder {
         (read_text(&path).map_err(|error| io::Error::new(kind(&error), error))).map_err(FileError::new("read", path))
     }
 
-    /// The bytes of a file if it has this length. A file of another length is not read.
+    /// Reads a file if it has this length in bytes. A file of another length is not read.
     ///
     /// # Errors
-    /// Those of the system.
+    /// I/O errors.
     pub fn read_of_length(&self, name: &str, length: u64) -> io::Result<Option<Vec<u8>>> {
         let path = self.path.join(name);
         match fs::metadata(&path)?.len() == length {
@@ -135,7 +135,7 @@ impl Folder {
     /// Writes a file.
     ///
     /// # Errors
-    /// Those of the system.
+    /// I/O errors.
     pub fn write(&self, name: &str, bytes: impl AsRef<[u8]>) -> Result<(), FileError> {
         let path = self.path.join(name);
         fs::write(&path, bytes).map_err(FileError::new("write", path))
@@ -144,16 +144,16 @@ impl Folder {
     /// Renames a file or folder inside.
     ///
     /// # Errors
-    /// Those of the system.
+    /// I/O errors.
     pub fn rename(&self, from: &str, to: &str) -> Result<(), FileError> {
         let whole = self.path.join(to);
         fs::rename(self.path.join(from), &whole).map_err(FileError::new("write", whole))
     }
 
-    /// Removes a file, or a folder and everything inside.
+    /// Removes a file, or a folder with its contents.
     ///
     /// # Errors
-    /// Those of the system.
+    /// I/O errors.
     pub fn remove(&self, name: &str) -> Result<(), FileError> {
         let path = self.path.join(name);
         let removed = match path.is_dir() {

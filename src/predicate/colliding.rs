@@ -1,7 +1,7 @@
-//! `{colliding: {...}}`: the first is about to run into the second, which lies ahead of it within a narrow angle. It
-//! may be drawn.
+//! `{colliding: {...}}`: the first is about to run into the second, which lies ahead of it within a narrow angle. The
+//! predicate may hold with a probability.
 //!
-//! The fast form looks in the smallest rectangle of cells for which the definition can hold.
+//! The fast form tests only the smallest rectangle of cells in which the definition can hold.
 
 use crate::city::{AgentKind, Cell, Heading};
 use crate::config::read::{Fields, number};
@@ -15,15 +15,15 @@ use serde::Serialize;
 /// The first is about to run into the second.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize)]
 pub struct Colliding {
-    /// Greatest distance in cells if the first is a car.
+    /// Maximum distance in cells if the first is a car.
     pub car_range: f64,
-    /// Greatest distance in cells if the first is a pedestrian.
+    /// Maximum distance in cells if the first is a pedestrian.
     pub pedestrian_range: f64,
-    /// The angle between the first's heading and the way to the second is smaller than this, in radians.
+    /// Exclusive upper bound, in radians, of the angle between the first's heading and the direction to the second.
     pub angle: f64,
-    /// Probability that a pedestrian notices.
+    /// Probability that the predicate holds if the first is a pedestrian.
     pub pedestrian_chance: f64,
-    /// Probability if both are in one cell.
+    /// Probability that the predicate holds if both are on one cell.
     pub same_cell_chance: f64,
 }
 
@@ -77,7 +77,7 @@ impl Colliding {
         }
     }
 
-    /// The probability that it holds of two agents.
+    /// Returns the probability that the predicate holds for two agents.
     fn probability(&self, x: &Subject, y: &Subject) -> f64 {
         let Some(heading) = x.heading else { return 0.0 };
         if x.at.distance(y.at) > self.range(x.kind) {
@@ -113,7 +113,7 @@ impl PairKind for Colliding {
     }
 }
 
-/// The definition, and by kind and heading of the first where the second can be.
+/// The definition, and the possible cells of the second agent by kind and heading of the first.
 #[derive(Clone, Debug)]
 pub(crate) struct Cones {
     cones: [[[i32; 4]; 4]; 2],
@@ -134,9 +134,9 @@ impl Relation for Box<Cones> {
     }
 }
 
-/// The smallest rectangle that has all cells where what an agent of this kind and heading may collide with can be.
+/// Returns the smallest rectangle that contains all cells of possible collisions for this kind and heading.
 fn cone(definition: &Colliding, kind: AgentKind, heading: Heading) -> [i32; 4] {
-    /// Beyond this range, single cells are not tried.
+    /// Beyond this range, in cells, the full square is used instead of testing single cells.
     const LOOK: i32 = 32;
     #[allow(clippy::cast_possible_truncation)] // a number beyond the limits becomes the limit
     let range = (definition.range(kind).max(0.0).floor() as i32).min(Reach::FARTHEST);
@@ -163,7 +163,7 @@ fn cone(definition: &Colliding, kind: AgentKind, heading: Heading) -> [i32; 4] {
     reach
 }
 
-/// The angle between a heading and the way between two different cells, in radians, 0 to pi.
+/// Returns the angle between a heading and the direction from one cell to another, in radians, 0 to pi.
 #[allow(clippy::cast_precision_loss)] // exact: offsets fit 33 bits
 fn angle_between(heading: Heading, from: Cell, to: Cell) -> f64 {
     let (dr, dc) = heading.delta();

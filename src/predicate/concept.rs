@@ -8,9 +8,9 @@ use serde::Serialize;
 /// The agent is of this kind and carries this concept.
 #[derive(Clone, Debug, PartialEq, Eq, Serialize)]
 pub struct Concept {
-    /// Which agents can carry it.
+    /// The kind of agents that can carry the concept.
     pub of: AgentKind,
-    /// Its name in agent sets and scenes.
+    /// The name in agent sets and scenes.
     pub concept: String,
 }
 
@@ -39,7 +39,7 @@ impl StaticKind for Concept {
 }
 
 impl Definition {
-    /// The concept that the predicate is about, if it is about one.
+    /// Returns the concept that the predicate tests, if it tests one.
     pub fn concept(&self) -> Option<&Concept> {
         match self {
             Definition::Static(Static::Concept(concept)) => Some(concept),

@@ -1,7 +1,7 @@
 //! `{distance: {above: 12, at_most: 20}}`: the Euclidean distance in cells is within the bounds.
 //!
-//! The fast form compares squares of distances as whole numbers. Their bounds are found by bisection, so that it agrees
-//! with the definition to the last bit.
+//! The fast form compares squared distances as integers. Bisection finds their bounds, so that it agrees exactly with
+//! the definition.
 
 use crate::city::{AgentKind, Cell, Heading};
 use crate::config::read::{Fields, invalid, number};
@@ -12,7 +12,7 @@ use crate::predicate::Definition;
 use crate::predicate::{PairKind, PredicateKind, Reach, Relation, Sight, Subject, Syntax, Views};
 use serde::Serialize;
 
-/// The Euclidean distance d in cells is within the bounds that are given.
+/// The Euclidean distance d in cells is within the present bounds.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize)]
 pub struct Distance {
     /// d > above.
@@ -25,7 +25,7 @@ pub struct Distance {
     pub at_most: Option<f64>,
 }
 
-/// The greatest squared distance in question: no two cells of a map are so far apart.
+/// An upper bound of the squared distance between two cells of a map.
 const SQUARE_MAX: i64 = 1 << 50;
 
 impl PredicateKind for Distance {
@@ -121,7 +121,7 @@ impl PairKind for Distance {
     }
 }
 
-/// Squared distances from `least` to `most`; no farther than `reach` in rows or columns.
+/// Squared distances from `least` to `most`, at most `reach` cells apart in rows and columns.
 #[derive(Clone, Copy, Debug)]
 pub(crate) struct Squares {
     least: i64,
@@ -145,7 +145,7 @@ impl Relation for Squares {
         (self.least..=self.most).contains(&square(x.at, y.at))
     }
 
-    /// Each two agents are tested once: the relation is symmetric.
+    /// Tests each unordered pair once, because the relation is symmetric.
     #[inline]
     fn relate(
         &self,
@@ -164,14 +164,14 @@ impl Relation for Squares {
     }
 }
 
-/// The square of the distance of two cells on a map.
+/// Returns the squared distance of two cells.
 #[inline]
 fn square(from: Cell, to: Cell) -> i64 {
     let (rows, cols) = to.offset_from(from);
     rows * rows + cols * cols
 }
 
-/// The least square of a distance for which something holds that holds from there on; [`SQUARE_MAX`] if it never does.
+/// Returns the least squared distance for which a monotone condition holds; [`SQUARE_MAX`] if there is none.
 #[allow(clippy::cast_precision_loss)] // exact: squares are below 2^53
 fn first_square(holds: impl Fn(f64) -> bool) -> i64 {
     let (mut low, mut high) = (0, SQUARE_MAX);

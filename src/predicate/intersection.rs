@@ -1,4 +1,4 @@
-//! `at-intersection`, `in-intersection`: where the agent is with respect to an intersection.
+//! `at-intersection`, `in-intersection`: the agent's position relative to an intersection.
 
 use crate::city::{AgentKind, Cell, CityMap, Junction};
 #[cfg(test)]

@@ -28,7 +28,7 @@ impl StaticKind for Kind {
     }
 }
 
-/// Reads a kind of agent.
+/// Parses a kind of agent.
 pub(super) fn read(node: &Node, faults: &mut Vec<Diagnostic>) -> Option<AgentKind> {
     choice(node, &AgentKind::ALL.map(|kind| (kind.name(), kind)), faults)
 }

@@ -1,22 +1,21 @@
-//! The base predicates: what each kind means, how a tick computes it, and how a configuration writes it.
+//! The base predicates: their meaning, their computation, and their syntax in a configuration.
 //!
-//! A kind of predicate is a file of this folder and an entry of `kinds!` below. Other code names only two kinds, for what
-//! they mean beyond their rows: [`Sees`] bounds what rules look at, and a [`Concept`] is what agents carry. The file of a
-//! kind implements
+//! Each kind of predicate has a file in this folder and an entry in `kinds!` below. Other code names only two kinds:
+//! [`Sees`] limits what rules can read, and agents carry [`Concept`]s. The file of a kind implements
 //!
-//! 1. `PredicateKind`: how a configuration writes the kind and reads its parameters;
-//! 2. the *definition*, written to be read; [`sim::ground`](crate::sim::ground) computes rows by it;
-//! 3. the *fast form* of the same predicate, which windows of the dense executor and observations of a task compute.
+//! 1. `PredicateKind`: the syntax in a configuration and the parsing of parameters;
+//! 2. the *definition*, written for readability; [`sim::ground`](crate::sim::ground) computes rows from it;
+//! 3. the *fast form* of the same predicate, for windows of the dense executor and observations of a task.
 //!
-//! What a predicate depends on decides where it belongs, and so when it is computed:
+//! The inputs of a predicate determine its class, and the class determines when it is computed:
 //!
 //! | | depends on | definition | fast form | computed |
 //! |---|---|---|---|---|
-//! | [`Static`] | what an agent is | `StaticKind::holds` | the same | once for agents that are alike |
+//! | [`Static`] | the agent's kind and concepts | `StaticKind::holds` | the same | once per combination |
 //! | [`Local`] | the agent's kind and its cell | `LocalKind::holds` | `CellTable` | when the agent moves |
-//! | [`Pair`] | two agents | `PairKind::holds` | `Relation` | where a rule asks for it |
+//! | [`Pair`] | two agents | `PairKind::holds` | `Relation` | when a rule needs it |
 //!
-//! A `Relation` answers in two steps, as spatial queries do: a rectangle of cells is the filter, a test of two agents
+//! A `Relation` answers in two steps, like a spatial query: a rectangle of cells is the filter, a test of two agents
 //! the refinement. Property tests compare the fast forms with the definitions.
 
 mod colliding;
@@ -44,22 +43,22 @@ pub use sees::Sees;
 pub(crate) use sees::Views;
 pub use side::{LeftOf, RightOf};
 
-/// What the predicates see of an agent.
+/// The state of an agent that predicates can see.
 #[derive(Clone, Copy, Debug)]
 pub struct Entity<'a> {
     /// Car or pedestrian.
     pub kind: AgentKind,
-    /// Names of its concepts.
+    /// The names of its concepts.
     pub concepts: &'a [String],
-    /// Right of way; a smaller number goes first.
+    /// The priority; a smaller number goes first.
     pub priority: i32,
-    /// Where it is.
+    /// The cell.
     pub at: Cell,
-    /// The direction of its last move; none before the first.
+    /// The direction of the last move; `None` before the first.
     pub heading: Option<Heading>,
 }
 
-/// What the predicates over two agents see of each.
+/// The state of an agent that binary predicates can see.
 #[derive(Clone, Copy, Debug)]
 pub(crate) struct Subject {
     pub kind: AgentKind,
@@ -69,7 +68,7 @@ pub(crate) struct Subject {
 }
 
 impl Entity<'_> {
-    /// Leaves out what only predicates over one agent see.
+    /// Returns the part that binary predicates see.
     pub(crate) fn subject(&self) -> Subject {
         Subject {
             kind: self.kind,
@@ -80,24 +79,24 @@ impl Entity<'_> {
     }
 }
 
-/// What limits the sight of all agents.
+/// The limits of every agent's sight.
 #[derive(Clone, Copy, Debug)]
 pub(crate) struct Sight<'a> {
     pub map: &'a CityMap,
-    /// Half-width of the field of view in cells.
+    /// The half-width of the field of view in cells.
     pub half_width: u32,
 }
 
-/// How a configuration writes the predicates of a kind.
+/// The syntax of a kind of predicate in a configuration.
 pub(crate) enum Syntax {
-    /// As one word.
+    /// A single word.
     Word(&'static str, fn() -> Definition),
-    /// As a mapping with exactly these keys. The first names the kind; the function gets the value of each.
+    /// A mapping with exactly these keys. The first key identifies the kind; the function gets the value of each key.
     Keys(
         &'static [&'static str],
         fn(&[&Node], &mut Vec<Diagnostic>) -> Option<Definition>,
     ),
-    /// Not at all: every scenario has it.
+    /// No syntax: every scenario has the predicate.
     Always,
 }
 
@@ -105,36 +104,38 @@ pub(crate) enum Syntax {
 pub(crate) trait PredicateKind: Into<Definition> {
     const SYNTAX: Syntax;
 
-    /// Predicates of the kind for tests, which compare the fast form of each with its definition.
+    /// Returns predicates of this kind, for which the tests compare fast form and definition.
     #[cfg(test)]
     fn samples() -> Vec<Definition>;
 }
 
-/// A kind of predicate that depends on what an agent is.
+/// A kind of predicate that depends on an agent's kind and concepts.
 pub(crate) trait StaticKind: PredicateKind {
-    /// Whether it holds of agents of this kind that carry these concepts.
+    /// Returns whether the predicate holds for agents of this kind with these concepts.
     fn holds(&self, kind: AgentKind, concepts: &[String]) -> bool;
 }
 
-/// A kind of predicate that depends on the kind of an agent and the cell where it is.
+/// A kind of predicate that depends on an agent's kind and cell.
 pub(crate) trait LocalKind: PredicateKind {
-    /// The definition.
+    /// The definition: returns whether the predicate holds for an agent of this kind on this cell.
     fn holds(&self, map: &CityMap, kind: AgentKind, at: Cell) -> bool;
 
-    /// The same for all cells that lie alike with respect to intersections.
+    /// Variant of [`holds`](LocalKind::holds) for all cells with the same relation to intersections.
     fn holds_on(&self, junction: Junction, kind: AgentKind) -> bool;
 }
 
-/// A kind of predicate over two agents. [`Relation::REFLEXIVE`] decides whether it relates agents to themselves.
+/// A kind of predicate over two agents. [`Relation::REFLEXIVE`] states whether it relates agents to themselves.
 pub(crate) trait PairKind: PredicateKind {
     /// The fast form.
     type Relation: Relation;
 
-    /// Whether the predicate holds with a probability, so that `holds` draws.
+    /// Whether the predicate holds with a probability, so that `holds` calls `draw`.
     const DRAWN: bool = false;
 
-    /// The definition: whether it holds of two different agents, in this order. `draw` returns whether something of a
-    /// given probability happens; it always returns the same for the same predicate and agents.
+    /// The definition: returns whether the predicate holds for two different agents, in this order.
+    ///
+    /// `draw` returns whether an event of the given probability happens. Its result depends only on the predicate and
+    /// the agents.
     fn holds(&self, sight: Sight<'_>, x: &Subject, y: &Subject, draw: impl FnOnce(f64) -> bool) -> bool;
 
     /// Prepares the fast form.
@@ -143,36 +144,36 @@ pub(crate) trait PairKind: PredicateKind {
 
 /// The fast form of a predicate over two agents.
 pub(crate) trait Relation {
-    /// Whether it relates every agent to itself; otherwise it relates none to itself.
+    /// Whether the predicate relates every agent to itself; otherwise it relates none to itself.
     const REFLEXIVE: bool = false;
 
-    /// Whether it holds of all agents in [`Relation::reach`], so that no test is needed.
+    /// Whether the predicate holds for all agents in [`Relation::reach`], so that no test is needed.
     const FILLS_REACH: bool = false;
 
-    /// Where the second agent can be, seen from a first agent of this kind and heading.
+    /// Returns where the second agent can be, relative to a first agent of this kind and heading.
     #[inline]
     fn reach(&self, _views: &Views, _kind: AgentKind, _heading: Option<Heading>) -> Reach {
         Reach::Anywhere
     }
 
-    /// Where the first agent can be, seen from any second agent.
+    /// Returns where the first agent can be, relative to any second agent.
     #[inline]
     fn reach_back(&self) -> Reach {
         Reach::Anywhere
     }
 
-    /// Whether it holds of two different agents of which the second is in reach of the first.
+    /// Returns whether the predicate holds for two different agents, given that the second is in reach of the first.
     fn test(&self, x: &Subject, y: &Subject, draw: impl FnOnce(f64) -> bool) -> bool;
 
-    /// Whether it holds of two different agents.
+    /// Returns whether the predicate holds for two different agents.
     #[inline]
     fn holds(&self, views: &Views, x: &Subject, y: &Subject, draw: impl FnOnce(f64) -> bool) -> bool {
         let field = self.reach(views, x.kind, x.heading).around(x.at);
         field.is_some_and(|field| field.contains(y.at)) && (Self::FILLS_REACH || self.test(x, y, draw))
     }
 
-    /// Sets the bit y of `rows[x]` for each x and y of which it holds, for up to 64 agents. `draw` takes the positions
-    /// of both. A kind may override this with a faster loop.
+    /// Sets the bit `y` of `rows[x]` for each related `x` and `y`, for up to 64 agents. `draw` takes the positions of
+    /// both. A kind may override this with a faster loop.
     #[inline]
     fn relate(
         &self,
@@ -201,16 +202,16 @@ pub(crate) trait Relation {
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(crate) enum Reach {
     Nowhere,
-    /// At most so many cells up, down, left, right.
+    /// At most this many cells up, down, left and right.
     Within([i32; 4]),
     Anywhere,
 }
 
 impl Reach {
-    /// No two cells of a map are farther apart.
+    /// An upper bound of the distance between two cells of a map.
     pub const FARTHEST: i32 = 1 << 24;
 
-    /// The cells in reach of a cell, if there are any.
+    /// Returns the cells in reach of a cell.
     #[inline]
     fn around(self, cell: Cell) -> Option<FieldOfView> {
         match self {
@@ -223,7 +224,7 @@ impl Reach {
         }
     }
 
-    /// Whether it lies in a rectangle around the same cell.
+    /// Returns whether the reach lies in a rectangle around the same cell.
     fn is_within(self, rectangle: [i32; 4]) -> bool {
         match self {
             Reach::Nowhere => true,
@@ -233,7 +234,7 @@ impl Reach {
     }
 }
 
-/// A local predicate as a table: a bit for each kind of agent and each [`Junction`].
+/// A local predicate as a table: one bit per kind of agent and [`Junction`].
 #[derive(Clone, Copy, Debug)]
 pub(crate) struct CellTable(u16);
 
@@ -252,15 +253,15 @@ impl CellTable {
         kind as usize * Junction::ALL.len() + junction.index()
     }
 
-    /// Whether the predicate holds of agents of this kind on such a cell.
+    /// Returns whether the predicate holds for agents of this kind on cells with this junction.
     #[inline]
     pub fn holds(self, junction: Junction, kind: AgentKind) -> bool {
         self.0 >> CellTable::place(junction, kind) & 1 != 0
     }
 }
 
-/// Defines the types that list all kinds, and their dispatch. The first argument is a `$` for the macros that this one
-/// defines.
+/// Defines the types that list all kinds, and their dispatch. The first argument is a `$`, for the macros that this
+/// macro defines.
 macro_rules! kinds {
     (
         $d:tt
@@ -268,11 +269,11 @@ macro_rules! kinds {
         Local { $($(#[$local_doc:meta])* $local:ident,)* }
         Pair { $($(#[$pair_doc:meta])* $pair:ident,)* }
     ) => {
-        /// A predicate that depends on what an agent is.
+        /// A predicate that depends on an agent's kind and concepts.
         #[derive(Clone, Debug, PartialEq)]
         pub enum Static { $($(#[$static_doc])* $static($static),)* }
 
-        /// A predicate that depends on the kind of an agent and the cell where it is.
+        /// A predicate that depends on an agent's kind and cell.
         #[derive(Clone, Debug, PartialEq)]
         pub enum Local { $($(#[$local_doc])* $local($local),)* }
 
@@ -284,14 +285,14 @@ macro_rules! kinds {
         #[derive(Clone, Debug)]
         pub(crate) enum PairRelation { $($pair(<$pair as PairKind>::Relation),)* }
 
-        /// `with_pair!(pair, kind => f(kind))`: evaluates an expression with the [`PairKind`] of a [`Pair`].
+        /// `with_pair!(pair, kind => f(kind))` evaluates an expression with the [`PairKind`] of a [`Pair`].
         macro_rules! with_pair {
             ($d pair:expr, $d kind:ident => $d work:expr) => {
                 match $d pair { $($crate::predicate::Pair::$pair($d kind) => $d work,)* }
             };
         }
 
-        /// `with_relation!(any, relation => f(relation))`: evaluates an expression with the [`Relation`] of a
+        /// `with_relation!(any, relation => f(relation))` evaluates an expression with the [`Relation`] of a
         /// [`PairRelation`].
         macro_rules! with_relation {
             ($d relation:expr, $d kind:ident => $d work:expr) => {
@@ -300,31 +301,31 @@ macro_rules! kinds {
         }
 
         impl Static {
-            /// Whether it holds of agents of this kind that carry these concepts.
+            /// Returns whether the predicate holds for agents of this kind with these concepts.
             pub(crate) fn holds(&self, kind: AgentKind, concepts: &[String]) -> bool {
                 match self { $(Static::$static(predicate) => predicate.holds(kind, concepts),)* }
             }
         }
 
         impl Local {
-            /// Whether it holds of an agent of this kind on this cell.
+            /// Returns whether the predicate holds for an agent of this kind on this cell.
             pub(crate) fn holds(&self, map: &CityMap, kind: AgentKind, at: Cell) -> bool {
                 match self { $(Local::$local(predicate) => predicate.holds(map, kind, at),)* }
             }
 
-            /// The fast form.
+            /// Returns the fast form.
             pub(crate) fn table(&self) -> CellTable {
                 match self { $(Local::$local(predicate) => CellTable::new(predicate),)* }
             }
         }
 
         impl Pair {
-            /// The fast form.
+            /// Returns the fast form.
             pub(crate) fn relation(&self) -> PairRelation {
                 match self { $(Pair::$pair(predicate) => PairRelation::$pair(predicate.relation()),)* }
             }
 
-            /// Whether it relates every agent to itself; otherwise it relates none to itself.
+            /// Returns whether the predicate relates every agent to itself; otherwise it relates none to itself.
             pub(crate) fn is_reflexive(&self) -> bool {
                 match self { $(Pair::$pair(_) => <$pair as PairKind>::Relation::REFLEXIVE,)* }
             }
@@ -354,13 +355,13 @@ macro_rules! kinds {
             fn from(predicate: $pair) -> Definition { Definition::Pair(Pair::$pair(predicate)) }
         })*
 
-        /// Predicates of all kinds.
+        /// Returns predicates of all kinds.
         #[cfg(test)]
         fn samples() -> Vec<Vec<Definition>> {
             vec![$($static::samples(),)* $($local::samples(),)* $($pair::samples(),)*]
         }
 
-        /// Of all kinds.
+        /// The syntax of all kinds.
         const SYNTAX: &[Syntax] = &[$($static::SYNTAX,)* $($local::SYNTAX,)* $($pair::SYNTAX,)*];
     };
 }
@@ -395,21 +396,21 @@ kinds! { $
 }
 pub(crate) use {with_pair, with_relation};
 
-/// How a base predicate is computed from the state of the city.
+/// The computation of a base predicate from the state of the city.
 ///
-/// The serialized form is the name of the kind, with its parameters if it has any.
+/// It serializes as the name of the kind, with its parameters if it has any.
 #[derive(Clone, Debug, PartialEq)]
 pub enum Definition {
-    /// By what an agent is.
+    /// From the agent's kind and concepts.
     Static(Static),
-    /// By the kind of an agent and the cell where it is.
+    /// From the agent's kind and cell.
     Local(Local),
-    /// By two agents.
+    /// From two agents.
     Pair(Pair),
 }
 
 impl Definition {
-    /// The number of agents that the predicate relates.
+    /// Returns the number of agents that the predicate relates.
     pub fn arity(&self) -> usize {
         match self {
             Definition::Static(_) | Definition::Local(_) => 1,
@@ -417,17 +418,17 @@ impl Definition {
         }
     }
 
-    /// Whether it depends on what an agent is, and not on where agents are.
+    /// Returns whether the predicate depends only on kind and concepts, not on positions.
     pub fn is_static(&self) -> bool {
         matches!(self, Definition::Static(_))
     }
 
-    /// Whether it holds with a probability.
+    /// Returns whether the predicate holds with a probability.
     pub fn is_drawn(&self) -> bool {
         matches!(self, Definition::Pair(pair) if pair.is_drawn())
     }
 
-    /// Reads a definition from a configuration.
+    /// Parses a definition in a configuration.
     pub(crate) fn read(node: &Node, faults: &mut Vec<Diagnostic>) -> Option<Definition> {
         if matches!(node.value, Value::Scalar { .. }) {
             let words = SYNTAX.iter().filter_map(|syntax| match syntax {
@@ -460,13 +461,13 @@ impl Definition {
         if let Some(fault) = faults.last_mut() {
             fault
                 .notes
-                .push("what is inherited through `base` counts; `key: ~` removes it".into());
+                .push("keys inherited through `base` count; `key: ~` removes one".into());
         }
         None
     }
 }
 
-/// A kind without parameters is written as its name.
+/// Serializes a kind. A kind without parameters is written as its name.
 fn tagged<S: Serializer, K: Serialize>(serializer: S, name: &'static str, kind: &K) -> Result<S::Ok, S::Error> {
     match size_of::<K>() {
         0 => serializer.serialize_unit_variant("Definition", 0, name),
@@ -475,7 +476,7 @@ fn tagged<S: Serializer, K: Serialize>(serializer: S, name: &'static str, kind: 
 }
 
 impl PairRelation {
-    /// Whether the first sees the second wherever it holds.
+    /// Returns whether the first agent sees the second wherever the predicate holds.
     pub fn is_in_view(&self, views: &Views) -> bool {
         let headings = || Heading::ALL.into_iter().map(Some).chain([None]);
         with_relation!(self, relation => AgentKind::ALL.into_iter().all(|kind| {
@@ -499,7 +500,7 @@ mod tests {
         CityMap::generate(&config).expect("a valid map")
     }
 
-    /// Of half of all pairs.
+    /// A deterministic draw that succeeds for about half of all pairs.
     fn happens(first: usize, second: usize) -> bool {
         (first * 3 + second * 5 + first * second).is_multiple_of(2)
     }
@@ -549,7 +550,7 @@ mod tests {
         let map = map();
         for definition in samples().concat() {
             match &definition {
-                // It has no other form.
+                // The definition is the only form.
                 Definition::Static(_) => {}
                 Definition::Local(predicate) => {
                     let (table, mut found) = (predicate.table(), BTreeSet::new());

@@ -1,4 +1,5 @@
-//! `Sees`, which every scenario has: the second is in the field of view of the first. The only reflexive predicate.
+//! `Sees`, which every scenario has: the second is in the field of view of the first. It is the only reflexive
+//! predicate.
 
 use crate::city::{AgentKind, Heading, field_of_view, view_reach};
 #[cfg(test)]
@@ -47,25 +48,25 @@ impl Relation for Sees {
     }
 }
 
-/// How many cells agents see up, down, left and right: without a heading, and with each.
+/// The numbers of cells that agents see up, down, left and right: without a heading, and for each heading.
 #[derive(Clone, Copy, Debug)]
 pub(crate) struct Views([[i32; 4]; 5]);
 
 impl Views {
-    /// For a field of view of this half-width in cells.
+    /// Computes the views for a field of view of this half-width in cells.
     pub fn new(half_width: u32) -> Views {
         let reach = |heading| view_reach(heading, half_width).map(|cells| cells.min(Reach::FARTHEST));
         let [left, right, up, down] = Heading::ALL.map(|heading| reach(Some(heading)));
         Views([reach(None), left, right, up, down])
     }
 
-    /// With a heading or without.
+    /// Returns the view of an agent with this heading.
     #[inline]
     pub fn of(&self, heading: Option<Heading>) -> [i32; 4] {
         self.0[heading.map_or(0, |heading| heading as usize + 1)]
     }
 
-    /// The most cells in any direction.
+    /// Returns the maximum number of cells in any direction.
     pub fn farthest(&self) -> i32 {
         self.0.as_flattened().iter().copied().max().unwrap_or(0)
     }

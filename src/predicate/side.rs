@@ -1,4 +1,4 @@
-//! `left-of`, `right-of`: where the first lies, seen along the second's heading.
+//! `left-of`, `right-of`: the side on which the first lies, seen along the second's heading.
 
 use crate::city::{Cell, Heading};
 #[cfg(test)]
@@ -56,8 +56,8 @@ impl PairKind for RightOf {
     }
 }
 
-/// Where x lies, seen from y along a heading (dr, dc): positive left, negative right, zero straight. With (rr, rc) = x
-/// - y it is dr * rc - dc * rr.
+/// Returns the side of x, seen from y along a heading (dr, dc): positive left, negative right, zero straight. With (rr,
+/// rc) = x - y it is dr * rc - dc * rr.
 #[inline]
 fn side_of(heading: Heading, x: Cell, y: Cell) -> i64 {
     let (dr, dc) = heading.delta();
@@ -65,7 +65,7 @@ fn side_of(heading: Heading, x: Cell, y: Cell) -> i64 {
     i64::from(dr) * rc - i64::from(dc) * rr
 }
 
-/// Those on the side of which [`side_of`] has this sign.
+/// The side on which [`side_of`] has this sign.
 #[derive(Clone, Copy, Debug)]
 pub(crate) struct Side {
     sign: i64,
@@ -78,7 +78,7 @@ impl Relation for Side {
             .is_some_and(|heading| side_of(heading, x.at, y.at) * self.sign > 0)
     }
 
-    /// Second agents in the outer loop, since it depends on their heading. It never holds of an agent and itself.
+    /// Loops over second agents first, because the side depends on their heading. The side of an agent to itself is 0.
     #[inline]
     fn relate(
         &self,

@@ -1,12 +1,12 @@
-//! The codes of messages about scenes, traces, and rules that do not fit a configuration.
+//! Diagnostic codes for scenes, traces, and rules that do not fit a configuration.
 
 crate::diagnostic_codes! {
-    /// The dense executor was requested for rules, or a number of agents, that it cannot evaluate.
+    /// The dense executor was requested, but it cannot evaluate these rules or this number of agents.
     DENSE_UNSUPPORTED = "dense-unsupported", Error;
     /// A scene that is not JSON or does not follow the scene format.
     INVALID_SCENE = "invalid-scene", Error;
     /// A trace that is not JSON or does not follow the trace format.
     INVALID_TRACE = "invalid-trace", Error;
-    /// A trace of another configuration or of other rules.
+    /// A trace of another configuration or with other rules.
     TRACE_MISMATCH = "trace-mismatch", Error;
 }

@@ -23,19 +23,20 @@ pub struct LoadedCity {
     pub warnings: Vec<Diagnostic>,
 }
 
-/// Why a city could not be loaded.
+/// Why a city cannot be loaded.
 #[derive(Clone, Debug)]
 pub enum LoadError {
-    /// The configuration is faulty. [`missing_file`](crate::config::missing_file) finds out whether it does not exist.
+    /// The configuration has errors. [`missing_file`](crate::config::missing_file) detects that it does not exist.
     Config(Vec<Diagnostic>),
     /// The rule file cannot be read.
     RuleFile(PathBuf, ReadError),
-    /// The rules are faulty.
+    /// The rules have errors.
     Rules(Vec<Diagnostic>),
 }
 
 impl LoadedCity {
-    /// Reads a configuration and its rules, or those in the file `rules`, and adds every text to `sources`.
+    /// Loads a configuration and its rules and adds every text to `sources`. `rules` overrides the configured rule
+    /// file.
     ///
     /// `config` is a path or the name of a built-in configuration, for example `expert`. A rule file that `files` does
     /// not find is looked up among the built-in files.
@@ -58,7 +59,7 @@ impl LoadedCity {
             return Err(LoadError::Rules(diagnostics));
         };
         if rules.is_some() {
-            // A mismatch is shown in the file that the caller named, not in the configuration.
+            // A mismatch is reported in the rule file that the caller named, not in the configuration.
             let span = Span::new(entry, 0..0);
             scenario.rules = Located { value: path, span };
         }
@@ -72,7 +73,7 @@ impl LoadedCity {
         })
     }
 
-    /// Generates the map and binds the predicates to the rules.
+    /// Generates the map and binds the predicates of the configuration to the rules.
     ///
     /// # Errors
     /// As [`World::new`].

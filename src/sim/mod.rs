@@ -1,9 +1,9 @@
-//! Where the city meets the engine.
+//! Connects the city to the Datalog engine.
 //!
-//! Each tick, [`Simulation`] lets the rules decide on the state of the agents and the agents move. The dense executor computes base facts
-//! as bits where a rule asks for them; the relational one is given the *difference* of all facts ([`ground`]) from
-//! those of the tick before. One action is taken of those derived ([`Vocabulary::decide`]). [`Inference`] does the same for single scenes
-//! that come from outside.
+//! In each tick of a [`Simulation`], the rules decide on the current state and then the agents move. The dense executor
+//! computes base facts as bits when a rule needs them. The relational executor grounds all facts ([`ground`]) and
+//! commits the *difference* from the previous tick. [`Vocabulary::decide`] picks one of the derived actions.
+//! [`Inference`] does the same for single scenes from outside.
 
 mod codes;
 mod load;

@@ -355,7 +355,7 @@ fn tampered_sets_are_found_out(folder: &Path) {
     fs::write(folder.join(entities), &bytes).unwrap();
     refused(
         &["check", path],
-        &["invalid-data-set", "is not the file that was made", entities],
+        &["invalid-data-set", "has changed since it was made", entities],
     );
 
     // With matching hashes, the rules detect the change.
@@ -393,12 +393,12 @@ fn tampered_sets_are_found_out(folder: &Path) {
     };
     type Change<'a> = &'a dyn Fn(&mut Table);
     let faults: [(Change<'_>, &str); 6] = [
-        (&label, "is labelled"),
-        (&fact, "is labelled"),
+        (&label, "is labeled"),
+        (&fact, "is labeled"),
         (&order, "in order"),
         (&column, "there is no column `IsInInter`"),
-        (&corner, "is not one in the picture"),
-        (&concept, "does not count what its tables have"),
+        (&corner, "does not lie in the picture"),
+        (&concept, "has counts that differ from its tables"),
     ];
     for (change, word) in faults {
         let mut table = Table::read(original[entities].clone()).unwrap();
@@ -600,7 +600,7 @@ fn tampered_pictures_are_found_out(folder: &Path, original: &BTreeMap<String, Ve
         &original[&frame(46)][..original[&frame(46)].len() / 2],
     );
     let faults = [
-        (42, "is not the file that was made"),
+        (42, "has changed since it was made"),
         (43, "No such file"),
         (44, "10 x 1 pixels instead of 1024 x 1024"),
         (45, "the pixels are not 8-bit RGB"),
@@ -630,7 +630,7 @@ fn tampered_pictures_are_found_out(folder: &Path, original: &BTreeMap<String, Ve
     let unexpected_files = [
         "belongs to no data set",
         "notes.txt",
-        "is not of the world",
+        "does not belong to the world",
         &frame(100),
         "2 errors",
     ];
@@ -639,7 +639,7 @@ fn tampered_pictures_are_found_out(folder: &Path, original: &BTreeMap<String, Ve
     put(folder, &frame(100), &original[&frame(42)]);
     refused(
         &["check", path],
-        &["has not one picture for each of its frames", "world-00001"],
+        &["does not have exactly one picture per frame", "world-00001"],
     );
 }
 

@@ -54,7 +54,7 @@ pub(crate) struct Known {
     pub first: Span,
     /// The number of occurrences.
     pub count: usize,
-    /// Whether it stands for the value of an expression.
+    /// Whether the variable represents the value of an expression.
     pub hidden: bool,
 }
 

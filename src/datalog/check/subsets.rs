@@ -31,7 +31,7 @@ impl Default for Comparing {
 }
 
 impl Budget {
-    /// Creates a budget of so many steps.
+    /// Creates a budget of this many steps.
     pub(crate) fn new(steps: usize) -> Self {
         Budget {
             most: steps,

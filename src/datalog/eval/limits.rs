@@ -29,7 +29,7 @@ impl Default for Limits {
     }
 }
 
-/// Why a commit failed: what it takes is beyond [`Limits`], or whoever asked for it will not wait longer.
+/// The reason why a commit failed: it exceeds [`Limits`], or the caller cancelled it.
 #[derive(Clone, Debug, PartialEq, Eq)]
 #[non_exhaustive]
 pub enum EvalError {

@@ -1,4 +1,4 @@
-//! What one agent of a task observes, and which clauses its actions break.
+//! The observation of one agent of a task, and the clauses that its actions violate.
 
 mod observer;
 mod rule_monitor;

@@ -1,11 +1,13 @@
-//! What one agent observes of its city, what the rules want of it there, and which of them an action breaks.
+//! Computes the observation of one agent, the action that the rules choose for it, and the clauses that an action
+//! violates.
 //!
-//! An agent of a simulation is judged on everything in its field of view; the ego of a task on a few entities of it: itself and the
-//! first others in the order of the list. [`Oracle`] holds what does not change, an [`Observer`] the facts of a moment.
+//! In a simulation, the rules decide on everything in an agent's field of view. The ego of a task observes only a few
+//! entities of it: itself and the first others in list order. An [`Oracle`] is the immutable part, an [`Observer`]
+//! holds the facts of one state.
 //!
-//! The facts are those that are true of the observed entities; `Sees` relates the ego to all of them. What the ego does is given
-//! when an action is judged: of the four action predicates just this one holds, of the ego, in the bodies of all clauses. What the
-//! others do next nobody can observe, so no action holds of them there.
+//! The observed facts are those that hold for the observed entities; `Sees` relates the ego to all of them. To judge an
+//! action, the observer fixes the action predicates in the bodies of all clauses: only this action holds, and only for
+//! the ego. The others' next actions are not observable, so no action holds for them.
 
 use crate::city::{Action, AgentKind};
 use crate::city::{Cell, FieldOfView};
@@ -23,14 +25,14 @@ use crate::sim::tick::window::Body;
 use crate::sim::tick::world::World;
 use std::sync::Arc;
 
-/// The most entities that are observed.
+/// The maximum number of observed entities.
 pub const OBSERVED_MAX: usize = 64;
 
-/// What the rules say of one agent and what it observes. Immutable, shared by every [`Observer`].
+/// The immutable part of observations, shared by every [`Observer`]: predicates, rules and sizes.
 #[derive(Debug)]
 pub struct Oracle {
     world: Arc<World>,
-    /// How many entities are observed.
+    /// The maximum number of observed entities.
     entities: usize,
     /// By predicate of the vocabulary.
     how: Vec<How>,
@@ -38,7 +40,7 @@ pub struct Oracle {
     monitor: RuleMonitor,
 }
 
-/// How a predicate is computed.
+/// The fast form of a predicate.
 #[derive(Debug)]
 enum How {
     Static(Static),
@@ -47,13 +49,13 @@ enum How {
 }
 
 impl Oracle {
-    /// For egos that observe so many entities, themselves included.
+    /// Creates an oracle for egos that observe up to `entities` entities, including themselves.
     ///
     /// # Errors
-    /// Rules that cannot be planned.
+    /// If the rules cannot be planned.
     ///
     /// # Panics
-    /// If the entities are none or more than [`OBSERVED_MAX`].
+    /// If `entities` is 0 or exceeds [`OBSERVED_MAX`].
     pub fn new(world: Arc<World>, entities: usize) -> Result<Oracle, Diagnostic> {
         assert!((1..=OBSERVED_MAX).contains(&entities), "{entities} entities");
         let vocabulary = &world.vocabulary;
@@ -72,32 +74,33 @@ impl Oracle {
         })
     }
 
-    /// The city and its rules.
+    /// Returns the world: scenario, map, roads and rules.
     pub fn world(&self) -> &Arc<World> {
         &self.world
     }
 
-    /// How many entities are observed, at most.
+    /// Returns the maximum number of observed entities.
     pub fn entities(&self) -> usize {
         self.entities
     }
 
-    /// The clauses that ask an action, in the order of the text. The default is not among them.
+    /// Returns the clauses that demand an action, in source order, without the default.
     pub fn constraints(&self) -> &[ActionConstraint] {
         self.monitor.constraints()
     }
 
-    /// What the ego sees.
+    /// Returns the field of view of the ego.
     fn view(&self, ego: &Body) -> FieldOfView {
         FieldOfView::around(ego.at, self.views.of(ego.heading))
     }
 
-    /// How many numbers [`Observer::write`] writes: for each predicate, `Sees` left out, one for each entity or pair of entities.
+    /// Returns the length of the vector that [`Observer::write`] fills: one number per predicate, except `Sees`, and
+    /// entity or pair of entities.
     pub fn width(&self) -> usize {
         self.columns().map(|(_, width)| width).sum()
     }
 
-    /// The predicates of the observation in its order, and how many numbers each has.
+    /// Returns the observed predicates, in order, with the length of each in the vector.
     pub fn columns(&self) -> impl Iterator<Item = (usize, usize)> {
         let vocabulary = &self.world.vocabulary;
         let observed = vocabulary
@@ -114,13 +117,13 @@ impl Oracle {
     }
 }
 
-/// What an ego observes at a moment.
+/// Observes the city for one ego.
 pub struct Observer {
     oracle: Arc<Oracle>,
     ego: usize,
-    /// For each agent a bit for each predicate that depends on what it is, `words` words.
+    /// The static predicates that hold for each agent: a bit per predicate in `words` words.
     steady: Vec<u64>,
-    /// What the agents were when `steady` was computed.
+    /// The kind and concepts from which `steady` was computed, by agent.
     like: Vec<(AgentKind, Arc<[String]>)>,
     words: usize,
     /// The observed entities, the ego first.
@@ -131,7 +134,7 @@ pub struct Observer {
 }
 
 impl Observer {
-    /// Observes for one agent, by its position in the list. [`Observer::begin`] comes next.
+    /// Creates an observer for an agent, given its position in the list. Call [`Observer::begin`] next.
     pub fn new(oracle: Arc<Oracle>, ego: usize) -> Observer {
         let predicates = oracle.how.len();
         Observer {
@@ -151,22 +154,22 @@ impl Observer {
         }
     }
 
-    /// What does not change.
+    /// Returns the oracle.
     pub fn oracle(&self) -> &Arc<Oracle> {
         &self.oracle
     }
 
-    /// The agent, by its position in the list.
+    /// Returns the position of the ego in the list of agents.
     pub fn ego(&self) -> usize {
         self.ego
     }
 
-    /// The observed entities by their positions in the list of agents, the ego first.
+    /// Returns the observed entities by their positions in the list of agents, the ego first.
     pub fn entities(&self) -> impl ExactSizeIterator<Item = usize> {
         self.bodies.iter().map(|body| body.agent as usize)
     }
 
-    /// Takes note of what the agents of a city are. They may have changed since the last time if the city was restarted.
+    /// Updates the static predicates of the agents. Call it after every start and restart of the city.
     pub fn begin(&mut self, city: &Simulation) {
         self.violations.forget();
         let agents = city.agents();
@@ -175,7 +178,7 @@ impl Observer {
             self.steady.resize(agents.len() * self.words, 0);
         }
         for (position, agent) in agents.iter().enumerate() {
-            // Nearly all are what they were: then their concepts are the very same.
+            // Nearly all agents are unchanged, and then their concepts are the same allocation.
             let as_before = |(kind, concepts): &(AgentKind, Arc<[String]>)| {
                 *kind == agent.kind && Arc::ptr_eq(concepts, &agent.concepts)
             };
@@ -199,7 +202,7 @@ impl Observer {
         }
     }
 
-    /// Observes the present state of the city, the one on which the next tick will be decided.
+    /// Observes the present state of the city, on which the next tick will be decided.
     pub fn look(&mut self, city: &Simulation) {
         let draws = Draws {
             seed: city.seed(),
@@ -208,7 +211,7 @@ impl Observer {
         self.look_with(city, &draws);
     }
 
-    /// As [`Observer::look`], but `chance` decides about predicates that hold with a probability.
+    /// Variant of [`Observer::look`] with `chance` as the source of random draws.
     pub fn look_with(&mut self, city: &Simulation, chance: &impl Chance) {
         let (oracle, map) = (&*self.oracle, self.oracle.world.map());
         self.bodies.clear();
@@ -265,12 +268,14 @@ impl Observer {
         }
     }
 
-    /// Writes the observation: for each predicate in the order of the vocabulary, `Sees` left out, 1 where it is true and else 0.
-    /// A predicate P with one column takes the next n numbers, P(entity i) at i; one with two columns n times n, P(i, j) at n i + j,
-    /// where n is [`Oracle::entities`]. Of entities that are not there nothing is true.
+    /// Writes the observation: 1 for each true atom and 0 for each false one, by predicate in the order of the
+    /// vocabulary, without `Sees`.
+    ///
+    /// Let n be [`Oracle::entities`]. A unary predicate P takes n numbers, with P(entity i) at i. A binary one takes n
+    /// times n numbers, with P(i, j) at `n * i + j`. Absent entities have zeros.
     ///
     /// # Panics
-    /// If there is not room for [`Oracle::width`] numbers.
+    /// If `out` is shorter than [`Oracle::width`].
     pub fn write(&self, out: &mut [f32]) {
         let (n, sees) = (self.oracle.entities, self.oracle.world.vocabulary.sees);
         let mut rest = &mut out[..self.oracle.width()];
@@ -296,16 +301,21 @@ impl Observer {
         }
     }
 
-    /// Numbers in a row of the `state` observation, see [`Observer::write_state`].
+    /// Returns the length of a row of the `state` observation; see [`Observer::write_state`].
     pub fn state_width(oracle: &Oracle) -> usize {
         let unary = oracle.how.iter().filter(|how| !matches!(how, How::Pair(_)));
         8 + unary.count()
     }
 
-    /// Writes the `state` observation: a row for the ego, then one for each other agent in its field of view in the order of the list, as
-    /// many as there is room for; the rest is 0. A row has: 1; the rows and the columns from the ego to it, as shares of the half-width
-    /// of the field of view, -1 to 1; 1 for its heading among Left, Right, Up, Down, all 0 before its first move; its priority as a share
-    /// of `priority_scale`, -1 to 1; 1 or 0 for each predicate with one column, in the order of the vocabulary.
+    /// Writes the `state` observation: a row for the ego, then one for each other agent in its field of view, in list
+    /// order. It stops at the end of `out` and fills the rest with 0.
+    ///
+    /// A row has, in this order:
+    /// - 1;
+    /// - the rows and the columns from the ego to the agent, divided by the half-width of the field of view, -1 to 1;
+    /// - the heading, one-hot over Left, Right, Up, Down, and all 0 before the first move;
+    /// - the priority divided by `priority_scale`, clamped to -1 to 1;
+    /// - 1 or 0 for each unary predicate, in the order of the vocabulary.
     pub fn write_state(&self, city: &Simulation, priority_scale: f32, out: &mut [f32]) {
         let oracle = &*self.oracle;
         out.fill(0.0);
@@ -343,7 +353,8 @@ impl Observer {
         self.steady[body.agent as usize * self.words + predicate / 64] >> (predicate % 64) & 1 != 0
     }
 
-    /// The true atoms, `Sees` left out: the predicate by its position in the vocabulary, and agents by theirs in the list.
+    /// Returns the true atoms without `Sees`: a predicate by its position in the vocabulary, and agents by their
+    /// positions in the list.
     pub fn atoms(&self) -> impl Iterator<Item = (usize, Vec<usize>)> {
         let sees = self.oracle.world.vocabulary.sees;
         let agent = |entity: usize| self.bodies[entity].agent as usize;
@@ -359,10 +370,10 @@ impl Observer {
         })
     }
 
-    /// A session with the observed facts and what the rules derive from them, and the value that stands for the ego in it.
+    /// Returns a session with the observed facts and the rows derived from them, and the value of the ego in it.
     ///
     /// # Errors
-    /// `limit-exceeded` for rules that derive too much.
+    /// `limit-exceeded` if the rules derive too many rows.
     pub fn session(&self, city: &Simulation) -> Result<(Session, Value), Diagnostic> {
         let world = &self.oracle.world;
         let names: Vec<String> = city.agents().iter().map(|agent| agent.name().to_string()).collect();
@@ -374,10 +385,10 @@ impl Observer {
         Ok((session, values[self.ego]))
     }
 
-    /// The actions that the rules derive for the ego before the default.
+    /// Returns the derived actions of the ego, without the default.
     ///
     /// # Errors
-    /// `limit-exceeded` for rules that derive too much.
+    /// `limit-exceeded` if the rules derive too many rows.
     pub fn derived(&mut self, city: &Simulation) -> Result<Actions, Diagnostic> {
         let (oracle, vocabulary) = (&*self.oracle, &self.oracle.world.vocabulary);
         let observed = observed(&self.atoms, &self.bodies, city);
@@ -385,11 +396,11 @@ impl Observer {
         Ok(vocabulary.before_default(derived))
     }
 
-    /// The clauses that an action breaks: those whose body holds if the ego takes it, and whose head is another action. They are named by
-    /// their positions in [`Oracle::constraints`].
+    /// Returns the clauses that an action of the ego violates, as positions in [`Oracle::constraints`]. An action
+    /// violates a clause if the body holds given this action, and the head is another action.
     ///
     /// # Errors
-    /// `limit-exceeded` for rules that derive too much.
+    /// `limit-exceeded` if the rules derive too many rows.
     pub fn violations(&mut self, city: &Simulation, action: Action) -> Result<&[usize], Diagnostic> {
         let observed = observed(&self.atoms, &self.bodies, city);
         self.violations
@@ -408,7 +419,7 @@ fn observed<'a>(atoms: &'a Atoms, bodies: &'a [Body], city: &'a Simulation) -> O
     }
 }
 
-/// The numbers of four bits.
+/// Four bits as numbers, lowest first.
 const FOUR_BITS: [[f32; 4]; 16] = {
     let mut numbers = [[0.0; 4]; 16];
     let mut bits = 0;
@@ -421,7 +432,7 @@ const FOUR_BITS: [[f32; 4]; 16] = {
     numbers
 };
 
-/// Writes 1 for each bit that is set and 0 for the others, the lowest first. Without branches: which are set is hard to guess.
+/// Writes one number per bit, lowest first. It has no branches, because the bits are hard to predict.
 fn spread(mut bits: u64, out: &mut [f32]) {
     let (fours, rest) = out.as_chunks_mut::<4>();
     for four in fours {

@@ -1,8 +1,8 @@
-//! What the rules want of one agent, given the facts about what it observes, and which clauses an action breaks.
+//! Evaluates the rules for one ego: the actions that they derive, and the clauses that an action violates.
 //!
-//! Both follow from one evaluation wherever bodies ask for no actions but those of their head's own agent: what else they ask does not
-//! depend on what it does ([`Conditions`]). Other rules are evaluated as they stand for what is wanted, and once more for each action that
-//! is judged, with the actions in all bodies replaced by inputs.
+//! One evaluation gives both if bodies use the action predicates only for the agent of the head: the other literals do
+//! not depend on the ego's action ([`Conditions`]). Other rules are evaluated unchanged for the derived actions, and
+//! once more for each judged action with the action predicates of all bodies replaced by inputs.
 
 use crate::cancel::Cancel;
 use crate::city::Action;
@@ -20,7 +20,7 @@ use crate::sim::tick::ground_state::GroundState;
 use crate::sim::tick::vocabulary::{Actions, Vocabulary};
 use crate::sim::tick::window::Body;
 
-/// A clause that asks an action of an agent.
+/// A clause that demands an action of an agent.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct ActionConstraint {
     /// The clause.
@@ -29,7 +29,7 @@ pub struct ActionConstraint {
     pub action: Action,
 }
 
-/// The rules as far as they decide about one agent. Immutable; what changes is in a [`Violations`].
+/// The rules, prepared to judge the actions of one agent. Immutable; a [`Violations`] holds the state.
 #[derive(Debug)]
 pub(super) struct RuleMonitor {
     constraints: Vec<ActionConstraint>,
@@ -40,19 +40,19 @@ pub(super) struct RuleMonitor {
 enum How {
     Once(Conditions),
     Twice {
-        /// What the rules derive.
+        /// Evaluates the unchanged rules.
         wanted: Evaluator,
-        /// Which bodies hold if the ego's action is given.
+        /// Evaluates the rules with the ego's action as input.
         checked: Evaluator,
     },
 }
 
-/// The clauses of actions, taken apart into what they ask of the actions of the ego and what else they ask.
+/// The action clauses, split into literals on the ego's actions and the others.
 #[derive(Debug)]
 struct Conditions {
-    /// The rules with no action in any body.
+    /// The rules without action literals in bodies.
     rules: Box<DenseRules>,
-    /// In the order of the strata: what a clause asks of actions is derived by those before.
+    /// In stratum order: earlier clauses derive the actions that a clause reads.
     clauses: Vec<Condition>,
 }
 
@@ -60,28 +60,28 @@ struct Conditions {
 struct Condition {
     clause: ClauseId,
     action: Action,
-    /// The actions that must hold of the ego, and those that must not.
+    /// The actions that must hold for the ego, and below those that must not.
     given: Actions,
     refused: Actions,
-    /// Its position among the constraints; `None` for the default.
+    /// Its position in the constraints; `None` for the default.
     constraint: Option<usize>,
 }
 
 impl Condition {
-    /// Whether it holds besides, if these are the actions of the ego.
+    /// Returns whether the action literals hold if the ego has these actions.
     fn allows(&self, actions: Actions) -> bool {
         let (given, refused) = (self.given.bits(), self.refused.bits());
         actions.bits() & (given | refused) == given
     }
 }
 
-/// Rules, ready to be evaluated.
+/// Rules with their executor.
 #[derive(Debug)]
 enum Evaluator {
     Dense(Box<DenseRules>),
     Relational {
         program: Program,
-        /// With its number of columns, by predicate of the vocabulary and then by action that is given.
+        /// The relations with their arity: first the predicates of the vocabulary, then the imposed actions.
         relations: Vec<Option<(RelId, usize)>>,
     },
 }
@@ -89,17 +89,19 @@ enum Evaluator {
 #[derive(Debug)]
 struct DenseRules {
     dense: Dense,
-    /// Of the predicate that is an input of the program: its place among those of the vocabulary and then the actions that are given.
+    /// The source of each input of the program: a predicate of the vocabulary or, after those, an imposed action, and
+    /// whether the input is its diagonal.
     inputs: Vec<Option<(usize, bool)>>,
     lists: Vec<(Option<usize>, Argument)>,
 }
 
-/// The action that a predicate is.
+/// Returns the action that a relation represents.
 fn action_of(vocabulary: &Vocabulary, relation: RelId) -> Option<Action> {
     (Action::ALL.into_iter()).find(|&action| vocabulary.action(action) == Some(relation))
 }
 
-/// The rules with the actions in all bodies replaced by predicates that are given, which come last.
+/// Returns the rules with the action predicates of all bodies replaced by input relations, and these relations. They
+/// come last.
 fn with_actions_given(rules: &Rules, vocabulary: &Vocabulary) -> (Rules, [Option<RelId>; 4]) {
     let mut rules = rules.clone();
     let given = Action::ALL.map(|action| {
@@ -107,7 +109,7 @@ fn with_actions_given(rules: &Rules, vocabulary: &Vocabulary) -> (Rules, [Option
         let place = RelId(u32::try_from(rules.relations.len()).expect("fewer than 2^32 predicates"));
         let relation = datalog::Relation {
             name: format!("+given {}", action.name()),
-            doc: format!("the action `{}` that is given", action.name()),
+            doc: format!("the imposed action `{}`", action.name()),
             input: true,
             edb: None,
             output: false,
@@ -135,7 +137,8 @@ fn with_actions_given(rules: &Rules, vocabulary: &Vocabulary) -> (Rules, [Option
     (rules, given.map(|given| given.map(|(_, place)| place)))
 }
 
-/// The clauses that ask an action. The default is none: a clause for it that looks only at the other actions and the ego itself.
+/// Returns the clauses that demand an action. It excludes the default: a clause of the default action that reads only
+/// the other actions and the ego itself.
 fn constraints(rules: &Rules, vocabulary: &Vocabulary) -> Vec<ActionConstraint> {
     let sees = vocabulary.predicates[vocabulary.sees].relation;
     let is_default = |clause: &datalog::Clause| {
@@ -161,9 +164,10 @@ fn constraints(rules: &Rules, vocabulary: &Vocabulary) -> Vec<ActionConstraint> 
 }
 
 impl Conditions {
-    /// `None` if some body asks for an action otherwise than of the head's own agent, or the dense executor cannot evaluate the rules.
+    /// Splits the rules. `None` if a body uses an action otherwise than for the agent of the head, or the dense
+    /// executor cannot evaluate the rules.
     fn new(rules: &Rules, vocabulary: &Vocabulary, constraints: &[ActionConstraint]) -> Option<Conditions> {
-        // Not all rules that can be evaluated without the actions in their bodies can be with them.
+        // Rules that are dense without the actions in their bodies may not be dense with them.
         compile(rules, vocabulary, TrackFirings::Off).ok()?;
         let mut others = rules.clone();
         let mut clauses = Vec::new();
@@ -195,7 +199,7 @@ impl Conditions {
             }
             let [given, refused] = asked;
             match action_of(vocabulary, clause.head.relation) {
-                // What binds the head's variable must be left, and what is never empty must have been so.
+                // The rest of the body must bind the head variable, so it must not be empty.
                 Some(_) if body.is_empty() => return None,
                 Some(action) => clauses.push(Condition {
                     clause: *id,
@@ -215,7 +219,7 @@ impl Conditions {
         })
     }
 
-    /// Finds out which conditions hold, unless that is known.
+    /// Finds the conditions that hold, unless they are known.
     fn evaluate(&self, bit_state: &mut BitState<1>, held: &mut Vec<usize>, known: &mut bool, observed: Observed<'_>) {
         if *known {
             return;
@@ -236,7 +240,7 @@ impl Conditions {
         *known = true;
     }
 
-    /// The actions that are derived, given the positions of the conditions that hold, in ascending order.
+    /// Returns the derived actions, given the positions of the conditions that hold, in ascending order.
     fn derived(&self, held: &[usize]) -> Actions {
         held.iter().fold(Actions::default(), |mut derived, &position| {
             let condition = &self.clauses[position];
@@ -247,7 +251,7 @@ impl Conditions {
         })
     }
 
-    /// Collects the constraints that an action breaks, in ascending order.
+    /// Collects the constraints that an action violates, in ascending order.
     fn violations(&self, held: &[usize], action: Action, broken: &mut Vec<usize>) {
         let given = [action].into_iter().collect();
         let conditions = held.iter().map(|&position| &self.clauses[position]);
@@ -258,7 +262,7 @@ impl Conditions {
 }
 
 impl DenseRules {
-    /// `None` if the dense executor cannot evaluate them.
+    /// Compiles the rules. `None` if the dense executor cannot evaluate them.
     fn new(
         rules: &Rules,
         vocabulary: &Vocabulary,
@@ -282,7 +286,7 @@ impl DenseRules {
         })
     }
 
-    /// Evaluates them for the first entity.
+    /// Evaluates the rules for the first entity.
     fn run(&self, bit_state: &mut BitState<1>, observed: Observed<'_>) {
         let (atoms, count) = (observed.atoms, observed.bodies.len());
         if bit_state.count() != count {
@@ -320,8 +324,10 @@ impl Evaluator {
 }
 
 impl RuleMonitor {
+    /// Prepares the rules of a program.
+    ///
     /// # Errors
-    /// Rules that cannot be planned.
+    /// If the rules cannot be planned.
     pub fn new(program: &Program, vocabulary: &Vocabulary) -> Result<RuleMonitor, Diagnostic> {
         let rules = program.rules();
         let constraints = constraints(rules, vocabulary);
@@ -338,7 +344,7 @@ impl RuleMonitor {
         Ok(RuleMonitor { constraints, how })
     }
 
-    /// The clauses that ask an action, in the order of the text. The default is not among them.
+    /// Returns the clauses that demand an action, in source order, without the default.
     pub fn constraints(&self) -> &[ActionConstraint] {
         &self.constraints
     }
@@ -347,21 +353,21 @@ impl RuleMonitor {
 /// The facts about up to 64 entities.
 #[derive(Clone, Debug, Default)]
 pub(super) struct Atoms {
-    /// By predicate of the vocabulary: the entities of which it holds.
+    /// The set of entities for which each predicate of the vocabulary holds.
     pub unary: Vec<u64>,
-    /// For each predicate [`OBSERVED_MAX`] sets or as many as there are entities at most: what it relates each of them to, in their order.
+    /// For each predicate, `entities` sets: the entities that each entity is related to.
     pub rows: Vec<u64>,
     pub entities: usize,
 }
 
 impl Atoms {
-    /// The entities that a predicate relates one to.
+    /// Returns the entities that a predicate relates to `entity`.
     pub fn row(&self, predicate: usize, entity: usize) -> u64 {
         self.rows[predicate * self.entities + entity]
     }
 }
 
-/// Answers what a dense program asks about pairs.
+/// Provides binary facts to a dense program.
 struct Related<'a> {
     atoms: &'a Atoms,
     lists: &'a [(Option<usize>, Argument)],
@@ -381,21 +387,21 @@ impl BinaryFacts<1> for Related<'_> {
     }
 }
 
-/// What is evaluated.
+/// The input of an evaluation.
 #[derive(Clone, Copy)]
 pub(super) struct Observed<'a> {
     pub atoms: &'a Atoms,
     /// The observed entities, the ego first.
     pub bodies: &'a [Body],
     pub agents: &'a [Agent],
-    /// What the ego does, where that is an input.
+    /// The imposed action of the ego, if the rules take it as input.
     pub given: Option<Action>,
     /// Polled by the relational executor.
     pub cancel: &'a Cancel,
 }
 
 impl Observed<'_> {
-    /// Of whom a predicate of the vocabulary holds, or an action that is given; these come after them.
+    /// Returns the entities for which a predicate of the vocabulary or, after those, an imposed action holds.
     fn unary(&self, predicate: usize) -> u64 {
         match predicate.checked_sub(self.atoms.unary.len()) {
             None => self.atoms.unary[predicate],
@@ -403,7 +409,7 @@ impl Observed<'_> {
         }
     }
 
-    /// The facts by their positions in the list of agents.
+    /// Returns the facts by the positions of agents in the list.
     pub fn facts(&self, predicates: usize) -> Facts {
         let agent = |entity: usize| self.bodies[entity].agent;
         let rows = (0..predicates).map(|predicate| {
@@ -419,13 +425,13 @@ impl Observed<'_> {
     }
 }
 
-/// What a [`RuleMonitor`] says at a moment.
+/// The state of a [`RuleMonitor`] for one observation.
 pub(super) enum Violations {
     Once {
         bit_state: Box<BitState<1>>,
         /// The conditions that hold, by position.
         held: Vec<usize>,
-        /// Whether they are those of the present moment.
+        /// Whether `held` is up to date.
         known: bool,
     },
     Twice {
@@ -468,7 +474,7 @@ impl State {
         }
     }
 
-    /// The actions derived for the ego.
+    /// Returns the derived actions of the ego.
     fn derived(&self, evaluator: &Evaluator, vocabulary: &Vocabulary, ego: usize) -> Actions {
         match (self, evaluator) {
             (State::Dense(bit_state), Evaluator::Dense(rules)) => {
@@ -483,7 +489,7 @@ impl State {
         }
     }
 
-    /// Whether a clause derives its head of the ego.
+    /// Returns whether a clause derives its head for the ego.
     fn fired(&self, evaluator: &Evaluator, clause: ClauseId, ego: usize) -> bool {
         match (self, evaluator) {
             (State::Dense(bit_state), Evaluator::Dense(rules)) => {
@@ -513,17 +519,17 @@ impl Violations {
         }
     }
 
-    /// Takes note that the facts are others.
+    /// Invalidates the results after a change of the facts.
     pub fn forget(&mut self) {
         if let Violations::Once { known, .. } = self {
             *known = false;
         }
     }
 
-    /// The actions that the rules derive for the ego, which is the first of the observed entities.
+    /// Returns the actions that the rules derive for the ego, the first of the observed entities.
     ///
     /// # Errors
-    /// `limit-exceeded` for rules that derive too much.
+    /// `limit-exceeded` if the rules derive too many rows.
     pub fn derived(
         &mut self,
         monitor: &RuleMonitor,
@@ -544,10 +550,10 @@ impl Violations {
         }
     }
 
-    /// Collects the constraints that an action of the ego breaks, in ascending order.
+    /// Collects the constraints that an action of the ego violates, in ascending order.
     ///
     /// # Errors
-    /// `limit-exceeded` for rules that derive too much.
+    /// `limit-exceeded` if the rules derive too many rows.
     pub fn violations(
         &mut self,
         monitor: &RuleMonitor,

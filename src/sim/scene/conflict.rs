@@ -1,8 +1,9 @@
-//! Pairs of actions that can be derived together, with a scene that shows it.
+//! Finds pairs of actions that can be derived together, with an example scene.
 //!
-//! For two actions A and B, [`diff`] compares the rules with `Conflict(X) :- A(X), B(X).` to the rules without that clause. A difference is a
-//! smallest scene that keeps the constraints of the rules and derives both; "equivalent" proves that no scene does. If every clause of one
-//! action negates the other, the pair is excluded without a search, also for rules of which `diff` proves nothing.
+//! For two actions A and B, [`diff`] compares the rules with `Conflict(X) :- A(X), B(X).` to the rules without that
+//! clause. A difference is a minimal scene that satisfies the constraints of the rules and derives both; "equivalent"
+//! proves that no such scene exists. If every clause of one action negates the other, the pair is excluded without a
+//! search, even for rules that `diff` cannot prove equivalent.
 
 use crate::city::Action;
 use crate::datalog::diff::{Difference, Equivalence, Options, diff};
@@ -13,44 +14,44 @@ use crate::datalog::{Program, naive};
 use crate::diag::Diagnostic;
 use serde_json::{Map, json};
 
-/// Bound of the search for one pair of actions; see [`Options::conflicts_max`].
+/// The budget of the search for one pair of actions; see [`Options::conflicts_max`].
 pub const CONFLICT_BUDGET: u64 = 20_000;
 
 /// See [`Options::literals_max`].
 const LITERALS_MAX: usize = 1_000_000;
 
-/// The predicate that is added. No name in a text begins with `+`.
+/// The added predicate. No name in source text begins with `+`.
 const CONFLICT: &str = "+conflict";
 
-/// What is known of two actions that both have clauses.
+/// The finding for two actions that both have clauses.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub struct Overlap {
-    /// The actions.
+    /// The two actions.
     pub actions: [Action; 2],
     /// Whether both can be derived for one agent.
     pub finding: Finding,
 }
 
-/// Whether two actions can be derived together.
+/// Whether one scene can derive two actions for the same agent.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub enum Finding {
-    /// No: proved.
+    /// Proved impossible.
     Excluded,
-    /// Yes.
+    /// Possible.
     Together {
-        /// The first clause of each action that derives it in the scene, in the order of the actions.
+        /// The first clause of each action that fires in the scene, in the order of the actions.
         clauses: [ClauseId; 2],
-        /// A scene in which both are derived for the first entity.
+        /// A scene that derives both for the first entity.
         scene: Difference,
     },
-    /// The search found no scene and is no proof: [`Equivalence::NoneFound`] or [`Equivalence::NoneTried`].
+    /// Not found and not excluded: [`Equivalence::NoneFound`] or [`Equivalence::NoneTried`].
     NotFound(Equivalence),
 }
 
-/// Returns what is known of every pair of actions that both have clauses, in the order of [`Action::ALL`].
+/// Checks every pair of actions that both have clauses, in the order of [`Action::ALL`].
 ///
 /// # Errors
-/// If [`diff`] refuses the rules.
+/// If [`diff`] rejects the rules.
 pub fn conflicts(program: &Program) -> Result<Vec<Overlap>, Vec<Diagnostic>> {
     let rules = program.rules();
     let action = |action: Action| {
@@ -102,7 +103,7 @@ fn find(rules: &Rules, actions: [RelId; 2]) -> Result<Finding, Vec<Diagnostic>> 
     )
 }
 
-/// Whether each clause of the action has the other action, negated, for the same agent.
+/// Returns whether each clause of the action negates the other action for the same agent.
 fn all_negate(rules: &Rules, action: RelId, other: RelId) -> bool {
     clauses(rules, action).all(|(_, clause)| {
         let same = |atom: &Atom| atom.relation == other && atom.terms == clause.head.terms;
@@ -110,7 +111,7 @@ fn all_negate(rules: &Rules, action: RelId, other: RelId) -> bool {
     })
 }
 
-/// The rules with `Conflict(X) :- A(X), B(X).`
+/// Returns the rules with `Conflict(X) :- A(X), B(X).`
 fn with_conflict(rules: &Rules, actions: [RelId; 2]) -> Rules {
     let mut rules = without_conflict(rules, actions[0]);
     let relation = RelId(rules.relations.len() as u32 - 1);
@@ -137,7 +138,7 @@ fn with_conflict(rules: &Rules, actions: [RelId; 2]) -> Rules {
     rules
 }
 
-/// The rules with `Conflict` declared like the action.
+/// Returns the rules with `Conflict` declared like the action.
 fn without_conflict(rules: &Rules, action: RelId) -> Rules {
     let mut rules = rules.clone();
     rules.relations.push(Relation {
@@ -148,7 +149,7 @@ fn without_conflict(rules: &Rules, action: RelId) -> Rules {
     rules
 }
 
-/// The first clause of each action that derives it for the first entity of the scene.
+/// Returns the first clause of each action that derives it for the first entity of the scene.
 fn firing(rules: &Rules, actions: [RelId; 2], scene: &Difference) -> [ClauseId; 2] {
     let symbols = rules.symbols.clone();
     let mut rows: Vec<(RelId, Vec<Value>)> = Vec::new();
@@ -174,7 +175,7 @@ fn firing(rules: &Rules, actions: [RelId; 2], scene: &Difference) -> [ClauseId; 
     })
 }
 
-/// The rows of the scopes in which every entity sees every other and itself.
+/// Returns the rows of the scopes in which every entity sees all entities.
 fn scopes(scene: &Difference) -> Vec<(String, Vec<Vec<String>>)> {
     let pairs = || {
         let entities = &scene.entities;
@@ -189,7 +190,7 @@ fn scopes(scene: &Difference) -> Vec<(String, Vec<Vec<String>>)> {
         .collect()
 }
 
-/// Returns the scene in the format of `logicity infer`, which takes a complete `Sees` for granted.
+/// Returns the scene in the format of `logicity infer`, which assumes a complete `Sees`.
 pub fn scene_json(scene: &Difference) -> serde_json::Value {
     let scopes = scopes(scene);
     let scopes = scopes.iter().filter(|(name, _)| name != "Sees");

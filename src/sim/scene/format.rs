@@ -1,4 +1,4 @@
-//! Scenes: one state of a city, or of something more abstract, as a line of JSON. `configs/README.md` documents the format.
+//! The scene format: one state of a city, or of abstract entities, as a line of JSON. `configs/README.md` documents it.
 
 use crate::city::AgentKind;
 use crate::city::{Cell, CityMap, Heading};
@@ -14,63 +14,63 @@ use std::collections::HashMap;
 /// A scene.
 #[derive(Clone, Debug)]
 pub enum Scene {
-    /// Agents on a map; the base predicates are computed.
+    /// Agents on a map; base facts are computed.
     Geometric(GeometricScene),
-    /// Entities and facts; the base predicates are given.
+    /// Entities and their base facts.
     Symbolic(SymbolicScene),
 }
 
-/// Agents on a map.
+/// A scene of agents on a map.
 #[derive(Clone, Debug)]
 pub struct GeometricScene {
-    /// Name of the map.
+    /// The name of the map.
     pub map: String,
-    /// Where the name stands.
+    /// The source position of the name.
     pub map_span: Span,
     /// The agents in list order.
     pub agents: Vec<SceneAgent>,
-    /// Positions in `agents` of those to decide for.
+    /// The egos: positions in `agents`.
     pub egos: Vec<usize>,
-    /// Tells apart the random draws of one seed, as the ticks of a run do.
+    /// Distinguishes the random draws of one seed, as ticks do in a run.
     pub tick: u64,
-    /// Predicates whose true rows are given instead of computed.
+    /// Predicates whose rows the scene states, so that they are not computed.
     pub given: Vec<GivenPredicate>,
 }
 
 /// An agent of a scene.
 #[derive(Clone, Debug)]
 pub struct SceneAgent {
-    /// Its name.
+    /// The name.
     pub id: String,
-    /// Car or pedestrian.
+    /// The kind.
     pub kind: AgentKind,
-    /// Names of its concepts.
+    /// The names of the concepts.
     pub concepts: Vec<String>,
-    /// Right of way.
+    /// The priority.
     pub priority: i32,
-    /// Where it is.
+    /// The cell.
     pub at: Cell,
-    /// The direction of its last move.
+    /// The direction of the last move.
     pub heading: Option<Heading>,
-    /// Where the agent stands in the text.
+    /// The source position of the agent.
     pub span: Span,
 }
 
-/// The true rows of a predicate.
+/// The rows of a predicate, as stated in a scene.
 #[derive(Clone, Debug)]
 pub struct GivenPredicate {
-    /// The predicate's name.
+    /// The name of the predicate.
     pub name: String,
     /// Rows of positions in the scene's agents or entities, sorted.
     pub rows: Vec<Vec<usize>>,
 }
 
-/// Entities and facts.
+/// A scene of entities and facts.
 #[derive(Clone, Debug)]
 pub struct SymbolicScene {
-    /// Names of the entities, in order.
+    /// The names of the entities, in order.
     pub entities: Vec<String>,
-    /// Position of the one to decide for.
+    /// The position of the ego in `entities`.
     pub ego: usize,
     /// The true facts.
     pub facts: Vec<GivenPredicate>,
@@ -118,7 +118,7 @@ struct RawSymbolic<'a> {
     facts: Entries<'a>,
 }
 
-/// A JSON object in the order of the text, whose values are read later.
+/// A JSON object in source order with unparsed values.
 #[derive(Default)]
 struct Entries<'a>(IndexMap<String, &'a RawValue>);
 
@@ -149,18 +149,19 @@ impl<'de: 'a, 'a> Deserialize<'de> for Entries<'a> {
     }
 }
 
-/// Which predicates a scene may speak of, and which concepts its agents may carry.
+/// The predicates and concepts that a scene may use.
 pub struct Terms<'a> {
-    /// Base predicates with their number of columns.
+    /// Base predicates with their arity.
     pub predicates: Vec<(&'a str, usize)>,
-    /// Concepts and the kind of agent that carries them.
+    /// Concepts with the kind of agent that carries them.
     pub concepts: Vec<(AgentKind, &'a str)>,
 }
 
-/// Reads a scene.
+/// Parses a scene.
 ///
 /// # Errors
-/// All faults: `invalid-scene` at their places, `limit-exceeded` for more than [`MAX_ENTITIES`].
+/// All errors of the scene: `invalid-scene` at their positions, `limit-exceeded` for more than [`MAX_ENTITIES`] agents
+/// or entities.
 pub fn parse_scene(sources: &Sources, source: SourceId, terms: &Terms<'_>) -> Result<Scene, Vec<Diagnostic>> {
     let reader = Reader {
         source,
@@ -170,17 +171,17 @@ pub fn parse_scene(sources: &Sources, source: SourceId, terms: &Terms<'_>) -> Re
     (reader.scene()).map_err(|faults| faults.into_iter().collect::<Faults>().finish())
 }
 
-/// What was read, or all that is wrong with it.
+/// A parsed value, or all errors in it.
 type Read<T> = Result<T, Vec<Diagnostic>>;
 
-/// All that was read, or all that is wrong with any of it.
+/// Collects all values, or the errors of all of them.
 fn all<T>(results: impl Iterator<Item = Read<T>>) -> Read<Vec<T>> {
     let mut faults = Vec::new();
     let values: Vec<T> = results.filter_map(|result| keep(&mut faults, result)).collect();
     if faults.is_empty() { Ok(values) } else { Err(faults) }
 }
 
-/// What was read; if it is faulty, its faults join the others.
+/// Returns the value, or adds its errors to `faults`.
 fn keep<T>(faults: &mut Vec<Diagnostic>, result: Read<T>) -> Option<T> {
     result.map_err(|more| faults.extend(more)).ok()
 }
@@ -242,7 +243,8 @@ impl<'a> Reader<'a> {
         }
     }
 
-    /// The name of a built-in map, or the path of a map file. Other files are nobody's business here.
+    /// Parses the name of a built-in map or the path of a map file. Rejects other paths, so that a scene opens only
+    /// maps.
     fn map(&self, raw: &'a RawValue) -> Read<String> {
         let name: String = self.value(raw)?;
         let is_name = name.chars().all(|c| c.is_alphanumeric() || c == '-' || c == '_');
@@ -331,12 +333,12 @@ impl<'a> Reader<'a> {
             Some(first) => {
                 let message = format!("a scene with {} {what}, the limit is {MAX_ENTITIES}", list.len());
                 let fault = Diagnostic::new(Code::LIMIT_EXCEEDED, message);
-                Err(vec![fault.at(self.span(first), "the first that is too many")])
+                Err(vec![fault.at(self.span(first), "the first one beyond the limit")])
             }
         }
     }
 
-    /// Positions by name.
+    /// Returns the positions by name.
     fn names<'n>(&self, list: impl Iterator<Item = (&'n str, Span)>) -> Read<HashMap<String, usize>> {
         let mut names = HashMap::new();
         let mut spans = Vec::new();
@@ -351,7 +353,7 @@ impl<'a> Reader<'a> {
         if faults.is_empty() { Ok(names) } else { Err(faults) }
     }
 
-    /// The position of the agent or entity (`what`) that a JSON string names.
+    /// Returns the position of the agent or entity (`what`) that a JSON string names.
     fn named(&self, raw: &'a RawValue, names: &HashMap<String, usize>, what: &str) -> Read<usize> {
         let name: String = self.value(raw)?;
         let position = names.get(&name).copied();
@@ -382,7 +384,7 @@ impl<'a> Reader<'a> {
         }))
     }
 
-    /// A row: a list of names; a single name may stand alone.
+    /// Parses a row: a list of names, or a single name.
     fn row(&self, raw: &'a RawValue, arity: usize, names: &HashMap<String, usize>, what: &str) -> Read<Vec<usize>> {
         let terms = if raw.get().starts_with('[') {
             self.value::<Vec<&RawValue>>(raw)?
@@ -390,7 +392,7 @@ impl<'a> Reader<'a> {
             vec![raw]
         };
         if terms.len() != arity {
-            let message = format!("a row of {} where the predicate has {arity}", terms.len());
+            let message = format!("a row of {} names; the predicate takes {arity}", terms.len());
             return Err(vec![self.fault(raw, message, "wrong number of names")]);
         }
         all(terms.into_iter().map(|term| self.named(term, names, what)))
@@ -400,10 +402,10 @@ impl<'a> Reader<'a> {
         self.read(raw.get(), self.offset(raw))
     }
 
-    /// Reads JSON that begins at byte `offset` of the scene.
+    /// Parses JSON that starts at byte `offset` of the scene.
     fn read<T: Deserialize<'a>>(&self, json: &'a str, offset: usize) -> Read<T> {
         serde_json::from_str(json).map_err(|error| {
-            // A scene is a line, so its columns are bytes from its beginning; `column` is 0 where the fault is the value as a whole.
+            // `column` is 0 if the error is about the value as a whole.
             let text = error.to_string();
             let text = text.split(" at line ").next().unwrap_or(&text);
             let lines_before = json.split('\n').take(error.line().saturating_sub(1));
@@ -419,7 +421,7 @@ impl<'a> Reader<'a> {
         })
     }
 
-    /// Where a part of the scene begins: its text is a part of ours.
+    /// Returns the byte offset of a part of the scene. `raw` must borrow from the scene's text.
     fn offset(&self, raw: &RawValue) -> usize {
         (raw.get().as_ptr() as usize).saturating_sub(self.text.as_ptr() as usize)
     }
@@ -429,7 +431,7 @@ impl<'a> Reader<'a> {
         Span::new(self.source, start..start + raw.get().len())
     }
 
-    /// The key before a value of an object.
+    /// Returns the span of the key of a value in an object.
     fn key_span(&self, raw: &RawValue) -> Span {
         let before = self.text[..self.offset(raw)].trim_end_matches([' ', '\t', ':']);
         let inside = before.strip_suffix('"').unwrap_or(before);
@@ -449,7 +451,7 @@ impl GeometricScene {
     /// Checks that every agent is on the map.
     ///
     /// # Errors
-    /// `invalid-scene` for each that is not.
+    /// `invalid-scene` for each agent outside the map.
     pub fn check_cells(&self, map: &CityMap) -> Result<(), Vec<Diagnostic>> {
         let outside = self.agents.iter().filter(|agent| !map.contains(agent.at));
         let faults: Faults = outside

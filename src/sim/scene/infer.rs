@@ -1,4 +1,4 @@
-//! Inference: what the rules decide in one scene.
+//! Inference: the decisions of the rules in one scene.
 
 use crate::cancel::Cancel;
 use crate::city::Action;
@@ -23,10 +23,10 @@ use std::collections::HashMap;
 use std::path::Path;
 use std::sync::Arc;
 
-/// How a map file that a scene asks for is read.
+/// Reads the map files that scenes name.
 type Reader = dyn ReadFile + Send + Sync;
 
-/// Answers scenes under one scenario and one program. Maps are kept by name once they have been loaded.
+/// Evaluates scenes with one scenario and one program. It caches maps by name.
 pub struct Inference {
     scenario: Scenario,
     program: Program,
@@ -35,46 +35,46 @@ pub struct Inference {
     maps: HashMap<String, Arc<CityMap>>,
     seed: Seed,
     check_constraints: bool,
-    /// Decides; if there is none, a session does.
+    /// The dense program; `None` if a session decides.
     dense: Option<Dense>,
 }
 
-/// What is known of a scene.
+/// The entities and base facts of a scene.
 #[derive(Clone, Debug)]
 pub struct SceneFacts {
-    /// Names of the entities.
+    /// The names of the entities.
     pub names: Vec<String>,
-    /// Positions of the entities to decide for.
+    /// The positions of the egos.
     pub egos: Vec<usize>,
     /// The base facts.
     pub facts: Facts,
 }
 
-/// What the rules decide for the egos of a scene.
+/// The decisions of the rules for the egos of a scene.
 #[derive(Clone, Debug)]
 pub struct Answer {
-    /// One for each ego, in the order asked.
+    /// One answer per ego, in the order of the scene.
     pub egos: Vec<EgoAnswer>,
 }
 
-/// What the rules decide for one ego.
+/// The decision of the rules for one ego.
 #[derive(Clone, Debug)]
 pub struct EgoAnswer {
-    /// Name of the ego.
+    /// The name of the ego.
     pub id: String,
-    /// Names of all it sees: itself first, the others in list order.
+    /// The names of all entities in its field of view: itself first, the others in list order.
     pub sees: Vec<String>,
-    /// The true atoms over them, by base predicate; `Sees` is left out.
+    /// The true atoms over these entities, by base predicate, without `Sees`.
     pub atoms: Vec<(String, Vec<Vec<String>>)>,
-    /// The actions derived before the default.
+    /// The derived actions, without the default.
     pub derived: Actions,
-    /// The action.
+    /// The action to take.
     pub action: Action,
 }
 
 impl Answer {
-    /// The answer as JSON: `{"egos": {ID: {"sees": [..], "true": {..}, "derived": [..], "action": ".."}}}`. A row of one name
-    /// is written as the name alone.
+    /// Returns the answer as JSON: `{"egos": {ID: {"sees": [..], "true": {..}, "derived": [..], "action": ".."}}}`. A
+    /// row with one name is a plain string.
     pub fn to_json(&self) -> serde_json::Value {
         let egos: Map<String, serde_json::Value> = self
             .egos
@@ -106,11 +106,11 @@ impl Answer {
 }
 
 impl Inference {
-    /// Binds a scenario to a program, which `executor` evaluates. `read` reads map files that scenes ask for; built-in maps need no
-    /// file.
+    /// Binds a scenario to a program. `read` reads the map files that scenes name; built-in maps need no file.
     ///
     /// # Errors
-    /// As [`Vocabulary::bind`]; `dense-unsupported` for rules that the requested dense executor cannot evaluate.
+    /// As [`Vocabulary::bind`]; `dense-unsupported` if `executor` demands the dense one and it cannot evaluate the
+    /// rules.
     pub fn new(
         scenario: Scenario,
         program: Program,
@@ -135,12 +135,12 @@ impl Inference {
         })
     }
 
-    /// The base predicates and actions.
+    /// Returns the base predicates and actions.
     pub fn vocabulary(&self) -> &Vocabulary {
         &self.vocabulary
     }
 
-    /// The rules for the dense executor.
+    /// Compiles the rules for the dense executor.
     ///
     /// # Errors
     /// `dense-unsupported` if it cannot evaluate them; the message names the reason.
@@ -149,18 +149,20 @@ impl Inference {
             .map_err(|fault| fault.at(self.scenario.rules.span, "these rules"))
     }
 
-    /// Refuses scenes from now on whose facts violate a constraint. Answers rely on no constraint either way. The
-    /// facts have to be those of a session for that, so the relational executor decides.
+    /// Makes later calls reject scenes whose facts violate a constraint. The relational executor then decides, because
+    /// the check needs a session. Answers do not depend on constraints either way.
     pub fn check_constraints(&mut self) {
         self.check_constraints = true;
     }
 
-    /// Answers the scene in `source`. The same scene always gets the same answer: predicates that hold with a probability and are
-    /// not given are drawn by seed, the scene's `tick` and the positions of the two agents.
+    /// Evaluates the scene in `source`.
+    ///
+    /// Equal scenes have equal answers. Predicates that hold with a probability, unless the scene states them, are
+    /// drawn from the seed, the scene's `tick` and the list positions of the two agents.
     ///
     /// # Errors
-    /// All faults of the scene: `invalid-scene`; `limit-exceeded` if it is too large or the rules derive too much from it;
-    /// `constraint-violation` after [`Inference::check_constraints`].
+    /// All errors of the scene: `invalid-scene`; `limit-exceeded` if it is too large or the rules derive too many rows
+    /// from it; `constraint-violation` after [`Inference::check_constraints`].
     pub fn answer(&mut self, sources: &Sources, source: SourceId) -> Result<Answer, Vec<Diagnostic>> {
         self.answer_with(sources, source, &Cancel::never())
     }
@@ -176,15 +178,15 @@ impl Inference {
         cancel: &Cancel,
     ) -> Result<Answer, Vec<Diagnostic>> {
         let scene = self.ground_with(sources, source, cancel)?;
-        // What the rules derive stands in no text; it follows from the scene as a whole.
+        // Derived rows have no source position, so the diagnostic points to the whole scene.
         let whole = Span::new(source, 0..sources.text(source).len());
         (self.decide(&scene, cancel)).map_err(|fault| vec![fault.at(whole, "in this scene")])
     }
 
-    /// The facts of the scene in `source`: those that it gives, and those that follow from where its agents are.
+    /// Returns the facts of the scene in `source`: the stated ones and those computed from the positions of its agents.
     ///
     /// # Errors
-    /// As [`Inference::answer`], but for what the rules derive.
+    /// As [`Inference::answer`], except errors of evaluation.
     pub fn ground(&mut self, sources: &Sources, source: SourceId) -> Result<SceneFacts, Vec<Diagnostic>> {
         self.ground_with(sources, source, &Cancel::never())
     }
@@ -263,12 +265,12 @@ impl Inference {
                 self.maps.insert(scene.map.clone(), Arc::clone(&map));
                 Ok(map)
             }
-            // The texts of the map are not those of the scene, so its faults are told in words.
+            // The map's sources are not the caller's, so notes quote its errors.
             Err(faults) => {
                 let fault = Diagnostic::new(Code::INVALID_SCENE, format!("the map `{}` cannot be used", scene.map));
                 Err(faults
                     .iter()
-                    .fold(fault.at(scene.map_span, "asked for here"), |fault, cause| {
+                    .fold(fault.at(scene.map_span, "named here"), |fault, cause| {
                         let place = cause.primary.as_ref().map(|label| sources.locate(label.span) + ": ");
                         fault.note(format!("{}{}", place.unwrap_or_default(), cause.message))
                     }))
@@ -297,11 +299,11 @@ impl Inference {
         }
     }
 
-    /// Answers a scene whose facts are known.
+    /// Evaluates a scene with known facts.
     ///
     /// # Errors
-    /// `limit-exceeded` if it has more than [`MAX_ENTITIES`](crate::sim::MAX_ENTITIES) entities, or the rules derive too much from it;
-    /// `constraint-violation` after [`Inference::check_constraints`].
+    /// `limit-exceeded` if it has more than [`MAX_ENTITIES`](crate::sim::MAX_ENTITIES) entities, or the rules derive
+    /// too many rows from it; `constraint-violation` after [`Inference::check_constraints`].
     pub fn answer_facts(&self, scene: &SceneFacts) -> Result<Answer, Diagnostic> {
         let count = scene.names.len();
         if count > MAX_ENTITIES {
@@ -328,7 +330,7 @@ impl Inference {
         Ok(Answer { egos: egos.collect() })
     }
 
-    /// The actions that hold for each ego.
+    /// Returns the derived actions of each ego.
     fn derive(&self, scene: &SceneFacts, names: &[&str], cancel: &Cancel) -> Result<Vec<Actions>, Diagnostic> {
         if let (Some(dense), false) = (&self.dense, self.check_constraints) {
             let width = Width::of(names.len()).expect("a scene has fewer entities than the widest set");
@@ -337,7 +339,7 @@ impl Inference {
         let mut state = GroundState::new(&self.program, &self.vocabulary, names.iter().copied());
         state.set_with(&scene.facts, cancel)?;
         if self.check_constraints {
-            // The rules are another text than the scene, so where it was declared is not pointed at.
+            // The rules are not in the caller's sources, so the diagnostic does not point to the declaration.
             let mut broken = constraints::violations(state.session()).into_iter();
             if let Some(first) = broken.next() {
                 let fault = Diagnostic::new(Code::CONSTRAINT_VIOLATION, first.message);
@@ -387,7 +389,7 @@ struct CancellableFacts<'a, const W: usize> {
 }
 
 impl<const W: usize> CancellableFacts<'_, W> {
-    /// Calls of `cancelled` for each one that polls.
+    /// The number of calls of `cancelled` per poll.
     const POLL_INTERVAL: u32 = 1024;
 }
 
@@ -412,7 +414,7 @@ impl<const W: usize> BinaryFacts<W> for CancellableFacts<'_, W> {
     }
 }
 
-/// The given rows of a predicate, if the scene gives any.
+/// Returns the stated rows of a predicate, if the scene has any.
 fn given(vocabulary: &Vocabulary, list: &[GivenPredicate], index: usize) -> Option<Vec<[u32; 2]>> {
     let name = &vocabulary.predicates[index].name;
     let rows = &list.iter().find(|given| given.name == *name)?.rows;
@@ -423,7 +425,7 @@ fn given(vocabulary: &Vocabulary, list: &[GivenPredicate], index: usize) -> Opti
     Some(rows.iter().map(|row| [word(row, 0), word(row, 1)]).collect())
 }
 
-/// What an ego sees: itself first, the others in list order.
+/// Returns the entities in the view of an ego: itself first, the others in list order.
 fn entities_in_view(sees: &[[u32; 2]], ego: usize) -> Vec<usize> {
     let others = sees
         .iter()
@@ -433,7 +435,7 @@ fn entities_in_view(sees: &[[u32; 2]], ego: usize) -> Vec<usize> {
     std::iter::once(ego).chain(others).collect()
 }
 
-/// The true atoms over some entities, `Sees` left out, rows in the order of those entities.
+/// Returns the true atoms over `entities` without `Sees`, with rows in the order of `entities`.
 fn atoms_over(
     vocabulary: &Vocabulary,
     facts: &Facts,

@@ -1,4 +1,4 @@
-//! Scenes: single states that come from outside, what the rules decide in them, and those in which actions conflict.
+//! Scenes: single states from outside, the decisions of the rules in them, and scenes with conflicting actions.
 
 mod conflict;
 mod format;

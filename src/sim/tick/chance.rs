@@ -1,25 +1,25 @@
-//! Draws: whether what holds with a probability holds.
+//! Random draws for predicates that hold with a probability.
 
 use crate::rng::{Purpose, RngExt, Seed};
 
 impl Purpose {
-    /// Predicates that hold with a probability; index: the pair of agents, see `sim::ground`.
+    /// Predicates that hold with a probability; index: predicate and pair of agents.
     pub const PREDICATE: Purpose = Purpose::new(5);
 }
 
-/// Decides whether a predicate that holds only with a probability holds now, for the pair (first, second) of entities.
+/// Decides whether a predicate with a probability holds now for an ordered pair of entities.
 pub trait Chance {
-    /// `predicate` is its position in the vocabulary; `probability` is in 0..=1.
+    /// Returns whether the predicate holds. `predicate` is its position in the vocabulary; `probability` is in 0..=1.
     fn happens(&self, predicate: usize, first: usize, second: usize, probability: f64) -> bool;
 
-    /// The same, where what is certain is not drawn.
+    /// Variant of [`happens`](Chance::happens) that skips the draw for the probabilities 0 and 1.
     #[inline]
     fn decides(&self, predicate: usize, first: usize, second: usize, probability: f64) -> bool {
         probability >= 1.0 || probability > 0.0 && self.happens(predicate, first, second, probability)
     }
 }
 
-/// Draws from seeded streams: the same for the same seed, time, predicate and pair of entities.
+/// Draws from seeded streams. Equal seed, time, predicate and pair give equal draws.
 #[derive(Clone, Copy, Debug)]
 pub(crate) struct Draws {
     pub seed: Seed,
@@ -28,7 +28,7 @@ pub(crate) struct Draws {
 
 impl Chance for Draws {
     fn happens(&self, predicate: usize, first: usize, second: usize, probability: f64) -> bool {
-        // 16 bits of predicate and 24 bits for each entity: a scene has fewer of either.
+        // The index has 16 bits for the predicate and 24 bits per entity, more than any scene needs.
         let index = (predicate as u64) << 48 | (first as u64) << 24 | second as u64;
         let mut stream = self.seed.stream(Purpose::PREDICATE, index, self.time);
         stream.random::<f64>() < probability

@@ -1,4 +1,4 @@
-//! Deciding for all agents at once: densely, in one window or in many.
+//! The dense executor: decides for all agents in one window, or in one window per tile.
 
 use crate::city::Action;
 use crate::city::{Agent, Cell, CityMap};
@@ -16,28 +16,28 @@ use std::ops::Range;
 use std::sync::Mutex;
 use std::sync::atomic::{AtomicU8, AtomicU64, Ordering};
 
-/// The most entities that are looked at together.
+/// The maximum number of entities in one window.
 pub const WINDOW_MAX: usize = Width::SixtyFour.entities();
-/// A city of more agents is cut into tiles, if the rules let it, and may go on several threads.
+/// A city with more agents is cut into tiles, if its rules are local, and may use several threads.
 pub const WHOLE_MAX: usize = Width::Four.entities();
 
-/// About as many entities are in the window of a tile.
+/// The approximate number of entities in the window of a tile.
 const TILE_ENTITIES: f64 = 40.0;
 
-/// What the agents decided in a tick, before the default.
+/// The decisions of the agents in a tick, before the default.
 #[derive(Debug, Default)]
 pub(super) struct Decisions {
-    /// For each agent the bits of its [`Actions`].
+    /// The bits of the [`Actions`] of each agent.
     derived: Vec<AtomicU8>,
-    /// For each counted clause how many rows it derived; empty if clauses are not counted.
+    /// The number of rows that each counted clause derived; empty if clauses are not counted.
     pub firings: Vec<usize>,
-    /// For each agent `words` words: bit i if the counted clause i derived an action for it.
+    /// `words` words per agent: bit `i` is set if the counted clause `i` derived an action for it.
     fired: Vec<AtomicU64>,
     words: usize,
 }
 
 impl Decisions {
-    /// For so many agents and counted clauses.
+    /// Creates empty decisions for this number of agents and counted clauses.
     pub fn new(agents: usize, clauses: usize) -> Self {
         let words = clauses.div_ceil(64);
         Decisions {
@@ -60,7 +60,7 @@ impl Decisions {
     }
 
     pub fn add(&self, agent: usize, action: Action) {
-        // One window decides for an agent, so no other thread writes here.
+        // Only one window decides for an agent, so no other thread writes here.
         let bits = &self.derived[agent];
         bits.store(
             bits.load(Ordering::Relaxed) | [action].into_iter().collect::<Actions>().bits(),
@@ -73,7 +73,7 @@ impl Decisions {
         word.store(word.load(Ordering::Relaxed) | 1 << (clause % 64), Ordering::Relaxed);
     }
 
-    /// The counted clauses that derived an action for the agent.
+    /// Returns the counted clauses that derived an action for the agent.
     pub fn fired(&self, agent: usize) -> impl Iterator<Item = usize> {
         let words = self.fired[agent * self.words..(agent + 1) * self.words]
             .iter()
@@ -87,17 +87,17 @@ impl Decisions {
     }
 }
 
-/// What is read off a window after it is evaluated.
+/// The results to read from an evaluated window.
 #[derive(Clone, Debug)]
 struct Reading {
     grounder: Grounder,
     actions: Vec<(Action, RelId)>,
-    /// The counted clauses, and whether they are clauses of actions.
+    /// The counted clauses, each with whether its head is an action.
     clauses: Vec<(ClauseId, bool)>,
 }
 
 impl Reading {
-    /// Adds what a window decides for its `egos`, and how often its clauses fired to `firings`.
+    /// Adds the decisions of a window for its `egos` to `out`, and the firings of its clauses to `firings`.
     fn read<const W: usize>(&self, window: &Window<W>, egos: &Set<W>, out: &Decisions, firings: &mut [usize]) {
         let dense = &self.grounder.dense;
         for &(action, relation) in &self.actions {
@@ -119,7 +119,7 @@ impl Reading {
     }
 }
 
-/// A city that is decided about densely.
+/// Evaluates the rules of one city as bits.
 pub(super) struct DenseExecutor {
     reading: Reading,
     shape: Shape,
@@ -131,7 +131,7 @@ enum Shape {
 }
 
 impl DenseExecutor {
-    /// `clauses` are those to be counted; none, and nothing is counted.
+    /// Creates an executor that counts the firings of `clauses`.
     ///
     /// # Errors
     /// `dense-unsupported` if it cannot evaluate the rules for this number of agents; the message names the reason.
@@ -153,7 +153,7 @@ impl DenseExecutor {
         let width = Width::of(agents.len());
         if width.is_none() && !in_tiles {
             return Err(not_dense(&format!(
-                "they look beyond the field of view, and there are more than {WINDOW_MAX} agents"
+                "they read facts beyond the field of view, and there are more than {WINDOW_MAX} agents"
             )));
         }
 
@@ -180,7 +180,7 @@ impl DenseExecutor {
         Ok(DenseExecutor { reading, shape })
     }
 
-    /// Takes note of other agents, as many as before.
+    /// Replaces the agents by the same number of others.
     pub fn restart(&mut self, map: &CityMap, agents: &[Agent]) {
         let grounder = &mut self.reading.grounder;
         match &mut self.shape {
@@ -189,7 +189,7 @@ impl DenseExecutor {
         }
     }
 
-    /// Decides for all agents; `out` is cleared before, and left empty by an error.
+    /// Decides for all agents. Clears `out` first, and leaves it empty on error.
     ///
     /// # Errors
     /// `limit-exceeded` for more than [`WINDOW_MAX`] agents around one cell.
@@ -208,7 +208,7 @@ impl DenseExecutor {
         decided
     }
 
-    /// Computes all facts that the rules can ask for; how many there are. `None` for a city that is looked at by tiles.
+    /// Computes all facts that the rules may read and returns their number. `None` for a city in tiles.
     pub fn count_facts(&mut self, draws: Draws) -> Option<u64> {
         match &mut self.shape {
             Shape::One(one) => Some(one.count_facts(&self.reading.grounder, draws)),
@@ -216,7 +216,7 @@ impl DenseExecutor {
         }
     }
 
-    /// Takes note of where the agents are.
+    /// Updates the positions of the agents.
     pub fn follow(&mut self, map: &CityMap, positions: &[Position]) {
         match &mut self.shape {
             Shape::One(one) => one.follow(&self.reading.grounder, map, positions),
@@ -225,7 +225,7 @@ impl DenseExecutor {
     }
 }
 
-/// Makes a list of what the predicates can see of agents.
+/// Fills `bodies` with the visible state of the agents.
 fn list_bodies(bodies: &mut Vec<Body>, grounder: &mut Grounder, map: &CityMap, agents: &[Agent]) {
     let body = |(position, agent): (usize, &Agent)| Body {
         class: grounder.class_of(agent.kind, &agent.concepts),
@@ -288,27 +288,27 @@ impl<const W: usize> OneWindow for One<W> {
     }
 }
 
-/// A city in tiles. For each tile the agents in it are decided about, in a window that has all they can see.
+/// A city in tiles. Each tile decides for its agents in a window that contains all that they can see.
 struct Tiles {
-    /// By bins, row by row. Between ticks it may be that bodies have left their bins: but they do not go far, so that sorting them again
-    /// reads and writes memory nearly in order.
+    /// Sorted by bin, row by row. Moves between ticks may leave a body outside its bin, but near it: sorting again
+    /// accesses memory almost sequentially.
     bodies: Vec<Body>,
-    /// Where they are sorted to.
+    /// The buffer that sorting writes to.
     sorted: Vec<Body>,
-    /// Where each bin begins in `bodies`, and where the last one ends.
+    /// The start of each bin in `bodies`, then the end of the last one.
     bins: Vec<u32>,
-    /// Bins along both axes.
+    /// The number of bins along each axis.
     size: [i32; 2],
-    /// Side of a tile in cells: it consists of whole bins, also where it is cut into smaller ones.
+    /// The side of a tile in cells. Tiles consist of whole bins, even after splitting.
     side: i32,
     view: i32,
     workers: Vec<Mutex<Worker>>,
 }
 
-/// Side of a bin in cells.
+/// The side of a bin in cells.
 const BIN: i32 = 32;
 
-/// What a thread needs.
+/// The buffers of a thread.
 struct Worker {
     narrow: Window<1>,
     pair: Window<2>,
@@ -396,7 +396,7 @@ impl Tiles {
         std::mem::swap(&mut self.bodies, &mut self.sorted);
     }
 
-    /// Takes note of where the agents are.
+    /// Updates the positions of the agents.
     fn follow(&mut self, map: &CityMap, positions: &[Position]) {
         let follow = |body: &mut Body| body.shift(map, positions[body.agent as usize]);
         match self.workers.len() {
@@ -420,7 +420,7 @@ impl Tiles {
         }
         let lines = |cells: i32| (cells + self.side - 1) / self.side;
         let fault_in_row = |row: i32| {
-            // With one worker the thread may be anybody's, with several it is of the simulation's own pool.
+            // One worker may run on any thread. Several workers run in the simulation's own pool.
             let thread = match self.workers.len() {
                 1 => 0,
                 _ => rayon::current_thread_index().unwrap_or(0),
@@ -435,7 +435,7 @@ impl Tiles {
                 self.decide_tile(tile, &mut worker, reading, map, draws, out).err()
             })
         };
-        // The first in the order of tiles is told, however many threads there are.
+        // Reports the first error in tile order, so that the number of threads does not matter.
         let mut rows = 0..lines(map.rows());
         let fault = match self.workers.len() {
             1 => rows.find_map(fault_in_row),
@@ -500,7 +500,7 @@ impl Tiles {
             Some(Width::Two) => evaluate.run(&mut worker.pair, found, &mut worker.firings),
             Some(Width::Four) => evaluate.run(&mut worker.wide, found, &mut worker.firings),
             _ if tile.rows > BIN || tile.cols > BIN => {
-                // Where the city is crowded tiles are smaller.
+                // Splits the tile where the city is crowded.
                 let half = |cells: i32| (cells / 2 + BIN - 1) / BIN * BIN;
                 let (row, col) = (half(tile.rows), half(tile.cols));
                 for (row, rows) in [(0, row), (row, tile.rows - row)] {
@@ -521,13 +521,13 @@ impl Tiles {
             None => {
                 let (many, Cell { row, col }) = (found.len(), tile.first);
                 let message = format!("{many} agents around the cell [{row}, {col}], the limit is {WINDOW_MAX}");
-                return Err(Diagnostic::new(Code::LIMIT_EXCEEDED, message).help("take a larger map or fewer agents"));
+                return Err(Diagnostic::new(Code::LIMIT_EXCEEDED, message).help("use a larger map or fewer agents"));
             }
         }
         Ok(())
     }
 
-    /// The bins that an area touches.
+    /// Returns the bins that overlap an area.
     fn bins_of(&self, area: Area) -> Bins {
         let along = |first: i32, cells: i32, bins: i32| {
             let end = ((first + cells + BIN - 1) / BIN).min(bins);
@@ -539,7 +539,7 @@ impl Tiles {
         }
     }
 
-    /// The bodies in adjacent bins of a row.
+    /// Returns the bodies in adjacent bins of a row.
     fn run(&self, row: i32, cols: Range<i32>) -> &[Body] {
         let [start, end] = [cols.start, cols.end].map(|col| self.bins[(row * self.size[1] + col) as usize]);
         &self.bodies[start as usize..end as usize]
@@ -552,7 +552,7 @@ struct Evaluate<'a> {
     draws: Draws,
     out: &'a Decisions,
     window: Area,
-    /// The first so many entities are decided about.
+    /// The number of entities to decide for; they come first.
     egos: usize,
 }
 

@@ -1,27 +1,27 @@
-//! Which executor evaluates the rules, and the rules made ready for the dense one.
+//! The choice of executor, and the compilation of rules for the dense one.
 
 use crate::datalog::Rules;
 use crate::datalog::dense::{Dense, TrackFirings, choose};
 use crate::diag::{Code, Diagnostic};
 use crate::sim::tick::vocabulary::Vocabulary;
 
-/// What evaluates the rules.
+/// The executor that evaluates the rules.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub enum Executor {
-    /// The dense one if it can take the rules and the number of agents, else the relational one.
+    /// Dense if it can evaluate the rules for this number of agents, otherwise relational.
     #[default]
     Auto,
-    /// Bit words.
+    /// Evaluates relations as bit words.
     Dense,
-    /// Sorted lists of rows, kept up to date by differences.
+    /// Evaluates relations as sorted lists of rows, updated incrementally.
     Relational,
 }
 
 impl Executor {
-    /// All three.
+    /// All executors.
     pub const ALL: [Executor; 3] = [Executor::Auto, Executor::Dense, Executor::Relational];
 
-    /// Its name on the command line.
+    /// Returns the name on the command line.
     pub const fn name(self) -> &'static str {
         match self {
             Executor::Auto => "auto",
@@ -30,10 +30,11 @@ impl Executor {
         }
     }
 
-    /// What the dense executor is made into, if it is to evaluate the rules and can; else why the relational one does.
+    /// Calls `make` unless the relational executor is selected, and returns its value or the reason to use the
+    /// relational executor.
     ///
     /// # Errors
-    /// That of `make`, if the dense executor has to and cannot.
+    /// The error of `make`, if the dense executor is selected.
     pub(crate) fn choose<T>(self, make: impl FnOnce() -> Result<T, Diagnostic>) -> Result<Choice<T>, Diagnostic> {
         if self == Executor::Relational {
             return Ok(Choice::Relational(None));
@@ -41,23 +42,20 @@ impl Executor {
         match make() {
             Ok(made) => Ok(Choice::Dense(made)),
             Err(fault) if self == Executor::Auto => Ok(Choice::Relational(Some(fault.message))),
-            Err(fault) => {
-                Err(fault
-                    .help("`--executor auto` takes the relational one, for fewer agents, where the dense one cannot"))
-            }
+            Err(fault) => Err(fault.help("`--executor auto` falls back to the relational executor, for fewer agents")),
         }
     }
 }
 
-/// Which executor evaluates the rules.
+/// The executor that [`Executor::choose`] selects.
 pub(crate) enum Choice<T> {
-    /// The dense one, made into this.
+    /// The dense executor with the value of `make`.
     Dense(T),
-    /// The relational one; if it was not asked for, why the dense one does not.
+    /// The relational executor; with the reason, if the dense one failed.
     Relational(Option<String>),
 }
 
-/// The diagnostic of rules that the dense executor cannot evaluate. `reason` goes after "because".
+/// Returns the diagnostic for rules that the dense executor cannot evaluate. `reason` follows "because".
 pub(super) fn not_dense(reason: &str) -> Diagnostic {
     let message = format!("the dense executor cannot evaluate these rules, because {reason}");
     Diagnostic::new(Code::DENSE_UNSUPPORTED, message)

@@ -1,4 +1,4 @@
-//! Grounding: from the state of the agents to the base facts that are true in it.
+//! Grounding: computes the base facts that are true in a state.
 //!
 //! It evaluates the definition of every base predicate ([`predicate`](crate::predicate)) for all entities.
 
@@ -9,12 +9,13 @@ use crate::predicate::{Definition, Entity, PairKind, Relation, Sight, Subject, w
 use crate::sim::tick::chance::Chance;
 use crate::sim::tick::vocabulary::Vocabulary;
 
-/// The most agents or entities of a scene, or of a city for the relational executor: facts about pairs of them take memory in the square
-/// of their number.
+/// The maximum number of entities in a scene, and of agents in a city with the relational executor. Binary facts take
+/// memory quadratic in that number.
 pub const MAX_ENTITIES: usize = 2000;
 
-/// The true rows of each predicate of a [`Vocabulary`], in its order. A row holds positions in the list of entities; the second
-/// is 0 where the predicate has only one column. Rows are sorted.
+/// The true rows of each predicate of a [`Vocabulary`], in its order.
+///
+/// A row holds positions in the list of entities. The second position is 0 for a unary predicate. Rows are sorted.
 #[derive(Clone, Debug, Default, PartialEq, Eq)]
 pub struct Facts {
     /// The rows of each predicate.
@@ -22,7 +23,7 @@ pub struct Facts {
 }
 
 impl Facts {
-    /// The facts about `count` entities that a dense program for the vocabulary reads, as bits.
+    /// Returns, as bits, the facts about `count` entities that a dense program reads.
     pub fn to_bits<const W: usize>(&self, vocabulary: &Vocabulary, dense: &Dense, count: usize) -> BitFacts<W> {
         let mut bits = BitFacts::new(dense, count);
         for (predicate, rows) in vocabulary.predicates.iter().zip(&self.rows) {
@@ -36,8 +37,9 @@ impl Facts {
     }
 }
 
-/// The facts that are true of `entities` on `map`. `view` is the half-width of the field of view in cells. The predicates for
-/// which `skip` holds are left empty.
+/// Returns the facts that are true of `entities` on `map`.
+///
+/// `view` is the half-width of the field of view in cells. Predicates for which `skip` holds stay empty.
 pub fn ground(
     vocabulary: &Vocabulary,
     map: &CityMap,

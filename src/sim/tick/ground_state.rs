@@ -1,4 +1,4 @@
-//! Facts of a city or a scene as those of a session, which follows their changes.
+//! Facts of a city or a scene in a session, updated by differences.
 
 use crate::cancel::Cancel;
 use crate::city::Action;
@@ -7,7 +7,7 @@ use crate::sim::tick::ground::Facts;
 use crate::sim::tick::vocabulary::{Actions, Vocabulary};
 use std::collections::HashMap;
 
-/// A session that is kept equal to grounded facts.
+/// A session that holds grounded facts.
 pub struct GroundState {
     session: Session,
     entities: Vec<Value>,
@@ -17,14 +17,14 @@ pub struct GroundState {
 }
 
 impl GroundState {
-    /// A session without facts about the entities of these names.
+    /// Creates a session for the entities of these names, without facts.
     pub fn new<'n>(program: &Program, vocabulary: &Vocabulary, names: impl Iterator<Item = &'n str>) -> Self {
         let predicates = vocabulary.predicates.iter();
         let relations = predicates.map(|predicate| predicate.relation.map(|relation| (relation, predicate.arity)));
         GroundState::over(program, relations.collect(), names)
     }
 
-    /// The same for facts of these relations, with one or two columns each.
+    /// Variant of [`new`](Self::new) for the given relations, with one or two columns each.
     pub(crate) fn over<'n>(
         program: &Program,
         relations: Vec<Option<(RelId, usize)>>,
@@ -47,8 +47,8 @@ impl GroundState {
         }
     }
 
-    /// Makes `facts` the true ones: inserts and retracts the difference from those before, and commits. If that fails, all is
-    /// as before.
+    /// Replaces the current facts by `facts`: inserts and retracts the difference and commits. On error `self` is
+    /// unchanged.
     pub fn set(&mut self, facts: &Facts) -> Result<(), EvalError> {
         self.set_with(facts, &Cancel::never())
     }
@@ -59,14 +59,14 @@ impl GroundState {
             let Some((relation, arity)) = *relation else { continue };
             let (old, new) = (&self.facts.rows[index], &facts.rows[index]);
             let row = |row: &[u32; 2]| row.map(|entity| self.entities[entity as usize]);
-            for gone in old.iter().filter(|row| new.binary_search(row).is_err()) {
-                let row = row(gone);
+            for removed in old.iter().filter(|row| new.binary_search(row).is_err()) {
+                let row = row(removed);
                 self.session
                     .retract(relation, &row[..arity])
                     .expect("bound relations fit");
             }
-            for come in new.iter().filter(|row| old.binary_search(row).is_err()) {
-                let row = row(come);
+            for added in new.iter().filter(|row| old.binary_search(row).is_err()) {
+                let row = row(added);
                 self.session
                     .insert(relation, &row[..arity])
                     .expect("bound relations fit");
@@ -80,7 +80,7 @@ impl GroundState {
         Ok(())
     }
 
-    /// The actions that hold for an entity.
+    /// Returns the derived actions of an entity.
     pub fn derived(&self, vocabulary: &Vocabulary, entity: usize) -> Actions {
         let holds = |action: &Action| {
             let relation = vocabulary.action(*action);
@@ -93,17 +93,17 @@ impl GroundState {
         &self.session
     }
 
-    /// The session alone, and the values that stand for the entities.
+    /// Returns the session and the values that represent the entities.
     pub fn into_parts(self) -> (Session, Vec<Value>) {
         (self.session, self.entities)
     }
 
-    /// The value that stands for an entity.
+    /// Returns the value that represents an entity.
     pub fn value(&self, entity: usize) -> Value {
         self.entities[entity]
     }
 
-    /// The position of the entity that a value stands for.
+    /// Returns the position of the entity that a value represents.
     pub fn entity(&self, value: Value) -> Option<usize> {
         self.positions.get(&value).copied()
     }

@@ -1,7 +1,7 @@
-//! The tick: from the state of the agents to facts, from facts to one action for each agent.
+//! The tick: from the state of the agents to facts, and from facts to one action per agent.
 //!
-//! `vocabulary` binds configuration and rules. The relational executor takes its facts from `ground` and keeps them in a `ground_state`; the
-//! dense one ([`Executor`](crate::sim::Executor)) computes them in a `window`.
+//! `vocabulary` binds the configuration to the rules. The relational executor takes its facts from `ground` and keeps
+//! them in a `ground_state`. The dense one computes them in a `window`. See [`Executor`](crate::sim::Executor).
 
 pub(super) mod chance;
 mod dense_executor;

@@ -22,14 +22,14 @@ use rayon::{ThreadPool, ThreadPoolBuilder};
 use std::sync::{Arc, mpsc};
 use std::time::Duration;
 
-/// How a [`Simulation`] works. Ticks are the same whatever is chosen.
+/// Settings of a [`Simulation`]. They do not affect its results.
 #[derive(Clone, Copy, Debug)]
 pub struct Settings {
-    /// What evaluates the rules.
+    /// The executor that evaluates the rules.
     pub executor: Executor,
-    /// Whether the firings of clauses are counted.
+    /// Whether to count the firings of clauses.
     pub count_firings: bool,
-    /// Threads for a city of more than [`WHOLE_MAX`] agents, at least 1; a smaller one has one.
+    /// The number of threads for a city of more than [`WHOLE_MAX`] agents, at least 1. A smaller city uses one.
     pub threads: usize,
 }
 
@@ -43,71 +43,71 @@ impl Default for Settings {
     }
 }
 
-/// A city in motion. The same world, split and seed give the same ticks.
+/// A running city. The same world, split and seed give the same ticks.
 pub struct Simulation {
     world: Arc<World>,
     split: Split,
     places: Arc<Places>,
     seed: Seed,
-    /// How many ticks have passed.
+    /// Ticks since the start of the run.
     tick: u64,
     agents: Vec<Agent>,
-    /// What moves change of each agent. Close together, since many agents are looked up in the order of where they are.
+    /// The changing part of each agent, packed because the dense executor reads it in the order of location.
     positions: Vec<Position>,
-    /// Decides densely; `None` if `state` decides.
+    /// The dense executor; `None` if `state` decides.
     dense: Option<DenseExecutor>,
-    /// Why `state` decides, if that was not asked for.
+    /// Why the dense executor was not chosen.
     fallback: Option<String>,
     decisions: Decisions,
-    /// For each agent the action it is given in the tick, if it is given one. Empty between ticks.
+    /// The action that the caller imposes on each agent. All `None` between ticks.
     given: Vec<Option<Action>>,
-    /// The session with the facts on which a tick was decided, and the number of that tick. Made when it is needed first.
+    /// The session with the facts on which tick `stated` was decided. Created on first use.
     state: Option<GroundState>,
     stated: Option<u64>,
     report: TickReport,
-    /// The clauses whose firings can be counted: all with a body, hidden ones left out.
+    /// The clauses whose firings can be counted: all visible ones with a body.
     clauses: Vec<ClauseId>,
     threads: Option<ThreadPool>,
     cancel: Cancel,
 }
 
-/// What happened in a tick.
+/// The result of a tick.
 #[derive(Clone, Debug, Default)]
 #[non_exhaustive]
 pub struct TickReport {
     /// Number of the tick, from 0.
     pub tick: u64,
-    /// What each agent decided and did, in list order.
+    /// The results of the agents, in list order.
     pub agents: Vec<AgentTick>,
 }
 
-/// The tick of one agent: the state it was judged on, what the rules decided, what it did.
+/// The tick of one agent: its state before, its decision, its move.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 #[non_exhaustive]
 pub struct AgentTick {
-    /// Its heading before it moved; where it was is in `moved`.
+    /// The heading before the move. The cell before the move is in `moved`.
     pub heading: Option<Heading>,
-    /// The actions derived before the default.
+    /// The derived actions, without the default.
     pub derived: Actions,
-    /// The action decided on: the rules' own, or the one given from outside.
+    /// The action in effect: decided by the rules or imposed by the caller.
     pub action: Action,
-    /// What it did.
+    /// The move.
     pub moved: Moved,
 }
 
 /// A part of the work of a tick.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Phase {
-    /// Facts are computed and rules evaluated.
+    /// Computes facts and evaluates rules.
     Decide,
-    /// Agents move and set out for new goals.
+    /// Moves agents and sends them to new goals.
     Move,
-    /// The executor takes note of where they are.
+    /// Updates the agents' positions in the executor.
     Note,
 }
 
 impl Phase {
-    /// All of them, in order.
+    /// All phases, in order.
     pub const ALL: [Phase; 3] = [Phase::Decide, Phase::Move, Phase::Note];
 }
 
@@ -119,40 +119,40 @@ pub struct Snapshot<'a> {
 }
 
 impl<'a> Snapshot<'a> {
-    /// The facts and what the rules derive from them.
+    /// Returns the session that holds the facts and the rows that the rules derive from them.
     pub fn session(&self) -> &'a Session {
         self.state.session()
     }
 
-    /// What does not change.
+    /// Returns the world of the simulation.
     pub fn world(&self) -> &'a World {
         self.world
     }
 
-    /// The value that stands for an agent, by its position in the list.
+    /// Returns the value that represents an agent, given its position in the list.
     pub fn value(&self, agent: usize) -> Value {
         self.state.value(agent)
     }
 
-    /// The position in the list of the agent that a value stands for.
+    /// Returns the position in the list of the agent that a value represents.
     pub fn agent(&self, value: Value) -> Option<usize> {
         self.state.entity(value)
     }
 }
 
 impl Simulation {
-    /// Places the agents of a split.
+    /// Creates a simulation and places the agents of a split.
     ///
     /// # Errors
-    /// `unknown-split`, `no-start-cell`, `no-route`; `limit-exceeded` if the relational executor is to decide for more than
-    /// [`MAX_ENTITIES`] agents, since its facts about pairs of them take memory in the square of their number, or the dense one is
-    /// to evaluate rules that it cannot.
+    /// `unknown-split`, `no-start-cell`, `no-route`; `dense-unsupported` if `settings` demand the dense executor and it
+    /// cannot evaluate the rules; `limit-exceeded` for more than [`MAX_ENTITIES`] agents with the relational executor,
+    /// whose binary facts take memory quadratic in that number.
     pub fn new(world: Arc<World>, split: Split, seed: Seed, settings: Settings) -> Result<Simulation, Diagnostic> {
         Simulation::new_with(world, split, seed, settings, &Cancel::never())
     }
 
     /// Cancellable variant of [`new`](Simulation::new). The simulation keeps `cancel`, so its later work is
-    /// cancellable, too. On cancellation the simulation is unchanged.
+    /// cancellable, too.
     ///
     /// # Errors
     /// As [`Simulation::new`]; `cancelled` on cancellation.
@@ -174,7 +174,7 @@ impl Simulation {
         place_agents_into(&mut agents, set, &world.router, &places, seed, cancel)?;
         let clauses: Vec<ClauseId> = world.clauses().collect();
         let to_count: &[ClauseId] = if settings.count_firings { &clauses } else { &[] };
-        // Fewer agents are decided about faster than threads are woken.
+        // Below this size, one thread is faster than waking a pool.
         let threads = match agents.len() > WHOLE_MAX {
             true => settings.threads.max(1),
             false => 1,
@@ -193,10 +193,10 @@ impl Simulation {
             );
             let fault = Diagnostic::new(Code::LIMIT_EXCEEDED, message).at(set.span, "in this agent set");
             return Err(match fallback {
-                None => fault.help("let the executor be chosen: `--executor auto`"),
+                None => fault.help("use `--executor auto`"),
                 Some(reason) => fault
                     .note(reason)
-                    .help("`logicity check` tells which rules the dense executor cannot take, and why"),
+                    .help("`logicity check` lists the rules that the dense executor cannot evaluate, and why"),
             });
         }
         let pool = start_threads(threads)?;
@@ -225,11 +225,12 @@ impl Simulation {
         })
     }
 
-    /// Starts a new run with other agents, as many and named alike: tick 0 with this seed, as a new simulation with them would. Those
-    /// of before take their places in the list.
+    /// Starts a new run at tick 0 with the same number of agents and the same names.
+    ///
+    /// It equals a new simulation with `seed` and these agents. The previous agents are swapped into `agents`.
     ///
     /// # Panics
-    /// If they are more or fewer than before, or named otherwise.
+    /// If the number of agents or a name differs.
     pub fn restart(&mut self, seed: Seed, agents: &mut Vec<Agent>) {
         assert!(agents.len() == self.agents.len(), "more or fewer agents");
         std::mem::swap(&mut self.agents, agents);
@@ -249,7 +250,7 @@ impl Simulation {
         }
     }
 
-    /// Places the agents of the split as a new simulation with this seed would, in a list of other agents, whose memory is used again.
+    /// Places the agents of the split in `agents`, reusing its memory, as a new simulation with this seed does.
     ///
     /// # Errors
     /// `no-start-cell`, `no-route`.
@@ -262,37 +263,37 @@ impl Simulation {
         place_agents_into(agents, set, &self.world.router, &self.places, seed, &self.cancel)
     }
 
-    /// Where agents start and arrive.
+    /// Returns the cells where agents start and arrive.
     pub fn places(&self) -> &Places {
         &self.places
     }
 
-    /// The cancellation request that long work of this simulation polls.
+    /// Returns the cancellation request that long work of this simulation polls.
     pub fn cancel(&self) -> &Cancel {
         &self.cancel
     }
 
-    /// What does not change.
+    /// Returns the world: scenario, map, roads and rules.
     pub fn world(&self) -> &Arc<World> {
         &self.world
     }
 
-    /// The split the agents are of.
+    /// Returns the split of the agents.
     pub fn split(&self) -> Split {
         self.split
     }
 
-    /// The seed of the run.
+    /// Returns the seed of the run.
     pub fn seed(&self) -> Seed {
         self.seed
     }
 
-    /// The agents in list order, as they are now.
+    /// Returns the current agents in list order.
     pub fn agents(&self) -> &[Agent] {
         &self.agents
     }
 
-    /// The layered semantic map of the present state; [`CityMap::semantic`] documents shape and layers.
+    /// Returns the layered semantic map of the present state; [`CityMap::semantic`] documents shape and layers.
     ///
     /// [`CityMap::semantic`]: crate::city::CityMap::semantic
     ///
@@ -303,17 +304,17 @@ impl Simulation {
         self.world.map().semantic(&cells)
     }
 
-    /// How many ticks have passed.
+    /// Returns the number of ticks since the start of the run.
     pub fn now(&self) -> u64 {
         self.tick
     }
 
-    /// The last tick; before the first, agents that rest.
+    /// Returns the result of the last tick; before the first tick, all agents rest.
     pub fn report(&self) -> &TickReport {
         &self.report
     }
 
-    /// What evaluates the rules: dense or relational.
+    /// Returns the executor in use, which is never [`Executor::Auto`].
     pub fn executor(&self) -> Executor {
         match self.dense {
             Some(_) => Executor::Dense,
@@ -321,44 +322,47 @@ impl Simulation {
         }
     }
 
-    /// Why the relational executor evaluates the rules although it was not asked for: a sentence without a full stop.
+    /// Returns why [`Executor::Auto`] chose the relational executor: a sentence without a full stop.
     pub fn fallback(&self) -> Option<&str> {
         self.fallback.as_deref()
     }
 
-    /// On how many threads it goes.
+    /// Returns the number of threads in use.
     pub fn threads(&self) -> usize {
         self.threads.as_ref().map_or(1, ThreadPool::current_num_threads)
     }
 
-    /// The clauses whose firings can be counted, in the order of the text.
+    /// Returns the clauses whose firings can be counted, in source order.
     pub fn clauses(&self) -> &[ClauseId] {
         &self.clauses
     }
 
-    /// How many rows each clause derived in the last tick, in the order of [`Simulation::clauses`]; empty unless
-    /// [`Settings::count_firings`] is set.
+    /// Returns the number of rows that each clause derived in the last tick, in the order of [`Simulation::clauses`].
+    /// Empty unless [`Settings::count_firings`] is set.
     pub fn firings(&self) -> &[usize] {
         &self.decisions.firings
     }
 
-    /// The action clauses that fired for an agent in the last tick: positions in [`Simulation::clauses`]. None unless
-    /// [`Settings::count_firings`] is set.
+    /// Returns the action clauses that fired for an agent in the last tick, as positions in [`Simulation::clauses`].
+    /// Empty unless [`Settings::count_firings`] is set.
     pub fn fired(&self, agent: usize) -> impl Iterator<Item = usize> {
         self.decisions.fired(agent)
     }
 
-    /// Lets every agent decide and move. `controls` replaces the decisions of the agents it names by their positions in the list; of
-    /// several for one agent the last counts.
+    /// Runs one tick: all agents decide, then all move.
+    ///
+    /// `controls` overrides the decisions of agents, given by their positions in the list. The last entry for an agent
+    /// counts.
     ///
     /// # Errors
-    /// `invalid-value` for a position that no agent has; `limit-exceeded` for rules that derive more than the relational executor
-    /// allows, or too many agents in one place for the dense one. The city is then as before.
+    /// `invalid-value` for a position outside the list; `limit-exceeded` if the rules derive more rows than the
+    /// relational executor allows, or too many agents are in one place for the dense one; `cancelled` on cancellation.
+    /// On error the city is unchanged.
     pub fn tick(&mut self, controls: &[(usize, Action)]) -> Result<&TickReport, Diagnostic> {
         self.tick_watched(controls, |_| ())
     }
 
-    /// The same; `ended` is told when a part of the work is done.
+    /// Variant of [`tick`](Simulation::tick) that calls `ended` at the end of each phase.
     ///
     /// # Errors
     /// As [`Simulation::tick`].
@@ -403,7 +407,7 @@ impl Simulation {
         Ok(&self.report)
     }
 
-    /// Everybody does what was decided.
+    /// Applies the decisions and `controls` and moves all agents.
     fn advance(&mut self, controls: &[(usize, Action)]) {
         let Simulation {
             world,
@@ -457,7 +461,7 @@ impl Simulation {
         }
     }
 
-    /// Decides by the relational executor.
+    /// Decides with the relational executor.
     fn decide_by_facts(&mut self, draws: Draws) -> Result<(), Diagnostic> {
         let world = &*self.world;
         let entities: Vec<Entity<'_>> = self.agents.iter().map(entity).collect();
@@ -492,16 +496,18 @@ impl Simulation {
         Ok(())
     }
 
-    /// The state on which the last tick was decided, as facts of a session; before the first tick, the present one.
+    /// Returns the state on which the last tick was decided, as facts of a session. Before the first tick, it is the
+    /// present state.
     ///
     /// # Errors
-    /// `limit-exceeded` for more than [`MAX_ENTITIES`] agents, or rules that derive too much.
+    /// `limit-exceeded` for more than [`MAX_ENTITIES`] agents, or if the rules derive too many rows; `cancelled` on
+    /// cancellation.
     pub fn snapshot(&mut self) -> Result<Snapshot<'_>, Diagnostic> {
         let tick = self.report.tick;
         if self.stated != Some(tick) {
             if self.agents.len() > MAX_ENTITIES {
                 let message = format!(
-                    "facts about pairs of {} agents; the limit is {MAX_ENTITIES} agents",
+                    "{} agents have too many binary facts; the limit is {MAX_ENTITIES} agents",
                     self.agents.len()
                 );
                 return Err(Diagnostic::new(Code::LIMIT_EXCEEDED, message));
@@ -519,8 +525,8 @@ impl Simulation {
         })
     }
 
-    /// The base facts on which the last tick was decided: of the predicates, by their positions in the vocabulary, for which
-    /// `wanted` holds.
+    /// Returns the base facts on which the last tick was decided. `wanted` selects predicates by their positions in the
+    /// vocabulary.
     pub fn facts(&self, wanted: impl Fn(usize) -> bool) -> Facts {
         self.facts_with(wanted, &Cancel::never()).expect("never cancelled")
     }
@@ -550,18 +556,18 @@ impl Simulation {
         facts.ok_or_else(Diagnostic::cancelled)
     }
 
-    /// Evaluates the rules on other facts, by the relational executor and its differences.
+    /// Evaluates the rules on other facts with the relational executor, incrementally.
     ///
     /// # Errors
-    /// `limit-exceeded` for rules that derive too much.
+    /// `limit-exceeded` if the rules derive too many rows; `cancelled` on cancellation.
     pub fn evaluate(&mut self, facts: &Facts) -> Result<(), Diagnostic> {
         self.stated = None;
         let state = (self.state).get_or_insert_with(|| ground_state(&self.world, &self.agents));
         (state.set_with(facts, &self.cancel)).map_err(|error| error.diagnostic(self.world.program.rules()))
     }
 
-    /// Computes all facts about the present state that the rules can ask for, as bits; how many there are. `None` unless the dense
-    /// executor looks at the whole city at once.
+    /// Computes, as bits, all facts about the present state that the rules may read, and returns their number. `None`
+    /// unless the dense executor evaluates the whole city in one window.
     pub fn count_facts(&mut self) -> Option<u64> {
         let draws = Draws {
             seed: self.seed,
@@ -570,7 +576,7 @@ impl Simulation {
         self.dense.as_mut()?.count_facts(draws)
     }
 
-    /// The agents as they were when the last tick was decided.
+    /// Returns the agents as they were when the last tick was decided.
     fn decided_entities(&self) -> Vec<Entity<'_>> {
         let before = |(agent, done): (_, &AgentTick)| Entity {
             at: done.moved.from,
@@ -581,15 +587,15 @@ impl Simulation {
     }
 }
 
-/// Threads, if they are more than one.
+/// Starts a thread pool; `None` for a single thread.
 ///
 /// # Errors
-/// `limit-exceeded` if so many cannot be started.
+/// `limit-exceeded` if the threads cannot be started.
 pub(crate) fn start_threads(threads: usize) -> Result<Option<ThreadPool>, Diagnostic> {
     let pool = (threads > 1).then(|| ThreadPoolBuilder::new().num_threads(threads).build());
     pool.transpose().map_err(|error| {
         let message = format!("{threads} threads cannot be started: {error}");
-        Diagnostic::new(Code::LIMIT_EXCEEDED, message).help("take fewer")
+        Diagnostic::new(Code::LIMIT_EXCEEDED, message).help("use fewer threads")
     })
 }
 
@@ -612,17 +618,17 @@ pub(crate) fn run_polled<R: Send>(pool: &ThreadPool, poll: &(dyn Fn() + Sync), w
     received.expect("the scope resumes a panic of the work")
 }
 
-/// Independent cities that go at the same pace. Each goes as it would alone.
+/// Independent cities that advance in lockstep. Each gives the same results as it does alone.
 pub struct Batch {
     cities: Vec<Simulation>,
     threads: Option<ThreadPool>,
 }
 
 impl Batch {
-    /// Cities, and on how many threads they go; they had better have one thread each themselves.
+    /// Creates a batch that runs on `threads` threads. Each city itself should use one thread.
     ///
     /// # Errors
-    /// `limit-exceeded` if so many threads cannot be started.
+    /// `limit-exceeded` if the threads cannot be started.
     pub fn new(cities: Vec<Simulation>, threads: usize) -> Result<Batch, Diagnostic> {
         Ok(Batch {
             cities,
@@ -630,20 +636,20 @@ impl Batch {
         })
     }
 
-    /// The cities.
+    /// Returns the cities.
     pub fn cities(&self) -> &[Simulation] {
         &self.cities
     }
 
-    /// The cities, for example to place one afresh.
+    /// Returns the cities for changes, for example [`Simulation::restart`].
     pub fn cities_mut(&mut self) -> &mut [Simulation] {
         &mut self.cities
     }
 
-    /// A tick of every city. `controls` tells for each, by its position, whose decisions are given, see [`Simulation::tick`].
+    /// Runs one tick of every city. `controls` maps the position of a city to its controls (see [`Simulation::tick`]).
     ///
     /// # Errors
-    /// As [`Simulation::tick`], of the first city that has one. The others have gone on.
+    /// As [`Simulation::tick`]: the error of the first city that fails. The other cities advance.
     pub fn tick<'c>(&mut self, controls: impl Fn(usize) -> &'c [(usize, Action)] + Sync) -> Result<(), Diagnostic> {
         let fault = |(position, city): (usize, &mut Simulation)| Some((position, city.tick(controls(position)).err()?));
         let faults = match &self.threads {
@@ -658,7 +664,7 @@ impl Batch {
 }
 
 impl AgentTick {
-    /// Of an agent before the first tick.
+    /// The report of an agent before the first tick.
     fn resting(agent: &Agent) -> AgentTick {
         AgentTick {
             heading: agent.heading,

@@ -1,4 +1,4 @@
-//! What the rules can read and what they can decide: the base predicates and actions of a scenario, bound to a program.
+//! The interface between configuration and rules: base predicates and actions of a scenario, bound to a program.
 
 use crate::city::Action;
 use crate::config::{ActionsConfig, PredicateConfig, Scenario};
@@ -12,17 +12,17 @@ use crate::predicate::{Definition, Sees};
 pub struct Actions(u8);
 
 impl Actions {
-    /// How many there are.
+    /// Returns the number of actions.
     pub fn len(self) -> usize {
         self.0.count_ones() as usize
     }
 
-    /// Whether there are none.
+    /// Returns whether the set is empty.
     pub fn is_empty(self) -> bool {
         self.0 == 0
     }
 
-    /// Whether the action is in it.
+    /// Returns whether the set contains the action.
     pub fn contains(self, action: Action) -> bool {
         self.0 >> action as u8 & 1 != 0
     }
@@ -32,17 +32,17 @@ impl Actions {
         self.0 |= 1 << action as u8;
     }
 
-    /// The actions in the order of [`Action::ALL`].
+    /// Returns the actions in the order of [`Action::ALL`].
     pub fn iter(self) -> impl Iterator<Item = Action> {
         Action::ALL.into_iter().filter(move |&action| self.contains(action))
     }
 
-    /// One bit for each action, in the order of [`Action::ALL`] from the lowest.
+    /// Returns one bit per action: bit `i` is `Action::ALL[i]`.
     pub(crate) fn bits(self) -> u8 {
         self.0
     }
 
-    /// The converse of [`Actions::bits`].
+    /// The inverse of [`Actions::bits`].
     pub(crate) fn from_bits(bits: u8) -> Actions {
         Actions(bits & 15)
     }
@@ -59,26 +59,26 @@ impl FromIterator<Action> for Actions {
 /// A base predicate.
 #[derive(Clone, Debug)]
 pub struct Predicate {
-    /// Its name in the rules.
+    /// The name in the rules.
     pub name: String,
-    /// How it is computed.
+    /// The computation of its facts.
     pub definition: Definition,
-    /// 1 or 2.
+    /// The number of columns, 1 or 2.
     pub arity: usize,
-    /// Its relation in the program; `None` if the rules do not take it as input.
+    /// The relation in the program; `None` if the rules do not declare it as input.
     pub relation: Option<RelId>,
 }
 
 /// The base predicates and actions of a scenario, bound to a program.
 #[derive(Clone, Debug)]
 pub struct Vocabulary {
-    /// The base predicates in the order of the scenario; `Sees` last.
+    /// The base predicates in the order of the scenario.
     pub predicates: Vec<Predicate>,
-    /// Position of `Sees` in `predicates`.
+    /// The position of `Sees` in `predicates`.
     pub sees: usize,
-    /// The relation of each action, in the order of [`Action::ALL`]; `None` if the rules do not mention it.
+    /// The relation of each action, in the order of [`Action::ALL`]; `None` if the rules do not declare it.
     actions: [Option<RelId>; 4],
-    /// The action to take, by the bits of those that are derived.
+    /// The action to take, indexed by the bits of the derived actions.
     decisions: [Action; 16],
     default: Action,
 }
@@ -86,9 +86,8 @@ pub struct Vocabulary {
 impl Vocabulary {
     /// Binds the predicates of a scenario to the relations of a program.
     ///
-    /// # Errors
-    /// `rule-mismatch` for every relation whose declaration does not fit: an input that a rule reads and the scenario does not
-    /// define, another number of columns, a column that is not of base type symbol, or no action at all.
+    /// `rule-mismatch` if the configuration lacks an input that a rule reads, a predicate has another number of columns
+    /// or a column that is not a symbol, a predicate is declared but not as input, or the rules declare no action.
     pub fn bind(scenario: &Scenario, program: &Program) -> Result<Vocabulary, Vec<Diagnostic>> {
         let rules = program.rules();
         let mut faults = Vec::new();
@@ -102,7 +101,7 @@ impl Vocabulary {
                         Diagnostic::new(
                             Code::RULE_MISMATCH,
                             format!(
-                                "`{}` is declared otherwise than the configuration defines it",
+                                "the declaration of `{}` does not match its definition in the configuration",
                                 name.value
                             ),
                         )
@@ -129,7 +128,7 @@ impl Vocabulary {
                 fits(&rules.relations[relation.index()], 1, &mut faults, || {
                     Diagnostic::new(
                         Code::RULE_MISMATCH,
-                        format!("the action `{}` is not a predicate over one agent", action.name()),
+                        format!("the action `{}` must be a predicate over one agent", action.name()),
                     )
                 })
             })
@@ -157,27 +156,27 @@ impl Vocabulary {
         }
     }
 
-    /// Whether the rules take the predicate at this position as input.
+    /// Returns whether the rules declare the predicate at this position as input.
     pub fn is_read(&self, predicate: usize) -> bool {
         self.predicates[predicate].relation.is_some()
     }
 
-    /// The relation of an action, if the rules mention it.
+    /// Returns the relation of an action, if the rules declare it.
     pub fn action(&self, action: Action) -> Option<RelId> {
         self.actions[action as usize]
     }
 
-    /// The one action to take, given those that are derived: the first by the scenario's priority, else its default.
+    /// Returns the action to take: the derived one of highest priority, otherwise the default of the scenario.
     pub fn decide(&self, derived: Actions) -> Action {
         self.decisions[usize::from(derived.bits())]
     }
 
-    /// The action taken if none is derived.
+    /// Returns the default action, taken if none is derived.
     pub fn default_action(&self) -> Action {
         self.default
     }
 
-    /// Without the default action, where it stands alone: then it is the default that made it.
+    /// Removes the default action if it is the only one: then the default rule derived it.
     pub fn before_default(&self, derived: Actions) -> Actions {
         match derived == [self.default].into_iter().collect() {
             true => Actions::default(),
@@ -194,7 +193,7 @@ fn decisions(config: &ActionsConfig) -> [Action; 16] {
     })
 }
 
-/// Whether a relation has `arity` columns, all made of symbols; if not, a fault is pushed.
+/// Returns whether a relation has `arity` columns of symbols. Otherwise it adds a diagnostic to `faults`.
 fn fits(relation: &Relation, arity: usize, faults: &mut Vec<Diagnostic>, fault: impl FnOnce() -> Diagnostic) -> bool {
     let symbols = relation.columns.iter().all(|column| column.base == BaseType::Symbol);
     if relation.arity() == arity && symbols {
@@ -214,7 +213,7 @@ fn describe(relation: &Relation) -> String {
     format!("({})", columns.join(", "))
 }
 
-/// The fault of rules that read what the configuration does not define: one that names all.
+/// Returns one diagnostic for all relations in `unknown`.
 fn undefined(scenario: &Scenario, unknown: &[&Relation], predicates: &[Predicate]) -> Option<Diagnostic> {
     let (first, rest) = unknown.split_first()?;
     let names: Vec<String> = unknown.iter().map(|relation| format!("`{}`", relation.name)).collect();
@@ -234,10 +233,10 @@ fn undefined(scenario: &Scenario, unknown: &[&Relation], predicates: &[Predicate
             fault = fault.help(format!("did you mean `{near}` by `{}`?", relation.name));
         }
     }
-    Some(fault.help("define what is missing under `predicates` in the configuration, or derive it by a rule"))
+    Some(fault.help("define the missing predicates under `predicates` in the configuration, or derive them by rules"))
 }
 
-/// The faults of relations that have the name of a predicate, are no input and are never derived: the configuration cannot fill them.
+/// Returns a diagnostic for each relation that shares a predicate's name but is neither input nor derived.
 fn unfilled(scenario: &Scenario, program: &Program) -> Vec<Diagnostic> {
     let rules = program.rules();
     let mut faults = Vec::new();
@@ -260,7 +259,7 @@ fn unfilled(scenario: &Scenario, program: &Program) -> Vec<Diagnostic> {
     faults
 }
 
-/// Input relations that some body reads and no predicate of the configuration defines, in the order of declaration.
+/// Returns the input relations that a body reads and the configuration does not define, in declaration order.
 fn unknown_inputs<'a>(program: &'a Program, predicates: &[Predicate]) -> Vec<&'a Relation> {
     let rules = program.rules();
     let mut read = vec![false; rules.relations.len()];

@@ -1,6 +1,6 @@
-//! For how many entities a set takes how many words.
+//! The widths of bit sets: the number of words for a number of entities.
 
-/// The widths of sets for which there is code. A wider set takes more time whatever is in it, and every width more code.
+/// A supported width of bit sets.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord)]
 pub enum Width {
     /// One word.
@@ -16,10 +16,10 @@ pub enum Width {
 }
 
 impl Width {
-    /// All of them, the narrowest first.
+    /// All widths, narrowest first.
     pub const ALL: [Width; 5] = [Width::One, Width::Two, Width::Four, Width::Sixteen, Width::SixtyFour];
 
-    /// The most entities that a set of this width holds.
+    /// Returns the maximum number of entities in a set of this width.
     pub const fn entities(self) -> usize {
         let words = match self {
             Width::One => 1,
@@ -31,13 +31,13 @@ impl Width {
         64 * words
     }
 
-    /// The narrowest that holds so many entities, if any does.
+    /// Returns the narrowest width that holds this number of entities.
     pub fn of(entities: usize) -> Option<Width> {
         Width::ALL.into_iter().find(|width| entities <= width.entities())
     }
 }
 
-/// `in_words!(width, W => f::<W>())`: an expression in which the constant `W` is the number of words of a [`Width`].
+/// `in_words!(width, W => f::<W>())` evaluates the expression with the constant `W` set to the words of a [`Width`].
 macro_rules! in_words {
     ($width:expr, $words:ident => $work:expr) => {
         match $width {

@@ -1,6 +1,7 @@
-//! Some entities of a city and what relates them, as bits for the dense executor. Facts about pairs are computed where a rule asks
-//! for them, by the fast form of its predicate ([`Relation`]): entities in the rectangle that it reaches are found by rows and columns,
-//! and tested one by one.
+//! Part of a city as bits for the dense executor.
+//!
+//! Binary facts are computed lazily with the fast form of their predicate ([`Relation`]): row and column indexes select
+//! the entities in the rectangle that it reaches, and each is tested.
 
 use crate::city::AgentKind;
 use crate::city::{Agent, Cell, CityMap, Heading, Junction};
@@ -16,22 +17,22 @@ use std::collections::BTreeMap;
 use std::ops::Deref;
 use std::sync::Arc;
 
-/// What the predicates can see of an agent.
+/// The state of an agent that predicates can see.
 #[derive(Clone, Copy, Debug)]
 pub(crate) struct Body {
     pub at: Cell,
     pub priority: i32,
-    /// Position in the list of agents.
+    /// The position in the list of agents.
     pub agent: u32,
-    /// Position in [`Grounder::classes`].
+    /// The position in [`Grounder::classes`].
     pub class: u32,
     pub kind: AgentKind,
     pub heading: Option<Heading>,
-    /// Of the cell where it is.
+    /// The junction at its cell.
     pub junction: Junction,
 }
 
-/// What moves change of an agent.
+/// The part of an agent's state that a move changes.
 #[derive(Clone, Copy, Debug)]
 pub(crate) struct Position {
     pub cell: Cell,
@@ -48,7 +49,7 @@ impl Position {
 }
 
 impl Body {
-    /// Of an agent of the list. Its class is 0.
+    /// Creates the body of an agent, with class 0. `position` is its place in the list.
     pub fn new(map: &CityMap, position: usize, agent: &Agent) -> Self {
         Body {
             at: agent.cell,
@@ -61,7 +62,7 @@ impl Body {
         }
     }
 
-    /// What predicates over two agents see of it.
+    /// Returns the part that binary predicates read.
     #[inline]
     pub fn subject(&self) -> Subject {
         Subject {
@@ -72,7 +73,7 @@ impl Body {
         }
     }
 
-    /// Takes note of a move.
+    /// Applies a move.
     pub fn shift(&mut self, map: &CityMap, to: Position) {
         self.heading = to.heading;
         if self.at != to.cell {
@@ -82,43 +83,44 @@ impl Body {
     }
 }
 
-/// A list that a dense program asks for.
+/// A list that a dense program reads.
 #[derive(Clone, Debug)]
-struct Asked {
-    /// Its position in the vocabulary and its fast form; `None` if it is not in the vocabulary and so holds of nobody.
+struct Requested {
+    /// The position in the vocabulary and the fast form; `None` if the vocabulary lacks the predicate, which then never
+    /// holds.
     predicate: Option<(usize, PairRelation)>,
     axis: Argument,
-    /// Whether it is the field of view of the first.
+    /// Whether the list is the field of view of its first argument.
     is_view: bool,
-    /// Whether all entities that it relates to an entity are in that one's field of view.
+    /// Whether the list contains only entities in the field of view of its first argument.
     in_view: bool,
 }
 
-/// How everything that a dense program asks for is computed. Cities of one world share it, which keeps it in the cache when many of them
-/// take turns.
+/// How to compute the inputs and lists of a dense program. The cities of a world share one plan, which stays in the
+/// cache when many cities take turns.
 #[derive(Debug)]
 pub(super) struct Plan {
     pub dense: Dense,
-    /// The inputs that depend on what an agent is.
+    /// The inputs that depend on an agent's kind and concepts.
     fixed: Vec<(usize, Static)>,
-    /// The inputs that depend on the cell where an agent is.
+    /// The inputs that depend on an agent's cell.
     local: Vec<(usize, CellTable)>,
-    /// The inputs that hold of all agents: diagonals of reflexive predicates.
+    /// The inputs that hold for all agents: diagonals of reflexive predicates.
     always: Vec<usize>,
-    lists: Vec<Asked>,
+    lists: Vec<Requested>,
     views: Views,
 }
 
-/// A plan, and what the agents of a city are.
+/// A plan and the classes of a city's agents.
 #[derive(Clone, Debug)]
 pub(super) struct Grounder {
     plan: Arc<Plan>,
-    /// The classes of agents that are known.
+    /// The numbers of the known classes.
     known: BTreeMap<(AgentKind, Arc<[String]>), u32>,
-    /// The first of them, up to [`Grounder::LIKELY`]. Agents of one entry of a set share their concepts, so it is enough to look whether
-    /// they are the very same.
+    /// The first [`Grounder::LIKELY`] of them. Agents of one entry of an agent set share their concepts, so comparing
+    /// pointers is enough.
     likely: Vec<(AgentKind, Arc<[String]>)>,
-    /// By class: the inputs that hold of its members.
+    /// The inputs that hold for each class.
     classes: Vec<Vec<usize>>,
 }
 
@@ -131,9 +133,9 @@ impl Deref for Grounder {
 }
 
 impl Plan {
-    /// `dense` must ask only for predicates of the vocabulary.
+    /// Plans the computation of `dense`. All inputs of `dense` that have facts must be predicates of the vocabulary.
     pub fn new(dense: Dense, vocabulary: &Vocabulary, view: u32) -> Self {
-        // What is not a predicate of the vocabulary is one that no clause derives: binding has refused all others.
+        // A relation outside the vocabulary has no facts: binding rejects all others.
         let find = |relation| {
             let mut predicates = vocabulary.predicates.iter();
             let position = predicates.position(|predicate| predicate.relation == Some(relation))?;
@@ -141,8 +143,8 @@ impl Plan {
         };
         let views = Views::new(view);
         let (mut fixed, mut local, mut always) = (Vec::new(), Vec::new(), Vec::new());
-        for (input, asked) in dense.inputs().iter().enumerate() {
-            let (Input::Unary(relation) | Input::Diagonal(relation)) = *asked;
+        for (input, requested) in dense.inputs().iter().enumerate() {
+            let (Input::Unary(relation) | Input::Diagonal(relation)) = *requested;
             match find(relation) {
                 Some((_, Definition::Static(predicate))) => fixed.push((input, predicate.clone())),
                 Some((_, Definition::Local(predicate))) => local.push((input, predicate.table())),
@@ -160,7 +162,7 @@ impl Plan {
                 let is_view = forward && matches!(predicate, Some((_, Pair::Sees(_))));
                 let predicate = predicate.map(|(position, pair)| (position, pair.relation()));
                 let in_view = |(_, relation): &(_, PairRelation)| relation.is_in_view(&views);
-                Asked {
+                Requested {
                     in_view: forward && !is_view && predicate.as_ref().is_none_or(in_view),
                     is_view,
                     predicate,
@@ -178,14 +180,14 @@ impl Plan {
         }
     }
 
-    /// The most cells that agents see in any direction.
+    /// Returns the maximum number of cells that agents see in any direction.
     pub fn farthest_view(&self) -> i32 {
         self.views.farthest()
     }
 }
 
 impl Grounder {
-    /// No agents are known.
+    /// Creates a grounder without known classes.
     pub fn new(plan: Arc<Plan>) -> Self {
         Grounder {
             plan,
@@ -197,7 +199,7 @@ impl Grounder {
 
     const LIKELY: usize = 16;
 
-    /// The class of agents of this kind that carry these concepts.
+    /// Returns the class of agents with this kind and these concepts.
     pub fn class_of(&mut self, kind: AgentKind, concepts: &Arc<[String]>) -> u32 {
         let Grounder {
             plan,
@@ -221,28 +223,28 @@ impl Grounder {
     }
 }
 
-/// Up to `64 * W` entities and where they are.
+/// Up to `64 * W` entities and their places.
 #[derive(Clone, Debug)]
 pub(super) struct Window<const W: usize> {
     pub bodies: Vec<Body>,
     pub bit_state: BitState<W>,
-    /// By input of the program.
+    /// The set of each input of the program.
     inputs: Vec<Set<W>>,
     place: Place<W>,
 }
 
-/// Who is where, by rows and columns.
+/// The entities by rows and columns, as prefix unions.
 #[derive(Clone, Debug)]
 struct Place<const W: usize> {
     /// The first cell of the area.
     first: Cell,
-    /// Item i: the entities in the first i rows.
+    /// Item `i` holds the entities in the first `i` rows.
     rows: Vec<Set<W>>,
     cols: Vec<Set<W>>,
 }
 
 impl<const W: usize> Place<W> {
-    /// Those at most so far from a cell.
+    /// Returns the entities at most this many cells up, down, left and right of a cell.
     #[inline]
     fn around(&self, at: Cell, [up, down, left, right]: [i32; 4]) -> Set<W> {
         let (row, col) = (at.row - self.first.row, at.col - self.first.col);
@@ -256,7 +258,7 @@ impl<const W: usize> Place<W> {
         flip(&mut self.cols, at.col - self.first.col);
     }
 
-    /// Turns the entities of single lines into those of all lines so far.
+    /// Turns the entities of single lines into prefix unions.
     fn sum(&mut self) {
         for lists in [&mut self.rows, &mut self.cols] {
             let mut sum = [0; W];
@@ -281,7 +283,7 @@ impl<const W: usize> Place<W> {
     }
 }
 
-/// The entities in the lines from `low` to `high`, as far as there are such lines. One of them is in between.
+/// Returns the entities in the lines from `low` to `high`, clamped to the area. The range overlaps the area.
 #[inline]
 fn between<const W: usize>(lists: &[Set<W>], low: i32, high: i32) -> Set<W> {
     let last = lists.len() - 1;
@@ -303,10 +305,10 @@ impl<const W: usize> Window<W> {
         }
     }
 
-    /// Takes note of `bodies` afresh, all of them in the area of so many rows and columns from the cell `first` on.
+    /// Rebuilds all sets from `bodies`, for an area of `rows` by `cols` cells that starts at `first_cell`.
     ///
     /// # Panics
-    /// If they are more than the window holds, or one is outside of the area.
+    /// If the window cannot hold all bodies, or one is outside the area.
     pub fn fill(&mut self, grounder: &Grounder, first_cell: Cell, [rows, cols]: [i32; 2]) {
         let count = self.bodies.len();
         self.bit_state.reset(&grounder.dense, count);
@@ -340,7 +342,7 @@ impl<const W: usize> Window<W> {
         }
     }
 
-    /// Sets what depends on the cell where an entity is.
+    /// Sets the inputs that depend on the cell of an entity.
     fn look(&mut self, grounder: &Grounder, entity: usize) {
         let body = &self.bodies[entity];
         for &(input, table) in &grounder.local {
@@ -350,7 +352,7 @@ impl<const W: usize> Window<W> {
         }
     }
 
-    /// Takes note of a move.
+    /// Applies a move.
     pub fn shift(&mut self, grounder: &Grounder, map: &CityMap, entity: usize, to: Position) {
         let body = &mut self.bodies[entity];
         let from = body.at;
@@ -361,7 +363,7 @@ impl<const W: usize> Window<W> {
         }
     }
 
-    /// Takes note of the bodies afresh and computes all facts that the rules can ask for. How many there are.
+    /// Rebuilds all sets from `bodies`, computes all facts that the rules may read, and returns their number.
     pub fn count_facts(&mut self, grounder: &Grounder, draws: Draws) -> u64 {
         let lines = |lists: &[Set<W>]| i32::try_from(lists.len() - 1).expect("an area has fewer than 2^31 lines");
         let size = [lines(&self.place.rows), lines(&self.place.cols)];
@@ -395,7 +397,7 @@ impl<const W: usize> Window<W> {
     }
 }
 
-/// Answers what the executor asks about pairs.
+/// Computes binary facts for the executor.
 struct Scene<'a, const W: usize> {
     grounder: &'a Grounder,
     bodies: &'a [Body],
@@ -406,11 +408,11 @@ struct Scene<'a, const W: usize> {
 impl<const W: usize> BinaryFacts<W> for Scene<'_, W> {
     #[inline]
     fn narrow(&self, list: usize, at: usize, among: Set<W>) -> Set<W> {
-        let asked = &self.grounder.lists[list];
-        let Some((predicate, relation)) = &asked.predicate else {
+        let requested = &self.grounder.lists[list];
+        let Some((predicate, relation)) = &requested.predicate else {
             return [0; W];
         };
-        with_relation!(relation, relation => match asked.axis {
+        with_relation!(relation, relation => match requested.axis {
             Argument::Second => self.seconds(*predicate, relation, at, among),
             Argument::First => self.firsts(*predicate, relation, at, among),
         })
@@ -418,14 +420,14 @@ impl<const W: usize> BinaryFacts<W> for Scene<'_, W> {
 
     #[inline]
     fn any<const N: usize>(&self, lists: [usize; N], demand: Set<W>, among: Set<W>) -> Set<W> {
-        let asked = |list: usize| &self.grounder.lists[list];
-        // The field of view need not be computed where another list has only entities in it.
-        let skips = lists.iter().any(|&list| asked(list).in_view);
+        let requested = |list: usize| &self.grounder.lists[list];
+        // The field of view is redundant if another list contains only entities in it.
+        let skips = lists.iter().any(|&list| requested(list).in_view);
         let mut found = [0; W];
         for at in members(&demand) {
             let mut set = among;
             for list in lists {
-                if skips && asked(list).is_view {
+                if skips && requested(list).is_view {
                     continue;
                 }
                 set = self.narrow(list, at, set);
@@ -442,7 +444,7 @@ impl<const W: usize> BinaryFacts<W> for Scene<'_, W> {
 }
 
 impl<const W: usize> Scene<'_, W> {
-    /// Those among which a relation holds of `at` and them.
+    /// Returns the `y` in `among` for which the relation holds of (`at`, `y`).
     #[inline(always)]
     fn seconds<R: Relation>(&self, predicate: usize, relation: &R, at: usize, among: Set<W>) -> Set<W> {
         let x = &self.bodies[at];
@@ -460,7 +462,7 @@ impl<const W: usize> Scene<'_, W> {
         })
     }
 
-    /// Those among which a relation holds of them and `at`.
+    /// Returns the `x` in `among` for which the relation holds of (`x`, `at`).
     #[inline(always)]
     fn firsts<R: Relation>(&self, predicate: usize, relation: &R, at: usize, among: Set<W>) -> Set<W> {
         let y = &self.bodies[at];
@@ -488,7 +490,7 @@ impl<const W: usize> Scene<'_, W> {
     }
 }
 
-/// Those of a set for which it holds.
+/// Returns the members for which `holds` returns true.
 #[inline]
 fn keep<const W: usize>(set: Set<W>, holds: impl Fn(usize) -> bool) -> Set<W> {
     let mut kept = set;

@@ -1,4 +1,4 @@
-//! What does not change during a run: the scenario, its map, roads and rules.
+//! The immutable part of a run: scenario, map, roads and rules.
 
 use crate::city::{AgentSet, Split};
 use crate::city::{CityMap, Places, Router};
@@ -12,20 +12,20 @@ use crate::sim::tick::vocabulary::Vocabulary;
 use crate::sim::tick::window::Plan;
 use std::sync::{Arc, OnceLock};
 
-/// A scenario made ready: immutable, shared by every simulation over it.
+/// A prepared scenario. It is immutable and shared by all simulations that use it.
 #[derive(Debug)]
 pub struct World {
     /// The configuration.
     pub scenario: Scenario,
     /// The rules.
     pub program: Program,
-    /// The predicates and actions of both.
+    /// The predicates and actions that the scenario and the program share.
     pub vocabulary: Vocabulary,
     /// The map and the routes on it.
     pub router: Router,
-    /// What all cities of a split need to place agents, made with the first one.
+    /// Cells for placing the agents of each split, computed once and shared by all simulations.
     places: [OnceLock<Arc<Places>>; 3],
-    /// What all cities that count no firings need to decide, made with the first one.
+    /// The dense plan without firing counts, compiled once and shared by all simulations.
     plan: OnceLock<Arc<Plan>>,
 }
 
@@ -33,7 +33,7 @@ impl World {
     /// Generates the map, builds its roads and binds the predicates to the rules.
     ///
     /// # Errors
-    /// A map that cannot be generated, or rules that do not fit the configuration.
+    /// The map cannot be generated, or the rules do not fit the configuration.
     pub fn new(scenario: Scenario, program: Program) -> Result<World, Vec<Diagnostic>> {
         let vocabulary = Vocabulary::bind(&scenario, &program)?;
         let map = CityMap::generate(&scenario.map).map_err(|fault| vec![fault])?;
@@ -47,7 +47,7 @@ impl World {
         })
     }
 
-    /// Where the agents of a split start and arrive; `set` are those.
+    /// Returns the start and goal cells of a split with the agents `set`.
     pub(super) fn places(&self, split: Split, set: &AgentSet) -> Arc<Places> {
         let make = || {
             let [region, trip] = [&set.region, &set.trip].map(|cells| cells.as_ref().map(|cells| cells.value));
@@ -56,7 +56,7 @@ impl World {
         Arc::clone(self.places[split as usize].get_or_init(make))
     }
 
-    /// How cities decide by the dense executor.
+    /// Returns the plan of the dense executor.
     ///
     /// # Errors
     /// As [`World::compile`].
@@ -72,7 +72,7 @@ impl World {
         })
     }
 
-    /// The rules for the dense executor.
+    /// Compiles the rules for the dense executor.
     ///
     /// # Errors
     /// `dense-unsupported` if it cannot evaluate them; the message names the reason.
@@ -80,7 +80,7 @@ impl World {
         compile(self.program.rules(), &self.vocabulary, counting)
     }
 
-    /// The clauses whose firings are counted, in the order of the text: those with a body that the author wrote.
+    /// Returns the clauses whose firings are counted, in source order: those with a body and a visible head.
     pub fn clauses(&self) -> impl Iterator<Item = ClauseId> + '_ {
         let rules = self.program.rules();
         let counted = |clause: &ClauseId| {
@@ -92,7 +92,7 @@ impl World {
             .filter(counted)
     }
 
-    /// The map.
+    /// Returns the map.
     pub fn map(&self) -> &CityMap {
         self.router.map()
     }

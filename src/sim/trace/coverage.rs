@@ -1,37 +1,39 @@
-//! Which clauses fired over many states, and which literals never mattered.
+//! Rule coverage over many states: which clauses fired, and which literals never mattered.
 
 use crate::datalog::Session;
 use crate::datalog::explain::{ExplainError, Explainer};
 use crate::datalog::{ClauseId, Literal, Rules};
 
-/// What is known of the clauses of a program after a number of states.
+/// The coverage of a program's clauses over a number of states.
 #[derive(Clone, Debug, Default, PartialEq, Eq)]
 #[non_exhaustive]
 pub struct Coverage {
-    /// How many states were looked at.
+    /// The number of states.
     pub states: u64,
-    /// The clauses with a body, hidden ones left out, in the order of the text.
+    /// The visible clauses with a body, in source order.
     pub clauses: Vec<ClauseCoverage>,
 }
 
-/// What is known of one clause.
+/// The coverage of one clause.
 #[derive(Clone, Debug, PartialEq, Eq)]
 #[non_exhaustive]
 pub struct ClauseCoverage {
     /// The clause.
     pub clause: ClauseId,
-    /// How many rows it derived, all states together.
+    /// The number of rows that it derived, summed over all states.
     pub fired: u64,
-    /// In how many states it derived some.
+    /// The number of states in which it derived a row.
     pub states: u64,
-    /// Positions in the body of the literals that never mattered: without one of them, the clause would have derived nothing that
-    /// did not hold anyway, in any state. Each is left out alone; of two that say the same, neither matters. Guards of a scope, and
-    /// literals that alone bind a variable that is needed, are not asked.
+    /// Positions in the body of the literals that never mattered.
+    ///
+    /// Without such a literal, the clause derives nothing in any state that does not hold anyway. Each literal is
+    /// tested alone: of two equivalent literals, neither matters. Guards of a scope, and literals that alone bind a
+    /// needed variable, are not tested.
     pub idle: Vec<usize>,
 }
 
 impl Coverage {
-    /// No states yet.
+    /// Creates the coverage of zero states.
     pub fn new(rules: &Rules) -> Self {
         let clauses = rules.clauses.iter().zip(0..);
         let counted = clauses
@@ -53,10 +55,10 @@ impl Coverage {
         }
     }
 
-    /// Takes into account what a session holds, which must be one of the program of [`Coverage::new`].
+    /// Adds the state of a session. The session must belong to the program of [`Coverage::new`].
     ///
     /// # Errors
-    /// If the ways to satisfy a clause are too many to look at.
+    /// If enumerating the ways to satisfy a clause exceeds the limit of [`Explainer`].
     pub fn add(&mut self, session: &Session) -> Result<(), ExplainError> {
         self.states += 1;
         let mut explainer = Explainer::new(session);

@@ -1,8 +1,8 @@
-//! Who waits for whom, and who waits for ever.
+//! Finds waits between agents, and deadlocks.
 //!
-//! An agent waits for another if a clause of `Stop` holds for it under a binding that names the other. Every way to derive `Stop`
-//! counts, not one proof: an agent moves again only when all of them are gone. So if agents that do not move wait for each other in a
-//! circle, none of them will move before somebody else does something for them: a deadlock.
+//! An agent waits for another if a clause of `Stop` holds for it under a binding that names the other. Every derivation
+//! of `Stop` counts, not one proof: an agent moves again only when all of them are gone. Agents that do not move and
+//! wait for each other in a cycle are deadlocked: none of them moves unless another agent changes the situation.
 
 use crate::city::Action;
 use crate::datalog::explain::{ExplainError, Explainer};
@@ -10,40 +10,40 @@ use crate::datalog::{BaseType, Clause, ClauseId, Literal, Rules, Term};
 use crate::sim::tick::simulation::Snapshot;
 use std::collections::{BTreeSet, VecDeque};
 
-/// An agent that has not moved in this many ticks is called stuck; a circle of stuck agents that wait for each other is a deadlock.
+/// Ticks without a move after which an agent counts as stuck. A cycle of stuck agents is a deadlock.
 pub const STUCK_TICKS: u64 = 50;
 
-/// How often it is looked for whom agents wait, in ticks.
+/// The number of ticks between searches for waits.
 pub const LOOK_TICKS: u64 = 10;
 
-/// One agent stops, and the clause that says so names another.
+/// A wait: one agent stops because of a clause that names another.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord)]
 #[non_exhaustive]
 pub struct WaitsFor {
-    /// Who waits: position in the list of agents.
+    /// The waiting agent: position in the list of agents.
     pub agent: usize,
-    /// For whom.
+    /// The agent it waits for.
     pub on: usize,
-    /// The clause.
+    /// The clause of `Stop`.
     pub clause: ClauseId,
 }
 
-/// Why agents that have not moved for long stand still.
+/// The reasons why stuck agents do not move.
 #[derive(Clone, Debug, Default, PartialEq, Eq)]
 #[non_exhaustive]
 pub struct DeadlockReport {
-    /// Deadlocks: in each, a wait for every agent of a shortest circle, in order.
+    /// Deadlocks: the waits of a shortest cycle, in order.
     pub deadlocks: Vec<Vec<WaitsFor>>,
-    /// Stuck agents that wait for no stuck agent: for those that pass by, or for nobody.
+    /// Stuck agents that wait for no stuck agent: they wait for moving agents, or for none.
     pub starving: Vec<usize>,
-    /// The others: each waits for an agent of a deadlock or, if for none, for a starving one. The way there.
+    /// The other stuck agents, each with its chain of waits to a deadlock or, if there is none, to a starving agent.
     pub behind: Vec<Vec<WaitsFor>>,
 }
 
-/// For whom each of `agents` waits in a state, sorted.
+/// Returns the waits of `agents` in a state, sorted.
 ///
 /// # Errors
-/// If the ways to derive `Stop` are too many to look at.
+/// If enumerating the derivations of `Stop` exceeds the limit of [`Explainer`].
 pub fn waits(snapshot: &Snapshot<'_>, agents: &[usize]) -> Result<Vec<WaitsFor>, ExplainError> {
     let Some(stop) = snapshot.world().vocabulary.action(Action::Stop) else {
         return Ok(Vec::new());
@@ -69,7 +69,7 @@ pub fn waits(snapshot: &Snapshot<'_>, agents: &[usize]) -> Result<Vec<WaitsFor>,
     Ok(waits.into_iter().collect())
 }
 
-/// The variables of a clause that stand for symbols.
+/// Returns the variables of a clause that have the base type symbol.
 fn symbols(rules: &Rules, clause: &Clause) -> BTreeSet<usize> {
     let mut found = BTreeSet::new();
     for literal in &clause.body {
@@ -85,7 +85,7 @@ fn symbols(rules: &Rules, clause: &Clause) -> BTreeSet<usize> {
     found
 }
 
-/// Sorts out why `stuck` agents stand still, given for whom they wait. Sorted, and the same for the same input.
+/// Classifies `stuck` agents, given their waits in ascending order. Deterministic, with sorted results.
 pub fn find_deadlocks(stuck: &[usize], waits: &[WaitsFor]) -> DeadlockReport {
     let among: Vec<WaitsFor> = (waits.iter().copied())
         .filter(|wait| stuck.contains(&wait.agent) && stuck.contains(&wait.on))
@@ -96,11 +96,11 @@ pub fn find_deadlocks(stuck: &[usize], waits: &[WaitsFor]) -> DeadlockReport {
         if in_circle.contains(&agent) {
             continue;
         }
-        // The shortest way back to the agent, if there is one, is the shortest circle through it.
+        // The shortest path back to the agent is the shortest cycle through it.
         let Some(circle) = way(&among, agent, |other| other == agent) else {
             continue;
         };
-        // Of circles that share an agent the shortest is told.
+        // Of the cycles that share an agent, the shortest is reported.
         let shortest = (circle.iter())
             .filter_map(|wait| way(&among, wait.agent, |other| other == wait.agent))
             .min_by_key(Vec::len)
@@ -135,9 +135,9 @@ pub fn find_deadlocks(stuck: &[usize], waits: &[WaitsFor]) -> DeadlockReport {
     result
 }
 
-/// A shortest way of at least one wait from an agent to one that is looked for.
+/// Returns a shortest path of at least one wait from an agent to one for which `found` holds.
 fn way(waits: &[WaitsFor], from: usize, found: impl Fn(usize) -> bool) -> Option<Vec<WaitsFor>> {
-    // The wait by which each agent was reached.
+    // The wait by which the search reached each agent.
     let mut reached: Vec<WaitsFor> = Vec::new();
     let mut queue = VecDeque::from([from]);
     while let Some(agent) = queue.pop_front() {
@@ -183,7 +183,8 @@ mod tests {
 
     #[test]
     fn deadlocks_blocked_and_starving_agents_are_distinguished() {
-        // 1 <-> 2; 1 -> 4 -> 1 is no shorter; 3 waits for 4; 5 for 6, which moves; 7 for nobody; 8 -> 9 -> 10 -> 8; 11 for 5.
+        // 1 <-> 2; 1 -> 4 -> 1 is no shorter; 3 waits for 4; 5 for 6, which moves; 7 for none; 8 -> 9 -> 10 -> 8; 11
+        // for 5.
         let pairs = [
             (1, 2),
             (2, 1),
@@ -204,7 +205,7 @@ mod tests {
     }
 
     #[test]
-    fn a_circle_of_those_that_move_is_none() {
+    fn a_cycle_of_moving_agents_is_no_deadlock() {
         let found = find_deadlocks(&[1], &waits(&[(1, 2), (2, 1)]));
         assert!(found.deadlocks.is_empty() && found.starving == [1]);
     }

@@ -1,4 +1,4 @@
-//! What a run leaves behind: its trace, the state of a tick from it, and why agents decided or waited.
+//! The output of a run: its trace, replay of single ticks, and explanations of decisions and waits.
 
 mod coverage;
 mod deadlock;

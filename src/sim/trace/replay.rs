@@ -1,4 +1,4 @@
-//! A trace read again: the state of every tick, as facts of a session.
+//! Reads a trace and restores the state of any tick as facts of a session.
 
 use crate::city::{Action, AgentKind};
 use crate::city::{Cell, Heading};
@@ -22,19 +22,19 @@ use std::sync::Arc;
 pub struct TraceHeader {
     trace: String,
     version: u32,
-    /// Name of the configuration.
+    /// The name of the configuration.
     pub config: String,
-    /// The file it was read from, as the user named it.
+    /// The configuration file, as the user named it.
     pub config_file: Option<String>,
-    /// Stands for the content of the configuration.
+    /// The hash of the configuration.
     pub config_hash: String,
-    /// Name of the split.
+    /// The name of the split.
     pub split: String,
-    /// Seed of the run.
+    /// The seed of the run.
     pub seed: u64,
-    /// The file of the rules.
+    /// The rule file.
     pub rules: String,
-    /// Stands for the rules and all they include.
+    /// The hash of the rules and all included files.
     pub rules_hash: String,
     /// The agents in list order.
     pub agents: Vec<TraceAgent>,
@@ -43,25 +43,25 @@ pub struct TraceHeader {
 /// An agent of a [`TraceHeader`].
 #[derive(Clone, Debug, Deserialize)]
 pub struct TraceAgent {
-    /// Its name.
+    /// The name.
     pub id: String,
-    /// Name of its type.
+    /// The name of the type.
     #[serde(rename = "type")]
     pub kind: String,
-    /// Names of its concepts.
+    /// The names of the concepts.
     pub concepts: Vec<String>,
-    /// Its priority.
+    /// The priority.
     pub priority: i32,
 }
 
-/// A tick of a trace.
+/// One tick of a trace.
 #[derive(Clone, Debug, Deserialize)]
 pub struct TraceTick {
-    /// Its number.
+    /// The number of the tick.
     pub tick: u64,
     /// The state and decision of each agent, in the order of the header.
     pub agents: Vec<TraceState>,
-    /// The rows of the predicates that were drawn.
+    /// The rows of the predicates that hold with a probability.
     #[serde(default)]
     given: BTreeMap<String, Vec<Vec<String>>>,
 }
@@ -69,30 +69,30 @@ pub struct TraceTick {
 /// The state and decision of an agent in a [`TraceTick`].
 #[derive(Clone, Debug, Deserialize)]
 pub struct TraceState {
-    /// Row and column.
+    /// Row and column before the move.
     pub at: [i32; 2],
-    /// Direction of the last move.
+    /// The direction of the last move.
     pub heading: Option<String>,
-    /// Where it was going.
+    /// Row and column of the goal.
     pub goal: [i32; 2],
-    /// Names of the actions that were derived before the default.
+    /// The names of the derived actions, without the default.
     pub derived: Vec<String>,
-    /// Name of the action.
+    /// The name of the action in effect.
     pub action: String,
     /// The clauses that fired: positions in [`World::clauses`].
     pub clauses: Vec<usize>,
-    /// Where it was afterwards.
+    /// Row and column after the move.
     pub next: [i32; 2],
-    /// If it was driven from outside, what is told of that.
+    /// The entry of an agent that the caller controlled.
     #[serde(default)]
     pub driven: Option<Driven>,
 }
 
 impl TraceState {
-    /// The heading.
+    /// Parses the heading.
     ///
     /// # Errors
-    /// `invalid-trace`, without a place.
+    /// `invalid-trace`, without a source position.
     pub fn heading(&self) -> Result<Option<Heading>, Diagnostic> {
         let named = |name: &String| {
             Heading::from_name(name).ok_or_else(|| invalid(format!("`{name}` is not the name of a heading")))
@@ -100,20 +100,20 @@ impl TraceState {
         self.heading.as_ref().map(named).transpose()
     }
 
-    /// The action.
+    /// Parses the action.
     ///
     /// # Errors
-    /// `invalid-trace`, without a place.
+    /// `invalid-trace`, without a source position.
     pub fn action(&self) -> Result<Action, Diagnostic> {
         action_named(&self.action)
     }
 }
 
 impl Driven {
-    /// The action that the rules wanted.
+    /// Parses the action that the rules chose.
     ///
     /// # Errors
-    /// `invalid-trace`, without a place.
+    /// `invalid-trace`, without a source position.
     pub fn wanted(&self) -> Result<Action, Diagnostic> {
         action_named(&self.wanted)
     }
@@ -129,10 +129,10 @@ fn invalid(message: impl Into<String>) -> Diagnostic {
 }
 
 impl TraceHeader {
-    /// Reads the first line of a trace.
+    /// Parses the first line of a trace.
     ///
     /// # Errors
-    /// `invalid-trace`, without a place.
+    /// `invalid-trace`, without a source position.
     pub fn read(line: &str) -> Result<TraceHeader, Diagnostic> {
         let header: TraceHeader =
             serde_json::from_str(line).map_err(|error| invalid(format!("not the header of a trace: {error}")))?;
@@ -148,16 +148,16 @@ impl TraceHeader {
 }
 
 impl TraceTick {
-    /// Reads a line of a trace after the first.
+    /// Parses a line of a trace after the first.
     ///
     /// # Errors
-    /// `invalid-trace`, without a place.
+    /// `invalid-trace`, without a source position.
     pub fn read(line: &str) -> Result<TraceTick, Diagnostic> {
         serde_json::from_str(line).map_err(|error| invalid(format!("not a tick: {error}")))
     }
 }
 
-/// The agents of a trace under a world. [`Replay::set`] makes the state of a tick that of the session.
+/// The agents of a trace in a world. [`Replay::set`] loads the state of a tick into the session.
 pub struct Replay {
     world: Arc<World>,
     agents: Vec<TraceAgent>,
@@ -168,10 +168,10 @@ pub struct Replay {
 }
 
 impl Replay {
-    /// The agents of `header`, nowhere yet.
+    /// Creates a replay of the agents of `header`, without a state.
     ///
     /// # Errors
-    /// `invalid-trace` for an agent that is neither car nor pedestrian, or that is there twice.
+    /// `invalid-trace` for an agent that is neither car nor pedestrian, or that is listed twice.
     pub fn new(world: Arc<World>, header: &TraceHeader) -> Result<Replay, Diagnostic> {
         let mut kinds = Vec::new();
         let mut positions = HashMap::new();
@@ -182,7 +182,7 @@ impl Replay {
                 .ok_or_else(|| invalid(format!("`{}` of `{}` is not a type of agent", agent.kind, agent.id)))?;
             kinds.push(kind);
             if positions.insert(agent.id.clone(), position).is_some() {
-                return Err(invalid(format!("the agent `{}` is there twice", agent.id)));
+                return Err(invalid(format!("the header lists the agent `{}` twice", agent.id)));
             }
         }
         let names = header.agents.iter().map(|agent| agent.id.as_str());
@@ -196,10 +196,11 @@ impl Replay {
         })
     }
 
-    /// Makes the state on which a tick was decided the state of the session.
+    /// Loads the state on which a tick was decided into the session.
     ///
     /// # Errors
-    /// `invalid-trace` for a tick that does not fit the header or the map, `limit-exceeded` for rules that derive too much.
+    /// `invalid-trace` for a tick that does not fit the header or the map; `limit-exceeded` if the rules derive too
+    /// many rows.
     pub fn set(&mut self, tick: &TraceTick) -> Result<(), Diagnostic> {
         if tick.agents.len() != self.agents.len() {
             let (found, expected) = (tick.agents.len(), self.agents.len());
@@ -238,7 +239,7 @@ impl Replay {
                 match places.as_deref() {
                     Some(&[x, y]) if predicate.arity == 2 => facts.rows[index].push([x, y]),
                     Some(&[x]) if predicate.arity == 1 => facts.rows[index].push([x, 0]),
-                    _ => return Err(invalid(format!("`{}` does not hold of {row:?}", predicate.name))),
+                    _ => return Err(invalid(format!("{row:?} is not a row of `{}`", predicate.name))),
                 }
             }
             facts.rows[index].sort_unstable();
@@ -249,12 +250,12 @@ impl Replay {
         Ok(())
     }
 
-    /// The base facts of that state, by the predicates of the vocabulary.
+    /// Returns the base facts of the state, by the predicates of the vocabulary.
     pub fn facts(&self) -> &Facts {
         &self.facts
     }
 
-    /// The state as a whole.
+    /// Returns the state as facts of the session.
     pub fn snapshot(&self) -> Snapshot<'_> {
         Snapshot {
             world: &self.world,
@@ -262,39 +263,39 @@ impl Replay {
         }
     }
 
-    /// What the agents are, in the order of the header.
+    /// Returns the kinds of the agents, in the order of the header.
     pub fn kinds(&self) -> &[AgentKind] {
         &self.kinds
     }
 
-    /// What the rules derive from that state.
+    /// Returns the session with the state.
     pub fn session(&self) -> &Session {
         self.state.session()
     }
 
-    /// The world.
+    /// Returns the world.
     pub fn world(&self) -> &World {
         &self.world
     }
 
-    /// The position of the agent of that name in the header.
+    /// Returns the position in the header of the agent with this name.
     pub fn position(&self, agent: &str) -> Option<usize> {
         self.positions.get(agent).copied()
     }
 
-    /// The value that stands for an agent in the session.
+    /// Returns the value that represents an agent in the session.
     pub fn value(&self, position: usize) -> Value {
         self.state.value(position)
     }
 
-    /// The actions that hold for an agent, the default where it stands alone left out.
+    /// Returns the derived actions of an agent, without the default.
     pub fn derived(&self, position: usize) -> Actions {
         let vocabulary = &self.world.vocabulary;
         vocabulary.before_default(self.state.derived(vocabulary, position))
     }
 }
 
-/// Nothing is drawn: the trace has what was.
+/// Never draws: the trace records the rows of predicates with a probability.
 struct Never;
 
 impl Chance for Never {

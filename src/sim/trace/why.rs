@@ -1,4 +1,4 @@
-//! Why an agent did what it did in a tick.
+//! Explains the decision of an agent in a tick.
 
 use crate::cancel::Cancel;
 use crate::city::Action;
@@ -13,46 +13,46 @@ use crate::sim::tick::world::World;
 use serde_json::json;
 use std::fmt::Write;
 
-/// The decision of one agent, and the session with what it was decided on.
+/// The decision of one agent, with the session on which it was made.
 #[derive(Clone)]
 pub struct Decision<'a> {
-    /// What does not change.
+    /// The world of the run.
     pub world: &'a World,
-    /// The facts, and what the rules derive from them.
+    /// The facts and the rows that the rules derive from them.
     pub session: &'a Session,
-    /// Number of the tick.
+    /// The number of the tick.
     pub tick: u64,
-    /// Name of the agent.
+    /// The name of the agent.
     pub agent: String,
-    /// The value that stands for it.
+    /// The value that represents the agent.
     pub value: Value,
-    /// Where it was.
+    /// The cell before the move.
     pub at: Cell,
-    /// Its heading.
+    /// The heading before the move.
     pub heading: Option<Heading>,
-    /// The actions derived before the default.
+    /// The derived actions, without the default.
     pub derived: Actions,
-    /// What it did: by the rules, or from outside.
+    /// The action in effect: decided by the rules or imposed by the caller.
     pub action: Action,
 }
 
-/// Why a [`Decision`] was as it was.
+/// The explanation of a [`Decision`].
 pub struct Account<'a> {
     decision: Decision<'a>,
-    /// Whether it is told why this action was not derived.
+    /// The action that the caller asked about.
     why_not: Option<Action>,
-    /// The actions spoken of, and why they were derived or not; nothing if the rules do not mention one.
+    /// The explained actions. `None` if the rules do not declare the action.
     explanations: Vec<(Action, Option<Explanation>)>,
 }
 
 impl Simulation {
-    /// The decision of an agent, by its position in the list, in the last tick.
+    /// Returns the decision of an agent in the last tick, given its position in the list.
     ///
     /// # Errors
     /// As [`Simulation::snapshot`].
     ///
     /// # Panics
-    /// If there is no such agent.
+    /// If `agent` is outside the list.
     pub fn decision(&mut self, agent: usize) -> Result<Decision<'_>, Diagnostic> {
         let (name, report) = (self.agents()[agent].name().to_string(), self.report());
         let (tick, done) = (report.tick, report.agents[agent]);
@@ -72,11 +72,11 @@ impl Simulation {
 }
 
 impl<'a> Decision<'a> {
-    /// Why it was so: the actions that were derived, the one that the rules take first; if none was derived, the default, or why all four
-    /// were not. With `why_not`, that action alone.
+    /// Explains the decision: the derived actions, the chosen one first. If none was derived, it explains the default
+    /// action, or why all four were not derived. With `why_not`, it explains that action alone.
     ///
     /// # Errors
-    /// If that is more work than [`Explainer::LIMIT`], or on cancellation.
+    /// If the work exceeds [`Explainer::LIMIT`], or on cancellation.
     pub fn account(self, why_not: Option<Action>, cancel: &Cancel) -> Result<Account<'a>, ExplainError> {
         let vocabulary = &self.world.vocabulary;
         let by_rules = vocabulary.decide(self.derived);
@@ -113,7 +113,8 @@ impl Account<'_> {
         ExplanationPrinter::new(session.program().rules(), session.symbols(), sources)
     }
 
-    /// For readers: the decision in a line, what is special about it, and a tree for each action. `sources` are those of the rules.
+    /// Returns the explanation as text: the decision in one line, a remark, and a tree for each action. `sources` holds
+    /// the rules.
     pub fn text(&self, sources: &Sources) -> String {
         let Decision {
             tick,
@@ -141,27 +142,28 @@ impl Account<'_> {
             let names: Vec<&str> = derived.iter().map(|action| action.name()).collect();
             let _ = writeln!(
                 text,
-                "derived were {}; the first by the configured order was taken",
+                "derived: {}; the first in the configured order was taken",
                 names.join(", ")
             );
         } else if derived.is_empty() && self.explanations.len() > 1 {
             text += "no action was derived, so the default was taken\n";
         }
         if let Some(action) = self.why_not.filter(|action| derived.contains(*action)) {
-            let _ = writeln!(text, "{} was derived, and this is why", action.name());
+            let _ = writeln!(text, "{} was derived as follows", action.name());
         }
         let printer = self.printer(sources);
         for (action, explanation) in &self.explanations {
             let _ = match explanation {
                 Some(explanation) => write!(text, "\n{}", printer.tree(explanation)),
-                None => writeln!(text, "\n{}: the rules do not mention it", action.name()),
+                None => writeln!(text, "\n{}: the rules do not declare it", action.name()),
             };
         }
         text
     }
 
-    /// For programs: `tick`, `agent`, `at`, `heading`, `derived`, `action`, and `explanations`, each with its `action` and, unless the
-    /// rules do not mention it, the `nodes` of [`ExplanationPrinter::json`].
+    /// Returns the explanation as JSON: `tick`, `agent`, `at`, `heading`, `derived`, `action` and `explanations`.
+    ///
+    /// Each explanation has its `action` and, if the rules declare it, the `nodes` of [`ExplanationPrinter::json`].
     pub fn json(&self, sources: &Sources) -> serde_json::Value {
         let printer = self.printer(sources);
         let explanations: Vec<serde_json::Value> = (self.explanations.iter())

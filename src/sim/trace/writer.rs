@@ -1,4 +1,4 @@
-//! The trace of a run: JSON lines, the first a header, then one a tick. README documents the format.
+//! Writes the trace of a run as JSON lines: a header, then one line per tick. README documents the format.
 
 use crate::city::Action;
 use crate::city::{Heading, Moved};
@@ -9,34 +9,34 @@ use serde_json::{Map, Value, json};
 use sha2::{Digest, Sha256};
 use std::io::{self, Write};
 
-/// Version of the format; it grows when a reader of the old one would misread the new one.
+/// The version of the format. It grows when an old reader would misread the new format.
 pub const TRACE_VERSION: u32 = 1;
 
-/// What a trace tells of an agent that was driven from outside in a tick, beside what it did. A reader that knows nothing of this still
-/// reads the action rightly: the rules asked something else, or the same.
+/// The trace entry of an agent that the caller controls in a tick. Readers that do not know it still read the action
+/// correctly.
 #[derive(Clone, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
 pub struct Driven {
-    /// Names of the agents that it observed, itself first: those that its action was judged on.
+    /// Names of the observed agents, the agent itself first.
     pub observes: Vec<String>,
-    /// Name of the action that the rules wanted of it there.
+    /// Name of the action that the rules choose given this observation.
     pub wanted: String,
-    /// The clauses that its action broke there: positions in [`World::clauses`](crate::sim::World::clauses).
+    /// The clauses that its action violates: positions in [`World::clauses`](crate::sim::World::clauses).
     pub broken: Vec<usize>,
 }
 
-/// Writes a trace.
+/// Writes a trace to an output.
 pub struct TraceWriter<W: Write> {
     out: W,
-    /// Predicates that hold with a probability: their true rows are recorded, since they cannot be computed again.
+    /// Predicates that hold with a probability. The trace records their rows, since a replay cannot recompute them.
     drawn: Vec<usize>,
 }
 
 impl<W: Write> TraceWriter<W> {
-    /// Writes the header. `config_file` and `rule_file` are the files of configuration and rules, and `rules_hash` stands for
-    /// the rules and all they include.
+    /// Writes the header. `config_file` and `rule_file` are the files of configuration and rules, and `rules_hash` is
+    /// the hash of the rules ([`hash_sources`]).
     ///
     /// # Errors
-    /// Whatever `out` reports.
+    /// The errors of `out`.
     pub fn new(
         mut out: W,
         simulation: &Simulation,
@@ -97,21 +97,22 @@ impl<W: Write> TraceWriter<W> {
         Ok(TraceWriter { out, drawn })
     }
 
-    /// Writes the last tick of a simulation: the state it was decided on (`at`, `heading`, `goal`), the decision, and where it led.
+    /// Writes the last tick of a simulation: the state before (`at`, `heading`, `goal`), the decision, and the cell
+    /// after.
     ///
     /// # Errors
-    /// Whatever the output reports.
+    /// The errors of the output.
     pub fn tick(&mut self, simulation: &Simulation) -> io::Result<()> {
         self.tick_driven(simulation, &[])
     }
 
-    /// The same, with what is to be told of agents that were driven, by their positions in the list.
+    /// Variant of [`tick`](Self::tick) with the entries of controlled agents, given by their positions in the list.
     ///
     /// # Errors
-    /// Whatever the output reports.
+    /// The errors of the output.
     ///
     /// # Panics
-    /// If there is no agent at such a position.
+    /// If a position is outside the list.
     pub fn tick_driven(&mut self, simulation: &Simulation, driven: &[(usize, Driven)]) -> io::Result<()> {
         let report = simulation.report();
         let mut agents: Vec<Value> = (report.agents.iter().zip(simulation.agents()).enumerate())
@@ -119,7 +120,7 @@ impl<W: Write> TraceWriter<W> {
                 let Moved {
                     from, to, replanned, ..
                 } = tick.moved;
-                // Who has set out for a new goal was at the old one.
+                // An agent with a new goal started from the old one.
                 let goal = if replanned { from } else { agent.goal() };
                 json!({
                     "at": [from.row, from.col],
@@ -152,13 +153,13 @@ impl<W: Write> TraceWriter<W> {
         )
     }
 
-    /// The output, once every tick is written.
+    /// Returns the output.
     pub fn into_inner(self) -> W {
         self.out
     }
 }
 
-/// SHA-256 over the texts of `files` in that order, in hexadecimal.
+/// Returns the SHA-256 hash of the texts of `files`, in order, in hexadecimal.
 pub fn hash_sources(sources: &Sources, files: &[SourceId]) -> String {
     let mut hash = Sha256::new();
     for &id in files {

@@ -59,7 +59,7 @@ pub struct Transition {
     pub truncated: bool,
     /// Whether the car is at its goal without a violation.
     pub success: bool,
-    /// The violated clauses, by their positions in [`Oracle::demands`](crate::sim::Oracle::demands).
+    /// The violated clauses, by their positions in [`Oracle::constraints`](crate::sim::Oracle::constraints).
     pub broken: Vec<usize>,
 }
 
@@ -100,7 +100,8 @@ impl Env {
     /// Returns an environment over the agents of a split. Call [`Env::reset`] next.
     ///
     /// # Errors
-    /// `unknown-split`, `no-start-cell`, `no-route`, `limit-exceeded`: see [`Simulation::new`]; `invalid-value` if the split has no car.
+    /// `unknown-split`, `no-start-cell`, `no-route`, `limit-exceeded`: see [`Simulation::new`]; `invalid-value` if the
+    /// split has no car.
     pub fn new(task: Arc<SpfTask>, split: Split, control: ControlMode) -> Result<Env, Diagnostic> {
         Env::new_with(task, split, control, &Cancel::never())
     }

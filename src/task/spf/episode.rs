@@ -94,8 +94,8 @@ impl EpisodeAgent {
             let defined = predicates.iter().filter_map(|predicate| predicate.definition.concept());
             let mut kinds = defined
                 .clone()
-                .filter(|told| told.concept == *carried)
-                .map(|told| told.of);
+                .filter(|concept| concept.concept == *carried)
+                .map(|concept| concept.of);
             if kinds.clone().any(|of| of == kind) {
                 continue;
             }
@@ -103,8 +103,8 @@ impl EpisodeAgent {
                 let other = other.name().to_lowercase();
                 return Err(invalid(format!("`{carried}` is a concept of a {other}, not of {name}")));
             }
-            let known: Vec<&str> = (defined.filter(|told| told.of == kind))
-                .map(|told| told.concept.as_str())
+            let known: Vec<&str> = (defined.filter(|concept| concept.of == kind))
+                .map(|concept| concept.concept.as_str())
                 .collect();
             let fault = invalid(format!("no predicate defines the concept `{carried}` of {name}"));
             return Err(match did_you_mean(carried, known.iter().copied()) {

@@ -125,7 +125,7 @@ impl SpfTask {
         &self.config
     }
 
-    /// Returns the label of a clause, by its position in [`Oracle::demands`]: `S2`, or `file:line` if it has none.
+    /// Returns the label of a clause, by its position in [`Oracle::constraints`]: `S2`, or `file:line` if it has none.
     pub fn label(&self, constraint: usize) -> &str {
         &self.constraints[constraint].0
     }
@@ -145,8 +145,8 @@ impl SpfTask {
         self.priority_scale
     }
 
-    /// Returns the reward of a step: the penalties of the violated clauses, by their positions in [`Oracle::demands`],
-    /// or without a violation the reward of the action on a route of `cells` cells.
+    /// Returns the reward of a step: the penalties of the violated clauses, by their positions in
+    /// [`Oracle::constraints`], or without a violation the reward of the action on a route of `cells` cells.
     pub fn reward(&self, action: Action, broken: &[usize], cells: usize) -> f64 {
         if broken.is_empty() {
             #[allow(clippy::cast_precision_loss)] // a route has fewer than 2^32 cells

@@ -45,8 +45,9 @@ impl From<io::Error> for RecordError {
 /// traces.
 ///
 /// # Errors
-/// As [`Env::new`] and [`Env::reset_to`]; `invalid-value` for more actions than the episode has steps, `limit-exceeded` for more than
-/// [`MAX_ENTITIES`] agents; `cancelled` on cancellation. Ticks written before that stay in `out`.
+/// As [`Env::new`] and [`Env::reset_to`]; `invalid-value` for more actions than the episode has steps,
+/// `limit-exceeded` for more than [`MAX_ENTITIES`] agents; `cancelled` on cancellation. Ticks written before that stay
+/// in `out`.
 ///
 /// # Panics
 /// If `origin` names no rule file.

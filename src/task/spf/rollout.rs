@@ -45,7 +45,7 @@ pub struct Rollout {
     pub truncated: bool,
     /// Number of steps in which the rules derived each action, in the order of [`Action::ALL`].
     pub constrained: [u32; 4],
-    /// The violated clauses, by their positions in [`Oracle::demands`](crate::sim::Oracle::demands).
+    /// The violated clauses, by their positions in [`Oracle::constraints`](crate::sim::Oracle::constraints).
     pub broken: Vec<usize>,
 }
 

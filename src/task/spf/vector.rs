@@ -113,7 +113,7 @@ pub struct Info {
     /// The action that the rules want now, as a number.
     pub oracle_action: usize,
     /// The clauses that the last action violated, by their positions in
-    /// [`Oracle::demands`](crate::sim::Oracle::demands).
+    /// [`Oracle::constraints`](crate::sim::Oracle::constraints).
     pub broken: Vec<usize>,
     /// The fraction of its route that it has covered, 0 to 1.
     pub progress: f64,

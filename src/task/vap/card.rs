@@ -1,4 +1,4 @@
-//! The `README.md` of a data set.
+//! Writes the `README.md` of a data set.
 
 use crate::city::Action;
 use crate::task::vap::folder::{DatasetSettings, Manifest};
@@ -6,7 +6,7 @@ use crate::task::vap::table::{ENTITY_NAMES, ENTITY_NUMBERS, PAIR_NAMES};
 use crate::task::vap::{FIRST_TICK, Mode, SIDE, TICKS, Worlds, percent, total};
 use std::fmt::Write as _;
 
-/// The text of the file.
+/// Returns the text of the file.
 pub(super) fn card(mode: Mode, manifest: &Manifest, worlds: &Worlds) -> String {
     let parts = [
         beginning(manifest),
@@ -32,9 +32,10 @@ fn beginning(manifest: &Manifest) -> String {
     } = &manifest.settings;
     format!(
         "# Visual Action Prediction, {mode} mode, {agents} agents, {split}\n\n\
-         {} worlds of {TICKS} ticks, of which the ticks from {FIRST_TICK} on are here: {} frames, {} labels of cars. Made by\n\
-         `{}`, checked by `logicity vap check`. Under the MIT\n\
-         licence, as the program that made it.\n\n\
+         {} worlds of {TICKS} ticks each. The data set contains the ticks from {FIRST_TICK} on:\n\
+         {} frames, {} labels of cars.\n\
+         `{}` made it; `logicity vap check` checks it.\n\
+         It has the MIT license, like the program that made it.\n\n\
          configuration {config_hash}  \nrules {rules_hash}  \ndrawing {drawing_hash}\n",
         manifest.worlds.len(),
         manifest.frames,
@@ -68,30 +69,37 @@ fn pictures(manifest: &Manifest) -> String {
     let mut text = "## Pictures\n\n".to_owned();
     text += &match settings.pictures {
         true => format!(
-            "`world-NNNNN/frame-TTT.png` is the picture of tick TTT: {SIDE} x {SIDE} pixels of red, green and blue, the first 128 rows and columns of\n\
-             the map, 8 pixels a cell. All pictures take {}, the tables {}.\n",
+            "`world-NNNNN/frame-TTT.png` is the picture of tick TTT: {SIDE} x {SIDE} pixels in RGB. It shows\n\
+             the first 128 rows and columns of the map, with 8 pixels per cell. All pictures take {}, the\n\
+             tables {}.\n",
             size(".png"),
             size(".parquet")
         ),
         false => format!(
-            "There are none. Boxes are those of pictures of {SIDE} x {SIDE} pixels, the first 128 rows and columns of the map, 8 pixels a cell. The\n\
-             tables take {}.\n",
+            "There are no pictures. Boxes refer to pictures of {SIDE} x {SIDE} pixels that show the first 128\n\
+             rows and columns of the map, with 8 pixels per cell. The tables take {}.\n",
             size(".parquet")
         ),
     };
     write!(
         text,
-        "Cars are 48 pixels wide and turn with their heading, pedestrians 32; which instance of its class an agent shows is drawn for every frame.\n\
-         Every world has streets, meadows and buildings of its own look, every split icons of its own. The difficulty is {} of 100: how much\n\
-         colours, light, sharpness and markings vary and how much lies around.\n",
+        "Cars are 48 pixels wide and turn with their heading; pedestrians are 32 pixels wide. Each frame\n\
+         draws anew which instance of its class an agent shows. Each world has its own streets, meadows\n\
+         and buildings, and each split its own icons. The difficulty is {} of 100: it controls how much\n\
+         colors, light, sharpness, markings and clutter vary.\n",
         settings.difficulty
     )
     .expect("memory");
     if let (Some(hash), Some(mode)) = (&settings.pack_hash, &settings.pack_mode) {
-        let beside = if mode == "replace" { "instead of" } else { "beside" };
+        let relation = if mode == "replace" {
+            "instead of"
+        } else {
+            "in addition to"
+        };
         write!(
             text,
-            "Icons of a pack {beside} those drawn are part of the pictures, and its licence is theirs; splits made with one pack share its icons.\n\n\
+            "The pictures contain icons of a pack {relation} the generated ones, so the license of the pack\n\
+             applies to them. Splits with the same pack share its icons.\n\n\
              pack {hash}\n"
         )
         .expect("memory");
@@ -101,7 +109,7 @@ fn pictures(manifest: &Manifest) -> String {
 
 fn labels(mode: Mode, manifest: &Manifest) -> String {
     let mut text = "## Labels\n\n\
-        A label is what the rules want of a car in the state that the frame shows, not the move that followed.\n\n\
+        A label is the action that the rules choose for a car in the state of the frame, not the move that follows.\n\n\
         | label | here | share | published fixed test set | share |\n|---|---|---|---|---|\n"
         .to_owned();
     let published = mode.published_actions();
@@ -116,9 +124,9 @@ fn labels(mode: Mode, manifest: &Manifest) -> String {
 }
 
 fn concepts(manifest: &Manifest) -> String {
-    let mut text =
-        "## Agents\n\nAgents of all frames by concept, those without one by type.\n\n| concept | here | share |\n|---|---|---|\n"
-            .to_owned();
+    let mut text = "## Agents\n\nAgents of all frames by concept. Agents without a concept count by type.\n\n\
+         | concept | here | share |\n|---|---|---|\n"
+        .to_owned();
     for (concept, count) in &manifest.concepts {
         writeln!(text, "| {concept} | {count} | {} |", percent(*count, manifest.agents)).expect("memory");
     }
@@ -127,7 +135,9 @@ fn concepts(manifest: &Manifest) -> String {
 
 fn atoms(manifest: &Manifest) -> String {
     let mut text =
-        "## Facts\n\nTrue atoms of all frames, of those about two agents the ones of which the first sees the second.\n\n| predicate | true |\n|---|---|\n".to_owned();
+        "## Facts\n\nTrue atoms of all frames. An atom about two agents counts if the first sees the second.\n\n\
+         | predicate | true |\n|---|---|\n"
+            .to_owned();
     for (predicate, count) in &manifest.atoms {
         writeln!(text, "| `{predicate}` | {count} |").expect("memory");
     }
@@ -144,8 +154,8 @@ fn columns(worlds: &Worlds) -> String {
             .join(", ")
     };
     let mut text = "## Tables\n\n\
-        `world-NNNNN/entities.parquet`: a row for each agent of each frame, in order of tick and agent.\n\n\
-        | column | what it is |\n|---|---|\n"
+        `world-NNNNN/entities.parquet` has one row per agent and frame, in order of tick and agent.\n\n\
+        | column | meaning |\n|---|---|\n"
         .to_owned();
     let numbers = ENTITY_NUMBERS.iter().map(|(name, what, _)| (*name, *what));
     for (name, what) in ENTITY_NAMES.into_iter().chain(numbers) {
@@ -153,10 +163,10 @@ fn columns(worlds: &Worlds) -> String {
     }
     write!(
         text,
-        "| {} | whether it holds |\n\n\
-         `world-NNNNN/pairs.parquet`: a row for each ordered pair of agents of each frame, so that the column of a predicate is a\n\
-         matrix for each frame, row by row.\n\n\
-         | column | what it is |\n|---|---|\n",
+        "| {} | whether the predicate holds |\n\n\
+         `world-NNNNN/pairs.parquet` has one row per ordered pair of agents and frame. The column of a\n\
+         predicate is thus one matrix per frame, row by row.\n\n\
+         | column | meaning |\n|---|---|\n",
         predicates(1)
     )
     .expect("memory");
@@ -165,8 +175,9 @@ fn columns(worlds: &Worlds) -> String {
     }
     write!(
         text,
-        "| {} | whether it holds of first and second |\n\n\
-         `world-NNNNN/world.json` and `manifest.json` have counts, the seed of each world, and size and SHA-256 of each file.\n",
+        "| {} | whether the predicate holds for first and second |\n\n\
+         `world-NNNNN/world.json` and `manifest.json` have counts, the seed of each world, and the size and\n\
+         SHA-256 of each file.\n",
         predicates(2)
     )
     .expect("memory");

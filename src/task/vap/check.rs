@@ -1,4 +1,4 @@
-//! Opening and checking data sets.
+//! Opens and checks data sets.
 
 use crate::cancel::Cancel;
 use crate::diag::{Code, Diagnostic};
@@ -22,10 +22,10 @@ pub struct Dataset {
 }
 
 impl Dataset {
-    /// Reads the manifest.
+    /// Opens a data set and reads its manifest.
     ///
     /// # Errors
-    /// `invalid-data-set` if it is no manifest of this version; a file that cannot be read.
+    /// `invalid-data-set` if the manifest is invalid or of another version; a file that cannot be read.
     pub fn open(folder: Folder) -> Result<Dataset, DatasetError> {
         let manifest = folder::read_manifest(&folder)?;
         let name = &manifest.settings.mode;
@@ -38,12 +38,12 @@ impl Dataset {
         })
     }
 
-    /// The rules.
+    /// Returns the mode, which selects the rules.
     pub fn mode(&self) -> Mode {
         self.mode
     }
 
-    /// The manifest.
+    /// Returns the manifest.
     pub fn manifest(&self) -> &Manifest {
         &self.manifest
     }
@@ -52,14 +52,13 @@ impl Dataset {
         self.folder.path().join(MANIFEST)
     }
 
-    /// Checks files, hashes, order, pictures and boxes, and derives every label from the facts. `city` has the
-    /// configuration of [`mode`](Dataset::mode).
+    /// Checks files, hashes, order, pictures and boxes, and derives every label from the facts.
     ///
-    /// `progress` receives the numbers of worlds checked and to check. It is called, and `cancel` is polled, on the
-    /// calling thread only.
+    /// `city` has the configuration of [`mode`](Dataset::mode). `progress` receives the numbers of worlds checked and
+    /// to check. It is called, and `cancel` is polled, on the calling thread only.
     ///
     /// # Errors
-    /// `invalid-data-set` for every fault; `cancelled`; a folder that cannot be read.
+    /// `invalid-data-set` for every error in the data set; `cancelled`; a folder that cannot be read.
     pub fn check(
         &self,
         city: LoadedCity,
@@ -70,10 +69,10 @@ impl Dataset {
         let (path, settings) = (self.manifest_path(), &self.manifest.settings);
         if [&city.scenario.hash, &city.rules_hash] != [&settings.config_hash, &settings.rules_hash] {
             let config = self.mode.config();
-            let message = format!("made with another configuration `{config}`, or other rules");
+            let message = format!("made with another version of the configuration `{config}`, or other rules");
             return Err(wrong(&path, message).into());
         }
-        // The facts of a sample name no map file.
+        // The scene of a sample names no map file.
         let read = |_: &Path| Err(ReadError::NotFound);
         let seed = Seed(settings.seed);
         let inference = Inference::new(city.scenario, city.program, seed, Executor::Auto, read)?;
@@ -87,7 +86,7 @@ impl Dataset {
         })?;
         faults.extend(found.into_iter().flatten());
         if Manifest::new(settings.clone(), records.clone()) != self.manifest {
-            faults.push(wrong(&path, "does not count what its worlds have"));
+            faults.push(wrong(&path, "has counts that differ from its worlds"));
         }
         match faults.is_empty() {
             true => Ok(()),
@@ -95,22 +94,22 @@ impl Dataset {
         }
     }
 
-    /// The faults of files that are not in the manifest.
+    /// Reports files and worlds that the manifest does not list.
     fn unlisted(&self) -> Result<Vec<Diagnostic>, DatasetError> {
         let mut faults = Vec::new();
-        for path in folder::strangers(&self.folder)? {
+        for path in folder::unknown_entries(&self.folder)? {
             faults.push(wrong(&path, "belongs to no data set"));
         }
         for (path, file) in folder::worlds(&self.folder)? {
             if !self.manifest.worlds.contains(&file.record) || file.settings != self.manifest.settings {
-                let fault = wrong(&path, "is not as the manifest lists it");
-                faults.push(fault.help("`logicity vap make` lists what is there"));
+                let fault = wrong(&path, "differs from its entry in the manifest");
+                faults.push(fault.help("`logicity vap make` updates the manifest"));
             }
         }
         Ok(faults)
     }
 
-    /// The faults of a world.
+    /// Returns the errors of a world.
     fn check_world(
         &self,
         inference: &Inference,
@@ -124,8 +123,8 @@ impl Dataset {
         if !faults.is_empty() {
             return Ok(faults);
         }
-        for path in folder::strangers_in_world(&folder, record)? {
-            faults.push(wrong(&path, "is not of the world"));
+        for path in folder::unknown_world_entries(&folder, record)? {
+            faults.push(wrong(&path, "does not belong to the world"));
         }
         let read = read_tables(inference, record, tables).and_then(|(entities, samples)| {
             let mut actions = [0; 4];
@@ -149,13 +148,13 @@ impl Dataset {
                     files: record.files.clone(),
                 };
                 if counted != *record {
-                    faults.push(wrong(path, "does not count what its tables have"));
+                    faults.push(wrong(path, "has counts that differ from its tables"));
                 }
                 let pictures = samples.iter().filter(|_| self.manifest.settings.pictures);
                 let names: BTreeSet<String> = pictures.map(|sample| folder::frame_name(sample.tick)).collect();
                 let listed = record.files.keys().filter(|name| name.ends_with(".png"));
                 if !listed.eq(&names) {
-                    faults.push(wrong(path, "has not one picture for each of its frames"));
+                    faults.push(wrong(path, "does not have exactly one picture per frame"));
                 }
             }
         }
@@ -163,7 +162,7 @@ impl Dataset {
     }
 }
 
-/// Compares the files of a world with its record. Returns the bytes of those that are not pictures.
+/// Compares the files of a world with its record. Returns the bytes of all files except pictures.
 fn read_files<'a>(
     folder: &Folder,
     record: &'a WorldRecord,
@@ -179,7 +178,7 @@ fn read_files<'a>(
             continue;
         }
         let again = "remove the folder of the world and run `logicity vap make` again";
-        let other = || wrong(&path, "is not the file that was made").help(again);
+        let other = || wrong(&path, "has changed since it was made").help(again);
         match folder.read_of_length(name, expected.bytes as u64) {
             Err(error) => faults.push(wrong(&path, error).help(again)),
             Ok(None) => faults.push(other()),
@@ -205,7 +204,7 @@ fn check_picture(bytes: &[u8]) -> Result<(), String> {
     }
 }
 
-/// The entities and the samples of a world, if all files besides pictures are its tables and boxes lie in the picture.
+/// Reads the entities and the samples of a world. All boxes must lie in the picture, and all files must be tables.
 fn read_tables(
     inference: &Inference,
     record: &WorldRecord,
@@ -227,7 +226,7 @@ fn read_tables(
     Ok((entities, samples))
 }
 
-/// Counts the labels of a sample, which must be what the rules derive from its facts.
+/// Counts the labels of a sample. Every label must be the action that the rules choose.
 fn check_sample(inference: &Inference, sample: &Sample) -> Result<[u64; 4], Diagnostic> {
     let cars: Vec<usize> = (0..sample.names.len())
         .filter(|&agent| sample.labels[agent].is_some())
@@ -242,7 +241,7 @@ fn check_sample(inference: &Inference, sample: &Sample) -> Result<[u64; 4], Diag
         let label = sample.labels[car].expect("a car has one");
         if label != answer.action {
             let message = format!(
-                "tick {}: {} is labelled {}, the rules want {}",
+                "tick {}: {} is labeled {}, but the rules choose {}",
                 sample.tick,
                 answer.id,
                 label.name(),

@@ -1,6 +1,6 @@
-//! The codes of messages about data sets.
+//! Diagnostic codes for data sets.
 
 crate::diagnostic_codes! {
-    /// A data set that is not as it was made, or of another configuration.
+    /// A data set that was changed or damaged, or that has another configuration.
     INVALID_DATA_SET = "invalid-data-set", Error;
 }

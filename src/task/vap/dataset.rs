@@ -1,4 +1,4 @@
-//! Making data sets. A data set is a function of its request, so an interrupted one can be resumed.
+//! Makes data sets. A data set is a function of its request, so an interrupted run can be resumed.
 
 use crate::cancel::Cancel;
 use crate::city::Split;
@@ -26,7 +26,7 @@ pub const WORLDS_MAX: u32 = 100_000;
 /// The worlds to make.
 #[derive(Clone, Debug)]
 pub struct DatasetRequest {
-    /// The rules.
+    /// The mode, which selects the rules.
     pub mode: Mode,
     /// The agents: those of the configuration, or drawn for each world.
     pub agents: Agents,
@@ -43,7 +43,7 @@ pub struct DatasetRequest {
 }
 
 impl DatasetRequest {
-    /// The worlds of the published set: fixed agents, seed 0, pictures, one thread.
+    /// Requests the worlds of the published set: fixed agents, seed 0, pictures, one thread.
     pub fn new(mode: Mode, split: Split) -> DatasetRequest {
         DatasetRequest {
             mode,
@@ -56,7 +56,7 @@ impl DatasetRequest {
         }
     }
 
-    /// The seed of the icons.
+    /// Returns the seed of the icons.
     pub fn icon_seed(&self) -> Seed {
         icon_seed(self.seed, self.split)
     }
@@ -67,7 +67,7 @@ impl DatasetRequest {
 pub struct DatasetSummary {
     /// The number of worlds that this call made.
     pub made: usize,
-    /// All worlds in the folder.
+    /// The manifest of all worlds in the folder.
     pub manifest: Manifest,
 }
 
@@ -79,8 +79,8 @@ pub struct DatasetWriter {
 }
 
 impl DatasetWriter {
-    /// Prepares what all worlds share. `city` has the configuration [`Mode::config`], and the seed of the icons is
-    /// [`DatasetRequest::icon_seed`].
+    /// Prepares the common part of all worlds. `city` must have the configuration [`Mode::config`], and `icons` the
+    /// seed [`DatasetRequest::icon_seed`].
     ///
     /// # Errors
     /// As [`Worlds::new`].
@@ -121,14 +121,15 @@ impl DatasetWriter {
         })
     }
 
-    /// Writes the requested worlds that the folder lacks, then its `README.md` and `manifest.json`. Worlds in the folder stay as they are.
+    /// Writes the requested worlds that the folder lacks, then its `README.md` and `manifest.json`. It keeps existing
+    /// worlds.
     ///
     /// `progress` receives the numbers of frames made and to make. It is called, and `cancel` is polled, on the calling
     /// thread only. After cancellation the complete worlds stay in the folder, and another call makes the others.
     ///
     /// # Errors
-    /// `invalid-data-set` if the folder has worlds with other settings; those of [`Worlds::frames`]; `cancelled`; files that cannot be read
-    /// or written.
+    /// `invalid-data-set` if the folder has worlds with other settings; those of [`Worlds::frames`]; `cancelled`; files
+    /// that cannot be read or written.
     pub fn write(
         &self,
         folder: &Folder,
@@ -139,7 +140,7 @@ impl DatasetWriter {
             if file.settings != self.settings {
                 let fault = wrong(
                     &path,
-                    "is of a data set with other settings, configuration, rules or pictures",
+                    "belongs to a data set with other settings, configuration, rules or pictures",
                 );
                 return Err(fault.help("name another folder with `--out`").into());
             }
@@ -180,7 +181,7 @@ impl DatasetWriter {
         } else {
             step(frames.len() as u64)?;
         }
-        // After the pictures, since the boxes of the drawn icons are cached.
+        // The tables come after the pictures, because the boxes of the drawn icons are then cached.
         let entities = Table::entities(worlds, number, &frames);
         let concepts = count_concepts(&entities)?;
         for (name, table) in [(ENTITIES, entities), (PAIRS, Table::pairs(worlds, number, &frames))] {
@@ -202,14 +203,14 @@ impl DatasetWriter {
     }
 }
 
-/// Counts units of work as done. Fails after cancellation.
+/// Adds units of work to the progress. Fails after cancellation.
 pub(super) type Step<'s> = &'s dyn Fn(u64) -> Result<(), Diagnostic>;
 
 /// Progress and cancellation of work on several threads.
 pub(super) struct Monitor<'c> {
     done: AtomicU64,
     total: u64,
-    /// The last number that `progress` has received.
+    /// The last number that `progress` received.
     reported: AtomicU64,
     cancelled: AtomicBool,
     progress: &'c (dyn Fn(u64, u64) + Sync),
@@ -251,7 +252,8 @@ impl<'c> Monitor<'c> {
         }
     }
 
-    /// Does the work for every item. The first failure ends it; with several threads, which one that is may vary.
+    /// Runs `work` for every item. The first failure ends the run; with several threads it may vary which failure is
+    /// returned.
     pub(super) fn run<T: Sync, R: Send>(
         &self,
         threads: NonZeroUsize,

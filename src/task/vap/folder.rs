@@ -1,7 +1,8 @@
-//! The layout of a data set on disk: one folder per world, named by its number, and at the end `README.md` and `manifest.json`.
+//! The layout of a data set on disk: one folder per world, named by its number, and at the end `README.md` and
+//! `manifest.json`.
 //!
-//! Everything is written under a temporary name, `.NAME.partial`, and renamed when complete. The next command removes temporary files that
-//! an interrupted command has left.
+//! Each file is written under a temporary name, `.NAME.partial`, and renamed when complete. The next command removes
+//! temporary files that an interrupted command has left.
 
 use crate::diag::{Code, Diagnostic};
 use crate::files::{FileError, Folder};
@@ -22,11 +23,11 @@ pub(super) const MANIFEST: &str = "manifest.json";
 const CARD: &str = "README.md";
 pub(super) const ENTITIES: &str = "entities.parquet";
 pub(super) const PAIRS: &str = "pairs.parquet";
-/// In the folder of a world, a [`WorldFile`].
+/// The [`WorldFile`] in the folder of a world.
 const RECORD: &str = "world.json";
 const PARTIAL: &str = ".partial";
 
-/// What all worlds of a data set have in common.
+/// The common settings of all worlds of a data set.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 pub struct DatasetSettings {
     /// Always `logicity vap`.
@@ -53,7 +54,8 @@ pub struct DatasetSettings {
     pub pack_hash: Option<String>,
     /// The mode of the icon pack.
     pub pack_mode: Option<String>,
-    /// The SHA-256 of the pixels of [`Worlds::specimen`](crate::task::vap::Worlds::specimen). It changes with the way of drawing.
+    /// The SHA-256 of the pixels of [`Worlds::specimen`](crate::task::vap::Worlds::specimen). It changes with the
+    /// drawing code.
     pub drawing_hash: String,
 }
 
@@ -98,24 +100,24 @@ pub(super) struct WorldFile {
 /// The file `manifest.json`: settings, worlds, and their sums.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 pub struct Manifest {
-    /// What all worlds have in common.
+    /// The common settings of all worlds.
     pub settings: DatasetSettings,
     /// The number of frames.
     pub frames: usize,
-    /// As in [`WorldRecord`].
+    /// The sums of [`WorldRecord::actions`].
     pub actions: [u64; 4],
-    /// As in [`WorldRecord`].
+    /// The sum of [`WorldRecord::agents`].
     pub agents: u64,
-    /// As in [`WorldRecord`].
+    /// The sums of [`WorldRecord::concepts`].
     pub concepts: BTreeMap<String, u64>,
-    /// As in [`WorldRecord`].
+    /// The sums of [`WorldRecord::atoms`].
     pub atoms: BTreeMap<String, u64>,
     /// The worlds by number.
     pub worlds: Vec<WorldRecord>,
 }
 
 impl Manifest {
-    /// The manifest of these worlds.
+    /// Returns the manifest of these worlds.
     pub(super) fn new(settings: DatasetSettings, worlds: Vec<WorldRecord>) -> Manifest {
         let sum = |counts: fn(&WorldRecord) -> &BTreeMap<String, u64>| {
             let mut sums = BTreeMap::new();
@@ -138,12 +140,12 @@ impl Manifest {
         }
     }
 
-    /// The number of pictures.
+    /// Returns the number of pictures.
     pub fn pictures(&self) -> usize {
         if self.settings.pictures { self.frames } else { 0 }
     }
 
-    /// The size in bytes of all files of the worlds whose names end with `extension`.
+    /// Returns the size in bytes of all files of the worlds with this extension.
     pub(super) fn bytes(&self, extension: &str) -> usize {
         let files = self.worlds.iter().flat_map(|record| &record.files);
         let named = files.filter(|(name, _)| name.ends_with(extension));
@@ -151,12 +153,12 @@ impl Manifest {
     }
 }
 
-/// Adds counts, which may come from a damaged file.
+/// Adds counts. It saturates, because counts may come from a damaged file.
 pub(super) fn add(left: [u64; 4], right: [u64; 4]) -> [u64; 4] {
     std::array::from_fn(|action| left[action].saturating_add(right[action]))
 }
 
-/// A fault of a file or folder.
+/// Returns an `invalid-data-set` diagnostic about a file or folder.
 pub(super) fn wrong(path: &Path, message: impl std::fmt::Display) -> Diagnostic {
     Diagnostic::new(Code::INVALID_DATA_SET, format!("`{}`: {message}", path.display()))
 }
@@ -172,12 +174,12 @@ pub(super) fn hash(bytes: &[u8]) -> String {
     format!("{:x}", Sha256::digest(bytes))
 }
 
-/// The name of a world's folder.
+/// Returns the name of a world's folder.
 pub(super) fn world_name(world: u32) -> String {
     format!("world-{world:05}")
 }
 
-/// The name of the picture of a tick.
+/// Returns the name of the picture of a tick.
 pub(super) fn frame_name(tick: impl std::fmt::Display) -> String {
     format!("frame-{tick:0>3}.png")
 }
@@ -190,7 +192,7 @@ fn partial(name: &str) -> String {
     format!(".{name}{PARTIAL}")
 }
 
-/// A world that is being written.
+/// Writes one world.
 pub(super) struct WorldWriter<'f> {
     set: &'f Folder,
     name: String,
@@ -219,7 +221,7 @@ impl<'f> WorldWriter<'f> {
         Ok(())
     }
 
-    /// Writes the record of the world, which `record` makes from its files, and gives the folder its name.
+    /// Writes the record that `record` returns for the files, and gives the folder its final name.
     pub(super) fn finish(
         self,
         settings: DatasetSettings,
@@ -254,7 +256,7 @@ pub(super) fn remove_partials(set: &Folder) -> Result<(), FileError> {
     Ok(())
 }
 
-/// The worlds in a folder by number, each with the path of its folder.
+/// Returns the worlds in a folder by number, each with the path of its folder.
 pub(super) fn worlds(set: &Folder) -> Result<Vec<(PathBuf, WorldFile)>, DatasetError> {
     let mut worlds = Vec::new();
     for path in set.entries()?.into_iter().filter(|path| is_world(path)) {
@@ -276,14 +278,14 @@ fn is_world(path: &Path) -> bool {
     name.is_some_and(|name| name.starts_with("world-"))
 }
 
-/// The files and folders in the folder of a data set that are not part of it.
-pub(super) fn strangers(set: &Folder) -> Result<Vec<PathBuf>, FileError> {
+/// Returns the files and folders in the folder of a data set that are not part of it.
+pub(super) fn unknown_entries(set: &Folder) -> Result<Vec<PathBuf>, FileError> {
     let known = |path: &PathBuf| is_world(path) || [CARD, MANIFEST].iter().any(|name| path.ends_with(name));
     Ok(set.entries()?.into_iter().filter(|path| !known(path)).collect())
 }
 
-/// The files and folders in the folder of a world that are not in its record.
-pub(super) fn strangers_in_world(folder: &Folder, record: &WorldRecord) -> Result<Vec<PathBuf>, FileError> {
+/// Returns the files and folders in the folder of a world that its record does not list.
+pub(super) fn unknown_world_entries(folder: &Folder, record: &WorldRecord) -> Result<Vec<PathBuf>, FileError> {
     let known = |path: &PathBuf| {
         let name = path.file_name().and_then(OsStr::to_str);
         name.is_some_and(|name| name == RECORD || record.files.contains_key(name))
@@ -291,14 +293,14 @@ pub(super) fn strangers_in_world(folder: &Folder, record: &WorldRecord) -> Resul
     Ok(folder.entries()?.into_iter().filter(|path| !known(path)).collect())
 }
 
-/// The manifest of a data set of this version.
+/// Reads the manifest of a data set. Rejects other versions.
 pub(super) fn read_manifest(set: &Folder) -> Result<Manifest, DatasetError> {
     read_json(set, MANIFEST)
 }
 
-/// A manifest, or the file of a world.
+/// Reads a manifest or the file of a world.
 fn read_json<T: for<'de> Deserialize<'de>>(folder: &Folder, name: &str) -> Result<T, DatasetError> {
-    /// What both have in every version.
+    /// The fields that all versions of both files have.
     #[derive(Deserialize)]
     struct Versioned {
         settings: Version,
@@ -310,7 +312,7 @@ fn read_json<T: for<'de> Deserialize<'de>>(folder: &Folder, name: &str) -> Resul
     }
     let path = folder.path().join(name);
     let text = folder.read_text(name)?;
-    let fail = |error| wrong(&path, format!("not of a data set: {error}"));
+    let fail = |error| wrong(&path, format!("not a file of a data set: {error}"));
     let Version { data, version } = serde_json::from_str::<Versioned>(&text).map_err(fail)?.settings;
     if data != DATA || version != VERSION {
         let message = format!("a data set `{data}`, version {version}; this program reads version {VERSION}");

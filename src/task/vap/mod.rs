@@ -1,9 +1,9 @@
-//! Visual Action Prediction: what does every car do next, given a picture of the city?
+//! Visual Action Prediction: predict the next action of every car from a picture of the city.
 //!
 //! - [`DatasetWriter`] writes the worlds of a split to a folder. [`Dataset`] opens and checks such a folder.
-//! - [`Worlds`] is the cities of one split. A world has [`TICKS`] ticks, all but the first of which are [`Frame`]s, and a [`Renderer`] that
-//!   draws them on its own ground.
-//! - [`table`] has the facts of frames as columns.
+//! - [`Worlds`] computes the worlds of one split. A world has [`TICKS`] ticks; those from [`FIRST_TICK`] on are
+//!   [`Frame`]s. A [`Renderer`] draws them on the ground of the world.
+//! - [`table`] stores the facts of frames as columns.
 
 mod card;
 mod check;
@@ -34,25 +34,25 @@ impl Purpose {
     /// The seeds of the worlds of a data set; index: number of the world, tick: the split.
     pub const WORLD: Purpose = Purpose::new(13);
 
-    /// The agents of a world whose agents are drawn.
+    /// The drawn agents of a world.
     pub const CAST: Purpose = Purpose::new(14);
 
-    /// Which instance of its class a picture shows; index: agent.
+    /// The choice among the instances of a class in a picture; index: agent.
     pub const LOOK: Purpose = Purpose::new(15);
 }
 
-/// The ticks of a world.
+/// The number of ticks of a world.
 pub const TICKS: u64 = 100;
 
-/// The first tick that is a frame: at first nobody has a heading.
+/// The first tick that is a frame. Earlier, agents may have no heading yet.
 pub const FIRST_TICK: u64 = 11;
 
-/// The concepts that a car of random agents carries, each with this weight; none with [`PLAIN`].
+/// The concepts of random cars. Each has the weight [`CONCEPT`]; no concept has the weight [`PLAIN`].
 const CONCEPTS: [&str; 5] = ["ambulance", "bus", "police", "reckless", "tiro"];
 const CONCEPT: u32 = 18;
 const PLAIN: u32 = 10;
 
-/// The rules of a data set.
+/// The rules of a data set, in the paper's terms.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Mode {
     /// Easy mode.
@@ -62,10 +62,10 @@ pub enum Mode {
 }
 
 impl Mode {
-    /// Both.
+    /// Both modes.
     pub const ALL: [Mode; 2] = [Mode::Easy, Mode::Hard];
 
-    /// Its name: `easy` or `hard`.
+    /// Returns the name: `easy` or `hard`.
     pub const fn name(self) -> &'static str {
         match self {
             Mode::Easy => "easy",
@@ -73,7 +73,7 @@ impl Mode {
         }
     }
 
-    /// The name of its built-in configuration: `vap-easy` or `vap-hard`.
+    /// Returns the name of the built-in configuration: `vap-easy` or `vap-hard`.
     pub const fn config(self) -> &'static str {
         match self {
             Mode::Easy => "vap-easy",
@@ -81,7 +81,7 @@ impl Mode {
         }
     }
 
-    /// The labels of the paper's fixed test set, in the order of [`Action::ALL`].
+    /// Returns the label counts of the paper's fixed test set, in the order of [`Action::ALL`].
     pub const fn published_actions(self) -> [u64; 4] {
         match self {
             Mode::Easy => [3042, 3978, 0, 7220],
@@ -90,20 +90,20 @@ impl Mode {
     }
 }
 
-/// Which agents worlds have.
+/// The agents of the worlds.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Agents {
-    /// Those of the configuration.
+    /// The agents of the configuration.
     Fixed,
-    /// Drawn for each world.
+    /// Agents drawn for each world.
     Random,
 }
 
 impl Agents {
-    /// Both.
+    /// Both variants.
     pub const ALL: [Agents; 2] = [Agents::Fixed, Agents::Random];
 
-    /// Its name: `fixed` or `random`.
+    /// Returns the name: `fixed` or `random`.
     pub const fn name(self) -> &'static str {
         match self {
             Agents::Fixed => "fixed",
@@ -112,15 +112,15 @@ impl Agents {
     }
 }
 
-/// Side of a picture in pixels.
+/// The side of a picture in pixels.
 pub const SIDE: u32 = 1024;
 
-/// The seed of the icons of a split, so that what is tested on looks different from what was learnt from.
+/// Returns the seed of the icons of a split. Training and test icons thus differ.
 pub fn icon_seed(seed: u64, split: Split) -> Seed {
     Seed(Seed(seed).stream(Purpose::ICON, split as u64, 0).random())
 }
 
-/// How many worlds the published sets have.
+/// Returns the number of worlds of the published set.
 pub const fn published_worlds(split: Split) -> u32 {
     match split {
         Split::Train => 100,
@@ -128,7 +128,7 @@ pub const fn published_worlds(split: Split) -> u32 {
     }
 }
 
-/// The worlds of a split. World `k` is a function of seed, split and `k`, so they can be made in any order and by many processes.
+/// The worlds of a split. World `k` is a function of seed, split and `k`, so any process can compute any world.
 pub struct Worlds {
     world: Arc<World>,
     placement: Placement,
@@ -137,40 +137,40 @@ pub struct Worlds {
     seed: u64,
 }
 
-/// A state of a city and what the rules want in it.
+/// A state of a city, with the actions that the rules choose in it.
 #[derive(Clone, Debug)]
 pub struct Frame {
-    /// The tick in which it was decided on.
+    /// The tick.
     pub tick: u64,
     /// The agents in list order.
     pub agents: Vec<FrameAgent>,
-    /// All base facts about them.
+    /// All base facts about the agents.
     pub facts: Facts,
 }
 
 /// An agent of a frame.
 #[derive(Clone, Debug)]
 pub struct FrameAgent {
-    /// Its name.
+    /// The name, which includes the kind.
     pub name: AgentName,
-    /// What it carries.
+    /// The names of its concepts.
     pub concepts: Arc<[String]>,
-    /// Right of way; a smaller number goes first.
+    /// The priority; a smaller number goes first.
     pub priority: i32,
-    /// Where it is.
+    /// The cell.
     pub at: Cell,
-    /// The direction of its last move.
+    /// The direction of the last move.
     pub heading: Option<Heading>,
-    /// Where it faces in the picture.
+    /// The direction in which the icon faces.
     pub facing: Facing,
-    /// Which instance of its class the picture shows, from 0; less than [`Icons::instances`].
+    /// The instance of its class in the picture, from 0; less than [`Icons::instances`].
     pub instance: u32,
-    /// What the rules want.
+    /// The action that the rules choose.
     pub action: Action,
 }
 
 impl FrameAgent {
-    /// What a picture shows of it.
+    /// Returns the icon of the agent in a picture.
     pub fn sprite<'a>(&'a self, name: &'a str) -> Sprite<'a> {
         Sprite {
             name,
@@ -185,17 +185,17 @@ impl FrameAgent {
 }
 
 impl Frame {
-    /// What a picture shows of the agents.
+    /// Returns the icons of all agents in a picture.
     pub fn sprites(&self) -> Vec<Sprite<'_>> {
         self.agents.iter().map(|agent| agent.sprite("")).collect()
     }
 }
 
 impl Worlds {
-    /// Makes ready what all worlds share. The icons had better be of [`icon_seed`].
+    /// Prepares the common part of all worlds. The icons should have the seed [`icon_seed`].
     ///
     /// # Errors
-    /// As [`World::new`], and `unknown-split`.
+    /// As [`World::new`] and [`Simulation::new`].
     pub fn new(
         scenario: Scenario,
         program: Program,
@@ -205,7 +205,7 @@ impl Worlds {
         seed: u64,
     ) -> Result<Worlds, Vec<Diagnostic>> {
         let world = Arc::new(World::new(scenario, program)?);
-        // Tells a split that is not there, and agents that find no place.
+        // Detects a missing split, and agents that cannot be placed.
         Simulation::new(Arc::clone(&world), split, Seed(seed), Settings::default()).map_err(|fault| vec![fault])?;
         let view = Viewport::published(Cell::new(0, 0)).expect("the first cell is a corner");
         Ok(Worlds {
@@ -217,18 +217,19 @@ impl Worlds {
         })
     }
 
-    /// The configuration, its rules and its map.
+    /// Returns the world that all cities share: scenario, map, roads and rules.
     pub fn world(&self) -> &Arc<World> {
         &self.world
     }
 
-    /// What draws the frames of a world: the first 128 rows and columns, 8 pixels a cell, textures and buildings its own.
+    /// Returns the renderer of a world. It shows the first 128 rows and columns, 8 pixels per cell, with the textures
+    /// and buildings of this world.
     pub fn renderer(&self, number: u32) -> Renderer {
         Renderer::with_ground(self.world.map(), self.placement.clone(), Seed(self.seed(number)))
     }
 
-    /// A small picture with something of everything: a corner of the ground of world 0, and agents of every known class in every facing, one over
-    /// the other. A change of how any of it is drawn nearly always shows in it.
+    /// Returns a small picture that contains all drawn elements: a corner of the ground of world 0, and overlapping
+    /// agents of every known class in every facing. Most changes of the drawing code change it.
     pub fn specimen(&self) -> Picture {
         let scale = Scale::pixels(8).expect("within bounds");
         let view = Viewport::new(Cell::new(0, 0), 20, 40, scale).and_then(|view| view.with_agents(48, 32));
@@ -262,14 +263,14 @@ impl Worlds {
         renderer.draw(&agents.collect::<Vec<_>>())
     }
 
-    /// The seed of a world: `logicity run` with it shows the same city, if agents are fixed.
+    /// Returns the seed of a world. With fixed agents, `logicity run` with this seed shows the same city.
     pub fn seed(&self, number: u32) -> u64 {
         Seed(self.seed)
             .stream(Purpose::WORLD, number.into(), self.split as u64)
             .random()
     }
 
-    /// The frames of a world.
+    /// Computes the frames of a world.
     ///
     /// # Errors
     /// As [`Simulation::new`] and [`Simulation::tick`].
@@ -282,7 +283,7 @@ impl Worlds {
         let mut city = Simulation::new(world, self.split, seed, Settings::default())?;
         let mut frames = Vec::new();
         for tick in 0..TICKS {
-            // Agents are as they were decided about: before they move.
+            // A frame shows the agents before they move, in the state of the decision.
             let agents = city.agents().iter().enumerate().map(|(index, agent)| {
                 let sprite = Sprite::of(agent, "", None);
                 let drawn: u32 = seed.stream(Purpose::LOOK, index as u64, tick).random();
@@ -314,12 +315,12 @@ impl Worlds {
         Ok(frames)
     }
 
-    /// What each agent of a frame covers of its picture; `None` for those outside.
+    /// Returns the box of each agent of a frame in pixels; `None` outside the picture.
     pub fn boxes(&self, frame: &Frame) -> Vec<Option<PixelBox>> {
         self.placement.boxes(&frame.sprites())
     }
 
-    /// The same world with agents of its own.
+    /// Returns the shared world with drawn agents.
     fn with_drawn_agents(&self, seed: Seed) -> Result<Arc<World>, Diagnostic> {
         let mut scenario = self.world.scenario.clone();
         for (split, set) in &mut scenario.splits {
@@ -327,14 +328,16 @@ impl Worlds {
                 *set = draw_agents(set, *split, &mut seed.stream(Purpose::CAST, 0, 0));
             }
         }
-        // The rules fitted this configuration before; agents change nothing of that.
+        // Changing the agents cannot make valid rules invalid.
         let world = World::new(scenario, self.world.program.clone());
         Ok(Arc::new(world.map_err(|mut faults| faults.swap_remove(0))?))
     }
 }
 
-/// Agents as the paper draws them: 12 in training, else 13 to 15; 3 to 5 of them pedestrians, in the test set 5 to 7, with at least one old
-/// and two young; cars have priorities 1, 2, ... in a drawn order.
+/// Draws agents as in the paper: 12 in training, otherwise 13 to 15.
+///
+/// Of these, 3 to 5 are pedestrians, or 5 to 7 in the test set; at least one is old and two are young. Cars have the
+/// priorities 1, 2, ... in random order.
 fn draw_agents(like: &AgentSet, split: Split, stream: &mut impl Rng) -> AgentSet {
     let count = match split {
         Split::Train => 12,
@@ -378,7 +381,7 @@ fn draw_agents(like: &AgentSet, split: Split, stream: &mut impl Rng) -> AgentSet
     }
 }
 
-/// How many cars are to do what, in the order of [`Action::ALL`].
+/// Counts the cars with each action, in the order of [`Action::ALL`].
 pub fn count_actions(frames: &[Frame]) -> [u64; 4] {
     let mut counts = [0; 4];
     let agents = frames.iter().flat_map(|frame| &frame.agents);
@@ -388,7 +391,7 @@ pub fn count_actions(frames: &[Frame]) -> [u64; 4] {
     counts
 }
 
-/// How many atoms of each predicate are true, of those over two agents only the ones of which the first sees the second.
+/// Counts the true atoms of each predicate. An atom over two agents counts if the first sees the second.
 pub fn count_atoms<'a>(vocabulary: &Vocabulary, all: impl IntoIterator<Item = &'a Facts>) -> BTreeMap<String, u64> {
     let mut counts = BTreeMap::new();
     for facts in all {
@@ -401,19 +404,19 @@ pub fn count_atoms<'a>(vocabulary: &Vocabulary, all: impl IntoIterator<Item = &'
     counts
 }
 
-/// A share, for example `41.0 %`.
+/// Formats a share, for example `41.0 %`.
 pub(crate) fn percent(count: u64, total: u64) -> String {
     let (count, total) = (u128::from(count), u128::from(total));
     let tenths = (count * 1000 + total / 2) / total.max(1);
     format!("{}.{} %", tenths / 10, tenths % 10)
 }
 
-/// The sum of counts, which may come from a damaged file.
+/// Sums counts. It saturates, because counts may come from a damaged file.
 pub(crate) fn total(counts: [u64; 4]) -> u64 {
     counts.into_iter().fold(0, u64::saturating_add)
 }
 
-/// A fault of a table, which no text has a place for.
+/// Returns an `invalid-data-set` diagnostic without a source position.
 fn faulty(message: impl Into<String>) -> Diagnostic {
     Diagnostic::new(Code::INVALID_DATA_SET, message)
 }

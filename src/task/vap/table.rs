@@ -1,4 +1,5 @@
-//! Frames as columns, written as Parquet: a table of entities, with what is true of each, and a table of ordered pairs of them.
+//! Stores frames as columns in Parquet: a table of entities with unary predicates, and a table of ordered pairs with
+//! binary predicates.
 
 use crate::city::Heading;
 use crate::city::{Action, AgentKind};
@@ -21,23 +22,23 @@ use std::ops::Range;
 use std::panic::catch_unwind;
 use std::sync::Arc;
 
-/// Columns of one length.
+/// A table of columns of equal length.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Table {
-    /// Their names and values.
+    /// The columns with their names.
     pub columns: Vec<(String, Values)>,
 }
 
 /// The values of a column.
 #[derive(Clone, Debug, PartialEq)]
 pub enum Values {
-    /// Numbers.
+    /// Required integers.
     Int(Vec<i32>),
-    /// Numbers, or nothing.
+    /// Optional integers.
     MaybeInt(Vec<Option<i32>>),
-    /// Workspace.
+    /// Strings.
     Text(Vec<String>),
-    /// Truth values.
+    /// Booleans.
     Bool(Vec<bool>),
 }
 
@@ -51,7 +52,7 @@ impl Values {
         }
     }
 
-    /// A column of it in a schema of Parquet.
+    /// Returns the Parquet schema of a column with these values.
     fn schema(&self, name: &str) -> String {
         match self {
             Values::Int(_) => format!("required int32 {name};"),
@@ -62,33 +63,37 @@ impl Values {
     }
 }
 
-/// A column of numbers in the table of entities: its name, what it is, and what it is of an agent.
+/// An integer column of the table of entities: its name, its description, and its value for an agent.
 type EntityColumn = (
     &'static str,
     &'static str,
     fn(&FrameAgent, Option<PixelBox>) -> Option<i32>,
 );
 
-/// The columns of the table of entities that tell which one it is.
+/// The columns that identify a row of the table of entities, with their descriptions.
 pub const ENTITY_NAMES: [(&str, &str); 6] = [
     ("world", "number of the world"),
-    ("tick", "11 to 99; world and tick name the sample"),
+    ("tick", "11 to 99; world and tick identify the sample"),
     ("agent", "position in the list of agents, from 0"),
-    ("name", "such as `Car_1`"),
+    ("name", "for example `Car_1`"),
     ("type", "`Car` or `Pedestrian`"),
-    ("concepts", "joined by `+`; an empty text if there are none"),
+    ("concepts", "joined by `+`; empty if there are none"),
 ];
 
-/// The columns after those. After these come the unary predicates.
+/// The next columns. The unary predicates follow them.
 pub const ENTITY_NUMBERS: [EntityColumn; 11] = [
-    ("priority", "right of way; a smaller number goes first", |agent, _| {
+    ("priority", "priority; a smaller number goes first", |agent, _| {
         Some(agent.priority)
     }),
-    ("row", "of its cell, from 0 at the top", |agent, _| Some(agent.at.row)),
-    ("col", "of its cell, from 0 at the left", |agent, _| Some(agent.at.col)),
+    ("row", "row of its cell, from 0 at the top", |agent, _| {
+        Some(agent.at.row)
+    }),
+    ("col", "column of its cell, from 0 at the left", |agent, _| {
+        Some(agent.at.col)
+    }),
     (
         "heading",
-        "of its last move: 0 left, 1 right, 2 up, 3 down; null before the first",
+        "direction of its last move: 0 left, 1 right, 2 up, 3 down; null before the first",
         |agent, _| {
             let heading = agent.heading?;
             Some(match heading {
@@ -101,40 +106,42 @@ pub const ENTITY_NUMBERS: [EntityColumn; 11] = [
     ),
     (
         "facing",
-        "of its icon, in eighths of a turn clockwise from up",
+        "direction of its icon, in eighths of a turn clockwise from up",
         |agent, _| Some(agent.facing as i32),
     ),
     (
         "instance",
-        "which instance of its class the picture shows, from 0; the same number shows the same icon all over the split",
+        "instance of its class in the picture, from 0; within a split, the same number shows the same icon",
         |agent, _| Some(agent.instance.cast_signed()),
     ),
     (
         "x",
-        "left edge of its box in the picture, in pixels; null, as all of the box, if it is outside",
+        "left edge of its box in the picture, in pixels; the whole box is null outside the picture",
         |_, pixels| pixels.map(|pixels| pixels.x),
     ),
-    ("y", "upper edge", |_, pixels| pixels.map(|pixels| pixels.y)),
-    ("width", "of the box, in pixels", |_, pixels| {
+    ("y", "upper edge of the box, in pixels", |_, pixels| {
+        pixels.map(|pixels| pixels.y)
+    }),
+    ("width", "width of the box, in pixels", |_, pixels| {
         pixels.map(|pixels| pixels.width.cast_signed())
     }),
-    ("height", "of the box, in pixels", |_, pixels| {
+    ("height", "height of the box, in pixels", |_, pixels| {
         pixels.map(|pixels| pixels.height.cast_signed())
     }),
     (
         "label",
-        "what the rules want of a car: 0 slow, 1 normal, 2 fast, 3 stop; null for pedestrians",
+        "action that the rules choose for a car: 0 slow, 1 normal, 2 fast, 3 stop; null for pedestrians",
         |agent, _| (agent.name.kind == AgentKind::Car).then_some(agent.action as i32),
     ),
 ];
 
-/// The columns of the table of pairs that tell which one it is. After these come the binary predicates.
+/// The columns that identify a row of the table of pairs, with their descriptions. The binary predicates follow them.
 pub const PAIR_NAMES: [(&str, &str); 4] = [
     ("world", "number of the world"),
     ("tick", "11 to 99"),
     (
         "first",
-        "position of the first agent; an agent with itself is a pair, too",
+        "position of the first agent; each agent also forms a pair with itself",
     ),
     ("second", "position of the second agent"),
 ];
@@ -144,7 +151,7 @@ fn int(value: impl TryInto<i32>) -> i32 {
 }
 
 impl Table {
-    /// The entities of the frames of a world.
+    /// Creates the table of entities of a world.
     pub fn entities(worlds: &Worlds, world: u32, frames: &[Frame]) -> Table {
         let rows = frames.iter().flat_map(|frame| {
             let agents = frame.agents.iter().zip(worlds.boxes(frame)).enumerate();
@@ -173,7 +180,7 @@ impl Table {
         Table { columns }
     }
 
-    /// All ordered pairs of entities of each frame of a world.
+    /// Creates the table of all ordered pairs of entities in each frame of a world.
     pub fn pairs(worlds: &Worlds, world: u32, frames: &[Frame]) -> Table {
         let mut names: [Vec<i32>; 4] = Default::default();
         for frame in frames {
@@ -192,15 +199,15 @@ impl Table {
         }
     }
 
-    /// How many rows it has.
+    /// Returns the number of rows.
     pub fn rows(&self) -> usize {
         self.columns.first().map_or(0, |(_, values)| values.len())
     }
 
-    /// Writes it as a file of Parquet with one group of rows, compressed by Snappy. The same table gives the same bytes.
+    /// Writes the table as a Parquet file with one row group and Snappy compression. Equal tables give equal bytes.
     ///
     /// # Errors
-    /// Whatever `out` reports.
+    /// The errors of `out`.
     pub fn write(&self, out: impl Write + Send) -> parquet::errors::Result<()> {
         let columns: Vec<String> = self.columns.iter().map(|(name, values)| values.schema(name)).collect();
         let schema = parse_message_type(&format!("message table {{ {} }}", columns.join(" ")))?;
@@ -231,12 +238,12 @@ impl Table {
         Ok(())
     }
 
-    /// Reads what [`Table::write`] has written.
+    /// Reads a file that [`Table::write`] wrote.
     ///
     /// # Errors
-    /// `invalid-data-set` for anything else.
+    /// `invalid-data-set` for other bytes.
     pub fn read(bytes: Vec<u8>) -> Result<Table, Diagnostic> {
-        // The crate asserts what damaged bytes need not fulfil.
+        // The parquet crate may panic on damaged bytes.
         let read = catch_unwind(|| read(bytes.into())).unwrap_or_else(|_| Err(fault("damaged")));
         read.map_err(|error| faulty(format!("not a table of frames: {error}")))
     }
@@ -246,52 +253,52 @@ impl Table {
         Ok(&found.ok_or_else(|| faulty(format!("there is no column `{name}`")))?.1)
     }
 
-    /// The values of a column of numbers.
+    /// Returns a column of required integers.
     ///
     /// # Errors
-    /// `invalid-data-set` if there is none.
+    /// `invalid-data-set` if there is no such column.
     pub fn ints(&self, name: &str) -> Result<&[i32], Diagnostic> {
         match self.column(name)? {
             Values::Int(values) => Ok(values),
-            _ => Err(faulty(format!("the column `{name}` is not of numbers"))),
+            _ => Err(faulty(format!("the column `{name}` does not hold integers"))),
         }
     }
 
-    /// The values of a column of numbers, or nothing.
+    /// Returns a column of optional integers.
     ///
     /// # Errors
-    /// `invalid-data-set` if there is none.
+    /// `invalid-data-set` if there is no such column.
     pub fn maybe_ints(&self, name: &str) -> Result<&[Option<i32>], Diagnostic> {
         match self.column(name)? {
             Values::MaybeInt(values) => Ok(values),
-            _ => Err(faulty(format!("the column `{name}` is not of numbers or nothing"))),
+            _ => Err(faulty(format!("the column `{name}` does not hold optional integers"))),
         }
     }
 
-    /// The values of a column of texts.
+    /// Returns a column of strings.
     ///
     /// # Errors
-    /// `invalid-data-set` if there is none.
+    /// `invalid-data-set` if there is no such column.
     pub fn texts(&self, name: &str) -> Result<&[String], Diagnostic> {
         match self.column(name)? {
             Values::Text(values) => Ok(values),
-            _ => Err(faulty(format!("the column `{name}` is not of texts"))),
+            _ => Err(faulty(format!("the column `{name}` does not hold strings"))),
         }
     }
 
-    /// The values of a column of truth values.
+    /// Returns a column of booleans.
     ///
     /// # Errors
-    /// `invalid-data-set` if there is none.
+    /// `invalid-data-set` if there is no such column.
     pub fn bools(&self, name: &str) -> Result<&[bool], Diagnostic> {
         match self.column(name)? {
             Values::Bool(values) => Ok(values),
-            _ => Err(faulty(format!("the column `{name}` is not of truth values"))),
+            _ => Err(faulty(format!("the column `{name}` does not hold booleans"))),
         }
     }
 }
 
-/// How many rows of the table of entities carry each concept; those that carry none count by type.
+/// Counts the rows of the table of entities by concept. Entities without a concept count by type.
 ///
 /// # Errors
 /// `invalid-data-set` if a column is missing.
@@ -306,10 +313,10 @@ pub fn count_concepts(entities: &Table) -> Result<BTreeMap<String, u64>, Diagnos
     Ok(counts)
 }
 
-/// What each row of the table of entities covers of its picture.
+/// Returns the box of each row of the table of entities.
 ///
 /// # Errors
-/// `invalid-data-set` if a column is missing, or a box is not in the picture.
+/// `invalid-data-set` if a column is missing, or a box does not lie in the picture.
 pub fn boxes(entities: &Table) -> Result<Vec<Option<PixelBox>>, Diagnostic> {
     let [xs, ys] = [entities.maybe_ints("x")?, entities.maybe_ints("y")?];
     let [widths, heights] = [entities.maybe_ints("width")?, entities.maybe_ints("height")?];
@@ -325,14 +332,14 @@ pub fn boxes(entities: &Table) -> Result<Vec<Option<PixelBox>>, Diagnostic> {
     let all = (0..entities.rows()).map(|row| {
         pixels(row).ok_or_else(|| {
             faulty(format!(
-                "the box of row {row} of the entities is not one in the picture"
+                "the box of row {row} of the entities does not lie in the picture"
             ))
         })
     });
     all.collect()
 }
 
-/// For each predicate over so many agents whether it holds, row by row.
+/// Returns, for each predicate of this arity, whether it holds in each row.
 fn truths(vocabulary: &Vocabulary, frames: &[Frame], arity: usize) -> Vec<(String, Values)> {
     let predicates = vocabulary
         .predicates
@@ -404,20 +411,20 @@ fn read(bytes: Bytes) -> Result<Table, ParquetError> {
     Ok(Table { columns })
 }
 
-/// What the tables say of a frame.
+/// The content of the tables for one frame.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Sample {
     /// The tick.
     pub tick: i32,
-    /// Names of the agents.
+    /// The names of the agents.
     pub names: Vec<String>,
-    /// What the rules want of each, if it is a car.
+    /// The label of each agent: the action that the rules choose; `None` for pedestrians.
     pub labels: Vec<Option<Action>>,
-    /// What is true.
+    /// The facts.
     pub facts: Facts,
 }
 
-/// Where a sample stands in the two tables of its world.
+/// The rows of a sample in the two tables of its world.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub struct SampleRows {
     /// The tick.
@@ -428,10 +435,11 @@ pub struct SampleRows {
     pub pairs: Range<usize>,
 }
 
-/// Where the samples of a world stand in its two tables.
+/// Returns the rows of each sample of a world in its two tables.
 ///
 /// # Errors
-/// `invalid-data-set` if a column is missing, the rows of a sample are not all there in order, or others than the cars have labels.
+/// `invalid-data-set` if a column is missing, the rows of a sample are incomplete or out of order, a car has no label,
+/// or another agent has one.
 pub fn sample_rows(world: u32, entities: &Table, pairs: &Table) -> Result<Vec<SampleRows>, Diagnostic> {
     let (worlds, ticks, places) = (entities.ints("world")?, entities.ints("tick")?, entities.ints("agent")?);
     let [of_worlds, of_ticks] = [pairs.ints("world")?, pairs.ints("tick")?];
@@ -439,7 +447,7 @@ pub fn sample_rows(world: u32, entities: &Table, pairs: &Table) -> Result<Vec<Sa
     let (kinds, labels) = (entities.texts("type")?, entities.maybe_ints("label")?);
     for ((kind, label), name) in kinds.iter().zip(labels).zip(entities.texts("name")?) {
         if (kind == AgentKind::Car.name()) != label.is_some() {
-            return Err(faulty(format!("cars have labels, and they alone: {name} is a {kind}")));
+            return Err(faulty(format!("cars, and only cars, have labels: {name} is a {kind}")));
         }
     }
     let world = int(world);
@@ -457,7 +465,7 @@ pub fn sample_rows(world: u32, entities: &Table, pairs: &Table) -> Result<Vec<Sa
             });
         if !listed || !paired {
             return Err(faulty(format!(
-                "the rows of tick {tick} are not those of one sample, in order"
+                "the rows of tick {tick} do not form one sample in order"
             )));
         }
         (row, pair) = (own.end, of_two.end);
@@ -469,14 +477,14 @@ pub fn sample_rows(world: u32, entities: &Table, pairs: &Table) -> Result<Vec<Sa
     }
     match pair == pairs.rows() {
         true => Ok(samples),
-        false => Err(faulty("there are more pairs than the entities have")),
+        false => Err(faulty("the table of pairs has more rows than the entities allow")),
     }
 }
 
-/// The samples of a world from its two tables.
+/// Reads the samples of a world from its two tables.
 ///
 /// # Errors
-/// As [`sample_rows`], and `invalid-data-set` if a label is none.
+/// As [`sample_rows`]; `invalid-data-set` for a number that is not a label.
 pub fn samples(
     vocabulary: &Vocabulary,
     world: u32,

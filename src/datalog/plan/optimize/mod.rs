@@ -116,11 +116,11 @@ pub fn lints(rules: &Rules) -> Lints {
             Finding::Subsumed { clause, by } => Some(
                 Diagnostic::new(
                     Code::SUBSUMED_CLAUSE,
-                    "this clause derives nothing that another does not",
+                    "another clause derives everything that this one does",
                 )
                 .at(named(clause).span, "")
-                .also(named(by).span, "whenever it fires, this one derives the same")
-                .note("under the constraints about facts")
+                .also(named(by).span, "this clause derives the same rows")
+                .note("this follows from the constraints on facts")
                 .help("remove it"),
             ),
             Finding::Contradictory { clause, one, other } => {

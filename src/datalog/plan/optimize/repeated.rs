@@ -151,9 +151,9 @@ fn is_joined(clause: &Clause, positions: &[usize]) -> bool {
 
 // --- equality up to renaming
 
-/// Returns a canonical form of the literals and the term that each number stands for. The form does not depend on the
-/// order of the literals or on the names of variables. Highly symmetric literals may get several forms, so that the
-/// search can miss a shared part. `None` if the search exceeds its limit.
+/// Returns a canonical form of the literals and the term of each number. The form does not depend on the order of the
+/// literals or on the names of variables. Highly symmetric literals may get several forms, so that the search can miss
+/// a shared part. `None` if the search exceeds its limit.
 fn canonical(literals: &[&Literal], variables: usize, left: &mut usize) -> Option<(Vec<Word>, Vec<Term>)> {
     let mut search = Naming {
         literals,

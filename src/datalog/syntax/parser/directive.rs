@@ -24,7 +24,7 @@ const QUALIFIERS: &[&str] = &[
     "printsize",
 ];
 
-/// Returns the directive that a qualifier stands for: `.decl A(x: number) output` is an old notation for `.output A`.
+/// Returns the directive equivalent to a qualifier: `.decl A(x: number) output` is an old notation for `.output A`.
 fn mark_of(qualifier: &str) -> Option<MarkKind> {
     match qualifier {
         "input" => Some(MarkKind::Input),
