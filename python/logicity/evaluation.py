@@ -189,9 +189,9 @@ class Benchmark:
         observation: `"groundings"` or `"state"`, as in `gymnasium.make`.
 
     Raises:
-        InputError: A faulty configuration, rule file or override, or no recorded episodes.
-        OSError: A file cannot be read.
-        ValueError: An unknown mode, split or observation.
+        InputError: If the configuration, the rule file or an override is invalid, or no episodes are recorded.
+        OSError: If a file cannot be read.
+        ValueError: If the mode, the split or the kind of observation is unknown.
     """
 
     def __init__(
@@ -249,12 +249,12 @@ class Benchmark:
                 no traces.
 
         Raises:
-            FileExistsError: The folder has traces already, or another configuration.
-            InputError: The episodes do not fit the agents, for example because of overrides.
-            OSError: A trace cannot be written.
-            TypeError: The policy cannot act, or its actions are not integers.
-            ValueError: An unknown policy, an action that is not 0, 1, 2 or 3, a number of actions other than that of
-                observations, or traces of the random policy.
+            FileExistsError: If the folder already has traces, or a different configuration.
+            InputError: If the episodes do not fit the agents, for example because of overrides.
+            OSError: If a trace cannot be written.
+            TypeError: If the policy has an unsupported type, or its actions are not integers.
+            ValueError: If the policy name is unknown, an action is not 0, 1, 2 or 3, the number of actions differs from
+                the number of observations, or `traces` is set for the random policy.
         """
         with episodes_that_fit():
             return self._evaluate(policy, batched, name, None if traces is None else Path(traces))
@@ -329,7 +329,7 @@ def check_no_traces(folder: Path) -> None:
     """Check that a folder has no traces, which would mix with new ones.
 
     Raises:
-        FileExistsError: It has traces.
+        FileExistsError: If the folder has traces.
     """
     earlier = min((path.name for path in folder.glob("episode-*.jsonl")), default=None)
     if earlier is not None:
@@ -342,7 +342,7 @@ def _make_writable(folder: Path) -> None:
     """Make a folder, and check that it is writable.
 
     Raises:
-        OSError: It is not.
+        OSError: If the folder cannot be created or is not writable.
     """
     folder.mkdir(parents=True, exist_ok=True)
     try:

@@ -35,7 +35,7 @@ def write_new(path: Path, text: str) -> None:
     """Write a text to a file that does not exist, or that has the same content.
 
     Raises:
-        FileExistsError: The file has another content.
+        FileExistsError: If the file has different content.
     """
     content = text.encode()
     if path.exists():

@@ -54,7 +54,7 @@ def prompts(name: str, count: int, *, seed: int = 0, write: Callable[[str], str]
         write: Maps each text of the template to the prompt, for example by a language model.
 
     Raises:
-        ValueError: An unknown class, or a negative count.
+        ValueError: If the class is unknown, or the count is negative.
     """
     parts = name.split("+")
     if any(not part or {"/", "\\"} & set(part) for part in parts):
@@ -95,7 +95,7 @@ def cut_out(image: Any, tolerance: int = 24) -> Any:
         A `PIL.Image.Image`.
 
     Raises:
-        ValueError: Only background is left.
+        ValueError: If the whole picture is background.
     """
     from PIL import Image
 
@@ -131,7 +131,7 @@ def load_pipeline(model: str | Path, *, device: str | None = None, **options: An
         options: Arguments of `AutoPipelineForText2Image.from_pretrained`, such as `torch_dtype`.
 
     Raises:
-        ImportError: diffusers is not installed. The extra `icons` installs it.
+        ImportError: If diffusers is not installed. The extra `icons` installs it.
     """
     try:
         import torch
@@ -174,8 +174,8 @@ def fill(
         options: Arguments of the pipeline, such as `num_inference_steps` and `guidance_scale`.
 
     Raises:
-        OSError: A file cannot be written.
-        ValueError: A side out of range, an unknown class, or a negative count.
+        OSError: If a file cannot be written.
+        ValueError: If the side is out of range, a class is unknown, or the count is negative.
     """
     if not 1 <= side <= 2048:
         raise ValueError(f"an icon of {side} pixels: expected 1 to 2048")

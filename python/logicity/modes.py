@@ -32,7 +32,7 @@ def checked_mode(mode: str | os.PathLike[str]) -> str:
     """Return the name of a mode or the path of a configuration file.
 
     Raises:
-        ValueError: `mode` is neither.
+        ValueError: If `mode` is neither.
     """
     name = os.fspath(mode)
     if name not in ENVIRONMENTS and not Path(name).suffix and not Path(name).exists():
@@ -48,8 +48,8 @@ def parallel_env(config: str | os.PathLike[str] = "expert", **arguments: Any) ->
         arguments: The other parameters of `logicity.parallel.SPFParallelEnv`.
 
     Raises:
-        ImportError: PettingZoo is not installed. The extra `pettingzoo` installs it:
-            `pip install './python[pettingzoo]'`.
+        ImportError: If PettingZoo is not installed. The extra `pettingzoo` installs it: `pip install
+            './python[pettingzoo]'`.
     """
     from .parallel import SPFParallelEnv
 

@@ -122,8 +122,8 @@ class Demonstrations(Sequence[Trajectory]):
                 `code_permalink`. Minari warns if these three are missing.
 
         Raises:
-            ImportError: Minari is not installed. The extra `offline` installs it: `pip install './python[offline]'`.
-            ValueError: The dataset exists already.
+            ImportError: If Minari is not installed. The extra `offline` installs it: `pip install './python[offline]'`.
+            ValueError: If the dataset already exists.
         """
         try:
             import minari
@@ -176,8 +176,8 @@ class Demonstrations(Sequence[Trajectory]):
             The folders of the actions.
 
         Raises:
-            OSError: A file cannot be written.
-            ValueError: The observations are not of the kind `groundings`.
+            OSError: If a file cannot be written.
+            ValueError: If the observations are not of the kind `groundings`.
         """
         if not self.atoms:
             raise ValueError("Popper needs atoms: make the demonstrations with the observation `groundings`")
@@ -235,8 +235,9 @@ class Demonstrations(Sequence[Trajectory]):
             path: The file to write.
 
         Raises:
-            ImportError: pyarrow is not installed. The extra `offline` installs it: `pip install './python[offline]'`.
-            OSError: The file cannot be written.
+            ImportError: If pyarrow is not installed. The extra `offline` installs it: `pip install
+                './python[offline]'`.
+            OSError: If the file cannot be written.
         """
         try:
             import pyarrow
@@ -311,10 +312,12 @@ def demonstrations(
         options: Other options of `gymnasium.make`, such as `overrides`.
 
     Raises:
-        ImportError: gymnasium is not installed. The extra `gym` installs it: `pip install './python[gym]'`.
-        InputError: A faulty configuration or option, or no recorded episodes, or episodes that do not fit the agents.
-        OSError: A file cannot be read.
-        ValueError: An unknown mode, split or observation, or more episodes than are recorded.
+        ImportError: If gymnasium is not installed. The extra `gym` installs it: `pip install './python[gym]'`.
+        InputError: If the configuration or an option is invalid, no episodes are recorded, or the episodes do not fit
+            the agents.
+        OSError: If a file cannot be read.
+        ValueError: If the mode, the split or the kind of observation is unknown, or `n` exceeds the number of recorded
+            episodes.
     """
     name = checked_mode(mode)
     task = load_task(mode, options.get("rules"), options.get("overrides"))

@@ -92,8 +92,8 @@ class SPFParallelEnv(ParallelEnv[str, Observations, "np.int64 | int"]):
                 requires.
 
         Raises:
-            InputError: A mapping that is no valid episode here (`invalid-episode`).
-            ValueError: The episode is not a mapping.
+            InputError: If the mapping is not a valid episode of this environment (`invalid-episode`).
+            ValueError: If the episode is not a mapping.
         """
         options = options or {}
         if seed is not None or not self._seeded:
@@ -124,8 +124,8 @@ class SPFParallelEnv(ParallelEnv[str, Observations, "np.int64 | int"]):
             actions: An action for each of `agents`.
 
         Raises:
-            gymnasium.error.ResetNeeded: No episode has begun.
-            gymnasium.error.InvalidAction: An action is missing, or not 0, 1, 2 or 3, or there is no such car.
+            gymnasium.error.ResetNeeded: If no episode has started.
+            gymnasium.error.InvalidAction: If an action is missing, an action is not 0, 1, 2 or 3, or a car is unknown.
         """
         if not self._begun:
             raise ResetNeeded("no episode has begun: call `reset`")
@@ -158,8 +158,8 @@ class SPFParallelEnv(ParallelEnv[str, Observations, "np.int64 | int"]):
         """Explain the action that the rules derive for a car, as `SPFEnv.explain` does.
 
         Raises:
-            ValueError: There is no such car.
-            gymnasium.error.ResetNeeded: No episode has begun.
+            ValueError: If the car is unknown.
+            gymnasium.error.ResetNeeded: If no episode has started.
         """
         self._check_begun()
         if agent not in self._place:

@@ -79,8 +79,8 @@ def load_questions(path: str | os.PathLike[str]) -> list[Question]:
     """Read a file of questions.
 
     Raises:
-        OSError: The file cannot be read.
-        ValueError: The file is no output of `logicity questions`; the message names the line.
+        OSError: If the file cannot be read.
+        ValueError: If the file is not an output of `logicity questions`. The message names the line.
     """
     questions: dict[str, Question] = {}
     for place, line in _lines(path):
@@ -111,8 +111,8 @@ def load_answers(path: str | os.PathLike[str]) -> dict[str, str]:
     """Read a file of answers by id, one `{"id": .., "answer": ..}` in each line. An answer is a letter or any text.
 
     Raises:
-        OSError: The file cannot be read.
-        ValueError: A faulty line, or a repeated id; the message names the line.
+        OSError: If the file cannot be read.
+        ValueError: If a line is invalid, or an id is repeated. The message names the line.
     """
     answers: dict[str, str] = {}
     for place, line in _lines(path):
@@ -288,8 +288,8 @@ class Endpoint:
             another.
 
     Raises:
-        ValueError: A URL that is not http or https, a key with invalid characters, or `settings` that set the model or
-            the messages.
+        ValueError: If the URL is not http or https, the key has invalid characters, `settings` contains `model`,
+            `messages` or `stream`, or a number is out of range.
     """
 
     url: str
@@ -317,7 +317,7 @@ class Endpoint:
         """Return the reply of the model, or `""` if it has no text.
 
         Raises:
-            ConnectionError: The server refuses the request, or every attempt failed.
+            ConnectionError: If the server rejects the request, or every attempt fails.
         """
         for tried in range(1, self.tries + 1):
             try:
@@ -385,9 +385,9 @@ def ask(
         All replies by id.
 
     Raises:
-        ConnectionError: As for `Endpoint.reply`. Earlier replies are in the file.
-        OSError: The file cannot be read or written.
-        ValueError: The file has answers to other questions or of another model.
+        ConnectionError: As for `Endpoint.reply`. The file keeps the earlier replies.
+        OSError: If the file cannot be read or written.
+        ValueError: If the file has answers to other questions, or from another model.
     """
     _cut_torn_line(Path(path))
     known = {question.id for question in questions}

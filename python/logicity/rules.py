@@ -35,7 +35,7 @@ def rule_file(rules: str | os.PathLike[str] | None) -> str | None:
     """Return the path of a rule file.
 
     Raises:
-        ValueError: `rules` is a text of rules.
+        ValueError: If `rules` is source text.
     """
     if isinstance(rules, str) and ("\n" in rules or ":-" in rules):
         raise ValueError(
@@ -80,7 +80,7 @@ class Program:
         name: The file name in messages. `.include` is relative to its folder.
 
     Raises:
-        InputError: Faulty rules, with all faults of all files.
+        InputError: If the rules are invalid. The diagnostics list the errors of all files.
     """
 
     def __init__(self, text: str, name: str = "<text>") -> None:
@@ -94,8 +94,8 @@ class Program:
         A path that does not exist may name a built-in file, for example `rules/expert.dl`.
 
         Raises:
-            InputError: Faulty rules.
-            OSError: A file cannot be read (`FileNotFoundError`).
+            InputError: If the rules are invalid.
+            OSError: If a file cannot be read (`FileNotFoundError` if it does not exist).
         """
         return cls(_logicity.read_file(path), os.fspath(path))
 
@@ -245,8 +245,8 @@ class Session:
             times as much.
 
     Raises:
-        OverflowError: A negative number.
-        RuntimeError: The threads cannot be started.
+        OverflowError: If a number is negative.
+        RuntimeError: If the threads cannot be started.
     """
 
     def __init__(
@@ -290,10 +290,10 @@ class Session:
             The number of given rows.
 
         Raises:
-            KeyError: A predicate that is not declared.
-            TypeError: A value or dtype of the wrong kind; bool is not a number.
-            ValueError: A number out of range, a row or array of the wrong shape, or a predicate that rules derive. No
-                row is inserted after an exception.
+            KeyError: If the predicate is not declared.
+            TypeError: If a value or dtype does not match its column; bool is not a number.
+            ValueError: If a number is out of range, a row or array has the wrong shape, or rules derive the predicate.
+                No row is inserted then.
         """
         return self._session.insert(relation, rows)
 
@@ -317,8 +317,8 @@ class Session:
             The exact changes by predicate, base or derived. Predicates without changes are absent.
 
         Raises:
-            KeyboardInterrupt: Ctrl-C.
-            LimitError: The evaluation exceeds a limit; the diagnostic names the clause.
+            KeyboardInterrupt: On Ctrl-C.
+            LimitError: If the evaluation exceeds a limit. The diagnostic names the clause.
         """
         changes = self._session.commit()
         return {name: Change(Rows(added), Rows(removed)) for name, (added, removed) in changes.items()}
@@ -327,7 +327,7 @@ class Session:
         """Return the rows of a predicate as tuples, sorted by their words (for symbols: the order of interning).
 
         Raises:
-            KeyError: A predicate that is not declared.
+            KeyError: If the predicate is not declared.
         """
         return cast(list[Row], self._session.tuples(relation))
 
@@ -338,7 +338,7 @@ class Session:
         The arrays are copies.
 
         Raises:
-            KeyError: A predicate that is not declared.
+            KeyError: If the predicate is not declared.
         """
         return self._session.columns(relation)
 
@@ -346,7 +346,7 @@ class Session:
         """Return the number of rows of a predicate.
 
         Raises:
-            KeyError: A predicate that is not declared.
+            KeyError: If the predicate is not declared.
         """
         return self._session.count(relation)
 
@@ -354,7 +354,7 @@ class Session:
         """Return whether a row holds.
 
         Raises:
-            KeyError: A predicate that is not declared.
+            KeyError: If the predicate is not declared.
             TypeError: As for `insert`.
             ValueError: As for `insert`.
         """
@@ -375,7 +375,8 @@ class Session:
             row: With the name of a predicate, its values, where `None` is any value.
 
         Raises:
-            InputError: The text is no fact of the program. `LimitError`: the search takes too many steps.
+            InputError: If the text is not a fact of the program.
+            LimitError: If the search takes too many steps.
             KeyError: As for `insert`.
             TypeError: As for `insert`.
             ValueError: As for `insert`.

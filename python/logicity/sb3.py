@@ -36,7 +36,7 @@ class SPFVecEnv(VecEnv):
         envs: Environments whose autoreset mode is SameStep.
 
     Raises:
-        ValueError: Another autoreset mode.
+        ValueError: If the environments have another autoreset mode.
     """
 
     def __init__(self, envs: SPFVectorEnv) -> None:
@@ -66,8 +66,8 @@ class SPFVecEnv(VecEnv):
         """Step with the stored actions.
 
         Raises:
-            RuntimeError: `step_async` was not called before.
-            gymnasium.error.InvalidAction: An action is not 0, 1, 2 or 3.
+            RuntimeError: If `step_async` was not called before.
+            gymnasium.error.InvalidAction: If an action is not 0, 1, 2 or 3.
         """
         if self._actions is None:
             raise RuntimeError("call `step_async` before `step_wait`")
@@ -146,8 +146,8 @@ def make_vec_env(
         arguments: Other parameters of `SPFVectorEnv`, such as `split`, `overrides` or `num_threads`.
 
     Raises:
-        InputError: A faulty configuration, rule file or override.
-        OSError: A file cannot be read.
+        InputError: If the configuration, the rule file or an override is invalid.
+        OSError: If a file cannot be read.
     """
     envs = SPFVecEnv(SPFVectorEnv(n_envs, config, autoreset_mode=AutoresetMode.SAME_STEP, **arguments))
     if seed is not None:

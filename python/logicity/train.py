@@ -141,8 +141,9 @@ class TrainConfig(BaseModel):
             seed: A seed that replaces the file's.
 
         Raises:
-            InputError: The file is not YAML, has an unknown key or value, or lacks a key. All faults are reported.
-            OSError: A file cannot be read.
+            InputError: If the file is not YAML, has an unknown key or invalid value, or lacks a key. The diagnostics
+                list all errors.
+            OSError: If a file cannot be read.
         """
         file = _logicity.ConfigFile(path, "configs/baselines")
         values = file.value()
@@ -299,8 +300,8 @@ def load_model(path: str | os.PathLike[str]) -> BaseAlgorithm:
     """Load a model of DQN, PPO or A2C that Stable-Baselines3 saved.
 
     Raises:
-        OSError: The file cannot be read.
-        ValueError: The file is no such model.
+        OSError: If the file cannot be read.
+        ValueError: If the file is not such a model.
     """
     try:
         with ZipFile(path) as archive:
@@ -336,8 +337,8 @@ def train(
         The content of `result.json`.
 
     Raises:
-        InputError: A faulty override.
-        ValueError: The folder has another run, or the algorithm refuses the settings. No run begins then.
+        InputError: If an override is invalid.
+        ValueError: If the folder has another run, or the algorithm rejects the settings. Then no run starts.
     """
     run = Path(run)
     claimed = _is_claimed(run, config)
@@ -381,7 +382,7 @@ def _is_claimed(run: Path, config: TrainConfig) -> bool:
     """Return whether the folder has this run.
 
     Raises:
-        ValueError: The folder has another run.
+        ValueError: If the folder has another run.
     """
     note = run / "config.json"
     if not note.exists():
@@ -400,7 +401,7 @@ def new_model(config: TrainConfig, env: VecEnv, log: str | None = None) -> BaseA
         log: The folder of the curves.
 
     Raises:
-        ValueError: The algorithm refuses the settings.
+        ValueError: If the algorithm rejects the settings.
     """
     policy = {
         "features_extractor_class": FeatureLayers,

@@ -247,7 +247,7 @@ def test_why_an_agent_does_what_it_does() -> None:
     assert "the action came from outside" in str(city.explain(stopped))
     with pytest.raises(KeyError, match="Nobody"):
         city.explain("Nobody")
-    with pytest.raises(ValueError, match="is no action"):
+    with pytest.raises(ValueError, match="is not an action"):
         city.why_not(stopped, "Fly")  # type: ignore[arg-type]
 
 

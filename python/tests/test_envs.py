@@ -47,14 +47,14 @@ def test_options_keep_to_the_rules_of_gymnasium(observation: str) -> None:
 
 
 def play(env: SPFEnv, steps: int, seed: int) -> list[Any]:
-    """Random steps and what came of them, beginning again at the end of each episode."""
+    """Take random steps, reset at the end of each episode, and return all results."""
     generator = np.random.default_rng(seed)
-    steps: list[Any] = []
+    results: list[Any] = []
     for _ in range(steps):
-        steps.append(env.step(int(generator.integers(4))))
-        if steps[-1][2] or steps[-1][3]:
-            steps.append(env.reset())
-    return steps
+        results.append(env.step(int(generator.integers(4))))
+        if results[-1][2] or results[-1][3]:
+            results.append(env.reset())
+    return results
 
 
 def test_a_seed_gives_a_sequence_of_episodes() -> None:
@@ -218,7 +218,7 @@ def test_a_trace_under_overrides_names_what_became_of_the_configuration(tmp_path
     env = SPFEnv("easy", overrides={"view": 30})
     env.reset(seed=1, options={"map": "configs/maps/random-8x8.yaml"})
     env.step(1)
-    with pytest.raises(ValueError, match="ending of configurations"):
+    with pytest.raises(ValueError, match="suffix of configurations"):
         env.write_trace(tmp_path / "trace.yaml")
     env.write_trace(tmp_path / "trace.jsonl")
     header = json.loads((tmp_path / "trace.jsonl").read_text().splitlines()[0])

@@ -293,8 +293,8 @@ def test_progress_is_shown_on_a_terminal(monkeypatch: pytest.MonkeyPatch, capsys
 @pytest.mark.parametrize(
     ("arguments", "status", "message"),
     [
-        (["evaluate", "--policy", "no-such.zip", "--modes", "easy"], 2, "error: `no-such.zip`: no such file"),
-        (["evaluate", "--policy", "runs/best", "--modes", "easy"], 2, "error: `runs/best`: no such file"),
+        (["evaluate", "--policy", "no-such.zip", "--modes", "easy"], 2, "error: no such file: `no-such.zip`"),
+        (["evaluate", "--policy", "runs/best", "--modes", "easy"], 2, "error: no such file: `runs/best`"),
         (
             ["evaluate", "--policy", "foo"],
             1,

@@ -350,8 +350,8 @@ def test_what_is_counted_as_wrong_is_reported(tmp_path: Path, capsys: pytest.Cap
     assert printed.out.splitlines()[-1].startswith("all           8          0.12 [0.02, 0.47]")
     left = ", ".join(question.id for question in questions[2:7])
     assert printed.err.splitlines() == [
-        f"counted as wrong, without an answer: 6: {left}, ...",
-        f"counted as wrong, with an answer that chooses no option: 1: {questions[1].id}",
-        "left out, answers to no question: 1: another",
+        f"counted as wrong, no answer: 6: {left}, ...",
+        f"counted as wrong, the answer chooses no option: 1: {questions[1].id}",
+        "ignored, unknown question: 1: another",
     ]
     assert main(["grade", str(tmp_path / "nowhere.jsonl")]) == 2

@@ -59,7 +59,7 @@ def torch_dataset(
         threads: Threads of each process that decode the pictures of a batch, at least 1.
 
     Raises:
-        ImportError: PyTorch is not installed. The extra `vap` installs it: `pip install './python[vap]'`.
+        ImportError: If PyTorch is not installed. The extra `vap` installs it: `pip install './python[vap]'`.
         OSError: As for `VapDataset`.
         ValueError: As for `VapDataset`.
     """
@@ -77,8 +77,8 @@ def collate(samples: Sequence[Mapping[str, Any]]) -> dict[str, Any]:
     the padding, boxes are NaN, actions -1, and all other values 0 or false.
 
     Raises:
-        ImportError: PyTorch is not installed. The extra `vap` installs it.
-        ValueError: An empty list of samples.
+        ImportError: If PyTorch is not installed. The extra `vap` installs it.
+        ValueError: If there are no samples.
     """
     from .loader import padded_batch
 

@@ -51,10 +51,10 @@ def measure_baselines(
         epochs: The number of epochs.
 
     Raises:
-        ImportError: PyTorch is not installed. The extra `vap` installs it: `pip install './python[vap]'`.
-        OSError: A file cannot be read.
-        ValueError: As for `VapDataset`, or a data set without cars, data sets of different modes, or a negative number
-            of epochs.
+        ImportError: If PyTorch is not installed. The extra `vap` installs it: `pip install './python[vap]'`.
+        OSError: If a file cannot be read.
+        ValueError: As for `VapDataset`, or if a data set has no cars, the modes differ, or the number of epochs is
+            negative.
     """
     # Before the data sets are read, so that a missing PyTorch is found at once.
     from .network import train_network
@@ -82,7 +82,7 @@ def _labels(samples: VapDataset) -> NDArray[np.int64]:
     """Return the labels of the cars of all samples.
 
     Raises:
-        ValueError: The data set has no cars.
+        ValueError: If the data set has no cars.
     """
     labels = [sample.actions[sample.mask] for sample in samples]
     if not any(map(len, labels)):

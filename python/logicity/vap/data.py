@@ -118,9 +118,9 @@ class VapDataset(Sequence[VapSample]):
         predicates: `UNARY` and `BINARY`.
 
     Raises:
-        OSError: A file cannot be read.
-        ValueError: The folder is no data set of this version, or has no pictures with `images=True`. Faulty tables and
-            pictures raise `InputError`, also on later access.
+        OSError: If a file cannot be read.
+        ValueError: If the folder is not a data set of this version, or `images=True` and the data set has no pictures.
+        InputError: On access to a sample whose table or picture is invalid.
     """
 
     predicates = (UNARY, BINARY)
@@ -199,9 +199,9 @@ class VapDataset(Sequence[VapSample]):
             out: A contiguous uint8 array.
 
         Raises:
-            InputError: A faulty picture.
-            OSError: The file cannot be read.
-            ValueError: An array of another shape, or one that is not contiguous.
+            InputError: If the picture is invalid.
+            OSError: If the file cannot be read.
+            ValueError: If the array has another shape, or is not contiguous.
         """
         if out.shape != (PICTURE_SIDE, PICTURE_SIDE, 3):
             raise ValueError(f"expected an array of shape (1024, 1024, 3), not {out.shape}")
@@ -217,7 +217,7 @@ class VapDataset(Sequence[VapSample]):
                 samples.
 
         Raises:
-            ValueError: A shard that is not from 0 to n - 1.
+            ValueError: If the shard index is not from 0 to n - 1.
         """
         part, parts = shard
         if not 0 <= part < parts:

@@ -49,9 +49,9 @@ def to_webdataset(
         The files.
 
     Raises:
-        FileExistsError: `out_dir` exists.
-        OSError: A file cannot be read or written.
-        ValueError: As for `VapDataset`, or a `shard_size` below 1.
+        FileExistsError: If `out_dir` exists.
+        OSError: If a file cannot be read or written.
+        ValueError: As for `VapDataset`, or if `shard_size` is below 1.
     """
     if shard_size < 1:
         raise ValueError(f"expected a shard of at least one sample, not {shard_size}")
@@ -120,7 +120,7 @@ def to_coco(folder: str | os.PathLike[str], out: str | os.PathLike[str], *, imag
         images: Whether the data set must have pictures, which are not read.
 
     Raises:
-        OSError: A file cannot be read or written.
+        OSError: If a file cannot be read or written.
         ValueError: As for `VapDataset`.
     """
     samples = VapDataset(folder, images)

@@ -42,7 +42,7 @@ class TorchVapDataset(torch.utils.data.Dataset[dict[str, Any]]):
             threads: Threads that decode the pictures of a batch.
 
         Raises:
-            ValueError: Fewer than one thread.
+            ValueError: If the number of threads is below 1.
         """
         if threads < 1:
             raise ValueError(f"{threads} threads: expected 1 or more")

@@ -81,11 +81,12 @@ def make_dataset(
         The data set with all worlds in the folder.
 
     Raises:
-        InputError: The folder has worlds with other settings, rules or pictures. `LimitError`: too many threads.
-        KeyboardInterrupt: Ctrl-C.
-        OSError: A file cannot be read or written.
-        OverflowError: A negative number, or one that is far out of range.
-        ValueError: An unknown name, a number out of range, or a faulty icon.
+        InputError: If the folder has worlds with other settings, rules or pictures.
+        LimitError: If there are too many threads.
+        KeyboardInterrupt: On Ctrl-C.
+        OSError: If a file cannot be read or written.
+        OverflowError: If a number is negative, or does not fit its integer type.
+        ValueError: If a name is unknown, a number is out of range, or an icon is invalid.
 
     Example:
         >>> from logicity.vap import make_dataset
@@ -127,10 +128,10 @@ def check_dataset(
         The counts of the data set.
 
     Raises:
-        InputError: Faults of the data set; `diagnostics` has all of them.
-        KeyboardInterrupt: Ctrl-C.
-        OSError: The folder or its manifest cannot be read.
-        OverflowError: A negative number of threads.
-        ValueError: Too many threads.
+        InputError: If the data set has errors. `diagnostics` lists all of them.
+        KeyboardInterrupt: On Ctrl-C.
+        OSError: If the folder or its manifest cannot be read.
+        OverflowError: If the number of threads is negative.
+        ValueError: If there are too many threads.
     """
     return VapCounts(**_logicity.check_dataset(folder, threads, progress))

@@ -46,8 +46,8 @@ def vap_metrics(labels: ArrayLike, predictions: ArrayLike, frames: ArrayLike) ->
         frames: Integers (M,), equal for cars of the same frame.
 
     Raises:
-        TypeError: An argument that is no array of integers.
-        ValueError: No cars, arrays of different lengths, or a number that is no action.
+        TypeError: If an argument is not an array of integers.
+        ValueError: If there are no cars, the lengths differ, or a number is not an action.
     """
     wanted, predicted, of_frame = (
         _integers(name, values)
