@@ -83,14 +83,14 @@ def test_traces_replace_nothing(own_city: Path, capsys: pytest.CaptureFixture[st
 
     (folder / "traces").mkdir()
     (folder / "traces" / "episode-77.jsonl").write_text("earlier")
-    with pytest.raises(FileExistsError, match=r"has traces already, for example episode-77\.jsonl"):
+    with pytest.raises(FileExistsError, match=r"already has traces, for example episode-77\.jsonl"):
         evaluate(undriven, own, "val", traces=folder / "traces")
     assert [path.name for path in (folder / "traces").iterdir()] == ["episode-77.jsonl"]
 
     (folder / "hard").mkdir()
     (folder / "hard" / "episode-0.jsonl").write_text("earlier")
     command = ["evaluate", "--policy", "oracle", "--split", "val", "--traces", str(folder), "--modes", "easy,hard"]
-    assert main(command) == 2 and "hard` has traces already" in capsys.readouterr().err
+    assert main(command) == 2 and "hard` already has traces" in capsys.readouterr().err
     assert not (folder / "easy").exists(), "of the second mode it is told before the first is driven"
 
 
