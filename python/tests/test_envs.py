@@ -316,7 +316,7 @@ def test_options_that_there_are_not_are_reported(make: Any, name: str, message: 
 def test_a_text_of_rules_is_no_file() -> None:
     for text in ("Stop(X) :- IsCar(X).", "// no rules\n"):
         for use in (partial(SPFEnv, "easy"), partial(logicity.Simulation, "easy"), partial(logicity.Inference, "easy")):
-            with pytest.raises(ValueError, match="`rules` must be the path of a rule file, not a text"):
+            with pytest.raises(ValueError, match="`rules` must be the path of a rule file, not source text"):
                 use(rules=text)
 
 

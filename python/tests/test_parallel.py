@@ -58,7 +58,7 @@ def test_wrong_use_is_reported() -> None:
     infos = env.step(dict.fromkeys(env.agents, 1))[4]
     assert isinstance(env.reset(seed=0)[1]["Car_1"]["seed"], np.uint64)
     assert isinstance(infos["Car_1"]["seed"], np.uint64)
-    with pytest.raises(ValueError, match="no car `Car_77`; (did you mean|there are)"):
+    with pytest.raises(ValueError, match="unknown car `Car_77`; (did you mean|there are)"):
         env.explain("Car_77")
     with pytest.raises(ValueError, match="mapping"):
         env.reset(options={"episode": 1})

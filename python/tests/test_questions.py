@@ -155,7 +155,7 @@ def test_a_grade_counts_every_question_once() -> None:
         ),
         (
             QUESTIONS.read_text(encoding="utf-8").splitlines()[0] + "\n" + QUESTIONS.read_text(encoding="utf-8"),
-            ":2: the id",
+            ":2: duplicate id",
         ),
     ],
 )
@@ -169,8 +169,8 @@ def test_faulty_questions_are_reported_with_their_line(text: str, message: str, 
 def test_faulty_answers_are_reported_with_their_line(tmp_path: Path) -> None:
     path = tmp_path / "answers.jsonl"
     for text, message in [
-        ('{"id": "a"}', ":1: expected a text as `answer`"),
-        ('{"id": "a", "answer": "A"}\n\n{"id": "a", "answer": "B"}', ":3: the id 'a' is answered twice"),
+        ('{"id": "a"}', ":1: expected a string `answer`"),
+        ('{"id": "a", "answer": "A"}\n\n{"id": "a", "answer": "B"}', ":3: second answer to the question 'a'"),
     ]:
         path.write_text(text, encoding="utf-8")
         with pytest.raises(ValueError, match=message):
@@ -253,7 +253,7 @@ def test_all_questions_are_asked_and_graded(
     assert main(["ask", *questions, *arguments]) == 0 and len(server.requests) == 8
     # Another model and other questions want another file.
     assert main(["ask", *questions, *arguments[:3], "other", *arguments[4:]]) == 1
-    with pytest.raises(ValueError, match="which is no question here"):
+    with pytest.raises(ValueError, match="belongs to the unknown question"):
         ask(made_up(2), Endpoint(server.url, "oracle"), replies)
     assert len(server.requests) == 8
 
@@ -296,7 +296,7 @@ def test_what_was_replied_is_kept_when_the_server_gives_out(
     path = tmp_path / "replies.jsonl"
     server = serve(lambda handler, number, _: say(handler, "A") if number < 2 else send(handler, 503, b"full"))
     endpoint = Endpoint(server.url, "stub", tries=3, pause=0.01)
-    with pytest.raises(ConnectionError, match="in 3 tries: 503 .*: full"):
+    with pytest.raises(ConnectionError, match="in 3 attempts: 503 .*: full"):
         ask(made_up(4), endpoint, path)
     assert len(server.requests) == 5 and list(load_answers(path)) == ["0", "1"]
     # A run was killed while it wrote.
