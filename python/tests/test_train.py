@@ -232,8 +232,8 @@ def test_a_base_is_merged_mapping_by_mapping(tmp_path: Path) -> None:
 @pytest.mark.parametrize(
     ("algorithm", "setting", "message"),
     [
-        ("ppo", {"batch_size": 1}, "`settings`: PPO cannot be made with them: `batch_size` must be greater than 1"),
-        ("dqn", {"learning_rate": -1.0}, "`settings`: DQN cannot be made with them: Invalid learning rate: -1.0"),
+        ("ppo", {"batch_size": 1}, "PPO rejects the `settings`: `batch_size` must be greater than 1"),
+        ("dqn", {"learning_rate": -1.0}, "DQN rejects the `settings`: Invalid learning rate: -1.0"),
     ],
 )
 def test_settings_that_the_algorithm_refuses_leave_no_run(
@@ -261,7 +261,7 @@ def test_numbers_are_read_as_they_are_meant(text: str, number: float, tmp_path: 
 
 def test_other_files_are_no_models(tmp_path: Path) -> None:
     (tmp_path / "text.zip").write_text("no archive")
-    with pytest.raises(ValueError, match="no model"):
+    with pytest.raises(ValueError, match="is not a"):
         load_model(tmp_path / "text.zip")
     with pytest.raises(OSError):
         load_model(tmp_path / "none.zip")

@@ -251,10 +251,10 @@ def test_faulty_data_sets_are_reported(own: Path, tmp_path: Path) -> None:
     for text, message in [
         (manifest.replace('"version": 2', '"version": 1'), "version 1; this package reads version 2"),
         (manifest.replace('"logicity vap"', '"photographs"'), "a data set `photographs`"),
-        ("{", "no manifest"),
-        ("[]", "no manifest"),
-        (manifest.replace('"split"', '"half"'), "no manifest"),
-        (manifest.replace('"world"', '"town"'), "no manifest"),
+        ("{", "not a manifest"),
+        ("[]", "not a manifest"),
+        (manifest.replace('"split"', '"half"'), "not a manifest"),
+        (manifest.replace('"world"', '"town"'), "not a manifest"),
     ]:
         assert text != manifest
         (own / "manifest.json").write_text(text)
@@ -361,12 +361,12 @@ def test_metrics_of_a_case_by_hand() -> None:
         ([], [], [], ValueError, "at least one car"),
         ([0], [0, 1], [0], ValueError, "1 labels, 2 predictions and 1 frames"),
         ([0], [0], [0, 0], ValueError, "2 frames"),
-        ([-1], [0], [0], ValueError, "expected labels from 0 to 3, not -1; leave pedestrians out"),
+        ([-1], [0], [0], ValueError, "expected labels from 0 to 3, not -1; omit pedestrians"),
         ([0, 1], [0, 4], [0, 0], ValueError, "expected predictions from 0 to 3, not 4"),
         ([[0]], [0], [0], ValueError, r"expected labels of shape \(M,\), not \(1, 1\)"),
-        ([0.0], [0], [0], TypeError, "expected integers as labels, not float64"),
-        ([0], [True], [0], TypeError, "expected integers as predictions, not bool"),
-        ([0], [0], ["a"], TypeError, "expected integers as frames"),
+        ([0.0], [0], [0], TypeError, "expected integer labels, not float64"),
+        ([0], [True], [0], TypeError, "expected integer predictions, not bool"),
+        ([0], [0], ["a"], TypeError, "expected integer frames"),
     ],
 )
 def test_faulty_predictions_are_refused(
@@ -510,7 +510,7 @@ def test_the_commands_convert(shown: Path, sets: Path, tmp_path: Path, capsys: p
     assert main(["vap", "webdataset", str(shown), str(shards), "--shard-size", "150"]) == 0
     assert capsys.readouterr().out == f"2 files in {shards}\n"
     assert main(["vap", "webdataset", str(shown), str(shards)]) == 2
-    assert "exists already" in capsys.readouterr().err
+    assert "already exists" in capsys.readouterr().err
     assert main(["vap", "coco", str(sets / "hard"), str(boxes)]) == 1
     assert "made with `--no-pictures`" in capsys.readouterr().err
     assert main(["vap", "coco", str(sets / "hard"), str(boxes), "--no-pictures"]) == 0 and boxes.is_file()
@@ -650,7 +650,7 @@ def test_threads_decode_what_one_decodes(shown: Path) -> None:
     with pytest.raises(InputError, match="not a valid PNG"):
         together.__getitems__(chosen)
     path.write_bytes(before)
-    with pytest.raises(ValueError, match="0 threads"):
+    with pytest.raises(ValueError, match="not 0"):
         torch_dataset(shown, threads=0)
 
 
@@ -682,9 +682,9 @@ def test_labels_that_do_not_follow_are_reported(own: Path, sets: Path, capsys: p
     assert main(["vap", "baselines", "--train", folder, "--test", folder, "--epochs", "0"]) == 1
     assert "labels that the rules do not derive" in capsys.readouterr().err
     assert main(["vap", "baselines", "--train", folder, "--test", str(sets / "hard")]) == 1
-    assert "is of easy mode" in capsys.readouterr().err
+    assert "the modes differ" in capsys.readouterr().err
     assert main(["vap", "baselines", "--train", folder, "--test", folder, "--epochs", "-1"]) == 1
-    assert "-1 epochs" in capsys.readouterr().err
+    assert "not -1" in capsys.readouterr().err
 
 
 class Walkers(VapDataset):
