@@ -10,7 +10,7 @@ import pytest
 from logicity import icons
 
 
-def test_prompts_are_a_function_of_class_and_seed() -> None:
+def test_prompts_depend_only_on_class_and_seed() -> None:
     texts = icons.prompts("bus+tiro", 5, seed=3)
     assert len(set(texts)) > 1
     assert all("bus" in text and "L plate" in text and "above" in text for text in texts)
@@ -88,7 +88,7 @@ def model(tmp_path: Path) -> Path:
     return tmp_path / "model"
 
 
-def test_a_pack_is_filled_by_a_model(model: Path, tmp_path: Path) -> None:
+def test_a_model_fills_a_pack(model: Path, tmp_path: Path) -> None:
     image = pytest.importorskip("PIL.Image")
     pipeline = icons.load_pipeline(model, device="cpu")
     pack = tmp_path / "pack"

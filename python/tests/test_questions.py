@@ -23,7 +23,7 @@ def made_up(count: int) -> list[Question]:
     return [Question(str(n), "Decide.", (), f"Scene {n}?", ACTIONS, "ABCD"[n % 4]) for n in range(count)]
 
 
-def test_questions_are_read_and_are_what_the_rules_say() -> None:
+def test_loaded_questions_agree_with_the_rules() -> None:
     questions = load_questions(QUESTIONS)
     lines = [json.loads(line) for line in QUESTIONS.read_text(encoding="utf-8").splitlines()]
     assert len(questions) == len(lines) == 8
@@ -114,7 +114,7 @@ def test_any_text_is_a_reply() -> None:
         assert read_letter(reply) in (None, "A", "B", "C", "D")
 
 
-def test_the_oracle_scores_all_and_a_guesser_a_quarter() -> None:
+def test_the_oracle_scores_one_and_guessing_a_quarter() -> None:
     questions = made_up(2000)
     oracle = grade(questions, {question.id: question.answer for question in questions})
     assert oracle.overall.correct == 2000 and oracle.overall.accuracy.value == 1.0
@@ -159,14 +159,14 @@ def test_a_grade_counts_every_question_once() -> None:
         ),
     ],
 )
-def test_faulty_questions_are_reported_with_their_line(text: str, message: str, tmp_path: Path) -> None:
+def test_invalid_questions_are_reported_with_their_line(text: str, message: str, tmp_path: Path) -> None:
     path = tmp_path / "questions.jsonl"
     path.write_text(text, encoding="utf-8")
     with pytest.raises(ValueError, match=message):
         load_questions(path)
 
 
-def test_faulty_answers_are_reported_with_their_line(tmp_path: Path) -> None:
+def test_invalid_answers_are_reported_with_their_line(tmp_path: Path) -> None:
     path = tmp_path / "answers.jsonl"
     for text, message in [
         ('{"id": "a"}', ":1: expected a string `answer`"),
@@ -258,7 +258,7 @@ def test_all_questions_are_asked_and_graded(
     assert len(server.requests) == 8
 
 
-def test_what_fails_is_tried_again(serve: Serve, tmp_path: Path) -> None:
+def test_transient_failures_are_retried(serve: Serve, tmp_path: Path) -> None:
     stalled = threading.Event()
 
     def act(handler: BaseHTTPRequestHandler, number: int, body: dict[str, Any]) -> None:
@@ -290,7 +290,7 @@ def test_what_fails_is_tried_again(serve: Serve, tmp_path: Path) -> None:
     assert server.keys == [None] * 10
 
 
-def test_what_was_replied_is_kept_when_the_server_gives_out(
+def test_earlier_replies_are_kept_when_the_server_fails(
     serve: Serve, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     path = tmp_path / "replies.jsonl"
@@ -307,7 +307,7 @@ def test_what_was_replied_is_kept_when_the_server_gives_out(
     assert len(server.requests) == 7 and len(load_answers(path)) == 4
 
 
-def test_what_is_refused_is_not_tried_again(serve: Serve, tmp_path: Path) -> None:
+def test_rejected_requests_are_not_retried(serve: Serve, tmp_path: Path) -> None:
     other = serve(lambda handler, number, _: say(handler, "A"))
     for code, message in [(401, "401 .*: who are you"), (404, "404"), (302, "302"), (307, "307")]:
         server = serve(lambda handler, _, __, code=code: send(handler, code, b"who are you", Location=other.url))  # type: ignore[misc]
@@ -340,7 +340,7 @@ def test_errors_of_endpoints_do_not_show_the_key(
         main([*arguments, "--settings", "[1]"])
 
 
-def test_what_is_counted_as_wrong_is_reported(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+def test_missing_and_unreadable_answers_are_reported(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     questions = load_questions(QUESTIONS)
     answers = tmp_path / "answers.jsonl"
     replies = {questions[0].id: questions[0].answer, questions[1].id: "hm", "another": "A"}

@@ -16,7 +16,7 @@ BLOCKS = {
 
 
 @pytest.mark.parametrize("block", BLOCKS)
-def test_the_python_of_readme_runs(
+def test_python_blocks_of_readmes_run(
     block: str, request: pytest.FixtureRequest, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     text = BLOCKS[block]
@@ -29,5 +29,5 @@ def test_the_python_of_readme_runs(
     exec(compile(text, block, "exec"), {})
 
 
-def test_both_readmes_show_python() -> None:
+def test_both_readmes_have_python_blocks() -> None:
     assert len({name.split("-")[0] for name in BLOCKS}) == 2

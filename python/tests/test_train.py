@@ -56,7 +56,7 @@ def test_every_mode_of_the_paper_has_a_configuration_for_every_algorithm() -> No
 
 
 @pytest.mark.parametrize("algorithm", list(ALGORITHMS))
-def test_a_short_run_leaves_all_that_is_constraintd(
+def test_a_short_run_leaves_all_files(
     algorithm: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     run = tmp_path / "run"
@@ -78,7 +78,7 @@ def test_a_short_run_leaves_all_that_is_constraintd(
     assert capsys.readouterr().out.splitlines()[1].startswith("best")
 
 
-def test_configurations_are_found_where_there_is_no_repository(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_built_in_configurations_need_no_repository(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     files = sorted(BASELINES.glob("*.yaml"))
     monkeypatch.chdir(tmp_path)
     assert files
@@ -93,7 +93,7 @@ class Killed(Exception):
 
 
 @pytest.mark.parametrize("algorithm", ["dqn", "ppo"])
-def test_a_killed_run_goes_on(algorithm: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_killed_run_resumes(algorithm: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     checkpoint = training.Validation._checkpoint
 
     def kill(self: Any) -> None:
@@ -142,7 +142,7 @@ def test_a_killed_run_goes_on(algorithm: str, tmp_path: Path, monkeypatch: pytes
     assert seeds[2] == went_on
 
 
-def test_the_same_seed_learns_the_same(tmp_path: Path) -> None:
+def test_the_same_seed_gives_the_same_model(tmp_path: Path) -> None:
     def weights(seed: int, name: str) -> Any:
         train(short("dqn").model_copy(update={"seed": seed}), tmp_path / name, tensorboard=False)
         (checkpoint,) = (tmp_path / name).glob("checkpoint-*")
@@ -183,7 +183,7 @@ def test_the_network_has_the_layers_of_the_configuration(tmp_path: Path) -> None
         ("base: config.yaml", "builds on itself"),
     ],
 )
-def test_faulty_configurations_are_reported(
+def test_invalid_configurations_raise(
     text: str, message: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     (tmp_path / "config.yaml").write_text(text)
@@ -193,7 +193,7 @@ def test_faulty_configurations_are_reported(
     assert "config.yaml" in capsys.readouterr().err and not (tmp_path / "run").exists()
 
 
-def test_every_fault_is_reported_with_its_place(tmp_path: Path) -> None:
+def test_every_error_is_reported_with_its_location(tmp_path: Path) -> None:
     (tmp_path / "base.yaml").write_text("algorithm: dqn\nmode: easy\nnetwork: [8, 0]\nsettings: {gamma: x, tau: 0.5}\n")
     (tmp_path / "config.yaml").write_text(
         "base: base.yaml\nmode: hart\nsteps: 0\nepoch: 3\nsettings:\n  train_freq: [4, 5]\n"
@@ -236,7 +236,7 @@ def test_a_base_is_merged_mapping_by_mapping(tmp_path: Path) -> None:
         ("dqn", {"learning_rate": -1.0}, "DQN rejects the `settings`: Invalid learning rate: -1.0"),
     ],
 )
-def test_settings_that_the_algorithm_refuses_leave_no_run(
+def test_rejected_settings_leave_no_run(
     algorithm: str, setting: dict[str, Any], message: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     file, run = tmp_path / "config.json", tmp_path / "run"
@@ -252,14 +252,14 @@ def test_settings_that_the_algorithm_refuses_leave_no_run(
     ("text", "number"),
     [("3e-5", 3e-5), ("3E5", 3e5), ("-1e+2", -100.0), (".5e1", 5.0), ("2.e1", 20.0), ("3.0e-5", 3e-5), ("1", 1)],
 )
-def test_numbers_are_read_as_they_are_meant(text: str, number: float, tmp_path: Path) -> None:
+def test_numbers_in_scientific_notation_are_floats(text: str, number: float, tmp_path: Path) -> None:
     (tmp_path / "config.yaml").write_text(
         f"algorithm: dqn\nmode: easy\nnetwork: [8]\nsettings: {{learning_rate: {text}}}"
     )
     assert TrainConfig.load(tmp_path / "config.yaml").settings["learning_rate"] == number
 
 
-def test_other_files_are_no_models(tmp_path: Path) -> None:
+def test_other_files_are_not_models(tmp_path: Path) -> None:
     (tmp_path / "text.zip").write_text("no archive")
     with pytest.raises(ValueError, match="is not a"):
         load_model(tmp_path / "text.zip")

@@ -89,7 +89,7 @@ def test_arrays_have_their_shapes_and_types(drawn: VapDataset) -> None:
         assert sample.sees.diagonal().all() and not sample.binary.diagonal().any()
 
 
-def test_what_is_read_is_ones_own(hard: VapDataset) -> None:
+def test_arrays_of_samples_are_copies(hard: VapDataset) -> None:
     before = hard[5]
     for name in ("boxes", "h", "unary", "binary", "sees", "actions", "mask"):
         getattr(hard[5], name)[:] = 1
@@ -102,7 +102,7 @@ def alike(one: VapSample, other: VapSample) -> bool:
     return all(np.array_equal(a, b, equal_nan=np.asarray(a).dtype == np.float32) for a, b in values)
 
 
-def test_the_columns_of_predicates_are_those_they_are_named_by(hard: VapDataset) -> None:
+def test_columns_of_predicates_match_their_names(hard: VapDataset) -> None:
     concepts = ["ambulance", "bus", "police", "tiro", "reckless", "old", "young"]
     for sample in hard:
         of = dict(zip(UNARY, sample.unary.T, strict=True))
@@ -125,7 +125,7 @@ def test_the_rules_derive_every_label(name: str, sets: Path) -> None:
     assert (rule_actions(samples) == labels).all()
 
 
-def test_a_sample_is_what_the_tables_say(sets: Path) -> None:
+def test_samples_equal_the_tables(sets: Path) -> None:
     parquet = pytest.importorskip("pyarrow.parquet", reason="needs the extra `offline`: `make python-all` installs it")
     samples = iter(VapDataset(sets / "random", images=False))
     for world in range(3):
@@ -161,14 +161,14 @@ def test_a_sample_is_what_the_tables_say(sets: Path) -> None:
     assert HEADINGS == ("Left", "Right", "Up", "Down")
 
 
-def test_node_vectors_are_shares(hard: VapDataset, drawn: VapDataset) -> None:
+def test_node_vectors_are_normalized(hard: VapDataset, drawn: VapDataset) -> None:
     for sample in (*hard, *drawn):
         assert (sample.h >= 0).all() and (sample.h <= 1).all() and (sample.h[:, 2:4] > 0).all()
         assert (sample.h[:, 4:8].sum(1) <= 1).all() and sample.h[:, 8].max() == 1
         assert (sample.h[:, :4] * PICTURE_SIDE == sample.boxes).all()
 
 
-def test_entities_outside_have_no_box(own: Path, tmp_path: Path) -> None:
+def test_entities_outside_the_picture_have_no_box(own: Path, tmp_path: Path) -> None:
     pyarrow = pytest.importorskip("pyarrow", reason="needs the extra `offline`: `make python-all` installs it")
     parquet = pytest.importorskip("pyarrow.parquet")
     path = own / "world-00000" / "entities.parquet"
@@ -193,7 +193,7 @@ def image_of(sample: VapSample) -> NDArray[np.uint8]:
     return sample.image
 
 
-def test_pictures_are_those_of_their_samples(shown: Path) -> None:
+def test_samples_have_their_pictures(shown: Path) -> None:
     samples = VapDataset(shown)
     for index in (0, 1, 90, -1):
         sample = samples[index]
@@ -207,7 +207,7 @@ def test_pictures_are_those_of_their_samples(shown: Path) -> None:
     path.write_bytes(before)
 
 
-def test_pictures_go_only_where_they_fit(shown: Path) -> None:
+def test_read_picture_checks_the_output_array(shown: Path) -> None:
     samples = VapDataset(shown)
     for shape in [(PICTURE_SIDE, PICTURE_SIDE), (3, PICTURE_SIDE, PICTURE_SIDE), (3, 3, 3), (3, PICTURE_SIDE, 3)]:
         with pytest.raises(ValueError, match="shape"):
@@ -228,7 +228,7 @@ def test_pictures_go_only_where_they_fit(shown: Path) -> None:
         (lambda whole: png(picture(0, 11), interlaced=1), "not a valid PNG"),
     ],
 )
-def test_faulty_pictures_are_reported(damage: Callable[[bytes], bytes], message: str, shown: Path) -> None:
+def test_invalid_pictures_raise(damage: Callable[[bytes], bytes], message: str, shown: Path) -> None:
     samples = VapDataset(shown)
     path = samples.picture_path(5)
     whole = path.read_bytes()
@@ -242,7 +242,7 @@ def test_faulty_pictures_are_reported(damage: Callable[[bytes], bytes], message:
     path.write_bytes(whole)
 
 
-def test_faulty_data_sets_are_reported(own: Path, tmp_path: Path) -> None:
+def test_invalid_data_sets_raise(own: Path, tmp_path: Path) -> None:
     with pytest.raises(FileNotFoundError):
         VapDataset(tmp_path / "nowhere")
     with pytest.raises(ValueError, match="made with `--no-pictures`"):
@@ -265,7 +265,7 @@ def test_faulty_data_sets_are_reported(own: Path, tmp_path: Path) -> None:
         VapDataset(own, images=False)[0]
 
 
-def test_faulty_tables_are_reported(own: Path) -> None:
+def test_invalid_tables_raise(own: Path) -> None:
     samples = VapDataset(own, images=False, cached_worlds=0)
     entities, pairs = (own / "world-00001" / name for name in ("entities.parquet", "pairs.parquet"))
     whole = entities.read_bytes()
@@ -293,7 +293,7 @@ def test_data_sets_can_be_pickled(hard: VapDataset, shown: Path) -> None:
     assert again[7].image is not None and len(pickle.dumps(again)) < 1000
 
 
-def test_shuffling_is_a_function_of_the_seed(drawn: VapDataset) -> None:
+def test_the_seed_determines_the_order(drawn: VapDataset) -> None:
     def order(**options: Any) -> list[tuple[int, int]]:
         return [(sample.world, sample.tick) for sample in drawn.iterate(**options)]
 
@@ -330,7 +330,7 @@ def slow_metrics(
     return recall, sum(accuracies) / len(accuracies), above / below
 
 
-def test_metrics_are_as_defined() -> None:
+def test_metrics_match_their_definition() -> None:
     dice = random.Random(0)
     seen: set[int] = set()
     for _ in range(300):
@@ -346,7 +346,7 @@ def test_metrics_are_as_defined() -> None:
     assert seen == {1, 2, 3, 4}
 
 
-def test_metrics_of_a_case_by_hand() -> None:
+def test_metrics_of_a_hand_computed_case() -> None:
     # Two frames, of one car and of three: Slow is wanted once, Stop three times.
     found = vap_metrics([0, 3, 3, 3], [0, 3, 1, 1], [1, 2, 2, 2])
     assert found.recall == {"Slow": 1.0, "Stop": pytest.approx(1 / 3)}
@@ -369,7 +369,7 @@ def test_metrics_of_a_case_by_hand() -> None:
         ([0], [0], ["a"], TypeError, "expected integer frames"),
     ],
 )
-def test_faulty_predictions_are_refused(
+def test_invalid_predictions_raise(
     labels: Any, predictions: Any, frames: Any, error: type[Exception], message: str
 ) -> None:
     with pytest.raises(error, match=message):
@@ -481,7 +481,7 @@ def test_boxes_have_the_format_of_coco(shown: Path, sets: Path, tmp_path: Path) 
         to_coco(shown, tmp_path / "no" / "such.json")
 
 
-def test_several_concepts_are_a_category_of_their_own(own: Path, tmp_path: Path) -> None:
+def test_combined_concepts_are_categories(own: Path, tmp_path: Path) -> None:
     # Two ways to write nine letters.
     for path in own.glob("world-*/entities.parquet"):
         path.write_bytes(path.read_bytes().replace(b"ambulance", b"bus+tiros"))
@@ -545,7 +545,7 @@ def test_without_torch_the_error_names_the_extra(hard: VapDataset) -> None:
         assert len(torch_dataset(hard.folder, images=False)) == len(hard)
 
 
-def test_tensors_are_the_arrays(shown: Path) -> None:
+def test_tensors_equal_the_arrays(shown: Path) -> None:
     torch = needs_torch()
     samples, tensors = VapDataset(shown), torch_dataset(shown)
     assert isinstance(tensors, torch.utils.data.Dataset) and len(tensors) == len(samples)
@@ -588,7 +588,7 @@ def test_batches_are_padded(drawn: VapDataset) -> None:
         collate([])
 
 
-def test_pictures_are_stacked_as_they_have_become(shown: Path) -> None:
+def test_collate_stacks_pictures_without_a_copy_if_possible(shown: Path) -> None:
     torch = needs_torch()
     tensors = torch_dataset(shown)
     whole = tensors.__getitems__([3, 150, 4])
@@ -620,7 +620,7 @@ def test_pictures_are_stacked_as_they_have_become(shown: Path) -> None:
 
 
 @pytest.mark.parametrize("method", sorted({"fork", "spawn"} & set(multiprocessing.get_all_start_methods())))
-def test_workers_read_what_one_process_reads(method: str, shown: Path) -> None:
+def test_workers_give_the_same_batches(method: str, shown: Path) -> None:
     torch = needs_torch()
     tensors = torch_dataset(shown)
     chosen = torch.utils.data.Subset(tensors, [3, 150, 4, 260, 5, 10])
@@ -636,7 +636,7 @@ def test_workers_read_what_one_process_reads(method: str, shown: Path) -> None:
         assert wanted["image"].shape == (2, 3, PICTURE_SIDE, PICTURE_SIDE)
 
 
-def test_threads_decode_what_one_decodes(shown: Path) -> None:
+def test_threads_give_the_same_pictures(shown: Path) -> None:
     needs_torch()
     alone, together = torch_dataset(shown), torch_dataset(shown, threads=3)
     chosen = [3, 150, 4, 260, 5, 10]
@@ -674,7 +674,7 @@ def test_baselines_are_measured(sets: Path, tmp_path: Path, capsys: pytest.Captu
     assert main([*command, "--seed", "1"]) == 0 and capsys.readouterr().out != printed
 
 
-def test_labels_that_do_not_follow_are_reported(own: Path, sets: Path, capsys: pytest.CaptureFixture[str]) -> None:
+def test_underivable_labels_are_reported(own: Path, sets: Path, capsys: pytest.CaptureFixture[str]) -> None:
     needs_torch()
     manifest = own / "manifest.json"
     manifest.write_text(manifest.read_text().replace('"mode": "hard"', '"mode": "easy"'))
@@ -701,7 +701,7 @@ class Walkers(VapDataset):
         return replace(sample, actions=np.full_like(sample.actions, -1), mask=np.zeros_like(sample.mask))
 
 
-def test_samples_without_cars_teach_nothing(hard: VapDataset, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_samples_without_cars_do_not_affect_training(hard: VapDataset, monkeypatch: pytest.MonkeyPatch) -> None:
     needs_torch()
     from logicity.vap.network import train_network
 
@@ -722,5 +722,5 @@ def test_samples_without_cars_teach_nothing(hard: VapDataset, monkeypatch: pytes
             measure_baselines(hard.folder, hard.folder)
 
 
-def test_it_is_found_from_the_front_door() -> None:
+def test_vap_is_an_attribute_of_the_package() -> None:
     assert logicity.vap.VapDataset is VapDataset and set(logicity.vap.__all__) <= set(dir(logicity.vap))
