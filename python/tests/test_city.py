@@ -1,4 +1,4 @@
-"""Scenes and simulations: decisions, arrays, controls, reasons, traces, and how long work is ended."""
+"""Scenes and simulations: decisions, arrays, controls, reasons, traces, and cancellation."""
 
 from __future__ import annotations
 
@@ -144,7 +144,7 @@ def test_simulation_state_is_arrays() -> None:
     assert np.array_equal(tick.action, city.actions)
     assert (tick.derived.shape, tick.derived.dtype) == ((n, 4), np.dtype(bool))
     assert tick.heading.dtype == tick.action.dtype == tick.reason.dtype == np.dtype(np.int8)
-    # One action at most was derived for each here, and it was taken; else the default.
+    # Here the rules derive at most one action per agent. Agents take that action, or otherwise the default.
     for derived, action in zip(tick.derived, tick.action, strict=True):
         assert derived[action] if derived.any() else ACTIONS[action] == "Normal"
     moved = (tick.at != tick.next).any(axis=1)
@@ -154,7 +154,7 @@ def test_simulation_state_is_arrays() -> None:
     assert [tuple(np.sign(way)) for way in step] == [signs[name] for name in names]
     assert len(REASONS) == 4
     assert city.goals.shape == (n, 2)
-    # What was given out does not change any more.
+    # Later ticks do not change arrays that were returned before.
     city.run(20)
     assert np.array_equal(tick.at, before)
     assert repr(city) == "<Simulation configs/expert.yaml, split test, seed 0, after 21 ticks>"
@@ -216,7 +216,7 @@ def test_facts_are_the_inputs_of_the_decisions() -> None:
     }
     assert indices["IsPedestrian"].shape[1:] == (1,)
     assert indices["Sees"].dtype == np.dtype(np.int32)
-    # The engine alone derives the same actions from them.
+    # The Datalog engine derives the same actions from these facts.
     session = logicity.Session(logicity.Program.load("rules/easy.dl"))
     for predicate, rows in facts.items():
         if predicate in session.program.relations:
@@ -286,7 +286,7 @@ def test_ctrl_c_ends_a_run_and_keeps_its_trace(tmp_path: Path, ctrl_c: Interrupt
     assert city.tick().tick == ticks
 
 
-#: Where there is a car, the rules count for minutes.
+#: Rules that count for minutes if there is a car.
 COUNTING = """
 .include "vocabulary.dl"
 .scope
@@ -297,7 +297,7 @@ Stop(X) :- IsCar(X), n(90000000).
 """
 
 
-#: There is no such circle of many, and to find that out takes minutes.
+#: A search for a cycle that does not exist, which takes minutes for many agents.
 CIRCLE = """
 .include "vocabulary.dl"
 Stop(X) :- HigherPri(X, Y), HigherPri(Y, Z), HigherPri(Z, W), HigherPri(W, V), HigherPri(V, U), HigherPri(U, X).
@@ -355,7 +355,7 @@ def test_concurrent_use_of_a_simulation_raises_and_ticks_release_the_gil() -> No
     def run() -> None:
         done = False
         while not done:
-            # Refused if the other thread is at work just then.
+            # The call raises while the other thread uses the simulation.
             with suppress(RuntimeError):
                 city.run(300_000)
                 done = True

@@ -1,4 +1,4 @@
-"""The command `logicity`: the commands of Rust and of Python in one program."""
+"""The command `logicity`, which combines the Rust and the Python commands."""
 
 from __future__ import annotations
 
@@ -107,9 +107,9 @@ def test_ctrl_c_ends_every_command(tmp_path: Path) -> None:
     (tmp_path / "slow.yaml").write_text("base: configs/easy.yaml\nrules: slow.dl\n")
     out = str(tmp_path / "out")
     for arguments, code in [
-        # By the default action of the signal, as for any program that does not handle it.
+        # `query` does not handle the signal, so the default action ends the process.
         (["query", str(tmp_path / "count.dl"), "-D", "-"], -signal.SIGINT),
-        # `run` handles the signal, and writes what was run.
+        # `run` handles the signal, and writes the completed ticks.
         (["run", "expert", "--ticks", "100000000", "--no-trace", "--out", out], 130),
         (["evaluate", "--policy", "random", "--modes", str(tmp_path / "slow.yaml")], 130),
     ]:

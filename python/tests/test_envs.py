@@ -85,7 +85,7 @@ def test_an_episode_can_be_restarted() -> None:
     first = env.reset(seed=9)
     assert data_equivalence(first, other.reset(options={"episode": env.episode}), exact=True)
     assert data_equivalence(play(env, 10, 1)[:5], play(other, 10, 1)[:5], exact=True)
-    # An episode that is given does not use up one of the sequence.
+    # A given episode does not advance the sequence.
     env.reset(seed=9)
     following = env.reset()[1]["seed"]
     env.reset(seed=9)
@@ -166,7 +166,7 @@ def test_the_picture_marks_the_controlled_car_its_route_and_its_goal() -> None:
         return found
 
     before = marked(env.render())
-    # Cells have 4 pixels, behind the rulers.
+    # Cells are 4 pixels wide, after the rulers at the edge.
     for row, column in (start, goal):
         top, left = 42 + 4 * row, 34 + 4 * column
         assert before[top - 20 : top + 20, left - 20 : left + 20].sum() > 60
@@ -205,7 +205,7 @@ def test_a_trace_records_the_episode(tmp_path: Path) -> None:
     assert all(car["driven"]["observes"][0] == "Car_1" for car in cars)
     assert not any("driven" in agent for tick in ticks for agent in tick["agents"][1:])
 
-    # The same configuration and rules as those of a run, whose trace the program takes.
+    # The header equals that of a simulation trace with the same configuration and rules.
     logicity.Simulation("hard", count_firings=True).run(1, trace=tmp_path / "run.jsonl")
     run = json.loads((tmp_path / "run.jsonl").read_text().splitlines()[0])
     keys = ("config_hash", "rules_hash", "rules", "clauses", "version")
@@ -258,7 +258,7 @@ def test_a_trace_does_not_overwrite_configurations(tmp_path: Path) -> None:
 def test_concurrent_use_of_an_environment_raises() -> None:
     envs = SPFVectorEnv(64, "expert", autoreset_mode=AutoresetMode.SAME_STEP)
     envs.reset(seed=1)
-    actions, said = np.ones(64, np.int64), []
+    actions, messages = np.ones(64, np.int64), []
     stop = threading.Event()
 
     def drive() -> None:
@@ -266,7 +266,7 @@ def test_concurrent_use_of_an_environment_raises() -> None:
             try:
                 envs.step(actions)
             except RuntimeError as error:
-                said.append(str(error))
+                messages.append(str(error))
                 stop.set()
 
     threads = [threading.Thread(target=drive) for _ in range(2)]
@@ -275,10 +275,9 @@ def test_concurrent_use_of_an_environment_raises() -> None:
     for thread in threads:
         thread.join(20)
         stop.set()
-    assert said and all(
-        "another thread is using this environment; create one per thread, or guard it with a lock" in text for text in said
-    )
-    # Whoever was told so has broken nothing.
+    message = "another thread is using this environment; create one per thread, or guard it with a lock"
+    assert messages and all(message in text for text in messages)
+    # The exception leaves the environments usable.
     envs.reset(seed=1)
     assert envs.step(actions)[0].shape == (64, 205)
 
@@ -449,8 +448,10 @@ def singles(count: int, id: str, mode: AutoresetMode, **options: Any) -> SyncVec
         ("logicity/SPF-Easy-v0", 2, {"observation": "state", "atoms": True}),
     ],
 )
-def test_vectorized_results_equal_those_of_single_environments(mode: AutoresetMode, id: str, threads: int, options: dict[str, Any]) -> None:
-    """About 10^5 steps over all cases: observations, rewards, ends and infos are those of gymnasium's own batch."""
+def test_vectorized_results_equal_single_environments(
+    mode: AutoresetMode, id: str, threads: int, options: dict[str, Any]
+) -> None:
+    """Compare about 10^5 steps over all cases with gymnasium's `SyncVectorEnv`."""
     count, steps = 16, 700
     batch = gymnasium.make_vec(id, num_envs=count, autoreset_mode=mode, num_threads=threads, **options)
     assert isinstance(batch, SPFVectorEnv) and batch.metadata["autoreset_mode"] is mode

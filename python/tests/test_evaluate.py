@@ -24,7 +24,7 @@ README = Path(__file__).parents[1] / "README.md"
 
 
 def varied(observation: NDArray[np.float32]) -> int:
-    """Acts otherwise from step to step, and alike on the same observation."""
+    """Return an action that varies with the observation and depends on nothing else."""
     return int(observation.sum() * 7) % 4
 
 
@@ -54,7 +54,7 @@ def test_traces_of_all_episodes(tmp_path: Path) -> None:
         assert tuple(labels[at] for at in driven[-1]["broken"]) == record.violations
         assert not any(step["broken"] for step in driven[:-1])
     assert any(record.violations for record in result.episodes)
-    assert evaluate(varied, "easy", "val") == result, "traces change nothing"
+    assert evaluate(varied, "easy", "val") == result, "traces do not affect the result"
     with pytest.raises(ValueError, match="ten times"):
         evaluate("random", "easy", "val", traces=folder)
     command = ["evaluate", "--policy", "oracle", "--split", "val", "--traces", str(tmp_path), "--modes"]
@@ -68,46 +68,46 @@ def test_traces_of_all_episodes(tmp_path: Path) -> None:
     assert logicity.Benchmark(changed / "config.yaml", "val").evaluate("oracle").tsr.value == 1.0
 
 
-def undriven(observation: NDArray[np.float32]) -> int:
-    """Is not to be asked."""
-    raise AssertionError("the policy drives")
+def uncalled(observation: NDArray[np.float32]) -> int:
+    """Fail, because no test may call this policy."""
+    raise AssertionError("the evaluation calls the policy")
 
 
 def test_traces_do_not_overwrite_files(own_city: Path, capsys: pytest.CaptureFixture[str]) -> None:
     own = own_city.rename(own_city.with_name("config.yaml"))
     text, folder = own.read_text(), own.parent
     with pytest.raises(FileExistsError, match=r"config\.yaml"):
-        evaluate(undriven, own, "val", overrides={"view": 30}, traces=folder)
+        evaluate(uncalled, own, "val", overrides={"view": 30}, traces=folder)
     assert own.read_text() == text
     assert {path.name for path in folder.iterdir()} == {"config.yaml", "five.jsonl"}
 
     (folder / "traces").mkdir()
     (folder / "traces" / "episode-77.jsonl").write_text("earlier")
     with pytest.raises(FileExistsError, match=r"already has traces, for example episode-77\.jsonl"):
-        evaluate(undriven, own, "val", traces=folder / "traces")
+        evaluate(uncalled, own, "val", traces=folder / "traces")
     assert [path.name for path in (folder / "traces").iterdir()] == ["episode-77.jsonl"]
 
     (folder / "hard").mkdir()
     (folder / "hard" / "episode-0.jsonl").write_text("earlier")
     command = ["evaluate", "--policy", "oracle", "--split", "val", "--traces", str(folder), "--modes", "easy,hard"]
     assert main(command) == 2 and "hard` already has traces" in capsys.readouterr().err
-    assert not (folder / "easy").exists(), "of the second mode it is told before the first is driven"
+    assert not (folder / "easy").exists(), "the folder of the second mode is checked before the first mode runs"
 
 
 def test_unwritable_trace_folders_are_reported_early(tmp_path: Path) -> None:
     (tmp_path / "file").write_text("")
     for folder in (tmp_path / "file", tmp_path / "file" / "below"):
         with pytest.raises(OSError, match="file"):
-            evaluate(undriven, "easy", "val", traces=folder)
-    # Nobody can write there, while modes of folders do not bind whoever may do all.
+            evaluate(uncalled, "easy", "val", traces=folder)
+    # Not even root can write to /proc/self, while root ignores the permissions of ordinary folders.
     closed = Path("/proc/self")
     if closed.exists():
         with pytest.raises(OSError, match="/proc/self'$"):
-            evaluate(undriven, "easy", "val", traces=closed)
+            evaluate(uncalled, "easy", "val", traces=closed)
 
 
 class Model:
-    """Predicts as models of Stable-Baselines3 do, and has a state as recurrent ones."""
+    """A predictor with the interface of a recurrent Stable-Baselines3 model."""
 
     def predict(
         self,
@@ -149,7 +149,7 @@ def test_an_evaluation_equals_runs_of_single_environments() -> None:
         assert record.total == pytest.approx(total) and record.violations == tuple(info["violations"])
     assert measured.tsr.value == np.mean([record.success for record in measured.episodes])
     assert measured.mean_return.value == pytest.approx(np.mean([record.total for record in measured.episodes]))
-    # The formulas of python/README.md; here rules ask for Stop alone.
+    # These are the formulas of python/README.md. Here the rules require only Stop.
     asked = [any(record.constrained.values()) for record in measured.episodes]
     kept = [ever and not record.violations for ever, record in zip(asked, measured.episodes, strict=True)]
     assert measured.dsr.value == np.mean(kept)
@@ -180,7 +180,7 @@ def test_evaluation_of_a_configuration_file(own_city: Path, capsys: pytest.Captu
     own, easy = evaluate(varied, own_city, "val"), evaluate(varied, "easy", "val")
     assert (own.mode, own.episodes) == (str(own_city), easy.episodes[:5])
     assert own.episodes_hash != easy.episodes_hash
-    # A file that is built in is one, too.
+    # The path may name a built-in file.
     assert Benchmark("configs/easy.yaml", "val").evaluate(varied).episodes == easy.episodes
     assert main(["evaluate", "--policy", "oracle", "--modes", f"easy,{own_city}", "--split", "val"]) == 0
     assert [line.split()[1] for line in capsys.readouterr().out.splitlines()] == ["mode", "easy", str(own_city)]
@@ -265,9 +265,7 @@ def test_an_interrupted_policy_leaves_the_benchmark_usable() -> None:
     assert benchmark.evaluate("oracle").tsr.value == 1.0
 
 
-def test_the_command_prints_a_table_and_writes_results(
-    tmp_path: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_the_command_prints_a_table_and_writes_results(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     file = tmp_path / "out.json"
     arguments = ["evaluate", "--policy", "oracle", "--modes", "easy,hard", "--split", "val", "--json", str(file)]
     assert main(arguments) == 0
@@ -275,7 +273,7 @@ def test_the_command_prints_a_table_and_writes_results(
     rows = output.out.splitlines()
     assert rows[0].split() == ["policy", "mode", "TSR", "DSR", "Score", "return", "steps"]
     assert rows[1].split()[:4] == ["oracle", "easy", "1.00", "[0.91,"] and rows[2].split()[1] == "hard"
-    assert output.err == "", "progress is for terminals"
+    assert output.err == "", "progress appears only on terminals"
     written = json.loads(file.read_text())
     direct: Evaluation = evaluate("oracle", "easy", "val")
     assert written[0] == json.loads(json.dumps(direct.to_dict()))
@@ -311,7 +309,7 @@ def test_invalid_commands_print_an_error(
 ) -> None:
     try:
         ended = main(arguments)
-    except SystemExit as exit:  # argparse ends so
+    except SystemExit as exit:  # raised by argparse
         ended = int(exit.code or 0)
     assert ended == status and message in capsys.readouterr().err
 
@@ -340,7 +338,7 @@ def test_observation_names_match_the_true_atoms(mode: str) -> None:
             assert predicate == true and len(entities) == len(named)
             assert all(agents.setdefault(entity, name) == name for entity, name in zip(entities, named, strict=True))
             seen.add(predicate)
-        assert len(set(agents.values())) == len(agents), "one agent for each entity"
+        assert len(set(agents.values())) == len(agents), "each entity is one agent"
         observation, _, terminated, truncated, info = env.step(int(generator.integers(4)))
         if terminated or truncated:
             observation, info = env.reset()
@@ -379,7 +377,7 @@ def test_the_tables_describe_groundings_observations(mode: str) -> None:
 
 
 def _columns_of_state(mode: str) -> list[str]:
-    """Predicates of the last columns of a `state` observation, from the table."""
+    """Return the predicates of the last columns of a `state` observation, from the table."""
     lines = describe().split("### Observations of the kind `state`")[1].splitlines()
     (row,) = [line for line in lines if re.search(rf"in (.*, )?{mode}(,.*)?: `", line)]
     names = re.findall(r"`(\w+)`", row)
@@ -411,7 +409,7 @@ def test_the_table_describes_state_observations(mode: str, overrides: dict[str, 
             cells = [agent["start"][at] - ego["start"][at] for at in (0, 1)]
             assert row[1:3] * task["view"] == pytest.approx(cells, abs=1e-4)
             assert row[7] * task["priority_scale"] == pytest.approx(agent["priority"], abs=1e-4)
-        # What is true of the ego is among the atoms, too.
+        # The columns of the ego equal its unary atoms.
         true = {atom for atom in info["true_atoms"] if atom.endswith("(Car_1)") and "," not in atom}
         assert {f"{name}(Car_1)" for name, value in zip(names, state[0, 8:], strict=True) if value} == true
         for _ in range(4):
@@ -439,7 +437,7 @@ def test_ctrl_c_ends_many_short_steps(tmp_path: Path, ctrl_c: Interrupt) -> None
     begun = time.monotonic()
     ctrl_c(baseline.add)
     interrupted = time.monotonic()
-    assert not baseline.report()["episodes"], "an episode is added with all its runs or not at all"
+    assert not baseline.report()["episodes"], "an episode is added with all its runs, or not at all"
     baseline.add()
     assert len(baseline.report()["episodes"]) == 10
     assert interrupted - begun < (time.monotonic() - interrupted) / 2

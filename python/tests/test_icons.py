@@ -30,7 +30,7 @@ def test_a_background_is_cut_out() -> None:
     image = pytest.importorskip("PIL.Image")
     pixels = np.full((20, 30, 3), 250, np.uint8)
     pixels[5:15, 8:20] = [200, 30, 30]
-    # Of the colour of the background, but inside.
+    # This region has the color of the background, but it is not connected to the border.
     pixels[9:11, 12:14] = 250
     icon = np.asarray(icons.cut_out(image.fromarray(pixels)))
     assert icon.shape == (10, 12, 4)
@@ -44,7 +44,7 @@ def test_a_background_is_cut_out() -> None:
 
 @pytest.fixture
 def model(tmp_path: Path) -> Path:
-    """A diffusion model as any, but tiny, with weights drawn at random."""
+    """A tiny diffusion model with random weights."""
     torch = pytest.importorskip("torch")
     diffusers = pytest.importorskip("diffusers")
     transformers = pytest.importorskip("transformers")
@@ -92,7 +92,7 @@ def test_a_model_fills_a_pack(model: Path, tmp_path: Path) -> None:
     image = pytest.importorskip("PIL.Image")
     pipeline = icons.load_pipeline(model, device="cpu")
     pack = tmp_path / "pack"
-    # What a model without training draws is noise: nothing of it is background.
+    # An untrained model draws noise, which has no background.
     files = icons.fill(pack, ["house", "bus+tiro"], 2, pipeline, side=24, tolerance=0, num_inference_steps=2)
     assert [str(file.relative_to(pack)) for file in files] == [
         "house/0000.png",

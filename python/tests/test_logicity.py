@@ -1,4 +1,4 @@
-"""The package as a whole: its door, its documentation, its stubs."""
+"""The package as a whole: public names, docstrings and stubs."""
 
 from __future__ import annotations
 
@@ -29,7 +29,7 @@ def test_everything_public_is_documented() -> None:
 
 
 def test_missing_extras_are_named() -> None:
-    # As if none of them were installed, wherever this runs.
+    # Hide the optional packages, so that the test does not depend on what is installed.
     text = """
 import sys
 for name in ("stable_baselines3", "pettingzoo", "minari", "pyarrow", "diffusers"):
@@ -84,7 +84,7 @@ for use in (lambda: logicity.envs, lambda: demonstrations("easy", 1), lambda: pa
     "order", ["gymnasium, logicity", "logicity, gymnasium", "logicity, gymnasium.envs.registration"]
 )
 def test_environments_are_registered_in_any_order_of_imports(order: str) -> None:
-    # The modules of others are loaded as they are without this package: by the same loader, once.
+    # The registration hook removes itself and restores the loader of gymnasium.
     text = f"""
 import {order}
 import importlib, sys

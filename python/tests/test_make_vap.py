@@ -15,7 +15,7 @@ from conftest import ROOT, SETS, Interrupt
 from logicity import ACTIONS, InputError
 from logicity.vap import VapDataset, check_dataset, make_dataset
 
-#: The drawing of an icon, which is faster to show than the icons that the program draws.
+#: A simple icon, which is faster to render than the built-in icons.
 ICON = "<svg xmlns='http://www.w3.org/2000/svg' width='30' height='50'><ellipse cx='15' cy='25' rx='14' ry='20'/></svg>"
 
 
@@ -27,13 +27,13 @@ def command(*arguments: str) -> str:
 
 
 def contents(folder: Path) -> dict[str, bytes]:
-    """All files below a folder that are not temporary."""
+    """Return the contents of all files in a folder, except temporary ones."""
     paths = {path.relative_to(folder): path for path in folder.rglob("*") if path.is_file()}
     return {str(name): path.read_bytes() for name, path in paths.items() if not name.parts[0].startswith(".")}
 
 
 def make_random(folder: Path, **options: Any) -> VapDataset:
-    """Make the set `random` of `SETS`."""
+    """Create the data set `random` of `SETS`."""
     return make_dataset(folder, "easy", "val", agents="random", worlds=3, images=False, **options)
 
 
@@ -147,9 +147,7 @@ def test_all_errors_of_a_data_set_are_listed(sets: Path, tmp_path: Path) -> None
         ({"folder": __file__}, FileExistsError, "there is a file of that name"),
     ],
 )
-def test_invalid_arguments_raise(
-    wrong: dict[str, Any], error: type[Exception], message: str, tmp_path: Path
-) -> None:
+def test_invalid_arguments_raise(wrong: dict[str, Any], error: type[Exception], message: str, tmp_path: Path) -> None:
     given: dict[str, Any] = {"folder": tmp_path / "set", "mode": "easy", "split": "val", "worlds": 1, "images": False}
     make: Callable[..., VapDataset] = make_dataset
     with pytest.raises(error, match=message):

@@ -55,13 +55,15 @@ def test_demonstrations_can_be_replayed(few: Demonstrations) -> None:
         assert (observation == trajectory.observations[-1]).all()
 
 
-def test_demonstrations_of_a_configuration_file(own_city: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_demonstrations_of_a_configuration_file(
+    own_city: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
     own, easy = demonstrations(own_city, split="val"), demonstrations("easy", 5, "val")
     assert len(own) == 5 and own.mode == str(own_city) and own.atoms == easy.atoms
     for one, other in zip(own, easy, strict=True):
         assert (one.observations == other.observations).all() and (one.actions == other.actions).all()
     assert [folder.name for folder in own.to_popper(tmp_path)] == ["stop"]
-    # The environment is found from elsewhere, though the path was relative.
+    # The spec of the environment works in another directory, although the path was relative.
     monkeypatch.chdir(own_city.parent)
     spec = demonstrations(own_city.name, 1, "val").env
     monkeypatch.chdir("/")
@@ -118,7 +120,7 @@ def test_easy_rules_hold_in_the_popper_files(few: Demonstrations, tmp_path: Path
     assert stops == positive
 
 
-#: Loads the files as Popper does, and tells how many examples S1, and S1, S2 or S7 of rules/easy.dl cover.
+#: Loads the files as Popper does, and counts the examples that rules of rules/easy.dl cover: S1; and S1, S2 or S7.
 PROLOG = """
 :- [bk], [exs], [bias].
 

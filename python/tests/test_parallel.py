@@ -32,7 +32,7 @@ def test_finished_cars_follow_the_rules() -> None:
     ended: set[str] = set()
     while env.agents:
         wanted: dict[str, Any] = {name: infos[name]["oracle_action"] for name in env.agents}
-        # One of them does not listen.
+        # Car_1 disobeys the oracle.
         wanted.update({name: 3 - wanted[name] for name in ("Car_1",) if name in wanted})
         observations, rewards, terminated, truncated, infos = env.step(wanted)
         assert observations.keys() == rewards.keys() == terminated.keys() == truncated.keys() == infos.keys()

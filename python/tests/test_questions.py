@@ -121,7 +121,7 @@ def test_the_oracle_scores_one_and_guessing_a_quarter() -> None:
     assert all(recall.accuracy.value == 1.0 for recall in oracle.by_action.values())
     draws = random.Random(7)
     guesser = grade(questions, {question.id: f"Answer: {draws.choice('ABCD')}" for question in questions})
-    # Four standard deviations of a binomial with a quarter are 77.
+    # Four standard deviations of the binomial distribution with p = 1/4 are 77.
     assert abs(guesser.overall.correct - 500) < 77
     assert guesser.overall.accuracy.low < 0.25 < guesser.overall.accuracy.high
     for letter in "ABCD":
@@ -136,7 +136,7 @@ def test_a_grade_counts_every_question_once() -> None:
     assert (graded.missing, graded.unread, graded.unknown) == (("3", "5"), ("2",), ("9",))
     assert graded.confusion["B"] == {"A": 0, "B": 0, "C": 1, "D": 0, "unread": 0, "missing": 1}
     assert sum(sum(row.values()) for row in graded.confusion.values()) == 6
-    # Wilson's interval of 2 of 6, by hand: centre (1/3 + z²/12) / (1 + z²/6) and so on.
+    # The Wilson interval of 2 of 6, computed by hand: its center is (1/3 + z²/12) / (1 + z²/6).
     assert (round(graded.overall.accuracy.low, 4), round(graded.overall.accuracy.high, 4)) == (0.0968, 0.7000)
     assert json.loads(json.dumps(graded.to_dict()))["by_action"]["Slow"]["correct"] == 2
     assert list(grade(questions[:2], {}).by_action) == ["Slow", "Normal"]
@@ -179,7 +179,7 @@ def test_invalid_answers_are_reported_with_their_line(tmp_path: Path) -> None:
 
 @dataclass
 class Server:
-    """A chat endpoint on this machine. `act` is called for each request with its number; it replies as it likes."""
+    """A local chat endpoint. `act` replies to each request, and receives the number of the request."""
 
     act: Callable[[BaseHTTPRequestHandler, int, dict[str, Any]], None]
     requests: list[dict[str, Any]] = field(default_factory=list)
@@ -249,9 +249,9 @@ def test_all_questions_are_asked_and_graded(
     assert main(["grade", str(replies), *questions, "--json", str(figures)]) == 0
     assert capsys.readouterr().out == asked
     assert json.loads(figures.read_text())["overall"]["correct"] == 8
-    # Nothing is asked again.
+    # A second call sends no request.
     assert main(["ask", *questions, *arguments]) == 0 and len(server.requests) == 8
-    # Another model and other questions want another file.
+    # Another model, or other questions, need another file.
     assert main(["ask", *questions, *arguments[:3], "other", *arguments[4:]]) == 1
     with pytest.raises(ValueError, match="belongs to the unknown question"):
         ask(made_up(2), Endpoint(server.url, "oracle"), replies)
@@ -299,7 +299,7 @@ def test_earlier_replies_are_kept_when_the_server_fails(
     with pytest.raises(ConnectionError, match="in 3 attempts: 503 .*: full"):
         ask(made_up(4), endpoint, path)
     assert len(server.requests) == 5 and list(load_answers(path)) == ["0", "1"]
-    # A run was killed while it wrote.
+    # A kill during a write leaves an incomplete line.
     with path.open("a", encoding="utf-8") as file:
         file.write('{"id": "2", "ans')
     server.act = lambda handler, number, _: say(handler, "D")
@@ -314,7 +314,7 @@ def test_rejected_requests_are_not_retried(serve: Serve, tmp_path: Path) -> None
         with pytest.raises(ConnectionError, match=message):
             ask(made_up(1), Endpoint(server.url, "stub", key="sesame"), tmp_path / "replies.jsonl")
         assert len(server.requests) == 1
-    # A key follows no redirection.
+    # The key is not sent to the target of a redirect.
     assert other.requests == []
 
 

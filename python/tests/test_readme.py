@@ -23,7 +23,7 @@ def test_python_blocks_of_readmes_run(
     if "import torch" in text:
         pytest.importorskip("torch", reason="needs the extra `vap`: `make python-all` installs it")
     if "vap-test" in text:
-        # What a shell command above it makes.
+        # A shell command in the README creates this data set.
         (tmp_path / "vap-test").symlink_to(request.getfixturevalue("shown"))
     monkeypatch.chdir(tmp_path)
     exec(compile(text, block, "exec"), {})

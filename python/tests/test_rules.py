@@ -1,4 +1,4 @@
-"""Programs and sessions: what goes in and out, what is refused, and how long work is ended."""
+"""Programs and sessions: conversion of rows, errors, explanations, and cancellation."""
 
 from __future__ import annotations
 
@@ -189,7 +189,7 @@ def test_insert_accepts_many_forms_of_rows(rows: Any) -> None:
     columns = held.columns("copy")
     assert [columns[name].dtype for name in "snuf"] == [np.dtype(object), np.int32, np.uint32, np.float32]
     assert set(zip(*(columns[name].tolist() for name in "snuf"), strict=True)) == expected
-    # What comes out goes in again.
+    # `retract` accepts the output of `columns`.
     held.retract("all", columns)
     held.commit()
     assert held.rows("copy") == []
@@ -273,7 +273,7 @@ def test_exceptions_of_iterators_propagate() -> None:
     with pytest.raises(LookupError, match="mine"):
         held.insert("edge", rows())
     assert held.commit() == {}
-    # It may even ask the session it is for.
+    # The iterator may query the same session.
     held.insert("edge", (("a", str(held.count("path"))) for _ in range(3)))
     assert held.commit()["path"].added == [("a", "0")]
 

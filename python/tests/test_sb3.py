@@ -39,7 +39,7 @@ def test_results_equal_those_of_dummy_vec_env() -> None:
                 assert info.pop("is_success") == expected["success"]
                 ends += 1
             else:
-                # The wrapper writes this key in every step.
+                # `DummyVecEnv` writes this key in every step.
                 expected.pop("TimeLimit.truncated")
             assert info == expected
     assert ends > 50

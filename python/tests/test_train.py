@@ -15,7 +15,7 @@ from logicity import train as training  # noqa: E402
 from logicity.sb3 import SPFVecEnv, make_vec_env  # noqa: E402
 from logicity.train import ALGORITHMS, TrainConfig, load_model, train  # noqa: E402
 
-#: A configuration up to its settings.
+#: A configuration without the values of its settings.
 GIVEN = "algorithm: dqn\nmode: easy\nnetwork: [8]\nsettings: "
 BASELINES = Path(__file__).parents[2] / "configs" / "baselines"
 SETTINGS = {
@@ -46,7 +46,7 @@ def test_every_mode_of_the_paper_has_a_configuration_for_every_algorithm() -> No
     for file in BASELINES.glob("*.yaml"):
         config = TrainConfig.load(file)
         if config.algorithm == "ppo":
-            # Else Stable-Baselines3 warns of batches that are cut short.
+            # Otherwise Stable-Baselines3 warns about truncated batches.
             assert config.settings["n_steps"] * config.envs % config.settings["batch_size"] == 0
     expert = TrainConfig.load(BASELINES / "ppo-expert.yaml")
     assert (
@@ -56,9 +56,7 @@ def test_every_mode_of_the_paper_has_a_configuration_for_every_algorithm() -> No
 
 
 @pytest.mark.parametrize("algorithm", list(ALGORITHMS))
-def test_a_short_run_leaves_all_files(
-    algorithm: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_a_short_run_leaves_all_files(algorithm: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     run = tmp_path / "run"
     result = train(short(algorithm), run)
     assert json.loads((run / "result.json").read_text()) == json.loads(json.dumps(result))
@@ -107,7 +105,7 @@ def test_a_killed_run_resumes(algorithm: str, tmp_path: Path, monkeypatch: pytes
     (left,) = tmp_path.glob("checkpoint-*")
     state = json.loads((left / "state.json").read_text())
     assert 200 <= state["steps"] < 400 and not (tmp_path / "result.json").exists()
-    # A kill in the middle of the next checkpoint leaves an unfinished folder, which counts for nothing.
+    # A kill during the next checkpoint leaves an incomplete temporary folder, which is ignored.
     (tmp_path / ".checkpoint-0000000400").mkdir()
     seeds: list[set[int]] = []
     reset = SPFVecEnv.reset
@@ -130,16 +128,16 @@ def test_a_killed_run_resumes(algorithm: str, tmp_path: Path, monkeypatch: pytes
         monkeypatch.setattr(dqn, "load_replay_buffer", watch)
     result = train(short(algorithm), tmp_path)
     assert result["validations"][0] == state["validations"][0] and 512 <= result["steps"] < 640
-    # The step that was validated is not in the buffer yet.
+    # At validation, the replay buffer does not have the last step yet.
     assert loaded == ([state["steps"] - 2] if algorithm == "dqn" else [])
     with pytest.raises(ValueError, match="another configuration"):
         train(short(algorithm).model_copy(update={"seed": 1}), tmp_path)
-    # It does not begin with the episodes that it has begun with before.
+    # The resumed run starts with other episodes than an uninterrupted one.
     train(short(algorithm), tmp_path / "whole")
-    went_on, whole = seeds
-    assert len(went_on | whole) == 4
+    resumed, whole = seeds
+    assert len(resumed | whole) == 4
     make_vec_env("easy", 2, state["steps"]).reset()
-    assert seeds[2] == went_on
+    assert seeds[2] == resumed
 
 
 def test_the_same_seed_gives_the_same_model(tmp_path: Path) -> None:
@@ -212,7 +210,7 @@ def test_every_error_is_reported_with_its_location(tmp_path: Path) -> None:
         ("invalid-value", "config.yaml", 6, 15),
         ("invalid-value", "base.yaml", 3, 14),
         ("invalid-value", "base.yaml", 4, 19),
-        # The seed of the command line has no place in a file.
+        # A seed from the command line has no location in a file.
         ("invalid-value", "config.yaml", 1, 1),
     }
     assert "unknown mode `hart`; did you mean `hard`?" in str(caught.value)

@@ -50,7 +50,7 @@ def drawn(sets: Path) -> VapDataset:
 
 @pytest.fixture
 def own(sets: Path, tmp_path: Path) -> Path:
-    """A copy of a data set to be damaged."""
+    """A copy of a data set that the test may damage."""
     return Path(shutil.copytree(sets / "hard", tmp_path / "own"))
 
 
@@ -61,7 +61,7 @@ def test_samples_are_by_world_and_tick(hard: VapDataset, drawn: VapDataset) -> N
     for samples, worlds in ((hard, 2), (drawn, 3)):
         wanted = [(world, tick) for world in range(worlds) for tick in range(11, 100)]
         assert [(sample.world, sample.tick) for sample in samples] == wanted and len(samples) == len(wanted)
-    assert len({len(sample.names) for sample in drawn}) > 1, "these tests want worlds of different sizes"
+    assert len({len(sample.names) for sample in drawn}) > 1, "the tests need worlds of different sizes"
     assert (hard[-1].world, hard[-1].tick) == (1, 99)
     for index in (178, -179):
         with pytest.raises(IndexError):
@@ -97,7 +97,7 @@ def test_arrays_of_samples_are_copies(hard: VapDataset) -> None:
 
 
 def alike(one: VapSample, other: VapSample) -> bool:
-    """Whether two samples are the same."""
+    """Return whether two samples are equal."""
     values = [(getattr(one, name), getattr(other, name)) for name in one.__dataclass_fields__]
     return all(np.array_equal(a, b, equal_nan=np.asarray(a).dtype == np.float32) for a, b in values)
 
@@ -278,7 +278,7 @@ def test_invalid_tables_raise(own: Path) -> None:
     ]:
         assert damaged != whole
         entities.write_bytes(damaged)
-        assert alike(samples[0], samples[0]), "the other world is whole"
+        assert alike(samples[0], samples[0]), "the other world is intact"
         with pytest.raises(InputError, match=message) as error:
             samples[100]
         assert "world-00001" in str(error.value) and error.value.diagnostics[0]["code"] == "invalid-data-set"
@@ -313,7 +313,7 @@ def test_the_seed_determines_the_order(drawn: VapDataset) -> None:
 def slow_metrics(
     labels: list[int], predictions: list[int], frames: list[int]
 ) -> tuple[Mapping[str, float], float, float]:
-    """Recalls, aAcc and wAcc by their definitions."""
+    """Return the recalls, aAcc and wAcc, computed directly from their definitions."""
     cars = list(zip(labels, predictions, frames, strict=True))
     recall: dict[str, float] = {}
     above, below = 0.0, 0.0
@@ -347,7 +347,7 @@ def test_metrics_match_their_definition() -> None:
 
 
 def test_metrics_of_a_hand_computed_case() -> None:
-    # Two frames, of one car and of three: Slow is wanted once, Stop three times.
+    # Two frames, with one car and with three cars. One label is Slow, and three are Stop.
     found = vap_metrics([0, 3, 3, 3], [0, 3, 1, 1], [1, 2, 2, 2])
     assert found.recall == {"Slow": 1.0, "Stop": pytest.approx(1 / 3)}
     assert found.a_acc == pytest.approx((1 + 1 / 3) / 2)
@@ -417,7 +417,7 @@ def test_shards_hold_every_sample(shown: Path, tmp_path: Path) -> None:
     assert sorted(path.name for path in tmp_path.iterdir()) == ["again", "shards"]
 
 
-# It leaves the last file to the garbage collector, which is to find it here.
+# `webdataset` does not close the last file. The test runs the garbage collector to trigger the warning here.
 @pytest.mark.filterwarnings("ignore::ResourceWarning", "ignore::pytest.PytestUnraisableExceptionWarning")
 def test_webdataset_reads_the_shards(shown: Path, tmp_path: Path) -> None:
     webdataset = pytest.importorskip("webdataset", reason="`make python-all` installs it")
@@ -473,7 +473,9 @@ def test_boxes_have_the_format_of_coco(shown: Path, sets: Path, tmp_path: Path) 
     assert [category["name"] for category in coco["categories"]] == names
     assert coco["info"] == {"description": "LogiCity, Visual Action Prediction, hard, test", "pictures": False}
     to_coco(shown, out, images=False)
-    assert json.loads(out.read_text())["info"]["pictures"] is True, "they are there, asked for or not"
+    assert json.loads(out.read_text())["info"]["pictures"] is True, (
+        "the data set has pictures, whether they are read or not"
+    )
     assert [path.name for path in tmp_path.iterdir()] == ["boxes.json"]
     with pytest.raises(ValueError, match="--no-pictures"):
         to_coco(sets / "hard", tmp_path / "other.json")
@@ -482,7 +484,7 @@ def test_boxes_have_the_format_of_coco(shown: Path, sets: Path, tmp_path: Path) 
 
 
 def test_combined_concepts_are_categories(own: Path, tmp_path: Path) -> None:
-    # Two ways to write nine letters.
+    # Both names have nine characters, so the replacement keeps the layout of the file.
     for path in own.glob("world-*/entities.parquet"):
         path.write_bytes(path.read_bytes().replace(b"ambulance", b"bus+tiros"))
     to_coco(own, tmp_path / "boxes.json", images=False)
@@ -526,7 +528,7 @@ def test_the_commands_convert(shown: Path, sets: Path, tmp_path: Path, capsys: p
 
 
 def needs_torch() -> Any:
-    """PyTorch, if it is there."""
+    """Return PyTorch, or skip the test if it is not installed."""
     return pytest.importorskip("torch", reason="needs the extra `vap`: `make python-all` installs it")
 
 
@@ -616,7 +618,7 @@ def test_collate_stacks_pictures_without_a_copy_if_possible(shown: Path) -> None
     mixed = [{**whole[0]}, {**whole[1], "image": whole[1]["image"].transpose(1, 2)}, {**whole[2]}]
     assert torch.equal(collate(mixed)["image"], torch.stack([sample["image"] for sample in mixed]))
     for samples in (whole, alone):
-        assert collate(samples)["image"].data_ptr() == samples[0]["image"].data_ptr(), "made without a copy"
+        assert collate(samples)["image"].data_ptr() == samples[0]["image"].data_ptr(), "collated without a copy"
 
 
 @pytest.mark.parametrize("method", sorted({"fork", "spawn"} & set(multiprocessing.get_all_start_methods())))
@@ -687,8 +689,8 @@ def test_underivable_labels_are_reported(own: Path, sets: Path, capsys: pytest.C
     assert "not -1" in capsys.readouterr().err
 
 
-class Walkers(VapDataset):
-    """A data set of whose samples only some have cars: those of the others are told to be pedestrians."""
+class FewCars(VapDataset):
+    """A data set in which only some samples have cars. The cars of the other samples become pedestrians."""
 
     def __init__(self, folder: Path, with_cars: range) -> None:
         super().__init__(folder, images=False)
@@ -706,17 +708,17 @@ def test_samples_without_cars_do_not_affect_training(hard: VapDataset, monkeypat
     from logicity.vap.network import train_network
 
     def predictions(with_cars: range, epochs: int) -> list[int]:
-        learned: list[int] = train_network(Walkers(hard.folder, with_cars), hard, 0, epochs, lambda done: None).tolist()
+        learned: list[int] = train_network(FewCars(hard.folder, with_cars), hard, 0, epochs, lambda done: None).tolist()
         return learned
 
-    # So few that, of three batches of 64, some would have none.
+    # With only two samples with cars, some of three batches of 64 samples would have none.
     assert len(set(predictions(range(2), 20))) > 1
     assert predictions(range(2), 20) != predictions(range(2), 0)
 
     for train, test in [(0, 2), (2, 0)]:
         with_cars = iter([range(train), range(test)])
         monkeypatch.setattr(
-            "logicity.vap.baselines.VapDataset", lambda folder, images, given=with_cars: Walkers(folder, next(given))
+            "logicity.vap.baselines.VapDataset", lambda folder, images, given=with_cars: FewCars(folder, next(given))
         )
         with pytest.raises(ValueError, match="hard` has no cars"):
             measure_baselines(hard.folder, hard.folder)

@@ -1,4 +1,4 @@
-"""The wheel in an environment of its own, as a user installs it."""
+"""Installation of the wheel in a fresh virtual environment."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ import pytest
 
 
 class Environment:
-    """A fresh virtual environment, without the packages of this one, and a folder to work in."""
+    """A fresh virtual environment and a working directory."""
 
     def __init__(self, folder: Path) -> None:
         subprocess.run([sys.executable, "-m", "venv", folder / "venv"], check=True)
