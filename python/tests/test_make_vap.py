@@ -104,13 +104,13 @@ def test_check_returns_the_counts_of_the_command(sets: Path) -> None:
     calls: list[tuple[int, int]] = []
     counts = check_dataset(sets / "hard", threads=1, progress=lambda *call: calls.append(call))
     assert calls == [(0, 2), (1, 2), (2, 2)]
-    told = json.loads(command("check", str(sets / "hard"), "--json"))
+    printed = json.loads(command("check", str(sets / "hard"), "--json"))
     assert list(counts.actions) == list(counts.published_actions) == list(ACTIONS)
     assert [list(counts.actions.values()), list(counts.published_actions.values())] == [
-        told.pop("actions"),
-        told.pop("published"),
+        printed.pop("actions"),
+        printed.pop("published"),
     ]
-    assert {name: getattr(counts, name) for name in told} == told
+    assert {name: getattr(counts, name) for name in printed} == printed
 
 
 def test_all_errors_of_a_data_set_are_listed(sets: Path, tmp_path: Path) -> None:

@@ -392,11 +392,11 @@ def test_shards_hold_every_sample(shown: Path, tmp_path: Path) -> None:
                 assert names == [f"{key}.json", f"{key}.npz", f"{key}.png"]
                 text, arrays, image = (tar.extractfile(member) for member in (json_member, npz_member, png_member))
                 assert text is not None and arrays is not None and image is not None
-                said = json.load(text)
-                assert (said["world"], said["tick"]) == (sample.world, sample.tick)
-                assert (said["names"], said["concepts"]) == (list(sample.names), list(sample.concepts))
-                assert (said["mode"], said["split"]) == ("easy", "val")
-                assert (said["unary"], said["binary"]) == (list(UNARY), list(BINARY))
+                record = json.load(text)
+                assert (record["world"], record["tick"]) == (sample.world, sample.tick)
+                assert (record["names"], record["concepts"]) == (list(sample.names), list(sample.concepts))
+                assert (record["mode"], record["split"]) == ("easy", "val")
+                assert (record["unary"], record["binary"]) == (list(UNARY), list(BINARY))
                 with np.load(arrays) as held:
                     assert sorted(held) == ["actions", "binary", "boxes", "h", "mask", "sees", "unary"]
                     for name in held:
