@@ -1,6 +1,6 @@
-"""Throughput of a `DataLoader` on a shuffled data set with pictures: `python python/benches/loader.py FOLDER`.
+"""Measure a `DataLoader` on a shuffled data set with pictures: `python python/benches/loader.py FOLDER`.
 
-The rest of the output splits the time by its causes. Needs the extra `vap`.
+The output has the throughput of the loader and of each part of its work. Needs the extra `vap`.
 """
 
 from __future__ import annotations
@@ -15,20 +15,20 @@ import torch.utils.data
 
 from logicity.vap import PICTURE_SIDE, VapDataset, collate, torch_dataset
 
-#: Seconds that each figure is measured for, at least.
+#: The minimum duration of each measurement, in seconds.
 SECONDS = 5.0
 
 BATCH = 8
 
 
 def cpu_seconds() -> float:
-    """Return the CPU seconds of this process, its threads, and the child processes that have ended."""
+    """Return the CPU time of this process, its threads, and its terminated child processes, in seconds."""
     own, workers = resource.getrusage(resource.RUSAGE_SELF), resource.getrusage(resource.RUSAGE_CHILDREN)
     return own.ru_utime + own.ru_stime + workers.ru_utime + workers.ru_stime
 
 
 def rates(epoch: Callable[[], int]) -> tuple[float, float]:
-    """Return samples per second and per CPU second; `epoch` returns the number of samples it has read."""
+    """Return samples per second and per CPU second. `epoch` returns the number of samples that it read."""
     epoch()
     begin, spent, done = time.perf_counter(), cpu_seconds(), 0
     while (passed := time.perf_counter() - begin) < SECONDS:
@@ -61,15 +61,15 @@ def main() -> None:
         ("`DataLoader`, 1 worker", lambda: loader(1)),
         ("`DataLoader`, no worker", lambda: loader(0)),
         ("`DataLoader`, no worker, 2 threads", lambda: loader(0, 2)),
-        ("the file of a picture", lambda: each(lambda at: samples.picture_path(at).read_bytes())),
-        ("a picture decoded", lambda: each(lambda at: samples.read_picture(at, pixels))),
-        ("all but the picture", lambda: each(samples.facts)),
-        ("samples made a batch", lambda: BATCH * each(lambda at: collate(batch))),
+        ("reading one picture file", lambda: each(lambda at: samples.picture_path(at).read_bytes())),
+        ("decoding one picture", lambda: each(lambda at: samples.read_picture(at, pixels))),
+        ("reading a sample without its picture", lambda: each(samples.facts)),
+        ("collating a batch", lambda: BATCH * each(lambda at: collate(batch))),
     ]
-    print("| | samples a second | a CPU second |\n|---|---|---|")
+    print("| | samples per second | samples per CPU second |\n|---|---|---|")
     for name, epoch in rows:
-        a_second, a_cpu_second = rates(epoch)
-        print(f"| {name} | {a_second:,.0f} | {a_cpu_second:,.0f} |", flush=True)
+        per_second, per_cpu_second = rates(epoch)
+        print(f"| {name} | {per_second:,.0f} | {per_cpu_second:,.0f} |", flush=True)
 
 
 if __name__ == "__main__":

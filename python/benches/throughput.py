@@ -1,6 +1,6 @@
-"""Environment steps per CPU second with random actions, as a table: `python python/benches/throughput.py [MODE]`.
+"""Measure environment steps per CPU second with random actions: `python python/benches/throughput.py [MODE]`.
 
-With Stable-Baselines3 installed, it also prints the environment's share of the CPU time of training.
+With Stable-Baselines3 installed, the output also has the environment's share of the CPU time of training.
 """
 
 from __future__ import annotations
@@ -15,15 +15,15 @@ import numpy as np
 
 import logicity
 
-#: CPU seconds that each figure is measured for, at least.
+#: The minimum duration of each measurement, in CPU seconds.
 SECONDS = 3.0
 
-#: Steps of the measured training.
+#: The number of training steps to measure.
 TRAINING_STEPS = 8000
 
 
 def rate(steps: int, step: Callable[[int], None]) -> float:
-    """Return steps per CPU second of all threads; a call of `step` takes a given number of steps."""
+    """Return steps per CPU second of all threads. Each call of `step` takes `steps` steps."""
     for call in range(20):
         step(call)
     begin, call = time.process_time(), 0
@@ -35,7 +35,7 @@ def rate(steps: int, step: Callable[[int], None]) -> float:
 
 
 def single(mode: str) -> float:
-    """Step one environment of `gymnasium.make`, without the wrapper that checks every call."""
+    """Measure one environment of `gymnasium.make`, without the wrapper that checks every call."""
     env = gymnasium.make(f"logicity/SPF-{mode}-v0", disable_env_checker=True).unwrapped
     actions = np.random.default_rng(0).integers(4, size=4096)
     env.reset(seed=0)
@@ -49,7 +49,7 @@ def single(mode: str) -> float:
 
 
 def vector(mode: str, count: int, threads: int, autoreset: str = "NextStep", copy: bool = True) -> float:
-    """Step a vectorized environment."""
+    """Measure a vectorized environment."""
     envs = gymnasium.make_vec(
         f"logicity/SPF-{mode}-v0", num_envs=count, num_threads=threads, autoreset_mode=autoreset, copy=copy
     )
@@ -63,7 +63,7 @@ def vector(mode: str, count: int, threads: int, autoreset: str = "NextStep", cop
 
 
 def stable_baselines(mode: str, count: int) -> float:
-    """Step the adapter for Stable-Baselines3."""
+    """Measure the adapter for Stable-Baselines3."""
     from logicity.sb3 import make_vec_env
 
     envs = make_vec_env(logicity.MODES[mode], count, seed=0, monitor=False)
@@ -77,7 +77,7 @@ def stable_baselines(mode: str, count: int) -> float:
 
 
 def training_share(mode: str) -> float:
-    """Return the share of the environments and their adapter in the CPU time of training DQN."""
+    """Return the fraction of the CPU time of DQN training that environments and their adapter take."""
     from logicity.sb3 import make_vec_env
     from logicity.train import TrainConfig, new_model
 
@@ -105,13 +105,13 @@ def main() -> None:
     """Print the table."""
     mode = sys.argv[1] if len(sys.argv) > 1 else "Expert"
     if mode not in logicity.MODES:
-        sys.exit(f"there is no mode {mode}: they are {', '.join(logicity.MODES)}")
+        sys.exit(f"unknown mode `{mode}`; known: {', '.join(logicity.MODES)}")
     print(f"| {mode}, random actions | steps per CPU second |\n|---|---|")
     rows: list[tuple[str, Callable[[], float]]] = [
         ("`make`, one environment", lambda: single(mode)),
         ("`make_vec`, 256 environments, 1 thread", lambda: vector(mode, 256, 1)),
-        ("the same, observations in one buffer", lambda: vector(mode, 256, 1, copy=False)),
-        ("the same, SameStep", lambda: vector(mode, 256, 1, "SameStep")),
+        ("the same, `copy=False`", lambda: vector(mode, 256, 1, copy=False)),
+        ("the same, autoreset mode SameStep", lambda: vector(mode, 256, 1, "SameStep")),
         ("`make_vec`, 256 environments, 2 threads", lambda: vector(mode, 256, 2)),
     ]
     if importlib.util.find_spec("stable_baselines3"):
@@ -119,7 +119,7 @@ def main() -> None:
     for name, measure in rows:
         print(f"| {name} | {measure():,.0f} |", flush=True)
     if not importlib.util.find_spec("stable_baselines3"):
-        print("\nWith Stable-Baselines3 (`pip install './python[train]'`) this also prints its share of training.")
+        print("\nInstall Stable-Baselines3 (`pip install './python[train]'`) to measure the share of training time.")
     elif mode in ("Easy", "Medium", "Hard", "Expert"):
         print(f"\nThe environment's share of the CPU time of training DQN: {training_share(mode):.1%}")
 

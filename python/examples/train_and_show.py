@@ -1,6 +1,6 @@
-"""Train a small agent, measure it, and look at an episode. Needs `pip install './python[train]'`.
+"""Train a small agent, measure it, and replay an episode. Needs `pip install './python[train]'`.
 
-Run as `python python/examples/train_and_show.py [STEPS]`; 20000 steps take about a minute.
+Run it as `python python/examples/train_and_show.py [STEPS]`. The default of 20000 steps takes about a minute.
 """
 
 # %% Imports; `import logicity` registers the environments.
@@ -15,7 +15,7 @@ from logicity.sb3 import make_vec_env
 
 STEPS = int(sys.argv[1]) if len(sys.argv) > 1 else 20_000
 
-# %% Train on episodes that are drawn anew. What a rule forbids now is seen now, so values need not look far ahead.
+# %% Train on new episodes. Observations show everything that a rule forbids now, so a small gamma is enough.
 model = DQN(
     "MlpPolicy",
     make_vec_env("easy", n_envs=4, seed=0),
@@ -34,14 +34,14 @@ model = DQN(
 )
 model.learn(STEPS)
 
-# %% Measure it on the recorded test episodes, beside the oracle and the random policy.
+# %% Measure the agent, the oracle and the random policy on the recorded test episodes.
 benchmark = logicity.Benchmark("easy")
 policies: dict[str, Any] = {"dqn": model, "oracle": "oracle", "random": "random"}
 for name, policy in policies.items():
     measured = benchmark.evaluate(policy, name=name)
     print(f"{name:7} TSR {measured.tsr}  DSR {measured.dsr}  Score {measured.score}")
 
-# %% Look at an episode: what it does, and what the rules say where it differs.
+# %% Replay an episode, and explain the oracle's action where the agent takes another action.
 env = gymnasium.make(logicity.ENVIRONMENTS["easy"], split="test", render_mode="rgb_array")
 observation, info = env.reset(options={"episode": 0})
 city: Any = env.unwrapped
@@ -52,8 +52,7 @@ while not ended:
         print(f"step {info['steps']}: action {action}; {city.explain().splitlines()[0]}")
     observation, reward, terminated, truncated, info = env.step(action)
     ended = terminated or truncated
-print(
-    f"{info['steps']} steps, {info['progress']:.0%} of the route, broken: {', '.join(info['violations']) or 'nothing'}"
-)
+violations = ", ".join(info["violations"]) or "none"
+print(f"{info['steps']} steps, {info['progress']:.0%} of the route, violations: {violations}")
 picture: Any = env.render()
-print(f"the last picture is an array of shape {picture.shape}")
+print(f"shape of the last picture: {picture.shape}")

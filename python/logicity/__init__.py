@@ -2,22 +2,23 @@
 
 Where to start:
 
-- `check` finds the faults of a rule text.
-- `infer` decides a scene by the rules; `Inference` decides many.
+- `check` returns the errors and warnings of rules.
+- `infer` applies the rules to one scene; `Inference` applies them to many.
 - `Simulation` runs a city.
-- `Program` and `Session` are Datalog without a city.
-- `gymnasium.make("logicity/SPF-Expert-v0")` makes an environment with one controlled car, see `logicity.envs`;
-  `parallel_env` makes one that controls every car.
+- `Program` and `Session` evaluate any Datalog program.
+- `gymnasium.make("logicity/SPF-Expert-v0")` makes an environment with one controlled car, see `logicity.envs`.
+  `parallel_env` makes an environment that controls every car.
 - `observation_names` names the numbers of an observation.
-- `evaluate` measures a policy, `Benchmark` several; `demonstrations` returns trajectories of the oracle.
-- `logicity.questions` asks a language model about cars.
+- `evaluate` measures one policy, `Benchmark` several. `demonstrations` returns trajectories of the oracle.
+- `logicity.questions` sends multiple-choice questions to a language model and grades the replies.
 - `logicity.vap` makes and reads data sets of Visual Action Prediction.
 
-The core needs numpy only. Environments and `demonstrations` need the extra `gym`; `logicity.sb3`, `train`, `parallel`
-and `icons` need extras of their own. Every module is imported on first use.
+The core needs only numpy. Environments and `demonstrations` need the extra `gym`. `logicity.sb3`, `train`, `parallel`
+and `icons` each need another extra. Modules are imported on first use.
 
-Faulty input raises `InputError`, which holds every fault with its place. Its subclass `LimitError` means that a limit
-was exceeded, `UnsupportedError` that the dense executor cannot evaluate the rules. Ctrl-C raises `KeyboardInterrupt`.
+Invalid input raises `InputError`, which lists every error with its location. The subclass `LimitError` means that a
+limit was exceeded. The subclass `UnsupportedError` means that the dense executor cannot evaluate the rules. Ctrl-C
+raises `KeyboardInterrupt`.
 """
 
 import importlib
@@ -141,5 +142,5 @@ if not TYPE_CHECKING:
         return value
 
     def __dir__():
-        """List the lazy names, too."""
+        """List all names, including those that are imported lazily."""
         return sorted({*globals(), *__all__, *_MODULES})

@@ -1,4 +1,4 @@
-"""The command `logicity`, and `python -m logicity`: the commands of Rust and those of `logicity.commands`."""
+"""The command `logicity`, also `python -m logicity`: the Rust commands and those of `logicity.commands`."""
 
 from __future__ import annotations
 
@@ -17,18 +17,18 @@ def main(arguments: Sequence[str] | None = None) -> int:
     """Run a command.
 
     Args:
-        arguments: The command line without the name of the program; that of the process by default.
+        arguments: The command line without the program name. Defaults to that of the process.
 
     Returns:
-        The exit code: 0 for success, 1 for faulty input, 2 for wrong usage or a file that cannot be read or written,
+        The exit code: 0 for success, 1 for invalid input, 2 for wrong usage or a file that cannot be read or written,
         130 after Ctrl-C.
     """
-    given = list(sys.argv[1:] if arguments is None else arguments)
-    # Rust writes to the same streams, with buffers of its own. Unlike `flush`, `print` accepts closed ones.
+    argv = list(sys.argv[1:] if arguments is None else arguments)
+    # Rust writes to the same streams through separate buffers. Unlike `flush`, `print` accepts closed streams.
     for stream in (sys.stdout, sys.stderr):
         print(end="", file=stream, flush=True)
     with _default_sigint():
-        code, words, rest = _logicity.run_command_line(given)
+        code, words, rest = _logicity.run_command_line(argv)
     if not words:
         return code
     from .commands import run
@@ -38,7 +38,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
 
 @contextmanager
 def _default_sigint() -> Iterator[None]:
-    """Let Ctrl-C end the process, since Python runs its own handler only between instructions of Python."""
+    """Let Ctrl-C end the process, because Python runs its handler only between bytecode instructions."""
     if threading.current_thread() is not threading.main_thread():
         yield
         return
@@ -46,7 +46,7 @@ def _default_sigint() -> Iterator[None]:
     try:
         yield
     finally:
-        # `None` stands for a handler that Python did not install and cannot restore.
+        # `None` means that Python did not install the handler and cannot restore it.
         if previous is not None:
             signal.signal(signal.SIGINT, previous)
 

@@ -1,4 +1,4 @@
-"""Decisions of the rules, in single scenes and in a running city."""
+"""Apply the rules to single scenes and to a running city."""
 
 from __future__ import annotations
 
@@ -21,44 +21,44 @@ from .types import Action, Answer, Executor, Heading, Scene, Split, SymbolicScen
 __all__ = ["ACTIONS", "HEADINGS", "REASONS", "AgentInfo", "Decision", "Inference", "Simulation", "Tick", "infer"]
 
 ACTIONS: tuple[Action, ...] = cast("tuple[Action, ...]", tuple(_logicity.ACTIONS))
-"""The actions. Arrays hold their positions, 0 to 3."""
+"""The actions. Arrays store an action as its index, 0 to 3."""
 
 HEADINGS: tuple[Heading, ...] = cast("tuple[Heading, ...]", tuple(_logicity.HEADINGS))
-"""The headings. Arrays hold their positions, 0 to 3, and -1 for an agent that has not moved on its route yet."""
+"""The headings. Arrays store a heading as its index, 0 to 3, or -1 before the first move of the agent on its route."""
 
 REASONS: tuple[str, ...] = tuple(_logicity.REASONS)
-"""The reasons for an agent's move. Arrays hold their positions.
+"""The reasons for an agent's move. Arrays store a reason as its index.
 
-The rules decided it; the route allowed no other move; none of several possible moves had the decided speed, and one was
-drawn; the agent rests at its goal.
+In order: the rules decided the move; the route allowed no other move; no possible move had the decided speed, so one
+was drawn at random; the agent rests at its goal.
 """
 
 
-#: An action: its name, or its position in `ACTIONS`.
-_Act: TypeAlias = str | SupportsIndex
+#: An action: its name, or its index in `ACTIONS`.
+_ActionLike: TypeAlias = str | SupportsIndex
 
-#: The keys of one mapping: names or positions of agents. Mappings are invariant in their keys, hence a type variable.
-_Named = TypeVar("_Named", bound=str | SupportsIndex)
+#: The keys of one mapping: names or indices of agents. Mappings are invariant in their keys, hence a type variable.
+_AgentKey = TypeVar("_AgentKey", bound=str | SupportsIndex)
 
 
 class Inference:
-    """Decides scenes by the rules.
+    """Applies the rules to scenes.
 
-    Pickling and copying store the texts that were read, so a copy reads no file. Not thread-safe: concurrent use raises
+    Pickling and copying store the loaded source text, so a copy reads no file. Not thread-safe: concurrent use raises
     `RuntimeError`.
 
     Args:
         config: A run configuration: a path, or a built-in one such as `configs/expert.yaml` or `expert`.
         rules: A rule file that replaces the configuration's.
-        seed: From 0 to 2**64 - 1, for predicates that hold with a probability and are not given.
-        executor: The executor of the rules. Answers are the same.
+        seed: The seed of probabilistic predicates that a scene does not specify, from 0 to 2**64 - 1.
+        executor: The executor of the rules. It does not affect the answers.
 
     Raises:
-        InputError: A faulty configuration or rule file. `UnsupportedError`: `executor="dense"` cannot evaluate the
-            rules.
-        OSError: A file cannot be read.
-        OverflowError: A seed out of range.
-        ValueError: An unknown executor.
+        InputError: If the configuration or rule file is invalid.
+        UnsupportedError: If `executor="dense"` cannot evaluate the rules.
+        OSError: If a file cannot be read.
+        OverflowError: If the seed is out of range.
+        ValueError: If the executor is unknown.
     """
 
     def __init__(
@@ -69,30 +69,31 @@ class Inference:
         executor: Executor = "auto",
     ) -> None:
         """Load the configuration and the rules."""
-        self._made_of: tuple[str, str | None, int, str]
-        self._made_of = (os.fspath(config), rule_file(rules), seed, executor)
-        self._inference = _logicity.Inference(*self._made_of, None)
+        self._args: tuple[str, str | None, int, str]
+        self._args = (os.fspath(config), rule_file(rules), seed, executor)
+        self._inference = _logicity.Inference(*self._args, None)
 
     @classmethod
-    def _restore(cls, made_of: tuple[str, str | None, int, str], files: dict[Any, str]) -> Inference:
+    def _restore(cls, args: tuple[str, str | None, int, str], files: dict[Any, str]) -> Inference:
         inference = cls.__new__(cls)
-        inference._made_of = made_of
-        inference._inference = _logicity.Inference(*made_of, files)
+        inference._args = args
+        inference._inference = _logicity.Inference(*args, files)
         return inference
 
     def __reduce__(self) -> tuple[Any, ...]:
-        """Pickle the texts."""
-        return type(self)._restore, (self._made_of, dict(self._inference.files()))
+        """Pickle the arguments and the loaded source text."""
+        return type(self)._restore, (self._args, dict(self._inference.files()))
 
     def answer(self, scene: Scene | SymbolicScene) -> Answer:
-        """Decide a scene.
+        """Return the actions that the rules derive in a scene.
 
         Args:
-            scene: Agents on a map, or entities and facts.
+            scene: Agents on a map (`Scene`), or entities and facts (`SymbolicScene`).
 
         Raises:
-            InputError: A faulty scene. `LimitError`: a scene that is too large, or rules that derive too much from it.
-            TypeError: The scene holds a value that JSON cannot represent.
+            InputError: If the scene is invalid.
+            LimitError: If the scene is too large, or the rules derive too many rows from it.
+            TypeError: If the scene holds a value that JSON cannot represent.
         """
         return cast(Answer, self._inference.answer(json.dumps(scene)))
 
@@ -104,7 +105,9 @@ def infer(
     seed: int = 0,
     executor: Executor = "auto",
 ) -> Answer:
-    """Decide one scene. For several scenes make an `Inference`, which reads its files once.
+    """Return the actions that the rules derive in one scene.
+
+    For several scenes make an `Inference`, which reads its files once.
 
     Args:
         scene: As for `Inference.answer`.
@@ -135,17 +138,17 @@ class AgentInfo:
 
 @dataclass(frozen=True, eq=False)
 class Tick:
-    """The events of a tick. Rows are agents, in the order of `Simulation.agents`.
+    """The events of one tick. Array rows are agents, in the order of `Simulation.agents`.
 
     Attributes:
-        tick: Number of the tick, from 0.
-        at: int32 (n, 2): row and column in cells when the agents decided.
-        heading: int8 (n,): heading then, a position in `HEADINGS`, or -1.
-        derived: bool (n, 4): the actions that the rules derived, before the default, in the order of `ACTIONS`.
-        action: int8 (n,): the action taken, by the rules or by control, a position in `ACTIONS`.
-        next: int32 (n, 2): row and column after the move.
-        reason: int8 (n,): the reason for the move, a position in `REASONS`.
-        replanned: bool (n,): whether the agent set out for a new goal.
+        tick: The number of the tick, from 0.
+        at: int32 (n, 2): row and column before the move, in cells.
+        heading: int8 (n,): the heading before the move, an index into `HEADINGS`, or -1.
+        derived: bool (n, 4): whether the rules derived each of `ACTIONS`, without the default action.
+        action: int8 (n,): the action taken, by the rules or by `controls`, an index into `ACTIONS`.
+        next: int32 (n, 2): row and column after the move, in cells.
+        reason: int8 (n,): the reason for the move, an index into `REASONS`.
+        replanned: bool (n,): whether the agent received a new goal.
     """
 
     tick: int
@@ -160,13 +163,14 @@ class Tick:
 
 @dataclass(frozen=True)
 class Decision:
-    """An explanation of an agent's action in a tick, or of why another action was not derived.
+    """An explanation of an agent's action in a tick, or of why the rules did not derive another action.
 
     Attributes:
-        derived: The derived actions, before the default.
-        explanations: An entry for each explained action, with its `action` and, if a rule mentions it, its `nodes`,
-            which are those of `Explanation`.
-        text: The explanation for readers, also `str()`.
+        at: Row and column before the move, in cells.
+        derived: The derived actions, without the default action.
+        explanations: One entry per explained action, with the key `action`. If a rule mentions the action, the entry
+            also has `nodes`, as in `Explanation`.
+        text: The explanation as text, also `str()`.
     """
 
     tick: int
@@ -187,24 +191,26 @@ class Simulation:
     """A running city. The same configuration, rules, split, seed and controls give the same ticks.
 
     Not thread-safe: concurrent use raises `RuntimeError`. Long calls release the GIL. Ctrl-C ends `run` after the
-    current tick. A simulation cannot be pickled or copied; one made with the same arguments gives the same ticks.
+    current tick. A simulation cannot be pickled or copied.
 
     Args:
         config: A run configuration: a path, or a built-in one such as `configs/expert.yaml` or `expert`.
         rules: A rule file that replaces the configuration's.
-        split: The agents: `"train"`, `"val"` or `"test"`.
-        seed: From 0 to 2**64 - 1.
-        threads: Threads for a city of more than 256 agents; 0 means one for each core. Ticks are the same.
-        executor: The executor of the rules. Ticks are the same.
-        count_firings: Whether to count the firings of clauses; see `firings`, and `run` for traces.
+        split: The set of agents: `"train"`, `"val"` or `"test"`.
+        seed: The seed, from 0 to 2**64 - 1.
+        threads: The number of threads for a city of more than 256 agents; 0 means one per core. It does not affect the
+            ticks.
+        executor: The executor of the rules. It does not affect the ticks.
+        count_firings: Whether to count the firings of clauses, for `firings` and for traces of `run`.
 
     Raises:
-        InputError: A faulty configuration or rule file, a split that the configuration does not have, or agents that
-            have no room on the map. `LimitError`: too many agents or threads. `UnsupportedError`: `executor="dense"`
-            cannot evaluate the rules.
-        OSError: A file cannot be read.
-        OverflowError: A seed or number of threads out of range.
-        ValueError: An unknown split or executor.
+        InputError: If the configuration or rule file is invalid, the configuration lacks the split, or the agents do
+            not fit on the map.
+        LimitError: If there are too many agents or threads.
+        UnsupportedError: If `executor="dense"` cannot evaluate the rules.
+        OSError: If a file cannot be read.
+        OverflowError: If the seed or the number of threads is out of range.
+        ValueError: If the split or executor is unknown.
     """
 
     def __init__(
@@ -227,11 +233,11 @@ class Simulation:
         """Refuse to pickle and to copy."""
         raise TypeError(
             "a Simulation cannot be pickled or copied: make another with the same arguments, "
-            "and give it the same controls in as many ticks"
+            "and repeat the ticks with the same controls"
         )
 
     def __repr__(self) -> str:
-        """Show configuration, split, seed and time."""
+        """Show the configuration, the split, the seed and the number of ticks."""
         return f"<Simulation {self._config}, split {self._split}, seed {self._seed}, after {self.now} ticks>"
 
     @property
@@ -251,13 +257,13 @@ class Simulation:
 
     @property
     def map_shape(self) -> tuple[int, int]:
-        """Rows and columns of the map, in cells."""
+        """The number of rows and columns of the map, in cells."""
         _, rows, columns = self._city.map()
         return rows, columns
 
     @cached_property
     def agents(self) -> tuple[AgentInfo, ...]:
-        """The agents, in the order of rows of arrays."""
+        """The agents, in the order of array rows."""
         return tuple(
             AgentInfo(name, kind, tuple(concepts), priority) for name, kind, concepts, priority in self._city.agents()
         )
@@ -278,71 +284,75 @@ class Simulation:
 
     @property
     def headings(self) -> npt.NDArray[np.int8]:
-        """The directions of the last moves: int8 (n,), positions in `HEADINGS`, or -1 before the first. A copy."""
+        """The directions of the last moves: int8 (n,), indices into `HEADINGS`, or -1 before the first. A copy."""
         return self._city.headings()
 
     @property
     def actions(self) -> npt.NDArray[np.int8]:
-        """The actions of the last tick: int8 (n,), positions in `ACTIONS`; Stop before the first. A copy."""
+        """The actions of the last tick: int8 (n,), indices into `ACTIONS`; Stop before the first tick. A copy."""
         return self.last.action
 
     @property
     def last(self) -> Tick:
-        """The last tick; before the first one, agents that rest."""
+        """The last tick. Before the first tick, all agents rest."""
         return Tick(*self._city.last())
 
-    def tick(self, controls: Mapping[str | SupportsIndex, _Act] | Mapping[_Named, _Act] | None = None) -> Tick:
-        """Let every agent decide, then move all agents.
+    def tick(
+        self, controls: Mapping[str | SupportsIndex, _ActionLike] | Mapping[_AgentKey, _ActionLike] | None = None
+    ) -> Tick:
+        """Decide the actions of all agents, then move all agents.
 
         Args:
-            controls: Actions that replace those of the rules, by agent. Agents are names or positions in `agents`,
-                actions are names or positions in `ACTIONS`: `{"Car_1": "Stop"}`, `{0: 3}`.
+            controls: Actions that replace those of the rules, by agent. Agents are names or indices into `agents`.
+                Actions are names or indices into `ACTIONS`. Examples: `{"Car_1": "Stop"}`, `{0: 3}`.
 
         Raises:
-            KeyError: An unknown agent.
-            LimitError: The rules derive too much, or too many agents are in one place. The city is unchanged.
-            TypeError: An agent or action that is neither str nor int.
-            ValueError: An unknown action.
+            KeyError: If the agent is unknown.
+            LimitError: If the rules derive too many rows, or too many agents are close together. The city is unchanged.
+            TypeError: If an agent or action is neither str nor int.
+            ValueError: If the action is unknown.
         """
-        given: Mapping[Any, _Act] = {} if controls is None else controls
-        return Tick(*self._city.tick([(self._agent(agent), _action(action)) for agent, action in given.items()]))
+        actions: Mapping[Any, _ActionLike] = {} if controls is None else controls
+        return Tick(*self._city.tick([(self._agent(agent), _action(action)) for agent, action in actions.items()]))
 
     def run(self, ticks: int, *, trace: str | os.PathLike[str] | None = None) -> None:
-        """Run a number of ticks in one call.
+        """Run several ticks.
 
         Args:
-            ticks: The number of ticks, from 0.
+            ticks: The number of ticks, at least 0.
             trace: A file for the trace of these ticks, which `logicity explain` and `logicity check --coverage` read.
-                It appears when it is complete, also after an exception. A trace records firings, so it needs
-                `count_firings`.
+                The file appears at the end of the call, also after an exception. A trace records firings, so it
+                requires `count_firings`.
 
         Raises:
-            KeyboardInterrupt: Ctrl-C. The city is as after the last complete tick.
-            LimitError: As for `tick`, or too many agents for a trace.
-            OSError: The trace cannot be written.
-            OverflowError: A negative number of ticks.
-            ValueError: A trace without counted firings.
+            KeyboardInterrupt: On Ctrl-C. The city keeps the state after the last complete tick.
+            LimitError: As for `tick`, or if there are too many agents for a trace.
+            OSError: If the trace cannot be written.
+            OverflowError: If the number of ticks is negative.
+            ValueError: If `trace` is set without `count_firings`.
         """
         if trace is not None and not self._counts:
             raise ValueError("a trace records which clauses fired: make the Simulation with count_firings=True")
         self._city.run(ticks, trace)
 
     def semantic_map(self) -> npt.NDArray[np.float32]:
-        """Return the current state as float32 (rows, columns, 8 + n), each value 0 or 1.
+        """Return the current state as a float32 array of shape (rows, columns, 8 + n) with values 0 and 1.
 
-        Layers 0 to 7 are walking street, traffic street, crossing, house, office, garage, store and gas station; a cell
-        has at most one. Layer 8 + i is 1 in the cell of agent i.
+        Layers 0 to 7 are walking street, traffic street, crossing, house, office, garage, store and gas station. A cell
+        is 1 in at most one of them. Layer 8 + i is 1 in the cell of agent i.
 
         Raises:
-            LimitError: The array would have too many values.
+            LimitError: If the array would have too many values.
         """
         return self._city.semantic_map()
 
     def facts(self) -> dict[str, list[tuple[str, ...]]]:
-        """Return the base facts of the last tick (before the first: the current ones), as names of agents.
+        """Return the base facts of the last tick by predicate, as tuples of agent names.
+
+        Before the first tick, these are the current facts.
 
         Raises:
-            LimitError: Too many agents for facts about pairs.
+            LimitError: If there are too many agents for binary facts.
         """
         names = [agent.name for agent in self.agents]
         return {
@@ -351,34 +361,36 @@ class Simulation:
         }
 
     def fact_indices(self) -> dict[str, npt.NDArray[np.int32]]:
-        """Return the same facts as positions of agents: int32 of shape (rows, columns of the predicate).
+        """Return the same facts by predicate, as int32 arrays of agent indices, of shape (rows, arity).
 
         Raises:
-            LimitError: Too many agents for facts about pairs.
+            LimitError: If there are too many agents for binary facts.
         """
         return self._city.facts()
 
     @property
     def firings(self) -> list[tuple[str, int]]:
-        """The clauses by label, with the rows each derived in the last tick. Empty without `count_firings`."""
+        """The label of each clause and the rows it derived in the last tick. Empty without `count_firings`."""
         return self._city.firings()
 
     def explain(self, agent: str | int) -> Decision:
-        """Explain an agent's action in the last tick; before the first, the action that the rules derive now.
+        """Explain an agent's action in the last tick.
+
+        Before the first tick, explain the action that the rules derive now.
 
         Raises:
-            KeyError: An unknown agent.
-            LimitError: Too many agents, or the search for an explanation takes too many steps.
+            KeyError: If the agent is unknown.
+            LimitError: If there are too many agents, or the search for a proof takes too many steps.
         """
         return self._decision(agent, None)
 
     def why_not(self, agent: str | int, action: Action | int) -> Decision:
-        """Explain why an action was not derived for an agent in the last tick, or why it was.
+        """Explain why the rules did not derive an action for an agent in the last tick, or why they did.
 
         Raises:
-            KeyError: An unknown agent.
+            KeyError: If the agent is unknown.
             LimitError: As for `explain`.
-            ValueError: An unknown action.
+            ValueError: If the action is unknown.
         """
         return self._decision(agent, _action(action))
 
@@ -397,10 +409,10 @@ class Simulation:
         return index(agent)
 
 
-def _action(action: _Act) -> int:
+def _action(action: _ActionLike) -> int:
     if isinstance(action, str):
         if action in ACTIONS:
             return ACTIONS.index(action)
     elif not isinstance(action, bool) and 0 <= index(action) < len(ACTIONS):
         return index(action)
-    raise ValueError(f"{action!r} is no action{did_you_mean(action, ACTIONS)}")
+    raise ValueError(f"{action!r} is not an action{did_you_mean(action, ACTIONS)}")

@@ -1,4 +1,4 @@
-"""The commands of `logicity` that Python implements. `logicity.__main__` runs them."""
+"""The commands that Python implements. `logicity.__main__` runs them."""
 
 from __future__ import annotations
 
@@ -21,7 +21,7 @@ if TYPE_CHECKING:
 __all__ = ["SUMMARIES", "run"]
 
 SUMMARIES = {tuple(words): summary for words, summary in _logicity.python_commands()}
-"""The summaries of the commands, by their words: `("vap", "coco")` for `logicity vap coco`."""
+"""The summaries of the commands, keyed by their words: `("vap", "coco")` for `logicity vap coco`."""
 
 QUESTIONS = "output of `logicity questions`; default: questions.jsonl"
 
@@ -31,26 +31,26 @@ def run(words: tuple[str, ...], arguments: Sequence[str]) -> int:
 
     Args:
         words: A key of `SUMMARIES`.
-        arguments: The rest of the command line.
+        arguments: The remaining arguments of the command line.
 
     Returns:
-        The exit code, see `logicity.__main__.main`.
+        The exit code, as for `logicity.__main__.main`.
 
     Raises:
-        SystemExit: Wrong arguments, or `--help`.
+        SystemExit: If the arguments are invalid or contain `--help`.
     """
     summary = SUMMARIES[words]
     parser = argparse.ArgumentParser(prog=" ".join(["logicity", *words]), description=f"{summary}.")
     command = _COMMANDS[words](parser)
-    given = parser.parse_args(arguments)
+    args = parser.parse_args(arguments)
     try:
-        code = command(given)
+        code = command(args)
         print(end="", flush=True)
     except KeyboardInterrupt:
         print("interrupted", file=sys.stderr)
         return 130
     except BrokenPipeError:
-        # The reader has gone. Python flushes standard output once more at exit, which must not fail again.
+        # The reader has closed the pipe. Python flushes standard output again at exit, which must not fail.
         os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
         return 0
     except (InputError, ConnectionError, ValueError) as error:
@@ -62,7 +62,7 @@ def run(words: tuple[str, ...], arguments: Sequence[str]) -> int:
     return code
 
 
-#: Runs a command with the arguments that its parser has read.
+#: Runs a command with its parsed arguments.
 _Command = Callable[[argparse.Namespace], int]
 
 
@@ -75,12 +75,12 @@ def _add_evaluate(parser: argparse.ArgumentParser) -> _Command:
         help=f"all (default), or any of {','.join(ENVIRONMENTS)}, or configuration files",
     )
     parser.add_argument("--split", choices=("train", "val", "test"), default="test", help="default: test")
-    parser.add_argument("--json", type=Path, metavar="FILE", help="write the results, with one record for each episode")
+    parser.add_argument("--json", type=Path, metavar="FILE", help="write the results, with one record per episode")
     parser.add_argument(
         "--traces",
         type=Path,
         metavar="FOLDER",
-        help="write the trace of every episode; each mode gets a folder, which must have no traces yet",
+        help="write one trace per episode into one folder per mode, which must not contain traces",
     )
     return _evaluate
 
@@ -88,32 +88,40 @@ def _add_evaluate(parser: argparse.ArgumentParser) -> _Command:
 def _add_train(parser: argparse.ArgumentParser) -> _Command:
     parser.add_argument("config", type=Path, help="for example configs/baselines/dqn-easy.yaml")
     parser.add_argument("--run", type=Path, metavar="FOLDER", help="folder of the run; default: runs/CONFIG-SEED")
-    parser.add_argument("--seed", type=int, help="replaces the seed of the configuration")
+    parser.add_argument("--seed", type=int, help="replace the seed of the configuration")
     return _train
 
 
 def _add_ask(parser: argparse.ArgumentParser) -> _Command:
     parser.add_argument("--questions", type=Path, default=Path("questions.jsonl"), metavar="FILE", help=QUESTIONS)
     parser.add_argument("--url", required=True, help="for example http://localhost:8000/v1")
-    parser.add_argument("--model", required=True, help="the server's name of the model")
-    parser.add_argument("-o", "--output", type=Path, required=True, metavar="FILE", help="file to append replies to")
+    parser.add_argument("--model", required=True, help="the name of the model on the server")
+    parser.add_argument("-o", "--output", type=Path, required=True, metavar="FILE", help="append the replies to FILE")
     parser.add_argument(
         "--key-from",
         metavar="VARIABLE",
-        help="environment variable with the key of the server; by default no key is sent",
+        help="environment variable with the API key; by default no key is sent",
     )
     parser.add_argument(
-        "--settings", type=_object, default={"temperature": 0}, metavar="JSON", help='default: {"temperature": 0}'
+        "--settings",
+        type=_object,
+        default={"temperature": 0},
+        metavar="JSON",
+        help='more fields of the request; default: {"temperature": 0}',
     )
-    parser.add_argument("--timeout", type=float, default=120.0, metavar="SECONDS", help="default: 120")
-    parser.add_argument("--tries", type=int, default=6, help="attempts for each request; default: 6")
+    parser.add_argument(
+        "--timeout", type=float, default=120.0, metavar="SECONDS", help="timeout of a request; default: 120"
+    )
+    parser.add_argument("--tries", type=int, default=6, help="attempts per request; default: 6")
     return _ask
 
 
 def _add_grade(parser: argparse.ArgumentParser) -> _Command:
-    parser.add_argument("answers", type=Path, help='JSON lines {"id": .., "answer": ..}: letters or whole replies')
+    parser.add_argument(
+        "answers", type=Path, help='JSON lines {"id": .., "answer": ..}; an answer is a letter or a whole reply'
+    )
     parser.add_argument("--questions", type=Path, default=Path("questions.jsonl"), metavar="FILE", help=QUESTIONS)
-    parser.add_argument("--json", type=Path, metavar="FILE", help="write the figures")
+    parser.add_argument("--json", type=Path, metavar="FILE", help="write the measures")
     return _grade
 
 
@@ -123,11 +131,9 @@ def _add_describe(parser: argparse.ArgumentParser) -> _Command:
 
 def _add_webdataset(parser: argparse.ArgumentParser) -> _Command:
     parser.add_argument("folder", type=Path, help="the data set")
-    parser.add_argument("out", type=Path, help="the folder to make")
-    parser.add_argument("--shard-size", type=int, default=1000, help="samples in a file; default: 1000")
-    parser.add_argument(
-        "--no-pictures", action="store_true", help="leave pictures out; required if the data set has none"
-    )
+    parser.add_argument("out", type=Path, help="the folder to create")
+    parser.add_argument("--shard-size", type=int, default=1000, help="samples per file; default: 1000")
+    parser.add_argument("--no-pictures", action="store_true", help="omit pictures; required if the data set has none")
     return _webdataset
 
 
@@ -137,7 +143,7 @@ def _add_coco(parser: argparse.ArgumentParser) -> _Command:
     parser.add_argument(
         "--no-pictures",
         action="store_true",
-        help="accept a data set without pictures; the `file_name`s are written nevertheless, and `info` says so",
+        help="accept a data set without pictures; the output still has `file_name`s, and `info.pictures` is false",
     )
     return _coco
 
@@ -147,7 +153,7 @@ def _add_baselines(parser: argparse.ArgumentParser) -> _Command:
     parser.add_argument("--test", type=Path, required=True, metavar="FOLDER", help="the data set to measure on")
     parser.add_argument("--seed", type=int, default=0, help="seed of the network; default: 0")
     parser.add_argument("--epochs", type=int, default=30, help="epochs of the network; default: 30")
-    parser.add_argument("--json", type=Path, metavar="FILE", help="write the figures")
+    parser.add_argument("--json", type=Path, metavar="FILE", help="write the measures")
     return _baselines
 
 
@@ -172,13 +178,13 @@ def _modes(text: str) -> list[str]:
 
 
 def _named_policy(text: str) -> tuple[Policy, str]:
-    """Return the policy that an argument names, and its name in tables."""
+    """Return the policy that an argument names, and its name for tables."""
     if text in ("oracle", "random"):
         return cast("Policy", text), text
     path = Path(text)
     if not path.is_file():
         if path.suffix == ".zip" or len(path.parts) > 1:
-            raise FileNotFoundError(f"`{text}`: no such file")
+            raise FileNotFoundError(f"no such file: `{text}`")
         raise ValueError(f"unknown policy `{text}`: expected oracle, random, or a model file of Stable-Baselines3")
     from .train import load_model
 
@@ -202,10 +208,10 @@ def _evaluate(given: argparse.Namespace) -> int:
     results: list[Evaluation] = []
     stems = [Path(mode).stem for mode in given.modes]
     if given.traces is not None and len(set(stems)) < len(stems):
-        raise ValueError("modes of the same name would write their traces to the same folder: evaluate one at a time")
+        raise ValueError("modes with the same name would write traces to the same folder: evaluate one at a time")
     folders = [None if given.traces is None else given.traces / stem for stem in stems]
     for folder in folders:
-        # Before the first mode runs, so that the last one cannot fail late.
+        # Check all folders before the first mode runs, so that no mode fails late.
         if folder is not None:
             check_no_traces(folder)
     for mode, folder in zip(given.modes, folders, strict=True):
@@ -251,13 +257,13 @@ def _grade(given: argparse.Namespace) -> int:
 
     graded = grade(load_questions(given.questions), load_answers(given.answers))
     print(graded)
-    for what, names in [
-        ("counted as wrong, without an answer", graded.missing),
-        ("counted as wrong, with an answer that chooses no option", graded.unread),
-        ("left out, answers to no question", graded.unknown),
+    for what, ids in [
+        ("counted as wrong, no answer", graded.missing),
+        ("counted as wrong, the answer chooses no option", graded.unread),
+        ("ignored, unknown question", graded.unknown),
     ]:
-        if names:
-            print(f"{what}: {len(names)}: {', '.join(names[:5])}{', ...' * (len(names) > 5)}", file=sys.stderr)
+        if ids:
+            print(f"{what}: {len(ids)}: {', '.join(ids[:5])}{', ...' * (len(ids) > 5)}", file=sys.stderr)
     if given.json is not None:
         write_json(given.json, graded.to_dict())
     return 0
@@ -294,6 +300,6 @@ def _baselines(given: argparse.Namespace) -> int:
         write_json(given.json, [result.to_dict() for result in results])
     by_rules = next(result for result in results if result.name == "rules")
     if set(by_rules.metrics.recall.values()) != {1.0}:
-        print(f"error: the rules derive other labels from the facts of {given.test}", file=sys.stderr)
+        print(f"error: {given.test} has labels that the rules do not derive from its facts", file=sys.stderr)
         return 1
     return 0

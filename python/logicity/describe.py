@@ -1,4 +1,4 @@
-"""The layout of observations, and tables of the environments as Markdown, both generated from the tasks."""
+"""The layout of observations, and Markdown tables of the environments, both generated from the tasks."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ from .modes import ENVIRONMENTS
 
 __all__ = ["Atom", "atoms_of", "describe", "observation_names"]
 
-#: A predicate and its arguments, observed entities: 0 is the ego.
+#: A predicate and its arguments, which are numbers of observed entities. Entity 0 is the ego.
 Atom: TypeAlias = tuple[str, tuple[int, ...]]
 
 SPLITS = ("train", "val", "test")
@@ -39,10 +39,10 @@ def observation_names(
     rules: str | os.PathLike[str] | None = None,
     overrides: Mapping[str, Any] | None = None,
 ) -> tuple[str, ...]:
-    """Return the names of the numbers of a `groundings` observation, such as `IsTiro(0)` or `CollidingClose(0, 3)`.
+    """Return the name of each number of a `groundings` observation, such as `IsTiro(0)` or `CollidingClose(0, 3)`.
 
-    Entity 0 is the ego; 1, 2, ... are the entities in its view. The last name is `route length` if the task observes
-    it.
+    Entity 0 is the ego. Entities 1, 2, ... are the other entities in its view. If the task observes the route length,
+    the last name is `route length`.
 
     Args:
         mode: One of `logicity.ENVIRONMENTS`, such as `"expert"`, or the path of a configuration file.
@@ -50,9 +50,9 @@ def observation_names(
         overrides: Changes to the configuration, as in `gymnasium.make`.
 
     Raises:
-        InputError: A faulty configuration, rule file or override.
-        OSError: A file cannot be read.
-        ValueError: An unknown mode.
+        InputError: If the configuration, the rule file or an override is invalid.
+        OSError: If a file cannot be read.
+        ValueError: If the mode is unknown.
     """
     description = _logicity.describe(load_task(mode, rules, overrides))
     atoms = (f"{predicate}({', '.join(map(str, entities))})" for predicate, entities in atoms_of(description))
@@ -60,7 +60,7 @@ def observation_names(
 
 
 def atoms_of(description: Mapping[str, Any]) -> Iterator[Atom]:
-    """Yield the atoms of a `groundings` observation in order. `description` is that of the task."""
+    """Yield the atoms of a `groundings` observation in order, from the description of the task."""
     for column in description["columns"]:
         for entities in itertools.product(range(description["entities"]), repeat=column["arity"]):
             yield column["predicate"], entities
@@ -100,8 +100,8 @@ def _environments(tasks: dict[str, Any]) -> str:
     factors = " or ".join(str(number) for number in sorted(patience))
     return (
         _table(head, rows)
-        + f"\nThe limit of steps in a recorded episode is {factors} times the oracle's number. The last column is the "
-        "start of the SHA-256 of the set of test episodes.\n"
+        + f"\nThe step limit of a recorded episode is {factors} times the number of steps of the oracle. The last "
+        "column is the start of the SHA-256 of the set of test episodes.\n"
     )
 
 
@@ -120,10 +120,10 @@ def _rewards(tasks: dict[str, Any]) -> str:
         )
         rows.append((mode, *(f"{task['actions'][action]:g}" for action in ACTIONS), f"{task['overtime']:g}", broken))
     return (
-        "The reward of a step is the number of its action divided by four times the cells of the route. A step that "
-        "breaks clauses ends the episode. Its reward is a sum over the actions that these clauses require: for each "
-        "action, the lowest number of its broken clauses. The goal ends the episode, too. At the horizon, the last "
-        "step also gets the overtime.\n\n" + _table(head, rows)
+        "The reward of a step is the value of its action in this table, divided by four times the number of route "
+        "cells. A step that breaks clauses ends the episode. Its reward is a sum over the actions that these clauses "
+        "require: for each action, the lowest value of its broken clauses. Reaching the goal also ends the episode. At "
+        "the horizon, the last step also gets the overtime value.\n\n" + _table(head, rows)
     )
 
 
@@ -144,15 +144,15 @@ def _groundings(tasks: dict[str, Any]) -> str:
             base += column["width"]
         sections.append(f"{', '.join(modes)}:\n\n" + _table(("numbers", "atom", "at"), rows))
     return (
-        "Each number is the truth value of a ground atom: 1 if it is true, else 0. Entity 0 is the ego, the others are "
-        "the entities in its view; i and j count from 0. Atoms over absent entities are false.\n\n"
+        "Each number is the truth value of a ground atom: 1 if it is true, else 0. Entity 0 is the ego. The others are "
+        "the entities in its view. Indices i and j start at 0. Atoms over absent entities are false.\n\n"
         + "\n".join(sections)
     )
 
 
 def _state(tasks: dict[str, Any]) -> str:
     def each(key: str) -> str:
-        """Format the values of a key by mode, or the one value if the modes agree."""
+        """Format the values of a key by mode, or a single value if all modes agree."""
         by_value: dict[str, list[str]] = {}
         for mode, task in tasks.items():
             by_value.setdefault(f"{task[key]:g}", []).append(mode)
@@ -161,10 +161,10 @@ def _state(tasks: dict[str, Any]) -> str:
 
     rows: list[tuple[object, ...]] = [
         (0, "1: the row is in use", "0, 1"),
-        (1, "rows from the ego down to the agent, as a share of the half-width of the field of view", "-1 to 1"),
-        (2, "columns from the ego right to the agent, as a share of the same", "-1 to 1"),
+        (1, "row of the agent minus row of the ego, divided by the half-width of the field of view", "-1 to 1"),
+        (2, "column of the agent minus column of the ego, divided by the same", "-1 to 1"),
         ("3 to 6", f"one-hot heading: {', '.join(HEADINGS)}; all 0 before the first move", "0, 1"),
-        (7, "priority as a share of the greatest; a smaller number has the right of way", "-1 to 1"),
+        (7, "priority divided by the largest priority; a smaller number has the right of way", "-1 to 1"),
     ]
     predicates: dict[str, list[str]] = {}
     for mode, task in tasks.items():
@@ -174,8 +174,8 @@ def _state(tasks: dict[str, Any]) -> str:
         last = 7 + names.count(",") + 1
         rows.append((f"8 to {last}", f"truth values in {', '.join(modes)}: {names}", "0, 1"))
     return (
-        "Each row is an agent: the ego first, then the others in its field of view, in the order of the list of agents "
-        "(see `episode`), not by distance. Agents beyond the number of rows are left out; unused rows are 0. "
+        "Each row is an agent: the ego first, then the other agents in its field of view, in the order of the agent "
+        "list (see `episode`), not by distance. Agents beyond the number of rows are omitted. Unused rows are 0. "
         f"Half-width of the field of view in cells: {each('view')}. "
-        f"The greatest priority: {each('priority_scale')}.\n\n" + _table(("column", "meaning", "values"), rows)
+        f"Largest priority: {each('priority_scale')}.\n\n" + _table(("column", "meaning", "values"), rows)
     )

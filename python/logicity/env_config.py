@@ -1,4 +1,4 @@
-"""The configuration that every kind of environment takes. This module does not need gymnasium."""
+"""The configuration shared by all environment classes. This module does not need gymnasium."""
 
 from __future__ import annotations
 
@@ -20,11 +20,11 @@ from .types import Split
 __all__ = ["EnvConfig", "EnvOptions", "ObservationKind"]
 
 ObservationKind: TypeAlias = Literal["groundings", "state"]
-"""What an observation holds: truth values of ground atoms, or the exact state. See `logicity.envs.SPFEnv`."""
+"""The kind of observation: truth values of ground atoms, or the exact state. See `logicity.envs.SPFEnv`."""
 
 
 class EnvOptions(TypedDict, total=False):
-    """The keyword arguments that every kind of environment takes. `SPFEnv` documents them."""
+    """The keyword arguments shared by all environment classes. `SPFEnv` documents them."""
 
     split: Split
     rules: str | os.PathLike[str] | None
@@ -37,16 +37,16 @@ class EnvConfig:
 
     Args:
         config: A run configuration: a built-in name such as `expert`, or a path.
-        env_class: The class of the environments. Messages about unknown options list its options.
+        env_class: The class of the environments. Errors about unknown options list its options.
         split: The set of agents.
         rules: A rule file that replaces the configuration's.
-        overrides: A mapping that is merged over the configuration.
+        overrides: A mapping that is merged into the configuration and takes precedence.
         observation: The kind of observation.
-        unknown: Any other option, which raises `TypeError`.
+        unknown: Unknown options, which raise `TypeError`.
 
     Raises:
-        TypeError: An unknown option.
-        ValueError: Rules as text instead of a path, or overrides with the key `base`.
+        TypeError: If an option is unknown.
+        ValueError: If `rules` is source text instead of a path, or the overrides contain the key `base`.
     """
 
     def __init__(
@@ -63,28 +63,28 @@ class EnvConfig:
         """Check and store the arguments."""
         if unknown:
             name = next(iter(unknown))
-            own = signature(env_class).parameters.values() if env_class else ()
-            known = [*EnvOptions.__annotations__, *(each.name for each in own if each.kind is each.KEYWORD_ONLY)]
+            parameters = signature(env_class).parameters.values() if env_class else ()
+            known = [*EnvOptions.__annotations__, *(each.name for each in parameters if each.kind is each.KEYWORD_ONLY)]
             raise TypeError(f"environments have no option `{name}`{did_you_mean(name, known)}")
         self.config, self.split, self.observation = os.fspath(config), split, observation
         self.rules = rule_file(rules)
         self.overrides = dict(overrides or {})
         if "base" in self.overrides:
-            raise ValueError("overrides have no `base`: the argument `config` is the base")
+            raise ValueError("`overrides` must not contain `base`: the argument `config` is the base")
 
     def task(self, **more: Any) -> _logicity.Task:
-        """Load the task, with more overrides.
+        """Load the task with additional overrides.
 
         Raises:
-            InputError: A faulty configuration, rule file or override.
-            OSError: A file cannot be read.
+            InputError: If the configuration, the rule file or an override is invalid.
+            OSError: If a file cannot be read.
         """
         return _logicity.Task(self.config, self.rules, self._as_json(more))
 
     def _as_json(self, more: Mapping[str, Any], *, absolute: bool = False) -> str | None:
         """Return the configuration with its overrides as JSON, or `None` without overrides.
 
-        With `absolute`, the base is an absolute path.
+        With `absolute`, the key `base` is an absolute path.
         """
         overrides = {**self.overrides, **more}
         if not overrides:
@@ -97,13 +97,13 @@ class EnvConfig:
         return json.dumps({"base": base.as_posix(), **overrides}, default=to_json)
 
     def written_config(self, path: Path, **more: Any) -> str:
-        """Return the configuration file that a trace names.
+        """Return the path of the configuration file for the header of a trace.
 
-        Without overrides that is the configuration itself. Otherwise this writes the overridden configuration to `path`
-        and returns `path`.
+        Without overrides, return the configuration itself. Otherwise write the overridden configuration to `path`, and
+        return `path`.
 
         Raises:
-            FileExistsError: `path` has another content.
+            FileExistsError: If `path` exists with different content.
         """
         text = self._as_json(more, absolute=True)
         if text is None:
@@ -113,7 +113,7 @@ class EnvConfig:
 
 
 def to_json(value: Any) -> Any:
-    """Convert numbers and arrays of numpy, and paths, to values that JSON can represent."""
+    """Convert numpy scalars, numpy arrays and paths to JSON values."""
     if isinstance(value, (np.generic, np.ndarray)):
         return value.tolist()
     if isinstance(value, os.PathLike):

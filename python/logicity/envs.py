@@ -1,10 +1,10 @@
-"""Safe Path Following as environments of gymnasium: `SPFEnv`, and the vectorized `SPFVectorEnv`.
+"""Gymnasium environments for Safe Path Following (SPF): `SPFEnv` and the vectorized `SPFVectorEnv`.
 
 `import logicity` registers them: `gymnasium.make("logicity/SPF-Expert-v0")` makes an `SPFEnv`, and
-`gymnasium.make_vec("logicity/SPF-Expert-v0", num_envs=256)` an `SPFVectorEnv`. This module needs the extra `gym`.
+`gymnasium.make_vec("logicity/SPF-Expert-v0", num_envs=256)` makes an `SPFVectorEnv`. This module needs the extra `gym`.
 
-A car drives a route and must break no rule. The actions are 0 Slow, 1 Normal, 2 Fast and 3 Stop. An episode terminates
-at the goal or when a rule is broken. It is truncated at the horizon of the configuration.
+The agent drives a car along a route without breaking a rule. The actions are 0 Slow, 1 Normal, 2 Fast and 3 Stop. An
+episode terminates when the car reaches the goal or breaks a rule. It is truncated at the horizon of the configuration.
 """
 
 from __future__ import annotations
@@ -43,7 +43,7 @@ Observations = NDArray[np.float32]
 
 
 class EpisodeAgent(TypedDict):
-    """An agent at the start of an episode. `start` and `goal` are [row, column] in cells."""
+    """An agent at the start of an episode. `start` and `goal` are (row, column) in cells."""
 
     id: str
     concepts: list[str]
@@ -52,15 +52,15 @@ class EpisodeAgent(TypedDict):
     goal: tuple[int, int]
 
 
-#: The oracle's run of an episode: steps, sum of rewards, and the number of steps in which rules require each action.
+#: The oracle's run of an episode: steps, return, and the number of steps in which the rules require each action.
 OracleRun = TypedDict("OracleRun", {"steps": int, "return": float, "constrained": dict[str, int]})
 
 
 class EpisodeStart(TypedDict):
-    """The start of an episode: its seed, the agents in list order, and the oracle's run if it is known.
+    """The start of an episode: its seed, its agents in list order, and the oracle's run if it is known.
 
-    A seed is a whole number less than 2**64. The seeds of recorded episodes use all 64 bits, so formats that store
-    numbers as floats, such as JavaScript's, lose some of them.
+    A seed is an integer from 0 to 2**64 - 1. The seeds of recorded episodes use all 64 bits, so formats that store
+    numbers as 64-bit floats, such as JavaScript's, lose precision.
     """
 
     seed: int
@@ -69,16 +69,16 @@ class EpisodeStart(TypedDict):
 
 
 def observation_space(config: EnvConfig, task: _logicity.Task) -> Box:
-    """Return the space of observations."""
+    """Return the observation space of a task."""
     low = 0.0 if config.observation == "groundings" else -1.0
     return Box(low, 1.0, tuple(task.shape(config.observation)), np.float32)
 
 
 def checked_seed(seed: int | None, generator: np.random.Generator) -> int:
-    """Return the seed of a sequence of episodes: `seed` if it is given, or else a number from the generator.
+    """Return the seed of a sequence of episodes: `seed`, or a number from the generator if `seed` is `None`.
 
     Raises:
-        gymnasium.error.Error: The seed is out of range.
+        gymnasium.error.Error: If the seed is out of range.
     """
     if seed is None:
         return int(generator.integers(2**53))
@@ -88,7 +88,7 @@ def checked_seed(seed: int | None, generator: np.random.Generator) -> int:
 
 
 def config_overrides(options: Mapping[str, Any]) -> dict[str, Any]:
-    """Return the parts of the configuration that options of a reset replace."""
+    """Return the parts of the configuration that the options of a reset replace."""
     return {key: options[key] for key in ("map", "agents") if options.get(key) is not None}
 
 
@@ -98,32 +98,37 @@ class SPFEnv(gymnasium.Env[Observations, np.int64]):
     Observations are float32 arrays:
 
     - `observation="groundings"` (default): the truth values, 0 or 1, of the ground atoms over the ego and the first 4
-      other agents in its view. The shape is (85,), (140,) or (205,), depending on the mode's predicates. With `task:
-      {route_length: true}` in the configuration, one more number from 0 to 1 follows.
-    - `observation="state"`: the exact state, shape (20, 15), (20, 16) or (20, 19), numbers from -1 to 1. The first row
-      is the ego. The others are the other agents in its field of view, up to the number of rows.
+      other agents in its view. The shape is (85,), (140,) or (205,), depending on the predicates of the mode. With
+      `task: {route_length: true}` in the configuration, the array has one more number, from 0 to 1.
+    - `observation="state"`: the exact state, values from -1 to 1, of shape (20, 15), (20, 16) or (20, 19). The first
+      row is the ego. The other rows are the other agents in its field of view, up to the number of rows.
 
     `logicity describe` prints the meaning of each number of both kinds.
 
-    `info` has `oracle_action` (the action that the rules derive now), `violations` (names of the clauses that the last
-    action broke, such as `S1`), `progress` (share of the route behind the car, 0 to 1), `success`, `steps` and `seed`
-    (of the episode, a `numpy.uint64`).
+    `info` has these keys:
+
+    - `oracle_action`: the action that the rules derive in the current state.
+    - `violations`: the names of the clauses that the last action broke, such as `S1`.
+    - `progress`: the completed share of the route, from 0 to 1.
+    - `success`: whether the car has reached the goal without breaking a rule.
+    - `steps`: the number of steps of the episode.
+    - `seed`: the seed of the episode, a `numpy.uint64`.
 
     Args:
         config: A run configuration: a built-in name such as `expert`, or a path.
-        episodes: `"drawn"` draws new episodes. `"recorded"` samples from the recorded episodes of the split, by the
-            seed and with replacement.
-        atoms: Whether `info` has `true_atoms`, texts such as `IsTiro(Car_1)`.
+        episodes: `"drawn"` generates new episodes. `"recorded"` samples the recorded episodes of the split with
+            replacement. The seed determines both.
+        atoms: Whether `info` has the key `true_atoms`, a tuple of strings such as `IsTiro(Car_1)`.
         render_mode: `"rgb_array"` or `"ansi"`.
         options: `split`, the set of agents; `rules`, a rule file that replaces the configuration's; `overrides`, a
-            mapping that is merged over the configuration, such as `{"task": {"reward": {"overtime": -6}}}`; and
+            mapping that is merged into the configuration, such as `{"task": {"reward": {"overtime": -6}}}`; and
             `observation`, see above.
 
     Raises:
-        InputError: A faulty configuration, rule file or episode.
-        OSError: A file cannot be read.
-        TypeError: An unknown option.
-        ValueError: An unknown name.
+        InputError: If the configuration, the rule file or an episode is invalid.
+        OSError: If a file cannot be read.
+        TypeError: If an option is unknown.
+        ValueError: If `episodes`, the split or the kind of observation is unknown.
     """
 
     metadata = {"render_modes": ["rgb_array", "ansi"], "render_fps": 10}
@@ -146,8 +151,8 @@ class SPFEnv(gymnasium.Env[Observations, np.int64]):
         space = observation_space(self._config, self._task)
         self.observation_space, self._shape = cast(Space[Observations], space), space.shape
         self.action_space = Discrete(4)
-        self._home = self._make_core(self._task)
-        self._core = self._home
+        self._base = self._make_core(self._task)
+        self._core = self._base
         self._overrides: dict[str, Any] = {}
         self._seeded = False
         self._taken: list[int] | None = None
@@ -156,62 +161,71 @@ class SPFEnv(gymnasium.Env[Observations, np.int64]):
         config = self._config
         return _logicity.VectorEnv(task, config.split, 1, "Disabled", config.observation, self._recorded, 1)
 
-    def _look(self) -> Observations:
+    def _new_observation(self) -> Observations:
         return np.empty(self._shape, np.float32)
 
     def reset(
         self, *, seed: int | None = None, options: dict[str, Any] | None = None
     ) -> tuple[Observations, dict[str, Any]]:
-        """Begin an episode.
+        """Start an episode.
 
         Args:
-            seed: From 0 to 2**64 - 1: begins a new sequence of episodes. `None` continues the sequence.
-            options: `episode`, the number of a recorded episode of the split, or a mapping such as `SPFEnv.episode`;
+            seed: The seed of a new sequence of episodes, from 0 to 2**64 - 1. `None` continues the sequence.
+            options: `episode` is the number of a recorded episode of the split, or a mapping such as `SPFEnv.episode`;
                 the sequence then does not advance. `map` and `agents` replace these parts of the configuration for this
                 episode.
 
+        Returns:
+            The observation, and `info`.
+
         Raises:
-            IndexError: There is no recorded episode of that number.
-            InputError: A mapping that is no valid episode here (`invalid-episode`).
-            ValueError: An unknown option, or a value of the wrong kind.
+            IndexError: If the recorded episode does not exist.
+            InputError: If the mapping is not a valid episode of this environment (`invalid-episode`).
+            ValueError: If an option is unknown, or its value is invalid.
         """
         super().reset(seed=seed)
         options = options or {}
         check_options(options, ("episode", "map", "agents"))
         if seed is not None or not self._seeded:
-            self._home.seed(0, checked_seed(seed, self.np_random), 0)
+            self._base.seed(0, checked_seed(seed, self.np_random), 0)
             self._seeded = True
-        self._move(config_overrides(options))
-        observation = self._look()
+        self._apply_overrides(config_overrides(options))
+        observation = self._new_observation()
         self._taken = None
         self._core.reset([parse_episode(options.get("episode"))], observation)
-        if self._core is not self._home:
-            self._home.seed(0, *self._core.source(0))
+        if self._core is not self._base:
+            self._base.seed(0, *self._core.source(0))
         self._taken = []
         return observation, _env_info(self._core.info(0), self._core, 0, self._atoms)
 
-    def _move(self, overrides: dict[str, Any]) -> None:
-        """Switch to the configuration with these overrides. The sequence of episodes continues there."""
+    def _apply_overrides(self, overrides: dict[str, Any]) -> None:
+        """Switch to the configuration with these overrides, and continue the sequence of episodes."""
         if not overrides:
-            self._core, self._overrides = self._home, {}
+            self._core, self._overrides = self._base, {}
             return
-        if self._core is self._home or overrides != self._overrides:
+        if self._core is self._base or overrides != self._overrides:
             task = self._config.task(**overrides)
             if observation_space(self._config, task) != self.observation_space:
                 raise ValueError("`map` and `agents` must not change the shape of observations")
             self._core, self._overrides = self._make_core(task), overrides
-        self._core.seed(0, *self._home.source(0))
+        self._core.seed(0, *self._base.source(0))
 
     def step(self, action: np.int64 | int) -> tuple[Observations, float, bool, bool, dict[str, Any]]:
-        """Drive for a tick.
+        """Run one tick with an action of the controlled car.
+
+        Args:
+            action: 0 Slow, 1 Normal, 2 Fast or 3 Stop.
+
+        Returns:
+            The observation, the reward, `terminated`, `truncated` and `info`.
 
         Raises:
-            gymnasium.error.ResetNeeded: No episode has begun, or it has ended.
-            gymnasium.error.InvalidAction: The action is not 0, 1, 2 or 3.
+            gymnasium.error.ResetNeeded: If no episode has started, or the episode has ended.
+            gymnasium.error.InvalidAction: If the action is not 0, 1, 2 or 3.
         """
         if self._taken is None:
-            raise ResetNeeded("no episode has begun: call `reset`")
-        observation = self._look()
+            raise ResetNeeded("no episode has started: call `reset`")
+        observation = self._new_observation()
         number = checked_action(action)
         reward, terminated, truncated, info = self._core.step_one(number, observation)
         self._taken.append(number)
@@ -219,78 +233,79 @@ class SPFEnv(gymnasium.Env[Observations, np.int64]):
 
     @property
     def episode(self) -> EpisodeStart:
-        """The start of this episode. `reset(options={"episode": ...})` begins it again."""
+        """The start of the current episode. Pass it to `reset(options={"episode": ...})` to restart it."""
         self._check_begun()
         return cast(EpisodeStart, self._core.episode(0))
 
     def _check_begun(self) -> None:
         if self._taken is None:
-            raise ResetNeeded("no episode has begun: call `reset`")
+            raise ResetNeeded("no episode has started: call `reset`")
 
     def explain(self) -> str:
-        """Explain the oracle's action: proofs in words, on the facts that hold in the car's view now."""
+        """Return proofs of the oracle's action as text, from the facts in the current view of the car."""
         self._check_begun()
         return self._core.explain(0)
 
     def write_trace(self, path: str | os.PathLike[str]) -> None:
-        """Write the trace of the episode so far, in the format of `logicity run`. `logicity view` makes a page of it.
+        """Write the trace of the episode so far, in the format of `logicity run`.
 
-        A trace records, for every step, what the car observed, what the rules required of it, and which clauses its
-        action broke. If the configuration is overridden, by `overrides` or by `map` or `agents` of a reset, this writes
-        the resulting configuration beside the trace, to `episode.jsonl.yaml` for `episode.jsonl`; the trace names it.
+        `logicity view` converts a trace to an HTML page. For every step, the trace records the observed entities, the
+        required action, and the clauses that the action broke.
 
-        An existing trace is replaced, another configuration is not.
+        If `overrides`, or `map` or `agents` of a reset, change the configuration, this method also writes the resulting
+        configuration. For `episode.jsonl` its path is `episode.jsonl.yaml`, and the trace refers to it. An existing
+        trace is replaced. A different existing configuration is not.
 
         Args:
             path: The file of the trace.
 
         Raises:
-            FileExistsError: Another configuration exists beside the trace.
-            OSError: A file cannot be written.
-            ValueError: The episode has no steps yet, or `path` ends in `.yaml`.
-            gymnasium.error.ResetNeeded: No episode has begun.
+            FileExistsError: If a different configuration file exists beside the trace.
+            OSError: If a file cannot be written.
+            ValueError: If the episode has no steps yet, or `path` ends in `.yaml`.
+            gymnasium.error.ResetNeeded: If no episode has started.
         """
         self._check_begun()
         if not self._taken:
             raise ValueError("the episode has no steps yet: call `step` before `write_trace`")
         path = Path(path)
         if path.suffix == ".yaml":
-            raise ValueError(f"`{path}` has the ending of configurations: give the trace another one, such as .jsonl")
+            raise ValueError(f"`{path}` has the suffix of configurations: use another one, such as .jsonl")
         config = self._config.written_config(path.with_name(f"{path.name}.yaml"), **self._overrides)
         task = self._config.task(**self._overrides) if self._overrides else self._task
         task.write_trace(self._config.split, self._core.episode(0), self._taken, path, config)
 
     def render(self) -> Any:
-        """Draw the city: a uint8 array of shape (height, width, 3), or text in the mode `ansi`.
+        """Return a picture of the city, a uint8 array of shape (height, width, 3), or text in the mode `ansi`.
 
-        A picture frames the controlled car, and shows its route as a line and its goal as a square.
+        The picture has a frame around the controlled car, a line for its route, and a square for its goal.
         """
         if self.render_mode is None:
-            raise gymnasium.error.Error("the environment was made without a `render_mode`")
+            raise gymnasium.error.Error("the environment has no `render_mode`: pass one to `gymnasium.make`")
         self._check_begun()
         return _rendered(self._core, 0, self.render_mode)
 
     def __getstate__(self) -> dict[str, Any]:
-        """Return the arguments, and the episode with the actions taken, which determine the state."""
-        state = {key: value for key, value in self.__dict__.items() if key not in ("_task", "_home", "_core")}
-        state["_source"] = self._home.source(0)
-        # A cancelled step has ended the episode.
-        goes_on = self._taken is not None and self._core.has_begun(0)
-        state["_start"] = self._core.episode(0) if goes_on else None
-        state["_taken"] = self._taken if goes_on else None
+        """Return the arguments, the episode and the actions taken, which determine the state."""
+        state = {key: value for key, value in self.__dict__.items() if key not in ("_task", "_base", "_core")}
+        state["_source"] = self._base.source(0)
+        # A cancelled step ends the episode.
+        in_episode = self._taken is not None and self._core.has_begun(0)
+        state["_start"] = self._core.episode(0) if in_episode else None
+        state["_taken"] = self._taken if in_episode else None
         return state
 
     def __setstate__(self, state: dict[str, Any]) -> None:
-        """Begin the same episode and take the same actions."""
+        """Start the same episode and take the same actions."""
         source, start, overrides = state.pop("_source"), state.pop("_start"), state.pop("_overrides")
         self.__dict__.update(state)
         self._task = self._config.task()
-        self._home = self._core = self._make_core(self._task)
+        self._base = self._core = self._make_core(self._task)
         self._overrides = {}
-        self._home.seed(0, *source)
-        self._move(overrides)
+        self._base.seed(0, *source)
+        self._apply_overrides(overrides)
         if start is not None:
-            observation = self._look()
+            observation = self._new_observation()
             self._core.reset([start], observation)
             for action in self._taken or []:
                 self._core.step_one(action, observation)
@@ -298,13 +313,13 @@ class SPFEnv(gymnasium.Env[Observations, np.int64]):
 
 def info_dict(info: dict[str, Any]) -> dict[str, Any]:
     """Convert the `info` of an episode to the types that gymnasium expects."""
-    # uint64 holds every seed when gymnasium puts it into an array; the default int64 does not.
+    # Gymnasium collects infos in arrays. The default dtype int64 does not hold every seed, but uint64 does.
     info["seed"] = np.uint64(info["seed"])
     return info
 
 
 def _env_info(info: dict[str, Any], core: _logicity.VectorEnv, at: int, atoms: bool) -> dict[str, Any]:
-    """Convert the `info` of one environment; with `atoms`, add its true atoms."""
+    """Convert the `info` of one environment. With `atoms`, add its true atoms."""
     info_dict(info)
     if atoms:
         info["true_atoms"] = core.atoms(at)
@@ -313,15 +328,15 @@ def _env_info(info: dict[str, Any], core: _logicity.VectorEnv, at: int, atoms: b
 
 def _is_recorded(episodes: str) -> bool:
     if episodes not in ("drawn", "recorded"):
-        raise ValueError(f"expected episodes `drawn` or `recorded`, not `{episodes}`")
+        raise ValueError(f"`episodes` must be `drawn` or `recorded`, not `{episodes}`")
     return episodes == "recorded"
 
 
 def checked_render_mode(mode: str | None, metadata: Mapping[str, Any]) -> str | None:
-    """Return the render mode.
+    """Check a render mode and return it.
 
     Raises:
-        gymnasium.error.UnsupportedMode: There is no such mode.
+        gymnasium.error.UnsupportedMode: If the mode is unknown.
     """
     if mode is not None and mode not in metadata["render_modes"]:
         raise UnsupportedMode(f"unknown render mode `{mode}`; known: {', '.join(metadata['render_modes'])}")
@@ -329,10 +344,10 @@ def checked_render_mode(mode: str | None, metadata: Mapping[str, Any]) -> str | 
 
 
 def check_options(options: Mapping[str, Any], known: tuple[str, ...]) -> None:
-    """Check the names of reset options.
+    """Check the names of the options of a reset.
 
     Raises:
-        ValueError: An unknown option.
+        ValueError: If an option is unknown.
     """
     for option in options:
         if option not in known:
@@ -340,10 +355,10 @@ def check_options(options: Mapping[str, Any], known: tuple[str, ...]) -> None:
 
 
 def checked_action(action: Any) -> int:
-    """Return the number of an action.
+    """Check an action and return it as an int.
 
     Raises:
-        gymnasium.error.InvalidAction: It is not 0, 1, 2 or 3.
+        gymnasium.error.InvalidAction: If the action is not 0, 1, 2 or 3.
     """
     try:
         number = operator.index(action)
@@ -351,7 +366,7 @@ def checked_action(action: Any) -> int:
         number = -1
     if not 0 <= number < len(ACTIONS):
         known = ", ".join(f"{number} {name}" for number, name in enumerate(ACTIONS))
-        raise InvalidAction(f"{action!r} is no action; known: {known}")
+        raise InvalidAction(f"{action!r} is not an action; known: {known}")
     return number
 
 
@@ -359,11 +374,11 @@ def parse_episode(episode: Any) -> Any:
     """Parse the option `episode` of a reset.
 
     Returns:
-        `True` for the next episode of the sequence, the number of a recorded episode, or the mapping of a given
+        `True` for the next episode of the sequence, the number of a recorded episode, or a mapping that describes an
         episode.
 
     Raises:
-        ValueError: The option is something else.
+        ValueError: If the option has another type, or the number is negative.
     """
     if episode is None:
         return True
@@ -374,7 +389,7 @@ def parse_episode(episode: Any) -> Any:
     except TypeError:
         number = -1
     if isinstance(episode, bool) or number < 0:
-        raise ValueError(f"expected an episode number from 0 or a mapping, not {episode!r}")
+        raise ValueError(f"expected an episode number, at least 0, or a mapping, not {episode!r}")
     return number
 
 
@@ -385,12 +400,12 @@ def _rendered(core: _logicity.VectorEnv, at: int, mode: str) -> Any:
 class SPFVectorEnv(VectorEnv[Observations, NDArray[np.int64], NDArray[Any]]):
     """A vectorized environment of Safe Path Following: one call steps all environments.
 
-    Environment i gives the results of an `SPFEnv` with the same seed. `reset(seed=s)` gives environment i the seed s +
-    i. Not thread-safe: concurrent use raises `RuntimeError`.
+    Vectorized results equal those of individual `SPFEnv` environments with the same seeds. `reset(seed=s)` gives
+    environment i the seed s + i. Not thread-safe: concurrent use raises `RuntimeError`.
 
-    Observations have shape (num_envs, ...). Rewards are float64, `terminated` and `truncated` bool, each of shape
-    (num_envs,). `infos` has an array for each key of `SPFEnv`'s `info`, and its mask under `_key`. In the autoreset
-    mode SameStep, `final_obs` and `final_info` describe the ends of episodes.
+    Observations have shape (num_envs, ...). Rewards (float64), `terminated` (bool) and `truncated` (bool) have shape
+    (num_envs,). `infos` has one array per key of `SPFEnv`'s `info`, and its mask under `_key`. In the autoreset mode
+    SameStep, `final_obs` and `final_info` have the last observations and infos of the episodes that ended.
 
     Args:
         num_envs: The number of environments.
@@ -399,16 +414,16 @@ class SPFVectorEnv(VectorEnv[Observations, NDArray[np.int64], NDArray[Any]]):
         atoms: As for `SPFEnv`.
         render_mode: As for `SPFEnv`.
         autoreset_mode: An `AutoresetMode` or its name.
-        num_threads: The number of threads that share the work of a step.
+        num_threads: The number of threads of a step.
         copy: Whether every call returns a new array of observations. `False` is faster: every call overwrites and
             returns the same array.
         options: As for `SPFEnv`.
 
     Raises:
-        InputError: A faulty configuration, rule file or episode.
-        OSError: A file cannot be read.
-        TypeError: An unknown option.
-        ValueError: An unknown name, or a number of environments or threads below 1.
+        InputError: If the configuration, the rule file or an episode is invalid.
+        OSError: If a file cannot be read.
+        TypeError: If an option is unknown.
+        ValueError: If a name is unknown, or the number of environments or threads is below 1.
     """
 
     metadata: dict[str, Any] = {"render_modes": ["rgb_array", "ansi"], "render_fps": 10}
@@ -429,7 +444,7 @@ class SPFVectorEnv(VectorEnv[Observations, NDArray[np.int64], NDArray[Any]]):
         """Load the configuration and the rules."""
         super().__init__()
         if num_envs < 1 or num_threads < 1:
-            raise ValueError(f"{num_envs} environments on {num_threads} threads: both must be at least 1")
+            raise ValueError(f"`num_envs` ({num_envs}) and `num_threads` ({num_threads}) must be at least 1")
         self.num_envs = num_envs
         self.autoreset_mode = AutoresetMode(autoreset_mode)
         self.metadata = {**self.metadata, "autoreset_mode": self.autoreset_mode}
@@ -449,29 +464,33 @@ class SPFVectorEnv(VectorEnv[Observations, NDArray[np.int64], NDArray[Any]]):
             self._core.keep_last_atoms()
         self._observations = np.zeros((num_envs, *(self.single_observation_space.shape or ())), np.float32)
         self._seeded = np.zeros(num_envs, np.bool_)
-        self._unbroken = np.empty(num_envs, object)
-        self._unbroken.fill(())
+        self._no_violations = np.empty(num_envs, object)
+        self._no_violations.fill(())
 
     def reset(
         self, *, seed: int | Sequence[int | None] | None = None, options: dict[str, Any] | None = None
     ) -> tuple[Observations, dict[str, Any]]:
-        """Begin episodes.
+        """Start episodes.
 
         Args:
-            seed: Begins new sequences of episodes. A number s gives environment i the seed s + i. A list has one seed
-                for each environment, where `None` continues the sequence.
-            options: `reset_mask`, an array of bool, selects the environments to reset (default: all). `episode` is as
-                for `SPFEnv`, for all of them; `episodes` is a list with one for each.
+            seed: The seeds of new sequences of episodes. A number s gives environment i the seed s + i. A list has one
+                seed per environment, where `None` continues the sequence.
+            options: `reset_mask`, bool of shape (num_envs,), selects the environments to reset (default: all).
+                `episode` sets the episode of all of them, as in `SPFEnv.reset`. `episodes` is a list of such values,
+                one per environment.
+
+        Returns:
+            The observations, and the infos.
 
         Raises:
-            IndexError: There is no recorded episode of that number.
-            InputError: A mapping that is no valid episode here (`invalid-episode`).
-            ValueError: An unknown option, or a value of the wrong kind.
+            IndexError: If the recorded episode does not exist.
+            InputError: If the mapping is not a valid episode of this environment (`invalid-episode`).
+            ValueError: If an option is unknown, or its value is invalid.
         """
         options = dict(options or {})
         check_options(options, ("reset_mask", "episode", "episodes"))
         if options.get("episode") is not None and options.get("episodes") is not None:
-            raise ValueError("`episode` and `episodes` exclude each other: give one of them")
+            raise ValueError("`episode` and `episodes` are mutually exclusive: give one of them")
         mask = self._mask(options)
         seeds: list[int | None]
         if seed is None:
@@ -499,9 +518,9 @@ class SPFVectorEnv(VectorEnv[Observations, NDArray[np.int64], NDArray[Any]]):
         for at in np.flatnonzero(mask):
             info = _env_info(self._core.info(int(at)), self._core, int(at), self._atoms)
             infos = self._add_info(infos, info, int(at))
-        return self._shown(), infos
+        return self._output(), infos
 
-    def _shown(self) -> Observations:
+    def _output(self) -> Observations:
         return self._observations.copy() if self.copy else self._observations
 
     def _mask(self, options: Mapping[str, Any]) -> NDArray[np.bool_]:
@@ -517,14 +536,17 @@ class SPFVectorEnv(VectorEnv[Observations, NDArray[np.int64], NDArray[Any]]):
     def step(
         self, actions: ArrayLike
     ) -> tuple[Observations, NDArray[np.float64], NDArray[np.bool_], NDArray[np.bool_], dict[str, Any]]:
-        """Drive all cars for a tick.
+        """Run one tick in every environment.
 
         Args:
             actions: Integers of shape (num_envs,).
 
+        Returns:
+            The observations, the rewards, `terminated`, `truncated` and the infos.
+
         Raises:
-            gymnasium.error.ResetNeeded: An episode has not begun, or has ended.
-            gymnasium.error.InvalidAction: An action is not 0, 1, 2 or 3. No car has moved then.
+            gymnasium.error.ResetNeeded: If an episode has not started, or has ended.
+            gymnasium.error.InvalidAction: If an action is not 0, 1, 2 or 3. Then no car moves.
         """
         count = self.num_envs
         given = np.asarray(actions)
@@ -543,11 +565,11 @@ class SPFVectorEnv(VectorEnv[Observations, NDArray[np.int64], NDArray[Any]]):
             infos["_true_atoms"] = np.ones(count, np.bool_)
         if self.autoreset_mode is AutoresetMode.SAME_STEP and (terminated.any() or truncated.any()):
             self._add_ends(infos)
-        return self._shown(), rewards, terminated, truncated, infos
+        return self._output(), rewards, terminated, truncated, infos
 
     def _infos(self, columns: _Columns, broken: list[tuple[int, tuple[str, ...]]]) -> dict[str, Any]:
         infos: dict[str, Any] = dict(zip(_COLUMNS, columns, strict=True))
-        infos["violations"] = violations = self._unbroken.copy()
+        infos["violations"] = violations = self._no_violations.copy()
         for at, labels in broken:
             violations[at] = labels
         for key in tuple(infos):
@@ -555,7 +577,7 @@ class SPFVectorEnv(VectorEnv[Observations, NDArray[np.int64], NDArray[Any]]):
         return infos
 
     def _add_ends(self, infos: dict[str, Any]) -> None:
-        """Add the last observations and infos of the episodes that ended in a SameStep autoreset."""
+        """Add the last observations and infos of the episodes that ended in this step, for SameStep autoreset."""
         count = self.num_envs
         columns = _columns(count)
         ends = self._core.ended(columns)
@@ -575,40 +597,40 @@ class SPFVectorEnv(VectorEnv[Observations, NDArray[np.int64], NDArray[Any]]):
         infos["final_info"], infos["_final_info"], infos["_final_obs"] = info, mask.copy(), mask
 
     def episode(self, at: int) -> EpisodeStart:
-        """Return the start of an environment's episode.
+        """Return the start of the current episode of an environment.
 
         Raises:
-            IndexError: There is no such environment.
-            gymnasium.error.ResetNeeded: It has no episode.
+            IndexError: If the environment does not exist.
+            gymnasium.error.ResetNeeded: If its episode has not started.
         """
-        return cast(EpisodeStart, self._core.episode(self._place(at)))
+        return cast(EpisodeStart, self._core.episode(self._checked_index(at)))
 
     def explain(self, at: int) -> str:
-        """Explain the oracle's action in an environment, as `SPFEnv.explain` does.
+        """Return proofs of the oracle's action in an environment, as `SPFEnv.explain` does.
 
         Raises:
-            IndexError: There is no such environment.
-            gymnasium.error.ResetNeeded: It has no episode.
+            IndexError: If the environment does not exist.
+            gymnasium.error.ResetNeeded: If its episode has not started.
         """
-        return self._core.explain(self._place(at))
+        return self._core.explain(self._checked_index(at))
 
-    def _place(self, at: int) -> int:
+    def _checked_index(self, at: int) -> int:
         if not 0 <= operator.index(at) < self.num_envs:
             raise IndexError(f"no environment {at}: expected 0 to {self.num_envs - 1}")
         return at
 
     def render(self) -> tuple[Any, ...] | None:
-        """Draw all cities, see `SPFEnv.render`.
+        """Return one picture or text per environment, as `SPFEnv.render` does.
 
         Raises:
-            gymnasium.error.ResetNeeded: An environment has no episode.
+            gymnasium.error.ResetNeeded: If an episode has not started.
         """
         if self.render_mode is None:
-            raise gymnasium.error.Error("the environments were made without a `render_mode`")
+            raise gymnasium.error.Error("the environments have no `render_mode`: pass one to `gymnasium.make_vec`")
         return tuple(_rendered(self._core, at, self.render_mode) for at in range(self.num_envs))
 
     def __getstate__(self) -> dict[str, Any]:
-        """Refuse to pickle: send the arguments to another process instead."""
+        """Raise `TypeError`. Send the arguments to another process instead."""
         raise TypeError("an SPFVectorEnv cannot be pickled or copied: make another with the same arguments")
 
 

@@ -1,4 +1,4 @@
-"""Exceptions for faulty input. Their `diagnostics` hold every fault with its place."""
+"""Exceptions for invalid input. Their `diagnostics` list every error with its location."""
 
 from __future__ import annotations
 
@@ -11,13 +11,13 @@ __all__ = ["InputError", "LimitError", "UnsupportedError"]
 
 
 class InputError(ValueError):
-    """Faulty rules, configurations, scenes or facts.
+    """Invalid rules, configurations, scenes, facts, episodes or data sets.
 
-    The message shows every fault under its line, as the command line does.
+    The message shows every error under its source line, as the command line does.
 
     Attributes:
-        diagnostics: The same faults as data. `code` is the stable name of a fault. The first of its `labels` is its
-            place (file, line, column).
+        diagnostics: The same errors as data. `code` is the stable name of an error. The first of its `labels` is its
+            location (file, line, column).
     """
 
     diagnostics: list[Diagnostic]
@@ -33,15 +33,15 @@ class InputError(ValueError):
 
 
 class LimitError(InputError):
-    """Input or work beyond a limit. One of the diagnostics has the code `limit-exceeded`."""
+    """Input or work that exceeds a limit. One of the diagnostics has the code `limit-exceeded`."""
 
 
 class UnsupportedError(InputError):
-    """Rules that the requested dense executor cannot evaluate. One diagnostic has the code `dense-unsupported`."""
+    """Rules that the dense executor cannot evaluate. One of the diagnostics has the code `dense-unsupported`."""
 
 
 def did_you_mean(name: object, known: Iterable[str]) -> str:
-    """Return the end of a message: the known name nearest to `name`, or else all known names if they are few."""
+    """Return a suffix for error messages: the known name closest to `name`, or all known names if they are few."""
     names = list(known)
     near = _logicity.did_you_mean(str(name), names)
     if near is not None:
@@ -50,5 +50,5 @@ def did_you_mean(name: object, known: Iterable[str]) -> str:
 
 
 def missing_extra(extra: str, error: ImportError) -> ImportError:
-    """Return a copy of an import error that names the extra of this package to install."""
+    """Return a copy of an import error whose message names the extra to install."""
     return type(error)(f"{error}; install the extra `{extra}`: pip install './python[{extra}]'", name=error.name)

@@ -1,7 +1,7 @@
-"""The measures of the paper on recorded episodes: success rates and score of a policy.
+"""Measure policies on recorded episodes with the metrics of the paper: success rates and score.
 
-`evaluate` measures one policy. A `Benchmark` measures several on the same episodes, and runs the random policy, the
-baseline of the score, only once.
+`evaluate` measures one policy. A `Benchmark` measures several on the same episodes, and runs the random policy, which
+is the baseline of the score, only once.
 """
 
 from __future__ import annotations
@@ -61,20 +61,24 @@ class Interval:
     high: float
 
     def __str__(self) -> str:
-        """Format the value, and the interval in brackets."""
-        # Adding 0 makes a rounded -0.001 print as 0.
+        """Format the value and, in brackets, the interval."""
+        # Adding 0.0 turns a rounded -0.0 into 0.0.
         value, low, high = (f"{round(number, 2) + 0.0:.2f}" for number in (self.value, self.low, self.high))
         return f"{value} [{low}, {high}]"
 
 
 @dataclass(frozen=True)
 class EpisodeRecord:
-    """The result of one episode. The random policy has ten records for each episode.
+    """The result of one run of an episode. The random policy has ten records per episode.
 
     Attributes:
-        episode: Its number in the set, from 0.
+        episode: The number of the episode in the set, from 0.
+        steps: The number of steps.
+        total: The return: the undiscounted sum of rewards.
+        success: Whether the car reached the goal in time without breaking a rule.
+        truncated: Whether the run reached the step limit.
         constrained: The number of steps in which the rules required an action, by the name of the action.
-        violations: The clauses that the last action broke.
+        violations: The names of the clauses that the last action broke.
     """
 
     episode: int
@@ -88,18 +92,23 @@ class EpisodeRecord:
 
 @dataclass(frozen=True)
 class Evaluation:
-    """The measures of a policy on a set of episodes. Rates are shares from 0 to 1, with Wilson intervals.
+    """The measures of a policy on a set of episodes. Rates are from 0 to 1, with Wilson intervals.
 
     Attributes:
-        mode: The mode, or the configuration file as given.
+        policy: The name of the policy.
+        mode: The mode, or the path of the configuration file.
+        split: The split of the episodes.
         episodes_hash: SHA-256 of the set of episodes. Only results with the same hash are comparable.
-        tsr: Trajectory success rate: the share of all episodes that reach the goal in time and break no rule.
-        dsr: Decision success rate: the share of all episodes in which the rules required an action at least once and
-            were never broken, however the episode ended.
-        dsr_by_action: Of the episodes in which the rules required the action, the share in which no clause that
-            requires it was broken.
-        score: `mean_return` minus that of the random policy on the same episodes, compared episode by episode.
-        mean_return: The mean undiscounted sum of rewards.
+        tsr: Trajectory success rate: the share of episodes in which the car reaches the goal in time without breaking a
+            rule.
+        dsr: Decision success rate: the share of all episodes in which the rules require an action at least once and
+            the car never breaks a rule. The episode may end in any way.
+        dsr_by_action: By action, the share of the episodes that require the action in which the car breaks no clause
+            that requires it.
+        score: The mean difference between the return and the mean return of the random policy on the same episode.
+        mean_return: The mean return (undiscounted sum of rewards).
+        mean_steps: The mean number of steps.
+        episodes: The results of the runs.
     """
 
     policy: str
@@ -115,40 +124,40 @@ class Evaluation:
     episodes: tuple[EpisodeRecord, ...]
 
     def __repr__(self) -> str:
-        """Show the three measures; `episodes` has the rest."""
+        """Show the three measures and the number of runs."""
         return (
             f"<Evaluation of {self.policy} in {self.mode}, {self.split}: TSR {self.tsr}, DSR {self.dsr}, "
             f"Score {self.score}, {len(self.episodes)} episodes>"
         )
 
     def to_dict(self) -> dict[str, Any]:
-        """Return plain values for JSON."""
+        """Return a dictionary for JSON."""
         return asdict(self)
 
 
 class Progress:
-    """A progress line on a terminal. Prints nothing if standard error is no terminal."""
+    """A progress line on the terminal. Prints nothing if standard error is not a terminal."""
 
     def __init__(self, label: str, total: int) -> None:
-        """Set the label of the line, and the number of items."""
+        """Set the label and the total number of items."""
         self._label, self._total = label, total
-        self._shown = sys.stderr.isatty()
+        self._enabled = sys.stderr.isatty()
 
     def __enter__(self) -> Progress:
-        """Show that no item is done."""
+        """Show zero items."""
         self.update(0)
         return self
 
     def update(self, done: int) -> None:
-        """Show the number of items done."""
-        if self._shown:
+        """Show the number of finished items."""
+        if self._enabled:
             print(f"\r{self._label}: {done} of {self._total}", end="", file=sys.stderr, flush=True)
 
     def __exit__(
         self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
     ) -> None:
         """Clear the line."""
-        if self._shown:
+        if self._enabled:
             print("\r\x1b[K", end="", file=sys.stderr, flush=True)
 
 
@@ -157,7 +166,7 @@ def load_task(
     rules: str | os.PathLike[str] | None = None,
     overrides: Mapping[str, Any] | None = None,
 ) -> _logicity.Task:
-    """Load the task of a mode or configuration file. Raises the exceptions of `Benchmark`."""
+    """Load the task of a mode or configuration file. The exceptions are those of `Benchmark`."""
     return EnvConfig(checked_mode(mode), rules=rules, overrides=overrides).task()
 
 
@@ -175,23 +184,24 @@ def episodes_that_fit() -> Iterator[None]:
 
 
 class Benchmark:
-    """Recorded episodes of a mode or of a configuration file, on which policies are measured.
+    """The recorded episodes of a mode or of a configuration file, to measure policies on.
 
-    The number of steps of an episode is limited to a multiple of the oracle's, `patience` in the task: twice in the
-    modes. All episodes run side by side. Actions for episodes that have ended have no effect.
+    The step limit of an episode is a multiple of the oracle's number of steps. The factor is `patience` in the task, 2
+    in the modes. All episodes run in one batch. Actions for episodes that have ended have no effect.
 
     Args:
         mode: One of `logicity.ENVIRONMENTS`, such as `"expert"`, or the path of a configuration file. `logicity
-            episodes make` records its episodes.
-        split: The agents and episodes: `"train"`, `"val"` or `"test"`.
-        rules: A rule file that replaces the mode's. The recorded episodes stay, so the oracle need not reach the goal.
-        overrides: Changes to the task, as in `gymnasium.make`.
+            episodes make` records episodes for a configuration file.
+        split: The set of agents and episodes: `"train"`, `"val"` or `"test"`.
+        rules: A rule file that replaces the mode's. The recorded episodes do not change, so the oracle may not reach
+            the goal.
+        overrides: Changes to the configuration, as in `gymnasium.make`.
         observation: `"groundings"` or `"state"`, as in `gymnasium.make`.
 
     Raises:
-        InputError: A faulty configuration, rule file or override, or no recorded episodes.
-        OSError: A file cannot be read.
-        ValueError: An unknown mode, split or observation.
+        InputError: If the configuration, the rule file or an override is invalid, or no episodes are recorded.
+        OSError: If a file cannot be read.
+        ValueError: If the mode, the split or the kind of observation is unknown.
     """
 
     def __init__(
@@ -210,20 +220,20 @@ class Benchmark:
         self._task = self._config.task()
         self._random = _logicity.RandomBaseline(self._task, split)
         self.episodes_hash = self._random.hash()
-        self._driven = 0
+        self._baseline_episodes = 0
 
     def __len__(self) -> int:
         """Return the number of episodes."""
         return len(self._random)
 
     def _baseline(self) -> _logicity.RandomBaseline:
-        """Return the results of the random policy, which runs on the first call."""
-        if self._driven < len(self):
+        """Return the results of the random policy. The first call runs it."""
+        if self._baseline_episodes < len(self):
             with Progress(f"{self.mode} {self.split}, random policy", len(self)) as progress:
-                while self._driven < len(self):
+                while self._baseline_episodes < len(self):
                     self._random.add()
-                    self._driven += 1
-                    progress.update(self._driven)
+                    self._baseline_episodes += 1
+                    progress.update(self._baseline_episodes)
         return self._random
 
     def evaluate(
@@ -234,27 +244,26 @@ class Benchmark:
         name: str | None = None,
         traces: str | os.PathLike[str] | None = None,
     ) -> Evaluation:
-        """Run a policy on every episode once, or the random policy ten times.
+        """Run a policy once on every episode, or the random policy ten times.
 
         Args:
             policy: `"oracle"`, `"random"`, a model of Stable-Baselines3, or a function. A model predicts
                 deterministically. A function maps one observation to one action, 0 to 3.
-            batched: Whether the function maps all observations, float32 of shape (episodes, ...), to an integer for
-                each.
+            batched: Whether the function takes all observations, float32 of shape (episodes, ...), and returns integers
+                of shape (episodes,).
             name: The name of the policy in the result.
-            traces: A folder for the trace of every episode; it is made if it does not exist. `episode-7.jsonl` is the
-                trace of episode 7, which `logicity view` makes a page of; see `SPFEnv.write_trace`. An overridden
-                configuration is written beside the traces as `config.yaml`. Nothing is replaced: the folder must have
-                no traces and no other `config.yaml`, which is checked before the first episode. The random policy has
-                no traces.
+            traces: A folder for one trace per episode, which is created if it does not exist. `episode-7.jsonl` is the
+                trace of episode 7, see `SPFEnv.write_trace`. An overridden configuration is written beside the traces
+                as `config.yaml`. The folder must not contain traces or a different `config.yaml`. The random policy
+                does not support traces.
 
         Raises:
-            FileExistsError: The folder has traces already, or another configuration.
-            InputError: The episodes do not fit the agents, for example because of overrides.
-            OSError: A trace cannot be written.
-            TypeError: The policy cannot act, or its actions are not integers.
-            ValueError: An unknown policy, an action that is not 0, 1, 2 or 3, a number of actions other than that of
-                observations, or traces of the random policy.
+            FileExistsError: If the folder already has traces, or a different configuration.
+            InputError: If the episodes do not fit the agents, for example because of overrides.
+            OSError: If a trace cannot be written.
+            TypeError: If the policy has an unsupported type, or its actions are not integers.
+            ValueError: If the policy name is unknown, an action is not 0, 1, 2 or 3, the number of actions differs from
+                the number of observations, or `traces` is set for the random policy.
         """
         with episodes_that_fit():
             return self._evaluate(policy, batched, name, None if traces is None else Path(traces))
@@ -264,7 +273,7 @@ class Benchmark:
         if policy == "random":
             if traces is not None:
                 raise ValueError(
-                    "the random policy runs every episode ten times and has no traces: pass a function instead"
+                    "the random policy runs every episode ten times and supports no traces: pass a function instead"
                 )
             return self._result(named, self._baseline().report())
         evaluator = _logicity.BatchEvaluator(self._random, self._observation)
@@ -288,7 +297,7 @@ class Benchmark:
         return self._result(named, evaluator.report(self._baseline()))
 
     def _traces_into(self, folder: Path) -> Callable[[_logicity.BatchEvaluator, list[list[int]]], None]:
-        """Prepare a folder. Return a function that writes the traces, given the actions taken."""
+        """Prepare a folder, and return a function that writes the traces from the actions taken."""
         check_no_traces(folder)
         _make_writable(folder)
         return partial(self._write_traces, folder, self._config.written_config(folder / "config.yaml"))
@@ -326,23 +335,23 @@ class Benchmark:
 
 
 def check_no_traces(folder: Path) -> None:
-    """Check that a folder has no traces, which would mix with new ones.
+    """Check that a folder has no traces.
 
     Raises:
-        FileExistsError: It has traces.
+        FileExistsError: If the folder has traces.
     """
     earlier = min((path.name for path in folder.glob("episode-*.jsonl")), default=None)
     if earlier is not None:
         raise FileExistsError(
-            f"`{folder}` has traces already, for example {earlier}: remove them, or choose another folder"
+            f"`{folder}` already has traces, for example {earlier}: remove them, or choose another folder"
         )
 
 
 def _make_writable(folder: Path) -> None:
-    """Make a folder, and check that it is writable.
+    """Create a folder, and check that it is writable.
 
     Raises:
-        OSError: It is not.
+        OSError: If the folder cannot be created or is not writable.
     """
     folder.mkdir(parents=True, exist_ok=True)
     try:
@@ -355,7 +364,7 @@ def _make_writable(folder: Path) -> None:
 def _actor(
     policy: Policy, batched: bool, evaluator: _logicity.BatchEvaluator
 ) -> Callable[[Observations, NDArray[np.bool_]], Any]:
-    """Return a function that maps all observations, and the mask of running episodes, to actions."""
+    """Return a function from all observations and the mask of running episodes to actions."""
     if isinstance(policy, str):
         if policy != "oracle":
             raise ValueError(f"unknown policy `{policy}`: expected oracle, random, a model or a function")
@@ -376,7 +385,7 @@ def _actor(
         for at in np.flatnonzero(running):
             action = np.asarray(function(observations[at].copy()))
             if action.size != 1:
-                raise ValueError(f"expected one action for an observation, not an array of shape {action.shape}")
+                raise ValueError(f"expected one action per observation, not an array of shape {action.shape}")
             actions[at] = _checked(action.reshape(1), 1)[0]
         return actions
 
@@ -384,14 +393,14 @@ def _actor(
 
 
 def _predicting(model: Predictor) -> Callable[[Observations, NDArray[np.bool_]], Any]:
-    """Return a function that predicts by a model, and keeps the state of a recurrent one between steps."""
+    """Return a function that calls a model, and keeps the state of a recurrent model between steps."""
     state: Any = None
-    begins = True
+    first_step = True
 
     def act(observations: Observations, running: NDArray[np.bool_]) -> Any:
-        nonlocal state, begins
-        starts = np.full(len(observations), begins)
-        begins = False
+        nonlocal state, first_step
+        starts = np.full(len(observations), first_step)
+        first_step = False
         actions, state = model.predict(observations, state=state, episode_start=starts, deterministic=True)
         return actions
 
@@ -403,12 +412,12 @@ def _checked(actions: Any, count: int) -> Actions:
     if array.shape != (count,):
         raise ValueError(f"expected one action for each of {count} observations, not an array of shape {array.shape}")
     if not np.issubdtype(array.dtype, np.integer):
-        raise TypeError(f"expected integers as actions, not {array.dtype}")
+        raise TypeError(f"expected integer actions, not {array.dtype}")
     numbers = array.astype(np.int64)
     wrong = np.flatnonzero((numbers < 0) | (numbers >= len(ACTIONS)))
     if len(wrong):
         known = ", ".join(f"{number} {name}" for number, name in enumerate(ACTIONS))
-        raise ValueError(f"{numbers[wrong[0]]} is no action; known: {known}")
+        raise ValueError(f"{numbers[wrong[0]]} is not an action; known: {known}")
     return numbers
 
 
@@ -446,7 +455,7 @@ def evaluate(
 
 
 def table(results: list[Evaluation]) -> str:
-    """Format a table like the paper's, one row for each result."""
+    """Format a text table like that of the paper, with one row per result."""
     head = ("policy", "mode", "TSR", "DSR", "Score", "return", "steps")
     rows = [
         (r.policy, r.mode, str(r.tsr), str(r.dsr), str(r.score), str(r.mean_return), f"{r.mean_steps:.1f}")

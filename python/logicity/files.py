@@ -14,7 +14,7 @@ __all__ = ["replacing", "write_json", "write_new"]
 
 @contextmanager
 def replacing(path: str | os.PathLike[str]) -> Iterator[str]:
-    """Yield a temporary name to write to, which replaces `path` at the end."""
+    """Yield a temporary path to write to. On success, the file replaces `path`."""
     temporary = f"{os.fspath(path)}.{os.getpid()}.tmp"
     try:
         yield temporary
@@ -32,15 +32,15 @@ def write_json(path: str | os.PathLike[str], value: Any) -> None:
 
 
 def write_new(path: Path, text: str) -> None:
-    """Write a text to a file that does not exist, or that has the same content.
+    """Write text to a file unless it already exists with the same content.
 
     Raises:
-        FileExistsError: The file has another content.
+        FileExistsError: If the file has different content.
     """
     content = text.encode()
     if path.exists():
         if path.read_bytes() != content:
-            raise FileExistsError(f"`{path}` exists with another content: remove it, or write elsewhere")
+            raise FileExistsError(f"`{path}` exists with different content: remove it, or choose another path")
         return
     with replacing(path) as temporary:
         Path(temporary).write_bytes(content)

@@ -1,11 +1,11 @@
-"""Fill a pack of icons with a diffusion model (`pip install './python[icons]'`).
+"""Generate an icon pack with a diffusion model. Needs the extra `icons`: `pip install './python[icons]'`.
 
-`logicity icons sheet --pack` and `logicity run --pack` take a pack: one folder for each class, with PNG files. The
-prompts come from templates. A function that maps text to text, such as a language model, can rewrite them.
+`logicity icons sheet --pack` and `logicity run --pack` read a pack, which has one folder of PNG files per class. The
+prompts come from templates. A function from text to text, such as a language model, can rewrite them.
 
 Example:
-    >>> pipeline = load_pipeline("stabilityai/sd-turbo")  # doctest: +SKIP >>> fill("pack", ["ambulance", "bus+tiro"],
-    20, pipeline)  # doctest: +SKIP
+    >>> pipeline = load_pipeline("stabilityai/sd-turbo")  # doctest: +SKIP
+    >>> files = fill("pack", ["ambulance", "bus+tiro"], 20, pipeline)  # doctest: +SKIP
 """
 
 from __future__ import annotations
@@ -21,7 +21,7 @@ from .errors import missing_extra
 
 __all__ = ["SUBJECTS", "cut_out", "fill", "load_pipeline", "prompts"]
 
-#: Descriptions for each concept, kind of agent and building.
+#: Descriptions by concept, type of agent and type of building.
 SUBJECTS = {
     "car": ["a saloon car", "a hatchback", "an estate car", "a pickup"],
     "ambulance": ["an ambulance van with a light bar and a large cross on its roof"],
@@ -45,24 +45,24 @@ _STYLES = ["flat vector icon", "clean 3D render", "hand-painted game sprite", "p
 
 
 def prompts(name: str, count: int, *, seed: int = 0, write: Callable[[str], str] | None = None) -> list[str]:
-    """Return prompts for `count` different icons of a class, the same for the same seed.
+    """Return prompts for different icons of a class. The same seed gives the same prompts.
 
     Args:
-        name: A class as `logicity icons` names it: `bus`, `bus+tiro`, `car+taxi`.
+        name: A class name of `logicity icons`, such as `bus`, `bus+tiro` or `car+taxi`.
         count: The number of prompts.
         seed: The seed.
-        write: Maps each text of the template to the prompt, for example by a language model.
+        write: A function that rewrites each prompt, such as a language model.
 
     Raises:
-        ValueError: An unknown class, or a negative count.
+        ValueError: If the class is unknown, or the count is negative.
     """
     parts = name.split("+")
     if any(not part or {"/", "\\"} & set(part) for part in parts):
-        raise ValueError(f"`{name}` is no class")
+        raise ValueError(f"`{name}` is not a class name")
     if parts[0] not in SUBJECTS:
-        raise ValueError(f"unknown class `{name}`: it must begin with one of {', '.join(SUBJECTS)}")
+        raise ValueError(f"unknown class `{name}`: it must start with one of {', '.join(SUBJECTS)}")
     if count < 0:
-        raise ValueError(f"cannot write {count} prompts")
+        raise ValueError(f"`count` must not be negative, but it is {count}")
     draw = random.Random(f"{seed} {name}")
     if parts[0] in _BUILDINGS:
         view = "seen from the front"
@@ -82,20 +82,20 @@ def prompts(name: str, count: int, *, seed: int = 0, write: Callable[[str], str]
 
 
 def cut_out(image: Any, tolerance: int = 24) -> Any:
-    """Make the background of a picture transparent, and crop the picture to the rest.
+    """Make the background of a picture transparent, and crop the picture to the foreground.
 
-    The background is connected to the border, and differs from the mean color of the corners by at most `tolerance` of
-    255 in every channel.
+    The background is connected to the border of the picture. In every channel it differs from the mean color of the
+    corners by at most `tolerance`.
 
     Args:
         image: A `PIL.Image.Image`.
-        tolerance: The largest difference.
+        tolerance: The largest difference of a channel, from 0 to 255.
 
     Returns:
         A `PIL.Image.Image`.
 
     Raises:
-        ValueError: Only background is left.
+        ValueError: If the whole picture is background.
     """
     from PIL import Image
 
@@ -116,22 +116,22 @@ def cut_out(image: Any, tolerance: int = 24) -> Any:
             break
         outside = grown
     if outside.all():
-        raise ValueError("the picture has one color: nothing to cut out")
+        raise ValueError("the whole picture is background: there is nothing to cut out")
     rows, columns = (np.flatnonzero((~outside).any(axis=axis)) for axis in (1, 0))
     rgba = np.dstack([pixels.astype(np.uint8), np.where(outside, 0, 255).astype(np.uint8)])
     return Image.fromarray(rgba[rows[0] : rows[-1] + 1, columns[0] : columns[-1] + 1])
 
 
 def load_pipeline(model: str | Path, *, device: str | None = None, **options: Any) -> Any:
-    """Load a text-to-image pipeline of `diffusers`, from the hub or a folder.
+    """Load a text-to-image pipeline of `diffusers` from the Hugging Face Hub or a folder.
 
     Args:
-        model: The name on the hub, or the folder.
-        device: The device, such as `cuda`; by default a GPU if one is available.
+        model: The name on the hub, or the path of the folder.
+        device: The device, such as `cuda`. Defaults to a GPU if one is available.
         options: Arguments of `AutoPipelineForText2Image.from_pretrained`, such as `torch_dtype`.
 
     Raises:
-        ImportError: diffusers is not installed. The extra `icons` installs it.
+        ImportError: If diffusers is not installed. The extra `icons` installs it.
     """
     try:
         import torch
@@ -155,30 +155,33 @@ def fill(
     write: Callable[[str], str] | None = None,
     **options: Any,
 ) -> list[Path]:
-    """Draw `count` icons of every class into a pack and return their files.
+    """Draw icons of several classes into a pack.
 
-    Icon `k` of a class is drawn from prompt `k` with a generator seeded by `seed + k`. Existing files are kept, so that
-    an interrupted run resumes.
+    Icon `k` of a class uses prompt `k` and a generator with the seed `seed + k`. Existing files are kept, so another
+    call resumes an interrupted one.
 
     Args:
         folder: The folder of the pack.
         names: The classes.
-        count: The number of icons of each class.
+        count: The number of icons per class.
         pipeline: The result of `load_pipeline`, or a callable that takes `prompt`, `generator` and `options` and
             returns an object whose `images` are PIL images.
         seed: The seed.
-        side: The longest side of an icon in pixels, at most 2048. The model draws at its own size, or that of
-            `options`.
+        side: The longest side of an icon in pixels, from 1 to 2048. Icons are scaled down from the size at which the
+            model draws.
         tolerance: As for `cut_out`. Buildings keep their background.
         write: As for `prompts`.
         options: Arguments of the pipeline, such as `num_inference_steps` and `guidance_scale`.
 
+    Returns:
+        The paths of the icons.
+
     Raises:
-        OSError: A file cannot be written.
-        ValueError: A side out of range, an unknown class, or a negative count.
+        OSError: If a file cannot be written.
+        ValueError: If the side is out of range, a class is unknown, or the count is negative.
     """
     if not 1 <= side <= 2048:
-        raise ValueError(f"an icon of {side} pixels: expected 1 to 2048")
+        raise ValueError(f"expected a side of 1 to 2048 pixels, not {side}")
     texts = {name: prompts(name, count, seed=seed, write=write) for name in names}
     files = []
     for name, wanted in texts.items():
@@ -198,7 +201,7 @@ def fill(
 def _draw(pipeline: Any, text: str, seed: int, options: dict[str, Any]) -> Any:
     import torch
 
-    # On the CPU, so that the noise does not depend on the device of the pipeline.
+    # A generator on the CPU makes the noise independent of the device of the pipeline.
     generator = torch.Generator("cpu").manual_seed(seed)
     images: Sequence[Any] = pipeline(prompt=text, generator=generator, **options).images
     return images[0]

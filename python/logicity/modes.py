@@ -1,4 +1,4 @@
-"""The modes of Safe Path Following, and the ids of their environments."""
+"""The modes of Safe Path Following and the ids of their environments."""
 
 from __future__ import annotations
 
@@ -22,34 +22,34 @@ MODES = {
     "TransferMedium": "transfer-medium",
     "TransferHard": "transfer-hard",
 }
-"""The modes as the ids of environments spell them (`Easy` in `logicity/SPF-Easy-v0`), and their configurations."""
+"""The configuration of each mode, keyed by its spelling in environment ids (`Easy` in `logicity/SPF-Easy-v0`)."""
 
 ENVIRONMENTS = {config: f"logicity/SPF-{mode}-v0" for mode, config in MODES.items()}
-"""The ids of environments in gymnasium by configuration: `logicity/SPF-Expert-v0` for `expert`."""
+"""The gymnasium id of each mode, keyed by its configuration: `logicity/SPF-Expert-v0` for `expert`."""
 
 
 def checked_mode(mode: str | os.PathLike[str]) -> str:
-    """Return the name of a mode or the path of a configuration file.
+    """Check the name of a mode or the path of a configuration file, and return it as a string.
 
     Raises:
-        ValueError: `mode` is neither.
+        ValueError: If `mode` is neither.
     """
     name = os.fspath(mode)
     if name not in ENVIRONMENTS and not Path(name).suffix and not Path(name).exists():
-        raise ValueError(f"unknown mode `{name}`, and no such file{did_you_mean(name, ENVIRONMENTS)}")
+        raise ValueError(f"unknown mode `{name}`, and no file has this name{did_you_mean(name, ENVIRONMENTS)}")
     return name
 
 
 def parallel_env(config: str | os.PathLike[str] = "expert", **arguments: Any) -> SPFParallelEnv:
-    """Make a `ParallelEnv` of PettingZoo in which the policy controls every car.
+    """Make a PettingZoo `ParallelEnv` in which every car is a controlled agent.
 
     Args:
         config: A run configuration: a built-in name such as `expert`, or a path.
         arguments: The other parameters of `logicity.parallel.SPFParallelEnv`.
 
     Raises:
-        ImportError: PettingZoo is not installed. The extra `pettingzoo` installs it:
-            `pip install './python[pettingzoo]'`.
+        ImportError: If PettingZoo is not installed. The extra `pettingzoo` installs it: `pip install
+            './python[pettingzoo]'`.
     """
     from .parallel import SPFParallelEnv
 

@@ -1,7 +1,7 @@
-"""Trajectories of the oracle, as data for offline learning.
+"""Trajectories of the oracle for offline learning. Needs the extra `gym`.
 
-`demonstrations` runs the oracle on the recorded episodes of a split. Use the result as numpy arrays, or write it as a
-Minari dataset, as files for an inductive learner (Popper), or as a table (Parquet). Needs the extra `gym`.
+`demonstrations` runs the oracle on the recorded episodes of a split. The result holds numpy arrays, and converts to a
+Minari dataset, to a Parquet table, and to files for Popper, an inductive logic programming system.
 """
 
 from __future__ import annotations
@@ -39,14 +39,14 @@ class Trajectory:
     """One episode of T steps.
 
     Attributes:
-        episode: Its number in the set of recorded episodes, from 0.
-        seed: Its seed.
-        observations: float32 (T + 1, width); the last one is the observation at the goal.
+        episode: The number of the episode in the recorded set, from 0.
+        seed: The seed of the episode.
+        observations: float32 (T + 1, ...): the observations before each step and after the last one.
         actions: int64 (T,): 0 Slow, 1 Normal, 2 Fast, 3 Stop.
         rewards: float64 (T,).
-        terminations: bool (T,); all but the last are false.
-        truncations: bool (T,); all but the last are false.
-        infos: The numeric keys of `info` for every observation: arrays of length T + 1.
+        terminations: bool (T,): false except possibly at the last step.
+        truncations: bool (T,): false except possibly at the last step.
+        infos: The numeric keys of `info`, one array of shape (T + 1,) per key.
     """
 
     episode: int
@@ -67,12 +67,12 @@ class Demonstrations(Sequence[Trajectory]):
     """Trajectories of the oracle.
 
     Attributes:
-        mode: The mode, or the configuration file.
-        split: The agents and episodes.
+        mode: The mode, or the path of the configuration file.
+        split: The split of the episodes.
         episodes_hash: SHA-256 of the set of episodes.
-        atoms: The atom of each number of an observation; empty if observations are of the kind `state`.
+        atoms: The atom of each number of an observation. Empty if the observations are of the kind `state`.
         asked: The actions that the rules can require.
-        env: The spec of the environment.
+        env: The gymnasium spec of the environment.
     """
 
     def __init__(
@@ -91,7 +91,7 @@ class Demonstrations(Sequence[Trajectory]):
         self._trajectories = tuple(trajectories)
 
     def __repr__(self) -> str:
-        """Show the numbers of trajectories and steps."""
+        """Show the mode, the split, and the numbers of trajectories and steps."""
         steps = sum(len(trajectory) for trajectory in self)
         return f"<Demonstrations of {self.mode}, {self.split}: {len(self)} trajectories, {steps} steps>"
 
@@ -106,24 +106,24 @@ class Demonstrations(Sequence[Trajectory]):
     def __getitem__(self, index: slice) -> Sequence[Trajectory]: ...
 
     def __getitem__(self, index: int | slice) -> Trajectory | Sequence[Trajectory]:
-        """Return one trajectory, or several."""
+        """Return one trajectory, or a slice of them."""
         return self._trajectories[index]
 
     def to_minari(self, dataset_id: str | None = None, **metadata: Any) -> MinariDataset:
-        """Make a Minari dataset, from which `recover_environment()` makes the environment again.
+        """Create a Minari dataset, whose `recover_environment()` makes the environment again.
 
-        Minari stores datasets in the folder that the environment variable `MINARI_DATASETS_PATH` names when this is
-        called, or else in `~/.minari/datasets`.
+        Minari stores datasets in the folder that the environment variable `MINARI_DATASETS_PATH` names, by default
+        `~/.minari/datasets`.
 
         Args:
-            dataset_id: The name of the dataset. The default is `logicity/spf-MODE/oracle-v0`, where MODE of a
-                configuration file is its name without folder and ending.
+            dataset_id: The name of the dataset. The default is `logicity/spf-MODE/oracle-v0`. For a configuration file,
+                MODE is the file name without its suffix.
             metadata: Other arguments of `minari.create_dataset_from_buffers`, such as `author`, `author_email` and
                 `code_permalink`. Minari warns if these three are missing.
 
         Raises:
-            ImportError: Minari is not installed. The extra `offline` installs it: `pip install './python[offline]'`.
-            ValueError: The dataset exists already.
+            ImportError: If Minari is not installed. The extra `offline` installs it: `pip install './python[offline]'`.
+            ValueError: If the dataset already exists.
         """
         try:
             import minari
@@ -158,35 +158,37 @@ class Demonstrations(Sequence[Trajectory]):
         )
 
     def to_popper(self, folder: str | os.PathLike[str], *, distinct: bool = False) -> list[Path]:
-        """Write files for inductive logic programming in the format of Popper.
+        """Write files for Popper, an inductive logic programming system.
 
-        Every action that the rules can require gets a folder, named after it in lower case, with `bk.pl`, `exs.pl` and
-        `bias.pl`. Each step is one example, positive if the oracle took the action, and otherwise negative. Its subject
-        is the ego of that step, `s7_e0` in step 7; `s7_e1` to `s7_e4` are the entities in its view. Facts have the
-        names of the predicates, `is_at_inter` for `IsAtInter`. Popper does not learn negated literals, so every
-        observed atom that is false gets a fact such as `not_is_at_inter`. `sees(s7_e0, s7_e1)` states which entities
-        belong to a step. A learned rule needs it to mention an entity that no other literal binds to the ego.
+        Every action that the rules can require gets a folder with `bk.pl`, `exs.pl` and `bias.pl`. The name of the
+        folder is the action in lower case. Each step is one example, which is positive if the oracle took the action,
+        and negative otherwise.
+
+        In step 7, the constant `s7_e0` is the ego, and `s7_e1` to `s7_e4` are the other entities in its view. A
+        predicate such as `IsAtInter` becomes `is_at_inter`. Popper does not learn negated literals, so each false
+        observed atom becomes a fact such as `not_is_at_inter`. The facts `sees(s7_e0, s7_e1)` list the entities of a
+        step. A learned rule needs them for entities that no other literal connects to the ego.
 
         Args:
-            folder: The folder to write, made if it does not exist. Each action's folder is replaced as a whole.
-            distinct: Whether to write steps with the same observation and action only once. This keeps the rules that
-                are consistent with all examples, but changes the weight of an exception in noisy learning.
+            folder: The folder to write, which is created if it does not exist. The folder of each action is replaced.
+            distinct: Whether to write steps with the same observation and action only once. The rules that are
+                consistent with all examples stay the same, but the weights of examples in noisy learning change.
 
         Returns:
             The folders of the actions.
 
         Raises:
-            OSError: A file cannot be written.
-            ValueError: The observations are not of the kind `groundings`.
+            OSError: If a file cannot be written.
+            ValueError: If the observations are not of the kind `groundings`.
         """
         if not self.atoms:
-            raise ValueError("Popper needs atoms: make the demonstrations with the observation `groundings`")
+            raise ValueError('Popper needs atoms: make the demonstrations with `observation="groundings"`')
         examples = list(self._examples(distinct))
         facts = [line for step, (observation, _) in enumerate(examples) for line in self._facts(step, observation)]
         arities = {name: len(entities) for name, entities in self.atoms}
         predicates = {"sees": 2}
         predicates |= {f"{sign}{_snake(name)}": arity for name, arity in arities.items() for sign in ("", "not_")}
-        # A query of a predicate without facts is an error otherwise.
+        # Without this declaration, Prolog raises an error for a query of a predicate without facts.
         facts += [f":- dynamic {name}/{arity}." for name, arity in predicates.items()]
         written = []
         for number, action in enumerate(ACTIONS):
@@ -215,28 +217,30 @@ class Demonstrations(Sequence[Trajectory]):
                 yield observation, int(action)
 
     def _facts(self, step: int, observation: NDArray[np.float32]) -> Iterator[str]:
-        """Yield the true and the false facts about the ego and every entity with a true atom."""
+        """Yield the true and the false atoms over the ego and every entity with a true atom."""
         true = observation[: len(self.atoms)] > 0.5
-        there = {0}.union(*(entities for (_, entities), holds in zip(self.atoms, true, strict=True) if holds))
-        yield from (f"sees(s{step}_e0,s{step}_e{entity})." for entity in sorted(there))
+        present = {0}.union(*(entities for (_, entities), holds in zip(self.atoms, true, strict=True) if holds))
+        yield from (f"sees(s{step}_e0,s{step}_e{entity})." for entity in sorted(present))
         for (name, entities), holds in zip(self.atoms, true, strict=True):
-            if there.issuperset(entities):
-                of = ",".join(f"s{step}_e{entity}" for entity in entities)
-                yield f"{'' if holds else 'not_'}{_snake(name)}({of})."
+            if present.issuperset(entities):
+                arguments = ",".join(f"s{step}_e{entity}" for entity in entities)
+                yield f"{'' if holds else 'not_'}{_snake(name)}({arguments})."
 
     def to_parquet(self, path: str | os.PathLike[str]) -> None:
-        """Write a table with one row for each step, atomically.
+        """Write a Parquet table with one row per step, atomically.
 
-        The columns are `episode` (int32), `step` (int32), `observation` (fixed list of float32), `action` (int8),
-        `reward` (float64), `terminated`, `truncated` (bool), and the numeric keys of `info`. The metadata of the schema
-        has `mode`, `split`, `episodes_hash`, `actions` and, for observations of the kind `groundings`, `atoms`.
+        The columns are `episode` (int32), `step` (int32), `observation` (fixed-size list of float32), `action` (int8),
+        `reward` (float64), `terminated` (bool), `truncated` (bool), and the numeric keys of `info`. The schema metadata
+        has `mode`, `split`, `episodes_hash`, `actions` and `atoms`, which is empty for observations of the kind
+        `state`.
 
         Args:
             path: The file to write.
 
         Raises:
-            ImportError: pyarrow is not installed. The extra `offline` installs it: `pip install './python[offline]'`.
-            OSError: The file cannot be written.
+            ImportError: If pyarrow is not installed. The extra `offline` installs it: `pip install
+                './python[offline]'`.
+            OSError: If the file cannot be written.
         """
         try:
             import pyarrow
@@ -271,12 +275,12 @@ class Demonstrations(Sequence[Trajectory]):
 
 
 def _snake(name: str) -> str:
-    """Convert a name to Prolog's style: `IsAtInter` to `is_at_inter`."""
+    """Convert a name to snake case: `IsAtInter` to `is_at_inter`."""
     return re.sub(r"(?<=[a-z0-9])(?=[A-Z])", "_", name).lower()
 
 
 def _write_folder(folder: Path, files: Mapping[str, Sequence[str]]) -> Path:
-    """Write a folder under a temporary name, which then replaces the old folder."""
+    """Write files to a temporary folder, which then replaces `folder`."""
     folder.parent.mkdir(parents=True, exist_ok=True)
     temporary = Path(tempfile.mkdtemp(prefix=f".{folder.name}-", dir=folder.parent))
     try:
@@ -304,24 +308,26 @@ def demonstrations(
 
     Args:
         mode: One of `logicity.ENVIRONMENTS`, such as `"expert"`, or the path of a configuration file. `logicity
-            episodes make` records its episodes.
-        n: The number of episodes, by default all. The modes have 40 for `"val"`, 100 otherwise.
+            episodes make` records episodes for a configuration file.
+        n: The number of episodes, by default all. The modes have 40 episodes for `"val"`, and 100 for each other split.
         split: `"train"`, `"val"` or `"test"`.
         observation: `"groundings"` or `"state"`, as in `gymnasium.make`.
         options: Other options of `gymnasium.make`, such as `overrides`.
 
     Raises:
-        ImportError: gymnasium is not installed. The extra `gym` installs it: `pip install './python[gym]'`.
-        InputError: A faulty configuration or option, or no recorded episodes, or episodes that do not fit the agents.
-        OSError: A file cannot be read.
-        ValueError: An unknown mode, split or observation, or more episodes than are recorded.
+        ImportError: If gymnasium is not installed. The extra `gym` installs it: `pip install './python[gym]'`.
+        InputError: If the configuration or an option is invalid, no episodes are recorded, or the episodes do not fit
+            the agents.
+        OSError: If a file cannot be read.
+        ValueError: If the mode, the split or the kind of observation is unknown, or `n` exceeds the number of recorded
+            episodes.
     """
     name = checked_mode(mode)
     task = load_task(mode, options.get("rules"), options.get("overrides"))
     count = task.recorded(split)
     wanted = count if n is None else n
     if not 1 <= wanted <= count:
-        raise ValueError(f"{wanted} demonstrations requested, but {count} episodes are recorded for {name}, {split}")
+        raise ValueError(f"expected 1 to {count} demonstrations, the number recorded for {name}, {split}, not {wanted}")
     env = _environment(name, split=split, observation=observation, **options)
     assert env.spec is not None
     try:
@@ -337,7 +343,7 @@ def demonstrations(
 
 
 def _environment(mode: str, **options: Any) -> gymnasium.Env[Any, Any]:
-    """Make the environment of a mode or of a configuration file; its spec then works in every directory."""
+    """Make the environment of a mode or configuration file. Its spec does not depend on the working directory."""
     try:
         import gymnasium
     except ImportError as error:

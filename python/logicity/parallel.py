@@ -1,4 +1,4 @@
-"""A `ParallelEnv` of PettingZoo that controls every car of a city. Needs the extra `pettingzoo`."""
+"""A PettingZoo `ParallelEnv` that controls every car of a city. Needs the extra `pettingzoo`."""
 
 from __future__ import annotations
 
@@ -39,10 +39,10 @@ __all__ = ["SPFParallelEnv"]
 
 
 class SPFParallelEnv(ParallelEnv[str, Observations, "np.int64 | int"]):
-    """Safe Path Following in which every car is an agent, named `Car_1`, `Car_2`, ...
+    """Safe Path Following in which every car is a controlled agent, named `Car_1`, `Car_2`, ...
 
-    Observations, actions, rewards and `info` of a car are those of `SPFEnv`. After its episode ends, a car follows the
-    rules and is not in `agents` any more.
+    Observations, actions, rewards and `info` of a car are those of `SPFEnv`. When the episode of a car ends, the car
+    leaves `agents` and follows the rules.
 
     Args:
         config: As for `SPFEnv`.
@@ -66,34 +66,37 @@ class SPFParallelEnv(ParallelEnv[str, Observations, "np.int64 | int"]):
         self._cars = _logicity.MultiCarEnv(task, env_config.split, env_config.observation)
         self.possible_agents = self._cars.names()
         self.agents: list[str] = []
-        self._place = {name: car for car, name in enumerate(self.possible_agents)}
-        # One space for each car, so that seeding one leaves the others alone.
+        self._index = {name: car for car, name in enumerate(self.possible_agents)}
+        # Each car has its own space, so that seeding one does not affect the others.
         self.observation_spaces = {name: observation_space(env_config, task) for name in self.possible_agents}
         self.action_spaces = {name: Discrete(4) for name in self.possible_agents}
         self._generator: np.random.Generator | None = None
         self._seeded = self._begun = False
 
     def observation_space(self, agent: str) -> Box:
-        """Return the observation space of a car, the same object each time."""
+        """Return the observation space of a car. Every call returns the same object."""
         return self.observation_spaces[agent]
 
     def action_space(self, agent: str) -> Discrete:
-        """Return the action space of a car, the same object each time."""
+        """Return the action space of a car. Every call returns the same object."""
         return self.action_spaces[agent]
 
     def reset(
         self, seed: int | None = None, options: dict[str, Any] | None = None
     ) -> tuple[dict[str, Observations], dict[str, dict[str, Any]]]:
-        """Begin an episode, see `SPFEnv.reset`.
+        """Start an episode, see `SPFEnv.reset`.
 
         Args:
-            seed: From 0 to 2**64 - 1: begins a new sequence of episodes. `None` continues the sequence.
-            options: `episode`, a mapping such as the property of that name. Other keys have no effect, as PettingZoo
+            seed: The seed of a new sequence of episodes, from 0 to 2**64 - 1. `None` continues the sequence.
+            options: `episode` is a mapping such as the property `episode`. Other keys have no effect, as PettingZoo
                 requires.
 
+        Returns:
+            The observations and the infos by car.
+
         Raises:
-            InputError: A mapping that is no valid episode here (`invalid-episode`).
-            ValueError: The episode is not a mapping.
+            InputError: If the mapping is not a valid episode of this environment (`invalid-episode`).
+            ValueError: If the episode is not a mapping.
         """
         options = options or {}
         if seed is not None or not self._seeded:
@@ -103,45 +106,50 @@ class SPFParallelEnv(ParallelEnv[str, Observations, "np.int64 | int"]):
             self._seeded = True
         episode = parse_episode(options.get("episode"))
         if not (episode is True or isinstance(episode, dict)):
-            raise ValueError("expected an episode as a mapping, not a number, where all cars are controlled")
+            raise ValueError("`episode` must be a mapping: recorded episodes have only one controlled car")
         self.agents, self._begun = [], False
         self._cars.reset(None if episode is True else episode)
         self.agents, self._begun = list(self.possible_agents), True
-        infos = {name: info_dict(self._cars.outcome(self._place[name])[3]) for name in self.agents}
-        return {name: self._look(name) for name in self.agents}, infos
+        infos = {name: info_dict(self._cars.outcome(self._index[name])[3]) for name in self.agents}
+        return {name: self._observe(name) for name in self.agents}, infos
 
-    def _look(self, name: str) -> Observations:
+    def _observe(self, name: str) -> Observations:
         observation = np.empty(self.observation_space(name).shape, np.float32)
-        self._cars.observe(self._place[name], observation)
+        self._cars.observe(self._index[name], observation)
         return observation
 
     def step(
         self, actions: dict[str, np.int64 | int]
     ) -> tuple[dict[str, Observations], dict[str, float], dict[str, bool], dict[str, bool], dict[str, dict[str, Any]]]:
-        """Drive for a tick.
+        """Run one tick.
 
         Args:
-            actions: An action for each of `agents`.
+            actions: One action per car in `agents`: 0 Slow, 1 Normal, 2 Fast or 3 Stop.
+
+        Returns:
+            The observations, the rewards, `terminated`, `truncated` and the infos, each by car.
 
         Raises:
-            gymnasium.error.ResetNeeded: No episode has begun.
-            gymnasium.error.InvalidAction: An action is missing, or not 0, 1, 2 or 3, or there is no such car.
+            gymnasium.error.ResetNeeded: If no episode has started.
+            gymnasium.error.InvalidAction: If an action is missing, an action is not 0, 1, 2 or 3, or a car is unknown.
         """
         if not self._begun:
-            raise ResetNeeded("no episode has begun: call `reset`")
+            raise ResetNeeded("no episode has started: call `reset`")
         live = self.agents
         missing = [name for name in live if name not in actions]
-        unknown = [str(name) for name in actions if name not in self._place]
+        unknown = [str(name) for name in actions if name not in self._index]
         if missing or unknown:
-            raise InvalidAction(f"no action for {', '.join(missing)}" if missing else f"no car {', '.join(unknown)}")
+            raise InvalidAction(
+                f"missing action of {', '.join(missing)}" if missing else f"unknown car {', '.join(unknown)}"
+            )
         numbers = [0] * len(self.possible_agents)
         for name in live:
-            numbers[self._place[name]] = checked_action(actions[name])
+            numbers[self._index[name]] = checked_action(actions[name])
         self._cars.step(numbers)
-        outcomes = {name: self._cars.outcome(self._place[name]) for name in live}
+        outcomes = {name: self._cars.outcome(self._index[name]) for name in live}
         self.agents = [name for name in live if not (outcomes[name][1] or outcomes[name][2])]
         return (
-            {name: self._look(name) for name in live},
+            {name: self._observe(name) for name in live},
             {name: outcome[0] for name, outcome in outcomes.items()},
             {name: outcome[1] for name, outcome in outcomes.items()},
             {name: outcome[2] for name, outcome in outcomes.items()},
@@ -150,35 +158,35 @@ class SPFParallelEnv(ParallelEnv[str, Observations, "np.int64 | int"]):
 
     @property
     def episode(self) -> EpisodeStart:
-        """The start of this episode. `reset(options={"episode": ...})` begins it again."""
+        """The start of the current episode. Pass it to `reset(options={"episode": ...})` to restart it."""
         self._check_begun()
         return cast(EpisodeStart, self._cars.episode())
 
     def explain(self, agent: str) -> str:
-        """Explain the action that the rules derive for a car, as `SPFEnv.explain` does.
+        """Return proofs of the action that the rules derive for a car, as `SPFEnv.explain` does.
 
         Raises:
-            ValueError: There is no such car.
-            gymnasium.error.ResetNeeded: No episode has begun.
+            ValueError: If the car is unknown.
+            gymnasium.error.ResetNeeded: If no episode has started.
         """
         self._check_begun()
-        if agent not in self._place:
-            raise ValueError(f"there is no car `{agent}`{did_you_mean(agent, self._place)}")
-        return self._cars.explain(self._place[agent])
+        if agent not in self._index:
+            raise ValueError(f"unknown car `{agent}`{did_you_mean(agent, self._index)}")
+        return self._cars.explain(self._index[agent])
 
     def _check_begun(self) -> None:
         if not self._begun:
-            raise ResetNeeded("no episode has begun: call `reset`")
+            raise ResetNeeded("no episode has started: call `reset`")
 
     def render(self) -> Any:
-        """Draw the city: a uint8 array of shape (height, width, 3), or text about all cars in the mode `ansi`."""
+        """Return a picture of the city, a uint8 array of shape (height, width, 3), or text in the mode `ansi`."""
         if self.render_mode is None:
-            raise gymnasium.error.Error("the environment was made without a `render_mode`")
+            raise gymnasium.error.Error("the environment has no `render_mode`: pass one to `parallel_env`")
         self._check_begun()
         if self.render_mode == "rgb_array":
             return self._cars.picture()
         return "\n".join(self._cars.text(car) for car in range(len(self.possible_agents)))
 
     def __getstate__(self) -> dict[str, Any]:
-        """Refuse to pickle: send the arguments to another process instead."""
+        """Raise `TypeError`. Send the arguments to another process instead."""
         raise TypeError("an SPFParallelEnv cannot be pickled or copied: make another with the same arguments")

@@ -1,7 +1,7 @@
-"""Multiple-choice questions for language models: ask a model over HTTP, read its replies, grade them.
+"""Multiple-choice questions for language models: query a model over HTTP, parse its replies, and grade them.
 
-`logicity questions` makes the questions. `ask` sends them to a chat endpoint and stores the replies. `grade` compares
-replies from any source with the actions that the rules derive.
+`logicity questions` generates the questions. `ask` sends them to a chat endpoint and stores the replies. `grade`
+compares replies from any source with the actions that the rules derive.
 """
 
 from __future__ import annotations
@@ -36,9 +36,12 @@ class Question:
     """A question from the output of `logicity questions`.
 
     Attributes:
-        demonstrations: Pairs of a question and the letter of its answer.
+        id: The unique name of the question.
+        system: The system message: the instructions.
+        demonstrations: The few-shot examples: pairs of a question and the letter of its answer.
+        text: The question.
         options: The actions by letter.
-        answer: The letter of the right action.
+        answer: The letter of the correct action.
     """
 
     id: str
@@ -51,16 +54,16 @@ class Question:
     def messages(self) -> list[dict[str, str]]:
         """Return the messages for a chat model: the instructions, then the examples and the question."""
         options = "\n".join(f"({letter}) {action}" for letter, action in self.options.items())
-        shown = [
+        examples = [
             f"Example {number}\n{text}\n{options}\nAnswer: {answer}"
             for number, (text, answer) in enumerate(self.demonstrations, 1)
         ]
-        asked = "\n\n".join([*shown, f"Question\n{self.text}\n{options}"])
-        return [{"role": "system", "content": self.system}, {"role": "user", "content": asked}]
+        content = "\n\n".join([*examples, f"Question\n{self.text}\n{options}"])
+        return [{"role": "system", "content": self.system}, {"role": "user", "content": content}]
 
 
 def _lines(path: str | os.PathLike[str]) -> Iterable[tuple[str, dict[str, Any]]]:
-    """Yield the objects of a file of JSON lines, each with its place."""
+    """Yield the objects of a JSON Lines file, each with its location."""
     with open(path, encoding="utf-8") as file:
         for number, line in enumerate(file, 1):
             if not line.strip():
@@ -71,7 +74,7 @@ def _lines(path: str | os.PathLike[str]) -> Iterable[tuple[str, dict[str, Any]]]
             except json.JSONDecodeError as error:
                 raise ValueError(f"{place}: not JSON: {error}") from None
             if not isinstance(value, dict) or not isinstance(value.get("id"), str):
-                raise ValueError(f"{place}: expected an object with a text as `id`")
+                raise ValueError(f"{place}: expected an object with a string `id`")
             yield place, value
 
 
@@ -79,8 +82,8 @@ def load_questions(path: str | os.PathLike[str]) -> list[Question]:
     """Read a file of questions.
 
     Raises:
-        OSError: The file cannot be read.
-        ValueError: The file is no output of `logicity questions`; the message names the line.
+        OSError: If the file cannot be read.
+        ValueError: If the file is not an output of `logicity questions`. The message names the line.
     """
     questions: dict[str, Question] = {}
     for place, line in _lines(path):
@@ -88,7 +91,7 @@ def load_questions(path: str | os.PathLike[str]) -> list[Question]:
             question = Question(
                 id=line["id"],
                 system=line["system"],
-                demonstrations=tuple((shown["question"], shown["answer"]) for shown in line["demonstrations"]),
+                demonstrations=tuple((example["question"], example["answer"]) for example in line["demonstrations"]),
                 text=line["question"],
                 options=dict(line["options"]),
                 answer=line["answer"],
@@ -98,37 +101,39 @@ def load_questions(path: str | os.PathLike[str]) -> list[Question]:
         if list(question.options.items()) != list(zip(LETTERS, ACTIONS, strict=True)):
             raise ValueError(f"{place}: the options are not {', '.join(ACTIONS)}")
         if question.answer not in question.options:
-            raise ValueError(f"{place}: the answer {question.answer!r} is no option")
+            raise ValueError(f"{place}: the answer {question.answer!r} is not an option")
         if question.id in questions:
-            raise ValueError(f"{place}: the id {question.id!r} occurs twice")
+            raise ValueError(f"{place}: duplicate id {question.id!r}")
         questions[question.id] = question
     if not questions:
-        raise ValueError(f"{os.fspath(path)}: no questions")
+        raise ValueError(f"{os.fspath(path)} has no questions")
     return list(questions.values())
 
 
 def load_answers(path: str | os.PathLike[str]) -> dict[str, str]:
-    """Read a file of answers by id, one `{"id": .., "answer": ..}` in each line. An answer is a letter or any text.
+    """Read a file with one `{"id": .., "answer": ..}` per line, and return the answers by id.
+
+    An answer is a letter or any text.
 
     Raises:
-        OSError: The file cannot be read.
-        ValueError: A faulty line, or a repeated id; the message names the line.
+        OSError: If the file cannot be read.
+        ValueError: If a line is invalid, or an id is repeated. The message names the line.
     """
     answers: dict[str, str] = {}
     for place, line in _lines(path):
         if not isinstance(line.get("answer"), str):
-            raise ValueError(f"{place}: expected a text as `answer`")
+            raise ValueError(f"{place}: expected a string `answer`")
         if line["id"] in answers:
-            raise ValueError(f"{place}: the id {line['id']!r} is answered twice")
+            raise ValueError(f"{place}: second answer to the question {line['id']!r}")
         answers[line["id"]] = line["answer"]
     return answers
 
 
 _NAMES = "|".join(ACTIONS)
-# Emphasis, code and TeX markup.
+# Markup of emphasis, code and TeX.
 _MARKUP = re.compile(r"\\boxed|\\text|[*_`${}\"']")
 _MARKER = re.compile(r"\banswer\b(?:\s+(?:is|would\s+be|should\s+be))?\s*[:=-]?\s*(?:option\s+)?", flags=re.IGNORECASE)
-# A letter, or nothing before a name; a separator; an optional name; the rest.
+# Groups: a letter, or nothing if a name follows; a separator; an optional name; the rest.
 _OPTION = re.compile(
     rf"[(\[]?\s*(?:([A-D])\b\s*[)\]]?|(?=(?:{_NAMES})\b))([\s.:)\-–—]*)((?:{_NAMES})\b)?(.*)", flags=re.IGNORECASE
 )
@@ -139,7 +144,7 @@ _REMARK = re.compile(r"\s*(?:$|[.,;:!)\]]|\(|because\b|since\b)", flags=re.IGNOR
 def read_letter(reply: str) -> str | None:
     """Read the option that a reply chooses: `"A"` to `"D"`, or `None` if it chooses no option or several.
 
-    The text after the last legible "answer:" or "answer is" counts, or else the last line if it holds only an option.
+    The option after the last "answer:" or "answer is" counts. Otherwise the last line counts if it is only an option.
     """
     text = re.sub(r"<(\w+)>", r"\1: ", re.sub(r"</\w+>", "\n", reply))
     text = _MARKUP.sub("", text)
@@ -152,7 +157,7 @@ def read_letter(reply: str) -> str | None:
 
 
 def _option(text: str) -> str | None:
-    """Read the option at the start of a text: a letter, a name or both, then the end or a separate remark."""
+    """Return the letter of the option at the start of a text: a letter, a name or both, then the end or a remark."""
     found = _OPTION.match(text.strip())
     if found is None:
         return None
@@ -160,16 +165,16 @@ def _option(text: str) -> str | None:
     named = LETTERS[[action.lower() for action in ACTIONS].index(name.lower())] if name else None
     if (letter and named and letter.upper() != named) or _ALTERNATIVE.match(rest):
         return None
-    # "A car" and "Stop signs" continue a sentence; "B. The car" does not.
-    set_apart = name is None and any(mark in gap for mark in ".:)-–—")
-    if not set_apart and not _REMARK.match(rest):
+    # "A car" and "Stop signs" are the start of a sentence, but "B. The car" is an option and a remark.
+    separated = name is None and any(mark in gap for mark in ".:)-–—")
+    if not separated and not _REMARK.match(rest):
         return None
     return letter.upper() if letter else named
 
 
 @dataclass(frozen=True)
 class Recall:
-    """The number of questions answered correctly, out of `total`, and their share with its interval."""
+    """The number of correct answers out of `total`, and their share with its confidence interval."""
 
     correct: int
     total: int
@@ -177,14 +182,14 @@ class Recall:
 
     @classmethod
     def of(cls, correct: int, total: int) -> Recall:
-        """Compute the share and its 95 % interval after Wilson (1927); 0 and [0, 1] for a total of 0."""
+        """Compute the share and its 95 % Wilson score interval (1927). For a total of 0, they are 0 and [0, 1]."""
         if total == 0:
             return cls(0, 0, Interval(0.0, 0.0, 1.0))
         z = 1.959963984540054
         share = correct / total
-        centre = (share + z * z / (2 * total)) / (1 + z * z / total)
+        center = (share + z * z / (2 * total)) / (1 + z * z / total)
         spread = z / (1 + z * z / total) * math.sqrt(share * (1 - share) / total + z * z / (4 * total * total))
-        return cls(correct, total, Interval(share, max(0.0, centre - spread), min(1.0, centre + spread)))
+        return cls(correct, total, Interval(share, max(0.0, center - spread), min(1.0, center + spread)))
 
 
 @dataclass(frozen=True)
@@ -192,12 +197,12 @@ class Grade:
     """The result of grading.
 
     Attributes:
-        overall: Recall over all questions; a missing or illegible answer is wrong.
-        by_action: Recall by right action, for actions with questions.
-        confusion: By right answer, the counts of chosen letters, of `"unread"` replies (no option chosen), and of
-            `"missing"` ones.
+        overall: Recall over all questions. Missing and unreadable answers count as wrong.
+        by_action: Recall by correct action, for the actions that occur.
+        confusion: The confusion matrix: by correct letter, the counts of the chosen letters, of `"unread"` replies that
+            choose no option, and of `"missing"` replies.
         missing: The ids of questions without a reply.
-        unread: The ids of questions whose reply chooses no option.
+        unread: The ids of questions whose reply chooses no option or several.
         unknown: The ids of answers without a question.
     """
 
@@ -209,13 +214,13 @@ class Grade:
     unknown: tuple[str, ...]
 
     def to_dict(self) -> dict[str, Any]:
-        """Return plain values for JSON."""
+        """Return a dictionary for JSON."""
         return asdict(self)
 
     def __str__(self) -> str:
-        """Format a table."""
+        """Format the accuracies and the confusion matrix as a text table."""
         columns = [*LETTERS, UNREAD, MISSING]
-        head = ["right answer", "questions", "accuracy", *columns]
+        head = ["correct answer", "questions", "accuracy", *columns]
         rows = [
             [f"{letter} {action}", str(recall.total), str(recall.accuracy)]
             + [str(self.confusion[letter][column]) for column in columns]
@@ -230,7 +235,7 @@ class Grade:
 
 
 def grade(questions: Sequence[Question], answers: Mapping[str, str]) -> Grade:
-    """Grade answers, letters or whole replies, by the ids of questions."""
+    """Grade answers, which are letters or whole replies, by the ids of their questions."""
     confusion = {letter: dict.fromkeys([*LETTERS, UNREAD, MISSING], 0) for letter in LETTERS}
     missing: list[str] = []
     unread: list[str] = []
@@ -259,7 +264,7 @@ def grade(questions: Sequence[Question], answers: Mapping[str, str]) -> Grade:
 
 
 class _RetryableError(Exception):
-    """A request failed, and a later try may succeed. `wait` is the delay in seconds that the server requests."""
+    """A failed request that may succeed later. `wait` is the delay that the server requests, in seconds."""
 
     def __init__(self, reason: str, wait: float | None = None) -> None:
         super().__init__(reason)
@@ -267,29 +272,29 @@ class _RetryableError(Exception):
 
 
 class _NoRedirect(urllib.request.HTTPRedirectHandler):
-    """Follows no redirect, since a redirect would send the key to another server."""
+    """Rejects redirects, because a redirect would send the key to another server."""
 
-    def redirect_request(self, *given: Any, **named: Any) -> None:
+    def redirect_request(self, *arguments: Any, **options: Any) -> None:
         return None
 
 
 @dataclass(frozen=True)
 class Endpoint:
-    """A chat endpoint with the interface of OpenAI, which many local servers have, too.
+    """A chat endpoint with an OpenAI-compatible interface.
 
     Args:
-        url: The base URL, such as `http://localhost:8000/v1`. `/chat/completions` is added if it is missing.
-        model: The server's name of the model.
+        url: The base URL, such as `http://localhost:8000/v1`. `/chat/completions` is appended if it is missing.
+        model: The name of the model on the server.
         key: The bearer token, if the server requires one.
         settings: More fields of the request, such as a temperature.
-        timeout: Seconds without data after which a request fails.
+        timeout: The timeout of a request, in seconds without data.
         tries: The number of attempts.
-        pause: Seconds before the second attempt. The delay doubles up to 60 for later ones, unless the server requests
-            another.
+        pause: The delay before the second attempt, in seconds. It doubles for each later attempt, up to 60 seconds,
+            unless the server requests another delay.
 
     Raises:
-        ValueError: A URL that is not http or https, a key with invalid characters, or `settings` that set the model or
-            the messages.
+        ValueError: If the URL is not http or https, the key has invalid characters, `settings` contains `model`,
+            `messages` or `stream`, or a number is out of range.
     """
 
     url: str
@@ -309,25 +314,25 @@ class Endpoint:
         if self.key is not None and not re.fullmatch(r"[\x21-\x7e]+", self.key):
             raise ValueError("the key is empty, or has characters other than printable ASCII")
         if set(self.settings or ()) & {"model", "messages", "stream"}:
-            raise ValueError("`settings` must not hold model, messages or stream")
+            raise ValueError("`settings` must not contain `model`, `messages` or `stream`")
         if not (self.timeout > 0 and self.tries >= 1 and self.pause >= 0):
-            raise ValueError("timeout and tries must be positive, pause must not be negative")
+            raise ValueError("`timeout` and `tries` must be positive, and `pause` must not be negative")
 
     def reply(self, messages: list[dict[str, str]]) -> str:
-        """Return the reply of the model, or `""` if it has no text.
+        """Send a request, and return the reply of the model, or `""` if the reply has no text.
 
         Raises:
-            ConnectionError: The server refuses the request, or every attempt failed.
+            ConnectionError: If the server rejects the request, or every attempt fails.
         """
-        for tried in range(1, self.tries + 1):
+        for attempt in range(1, self.tries + 1):
             try:
                 return self._once(messages)
             except _RetryableError as error:
-                if tried == self.tries:
-                    raise ConnectionError(f"no reply from {self.url} in {tried} tries: {error}") from None
-                usual = min(self.pause * 2 ** (tried - 1), 60.0)
-                time.sleep(usual if error.wait is None else error.wait)
-        raise AssertionError("there is at least one try")
+                if attempt == self.tries:
+                    raise ConnectionError(f"no reply from {self.url} in {attempt} attempts: {error}") from None
+                delay = min(self.pause * 2 ** (attempt - 1), 60.0)
+                time.sleep(delay if error.wait is None else error.wait)
+        raise AssertionError("`tries` is at least 1")
 
     def _once(self, messages: list[dict[str, str]]) -> str:
         url = self.url.rstrip("/")
@@ -346,7 +351,7 @@ class Endpoint:
             reason = f"{error.code} {error.reason}" + (f": {body}" if body else "")
             if error.code in (408, 409, 425, 429) or error.code >= 500:
                 raise _RetryableError(reason, _seconds(error.headers.get("Retry-After"))) from None
-            raise ConnectionError(f"{url} refuses the request: {reason}") from None
+            raise ConnectionError(f"{url} rejects the request: {reason}") from None
         except (OSError, http.client.HTTPException) as error:
             raise _RetryableError(str(getattr(error, "reason", None) or error) or type(error).__name__) from None
         try:
@@ -357,7 +362,7 @@ class Endpoint:
 
 
 def _seconds(header: str | None) -> float | None:
-    """Parse a Retry-After header in seconds, at most ten minutes. A date is ignored."""
+    """Parse a Retry-After header as seconds, clamped to ten minutes. Return `None` for a date."""
     try:
         wait = float(header or "")
     except ValueError:
@@ -371,23 +376,23 @@ def ask(
     path: str | os.PathLike[str],
     watch: Callable[[int], None] = lambda answered: None,
 ) -> dict[str, str]:
-    """Ask every question without an answer in the file at `path`, and append each reply to it.
+    """Send every question that has no reply in a file to an endpoint, and append each reply to the file.
 
-    A line is `{"id": .., "model": .., "answer": ..}`. After an interruption, the next call resumes.
+    Each line of the file is `{"id": .., "model": .., "answer": ..}`. After an interruption, the next call resumes.
 
     Args:
         questions: The questions.
         endpoint: The endpoint.
         path: The file of replies.
-        watch: Called with the number of answered questions after each reply.
+        watch: A function that receives the number of answered questions at the start and after each reply.
 
     Returns:
         All replies by id.
 
     Raises:
-        ConnectionError: As for `Endpoint.reply`. Earlier replies are in the file.
-        OSError: The file cannot be read or written.
-        ValueError: The file has answers to other questions or of another model.
+        ConnectionError: As for `Endpoint.reply`. The file keeps the earlier replies.
+        OSError: If the file cannot be read or written.
+        ValueError: If the file has answers to other questions, or from another model.
     """
     _cut_torn_line(Path(path))
     known = {question.id for question in questions}
@@ -396,10 +401,12 @@ def ask(
         for place, line in _lines(path):
             if line["id"] not in known:
                 raise ValueError(
-                    f"{place}: an answer to `{line['id']}`, which is no question here: choose another output file"
+                    f"{place}: the answer belongs to the unknown question `{line['id']}`: choose another output file"
                 )
             if line.get("model") != endpoint.model:
-                raise ValueError(f"{place}: an answer of the model `{line.get('model')}`: choose another output file")
+                raise ValueError(
+                    f"{place}: the answer comes from the model `{line.get('model')}`: choose another output file"
+                )
         answers = load_answers(path)
         watch(len(answers))
         for question in questions:
@@ -414,7 +421,7 @@ def ask(
 
 
 def _cut_torn_line(path: Path) -> None:
-    """Remove an incomplete last line."""
+    """Remove an incomplete last line from a file."""
     if not path.exists():
         return
     with open(path, "r+b") as file:

@@ -1,4 +1,4 @@
-"""Registers the environments with gymnasium, without importing gymnasium before the user does."""
+"""Registration of the environments with gymnasium, without importing gymnasium."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ __all__ = ["register_environments", "register_with_gymnasium"]
 
 
 def register_with_gymnasium() -> None:
-    """Register the environments now if gymnasium is imported, or else as soon as it is."""
+    """Register the environments now if gymnasium is imported, or otherwise when it is imported."""
     if sys.modules.get("gymnasium") is not None:
         register_environments()
     else:
@@ -23,7 +23,7 @@ def register_with_gymnasium() -> None:
 
 
 def register_environments() -> None:
-    """Register the environments. Imports gymnasium."""
+    """Import gymnasium and register the environments."""
     import gymnasium
 
     for config, name in ENVIRONMENTS.items():
@@ -36,18 +36,18 @@ def register_environments() -> None:
 
 
 class _RegisterOnImport(MetaPathFinder):
-    """Finds gymnasium as the other finders do, and registers the environments after it is loaded."""
+    """Finds gymnasium through the other finders, and registers the environments after its import."""
 
     def find_spec(
         self, fullname: str, path: Sequence[str] | None, target: ModuleType | None = None
     ) -> ModuleSpec | None:
-        """Return the spec of gymnasium, whose loader also registers; `None` for other modules."""
+        """Return the spec of gymnasium with a loader that also registers, or `None` for other modules."""
         if fullname != "gymnasium":
             return None
         sys.meta_path.remove(self)
         spec = importlib.util.find_spec(fullname)
         if spec is None or spec.loader is None:
-            # A later import may find it.
+            # A later import may find gymnasium.
             sys.meta_path.insert(0, self)
             return spec
         loader, load = spec.loader, spec.loader.exec_module
@@ -57,6 +57,6 @@ class _RegisterOnImport(MetaPathFinder):
             load(module)
             register_environments()
 
-        # On the loader itself, since everything else about it stays as it is.
+        # Patching the loader instead of wrapping it keeps its type and its other attributes.
         setattr(loader, "exec_module", exec_module)  # noqa: B010
         return spec

@@ -1,4 +1,4 @@
-"""Datalog without a city: programs, sessions that maintain facts, and explanations."""
+"""The Datalog engine: programs, sessions that maintain facts incrementally, and explanations."""
 
 from __future__ import annotations
 
@@ -15,31 +15,31 @@ from .types import Clause, Diagnostic, StratumStats
 __all__ = ["Change", "Column", "Explanation", "Program", "Relation", "Rows", "Session", "check"]
 
 Row = tuple[str | int | float, ...]
-"""A row: str for symbols, int for numbers and unsigned numbers, float for floats."""
+"""A row: str for symbols, int for numbers and unsigned numbers, and float for floats."""
 
 RowsLike = Iterable[Sequence[object]] | npt.NDArray[Any] | Mapping[str, npt.ArrayLike]
 """Rows in the forms that `Session.insert` accepts."""
 
 
 def check(text: str, name: str = "<text>") -> list[Diagnostic]:
-    """Return the faults and warnings of a rule text; an empty list if there are none.
+    """Return the errors and warnings of rules.
 
     Args:
-        text: The rules.
-        name: The file name in the diagnostics. `.include` is relative to its folder.
+        text: The source text of the rules.
+        name: The file name in the diagnostics. `.include` paths are relative to its folder.
     """
     return cast(list[Diagnostic], _logicity.check(text, name))
 
 
 def rule_file(rules: str | os.PathLike[str] | None) -> str | None:
-    """Return the path of a rule file.
+    """Check that an argument is the path of a rule file, and return it as a string.
 
     Raises:
-        ValueError: `rules` is a text of rules.
+        ValueError: If `rules` is source text.
     """
     if isinstance(rules, str) and ("\n" in rules or ":-" in rules):
         raise ValueError(
-            "`rules` must be the path of a rule file, not a text of rules: write them to a file; `check` accepts texts"
+            "`rules` must be the path of a rule file, not source text: write it to a file (`check` accepts source text)"
         )
     return None if rules is None else os.fspath(rules)
 
@@ -55,7 +55,18 @@ class Column:
 
 @dataclass(frozen=True)
 class Relation:
-    """A declared predicate, its place, and whether it is input, output, or head of a clause with a body."""
+    """A declared predicate.
+
+    Attributes:
+        name: The name.
+        columns: The columns.
+        input: Whether it is declared `.input`.
+        output: Whether it is declared `.output`.
+        derived: Whether it is the head of a clause with a body.
+        doc: The doc comment.
+        file: The file of the declaration.
+        line: The line of the declaration, from 1.
+    """
 
     name: str
     columns: tuple[Column, ...]
@@ -68,19 +79,19 @@ class Relation:
 
 
 class Program:
-    """Checked and planned rules. Immutable: several sessions and threads can share one program.
+    """A checked and planned Datalog program. Immutable: several sessions and threads can share one program.
 
-    An `.input` predicate may have rules, too, as in `logicity query`. It then holds both the inserted and the derived
+    An `.input` predicate may also have rules, as in `logicity query`. It then holds both the inserted and the derived
     rows.
 
-    Pickling and copying store the texts, so a copy reads no file.
+    Pickling and copying store the source text, so a copy reads no file.
 
     Args:
-        text: The rules.
-        name: The file name in messages. `.include` is relative to its folder.
+        text: The source text of the rules.
+        name: The file name in messages. `.include` paths are relative to its folder.
 
     Raises:
-        InputError: Faulty rules, with all faults of all files.
+        InputError: If the rules are invalid. The diagnostics list the errors of all files.
     """
 
     def __init__(self, text: str, name: str = "<text>") -> None:
@@ -91,11 +102,11 @@ class Program:
     def load(cls, path: str | os.PathLike[str]) -> Program:
         """Read a rule file and its includes.
 
-        A path that does not exist may name a built-in file, for example `rules/expert.dl`.
+        If the path does not exist, it may name a built-in file, for example `rules/expert.dl`.
 
         Raises:
-            InputError: Faulty rules.
-            OSError: A file cannot be read (`FileNotFoundError`).
+            InputError: If the rules are invalid.
+            OSError: If a file cannot be read (`FileNotFoundError` if it does not exist).
         """
         return cls(_logicity.read_file(path), os.fspath(path))
 
@@ -106,16 +117,16 @@ class Program:
         return program
 
     def __reduce__(self) -> tuple[Any, ...]:
-        """Pickle the texts."""
+        """Pickle the source text."""
         return type(self)._restore, (self._program.files(),)
 
     def __repr__(self) -> str:
-        """Show name and size."""
+        """Show the name, and the numbers of predicates and clauses."""
         return f"<Program {self._program.files()[0][0]}: {len(self.relations)} predicates, {len(self.clauses)} clauses>"
 
     @property
     def relations(self) -> dict[str, Relation]:
-        """The declared predicates by name, in the order of the text."""
+        """The declared predicates by name, in source order."""
         relations = {}
         for relation in self._program.relations():
             columns = tuple(Column(**column) for column in relation.pop("columns"))
@@ -124,12 +135,12 @@ class Program:
 
     @property
     def strata(self) -> list[list[str]]:
-        """The derived predicates in order of evaluation; those of one list depend on each other."""
+        """The strata: derived predicates in order of evaluation. Predicates in one list are mutually recursive."""
         return self._program.strata()
 
     @property
     def clauses(self) -> list[Clause]:
-        """The clauses and facts of the text, in its order."""
+        """The clauses and facts of the program, in source order."""
         return cast(list[Clause], self._program.clauses())
 
     @property
@@ -138,14 +149,14 @@ class Program:
         return cast(list[Diagnostic], self._program.warnings())
 
     def plan(self) -> str:
-        """Return the initial plan of every clause, for few rows; see `Session.plan`."""
+        """Return the initial plan of every clause, which assumes few rows. See `Session.plan`."""
         return self._program.plan()
 
 
 class Rows(Sequence[Row]):
-    """Rows that a commit added or removed, sorted by their words (for symbols: the order of interning).
+    """Rows that a commit added or removed, in the order of `Session.rows`.
 
-    Rows are converted on access; access while the session works in another thread raises `RuntimeError`. Equal to a
+    Rows are converted lazily. Access while another thread uses the session raises `RuntimeError`. An instance equals a
     list of the same tuples.
     """
 
@@ -189,13 +200,13 @@ class Rows(Sequence[Row]):
         return f"[{', '.join(shown)}]"
 
     def columns(self) -> dict[str, npt.NDArray[Any]]:
-        """Return an array for each column, as `Session.columns` does."""
+        """Return one array per column, as `Session.columns` does."""
         return self._rows.columns()
 
 
 @dataclass(frozen=True)
 class Change:
-    """The change of a predicate in a commit: rows that began to hold, and rows that ceased to hold."""
+    """The rows of a predicate that a commit added and removed."""
 
     added: Rows
     removed: Rows
@@ -203,17 +214,19 @@ class Change:
 
 @dataclass(frozen=True)
 class Explanation:
-    """An explanation of why a fact holds, or why it does not.
+    """An explanation of why a fact holds or does not hold.
 
     Attributes:
-        text: A tree of lines for readers, also `str()`.
-        nodes: The same as data. The first node is the fact in question; nodes refer to each other by position. A node
-            that holds is `{"holds", "height", "by": "input" | "text" | "clause" | "range", "clause", "binding",
-            "premises"}`. Another is `{"absent", "because": "not-a-fact" | "no-clause" | "not-looked-into" | "range",
-            "clauses"}`, where each of `clauses` has a `clause`, the nearest `binding`, and under `fails` the literals
-            that fail. An entry of `premises` and `fails` has the `literal` under the binding, its `kind` (`fact`,
-            `in-view`, `not`, `comparison`, `expression`, `aggregate`) and, except for the last three kinds, the `node`
-            that explains it.
+        fact: The fact.
+        holds: Whether the fact holds.
+        text: The explanation as a text tree, also `str()`.
+        nodes: The same tree as data. The first node is the fact. Nodes refer to each other by index. A node that holds
+            is `{"holds", "height", "by": "input" | "text" | "clause" | "range", "clause", "binding", "premises"}`. A
+            node that does not hold is `{"absent", "because": "not-a-fact" | "no-clause" | "not-looked-into" | "range",
+            "clauses"}`. Each of its `clauses` has a `clause`, the nearest `binding`, and the failing literals under
+            `fails`. An entry of `premises` or `fails` has the `literal` under the binding, and its `kind`: `fact`,
+            `in-view`, `not`, `comparison`, `expression` or `aggregate`. The first three kinds also have the `node` that
+            explains the literal.
     """
 
     fact: str
@@ -222,31 +235,31 @@ class Explanation:
     nodes: list[dict[str, Any]]
 
     def __str__(self) -> str:
-        """Return the tree of lines."""
+        """Return the text tree."""
         return self.text
 
 
 class Session:
-    """A database: facts, and the facts that follow from them.
+    """A database of facts and the facts that a program derives from them.
 
-    `insert` and `retract` collect changes, which `commit` applies. All queries answer as of the last commit. A commit
-    updates derived facts incrementally if that is cheaper than recomputing them. The facts in the text of the program
-    hold from the first commit.
+    `insert` and `retract` collect changes, and `commit` applies them. Queries see the state of the last commit. A
+    commit updates derived facts incrementally if that is cheaper than recomputing them. Facts in the program hold from
+    the first commit.
 
     Not thread-safe: concurrent use raises `RuntimeError`. Long calls release the GIL, and Ctrl-C cancels them. A
-    session cannot be pickled or copied; pickle its program and the facts instead.
+    session cannot be pickled or copied. Pickle its program and the facts instead.
 
     Args:
-        program: The rules.
-        threads: The number of threads; 0 means one for each core. Answers are the same.
-        max_rows: The limit of derived rows; by default 100,000,000.
-        max_steps: The limit of rows that a commit reads; by default 100,000,000,000, which take some minutes.
-        max_bytes: The limit of memory for rows, indexes and texts; by default 4 GiB. The process may need about three
-            times as much.
+        program: The program.
+        threads: The number of threads; 0 means one per core. It does not affect the results.
+        max_rows: The limit of derived rows. Default: 100,000,000.
+        max_steps: The limit of rows that a commit reads. Default: 100,000,000,000, which takes some minutes.
+        max_bytes: The limit of memory for rows, indexes and symbols, in bytes. Default: 4 GiB. The process may need
+            about three times as much.
 
     Raises:
-        OverflowError: A negative number.
-        RuntimeError: The threads cannot be started.
+        OverflowError: If a number is negative.
+        RuntimeError: If the threads cannot be started.
     """
 
     def __init__(
@@ -258,7 +271,7 @@ class Session:
         max_steps: int | None = None,
         max_bytes: int | None = None,
     ) -> None:
-        """Begin without inserted facts and without a commit."""
+        """Start without inserted facts and without a commit."""
         self._program = program
         self._session = _logicity.Session(program._program, threads, max_rows, max_steps, max_bytes)
 
@@ -272,35 +285,38 @@ class Session:
         return self._program
 
     def insert(self, relation: str, rows: RowsLike) -> int:
-        """Insert rows, from the next commit. The last change of a row counts.
+        """Insert rows at the next commit. The last change of each row counts.
 
         Args:
-            relation: A predicate that no rule derives, or one that is `.input`.
-            rows: One of the following. In arrays, symbols are str (dtype `U`, `StringDType`, or `object` with str),
-                numbers and unsigned numbers are any integers, floats are any floats or integers.
+            relation: A predicate that no rule derives, or an `.input` predicate.
+            rows: The rows, in one of these forms:
 
-                - an iterable of tuples or lists, with a value for each column: str for a symbol, int for a number (32
-                  bits, signed) or an unsigned number (32 bits), float or int for a float, which is rounded to 32 bits.
-                  NaN and infinities are floats;
+                - an iterable of tuples or lists with one value per column: str for a symbol, int for a 32-bit signed or
+                  unsigned number, float or int for a float. Floats are rounded to 32 bits; NaN and infinities are
+                  valid;
                 - an array of shape (n, columns), if one dtype fits all columns;
                 - a structured array of shape (n,), whose fields have the names of the columns, in any order;
                 - a mapping from the names of all columns to arrays of shape (n,).
 
+                In arrays, symbols have the dtype `U`, `StringDType`, or `object` with str. Numbers and unsigned numbers
+                have any integer dtype. Floats have any float or integer dtype.
+
         Returns:
-            The number of given rows.
+            The number of rows in `rows`.
 
         Raises:
-            KeyError: A predicate that is not declared.
-            TypeError: A value or dtype of the wrong kind; bool is not a number.
-            ValueError: A number out of range, a row or array of the wrong shape, or a predicate that rules derive. No
-                row is inserted after an exception.
+            KeyError: If the predicate is not declared.
+            TypeError: If a value or dtype does not match its column; bool is not a number.
+            ValueError: If a number is out of range, a row or array has the wrong shape, or rules derive the predicate.
+                No row is inserted then.
         """
         return self._session.insert(relation, rows)
 
     def retract(self, relation: str, rows: RowsLike) -> int:
-        """Retract rows, from the next commit. A row still holds if it is in the text or follows from other rows.
+        """Retract rows at the next commit.
 
-        Rows that do not hold are accepted. Arguments, return value and exceptions are those of `insert`.
+        A row still holds if it is a fact of the program, or if rules derive it. Rows that do not hold are accepted.
+        Arguments, return value and exceptions are those of `insert`.
         """
         return self._session.retract(relation, rows)
 
@@ -309,36 +325,39 @@ class Session:
         self._session.rollback()
 
     def commit(self) -> dict[str, Change]:
-        """Apply the changes, and derive what follows.
+        """Apply the pending changes, and update the derived facts.
 
-        After an exception the session is as before, with the same pending changes; `rollback` discards them.
+        After an exception the session is unchanged and keeps the pending changes. `rollback` discards them.
 
         Returns:
-            The exact changes by predicate, base or derived. Predicates without changes are absent.
+            The changes by predicate, for base and derived predicates. Predicates without changes are absent.
 
         Raises:
-            KeyboardInterrupt: Ctrl-C.
-            LimitError: The evaluation exceeds a limit; the diagnostic names the clause.
+            KeyboardInterrupt: On Ctrl-C.
+            LimitError: If the evaluation exceeds a limit. The diagnostic names the clause.
         """
         changes = self._session.commit()
         return {name: Change(Rows(added), Rows(removed)) for name, (added, removed) in changes.items()}
 
     def rows(self, relation: str) -> list[Row]:
-        """Return the rows of a predicate as tuples, sorted by their words (for symbols: the order of interning).
+        """Return the rows of a predicate as tuples.
+
+        The rows are sorted by the unsigned 32-bit words of their values: negative numbers follow positive ones, and
+        symbols have the order in which the session interned them.
 
         Raises:
-            KeyError: A predicate that is not declared.
+            KeyError: If the predicate is not declared.
         """
         return cast(list[Row], self._session.tuples(relation))
 
     def columns(self, relation: str) -> dict[str, npt.NDArray[Any]]:
-        """Return the rows of a predicate as an array of shape (n,) for each column, in the order of `rows`.
+        """Return the rows of a predicate as one array of shape (n,) per column, in the order of `rows`.
 
         The dtype is int32 for numbers, uint32 for unsigned numbers, float32 for floats, and object (str) for symbols.
         The arrays are copies.
 
         Raises:
-            KeyError: A predicate that is not declared.
+            KeyError: If the predicate is not declared.
         """
         return self._session.columns(relation)
 
@@ -346,7 +365,7 @@ class Session:
         """Return the number of rows of a predicate.
 
         Raises:
-            KeyError: A predicate that is not declared.
+            KeyError: If the predicate is not declared.
         """
         return self._session.count(relation)
 
@@ -354,7 +373,7 @@ class Session:
         """Return whether a row holds.
 
         Raises:
-            KeyError: A predicate that is not declared.
+            KeyError: If the predicate is not declared.
             TypeError: As for `insert`.
             ValueError: As for `insert`.
         """
@@ -365,17 +384,18 @@ class Session:
     @overload
     def explain(self, fact: str, row: Sequence[object]) -> Explanation: ...
     def explain(self, fact: str, row: Sequence[object] | None = None) -> Explanation:
-        """Explain why a fact holds: a shortest proof, down to inserted facts and facts of the text.
+        """Explain why a fact holds, by a shortest proof from inserted facts and facts of the program.
 
-        If the fact does not hold, the explanation is that of `why_not`; `holds` distinguishes the two.
+        If the fact does not hold, return the explanation of `why_not`. The attribute `holds` distinguishes the two.
 
         Args:
-            fact: A fact in the syntax of rules, such as `path("a", _)`, where `_` matches any value; or the name of a
-                predicate.
-            row: With the name of a predicate, its values, where `None` is any value.
+            fact: A fact in the syntax of rules, such as `path("a", _)`, where `_` matches any value. With `row`, the
+                name of a predicate.
+            row: The values of the fact, where `None` matches any value.
 
         Raises:
-            InputError: The text is no fact of the program. `LimitError`: the search takes too many steps.
+            InputError: If the text is not a fact of the program.
+            LimitError: If the search takes too many steps.
             KeyError: As for `insert`.
             TypeError: As for `insert`.
             ValueError: As for `insert`.
@@ -387,9 +407,9 @@ class Session:
     @overload
     def why_not(self, fact: str, row: Sequence[object]) -> Explanation: ...
     def why_not(self, fact: str, row: Sequence[object] | None = None) -> Explanation:
-        """Explain why a fact does not hold: for every clause, the literals that fail under the nearest binding.
+        """Explain why a fact does not hold, by the failing literals of each clause under its nearest binding.
 
-        If the fact holds, the explanation is that of `explain`.
+        If the fact holds, return the explanation of `explain`.
 
         Args:
             fact: As for `explain`.
@@ -405,9 +425,9 @@ class Session:
 
     @property
     def work(self) -> list[StratumStats]:
-        """The work of the last successful commit, by stratum; empty before the first."""
+        """The statistics of the last successful commit, by stratum. Empty before the first commit."""
         return cast(list[StratumStats], self._session.work())
 
     def plan(self) -> str:
-        """Return the plan of every clause, for relations of their current sizes."""
+        """Return the plan of every clause for the current sizes of the relations."""
         return self._session.plan()

@@ -1,4 +1,4 @@
-"""Environments for Stable-Baselines3. Needs the extra `train`: `pip install './python[train]'`."""
+"""Vectorized environments for Stable-Baselines3. Needs the extra `train`: `pip install './python[train]'`."""
 
 from __future__ import annotations
 
@@ -21,22 +21,23 @@ from .envs import Observations, SPFVectorEnv, check_options
 
 __all__ = ["SPFVecEnv", "make_vec_env"]
 
-#: A selection of environments in `VecEnv`: one, several, or all.
+#: The environments that a method of `VecEnv` selects: one, several, or all (`None`).
 Indices = None | int | Sequence[int]
 
 
 class SPFVecEnv(VecEnv):
-    """A vectorized environment of Safe Path Following as a `VecEnv`.
+    """A vectorized environment of Safe Path Following as a Stable-Baselines3 `VecEnv`.
 
-    Rewards are float32. The `infos` of a step are dictionaries with the keys of `SPFEnv`'s `info`. An environment whose
-    episode ends begins the next one in the same step. Its info then describes the end, and adds `terminal_observation`,
-    `TimeLimit.truncated` and `is_success`. `set_options` takes `episode`, as `SPFEnv.reset` does.
+    Rewards are float32. The `infos` of a step are dictionaries with the keys of `SPFEnv`'s `info`. When an episode
+    ends, the environment starts the next one in the same step. The info then describes the end of the episode, with the
+    additional keys `terminal_observation`, `TimeLimit.truncated` and `is_success`. `set_options` accepts the option
+    `episode` of `SPFEnv.reset`.
 
     Args:
-        envs: Environments whose autoreset mode is SameStep.
+        envs: Environments with the autoreset mode SameStep.
 
     Raises:
-        ValueError: Another autoreset mode.
+        ValueError: If the environments have another autoreset mode.
     """
 
     def __init__(self, envs: SPFVectorEnv) -> None:
@@ -48,7 +49,7 @@ class SPFVecEnv(VecEnv):
         super().__init__(envs.num_envs, envs.single_observation_space, envs.single_action_space)
 
     def reset(self) -> Observations:
-        """Begin episodes, with the seeds of `seed` and the options of `set_options` if these were called before."""
+        """Start episodes, with the seeds of `seed` and the options of `set_options` if these were called before."""
         for options in self._options:
             check_options(options, ("episode",))
         episodes = [options.get("episode") for options in self._options]
@@ -66,8 +67,8 @@ class SPFVecEnv(VecEnv):
         """Step with the stored actions.
 
         Raises:
-            RuntimeError: `step_async` was not called before.
-            gymnasium.error.InvalidAction: An action is not 0, 1, 2 or 3.
+            RuntimeError: If `step_async` was not called before.
+            gymnasium.error.InvalidAction: If an action is not 0, 1, 2 or 3.
         """
         if self._actions is None:
             raise RuntimeError("call `step_async` before `step_wait`")
@@ -89,7 +90,7 @@ class SPFVecEnv(VecEnv):
 
     @staticmethod
     def _dictionaries(infos: dict[str, Any]) -> list[dict[str, Any]]:
-        """Convert arrays by key to one dictionary for each environment."""
+        """Convert arrays by key to one dictionary per environment."""
         keys = [key for key in infos if not key.startswith(("_", "final_"))]
         return [dict(zip(keys, row, strict=True)) for row in zip(*(infos[key].tolist() for key in keys), strict=True)]
 
@@ -97,34 +98,34 @@ class SPFVecEnv(VecEnv):
         """Close the environments."""
         self.envs.close()
 
-    def _chosen(self, indices: Indices) -> list[int]:
+    def _selected(self, indices: Indices) -> list[int]:
         return list(self._get_indices(indices))
 
     def get_attr(self, attr_name: str, indices: Indices = None) -> list[Any]:
-        """Return an attribute, which all environments share, or `episode`, which differs."""
+        """Return an attribute, which all environments share, or `episode` of each environment."""
         if attr_name == "episode":
             return self.env_method("episode", indices=indices)
-        return [getattr(self.envs, attr_name) for _ in self._chosen(indices)]
+        return [getattr(self.envs, attr_name) for _ in self._selected(indices)]
 
     def set_attr(self, attr_name: str, value: Any, indices: Indices = None) -> None:
-        """Refuse: single environments have no attributes."""
+        """Raise `AttributeError`, because individual environments have no attributes."""
         raise AttributeError(f"`{attr_name}` cannot be set: make environments with other arguments")
 
     def env_method(
         self, method_name: str, *method_args: Any, indices: Indices = None, **method_kwargs: Any
     ) -> list[Any]:
-        """Call `episode` or `explain` of environments."""
+        """Call `episode` or `explain` of the selected environments."""
         if method_name not in ("episode", "explain"):
-            raise AttributeError(f"`{method_name}` is no method of single environments; known: `episode`, `explain`")
+            raise AttributeError(f"individual environments have no method `{method_name}`; known: `episode`, `explain`")
         method = getattr(self.envs, method_name)
-        return [method(at, *method_args, **method_kwargs) for at in self._chosen(indices)]
+        return [method(at, *method_args, **method_kwargs) for at in self._selected(indices)]
 
     def env_is_wrapped(self, wrapper_class: Any, indices: Indices = None) -> list[bool]:
-        """Return false for each environment."""
-        return [False for _ in self._chosen(indices)]
+        """Return `False` for each environment."""
+        return [False for _ in self._selected(indices)]
 
     def get_images(self) -> Sequence[NDArray[np.uint8] | None]:
-        """Draw all cities."""
+        """Return a picture of each environment."""
         return self.envs.render() or ()
 
 
@@ -141,13 +142,13 @@ def make_vec_env(
     Args:
         config: A run configuration: a built-in name such as `expert`, or a path.
         n_envs: The number of environments.
-        seed: The seed of the first environment; the others follow.
-        monitor: Whether to wrap them in a `VecMonitor`, which logs returns and lengths of episodes.
+        seed: The seed of the first environment. Environment i gets the seed `seed + i`.
+        monitor: Whether to wrap the environments in a `VecMonitor`, which logs episode returns and lengths.
         arguments: Other parameters of `SPFVectorEnv`, such as `split`, `overrides` or `num_threads`.
 
     Raises:
-        InputError: A faulty configuration, rule file or override.
-        OSError: A file cannot be read.
+        InputError: If the configuration, the rule file or an override is invalid.
+        OSError: If a file cannot be read.
     """
     envs = SPFVecEnv(SPFVectorEnv(n_envs, config, autoreset_mode=AutoresetMode.SAME_STEP, **arguments))
     if seed is not None:

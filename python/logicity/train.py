@@ -1,8 +1,8 @@
-"""Training of DQN, PPO or A2C of Stable-Baselines3 by a configuration file. Needs the extra `train`.
+"""Train DQN, PPO or A2C of Stable-Baselines3 from a configuration file. Needs the extra `train`.
 
-A run has a folder. `checkpoint-STEPS` holds the state needed to resume: the model, the replay buffer, the model with
-the best validation so far, and the results of validation. `tensorboard` has the curves. At the end, `best.zip` is the
-best model, and `result.json` has its measures on the test episodes.
+Each run has a folder. `checkpoint-STEPS` holds the state to resume from: the model, the replay buffer, the best model
+so far, and the validation results. `tensorboard` has the training curves. At the end, `best.zip` is the best model, and
+`result.json` has its measures on the test episodes.
 """
 
 from __future__ import annotations
@@ -60,10 +60,10 @@ ALGORITHMS: dict[str, type[BaseAlgorithm]] = {"dqn": DQN, "ppo": PPO, "a2c": A2C
 
 
 class FeatureLayers(BaseFeaturesExtractor):
-    """Linear layers with ReLU after each, shared by all heads."""
+    """Linear layers, each followed by ReLU, that all heads share."""
 
     def __init__(self, observation_space: gymnasium.Space[Any], widths: tuple[int, ...]) -> None:
-        """Make layers of these widths after the flattened observation."""
+        """Create layers of these widths after the flattened observation."""
         super().__init__(observation_space, widths[-1])
         ends = [gymnasium.spaces.flatdim(observation_space), *widths]
         layers: list[torch.nn.Module] = [torch.nn.Flatten()]
@@ -77,7 +77,7 @@ class FeatureLayers(BaseFeaturesExtractor):
         return features
 
 
-#: A whole number from 1; truth values and texts do not count.
+#: A positive integer. Booleans and strings are invalid.
 Count: TypeAlias = Annotated[int, Field(strict=True, ge=1)]
 
 
@@ -86,15 +86,15 @@ class TrainConfig(BaseModel):
 
     Attributes:
         algorithm: `dqn`, `ppo` or `a2c`.
-        mode: The mode, which determines rules and episodes.
-        network: The widths of the feature layers, each with ReLU, between the observation and the heads.
-        settings: Arguments of the algorithm's class in Stable-Baselines3 that a file can express.
-        overrides: Changes to the task in training. Validation and test use the mode unchanged.
+        mode: The mode, which determines the rules and the episodes.
+        network: The widths of the feature layers between the observation and the heads.
+        settings: Arguments of the algorithm's class in Stable-Baselines3.
+        overrides: Changes to the configuration for training. Validation and test use the mode without overrides.
         steps: The total number of steps of all environments.
-        envs: The number of environments that are stepped together.
+        envs: The number of parallel environments.
         seed: The seed of networks, exploration and episodes.
-        validate_every: The number of steps between two validations. Each is followed by a checkpoint.
-        threads: The number of threads of torch.
+        validate_every: The number of steps between validations. Each validation writes a checkpoint.
+        threads: The number of PyTorch threads.
     """
 
     model_config = ConfigDict(extra="forbid", frozen=True)
@@ -125,7 +125,7 @@ class TrainConfig(BaseModel):
     def _valid_settings(cls, settings: dict[str, Any], info: ValidationInfo) -> dict[str, Any]:
         algorithm = info.data.get("algorithm")
         if algorithm is None:
-            # Its own fault is reported.
+            # The validation of `algorithm` has reported an error already.
             return settings
         return _settings_model(algorithm).model_validate(settings).model_dump(exclude_unset=True)
 
@@ -133,16 +133,17 @@ class TrainConfig(BaseModel):
     def load(cls, path: str | os.PathLike[str], *, seed: int | None = None) -> TrainConfig:
         """Read a YAML file.
 
-        Its key `base` names another file, relative to it, whose mappings are merged with its own. A bare name such as
-        `dqn-easy` is a built-in configuration.
+        The key `base` names another file, relative to this file. Its mappings are merged with those of this file. A
+        bare name such as `dqn-easy` is a built-in configuration.
 
         Args:
             path: The file.
-            seed: A seed that replaces the file's.
+            seed: A seed that replaces the seed in the file.
 
         Raises:
-            InputError: The file is not YAML, has an unknown key or value, or lacks a key. All faults are reported.
-            OSError: A file cannot be read.
+            InputError: If the file is not YAML, has an unknown key or invalid value, or lacks a key. The diagnostics
+                list all errors.
+            OSError: If a file cannot be read.
         """
         file = _logicity.ConfigFile(path, "configs/baselines")
         values = file.value()
@@ -165,7 +166,7 @@ def _known(what: str, name: str, known: Iterable[str]) -> str:
 
 @cache
 def _settings_model(algorithm: str) -> type[BaseModel]:
-    """Make the model of the settings of an algorithm, from the signature of its class."""
+    """Create the pydantic model of an algorithm's settings from the signature of its class."""
     set_elsewhere = {"policy", "env", "policy_kwargs", "seed", "tensorboard_log", "device"}
     parameters = signature(ALGORITHMS[algorithm]).parameters.values()
     hints = {each.name: _expressible(each.annotation) for each in parameters if not each.name.startswith("_")}
@@ -177,21 +178,21 @@ def _settings_model(algorithm: str) -> type[BaseModel]:
 
 
 def _expressible(hint: Any) -> Any:
-    """Return the part of a type that a file can express, or `None`: no functions and classes."""
+    """Return the part of a type that YAML can express, or `None` if there is none, as for functions and classes."""
     if get_origin(hint) in (Union, UnionType):
         parts = tuple(part for each in get_args(hint) if (part := _expressible(each)) is not None)
         return Union[parts] if parts else None  # noqa: UP007
     if get_origin(hint) is tuple:
-        # Files have lists in place of tuples.
+        # YAML has lists instead of tuples.
         return Annotated[hint, Strict(False)]
     return hint if get_origin(hint) is dict or hint in (bool, dict, float, int, str, NoneType) else None
 
 
 def _faults(error: ValidationError, values: Mapping[str, Any]) -> list[tuple[str, list[str], str, str]]:
-    """Return code, path, message and help of each fault."""
+    """Return the code, path, message and help of each error."""
     by_key: dict[tuple[str, ...], list[ErrorDetails]] = {}
     for each in error.errors(include_url=False):
-        # For a union, every alternative reports an error, and appends its name to the path.
+        # For a union, every alternative reports an error and appends its name to the path.
         by_key.setdefault(tuple(map(str, each["loc"][:2])), []).append(each)
     return [_fault(path, errors, values) for path, errors in by_key.items()]
 
@@ -204,7 +205,7 @@ def _fault(
         if len(path) == 1:
             known, message = TrainConfig.model_fields, f"unknown key `{name}`"
         else:
-            # The settings have been checked, so the algorithm is a known one.
+            # Settings are checked only for a known algorithm.
             algorithm = values["algorithm"]
             known, message = _settings_model(algorithm).model_fields, f"{algorithm.upper()} has no setting `{name}`"
         return "unknown-key", list(path), message, did_you_mean(name, known).removeprefix("; ")
@@ -241,7 +242,7 @@ class Validation(BaseCallback):
         self._since = time.monotonic() - state.seconds
 
     def _on_step(self) -> bool:
-        # The first step at or after each multiple, since several environments may step over it.
+        # Validate at the first step at or after each multiple, because several environments may step over it.
         if self.num_timesteps // self._config.validate_every > self._state.steps // self._config.validate_every:
             self.validate()
         return True
@@ -251,7 +252,7 @@ class Validation(BaseCallback):
             self.validate()
 
     def validate(self) -> None:
-        """Validate the model, and write a checkpoint."""
+        """Validate the model and write a checkpoint."""
         measured = self._benchmark.evaluate(self.model)
         self._state.steps = self.num_timesteps
         self._state.seconds = time.monotonic() - self._since
@@ -265,7 +266,7 @@ class Validation(BaseCallback):
         self._checkpoint()
 
     def _checkpoint(self) -> None:
-        """Write a checkpoint under a temporary name, then remove the older ones."""
+        """Write a checkpoint atomically, then remove the older ones."""
         name = f"checkpoint-{self._state.steps:010}"
         temporary = self._run / f".{name}"
         shutil.rmtree(temporary, ignore_errors=True)
@@ -296,22 +297,22 @@ def _checkpoints(run: Path) -> list[Path]:
 
 
 def load_model(path: str | os.PathLike[str]) -> BaseAlgorithm:
-    """Load a model of DQN, PPO or A2C that Stable-Baselines3 saved.
+    """Load a DQN, PPO or A2C model that Stable-Baselines3 saved.
 
     Raises:
-        OSError: The file cannot be read.
-        ValueError: The file is no such model.
+        OSError: If the file cannot be read.
+        ValueError: If the file is not such a model.
     """
     try:
         with ZipFile(path) as archive:
             saved = json.loads(archive.read("data"))
     except (BadZipFile, KeyError, ValueError) as error:
-        raise ValueError(f"{os.fspath(path)} is no model of Stable-Baselines3: {error}") from None
-    # The archive does not name its algorithm; each algorithm has a setting that the others lack.
+        raise ValueError(f"{os.fspath(path)} is not a Stable-Baselines3 model: {error}") from None
+    # The archive does not name its algorithm, but each algorithm has a distinctive setting.
     distinctive = {"dqn": "exploration_fraction", "ppo": "clip_range", "a2c": "normalize_advantage"}
     found = [name for name, setting in distinctive.items() if setting in saved]
     if not found:
-        raise ValueError(f"{os.fspath(path)} is no model of {', '.join(ALGORITHMS)}")
+        raise ValueError(f"{os.fspath(path)} is not a model of {', '.join(ALGORITHMS)}")
     name = "ppo" if "ppo" in found else found[0]
     return ALGORITHMS[name].load(path, device="cpu")
 
@@ -319,25 +320,25 @@ def load_model(path: str | os.PathLike[str]) -> BaseAlgorithm:
 def train(
     config: TrainConfig, run: str | os.PathLike[str], *, progress: bool = False, tensorboard: bool = True
 ) -> dict[str, Any]:
-    """Train, or resume from the last checkpoint of the same configuration.
+    """Train a model, or resume from the last checkpoint of the same configuration.
 
-    A resumed run continues from the last validation: weights, optimizer, replay buffer, number of steps with the rate
-    of exploration, and the best model are restored. Running episodes, an incomplete rollout of PPO or A2C, and the
-    states of random streams are not; new episodes and draws follow from the sum of the seed and the number of steps. A
+    A resumed run continues from the last validation. It restores the weights, the optimizer, the replay buffer, the
+    number of steps (and so the exploration rate), and the best model. It does not restore running episodes, a partial
+    rollout of PPO or A2C, or the random states. New random streams start from the seed plus the number of steps. A
     resumed run therefore differs from an uninterrupted one, but two runs interrupted at the same point are identical.
 
     Args:
         config: The configuration.
-        run: The folder of the run; made if it does not exist.
+        run: The folder of the run, which is created if it does not exist.
         progress: Whether to show a progress bar on the terminal.
-        tensorboard: Whether to write curves.
+        tensorboard: Whether to write training curves.
 
     Returns:
         The content of `result.json`.
 
     Raises:
-        InputError: A faulty override.
-        ValueError: The folder has another run, or the algorithm refuses the settings. No run begins then.
+        InputError: If an override is invalid.
+        ValueError: If the folder has another run, or the algorithm rejects the settings. Then no run starts.
     """
     run = Path(run)
     claimed = _is_claimed(run, config)
@@ -354,7 +355,7 @@ def train(
             )
             if isinstance(model, OffPolicyAlgorithm):
                 model.load_replay_buffer(checkpoints[-1] / "replay.pkl")
-            # Loading seeds everything as at the start, which would repeat the same episodes.
+            # Loading restores the initial seed, which would repeat the same episodes.
             model.set_random_seed((config.seed + state.steps) % 2**32)
         else:
             model = new_model(config, env, log)
@@ -378,29 +379,29 @@ def train(
 
 
 def _is_claimed(run: Path, config: TrainConfig) -> bool:
-    """Return whether the folder has this run.
+    """Return whether the folder already has this run.
 
     Raises:
-        ValueError: The folder has another run.
+        ValueError: If the folder has another run.
     """
-    note = run / "config.json"
-    if not note.exists():
+    stored = run / "config.json"
+    if not stored.exists():
         return False
-    if json.loads(note.read_text(encoding="utf-8")) != config.model_dump(mode="json"):
+    if json.loads(stored.read_text(encoding="utf-8")) != config.model_dump(mode="json"):
         raise ValueError(f"{run} has a run of another configuration; remove it or choose another folder")
     return True
 
 
 def new_model(config: TrainConfig, env: VecEnv, log: str | None = None) -> BaseAlgorithm:
-    """Make an untrained model.
+    """Create an untrained model.
 
     Args:
         config: The configuration.
         env: The environments.
-        log: The folder of the curves.
+        log: The folder of the training curves.
 
     Raises:
-        ValueError: The algorithm refuses the settings.
+        ValueError: If the algorithm rejects the settings.
     """
     policy = {
         "features_extractor_class": FeatureLayers,
@@ -418,7 +419,7 @@ def new_model(config: TrainConfig, env: VecEnv, log: str | None = None) -> BaseA
             **config.settings,
         )
     except (AssertionError, TypeError, ValueError) as error:
-        raise ValueError(f"`settings`: {config.algorithm.upper()} cannot be made with them: {error}") from error
+        raise ValueError(f"{config.algorithm.upper()} rejects the `settings`: {error}") from error
 
 
 def _result(config: TrainConfig, state: State, best: BaseAlgorithm) -> dict[str, Any]:

@@ -1,4 +1,4 @@
-"""The types of inputs and outputs: diagnostics, scenes, answers, clauses, statistics of commits."""
+"""The types of inputs and outputs: diagnostics, scenes, answers, clauses, and commit statistics."""
 
 from __future__ import annotations
 
@@ -25,22 +25,22 @@ __all__ = [
 ]
 
 Action = Literal["Slow", "Normal", "Fast", "Stop"]
-"""The actions of an agent. Cars move 1, 2, 3 or 0 cells in a tick."""
+"""The actions of an agent. Cars move 1, 2, 3 or 0 cells per tick, respectively."""
 
 Heading = Literal["Left", "Right", "Up", "Down"]
-"""A direction on the map. Up is towards row 0, left towards column 0."""
+"""A direction on the map. Up is toward row 0, and left is toward column 0."""
 
 Split = Literal["train", "val", "test"]
 """The sets of agents of a configuration."""
 
 Executor = Literal["auto", "dense", "relational"]
-"""The executor of the rules. Answers are the same. `auto` is `dense` (bits) if it can evaluate the rules, or else
-`relational`.
+"""The executor of the rules, which does not affect the results. `auto` is `dense` (bit sets) if the dense executor can
+evaluate the rules, and `relational` otherwise.
 """
 
 
 class Label(TypedDict):
-    """A place in a text, with a message. Lines and columns count from 1."""
+    """A span of source text with a message. Lines and columns start at 1."""
 
     file: str
     line: int
@@ -52,7 +52,7 @@ class Label(TypedDict):
 
 
 class Diagnostic(TypedDict):
-    """One fault or warning. `code` is its stable name, the first of `labels` its place."""
+    """An error or a warning. `code` is its stable name, and the first of `labels` is its location."""
 
     code: str
     severity: Literal["error", "warning"]
@@ -63,7 +63,7 @@ class Diagnostic(TypedDict):
 
 
 class Agent(TypedDict):
-    """An agent of a scene. `at` is [row, column] in cells."""
+    """An agent of a scene. `at` is [row, column] in cells. A smaller priority has the right of way."""
 
     id: str
     type: Literal["Car", "Pedestrian"]
@@ -77,9 +77,11 @@ class Scene(TypedDict):
     """Agents on a map.
 
     Attributes:
-        egos: The agents to decide for (default: all).
-        given: Atoms that replace the computed atoms of a predicate, by predicate.
-        tick: The tick, which selects the random draws (default 0).
+        map: The name of the map.
+        agents: The agents.
+        egos: The names of the agents to decide for. Default: all.
+        given: Atoms by predicate, which replace the computed atoms of that predicate.
+        tick: The tick, which selects the random numbers of probabilistic predicates. Default: 0.
     """
 
     map: str
@@ -90,7 +92,7 @@ class Scene(TypedDict):
 
 
 class SymbolicScene(TypedDict):
-    """Entities and the facts that hold."""
+    """Entities, and the facts about them by predicate."""
 
     entities: list[str]
     ego: str
@@ -101,10 +103,10 @@ class EgoAnswer(TypedDict):
     """The answer for one ego.
 
     Attributes:
-        sees: The entities in its view, itself first.
+        sees: The entities in the view of the ego, starting with the ego.
         true: The true atoms over these entities, by predicate.
-        derived: The derived actions, before the default.
-        action: The action taken.
+        derived: The derived actions, without the default action.
+        action: The selected action.
     """
 
     sees: list[str]
@@ -114,7 +116,7 @@ class EgoAnswer(TypedDict):
 
 
 class Answer(TypedDict):
-    """The decisions of the rules, by ego."""
+    """The answers by ego."""
 
     egos: dict[str, EgoAnswer]
 
@@ -123,8 +125,8 @@ class Clause(TypedDict):
     """A clause or fact of a program.
 
     Attributes:
-        label: The text before the colon of its doc comment, such as `S2`, or else `file:line`.
-        head: The predicate of its head.
+        label: The text before the colon in the doc comment, such as `S2`, or `file:line` if there is none.
+        head: The predicate of the head.
     """
 
     label: str
@@ -137,12 +139,13 @@ class Clause(TypedDict):
 
 
 class RuleStats(TypedDict):
-    """The work of a clause in a commit.
+    """Statistics of a clause in a commit.
 
     Attributes:
-        delta_rows: Changed rows it was evaluated from (0: one evaluation over all rows).
-        rows_scanned: Rows that its scans and tests read.
-        derived: Rows it derived, including repeated ones.
+        clause: The label of the clause.
+        delta_rows: The number of changed rows that drove the evaluation; 0 for one evaluation over all rows.
+        rows_scanned: The number of rows that scans and tests read.
+        derived: The number of derived rows, including duplicates.
     """
 
     clause: str
@@ -152,7 +155,15 @@ class RuleStats(TypedDict):
 
 
 class StratumStats(TypedDict):
-    """The work of a commit on a stratum. `rounds` is 1 if the stratum is not recursive."""
+    """Statistics of a stratum in a commit.
+
+    Attributes:
+        relations: The predicates of the stratum.
+        how: Whether the commit skipped, incrementally maintained or recomputed the stratum.
+        rounds: The number of semi-naive rounds: 1 for a stratum without recursion, and 0 if it was skipped.
+        rows_scanned: The number of rows that scans and tests read.
+        clauses: The statistics of the clauses.
+    """
 
     relations: list[str]
     how: Literal["skipped", "maintained", "recomputed"]

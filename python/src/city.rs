@@ -31,7 +31,7 @@ pub fn register(module: &Bound<'_, PyModule>) -> PyResult<()> {
     module.add_class::<PySimulation>()
 }
 
-/// The reasons for moves; arrays hold positions in this list.
+/// The reasons for moves. Arrays store indices into this list.
 const REASONS: [(MoveReason, &str); 4] = [
     (MoveReason::Decided, "decided"),
     (MoveReason::OnlyMove, "only-move"),
@@ -39,23 +39,25 @@ const REASONS: [(MoveReason, &str); 4] = [
     (MoveReason::Resting, "resting"),
 ];
 
-/// The name of the text with overrides.
+/// The name of the source with overrides.
 const OVERRIDES: &str = "<overrides>";
 
-/// The texts of files by path.
+/// The source text of files by path.
 type Files = BTreeMap<PathBuf, String>;
 
-/// A city and the texts it was loaded from.
+/// A loaded city and its sources.
 pub struct Loaded {
     pub sources: Sources,
     pub city: LoadedCity,
-    /// All texts that were read.
+    /// The files that were read.
     files: Files,
 }
 
 impl Loaded {
-    /// Reads a configuration and its rules, or those in another rule file. The texts come from `files` if given, else
-    /// from disk and the built-in files. `overrides` is a mapping in JSON whose `base` is the configuration.
+    /// Reads a configuration and its rules. `rules` is a rule file that replaces the configuration's.
+    ///
+    /// The text comes from `files` if present, and otherwise from disk and the built-in files. `overrides` is a JSON
+    /// object whose key `base` names the configuration.
     pub fn new(
         py: Python<'_>,
         signals: &Signals,
@@ -111,11 +113,11 @@ impl Loaded {
 pub fn one_of<T: Copy>(what: &str, given: &str, all: &[T], name: impl Fn(T) -> &'static str) -> PyResult<T> {
     all.iter().copied().find(|&value| name(value) == given).ok_or_else(|| {
         let names: Vec<String> = all.iter().map(|&value| format!("\"{}\"", name(value))).collect();
-        PyValueError::new_err(format!("{what} is one of {}, not \"{given}\"", names.join(", ")))
+        PyValueError::new_err(format!("{what} must be one of {}, not \"{given}\"", names.join(", ")))
     })
 }
 
-/// Decides scenes.
+/// Applies the rules to scenes.
 #[pyclass(name = "Inference", module = "logicity._logicity", frozen)]
 struct PyInference {
     inference: Shared<Inference>,
@@ -143,7 +145,7 @@ impl PyInference {
         })
     }
 
-    /// Decides a scene in JSON.
+    /// Applies the rules to a scene in JSON.
     fn answer<'py>(&self, py: Python<'py>, scene: &str) -> PyResult<Bound<'py, PyAny>> {
         let mut sources = Sources::new();
         let source = sources.add("<scene>", scene);
@@ -156,7 +158,7 @@ impl PyInference {
         }
     }
 
-    /// All texts that were read.
+    /// Returns the files that were read, with their text.
     fn files(&self) -> Vec<(&Path, &str)> {
         self.files
             .iter()
@@ -175,8 +177,8 @@ struct PySimulation {
     rule_files: Vec<SourceId>,
 }
 
-/// A tick: number, positions and headings before it, derived actions, actions, positions after it, reasons, and whether agents set out
-/// for a new goal.
+/// A tick: its number, the positions and headings before it, the derived actions, the actions, the positions after it,
+/// the reasons for the moves, and whether agents received a new goal.
 type Tick<'py> = (
     u64,
     Bound<'py, PyArray2<i32>>,
@@ -188,7 +190,7 @@ type Tick<'py> = (
     Bound<'py, PyArray1<bool>>,
 );
 
-/// Name, type, concepts and priority of an agent.
+/// The name, type, concepts and priority of an agent.
 type AgentInfo = (String, &'static str, Vec<String>, i32);
 
 /// The reason why a run ended early.
@@ -253,7 +255,7 @@ impl PySimulation {
         self.city.with(|city| Ok(city.agents().iter().map(info).collect()))
     }
 
-    /// The name of the map, its rows and columns.
+    /// Returns the name of the map and its numbers of rows and columns.
     fn map(&self) -> (&str, i32, i32) {
         let map = self.world.map();
         (&map.name, map.rows(), map.cols())
@@ -288,7 +290,7 @@ impl PySimulation {
         Ok(layers.into_pyarray(py))
     }
 
-    /// Runs a tick in which the agents at these positions take these actions.
+    /// Runs a tick. Each element of `controls` is the index of an agent and the index of the action that it takes.
     fn tick<'py>(&self, py: Python<'py>, controls: Vec<(usize, usize)>) -> PyResult<Tick<'py>> {
         let controls: Vec<(usize, Action)> = (controls.into_iter())
             .map(|(agent, action)| (agent, Action::ALL[action]))
@@ -298,7 +300,7 @@ impl PySimulation {
         self.last(py)
     }
 
-    /// The last tick.
+    /// Returns the last tick.
     fn last<'py>(&self, py: Python<'py>) -> PyResult<Tick<'py>> {
         self.city.with(|city| {
             let report = city.report();
@@ -322,7 +324,7 @@ impl PySimulation {
         })
     }
 
-    /// Runs ticks, and writes their trace to a file.
+    /// Runs ticks, and writes their trace to a file if `trace` names one.
     fn run(&self, py: Python<'_>, ticks: u64, trace: Option<PathBuf>) -> PyResult<()> {
         let done = self.city.detached(py, |city, cancel| match &trace {
             None => run(city, ticks, cancel, |_| Ok(())),
@@ -337,11 +339,11 @@ impl PySimulation {
         })
     }
 
-    /// The base facts of the last tick by predicate: positions of agents.
+    /// Returns the base facts of the last tick by predicate, as indices of agents.
     fn facts<'py>(&self, py: Python<'py>) -> PyResult<Bound<'py, PyDict>> {
         let found = self.city.detached(py, |city, cancel| match city.agents().len() {
             0..=MAX_ENTITIES => city.facts_with(|_| true, cancel),
-            agents => Err(too_many(agents, "facts about pairs")),
+            agents => Err(too_many(agents, "binary facts")),
         })?;
         let facts = found.map_err(|fault| input_error(py, &[fault], &self.sources))?;
         let dict = PyDict::new(py);
@@ -354,7 +356,8 @@ impl PySimulation {
         Ok(dict)
     }
 
-    /// Explains an agent's action in the last tick, or why another action was not derived: as text, and as data.
+    /// Explains an agent's action in the last tick, or why the rules did not derive another action, as text and as
+    /// data.
     fn explain<'py>(
         &self,
         py: Python<'py>,
@@ -370,7 +373,7 @@ impl PySimulation {
         Ok((text, to_python(py, &json)?))
     }
 
-    /// The label of each clause, and the rows it derived in the last tick.
+    /// Returns the label of each clause and the number of rows it derived in the last tick.
     fn firings(&self) -> PyResult<Vec<(String, usize)>> {
         let rules = self.world.program.rules();
         let printer = ExplanationPrinter::new(rules, &rules.symbols, &self.sources);
@@ -392,7 +395,7 @@ impl PySimulation {
         let writer = TraceWriter::new(file, city, &self.sources, &config, self.rule_files[0], &hash);
         let mut writer = writer.map_err(Failure::File)?;
         let done = run(city, ticks, cancel, |city| writer.tick(city).map_err(Failure::File));
-        // The ticks before a failure are kept.
+        // After a failure, the trace keeps the earlier ticks.
         let written = writer.into_inner().finish().map_err(Failure::File);
         done.and(written)
     }
@@ -416,11 +419,11 @@ fn run(
 }
 
 fn too_many(agents: usize, what: &str) -> Diagnostic {
-    let message = format!("{what} of {agents} agents; the limit is {MAX_ENTITIES} agents");
+    let message = format!("too many agents for {what}: {agents}; the limit is {MAX_ENTITIES}");
     Diagnostic::new(Code::LIMIT_EXCEEDED, message)
 }
 
-/// Converts cells to rows and columns.
+/// Converts cells to an array with the columns row and column.
 fn cells(py: Python<'_>, cells: impl ExactSizeIterator<Item = Cell>) -> Bound<'_, PyArray2<i32>> {
     let mut array = Array2::zeros((cells.len(), 2));
     for (mut row, cell) in array.rows_mut().into_iter().zip(cells) {
@@ -429,7 +432,7 @@ fn cells(py: Python<'_>, cells: impl ExactSizeIterator<Item = Cell>) -> Bound<'_
     array.into_pyarray(py)
 }
 
-/// Converts positions in a short list; -1 for none.
+/// Converts indices into a short list to an array, with -1 for `None`.
 fn codes(py: Python<'_>, positions: impl Iterator<Item = Option<usize>>) -> Bound<'_, PyArray1<i8>> {
     let code = |position: Option<usize>| position.and_then(|position| i8::try_from(position).ok()).unwrap_or(-1);
     positions.map(code).collect::<Array1<i8>>().into_pyarray(py)

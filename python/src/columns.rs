@@ -1,4 +1,4 @@
-//! Rows as Python values: tuples, or a numpy array for each column.
+//! Conversion of rows from and to Python: tuples, or one numpy array per column.
 
 use logicity::datalog::{BaseType, Column, Relation, Value};
 use logicity::symbol::{Symbol, Symbols};
@@ -9,17 +9,17 @@ use pyo3::prelude::*;
 use pyo3::types::{PyBool, PyDict, PyList, PyMapping, PyString, PyTuple};
 use std::collections::HashMap;
 
-/// Rows converted between two checks for signals.
-const PAUSE: usize = 1 << 16;
+/// The number of rows to convert between checks for signals.
+const ROWS_PER_CHECK: usize = 1 << 16;
 
-/// Rows in one list, one after the other.
+/// Rows in row-major order.
 pub struct Words {
     pub rows: usize,
     pub words: Vec<Value>,
 }
 
-/// The type of a column, for messages.
-fn holds(base: BaseType) -> &'static str {
+/// Describes the type of a column for messages.
+fn type_text(base: BaseType) -> &'static str {
     match base {
         BaseType::Symbol => "symbols (str)",
         BaseType::Number => "numbers (int from -2147483648 to 2147483647)",
@@ -28,13 +28,13 @@ fn holds(base: BaseType) -> &'static str {
     }
 }
 
-/// `column `x` of `edge` holds ...`
+/// Describes a column and its type for messages.
 fn expects(relation: &Relation, column: &Column) -> String {
     format!(
         "column `{}` of `{}` holds {}",
         column.name,
         relation.name,
-        holds(column.base)
+        type_text(column.base)
     )
 }
 
@@ -52,7 +52,7 @@ fn number(base: BaseType, value: i128) -> Result<Value, Misfit> {
     .map_err(|_| Misfit::Range)
 }
 
-/// The nearest 32-bit float. Infinities and NaN are kept; a finite number out of range is an error.
+/// Rounds to the nearest 32-bit float. Keeps infinities and NaN. A finite number out of range is an error.
 #[expect(clippy::cast_possible_truncation, reason = "rounding is what is meant")]
 fn float(value: f64) -> Result<Value, Misfit> {
     let near = value as f32;
@@ -62,7 +62,7 @@ fn float(value: f64) -> Result<Value, Misfit> {
     }
 }
 
-/// Converts a value of a column. `symbol` returns the word of a text.
+/// Converts a value of a column. `symbol` interns a string.
 fn word(value: &Bound<'_, PyAny>, base: BaseType, symbol: &dyn Fn(&str) -> Value) -> PyResult<Result<Value, Misfit>> {
     if base == BaseType::Symbol {
         return match value.cast::<PyString>() {
@@ -70,7 +70,7 @@ fn word(value: &Bound<'_, PyAny>, base: BaseType, symbol: &dyn Fn(&str) -> Value
             Err(_) => Ok(Err(Misfit::Type)),
         };
     }
-    // In Python a bool is an int; here it is an error.
+    // In Python, bool is a subclass of int. Here it is an error.
     if value.is_instance_of::<PyBool>() {
         return Ok(Err(Misfit::Type));
     }
@@ -88,7 +88,7 @@ fn word(value: &Bound<'_, PyAny>, base: BaseType, symbol: &dyn Fn(&str) -> Value
     })
 }
 
-/// Converts a row; with `open`, `None` means any value.
+/// Converts a row. With `open`, `None` matches any value.
 pub fn row(
     relation: &Relation,
     values: &Bound<'_, PyAny>,
@@ -97,7 +97,7 @@ pub fn row(
 ) -> PyResult<Vec<Option<Value>>> {
     // A str is a sequence of str, but never a row.
     if values.is_instance_of::<PyString>() {
-        let message = format!("a row of `{}` is a tuple of its values, not a str", relation.name);
+        let message = format!("a row of `{}` must be a tuple of its values, not a str", relation.name);
         return Err(PyTypeError::new_err(message));
     }
     let mut words = Vec::with_capacity(relation.arity());
@@ -127,7 +127,7 @@ pub fn row(
     if count != relation.arity() {
         let (name, arity) = (&relation.name, relation.arity());
         return Err(PyValueError::new_err(format!(
-            "a row of `{name}` has {arity} values, not {count}"
+            "a row of `{name}` must have {arity} values, not {count}"
         )));
     }
     Ok(words)
@@ -148,7 +148,7 @@ pub fn rows(relation: &Relation, given: &Bound<'_, PyAny>, symbol: &dyn Fn(&str)
     }
     if given.is_instance_of::<PyString>() {
         let message = format!(
-            "rows of `{}` are a list of tuples or a numpy array, not a str",
+            "rows of `{}` must be a list of tuples or a numpy array, not a str",
             relation.name
         );
         return Err(PyTypeError::new_err(message));
@@ -161,14 +161,14 @@ pub fn rows(relation: &Relation, given: &Bound<'_, PyAny>, symbol: &dyn Fn(&str)
         let words = row(relation, &values?, false, symbol).map_err(|error| in_row(given.py(), found.rows, &error))?;
         found.words.extend(words.into_iter().flatten());
         found.rows += 1;
-        if found.rows.is_multiple_of(PAUSE) {
+        if found.rows.is_multiple_of(ROWS_PER_CHECK) {
             given.py().check_signals()?;
         }
     }
     Ok(found)
 }
 
-/// Adds the number of the row to an error.
+/// Adds the number of the row to the message of an error.
 fn in_row(py: Python<'_>, row: usize, error: &PyErr) -> PyErr {
     let message = format!("row {row}: {}", error.value(py));
     match error.is_instance_of::<PyTypeError>(py) {
@@ -188,7 +188,7 @@ fn of_array(relation: &Relation, array: &Bound<'_, PyUntypedArray>, symbol: &dyn
     if fields.is_some() || array.ndim() != 2 || array.shape()[1] != arity {
         let shape = array.getattr(intern!(py, "shape"))?;
         return Err(PyValueError::new_err(format!(
-            "rows of `{name}` are an array of shape (n, {arity}), or (n,) with the columns as fields, not {shape}"
+            "an array of rows of `{name}` must have shape (n, {arity}), or (n,) with the columns as fields, not {shape}"
         )));
     }
     let columns = array.getattr(intern!(py, "T"))?;
@@ -196,7 +196,7 @@ fn of_array(relation: &Relation, array: &Bound<'_, PyUntypedArray>, symbol: &dyn
     of_columns(relation, &columns?, array.shape()[0], symbol)
 }
 
-/// Converts a mapping from names of columns to arrays.
+/// Converts a mapping from column names to arrays.
 fn of_named(
     relation: &Relation,
     keys: &[Bound<'_, PyAny>],
@@ -211,7 +211,7 @@ fn of_named(
     if names != wanted {
         let (name, found) = (&relation.name, names.join(", "));
         return Err(PyValueError::new_err(format!(
-            "the columns of `{name}` are {shown}, not [{found}]"
+            "expected the columns {shown} of `{name}`, not [{found}]"
         )));
     }
     let asarray = given
@@ -243,7 +243,7 @@ fn of_columns(
         if array.shape() != [rows] {
             let (expects, shape) = (expects(relation, column), array.getattr(intern!(array.py(), "shape"))?);
             return Err(PyValueError::new_err(format!(
-                "{expects}: expected {rows} of them, not an array of shape {shape}"
+                "{expects}: expected an array of shape ({rows},), not {shape}"
             )));
         }
         let into = words.iter_mut().skip(at).step_by(arity.max(1));
@@ -252,7 +252,7 @@ fn of_columns(
     Ok(Words { rows, words })
 }
 
-/// Writes the words of a column.
+/// Converts an array to the words of a column.
 fn fill<'a>(
     relation: &Relation,
     column: &Column,
@@ -296,7 +296,7 @@ fn fill<'a>(
     }
 }
 
-/// Writes the words of a column of numbers, read as their widest type.
+/// Converts an array of numbers to the words of a column, through the widest type of their kind.
 fn convert<'a, T: Element + Copy + std::fmt::Display>(
     relation: &Relation,
     column: &Column,
@@ -305,7 +305,7 @@ fn convert<'a, T: Element + Copy + std::fmt::Display>(
     into: impl Iterator<Item = &'a mut Value>,
 ) -> PyResult<()> {
     let numpy = array.py().import(intern!(array.py(), "numpy"))?;
-    // Any byte order, strides and alignment.
+    // `require` accepts any byte order, strides and alignment.
     let array = numpy.call_method1(intern!(array.py(), "require"), (array, dtype, ("C", "A")))?;
     let array: PyReadonlyArray1<'_, T> = array.extract()?;
     for (row, (&value, into)) in array.as_slice()?.iter().zip(into).enumerate() {
@@ -319,14 +319,14 @@ fn convert<'a, T: Element + Copy + std::fmt::Display>(
     Ok(())
 }
 
-/// The Python texts of symbols, each made once.
-struct Workspace<'a, 'py> {
+/// Converts values to Python, with one Python string per symbol.
+struct Converter<'a, 'py> {
     py: Python<'py>,
     symbols: &'a Symbols,
-    made: HashMap<u32, Bound<'py, PyAny>>,
+    strings: HashMap<u32, Bound<'py, PyAny>>,
 }
 
-impl<'py> Workspace<'_, 'py> {
+impl<'py> Converter<'_, 'py> {
     fn value(&mut self, value: Value, base: BaseType) -> PyResult<Bound<'py, PyAny>> {
         Ok(match base {
             BaseType::Number => value.as_number().into_pyobject(self.py)?.into_any(),
@@ -334,39 +334,39 @@ impl<'py> Workspace<'_, 'py> {
             BaseType::Float => value.as_float().into_pyobject(self.py)?.into_any(),
             BaseType::Symbol => {
                 let text = || PyString::new(self.py, self.symbols.text(Symbol(value.0)).unwrap_or_default()).into_any();
-                self.made.entry(value.0).or_insert_with(text).clone()
+                self.strings.entry(value.0).or_insert_with(text).clone()
             }
         })
     }
 }
 
-/// Makes a list of tuples.
+/// Converts rows to a list of tuples.
 pub fn tuples<'py, 'r>(
     py: Python<'py>,
     columns: &[Column],
     rows: impl Iterator<Item = &'r [Value]>,
     symbols: &Symbols,
 ) -> PyResult<Bound<'py, PyList>> {
-    let mut texts = Workspace {
+    let mut converter = Converter {
         py,
         symbols,
-        made: HashMap::new(),
+        strings: HashMap::new(),
     };
     let list = PyList::empty(py);
     for (position, row) in rows.enumerate() {
         let values = columns
             .iter()
             .zip(row)
-            .map(|(column, &value)| texts.value(value, column.base));
+            .map(|(column, &value)| converter.value(value, column.base));
         list.append(PyTuple::new(py, values.collect::<PyResult<Vec<_>>>()?)?)?;
-        if position.is_multiple_of(PAUSE) {
+        if position.is_multiple_of(ROWS_PER_CHECK) {
             py.check_signals()?;
         }
     }
     Ok(list)
 }
 
-/// Makes a dict from names of columns to arrays.
+/// Converts rows to a dict from column names to arrays.
 pub fn arrays<'py, 'r, R: Iterator<Item = &'r [Value]>>(
     py: Python<'py>,
     columns: &[Column],
@@ -381,12 +381,12 @@ pub fn arrays<'py, 'r, R: Iterator<Item = &'r [Value]>>(
             BaseType::Unsigned => PyArray1::from_vec(py, words.map(|word| word.0).collect()).into_any(),
             BaseType::Float => PyArray1::from_vec(py, words.map(Value::as_float).collect()).into_any(),
             BaseType::Symbol => {
-                let mut texts = Workspace {
+                let mut converter = Converter {
                     py,
                     symbols,
-                    made: HashMap::new(),
+                    strings: HashMap::new(),
                 };
-                let values = words.map(|word| Ok(texts.value(word, BaseType::Symbol)?.unbind()));
+                let values = words.map(|word| Ok(converter.value(word, BaseType::Symbol)?.unbind()));
                 PyArray1::from_vec(py, values.collect::<PyResult<Vec<_>>>()?).into_any()
             }
         };

@@ -12,7 +12,7 @@ pub fn register(module: &Bound<'_, PyModule>) -> PyResult<()> {
     module.add_class::<PyConfigFile>()
 }
 
-/// A YAML file with its `base` merged in, and the places of its values.
+/// A YAML file merged with its `base`, and the locations of its values.
 #[pyclass(name = "ConfigFile", module = "logicity._logicity", frozen)]
 struct PyConfigFile {
     tree: Tree,
@@ -21,14 +21,14 @@ struct PyConfigFile {
 
 #[pymethods]
 impl PyConfigFile {
-    /// Reads a file. `folder` is where a bare name stands for a built-in file.
+    /// Reads a file. A bare name is a built-in file in `folder`.
     #[new]
     fn new(py: Python<'_>, path: PathBuf, folder: &str) -> PyResult<Self> {
         let mut sources = Sources::new();
         match load_tree(&mut sources, &path, folder, &BuiltinFiles) {
             Ok(tree) => Ok(PyConfigFile { tree, sources }),
             Err(faults) => Err(match faults.as_slice() {
-                // The file that the caller named has no place in any text.
+                // The file that the caller named has no location in any source.
                 [fault] if fault.code == Code::MISSING_FILE && fault.primary.is_none() => {
                     let help = fault.help.iter().map(|help| format!("; {help}")).collect::<String>();
                     PyFileNotFoundError::new_err(fault.message.clone() + &help)
@@ -38,12 +38,14 @@ impl PyConfigFile {
         }
     }
 
-    /// The values.
+    /// Returns the merged values.
     fn value<'py>(&self, py: Python<'py>) -> PyResult<Bound<'py, PyAny>> {
         to_python(py, &self.tree.to_json())
     }
 
-    /// The `InputError` for faults in this file: code, path of keys and positions, message, and help if not empty.
+    /// Returns the `InputError` for errors in this file.
+    ///
+    /// Each error has a code, the path of keys and indices to its value, a message, and a help text that may be empty.
     fn error<'py>(
         &self,
         py: Python<'py>,

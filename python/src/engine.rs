@@ -25,7 +25,7 @@ pub fn register(module: &Bound<'_, PyModule>) -> PyResult<()> {
     module.add_class::<PyRows>()
 }
 
-/// The diagnostics of a rule text.
+/// Returns the diagnostics of the source text of rules.
 #[pyfunction]
 fn check<'py>(py: Python<'py>, text: &str, name: &str) -> PyResult<Bound<'py, PyAny>> {
     let mut sources = Sources::new();
@@ -37,7 +37,7 @@ fn check<'py>(py: Python<'py>, text: &str, name: &str) -> PyResult<Bound<'py, Py
     to_python(py, &to_json(&diagnostics, &sources))
 }
 
-/// A checked and planned program, with its texts.
+/// A checked and planned program with its sources.
 struct Loaded {
     workspace: Workspace,
     sources: Sources,
@@ -50,7 +50,7 @@ impl Loaded {
         ExplanationPrinter::new(self.program.rules(), session.symbols(), &self.sources).quoting()
     }
 
-    /// The declared predicates.
+    /// Returns the declared predicates.
     fn relations(&self) -> impl Iterator<Item = (RelId, &Relation)> {
         let relations = (0..).map(RelId).zip(&self.program.rules().relations);
         relations.filter(|(_, relation)| !relation.hidden)
@@ -67,22 +67,22 @@ impl Loaded {
     }
 }
 
-/// A program: rules, checked and planned.
+/// A checked and planned program.
 #[pyclass(name = "Program", module = "logicity._logicity", frozen)]
 pub struct PyProgram(Arc<Loaded>);
 
-/// A text and its name.
+/// The name and the text of a file.
 type File = (String, String);
 
 #[pymethods]
 impl PyProgram {
-    /// Loads the first of `files`. Includes come from the others if there are any, else from disk.
+    /// Loads the first of `files`. Includes come from the other files if there are any, and otherwise from disk.
     #[new]
     fn new(py: Python<'_>, files: Vec<File>) -> PyResult<Self> {
         let mut sources = Sources::new();
         let mut files = files.into_iter();
         let Some((name, text)) = files.next() else {
-            return Err(PyValueError::new_err("a program has a text"));
+            return Err(PyValueError::new_err("a program needs at least one file"));
         };
         let entry = sources.add(name, text);
         let given: HashMap<PathBuf, String> = files.map(|(name, text)| (name.into(), text)).collect();
@@ -110,7 +110,7 @@ impl PyProgram {
         }
     }
 
-    /// All texts by their names, the entry first.
+    /// Returns the names and text of all files, starting with the entry file.
     fn files(&self) -> Vec<(&str, &str)> {
         let sources = &self.0.sources;
         sources.ids().map(|id| (sources.name(id), sources.text(id))).collect()
@@ -171,7 +171,7 @@ impl PyProgram {
     }
 }
 
-/// Facts, and the facts derived from them.
+/// A database of facts and derived facts.
 #[pyclass(name = "Session", module = "logicity._logicity", frozen)]
 pub struct PySession {
     loaded: Arc<Loaded>,
@@ -223,7 +223,7 @@ impl PySession {
         })
     }
 
-    /// Commits, and returns added and removed rows by predicate.
+    /// Commits the pending changes. Returns the added and removed rows by predicate.
     fn commit<'py>(slf: &Bound<'py, Self>) -> PyResult<Bound<'py, PyDict>> {
         let (py, this) = (slf.py(), slf.get());
         let committed = this
@@ -279,7 +279,7 @@ impl PySession {
         })
     }
 
-    /// The fact as text, whether it holds, the explanation as text, and its nodes.
+    /// Returns the fact as text, whether it holds, the explanation as text, and the nodes of the explanation.
     fn explain<'py>(
         &self,
         py: Python<'py>,
@@ -324,7 +324,7 @@ impl PySession {
         Ok((fact, holds, text, to_python(py, &nodes)?))
     }
 
-    /// The work of the last commit, by stratum.
+    /// Returns the statistics of the last commit, by stratum.
     fn work<'py>(&self, py: Python<'py>) -> PyResult<Bound<'py, PyAny>> {
         let Loaded { program, sources, .. } = &*self.loaded;
         let rules = program.rules();
@@ -362,7 +362,7 @@ impl PySession {
         })
     }
 
-    /// The current plan of every clause.
+    /// Returns the current plan of every clause.
     fn plan(&self) -> PyResult<String> {
         self.session
             .with(|session| Ok(session.show_plans(&self.loaded.sources)))
@@ -372,7 +372,7 @@ impl PySession {
 impl PySession {
     fn change(&self, relation: &str, rows: &Bound<'_, PyAny>, present: bool) -> PyResult<usize> {
         let (id, relation) = self.loaded.relation(relation)?;
-        // The iterator may use this session, so it is not locked meanwhile.
+        // The caller's iterator may use this session, so the session stays unlocked during the conversion.
         let symbols = |text: &str| self.session.with(|session| Ok(session.intern(text)));
         let failed = std::cell::RefCell::new(None);
         let found = columns::rows(relation, rows, &|text| {
@@ -412,7 +412,7 @@ impl PyRows {
         self.rows.len()
     }
 
-    /// The rows in a half-open range of positions.
+    /// Returns the rows in a half-open range of indices.
     fn tuples<'py>(&self, py: Python<'py>, start: usize, stop: usize) -> PyResult<Bound<'py, PyList>> {
         let PySession { loaded, session } = self.session.get();
         let relation = &loaded.program.rules().relations[self.relation.index()];

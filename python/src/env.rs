@@ -1,4 +1,4 @@
-//! Environments with one controlled car each, stepped in one call.
+//! Vectorized environments with one controlled car each.
 
 use crate::city::one_of;
 use crate::episode::{PyEpisode, PyEpisodeOption, read_episode};
@@ -25,7 +25,7 @@ fn autoreset_named(name: &str) -> PyResult<Autoreset> {
     })
 }
 
-/// Arrays with a number for each environment: oracle action, progress, success, steps, seed.
+/// Arrays with one element per environment: oracle action, progress, success, steps, seed.
 type Columns<'py> = (
     PyReadwriteArray1<'py, i64>,
     PyReadwriteArray1<'py, f64>,
@@ -41,10 +41,10 @@ type Outcomes<'py> = (
     PyReadwriteArray1<'py, bool>,
 );
 
-/// The end of an episode: the position of the environment, the last observation, the names of the broken clauses.
+/// The end of an episode: the index of the environment, the last observation, and the names of the broken clauses.
 type EpisodeEnd<'py> = (usize, Bound<'py, PyArray1<f32>>, Bound<'py, PyTuple>);
 
-/// Writes infos to columns with one number for each environment.
+/// Writes infos to columns with one element per environment.
 fn write_infos<'a>(
     columns: &mut Columns<'_>,
     count: usize,
@@ -67,7 +67,7 @@ fn write_infos<'a>(
     Ok(())
 }
 
-/// Environments that are stepped together.
+/// A batch of environments that one call steps.
 #[pyclass(name = "VectorEnv", module = "logicity._logicity")]
 struct PyVectorEnv {
     task: Py<PyTask>,
@@ -115,7 +115,7 @@ impl PyVectorEnv {
         })
     }
 
-    /// Gives an environment the episodes of a seed, starting at a number.
+    /// Sets the seed of an environment's episodes, and skips the first `begun` episodes.
     fn seed(slf: &Bound<'_, Self>, at: usize, seed: u64, begun: u64) -> PyResult<()> {
         let this = &mut *borrowed_mut(slf)?;
         this.sub_env(at)?;
@@ -125,13 +125,13 @@ impl PyVectorEnv {
         Ok(())
     }
 
-    /// The seed of an environment's episodes, and the number of begun ones.
+    /// Returns the seed of an environment's episodes, and the number of episodes started from it.
     fn source(slf: &Bound<'_, Self>, at: usize) -> PyResult<[u64; 2]> {
         let this = borrowed(slf)?;
         Ok(this.sub_env(at)?.source().place())
     }
 
-    /// Begins episodes, see `PyEpisodeOption`. Observations of other environments are unchanged.
+    /// Starts episodes, see `PyEpisodeOption`. Does not change the observations of other environments.
     fn reset(
         slf: &Bound<'_, Self>,
         py: Python<'_>,
@@ -149,7 +149,8 @@ impl PyVectorEnv {
                 let place: Option<usize> = number.extract().ok();
                 let episode = place.and_then(|place| recorded.get(place)).ok_or_else(|| {
                     let (split, count) = (this.split.name(), recorded.len());
-                    PyIndexError::new_err(format!("no episode {number}: the split `{split}` has {count}, from 0"))
+                    let message = format!("no episode {number}: the split `{split}` has {count} episodes, from 0");
+                    PyIndexError::new_err(message)
                 })?;
                 Ok(Some(Begin::Given(Arc::new(episode.clone()))))
             }
@@ -168,7 +169,7 @@ impl PyVectorEnv {
         (this.signals.detach(py, || vector.reset(&begin, rows))?).map_err(|fault| task.error(py, fault))
     }
 
-    /// Steps the only environment: reward, termination, truncation, info.
+    /// Steps a batch of one environment. Returns the reward, the termination, the truncation and the info.
     fn step_one<'py>(
         slf: &Bound<'py, Self>,
         py: Python<'py>,
@@ -193,7 +194,7 @@ impl PyVectorEnv {
         ))
     }
 
-    /// Steps all environments. Returns those with broken clauses, and the names of these.
+    /// Steps all environments. Returns the indices of environments with broken clauses, and the names of these clauses.
     fn step<'py>(
         slf: &Bound<'py, Self>,
         py: Python<'py>,
@@ -242,8 +243,9 @@ impl PyVectorEnv {
             .collect()
     }
 
-    /// The episodes that ended in the last step, where the next one has begun: position, last observation, names of the broken clauses. Writes
-    /// the rest of their infos to the columns.
+    /// Returns the episodes that ended in the last step, for autoreset in the same step.
+    ///
+    /// Writes the other keys of their infos to the columns.
     fn ended<'py>(
         slf: &Bound<'py, Self>,
         py: Python<'py>,
@@ -269,26 +271,26 @@ impl PyVectorEnv {
         ended().map(last).collect()
     }
 
-    /// The info of an environment.
+    /// Returns the info of an environment.
     fn info<'py>(slf: &Bound<'py, Self>, py: Python<'py>, at: usize) -> PyResult<Bound<'py, PyDict>> {
         let this = borrowed(slf)?;
         this.task.get().info(py, this.sub_env(at)?.info())
     }
 
-    /// The true atoms that an ego observes.
+    /// Returns the true atoms that the ego of an environment observes.
     fn atoms<'py>(slf: &Bound<'py, Self>, py: Python<'py>, at: usize) -> PyResult<Bound<'py, PyTuple>> {
         let this = borrowed(slf)?;
         let env = this.sub_env(at)?.env();
         (this.task.get()).atoms(py, env, env.controlled_cars()[0].observer().atoms())
     }
 
-    /// Keeps the true atoms at the end of an episode after the next one has begun.
+    /// Keeps the true atoms at the end of an episode after the next one has started.
     fn keep_last_atoms(slf: &Bound<'_, Self>) -> PyResult<()> {
         borrowed_mut(slf)?.vector.keep_last_atoms();
         Ok(())
     }
 
-    /// The true atoms at the end of the episode that the last step ended, if they were kept.
+    /// Returns the true atoms at the end of the episode that ended in the last step, if they were kept.
     fn ended_atoms<'py>(slf: &Bound<'py, Self>, py: Python<'py>, at: usize) -> PyResult<Bound<'py, PyTuple>> {
         let this = borrowed(slf)?;
         let sub_env = this.sub_env(at)?;
@@ -296,31 +298,31 @@ impl PyVectorEnv {
         this.task.get().atoms(py, sub_env.env(), atoms)
     }
 
-    /// Whether an episode of an environment has begun, or begun and ended.
+    /// Returns whether an environment has a running or finished episode.
     fn has_begun(slf: &Bound<'_, Self>, at: usize) -> PyResult<bool> {
         let this = borrowed(slf)?;
         Ok(this.sub_env(at)?.is_ready(Autoreset::NextStep))
     }
 
-    /// The start of an environment's episode.
+    /// Returns the start of an environment's episode.
     fn episode(slf: &Bound<'_, Self>, py: Python<'_>, at: usize) -> PyResult<PyEpisode> {
         let this = borrowed(slf)?;
         Ok(PyEpisode::of(this.begun(py, at)?.env().episode()))
     }
 
-    /// Explains the oracle's action.
+    /// Explains the oracle's action in an environment.
     fn explain(slf: &Bound<'_, Self>, py: Python<'_>, at: usize) -> PyResult<String> {
         let this = borrowed(slf)?;
         (this.task.get()).explain(py, this.begun(py, at)?.env(), 0, &this.signals)
     }
 
-    /// The state of an environment as text.
+    /// Returns the state of an environment as text.
     fn text(slf: &Bound<'_, Self>, py: Python<'_>, at: usize) -> PyResult<String> {
         let this = borrowed(slf)?;
         Ok(describe(this.begun(py, at)?.env(), 0))
     }
 
-    /// The picture of an environment: red, green and blue.
+    /// Returns an RGB picture of an environment.
     fn picture<'py>(slf: &Bound<'py, Self>, py: Python<'py>, at: usize) -> PyResult<Bound<'py, PyArray3<u8>>> {
         let this = borrowed(slf)?;
         {
@@ -336,12 +338,12 @@ impl PyVectorEnv {
         sub_env.ok_or_else(|| PyIndexError::new_err(format!("there is no environment {at}")))
     }
 
-    /// The environment, if it has an episode.
+    /// Returns an environment. Fails if its episode has not started.
     fn begun(&self, py: Python<'_>, at: usize) -> PyResult<&SubEnv> {
         let sub_env = self.sub_env(at)?;
         match sub_env.is_ready(Autoreset::NextStep) {
             true => Ok(sub_env),
-            false => Err(self.reset_needed(py, at, "has not begun")),
+            false => Err(self.reset_needed(py, at, "has not started")),
         }
     }
 
@@ -350,7 +352,7 @@ impl PyVectorEnv {
             1 => String::new(),
             _ => format!(" of environment {at}"),
         };
-        let message = format!("the episode{which} {why}: `reset` begins one");
+        let message = format!("the episode{which} {why}: call `reset`");
         gymnasium_error(py, "ResetNeeded", message)
     }
 
@@ -358,7 +360,9 @@ impl PyVectorEnv {
         let count = self.vector.sub_envs().len();
         match given == count {
             true => Ok(()),
-            false => Err(PyValueError::new_err(format!("{given} given for {count} environments"))),
+            false => Err(PyValueError::new_err(format!(
+                "expected {count} values, one per environment, not {given}"
+            ))),
         }
     }
 
@@ -367,7 +371,7 @@ impl PyVectorEnv {
         let mut sub_envs = self.vector.sub_envs().iter();
         match sub_envs.position(|sub_env| !sub_env.is_ready(mode)) {
             None => Ok(()),
-            Some(at) => Err(self.reset_needed(py, at, "has ended or not begun")),
+            Some(at) => Err(self.reset_needed(py, at, "has ended or not started")),
         }
     }
 

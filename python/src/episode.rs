@@ -1,4 +1,4 @@
-//! The start of an episode, to and from Python.
+//! Conversion of the start of an episode from and to Python.
 
 use logicity::city::Cell;
 use logicity::city::{Action, AgentName};
@@ -12,14 +12,15 @@ use std::collections::BTreeMap;
 /// The option `episode` of a reset.
 #[derive(FromPyObject)]
 pub enum PyEpisodeOption<'py> {
-    /// `True`: the next episode of the source; `False`: no reset.
+    /// `True` starts the next episode of the source. `False` does not reset.
     Next(bool),
-    /// A recorded episode, by its number.
+    /// The number of a recorded episode.
     Recorded(Bound<'py, PyInt>),
+    /// A description of an episode.
     Given(Bound<'py, PyDict>),
 }
 
-/// An episode for Python.
+/// An episode that converts to a dict.
 #[derive(IntoPyObject)]
 pub struct PyEpisode {
     seed: u64,
@@ -69,7 +70,7 @@ impl PyEpisode {
     }
 }
 
-/// Reads an episode, which names the agents of the environment.
+/// Parses an episode. Its agents must be those of the environment.
 pub fn read_episode(given: &Bound<'_, PyDict>, env: &Env) -> Result<Episode, Diagnostic> {
     let episode = Part::new("the episode".to_owned(), given, &["seed", "agents", "oracle"])?;
     let agents: Vec<Bound<'_, PyAny>> = episode.get("agents")?;
@@ -95,7 +96,7 @@ fn read_agent(what: &str, given: &Bound<'_, PyAny>, env: &Env) -> Result<Episode
             names.iter().map(String::as_str),
         )
     })?;
-    // Row and column, in a tuple, or in a list as in JSON.
+    // Row and column: a tuple, or a list as in JSON.
     let cell = |key| agent.get(key).map(|[row, col]: [i32; 2]| Cell::new(row, col));
     let concepts: Vec<String> = agent.get("concepts")?;
     Ok(EpisodeAgent {
@@ -127,18 +128,18 @@ fn read_oracle(given: &Bound<'_, PyAny>) -> Result<OracleRun, Diagnostic> {
     })
 }
 
-/// A mapping that describes an episode or a part of it.
+/// A mapping that describes an episode or a part of an episode.
 struct Part<'a, 'py> {
     what: String,
     given: &'a Bound<'py, PyMapping>,
 }
 
 impl<'a, 'py> Part<'a, 'py> {
-    /// Checks that it has no other keys.
+    /// Checks that the value is a mapping without unknown keys.
     fn new(what: String, given: &'a Bound<'py, PyAny>, keys: &[&str]) -> Result<Self, Diagnostic> {
         let wrong = |error: PyErr| invalid(format!("{what} cannot be read: {error}"));
         let Ok(given) = given.cast::<PyMapping>() else {
-            return Err(invalid(format!("{what} is no mapping")));
+            return Err(invalid(format!("{what} must be a mapping")));
         };
         for key in given.keys().map_err(wrong)? {
             let key = key.to_string();
@@ -150,7 +151,7 @@ impl<'a, 'py> Part<'a, 'py> {
         Ok(Part { what, given })
     }
 
-    /// The value of an optional key.
+    /// Returns the value of an optional key.
     fn find<T: for<'s> FromPyObject<'s, 'py>>(&self, key: &str) -> Result<Option<T>, Diagnostic> {
         let read = match self.given.get_item(key) {
             Err(error) if error.is_instance_of::<PyKeyError>(self.given.py()) => return Ok(None),
@@ -161,7 +162,7 @@ impl<'a, 'py> Part<'a, 'py> {
             .map_err(|error: PyErr| invalid(format!("`{key}` of {} cannot be read: {error}", self.what)))
     }
 
-    /// The value of a required key.
+    /// Returns the value of a required key.
     fn get<T: for<'s> FromPyObject<'s, 'py>>(&self, key: &str) -> Result<T, Diagnostic> {
         let found = self.find(key)?;
         found.ok_or_else(|| invalid(format!("{} has no `{key}`", self.what)))
@@ -172,10 +173,10 @@ fn invalid(message: String) -> Diagnostic {
     Diagnostic::new(Code::INVALID_EPISODE, message)
 }
 
-/// Adds the nearest known name, or else all names.
+/// Returns a diagnostic whose help is the closest known name, or otherwise all known names.
 fn unknown<'a>(message: String, name: &str, known: impl Iterator<Item = &'a str> + Clone) -> Diagnostic {
     invalid(message).help(match did_you_mean(name, known.clone()) {
         Some(near) => format!("did you mean `{near}`?"),
-        None => format!("there are: {}", known.collect::<Vec<_>>().join(", ")),
+        None => format!("known: {}", known.collect::<Vec<_>>().join(", ")),
     })
 }

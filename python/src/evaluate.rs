@@ -1,4 +1,4 @@
-//! Measures of policies on recorded episodes, and the description of a task.
+//! Metrics of policies on recorded episodes, and the description of a task.
 
 use crate::episode::PyEpisode;
 use crate::task::{PyTask, read_action, split_named, view_named};
@@ -50,25 +50,25 @@ impl PyRandomBaseline {
         })
     }
 
-    /// The number of episodes.
+    /// Returns the number of episodes.
     fn __len__(&self) -> usize {
         self.set.episodes.len()
     }
 
-    /// SHA-256 of the set of episodes.
+    /// Returns the SHA-256 of the set of episodes.
     fn hash(&self) -> String {
         self.set.hash()
     }
 
-    /// Runs the next episode.
+    /// Runs the random policy on the next episode.
     fn add(&mut self, py: Python<'_>) -> PyResult<()> {
         let next = self.set.episodes.get(self.baseline.returns().len());
-        let episode = next.ok_or_else(|| PyIndexError::new_err("every episode has been driven"))?;
+        let episode = next.ok_or_else(|| PyIndexError::new_err("the baseline has run all episodes"))?;
         let (env, baseline) = (&mut self.env, &mut self.baseline);
         (self.signals.detach(py, || baseline.add(env, episode))?).map_err(|fault| self.task.get().error(py, fault))
     }
 
-    /// The results so far: `summary` and `episodes`.
+    /// Returns the results so far: `summary` and `episodes`.
     fn report<'py>(&self, py: Python<'py>) -> PyResult<Bound<'py, PyAny>> {
         let task = self.task.get();
         let runs = self.baseline.rollouts().iter().enumerate();
@@ -77,7 +77,7 @@ impl PyRandomBaseline {
     }
 }
 
-/// Recorded episodes that a policy in Python runs side by side, each once.
+/// A batch of recorded episodes that a policy in Python runs once.
 #[pyclass(name = "BatchEvaluator", module = "logicity._logicity")]
 struct PyBatchEvaluator {
     task: Py<PyTask>,
@@ -104,19 +104,19 @@ impl PyBatchEvaluator {
         })
     }
 
-    /// The number of episodes.
+    /// Returns the number of episodes.
     fn __len__(&self) -> usize {
         self.evaluator.envs().len()
     }
 
-    /// The start of an episode.
+    /// Returns the start of an episode.
     fn episode(&self, at: usize) -> PyResult<PyEpisode> {
         let env = self.evaluator.envs().get(at);
         let env = env.ok_or_else(|| PyIndexError::new_err(format!("there is no episode {at}")))?;
         Ok(PyEpisode::of(env.episode()))
     }
 
-    /// Writes the observations, one row for each episode.
+    /// Writes the observations, one row per episode.
     fn observe(&self, mut out: PyReadwriteArrayDyn<'_, f32>) -> PyResult<()> {
         let width: usize = self.view.shape(&self.task.get().task).iter().product();
         let rows = slice_of(&mut out, width * self.evaluator.envs().len())?;
@@ -135,7 +135,7 @@ impl PyBatchEvaluator {
         Ok(())
     }
 
-    /// The oracle's actions.
+    /// Returns the oracle's actions.
     fn oracle_actions<'py>(&self, py: Python<'py>) -> Bound<'py, PyArray1<i64>> {
         let actions = self.evaluator.envs().iter().map(|env| env.oracle_action(0) as i64);
         actions.collect::<Vec<i64>>().into_pyarray(py)
@@ -154,7 +154,7 @@ impl PyBatchEvaluator {
         (self.signals.detach(py, || evaluator.step(actions))?).map_err(|fault| self.task.get().error(py, fault))
     }
 
-    /// The results: `summary`, with a score against a baseline on the same episodes, and `episodes`.
+    /// Returns the results: `summary`, with the score relative to a baseline on the same episodes, and `episodes`.
     fn report<'py>(&self, py: Python<'py>, baseline: &PyRandomBaseline) -> PyResult<Bound<'py, PyAny>> {
         let (task, rollouts) = (self.task.get(), self.evaluator.rollouts());
         check(baseline.baseline.returns().len(), rollouts.len())?;
@@ -163,11 +163,12 @@ impl PyBatchEvaluator {
     }
 }
 
-fn check(given: usize, wanted: usize) -> PyResult<()> {
-    match given == wanted {
+/// Checks that there is one value per episode.
+fn check(given: usize, expected: usize) -> PyResult<()> {
+    match given == expected {
         true => Ok(()),
         false => Err(PyValueError::new_err(format!(
-            "{given} given where {wanted} are wanted"
+            "expected {expected} values, one per episode, not {given}"
         ))),
     }
 }
@@ -194,7 +195,7 @@ fn report<'py, 'a>(
     to_python(py, &json!({"summary": summary, "episodes": episodes}))
 }
 
-/// Describes a task, with the recorded episodes of each split and their hash.
+/// Describes a task, with the number and the hash of the recorded episodes of each split.
 #[pyfunction]
 fn describe<'py>(py: Python<'py>, task: &PyTask) -> PyResult<Bound<'py, PyAny>> {
     let (shared, world) = (&task.task, task.task.world());

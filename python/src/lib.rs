@@ -1,14 +1,13 @@
-//! The shim between Python and the `logicity` library. It adds no meaning of its own; `python/logicity` wraps it in types and
-//! documents it.
+//! Python bindings of the `logicity` library. The package `python/logicity` wraps, types and documents them.
 //!
-//! This file has the exceptions, the command line, and [`Shared`], the wrapper of objects with long work. The other files register their
-//! own classes:
+//! This file has the exceptions, the command line, and [`Shared`], the wrapper of objects with long-running calls. Each
+//! other module registers its classes:
 //!
-//! - `engine`: programs and sessions; `columns`: their rows as Python values and numpy arrays;
+//! - `engine`: programs and sessions; `columns`: rows as Python values and numpy arrays;
 //! - `city`: scenes and simulations; `config`: configuration files that Python interprets;
-//! - `task`: the task of environments; `episode`: its episodes; `env`: environments with one controlled car; `multi_car`: an environment
-//!   that controls every car; `evaluate`: measures of policies;
-//! - `vap`: making, checking and reading data sets of pictures and facts.
+//! - `task`: the task of environments; `episode`: the start of an episode; `env`: environments with one controlled car;
+//!   `multi_car`: an environment that controls every car; `evaluate`: metrics of policies;
+//! - `vap`: data sets of Visual Action Prediction.
 
 mod city;
 mod columns;
@@ -46,7 +45,7 @@ pyo3::import_exception!(logicity.errors, InputError);
 pyo3::import_exception!(logicity.errors, LimitError);
 pyo3::import_exception!(logicity.errors, UnsupportedError);
 
-/// The exception for diagnostics, which it holds as text and as data.
+/// Returns the exception for diagnostics, with their text and their data.
 fn input_error(py: Python<'_>, faults: &[Diagnostic], sources: &Sources) -> PyErr {
     let has = |code| faults.iter().any(|fault| fault.code == code);
     if has(Code::CANCELLED) {
@@ -65,7 +64,7 @@ fn input_error(py: Python<'_>, faults: &[Diagnostic], sources: &Sources) -> PyEr
     }
 }
 
-/// The commands that Python implements: their words and summaries.
+/// Returns the words and the summary of each command that Python implements.
 #[pyfunction]
 fn python_commands() -> Vec<(Vec<&'static str>, &'static str)> {
     (PYTHON_COMMANDS.iter())
@@ -73,8 +72,10 @@ fn python_commands() -> Vec<(Vec<&'static str>, &'static str)> {
         .collect()
 }
 
-/// Runs a command line, without the name of the program. Returns the exit code, or the words and the remaining arguments of a command
-/// that Python implements. Other Python threads run meanwhile; Python's handlers of signals do not.
+/// Runs a command line, given without the program name.
+///
+/// Returns the exit code, or the words and the remaining arguments of a command that Python implements. Releases the
+/// GIL. Python's signal handlers do not run meanwhile.
 #[pyfunction]
 fn run_command_line(py: Python<'_>, arguments: Vec<OsString>) -> (i32, Vec<&'static str>, Vec<OsString>) {
     // The panic hook has printed the panic; 101 is the exit code of a Rust program that panics.
@@ -85,7 +86,7 @@ fn run_command_line(py: Python<'_>, arguments: Vec<OsString>) -> (i32, Vec<&'sta
     }
 }
 
-/// The exception for a file that the caller named and that cannot be read.
+/// Returns the exception for an unreadable file that the caller named.
 fn read_error(py: Python<'_>, path: &Path, error: &ReadError) -> PyErr {
     let message = format!("cannot read `{}`: {error}", path.display());
     match error {
@@ -95,7 +96,7 @@ fn read_error(py: Python<'_>, path: &Path, error: &ReadError) -> PyErr {
     }
 }
 
-/// The text of a file, on disk or built in.
+/// Returns the text of a file on disk or a built-in file.
 #[pyfunction]
 fn read_file(py: Python<'_>, path: PathBuf) -> PyResult<String> {
     BuiltinFiles
@@ -129,35 +130,35 @@ fn to_python<'py>(py: Python<'py>, value: &serde_json::Value) -> PyResult<Bound<
     })
 }
 
-/// The numbers of an output array, which must be contiguous and have the expected length.
+/// Returns the elements of an output array, which must be contiguous and have the expected length.
 fn slice_of<'a, T: Element, D: Dimension>(
     array: &'a mut PyReadwriteArray<'_, T, D>,
-    wanted: usize,
+    expected: usize,
 ) -> PyResult<&'a mut [T]> {
     let slice = array
         .as_slice_mut()
         .map_err(|error| PyValueError::new_err(error.to_string()))?;
-    match slice.len() == wanted {
+    match slice.len() == expected {
         true => Ok(slice),
         false => Err(PyValueError::new_err(format!(
-            "room for {} numbers, not {wanted}",
+            "expected an array of {expected} elements, not {}",
             slice.len()
         ))),
     }
 }
 
-/// Checks for signals, such as Ctrl-C, during long work in Rust.
+/// Checks for signals, such as Ctrl-C, during long-running Rust calls.
 pub struct Signals {
-    /// The thread that called from Python, and the time of its last check.
+    /// The Python thread of the call, and the time of its last check.
     last_check: Mutex<(ThreadId, Instant)>,
     raised: AtomicBool,
     error: Mutex<Option<PyErr>>,
 }
 
 impl Signals {
-    /// The interval between checks.
+    /// The cancellation polling interval.
     const POLL_INTERVAL: Duration = Duration::from_millis(50);
-    /// The stack size of loading threads, as main threads usually have.
+    /// The stack size of loading threads: the usual size of a main thread.
     const STACK: usize = 8 << 20;
 
     fn new() -> Arc<Signals> {
@@ -168,8 +169,10 @@ impl Signals {
         })
     }
 
-    /// Whether a handler has raised an exception. Cheap enough for frequent calls. Python runs handlers on its main thread only, so only the
-    /// calling thread checks, on behalf of its workers; a call from another thread of Python is never cancelled.
+    /// Returns whether a signal handler has raised an exception. Cheap enough for frequent calls.
+    ///
+    /// Only the calling thread checks, on behalf of its workers. Python runs handlers on its main thread only, so a
+    /// call from another Python thread is never cancelled.
     fn raised(&self) -> bool {
         if self.raised.load(Ordering::Relaxed) {
             return true;
@@ -188,19 +191,19 @@ impl Signals {
         self.raised.load(Ordering::Relaxed)
     }
 
-    /// Cancels the work, which then raises this exception. The first exception counts.
+    /// Cancels the call, which then raises this exception. The first exception counts.
     fn fail(&self, error: PyErr) {
         locked(&self.error).get_or_insert(error);
         self.raised.store(true, Ordering::Relaxed);
     }
 
-    /// Requests cancellation when a handler has raised an exception.
+    /// Returns a token that requests cancellation when a signal handler has raised an exception.
     fn cancel(self: &Arc<Self>) -> Cancel {
         let signals = Arc::clone(self);
         Cancel::when(move || signals.raised())
     }
 
-    /// Runs work that polls [`Signals::cancel`]. Raises the exception of the handler.
+    /// Runs work that polls [`Signals::cancel`]. On cancellation, returns the exception of the handler.
     fn run_polled<R>(&self, work: impl FnOnce() -> R) -> PyResult<R> {
         locked(&self.last_check).0 = thread::current().id();
         let done = work();
@@ -210,18 +213,19 @@ impl Signals {
         }
     }
 
-    /// Runs such work without the GIL.
+    /// Variant of `run_polled` that releases the GIL.
     fn detach<R: Send>(&self, py: Python<'_>, work: impl FnOnce() -> R + Send) -> PyResult<R> {
         self.run_polled(|| py.detach(work))
     }
 
-    /// Runs work that does not poll, on another thread. After cancellation that thread finishes its work, and its result is dropped.
+    /// Runs work that does not poll on another thread. On cancellation, that thread continues and its result is
+    /// dropped.
     fn on_thread<R: Send + 'static>(&self, py: Python<'_>, work: impl FnOnce() -> R + Send + 'static) -> PyResult<R> {
         let (done, result) = mpsc::channel();
         let work = move || drop(done.send(catch_unwind(AssertUnwindSafe(work))));
         let thread = thread::Builder::new().stack_size(Self::STACK).spawn(work);
-        thread.map_err(|error| PyOSError::new_err(format!("a thread cannot be started: {error}")))?;
-        let received = self.detach(py, move || {
+        thread.map_err(|error| PyOSError::new_err(format!("cannot start a thread: {error}")))?;
+        let finished = self.detach(py, move || {
             loop {
                 match result.recv_timeout(Self::POLL_INTERVAL) {
                     Err(RecvTimeoutError::Timeout) if !self.raised() => {}
@@ -229,21 +233,22 @@ impl Signals {
                 }
             }
         })?;
-        let done = received.expect("the thread sends a result");
+        let done = finished.expect("the thread sends a result");
         done.map_err(|panic| internal_error(&*panic))
     }
 }
 
-/// Locks a mutex, also a poisoned one.
+/// Locks a mutex, even if it is poisoned.
 fn locked<T>(mutex: &Mutex<T>) -> MutexGuard<'_, T> {
     mutex.lock().unwrap_or_else(PoisonError::into_inner)
 }
 
-/// The content of a Python object that is not thread-safe. A concurrent use raises `RuntimeError` instead of waiting, since a signal handler
-/// that uses the object would wait for itself.
+/// The content of a Python object that is not thread-safe.
+///
+/// Concurrent use raises `RuntimeError`. Waiting for the lock could deadlock, if a signal handler uses the object.
 struct Shared<T> {
     what: &'static str,
-    /// `None` after an internal error, which may have left it inconsistent.
+    /// `None` after an internal error, which may leave the content inconsistent.
     content: Mutex<Option<T>>,
     signals: Arc<Signals>,
 }
@@ -253,7 +258,7 @@ impl<T: Send> Shared<T> {
         Shared::with_signals(what, content, Signals::new())
     }
 
-    /// For content that polls these signals.
+    /// Variant of `new` for content that polls these signals.
     fn with_signals(what: &'static str, content: T, signals: Arc<Signals>) -> Self {
         Shared {
             what,
@@ -273,21 +278,21 @@ impl<T: Send> Shared<T> {
         match guard.is_some() {
             true => Ok(guard),
             false => Err(PyRuntimeError::new_err(format!(
-                "an internal error has left this {} inconsistent; make another",
+                "an internal error made this {} unusable; create another",
                 self.what
             ))),
         }
     }
 
-    /// Runs short work with the GIL.
+    /// Runs short work while holding the GIL.
     fn with<R>(&self, work: impl FnOnce(&mut T) -> PyResult<R>) -> PyResult<R> {
         match &mut *self.lock()? {
             Some(content) => work(content),
-            None => unreachable!("`lock` has looked"),
+            None => unreachable!("`lock` returns content"),
         }
     }
 
-    /// Runs long work without the GIL. Raises the exception of a signal handler, which cancels the work.
+    /// Runs long work without the GIL. An exception of a signal handler cancels the work and is returned.
     fn detached<R: Send>(&self, py: Python<'_>, work: impl FnOnce(&mut T, &Cancel) -> R + Send) -> PyResult<R> {
         let mut guard = self.lock()?;
         let content = &mut *guard;
@@ -303,12 +308,12 @@ impl<T: Send> Shared<T> {
         match result {
             Err(panic) => Err(internal_error(&*panic)),
             Ok(Some(result)) => Ok(result),
-            Ok(None) => unreachable!("`lock` has looked"),
+            Ok(None) => unreachable!("`lock` returns content"),
         }
     }
 }
 
-/// The exception for a panic.
+/// Returns the exception for a panic.
 fn internal_error(panic: &(dyn Any + Send)) -> PyErr {
     let message =
         (panic.downcast_ref::<String>().map(String::as_str)).or_else(|| panic.downcast_ref::<&str>().copied());
@@ -318,12 +323,12 @@ fn internal_error(panic: &(dyn Any + Send)) -> PyErr {
     ))
 }
 
-/// Borrows an environment; concurrent use raises `RuntimeError`.
+/// Borrows an environment. Concurrent use raises `RuntimeError`.
 fn borrowed<'py, T: PyClass>(environment: &Bound<'py, T>) -> PyResult<PyRef<'py, T>> {
     environment.try_borrow().map_err(|_| busy("environment"))
 }
 
-/// Borrows an environment mutably.
+/// Mutable variant of `borrowed`.
 fn borrowed_mut<'py, T: PyClass<Frozen = pyo3::pyclass::boolean_struct::False>>(
     environment: &Bound<'py, T>,
 ) -> PyResult<PyRefMut<'py, T>> {
@@ -332,11 +337,11 @@ fn borrowed_mut<'py, T: PyClass<Frozen = pyo3::pyclass::boolean_struct::False>>(
 
 fn busy(what: &str) -> PyErr {
     PyRuntimeError::new_err(format!(
-        "this {what} is in use in another thread; make one for each thread, or guard it by a lock"
+        "another thread is using this {what}; create one per thread, or guard it with a lock"
     ))
 }
 
-/// The known name nearest to `name`, if it is near enough to be a likely typing error.
+/// Returns the known name closest to `name`, if `name` is likely a misspelling of it.
 #[pyfunction]
 fn did_you_mean(name: &str, known: Vec<String>) -> Option<String> {
     logicity::diag::did_you_mean(name, known.iter().map(String::as_str)).map(str::to_owned)

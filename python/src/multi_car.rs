@@ -47,7 +47,7 @@ impl PyMultiCarEnv {
         })
     }
 
-    /// The names of the cars.
+    /// Returns the names of the cars.
     fn names(slf: &Bound<'_, Self>) -> PyResult<Vec<String>> {
         let this = borrowed(slf)?;
         let agents = this.env.city().agents();
@@ -63,7 +63,7 @@ impl PyMultiCarEnv {
         Ok(())
     }
 
-    /// Begins the next episode, or a given one.
+    /// Starts the next episode, or `episode`.
     fn reset(slf: &Bound<'_, Self>, py: Python<'_>, episode: Option<Bound<'_, PyDict>>) -> PyResult<()> {
         let this = &mut *borrowed_mut(slf)?;
         let given = episode.map(|episode| read_episode(&episode, &this.env));
@@ -76,13 +76,13 @@ impl PyMultiCarEnv {
         begun.map_err(|fault| this.task.get().error(py, fault))
     }
 
-    /// Steps with an action for each car; actions of cars whose episode has ended have no effect.
+    /// Steps with one action per car. Actions of cars whose episode has ended have no effect.
     fn step(slf: &Bound<'_, Self>, py: Python<'_>, actions: Vec<i64>) -> PyResult<()> {
         let this = &mut *borrowed_mut(slf)?;
         let count = this.env.controlled_cars().len();
         if actions.len() != count {
             return Err(PyValueError::new_err(format!(
-                "{} actions for {count} cars",
+                "expected {count} actions, one per car, not {}",
                 actions.len()
             )));
         }
@@ -95,7 +95,7 @@ impl PyMultiCarEnv {
         (this.signals.detach(py, || env.step(actions))?).map_err(|fault| this.task.get().error(py, fault))
     }
 
-    /// The outcome of a car's last action: reward, termination, truncation, info.
+    /// Returns the outcome of a car's last action: reward, termination, truncation and info.
     fn outcome<'py>(
         slf: &Bound<'py, Self>,
         py: Python<'py>,
@@ -123,7 +123,7 @@ impl PyMultiCarEnv {
         Ok(())
     }
 
-    /// The start of the episode.
+    /// Returns the start of the episode.
     fn episode(slf: &Bound<'_, Self>) -> PyResult<PyEpisode> {
         Ok(PyEpisode::of(borrowed(slf)?.env.episode()))
     }
@@ -135,14 +135,14 @@ impl PyMultiCarEnv {
         this.task.get().explain(py, &this.env, car, &this.signals)
     }
 
-    /// The state of a car as text.
+    /// Returns the state of a car as text.
     fn text(slf: &Bound<'_, Self>, car: usize) -> PyResult<String> {
         let this = borrowed(slf)?;
         this.check(car)?;
         Ok(describe(&this.env, car))
     }
 
-    /// The picture of the city: red, green and blue.
+    /// Returns an RGB picture of the city.
     fn picture<'py>(slf: &Bound<'py, Self>, py: Python<'py>) -> PyResult<Bound<'py, PyArray3<u8>>> {
         let this = borrowed(slf)?;
         this.task.get().picture(py, &this.env, &[])

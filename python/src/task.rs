@@ -29,9 +29,9 @@ pub fn register(module: &Bound<'_, PyModule>) -> PyResult<()> {
 pub struct PyTask {
     pub task: Arc<SpfTask>,
     sources: Mutex<Sources>,
-    /// The texts of the rules among the sources.
+    /// The rule files among the sources.
     rule_files: Vec<SourceId>,
-    /// The names of the clauses that actions can break.
+    /// The names of the clauses that actions can violate.
     labels: Vec<Py<PyString>>,
     recorded: [OnceLock<Arc<[Episode]>>; 3],
     overview: OnceLock<Overview>,
@@ -45,7 +45,7 @@ pub fn view_named(name: &str) -> PyResult<ObservationKind> {
     one_of("observation", name, &ObservationKind::ALL, ObservationKind::name)
 }
 
-/// An exception of gymnasium.
+/// Returns an exception of `gymnasium.error` by its name.
 pub fn gymnasium_error(py: Python<'_>, name: &str, message: String) -> PyErr {
     let class = py.import("gymnasium.error").and_then(|module| module.getattr(name));
     match class.and_then(|class| class.call1((message,))) {
@@ -58,7 +58,7 @@ pub fn read_action(py: Python<'_>, action: i64, of: impl Fn() -> String) -> PyRe
     let known = usize::try_from(action).ok().and_then(|action| Action::ALL.get(action));
     known.copied().ok_or_else(|| {
         let message = format!(
-            "{action}{} is no action: they are 0 Slow, 1 Normal, 2 Fast, 3 Stop",
+            "{action}{} is not an action; known: 0 Slow, 1 Normal, 2 Fast, 3 Stop",
             of()
         );
         gymnasium_error(py, "InvalidAction", message)
@@ -90,13 +90,13 @@ impl PyTask {
         })
     }
 
-    /// The shape of an observation of a kind.
+    /// Returns the shape of a kind of observation.
     fn shape(&self, observation: &str) -> PyResult<Vec<usize>> {
         Ok(view_named(observation)?.shape(&self.task))
     }
 
-    /// Replays an episode of a split by the actions taken in it, and writes its trace to a file. `config` is the configuration file that the
-    /// trace names.
+    /// Replays the actions taken in an episode, and writes the trace to a file. `config` is the configuration file in
+    /// the header of the trace.
     fn write_trace(
         &self,
         py: Python<'_>,
@@ -134,7 +134,7 @@ impl PyTask {
         })
     }
 
-    /// The number of recorded episodes of a split.
+    /// Returns the number of recorded episodes of a split.
     fn recorded(&self, py: Python<'_>, split: &str) -> PyResult<usize> {
         Ok(self.recorded_episodes(py, split_named(split)?)?.len())
     }
@@ -145,7 +145,7 @@ impl PyTask {
         input_error(py, &[fault], &self.sources())
     }
 
-    /// A copy, since holding the lock while Python runs may deadlock.
+    /// Returns a copy of the sources, because holding the lock while Python runs may deadlock.
     fn sources(&self) -> Sources {
         locked(&self.sources).clone()
     }
@@ -174,7 +174,7 @@ impl PyTask {
         Ok(place.get_or_init(|| episodes))
     }
 
-    /// The names of broken clauses.
+    /// Returns the names of violated clauses.
     pub fn labels<'py>(&self, py: Python<'py>, broken: &[usize]) -> PyResult<Bound<'py, PyTuple>> {
         PyTuple::new(py, broken.iter().map(|&constraint| self.labels[constraint].bind(py)))
     }
@@ -190,7 +190,7 @@ impl PyTask {
         Ok(dict)
     }
 
-    /// Atoms about the agents of an environment, in the syntax of rules.
+    /// Formats atoms over the agents of an environment in the syntax of rules.
     pub fn atoms<'py>(
         &self,
         py: Python<'py>,
@@ -211,7 +211,7 @@ impl PyTask {
         explained.map_err(|fault| input_error(py, &[fault], &sources))
     }
 
-    /// Draws the city in red, green and blue, row by row, with these cars marked.
+    /// Returns an RGB picture of the city that marks some controlled cars.
     pub fn picture<'py>(
         &self,
         py: Python<'py>,

@@ -1,4 +1,4 @@
-//! Data sets of Visual Action Prediction: making, checking, tables of a world as arrays, and pictures.
+//! Data sets of Visual Action Prediction: creation, checks, the tables of a world as arrays, and pictures.
 
 use crate::city::{Loaded, one_of};
 use crate::{Signals, input_error, read_error, slice_of, to_python};
@@ -36,10 +36,10 @@ pub fn register(module: &Bound<'_, PyModule>) -> PyResult<()> {
     module.add_function(wrap_pyfunction!(check_dataset, module)?)
 }
 
-/// The exception for a file.
+/// Returns the exception for a file error.
 fn file_error(failed: &FileError) -> PyErr {
     let FileError { path, error, .. } = failed;
-    // The number selects the class, as in Python's own errors.
+    // Python selects the subclass of `OSError` by the error number.
     if let Some(code) = error.raw_os_error() {
         return PyOSError::new_err((code, error.kind().to_string(), path.clone()));
     }
@@ -51,7 +51,7 @@ fn file_error(failed: &FileError) -> PyErr {
     }
 }
 
-/// The exception for a data set. `sources` has the texts of its rules.
+/// Returns the exception for a data set error. `sources` has the rules of the data set.
 fn raise(py: Python<'_>, error: DatasetError, sources: &Sources) -> PyErr {
     match error {
         DatasetError::File(error) => file_error(&error),
@@ -60,7 +60,7 @@ fn raise(py: Python<'_>, error: DatasetError, sources: &Sources) -> PyErr {
     }
 }
 
-/// The exception for a file of a data set, in which all faults are.
+/// Variant of `raise` for errors in one file, which adds its path to the diagnostics.
 fn raise_in(py: Python<'_>, error: DatasetError, path: &Path) -> PyErr {
     let place = |fault: Diagnostic| fault.note(format!("in `{}`", path.display()));
     let error = match error {
@@ -74,14 +74,14 @@ fn faulty(message: impl Into<String>) -> DatasetError {
     Diagnostic::new(Code::INVALID_DATA_SET, message).into()
 }
 
-/// The two tables of a world, row by row.
+/// The columns of the two tables of a world.
 struct WorldTables {
     ticks: Vec<i32>,
-    /// The first row of the entities of each sample, and the end of the last one.
+    /// The first entity row of each sample, and the end of the last sample.
     starts: Vec<i64>,
     names: Vec<String>,
     concepts: Vec<String>,
-    /// Priority, heading and label; -1 for an absent heading or label.
+    /// The priorities, headings and labels, with -1 for an absent heading or label.
     numbers: [Vec<i64>; 3],
     boxes: Array2<f32>,
     unary: Array2<bool>,
@@ -94,7 +94,7 @@ fn read_bytes(path: PathBuf) -> Result<Vec<u8>, DatasetError> {
     fs::read(&path).map_err(|error| FileError { action, path, error }.into())
 }
 
-/// The codes of a column, -1 for absent values.
+/// Returns the codes of a column, with -1 for absent values.
 fn codes(table: &Table, name: &str, count: usize) -> Result<Vec<i64>, DatasetError> {
     let code = |value: &Option<i32>| match value {
         None => Ok(-1),
@@ -104,7 +104,7 @@ fn codes(table: &Table, name: &str, count: usize) -> Result<Vec<i64>, DatasetErr
     table.maybe_ints(name)?.iter().map(code).collect()
 }
 
-/// Columns of truth values side by side.
+/// Returns boolean columns as one array of shape (rows, columns).
 fn truths(table: &Table, names: &[String]) -> Result<Array2<bool>, DatasetError> {
     let mut all = Array2::from_elem((table.rows(), names.len()), false);
     for (name, mut column) in names.iter().zip(all.columns_mut()) {
@@ -164,7 +164,7 @@ type WorldArrays<'py> = (
     Bound<'py, PyArray1<bool>>,
 );
 
-/// Converts texts; equal texts share one Python object.
+/// Converts strings. Equal strings share one Python object.
 fn shared_texts<'py>(py: Python<'py>, texts: &[String]) -> Vec<Bound<'py, PyString>> {
     let mut made: HashMap<&str, Bound<'_, PyString>> = HashMap::new();
     let once = |text| made.entry(text).or_insert_with(|| PyString::new(py, text)).clone();
@@ -195,7 +195,7 @@ fn read_world(
     ))
 }
 
-/// Decodes a PNG of the given rows and columns.
+/// Decodes a PNG file with these numbers of rows and columns.
 fn decode(path: &Path, (rows, columns): (u32, u32), pixels: &mut [u8]) -> Result<(), DatasetError> {
     let bytes = read_bytes(path.to_owned())?;
     read_png_into(&bytes, (columns, rows), pixels).map_err(faulty)
@@ -204,7 +204,7 @@ fn decode(path: &Path, (rows, columns): (u32, u32), pixels: &mut [u8]) -> Result
 /// Decodes a picture into an array of shape (rows, columns, 3). Releases the GIL.
 #[pyfunction]
 fn read_picture(py: Python<'_>, path: PathBuf, mut out: PyReadwriteArray3<'_, u8>) -> PyResult<()> {
-    let wrong = || PyValueError::new_err("a picture has the shape (rows, columns, 3)");
+    let wrong = || PyValueError::new_err("expected an array of shape (rows, columns, 3)");
     let [rows, columns, 3] = *out.shape() else {
         return Err(wrong());
     };
@@ -218,7 +218,7 @@ fn read_picture(py: Python<'_>, path: PathBuf, mut out: PyReadwriteArray3<'_, u8
 /// The largest number of threads, as on the command line.
 const THREADS_MAX: usize = 1024;
 
-/// A number of threads; 0 means one for each core.
+/// Returns the number of threads, where 0 means one per core.
 fn threads_of(given: usize) -> PyResult<NonZeroUsize> {
     match NonZeroUsize::new(given) {
         None => Ok(std::thread::available_parallelism().unwrap_or(NonZeroUsize::MIN)),
@@ -233,7 +233,7 @@ fn load(py: Python<'_>, signals: &Signals, mode: Mode) -> PyResult<Loaded> {
     Loaded::new(py, signals, mode.config().into(), None, None, None)
 }
 
-/// The reason why a data set cannot be begun.
+/// The reason why the creation of a data set cannot start.
 enum BeginError {
     Unread(PathBuf, ReadError),
     Pack(String),
@@ -261,8 +261,8 @@ fn begin(
     DatasetWriter::new(request, city, icons).map_err(BeginError::Faulty)
 }
 
-/// Runs work on a data set with a progress callback of Python, which receives the numbers of units done and in total. An exception in the
-/// callback cancels the work.
+/// Runs work on a data set with a Python progress callback, which receives the number of finished units and the total.
+/// An exception in the callback cancels the work.
 fn with_progress<R: Send>(
     py: Python<'_>,
     signals: &Arc<Signals>,
@@ -279,7 +279,7 @@ fn with_progress<R: Send>(
     signals.detach(py, || work(&report, &cancel))
 }
 
-/// Makes the worlds that a folder lacks.
+/// Creates the worlds that a folder lacks.
 #[pyfunction]
 #[expect(clippy::too_many_arguments, reason = "each is an argument in Python")]
 fn make_dataset(

@@ -20,7 +20,7 @@ ROOT = Path(__file__).parents[2]
 
 Interrupt = Callable[[Callable[[], object]], None]
 
-#: Whoever stops makes the rules count for minutes.
+#: Rules that count for minutes if a car stops.
 COUNTING = """
 .include "vocabulary.dl"
 .scope
@@ -30,7 +30,7 @@ n(0) :- Stop(X).
 n(x + 1) :- n(x), x < 90000000.
 Slow(X) :- IsCar(X), n(90000000).
 """
-#: Decisions take their time, but none is so long that anybody looks for signals in it.
+#: Rules whose decisions are slow, but each is too short for a check for signals during it.
 SLOW = """
 .include "vocabulary.dl"
 .scope
@@ -43,29 +43,29 @@ Slow(X) :- IsCar(X), n(90000000).
 
 @pytest.fixture
 def ctrl_c() -> Interrupt:
-    """Do what takes long; it is interrupted as by Ctrl-C, and gives up at once."""
+    """Return a function that runs long work, interrupts it as Ctrl-C does, and checks that it stops promptly."""
     if sys.platform == "win32":
-        pytest.skip("signals are sent as POSIX has them")
+        pytest.skip("needs POSIX signals")
 
     def interrupt(work: Callable[[], object]) -> None:
         previous = signal.signal(signal.SIGALRM, signal.default_int_handler)
         signal.setitimer(signal.ITIMER_REAL, 0.3)
-        begun = time.monotonic()
+        start = time.monotonic()
         try:
             with pytest.raises(KeyboardInterrupt):
                 work()
         finally:
             signal.setitimer(signal.ITIMER_REAL, 0)
             signal.signal(signal.SIGALRM, previous)
-        # A second is the goal; other processes may take some, too.
-        assert time.monotonic() - begun < 3
+        # The goal is one second. The tolerance allows for other processes.
+        assert time.monotonic() - start < 3
 
     return interrupt
 
 
 @pytest.fixture
 def own_city(tmp_path: Path) -> Path:
-    """A configuration file of somebody's own: easy mode with the first five of its episodes, as a file beside it."""
+    """A custom configuration file: easy mode with the first five of its episodes in a file beside it."""
     recorded = Path(__file__).parents[2] / "configs" / "episodes" / "easy-val.jsonl"
     header_and_five = recorded.read_text(encoding="utf-8").splitlines(keepends=True)[:6]
     (tmp_path / "five.jsonl").write_text("".join(header_and_five), encoding="utf-8")
@@ -74,7 +74,7 @@ def own_city(tmp_path: Path) -> Path:
     return city
 
 
-#: What `logicity vap make` makes for the tests.
+#: The data sets that `logicity vap make` creates for the tests.
 SETS = {
     "hard": ["--mode", "hard", "--split", "test", "--worlds", "2"],
     "random": ["--mode", "easy", "--split", "val", "--worlds", "3", "--agents", "random"],
@@ -83,7 +83,7 @@ SETS = {
 
 @pytest.fixture(scope="session")
 def sets(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """Data sets without pictures, by the command that the package installs."""
+    """Data sets without pictures, created by the installed command."""
     folder = tmp_path_factory.mktemp("sets")
     for name, options in SETS.items():
         command = [sys.executable, "-m", "logicity", "vap", "make", "--no-pictures"]
@@ -93,7 +93,7 @@ def sets(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 
 def png(pixels: NDArray[np.uint8], *, interlaced: int = 0, rows: int | None = None) -> bytes:
-    """A picture as the specification of PNG has it, every row with another of its first three filters."""
+    """Encode a picture as PNG. The rows alternate between the filters None, Sub and Up."""
     height, width, _ = pixels.shape
     lines = []
     above = np.zeros(3 * width, np.uint8)
@@ -112,14 +112,14 @@ def _crc(data: bytes) -> bytes:
 
 
 def picture(world: int, tick: int) -> NDArray[np.uint8]:
-    """What the picture of a sample shows in these tests: squares of 64 pixels in colours that no other has."""
-    colours = np.random.default_rng([world, tick]).integers(0, 256, (16, 16, 3), np.uint8)
-    return np.repeat(np.repeat(colours, 64, 0), 64, 1)
+    """Return the picture of a sample in these tests: squares of 64 pixels with colors that are unique to the sample."""
+    colors = np.random.default_rng([world, tick]).integers(0, 256, (16, 16, 3), np.uint8)
+    return np.repeat(np.repeat(colors, 64, 0), 64, 1)
 
 
 @pytest.fixture(scope="session")
 def shown(sets: Path, tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """The random set with pictures."""
+    """The data set `random` with pictures."""
     folder = Path(shutil.copytree(sets / "random", tmp_path_factory.mktemp("shown") / "set"))
     manifest = folder / "manifest.json"
     manifest.write_text(manifest.read_text().replace('"pictures": false', '"pictures": true'))

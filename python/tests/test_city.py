@@ -1,4 +1,4 @@
-"""Scenes and simulations: decisions, arrays, controls, reasons, traces, and how long work is ended."""
+"""Scenes and simulations: decisions, arrays, controls, reasons, traces, and cancellation."""
 
 from __future__ import annotations
 
@@ -45,7 +45,7 @@ def scene() -> Scene:
 
 
 @pytest.mark.parametrize("executor", ["auto", "dense", "relational"])
-def test_the_expert_rules_stop_a_car_in_front_of_a_pedestrian(executor: Any) -> None:
+def test_expert_rules_stop_a_car_in_front_of_a_pedestrian(executor: Any) -> None:
     answer = infer(scene(), executor=executor)["egos"]["Car_1"]
     assert answer["sees"] == ["Car_1", "Pedestrian_1"]
     assert answer["true"]["CollidingClose"] == [["Car_1", "Pedestrian_1"]]
@@ -53,7 +53,7 @@ def test_the_expert_rules_stop_a_car_in_front_of_a_pedestrian(executor: Any) -> 
     assert answer["action"] == "Stop"
 
 
-def test_given_atoms_replace_computed_ones() -> None:
+def test_given_atoms_replace_computed_atoms() -> None:
     given = scene()
     given["given"] = {"CollidingClose": []}
     answer = Inference().answer(given)["egos"]["Car_1"]
@@ -66,7 +66,7 @@ def test_a_symbolic_scene_skips_grounding() -> None:
     assert answer["egos"]["a"]["action"] == "Stop"
 
 
-def test_a_faulty_scene_says_what_is_wrong() -> None:
+def test_invalid_scenes_raise_input_errors() -> None:
     faulty = scene()
     faulty["agents"][0]["concepts"] = ["ambulence"]
     with pytest.raises(InputError) as caught:
@@ -81,7 +81,7 @@ def test_a_faulty_scene_says_what_is_wrong() -> None:
 
 
 @pytest.mark.parametrize("kind", [Inference, Simulation])
-def test_rules_that_the_dense_executor_cannot_evaluate_have_an_exception(kind: Any, tmp_path: Path) -> None:
+def test_dense_executor_raises_unsupported_error(kind: Any, tmp_path: Path) -> None:
     rules = tmp_path / "reach.dl"
     rules.write_text(
         '.include "vocabulary.dl"\n.decl Reach(x: agent, y: agent)\nReach(X, Y) :- NextTo(X, Y).\n'
@@ -95,7 +95,7 @@ def test_rules_that_the_dense_executor_cannot_evaluate_have_an_exception(kind: A
 
 
 @pytest.mark.parametrize("kind", [Inference, Simulation])
-def test_faulty_files_and_options(kind: Any, tmp_path: Path) -> None:
+def test_invalid_files_and_options_raise(kind: Any, tmp_path: Path) -> None:
     with pytest.raises(FileNotFoundError, match=r"nowhere\.yaml"):
         kind("nowhere.yaml")
     with pytest.raises(FileNotFoundError, match=r"nowhere\.dl"):
@@ -116,7 +116,7 @@ def test_faulty_files_and_options(kind: Any, tmp_path: Path) -> None:
     assert "unknown-key" in {fault["code"] for fault in caught.value.diagnostics}
 
 
-def test_an_inference_is_pickled_with_its_texts(tmp_path: Path) -> None:
+def test_pickled_inference_keeps_its_source_text(tmp_path: Path) -> None:
     rules = tmp_path / "mine.dl"
     rules.write_text('.include "vocabulary.dl"\nFast(X) :- IsCar(X).\n')
     inference = Inference("easy", rules, seed=3)
@@ -127,7 +127,7 @@ def test_an_inference_is_pickled_with_its_texts(tmp_path: Path) -> None:
         assert again.answer(symbolic)["egos"]["a"]["action"] == "Fast"
 
 
-def test_the_state_of_a_simulation_is_arrays() -> None:
+def test_simulation_state_is_arrays() -> None:
     city = Simulation()
     n = len(city.agents)
     assert (n, city.now, city.executor, city.map_name) == (18, 0, "dense", "square-5x5")
@@ -144,7 +144,7 @@ def test_the_state_of_a_simulation_is_arrays() -> None:
     assert np.array_equal(tick.action, city.actions)
     assert (tick.derived.shape, tick.derived.dtype) == ((n, 4), np.dtype(bool))
     assert tick.heading.dtype == tick.action.dtype == tick.reason.dtype == np.dtype(np.int8)
-    # One action at most was derived for each here, and it was taken; else the default.
+    # Here the rules derive at most one action per agent. Agents take that action, or otherwise the default.
     for derived, action in zip(tick.derived, tick.action, strict=True):
         assert derived[action] if derived.any() else ACTIONS[action] == "Normal"
     moved = (tick.at != tick.next).any(axis=1)
@@ -154,13 +154,13 @@ def test_the_state_of_a_simulation_is_arrays() -> None:
     assert [tuple(np.sign(way)) for way in step] == [signs[name] for name in names]
     assert len(REASONS) == 4
     assert city.goals.shape == (n, 2)
-    # What was given out does not change any more.
+    # Later ticks do not change arrays that were returned before.
     city.run(20)
     assert np.array_equal(tick.at, before)
     assert repr(city) == "<Simulation configs/expert.yaml, split test, seed 0, after 21 ticks>"
 
 
-def test_simulations_with_equal_arguments_go_the_same_way() -> None:
+def test_equal_arguments_give_equal_simulations() -> None:
     cities = [Simulation("hard", split="val", seed=9, executor=executor) for executor in ("dense", "relational")]
     cities.append(Simulation("hard", split="val", seed=9))
     for city in cities[:2]:
@@ -206,7 +206,7 @@ def test_the_semantic_map_shows_the_agents() -> None:
         assert layers[:, :, 8 + index].sum() == 1.0
 
 
-def test_facts_are_those_that_decided() -> None:
+def test_facts_are_the_inputs_of_the_decisions() -> None:
     city = Simulation("easy", seed=2)
     city.run(40)
     facts, indices = city.facts(), city.fact_indices()
@@ -216,7 +216,7 @@ def test_facts_are_those_that_decided() -> None:
     }
     assert indices["IsPedestrian"].shape[1:] == (1,)
     assert indices["Sees"].dtype == np.dtype(np.int32)
-    # The engine alone derives the same actions from them.
+    # The Datalog engine derives the same actions from these facts.
     session = logicity.Session(logicity.Program.load("rules/easy.dl"))
     for predicate, rows in facts.items():
         if predicate in session.program.relations:
@@ -228,7 +228,7 @@ def test_facts_are_those_that_decided() -> None:
     assert stopped
 
 
-def test_why_an_agent_does_what_it_does() -> None:
+def test_explanations_of_actions() -> None:
     city = Simulation()
     city.run(6)
     stopped = next(index for index, derived in enumerate(city.last.derived) if derived[ACTIONS.index("Stop")])
@@ -247,11 +247,11 @@ def test_why_an_agent_does_what_it_does() -> None:
     assert "the action came from outside" in str(city.explain(stopped))
     with pytest.raises(KeyError, match="Nobody"):
         city.explain("Nobody")
-    with pytest.raises(ValueError, match="is no action"):
+    with pytest.raises(ValueError, match="is not an action"):
         city.why_not(stopped, "Fly")  # type: ignore[arg-type]
 
 
-def test_a_trace_is_one_of_the_program(tmp_path: Path) -> None:
+def test_the_command_line_reads_the_trace(tmp_path: Path) -> None:
     path = tmp_path / "trace.jsonl"
     city = Simulation(seed=1, count_firings=True)
     city.run(10, trace=path)
@@ -268,7 +268,7 @@ def test_a_trace_is_one_of_the_program(tmp_path: Path) -> None:
     assert Simulation().firings == []
 
 
-def test_what_a_simulation_refuses() -> None:
+def test_simulation_rejects_invalid_use() -> None:
     with pytest.raises(ValueError, match='"train", "val", "test", not "tset"'):
         Simulation(split="tset")  # type: ignore[arg-type]
     with pytest.raises(OverflowError):
@@ -286,7 +286,7 @@ def test_ctrl_c_ends_a_run_and_keeps_its_trace(tmp_path: Path, ctrl_c: Interrupt
     assert city.tick().tick == ticks
 
 
-#: Where there is a car, the rules count for minutes.
+#: Rules that count for minutes if there is a car.
 COUNTING = """
 .include "vocabulary.dl"
 .scope
@@ -297,7 +297,7 @@ Stop(X) :- IsCar(X), n(90000000).
 """
 
 
-#: There is no such circle of many, and to find that out takes minutes.
+#: A search for a cycle that does not exist, which takes minutes for many agents.
 CIRCLE = """
 .include "vocabulary.dl"
 Stop(X) :- HigherPri(X, Y), HigherPri(Y, Z), HigherPri(Z, W), HigherPri(W, V), HigherPri(V, U), HigherPri(U, X).
@@ -349,13 +349,13 @@ def test_ctrl_c_ends_loading(tmp_path: Path, ctrl_c: Interrupt) -> None:
     assert Simulation("easy").tick().tick == 0
 
 
-def test_a_simulation_is_for_one_thread_at_a_time_and_lets_others_run() -> None:
+def test_concurrent_use_of_a_simulation_raises_and_ticks_release_the_gil() -> None:
     city = Simulation("easy")
 
     def run() -> None:
         done = False
         while not done:
-            # Refused if the other thread is at work just then.
+            # The call raises while the other thread uses the simulation.
             with suppress(RuntimeError):
                 city.run(300_000)
                 done = True
@@ -367,7 +367,7 @@ def test_a_simulation_is_for_one_thread_at_a_time_and_lets_others_run() -> None:
         try:
             city.tick()
         except RuntimeError as error:
-            assert "in use in another thread" in str(error)
+            assert "another thread is using" in str(error)
             refused += 1
         time.sleep(0)
     worker.join()

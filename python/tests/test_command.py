@@ -1,4 +1,4 @@
-"""The command `logicity`: the commands of Rust and of Python in one program."""
+"""The command `logicity`, which combines the Rust and the Python commands."""
 
 from __future__ import annotations
 
@@ -36,7 +36,7 @@ def test_one_help_lists_the_commands_of_both_languages() -> None:
 
 
 @pytest.mark.parametrize("words", SUMMARIES)
-def test_every_command_of_python_has_a_help(words: tuple[str, ...]) -> None:
+def test_every_python_command_has_help(words: tuple[str, ...]) -> None:
     done = logicity(*words, "--help")
     assert done.returncode == 0 and done.stdout.startswith(f"usage: logicity {' '.join(words)} ")
     assert " ".join(done.stdout.split("\n\n")[1].split()) == f"{SUMMARIES[words]}."
@@ -50,7 +50,7 @@ def test_the_module_is_the_same_command() -> None:
         assert (one.stdout, one.stderr, one.returncode) == (other.stdout, other.stderr, other.returncode)
 
 
-def test_exit_codes_are_those_of_one_program(tmp_path: Path) -> None:
+def test_exit_codes(tmp_path: Path) -> None:
     (tmp_path / "faulty.dl").write_text("Stop(X) :- IsCar(X).\n")
     (tmp_path / "p.dl").write_text('.decl p(x: symbol)\n.output p\np("a").\n')
     for arguments, code, message in [
@@ -69,12 +69,12 @@ def test_exit_codes_are_those_of_one_program(tmp_path: Path) -> None:
         assert done.returncode == code and message in done.stderr, (arguments, done)
 
 
-def test_completions_know_the_commands_of_python() -> None:
+def test_completions_include_python_commands() -> None:
     script = logicity("completions", "bash").stdout
     assert "logicity,evaluate)" in script and "logicity__subcmd__vap,coco)" in script
 
 
-def test_a_run_leaves_its_files(tmp_path: Path) -> None:
+def test_run_writes_its_files(tmp_path: Path) -> None:
     done = logicity("run", "expert", "--seed", "4", "--ticks", "3", "--out", str(tmp_path / "out"))
     assert done.returncode == 0 and "dense executor" in done.stdout
     assert {path.name for path in (tmp_path / "out").iterdir()} == {"city.gif", "last.png", "trace.jsonl"}
@@ -93,7 +93,7 @@ print(code, [name for name in ("numpy", "gymnasium", "torch", "argparse") if nam
 
 @pytest.mark.skipif(sys.platform == "win32", reason="pipes and signals of POSIX")
 @pytest.mark.parametrize("arguments", [["describe"], ["completions", "bash"]])
-def test_a_closed_pipe_is_no_error(arguments: list[str]) -> None:
+def test_a_closed_pipe_is_not_an_error(arguments: list[str]) -> None:
     with subprocess.Popen([COMMAND, *arguments], stdout=subprocess.PIPE, stderr=subprocess.PIPE) as process:
         assert process.stdout is not None and process.stderr is not None
         process.stdout.close()
@@ -107,9 +107,9 @@ def test_ctrl_c_ends_every_command(tmp_path: Path) -> None:
     (tmp_path / "slow.yaml").write_text("base: configs/easy.yaml\nrules: slow.dl\n")
     out = str(tmp_path / "out")
     for arguments, code in [
-        # By the default action of the signal, as for any program that does not handle it.
+        # `query` does not handle the signal, so the default action ends the process.
         (["query", str(tmp_path / "count.dl"), "-D", "-"], -signal.SIGINT),
-        # `run` handles the signal, and writes what was run.
+        # `run` handles the signal, and writes the completed ticks.
         (["run", "expert", "--ticks", "100000000", "--no-trace", "--out", out], 130),
         (["evaluate", "--policy", "random", "--modes", str(tmp_path / "slow.yaml")], 130),
     ]:

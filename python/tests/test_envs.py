@@ -30,7 +30,7 @@ WIDTHS = dict(zip(IDS, [85, 140, 205, 205, 205, 205, 205], strict=True))
 
 
 @pytest.mark.parametrize("id", IDS)
-def test_gymnasium_has_nothing_to_say_against(id: str) -> None:
+def test_gymnasium_checker_passes(id: str) -> None:
     env = gymnasium.make(id)
     check_env(env.unwrapped)
     assert env.observation_space.shape == (WIDTHS[id],)
@@ -38,7 +38,7 @@ def test_gymnasium_has_nothing_to_say_against(id: str) -> None:
 
 
 @pytest.mark.parametrize("observation", ["groundings", "state"])
-def test_options_keep_to_the_rules_of_gymnasium(observation: str) -> None:
+def test_gymnasium_checker_passes_with_options(observation: str) -> None:
     options: dict[str, Any] = {"observation": observation, "atoms": True, "split": "val", "episodes": "recorded"}
     overrides = {"task": {"route_length": True, "reward": {"overtime": -6}}}
     env = gymnasium.make("logicity/SPF-Hard-v0", render_mode="ansi", overrides=overrides, **options)
@@ -47,7 +47,7 @@ def test_options_keep_to_the_rules_of_gymnasium(observation: str) -> None:
 
 
 def play(env: SPFEnv, steps: int, seed: int) -> list[Any]:
-    """Random steps and what came of them, beginning again at the end of each episode."""
+    """Take random steps, reset at the end of each episode, and return all results."""
     generator = np.random.default_rng(seed)
     results: list[Any] = []
     for _ in range(steps):
@@ -57,7 +57,7 @@ def play(env: SPFEnv, steps: int, seed: int) -> list[Any]:
     return results
 
 
-def test_a_seed_gives_a_sequence_of_episodes() -> None:
+def test_a_seed_determines_the_sequence_of_episodes() -> None:
     a, b = SPFEnv(), SPFEnv()
     assert data_equivalence(a.reset(seed=4), b.reset(seed=4), exact=True)
     assert data_equivalence(play(a, 500, 0), play(b, 500, 0), exact=True)
@@ -65,7 +65,7 @@ def test_a_seed_gives_a_sequence_of_episodes() -> None:
     assert len(seeds) == 20
 
 
-def test_the_oracle_drives_well() -> None:
+def test_the_oracle_succeeds() -> None:
     env = SPFEnv("easy", split="test", episodes="recorded")
     for episode in range(5):
         _, info = env.reset(options={"episode": episode})
@@ -80,12 +80,12 @@ def test_the_oracle_drives_well() -> None:
         assert total == pytest.approx(start["oracle"]["return"], abs=1e-9)
 
 
-def test_an_episode_can_be_begun_again() -> None:
+def test_an_episode_can_be_restarted() -> None:
     env, other = SPFEnv("medium"), SPFEnv("medium")
     first = env.reset(seed=9)
     assert data_equivalence(first, other.reset(options={"episode": env.episode}), exact=True)
     assert data_equivalence(play(env, 10, 1)[:5], play(other, 10, 1)[:5], exact=True)
-    # An episode that is given does not use up one of the sequence.
+    # A given episode does not advance the sequence.
     env.reset(seed=9)
     following = env.reset()[1]["seed"]
     env.reset(seed=9)
@@ -93,7 +93,7 @@ def test_an_episode_can_be_begun_again() -> None:
     assert env.reset()[1]["seed"] == following
 
 
-def test_an_end_is_an_end_and_a_time_limit_is_not() -> None:
+def test_terminations_and_truncations() -> None:
     env = SPFEnv("easy", overrides={"task": {"horizon": 3, "reward": {"overtime": -7}}})
     ends = set()
     for seed in range(60):
@@ -140,7 +140,7 @@ def test_another_map_and_other_agents_for_one_episode() -> None:
     assert len(env.episode["agents"]) == 8
 
 
-def test_explain_and_render_speak_of_the_moment() -> None:
+def test_explain_and_render_show_the_current_state() -> None:
     env = SPFEnv(render_mode="rgb_array")
     _, info = env.reset(seed=1)
     name = ["Slow", "Normal", "Fast", "Stop"][info["oracle_action"]]
@@ -155,7 +155,7 @@ def test_explain_and_render_speak_of_the_moment() -> None:
     assert "Car_1 at [" in text.render()
 
 
-def test_the_picture_marks_the_driven_car_its_way_and_its_goal() -> None:
+def test_the_picture_marks_the_controlled_car_its_route_and_its_goal() -> None:
     env = SPFEnv(render_mode="rgb_array")
     _, info = env.reset(seed=1)
     start, goal = env.episode["agents"][0]["start"], env.episode["agents"][0]["goal"]
@@ -166,7 +166,7 @@ def test_the_picture_marks_the_driven_car_its_way_and_its_goal() -> None:
         return found
 
     before = marked(env.render())
-    # Cells have 4 pixels, behind the rulers.
+    # Cells are 4 pixels wide, after the rulers at the edge.
     for row, column in (start, goal):
         top, left = 42 + 4 * row, 34 + 4 * column
         assert before[top - 20 : top + 20, left - 20 : left + 20].sum() > 60
@@ -179,7 +179,7 @@ def test_the_picture_marks_the_driven_car_its_way_and_its_goal() -> None:
     )
 
 
-def test_a_trace_is_that_of_the_episode(tmp_path: Path) -> None:
+def test_a_trace_records_the_episode(tmp_path: Path) -> None:
     env = SPFEnv("hard", split="test")
     with pytest.raises(ResetNeeded):
         env.write_trace(tmp_path / "early.jsonl")
@@ -205,7 +205,7 @@ def test_a_trace_is_that_of_the_episode(tmp_path: Path) -> None:
     assert all(car["driven"]["observes"][0] == "Car_1" for car in cars)
     assert not any("driven" in agent for tick in ticks for agent in tick["agents"][1:])
 
-    # The same configuration and rules as those of a run, whose trace the program takes.
+    # The header equals that of a simulation trace with the same configuration and rules.
     logicity.Simulation("hard", count_firings=True).run(1, trace=tmp_path / "run.jsonl")
     run = json.loads((tmp_path / "run.jsonl").read_text().splitlines()[0])
     keys = ("config_hash", "rules_hash", "rules", "clauses", "version")
@@ -214,11 +214,11 @@ def test_a_trace_is_that_of_the_episode(tmp_path: Path) -> None:
         env.write_trace(tmp_path / "missing" / "trace.jsonl")
 
 
-def test_a_trace_under_overrides_names_what_became_of_the_configuration(tmp_path: Path) -> None:
+def test_a_trace_under_overrides_names_the_merged_configuration(tmp_path: Path) -> None:
     env = SPFEnv("easy", overrides={"view": 30})
     env.reset(seed=1, options={"map": "configs/maps/random-8x8.yaml"})
     env.step(1)
-    with pytest.raises(ValueError, match="ending of configurations"):
+    with pytest.raises(ValueError, match="suffix of configurations"):
         env.write_trace(tmp_path / "trace.yaml")
     env.write_trace(tmp_path / "trace.jsonl")
     header = json.loads((tmp_path / "trace.jsonl").read_text().splitlines()[0])
@@ -232,7 +232,7 @@ def test_a_trace_under_overrides_names_what_became_of_the_configuration(tmp_path
     assert json.loads((tmp_path / "plain.jsonl").read_text().splitlines()[0])["config_hash"] != header["config_hash"]
 
 
-def test_a_trace_leaves_configurations_as_they_are(tmp_path: Path) -> None:
+def test_a_trace_does_not_overwrite_configurations(tmp_path: Path) -> None:
     own = tmp_path / "easy.yaml"
     own.write_text("base: configs/easy.yaml\n")
     env = SPFEnv(own, overrides={"view": 30})
@@ -258,7 +258,7 @@ def test_a_trace_leaves_configurations_as_they_are(tmp_path: Path) -> None:
 def test_concurrent_use_of_an_environment_raises() -> None:
     envs = SPFVectorEnv(64, "expert", autoreset_mode=AutoresetMode.SAME_STEP)
     envs.reset(seed=1)
-    actions, said = np.ones(64, np.int64), []
+    actions, messages = np.ones(64, np.int64), []
     stop = threading.Event()
 
     def drive() -> None:
@@ -266,7 +266,7 @@ def test_concurrent_use_of_an_environment_raises() -> None:
             try:
                 envs.step(actions)
             except RuntimeError as error:
-                said.append(str(error))
+                messages.append(str(error))
                 stop.set()
 
     threads = [threading.Thread(target=drive) for _ in range(2)]
@@ -275,15 +275,14 @@ def test_concurrent_use_of_an_environment_raises() -> None:
     for thread in threads:
         thread.join(20)
         stop.set()
-    assert said and all(
-        "in use in another thread; make one for each thread, or guard it by a lock" in text for text in said
-    )
-    # Whoever was told so has broken nothing.
+    message = "another thread is using this environment; create one per thread, or guard it with a lock"
+    assert messages and all(message in text for text in messages)
+    # The exception leaves the environments usable.
     envs.reset(seed=1)
     assert envs.step(actions)[0].shape == (64, 205)
 
 
-def test_overrides_may_be_of_numpy(tmp_path: Path) -> None:
+def test_overrides_accept_numpy_values(tmp_path: Path) -> None:
     plain = {"task": {"horizon": 3, "reward": {"overtime": -1.5, "actions": {"Stop": -4}}}}
     horizon, reward = np.int64(3), {"overtime": np.float32(-1.5), "actions": {"Stop": np.array(-4)}}
     ends = []
@@ -308,20 +307,20 @@ def test_overrides_may_be_of_numpy(tmp_path: Path) -> None:
         (partial(logicity.demonstrations, "easy", 1), "rule", "did you mean `rules`"),
     ],
 )
-def test_options_that_there_are_not_are_reported(make: Any, name: str, message: str) -> None:
+def test_unknown_options_raise(make: Any, name: str, message: str) -> None:
     with pytest.raises(TypeError, match=f"no option `{name}`; {message}"):
         make(**{name: 1})
 
 
-def test_a_text_of_rules_is_no_file() -> None:
+def test_rules_must_be_a_path() -> None:
     for text in ("Stop(X) :- IsCar(X).", "// no rules\n"):
         for use in (partial(SPFEnv, "easy"), partial(logicity.Simulation, "easy"), partial(logicity.Inference, "easy")):
-            with pytest.raises(ValueError, match="`rules` must be the path of a rule file, not a text"):
+            with pytest.raises(ValueError, match="`rules` must be the path of a rule file, not source text"):
                 use(rules=text)
 
 
 @pytest.mark.parametrize("way", ["copy", "pickle"])
-def test_a_copy_goes_on_alike(way: str) -> None:
+def test_a_copy_continues_identically(way: str) -> None:
     env = SPFEnv("hard", atoms=True)
     untouched = copy.deepcopy(env)
     with pytest.raises(ResetNeeded):
@@ -333,7 +332,7 @@ def test_a_copy_goes_on_alike(way: str) -> None:
     assert env.np_random.integers(1000) == twin.np_random.integers(1000)
 
 
-def test_wrong_use_is_reported_in_the_words_of_gymnasium() -> None:
+def test_invalid_use_raises_gymnasium_errors() -> None:
     env = SPFEnv("easy")
     for use in (lambda: env.step(0), env.explain, lambda: env.episode):
         with pytest.raises(ResetNeeded):
@@ -356,12 +355,12 @@ def test_wrong_use_is_reported_in_the_words_of_gymnasium() -> None:
         env.reset(seed=2**64)
 
 
-def test_wrong_arguments_are_refused() -> None:
+def test_invalid_arguments_raise() -> None:
     with pytest.raises(FileNotFoundError, match="did you mean `expert`"):
         SPFEnv("expret")
-    with pytest.raises(ValueError, match='split is one of .*, not "dev"'):
+    with pytest.raises(ValueError, match='split must be one of .*, not "dev"'):
         SPFEnv(split="dev")  # type: ignore[arg-type]
-    with pytest.raises(ValueError, match="observation is one of"):
+    with pytest.raises(ValueError, match="observation must be one of"):
         SPFEnv(observation="pixels")  # type: ignore[arg-type]
     with pytest.raises(ValueError, match="drawn"):
         SPFEnv(episodes="all")  # type: ignore[arg-type]
@@ -376,7 +375,7 @@ def test_wrong_arguments_are_refused() -> None:
         SPFEnv("easy", overrides={"task": {"reward": {"clauses": {"S9": -1}}}})
 
 
-def test_a_faulty_rule_file_is_reported_with_its_place(tmp_path: Any) -> None:
+def test_invalid_rule_files_are_reported_with_their_location(tmp_path: Any) -> None:
     rules = tmp_path / "mine.dl"
     rules.write_text('.include "vocabulary.dl"\nStop(X) :- IsCarr(X).\n')
     with pytest.raises(logicity.InputError) as caught:
@@ -387,7 +386,7 @@ def test_a_faulty_rule_file_is_reported_with_its_place(tmp_path: Any) -> None:
     assert env.reset(seed=0)[1]["oracle_action"] == 3
 
 
-def test_wrong_episodes_are_refused_and_the_environment_lives() -> None:
+def test_invalid_episodes_raise_and_the_environment_stays_usable() -> None:
     env = SPFEnv("easy")
     env.reset(seed=0)
     good = env.episode
@@ -399,7 +398,7 @@ def test_wrong_episodes_are_refused_and_the_environment_lives() -> None:
     with pytest.raises(ValueError, match="unknown option"):
         env.reset(options={"epsiode": 1})
     for number in (2**64, np.uint64(2**64 - 1), 10**30):
-        with pytest.raises(IndexError, match=f"no episode {number}: the split `train` has 100, from 0"):
+        with pytest.raises(IndexError, match=f"no episode {number}: the split `train` has 100 episodes, from 0"):
             env.reset(options={"episode": number})
     oracle = {"steps": 3, "return": 1.5, "constrained": {"Stop": 1}}
 
@@ -412,7 +411,7 @@ def test_wrong_episodes_are_refused_and_the_environment_lives() -> None:
         ({**good, "seed": -1}, "`seed` of the episode cannot be read"),
         ({**good, "seed": "1"}, "`seed` of the episode cannot be read"),
         ({**good, "agents": 3}, "`agents` of the episode cannot be read"),
-        ({**good, "agents": [3]}, "agent 0 of the episode is no mapping"),
+        ({**good, "agents": [3]}, "agent 0 of the episode must be a mapping"),
         ({**good, "agents": good["agents"][:-1]}, "7 agents, the split has 8"),
         (first(id="Car_77"), "no agent `Car_77`(.|\n)*did you mean"),
         (first(start=(1, 2, 3)), "`start` of agent 0"),
@@ -449,8 +448,10 @@ def singles(count: int, id: str, mode: AutoresetMode, **options: Any) -> SyncVec
         ("logicity/SPF-Easy-v0", 2, {"observation": "state", "atoms": True}),
     ],
 )
-def test_a_batch_is_as_many_singles(mode: AutoresetMode, id: str, threads: int, options: dict[str, Any]) -> None:
-    """About 10^5 steps over all cases: observations, rewards, ends and infos are those of gymnasium's own batch."""
+def test_vectorized_results_equal_single_environments(
+    mode: AutoresetMode, id: str, threads: int, options: dict[str, Any]
+) -> None:
+    """Compare about 10^5 steps over all cases with gymnasium's `SyncVectorEnv`."""
     count, steps = 16, 700
     batch = gymnasium.make_vec(id, num_envs=count, autoreset_mode=mode, num_threads=threads, **options)
     assert isinstance(batch, SPFVectorEnv) and batch.metadata["autoreset_mode"] is mode
@@ -486,7 +487,7 @@ def test_the_order_of_environments_does_not_matter() -> None:
             assert (x[order] == y).all()
 
 
-def test_a_shared_buffer_is_an_opt_in() -> None:
+def test_a_shared_buffer_is_opt_in() -> None:
     for shared in (False, True):
         envs = SPFVectorEnv(4, copy=not shared)
         first, _ = envs.reset(seed=0)
@@ -494,7 +495,7 @@ def test_a_shared_buffer_is_an_opt_in() -> None:
         assert np.shares_memory(first, second) == shared
 
 
-def test_a_batch_begins_given_episodes() -> None:
+def test_vector_reset_starts_given_episodes() -> None:
     envs = SPFVectorEnv(3, "easy", split="test")
     envs.reset(seed=0, options={"episodes": [7, None, 8]})
     single = SPFEnv("easy", split="test")
@@ -504,7 +505,7 @@ def test_a_batch_begins_given_episodes() -> None:
     assert envs.explain(2).startswith("tick 0: Car_1 at [")
 
 
-def test_wrong_use_of_a_batch_is_reported() -> None:
+def test_invalid_use_of_a_vector_environment_raises() -> None:
     envs = SPFVectorEnv(3, "easy", autoreset_mode=AutoresetMode.DISABLED)
     with pytest.raises(ResetNeeded, match="environment 0"):
         envs.step(np.zeros(3, int))
@@ -552,7 +553,7 @@ def test_wrong_use_of_a_batch_is_reported() -> None:
             SPFVectorEnv(**arguments)
 
 
-def test_ctrl_c_ends_a_step_and_a_reset_makes_good(tmp_path: Path, ctrl_c: Interrupt) -> None:
+def test_ctrl_c_ends_a_step_and_a_reset_recovers(tmp_path: Path, ctrl_c: Interrupt) -> None:
     (tmp_path / "counting.dl").write_text(COUNTING)
     env = SPFEnv("easy", rules=tmp_path / "counting.dl")
     env.reset(seed=0)
@@ -581,7 +582,7 @@ def test_ctrl_c_ends_a_step_and_a_reset_makes_good(tmp_path: Path, ctrl_c: Inter
 
 @pytest.mark.skipif(sys.platform == "win32", reason="signals are sent as POSIX has them")
 @pytest.mark.parametrize("kind", [TypeError, OverflowError])
-def test_what_a_handler_of_a_signal_raises_is_raised(kind: type[Exception], tmp_path: Path) -> None:
+def test_exceptions_of_signal_handlers_propagate(kind: type[Exception], tmp_path: Path) -> None:
     def handle(signum: int, frame: Any) -> None:
         raise kind("of the handler")
 
@@ -605,26 +606,26 @@ def test_what_a_handler_of_a_signal_raises_is_raised(kind: type[Exception], tmp_
         signal.signal(signal.SIGALRM, previous)
 
 
-def test_a_batch_needs_a_reset_first() -> None:
+def test_a_vector_environment_needs_a_reset_first() -> None:
     envs = SPFVectorEnv(3, "easy", render_mode="ansi", autoreset_mode=AutoresetMode.DISABLED)
     for use in (partial(envs.episode, 0), partial(envs.explain, 0), envs.render):
-        with pytest.raises(ResetNeeded, match="of environment 0 has not begun"):
+        with pytest.raises(ResetNeeded, match="of environment 0 has not started"):
             use()
     envs.reset(seed=0, options={"reset_mask": np.array([True, False, True])})
     assert envs.episode(2)["agents"] and envs.explain(0)
     for use in (partial(envs.episode, 1), partial(envs.explain, 1), envs.render):
-        with pytest.raises(ResetNeeded, match="of environment 1 has not begun"):
+        with pytest.raises(ResetNeeded, match="of environment 1 has not started"):
             use()
     envs.reset()
     assert len(envs.render() or ()) == 3
 
 
-def test_ctrl_c_ends_the_making_of_many(ctrl_c: Interrupt) -> None:
+def test_ctrl_c_ends_the_creation_of_many_environments(ctrl_c: Interrupt) -> None:
     task = _logicity.Task("expert", None, None)
     ctrl_c(lambda: _logicity.VectorEnv(task, "train", 1_000_000, "Disabled", "groundings", False, 1))
 
 
-def test_recorded_seeds_are_kept_to_the_last_bit(tmp_path: Path) -> None:
+def test_recorded_seeds_keep_all_bits(tmp_path: Path) -> None:
     path = Path(__file__).parents[2] / "configs" / "episodes" / "easy-val.jsonl"
     recorded = [json.loads(line)["seed"] for line in path.read_text().splitlines()[1:]]
     assert max(recorded) > 2**63 and all(int(float(seed)) != seed for seed in recorded)

@@ -24,12 +24,12 @@ README = Path(__file__).parents[1] / "README.md"
 
 
 def varied(observation: NDArray[np.float32]) -> int:
-    """Acts otherwise from step to step, and alike on the same observation."""
+    """Return an action that varies with the observation and depends on nothing else."""
     return int(observation.sum() * 7) % 4
 
 
 @pytest.mark.parametrize("mode", list(ENVIRONMENTS))
-def test_the_oracle_obeys_and_arrives_and_the_random_policy_is_the_zero(mode: str) -> None:
+def test_the_oracle_succeeds_and_the_random_policy_scores_zero(mode: str) -> None:
     benchmark = Benchmark(mode)
     oracle, random = benchmark.evaluate("oracle"), benchmark.evaluate("random")
     assert len(oracle.episodes) == len(benchmark) == 100 and len(random.episodes) == 1000
@@ -54,7 +54,7 @@ def test_traces_of_all_episodes(tmp_path: Path) -> None:
         assert tuple(labels[at] for at in driven[-1]["broken"]) == record.violations
         assert not any(step["broken"] for step in driven[:-1])
     assert any(record.violations for record in result.episodes)
-    assert evaluate(varied, "easy", "val") == result, "traces change nothing"
+    assert evaluate(varied, "easy", "val") == result, "traces do not affect the result"
     with pytest.raises(ValueError, match="ten times"):
         evaluate("random", "easy", "val", traces=folder)
     command = ["evaluate", "--policy", "oracle", "--split", "val", "--traces", str(tmp_path), "--modes"]
@@ -68,46 +68,46 @@ def test_traces_of_all_episodes(tmp_path: Path) -> None:
     assert logicity.Benchmark(changed / "config.yaml", "val").evaluate("oracle").tsr.value == 1.0
 
 
-def undriven(observation: NDArray[np.float32]) -> int:
-    """Is not to be asked."""
-    raise AssertionError("the policy drives")
+def uncalled(observation: NDArray[np.float32]) -> int:
+    """Fail, because no test may call this policy."""
+    raise AssertionError("the evaluation calls the policy")
 
 
-def test_traces_replace_nothing(own_city: Path, capsys: pytest.CaptureFixture[str]) -> None:
+def test_traces_do_not_overwrite_files(own_city: Path, capsys: pytest.CaptureFixture[str]) -> None:
     own = own_city.rename(own_city.with_name("config.yaml"))
     text, folder = own.read_text(), own.parent
     with pytest.raises(FileExistsError, match=r"config\.yaml"):
-        evaluate(undriven, own, "val", overrides={"view": 30}, traces=folder)
+        evaluate(uncalled, own, "val", overrides={"view": 30}, traces=folder)
     assert own.read_text() == text
     assert {path.name for path in folder.iterdir()} == {"config.yaml", "five.jsonl"}
 
     (folder / "traces").mkdir()
     (folder / "traces" / "episode-77.jsonl").write_text("earlier")
-    with pytest.raises(FileExistsError, match=r"has traces already, for example episode-77\.jsonl"):
-        evaluate(undriven, own, "val", traces=folder / "traces")
+    with pytest.raises(FileExistsError, match=r"already has traces, for example episode-77\.jsonl"):
+        evaluate(uncalled, own, "val", traces=folder / "traces")
     assert [path.name for path in (folder / "traces").iterdir()] == ["episode-77.jsonl"]
 
     (folder / "hard").mkdir()
     (folder / "hard" / "episode-0.jsonl").write_text("earlier")
     command = ["evaluate", "--policy", "oracle", "--split", "val", "--traces", str(folder), "--modes", "easy,hard"]
-    assert main(command) == 2 and "hard` has traces already" in capsys.readouterr().err
-    assert not (folder / "easy").exists(), "of the second mode it is told before the first is driven"
+    assert main(command) == 2 and "hard` already has traces" in capsys.readouterr().err
+    assert not (folder / "easy").exists(), "the folder of the second mode is checked before the first mode runs"
 
 
-def test_folders_that_take_no_traces_are_reported_at_once(tmp_path: Path) -> None:
+def test_unwritable_trace_folders_are_reported_early(tmp_path: Path) -> None:
     (tmp_path / "file").write_text("")
     for folder in (tmp_path / "file", tmp_path / "file" / "below"):
         with pytest.raises(OSError, match="file"):
-            evaluate(undriven, "easy", "val", traces=folder)
-    # Nobody can write there, while modes of folders do not bind whoever may do all.
+            evaluate(uncalled, "easy", "val", traces=folder)
+    # Not even root can write to /proc/self, while root ignores the permissions of ordinary folders.
     closed = Path("/proc/self")
     if closed.exists():
         with pytest.raises(OSError, match="/proc/self'$"):
-            evaluate(undriven, "easy", "val", traces=closed)
+            evaluate(uncalled, "easy", "val", traces=closed)
 
 
 class Model:
-    """Predicts as models of Stable-Baselines3 do, and has a state as recurrent ones."""
+    """A predictor with the interface of a recurrent Stable-Baselines3 model."""
 
     def predict(
         self,
@@ -121,7 +121,7 @@ class Model:
         return np.array([varied(row) for row in observation]), (state or 0) + 1
 
 
-def test_all_kinds_of_policies_go_alike() -> None:
+def test_all_kinds_of_policies_give_equal_results() -> None:
     benchmark = Benchmark("expert", "val")
     one = benchmark.evaluate(varied)
     batch = benchmark.evaluate(lambda rows: np.array([varied(row) for row in rows]), batched=True)
@@ -130,13 +130,13 @@ def test_all_kinds_of_policies_go_alike() -> None:
     assert len({record.steps for record in one.episodes}) > 3
 
 
-def test_results_print_short() -> None:
+def test_results_have_a_short_repr() -> None:
     shown = repr(evaluate("oracle", "easy", "val"))
     assert shown.startswith("<Evaluation of oracle in easy, val: TSR 1.00 [0.91, 1.00], DSR 1.00 [0.91, 1.00], Score ")
     assert shown.endswith(", 40 episodes>") and len(shown) < 150
 
 
-def test_an_evaluation_is_what_single_environments_say() -> None:
+def test_an_evaluation_equals_runs_of_single_environments() -> None:
     measured = evaluate(varied, "hard", "val")
     env = gymnasium.make(ENVIRONMENTS["hard"], split="val")
     for record in measured.episodes:
@@ -149,7 +149,7 @@ def test_an_evaluation_is_what_single_environments_say() -> None:
         assert record.total == pytest.approx(total) and record.violations == tuple(info["violations"])
     assert measured.tsr.value == np.mean([record.success for record in measured.episodes])
     assert measured.mean_return.value == pytest.approx(np.mean([record.total for record in measured.episodes]))
-    # The formulas of python/README.md; here rules ask for Stop alone.
+    # These are the formulas of python/README.md. Here the rules require only Stop.
     asked = [any(record.constrained.values()) for record in measured.episodes]
     kept = [ever and not record.violations for ever, record in zip(asked, measured.episodes, strict=True)]
     assert measured.dsr.value == np.mean(kept)
@@ -160,7 +160,7 @@ def test_an_evaluation_is_what_single_environments_say() -> None:
     assert measured.score.value == pytest.approx(np.mean(gained))
 
 
-def test_overrides_and_states_are_measured_too() -> None:
+def test_evaluation_supports_overrides_and_states() -> None:
     lenient = evaluate(lambda state: 3, "easy", "val", overrides={"task": {"reward": {"overtime": -1}}})
     assert lenient.tsr.value == 0.0 and all(record.truncated for record in lenient.episodes)
     strict = evaluate(lambda state: 3, "easy", "val", observation="state")
@@ -176,17 +176,17 @@ def test_overrides_and_states_are_measured_too() -> None:
     assert shapes == {(40, 20, 15)}
 
 
-def test_a_city_of_ones_own_is_measured(own_city: Path, capsys: pytest.CaptureFixture[str]) -> None:
+def test_evaluation_of_a_configuration_file(own_city: Path, capsys: pytest.CaptureFixture[str]) -> None:
     own, easy = evaluate(varied, own_city, "val"), evaluate(varied, "easy", "val")
     assert (own.mode, own.episodes) == (str(own_city), easy.episodes[:5])
     assert own.episodes_hash != easy.episodes_hash
-    # A file that is built in is one, too.
+    # The path may name a built-in file.
     assert Benchmark("configs/easy.yaml", "val").evaluate(varied).episodes == easy.episodes
     assert main(["evaluate", "--policy", "oracle", "--modes", f"easy,{own_city}", "--split", "val"]) == 0
     assert [line.split()[1] for line in capsys.readouterr().out.splitlines()] == ["mode", "easy", str(own_city)]
 
 
-def test_of_episodes_that_do_not_fit_it_is_said_what_helps(own_city: Path) -> None:
+def test_episodes_that_do_not_fit_raise_with_a_hint(own_city: Path) -> None:
     fewer = {"agents": {"val": {"cars": [{"priority": 1, "count": 3}]}}}
     benchmark = Benchmark(own_city, "val", overrides=fewer)
     for drive in (lambda: benchmark.evaluate("oracle"), lambda: demonstrations(own_city, 2, "val", overrides=fewer)):
@@ -198,7 +198,7 @@ def test_of_episodes_that_do_not_fit_it_is_said_what_helps(own_city: Path) -> No
         Benchmark(own_city, overrides={"task": {"episodes": None}})
 
 
-def test_episodes_in_which_rules_ask_nothing_count_against_dsr_alone(tmp_path: Path) -> None:
+def test_episodes_without_required_actions_lower_only_dsr(tmp_path: Path) -> None:
     rules = tmp_path / "few.dl"
     rules.write_text('.include "vocabulary.dl"\nStop(X) :- IsAtInter(X), IsInInter(Y), IsAmbulance(Y).\n')
     oracle = evaluate("oracle", "easy", "val", rules=rules)
@@ -207,7 +207,7 @@ def test_episodes_in_which_rules_ask_nothing_count_against_dsr_alone(tmp_path: P
     assert oracle.dsr_by_action["Stop"].value == 1.0
 
 
-def test_recorded_episodes_come_with_replacement_or_each_once() -> None:
+def test_recorded_episodes_are_sampled_with_replacement_or_enumerated() -> None:
     drawn = gymnasium.make_vec(ENVIRONMENTS["easy"], num_envs=40, split="val", episodes="recorded")
     chosen = gymnasium.make_vec(ENVIRONMENTS["easy"], num_envs=40, split="val")
     some = set(drawn.reset(seed=0)[1]["seed"].tolist())
@@ -231,7 +231,7 @@ def test_recorded_episodes_come_with_replacement_or_each_once() -> None:
         (lambda rows: np.ones(len(rows)), True, TypeError),
     ],
 )
-def test_faulty_policies_are_refused(policy: Any, batched: bool, error: type[Exception]) -> None:
+def test_invalid_policies_raise(policy: Any, batched: bool, error: type[Exception]) -> None:
     benchmark = Benchmark("easy", "val")
     with pytest.raises(error):
         benchmark.evaluate(policy, batched=batched)
@@ -250,7 +250,7 @@ def test_faulty_policies_are_refused(policy: Any, batched: bool, error: type[Exc
         ({"mode": "easy", "overrides": {"task": {"horizon": 0}}}, logicity.InputError),
     ],
 )
-def test_faulty_benchmarks_are_refused(arguments: dict[str, Any], error: type[Exception]) -> None:
+def test_invalid_benchmarks_raise(arguments: dict[str, Any], error: type[Exception]) -> None:
     with pytest.raises(error):
         Benchmark(**arguments).evaluate("oracle")
 
@@ -265,9 +265,7 @@ def test_an_interrupted_policy_leaves_the_benchmark_usable() -> None:
     assert benchmark.evaluate("oracle").tsr.value == 1.0
 
 
-def test_the_command_prints_rows_and_writes_what_was_measured(
-    tmp_path: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_the_command_prints_a_table_and_writes_results(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     file = tmp_path / "out.json"
     arguments = ["evaluate", "--policy", "oracle", "--modes", "easy,hard", "--split", "val", "--json", str(file)]
     assert main(arguments) == 0
@@ -275,7 +273,7 @@ def test_the_command_prints_rows_and_writes_what_was_measured(
     rows = output.out.splitlines()
     assert rows[0].split() == ["policy", "mode", "TSR", "DSR", "Score", "return", "steps"]
     assert rows[1].split()[:4] == ["oracle", "easy", "1.00", "[0.91,"] and rows[2].split()[1] == "hard"
-    assert output.err == "", "progress is for terminals"
+    assert output.err == "", "progress appears only on terminals"
     written = json.loads(file.read_text())
     direct: Evaluation = evaluate("oracle", "easy", "val")
     assert written[0] == json.loads(json.dumps(direct.to_dict()))
@@ -293,8 +291,8 @@ def test_progress_is_shown_on_a_terminal(monkeypatch: pytest.MonkeyPatch, capsys
 @pytest.mark.parametrize(
     ("arguments", "status", "message"),
     [
-        (["evaluate", "--policy", "no-such.zip", "--modes", "easy"], 2, "error: `no-such.zip`: no such file"),
-        (["evaluate", "--policy", "runs/best", "--modes", "easy"], 2, "error: `runs/best`: no such file"),
+        (["evaluate", "--policy", "no-such.zip", "--modes", "easy"], 2, "error: no such file: `no-such.zip`"),
+        (["evaluate", "--policy", "runs/best", "--modes", "easy"], 2, "error: no such file: `runs/best`"),
         (
             ["evaluate", "--policy", "foo"],
             1,
@@ -306,12 +304,12 @@ def test_progress_is_shown_on_a_terminal(monkeypatch: pytest.MonkeyPatch, capsys
         (["evaluate"], 2, "--policy"),
     ],
 )
-def test_faulty_commands_end_with_a_message(
+def test_invalid_commands_print_an_error(
     arguments: list[str], status: int, message: str, capsys: pytest.CaptureFixture[str]
 ) -> None:
     try:
         ended = main(arguments)
-    except SystemExit as exit:  # argparse ends so
+    except SystemExit as exit:  # raised by argparse
         ended = int(exit.code or 0)
     assert ended == status and message in capsys.readouterr().err
 
@@ -326,7 +324,7 @@ def parts(atom: str) -> tuple[str, tuple[str, ...]]:
 
 
 @pytest.mark.parametrize("mode", list(ENVIRONMENTS))
-def test_names_of_observations_are_those_of_what_is_true(mode: str) -> None:
+def test_observation_names_match_the_true_atoms(mode: str) -> None:
     """The true atoms with agents for entities are, for one choice of agents a step, just what `true_atoms` has."""
     names = observation_names(mode)
     env = gymnasium.make(ENVIRONMENTS[mode], atoms=True)
@@ -340,7 +338,7 @@ def test_names_of_observations_are_those_of_what_is_true(mode: str) -> None:
             assert predicate == true and len(entities) == len(named)
             assert all(agents.setdefault(entity, name) == name for entity, name in zip(entities, named, strict=True))
             seen.add(predicate)
-        assert len(set(agents.values())) == len(agents), "one agent for each entity"
+        assert len(set(agents.values())) == len(agents), "each entity is one agent"
         observation, _, terminated, truncated, info = env.step(int(generator.integers(4)))
         if terminated or truncated:
             observation, info = env.reset()
@@ -356,7 +354,7 @@ def test_names_follow_the_configuration(own_city: Path) -> None:
         observation_names("esy")
 
 
-def test_a_file_is_replaced_whole_or_not_at_all(tmp_path: Path) -> None:
+def test_files_are_replaced_atomically(tmp_path: Path) -> None:
     file = tmp_path / "result.json"
     write_json(file, {"a": 1})
     with pytest.raises(ValueError):
@@ -365,13 +363,13 @@ def test_a_file_is_replaced_whole_or_not_at_all(tmp_path: Path) -> None:
     assert [path.name for path in tmp_path.iterdir()] == ["result.json"]
 
 
-def test_the_tables_of_the_readme_are_those_of_the_code(capsys: pytest.CaptureFixture[str]) -> None:
+def test_the_readme_has_the_output_of_describe(capsys: pytest.CaptureFixture[str]) -> None:
     assert describe() in README.read_text(encoding="utf-8")
     assert main(["describe"]) == 0 and capsys.readouterr().out == describe()
 
 
 @pytest.mark.parametrize("mode", list(ENVIRONMENTS))
-def test_the_tables_say_what_environments_show(mode: str) -> None:
+def test_the_tables_describe_groundings_observations(mode: str) -> None:
     env = gymnasium.make(ENVIRONMENTS[mode])
     assert env.observation_space.shape is not None
     row = next(line for line in describe().splitlines() if f"`{ENVIRONMENTS[mode]}`" in line)
@@ -379,7 +377,7 @@ def test_the_tables_say_what_environments_show(mode: str) -> None:
 
 
 def _columns_of_state(mode: str) -> list[str]:
-    """Predicates of the last columns of a `state` observation, from the table."""
+    """Return the predicates of the last columns of a `state` observation, from the table."""
     lines = describe().split("### Observations of the kind `state`")[1].splitlines()
     (row,) = [line for line in lines if re.search(rf"in (.*, )?{mode}(,.*)?: `", line)]
     names = re.findall(r"`(\w+)`", row)
@@ -389,7 +387,7 @@ def _columns_of_state(mode: str) -> list[str]:
 
 @pytest.mark.parametrize("overrides", [{}, {"task": {"state_agents": 3}}])
 @pytest.mark.parametrize("mode", list(ENVIRONMENTS))
-def test_the_table_of_exact_observations_says_what_environments_show(mode: str, overrides: dict[str, Any]) -> None:
+def test_the_table_describes_state_observations(mode: str, overrides: dict[str, Any]) -> None:
     env = gymnasium.make(ENVIRONMENTS[mode], observation="state", atoms=True, overrides=overrides)
     names = _columns_of_state(mode)
     assert env.observation_space.shape is not None and env.observation_space.shape[1] == 8 + len(names)
@@ -411,7 +409,7 @@ def test_the_table_of_exact_observations_says_what_environments_show(mode: str, 
             cells = [agent["start"][at] - ego["start"][at] for at in (0, 1)]
             assert row[1:3] * task["view"] == pytest.approx(cells, abs=1e-4)
             assert row[7] * task["priority_scale"] == pytest.approx(agent["priority"], abs=1e-4)
-        # What is true of the ego is among the atoms, too.
+        # The columns of the ego equal its unary atoms.
         true = {atom for atom in info["true_atoms"] if atom.endswith("(Car_1)") and "," not in atom}
         assert {f"{name}(Car_1)" for name, value in zip(names, state[0, 8:], strict=True) if value} == true
         for _ in range(4):
@@ -439,7 +437,7 @@ def test_ctrl_c_ends_many_short_steps(tmp_path: Path, ctrl_c: Interrupt) -> None
     begun = time.monotonic()
     ctrl_c(baseline.add)
     interrupted = time.monotonic()
-    assert not baseline.report()["episodes"], "an episode is added with all its runs or not at all"
+    assert not baseline.report()["episodes"], "an episode is added with all its runs, or not at all"
     baseline.add()
     assert len(baseline.report()["episodes"]) == 10
     assert interrupted - begun < (time.monotonic() - interrupted) / 2

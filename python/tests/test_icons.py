@@ -10,7 +10,7 @@ import pytest
 from logicity import icons
 
 
-def test_prompts_are_a_function_of_class_and_seed() -> None:
+def test_prompts_depend_only_on_class_and_seed() -> None:
     texts = icons.prompts("bus+tiro", 5, seed=3)
     assert len(set(texts)) > 1
     assert all("bus" in text and "L plate" in text and "above" in text for text in texts)
@@ -20,7 +20,7 @@ def test_prompts_are_a_function_of_class_and_seed() -> None:
     assert icons.prompts("house", 1, write=lambda text: text[:3]) == [icons.prompts("house", 1)[0][:3]]
     with pytest.raises(ValueError, match="unknown class `plane`"):
         icons.prompts("plane", 1)
-    with pytest.raises(ValueError, match="is no class"):
+    with pytest.raises(ValueError, match="is not a class name"):
         icons.prompts("car+../away", 1)
     with pytest.raises(ValueError, match="-1"):
         icons.prompts("car", -1)
@@ -30,7 +30,7 @@ def test_a_background_is_cut_out() -> None:
     image = pytest.importorskip("PIL.Image")
     pixels = np.full((20, 30, 3), 250, np.uint8)
     pixels[5:15, 8:20] = [200, 30, 30]
-    # Of the colour of the background, but inside.
+    # This region has the color of the background, but it is not connected to the border.
     pixels[9:11, 12:14] = 250
     icon = np.asarray(icons.cut_out(image.fromarray(pixels)))
     assert icon.shape == (10, 12, 4)
@@ -38,13 +38,13 @@ def test_a_background_is_cut_out() -> None:
     assert (icon[4:6, 4:6, :3] == 250).all()
     pixels[5:9, 8:12] = 245
     assert (np.asarray(icons.cut_out(image.fromarray(pixels)))[:4, :4, 3] == 0).all()
-    with pytest.raises(ValueError, match="one color"):
+    with pytest.raises(ValueError, match="is background"):
         icons.cut_out(image.fromarray(np.zeros((4, 4, 3), np.uint8)))
 
 
 @pytest.fixture
 def model(tmp_path: Path) -> Path:
-    """A diffusion model as any, but tiny, with weights drawn at random."""
+    """A tiny diffusion model with random weights."""
     torch = pytest.importorskip("torch")
     diffusers = pytest.importorskip("diffusers")
     transformers = pytest.importorskip("transformers")
@@ -88,11 +88,11 @@ def model(tmp_path: Path) -> Path:
     return tmp_path / "model"
 
 
-def test_a_pack_is_filled_by_a_model(model: Path, tmp_path: Path) -> None:
+def test_a_model_fills_a_pack(model: Path, tmp_path: Path) -> None:
     image = pytest.importorskip("PIL.Image")
     pipeline = icons.load_pipeline(model, device="cpu")
     pack = tmp_path / "pack"
-    # What a model without training draws is noise: nothing of it is background.
+    # An untrained model draws noise, which has no background.
     files = icons.fill(pack, ["house", "bus+tiro"], 2, pipeline, side=24, tolerance=0, num_inference_steps=2)
     assert [str(file.relative_to(pack)) for file in files] == [
         "house/0000.png",

@@ -1,4 +1,4 @@
-"""The package as a whole: its door, its documentation, its stubs."""
+"""The package as a whole: public names, docstrings and stubs."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ import pytest
 import logicity
 
 
-def test_the_door_only_re_exports() -> None:
+def test_the_package_module_only_re_exports() -> None:
     assert set(logicity.__all__) <= set(dir(logicity))
     for name in logicity.__all__:
         home = getattr(getattr(logicity, name), "__module__", "logicity")
@@ -28,8 +28,8 @@ def test_everything_public_is_documented() -> None:
                     assert value.__doc__, f"{name}.{member}"
 
 
-def test_what_an_extra_would_bring_is_reported_with_its_name() -> None:
-    # As if none of them were installed, wherever this runs.
+def test_missing_extras_are_named() -> None:
+    # Hide the optional packages, so that the test does not depend on what is installed.
     text = """
 import sys
 for name in ("stable_baselines3", "pettingzoo", "minari", "pyarrow", "diffusers"):
@@ -84,7 +84,7 @@ for use in (lambda: logicity.envs, lambda: demonstrations("easy", 1), lambda: pa
     "order", ["gymnasium, logicity", "logicity, gymnasium", "logicity, gymnasium.envs.registration"]
 )
 def test_environments_are_registered_in_any_order_of_imports(order: str) -> None:
-    # The modules of others are loaded as they are without this package: by the same loader, once.
+    # The registration hook removes itself and restores the loader of gymnasium.
     text = f"""
 import {order}
 import importlib, sys
@@ -104,13 +104,13 @@ def test_gymnasium_is_imported_on_demand() -> None:
     assert (done.stdout, done.stderr) == ("[]\n", "")
 
 
-def test_the_names_of_the_package_are_those_of_its_table() -> None:
+def test_lazy_names_equal_all() -> None:
     assert sorted(["__version__", *logicity._HOMES]) == logicity.__all__ == sorted(logicity.__all__)
     with pytest.raises(AttributeError, match="has no attribute 'sb4'"):
         getattr(logicity, "sb4")  # noqa: B009
 
 
-def test_the_stubs_are_those_of_the_module(tmp_path: Path) -> None:
+def test_the_stubs_match_the_module(tmp_path: Path) -> None:
     done = subprocess.run(
         [sys.executable, "-m", "mypy.stubtest", "logicity._logicity"],
         capture_output=True,
@@ -120,7 +120,7 @@ def test_the_stubs_are_those_of_the_module(tmp_path: Path) -> None:
     assert done.returncode == 0, done.stdout + done.stderr
 
 
-def test_controls_are_typed_as_one_writes_them(tmp_path: Path) -> None:
+def test_types_of_controls(tmp_path: Path) -> None:
     text = """
 from logicity import Action, Simulation
 

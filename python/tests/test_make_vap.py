@@ -15,7 +15,7 @@ from conftest import ROOT, SETS, Interrupt
 from logicity import ACTIONS, InputError
 from logicity.vap import VapDataset, check_dataset, make_dataset
 
-#: The drawing of an icon, which is faster to show than the icons that the program draws.
+#: A simple icon, which is faster to render than the built-in icons.
 ICON = "<svg xmlns='http://www.w3.org/2000/svg' width='30' height='50'><ellipse cx='15' cy='25' rx='14' ry='20'/></svg>"
 
 
@@ -27,13 +27,13 @@ def command(*arguments: str) -> str:
 
 
 def contents(folder: Path) -> dict[str, bytes]:
-    """All files below a folder that are not temporary."""
+    """Return the contents of all files in a folder, except temporary ones."""
     paths = {path.relative_to(folder): path for path in folder.rglob("*") if path.is_file()}
     return {str(name): path.read_bytes() for name, path in paths.items() if not name.parts[0].startswith(".")}
 
 
 def make_random(folder: Path, **options: Any) -> VapDataset:
-    """Make the set `random` of `SETS`."""
+    """Create the data set `random` of `SETS`."""
     return make_dataset(folder, "easy", "val", agents="random", worlds=3, images=False, **options)
 
 
@@ -100,20 +100,20 @@ def test_ctrl_c_cancels(threads: int, ctrl_c: Interrupt, sets: Path, tmp_path: P
     ctrl_c(check_again_and_again)
 
 
-def test_the_check_counts_what_the_command_counts(sets: Path) -> None:
+def test_check_returns_the_counts_of_the_command(sets: Path) -> None:
     calls: list[tuple[int, int]] = []
     counts = check_dataset(sets / "hard", threads=1, progress=lambda *call: calls.append(call))
     assert calls == [(0, 2), (1, 2), (2, 2)]
-    told = json.loads(command("check", str(sets / "hard"), "--json"))
+    printed = json.loads(command("check", str(sets / "hard"), "--json"))
     assert list(counts.actions) == list(counts.published_actions) == list(ACTIONS)
     assert [list(counts.actions.values()), list(counts.published_actions.values())] == [
-        told.pop("actions"),
-        told.pop("published"),
+        printed.pop("actions"),
+        printed.pop("published"),
     ]
-    assert {name: getattr(counts, name) for name in told} == told
+    assert {name: getattr(counts, name) for name in printed} == printed
 
 
-def test_faults_of_a_data_set_are_listed(sets: Path, tmp_path: Path) -> None:
+def test_all_errors_of_a_data_set_are_listed(sets: Path, tmp_path: Path) -> None:
     folder = Path(shutil.copytree(sets / "random", tmp_path / "set"))
     for options in ({"seed": 1}, {"difficulty": 0}):
         with pytest.raises(InputError, match="other settings") as refused:
@@ -132,10 +132,10 @@ def test_faults_of_a_data_set_are_listed(sets: Path, tmp_path: Path) -> None:
 @pytest.mark.parametrize(
     ("wrong", "error", "message"),
     [
-        ({"mode": "medium"}, ValueError, 'mode is one of "easy", "hard", not "medium"'),
-        ({"split": "all"}, ValueError, "split is one of"),
-        ({"agents": "few"}, ValueError, "agents is one of"),
-        ({"pack_mode": "both"}, ValueError, "pack_mode is one of"),
+        ({"mode": "medium"}, ValueError, 'mode must be one of "easy", "hard", not "medium"'),
+        ({"split": "all"}, ValueError, "split must be one of"),
+        ({"agents": "few"}, ValueError, "agents must be one of"),
+        ({"pack_mode": "both"}, ValueError, "pack_mode must be one of"),
         ({"worlds": 0}, ValueError, "worlds: expected 1 to 100000, not 0"),
         ({"first_world": 100_000}, ValueError, "first_world: expected 0 to 99999"),
         ({"difficulty": 101}, ValueError, "difficulty: expected 0 to 100, not 101"),
@@ -147,9 +147,7 @@ def test_faults_of_a_data_set_are_listed(sets: Path, tmp_path: Path) -> None:
         ({"folder": __file__}, FileExistsError, "a file has this name"),
     ],
 )
-def test_wrong_arguments_are_refused(
-    wrong: dict[str, Any], error: type[Exception], message: str, tmp_path: Path
-) -> None:
+def test_invalid_arguments_raise(wrong: dict[str, Any], error: type[Exception], message: str, tmp_path: Path) -> None:
     given: dict[str, Any] = {"folder": tmp_path / "set", "mode": "easy", "split": "val", "worlds": 1, "images": False}
     make: Callable[..., VapDataset] = make_dataset
     with pytest.raises(error, match=message):
@@ -157,7 +155,7 @@ def test_wrong_arguments_are_refused(
     assert not (tmp_path / "set").exists()
 
 
-def test_a_faulty_pack_is_refused(tmp_path: Path) -> None:
+def test_invalid_packs_raise(tmp_path: Path) -> None:
     (tmp_path / "pack" / "tram").mkdir(parents=True)
     (tmp_path / "pack" / "tram" / "1.svg").write_text(ICON)
     with pytest.raises(ValueError, match="there is no class `tram`"):

@@ -23,7 +23,7 @@ def few() -> Demonstrations:
 
 
 @pytest.mark.parametrize("mode", list(ENVIRONMENTS))
-def test_every_mode_has_a_hundred(mode: str) -> None:
+def test_every_mode_has_a_hundred_demonstrations(mode: str) -> None:
     trajectories = demonstrations(mode)
     assert len(trajectories) == 100
     env = gymnasium.make(ENVIRONMENTS[mode], split="train")
@@ -39,12 +39,12 @@ def test_every_mode_has_a_hundred(mode: str) -> None:
         assert steps == oracle["steps"] and trajectory.rewards.sum() == pytest.approx(oracle["return"])
 
 
-def test_they_print_short(few: Demonstrations) -> None:
+def test_demonstrations_have_a_short_repr(few: Demonstrations) -> None:
     steps = sum(len(trajectory) for trajectory in few)
     assert repr(few) == f"<Demonstrations of easy, train: 6 trajectories, {steps} steps>"
 
 
-def test_they_can_be_driven_again(few: Demonstrations) -> None:
+def test_demonstrations_can_be_replayed(few: Demonstrations) -> None:
     env = gymnasium.make(few.env)
     for trajectory in few:
         observation, _ = env.reset(options={"episode": trajectory.episode})
@@ -55,13 +55,15 @@ def test_they_can_be_driven_again(few: Demonstrations) -> None:
         assert (observation == trajectory.observations[-1]).all()
 
 
-def test_a_city_of_ones_own_gives_them_too(own_city: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_demonstrations_of_a_configuration_file(
+    own_city: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
     own, easy = demonstrations(own_city, split="val"), demonstrations("easy", 5, "val")
     assert len(own) == 5 and own.mode == str(own_city) and own.atoms == easy.atoms
     for one, other in zip(own, easy, strict=True):
         assert (one.observations == other.observations).all() and (one.actions == other.actions).all()
     assert [folder.name for folder in own.to_popper(tmp_path)] == ["stop"]
-    # The environment is found from elsewhere, though the path was relative.
+    # The spec of the environment works in another directory, although the path was relative.
     monkeypatch.chdir(own_city.parent)
     spec = demonstrations(own_city.name, 1, "val").env
     monkeypatch.chdir("/")
@@ -84,7 +86,7 @@ def test_a_city_of_ones_own_gives_them_too(own_city: Path, tmp_path: Path, monke
         ({"mode": "easy", "overrides": {"task": {"horizon": 0}}}, logicity.InputError),
     ],
 )
-def test_faulty_wishes_are_refused(arguments: dict[str, Any], error: type[Exception]) -> None:
+def test_invalid_arguments_raise(arguments: dict[str, Any], error: type[Exception]) -> None:
     with pytest.raises(error):
         demonstrations(**arguments)
 
@@ -103,7 +105,7 @@ def read_facts(file: Path) -> dict[str, set[tuple[str, ...]]]:
     return facts
 
 
-def test_the_rules_of_easy_mode_hold_of_what_popper_reads(few: Demonstrations, tmp_path: Path) -> None:
+def test_easy_rules_hold_in_the_popper_files(few: Demonstrations, tmp_path: Path) -> None:
     (folder,) = few.to_popper(tmp_path / "ilp")
     facts = read_facts(folder / "bk.pl")
     examples = [line[:-2].split("(") for line in (folder / "exs.pl").read_text().splitlines()]
@@ -118,7 +120,7 @@ def test_the_rules_of_easy_mode_hold_of_what_popper_reads(few: Demonstrations, t
     assert stops == positive
 
 
-#: Loads the files as Popper does, and tells how many examples S1, and S1, S2 or S7 of rules/easy.dl cover.
+#: Loads the files as Popper does, and counts the examples that rules of rules/easy.dl cover: S1; and S1, S2 or S7.
 PROLOG = """
 :- [bk], [exs], [bias].
 
@@ -137,7 +139,7 @@ main :-
 """
 
 
-def test_prolog_reads_what_popper_reads(tmp_path: Path) -> None:
+def test_prolog_reads_the_popper_files(tmp_path: Path) -> None:
     swipl = shutil.which("swipl")
     if swipl is None:
         pytest.skip("needs SWI-Prolog: `apt-get install swi-prolog-nox`")
@@ -152,7 +154,7 @@ def test_prolog_reads_what_popper_reads(tmp_path: Path) -> None:
     assert 0 < s1 < all_rules == positive and s1_wrong == wrong == 0
 
 
-def test_negation_is_given_as_facts(few: Demonstrations, tmp_path: Path) -> None:
+def test_false_atoms_are_explicit_facts(few: Demonstrations, tmp_path: Path) -> None:
     (folder,) = few.to_popper(tmp_path)
     facts = read_facts(folder / "bk.pl")
     seen = defaultdict(set)
@@ -169,7 +171,7 @@ def test_negation_is_given_as_facts(few: Demonstrations, tmp_path: Path) -> None
     assert len(bias) == 2 + 2 * len({name for name, _ in few.atoms})
 
 
-def test_expert_rules_ask_three_actions(tmp_path: Path) -> None:
+def test_expert_rules_require_three_actions(tmp_path: Path) -> None:
     written = demonstrations("expert", 4).to_popper(tmp_path, distinct=True)
     assert [folder.name for folder in written] == ["slow", "fast", "stop"]
     counts = {len((folder / "exs.pl").read_text().splitlines()) for folder in written}
@@ -179,7 +181,7 @@ def test_expert_rules_ask_three_actions(tmp_path: Path) -> None:
     assert sorted(path.name for path in tmp_path.iterdir()) == ["fast", "slow", "stop"]
 
 
-def test_states_are_no_facts(tmp_path: Path) -> None:
+def test_state_observations_cannot_be_exported_to_popper(tmp_path: Path) -> None:
     trajectories = demonstrations("easy", 1, observation="state")
     assert trajectories[0].observations.shape[1:] == (20, 15)
     with pytest.raises(ValueError):
@@ -205,7 +207,7 @@ def test_a_table_has_every_step(observation: ObservationKind, tmp_path: Path) ->
 
 
 @pytest.mark.parametrize("mode", list(ENVIRONMENTS))
-def test_minari_gives_back_data_and_environment(mode: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_minari_restores_data_and_environment(mode: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     minari = pytest.importorskip("minari", reason="needs the extra `offline`: `make python-all` installs it")
     monkeypatch.setenv("MINARI_DATASETS_PATH", str(tmp_path))
     trajectories = demonstrations(mode, 2)
@@ -225,7 +227,7 @@ def test_minari_gives_back_data_and_environment(mode: str, tmp_path: Path, monke
         trajectories.to_minari(**author)
 
 
-def test_minari_takes_a_city_of_ones_own(own_city: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_minari_stores_a_configuration_file(own_city: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     minari = pytest.importorskip("minari", reason="needs the extra `offline`: `make python-all` installs it")
     monkeypatch.setenv("MINARI_DATASETS_PATH", str(tmp_path))
     trajectories = demonstrations(own_city, split="val")

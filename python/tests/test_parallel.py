@@ -14,17 +14,17 @@ from pettingzoo.test import parallel_api_test, parallel_seed_test  # noqa: E402
 
 
 @pytest.mark.parametrize("mode", list(logicity.MODES.values()))
-def test_pettingzoo_has_nothing_to_say_against(mode: str) -> None:
+def test_pettingzoo_checks_pass(mode: str) -> None:
     parallel_api_test(logicity.parallel_env(mode), num_cycles=300)
     parallel_seed_test(lambda: logicity.parallel_env(mode), num_cycles=100)
 
 
-def test_options_that_there_are_not_are_reported() -> None:
+def test_unknown_options_raise() -> None:
     with pytest.raises(TypeError, match="no option `episodes`; known: split, .*, render_mode$"):
         logicity.parallel_env("easy", episodes="recorded")
 
 
-def test_cars_that_have_ended_go_on_by_the_rules() -> None:
+def test_finished_cars_follow_the_rules() -> None:
     env = logicity.parallel_env("expert", observation="state", render_mode="ansi")
     observations, infos = env.reset(seed=3)
     assert list(observations) == env.agents == env.possible_agents == [f"Car_{number}" for number in range(1, 8)]
@@ -32,7 +32,7 @@ def test_cars_that_have_ended_go_on_by_the_rules() -> None:
     ended: set[str] = set()
     while env.agents:
         wanted: dict[str, Any] = {name: infos[name]["oracle_action"] for name in env.agents}
-        # One of them does not listen.
+        # Car_1 disobeys the oracle.
         wanted.update({name: 3 - wanted[name] for name in ("Car_1",) if name in wanted})
         observations, rewards, terminated, truncated, infos = env.step(wanted)
         assert observations.keys() == rewards.keys() == terminated.keys() == truncated.keys() == infos.keys()
@@ -47,7 +47,7 @@ def test_cars_that_have_ended_go_on_by_the_rules() -> None:
     assert env.explain("Car_2").startswith("tick 0: Car_2 at [")
 
 
-def test_wrong_use_is_reported() -> None:
+def test_invalid_use_raises() -> None:
     env = logicity.parallel_env("easy")
     with pytest.raises(ResetNeeded):
         env.step({})
@@ -58,7 +58,7 @@ def test_wrong_use_is_reported() -> None:
     infos = env.step(dict.fromkeys(env.agents, 1))[4]
     assert isinstance(env.reset(seed=0)[1]["Car_1"]["seed"], np.uint64)
     assert isinstance(infos["Car_1"]["seed"], np.uint64)
-    with pytest.raises(ValueError, match="no car `Car_77`; (did you mean|there are)"):
+    with pytest.raises(ValueError, match="unknown car `Car_77`; (did you mean|there are)"):
         env.explain("Car_77")
     with pytest.raises(ValueError, match="mapping"):
         env.reset(options={"episode": 1})

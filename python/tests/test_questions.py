@@ -23,7 +23,7 @@ def made_up(count: int) -> list[Question]:
     return [Question(str(n), "Decide.", (), f"Scene {n}?", ACTIONS, "ABCD"[n % 4]) for n in range(count)]
 
 
-def test_questions_are_read_and_are_what_the_rules_say() -> None:
+def test_loaded_questions_agree_with_the_rules() -> None:
     questions = load_questions(QUESTIONS)
     lines = [json.loads(line) for line in QUESTIONS.read_text(encoding="utf-8").splitlines()]
     assert len(questions) == len(lines) == 8
@@ -114,14 +114,14 @@ def test_any_text_is_a_reply() -> None:
         assert read_letter(reply) in (None, "A", "B", "C", "D")
 
 
-def test_the_oracle_scores_all_and_a_guesser_a_quarter() -> None:
+def test_the_oracle_scores_one_and_guessing_a_quarter() -> None:
     questions = made_up(2000)
     oracle = grade(questions, {question.id: question.answer for question in questions})
     assert oracle.overall.correct == 2000 and oracle.overall.accuracy.value == 1.0
     assert all(recall.accuracy.value == 1.0 for recall in oracle.by_action.values())
     draws = random.Random(7)
     guesser = grade(questions, {question.id: f"Answer: {draws.choice('ABCD')}" for question in questions})
-    # Four standard deviations of a binomial with a quarter are 77.
+    # Four standard deviations of the binomial distribution with p = 1/4 are 77.
     assert abs(guesser.overall.correct - 500) < 77
     assert guesser.overall.accuracy.low < 0.25 < guesser.overall.accuracy.high
     for letter in "ABCD":
@@ -136,7 +136,7 @@ def test_a_grade_counts_every_question_once() -> None:
     assert (graded.missing, graded.unread, graded.unknown) == (("3", "5"), ("2",), ("9",))
     assert graded.confusion["B"] == {"A": 0, "B": 0, "C": 1, "D": 0, "unread": 0, "missing": 1}
     assert sum(sum(row.values()) for row in graded.confusion.values()) == 6
-    # Wilson's interval of 2 of 6, by hand: centre (1/3 + z²/12) / (1 + z²/6) and so on.
+    # The Wilson interval of 2 of 6, computed by hand: its center is (1/3 + z²/12) / (1 + z²/6).
     assert (round(graded.overall.accuracy.low, 4), round(graded.overall.accuracy.high, 4)) == (0.0968, 0.7000)
     assert json.loads(json.dumps(graded.to_dict()))["by_action"]["Slow"]["correct"] == 2
     assert list(grade(questions[:2], {}).by_action) == ["Slow", "Normal"]
@@ -155,22 +155,22 @@ def test_a_grade_counts_every_question_once() -> None:
         ),
         (
             QUESTIONS.read_text(encoding="utf-8").splitlines()[0] + "\n" + QUESTIONS.read_text(encoding="utf-8"),
-            ":2: the id",
+            ":2: duplicate id",
         ),
     ],
 )
-def test_faulty_questions_are_reported_with_their_line(text: str, message: str, tmp_path: Path) -> None:
+def test_invalid_questions_are_reported_with_their_line(text: str, message: str, tmp_path: Path) -> None:
     path = tmp_path / "questions.jsonl"
     path.write_text(text, encoding="utf-8")
     with pytest.raises(ValueError, match=message):
         load_questions(path)
 
 
-def test_faulty_answers_are_reported_with_their_line(tmp_path: Path) -> None:
+def test_invalid_answers_are_reported_with_their_line(tmp_path: Path) -> None:
     path = tmp_path / "answers.jsonl"
     for text, message in [
-        ('{"id": "a"}', ":1: expected a text as `answer`"),
-        ('{"id": "a", "answer": "A"}\n\n{"id": "a", "answer": "B"}', ":3: the id 'a' is answered twice"),
+        ('{"id": "a"}', ":1: expected a string `answer`"),
+        ('{"id": "a", "answer": "A"}\n\n{"id": "a", "answer": "B"}', ":3: second answer to the question 'a'"),
     ]:
         path.write_text(text, encoding="utf-8")
         with pytest.raises(ValueError, match=message):
@@ -179,7 +179,7 @@ def test_faulty_answers_are_reported_with_their_line(tmp_path: Path) -> None:
 
 @dataclass
 class Server:
-    """A chat endpoint on this machine. `act` is called for each request with its number; it replies as it likes."""
+    """A local chat endpoint. `act` replies to each request, and receives the number of the request."""
 
     act: Callable[[BaseHTTPRequestHandler, int, dict[str, Any]], None]
     requests: list[dict[str, Any]] = field(default_factory=list)
@@ -249,16 +249,16 @@ def test_all_questions_are_asked_and_graded(
     assert main(["grade", str(replies), *questions, "--json", str(figures)]) == 0
     assert capsys.readouterr().out == asked
     assert json.loads(figures.read_text())["overall"]["correct"] == 8
-    # Nothing is asked again.
+    # A second call sends no request.
     assert main(["ask", *questions, *arguments]) == 0 and len(server.requests) == 8
-    # Another model and other questions want another file.
+    # Another model, or other questions, need another file.
     assert main(["ask", *questions, *arguments[:3], "other", *arguments[4:]]) == 1
-    with pytest.raises(ValueError, match="which is no question here"):
+    with pytest.raises(ValueError, match="belongs to the unknown question"):
         ask(made_up(2), Endpoint(server.url, "oracle"), replies)
     assert len(server.requests) == 8
 
 
-def test_what_fails_is_tried_again(serve: Serve, tmp_path: Path) -> None:
+def test_transient_failures_are_retried(serve: Serve, tmp_path: Path) -> None:
     stalled = threading.Event()
 
     def act(handler: BaseHTTPRequestHandler, number: int, body: dict[str, Any]) -> None:
@@ -290,16 +290,16 @@ def test_what_fails_is_tried_again(serve: Serve, tmp_path: Path) -> None:
     assert server.keys == [None] * 10
 
 
-def test_what_was_replied_is_kept_when_the_server_gives_out(
+def test_earlier_replies_are_kept_when_the_server_fails(
     serve: Serve, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     path = tmp_path / "replies.jsonl"
     server = serve(lambda handler, number, _: say(handler, "A") if number < 2 else send(handler, 503, b"full"))
     endpoint = Endpoint(server.url, "stub", tries=3, pause=0.01)
-    with pytest.raises(ConnectionError, match="in 3 tries: 503 .*: full"):
+    with pytest.raises(ConnectionError, match="in 3 attempts: 503 .*: full"):
         ask(made_up(4), endpoint, path)
     assert len(server.requests) == 5 and list(load_answers(path)) == ["0", "1"]
-    # A run was killed while it wrote.
+    # A kill during a write leaves an incomplete line.
     with path.open("a", encoding="utf-8") as file:
         file.write('{"id": "2", "ans')
     server.act = lambda handler, number, _: say(handler, "D")
@@ -307,14 +307,14 @@ def test_what_was_replied_is_kept_when_the_server_gives_out(
     assert len(server.requests) == 7 and len(load_answers(path)) == 4
 
 
-def test_what_is_refused_is_not_tried_again(serve: Serve, tmp_path: Path) -> None:
+def test_rejected_requests_are_not_retried(serve: Serve, tmp_path: Path) -> None:
     other = serve(lambda handler, number, _: say(handler, "A"))
     for code, message in [(401, "401 .*: who are you"), (404, "404"), (302, "302"), (307, "307")]:
         server = serve(lambda handler, _, __, code=code: send(handler, code, b"who are you", Location=other.url))  # type: ignore[misc]
         with pytest.raises(ConnectionError, match=message):
             ask(made_up(1), Endpoint(server.url, "stub", key="sesame"), tmp_path / "replies.jsonl")
         assert len(server.requests) == 1
-    # A key follows no redirection.
+    # The key is not sent to the target of a redirect.
     assert other.requests == []
 
 
@@ -340,7 +340,7 @@ def test_errors_of_endpoints_do_not_show_the_key(
         main([*arguments, "--settings", "[1]"])
 
 
-def test_what_is_counted_as_wrong_is_reported(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+def test_missing_and_unreadable_answers_are_reported(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     questions = load_questions(QUESTIONS)
     answers = tmp_path / "answers.jsonl"
     replies = {questions[0].id: questions[0].answer, questions[1].id: "hm", "another": "A"}
@@ -350,8 +350,8 @@ def test_what_is_counted_as_wrong_is_reported(tmp_path: Path, capsys: pytest.Cap
     assert printed.out.splitlines()[-1].startswith("all           8          0.12 [0.02, 0.47]")
     left = ", ".join(question.id for question in questions[2:7])
     assert printed.err.splitlines() == [
-        f"counted as wrong, without an answer: 6: {left}, ...",
-        f"counted as wrong, with an answer that chooses no option: 1: {questions[1].id}",
-        "left out, answers to no question: 1: another",
+        f"counted as wrong, no answer: 6: {left}, ...",
+        f"counted as wrong, the answer chooses no option: 1: {questions[1].id}",
+        "ignored, unknown question: 1: another",
     ]
     assert main(["grade", str(tmp_path / "nowhere.jsonl")]) == 2

@@ -16,18 +16,18 @@ BLOCKS = {
 
 
 @pytest.mark.parametrize("block", BLOCKS)
-def test_the_python_of_readme_runs(
+def test_python_blocks_of_readmes_run(
     block: str, request: pytest.FixtureRequest, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     text = BLOCKS[block]
     if "import torch" in text:
         pytest.importorskip("torch", reason="needs the extra `vap`: `make python-all` installs it")
     if "vap-test" in text:
-        # What a shell command above it makes.
+        # A shell command in the README creates this data set.
         (tmp_path / "vap-test").symlink_to(request.getfixturevalue("shown"))
     monkeypatch.chdir(tmp_path)
     exec(compile(text, block, "exec"), {})
 
 
-def test_both_readmes_show_python() -> None:
+def test_both_readmes_have_python_blocks() -> None:
     assert len({name.split("-")[0] for name in BLOCKS}) == 2

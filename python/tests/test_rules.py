@@ -1,4 +1,4 @@
-"""Programs and sessions: what goes in and out, what is refused, and how long work is ended."""
+"""Programs and sessions: conversion of rows, errors, explanations, and cancellation."""
 
 from __future__ import annotations
 
@@ -48,18 +48,18 @@ def session(text: str, **options: int) -> Session:
     return Session(Program(text, "test.dl"), **options)
 
 
-def test_a_clean_text_has_no_diagnostics() -> None:
+def test_valid_rules_have_no_diagnostics() -> None:
     assert logicity.check('.include "vocabulary.dl"\nStop(X) :- IsCar(X), IsInInter(X).\n') == []
 
 
-def test_a_fault_is_reported_with_its_place() -> None:
+def test_errors_are_reported_with_their_location() -> None:
     (fault,) = logicity.check('.include "vocabulary.dl"\nStop(X) :- IsCarr(X).\n', "mine.dl")
     assert fault["code"] == "unknown-predicate"
     label = fault["labels"][0]
     assert (label["file"], label["line"], label["column"]) == ("mine.dl", 2, 12)
 
 
-def test_a_faulty_program_raises_all_its_faults() -> None:
+def test_an_invalid_program_raises_all_its_errors() -> None:
     with pytest.raises(InputError, match=r"mine\.dl:2:") as caught:
         Program(".decl a(x: number)\na(x) :- b(x).\n.decl c(x: number)\n.input c\na(x) :- !c(x).\n", "mine.dl")
     assert [fault["code"] for fault in caught.value.diagnostics] == ["unknown-predicate", "unbound-variable"]
@@ -89,7 +89,7 @@ def test_a_program_lists_its_relations_and_clauses() -> None:
     assert "3 clauses" in repr(program)
 
 
-def test_programs_are_loaded_from_files_and_built_in_ones(tmp_path: Path) -> None:
+def test_programs_are_loaded_from_files_and_built_in_files(tmp_path: Path) -> None:
     (tmp_path / "decls.dl").write_text(".decl a(x: number)\n.input a\n")
     (tmp_path / "main.dl").write_text('.include "decls.dl"\n.decl b(x: number)\nb(x) :- a(x).\n')
     program = Program.load(tmp_path / "main.dl")
@@ -106,7 +106,7 @@ def test_programs_are_loaded_from_files_and_built_in_ones(tmp_path: Path) -> Non
 
 
 @pytest.mark.parametrize("again", [lambda it: pickle.loads(pickle.dumps(it)), copy.deepcopy, copy.copy])
-def test_programs_are_pickled_with_all_their_texts(tmp_path: Path, again: Callable[[Program], Program]) -> None:
+def test_pickled_programs_keep_their_source_text(tmp_path: Path, again: Callable[[Program], Program]) -> None:
     (tmp_path / "decls.dl").write_text(".decl a(x: number)\n.input a\n")
     (tmp_path / "main.dl").write_text(
         '.include "decls.dl"\n.include "vocabulary.dl"\n.decl b(x: number)\nb(x) :- a(x).\n'
@@ -179,7 +179,7 @@ FIELDS = {"s": ["a", "b", ""], "n": [-1, 2**31 - 1, -(2**31)], "u": [0, 2**32 - 
     ],
     ids=["tuples", "iterator", "numpy scalars", "structured", "reordered", "unaligned", "mapping", "strided"],
 )
-def test_rows_come_in_many_forms(rows: Any) -> None:
+def test_insert_accepts_many_forms_of_rows(rows: Any) -> None:
     held = session(ALL)
     assert held.insert("all", rows) == 3
     held.insert("flag", [()])
@@ -189,7 +189,7 @@ def test_rows_come_in_many_forms(rows: Any) -> None:
     columns = held.columns("copy")
     assert [columns[name].dtype for name in "snuf"] == [np.dtype(object), np.int32, np.uint32, np.float32]
     assert set(zip(*(columns[name].tolist() for name in "snuf"), strict=True)) == expected
-    # What comes out goes in again.
+    # `retract` accepts the output of `columns`.
     held.retract("all", columns)
     held.commit()
     assert held.rows("copy") == []
@@ -206,7 +206,7 @@ def test_homogeneous_arrays_of_rows() -> None:
     assert held.rows("s") == [("a", "b"), ("c", "d")]
 
 
-def test_floats_are_rounded_and_not_a_number_is_one() -> None:
+def test_floats_are_rounded_and_all_nans_are_equal() -> None:
     held = session(".decl f(x: float)\n.input f\n")
     held.insert("f", [(0.1,), (float("nan"),), (-float("nan"),), (0.0,), (-0.0,), (3,)])
     held.insert("f", np.array([[np.nan], [1e-60]]))
@@ -219,16 +219,16 @@ def test_floats_are_rounded_and_not_a_number_is_one() -> None:
 BAD = [
     ("edje", [("a", "b")], KeyError, "did you mean `edge`"),
     ("path", [("a", "b")], ValueError, "derived by rules"),
-    ("edge", [("a",)], ValueError, "row 0: a row of `edge` has 2 values, not 1"),
-    ("edge", [("a", "b"), ("a", "b", "c")], ValueError, "row 1: a row of `edge` has 2 values, not 3"),
+    ("edge", [("a",)], ValueError, "row 0: a row of `edge` must have 2 values, not 1"),
+    ("edge", [("a", "b"), ("a", "b", "c")], ValueError, "row 1: a row of `edge` must have 2 values, not 3"),
     ("edge", [("a", 1)], TypeError, "column `y` of `edge` holds symbols"),
     ("edge", ["ab"], TypeError, "not a str"),
     ("edge", "ab", TypeError, "not a str"),
     ("edge", [1], TypeError, "not iterable|cannot be|int"),
     ("edge", 1, TypeError, "not iterable|cannot be|int"),
-    ("edge", {"x": ["a"]}, ValueError, r"the columns of `edge` are \[x, y\], not \[x\]"),
-    ("edge", {"x": ["a"], "z": ["b"]}, ValueError, "the columns of"),
-    ("edge", {"x": ["a", "b"], "y": ["b"]}, ValueError, "expected 2 of them"),
+    ("edge", {"x": ["a"]}, ValueError, r"expected the columns \[x, y\] of `edge`, not \[x\]"),
+    ("edge", {"x": ["a"], "z": ["b"]}, ValueError, "expected the columns"),
+    ("edge", {"x": ["a", "b"], "y": ["b"]}, ValueError, r"expected an array of shape \(2,\), not \(1,\)"),
     ("edge", np.array([[1, 2]]), TypeError, "dtype int64"),
     ("edge", np.array([["a", 1]], dtype=object), TypeError, "row 0"),
     ("edge", np.array(["a", "b"]), ValueError, r"shape \(n, 2\)"),
@@ -254,7 +254,7 @@ BAD = [
 
 
 @pytest.mark.parametrize(("relation", "rows", "kind", "message"), BAD)
-def test_bad_rows_are_refused(relation: str, rows: Any, kind: type[Exception], message: str) -> None:
+def test_invalid_rows_raise(relation: str, rows: Any, kind: type[Exception], message: str) -> None:
     text = PATH + ".decl n(x: number)\n.input n\n.decl u(x: unsigned)\n.input u\n.decl f(x: float)\n.input f\n"
     held = session(text)
     for change in (held.insert, held.retract):
@@ -264,7 +264,7 @@ def test_bad_rows_are_refused(relation: str, rows: Any, kind: type[Exception], m
     assert held.commit() == {}
 
 
-def test_what_an_iterator_raises_is_raised() -> None:
+def test_exceptions_of_iterators_propagate() -> None:
     def rows() -> Any:
         yield ("a", "b")
         raise LookupError("mine")
@@ -273,7 +273,7 @@ def test_what_an_iterator_raises_is_raised() -> None:
     with pytest.raises(LookupError, match="mine"):
         held.insert("edge", rows())
     assert held.commit() == {}
-    # It may even ask the session it is for.
+    # The iterator may query the same session.
     held.insert("edge", (("a", str(held.count("path"))) for _ in range(3)))
     assert held.commit()["path"].added == [("a", "0")]
 
@@ -284,7 +284,7 @@ def test_unknown_predicates_are_key_errors(ask: Callable[[Session, str], object]
         ask(session(PATH), "pth")
 
 
-def test_why_a_fact_holds_and_why_not() -> None:
+def test_explanations_of_facts() -> None:
     held = session(PATH)
     held.insert("edge", [("a", "b"), ("b", "c")])
     held.commit()
@@ -310,7 +310,7 @@ def test_why_a_fact_holds_and_why_not() -> None:
         held.explain("pth", ("a", "b"))
 
 
-def test_the_work_log_counts_rows() -> None:
+def test_commit_statistics_count_rows() -> None:
     held = session(PATH)
     assert held.work == []
     held.insert("edge", [(str(n), str(n + 1)) for n in range(50)])
@@ -329,7 +329,7 @@ def test_the_work_log_counts_rows() -> None:
     assert "edge" in held.plan()
 
 
-def test_threads_change_nothing() -> None:
+def test_threads_do_not_affect_results() -> None:
     edges = np.random.default_rng(7).integers(0, 300, (900, 2))
     text = PATH.replace("symbol", "number")
     one, three = session(text), session(text, threads=3)
@@ -360,7 +360,7 @@ def test_options_out_of_range() -> None:
             session(PATH, **options)
 
 
-def test_sessions_are_not_pickled() -> None:
+def test_sessions_cannot_be_pickled() -> None:
     for copied in (pickle.dumps, copy.copy, copy.deepcopy):
         with pytest.raises(TypeError, match="pickle its program"):
             copied(session(PATH))
@@ -377,7 +377,7 @@ def test_ctrl_c_ends_a_commit_at_once(threads: int, ctrl_c: Interrupt) -> None:
     assert held.commit() == {}
 
 
-def test_a_session_is_for_one_thread_at_a_time_and_lets_others_run() -> None:
+def test_concurrent_use_of_a_session_raises_and_commits_release_the_gil() -> None:
     held = session(ENDLESS, max_steps=400_000)
     held.insert("seed", [(0,)])
     raised: list[BaseException] = []
@@ -395,7 +395,7 @@ def test_a_session_is_for_one_thread_at_a_time_and_lets_others_run() -> None:
         try:
             held.count("n")
         except RuntimeError as error:
-            assert "in use in another thread" in str(error)
+            assert "another thread is using" in str(error)
             refused += 1
         time.sleep(0.001)
     worker.join()
@@ -404,7 +404,7 @@ def test_a_session_is_for_one_thread_at_a_time_and_lets_others_run() -> None:
     assert held.count("n") == 0
 
 
-def test_random_changes_agree_with_sets() -> None:
+def test_random_changes_agree_with_python_sets() -> None:
     rng = random.Random(5)
     held = session(
         ".decl e(x: number, y: number)\n.input e\n.decl p(x: number, y: number)\np(x, y) :- e(x, z), e(z, y).\n"

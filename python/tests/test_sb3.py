@@ -16,11 +16,11 @@ from logicity.sb3 import SPFVecEnv, make_vec_env  # noqa: E402
 
 
 @pytest.mark.parametrize("mode", list(logicity.MODES))
-def test_stable_baselines_has_nothing_to_say_against(mode: str) -> None:
+def test_stable_baselines_checker_passes(mode: str) -> None:
     check_env(gymnasium.make(f"logicity/SPF-{mode}-v0").unwrapped)
 
 
-def test_it_goes_as_the_wrapper_of_stable_baselines_would() -> None:
+def test_results_equal_those_of_dummy_vec_env() -> None:
     count = 5
     ours = make_vec_env("hard", count, seed=3, monitor=False, atoms=True)
     theirs = DummyVecEnv([lambda: SPFEnv("hard", atoms=True)] * count)
@@ -39,7 +39,7 @@ def test_it_goes_as_the_wrapper_of_stable_baselines_would() -> None:
                 assert info.pop("is_success") == expected["success"]
                 ends += 1
             else:
-                # The wrapper writes this key in every step.
+                # `DummyVecEnv` writes this key in every step.
                 expected.pop("TimeLimit.truncated")
             assert info == expected
     assert ends > 50
@@ -55,7 +55,7 @@ def test_episodes_can_be_chosen() -> None:
     assert len(envs.env_method("explain")) == 2
 
 
-def test_it_trains() -> None:
+def test_dqn_trains() -> None:
     envs = logicity.sb3.make_vec_env("easy", 4, seed=0)
     assert isinstance(envs, VecMonitor)
     model = DQN("MlpPolicy", envs, learning_starts=100, seed=0)
@@ -63,6 +63,6 @@ def test_it_trains() -> None:
     assert model.ep_info_buffer
 
 
-def test_other_modes_are_refused() -> None:
+def test_other_autoreset_modes_raise() -> None:
     with pytest.raises(ValueError, match="SameStep"):
         SPFVecEnv(SPFVectorEnv(2, "easy"))

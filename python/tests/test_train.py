@@ -15,7 +15,7 @@ from logicity import train as training  # noqa: E402
 from logicity.sb3 import SPFVecEnv, make_vec_env  # noqa: E402
 from logicity.train import ALGORITHMS, TrainConfig, load_model, train  # noqa: E402
 
-#: A configuration up to its settings.
+#: A configuration without the values of its settings.
 GIVEN = "algorithm: dqn\nmode: easy\nnetwork: [8]\nsettings: "
 BASELINES = Path(__file__).parents[2] / "configs" / "baselines"
 SETTINGS = {
@@ -46,7 +46,7 @@ def test_every_mode_of_the_paper_has_a_configuration_for_every_algorithm() -> No
     for file in BASELINES.glob("*.yaml"):
         config = TrainConfig.load(file)
         if config.algorithm == "ppo":
-            # Else Stable-Baselines3 warns of batches that are cut short.
+            # Otherwise Stable-Baselines3 warns about truncated batches.
             assert config.settings["n_steps"] * config.envs % config.settings["batch_size"] == 0
     expert = TrainConfig.load(BASELINES / "ppo-expert.yaml")
     assert (
@@ -56,9 +56,7 @@ def test_every_mode_of_the_paper_has_a_configuration_for_every_algorithm() -> No
 
 
 @pytest.mark.parametrize("algorithm", list(ALGORITHMS))
-def test_a_short_run_leaves_all_that_is_constraintd(
-    algorithm: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_a_short_run_leaves_all_files(algorithm: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     run = tmp_path / "run"
     result = train(short(algorithm), run)
     assert json.loads((run / "result.json").read_text()) == json.loads(json.dumps(result))
@@ -78,7 +76,7 @@ def test_a_short_run_leaves_all_that_is_constraintd(
     assert capsys.readouterr().out.splitlines()[1].startswith("best")
 
 
-def test_configurations_are_found_where_there_is_no_repository(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_built_in_configurations_need_no_repository(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     files = sorted(BASELINES.glob("*.yaml"))
     monkeypatch.chdir(tmp_path)
     assert files
@@ -93,7 +91,7 @@ class Killed(Exception):
 
 
 @pytest.mark.parametrize("algorithm", ["dqn", "ppo"])
-def test_a_killed_run_goes_on(algorithm: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_killed_run_resumes(algorithm: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     checkpoint = training.Validation._checkpoint
 
     def kill(self: Any) -> None:
@@ -107,7 +105,7 @@ def test_a_killed_run_goes_on(algorithm: str, tmp_path: Path, monkeypatch: pytes
     (left,) = tmp_path.glob("checkpoint-*")
     state = json.loads((left / "state.json").read_text())
     assert 200 <= state["steps"] < 400 and not (tmp_path / "result.json").exists()
-    # A kill in the middle of the next checkpoint leaves an unfinished folder, which counts for nothing.
+    # A kill during the next checkpoint leaves an incomplete temporary folder, which is ignored.
     (tmp_path / ".checkpoint-0000000400").mkdir()
     seeds: list[set[int]] = []
     reset = SPFVecEnv.reset
@@ -130,19 +128,19 @@ def test_a_killed_run_goes_on(algorithm: str, tmp_path: Path, monkeypatch: pytes
         monkeypatch.setattr(dqn, "load_replay_buffer", watch)
     result = train(short(algorithm), tmp_path)
     assert result["validations"][0] == state["validations"][0] and 512 <= result["steps"] < 640
-    # The step that was validated is not in the buffer yet.
+    # At validation, the replay buffer does not have the last step yet.
     assert loaded == ([state["steps"] - 2] if algorithm == "dqn" else [])
     with pytest.raises(ValueError, match="another configuration"):
         train(short(algorithm).model_copy(update={"seed": 1}), tmp_path)
-    # It does not begin with the episodes that it has begun with before.
+    # The resumed run starts with other episodes than an uninterrupted one.
     train(short(algorithm), tmp_path / "whole")
-    went_on, whole = seeds
-    assert len(went_on | whole) == 4
+    resumed, whole = seeds
+    assert len(resumed | whole) == 4
     make_vec_env("easy", 2, state["steps"]).reset()
-    assert seeds[2] == went_on
+    assert seeds[2] == resumed
 
 
-def test_the_same_seed_learns_the_same(tmp_path: Path) -> None:
+def test_the_same_seed_gives_the_same_model(tmp_path: Path) -> None:
     def weights(seed: int, name: str) -> Any:
         train(short("dqn").model_copy(update={"seed": seed}), tmp_path / name, tensorboard=False)
         (checkpoint,) = (tmp_path / name).glob("checkpoint-*")
@@ -183,7 +181,7 @@ def test_the_network_has_the_layers_of_the_configuration(tmp_path: Path) -> None
         ("base: config.yaml", "builds on itself"),
     ],
 )
-def test_faulty_configurations_are_reported(
+def test_invalid_configurations_raise(
     text: str, message: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     (tmp_path / "config.yaml").write_text(text)
@@ -193,7 +191,7 @@ def test_faulty_configurations_are_reported(
     assert "config.yaml" in capsys.readouterr().err and not (tmp_path / "run").exists()
 
 
-def test_every_fault_is_reported_with_its_place(tmp_path: Path) -> None:
+def test_every_error_is_reported_with_its_location(tmp_path: Path) -> None:
     (tmp_path / "base.yaml").write_text("algorithm: dqn\nmode: easy\nnetwork: [8, 0]\nsettings: {gamma: x, tau: 0.5}\n")
     (tmp_path / "config.yaml").write_text(
         "base: base.yaml\nmode: hart\nsteps: 0\nepoch: 3\nsettings:\n  train_freq: [4, 5]\n"
@@ -212,7 +210,7 @@ def test_every_fault_is_reported_with_its_place(tmp_path: Path) -> None:
         ("invalid-value", "config.yaml", 6, 15),
         ("invalid-value", "base.yaml", 3, 14),
         ("invalid-value", "base.yaml", 4, 19),
-        # The seed of the command line has no place in a file.
+        # A seed from the command line has no location in a file.
         ("invalid-value", "config.yaml", 1, 1),
     }
     assert "unknown mode `hart`; did you mean `hard`?" in str(caught.value)
@@ -232,11 +230,11 @@ def test_a_base_is_merged_mapping_by_mapping(tmp_path: Path) -> None:
 @pytest.mark.parametrize(
     ("algorithm", "setting", "message"),
     [
-        ("ppo", {"batch_size": 1}, "`settings`: PPO cannot be made with them: `batch_size` must be greater than 1"),
-        ("dqn", {"learning_rate": -1.0}, "`settings`: DQN cannot be made with them: Invalid learning rate: -1.0"),
+        ("ppo", {"batch_size": 1}, "PPO rejects the `settings`: `batch_size` must be greater than 1"),
+        ("dqn", {"learning_rate": -1.0}, "DQN rejects the `settings`: Invalid learning rate: -1.0"),
     ],
 )
-def test_settings_that_the_algorithm_refuses_leave_no_run(
+def test_rejected_settings_leave_no_run(
     algorithm: str, setting: dict[str, Any], message: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     file, run = tmp_path / "config.json", tmp_path / "run"
@@ -252,16 +250,16 @@ def test_settings_that_the_algorithm_refuses_leave_no_run(
     ("text", "number"),
     [("3e-5", 3e-5), ("3E5", 3e5), ("-1e+2", -100.0), (".5e1", 5.0), ("2.e1", 20.0), ("3.0e-5", 3e-5), ("1", 1)],
 )
-def test_numbers_are_read_as_they_are_meant(text: str, number: float, tmp_path: Path) -> None:
+def test_numbers_in_scientific_notation_are_floats(text: str, number: float, tmp_path: Path) -> None:
     (tmp_path / "config.yaml").write_text(
         f"algorithm: dqn\nmode: easy\nnetwork: [8]\nsettings: {{learning_rate: {text}}}"
     )
     assert TrainConfig.load(tmp_path / "config.yaml").settings["learning_rate"] == number
 
 
-def test_other_files_are_no_models(tmp_path: Path) -> None:
+def test_other_files_are_not_models(tmp_path: Path) -> None:
     (tmp_path / "text.zip").write_text("no archive")
-    with pytest.raises(ValueError, match="no model"):
+    with pytest.raises(ValueError, match="is not a"):
         load_model(tmp_path / "text.zip")
     with pytest.raises(OSError):
         load_model(tmp_path / "none.zip")

@@ -50,7 +50,7 @@ def drawn(sets: Path) -> VapDataset:
 
 @pytest.fixture
 def own(sets: Path, tmp_path: Path) -> Path:
-    """A copy of a data set to be damaged."""
+    """A copy of a data set that the test may damage."""
     return Path(shutil.copytree(sets / "hard", tmp_path / "own"))
 
 
@@ -61,7 +61,7 @@ def test_samples_are_by_world_and_tick(hard: VapDataset, drawn: VapDataset) -> N
     for samples, worlds in ((hard, 2), (drawn, 3)):
         wanted = [(world, tick) for world in range(worlds) for tick in range(11, 100)]
         assert [(sample.world, sample.tick) for sample in samples] == wanted and len(samples) == len(wanted)
-    assert len({len(sample.names) for sample in drawn}) > 1, "these tests want worlds of different sizes"
+    assert len({len(sample.names) for sample in drawn}) > 1, "the tests need worlds of different sizes"
     assert (hard[-1].world, hard[-1].tick) == (1, 99)
     for index in (178, -179):
         with pytest.raises(IndexError):
@@ -89,7 +89,7 @@ def test_arrays_have_their_shapes_and_types(drawn: VapDataset) -> None:
         assert sample.sees.diagonal().all() and not sample.binary.diagonal().any()
 
 
-def test_what_is_read_is_ones_own(hard: VapDataset) -> None:
+def test_arrays_of_samples_are_copies(hard: VapDataset) -> None:
     before = hard[5]
     for name in ("boxes", "h", "unary", "binary", "sees", "actions", "mask"):
         getattr(hard[5], name)[:] = 1
@@ -97,12 +97,12 @@ def test_what_is_read_is_ones_own(hard: VapDataset) -> None:
 
 
 def alike(one: VapSample, other: VapSample) -> bool:
-    """Whether two samples are the same."""
+    """Return whether two samples are equal."""
     values = [(getattr(one, name), getattr(other, name)) for name in one.__dataclass_fields__]
     return all(np.array_equal(a, b, equal_nan=np.asarray(a).dtype == np.float32) for a, b in values)
 
 
-def test_the_columns_of_predicates_are_those_they_are_named_by(hard: VapDataset) -> None:
+def test_columns_of_predicates_match_their_names(hard: VapDataset) -> None:
     concepts = ["ambulance", "bus", "police", "tiro", "reckless", "old", "young"]
     for sample in hard:
         of = dict(zip(UNARY, sample.unary.T, strict=True))
@@ -125,7 +125,7 @@ def test_the_rules_derive_every_label(name: str, sets: Path) -> None:
     assert (rule_actions(samples) == labels).all()
 
 
-def test_a_sample_is_what_the_tables_say(sets: Path) -> None:
+def test_samples_equal_the_tables(sets: Path) -> None:
     parquet = pytest.importorskip("pyarrow.parquet", reason="needs the extra `offline`: `make python-all` installs it")
     samples = iter(VapDataset(sets / "random", images=False))
     for world in range(3):
@@ -161,14 +161,14 @@ def test_a_sample_is_what_the_tables_say(sets: Path) -> None:
     assert HEADINGS == ("Left", "Right", "Up", "Down")
 
 
-def test_node_vectors_are_shares(hard: VapDataset, drawn: VapDataset) -> None:
+def test_node_vectors_are_normalized(hard: VapDataset, drawn: VapDataset) -> None:
     for sample in (*hard, *drawn):
         assert (sample.h >= 0).all() and (sample.h <= 1).all() and (sample.h[:, 2:4] > 0).all()
         assert (sample.h[:, 4:8].sum(1) <= 1).all() and sample.h[:, 8].max() == 1
         assert (sample.h[:, :4] * PICTURE_SIDE == sample.boxes).all()
 
 
-def test_entities_outside_have_no_box(own: Path, tmp_path: Path) -> None:
+def test_entities_outside_the_picture_have_no_box(own: Path, tmp_path: Path) -> None:
     pyarrow = pytest.importorskip("pyarrow", reason="needs the extra `offline`: `make python-all` installs it")
     parquet = pytest.importorskip("pyarrow.parquet")
     path = own / "world-00000" / "entities.parquet"
@@ -193,7 +193,7 @@ def image_of(sample: VapSample) -> NDArray[np.uint8]:
     return sample.image
 
 
-def test_pictures_are_those_of_their_samples(shown: Path) -> None:
+def test_samples_have_their_pictures(shown: Path) -> None:
     samples = VapDataset(shown)
     for index in (0, 1, 90, -1):
         sample = samples[index]
@@ -207,7 +207,7 @@ def test_pictures_are_those_of_their_samples(shown: Path) -> None:
     path.write_bytes(before)
 
 
-def test_pictures_go_only_where_they_fit(shown: Path) -> None:
+def test_read_picture_checks_the_output_array(shown: Path) -> None:
     samples = VapDataset(shown)
     for shape in [(PICTURE_SIDE, PICTURE_SIDE), (3, PICTURE_SIDE, PICTURE_SIDE), (3, 3, 3), (3, PICTURE_SIDE, 3)]:
         with pytest.raises(ValueError, match="shape"):
@@ -228,7 +228,7 @@ def test_pictures_go_only_where_they_fit(shown: Path) -> None:
         (lambda whole: png(picture(0, 11), interlaced=1), "not a valid PNG"),
     ],
 )
-def test_faulty_pictures_are_reported(damage: Callable[[bytes], bytes], message: str, shown: Path) -> None:
+def test_invalid_pictures_raise(damage: Callable[[bytes], bytes], message: str, shown: Path) -> None:
     samples = VapDataset(shown)
     path = samples.picture_path(5)
     whole = path.read_bytes()
@@ -242,7 +242,7 @@ def test_faulty_pictures_are_reported(damage: Callable[[bytes], bytes], message:
     path.write_bytes(whole)
 
 
-def test_faulty_data_sets_are_reported(own: Path, tmp_path: Path) -> None:
+def test_invalid_data_sets_raise(own: Path, tmp_path: Path) -> None:
     with pytest.raises(FileNotFoundError):
         VapDataset(tmp_path / "nowhere")
     with pytest.raises(ValueError, match="made with `--no-pictures`"):
@@ -251,10 +251,10 @@ def test_faulty_data_sets_are_reported(own: Path, tmp_path: Path) -> None:
     for text, message in [
         (manifest.replace('"version": 2', '"version": 1'), "version 1; this package reads version 2"),
         (manifest.replace('"logicity vap"', '"photographs"'), "a data set `photographs`"),
-        ("{", "no manifest"),
-        ("[]", "no manifest"),
-        (manifest.replace('"split"', '"half"'), "no manifest"),
-        (manifest.replace('"world"', '"town"'), "no manifest"),
+        ("{", "not a manifest"),
+        ("[]", "not a manifest"),
+        (manifest.replace('"split"', '"half"'), "not a manifest"),
+        (manifest.replace('"world"', '"town"'), "not a manifest"),
     ]:
         assert text != manifest
         (own / "manifest.json").write_text(text)
@@ -265,7 +265,7 @@ def test_faulty_data_sets_are_reported(own: Path, tmp_path: Path) -> None:
         VapDataset(own, images=False)[0]
 
 
-def test_faulty_tables_are_reported(own: Path) -> None:
+def test_invalid_tables_raise(own: Path) -> None:
     samples = VapDataset(own, images=False, cached_worlds=0)
     entities, pairs = (own / "world-00001" / name for name in ("entities.parquet", "pairs.parquet"))
     whole = entities.read_bytes()
@@ -278,7 +278,7 @@ def test_faulty_tables_are_reported(own: Path) -> None:
     ]:
         assert damaged != whole
         entities.write_bytes(damaged)
-        assert alike(samples[0], samples[0]), "the other world is whole"
+        assert alike(samples[0], samples[0]), "the other world is intact"
         with pytest.raises(InputError, match=message) as error:
             samples[100]
         assert "world-00001" in str(error.value) and error.value.diagnostics[0]["code"] == "invalid-data-set"
@@ -293,7 +293,7 @@ def test_data_sets_can_be_pickled(hard: VapDataset, shown: Path) -> None:
     assert again[7].image is not None and len(pickle.dumps(again)) < 1000
 
 
-def test_shuffling_is_a_function_of_the_seed(drawn: VapDataset) -> None:
+def test_the_seed_determines_the_order(drawn: VapDataset) -> None:
     def order(**options: Any) -> list[tuple[int, int]]:
         return [(sample.world, sample.tick) for sample in drawn.iterate(**options)]
 
@@ -313,7 +313,7 @@ def test_shuffling_is_a_function_of_the_seed(drawn: VapDataset) -> None:
 def slow_metrics(
     labels: list[int], predictions: list[int], frames: list[int]
 ) -> tuple[Mapping[str, float], float, float]:
-    """Recalls, aAcc and wAcc by their definitions."""
+    """Return the recalls, aAcc and wAcc, computed directly from their definitions."""
     cars = list(zip(labels, predictions, frames, strict=True))
     recall: dict[str, float] = {}
     above, below = 0.0, 0.0
@@ -330,7 +330,7 @@ def slow_metrics(
     return recall, sum(accuracies) / len(accuracies), above / below
 
 
-def test_metrics_are_as_defined() -> None:
+def test_metrics_match_their_definition() -> None:
     dice = random.Random(0)
     seen: set[int] = set()
     for _ in range(300):
@@ -346,8 +346,8 @@ def test_metrics_are_as_defined() -> None:
     assert seen == {1, 2, 3, 4}
 
 
-def test_metrics_of_a_case_by_hand() -> None:
-    # Two frames, of one car and of three: Slow is wanted once, Stop three times.
+def test_metrics_of_a_hand_computed_case() -> None:
+    # Two frames, with one car and with three cars. One label is Slow, and three are Stop.
     found = vap_metrics([0, 3, 3, 3], [0, 3, 1, 1], [1, 2, 2, 2])
     assert found.recall == {"Slow": 1.0, "Stop": pytest.approx(1 / 3)}
     assert found.a_acc == pytest.approx((1 + 1 / 3) / 2)
@@ -361,15 +361,15 @@ def test_metrics_of_a_case_by_hand() -> None:
         ([], [], [], ValueError, "at least one car"),
         ([0], [0, 1], [0], ValueError, "1 labels, 2 predictions and 1 frames"),
         ([0], [0], [0, 0], ValueError, "2 frames"),
-        ([-1], [0], [0], ValueError, "expected labels from 0 to 3, not -1; leave pedestrians out"),
+        ([-1], [0], [0], ValueError, "expected labels from 0 to 3, not -1; omit pedestrians"),
         ([0, 1], [0, 4], [0, 0], ValueError, "expected predictions from 0 to 3, not 4"),
         ([[0]], [0], [0], ValueError, r"expected labels of shape \(M,\), not \(1, 1\)"),
-        ([0.0], [0], [0], TypeError, "expected integers as labels, not float64"),
-        ([0], [True], [0], TypeError, "expected integers as predictions, not bool"),
-        ([0], [0], ["a"], TypeError, "expected integers as frames"),
+        ([0.0], [0], [0], TypeError, "expected integer labels, not float64"),
+        ([0], [True], [0], TypeError, "expected integer predictions, not bool"),
+        ([0], [0], ["a"], TypeError, "expected integer frames"),
     ],
 )
-def test_faulty_predictions_are_refused(
+def test_invalid_predictions_raise(
     labels: Any, predictions: Any, frames: Any, error: type[Exception], message: str
 ) -> None:
     with pytest.raises(error, match=message):
@@ -392,11 +392,11 @@ def test_shards_hold_every_sample(shown: Path, tmp_path: Path) -> None:
                 assert names == [f"{key}.json", f"{key}.npz", f"{key}.png"]
                 text, arrays, image = (tar.extractfile(member) for member in (json_member, npz_member, png_member))
                 assert text is not None and arrays is not None and image is not None
-                said = json.load(text)
-                assert (said["world"], said["tick"]) == (sample.world, sample.tick)
-                assert (said["names"], said["concepts"]) == (list(sample.names), list(sample.concepts))
-                assert (said["mode"], said["split"]) == ("easy", "val")
-                assert (said["unary"], said["binary"]) == (list(UNARY), list(BINARY))
+                record = json.load(text)
+                assert (record["world"], record["tick"]) == (sample.world, sample.tick)
+                assert (record["names"], record["concepts"]) == (list(sample.names), list(sample.concepts))
+                assert (record["mode"], record["split"]) == ("easy", "val")
+                assert (record["unary"], record["binary"]) == (list(UNARY), list(BINARY))
                 with np.load(arrays) as held:
                     assert sorted(held) == ["actions", "binary", "boxes", "h", "mask", "sees", "unary"]
                     for name in held:
@@ -417,7 +417,7 @@ def test_shards_hold_every_sample(shown: Path, tmp_path: Path) -> None:
     assert sorted(path.name for path in tmp_path.iterdir()) == ["again", "shards"]
 
 
-# It leaves the last file to the garbage collector, which is to find it here.
+# `webdataset` does not close the last file. The test runs the garbage collector to trigger the warning here.
 @pytest.mark.filterwarnings("ignore::ResourceWarning", "ignore::pytest.PytestUnraisableExceptionWarning")
 def test_webdataset_reads_the_shards(shown: Path, tmp_path: Path) -> None:
     webdataset = pytest.importorskip("webdataset", reason="`make python-all` installs it")
@@ -473,7 +473,9 @@ def test_boxes_have_the_format_of_coco(shown: Path, sets: Path, tmp_path: Path) 
     assert [category["name"] for category in coco["categories"]] == names
     assert coco["info"] == {"description": "LogiCity, Visual Action Prediction, hard, test", "pictures": False}
     to_coco(shown, out, images=False)
-    assert json.loads(out.read_text())["info"]["pictures"] is True, "they are there, asked for or not"
+    assert json.loads(out.read_text())["info"]["pictures"] is True, (
+        "the data set has pictures, whether they are read or not"
+    )
     assert [path.name for path in tmp_path.iterdir()] == ["boxes.json"]
     with pytest.raises(ValueError, match="--no-pictures"):
         to_coco(sets / "hard", tmp_path / "other.json")
@@ -481,8 +483,8 @@ def test_boxes_have_the_format_of_coco(shown: Path, sets: Path, tmp_path: Path) 
         to_coco(shown, tmp_path / "no" / "such.json")
 
 
-def test_several_concepts_are_a_category_of_their_own(own: Path, tmp_path: Path) -> None:
-    # Two ways to write nine letters.
+def test_combined_concepts_are_categories(own: Path, tmp_path: Path) -> None:
+    # Both names have nine characters, so the replacement keeps the layout of the file.
     for path in own.glob("world-*/entities.parquet"):
         path.write_bytes(path.read_bytes().replace(b"ambulance", b"bus+tiros"))
     to_coco(own, tmp_path / "boxes.json", images=False)
@@ -510,7 +512,7 @@ def test_the_commands_convert(shown: Path, sets: Path, tmp_path: Path, capsys: p
     assert main(["vap", "webdataset", str(shown), str(shards), "--shard-size", "150"]) == 0
     assert capsys.readouterr().out == f"2 files in {shards}\n"
     assert main(["vap", "webdataset", str(shown), str(shards)]) == 2
-    assert "exists already" in capsys.readouterr().err
+    assert "already exists" in capsys.readouterr().err
     assert main(["vap", "coco", str(sets / "hard"), str(boxes)]) == 1
     assert "made with `--no-pictures`" in capsys.readouterr().err
     assert main(["vap", "coco", str(sets / "hard"), str(boxes), "--no-pictures"]) == 0 and boxes.is_file()
@@ -526,7 +528,7 @@ def test_the_commands_convert(shown: Path, sets: Path, tmp_path: Path, capsys: p
 
 
 def needs_torch() -> Any:
-    """PyTorch, if it is there."""
+    """Return PyTorch, or skip the test if it is not installed."""
     return pytest.importorskip("torch", reason="needs the extra `vap`: `make python-all` installs it")
 
 
@@ -545,7 +547,7 @@ def test_without_torch_the_error_names_the_extra(hard: VapDataset) -> None:
         assert len(torch_dataset(hard.folder, images=False)) == len(hard)
 
 
-def test_tensors_are_the_arrays(shown: Path) -> None:
+def test_tensors_equal_the_arrays(shown: Path) -> None:
     torch = needs_torch()
     samples, tensors = VapDataset(shown), torch_dataset(shown)
     assert isinstance(tensors, torch.utils.data.Dataset) and len(tensors) == len(samples)
@@ -588,7 +590,7 @@ def test_batches_are_padded(drawn: VapDataset) -> None:
         collate([])
 
 
-def test_pictures_are_stacked_as_they_have_become(shown: Path) -> None:
+def test_collate_stacks_pictures_without_a_copy_if_possible(shown: Path) -> None:
     torch = needs_torch()
     tensors = torch_dataset(shown)
     whole = tensors.__getitems__([3, 150, 4])
@@ -616,11 +618,11 @@ def test_pictures_are_stacked_as_they_have_become(shown: Path) -> None:
     mixed = [{**whole[0]}, {**whole[1], "image": whole[1]["image"].transpose(1, 2)}, {**whole[2]}]
     assert torch.equal(collate(mixed)["image"], torch.stack([sample["image"] for sample in mixed]))
     for samples in (whole, alone):
-        assert collate(samples)["image"].data_ptr() == samples[0]["image"].data_ptr(), "made without a copy"
+        assert collate(samples)["image"].data_ptr() == samples[0]["image"].data_ptr(), "collated without a copy"
 
 
 @pytest.mark.parametrize("method", sorted({"fork", "spawn"} & set(multiprocessing.get_all_start_methods())))
-def test_workers_read_what_one_process_reads(method: str, shown: Path) -> None:
+def test_workers_give_the_same_batches(method: str, shown: Path) -> None:
     torch = needs_torch()
     tensors = torch_dataset(shown)
     chosen = torch.utils.data.Subset(tensors, [3, 150, 4, 260, 5, 10])
@@ -636,7 +638,7 @@ def test_workers_read_what_one_process_reads(method: str, shown: Path) -> None:
         assert wanted["image"].shape == (2, 3, PICTURE_SIDE, PICTURE_SIDE)
 
 
-def test_threads_decode_what_one_decodes(shown: Path) -> None:
+def test_threads_give_the_same_pictures(shown: Path) -> None:
     needs_torch()
     alone, together = torch_dataset(shown), torch_dataset(shown, threads=3)
     chosen = [3, 150, 4, 260, 5, 10]
@@ -650,7 +652,7 @@ def test_threads_decode_what_one_decodes(shown: Path) -> None:
     with pytest.raises(InputError, match="not a valid PNG"):
         together.__getitems__(chosen)
     path.write_bytes(before)
-    with pytest.raises(ValueError, match="0 threads"):
+    with pytest.raises(ValueError, match="not 0"):
         torch_dataset(shown, threads=0)
 
 
@@ -674,21 +676,21 @@ def test_baselines_are_measured(sets: Path, tmp_path: Path, capsys: pytest.Captu
     assert main([*command, "--seed", "1"]) == 0 and capsys.readouterr().out != printed
 
 
-def test_labels_that_do_not_follow_are_reported(own: Path, sets: Path, capsys: pytest.CaptureFixture[str]) -> None:
+def test_underivable_labels_are_reported(own: Path, sets: Path, capsys: pytest.CaptureFixture[str]) -> None:
     needs_torch()
     manifest = own / "manifest.json"
     manifest.write_text(manifest.read_text().replace('"mode": "hard"', '"mode": "easy"'))
     folder = str(own)
     assert main(["vap", "baselines", "--train", folder, "--test", folder, "--epochs", "0"]) == 1
-    assert "the rules derive other labels" in capsys.readouterr().err
+    assert "labels that the rules do not derive" in capsys.readouterr().err
     assert main(["vap", "baselines", "--train", folder, "--test", str(sets / "hard")]) == 1
-    assert "is of easy mode" in capsys.readouterr().err
+    assert "the modes differ" in capsys.readouterr().err
     assert main(["vap", "baselines", "--train", folder, "--test", folder, "--epochs", "-1"]) == 1
-    assert "-1 epochs" in capsys.readouterr().err
+    assert "not -1" in capsys.readouterr().err
 
 
-class Walkers(VapDataset):
-    """A data set of whose samples only some have cars: those of the others are told to be pedestrians."""
+class FewCars(VapDataset):
+    """A data set in which only some samples have cars. The cars of the other samples become pedestrians."""
 
     def __init__(self, folder: Path, with_cars: range) -> None:
         super().__init__(folder, images=False)
@@ -701,26 +703,26 @@ class Walkers(VapDataset):
         return replace(sample, actions=np.full_like(sample.actions, -1), mask=np.zeros_like(sample.mask))
 
 
-def test_samples_without_cars_teach_nothing(hard: VapDataset, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_samples_without_cars_do_not_affect_training(hard: VapDataset, monkeypatch: pytest.MonkeyPatch) -> None:
     needs_torch()
     from logicity.vap.network import train_network
 
     def predictions(with_cars: range, epochs: int) -> list[int]:
-        learned: list[int] = train_network(Walkers(hard.folder, with_cars), hard, 0, epochs, lambda done: None).tolist()
+        learned: list[int] = train_network(FewCars(hard.folder, with_cars), hard, 0, epochs, lambda done: None).tolist()
         return learned
 
-    # So few that, of three batches of 64, some would have none.
+    # With only two samples with cars, some of three batches of 64 samples would have none.
     assert len(set(predictions(range(2), 20))) > 1
     assert predictions(range(2), 20) != predictions(range(2), 0)
 
     for train, test in [(0, 2), (2, 0)]:
         with_cars = iter([range(train), range(test)])
         monkeypatch.setattr(
-            "logicity.vap.baselines.VapDataset", lambda folder, images, given=with_cars: Walkers(folder, next(given))
+            "logicity.vap.baselines.VapDataset", lambda folder, images, given=with_cars: FewCars(folder, next(given))
         )
         with pytest.raises(ValueError, match="hard` has no cars"):
             measure_baselines(hard.folder, hard.folder)
 
 
-def test_it_is_found_from_the_front_door() -> None:
+def test_vap_is_an_attribute_of_the_package() -> None:
     assert logicity.vap.VapDataset is VapDataset and set(logicity.vap.__all__) <= set(dir(logicity.vap))

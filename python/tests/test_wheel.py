@@ -1,4 +1,4 @@
-"""The wheel in an environment of its own, as a user installs it."""
+"""Installation of the wheel in a fresh virtual environment."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ import pytest
 
 
 class Environment:
-    """A fresh virtual environment, without the packages of this one, and a folder to work in."""
+    """A fresh virtual environment and a working directory."""
 
     def __init__(self, folder: Path) -> None:
         subprocess.run([sys.executable, "-m", "venv", folder / "venv"], check=True)
@@ -54,7 +54,7 @@ def test_one_wheel_serves_every_python(wheel: Path) -> None:
     assert "-cp310-abi3-" in wheel.name
 
 
-def test_the_wheel_brings_the_command(fresh: Environment) -> None:
+def test_the_wheel_installs_the_command(fresh: Environment) -> None:
     assert fresh.run("logicity", "--version") == fresh.run("python", "-m", "logicity", "--version")
     summary = fresh.run("logicity", "run", "expert", "--seed", "4", "--ticks", "20")
     assert "dense executor" in summary and (fresh.work / "out" / "city.gif").is_file()
@@ -76,7 +76,7 @@ print(session.rows("q"))
     assert "pip install './python[gym]'" in message
 
 
-def test_the_extra_brings_environments(fresh: Environment, wheel: Path) -> None:
+def test_the_gym_extra_installs_environments(fresh: Environment, wheel: Path) -> None:
     assert "gymnasium" in fresh.install(f"{wheel}[gym]")
     text = "import logicity, gymnasium; print(gymnasium.make('logicity/SPF-Easy-v0').reset(seed=1)[0].shape)"
     assert fresh.run("python", "-c", text) == "(85,)\n"

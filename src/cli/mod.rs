@@ -158,7 +158,7 @@ impl Failure {
 pub const PYTHON_COMMANDS: [(&[&str], &str); 8] = [
     (
         &["evaluate"],
-        "Measure a policy on recorded episodes, as the paper does",
+        "Measure a policy on recorded episodes with the metrics of the paper",
     ),
     (
         &["train"],
@@ -166,9 +166,12 @@ pub const PYTHON_COMMANDS: [(&[&str], &str); 8] = [
     ),
     (
         &["ask"],
-        "Send the questions of `logicity questions` to a chat endpoint, or resume",
+        "Send the questions of `logicity questions` to a chat endpoint, or resume a run",
     ),
-    (&["grade"], "Compare answers to questions with what the rules derive"),
+    (
+        &["grade"],
+        "Grade answers to questions by the actions that the rules derive",
+    ),
     (
         &["describe"],
         "Print tables of environments, rewards and observations as Markdown",
@@ -180,7 +183,7 @@ pub const PYTHON_COMMANDS: [(&[&str], &str); 8] = [
     (&["vap", "coco"], "Write the boxes of a data set as COCO JSON"),
     (
         &["vap", "baselines"],
-        "Measure the majority action, a small network on the facts, and the rules",
+        "Measure the baselines: the majority action, a small network, and the rules",
     ),
 ];
 

@@ -1,10 +1,10 @@
-"""Visual Action Prediction: predict the next action of every car from a picture of the city.
+"""Visual Action Prediction (VAP): predict the next action of every car from a picture of the city.
 
-- `make_dataset` and `check_dataset` make and check data sets, as `logicity vap make` and `logicity vap check` do.
+- `make_dataset` and `check_dataset` create and check data sets, as `logicity vap make` and `logicity vap check` do.
 - `VapDataset` reads samples as numpy arrays.
-- `torch_dataset` and `collate` serve a `DataLoader` of PyTorch. They need the extra `vap`.
-- `vap_metrics` measures predictions as the paper does.
-- `measure_baselines`, or `logicity vap baselines`, measures simple predictors.
+- `torch_dataset` and `collate` work with a PyTorch `DataLoader`. They need the extra `vap`.
+- `vap_metrics` computes the metrics of the paper.
+- `measure_baselines`, also `logicity vap baselines`, measures simple predictors.
 - `to_webdataset` and `to_coco` convert data sets.
 """
 
@@ -47,19 +47,19 @@ __all__ = [
 def torch_dataset(
     folder: str | os.PathLike[str], images: bool = True, *, cached_worlds: int = 128, threads: int = 1
 ) -> TorchVapDataset:
-    """Make a `torch.utils.data.Dataset` of a data set.
+    """Return a data set as a `torch.utils.data.Dataset`.
 
-    A sample is a dictionary with the fields of `VapSample`, arrays as tensors. `image` has the shape (3, 1024, 1024) in
-    the memory format `channels_last`; it is absent with `images=False`. Worker processes may be forked or spawned.
+    A sample is a dictionary with the fields of `VapSample`. Arrays are tensors. `image` is uint8 (3, 1024, 1024) in the
+    memory format `channels_last`, and is absent with `images=False`. Worker processes may be forked or spawned.
 
     Args:
         folder: As for `VapDataset`.
         images: As for `VapDataset`.
         cached_worlds: As for `VapDataset`.
-        threads: Threads of each process that decode the pictures of a batch, at least 1.
+        threads: The number of threads per process that decode the pictures of a batch, at least 1.
 
     Raises:
-        ImportError: PyTorch is not installed. The extra `vap` installs it: `pip install './python[vap]'`.
+        ImportError: If PyTorch is not installed. The extra `vap` installs it: `pip install './python[vap]'`.
         OSError: As for `VapDataset`.
         ValueError: As for `VapDataset`.
     """
@@ -69,16 +69,22 @@ def torch_dataset(
 
 
 def collate(samples: Sequence[Mapping[str, Any]]) -> dict[str, Any]:
-    """Collate samples of `torch_dataset` into a batch: the argument `collate_fn` of a `DataLoader`.
+    """Collate samples of `torch_dataset` into a batch. Pass it to a `DataLoader` as `collate_fn`.
 
-    With B samples, the largest of N entities: `image` uint8 (B, 3, 1024, 1024), `boxes` (B, N, 4), `h` (B, N, 9),
-    `unary` (B, N, 11), `binary` (B, N, N, 6), `sees` (B, N, N), `actions` and `mask` (B, N), `world` and `tick` int64
-    (B,); `names` and `concepts` are lists of B tuples. `valid`, bool (B, N), is the padding mask: true for entities. In
-    the padding, boxes are NaN, actions -1, and all other values 0 or false.
+    For B samples with at most N entities, the batch has these tensors: `image` uint8 (B, 3, 1024, 1024), `boxes`
+    (B, N, 4), `h` (B, N, 9), `unary` (B, N, 11), `binary` (B, N, N, 6), `sees` (B, N, N), `actions` and `mask` (B, N),
+    and `world` and `tick` int64 (B,). `names` and `concepts` are lists of B tuples. The padding mask `valid`, bool
+    (B, N), is true for entities. Padding values are NaN for boxes, -1 for actions, and 0 or false for other tensors.
+
+    Args:
+        samples: The samples.
+
+    Returns:
+        The batch.
 
     Raises:
-        ImportError: PyTorch is not installed. The extra `vap` installs it.
-        ValueError: An empty list of samples.
+        ImportError: If PyTorch is not installed. The extra `vap` installs it.
+        ValueError: If there are no samples.
     """
     from .loader import padded_batch
 

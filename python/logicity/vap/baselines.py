@@ -1,4 +1,4 @@
-"""Simple predictors of actions: the majority action, a small network on the facts, and the rules."""
+"""Baseline predictors of actions: the majority action, a small network on the facts, and the rules."""
 
 from __future__ import annotations
 
@@ -28,44 +28,47 @@ class BaselineResult:
     metrics: VapMetrics
 
     def to_dict(self) -> dict[str, Any]:
-        """Return plain values for JSON."""
+        """Return a dictionary for JSON."""
         return asdict(self)
 
 
 def measure_baselines(
     train: str | os.PathLike[str], test: str | os.PathLike[str], seed: int = 0, epochs: int = 30
 ) -> list[BaselineResult]:
-    """Measure three predictors on a data set. They use no pictures.
+    """Measure three predictors on a data set. They do not use pictures.
 
     - `majority` predicts the most frequent action of `train`.
-    - `network` is trained on the facts of `train`, with two rounds of message passing between entities in view.
-    - `rules` predicts the action that the rules derive from the facts, which is always right.
+    - `network` is trained on the facts of `train`. It passes two rounds of messages between entities in view.
+    - `rules` predicts the action that the rules derive from the facts, which is always correct in a valid data set.
 
-    The tensors of both data sets are in memory at once; while a set is read, its samples are, too. Padded to the N
-    entities of the largest sample, one sample takes 7 N² + 73 N + 16 bytes.
+    The tensors of both data sets are in memory at once. Each sample is padded to the number N of entities in the
+    largest sample, and takes 7 N² + 73 N + 16 bytes.
 
     Args:
         train: The folder of the data set to train on.
         test: The folder of the data set to measure on, of the same mode.
-        seed: The seed of the network's weights and of the order of samples.
-        epochs: The number of epochs.
+        seed: The seed of the network's weights and of the sample order.
+        epochs: The number of epochs, at least 0.
+
+    Returns:
+        The results of `majority`, `network` and `rules`.
 
     Raises:
-        ImportError: PyTorch is not installed. The extra `vap` installs it: `pip install './python[vap]'`.
-        OSError: A file cannot be read.
-        ValueError: As for `VapDataset`, or a data set without cars, data sets of different modes, or a negative number
-            of epochs.
+        ImportError: If PyTorch is not installed. The extra `vap` installs it: `pip install './python[vap]'`.
+        OSError: If a file cannot be read.
+        ValueError: As for `VapDataset`, or if a data set has no cars, the modes differ, or the number of epochs is
+            negative.
     """
-    # Before the data sets are read, so that a missing PyTorch is found at once.
+    # Import PyTorch before reading the data sets, to fail early if it is missing.
     from .network import train_network
 
     train_set, test_set = VapDataset(train, images=False), VapDataset(test, images=False)
     if train_set.mode != test_set.mode:
         raise ValueError(
-            f"`{train_set.folder}` is of {train_set.mode} mode, `{test_set.folder}` of {test_set.mode} mode"
+            f"the modes differ: `{train_set.folder}` is {train_set.mode}, `{test_set.folder}` is {test_set.mode}"
         )
     if epochs < 0:
-        raise ValueError(f"{epochs} epochs: expected 0 or more")
+        raise ValueError(f"expected at least 0 epochs, not {epochs}")
     train_labels, labels = _labels(train_set), _labels(test_set)
     frames = np.repeat(np.arange(len(test_set)), [int(sample.mask.sum()) for sample in test_set])
     majority = np.bincount(train_labels, minlength=len(ACTIONS)).argmax()
@@ -79,10 +82,10 @@ def measure_baselines(
 
 
 def _labels(samples: VapDataset) -> NDArray[np.int64]:
-    """Return the labels of the cars of all samples.
+    """Return the labels of all cars in all samples.
 
     Raises:
-        ValueError: The data set has no cars.
+        ValueError: If the data set has no cars.
     """
     labels = [sample.actions[sample.mask] for sample in samples]
     if not any(map(len, labels)):
@@ -91,7 +94,7 @@ def _labels(samples: VapDataset) -> NDArray[np.int64]:
 
 
 def rule_actions(samples: VapDataset) -> NDArray[np.int64]:
-    """Return the actions that the rules derive from the facts."""
+    """Return the action that the rules derive from the facts for each car in all samples."""
     inference = Inference(f"configs/vap-{samples.mode}.yaml")
     derived: list[int] = []
     with Progress("sample", len(samples)) as progress:
@@ -106,7 +109,7 @@ def rule_actions(samples: VapDataset) -> NDArray[np.int64]:
 
 
 def _facts(sample: VapSample) -> dict[str, list[Any]]:
-    """Return the facts of a sample in the format of scenes."""
+    """Return the facts of a sample in the format of `SymbolicScene`."""
     names = sample.names
     facts: dict[str, list[Any]] = {
         predicate: [names[entity] for entity in np.flatnonzero(holds)]
@@ -119,7 +122,7 @@ def _facts(sample: VapSample) -> dict[str, list[Any]]:
 
 
 def baseline_table(results: Sequence[BaselineResult]) -> str:
-    """Format a table in Markdown, with a dash for actions that do not occur."""
+    """Format a Markdown table, with a dash for actions that do not occur."""
     head = ["mode", "predictor", *(f"recall {action}" for action in ACTIONS), "aAcc", "wAcc"]
     rows = [
         [

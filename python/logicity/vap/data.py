@@ -1,4 +1,4 @@
-"""Samples of a data set of `logicity vap make`, as numpy arrays."""
+"""Read the samples of a data set of `logicity vap make` as numpy arrays."""
 
 from __future__ import annotations
 
@@ -34,38 +34,42 @@ UNARY = (
     "IsAtInter",
     "IsInInter",
 )
-"""The unary predicates in the order of the paper, which is the order of the columns of `VapSample.unary`."""
+"""The unary predicates, in the order of the paper and of the columns of `VapSample.unary`."""
 
 BINARY = ("IsClose", "HigherPri", "CollidingClose", "LeftOf", "RightOf", "NextTo")
-"""The binary predicates in the order of the paper, which is the order of the last axis of `VapSample.binary`."""
+"""The binary predicates, in the order of the paper and of the last axis of `VapSample.binary`."""
 
 PICTURE_SIDE = _logicity.PICTURE_SIDE
-"""The side of a picture in pixels, 1024."""
+"""The side length of a picture in pixels, 1024."""
 
-#: The supported version of the format.
+#: The supported version of the data set format.
 VERSION = 2
 
 
 @dataclass(frozen=True, eq=False)
 class VapSample:
-    """A state of a city with N entities, in the order of the list of agents, and the actions that the rules derive.
+    """A state of a city with N entities, and the labels: the actions that the rules derive.
+
+    Entities are in the order of the agent list.
 
     Attributes:
         world: The number of the world. World and tick identify the sample.
         tick: The number of the tick.
-        names: Names such as `"Car_1"`.
-        concepts: Concepts such as `"ambulance"`, joined by `+`; empty without concepts.
-        image: uint8 (1024, 1024, 3): rows, columns, and red, green and blue; `None` if pictures are not read.
-        boxes: float32 (N, 4): left and upper edge, width and height in pixels; NaN for entities outside the picture.
-        h: float32 (N, 9), the node vector of the paper: the box as shares of the picture's side, 0 to 1, or 0 for
-            entities outside; the one-hot heading, left, right, up or down, or 0 before the first move; priority as a
-            share of the largest in the sample. A smaller priority has the right of way.
-        unary: bool (N, 11): whether predicate k of `UNARY` holds of entity i, at [i, k].
-        binary: bool (N, N, 6): whether predicate k of `BINARY` holds of entities i and j, at [i, j, k].
-        sees: bool (N, N): whether entity j is in the view of entity i.
-        actions: int64 (N,): the action that the rules derive for a car, a position in `logicity.ACTIONS`; -1 for
+        names: The names of the entities, such as `"Car_1"`.
+        concepts: The concepts of the entities, such as `"ambulance"`, joined by `+`. Empty strings for entities without
+            concepts.
+        image: uint8 (1024, 1024, 3): rows, columns, and RGB channels. `None` if pictures are not read.
+        boxes: float32 (N, 4): left edge, upper edge, width and height in pixels. NaN for entities outside the picture.
+        h: float32 (N, 9), the node vectors of the paper. Columns 0 to 3 are the box divided by the side of the picture,
+            from 0 to 1, or 0 for entities outside the picture. Columns 4 to 7 are the one-hot heading (left, right, up,
+            down), or 0 before the first move. Column 8 is the priority divided by the largest priority of the sample. A
+            smaller priority has the right of way.
+        unary: bool (N, 11): whether predicate k of `UNARY` holds for entity i, at [i, k].
+        binary: bool (N, N, 6): whether predicate k of `BINARY` holds for entities i and j, at [i, j, k].
+        sees: bool (N, N): whether entity j is in the view of entity i, at [i, j].
+        actions: int64 (N,): the action that the rules derive for each car, an index into `logicity.ACTIONS`, or -1 for
             pedestrians.
-        mask: bool (N,): whether the entity is a car, whose action is scored.
+        mask: bool (N,): whether the entity is a car. Metrics count cars only.
     """
 
     world: int
@@ -83,7 +87,7 @@ class VapSample:
 
 
 class _Tables(NamedTuple):
-    """The tables of a world. The rows, entities or pairs, of all samples are concatenated."""
+    """The tables of a world. Rows are entities or pairs of entities, concatenated over all samples."""
 
     ticks: NDArray[np.int32]
     starts: NDArray[np.int64]
@@ -97,30 +101,30 @@ class _Tables(NamedTuple):
 
 
 class VapDataset(Sequence[VapSample]):
-    """The samples of a data set, by world and tick.
+    """The samples of a data set, ordered by world and tick.
 
-    The tables of a world are read once and cached; a picture is read when its sample is accessed. Threads may read
-    concurrently; decoding pictures releases the GIL. Pickling and copying store the folder, not the data.
+    The tables of a world are read once and cached. A picture is read when its sample is accessed. Thread-safe: threads
+    may read concurrently, and decoding pictures releases the GIL. Pickling and copying store the folder, not the data.
 
     Args:
         folder: A folder made by `logicity vap make`.
         images: Whether to read pictures.
-        cached_worlds: The number of worlds whose tables are cached, at about 0.3 MB each. For a random order of
-            samples, cache all worlds.
+        cached_worlds: The number of worlds whose tables are cached, at about 0.3 MB each. For random access, cache all
+            worlds.
 
     Attributes:
-        folder: The folder as given.
-        mode: The rules, `"easy"` or `"hard"`.
-        split: `"train"`, `"val"` or `"test"`.
-        agents: `"fixed"` or `"random"`.
+        folder: The path of the folder.
+        mode: The rules: `"easy"` or `"hard"`.
+        split: The split: `"train"`, `"val"` or `"test"`.
+        agents: The sets of agents: `"fixed"` or `"random"`.
         images: Whether pictures are read.
         has_pictures: Whether the data set has pictures, according to the manifest.
-        predicates: `UNARY` and `BINARY`.
+        predicates: The tuple (`UNARY`, `BINARY`).
 
     Raises:
-        OSError: A file cannot be read.
-        ValueError: The folder is no data set of this version, or has no pictures with `images=True`. Faulty tables and
-            pictures raise `InputError`, also on later access.
+        OSError: If a file cannot be read.
+        ValueError: If the folder is not a data set of this version, or `images=True` and the data set has no pictures.
+        InputError: On access to a sample whose table or picture is invalid.
     """
 
     predicates = (UNARY, BINARY)
@@ -131,7 +135,7 @@ class VapDataset(Sequence[VapSample]):
         settings, counts = _read_manifest(self.folder)
         self.has_pictures: bool = settings["pictures"]
         if images and not self.has_pictures:
-            raise ValueError(f"`{self.folder}` was made with `--no-pictures`: read it with images=False")
+            raise ValueError(f"`{self.folder}` was made with `--no-pictures`: pass images=False")
         self.mode: str = settings["mode"]
         self.agents: str = settings["agents"]
         self.split = cast(Split, settings["split"])
@@ -145,7 +149,7 @@ class VapDataset(Sequence[VapSample]):
         return _restore, (self.folder, self.images, self._cached_worlds)
 
     def __repr__(self) -> str:
-        """Show mode, agents, split and number of samples."""
+        """Show the mode, the agents, the split and the number of samples."""
         return f"<VapDataset {self.mode}, {self.agents} agents, {self.split}: {len(self)} samples>"
 
     def __len__(self) -> int:
@@ -166,7 +170,7 @@ class VapDataset(Sequence[VapSample]):
         tables, world, place = self._locate(index)
         begin, end = tables.starts[place : place + 2].tolist()
         count = end - begin
-        # The number of pairs in earlier samples: the square of the number of entities for each.
+        # Count the pairs in earlier samples: each sample has the square of its number of entities.
         before = int((np.diff(tables.starts[: place + 1]) ** 2).sum())
         pairs = slice(before, before + count * count)
         priorities, headings, actions = (numbers[begin:end] for numbers in tables.numbers)
@@ -196,12 +200,12 @@ class VapDataset(Sequence[VapSample]):
 
         Args:
             index: The position of the sample.
-            out: A contiguous uint8 array.
+            out: A C-contiguous uint8 array.
 
         Raises:
-            InputError: A faulty picture.
-            OSError: The file cannot be read.
-            ValueError: An array of another shape, or one that is not contiguous.
+            InputError: If the picture is invalid.
+            OSError: If the file cannot be read.
+            ValueError: If the array has another shape, or is not contiguous.
         """
         if out.shape != (PICTURE_SIDE, PICTURE_SIDE, 3):
             raise ValueError(f"expected an array of shape (1024, 1024, 3), not {out.shape}")
@@ -211,23 +215,23 @@ class VapDataset(Sequence[VapSample]):
         """Iterate over the samples once, in an order that the seed determines.
 
         Args:
-            seed: From 0. A different seed for each epoch gives each a different order.
-            shuffle: Whether to shuffle; otherwise the order is by world and tick.
-            shard: (i, n): every n-th sample of that order, starting at the i-th. The shards 0 to n - 1 partition the
-                samples.
+            seed: The seed, at least 0. Use a different seed for each epoch to change the order.
+            shuffle: Whether to shuffle. Otherwise the order is by world and tick.
+            shard: A pair (i, n) that selects every n-th sample of that order, starting at sample i. The shards 0 to
+                n - 1 partition the samples.
 
         Raises:
-            ValueError: A shard that is not from 0 to n - 1.
+            ValueError: If the shard index is not from 0 to n - 1.
         """
         part, parts = shard
         if not 0 <= part < parts:
-            raise ValueError(f"expected a shard (i, n) with 0 <= i < n, not ({part}, {parts})")
+            raise ValueError(f"`shard` must be a pair (i, n) with 0 <= i < n, not ({part}, {parts})")
         order = np.random.default_rng(seed).permutation(len(self)) if shuffle else np.arange(len(self))
         return (self[position] for position in order[part::parts])
 
     def _locate(self, index: SupportsIndex) -> tuple[_Tables, int, int]:
-        """Return the tables with a sample, the number of its world, and its position there."""
-        # Negative positions count from the end; `range` raises `IndexError` for positions out of range.
+        """Return the tables of a sample's world, the number of the world, and the index of the sample in it."""
+        # Negative indices count from the end. `range` raises `IndexError` for indices out of range.
         position = range(len(self))[as_index(index)]
         which = bisect_right(self._ends, position)
         world, begin = self._worlds[which], self._ends[which - 1] if which else 0
@@ -257,14 +261,16 @@ def _read_manifest(folder: Path) -> tuple[dict[str, Any], dict[int, int]]:
         settings = manifest["settings"]
         data, version = settings["data"], settings["version"]
     except (KeyError, TypeError, ValueError) as error:
-        raise ValueError(f"`{path}` is no manifest of `logicity vap make`: {error!r}") from None
+        raise ValueError(f"`{path}` is not a manifest of `logicity vap make`: {error!r}") from None
     if (data, version) != ("logicity vap", VERSION):
-        raise ValueError(f"`{path}`: a data set `{data}`, version {version}; this package reads version {VERSION}")
+        raise ValueError(
+            f"`{path}` belongs to a data set `{data}` of version {version}; this package reads version {VERSION}"
+        )
     try:
         counts = {int(world["world"]): int(world["frames"]) for world in manifest["worlds"]}
         named = {name: settings[name] for name in ("mode", "agents", "split", "pictures")}
     except (KeyError, TypeError, ValueError) as error:
-        raise ValueError(f"`{path}` is no manifest of `logicity vap make`: {error!r}") from None
+        raise ValueError(f"`{path}` is not a manifest of `logicity vap make`: {error!r}") from None
     return named, counts
 
 

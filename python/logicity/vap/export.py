@@ -1,4 +1,4 @@
-"""Conversions of a data set to other formats."""
+"""Conversion of data sets to the formats WebDataset and COCO."""
 
 from __future__ import annotations
 
@@ -23,7 +23,7 @@ from .data import BINARY, PICTURE_SIDE, UNARY, VapDataset, VapSample
 
 __all__ = ["to_coco", "to_webdataset"]
 
-#: The categories and their types, in order; combinations of concepts follow.
+#: The types of the categories, in order. Combinations of concepts follow.
 CATEGORIES = {
     **dict.fromkeys(("car", "ambulance", "bus", "police", "tiro", "reckless"), "Car"),
     **dict.fromkeys(("pedestrian", "old", "young"), "Pedestrian"),
@@ -33,25 +33,25 @@ CATEGORIES = {
 def to_webdataset(
     folder: str | os.PathLike[str], out_dir: str | os.PathLike[str], shard_size: int = 1000, *, images: bool = True
 ) -> list[Path]:
-    """Write a data set as consecutive samples in tar files, the format of the package `webdataset`.
+    """Write a data set as tar files in the format of the package `webdataset`.
 
-    A sample `world-00000-frame-011` has `.png`, the picture; `.npz`, the arrays of `VapSample`; and `.json`, an object
-    with `world`, `tick`, `names`, `concepts`, `mode`, `split`, and `unary` and `binary`, the names of predicates. The
-    same data set gives the same bytes.
+    A sample such as `world-00000-frame-011` has three files. `.png` is the picture. `.npz` has the arrays of
+    `VapSample`. `.json` has `world`, `tick`, `names`, `concepts`, `mode`, `split`, and the predicate names `unary` and
+    `binary`. Equal data sets give identical bytes.
 
     Args:
         folder: A folder made by `logicity vap make`.
-        out_dir: The folder to make, atomically: `shard-000000.tar` and so on.
-        shard_size: Samples of a file; the last file may have fewer.
+        out_dir: The folder to create, atomically, with `shard-000000.tar` and so on.
+        shard_size: The number of samples per file, at least 1. The last file may have fewer.
         images: Whether to include pictures.
 
     Returns:
-        The files.
+        The paths of the tar files.
 
     Raises:
-        FileExistsError: `out_dir` exists.
-        OSError: A file cannot be read or written.
-        ValueError: As for `VapDataset`, or a `shard_size` below 1.
+        FileExistsError: If `out_dir` exists.
+        OSError: If a file cannot be read or written.
+        ValueError: As for `VapDataset`, or if `shard_size` is below 1.
     """
     if shard_size < 1:
         raise ValueError(f"expected a shard of at least one sample, not {shard_size}")
@@ -77,7 +77,7 @@ def _add_sample(tar: tarfile.TarFile, samples: VapDataset, index: int) -> None:
     if samples.images:
         contents["png"] = samples.picture_path(index).read_bytes()
     for ending, content in contents.items():
-        # The name up to the first dot identifies the sample. Owner and time stay zero, for reproducible bytes.
+        # The name up to the first dot identifies the sample. Owner and time remain zero, so the bytes are reproducible.
         entry = tarfile.TarInfo(f"world-{sample.world:05}-frame-{sample.tick:03}.{ending}")
         entry.size = len(content)
         tar.addfile(entry, io.BytesIO(content))
@@ -90,9 +90,9 @@ def _arrays(sample: VapSample) -> dict[str, Any]:
 
 @contextmanager
 def _new_folder(path: Path) -> Iterator[Path]:
-    """Yield a temporary folder, which is renamed to `path` at the end."""
+    """Yield a temporary folder, which is renamed to `path` on success."""
     if path.exists():
-        raise FileExistsError(f"`{path}` exists already")
+        raise FileExistsError(f"`{path}` already exists")
     path.parent.mkdir(parents=True, exist_ok=True)
     partial = Path(tempfile.mkdtemp(prefix=f".{path.name}-", dir=path.parent))
     try:
@@ -107,20 +107,23 @@ def _new_folder(path: Path) -> Iterator[Path]:
 def to_coco(folder: str | os.PathLike[str], out: str | os.PathLike[str], *, images: bool = True) -> None:
     """Write the boxes of a data set as COCO JSON, atomically.
 
-    `images` have a `file_name` relative to the folder of the data set, `world` and `tick`. `info` has `pictures`, false
-    if the data set has no such files. `annotations` are the entities in the picture: `bbox` (left and upper edge, width
-    and height in pixels), `area` of the box, `category_id`, and in addition to COCO `name`, `concepts`, and `action`
-    for cars. `categories` are `car`, `ambulance`, `bus`, `police`, `tiro`, `reckless`, `pedestrian`, `old` and `young`,
-    from 1, and then the occurring combinations of concepts, such as `bus+tiro`. The `supercategory` is `Car` or
-    `Pedestrian`.
+    Beyond the keys of COCO, the file has these:
+
+    - `info` has `pictures`, which is false if the data set has no pictures.
+    - `images` have `world` and `tick`. Each `file_name` is relative to the folder of the data set.
+    - `annotations` have `name`, `concepts` and, for cars, `action`. Each entity in the picture has an annotation. Its
+      `bbox` is the left edge, upper edge, width and height in pixels, and its `area` is that of the box.
+    - `categories` are `car`, `ambulance`, `bus`, `police`, `tiro`, `reckless`, `pedestrian`, `old` and `young`, with
+      ids from 1, followed by the combinations of concepts that occur, such as `bus+tiro`. The `supercategory` is `Car`
+      or `Pedestrian`.
 
     Args:
         folder: A folder made by `logicity vap make`.
         out: The file.
-        images: Whether the data set must have pictures, which are not read.
+        images: Whether the data set must have pictures. The pictures are not read.
 
     Raises:
-        OSError: A file cannot be read or written.
+        OSError: If a file cannot be read or written.
         ValueError: As for `VapDataset`.
     """
     samples = VapDataset(folder, images)
@@ -157,7 +160,7 @@ def to_coco(folder: str | os.PathLike[str], out: str | os.PathLike[str], *, imag
 
 
 def _annotations(sample: VapSample) -> Iterator[dict[str, Any]]:
-    """Yield the entities in a picture, with the names of type and category."""
+    """Yield the annotations of the entities in a picture, with the names of their types and categories."""
     for entity in np.flatnonzero(~np.isnan(sample.boxes[:, 0])).tolist():
         box = sample.boxes[entity].tolist()
         kind = "Car" if sample.mask[entity] else "Pedestrian"

@@ -1,4 +1,4 @@
-"""Samples for PyTorch. Needs the extra `vap`: `pip install './python[vap]'`."""
+"""PyTorch data sets and batches. Needs the extra `vap`: `pip install './python[vap]'`."""
 
 from __future__ import annotations
 
@@ -39,13 +39,13 @@ class TorchVapDataset(torch.utils.data.Dataset[dict[str, Any]]):
 
         Args:
             samples: The data set.
-            threads: Threads that decode the pictures of a batch.
+            threads: The number of threads that decode the pictures of a batch.
 
         Raises:
-            ValueError: Fewer than one thread.
+            ValueError: If the number of threads is below 1.
         """
         if threads < 1:
-            raise ValueError(f"{threads} threads: expected 1 or more")
+            raise ValueError(f"expected at least 1 thread, not {threads}")
         self.samples, self.threads = samples, threads
 
     def __len__(self) -> int:
@@ -57,7 +57,7 @@ class TorchVapDataset(torch.utils.data.Dataset[dict[str, Any]]):
         return self.__getitems__([index])[0]
 
     def __getitems__(self, indices: Sequence[int]) -> list[dict[str, Any]]:
-        """Read samples. Their pictures are contiguous, so that collating them needs no copy."""
+        """Read samples. Their pictures share one allocation, so collating does not copy them."""
         samples = [as_tensors(self.samples.facts(index)) for index in indices]
         if self.samples.images:
             images = _allocate((len(indices), PICTURE_SIDE, PICTURE_SIDE, 3))
@@ -73,12 +73,12 @@ class TorchVapDataset(torch.utils.data.Dataset[dict[str, Any]]):
                 self.samples.read_picture(index, array)
             return
         with ThreadPoolExecutor(self.threads) as pool:
-            # A list, since `map` raises an exception only when its result is read.
+            # `map` raises exceptions only when its results are consumed.
             list(pool.map(self.samples.read_picture, indices, arrays))
 
 
 def _allocate(shape: tuple[int, ...]) -> torch.Tensor:
-    """Allocate bytes. In a worker they are in shared memory, as in `default_collate`."""
+    """Allocate a uint8 tensor. In a worker it is in shared memory, as in `default_collate`."""
     if torch.utils.data.get_worker_info() is None:
         return torch.empty(shape, dtype=torch.uint8)
     storage = torch.UntypedStorage._new_shared(math.prod(shape))
@@ -86,7 +86,7 @@ def _allocate(shape: tuple[int, ...]) -> torch.Tensor:
 
 
 def as_tensors(sample: VapSample) -> dict[str, Any]:
-    """Convert a sample without its picture."""
+    """Convert the arrays of a sample to tensors, without its picture."""
     values = {field.name: getattr(sample, field.name) for field in fields(sample) if field.name != "image"}
     return {name: torch.from_numpy(value) if name in PADDED else value for name, value in values.items()}
 
@@ -114,7 +114,7 @@ def _padded(tensors: list[torch.Tensor], axes: int, most: int, padding: float) -
 
 
 def _stacked(images: list[torch.Tensor]) -> torch.Tensor:
-    """Stack pictures, without a copy if they are the rows of one allocation of `__getitems__`."""
+    """Stack pictures, without a copy if they are all the rows of one allocation of `__getitems__`."""
     whole = images[0]._base
     if whole is not None and whole.dim() == 4 and len(whole) == len(images):
         batch = whole.permute(0, 3, 1, 2)
@@ -124,6 +124,6 @@ def _stacked(images: list[torch.Tensor]) -> torch.Tensor:
 
 
 def _same_view(one: torch.Tensor, other: torch.Tensor) -> bool:
-    """Return whether two tensors are views of the same bytes."""
+    """Return whether two tensors are identical views of the same memory."""
     first, second = ((tensor.data_ptr(), tensor.shape, tensor.stride(), tensor.dtype) for tensor in (one, other))
     return bool(first == second)

@@ -1,4 +1,4 @@
-"""Making and checking data sets, as `logicity vap make` and `logicity vap check` do."""
+"""Create and check data sets, as `logicity vap make` and `logicity vap check` do."""
 
 from __future__ import annotations
 
@@ -21,12 +21,12 @@ class VapCounts:
     Attributes:
         worlds: The number of worlds.
         frames: The number of frames in all worlds.
-        pictures: The number of pictures: one for each frame, or 0.
-        agents: The number of agents in all frames.
-        actions: The number of cars with each label.
-        published_actions: The same for the fixed test set of the paper.
-        concepts: The number of agents with each concept. Agents without concepts count by type.
-        atoms: The number of true atoms by predicate. An atom over two agents counts if the first sees the second.
+        pictures: The number of pictures: one per frame, or 0.
+        agents: The number of agents, summed over all frames.
+        actions: The number of cars by label.
+        published_actions: The number of cars by label in the paper's fixed test set.
+        concepts: The number of agents by concept. Agents without concepts count by type.
+        atoms: The number of true atoms by predicate. A binary atom counts if its first agent sees its second.
     """
 
     worlds: int
@@ -55,37 +55,38 @@ def make_dataset(
     threads: int = 0,
     progress: Callable[[int, int], object] | None = None,
 ) -> VapDataset:
-    """Make a data set, or resume an interrupted one. The files are those of `logicity vap make`.
+    """Create a data set, or resume an interrupted call. The files equal those of `logicity vap make`.
 
-    World k is a function of seed, split and k. Worlds in the folder stay as they are; the others are made. Releases the
-    GIL. After Ctrl-C or an exception in `progress`, the complete worlds stay in the folder, and another call with the
-    same arguments makes the others. Only one process at a time may write to a folder.
+    World k depends only on the arguments and k. Worlds that already exist in the folder are kept. After Ctrl-C or an
+    exception in `progress`, complete worlds stay in the folder, and another call with the same arguments creates the
+    others. Releases the GIL. Only one process at a time may write to a folder.
 
     Args:
-        folder: The folder to write. It is made if it does not exist.
+        folder: The folder to write, which is created if it does not exist.
         mode: The rules: those of `configs/vap-easy.yaml` or `configs/vap-hard.yaml`.
         split: The split.
-        agents: The agents: those of the configuration, or drawn for each world.
-        worlds: The number of worlds, 1 to 100000 (default: 100 for `"train"`, else 20).
-        first_world: The number of the first world, 0 to 99999.
-        seed: The seed of all draws, from 0 to 2**64 - 1.
-        images: Whether to draw pictures. Without pictures the tables are the same.
-        pack: A folder of icons, as `logicity.icons.fill` makes it. Classes that it lacks are drawn.
-        pack_mode: `"extend"` adds the icons of the pack to the drawn ones, `"replace"` shows only the icons of the pack
-            for its classes.
-        difficulty: From 0, clean, to 100, noisy: how much colors, light, sharpness, markings and surroundings vary.
-        threads: The number of threads, up to 1024; 0 means one for each core. The files are the same.
-        progress: A function that receives the numbers of frames made and to make. It is called on the calling thread.
+        agents: `"fixed"` takes the agents of the configuration. `"random"` draws the agents of each world.
+        worlds: The number of worlds, from 1 to 100000. Default: 100 for `"train"`, 20 otherwise.
+        first_world: The number of the first world, from 0 to 99999.
+        seed: The seed, from 0 to 2**64 - 1.
+        images: Whether to write pictures. This does not affect the tables.
+        pack: A folder of icons, such as `logicity.icons.fill` creates. Built-in icons represent classes that it lacks.
+        pack_mode: `"extend"` adds the icons of the pack to the built-in icons. `"replace"` uses only the icons of the
+            pack for its classes.
+        difficulty: The variation of colors, light, sharpness, markings and surroundings, from 0 (clean) to 100 (noisy).
+        threads: The number of threads, up to 1024; 0 means one per core. It does not affect the files.
+        progress: A function that receives the number of finished frames and the total, on the calling thread.
 
     Returns:
         The data set with all worlds in the folder.
 
     Raises:
-        InputError: The folder has worlds with other settings, rules or pictures. `LimitError`: too many threads.
-        KeyboardInterrupt: Ctrl-C.
-        OSError: A file cannot be read or written.
-        OverflowError: A negative number, or one that is far out of range.
-        ValueError: An unknown name, a number out of range, or a faulty icon.
+        InputError: If the folder has worlds with other settings, rules or pictures.
+        LimitError: If there are too many threads.
+        KeyboardInterrupt: On Ctrl-C.
+        OSError: If a file cannot be read or written.
+        OverflowError: If a number is negative, or does not fit its integer type.
+        ValueError: If a name is unknown, a number is out of range, or an icon is invalid.
 
     Example:
         >>> from logicity.vap import make_dataset
@@ -115,22 +116,22 @@ def check_dataset(
 ) -> VapCounts:
     """Check a data set as `logicity vap check` does.
 
-    Checks files, hashes, order, pictures and boxes, and derives every label from the facts. Releases the GIL.
+    The check covers files, hashes, order, pictures and boxes. It derives every label again from the facts. Releases the
+    GIL.
 
     Args:
         folder: A folder made by `make_dataset` or `logicity vap make`.
         threads: As for `make_dataset`.
-        progress: A function that receives the numbers of worlds checked and to check. It is called on the calling
-            thread.
+        progress: A function that receives the number of checked worlds and the total, on the calling thread.
 
     Returns:
         The counts of the data set.
 
     Raises:
-        InputError: Faults of the data set; `diagnostics` has all of them.
-        KeyboardInterrupt: Ctrl-C.
-        OSError: The folder or its manifest cannot be read.
-        OverflowError: A negative number of threads.
-        ValueError: Too many threads.
+        InputError: If the data set has errors. `diagnostics` lists all of them.
+        KeyboardInterrupt: On Ctrl-C.
+        OSError: If the folder or its manifest cannot be read.
+        OverflowError: If the number of threads is negative.
+        ValueError: If there are too many threads.
     """
     return VapCounts(**_logicity.check_dataset(folder, threads, progress))

@@ -1,4 +1,4 @@
-"""Measures of predicted actions."""
+"""Metrics of predicted actions."""
 
 from __future__ import annotations
 
@@ -16,13 +16,13 @@ __all__ = ["VapMetrics", "vap_metrics"]
 
 @dataclass(frozen=True)
 class VapMetrics:
-    """The measures of predicted actions of cars. Rates are shares, 0 to 1.
+    """The metrics of the predicted actions of cars. Rates are from 0 to 1.
 
     Attributes:
-        recall: By occurring action, the share of the cars with this label whose prediction is right.
-        counts: By action, the number of cars with this label.
-        a_acc: The mean over frames of the share of the frame's cars with a right prediction.
-        w_acc: The sum of recall / count over the sum of 1 / count, over the occurring actions. Rare actions weigh most.
+        recall: By label, the share of cars with a correct prediction. Only labels that occur.
+        counts: By label, the number of cars. Only labels that occur.
+        a_acc: The mean over frames of the share of the frame's cars with a correct prediction.
+        w_acc: The mean of the recalls, weighted by 1 / count, so rare actions have the largest weights.
     """
 
     recall: Mapping[str, float]
@@ -31,46 +31,48 @@ class VapMetrics:
     w_acc: float
 
     def to_dict(self) -> dict[str, Any]:
-        """Return plain values for JSON."""
+        """Return a dictionary for JSON."""
         return asdict(self)
 
 
 def vap_metrics(labels: ArrayLike, predictions: ArrayLike, frames: ArrayLike) -> VapMetrics:
-    """Measure predictions as the paper does (LogiCity, NeurIPS 2024, Datasets and Benchmarks).
+    """Compute the metrics of the paper (LogiCity, NeurIPS 2024, Datasets and Benchmarks).
 
-    M is the number of cars of all frames, in any order.
+    The arguments have one entry per car, in any order. M is the number of cars in all frames.
 
     Args:
-        labels: Integers (M,), the actions that the rules derive, positions in `logicity.ACTIONS`.
-        predictions: Integers (M,), the predicted actions.
-        frames: Integers (M,), equal for cars of the same frame.
+        labels: Integers (M,): the actions that the rules derive, as indices into `logicity.ACTIONS`.
+        predictions: Integers (M,): the predicted actions.
+        frames: Integers (M,): a number for each frame, equal for cars of the same frame.
 
     Raises:
-        TypeError: An argument that is no array of integers.
-        ValueError: No cars, arrays of different lengths, or a number that is no action.
+        TypeError: If an argument is not an array of integers.
+        ValueError: If there are no cars, the lengths differ, or a number is not an action.
     """
-    wanted, predicted, of_frame = (
+    actual, predicted, frame_ids = (
         _integers(name, values)
         for name, values in [("labels", labels), ("predictions", predictions), ("frames", frames)]
     )
-    if not len(wanted) == len(predicted) == len(of_frame):
-        raise ValueError(f"{len(wanted)} labels, {len(predicted)} predictions and {len(of_frame)} frames")
-    if len(wanted) == 0:
+    if not len(actual) == len(predicted) == len(frame_ids):
+        raise ValueError(
+            f"the lengths differ: {len(actual)} labels, {len(predicted)} predictions and {len(frame_ids)} frames"
+        )
+    if len(actual) == 0:
         raise ValueError("expected at least one car")
-    for name, values in [("labels", wanted), ("predictions", predicted)]:
+    for name, values in [("labels", actual), ("predictions", predicted)]:
         if values.min() < 0 or values.max() >= len(ACTIONS):
-            wrong = values[(values < 0) | (values >= len(ACTIONS))][0]
-            raise ValueError(f"expected {name} from 0 to {len(ACTIONS) - 1}, not {wrong}; leave pedestrians out")
-    right = wanted == predicted
-    counts = np.bincount(wanted, minlength=len(ACTIONS))
+            invalid = values[(values < 0) | (values >= len(ACTIONS))][0]
+            raise ValueError(f"expected {name} from 0 to {len(ACTIONS) - 1}, not {invalid}; omit pedestrians")
+    correct = actual == predicted
+    counts = np.bincount(actual, minlength=len(ACTIONS))
     occurs = np.flatnonzero(counts)
-    recall = np.bincount(wanted[right], minlength=len(ACTIONS))[occurs] / counts[occurs]
+    recall = np.bincount(actual[correct], minlength=len(ACTIONS))[occurs] / counts[occurs]
     weights = 1 / counts[occurs]
-    _, frame = np.unique(of_frame, return_inverse=True)
+    _, frame = np.unique(frame_ids, return_inverse=True)
     return VapMetrics(
         recall={ACTIONS[action]: float(share) for action, share in zip(occurs, recall, strict=True)},
         counts={ACTIONS[action]: int(counts[action]) for action in occurs},
-        a_acc=float(np.mean(np.bincount(frame, right) / np.bincount(frame))),
+        a_acc=float(np.mean(np.bincount(frame, correct) / np.bincount(frame))),
         w_acc=float((recall * weights).sum() / weights.sum()),
     )
 
@@ -79,7 +81,7 @@ def _integers(name: str, values: ArrayLike) -> NDArray[np.int64]:
     array = np.asarray(values)
     if array.ndim != 1:
         raise ValueError(f"expected {name} of shape (M,), not {array.shape}")
-    # The dtype of an empty list means nothing.
+    # An empty list has the default dtype float64.
     if array.size and not np.issubdtype(array.dtype, np.integer):
-        raise TypeError(f"expected integers as {name}, not {array.dtype}")
+        raise TypeError(f"expected integer {name}, not {array.dtype}")
     return array.astype(np.int64)

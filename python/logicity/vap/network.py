@@ -1,4 +1,4 @@
-"""A small network that learns actions from facts. Needs the extra `vap`: `pip install './python[vap]'`."""
+"""A small graph neural network that predicts actions from facts. Needs the extra `vap`."""
 
 from __future__ import annotations
 
@@ -29,12 +29,12 @@ BATCH = 64
 LEARNING_RATE = 3e-3
 
 
-#: Sample, position of the receiver, position of the sender.
+#: The sample, the receiver and the sender of each edge, as indices.
 Edges: TypeAlias = tuple[Tensor, Tensor, Tensor]
 
 
 class MessagePassing(nn.Module):
-    """A round in which every entity receives messages from the entities in its view, including itself."""
+    """A layer in which every entity receives messages from the entities in its view, including itself."""
 
     def __init__(self) -> None:
         """Initialize the weights."""
@@ -44,10 +44,10 @@ class MessagePassing(nn.Module):
         self.update = nn.Linear(3 * WIDTH, WIDTH)
 
     def forward(self, nodes: Tensor, edge_features: Tensor, edges: Edges) -> Tensor:
-        """Return node embeddings after the round, (batch, entities, width)."""
+        """Return the new node embeddings, of shape (batch, entities, width)."""
         batch, receiver, sender = edges
         messages = self.receiver(nodes)[batch, receiver] + self.sender(nodes)[batch, sender] + self.edge(edge_features)
-        # Not negative, so that 0 is the maximum of an empty set.
+        # Messages are not negative, so 0 can represent the maximum of an empty set.
         messages = torch.relu(messages)
         place = batch * nodes.shape[1] + receiver
         none = messages.new_zeros(nodes.shape[0] * nodes.shape[1], WIDTH)
@@ -57,7 +57,7 @@ class MessagePassing(nn.Module):
 
 
 class FactNetwork(nn.Module):
-    """Two rounds of message passing between entities in view, on unary and binary facts."""
+    """A network with two rounds of message passing between entities in view, on unary and binary facts."""
 
     def __init__(self) -> None:
         """Initialize the weights."""
@@ -67,7 +67,7 @@ class FactNetwork(nn.Module):
         self.readout = nn.Linear(WIDTH, len(ACTIONS))
 
     def forward(self, unary: Tensor, binary: Tensor, sees: Tensor) -> Tensor:
-        """Return scores of actions, (batch, entities, 4), from truth values in the format of `collate`."""
+        """Return action logits of shape (batch, entities, 4) from truth values in the format of `collate`."""
         edges: Edges = sees.nonzero(as_tuple=True)
         edge_features = torch.cat([binary, binary.transpose(1, 2)], -1)[edges].float()
         nodes = torch.relu(self.encoder(unary.float()))
@@ -80,7 +80,7 @@ class FactNetwork(nn.Module):
 def train_network(
     train: VapDataset, test: VapDataset, seed: int, epochs: int, progress: Callable[[int], None]
 ) -> NDArray[np.int64]:
-    """Train on one data set, and predict the actions of the cars of another.
+    """Train a network on one data set, and predict the actions of the cars in another.
 
     The same seed gives the same predictions on the same machine.
 
@@ -89,13 +89,16 @@ def train_network(
         test: The data set to predict on.
         seed: The seed.
         epochs: The number of epochs.
-        progress: Called with the number of finished epochs after each.
+        progress: A function that receives the number of finished epochs after each epoch.
+
+    Returns:
+        The predicted actions, int64 of shape (M,) for M cars in all samples of `test`.
     """
     facts, queries = (
         padded_batch([as_tensors(samples.facts(at)) for at in range(len(samples))]) for samples in (train, test)
     )
     threads = torch.get_num_threads()
-    # The tensors are small: several threads would mostly wait for each other.
+    # The tensors are so small that synchronizing several threads costs more than it saves.
     torch.set_num_threads(1)
     try:
         with torch.random.fork_rng(devices=[]):
@@ -110,7 +113,7 @@ def train_network(
 
 
 def _trained(facts: dict[str, Tensor], epochs: int, progress: Callable[[int], None]) -> FactNetwork:
-    """Train a network on the samples with cars, with draws of the default generator."""
+    """Train a network on the samples with cars. Random numbers come from the default generator."""
     network, with_cars = FactNetwork(), facts["mask"].any(1).nonzero()[:, 0]
     count = len(with_cars)
     optimizer = torch.optim.Adam(network.parameters(), LEARNING_RATE)
