@@ -8,7 +8,7 @@ use std::fmt;
 #[derive(Debug)]
 #[non_exhaustive]
 pub enum DatasetError {
-    /// Faulty input, or `cancelled`.
+    /// Invalid input, or `cancelled`.
     Faulty(Vec<Diagnostic>),
     /// A file that cannot be read or written.
     File(FileError),
