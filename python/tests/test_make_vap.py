@@ -158,7 +158,7 @@ def test_invalid_arguments_raise(wrong: dict[str, Any], error: type[Exception], 
 def test_invalid_packs_raise(tmp_path: Path) -> None:
     (tmp_path / "pack" / "tram").mkdir(parents=True)
     (tmp_path / "pack" / "tram" / "1.svg").write_text(ICON)
-    with pytest.raises(ValueError, match="there is no class `tram`"):
+    with pytest.raises(ValueError, match="unknown class `tram`"):
         make_dataset(tmp_path / "set", "easy", "val", pack=tmp_path / "pack")
 
 

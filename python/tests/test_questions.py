@@ -347,7 +347,7 @@ def test_missing_and_unreadable_answers_are_reported(tmp_path: Path, capsys: pyt
     answers.write_text("".join(json.dumps({"id": name, "answer": text}) + "\n" for name, text in replies.items()))
     assert main(["grade", str(answers), "--questions", str(QUESTIONS)]) == 0
     printed = capsys.readouterr()
-    assert printed.out.splitlines()[-1].startswith("all           8          0.12 [0.02, 0.47]")
+    assert printed.out.splitlines()[-1].startswith("all             8          0.12 [0.02, 0.47]")
     left = ", ".join(question.id for question in questions[2:7])
     assert printed.err.splitlines() == [
         f"counted as wrong, no answer: 6: {left}, ...",

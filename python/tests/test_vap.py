@@ -523,8 +523,8 @@ def test_the_commands_convert(shown: Path, sets: Path, tmp_path: Path, capsys: p
         with pytest.raises(SystemExit):
             main(["vap", command, "--help"])
         helps[command] = " ".join(capsys.readouterr().out.split())
-    assert "leave pictures out" in helps["webdataset"] and "leave" not in helps["coco"]
-    assert "`file_name`s are written nevertheless" in helps["coco"]
+    assert "omit pictures" in helps["webdataset"] and "omit" not in helps["coco"]
+    assert "the output still has `file_name`s" in helps["coco"]
 
 
 def needs_torch() -> Any:
