@@ -130,7 +130,7 @@ fn tables_equal_frames() {
     let car = labels.iter().position(Option::is_some).unwrap();
     labels[car] = None;
     let fault = samples(vocabulary, 3, &unlabeled, &pairs).unwrap_err();
-    assert!(fault.message.contains("cars have labels"), "{}", fault.message);
+    assert!(fault.message.contains("only cars, have labels"), "{}", fault.message);
 
     // Any bytes are a table or give an error.
     let mut bytes = Vec::new();

@@ -112,8 +112,7 @@ pub struct ActionRate {
 pub struct Summary {
     /// Trajectory success rate: the proportion of runs that reach the goal in time without a violation.
     pub tsr: Rate,
-    /// Decision success rate: the proportion of runs without a violation among those with at least one constrained
-    /// step.
+    /// Decision success rate: the proportion of runs that have a constrained step and no violation.
     pub dsr: Rate,
     /// Decision success rate by action.
     pub dsr_by_action: Vec<ActionRate>,
