@@ -5,10 +5,8 @@
 use crate::case::Facts;
 use logicity::builtin::BuiltinFiles;
 use logicity::datalog;
-use logicity::datalog::{BaseType, Value};
-use logicity::datalog::{Program, Session};
+use logicity::datalog::{BaseType, Program, Session, Value};
 use logicity::diag::{Sources, render};
-use logicity::files;
 
 /// The number of rows of each of the relations.
 pub fn counts(text: &str, facts: &Facts, derived: &[&str]) -> Vec<usize> {

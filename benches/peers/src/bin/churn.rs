@@ -129,7 +129,7 @@ impl City {
 
 fn measure(agents: u32, percent: f64, ticks: usize, strategy: Strategy, peers: bool) {
     let mut city = City::new(agents);
-    let mut session = datalog::load(Case::City.program(), &city.facts);
+    let mut session = engine::load(Case::City.program(), &city.facts);
     session.set_strategy(strategy);
     session.commit().expect("within the limit");
     let relations: Vec<_> = (city.facts.binary.iter())
@@ -166,7 +166,7 @@ fn measure(agents: u32, percent: f64, ticks: usize, strategy: Strategy, peers: b
                 })
                 .collect();
             if let Some(dataflow) = &mut dataflow {
-                let counts = datalog::lengths(&session, Case::City.derived());
+                let counts = engine::lengths(&session, Case::City.derived());
                 let start = ThreadTime::now();
                 dataflow.tick(worker, &changes);
                 took[1] = start.elapsed();
