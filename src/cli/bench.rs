@@ -84,7 +84,8 @@ pub struct Arguments {
     split: Split,
     /// Scale the city to this many agents, rounded up to whole copies of the configuration's agent list (`repeat` is
     /// ignored). The map grows so that the density stays the same; trips stay as long as the configuration's region is
-    /// wide. For scale: the largest city [default: 1000000]
+    /// wide. For scale: the largest city [default: those of the
+    /// configuration; 1000000 for scale]. infer takes at most 4096 agents, ground 256
     #[arg(
         long,
         value_parser = clap::value_parser!(u32).range(1..=1_000_000),

@@ -1,7 +1,7 @@
 //! `logicity check`: checks rule files.
 
 use crate::cli::trace::TraceReader;
-use crate::cli::{Failure, load_workspace, report};
+use crate::cli::{Failure, load_workspace, plural, report};
 use crate::datalog::diff::{Cut, Equivalence};
 use crate::datalog::explain::ExplanationPrinter;
 use crate::datalog::{ClauseId, Edb, RelId, Rules};
@@ -155,7 +155,7 @@ impl Report {
     fn print(&self, out: &mut impl Write, path: &Path, arguments: &Arguments, sources: &Sources) -> io::Result<()> {
         let Some(rules) = self.rules() else { return Ok(()) };
         let strata: Vec<String> = strata(rules).iter().map(|names| names.join(", ")).collect();
-        writeln!(out, "{}: {} clauses", path.display(), rules.clauses.len())?;
+        writeln!(out, "{}: {}", path.display(), plural(rules.clauses.len(), "clause"))?;
         writeln!(out, "  strata: {}", strata.join(" < "))?;
         print_executors(out, rules)?;
         for what in &self.unfinished {
@@ -349,7 +349,12 @@ fn print_coverage(
     sources: &Sources,
 ) -> io::Result<()> {
     let printer = ExplanationPrinter::new(rules, &rules.symbols, sources);
-    writeln!(out, "  coverage: {} ticks of {}", coverage.states, trace.display())?;
+    writeln!(
+        out,
+        "  coverage: {} of {}",
+        plural(coverage.states, "tick"),
+        trace.display()
+    )?;
     writeln!(out, "{:>10}{:>8}  clause", "fired", "ticks")?;
     for clause in &coverage.clauses {
         let head = &rules.relations[rules.clauses[clause.clause.index()].head.relation.index()].name;

@@ -68,7 +68,7 @@ pub fn run(arguments: &Arguments, sources: &mut Sources) -> Result<u8, Failure> 
     })
 }
 
-fn plural(count: usize) -> String {
+fn entities_of(count: usize) -> String {
     format!("{count} {}", if count == 1 { "entity" } else { "entities" })
 }
 
@@ -76,15 +76,15 @@ fn equal(equivalence: &Equivalence) -> String {
     match equivalence {
         Equivalence::Equivalent { entities } => format!(
             "equivalent: proved by searching all scenes of up to {}",
-            plural(*entities)
+            entities_of(*entities)
         ),
         Equivalence::NoneFound { entities, proof, cut } => {
             let mut text = match entities {
-                Some(entities) => format!("no difference in any scene of at most {}; ", plural(*entities)),
+                Some(entities) => format!("no difference in any scene of at most {}; ", entities_of(*entities)),
                 None => "no scene searched: even the smallest exceeds a limit; ".to_owned(),
             };
             text += &match proof {
-                Some(proof) => format!("a proof requires scenes of up to {}", plural(*proof)),
+                Some(proof) => format!("a proof requires scenes of up to {}", entities_of(*proof)),
                 None => "the number of entities that a proof needs is unknown".to_owned(),
             };
             for cut in cut {
@@ -99,12 +99,14 @@ fn equal(equivalence: &Equivalence) -> String {
         } => {
             let every = match facts {
                 Some(facts) => format!(
-                    "all of at most {facts} facts about {}, with the values in the rules and their neighbors",
-                    plural(*entities)
+                    "all scenes of at most {facts} facts about {}, with the values in the rules and their neighbors, \
+                     and larger ones at random",
+                    entities_of(*entities)
                 ),
-                None => "no size searched completely".to_owned(),
+                None => "random scenes; the budget did not suffice for all scenes of any size".to_owned(),
             };
-            format!("no difference found in {scenes} scenes: {every}; then larger ones at random; not a proof")
+            let tried = if *scenes == 1 { "scene" } else { "scenes" };
+            format!("no difference found in {scenes} {tried}: {every}; not a proof")
         }
         Equivalence::Different(_) => String::new(),
     }

@@ -340,9 +340,14 @@ fn report(diagnostics: &[Diagnostic], sources: &Sources) {
     }
 }
 
+/// Formats a count, for example `1 clause` or `2 clauses`.
+fn plural(count: impl TryInto<u64>, word: &str) -> String {
+    let count: u64 = count.try_into().unwrap_or(u64::MAX);
+    format!("{count} {word}{}", if count == 1 { "" } else { "s" })
+}
+
 /// Formats counts, for example `2 errors, 1 warning`.
 fn count(errors: usize, warnings: usize) -> String {
-    let plural = |n: usize, word: &str| format!("{n} {word}{}", if n == 1 { "" } else { "s" });
     match (errors, warnings) {
         (errors, 0) => plural(errors, "error"),
         (0, warnings) => plural(warnings, "warning"),

@@ -21,10 +21,10 @@ pub struct Arguments {
     /// Rule file
     rules: PathBuf,
     /// Folder with a file NAME.facts for each input relation: one row per line, tab-separated, unless options of
-    /// `.input` differ [default: the current folder]
+    /// `.input` differ [default: .]
     #[arg(short = 'F', long, value_name = "DIR")]
     facts: Option<PathBuf>,
-    /// Folder for a file NAME.csv for each output relation; `-` means standard output
+    /// Folder for a file NAME.csv for each output relation; created if missing; `-` means standard output
     #[arg(short = 'D', long, value_name = "DIR", default_value = ".")]
     output: PathBuf,
     /// Print the evaluation plan of every clause and exit. With `-F`, plan for the sizes of the relations in the facts;

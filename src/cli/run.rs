@@ -3,7 +3,7 @@
 use crate::cancel::Cancel;
 use crate::city::{Action, AgentKind, Split};
 use crate::cli::icons::IconOptions;
-use crate::cli::{Failure, load_city, one_of};
+use crate::cli::{Failure, load_city, one_of, plural};
 use crate::datalog::constraints;
 use crate::datalog::explain::ExplanationPrinter;
 use crate::datalog::{Clause, ClauseId};
@@ -370,8 +370,10 @@ fn summary(simulation: &mut Simulation, tally: &Tally, sources: &Sources, writte
     let rate = decisions as f64 / tally.deciding.as_secs_f64().max(1e-9);
     let _ = writeln!(
         text,
-        "{} ticks, {decisions} decisions, {rate:.0} decisions per second, {} goals reached",
-        tally.ticks, tally.goals
+        "{}, {}, {rate:.0} decisions per second, {} reached",
+        plural(tally.ticks, "tick"),
+        plural(decisions, "decision"),
+        plural(tally.goals, "goal")
     );
     let _ = writeln!(
         text,

@@ -56,7 +56,7 @@ impl Faults {
             // The caller may have stopped here, so the number of further errors is unknown.
             list.push(Diagnostic::new(
                 Code::LIMIT_EXCEEDED,
-                format!("{MAX_FAULTS} errors; further ones are not shown"),
+                format!("more than {MAX_FAULTS} errors; the others are not shown"),
             ));
         }
         if self.hidden_warnings > 0

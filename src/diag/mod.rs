@@ -13,7 +13,7 @@ mod source;
 
 pub use code::{CODES, Code};
 pub use faults::{Faults, MAX_FAULTS};
-pub use render::{render, to_json};
+pub use render::{json_error, render, to_json};
 pub use source::{Located, Position, SourceId, Sources, Span};
 
 /// The severity of a [`Diagnostic`].

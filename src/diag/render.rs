@@ -2,6 +2,7 @@
 
 use crate::diag::{Diagnostic, Label, Severity, SourceId, Sources, Span};
 use annotate_snippets::{Annotation, AnnotationKind, Group, Level, Origin, Renderer, Snippet};
+use serde_json::error::Category;
 use serde_json::{Value, json};
 use std::ops::RangeInclusive;
 
@@ -143,6 +144,41 @@ fn printable(text: &str) -> String {
         .map(|c| if c.is_control() && c != '\n' { '\u{fffd}' } else { c })
         .collect()
 }
+
+/// Returns what is wrong with a JSON text, without the position, in the words of JSON instead of Rust.
+pub fn json_error(error: &serde_json::Error) -> String {
+    match error.classify() {
+        Category::Eof => "the JSON text ends too early".to_owned(),
+        Category::Syntax | Category::Io => {
+            let text = error.to_string();
+            let reason = text.split(" at line ").next().unwrap_or(&text);
+            format!("not JSON: {}", reason.replace("ident", "`true`, `false` or `null`"))
+        }
+        Category::Data => {
+            let text = error.to_string();
+            let mut reason = text.split(" at line ").next().unwrap_or(&text).to_owned();
+            for (rust, json) in RUST_AND_JSON {
+                reason = reason.replace(rust, json);
+            }
+            reason
+        }
+    }
+}
+
+/// Words of the JSON parser for Rust types, and those of JSON.
+const RUST_AND_JSON: [(&str, &str); 11] = [
+    ("floating point", "number"),
+    ("expected i8", "expected an integer"),
+    ("expected i32", "expected an integer"),
+    ("expected i64", "expected an integer"),
+    ("expected u8", "expected an integer"),
+    ("expected u32", "expected an integer"),
+    ("expected u64", "expected an integer"),
+    ("expected usize", "expected an integer"),
+    ("a sequence", "a list"),
+    ("a map", "an object"),
+    ("map, expected", "object, expected"),
+];
 
 /// Returns diagnostics as a JSON array. Each has `code`, `severity`, `message`, `labels`, `notes` and `help`. Each
 /// label has `file`, `line`, `column`, `end_line`, `end_column`, `message` and `primary`; the primary one comes first.

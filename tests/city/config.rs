@@ -616,7 +616,7 @@ fn slow_hostile_files_fail_fast() {
         ),
         ("empty", String::new(), "invalid-value"),
         ("list as key", "[a, b]: 3".into(), "invalid-value"),
-        ("many unknown keys", keys, "further ones are not shown"),
+        ("many unknown keys", keys, "the others are not shown"),
         ("many unknown concepts", cars, "unknown concept"),
         ("crowd", crowd.into(), "limit-exceeded"),
         ("long line of garbage", random, "yaml-syntax"),

@@ -680,7 +680,7 @@ fn slow_cyclic_bodies_agree_with_naive() {
         sources.add("program.dl", text);
         joins += usize::from(sessions[0].show_plans(&sources).contains("join   "));
     }
-    assert!(joins > cases / 10, "only {met} of {cases} plans have a leapfrog join");
+    assert!(joins > cases / 10, "only {joins} of {cases} plans have a leapfrog join");
 }
 
 #[test]
@@ -1140,7 +1140,7 @@ fn faulty_facts_are_located_and_nothing_is_inserted() {
     assert!(session.commit().unwrap().is_empty());
     let many = load(&mut session, "R", &"x\n".repeat(100_000)).unwrap_err();
     assert_eq!(many.len(), MAX_FAULTS + 1);
-    assert_eq!(many[MAX_FAULTS], "100 errors; further ones are not shown");
+    assert_eq!(many[MAX_FAULTS], "more than 100 errors; the others are not shown");
 }
 
 /// The values of `range`, by counting.

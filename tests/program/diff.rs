@@ -59,7 +59,7 @@ fn the_command_reports_the_bound() {
     let output = logicity(["diff", &one, &same, "--effort", "2000"]);
     let said = String::from_utf8(output.stdout).unwrap();
     assert!(
-        said.starts_with("no difference found in 200 scenes: all of at most "),
+        said.starts_with("no difference found in 200 scenes: all scenes of at most "),
         "{said}"
     );
     assert_eq!(output.status.code(), Some(0));

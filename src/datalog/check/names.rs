@@ -719,11 +719,11 @@ fn read_options(mark: &Mark, faults: &mut Faults) -> Directive {
                 (_, value) => {
                     let fault = Diagnostic::new(Code::UNSUPPORTED, format!("`IO={value}` is not supported here"));
                     let known = match mark.kind {
-                        MarkKind::Input => "`file` and `stdin`",
-                        MarkKind::Output => "`file` and `stdout`",
+                        MarkKind::Input => "`file` or `stdin`",
+                        MarkKind::Output => "`file` or `stdout`",
                         MarkKind::PrintSize => "`stdoutprintsize`",
                     };
-                    faults.push(fault.at(option.place.0, "").help(format!("it may be {known}")));
+                    faults.push(fault.at(option.place.0, "").help(format!("use {known}")));
                 }
             },
             "filename" if mark.kind != MarkKind::PrintSize => place = RowPlace::File(option.value.clone()),

@@ -2,7 +2,7 @@
 
 use crate::city::AgentKind;
 use crate::city::{Cell, CityMap, Heading};
-use crate::diag::{Code, Diagnostic, Faults, SourceId, Sources, Span, did_you_mean};
+use crate::diag::{Code, Diagnostic, Faults, SourceId, Sources, Span, did_you_mean, json_error};
 use crate::sim::tick::ground::MAX_ENTITIES;
 use indexmap::IndexMap;
 use indexmap::map::Entry;
@@ -406,8 +406,6 @@ impl<'a> Reader<'a> {
     fn read<T: Deserialize<'a>>(&self, json: &'a str, offset: usize) -> Read<T> {
         serde_json::from_str(json).map_err(|error| {
             // `column` is 0 if the error is about the value as a whole.
-            let text = error.to_string();
-            let text = text.split(" at line ").next().unwrap_or(&text);
             let lines_before = json.split('\n').take(error.line().saturating_sub(1));
             let byte = lines_before.map(|line| line.len() + 1).sum::<usize>() + error.column().saturating_sub(1);
             let start = offset + byte.min(json.len());
@@ -416,7 +414,7 @@ impl<'a> Reader<'a> {
             } else {
                 start..start + 1
             };
-            let fault = Diagnostic::new(Code::INVALID_SCENE, format!("not a scene: {text}"));
+            let fault = Diagnostic::new(Code::INVALID_SCENE, format!("not a scene: {}", json_error(&error)));
             vec![fault.at(Span::new(self.source, span), "").help(HELP)]
         })
     }

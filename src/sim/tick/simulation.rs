@@ -193,7 +193,7 @@ impl Simulation {
             );
             let fault = Diagnostic::new(Code::LIMIT_EXCEEDED, message).at(set.span, "in this agent set");
             return Err(match fallback {
-                None => fault.help("use `--executor auto`"),
+                None => fault.help("use fewer agents, or another executor (`auto`)"),
                 Some(reason) => fault
                     .note(reason)
                     .help("`logicity check` lists the rules that the dense executor cannot evaluate, and why"),

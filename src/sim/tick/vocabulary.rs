@@ -226,7 +226,7 @@ fn undefined(scenario: &Scenario, unknown: &[&Relation], predicates: &[Predicate
     for relation in rest {
         fault = fault.also(relation.span, "and here");
     }
-    fault = fault.also(scenario.rules.span, "the configuration uses these rules");
+    fault = fault.also(scenario.rules.span, "these rules");
     let known = || predicates.iter().map(|predicate| predicate.name.as_str());
     for relation in unknown {
         if let Some(near) = did_you_mean(&relation.name, known()) {

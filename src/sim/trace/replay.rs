@@ -4,7 +4,7 @@ use crate::city::{Action, AgentKind};
 use crate::city::{Cell, Heading};
 use crate::datalog::Session;
 use crate::datalog::Value;
-use crate::diag::{Code, Diagnostic};
+use crate::diag::{Code, Diagnostic, json_error};
 use crate::predicate::Entity;
 use crate::sim::tick::chance::Chance;
 use crate::sim::tick::ground::{Facts, ground};
@@ -134,8 +134,8 @@ impl TraceHeader {
     /// # Errors
     /// `invalid-trace`, without a source position.
     pub fn read(line: &str) -> Result<TraceHeader, Diagnostic> {
-        let header: TraceHeader =
-            serde_json::from_str(line).map_err(|error| invalid(format!("not the header of a trace: {error}")))?;
+        let header: TraceHeader = serde_json::from_str(line)
+            .map_err(|error| invalid(format!("not the header of a trace: {}", json_error(&error))))?;
         if header.trace != "logicity" || header.version != TRACE_VERSION {
             let message = format!(
                 "a trace of `{}`, version {}; this program reads `logicity`, version {TRACE_VERSION}",
@@ -153,7 +153,7 @@ impl TraceTick {
     /// # Errors
     /// `invalid-trace`, without a source position.
     pub fn read(line: &str) -> Result<TraceTick, Diagnostic> {
-        serde_json::from_str(line).map_err(|error| invalid(format!("not a tick: {error}")))
+        serde_json::from_str(line).map_err(|error| invalid(format!("not a tick: {}", json_error(&error))))
     }
 }
 

@@ -220,11 +220,13 @@ fn check(world: &World, request: &Request) -> Result<(), Vec<Diagnostic>> {
     let actions: Vec<&str> = askable(world).into_iter().map(Action::name).collect();
     if request.shots > 0 && request.shots < actions.len() {
         let message = format!(
-            "{} demonstrations cannot cover all actions of the rules: {}",
+            "{} solved examples cannot cover all actions of the rules: {}",
             request.shots,
             actions.join(", ")
         );
-        faults.push(Diagnostic::new(Code::INVALID_VALUE, message).help("use none, or at least one per action"));
+        faults.push(
+            Diagnostic::new(Code::INVALID_VALUE, message).help("use 0 (`--shots 0`), or at least one per action"),
+        );
     }
     let agents = |split: Split| {
         let set = scenario.agent_set(split)?;

@@ -9,7 +9,7 @@
 use crate::city::{Action, AgentConfig, AgentKind, AgentName, Split};
 use crate::city::{Agent, Cell};
 use crate::config::PredicateConfig;
-use crate::diag::{Code, Diagnostic, SourceId, Sources, Span, did_you_mean};
+use crate::diag::{Code, Diagnostic, SourceId, Sources, Span, did_you_mean, json_error};
 use crate::files::ReadFile;
 use crate::sim::World;
 use crate::task::spf::{SpfTask, constrained_by_name};
@@ -415,11 +415,7 @@ fn parse<'t, T: Deserialize<'t>>(line: &'t str, source: SourceId, start: usize, 
             .rev()
             .find(|at| line.is_char_boundary(at - start))
             .unwrap_or(start);
-        // The position within the line; the diagnostic has the place in the file.
-        let place = format!(" at line {} column {}", error.line(), error.column());
-        let reason = error.to_string();
-        let reason = reason.strip_suffix(&place).unwrap_or(&reason);
-        invalid(format!("not {what}: {reason}")).at(Span::new(source, at..start + line.len()), "here")
+        invalid(format!("not {what}: {}", json_error(&error))).at(Span::new(source, at..start + line.len()), "here")
     })
 }
 

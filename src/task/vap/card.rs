@@ -32,12 +32,15 @@ fn beginning(manifest: &Manifest) -> String {
     } = &manifest.settings;
     format!(
         "# Visual Action Prediction, {mode} mode, {agents} agents, {split}\n\n\
-         {} worlds of {TICKS} ticks each. The data set contains the ticks from {FIRST_TICK} on:\n\
+         {} of {TICKS} ticks each. The data set contains the ticks from {FIRST_TICK} on:\n\
          {} frames, {} labels of cars.\n\
          `{}` made it; `logicity vap check` checks it.\n\
          It has the MIT license, like the program that made it.\n\n\
          configuration {config_hash}  \nrules {rules_hash}  \ndrawing {drawing_hash}\n",
-        manifest.worlds.len(),
+        match manifest.worlds.len() {
+            1 => "1 world".to_owned(),
+            count => format!("{count} worlds"),
+        },
         manifest.frames,
         total(manifest.actions),
         command(

@@ -4,7 +4,7 @@
 //! Each file is written under a temporary name, `.NAME.partial`, and renamed when complete. The next command removes
 //! temporary files that an interrupted command has left.
 
-use crate::diag::{Code, Diagnostic};
+use crate::diag::{Code, Diagnostic, json_error};
 use crate::files::{FileError, Folder};
 use crate::task::vap::error::DatasetError;
 use serde::{Deserialize, Serialize};
@@ -312,7 +312,13 @@ fn read_json<T: for<'de> Deserialize<'de>>(folder: &Folder, name: &str) -> Resul
     }
     let path = folder.path().join(name);
     let text = folder.read_text(name)?;
-    let fail = |error| wrong(&path, format!("not a file of a data set: {error}"));
+    let fail = |error: serde_json::Error| {
+        let place = format!("line {}, column {}", error.line(), error.column());
+        wrong(
+            &path,
+            format!("not a file of a data set: {}, in {place}", json_error(&error)),
+        )
+    };
     let Version { data, version } = serde_json::from_str::<Versioned>(&text).map_err(fail)?.settings;
     if data != DATA || version != VERSION {
         let message = format!("a data set `{data}`, version {version}; this program reads version {VERSION}");

@@ -375,10 +375,15 @@ fn outputs(left: &Rules, right: &Rules, options: &Options) -> Result<Vec<Output>
     let [in_left, in_right] = [left, right].map(Rules::relations_by_name);
     for name in names {
         let (Some(&a), Some(&b)) = (in_left.get(name), in_right.get(name)) else {
-            let message = format!("`{name}` is not declared on both sides");
+            let side = match (in_left.contains_key(name), in_right.contains_key(name)) {
+                (false, false) => "neither side declares",
+                (false, true) => "the left side does not declare",
+                _ => "the right side does not declare",
+            };
+            let message = format!("{side} a predicate `{name}`");
             faults.push(
                 Diagnostic::new(Code::RULE_MISMATCH, message)
-                    .help("choose the predicates to compare with `--predicates`"),
+                    .help("compare only predicates that both sides declare: `--predicates NAME,...`"),
             );
             continue;
         };
