@@ -1,4 +1,4 @@
-//! `logicity vap`
+//! `logicity vap`: makes and checks data sets of Visual Action Prediction.
 
 use crate::cancel::Cancel;
 use crate::city::{Action, Split};

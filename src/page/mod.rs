@@ -465,7 +465,7 @@ impl Shown {
     const SIDE: u32 = 96;
 
     /// Returns the icons of an agent. The number in its name selects the instance, as in other pictures of the run,
-    /// modulo [`CROWD`].
+    /// modulo [`ICON_VARIANTS`].
     fn of(&mut self, icons: &Icons, kind: AgentKind, agent: &TraceAgent, position: usize) -> Vec<usize> {
         let class = Class::agent(kind, &agent.concepts);
         let number = agent.id.rsplit('_').next().and_then(|number| number.parse().ok());

@@ -319,8 +319,8 @@ impl<'s> Explainer<'s> {
         Explainer::new_with(session, &Cancel::never())
     }
 
-    /// Cancellable variant of [`new`](Explainer::new): every question polls `cancel` a few hundred times a second. On
-    /// cancellation it fails with [`ExplainError::Cancelled`], and the explainer is ready for the next question.
+    /// Cancellable variant of [`new`](Explainer::new): every query polls `cancel` a few hundred times a second. On
+    /// cancellation it fails with [`ExplainError::Cancelled`], and the explainer is ready for the next query.
     pub fn new_with(session: &'s Session, cancel: &Cancel) -> Self {
         Explainer {
             search: Search::new(session, cancel),

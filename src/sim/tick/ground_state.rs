@@ -94,6 +94,7 @@ impl GroundState {
         Action::ALL.into_iter().filter(holds).collect()
     }
 
+    /// Returns the session.
     pub fn session(&self) -> &Session {
         &self.session
     }
