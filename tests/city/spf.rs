@@ -153,7 +153,7 @@ impl Plain {
         derived
     }
 
-    /// The clauses that an action breaks.
+    /// The clauses that an action violates.
     fn violations(&self, task: &SpfTask, action: Action) -> Vec<usize> {
         let (rules, given) = (task.world().program.rules(), Actions::from([action.name()]));
         let constraints = task.oracle().constraints().iter().enumerate();
@@ -179,12 +179,12 @@ fn relational(rules: &str) -> String {
 }
 
 /// Appends a clause to the rules that changes no action but whose body reads an action, so that the monitor needs two
-/// evaluations: one for wanted actions and one for broken clauses.
+/// evaluations: one for wanted actions and one for violated clauses.
 fn apart(rules: &str) -> String {
     format!("{rules}.decl Halts(x: agent)\nHalts(X) :- Stop(X).\n")
 }
 
-/// Observations, wanted actions and broken clauses equal those of the definitions for every ego, with either executor
+/// Observations, wanted actions and violated clauses equal those of the definitions for every ego, with either executor
 /// and with one evaluation or two.
 #[test]
 fn observers_agree_with_the_definitions() {
@@ -475,7 +475,7 @@ fn plain_state(city: &Simulation, ego: usize, scale: i32) -> Vec<Vec<f32>> {
     std::iter::once(ego).chain(seen).map(row_of).collect()
 }
 
-/// The oracle solves the recorded episodes of all modes and splits as recorded, and breaks no rule.
+/// The oracle solves the recorded episodes of all modes and splits as recorded, and violates no rule.
 #[test]
 fn slow_recorded_episodes() {
     for &mode in PATH_MODES {
