@@ -1,6 +1,6 @@
 //! Safe Path Following: observations, the oracle's actions, violations and rewards.
 
-use crate::shipped_world::{PATH_MODES, task, task_of};
+use crate::shipped_world::{SPF_MODES, task, task_of};
 use logicity::builtin::BuiltinFiles;
 use logicity::city::field_of_view;
 use logicity::city::{Action, AgentKind, Split};
@@ -188,7 +188,7 @@ fn apart(rules: &str) -> String {
 /// and with one evaluation or two.
 #[test]
 fn observers_agree_with_the_definitions() {
-    for &mode in PATH_MODES {
+    for &mode in SPF_MODES {
         let plain_task = task(mode, None);
         let other = task(mode, Some(&relational(&rules_of(&plain_task))));
         let twice = task(mode, Some(&apart(&rules_of(&plain_task))));
@@ -478,7 +478,7 @@ fn plain_state(city: &Simulation, ego: usize, scale: i32) -> Vec<Vec<f32>> {
 /// The oracle solves the recorded episodes of all modes and splits as recorded, and violates no rule.
 #[test]
 fn slow_recorded_episodes() {
-    for &mode in PATH_MODES {
+    for &mode in SPF_MODES {
         let task = task(mode, None);
         for split in Split::ALL {
             let mut sources = Sources::new();
