@@ -23,8 +23,8 @@ type Requested = dyn Fn() -> bool + Send + Sync;
 
 /// A request to stop long work, polled by the worker.
 ///
-/// Workers poll on every participating thread, some thousands of times per second, so the callback should be cheap.
-/// Clones share it.
+/// The callback should be cheap: workers poll up to some thousands of times per second, on the calling thread or on the
+/// threads of a pool. Clones share it.
 #[derive(Clone, Default)]
 pub struct Cancel(Option<Arc<Requested>>);
 

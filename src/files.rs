@@ -115,12 +115,18 @@ pub fn open(path: &Path) -> Result<std::fs::File, ReadError> {
 }
 
 /// Reads all input as text.
+///
+/// # Errors
+/// Why the input cannot be read.
 pub fn read_from(input: impl Read) -> Result<String, ReadError> {
     to_text(read_bytes(input)?)
 }
 
 /// Reads all input as text and replaces each invalid byte sequence by `U+FFFD`. Also returns the position of the first
 /// invalid byte.
+///
+/// # Errors
+/// Why the input cannot be read.
 pub fn read_any(input: impl Read) -> Result<(String, Option<usize>), ReadError> {
     Ok(match String::from_utf8(read_bytes(input)?) {
         Ok(text) => (text, None),

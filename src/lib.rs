@@ -30,8 +30,8 @@ configs/*.yaml --config--> Scenario --> World --> Simulation --ground--> facts -
 //!
 //! # Example
 //!
-//! A [`Program`](datalog::Program) holds checked rules. A [`Session`](datalog::Session) of it keeps facts between commits.
-//! Every commit returns a [`Delta`](datalog::Delta): the rows it added and removed.
+//! A [`Program`](datalog::Program) holds checked rules. A [`Session`](datalog::Session) of it keeps facts between
+//! commits. Every commit returns a [`Delta`](datalog::Delta): the rows it added and removed.
 //!
 //! ```
 //! use logicity::datalog::Program;

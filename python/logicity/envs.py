@@ -3,8 +3,9 @@
 `import logicity` registers them: `gymnasium.make("logicity/SPF-Expert-v0")` makes an `SPFEnv`, and
 `gymnasium.make_vec("logicity/SPF-Expert-v0", num_envs=256)` makes an `SPFVectorEnv`. This module needs the extra `gym`.
 
-The agent drives a car along a route without breaking a rule. The actions are 0 Slow, 1 Normal, 2 Fast and 3 Stop. An
-episode terminates when the car reaches the goal or breaks a rule. It is truncated at the horizon of the configuration.
+The agent drives a car along a route without violating a rule. The actions are 0 Slow, 1 Normal, 2 Fast and 3 Stop. An
+episode terminates when the car reaches the goal or violates a rule. It is truncated at the horizon of the
+configuration.
 """
 
 from __future__ import annotations
@@ -108,9 +109,9 @@ class SPFEnv(gymnasium.Env[Observations, np.int64]):
     `info` has these keys:
 
     - `oracle_action`: the action that the rules derive in the current state.
-    - `violations`: the names of the clauses that the last action broke, such as `S1`.
+    - `violations`: the names of the clauses that the last action violated, such as `S1`.
     - `progress`: the completed share of the route, from 0 to 1.
-    - `success`: whether the car has reached the goal without breaking a rule.
+    - `success`: whether the car has reached the goal without violating a rule.
     - `steps`: the number of steps of the episode.
     - `seed`: the seed of the episode, a `numpy.uint64`.
 
@@ -250,7 +251,7 @@ class SPFEnv(gymnasium.Env[Observations, np.int64]):
         """Write the trace of the episode so far, in the format of `logicity run`.
 
         `logicity view` converts a trace to an HTML page. For every step, the trace records the observed entities, the
-        required action, and the clauses that the action broke.
+        required action, and the clauses that the action violated.
 
         If `overrides`, or `map` or `agents` of a reset, change the configuration, this method also writes the resulting
         configuration. For `episode.jsonl` its path is `episode.jsonl.yaml`, and the trace refers to it. An existing

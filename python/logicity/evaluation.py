@@ -75,10 +75,10 @@ class EpisodeRecord:
         episode: The number of the episode in the set, from 0.
         steps: The number of steps.
         total: The return: the undiscounted sum of rewards.
-        success: Whether the car reached the goal in time without breaking a rule.
+        success: Whether the car reached the goal in time without violating a rule.
         truncated: Whether the run reached the step limit.
         constrained: The number of steps in which the rules required an action, by the name of the action.
-        violations: The names of the clauses that the last action broke.
+        violations: The names of the clauses that the last action violated.
     """
 
     episode: int
@@ -99,12 +99,12 @@ class Evaluation:
         mode: The mode, or the path of the configuration file.
         split: The split of the episodes.
         episodes_hash: SHA-256 of the set of episodes. Only results with the same hash are comparable.
-        tsr: Trajectory success rate: the share of episodes in which the car reaches the goal in time without breaking a
-            rule.
+        tsr: Trajectory success rate: the share of episodes in which the car reaches the goal in time without violating
+            a rule.
         dsr: Decision success rate: the share of all episodes in which the rules require an action at least once and
-            the car never breaks a rule. The episode may end in any way.
-        dsr_by_action: By action, the share of the episodes that require the action in which the car breaks no clause
-            that requires it.
+            the car never violates a rule. The episode may end in any way.
+        dsr_by_action: By action, the share of the episodes that require the action in which the car violates no
+            clause that requires it.
         score: The mean difference between the return and the mean return of the random policy on the same episode.
         mean_return: The mean return (undiscounted sum of rewards).
         mean_steps: The mean number of steps.

@@ -41,7 +41,7 @@ type Outcomes<'py> = (
     PyReadwriteArray1<'py, bool>,
 );
 
-/// The end of an episode: the index of the environment, the last observation, and the names of the broken clauses.
+/// The end of an episode: the index of the environment, the last observation, and the names of the violated clauses.
 type EpisodeEnd<'py> = (usize, Bound<'py, PyArray1<f32>>, Bound<'py, PyTuple>);
 
 /// Writes infos to columns with one element per environment.
@@ -194,7 +194,8 @@ impl PyVectorEnv {
         ))
     }
 
-    /// Steps all environments. Returns the indices of environments with broken clauses, and the names of these clauses.
+    /// Steps all environments. Returns the indices of environments with violations, and the names of the violated
+    /// clauses.
     fn step<'py>(
         slf: &Bound<'py, Self>,
         py: Python<'py>,

@@ -232,7 +232,7 @@ fn check_room(set: &AgentSet, places: &Places, kind: AgentKind) -> Result<(), Di
     let (plural, rule) = match kind {
         AgentKind::Car => (
             "cars",
-            "cars start at the kerb across from a gas station, garage or store",
+            "cars start at the curb across from a gas station, garage or store",
         ),
         AgentKind::Pedestrian => ("pedestrians", "pedestrians start beside a house or office"),
     };
@@ -255,7 +255,7 @@ fn check_room(set: &AgentSet, places: &Places, kind: AgentKind) -> Result<(), Di
 /// Returns the `no-route` diagnostic of an agent that cannot reach any goal.
 fn nowhere(set: &AgentSet, name: AgentName, Cell { row, col }: Cell) -> Diagnostic {
     let goal = match name.kind {
-        AgentKind::Car => "a car needs another kerb cell as its goal",
+        AgentKind::Car => "a car needs another curb cell as its goal",
         AgentKind::Pedestrian => "a pedestrian needs a house or office in another block as its goal",
     };
     let (span, near, larger) = match (set.trip, set.region) {

@@ -42,13 +42,13 @@ impl Cell {
 /// A direction on the map.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord, Hash)]
 pub enum Heading {
-    /// Towards column 0.
+    /// Toward column 0.
     Left,
-    /// Towards the last column.
+    /// Toward the last column.
     Right,
-    /// Towards row 0.
+    /// Toward row 0.
     Up,
-    /// Towards the last row.
+    /// Toward the last row.
     Down,
 }
 

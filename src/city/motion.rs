@@ -160,7 +160,7 @@ mod tests {
     use crate::city::{AgentConfig, AgentName, Routing};
     use std::sync::Arc;
 
-    /// A car that leaves the kerb, stops at the node at the end of its lane, and turns right behind it.
+    /// A car that leaves the curb, stops at the node at the end of its lane, and turns right behind it.
     fn car() -> Agent {
         let router = Router::new(Arc::new(square([2, 2])), Routing::Weighted);
         let goal = Cell::new(64, 46);
@@ -181,7 +181,7 @@ mod tests {
     #[test]
     fn a_move_ends_before_a_turn_and_on_a_node() {
         let mut car = car();
-        // Three cells from the kerb to the lane, five along it to its end at column 41, then on into the intersection.
+        // Three cells from the curb to the lane, five along it to its end at column 41, then on into the intersection.
         let mut seen = Vec::new();
         while car.cell.col < 45 {
             seen.push((car.cell.row, car.cell.col, possible_cells(&car)));

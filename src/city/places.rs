@@ -15,7 +15,7 @@ const GOAL_DRAWS: usize = 16;
 
 /// The cells where agents start and arrive in a region of the map, numbered from 0 row by row.
 ///
-/// Pedestrians: cells of the walking street that touch a house or an office, corners included. Cars: kerb cells of a
+/// Pedestrians: cells of the walking street that touch a house or an office, corners included. Cars: curb cells of a
 /// traffic street directly across the sidewalk from a gas station, garage or store.
 #[derive(Clone, Debug)]
 pub struct Places {
@@ -36,7 +36,7 @@ struct Extent {
     cols: Range<i32>,
 }
 
-/// The places of a block by its buildings, in cells from its first row and column. Kerbs are one cell outside of the
+/// The places of a block by its buildings, in cells from its first row and column. Curbs are one cell outside of the
 /// block.
 #[derive(Clone, Debug)]
 struct Pattern {
@@ -93,7 +93,7 @@ impl BlockAxis {
         }
     }
 
-    /// The block and its kerbs, split into ranges of equivalent coordinates.
+    /// The block and its curbs, split into ranges of equivalent coordinates.
     fn parts(&self) -> Vec<Range<i32>> {
         let mut lines = vec![-1, 0, self.side, self.side + 1];
         for span in &self.buildings {
@@ -109,9 +109,9 @@ impl BlockAxis {
         self.buildings.iter().position(|span| span.contains(&at))
     }
 
-    /// The building on the side of a kerb.
-    fn kerb(&self, at: i32) -> Option<usize> {
-        [-1, self.side].into_iter().position(|kerb| kerb == at)
+    /// The building on the side of a curb.
+    fn curb(&self, at: i32) -> Option<usize> {
+        [-1, self.side].into_iter().position(|curb| curb == at)
     }
 
     /// Whether a coordinate is in a building or adjacent to it.
@@ -124,7 +124,7 @@ impl BlockAxis {
         let has = |row: usize, col: usize| set >> (2 * row + col) & 1 == 1;
         match kind {
             AgentKind::Car => {
-                let across = |at, along| Some((self.kerb(at)?, self.within(along)?));
+                let across = |at, along| Some((self.curb(at)?, self.within(along)?));
                 across(row, col).is_some_and(|(row, col)| has(row, col))
                     || across(col, row).is_some_and(|(col, row)| has(row, col))
             }
@@ -168,9 +168,9 @@ fn starts(kind: AgentKind, buildings: [Building; 4]) -> u8 {
     (0..4).filter(|&at| is_start(buildings[at])).map(|at| 1 << at).sum()
 }
 
-/// The rows (or columns) of blocks whose places, kerbs included, can lie in this range of cells.
+/// The rows (or columns) of blocks whose places, curbs included, can lie in this range of cells.
 fn blocks_near(layout: &Layout, cells: &Range<i32>, blocks: i32) -> Range<i32> {
-    // The kerb after a block is the first cell of the next street; the kerb before it is the last cell of its own
+    // The curb after a block is the first cell of the next street; the curb before it is the last cell of its own
     // street.
     let period = layout.period();
     let first = (cells.start - 1).div_euclid(period);
@@ -298,7 +298,7 @@ impl Selection<'_> {
         }
         let mut number = band.before + (cell.row - band.rows.start) as usize * band.in_row;
         for block_col in self.blocks_across() {
-            // The kerb before the block is its first place.
+            // The curb before the block is its first place.
             if cell.col > self.of.map.layout.block_start(block_col) + self.of.map.layout.block_side() {
                 number += self.in_block(band.block_row, block_col, band.band);
                 continue;

@@ -22,7 +22,7 @@ use std::path::{Path, PathBuf};
 use std::sync::Arc;
 use std::time::{Duration, Instant};
 
-/// States of the city on which `infer` evaluates the rules. Fewer if together they exceed `MOMENTS_BYTES` (256 MiB).
+/// States of the city on which `infer` evaluates the rules. Fewer if together they exceed `STATES_BYTES` (256 MiB).
 const STATES: usize = 64;
 const STATES_BYTES: usize = 1 << 28;
 /// Ticks between two of these states.
@@ -423,7 +423,7 @@ impl<'a> Bench<'a> {
         Ok(())
     }
 
-    /// Measures pictures of `view` over the states `moments`, at a difficulty in percent.
+    /// Measures pictures of `view` over the states, at a difficulty in percent.
     fn pictures(
         &self,
         states: &[Vec<Agent>],
@@ -608,7 +608,7 @@ impl<'a> Bench<'a> {
     }
 }
 
-/// Measures the evaluation of the rules on each of `moments` in turn.
+/// Measures the evaluation of the rules on each of the states in turn.
 fn evaluate<const W: usize>(
     seconds: Duration,
     dense: &Dense,

@@ -332,8 +332,8 @@ fn report(diagnostics: &[Diagnostic], sources: &Sources) {
         return;
     }
     let mut err = anstream::stderr();
-    let colour = io::stderr().is_terminal();
-    let _ = writeln!(err, "{}", render(diagnostics, sources, colour));
+    let color = io::stderr().is_terminal();
+    let _ = writeln!(err, "{}", render(diagnostics, sources, color));
     let errors = diagnostics.iter().filter(|diagnostic| diagnostic.is_error()).count();
     if diagnostics.len() > 1 {
         let _ = writeln!(err, "{}", count(errors, diagnostics.len() - errors));

@@ -231,7 +231,7 @@ fn print_relation(
     out.write_all(b"===============\n")
 }
 
-/// Returns the declared relations in text order.
+/// Returns the declared relations in source order.
 pub(super) fn relations(program: &Program) -> impl Iterator<Item = (RelId, &crate::datalog::Relation)> {
     let relations = program.rules().relations.iter().enumerate();
     relations.map(|(index, relation)| {

@@ -479,9 +479,9 @@ fn stuck(simulation: &mut Simulation, tally: &Tally, sources: &Sources, text: &m
         behind,
         starving,
     } = find_deadlocks(&stuck, &waits);
-    for circle in &deadlocks {
-        let since = circle.iter().map(|wait| tally.last_move[wait.agent]).max().unwrap_or(0);
-        let _ = writeln!(text, "  deadlock since tick {since}: {}", chain(circle));
+    for cycle in &deadlocks {
+        let since = cycle.iter().map(|wait| tally.last_move[wait.agent]).max().unwrap_or(0);
+        let _ = writeln!(text, "  deadlock since tick {since}: {}", chain(cycle));
     }
     for agent in starving {
         let (mut names, mut labels): (Vec<&str>, Vec<String>) = Default::default();

@@ -1,4 +1,4 @@
-//! `logicity vap`
+//! `logicity vap`: makes and checks data sets of Visual Action Prediction.
 
 use crate::cancel::Cancel;
 use crate::city::{Action, Split};
@@ -31,13 +31,13 @@ enum What {
 #[derive(clap::Args)]
 #[command(mut_arg("difficulty", |difficulty| difficulty.default_value("50")))]
 struct Make {
-    /// The rules: those of configs/vap-easy.yaml or configs/vap-hard.yaml
+    /// Rules: those of configs/vap-easy.yaml or configs/vap-hard.yaml
     #[arg(long, value_parser = one_of(&Mode::ALL, Mode::name))]
     mode: Mode,
-    /// The agents: from the configuration, or drawn for each world
+    /// Agents: from the configuration, or drawn for each world
     #[arg(long, value_parser = one_of(&Agents::ALL, Agents::name), default_value = "fixed")]
     agents: Agents,
-    /// The split
+    /// Agent set of the configuration
     #[arg(long, value_parser = one_of(&Split::ALL, Split::name))]
     split: Split,
     /// Number of worlds [default: 100 for train, 20 for val and test]
@@ -48,7 +48,7 @@ struct Make {
     #[arg(long, value_parser = clap::value_parser!(u32).range(0..i64::from(WORLDS_MAX)), allow_negative_numbers = true,
         default_value_t = 0)]
     first_world: u32,
-    /// The seed of all draws
+    /// Seed of the data set
     #[arg(long, default_value_t = 0, allow_negative_numbers = true)]
     seed: u64,
     /// Write tables only; boxes are the same as with pictures
@@ -56,17 +56,17 @@ struct Make {
     no_pictures: bool,
     #[command(flatten)]
     icons: IconOptions,
-    /// Number of threads; 0 means one per core. The files are the same with any number
+    /// Number of threads; 0 means one per core. The files do not depend on it
     #[arg(long, value_parser = threads, default_value = "0", allow_negative_numbers = true)]
     threads: NonZeroUsize,
-    /// The folder to write
+    /// Folder to write
     #[arg(short, long)]
     out: PathBuf,
 }
 
 #[derive(clap::Args)]
 struct Check {
-    /// The folder of the data set
+    /// Folder of the data set
     folder: PathBuf,
     /// Number of threads; 0 means one per core
     #[arg(long, value_parser = threads, default_value = "0", allow_negative_numbers = true)]

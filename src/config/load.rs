@@ -113,7 +113,7 @@ fn scenario(composer: &mut Composer<'_>, tree: &Node) -> Option<Scenario> {
         .required("ticks", faults)
         .and_then(|node| integer(node, 1..=MAX_TICKS, faults));
     let task_node = fields.optional("task");
-    let task = task_node.map(|node| task::path(composer, node, predicates.as_ref()));
+    let task = task_node.map(|node| task::spf(composer, node, predicates.as_ref()));
     let faults = &mut composer.faults;
     let usual = "`base: configs/common.yaml` has defaults for all keys except `rules` and `agents`";
     fields.close_with(Some(usual), faults);

@@ -21,7 +21,7 @@ const MAX_PATIENCE: u32 = 1000;
 const MAX_REWARD: f64 = 1e6;
 
 /// Reads the configuration of Safe Path Following.
-pub(super) fn path(composer: &mut Composer<'_>, node: &Node, predicates: Option<&Predicates>) -> Option<SpfConfig> {
+pub(super) fn spf(composer: &mut Composer<'_>, node: &Node, predicates: Option<&Predicates>) -> Option<SpfConfig> {
     let mut fields = Fields::open(node, "a task", &mut composer.faults)?;
     fields.optional("base");
     let episodes = fields.optional("episodes").map(|node| episodes(composer, node));

@@ -23,7 +23,8 @@
 //!
 //! 1. [`Program::load`] parses and checks a source and everything it includes, and plans every clause. It returns all
 //!    diagnostics, and a program unless one of them is an error. [`Program::new`] plans rules that [`load`] checked.
-//! 2. [`Program::session`] creates an empty [`Session`]. Its first commit also derives what follows from facts in the text.
+//! 2. [`Program::session`] creates an empty [`Session`]. Its first commit also derives what follows from facts in the
+//!    text.
 //! 3. [`Session::insert`] and [`Session::retract`] record changes of base relations. No query sees them yet.
 //! 4. [`Session::commit`] applies the changes and updates the derived relations, or fails and changes nothing.
 //!    The [`Delta`] it returns lists the added and removed rows of every relation, base and derived.
@@ -65,8 +66,8 @@
 //!
 //! # What is incremental
 //!
-//! A commit visits the strata in order and skips every stratum whose inputs did not change. It updates any other stratum
-//! in one of two ways, whichever promises to scan fewer rows ([`Strategy`] overrides the choice):
+//! A commit visits the strata in order and skips every stratum whose inputs did not change. It updates any other
+//! stratum in one of two ways, whichever promises to scan fewer rows ([`Strategy`] overrides the choice):
 //!
 //! - *Maintain*: delete and rederive (DRed). The work depends on the change and on the rows that join with it.
 //! - *Recompute*: semi-naive evaluation from scratch.
@@ -74,9 +75,8 @@
 //! If the result of a stratum stays the same, the change stops there. A commit also copies every relation that changes,
 //! in time proportional to its size.
 //!
-//! [`Session::work`] reports the strata and rules that
-//! the last commit evaluated, with the numbers of rows. After every commit a session holds exactly the facts that
-//! [`naive`] derives from the same input.
+//! [`Session::work`] reports the strata and rules that the last commit evaluated, with the numbers of rows. After every
+//! commit a session holds exactly the facts that [`naive`] derives from the same input.
 //!
 //! Rules are fixed: to change them, load a new program and insert the facts into a new session.
 //!
@@ -85,13 +85,14 @@
 //! - A predicate has at most 32 columns; a clause has at most 128 variables and 128 literals ([`Program::new`]).
 //! - A stratum with a clause of more than 24 literals is recomputed, never maintained.
 //! - Values have 32 bits ([`Value`]). Whole numbers wrap around.
-//! - A commit stays within [`Limits`]: by default 10⁸ derived rows, 10¹¹ scanned rows and 4 GiB. Beyond that it fails with
-//!   an [`EvalError`], and the session stays as it was. The limits count work, so the outcome does not depend on time.
+//! - A commit stays within [`Limits`]: by default 10⁸ derived rows, 10¹¹ scanned rows and 4 GiB. Beyond that it fails
+//!   with an [`EvalError`], and the session stays as it was. The limits count work, so the outcome does not depend on
+//!   time.
 //! - Components, records, algebraic data types, lattices and user-defined functors of Soufflé are not supported. The
 //!   checker reports them with the code `unsupported`.
 //!
-//! The engine performs no I/O, reads no clock and is deterministic: threads ([`Session::set_threads`]) change neither rows
-//! nor their order. It knows nothing of cities, egos or actions.
+//! The engine performs no I/O, reads no clock and is deterministic: threads ([`Session::set_threads`]) change neither
+//! rows nor their order. It knows nothing of cities, egos or actions.
 
 mod analysis;
 mod check;

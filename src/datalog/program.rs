@@ -70,6 +70,9 @@ impl Program {
     ///
     /// The options do not change the answers, as long as the facts satisfy the constraints that
     /// [`Options::constraints`] relies on.
+    ///
+    /// # Errors
+    /// As [`Program::new`].
     pub fn with(rules: Rules, options: Options) -> Result<Program, Diagnostic> {
         #[cfg(feature = "optimizer")]
         let plans = match options.optimize {

@@ -186,12 +186,15 @@ impl Session {
     /// Commits and calls `watch` on the calling thread whenever the evaluation of a clause begins or ends.
     ///
     /// The engine reads no clock; the callback may.
+    ///
+    /// # Errors
+    /// As [`commit`](Session::commit).
     pub fn commit_watched(&mut self, watch: &dyn Fn(EvalEvent)) -> Result<Delta, EvalError> {
         self.run_commit(Some(watch), &Cancel::never())
     }
 
     /// Cancellable variant of [`commit`](Session::commit). On cancellation the session is as before the call, with the
-    /// same changes noted.
+    /// same changes pending.
     ///
     /// The calling thread polls `cancel`: up to a few thousand times a second while it evaluates rules, less often
     /// while it sorts rows.

@@ -235,8 +235,8 @@ pub fn parse(base: BaseType, text: &str) -> Option<Value> {
 impl AggregateOp {
     /// Returns the aggregate of `values`; `None` if it has none, such as the minimum of no values.
     ///
-    /// `base` is the base type of the values. [`AggregateOp::Count`] accepts values of any type. The order of the values
-    /// has no effect, not even for floats.
+    /// `base` is the base type of the values. [`AggregateOp::Count`] accepts values of any type. The order of the
+    /// values has no effect, not even for floats.
     pub fn of(self, base: BaseType, values: impl Iterator<Item = Value>, symbols: &Symbols) -> Option<Value> {
         let text = |value: &Value| symbols.text(Symbol(value.0)).unwrap_or_default();
         match (self, base) {

@@ -471,8 +471,8 @@ fn moved(value: Value, base: BaseType, from: &Symbols, to: &Symbols) -> Value {
 
 /// Returns whether text typed at a prompt is complete.
 ///
-/// Complete text has no open parenthesis, and its last clause ends with a full stop. A directive ends with its line, and
-/// a query once it parses.
+/// Complete text has no open parenthesis, and its last clause ends with a full stop. A directive ends with its line,
+/// and a query once it parses.
 pub fn is_complete(text: &str) -> bool {
     let mut sources = Sources::new();
     let id = sources.add("", text);

@@ -38,7 +38,7 @@ impl Faults {
         self.errors.len() >= MAX_FAULTS
     }
 
-    /// Returns the diagnostics in text order, without duplicates.
+    /// Returns the diagnostics in source order, without duplicates.
     pub fn finish(self) -> Vec<Diagnostic> {
         let full = self.full();
         let mut list = self.errors;

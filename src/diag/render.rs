@@ -12,9 +12,9 @@ const MAX_LINE: usize = 2000;
 /// Places with more lines between them are shown in separate excerpts.
 const MAX_GAP: usize = 200;
 
-/// Renders diagnostics as text with source lines and carets, separated by blank lines. `colour` adds terminal styles.
-pub fn render(diagnostics: &[Diagnostic], sources: &Sources, colour: bool) -> String {
-    let renderer = if colour { Renderer::styled() } else { Renderer::plain() };
+/// Renders diagnostics as text with source lines and carets, separated by blank lines. `color` adds terminal styles.
+pub fn render(diagnostics: &[Diagnostic], sources: &Sources, color: bool) -> String {
+    let renderer = if color { Renderer::styled() } else { Renderer::plain() };
     let mut out = String::new();
     for (index, diagnostic) in diagnostics.iter().enumerate() {
         if index > 0 {

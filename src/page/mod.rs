@@ -426,8 +426,8 @@ impl Page {
             return;
         };
         let found = find_deadlocks(&stuck, &waits);
-        for circle in found.deadlocks {
-            let agents: Vec<usize> = circle.iter().map(|wait| wait.agent).collect();
+        for cycle in found.deadlocks {
+            let agents: Vec<usize> = cycle.iter().map(|wait| wait.agent).collect();
             let same = |known: &&mut Deadlock| known.agents == agents && known.until + LOOK_TICKS >= now;
             if let Some(known) = self.deadlocks.iter_mut().find(same) {
                 known.until = now;
@@ -435,7 +435,7 @@ impl Page {
             }
             let position = |wait: &WaitsFor| replay.world().clauses().position(|clause| clause == wait.clause);
             self.deadlocks.push(Deadlock {
-                clauses: circle.iter().map(position).collect(),
+                clauses: cycle.iter().map(position).collect(),
                 since: agents.iter().map(|&agent| self.still_since[agent]).max().unwrap_or(now),
                 until: now,
                 agents,
@@ -465,7 +465,7 @@ impl Shown {
     const SIDE: u32 = 96;
 
     /// Returns the icons of an agent. The number in its name selects the instance, as in other pictures of the run,
-    /// modulo [`CROWD`].
+    /// modulo [`ICON_VARIANTS`].
     fn of(&mut self, icons: &Icons, kind: AgentKind, agent: &TraceAgent, position: usize) -> Vec<usize> {
         let class = Class::agent(kind, &agent.concepts);
         let number = agent.id.rsplit('_').next().and_then(|number| number.parse().ok());

@@ -501,8 +501,8 @@ impl<R: Rng> Car<'_, R> {
         let (half, glass_end) = (self.length / 2.0, self.along(0.36));
         let (offset, wide) = (self.dice.between(0.07, 0.13), self.dice.between(0.035, 0.07));
         let style = self.dice.below(3);
-        let centres: &[f32] = if style == 2 { &[0.12] } else { &[-1.0, 1.0] };
-        for &side in centres {
+        let centers: &[f32] = if style == 2 { &[0.12] } else { &[-1.0, 1.0] };
+        for &side in centers {
             let x = if style == 2 { side } else { side * offset };
             let wide = if style == 2 { wide * 1.8 } else { wide };
             if shape == Shape::Bus || shape == Shape::Van {

@@ -80,9 +80,9 @@ pub(super) fn write_rgba(pixels: &[u8], width: u32, height: u32, out: impl Write
     write(pixels, width, height, png::ColorType::Rgba, out)
 }
 
-fn write(pixels: &[u8], width: u32, height: u32, colours: png::ColorType, out: impl Write) -> io::Result<()> {
+fn write(pixels: &[u8], width: u32, height: u32, colors: png::ColorType, out: impl Write) -> io::Result<()> {
     let mut encoder = png::Encoder::new(out, width, height);
-    encoder.set_color(colours);
+    encoder.set_color(colors);
     encoder.set_depth(png::BitDepth::Eight);
     // Decoders undo the Up filter many bytes at a time and the other filters byte by byte. Higher compression levels
     // save little.
@@ -103,7 +103,7 @@ const UNCHANGED: u8 = 255;
 
 /// A palette of at most 255 colors, and the palette entry for each RGB color.
 struct Palette {
-    colours: Vec<Rgb>,
+    colors: Vec<Rgb>,
     /// Palette indices by the upper five bits of red, green and blue.
     nearest: Vec<u8>,
 }
@@ -123,7 +123,7 @@ impl Palette {
     /// Computes the palette of a picture by median cut: splits the most uneven box of colors at its median weight until
     /// there are enough boxes. The result is deterministic.
     fn of(picture: &Picture) -> Palette {
-        let mut boxes = vec![ColourBox::new(weighed(picture))];
+        let mut boxes = vec![ColorBox::new(weighed(picture))];
         while boxes.len() < usize::from(UNCHANGED) {
             let worst = (0..boxes.len()).max_by_key(|&at| (boxes[at].uneven, usize::MAX - at));
             let Some(worst) = worst.filter(|&at| boxes[at].uneven > 0) else {
@@ -132,21 +132,21 @@ impl Palette {
             let (low, high) = boxes.swap_remove(worst).cut();
             boxes.extend([low, high]);
         }
-        let mut colours: Vec<Rgb> = boxes.iter().map(ColourBox::mean).collect();
-        colours.sort_unstable();
+        let mut colors: Vec<Rgb> = boxes.iter().map(ColorBox::mean).collect();
+        colors.sort_unstable();
         let nearest = (0..1 << 15).map(|bin: usize| {
             let rgb = [bin >> 10, bin >> 5 & 31, bin & 31].map(|part| (part as u8) << 3 | 4);
-            let far = |colour: &Rgb| -> i32 {
+            let far = |color: &Rgb| -> i32 {
                 (0..3)
-                    .map(|at| (i32::from(colour[at]) - i32::from(rgb[at])).pow(2))
+                    .map(|at| (i32::from(color[at]) - i32::from(rgb[at])).pow(2))
                     .sum()
             };
-            let best = colours.iter().enumerate().min_by_key(|(_, colour)| far(colour));
+            let best = colors.iter().enumerate().min_by_key(|(_, color)| far(color));
             best.map_or(0, |(index, _)| index as u8)
         });
         Palette {
             nearest: nearest.collect(),
-            colours,
+            colors,
         }
     }
 
@@ -183,8 +183,8 @@ fn weighed(picture: &Picture) -> Vec<Weighed> {
 }
 
 /// A box of colors in median cut.
-struct ColourBox {
-    colours: Vec<Weighed>,
+struct ColorBox {
+    colors: Vec<Weighed>,
     weight: u64,
     /// The channel with the widest range.
     channel: usize,
@@ -192,40 +192,40 @@ struct ColourBox {
     uneven: u64,
 }
 
-impl ColourBox {
-    fn new(colours: Vec<Weighed>) -> ColourBox {
+impl ColorBox {
+    fn new(colors: Vec<Weighed>) -> ColorBox {
         let width = |channel: usize| {
-            let values = || colours.iter().map(|colour| u64::from(colour.rgb[channel]));
+            let values = || colors.iter().map(|color| u64::from(color.rgb[channel]));
             values().max().unwrap_or(0) - values().min().unwrap_or(0)
         };
         let widths = [0, 1, 2].map(width);
         let channel = (0..3).rev().max_by_key(|&channel| widths[channel]).unwrap_or(0);
-        let weight = colours.iter().map(|colour| colour.weight).sum();
-        ColourBox {
+        let weight = colors.iter().map(|color| color.weight).sum();
+        ColorBox {
             uneven: widths[channel] * weight,
-            colours,
+            colors,
             weight,
             channel,
         }
     }
 
     /// Splits the box into two of about equal weight. The box must have at least two colors.
-    fn cut(self) -> (ColourBox, ColourBox) {
-        let mut low = self.colours;
-        low.sort_by_key(|colour| (colour.rgb[self.channel], colour.rgb));
+    fn cut(self) -> (ColorBox, ColorBox) {
+        let mut low = self.colors;
+        low.sort_by_key(|color| (color.rgb[self.channel], color.rgb));
         let mut sum = 0;
-        let half = low.iter().position(|colour| {
-            sum += colour.weight;
+        let half = low.iter().position(|color| {
+            sum += color.weight;
             2 * sum >= self.weight
         });
         let high = low.split_off((half.unwrap_or(0) + 1).clamp(1, low.len() - 1));
-        (ColourBox::new(low), ColourBox::new(high))
+        (ColorBox::new(low), ColorBox::new(high))
     }
 
     fn mean(&self) -> Rgb {
         [0, 1, 2].map(|channel| {
-            let weighted = |colour: &Weighed| u64::from(colour.rgb[channel]) * colour.weight;
-            let sum: u64 = self.colours.iter().map(weighted).sum();
+            let weighted = |color: &Weighed| u64::from(color.rgb[channel]) * color.weight;
+            let sum: u64 = self.colors.iter().map(weighted).sum();
             ((sum + self.weight / 2) / self.weight.max(1)) as u8
         })
     }
@@ -255,7 +255,7 @@ impl<W: Write> Animation<W> {
         let side = |length: u32| u16::try_from(length).map_err(|_| wrong("a side has more than 65,535 pixels"));
         let size = (side(sample.width())?, side(sample.height())?);
         let palette = Palette::of(sample);
-        let mut encoder = gif::Encoder::new(out, size.0, size.1, palette.colours.as_flattened()).map_err(to_io)?;
+        let mut encoder = gif::Encoder::new(out, size.0, size.1, palette.colors.as_flattened()).map_err(to_io)?;
         encoder.set_repeat(gif::Repeat::Infinite).map_err(to_io)?;
         let hundredths = (frame_delay.as_millis() + 5) / 10;
         Ok(Animation {

@@ -192,7 +192,7 @@ impl Texture {
 
     /// Returns the color of a pixel of a cell. `right` and `down` count from the cell's corner; `x` and `y` are the
     /// place on the map, in pixels.
-    fn colour(self, surface: Surface, cell: Cell, (right, down): (i32, i32), (x, y): (i64, i64), scale: Scale) -> Rgb {
+    fn color(self, surface: Surface, cell: Cell, (right, down): (i32, i32), (x, y): (i64, i64), scale: Scale) -> Rgb {
         let side = scale.pixels;
         let touched = |beside: [bool; 4], deep: i32| {
             let at = [right < deep, right >= side - deep, down < deep, down >= side - deep];
@@ -274,7 +274,7 @@ pub(super) fn draw(map: &CityMap, icons: &Icons, view: &Viewport, look: Look) ->
                 for right in 0..side {
                     let (x, y) = (x + right, y + down);
                     let place = (left + x as i64, top + y as i64);
-                    let rgb = texture.colour(surface, cell, (right as i32, down as i32), place, scale);
+                    let rgb = texture.color(surface, cell, (right as i32, down as i32), place, scale);
                     picture.pixel_mut(x, y).copy_from_slice(&rgb);
                 }
             }

@@ -24,7 +24,7 @@ const NAME: usize = 18;
 pub(super) const MUTED: Rgb = [0x74, 0x7a, 0x85];
 
 /// Returns the color of an action.
-pub(super) const fn action_colour(action: Action) -> Rgb {
+pub(super) const fn action_color(action: Action) -> Rgb {
     match action {
         Action::Stop => [0xe5, 0x23, 0x2b],
         Action::Slow => [0xff, 0xb4, 0x1f],
@@ -35,7 +35,7 @@ pub(super) const fn action_colour(action: Action) -> Rgb {
 
 /// Draws the mark of an action around a place.
 pub(super) fn draw_action(action: Action, (x, y): (i32, i32), picture: &mut Picture) {
-    for (reach, rgb) in [(3, [0x20, 0x25, 0x2d]), (2, action_colour(action))] {
+    for (reach, rgb) in [(3, [0x20, 0x25, 0x2d]), (2, action_color(action))] {
         for (wide, high) in [(reach, reach - 1), (reach - 1, reach)] {
             picture.fill(around(x, y, wide, high), rgb);
         }

@@ -17,7 +17,8 @@
 //! use logicity::sim::{LoadedCity, Settings, Simulation};
 //! use std::{path::Path, sync::Arc};
 //!
-//! let loaded = LoadedCity::load(&mut Sources::new(), Path::new("vap-easy"), None, &BuiltinFiles).expect("it is built in");
+//! let mut sources = Sources::new();
+//! let loaded = LoadedCity::load(&mut sources, Path::new("vap-easy"), None, &BuiltinFiles).expect("it is built in");
 //! let world = loaded.world().expect("the rules fit");
 //! let city = Simulation::new(Arc::new(world), Split::Test, Seed(1), Settings::default()).expect("they have room");
 //!

@@ -46,10 +46,10 @@ pub struct Marked {
 
 /// Draws overviews of one city.
 ///
-/// A picture has a status line, the map with row and column numbers, and a legend. The longer side of the map is at
-/// most 1000 pixels (square-5x5: 4 pixels per cell, 974 x 964), with cells of at most 12. A map of more than 1600 cells
-/// is downsampled to at most 1600 pixels, so every picture takes at most 12 MB. Agents have a minimum size in pixels. A
-/// colored dot beside every agent shows its action.
+/// A picture has a status line, the map with row and column numbers, and a legend. Cells are enlarged to at most 12
+/// pixels, as long as the longer side of the map has at most 1000 pixels (square-5x5: 4 pixels per cell, 974 x 964). A
+/// side of more than 1600 cells is downsampled to at most 1600 pixels, so every picture takes at most 12 MB. Agents
+/// have a minimum size in pixels. A colored dot beside every agent shows its action.
 #[derive(Clone, Debug)]
 pub struct Overview {
     /// The picture without the map.

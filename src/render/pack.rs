@@ -127,7 +127,7 @@ impl Pack {
 fn hash(files: &[(String, Vec<u8>)]) -> String {
     let mut hash = Sha256::new();
     for (name, bytes) in files {
-        // Lengths keep apart what one and another file hold.
+        // The lengths separate consecutive paths and contents.
         for part in [name.as_bytes(), bytes] {
             hash.update((part.len() as u64).to_le_bytes());
             hash.update(part);

@@ -324,7 +324,7 @@ impl<R: Rng> Figure<'_, R> {
         }
     }
 
-    /// Draws the cane of an old figure, in some hands a walker.
+    /// Draws the cane of an old figure, sometimes a walker instead.
     fn cane(&mut self) {
         let (ahead, hip, foot) = (self.ahead(), self.hip(), self.foot);
         let wood = self.dice.ink(&[0x5b3a1e, 0x2b2220, 0x8a5c2c]);

@@ -188,8 +188,8 @@ impl Picture {
             .alignment(align)
             .baseline(Baseline::Middle)
             .build();
-        let colour = MonoTextStyle::new(font, Rgb888::new(rgb[0], rgb[1], rgb[2]));
-        let Ok(_) = Text::with_text_style(text, Point::new(x, y), colour, style).draw(&mut Target(self));
+        let color = MonoTextStyle::new(font, Rgb888::new(rgb[0], rgb[1], rgb[2]));
+        let Ok(_) = Text::with_text_style(text, Point::new(x, y), color, style).draw(&mut Target(self));
     }
 }
 
@@ -213,12 +213,12 @@ impl DrawTarget for Target<'_> {
 
     fn draw_iter<I: IntoIterator<Item = Pixel<Rgb888>>>(&mut self, pixels: I) -> Result<(), Infallible> {
         let (width, height) = (self.0.width as usize, self.0.height as usize);
-        for Pixel(Point { x, y }, colour) in pixels {
+        for Pixel(Point { x, y }, color) in pixels {
             if let (Ok(x), Ok(y)) = (usize::try_from(x), usize::try_from(y))
                 && x < width
                 && y < height
             {
-                (self.0.pixel_mut(x, y)).copy_from_slice(&[colour.r(), colour.g(), colour.b()]);
+                (self.0.pixel_mut(x, y)).copy_from_slice(&[color.r(), color.g(), color.b()]);
             }
         }
         Ok(())

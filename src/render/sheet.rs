@@ -60,18 +60,18 @@ pub fn sheet(icons: &Icons, more: &[Class]) -> Picture {
             } else {
                 stamp
             };
-            let (left, centred) = (
+            let (left, centered) = (
                 NAMES.cast_signed() + instance.cast_signed() * SLOT.cast_signed(),
-                centre(&stamp),
+                center(&stamp),
             );
-            picture.stamp(&stamp, left + SLOT.cast_signed() / 2 - centred.0, middle - centred.1);
+            picture.stamp(&stamp, left + SLOT.cast_signed() / 2 - centered.0, middle - centered.1);
         }
     }
     picture
 }
 
 /// Returns the center of an icon's area, relative to the icon's origin.
-fn centre(stamp: &Stamp) -> (i32, i32) {
+fn center(stamp: &Stamp) -> (i32, i32) {
     let PixelBox { x, y, width, height } = stamp.area;
     (x + width.cast_signed() / 2, y + height.cast_signed() / 2)
 }

@@ -347,7 +347,7 @@ mod tests {
     }
 
     #[test]
-    fn hues_are_those_of_the_colour_wheel() {
+    fn hues_are_those_of_the_color_wheel() {
         assert_eq!(Ink::hsl(0.0, 1.0, 0.5).rgb, [255, 0, 0]);
         assert_eq!(Ink::hsl(1.0 / 3.0, 1.0, 0.5).rgb, [0, 255, 0]);
         assert_eq!(Ink::hsl(2.0 / 3.0, 1.0, 0.25).rgb, [0, 0, 128]);

@@ -25,7 +25,7 @@ pub const MODES: &[&str] = &[
 ];
 
 /// The modes of Safe Path Following.
-pub const PATH_MODES: &[&str] = MODES.split_at(7).0;
+pub const SPF_MODES: &[&str] = MODES.split_at(7).0;
 
 /// A world of a built-in configuration, changed by `edit`, with its rules or those of `text`.
 pub fn world(config: &str, text: Option<&str>, edit: impl FnOnce(&mut Scenario)) -> Arc<World> {

@@ -1,6 +1,6 @@
 //! Safe Path Following: observations, the oracle's actions, violations and rewards.
 
-use crate::shipped_world::{PATH_MODES, task, task_of};
+use crate::shipped_world::{SPF_MODES, task, task_of};
 use logicity::builtin::BuiltinFiles;
 use logicity::city::field_of_view;
 use logicity::city::{Action, AgentKind, Split};
@@ -153,7 +153,7 @@ impl Plain {
         derived
     }
 
-    /// The clauses that an action breaks.
+    /// The clauses that an action violates.
     fn violations(&self, task: &SpfTask, action: Action) -> Vec<usize> {
         let (rules, given) = (task.world().program.rules(), Actions::from([action.name()]));
         let constraints = task.oracle().constraints().iter().enumerate();
@@ -179,16 +179,16 @@ fn relational(rules: &str) -> String {
 }
 
 /// Appends a clause to the rules that changes no action but whose body reads an action, so that the monitor needs two
-/// evaluations: one for wanted actions and one for broken clauses.
+/// evaluations: one for wanted actions and one for violated clauses.
 fn apart(rules: &str) -> String {
     format!("{rules}.decl Halts(x: agent)\nHalts(X) :- Stop(X).\n")
 }
 
-/// Observations, wanted actions and broken clauses equal those of the definitions for every ego, with either executor
+/// Observations, wanted actions and violated clauses equal those of the definitions for every ego, with either executor
 /// and with one evaluation or two.
 #[test]
 fn observers_agree_with_the_definitions() {
-    for &mode in PATH_MODES {
+    for &mode in SPF_MODES {
         let plain_task = task(mode, None);
         let other = task(mode, Some(&relational(&rules_of(&plain_task))));
         let twice = task(mode, Some(&apart(&rules_of(&plain_task))));
@@ -475,10 +475,10 @@ fn plain_state(city: &Simulation, ego: usize, scale: i32) -> Vec<Vec<f32>> {
     std::iter::once(ego).chain(seen).map(row_of).collect()
 }
 
-/// The oracle solves the recorded episodes of all modes and splits as recorded, and breaks no rule.
+/// The oracle solves the recorded episodes of all modes and splits as recorded, and violates no rule.
 #[test]
 fn slow_recorded_episodes() {
-    for &mode in PATH_MODES {
+    for &mode in SPF_MODES {
         let task = task(mode, None);
         for split in Split::ALL {
             let mut sources = Sources::new();

@@ -61,7 +61,7 @@ fn run_with(config: &str, rules: Option<&str>, seed: Seed, ticks: u64) -> Run {
 }
 
 /// An episode in which the first car always takes this action, whatever the rules want. Also returns, for each step,
-/// the observed agents, the wanted action, the broken clauses and the cell of the car.
+/// the observed agents, the wanted action, the violated clauses and the cell of the car.
 fn drive(config: &str, seed: u64, action: Action) -> (Run, Vec<Value>) {
     let (world, sources) = with_sources(config, None);
     let task = Arc::new(SpfTask::new(Arc::clone(&world), &sources).unwrap());

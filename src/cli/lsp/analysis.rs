@@ -120,7 +120,7 @@ impl Analysis {
         Some((print(&file).trim_end().to_owned(), doc.clone()))
     }
 
-    /// Returns all declared names, each once, in text order.
+    /// Returns all declared names, each once, in source order.
     pub fn declared(&self) -> impl Iterator<Item = &Meaning> {
         self.occurrences
             .iter()

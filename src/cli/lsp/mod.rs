@@ -418,7 +418,7 @@ impl Server {
         Ok(json!({ "changes": changes.collect::<serde_json::Map<_, _>>() }))
     }
 
-    /// Lists declarations, types and clauses in text order.
+    /// Lists declarations, types and clauses in source order.
     fn symbols(&self, uri: &str) -> Result<Value, Refusal> {
         let document = self.document(uri)?;
         let lines = Lines::new(&document.text);

@@ -29,6 +29,7 @@ impl<const W: usize> BitFacts<W> {
 
     /// Adds a fact: its predicate and the positions of its entities. Ignores predicates that the program does not read.
     ///
+    /// # Panics
     /// If a position is not less than the number of entities.
     pub fn insert(&mut self, program: &Dense, relation: RelId, row: &[usize]) {
         assert!(row.iter().all(|&entity| entity < self.count), "unknown entity");
@@ -57,6 +58,7 @@ impl<const W: usize> BitFacts<W> {
 
     /// Writes the inputs of a state with the same number of entities.
     ///
+    /// # Panics
     /// If the state has another number of entities.
     pub fn load(&self, program: &Dense, bit_state: &mut BitState<W>) {
         assert_eq!(self.count, bit_state.count);

@@ -16,8 +16,8 @@ pub enum EvalEvent {
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub enum Strategy {
     /// Chooses the strategy with the lower estimated cost. The estimates depend on the number of changed rows and on
-    /// the rows that the last computation from scratch scanned. If maintenance scans more rows than that, the session
-    /// abandons it and recomputes the stratum.
+    /// the rows that the last computation from scratch scanned. If maintenance scans more rows than the estimate for
+    /// recomputation, the session abandons it and recomputes the stratum.
     #[default]
     Auto,
     /// Always maintains. Strata with an aggregate or with a clause of more than 24 literals cannot be maintained; they

@@ -319,8 +319,8 @@ impl<'s> Explainer<'s> {
         Explainer::new_with(session, &Cancel::never())
     }
 
-    /// Cancellable variant of [`new`](Explainer::new): every question polls `cancel` a few hundred times a second. On
-    /// cancellation it fails with [`ExplainError::Cancelled`], and the explainer is ready for the next question.
+    /// Cancellable variant of [`new`](Explainer::new): every query polls `cancel` a few hundred times a second. On
+    /// cancellation it fails with [`ExplainError::Cancelled`], and the explainer is ready for the next query.
     pub fn new_with(session: &'s Session, cancel: &Cancel) -> Self {
         Explainer {
             search: Search::new(session, cancel),
@@ -452,34 +452,34 @@ impl<'s> Explainer<'s> {
 #[derive(Default)]
 struct Making {
     /// Each node's query, and its explanation once it exists.
-    nodes: Vec<(Question, Option<Node>)>,
-    known: HashMap<Question, NodeId>,
+    nodes: Vec<(Query, Option<Node>)>,
+    known: HashMap<Query, NodeId>,
     todo: VecDeque<NodeId>,
     absences: usize,
 }
 
 #[derive(Clone, Debug, PartialEq, Eq, Hash)]
-enum Question {
+enum Query {
     Fact(RelId, Vec<Value>),
     Absence(RelId, Pattern),
 }
 
 impl Making {
     fn fact(&mut self, rel: RelId, row: Vec<Value>) -> NodeId {
-        self.ask(Question::Fact(rel, row))
+        self.ask(Query::Fact(rel, row))
     }
 
     fn absence(&mut self, rel: RelId, pattern: Pattern) -> NodeId {
-        self.ask(Question::Absence(rel, pattern))
+        self.ask(Query::Absence(rel, pattern))
     }
 
-    fn ask(&mut self, question: Question) -> NodeId {
-        if let Some(&id) = self.known.get(&question) {
+    fn ask(&mut self, query: Query) -> NodeId {
+        if let Some(&id) = self.known.get(&query) {
             return id;
         }
         let id = NodeId(u32::try_from(self.nodes.len()).expect("nodes are bounded by the steps of a search"));
-        self.nodes.push((question.clone(), None));
-        self.known.insert(question, id);
+        self.nodes.push((query.clone(), None));
+        self.known.insert(query, id);
         self.todo.push_back(id);
         id
     }
@@ -488,8 +488,8 @@ impl Making {
         while let Some(id) = self.todo.pop_front() {
             search.step()?;
             let node = match self.nodes[id.index()].0.clone() {
-                Question::Fact(relation, row) => Node::Fact(self.explain_fact(search, relation, row)?),
-                Question::Absence(relation, pattern) => Node::Absence(self.explain_absence(search, relation, pattern)?),
+                Query::Fact(relation, row) => Node::Fact(self.explain_fact(search, relation, row)?),
+                Query::Absence(relation, pattern) => Node::Absence(self.explain_absence(search, relation, pattern)?),
             };
             self.nodes[id.index()].1 = Some(node);
         }

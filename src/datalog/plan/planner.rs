@@ -194,7 +194,7 @@ struct Planner<'a> {
     bound: Vec<bool>,
     /// By variable: the number of its occurrences in the head and in the literals still to be placed.
     uses: Vec<usize>,
-    /// Positions of the literals still to be placed, in text order.
+    /// Positions of the literals still to be placed, in source order.
     left: Vec<usize>,
     steps: Vec<Step>,
     /// The cost of the secondary indexes that the plan needs; 0 if sizes are unknown.

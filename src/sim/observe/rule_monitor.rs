@@ -60,8 +60,9 @@ struct Conditions {
 struct Condition {
     clause: ClauseId,
     action: Action,
-    /// The actions that must hold for the ego, and below those that must not.
+    /// The actions that must hold for the ego.
     given: Actions,
+    /// The actions that must not hold for the ego.
     refused: Actions,
     /// Its position in the constraints; `None` for the default.
     constraint: Option<usize>,

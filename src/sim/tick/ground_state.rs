@@ -47,13 +47,18 @@ impl GroundState {
         }
     }
 
-    /// Replaces the current facts by `facts`: inserts and retracts the difference and commits. On error `self` is
-    /// unchanged.
+    /// Replaces the current facts by `facts`: inserts and retracts the difference and commits.
+    ///
+    /// # Errors
+    /// As [`Session::commit`]. On error `self` is unchanged.
     pub fn set(&mut self, facts: &Facts) -> Result<(), EvalError> {
         self.set_with(facts, &Cancel::never())
     }
 
-    /// Cancellable variant of [`set`](Self::set). On cancellation `self` is unchanged; see [`Session::commit_with`].
+    /// Cancellable variant of [`set`](Self::set).
+    ///
+    /// # Errors
+    /// As [`Session::commit_with`]. On error `self` is unchanged.
     pub fn set_with(&mut self, facts: &Facts, cancel: &Cancel) -> Result<(), EvalError> {
         for (index, relation) in self.relations.iter().enumerate() {
             let Some((relation, arity)) = *relation else { continue };
@@ -89,6 +94,7 @@ impl GroundState {
         Action::ALL.into_iter().filter(holds).collect()
     }
 
+    /// Returns the session.
     pub fn session(&self) -> &Session {
         &self.session
     }

@@ -86,6 +86,7 @@ pub struct Vocabulary {
 impl Vocabulary {
     /// Binds the predicates of a scenario to the relations of a program.
     ///
+    /// # Errors
     /// `rule-mismatch` if the configuration lacks an input that a rule reads, a predicate has another number of columns
     /// or a column that is not a symbol, a predicate is declared but not as input, or the rules declare no action.
     pub fn bind(scenario: &Scenario, program: &Program) -> Result<Vocabulary, Vec<Diagnostic>> {

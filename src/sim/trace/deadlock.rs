@@ -91,45 +91,45 @@ pub fn find_deadlocks(stuck: &[usize], waits: &[WaitsFor]) -> DeadlockReport {
         .filter(|wait| stuck.contains(&wait.agent) && stuck.contains(&wait.on))
         .collect();
     let mut result = DeadlockReport::default();
-    let mut in_circle = BTreeSet::new();
+    let mut in_cycle = BTreeSet::new();
     for &agent in stuck {
-        if in_circle.contains(&agent) {
+        if in_cycle.contains(&agent) {
             continue;
         }
         // The shortest path back to the agent is the shortest cycle through it.
-        let Some(circle) = way(&among, agent, |other| other == agent) else {
+        let Some(cycle) = way(&among, agent, |other| other == agent) else {
             continue;
         };
         // Of the cycles that share an agent, the shortest is reported.
-        let shortest = (circle.iter())
+        let shortest = (cycle.iter())
             .filter_map(|wait| way(&among, wait.agent, |other| other == wait.agent))
             .min_by_key(Vec::len)
-            .unwrap_or(circle);
+            .unwrap_or(cycle);
         let mut members: Vec<usize> = shortest.iter().map(|wait| wait.agent).collect();
-        if members.iter().any(|member| in_circle.contains(member)) {
+        if members.iter().any(|member| in_cycle.contains(member)) {
             continue;
         }
         let first = members
             .iter()
             .min()
             .and_then(|least| members.iter().position(|member| member == least));
-        let mut circle = shortest;
-        circle.rotate_left(first.unwrap_or(0));
-        in_circle.extend(members.drain(..));
-        result.deadlocks.push(circle);
+        let mut cycle = shortest;
+        cycle.rotate_left(first.unwrap_or(0));
+        in_cycle.extend(members.drain(..));
+        result.deadlocks.push(cycle);
     }
     let rest: Vec<usize> = stuck
         .iter()
         .copied()
-        .filter(|agent| !in_circle.contains(agent))
+        .filter(|agent| !in_cycle.contains(agent))
         .collect();
     let (waiting, starving): (Vec<usize>, Vec<usize>) =
         (rest.into_iter()).partition(|agent| among.iter().any(|wait| wait.agent == *agent));
     for agent in waiting {
-        let to_circle = way(&among, agent, |other| in_circle.contains(&other));
+        let to_cycle = way(&among, agent, |other| in_cycle.contains(&other));
         result
             .behind
-            .extend(to_circle.or_else(|| way(&among, agent, |other| starving.contains(&other))));
+            .extend(to_cycle.or_else(|| way(&among, agent, |other| starving.contains(&other))));
     }
     result.starving = starving;
     result

@@ -84,7 +84,7 @@ impl Extent {
 pub struct QuestionSet {
     /// The parameters of the set.
     pub request: Request,
-    /// Solved examples.
+    /// Demonstrations: solved examples.
     pub demonstrations: Vec<Question>,
     /// The questions.
     pub questions: Vec<Question>,

@@ -29,7 +29,7 @@ pub struct Env {
     city: Simulation,
     control: ControlMode,
     controlled_cars: Vec<ControlledCar>,
-    /// The most steps of the episode.
+    /// The maximum number of steps of the episode.
     horizon: u32,
     steps: u32,
     controls: Vec<(usize, Action)>,
@@ -190,7 +190,7 @@ impl Env {
         self.steps
     }
 
-    /// Returns the most steps of the episode.
+    /// Returns the maximum number of steps of the episode.
     pub fn horizon(&self) -> u32 {
         self.horizon
     }

@@ -52,7 +52,7 @@ impl Baseline {
     }
 }
 
-/// Evaluates an external policy on recorded episodes in parallel, each once.
+/// Evaluates an external policy on recorded episodes in lockstep, each once.
 pub struct BatchEvaluator {
     envs: Vec<Env>,
     rollouts: Vec<Rollout>,

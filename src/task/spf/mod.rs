@@ -47,7 +47,7 @@ use std::sync::Arc;
 pub struct SpfTask {
     oracle: Arc<Oracle>,
     config: SpfConfig,
-    /// For each demand of the oracle, its label and the reward for violating it.
+    /// For each constraint of the oracle, its label and the reward for violating it.
     constraints: Vec<(String, f64)>,
     /// The greatest possible priority number.
     priority_scale: f32,

@@ -2,7 +2,7 @@
 //! environment.
 
 use super::{cell, cells, heading, index, plain_agent, recordings, square_5x5};
-use crate::shipped_world::{PATH_MODES, task};
+use crate::shipped_world::{SPF_MODES, task};
 use logicity::city::{Action, AgentConfig, AgentKind, Routing, Split};
 use logicity::city::{Agent, Cell, Heading, Router, possible_cells, speed_cells};
 use logicity::rng::Seed;
@@ -16,7 +16,7 @@ use std::sync::Arc;
 #[test]
 fn recorded_steps() {
     for recording in recordings("gym") {
-        let Some(mode) = recording.mode().filter(|mode| PATH_MODES.contains(mode)) else {
+        let Some(mode) = recording.mode().filter(|mode| SPF_MODES.contains(mode)) else {
             recording.report(
                 "steps not compared: the tag is no shipped mode of Safe Path Following, so its rules are unknown",
             );

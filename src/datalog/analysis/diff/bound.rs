@@ -54,7 +54,7 @@ enum SharedRoot {
 
 /// Returns the number of entities that suffice to show a difference in the output; `None` if no bound is known. The
 /// predicates in `equal` have equal rows on both sides unless an earlier output differs, so the witnesses of their
-/// facts count once. A computation that exceeds its limit sets `room` to 0.
+/// facts count once. A computation that exceeds its limit sets `literals_left` to 0.
 pub(super) fn entities(
     sides: [&Side<'_>; 2],
     output: &Output,

@@ -44,7 +44,7 @@ pub(super) struct Search<'s> {
     left: Cell<u64>,
     /// Polled every [`Search::POLL_INTERVAL`] steps.
     cancel: Cancel,
-    /// Whether a poll of the present question returned true.
+    /// Whether a poll of the current query returned true.
     cancelled: Cell<bool>,
     patterns: RefCell<Patterns>,
     heights: Heights,

@@ -94,7 +94,7 @@ pub(crate) fn optimize(rules: &Rules, assume: bool) -> Rules {
 /// The result of [`lints`].
 #[derive(Clone, Debug)]
 pub struct Lints {
-    /// The possible simplifications, in text order.
+    /// The possible simplifications, in source order.
     pub diagnostics: Vec<Diagnostic>,
     /// Steps of the search for clauses that others subsume under the constraints.
     pub steps: usize,
