@@ -210,7 +210,7 @@ pub fn to_text(bytes: Vec<u8>) -> Result<String, ReadError> {
 
 /// Returns the path without `.` and, where possible, without `..`, so that two names of one file compare equal. Does
 /// not access the disk.
-pub fn normalise(path: &Path) -> PathBuf {
+pub fn normalize(path: &Path) -> PathBuf {
     let mut out = PathBuf::new();
     for component in path.components() {
         match component {

@@ -5,7 +5,7 @@ use crate::task::{PyTask, read_action, split_named, view_named};
 use crate::{Signals, slice_of, to_python};
 use logicity::city::{Action, Split};
 use logicity::task::spf::{
-    Baseline, BatchEvaluator, ControlMode, Env, EpisodeSet, ObservationKind, RANDOM_RUNS, Rollout, Summary, summarise,
+    Baseline, BatchEvaluator, ControlMode, Env, EpisodeSet, ObservationKind, RANDOM_RUNS, Rollout, Summary, summarize,
 };
 use numpy::{IntoPyArray, PyArray1, PyReadonlyArray1, PyReadwriteArray1, PyReadwriteArrayDyn};
 use pyo3::exceptions::{PyIndexError, PyValueError};
@@ -158,7 +158,7 @@ impl PyBatchEvaluator {
     fn report<'py>(&self, py: Python<'py>, baseline: &PyRandomBaseline) -> PyResult<Bound<'py, PyAny>> {
         let (task, rollouts) = (self.task.get(), self.evaluator.rollouts());
         check(baseline.baseline.returns().len(), rollouts.len())?;
-        let summary = summarise(&task.task, rollouts, Some(baseline.baseline.returns()));
+        let summary = summarize(&task.task, rollouts, Some(baseline.baseline.returns()));
         report(py, task, &summary, rollouts.iter().enumerate())
     }
 }

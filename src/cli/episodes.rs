@@ -8,7 +8,7 @@ use crate::files;
 use crate::files::Output;
 use crate::task::spf::{
     Baseline, ControlMode, Env, Episode, EpisodeSet, Policy, RANDOM_RUNS, Rollout, SpfTask, constrained_by_name,
-    make_episodes, rollout, summarise,
+    make_episodes, rollout, summarize,
 };
 use serde_json::json;
 use std::io::{self, Write};
@@ -218,7 +218,7 @@ impl Show {
         }
         let (oracle, random) = drive(&mut env, &set)?;
         let task = env.task();
-        let (wanted, drawn) = (summarise(task, &oracle, Some(random.returns())), random.summary(task));
+        let (wanted, drawn) = (summarize(task, &oracle, Some(random.returns())), random.summary(task));
         let mut out = io::stdout().lock();
         if self.json {
             let all = json!({
@@ -336,11 +336,11 @@ impl Spread {
     }
 
     fn measure(task: &SpfTask, oracle: &[Rollout], random: &Baseline) -> [f64; Self::MEASURES.len()] {
-        let (wanted, drawn) = (summarise(task, oracle, None), random.summary(task));
+        let (wanted, drawn) = (summarize(task, oracle, None), random.summary(task));
         let first = random.rollouts().iter().step_by(RANDOM_RUNS.into());
         let once: Vec<f64> = first.map(|rollout| rollout.total).collect();
         let score = |random: &[f64]| {
-            summarise(task, oracle, Some(random))
+            summarize(task, oracle, Some(random))
                 .score
                 .map_or(f64::NAN, |score| score.value)
         };

@@ -16,7 +16,7 @@
 use crate::config::yaml;
 use crate::config::yaml::{Node, Value};
 use crate::diag::{Code, Diagnostic, SourceId, Sources, did_you_mean};
-use crate::files::{BUILTIN_FOLDER, ReadError, ReadFile, normalise};
+use crate::files::{BUILTIN_FOLDER, ReadError, ReadFile, normalize};
 use std::collections::HashMap;
 use std::path::{Path, PathBuf};
 
@@ -79,7 +79,7 @@ impl<'a> Composer<'a> {
     pub fn name_file(&mut self, node: &Node) -> Option<PathBuf> {
         let reference = super::read::text(node, "the path of a file", &mut self.faults)?;
         let folder = self.path_of(node).parent().unwrap_or(Path::new(""));
-        Some(normalise(&folder.join(reference)))
+        Some(normalize(&folder.join(reference)))
     }
 
     /// Returns the name of the file that a tree came from, without its extension.
@@ -119,7 +119,7 @@ impl<'a> Composer<'a> {
                 read => return read.map(|text| (path.to_owned(), text)),
             }
         }
-        for path in [normalise(path), normalise(written)] {
+        for path in [normalize(path), normalize(written)] {
             let inside = path.strip_prefix(BUILTIN_FOLDER).unwrap_or(&path);
             let builtin = Path::new(BUILTIN_FOLDER).join(inside);
             // An absolute path would leave the folder.

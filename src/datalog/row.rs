@@ -125,7 +125,7 @@ pub(crate) fn difference<const W: usize>(a: &[Row<W>], b: &[Row<W>]) -> Vec<Row<
 }
 
 /// Sorts the rows and removes duplicates.
-pub(crate) fn normalise<const W: usize>(rows: &mut Vec<Row<W>>) {
+pub(crate) fn normalize<const W: usize>(rows: &mut Vec<Row<W>>) {
     if !rows.is_sorted_by(|a, b| a < b) {
         rows.sort_unstable();
         rows.dedup();

@@ -9,7 +9,7 @@ use logicity::datalog::explain::{Explainer, ExplanationPrinter};
 use logicity::datalog::{Atom, BaseType, Clause, Column, Literal, RelId, RowFormat, Rules, Value};
 use logicity::datalog::{Limits, Options, Program, Session, diff, facts};
 use logicity::diag::{Code, Diagnostic, MAX_FAULTS, Sources, render, to_json};
-use logicity::files::{BUILTIN_FOLDER, ReadError, ReadFile, normalise};
+use logicity::files::{BUILTIN_FOLDER, ReadError, ReadFile, normalize};
 use std::path::Path;
 
 /// A text parses or gives diagnostics. If it parses, the printed and the formatted text parse to the same rules, and
@@ -49,7 +49,7 @@ pub fn check(bytes: &[u8]) {
     let text = String::from_utf8_lossy(bytes);
     let files = split_files(&text);
     let read = |path: &Path| {
-        let path = normalise(path);
+        let path = normalize(path);
         match files.iter().find(|(name, _)| Path::new(name) == path) {
             Some((_, text)) => Ok(text.clone()),
             None if path.starts_with(BUILTIN_FOLDER) => RuleFiles.read(&path),

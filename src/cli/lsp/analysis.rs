@@ -6,7 +6,7 @@ use crate::datalog::ast::{Item, Literal, Name, Term, TermKind, TypeDefinition};
 use crate::datalog::print;
 use crate::datalog::{Program, optimize};
 use crate::diag::{Diagnostic, SourceId, Sources, Span};
-use crate::files::{BUILTIN_FOLDER, ReadFile, normalise};
+use crate::files::{BUILTIN_FOLDER, ReadFile, normalize};
 use std::path::{Path, PathBuf};
 
 /// The meaning of a name.
@@ -222,10 +222,10 @@ impl Analysis {
         let beside = Path::new(self.sources.name(from)).parent()?.join(path);
         let builtin = Path::new(BUILTIN_FOLDER).join(path);
         let named = |wanted: PathBuf| {
-            let wanted = normalise(&wanted);
+            let wanted = normalize(&wanted);
             self.sources
                 .ids()
-                .find(|&id| normalise(Path::new(self.sources.name(id))) == wanted)
+                .find(|&id| normalize(Path::new(self.sources.name(id))) == wanted)
         };
         named(beside).or_else(|| named(builtin))
     }

@@ -11,7 +11,7 @@ use crate::cli::Failure;
 use crate::datalog;
 use crate::datalog::{DIRECTIVES, ast};
 use crate::diag::{Diagnostic, Label, Severity, SourceId, Sources, Span};
-use crate::files::{ReadError, ReadFile, normalise};
+use crate::files::{ReadError, ReadFile, normalize};
 use analysis::{Analysis, Meaning};
 use lsp_server::{Connection, ErrorCode, Message, Notification, ProtocolError, Request, Response};
 use lsp_types::{
@@ -95,7 +95,7 @@ struct OpenDocuments<'a>(&'a BTreeMap<PathBuf, Document>);
 
 impl ReadFile for OpenDocuments<'_> {
     fn read(&self, path: &Path) -> Result<String, ReadError> {
-        match self.0.get(&normalise(path)) {
+        match self.0.get(&normalize(path)) {
             Some(document) => Ok(document.text.clone()),
             None => BuiltinFiles.read(path),
         }
@@ -241,7 +241,7 @@ impl Server {
 
     /// Returns the URI of a text: the editor's own if the text is open.
     fn uri(&self, sources: &Sources, id: SourceId) -> Option<String> {
-        let path = normalise(Path::new(sources.name(id)));
+        let path = normalize(Path::new(sources.name(id)));
         match self.documents.get(&path) {
             Some(document) => Some(document.uri.clone()),
             None => uri_of(&path),
@@ -547,7 +547,7 @@ fn range_json(place: &Place) -> Value {
 
 /// Returns the key of a document in the table of open ones.
 fn key(uri: &str) -> PathBuf {
-    normalise(&path_of(uri))
+    normalize(&path_of(uri))
 }
 
 fn read<T: DeserializeOwned>(params: Value) -> Result<T, Refusal> {

@@ -1,7 +1,7 @@
 //! Compiles rules to a list of operations on sets.
 
 use crate::datalog::check::{ClauseId, Literal, RelId, Rules};
-use crate::datalog::dense::analyse::Choice;
+use crate::datalog::dense::analyze::Choice;
 use crate::datalog::dense::body::{Body, Lit, Property, Relates, Search, Seek};
 use crate::datalog::dense::program::{
     Any, Argument, DemandOp, Dense, Fired, Home, Input, List, Op, Place, Range, Rare, Reg, SearchStep, Test,

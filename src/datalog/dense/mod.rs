@@ -11,7 +11,7 @@
 //!      facts: BitState::set_input, BinaryFacts --------------> BitState::run --> BitState::set, BitState::row
 //! ```
 //!
-//! - `analyse` decides which strata the executor supports and why it does not support others.
+//! - `analyze` decides which strata the executor supports and why it does not support others.
 //! - `body` splits a clause into conditions on its variables.
 //! - `compile` translates these to a `program`: a short list of operations on numbered sets. It shares conditions
 //!   between clauses.
@@ -20,7 +20,7 @@
 //! Binary facts come from a [`BinaryFacts`], which can store them ([`BitFacts`], in `facts`) or compute them lazily.
 //! The answers equal those of [`super::naive`] if every symbol in the facts is an entity.
 
-mod analyse;
+mod analyze;
 mod body;
 mod compile;
 mod facts;
@@ -28,7 +28,7 @@ mod program;
 mod run;
 mod sets;
 
-pub use analyse::{Choice, Unsupported, choose};
+pub use analyze::{Choice, Unsupported, choose};
 pub use facts::BitFacts;
 pub use program::{Argument, Dense, Input, List, TrackFirings};
 pub use run::{BinaryFacts, BitState};

@@ -3,7 +3,7 @@
 use crate::cancel::Cancel;
 use crate::datalog::eval::seen_bitmap::{Added, SeenBitmap, raise};
 use crate::datalog::plan::steps::{List, Plan, Slot, Source, Step};
-use crate::datalog::row::{Batch, Row, difference, gallop, normalise};
+use crate::datalog::row::{Batch, Row, difference, gallop, normalize};
 use crate::datalog::syntax::ast::{BaseType, Comparison};
 use crate::datalog::syntax::functor::Functor;
 use crate::datalog::value::{Patterns, Value};
@@ -225,7 +225,7 @@ impl<const W: usize> Output<W> {
 
     /// Sorts the rows if they are in a list.
     pub(crate) fn settle(&mut self) {
-        normalise(&mut self.rows);
+        normalize(&mut self.rows);
     }
 
     /// Whether the buffer is empty.
@@ -288,7 +288,7 @@ impl<const W: usize> Output<W> {
             if seen.keeps() {
                 self.rows = seen.drain(std::mem::take(&mut self.kept));
             } else if self.remembers {
-                normalise(&mut self.rows);
+                normalize(&mut self.rows);
             }
             self.taken = difference(&all, &self.rows);
         }
@@ -305,7 +305,7 @@ impl<const W: usize> Output<W> {
             if self.seen.is_some() {
                 self.whole = !self.took;
                 self.may_learn = self.took;
-                normalise(&mut self.rows);
+                normalize(&mut self.rows);
             }
         }
         if let Some(seen) = self.seen.as_mut().filter(|seen| seen.prefers_bits(self.rows.len())) {
@@ -314,7 +314,7 @@ impl<const W: usize> Output<W> {
             self.rows = Vec::new();
         }
         if self.rows.len() >= self.compact_at {
-            normalise(&mut self.rows);
+            normalize(&mut self.rows);
             self.compact_at = self.compact_at.max(self.rows.len().saturating_mul(2));
         }
         if self.rows.len().max(self.kept) > self.limit {
@@ -332,18 +332,18 @@ impl<const W: usize> Output<W> {
     /// Takes the distinct rows, in order. Afterwards the buffer is empty, but it may filter these rows when they are
     /// derived again.
     pub(crate) fn take(&mut self) -> Vec<Row<W>> {
-        self.take_by(normalise)
+        self.take_by(normalize)
     }
 
     /// Like `take`, with another function to sort rows and remove repetitions.
-    pub(crate) fn take_by(&mut self, normalise: impl FnOnce(&mut Vec<Row<W>>)) -> Vec<Row<W>> {
+    pub(crate) fn take_by(&mut self, normalize: impl FnOnce(&mut Vec<Row<W>>)) -> Vec<Row<W>> {
         self.took |= !self.is_empty();
         self.act_at = self.compact_at.min(Self::SEEN_MIN);
         if let Some(seen) = self.seen.as_mut().filter(|seen| seen.keeps()) {
             return seen.drain(std::mem::take(&mut self.kept));
         }
         let mut rows = std::mem::take(&mut self.rows);
-        normalise(&mut rows);
+        normalize(&mut rows);
         if self.seen.is_none() {
             raise(&mut self.largest, &rows);
         }

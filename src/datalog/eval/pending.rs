@@ -1,7 +1,7 @@
 //! The pending changes of a relation, which the next commit makes.
 
 use crate::datalog::eval::table::{Table, TableDelta};
-use crate::datalog::row::{Row, normalise};
+use crate::datalog::row::{Row, normalize};
 use crate::datalog::value::Value;
 use std::sync::Arc;
 
@@ -78,7 +78,7 @@ impl<const W: usize> PendingChanges<W> {
     /// Returns the net change of a table and its new rows, or `None` if nothing changes. If the table is empty, the new
     /// rows are taken from here. The caller must [put them back](PendingChanges::put_back) if the commit fails.
     pub(crate) fn apply(&mut self, table: &Table<W>) -> Option<(TableDelta<W>, Arc<Vec<Row<W>>>)> {
-        normalise(&mut self.coming);
+        normalize(&mut self.coming);
         settle(&mut self.changes);
         if !self.changes.is_empty() {
             return table.update(self.changes.iter().copied());

@@ -372,7 +372,7 @@ fn patch_directory<const W: usize>(old: &[u32], delta: &TableDelta<W>, rows: &[R
 mod tests {
     use super::*;
     use crate::datalog::check::RelId;
-    use crate::datalog::row::{merge, normalise};
+    use crate::datalog::row::{merge, normalize};
     use crate::datalog::value::Value;
 
     fn spec(columns: &[u16], position: usize) -> IndexSpec {
@@ -391,7 +391,7 @@ mod tests {
                 list.push(Row([Value(a), Value(b), Value(a ^ b)]));
             }
         }
-        normalise(&mut list);
+        normalize(&mut list);
         let table = Table::new(list.clone(), 1);
         let own = spec(&[0, 1, 2], 0);
         assert!(!table.batch(&own).starts.is_empty());
@@ -429,7 +429,7 @@ mod tests {
             let mut rows: Vec<Row<4>> = (0..count)
                 .map(|_| Row([words, 7, words, 1].map(|below| Value(random(below)))))
                 .collect();
-            normalise(&mut rows);
+            normalize(&mut rows);
             for columns in [&[1, 0, 2][..], &[0, 2, 1], &[2, 1, 0], &[1, 2, 0], &[2, 0, 1]] {
                 let mut expected: Vec<Row<4>> = rows.iter().map(|row| row.project(columns)).collect();
                 expected.sort_unstable();

@@ -9,7 +9,7 @@ use crate::datalog::eval::join;
 use crate::datalog::eval::join::{Abort, JoinState, Output, RowView};
 use crate::datalog::plan::estimate::Shape;
 use crate::datalog::plan::steps::{Plan, Slot, Step};
-use crate::datalog::row::{Batch, Row, gallop, normalise};
+use crate::datalog::row::{Batch, Row, gallop, normalize};
 use crate::symbol::Symbols;
 use rayon::slice::ParallelSliceMut;
 use std::num::NonZeroUsize;
@@ -115,13 +115,13 @@ impl Workers {
     }
 
     /// Sorts rows and removes repetitions.
-    pub(crate) fn normalise<const W: usize>(&self, rows: &mut Vec<Row<W>>) {
+    pub(crate) fn normalize<const W: usize>(&self, rows: &mut Vec<Row<W>>) {
         match &self.pool {
             Some(pool) if rows.len() >= self.threads.split_from => {
                 pool.install(|| rows.par_sort_unstable());
                 rows.dedup();
             }
-            _ => normalise(rows),
+            _ => normalize(rows),
         }
     }
 
@@ -295,7 +295,7 @@ mod tests {
             let mut rows: Vec<Row<2>> = (0..3_000_u32)
                 .map(|n| Row([n * n % 397, n * 7 % 401].map(|word| Value(word * step))))
                 .collect();
-            normalise(&mut rows);
+            normalize(&mut rows);
             let tables = [
                 Table::new(rows, plans.indexes.of(RelId(0)).count()),
                 Table::new(Vec::new(), plans.indexes.of(RelId(1)).count()),
@@ -315,7 +315,7 @@ mod tests {
                     workers.run(plan, &views, (&symbols, &Cancel::never()), &mut state, &mut out)?;
                     workers.run(plan, &views, (&symbols, &Cancel::never()), &mut state, &mut out)?;
                     let pushed = out.pushed;
-                    Ok((out.take_by(|rows| workers.normalise(rows)), pushed, state.rows_scanned))
+                    Ok((out.take_by(|rows| workers.normalize(rows)), pushed, state.rows_scanned))
                 };
                 let alone = Workers::default();
                 let expected = run(&alone, u64::MAX, usize::MAX).unwrap();

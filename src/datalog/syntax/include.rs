@@ -4,7 +4,7 @@ use std::collections::HashSet;
 use std::path::{Path, PathBuf};
 
 use crate::diag::{Code, Diagnostic, Faults, SourceId, Sources, Span, did_you_mean};
-use crate::files::{BUILTIN_FOLDER, ReadError, ReadFile, normalise};
+use crate::files::{BUILTIN_FOLDER, ReadError, ReadFile, normalize};
 
 use crate::datalog::syntax::ast::{File, Include, Item};
 use crate::datalog::syntax::parser;
@@ -37,7 +37,7 @@ pub(crate) fn gather(
     read: &dyn ReadFile,
     faults: &mut Faults,
 ) {
-    let key = normalise(Path::new(sources.name(entry)));
+    let key = normalize(Path::new(sources.name(entry)));
     if gathered.seen.insert(key.clone()) {
         let mut walk = Walk {
             sources,
@@ -93,7 +93,7 @@ impl Walk<'_> {
         let builtin = Path::new(BUILTIN_FOLDER).join(&include.path);
         let mut error = ReadError::NotFound;
         for path in [&beside, &builtin] {
-            let key = normalise(path);
+            let key = normalize(path);
             if let Some(position) = self.open.iter().position(|(open, _)| *open == key) {
                 return self.cycle(position, span);
             }

@@ -25,7 +25,7 @@ class AgentPanel {
     const bits = data.actions.filter((_, index) => derived[agent] >> index & 1);
     const head = make("div", { class: "card-head" },
       make("h2", {}, id),
-      make("span", { class: "badge", id: "action", style: `background:${COLOURS[done]}` }, done),
+      make("span", { class: "badge", id: "action", style: `background:${COLORS[done]}` }, done),
       ...[kind, ...concepts].map((word) => make("span", { class: "chip" }, word)),
       driven && make("span", { class: "chip driven" }, "driven"),
       make("button", { type: "button", title: "clear the selection (Esc)", onclick: () => this.page.choose({ agent: -1 }) }, "×"));

@@ -38,7 +38,7 @@ class Chart {
     const small = new OffscreenCanvas(columns, agents.length);
     const paint = small.getContext("2d");
     const image = paint.createImageData(columns, agents.length);
-    const colours = actions.map((action) => [1, 3, 5].map((at) => parseInt(COLOURS[action].slice(at, at + 2), 16)));
+    const colours = actions.map((action) => [1, 3, 5].map((at) => parseInt(COLORS[action].slice(at, at + 2), 16)));
     const { clause } = this.now;
     ticks.forEach(({ action, fired }, tick) => {
       // Multiplies first: integers stay exact, and no column is skipped.

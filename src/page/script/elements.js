@@ -1,6 +1,6 @@
 // Helpers that all parts of the page share.
 
-const COLOURS = { Slow: "#b87a00", Normal: "#0a8a63", Fast: "#3f7fb5", Stop: "#c8401a" };
+const COLORS = { Slow: "#b87a00", Normal: "#0a8a63", Fast: "#3f7fb5", Stop: "#c8401a" };
 const $ = (id) => document.getElementById(id);
 
 /** Returns an element with attributes and children. Text is never parsed as markup. */

@@ -233,7 +233,7 @@ class CityMap {
   /** Draws field of view, remaining route, goal and partners of the chosen agent. */
   drawChoice(paint, tick, agent) {
     const { view, goal } = this.data.ticks[tick];
-    const colour = COLOURS[this.run.action(tick, agent)];
+    const colour = COLORS[this.run.action(tick, agent)];
     const { scale } = this.camera;
     const unit = pixelUnit();
     const [top, left, bottom, right] = view[agent];
@@ -287,7 +287,7 @@ class CityMap {
     paint.beginPath();
     paint.arc(x, y, 0.55 * side, 0, 2 * Math.PI);
     paint.lineWidth = 2.5 * unit;
-    paint.strokeStyle = broken.length ? COLOURS.Stop : isDark() ? "#fff" : "#000";
+    paint.strokeStyle = broken.length ? COLORS.Stop : isDark() ? "#fff" : "#000";
     paint.setLineDash(broken.length ? [] : [5 * unit, 3 * unit]);
     paint.stroke();
     paint.setLineDash([]);
@@ -303,7 +303,7 @@ class CityMap {
     const chosen = agent === this.now.agent || agent === this.now.hover;
     const car = kind === "Car";
     const side = Math.max((car ? 7 : 5) * scale, (car ? 26 : 20) * unit);
-    const colour = COLOURS[this.run.action(tick, agent)];
+    const colour = COLORS[this.run.action(tick, agent)];
     // The action: a disc under the icon, with a rim visible on any ground.
     paint.beginPath();
     paint.arc(x, y, 0.42 * side, 0, 2 * Math.PI);

@@ -34,7 +34,7 @@ class Page {
     $("speed").addEventListener("change", () => { this.now.speed = Number($("speed").value); });
     document.addEventListener("keydown", (event) => this.key(event));
     window.addEventListener("hashchange", () => { this.readAddress(); this.refresh(); });
-    matchMedia("(prefers-color-scheme: dark)").addEventListener("change", () => this.recolour());
+    matchMedia("(prefers-color-scheme: dark)").addEventListener("change", () => this.recolor());
   }
 
   key(event) {
@@ -82,10 +82,10 @@ class Page {
 
   turnTheme() {
     document.documentElement.dataset.theme = isDark() ? "light" : "dark";
-    this.recolour();
+    this.recolor();
   }
 
-  recolour() {
+  recolor() {
     this.map.drawGround();
     this.chart.draw();
     this.draw();

@@ -14,7 +14,7 @@ class Summary {
     $("scrub").max = this.run.count - 1;
     for (const speed of SPEEDS) $("speed").append(make("option", { value: speed, selected: speed === this.now.speed }, `${speed} /s`));
     for (const action of data.actions) {
-      $("legend").append(make("li", {}, make("span", { class: "swatch", style: `background:${COLOURS[action]}` }), action));
+      $("legend").append(make("li", {}, make("span", { class: "swatch", style: `background:${COLORS[action]}` }), action));
     }
     for (let clause = 0; clause < data.counted; clause += 1) {
       const { head, doc, text } = data.clauses[clause];
@@ -23,7 +23,7 @@ class Summary {
       const choose = decides ? () => this.page.choose({ clause: this.now.clause === clause ? -1 : clause }) : undefined;
       const row = make("tr", { "data-clause": clause, "data-decides": decides },
         make("td", {}, String(count)),
-        make("td", {}, make("span", { class: "swatch", style: `background:${COLOURS[head] ?? "var(--faint)"}` }), head),
+        make("td", {}, make("span", { class: "swatch", style: `background:${COLORS[head] ?? "var(--faint)"}` }), head),
         make("td", {}, decides ? make("button", { type: "button", title: "show all firings" }, title) : title));
       if (decides) row.addEventListener("click", choose);
       $("clauses").append(row);

@@ -128,7 +128,7 @@ pub struct Summary {
 ///
 /// # Panics
 /// If the lengths of `rollouts` and `random` differ.
-pub fn summarise(task: &SpfTask, rollouts: &[Rollout], random: Option<&[f64]>) -> Summary {
+pub fn summarize(task: &SpfTask, rollouts: &[Rollout], random: Option<&[f64]>) -> Summary {
     summarise_runs(task, rollouts, 1, random)
 }
 

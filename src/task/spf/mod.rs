@@ -12,7 +12,7 @@
 //! cells of the route. The episode also ends at the goal. At the horizon it is truncated, with the overtime penalty.
 //!
 //! [`rollout`] runs a built-in policy on an episode; a [`BatchEvaluator`] runs an external one on a whole set;
-//! [`Baseline`] has the results of the random policy. [`summarise`] computes the paper's rates and score over many
+//! [`Baseline`] has the results of the random policy. [`summarize`] computes the paper's rates and score over many
 //! episodes. A [`VectorEnv`] steps many environments together. [`explain`] explains what the rules want, and [`record`]
 //! writes the trace of an episode.
 
@@ -31,7 +31,7 @@ pub use env::{ControlMode, ControlledCar, Env, Transition};
 pub use episode::{Episode, EpisodeAgent, EpisodeSet, OracleRun};
 pub use evaluate::{Baseline, BatchEvaluator, RANDOM_RUNS};
 pub use explain::{describe, explain};
-pub use metrics::{ActionRate, Rate, Score, Summary, summarise};
+pub use metrics::{ActionRate, Rate, Score, Summary, summarize};
 pub use record::{Origin, RecordError, record};
 pub use rollout::{Policy, Rollout, constrained_by_name, make_episodes, rollout};
 pub use vector::{Autoreset, Begin, EpisodeSource, Info, ObservationKind, Outcome, SubEnv, VectorEnv};

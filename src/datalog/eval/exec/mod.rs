@@ -17,7 +17,7 @@ use crate::datalog::eval::workers::Workers;
 use crate::datalog::plan::Compiled;
 use crate::datalog::plan::Plans;
 use crate::datalog::plan::steps::{Aim, IndexId, IndexSpec, Plan, Source, Step, StratumPlan, Version};
-use crate::datalog::row::{Row, normalise};
+use crate::datalog::row::{Row, normalize};
 use crate::datalog::value::Value;
 use crate::symbol::Symbols;
 use std::sync::Arc;
@@ -198,7 +198,7 @@ impl<'a> Meter<'a> {
     /// Takes the distinct rows of an output, in order; see [`Output::take`].
     pub(crate) fn take<const W: usize>(&self, out: &mut Output<W>) -> Vec<Row<W>> {
         match self.workers {
-            Some(workers) => out.take_by(|rows| workers.normalise(rows)),
+            Some(workers) => out.take_by(|rows| workers.normalize(rows)),
             None => out.take(),
         }
     }
@@ -269,7 +269,7 @@ impl<const W: usize> State<W> {
                 text_facts[clause.head.relation.index()].push(constants(&clause.head.terms));
             }
         }
-        text_facts.iter_mut().for_each(normalise);
+        text_facts.iter_mut().for_each(normalize);
         let indexes = || compiled.plans.indexes.counts();
         State {
             tables: indexes().map(|count| Table::new(Vec::new(), count)).collect(),
