@@ -206,11 +206,11 @@ class Simulation:
     Raises:
         InputError: If the configuration or rule file is invalid, the configuration lacks the split, or the agents do
             not fit on the map.
-        LimitError: If there are too many agents or threads.
+        LimitError: If there are too many agents.
         UnsupportedError: If `executor="dense"` cannot evaluate the rules.
         OSError: If a file cannot be read.
         OverflowError: If the seed or the number of threads is out of range.
-        ValueError: If the split or executor is unknown.
+        ValueError: If the split or executor is unknown, or there are more than 1024 threads.
     """
 
     def __init__(

@@ -34,7 +34,7 @@ if TYPE_CHECKING:
 __all__ = ["Demonstrations", "Trajectory", "demonstrations"]
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, eq=False)
 class Trajectory:
     """One episode of T steps.
 

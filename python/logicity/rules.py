@@ -272,6 +272,8 @@ class Session:
         max_bytes: int | None = None,
     ) -> None:
         """Start without inserted facts and without a commit."""
+        if not isinstance(program, Program):
+            raise TypeError(f"expected a Program, not {type(program).__name__}")
         self._program = program
         self._session = _logicity.Session(program._program, threads, max_rows, max_steps, max_bytes)
 

@@ -1,6 +1,6 @@
 //! Scenes and simulations.
 
-use crate::{Shared, Signals, input_error, read_error, to_python};
+use crate::{Shared, Signals, input_error, read_error, threads_of, to_python};
 use logicity::builtin::{BuiltinFiles, ReadWith};
 use logicity::cancel::Cancel;
 use logicity::city::{Action, Split};
@@ -216,10 +216,7 @@ impl PySimulation {
         let split = one_of("split", split, &Split::ALL, Split::name)?;
         let executor = one_of("executor", executor, &Executor::ALL, Executor::name)?;
         let signals = Signals::new();
-        let threads = match threads {
-            0 => std::thread::available_parallelism().map_or(1, usize::from),
-            threads => threads,
-        };
+        let threads = threads_of(threads)?.get();
         let Loaded { sources, city, .. } = Loaded::new(py, &signals, config.clone(), rules, None, None)?;
         let rule_files = city.rule_files.clone();
         let settings = Settings {

@@ -1,7 +1,7 @@
 //! Programs and sessions.
 
 use crate::columns;
-use crate::{Shared, Signals, input_error, to_python};
+use crate::{Shared, Signals, input_error, threads_of, to_python};
 use logicity::builtin::BuiltinFiles;
 use logicity::datalog;
 use logicity::datalog::explain::{Explainer, ExplanationPrinter};
@@ -14,7 +14,6 @@ use pyo3::prelude::*;
 use pyo3::types::{PyDict, PyList};
 use serde_json::json;
 use std::collections::HashMap;
-use std::num::NonZeroUsize;
 use std::path::{Path, PathBuf};
 use std::sync::Arc;
 
@@ -199,7 +198,7 @@ impl PySession {
             steps: max_steps.unwrap_or(usual.steps),
             bytes: max_bytes.unwrap_or(usual.bytes),
         });
-        let threads = NonZeroUsize::new(threads).map_or_else(Threads::all, Threads::new);
+        let threads = Threads::new(threads_of(threads)?);
         (session.set_threads(threads))
             .map_err(|error| PyRuntimeError::new_err(format!("cannot start {} threads: {error}", threads.count)))?;
         Ok(PySession {

@@ -33,6 +33,7 @@ use pyo3::prelude::*;
 use pyo3::types::{PyDict, PyList};
 use std::any::Any;
 use std::ffi::OsString;
+use std::num::NonZeroUsize;
 use std::panic::{AssertUnwindSafe, catch_unwind};
 use std::path::{Path, PathBuf};
 use std::sync::atomic::{AtomicBool, Ordering};
@@ -362,4 +363,18 @@ fn _logicity(module: &Bound<'_, PyModule>) -> PyResult<()> {
     multi_car::register(module)?;
     evaluate::register(module)?;
     vap::register(module)
+}
+
+/// The largest number of threads, as on the command line.
+const THREADS_MAX: usize = 1024;
+
+/// Returns the number of threads, where 0 means one per core.
+fn threads_of(given: usize) -> PyResult<NonZeroUsize> {
+    match NonZeroUsize::new(given) {
+        None => Ok(std::thread::available_parallelism().unwrap_or(NonZeroUsize::MIN)),
+        Some(threads) if given <= THREADS_MAX => Ok(threads),
+        Some(_) => Err(PyValueError::new_err(format!(
+            "threads: expected 0 to {THREADS_MAX}, not {given}"
+        ))),
+    }
 }

@@ -1,7 +1,7 @@
 //! Data sets of Visual Action Prediction: creation, checks, the tables of a world as arrays, and pictures.
 
 use crate::city::{Loaded, one_of};
-use crate::{Signals, input_error, read_error, slice_of, to_python};
+use crate::{Signals, input_error, read_error, slice_of, threads_of, to_python};
 use logicity::cancel::Cancel;
 use logicity::city::Heading;
 use logicity::city::{Action, Split};
@@ -24,7 +24,6 @@ use serde_json::json;
 use std::collections::HashMap;
 use std::fs;
 use std::io::ErrorKind;
-use std::num::NonZeroUsize;
 use std::path::{Path, PathBuf};
 use std::sync::Arc;
 
@@ -213,20 +212,6 @@ fn read_picture(py: Python<'_>, path: PathBuf, mut out: PyReadwriteArray3<'_, u8
     let pixels = slice_of(&mut out, 3 * rows * columns)?;
     let decoded = py.detach(|| decode(&path, size, pixels));
     decoded.map_err(|error| raise_in(py, error, &path))
-}
-
-/// The largest number of threads, as on the command line.
-const THREADS_MAX: usize = 1024;
-
-/// Returns the number of threads, where 0 means one per core.
-fn threads_of(given: usize) -> PyResult<NonZeroUsize> {
-    match NonZeroUsize::new(given) {
-        None => Ok(std::thread::available_parallelism().unwrap_or(NonZeroUsize::MIN)),
-        Some(threads) if given <= THREADS_MAX => Ok(threads),
-        Some(_) => Err(PyValueError::new_err(format!(
-            "threads: expected 0 to {THREADS_MAX}, not {given}"
-        ))),
-    }
 }
 
 fn load(py: Python<'_>, signals: &Signals, mode: Mode) -> PyResult<Loaded> {

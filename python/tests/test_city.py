@@ -372,3 +372,25 @@ def test_concurrent_use_of_a_simulation_raises_and_ticks_release_the_gil() -> No
         time.sleep(0)
     worker.join()
     assert refused > 0
+
+
+def test_explain_before_the_first_tick_shows_what_the_rules_derive() -> None:
+    city = logicity.Simulation("expert", seed=1)
+    names = [agent.name for agent in city.agents]
+    before = [city.explain(name) for name in names]
+    tick = city.tick()
+    assert [why.action for why in before] == [logicity.ACTIONS[action] for action in tick.action]
+    assert not any("came from outside" in str(why) for why in before)
+
+
+def test_too_many_threads_raise() -> None:
+    program = logicity.Program(".decl a(x: number)")
+    with pytest.raises(ValueError, match="expected 0 to 1024, not 1025"):
+        logicity.Session(program, threads=1025)
+    with pytest.raises(ValueError, match="expected 0 to 1024, not 100000"):
+        logicity.Simulation("expert", threads=100_000)
+
+
+def test_a_session_of_something_else_than_a_program_raises() -> None:
+    with pytest.raises(TypeError, match="expected a Program, not str"):
+        logicity.Session("a(1).")  # type: ignore[arg-type]

@@ -237,3 +237,10 @@ def test_minari_stores_a_configuration_file(own_city: Path, tmp_path: Path, monk
     for env in (dataset.recover_environment(), dataset.recover_environment(eval_env=True)):
         observation, _ = env.reset(options={"episode": 4})
         assert (observation == trajectories[4].observations[0]).all()
+
+
+def test_trajectories_compare_by_identity() -> None:
+    data = logicity.demonstrations("easy", n=2)
+    assert data[1] in data
+    assert data.index(data[1]) == 1
+    assert len({data[0], data[1]}) == 2

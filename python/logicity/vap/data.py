@@ -135,7 +135,7 @@ class VapDataset(Sequence[VapSample]):
         settings, counts = _read_manifest(self.folder)
         self.has_pictures: bool = settings["pictures"]
         if images and not self.has_pictures:
-            raise ValueError(f"`{self.folder}` was made with `--no-pictures`: pass images=False")
+            raise ValueError(f"`{self.folder}` has no pictures: pass images=False (command line: `--no-pictures`)")
         self.mode: str = settings["mode"]
         self.agents: str = settings["agents"]
         self.split = cast(Split, settings["split"])

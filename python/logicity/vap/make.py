@@ -82,7 +82,6 @@ def make_dataset(
 
     Raises:
         InputError: If the folder has worlds with other settings, rules or pictures.
-        LimitError: If there are too many threads.
         KeyboardInterrupt: On Ctrl-C.
         OSError: If a file cannot be read or written.
         OverflowError: If a number is negative, or does not fit its integer type.

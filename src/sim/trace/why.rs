@@ -46,7 +46,8 @@ pub struct Account<'a> {
 }
 
 impl Simulation {
-    /// Returns the decision of an agent in the last tick, given its position in the list.
+    /// Returns the decision of an agent in the last tick, given its position in the list. Before the first tick, the
+    /// decision is what the rules derive now.
     ///
     /// # Errors
     /// As [`Simulation::snapshot`].
@@ -55,8 +56,14 @@ impl Simulation {
     /// If `agent` is outside the list.
     pub fn decision(&mut self, agent: usize) -> Result<Decision<'_>, Diagnostic> {
         let (name, report) = (self.agents()[agent].name().to_string(), self.report());
-        let (tick, done) = (report.tick, report.agents[agent]);
+        let (tick, mut done) = (report.tick, report.agents[agent]);
+        let is_before_first_tick = self.now() == 0;
         let snapshot = self.snapshot()?;
+        if is_before_first_tick {
+            let vocabulary = &snapshot.world().vocabulary;
+            done.derived = snapshot.state.derived(vocabulary, agent);
+            done.action = vocabulary.decide(done.derived);
+        }
         Ok(Decision {
             world: snapshot.world(),
             session: snapshot.session(),

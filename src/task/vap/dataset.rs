@@ -142,7 +142,7 @@ impl DatasetWriter {
                     &path,
                     "belongs to a data set with other settings, configuration, rules or pictures",
                 );
-                return Err(fault.help("name another folder with `--out`").into());
+                return Err(fault.help("choose another folder (`--out` on the command line)").into());
             }
         }
         folder::remove_partials(folder)?;
