@@ -42,7 +42,7 @@ pub fn view_reach(heading: Option<Heading>, half_width: u32) -> [i32; 4] {
     }
 }
 
-/// Returns the field of view of an agent, clipped to the map; see [`view_reach`].
+/// Returns the field of view of an agent, clipped to the map.
 pub fn field_of_view(at: Cell, heading: Option<Heading>, half_width: u32, map: &CityMap) -> FieldOfView {
     let FieldOfView { first, last } = FieldOfView::around(at, view_reach(heading, half_width));
     FieldOfView {
