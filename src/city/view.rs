@@ -43,6 +43,9 @@ pub fn view_reach(heading: Option<Heading>, half_width: u32) -> [i32; 4] {
 }
 
 /// Returns the field of view of an agent, clipped to the map.
+///
+/// It extends `half_width` cells ahead and to both sides, and 1 or 2 cells behind. Without a heading it extends
+/// `half_width` cells to all sides.
 pub fn field_of_view(at: Cell, heading: Option<Heading>, half_width: u32, map: &CityMap) -> FieldOfView {
     let FieldOfView { first, last } = FieldOfView::around(at, view_reach(heading, half_width));
     FieldOfView {
