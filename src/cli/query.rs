@@ -7,11 +7,15 @@ use crate::datalog::{ClauseId, Edb, MarkKind, RelId, RowPlace};
 use crate::datalog::{Delta, EvalEvent, Limits, Options, Program, RuleStats, Session, Threads, constraints, facts};
 use crate::diag::{Code, Diagnostic, Sources, Span};
 use crate::files;
-use crate::files::{Output, make_folder};
+use crate::files::{Output, ReadError, make_folder};
+use flate2::Compression;
+use flate2::read::MultiGzDecoder;
+use flate2::write::GzEncoder;
 use std::cell::{Cell, RefCell};
 use std::cmp::Reverse;
 use std::collections::BTreeMap;
-use std::io::{self, Write};
+use std::fs::File;
+use std::io::{self, BufRead, BufReader, Write};
 use std::num::NonZeroUsize;
 use std::path::{Path, PathBuf};
 use std::time::{Duration, Instant};
@@ -137,11 +141,14 @@ fn write_results(out: &mut dyn Write, session: &Session, folder: &Path) -> Resul
                     let path = match &directive.place {
                         _ if to_terminal => None,
                         RowPlace::Terminal => None,
-                        RowPlace::Usual => Some(folder.join(format!("{}.csv", relation.name))),
+                        RowPlace::Usual => {
+                            let end = if directive.compress { "csv.gz" } else { "csv" };
+                            Some(folder.join(format!("{}.{end}", relation.name)))
+                        }
                         RowPlace::File(name) => Some(folder.join(name)),
                     };
                     match path {
-                        Some(path) => write_relation(&path, &header, rows)?,
+                        Some(path) => write_relation(&path, directive.compress, &header, rows)?,
                         None => print_relation(out, &relation.name, &header, rows)?,
                     }
                 }
@@ -254,13 +261,21 @@ pub(super) fn load_inputs(folder: &Path, session: &mut Session, sources: &mut So
             .filter(|directive| directive.kind == MarkKind::Input)
         {
             let path = match &directive.place {
-                RowPlace::Usual => folder.join(format!("{}.facts", relation.name)),
+                RowPlace::Usual => {
+                    let plain = folder.join(format!("{}.facts", relation.name));
+                    let compressed = folder.join(format!("{}.facts.gz", relation.name));
+                    if !plain.exists() && compressed.exists() {
+                        compressed
+                    } else {
+                        plain
+                    }
+                }
                 RowPlace::File(name) => folder.join(name),
                 RowPlace::Terminal => PathBuf::from("standard input"),
             };
             let read = match directive.place {
                 RowPlace::Terminal => files::read_any(std::io::stdin()),
-                _ => files::open(&path).and_then(files::read_any),
+                _ => files::open(&path).and_then(read_decompressed),
             };
             let (text, not_text) = read.map_err(|error| {
                 let (name, path) = (&relation.name, path.display());
@@ -282,12 +297,34 @@ pub(super) fn load_inputs(folder: &Path, session: &mut Session, sources: &mut So
     if faults.is_empty() { Ok(()) } else { Err(faults.into()) }
 }
 
+/// Reads a text that may be compressed with gzip, which its first two bytes show.
+fn read_decompressed(file: File) -> Result<(String, Option<usize>), ReadError> {
+    let mut file = BufReader::new(file);
+    let start = file.fill_buf().map_err(|error| ReadError::Io(error.to_string()))?;
+    match start.starts_with(&[0x1f, 0x8b]) {
+        true => files::read_any(MultiGzDecoder::new(file)),
+        false => files::read_any(file),
+    }
+}
+
 /// Writes a relation to a file, which appears only once it is complete.
-fn write_relation(path: &Path, header: &str, rows: impl Fn(&mut dyn Write) -> io::Result<()>) -> Result<(), Failure> {
+fn write_relation(
+    path: &Path,
+    compress: bool,
+    header: &str,
+    rows: impl Fn(&mut dyn Write) -> io::Result<()>,
+) -> Result<(), Failure> {
     make_folder(path.parent().unwrap_or(Path::new(".")))?;
     let fail = |error: io::Error| Failure::file("write", path, error);
     let mut file = Output::create(path).map_err(fail)?;
-    file.write_all(header.as_bytes()).map_err(fail)?;
-    rows(&mut file).map_err(fail)?;
+    if compress {
+        let mut stream = GzEncoder::new(&mut file, Compression::default());
+        stream.write_all(header.as_bytes()).map_err(fail)?;
+        rows(&mut stream).map_err(fail)?;
+        stream.finish().map_err(fail)?;
+    } else {
+        file.write_all(header.as_bytes()).map_err(fail)?;
+        rows(&mut file).map_err(fail)?;
+    }
     file.finish().map_err(fail)
 }

@@ -2,7 +2,7 @@
 //!
 //! Each line is one row. Tabs separate the values unless a [`RowFormat`] sets another delimiter. A symbol stands as it
 //! is, a number in decimal, a float with up to nine significant digits. The only row of a relation without columns is
-//! `()`. This module converts rows from and to text; the caller reads and writes files.
+//! `()`, which an empty line also stands for. This module converts rows from and to text; the caller reads and writes files.
 
 use crate::datalog::check::{Column, RelId, Relation, RowFormat};
 use crate::datalog::session::Session;
@@ -10,8 +10,10 @@ use crate::datalog::syntax::ast::BaseType;
 use crate::datalog::value::{Value, parse as parse_value, print_float};
 use crate::diag::{Code, Diagnostic, Faults, SourceId, Sources, Span};
 use crate::symbol::Symbol;
+use std::borrow::Cow;
 use std::cmp::Ordering;
 use std::io::{self, Write};
+use std::ops::Range;
 
 /// Inserts the rows of a `.facts` text into a relation and returns the number of rows read.
 ///
@@ -50,75 +52,73 @@ pub fn load_as(
     let mut faults = Faults::default();
     let mut rows: Vec<Value> = Vec::new();
     let mut count = 0;
+    let mut header = format.headers;
+    let mut fields = Vec::new();
     let mut start = 0;
     // The final line break is optional.
-    for line in text
-        .strip_suffix('\n')
-        .unwrap_or(text)
-        .split('\n')
-        .take(if text.is_empty() { 0 } else { usize::MAX })
-    {
-        if format.headers && start == 0 {
-            start += line.len() + 1;
+    while start < text.len() {
+        let record = read_record(text, start, format, &mut fields);
+        let span = |range: Range<usize>| Span::new(source, range);
+        let whole = start..record.end;
+        start = record.next;
+        if std::mem::take(&mut header) {
             continue;
         }
-        let content = line.strip_suffix('\r').unwrap_or(line);
-        let span = |from: usize, to: usize| Span::new(source, start + from..start + to);
-        if relation.columns.is_empty() {
-            if content != "()" {
-                let message = format!("`{}` has no columns; its only row is `()`", relation.name);
-                faults.push(Diagnostic::new(Code::INVALID_FACT, message).at(span(0, content.len()), "expected `()`"));
-            }
-        } else {
-            let mut parts = split(content, format);
-            let found = parts.len();
-            let last = format.columns.iter().max();
-            let complete = last.map_or(found == relation.arity(), |&last| last < found);
-            if complete && last.is_some() {
-                parts = format.columns.iter().map(|&column| parts[column].clone()).collect();
-            }
-            if !complete {
-                let message = if content.is_empty() {
-                    format!("an empty line where a row of `{}` was expected", relation.name)
-                } else if let Some(last) = last {
-                    format!("a row of {found} values where value {last} is read, counted from 0")
-                } else {
-                    let (name, arity) = (&relation.name, relation.arity());
-                    format!("a row of `{name}` has {arity} values, not {found}")
-                };
-                let fault = Diagnostic::new(Code::INVALID_FACT, message).at(span(0, content.len()), "");
-                faults.push(
-                    fault
-                        .also(relation.span, "declared here")
-                        .help(if format.delimiter == "\t" {
-                            "values are separated by single tabs".to_owned()
-                        } else {
-                            format!("values are separated by `{}`", format.delimiter)
-                        }),
-                );
-            } else {
-                for (column, part) in relation.columns.iter().zip(parts) {
-                    let value = &content[part.clone()];
-                    match parse(session, column, value, format) {
-                        Some(value) => rows.push(value),
-                        None => {
-                            let (what, label) = match column.base {
-                                BaseType::Unsigned => {
-                                    ("unsigned numbers", "not a 32-bit decimal number without a sign")
-                                }
-                                BaseType::Float => ("floats", "not a decimal number"),
-                                _ => ("numbers", "not a 32-bit decimal number"),
-                            };
-                            let message = format!("column `{}` of `{}` holds {what}", column.name, relation.name);
-                            let fault = Diagnostic::new(Code::INVALID_FACT, message);
-                            faults.push(fault.at(span(part.start, part.end), label));
-                        }
-                    }
-                }
-            }
-        }
         count += 1;
-        start += line.len() + 1;
+        if let Some((range, message)) = record.fault {
+            let help = "enclose a value in double quotes, and double a quote inside";
+            faults.push(
+                Diagnostic::new(Code::INVALID_FACT, message)
+                    .at(span(range), "")
+                    .help(help),
+            );
+            continue;
+        }
+        if relation.columns.is_empty() {
+            if !matches!(&text[whole.clone()], "()" | "") {
+                let message = format!("`{}` has no columns; its only row is `()`", relation.name);
+                let fault = Diagnostic::new(Code::INVALID_FACT, message);
+                faults.push(fault.at(span(whole), "expected `()` or an empty line"));
+            }
+            continue;
+        }
+        let found = fields.len();
+        let last = format.columns.iter().max();
+        if !last.map_or(found == relation.arity(), |&last| last < found) {
+            let message = if whole.is_empty() {
+                format!("an empty line where a row of `{}` was expected", relation.name)
+            } else if let Some(last) = last {
+                format!("a row of {found} values where value {last} is read, counted from 0")
+            } else {
+                let (name, arity) = (&relation.name, relation.arity());
+                format!("a row of `{name}` has {arity} values, not {found}")
+            };
+            let fault = Diagnostic::new(Code::INVALID_FACT, message).at(span(whole), "");
+            faults.push(
+                fault
+                    .also(relation.span, "declared here")
+                    .help(if format.delimiter == "\t" {
+                        "values are separated by single tabs".to_owned()
+                    } else {
+                        format!("values are separated by `{}`", format.delimiter)
+                    }),
+            );
+            continue;
+        }
+        for (index, column) in relation.columns.iter().enumerate() {
+            let field = fields[format.columns.get(index).copied().unwrap_or(index)].clone();
+            if let Some(value) = parse(session, column, &text[field.clone()], format) {
+                rows.push(value);
+                continue;
+            }
+            let (what, label) = match column.base {
+                BaseType::Unsigned => ("unsigned numbers", "not a 32-bit decimal number without a sign"),
+                BaseType::Float => ("floats", "not a decimal number"),
+                _ => ("numbers", "not a 32-bit decimal number"),
+            };
+            let message = format!("column `{}` of `{}` holds {what}", column.name, relation.name);
+            faults.push(Diagnostic::new(Code::INVALID_FACT, message).at(span(field), label));
+        }
     }
     let mut faults = faults.finish();
     if faults.is_empty() {
@@ -133,32 +133,91 @@ pub fn load_as(
     if faults.is_empty() { Ok(count) } else { Err(faults) }
 }
 
-/// Returns the byte range of each value in the line.
-fn split(line: &str, format: &RowFormat) -> Vec<std::ops::Range<usize>> {
-    let mut parts = Vec::new();
-    let mut from = 0;
-    for (at, delimiter) in line.match_indices(format.delimiter.as_str()) {
-        // A delimiter inside quotes belongs to the value. A doubled quote closes and reopens, so counting quotes
-        // suffices.
-        let quotes = || line[from..at].bytes().filter(|byte| *byte == b'"').count();
-        if !format.quoted || quotes() % 2 == 0 {
-            parts.push(from..at);
-            from = at + delimiter.len();
+/// The extent of one row of a text.
+struct Record {
+    /// The end of its content, before the line break.
+    end: usize,
+    /// The start of the next row.
+    next: usize,
+    /// What is wrong with its quotes.
+    fault: Option<(Range<usize>, &'static str)>,
+}
+
+/// Finds the row that begins at `start`, and replaces `fields` by the byte ranges of its values.
+///
+/// With [`RowFormat::quoted`], a value that begins with a double quote extends to its closing quote, over delimiters and
+/// line breaks (RFC 4180).
+fn read_record(text: &str, start: usize, format: &RowFormat, fields: &mut Vec<Range<usize>>) -> Record {
+    fields.clear();
+    let line_end = |from: usize| text[from..].find('\n').map_or(text.len(), |length| from + length);
+    let mut from = start;
+    let mut line = line_end(start);
+    loop {
+        let quoted = format.quoted && text[from..].starts_with('"');
+        let close = match quoted {
+            true => match closing_quote(text, from + 1) {
+                Some(close) => close + 1,
+                None => {
+                    return Record {
+                        end: text.len(),
+                        next: text.len(),
+                        fault: Some((from..from + 1, "this quote is never closed")),
+                    };
+                }
+            },
+            false => from,
+        };
+        if line < close {
+            line = line_end(close);
+        }
+        let end = line - usize::from(text[close..line].ends_with('\r'));
+        let record = |fault| Record {
+            end,
+            next: line + 1,
+            fault,
+        };
+        match text[close..end].find(format.delimiter.as_str()) {
+            Some(length) if quoted && length > 0 => {
+                return record(Some((
+                    close..close + length,
+                    "a value continues after its closing quote",
+                )));
+            }
+            Some(length) => {
+                fields.push(from..close + length);
+                from = close + length + format.delimiter.len();
+            }
+            None if quoted && close < end => {
+                return record(Some((close..end, "a value continues after its closing quote")));
+            }
+            None => {
+                fields.push(from..end);
+                return record(None);
+            }
         }
     }
-    parts.push(from..line.len());
-    parts
+}
+
+/// Returns the position of the first double quote that no other one follows.
+fn closing_quote(text: &str, mut from: usize) -> Option<usize> {
+    loop {
+        let quote = from + text[from..].find('"')?;
+        if !text[quote + 1..].starts_with('"') {
+            return Some(quote);
+        }
+        from = quote + 2;
+    }
 }
 
 fn parse(session: &mut Session, column: &Column, text: &str, format: &RowFormat) -> Option<Value> {
+    let inner = text.strip_prefix('"').and_then(|text| text.strip_suffix('"'));
+    let text = match inner.filter(|_| format.quoted) {
+        Some(inner) if inner.contains('"') => Cow::Owned(inner.replace("\"\"", "\"")),
+        Some(inner) => Cow::Borrowed(inner),
+        None => Cow::Borrowed(text),
+    };
     match column.base {
-        BaseType::Symbol => {
-            let inner = text.strip_prefix('"').and_then(|text| text.strip_suffix('"'));
-            match inner.filter(|_| format.quoted) {
-                Some(inner) => Some(session.intern(&inner.replace("\"\"", "\""))),
-                None => Some(session.intern(text)),
-            }
-        }
+        BaseType::Symbol => Some(session.intern(&text)),
         base => parse_value(base, text.trim_start_matches(' ')),
     }
 }

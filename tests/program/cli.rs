@@ -1,8 +1,11 @@
 //! The command line: runs the binary on files and checks its output and exit codes.
 
+use flate2::Compression;
+use flate2::read::GzDecoder;
+use flate2::write::GzEncoder;
 use serde_json::Value;
 use std::fs;
-use std::io::Write;
+use std::io::{Read, Write};
 use std::path::Path;
 use std::process::{Command, Output, Stdio};
 
@@ -946,6 +949,57 @@ fn query_follows_the_options_of_directives() {
         1,
         &["unsupported", "type-mismatch"],
     );
+}
+
+#[test]
+fn query_reads_rows_as_souffle_writes_them() {
+    let folder = tempfile::tempdir().unwrap();
+    let here = folder.path().to_str().unwrap();
+    let rules = write(
+        folder.path(),
+        "main.dl",
+        ".decl note(who: symbol, text: symbol, n: number)\n\
+         .input note(rfc4180=true)\n\
+         .decl any()\n\
+         .input any\n\
+         .decl none()\n\
+         .input none\n\
+         .decl edge(x: number, y: number)\n\
+         .input edge\n\
+         .decl out(who: symbol, text: symbol)\n\
+         .output out(rfc4180=true, compress=true)\n\
+         .printsize any, none, edge\n\
+         out(x, y) :- note(x, y, n), edge(n, _).\n",
+    );
+    // A quoted value extends over lines, and a number may be quoted. An empty line is the row of a predicate without
+    // columns. The facts of `edge` are compressed.
+    write(
+        folder.path(),
+        "note.facts",
+        "\"a\",\"two\r\nlines, \"\"quoted\"\"\",\"1\"\r\nb,5\" pipe,1\n",
+    );
+    write(folder.path(), "any.facts", "\n");
+    write(folder.path(), "none.facts", "");
+    let mut compressed = GzEncoder::new(Vec::new(), Compression::default());
+    compressed.write_all(b"1\t2\n").unwrap();
+    let compressed = compressed.finish().unwrap();
+    fs::write(folder.path().join("edge.facts.gz"), &compressed).unwrap();
+
+    let output = logicity(["query", &rules, "-F", here, "-D", here]);
+    assert_eq!((code(&output), err(&output)), (0, String::new()));
+    assert_eq!(out(&output), "any\t1\nnone\t0\nedge\t1\n");
+    let mut text = String::new();
+    let written = fs::File::open(folder.path().join("out.csv.gz")).unwrap();
+    GzDecoder::new(written).read_to_string(&mut text).unwrap();
+    assert_eq!(text, "\"a\",\"two\r\nlines, \"\"quoted\"\"\"\n\"b\",\"5\"\" pipe\"\n");
+
+    // A truncated file and faulty quotes.
+    fs::write(folder.path().join("edge.facts.gz"), &compressed[..compressed.len() - 9]).unwrap();
+    fails(&logicity(["query", &rules, "-F", here]), 2, &["edge.facts.gz"]);
+    fs::write(folder.path().join("edge.facts.gz"), &compressed).unwrap();
+    write(folder.path(), "note.facts", "\"a\"b,c,1\nd,\"e,2\nf,g,3\n");
+    let output = logicity(["query", &rules, "-F", here]);
+    fails(&output, 1, &["note.facts:1:4", "note.facts:2:3", "2 errors"]);
 }
 
 #[test]

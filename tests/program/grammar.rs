@@ -156,7 +156,7 @@ fn words_get_their_scopes() {
 .decl Car(x: agent, v: number) // why
 .type agent <: symbol
 .disjoint Car, Walker
-Stop(X) :- Car(X, 0x2A), Not(IsBus(X)), !Near(X, _), X != "a\"b", /* block */ X = "c".
+Stop(X) :- Car(X, 0x2A), Car(Y, 10.0.0.1), Car(Y, 2.5e-3), Car(Y, 7u), Not(IsBus(X)), !Near(X, _), X != "a\"b", /* block */ X = "c".
 "#;
     let scopes = scopes_of(text, &rules);
     for (word, scope) in [
@@ -172,6 +172,10 @@ Stop(X) :- Car(X, 0x2A), Not(IsBus(X)), !Near(X, _), X != "a\"b", /* block */ X 
         ("Stop", "entity.name.function"),
         (":-", "keyword.operator.rule"),
         ("0x2A", "constant.numeric"),
+        ("10.0.0.1", "constant.numeric"),
+        ("2.5e-3", "constant.numeric"),
+        ("-3)", "constant.numeric"),
+        ("7u", "constant.numeric"),
         ("Not(", "keyword.operator.logical.negation"),
         ("IsBus", "entity.name.function"),
         ("!Near", "keyword.operator.logical.negation"),

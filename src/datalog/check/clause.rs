@@ -207,7 +207,16 @@ fn alternative(
     out: &mut Clauses,
     faults: &mut Faults,
 ) {
-    let written_out = witness::write_out(head, body);
+    let written_out = match witness::write_out(head, body, MAX_LITERALS) {
+        Ok(written_out) => written_out,
+        Err(witness::TooLong) => {
+            let fault = Diagnostic::new(Code::LIMIT_EXCEEDED, "clause with too many nested aggregates");
+            let note = format!("the witnesses of its `min` and `max` copy more than {MAX_LITERALS} literals");
+            faults.push(fault.at(head.place.0, "").note(note));
+            out.incomplete = true;
+            return;
+        }
+    };
     let written_out: Option<Vec<&ast::Literal>> = written_out.as_ref().map(|literals| literals.iter().collect());
     let body = written_out.as_deref().unwrap_or(body);
     let checked = body::check(clause, head, body, scopes.current(), names, out, faults);

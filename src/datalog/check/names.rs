@@ -710,6 +710,7 @@ fn read_options(mark: &Mark, faults: &mut Faults) -> Directive {
     let mut format = RowFormat::default();
     let mut delimiter = None;
     let mut terminal = false;
+    let mut compress = false;
     for option in &mark.options {
         let flag = option.value == "true";
         match option.key.text.as_str() {
@@ -740,9 +741,9 @@ fn read_options(mark: &Mark, faults: &mut Faults) -> Directive {
                     faults.push(fault.help("list each column number once, counted from 0: `columns=\"0:2:1\"`"));
                 }
             },
-            "compress" if option.value == "false" => {}
-            key @ ("compress" | "dbname") => {
-                let fault = Diagnostic::new(Code::UNSUPPORTED, format!("the option `{key}` is not supported"));
+            "compress" if mark.kind != MarkKind::PrintSize => compress = flag,
+            "dbname" => {
+                let fault = Diagnostic::new(Code::UNSUPPORTED, "the option `dbname` is not supported");
                 faults.push(fault.at(option.key.place.0, ""));
             }
             key => {
@@ -760,6 +761,7 @@ fn read_options(mark: &Mark, faults: &mut Faults) -> Directive {
         kind: mark.kind,
         place,
         format,
+        compress,
     }
 }
 

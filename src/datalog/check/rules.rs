@@ -92,6 +92,8 @@ pub struct Directive {
     pub place: RowPlace,
     /// The text format of the rows.
     pub format: RowFormat,
+    /// Whether a file of results is compressed with gzip.
+    pub compress: bool,
 }
 
 /// The source or destination of rows.

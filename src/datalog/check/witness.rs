@@ -16,25 +16,133 @@ use crate::datalog::syntax::ast::{Aggregate, Atom, Literal, Term, TermKind};
 use crate::datalog::syntax::ast::{names_in, names_of};
 use crate::datalog::syntax::functor::AggregateOp;
 
-/// Rewrites the aggregates with witnesses; `None` if there are none.
-pub(crate) fn write_out(head: &Atom, body: &[&Literal]) -> Option<Vec<Literal>> {
-    if !body.iter().any(|literal| selection(literal).is_some()) {
-        return None;
-    }
-    let mut outside: HashSet<&str> = HashSet::new();
-    let mut note = |name| {
-        outside.insert(name);
-    };
-    head.terms.iter().for_each(|term| names_of(term, false, &mut note));
-    body.iter().for_each(|literal| names_in(literal, false, &mut note));
-    let bound = bound_names(body);
+/// The rewriting would make a body too long.
+pub(crate) struct TooLong;
 
-    let mut out: Vec<Literal> = Vec::with_capacity(body.len());
-    let mut any = false;
-    for (index, literal) in body.iter().enumerate() {
-        let Some((result, aggregate, target)) = selection(literal) else {
-            out.push((*literal).clone());
-            continue;
+/// Rewrites the aggregates with witnesses, also nested ones, innermost first; `None` if there are none. `literals_max`
+/// bounds the literals that it adds.
+pub(crate) fn write_out(head: &Atom, body: &[&Literal], literals_max: usize) -> Result<Option<Vec<Literal>>, TooLong> {
+    if !body.iter().any(|literal| has_selection(literal)) {
+        return Ok(None);
+    }
+    let body: Vec<Literal> = body.iter().map(|literal| (*literal).clone()).collect();
+    let mut outside = HashSet::new();
+    head.terms
+        .iter()
+        .for_each(|term| names_of(term, false, &mut |name| note(name, &mut outside)));
+    let mut rewriting = Rewriting {
+        left: literals_max,
+        fresh: 0,
+        any: false,
+    };
+    let out = rewriting.body(body, outside, &HashSet::new())?;
+    Ok(rewriting.any.then_some(out))
+}
+
+fn note(name: &str, names: &mut HashSet<String>) {
+    if !names.contains(name) {
+        names.insert(name.to_owned());
+    }
+}
+
+struct Rewriting {
+    /// The number of literals that the rewriting may still add.
+    left: usize,
+    /// The number of rewritten aggregates, which makes their variables unique.
+    fresh: usize,
+    /// Whether any aggregate has witnesses.
+    any: bool,
+}
+
+impl Rewriting {
+    /// Rewrites the body of a clause or of an aggregate.
+    ///
+    /// `outside` are the variables of the head, or of the aggregate's target and the witnesses of the aggregate. `taken`
+    /// are the variables of the enclosing bodies that cannot be witnesses here.
+    fn body(
+        &mut self,
+        body: Vec<Literal>,
+        mut outside: HashSet<String>,
+        taken: &HashSet<String>,
+    ) -> Result<Vec<Literal>, TooLong> {
+        for literal in &body {
+            names_in(literal, false, &mut |name| note(name, &mut outside));
+        }
+        let mut bound = taken.clone();
+        bound.extend(
+            bound_names(&body.iter().collect::<Vec<_>>())
+                .into_iter()
+                .map(str::to_owned),
+        );
+        let witnesses: HashSet<String> = outside.difference(&bound).cloned().collect();
+        let shared: HashSet<String> = bound.union(&outside).cloned().collect();
+        let mut out: Vec<Literal> = Vec::with_capacity(body.len());
+        for mut literal in body {
+            // A witness of an aggregate may be one of an aggregate in its body. No other variable of this body is.
+            let (outside_inner, taken) = match selection(&literal) {
+                Some(_) => (&witnesses, &bound),
+                None => (&HashSet::new(), &shared),
+            };
+            self.aggregates_of_literal(&mut literal, outside_inner, taken)?;
+            self.literal(literal, &outside, &bound, &mut out)?;
+        }
+        Ok(out)
+    }
+
+    /// Rewrites the bodies of the aggregates in a literal.
+    fn aggregates_of_literal(
+        &mut self,
+        literal: &mut Literal,
+        outside: &HashSet<String>,
+        taken: &HashSet<String>,
+    ) -> Result<(), TooLong> {
+        match literal {
+            Literal::Atom { atom, .. } => {
+                (atom.terms.iter_mut()).try_for_each(|term| self.aggregates_of_term(term, outside, taken))
+            }
+            Literal::Compare { left, right, .. } => {
+                self.aggregates_of_term(left, outside, taken)?;
+                self.aggregates_of_term(right, outside, taken)
+            }
+            // The body of an aggregate has no alternatives; those of a clause are separate bodies.
+            Literal::Any(_) => Ok(()),
+        }
+    }
+
+    fn aggregates_of_term(
+        &mut self,
+        term: &mut Term,
+        outside: &HashSet<String>,
+        taken: &HashSet<String>,
+    ) -> Result<(), TooLong> {
+        match &mut term.kind {
+            TermKind::Functor(_, arguments) => {
+                (arguments.iter_mut()).try_for_each(|argument| self.aggregates_of_term(argument, outside, taken))
+            }
+            TermKind::Cast(inner, _) => self.aggregates_of_term(inner, outside, taken),
+            TermKind::Aggregate(aggregate) => {
+                let mut outside = outside.clone();
+                if let Some(target) = &aggregate.target {
+                    names_of(target, false, &mut |name| note(name, &mut outside));
+                }
+                aggregate.body = self.body(std::mem::take(&mut aggregate.body), outside, taken)?;
+                Ok(())
+            }
+            _ => Ok(()),
+        }
+    }
+
+    /// Appends a literal to `out`, rewritten if it is an aggregate with witnesses.
+    fn literal(
+        &mut self,
+        literal: Literal,
+        outside: &HashSet<String>,
+        bound: &HashSet<String>,
+        out: &mut Vec<Literal>,
+    ) -> Result<(), TooLong> {
+        let Some((result, aggregate, target)) = selection(&literal) else {
+            out.push(literal);
+            return Ok(());
         };
         let (mut inside, mut of_target): (HashSet<&str>, HashSet<&str>) = (HashSet::new(), HashSet::new());
         for literal in &aggregate.body {
@@ -48,10 +156,14 @@ pub(crate) fn write_out(head: &Atom, body: &[&Literal]) -> Option<Vec<Literal>> 
         let free = |name: &str| !bound.contains(name) || of_target.contains(name);
         let is_witness = |name: &str| outside.contains(name) && !bound.contains(name);
         if !inside.iter().any(|name| is_witness(name)) {
-            out.push((*literal).clone());
-            continue;
+            out.push(literal);
+            return Ok(());
         }
-        any = true;
+        let added = 1 + aggregate.body.iter().map(size).sum::<usize>();
+        self.left = self.left.checked_sub(added).ok_or(TooLong)?;
+        self.any = true;
+        let index = self.fresh;
+        self.fresh += 1;
         let place = target.place;
         let result = match &result.kind {
             TermKind::Wildcard => variable(format!("+{index}"), result),
@@ -83,8 +195,43 @@ pub(crate) fn write_out(head: &Atom, body: &[&Literal]) -> Option<Vec<Literal>> 
             right: renamed_term(target, &again),
             place,
         });
+        Ok(())
     }
-    any.then_some(out)
+}
+
+/// Returns the number of literals in a literal, with those of its aggregates.
+fn size(literal: &Literal) -> usize {
+    fn of_term(term: &Term) -> usize {
+        match &term.kind {
+            TermKind::Functor(_, arguments) => arguments.iter().map(of_term).sum(),
+            TermKind::Cast(inner, _) => of_term(inner),
+            TermKind::Aggregate(aggregate) => aggregate.body.iter().map(size).sum(),
+            _ => 0,
+        }
+    }
+    1 + match literal {
+        Literal::Atom { atom, .. } => atom.terms.iter().map(of_term).sum(),
+        Literal::Compare { left, right, .. } => of_term(left) + of_term(right),
+        Literal::Any(alternatives) => alternatives.iter().flatten().map(size).sum(),
+    }
+}
+
+/// Returns whether the literal or an aggregate in it has the form `x = min y : { ... }`.
+fn has_selection(literal: &Literal) -> bool {
+    fn in_term(term: &Term) -> bool {
+        match &term.kind {
+            TermKind::Functor(_, arguments) => arguments.iter().any(in_term),
+            TermKind::Cast(inner, _) => in_term(inner),
+            TermKind::Aggregate(aggregate) => aggregate.body.iter().any(has_selection),
+            _ => false,
+        }
+    }
+    selection(literal).is_some()
+        || match literal {
+            Literal::Atom { atom, .. } => atom.terms.iter().any(in_term),
+            Literal::Compare { left, right, .. } => in_term(left) || in_term(right),
+            Literal::Any(_) => false,
+        }
 }
 
 /// Returns the result, the aggregate and its target if the literal has the form `x = min y : { ... }`.
@@ -204,7 +351,12 @@ pub(crate) fn renamed_term(term: &Term, names: &Names) -> Term {
                 *literal = renamed(literal, names);
             }
         }
-        TermKind::Wildcard | TermKind::Number(_) | TermKind::Unsigned(_) | TermKind::Float(_) | TermKind::Text(_) => {}
+        TermKind::Wildcard
+        | TermKind::Number(_)
+        | TermKind::Address(_)
+        | TermKind::Unsigned(_)
+        | TermKind::Float(_)
+        | TermKind::Text(_) => {}
     }
     term
 }

@@ -1,8 +1,8 @@
 //! The syntax tree: a parsed source, before name resolution.
 
-use crate::diag::Span;
-
 use crate::datalog::syntax::functor::{AggregateOp, Functor};
+use crate::diag::Span;
+use std::net::Ipv4Addr;
 
 pub use crate::datalog::syntax::functor::BaseType;
 
@@ -264,6 +264,8 @@ pub enum TermKind {
     Wildcard,
     /// A whole number. The context determines its base type.
     Number(i64),
+    /// `10.0.0.1`: the number with these four bytes, the first one highest.
+    Address(Ipv4Addr),
     /// `1u`
     Unsigned(u32),
     /// `2.5`, as written.
@@ -373,6 +375,7 @@ pub(crate) fn names_of<'c>(term: &'c Term, inside: bool, each: &mut impl FnMut(&
         TermKind::Aggregate(_)
         | TermKind::Wildcard
         | TermKind::Number(_)
+        | TermKind::Address(_)
         | TermKind::Unsigned(_)
         | TermKind::Float(_)
         | TermKind::Text(_) => {}

@@ -260,6 +260,7 @@ impl Layout<'_> {
                     before.kind,
                     Kind::Ident
                         | Kind::Number
+                        | Kind::Address
                         | Kind::Float
                         | Kind::Unsigned
                         | Kind::Text

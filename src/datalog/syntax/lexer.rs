@@ -12,6 +12,8 @@ pub(crate) enum Kind {
     Number,
     Float,
     Unsigned,
+    /// An IPv4 address.
+    Address,
     /// A malformed number or an overlong name, already reported.
     Faulty,
     /// A string with both quotes.
@@ -290,6 +292,9 @@ impl Lexer<'_> {
             [b'0', b'b', bits @ ..] => !bits.is_empty() && bits.iter().all(|bit| matches!(bit, b'0' | b'1')),
             decimal => decimal.iter().all(u8::is_ascii_digit),
         };
+        if let Some(address) = self.address() {
+            return self.push(Kind::Address, address);
+        }
         if let Some(float) = self.float() {
             return self.push(Kind::Float, float);
         }
@@ -302,6 +307,22 @@ impl Lexer<'_> {
                 .help("write a number in decimal, or with the prefix `0x` or `0b`; a name cannot begin with a digit"),
         );
         self.push(Kind::Faulty, length);
+    }
+
+    /// Returns the length of an IPv4 address: four runs of digits between dots.
+    fn address(&self) -> Option<usize> {
+        let mut length = 0;
+        for part in 0..4 {
+            if part > 0 {
+                length += usize::from(self.peek(length) == Some(b'.'));
+            }
+            let digits = self.count_while(self.at + length, |byte| byte.is_ascii_digit());
+            if digits == 0 || (part > 0 && self.bytes[self.at + length - 1] != b'.') {
+                return None;
+            }
+            length += digits;
+        }
+        (!self.peek(length).is_some_and(is_name_part)).then_some(length)
     }
 
     /// Returns the length of a floating-point number: digits with a fraction, an exponent or both.

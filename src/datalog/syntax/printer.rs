@@ -163,6 +163,7 @@ impl Display for Term {
             TermKind::Variable(name) => f.write_str(name),
             TermKind::Wildcard => f.write_char('_'),
             TermKind::Number(number) => write!(f, "{number}"),
+            TermKind::Address(address) => write!(f, "{address}"),
             TermKind::Unsigned(number) => write!(f, "{number}u"),
             TermKind::Float(number) => f.write_str(number),
             TermKind::Text(text) => write!(f, "{}", Quoted(text)),

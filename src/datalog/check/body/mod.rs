@@ -387,6 +387,7 @@ impl<'c> Check<'_, 'c> {
                 OperandKind::Nothing
             }
             TermKind::Number(number) => OperandKind::Whole(*number),
+            TermKind::Address(address) => OperandKind::Constant(Value(u32::from(*address)), BaseType::Number),
             TermKind::Unsigned(number) => OperandKind::Constant(Value(*number), BaseType::Unsigned),
             TermKind::Float(text) => {
                 OperandKind::Constant(Value::float(text.parse().unwrap_or_default()), BaseType::Float)
@@ -546,7 +547,10 @@ impl<'c> Check<'_, 'c> {
             OperandKind::Whole(_) => (None, "a number"),
             OperandKind::Constant(value, BaseType::Symbol) => (Some((value, BaseType::Symbol)), "a text"),
             OperandKind::Constant(value, BaseType::Float) => (Some((value, BaseType::Float)), "a float"),
-            OperandKind::Constant(value, base) => (Some((value, base)), "an unsigned number"),
+            OperandKind::Constant(value, BaseType::Number) => (Some((value, BaseType::Number)), "a number"),
+            OperandKind::Constant(value, BaseType::Unsigned) => {
+                (Some((value, BaseType::Unsigned)), "an unsigned number")
+            }
         };
         let Some((relation, ty)) =
             place.and_then(|(relation, column)| Some((relation, self.column(relation, column)?)))

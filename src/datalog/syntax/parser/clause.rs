@@ -30,7 +30,7 @@ impl Parser<'_> {
 
     pub(super) fn clause(&mut self, doc: String) -> Parse<Clause> {
         let start = self.token();
-        if matches!(self.slice(start), "Not" | "not") {
+        if self.is_negation(start) {
             return Err(self.expected_item(" (a head cannot be negated)"));
         }
         if self.at_question() {
@@ -143,7 +143,7 @@ impl Parser<'_> {
             }
             match token.kind {
                 Kind::Bang => negated = !negated,
-                Kind::Ident if matches!(self.slice(token), "Not" | "not") => negated = !negated,
+                Kind::Ident if self.is_negation(token) => negated = !negated,
                 Kind::Ident if self.is_loud_negation() => {
                     self.expected_with("a literal", Some(NEGATION));
                     negated = !negated;

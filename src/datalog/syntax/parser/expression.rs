@@ -4,6 +4,7 @@ use crate::datalog::syntax::ast::{Aggregate, Literal, Term, TermKind};
 use crate::datalog::syntax::functor::{AggregateOp, Functor};
 use crate::datalog::syntax::lexer::{Kind, Token};
 use crate::diag::{Code, Diagnostic};
+use std::net::Ipv4Addr;
 
 use crate::datalog::syntax::parser::{Parse, Parser, Reported};
 
@@ -74,7 +75,9 @@ impl Parser<'_> {
 
     pub(super) fn begins_operand(&self, token: Token) -> bool {
         match token.kind {
-            Kind::Number | Kind::Float | Kind::Unsigned | Kind::Text | Kind::LParen | Kind::Minus => true,
+            Kind::Number | Kind::Address | Kind::Float | Kind::Unsigned | Kind::Text | Kind::LParen | Kind::Minus => {
+                true
+            }
             Kind::Ident | Kind::Underscore => self.infix(token).is_none(),
             _ => false,
         }
@@ -215,6 +218,7 @@ impl Parser<'_> {
         let kind = match token.kind {
             Kind::Underscore => TermKind::Wildcard,
             Kind::Number => TermKind::Number(self.number(token)),
+            Kind::Address => TermKind::Address(self.address(token)),
             Kind::Unsigned => TermKind::Unsigned(u32::try_from(self.number(token)).unwrap_or(0)),
             Kind::Float => TermKind::Float(self.slice(token).to_owned()),
             Kind::Text | Kind::OpenText => TermKind::Text(self.unescape(token)),
@@ -356,5 +360,15 @@ impl Parser<'_> {
             return 0;
         }
         value
+    }
+
+    /// Returns an IPv4 address. A faulty one counts as 0.0.0.0, after a report.
+    fn address(&mut self, token: Token) -> Ipv4Addr {
+        self.slice(token).parse().unwrap_or_else(|_| {
+            let fault = Diagnostic::new(Code::SYNTAX, "not an IPv4 address").at(self.span(token), "");
+            self.faults
+                .push(fault.help("write four numbers from 0 to 255 without leading zeros"));
+            Ipv4Addr::UNSPECIFIED
+        })
     }
 }

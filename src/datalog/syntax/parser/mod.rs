@@ -90,9 +90,27 @@ struct Parser<'a> {
     starts: Vec<usize>,
     /// The number of parentheses, braces and negations around the current token.
     nesting: usize,
+    /// The words of negation, `Not` and `not`, without those that the source declares as predicates.
+    negations: Vec<&'static str>,
     /// The marks that the qualifiers of the last declaration imply.
     marks: Vec<Item>,
     faults: &'a mut Faults,
+}
+
+/// Returns the words that write negation in a source: `Not` and `not`, unless a `.decl` there declares them.
+fn negations(text: &str, tokens: &[Token]) -> Vec<&'static str> {
+    let word = |token: &Token| &text[token.start as usize..token.end as usize];
+    let declares = |name: &str| {
+        tokens.windows(2).enumerate().any(|(at, pair)| {
+            let declared = tokens[at + 2..]
+                .iter()
+                .take_while(|token| matches!(token.kind, Kind::Ident | Kind::Comma));
+            pair[0].kind == Kind::Dot
+                && word(&pair[1]) == "decl"
+                && declared.into_iter().any(|token| word(token) == name)
+        })
+    };
+    ["Not", "not"].into_iter().filter(|name| !declares(name)).collect()
 }
 
 impl<'a> Parser<'a> {
@@ -106,6 +124,7 @@ impl<'a> Parser<'a> {
             at: 0,
             starts: Vec::new(),
             nesting: 0,
+            negations: negations(text, &lexed.tokens),
             marks: Vec::new(),
             faults,
         }
@@ -115,6 +134,10 @@ impl<'a> Parser<'a> {
 
     fn token(&self) -> Token {
         self.ahead(0)
+    }
+
+    fn is_negation(&self, token: Token) -> bool {
+        self.negations.contains(&self.slice(token))
     }
 
     fn kind(&self) -> Kind {
@@ -406,10 +429,10 @@ impl<'a> Parser<'a> {
         if token.kind != Kind::Ident {
             return Err(self.expected(what));
         }
-        if matches!(self.slice(token), "Not" | "not") {
+        if self.is_negation(token) {
             let fault = Diagnostic::new(Code::SYNTAX, format!("`{}` is not a name", self.slice(token)))
                 .at(self.span(token), "")
-                .note("`Not` and `not` write negation");
+                .note("`Not` and `not` write negation, unless the file declares such a predicate");
             self.faults.push(fault);
             return Err(Reported);
         }
