@@ -92,11 +92,12 @@ fn refuse_overwriting(trace: &Path, output: &Path) -> Result<(), Failure> {
     }
 }
 
-/// Returns the shortest ends of two paths that differ, or `A` and `B` if there are none.
-fn names(paths: [&Path; 2]) -> [String; 2] {
-    let [left, right] = paths.map(|path| path.iter().rev().map(|part| part.to_string_lossy()).collect::<Vec<_>>());
-    match (1..=left.len().min(right.len())).find(|&count| left[..count] != right[..count]) {
-        Some(count) => [left, right].map(|parts| parts[..count].iter().rev().map(|part| &**part).collect::<Vec<_>>().join("/")),
+/// Returns the last parts of two paths that differ, or `A` and `B` if there are none: `x` and `y` for `x/trace.jsonl` and
+/// `y/trace.jsonl`.
+fn names([left, right]: [&Path; 2]) -> [String; 2] {
+    let different = left.iter().rev().zip(right.iter().rev()).find(|(one, other)| one != other);
+    match different {
+        Some((one, other)) => [one, other].map(|part| part.to_string_lossy().into_owned()),
         None => ["A", "B"].map(str::to_owned),
     }
 }

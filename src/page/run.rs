@@ -354,7 +354,9 @@ impl Page {
     /// Returns the packed explanations and facts.
     pub(super) fn proof_parts(&self) -> io::Result<Vec<String>> {
         let mut parts = self.parts.clone();
-        parts.push(self.part()?);
+        if !self.unpacked.why.is_empty() {
+            parts.push(self.part()?);
+        }
         Ok(parts)
     }
 
