@@ -49,7 +49,7 @@ def folder(tmp_path_factory: pytest.TempPathFactory) -> pathlib.Path:
     page = folder / "city.html"
     options = ["--seed", "10", "--ticks", str(TICKS), "--no-pictures", "--out", folder, "--html", page]
     subprocess.run([PROGRAM, "run", "configs/expert.yaml", *options], cwd=ROOT, check=True, capture_output=True)
-    assert page.stat().st_size < 500_000
+    assert page.stat().st_size < 600_000
     return folder
 
 

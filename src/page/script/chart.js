@@ -13,7 +13,7 @@ class Chart {
 
   nameRows() {
     this.names = this.run.data.agents.map(({ id, concepts }, agent) => make("button", {
-      type: "button", title: [id, ...concepts].join(" "), style: `height:${ROW}px`, onclick: () => this.page.choose({ agent }),
+      type: "button", tabindex: -1, title: [id, ...concepts].join(" "), style: `height:${ROW}px`, onclick: () => this.page.choose({ agent }),
     }, id));
     $("rows").append(...this.names);
   }

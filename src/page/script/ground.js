@@ -1,7 +1,7 @@
 // The ground: streets, crossings, sidewalks and buildings, drawn at any scale.
 
 /** The colors that a dark page lays over the ground. */
-const NIGHT = "#0a0f1a8c";
+const NIGHT = "#0a0f1a73";
 
 class Ground {
   constructor(map, buildings) {

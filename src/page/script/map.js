@@ -9,7 +9,7 @@ const SIDES = { Car: [4, 9], Pedestrian: [4, 13] };
 /** The part of the city that all maps of the page show. */
 class Camera {
   constructor(rows, cols) {
-    Object.assign(this, { rows, cols, row: rows / 2, col: cols / 2, scale: 1, whole: true });
+    Object.assign(this, { rows, cols, row: rows / 2, col: cols / 2, scale: 1, fits: true });
   }
 
   /** Shows a rectangle of cells as large as it fits. */
@@ -17,7 +17,7 @@ class Camera {
     this.row = (top + bottom) / 2;
     this.col = (left + right) / 2;
     this.scale = Math.min(width / (right - left), height / (bottom - top));
-    this.whole = true;
+    this.fits = true;
     this.clamp(width, height);
   }
 
@@ -59,7 +59,7 @@ class CityMap {
     const { camera, canvas } = this;
     const [row, col] = this.cellAt(x, y);
     camera.scale = Math.max(0.5, Math.min(80, camera.scale * by));
-    camera.whole = false;
+    camera.fits = false;
     camera.row = row - (y - canvas.height / 2) / camera.scale;
     camera.col = col - (x - canvas.width / 2) / camera.scale;
     this.page.draw();
@@ -136,7 +136,7 @@ class CityMap {
       }
       camera.row -= (here[1] - before[1]) / camera.scale;
       camera.col -= (here[0] - before[0]) / camera.scale;
-      camera.whole = false;
+      camera.fits = false;
       this.page.setFollow(false);
       this.page.draw();
     });

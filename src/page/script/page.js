@@ -11,6 +11,7 @@ class Page {
     /** The state that determines the view, as positions or -1. `part` is the fraction of a tick that has passed; `of` is
      *  the run of the clause. */
     this.now = { tick: 0, agent: -1, clause: -1, of: 0, hover: -1, playing: false, speed: 5, follow: false, part: 0 };
+    this.fitsMap = false;
     this.camera = new Camera(scenery.ground.map.rows, scenery.ground.map.cols);
     if (pair) {
       addSecondPane();
@@ -66,7 +67,7 @@ class Page {
     press("on", () => this.step(1));
     press("closer", () => this.maps[0].zoom(1.4));
     press("farther", () => this.maps[0].zoom(1 / 1.4));
-    press("whole", () => this.showWhole());
+    press("whole", () => this.turnFit());
     press("follow", () => this.choose({ follow: !this.now.follow }));
     press("help", () => $("keys").showModal());
     press("theme", () => this.turnTheme());
@@ -105,7 +106,7 @@ class Page {
       "+": zoom(1.4),
       "=": zoom(1.4),
       "-": zoom(1 / 1.4),
-      0: () => this.showWhole(),
+      0: () => this.turnFit(),
       f: () => this.choose({ follow: !this.now.follow }),
       n: () => this.choose({ agent: (this.now.agent + 1) % agents }),
       p: () => this.choose({ agent: (Math.max(this.now.agent, 0) + agents - 1) % agents }),
@@ -124,18 +125,23 @@ class Page {
 
   resize() {
     for (const map of this.maps) map.resize();
-    if (this.camera.whole) this.showWhole();
+    if (this.camera.fits) this.fit(this.fitsMap);
     else this.draw();
   }
 
-  /** Fits the map: first the region that agents visit, then the whole map, in turn. */
-  showWhole() {
-    const { camera, maps: [{ canvas }], now } = this;
+  /** Fits the region that agents visit, or the whole map. */
+  fit(whole) {
+    const { camera, maps: [{ canvas }] } = this;
     this.region ??= this.visited();
-    camera.frame(this.region, canvas.width, canvas.height);
+    this.fitsMap = whole;
+    camera.frame(whole ? [0, 0, camera.rows, camera.cols] : this.region, canvas.width, canvas.height);
     this.setFollow(false);
-    now.hover = -1;
     this.draw();
+  }
+
+  /** Fits the region that agents visit; if it fits already, the whole map, and so on in turn. */
+  turnFit() {
+    this.fit(this.camera.fits && !this.fitsMap);
   }
 
   /** Returns the rectangle that agents visit, with a margin. */
