@@ -24,7 +24,9 @@ class Summary {
     for (let clause = 0; clause < data.counted; clause += 1) {
       const { head, doc, text } = data.clauses[clause];
       const title = (doc || text).split("\n")[0];
-      const [count, decides] = data.firings[clause];
+      const [all, decides] = data.firings[clause];
+      // Beside a shorter run, firings in later ticks do not count.
+      const count = decides && this.run.count < data.count ? this.run.firingsOf(clause).length : all;
       const choose = decides ? () => this.page.choose({ clause: this.isChosen(clause) ? -1 : clause, of: this.number }) : undefined;
       const row = make("tr", { "data-clause": clause, "data-decides": decides },
         make("td", {}, String(count)),
