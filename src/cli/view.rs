@@ -25,10 +25,10 @@ pub struct Arguments {
     /// Number of ticks to show [default: all]
     #[arg(long, value_parser = clap::value_parser!(u64).range(1..), allow_negative_numbers = true)]
     ticks: Option<u64>,
-    /// Configuration of the run, if it is not at the path that the trace names. For two traces, one for both or one each
+    /// Configuration of the run, if it is not at the path that the trace names; for two traces, one for both or two
     #[arg(long, value_name = "CONFIG")]
     config: Vec<PathBuf>,
-    /// Rules of the run, if they are not at the path that the trace names. For two traces, one for both or one each
+    /// Rules of the run, if they are not at the path that the trace names; for two traces, one for both or two
     #[arg(long, value_name = "RULES")]
     rules: Vec<PathBuf>,
     #[command(flatten)]
@@ -92,10 +92,14 @@ fn refuse_overwriting(trace: &Path, output: &Path) -> Result<(), Failure> {
     }
 }
 
-/// Returns the last parts of two paths that differ, or `A` and `B` if there are none: `x` and `y` for `x/trace.jsonl` and
-/// `y/trace.jsonl`.
+/// Returns the last parts of two paths that differ: `x` and `y` for `x/trace.jsonl` and `y/trace.jsonl`. Without a
+/// difference, returns `A` and `B`.
 fn names([left, right]: [&Path; 2]) -> [String; 2] {
-    let different = left.iter().rev().zip(right.iter().rev()).find(|(one, other)| one != other);
+    let different = left
+        .iter()
+        .rev()
+        .zip(right.iter().rev())
+        .find(|(one, other)| one != other);
     match different {
         Some((one, other)) => [one, other].map(|part| part.to_string_lossy().into_owned()),
         None => ["A", "B"].map(str::to_owned),
@@ -109,8 +113,8 @@ fn save(output: &Path, write: impl FnOnce(&mut Output) -> io::Result<()>) -> Res
     out.finish().map_err(fail)
 }
 
-/// Returns a page of at most `most` ticks of a trace, from number `from` on. `config` and `rules` replace the paths that
-/// the trace names.
+/// Returns a page of at most `most` ticks of a trace, from number `from` on. `config` and `rules` replace the paths
+/// that the trace names.
 fn load(
     trace: &Path,
     (from, most): (u64, u64),

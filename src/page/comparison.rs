@@ -93,7 +93,10 @@ impl<'a> Comparison<'a> {
         };
         if left.count != right.count {
             let shorter = usize::from(right.count < left.count);
-            text += &format!("\n`{}` ends with tick {last}; later ticks are not shown", self.names[shorter]);
+            text += &format!(
+                "\n`{}` ends with tick {last}; later ticks are not shown",
+                self.names[shorter]
+            );
         }
         text
     }

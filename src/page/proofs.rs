@@ -18,8 +18,8 @@ pub struct Proofs {
     pub clauses: Vec<Value>,
     /// A fact is `{"t": text, "by": ..}`. If a clause derives it, it also has `"c"` (position in `clauses`), `"b"`
     /// (binding) and `"p"` (premises). An absent fact is `{"f": text, "by": ..}`. If clauses could derive it, it also
-    /// has `"m"`: for each, `[clause, binding, failures]`. A premise or failure is `[text, kind, node or -1]`. Holds the
-    /// nodes since [`Proofs::forget`].
+    /// has `"m"`: for each, `[clause, binding, failures]`. A premise or failure is `[text, kind, node or -1]`. Only the
+    /// nodes since the last [`Proofs::forget`].
     #[serde(skip)]
     pub nodes: Vec<Value>,
     /// Number of nodes before these.

@@ -9,7 +9,9 @@ use crate::page::file::{packed, write_parts};
 use crate::page::proofs::{Proofs, shown_file};
 use crate::page::scenery::Scenery;
 use crate::render::Icons;
-use crate::sim::{LOOK_TICKS, Replay, STUCK_TICKS, TraceHeader, TraceTick, TraceState, WaitsFor, find_deadlocks, waits};
+use crate::sim::{
+    LOOK_TICKS, Replay, STUCK_TICKS, TraceHeader, TraceState, TraceTick, WaitsFor, find_deadlocks, waits,
+};
 use serde::Serialize;
 use std::fmt;
 use std::io::{self, Write};
@@ -309,8 +311,10 @@ impl Page {
                 seen.last.col - col,
             ];
             let derived = (replay.derived(position).iter()).fold(0, |bits, action| bits | 1 << action as u32);
-            self.columns.push(position, self.places.get(position), agent, self.count);
-            self.columns.note(position, (heading, action, derived), view, &agent.clauses);
+            self.columns
+                .push(position, self.places.get(position), agent, self.count);
+            self.columns
+                .note(position, (heading, action, derived), view, &agent.clauses);
             taken.push((agent.at, action));
             if agent.next != agent.at {
                 self.still_since[position] = tick.tick + 1;
@@ -403,7 +407,12 @@ impl Page {
                     *node = i64::from(self.proofs.add(&printer, &explanation));
                 }
             }
-            changes.extend(nodes.iter().zip(&self.why[position]).map(|(node, before)| node - before));
+            changes.extend(
+                nodes
+                    .iter()
+                    .zip(&self.why[position])
+                    .map(|(node, before)| node - before),
+            );
             self.why[position] = nodes;
         }
         self.unpacked.why.push(changes);

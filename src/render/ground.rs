@@ -316,10 +316,7 @@ pub(super) fn draw(map: &CityMap, icons: &Icons, view: &Viewport, look: Look) ->
                 i32::try_from(pixels + i64::from(size / 2)).expect("it is near the picture")
             };
             let corner = site.corner;
-            let (x, y) = (
-                along(corner.col, view.corner.col),
-                along(corner.row, view.corner.row),
-            );
+            let (x, y) = (along(corner.col, view.corner.col), along(corner.row, view.corner.row));
             picture.stamp(&stamp, x, y);
         }
     }
@@ -346,18 +343,20 @@ fn sites(map: &CityMap, first: u32, rows: Range<i32>, cols: Range<i32>) -> impl 
     let blocks = rows.flat_map(move |row| cols.clone().map(move |col| (row, col)));
     blocks.flat_map(move |(row, col)| {
         let number = row * block_cols + col;
-        (0..).zip(&map.buildings()[number as usize]).map(move |(which, &building)| {
-            let (rows, cols) = (
-                layout.building_span(row, which / 2),
-                layout.building_span(col, which % 2),
-            );
-            Site {
-                building,
-                instance: first.wrapping_add((4 * number + which).cast_unsigned()),
-                corner: Cell::new(rows.start, cols.start),
-                side: rows.end - rows.start,
-            }
-        })
+        (0..)
+            .zip(&map.buildings()[number as usize])
+            .map(move |(which, &building)| {
+                let (rows, cols) = (
+                    layout.building_span(row, which / 2),
+                    layout.building_span(col, which % 2),
+                );
+                Site {
+                    building,
+                    instance: first.wrapping_add((4 * number + which).cast_unsigned()),
+                    corner: Cell::new(rows.start, cols.start),
+                    side: rows.end - rows.start,
+                }
+            })
     })
 }
 

@@ -250,7 +250,11 @@ impl Icons {
         let stamps: Vec<Arc<Stamp>> = (icons.iter())
             .map(|(class, instance, facing)| self.stamp(class, *instance, *facing, size))
             .collect();
-        let side = stamps.iter().map(|stamp| reach(stamp)).max().expect("at least one icon");
+        let side = stamps
+            .iter()
+            .map(|stamp| reach(stamp))
+            .max()
+            .expect("at least one icon");
         let count = u32::try_from(stamps.len()).expect("few icons");
         let columns = (1..count).find(|columns| columns * columns >= count).unwrap_or(1);
         let (width, height) = (columns * side, count.div_ceil(columns) * side);

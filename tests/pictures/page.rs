@@ -148,7 +148,10 @@ fn written(write: impl FnOnce(&mut Vec<u8>) -> std::io::Result<()>) -> String {
 /// Returns the parts of a page: kind, run, data.
 fn parts(page: &str) -> Vec<(String, usize, Value)> {
     let mut parts = Vec::new();
-    for part in page.split(r#"<script class="data" type="text/plain" data-kind=""#).skip(1) {
+    for part in page
+        .split(r#"<script class="data" type="text/plain" data-kind=""#)
+        .skip(1)
+    {
         let (kind, rest) = part.split_once(r#"" data-run=""#).unwrap();
         let (run, rest) = rest.split_once(r#"">"#).unwrap();
         let packed = base64::engine::general_purpose::STANDARD
@@ -156,7 +159,11 @@ fn parts(page: &str) -> Vec<(String, usize, Value)> {
             .unwrap();
         let mut text = String::new();
         ZlibDecoder::new(&packed[..]).read_to_string(&mut text).unwrap();
-        parts.push((kind.to_owned(), run.parse().unwrap(), serde_json::from_str(&text).unwrap()));
+        parts.push((
+            kind.to_owned(),
+            run.parse().unwrap(),
+            serde_json::from_str(&text).unwrap(),
+        ));
     }
     parts
 }
@@ -170,14 +177,19 @@ fn unpack_run(page: &str, number: usize) -> Value {
     let parts = parts(page);
     let of = |wanted: &str| {
         let wanted = wanted.to_owned();
-        let found = parts.iter().filter(move |(kind, run, _)| *kind == wanted && *run == number);
+        let found = parts
+            .iter()
+            .filter(move |(kind, run, _)| *kind == wanted && *run == number);
         found.map(|(_, _, data)| data)
     };
     let mut run = of("run").next().unwrap().clone();
     let all = |key: &str| -> Vec<Value> { of("proofs").flat_map(|part| list(&part[key]).to_vec()).collect() };
     let (whys, changes) = (all("why"), all("facts"));
     let agents = list(&run["agents"]).len();
-    let arities: Vec<usize> = list(&run["predicates"]).iter().map(|one| whole(&one["arity"])).collect();
+    let arities: Vec<usize> = list(&run["predicates"])
+        .iter()
+        .map(|one| whole(&one["arity"]))
+        .collect();
     let mut rows: Vec<BTreeSet<usize>> = vec![BTreeSet::new(); arities.len()];
     let mut why = vec![[0_i64; 4]; agents];
     let mut at = vec![[0_i64; 2]; agents];
@@ -321,7 +333,13 @@ fn engine_tree(nodes: &Value, number: u64) -> Value {
     };
     match (node.get("holds"), node.get("premises"), node.get("clauses")) {
         (Some(text), Some(premises), _) => {
-            json!([text, node["by"], clause(&node["clause"]), node["binding"], literals(premises)])
+            json!([
+                text,
+                node["by"],
+                clause(&node["clause"]),
+                node["binding"],
+                literals(premises)
+            ])
         }
         (Some(text), None, _) => json!([text, node["by"]]),
         (None, _, Some(misses)) => {
@@ -471,7 +489,11 @@ fn the_page_has_the_ground_and_the_buildings_of_the_pictures() {
         ground.pixels()[at..at + 3].try_into().unwrap()
     };
     let (mut row, mut checked) = (0, 0);
-    let code = |surface: u64| scenery["map"]["surfaces"][usize::try_from(surface % 8).unwrap()].as_str().unwrap();
+    let code = |surface: u64| {
+        scenery["map"]["surfaces"][usize::try_from(surface % 8).unwrap()]
+            .as_str()
+            .unwrap()
+    };
     for band in list(&scenery["map"]["bands"]) {
         for _ in 0..whole(&band[0]) {
             let mut col = 0;
@@ -500,7 +522,10 @@ fn the_page_has_the_ground_and_the_buildings_of_the_pictures() {
                     let wanted = scenery["map"]["colors"][color].as_str().unwrap();
                     for (channel, found) in (0..3).zip(pixel(x, y)) {
                         let wanted = u8::from_str_radix(&wanted[1 + 2 * channel..3 + 2 * channel], 16).unwrap();
-                        assert!(found.abs_diff(wanted) <= 32, "{surface} at [{row}, {col}]: {wanted} {found}");
+                        assert!(
+                            found.abs_diff(wanted) <= 32,
+                            "{surface} at [{row}, {col}]: {wanted} {found}"
+                        );
                     }
                     (checked, col) = (checked + 1, col + 1);
                 }
@@ -512,15 +537,24 @@ fn the_page_has_the_ground_and_the_buildings_of_the_pictures() {
     assert_eq!(row, u32::try_from(map.rows()).unwrap());
     assert!(checked > 40_000, "{checked}");
     let buildings = &scenery["atlases"][2];
-    let bytes = base64::engine::general_purpose::STANDARD.decode(buildings["png"].as_str().unwrap()).unwrap();
+    let bytes = base64::engine::general_purpose::STANDARD
+        .decode(buildings["png"].as_str().unwrap())
+        .unwrap();
     assert!(bytes.starts_with(b"\x89PNG"));
     let sites = list(&scenery["map"]["sites"]);
     assert_eq!(sites.len(), 100);
     for site in sites {
-        let cell = Cell::new(i32::try_from(at_i64(site, 2)).unwrap(), i32::try_from(at_i64(site, 3)).unwrap());
+        let cell = Cell::new(
+            i32::try_from(at_i64(site, 2)).unwrap(),
+            i32::try_from(at_i64(site, 3)).unwrap(),
+        );
         let building = map.building_at(cell).unwrap();
         assert_eq!(site[1], Class::building(building).to_string());
-        assert_eq!(map.building_at(Cell::new(cell.row - 1, cell.col)), None, "the site begins at {cell:?}");
+        assert_eq!(
+            map.building_at(Cell::new(cell.row - 1, cell.col)),
+            None,
+            "the site begins at {cell:?}"
+        );
     }
 }
 
@@ -536,7 +570,19 @@ fn a_page_names_no_folder_of_the_author() {
     let path = |name: &str| home.join(name).display().to_string();
     let (rules, out, page) = (path("mine.dl"), path("out"), path("page.html"));
     let output = Command::new(env!("CARGO_BIN_EXE_logicity"))
-        .args(["run", "expert", "--ticks", "3", "--no-pictures", "--rules", &rules, "--out", &out, "--html", &page])
+        .args([
+            "run",
+            "expert",
+            "--ticks",
+            "3",
+            "--no-pictures",
+            "--rules",
+            &rules,
+            "--out",
+            &out,
+            "--html",
+            &page,
+        ])
         .current_dir(folder.path())
         .output()
         .unwrap();
@@ -546,7 +592,10 @@ fn a_page_names_no_folder_of_the_author() {
     for text in std::iter::once(page.clone()).chain(parts(&page).into_iter().map(|(_, _, data)| data.to_string())) {
         assert!(!text.contains("home-of-the-author"));
     }
-    let files: BTreeSet<&str> = list(&data["clauses"]).iter().map(|clause| clause["file"].as_str().unwrap()).collect();
+    let files: BTreeSet<&str> = list(&data["clauses"])
+        .iter()
+        .map(|clause| clause["file"].as_str().unwrap())
+        .collect();
     assert!(files.contains("mine.dl") && files.contains("lib/inner.dl"), "{files:?}");
     assert_eq!(data["rules"], "mine.dl");
 }
@@ -559,7 +608,11 @@ fn a_comparison_marks_every_difference() {
     compare(&left, &right, "\n`right` ends with tick 19; later ticks are not shown");
     // An action in tick 3, and another agent in another cell in tick 6.
     let (left, mut right) = (run("expert", 10), run("expert", 10));
-    let mut lines: Vec<Value> = right.trace.lines().map(|line| serde_json::from_str(line).unwrap()).collect();
+    let mut lines: Vec<Value> = right
+        .trace
+        .lines()
+        .map(|line| serde_json::from_str(line).unwrap())
+        .collect();
     let action = &mut lines[4]["agents"][2]["action"];
     *action = json!(if *action == "Fast" { "Stop" } else { "Fast" });
     lines[7]["agents"][5]["at"] = json!([60, 60]);
@@ -608,7 +661,11 @@ fn compare(left: &Run, right: &Run, end: &str) -> Value {
         format!("the runs differ in {decisions} of {total} decisions, first in tick {first}{end}")
     );
     for (number, run) in [left, right].into_iter().enumerate() {
-        assert_eq!(unpack_run(&page, number), unpack(&run.page()), "each run is as on its own page");
+        assert_eq!(
+            unpack_run(&page, number),
+            unpack(&run.page()),
+            "each run is as on its own page"
+        );
     }
     pair["differences"].clone()
 }
@@ -618,7 +675,9 @@ fn compare(left: &Run, right: &Run, end: &str) -> Value {
 fn runs_of_other_cities_are_not_compared() {
     let fault = |left: &Run, right: &Run| {
         let (one, other) = (left.loaded(), right.loaded());
-        let fault = Comparison::new([&one, &other], ["a", "b"].map(str::to_owned)).err().expect("they differ");
+        let fault = Comparison::new([&one, &other], ["a", "b"].map(str::to_owned))
+            .err()
+            .expect("they differ");
         assert_eq!(fault.code, Code::TRACE_MISMATCH);
         assert!(!fault.help.is_empty());
         fault.message
