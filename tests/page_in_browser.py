@@ -1,7 +1,8 @@
 """Tests the page of a run in headless Chromium: clicks, moves the slider, reads texts and takes screenshots.
 
 `make page` runs this file as a program. Without a browser it prints what it skips and exits with 0; with one it exits
-as pytest does. Tests write screenshots to the folder LOGICITY_SCREENSHOTS if it is set.
+as pytest does. Tests write screenshots to the folder LOGICITY_SCREENSHOTS if it is set. With pages as arguments, the
+program instead prints their sizes and the times to their first frame and to the last of their explanations.
 """
 
 import base64
@@ -10,6 +11,7 @@ import os
 import pathlib
 import re
 import shutil
+import statistics
 import subprocess
 import sys
 import time
@@ -545,8 +547,33 @@ def test_the_rows_and_ticks_of_the_chart_are_named(page: Callable[..., WebDriver
         assert abs(label.rect["x"] + label.rect["width"] / 2 - wanted) < 2
 
 
+def measure(pages: list[str]) -> None:
+    """Print the size of each page, and the median times of five visits, from navigation on."""
+    browser = start(1400, 1000)
+    try:
+        for name in pages:
+            file = pathlib.Path(name).resolve()
+            visits = []
+            for _ in range(5):
+                browser.get("about:blank")
+                browser.get(file.as_uri())
+                wait_for(browser)
+                marks = (
+                    "return ['first-frame', 'loaded'].map((name) => performance.getEntriesByName(name)[0].startTime)"
+                )
+                visits.append(browser.execute_script(marks))
+            first, loaded = (statistics.median(times) / 1000 for times in zip(*visits, strict=True))
+            size = file.stat().st_size / 1e6
+            print(f"{name}: {size:.1f} MB, first frame after {first:.2f} s, all explanations after {loaded:.2f} s")
+    finally:
+        browser.quit()
+
+
 if __name__ == "__main__":
     if not (CHROMIUM and DRIVER):
         print(SKIPPED)
+        sys.exit(0)
+    if sys.argv[1:]:
+        measure(sys.argv[1:])
         sys.exit(0)
     sys.exit(pytest.main(["-q", __file__]))

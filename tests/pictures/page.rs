@@ -624,6 +624,25 @@ fn a_comparison_marks_every_difference() {
     );
 }
 
+/// Two policies in one episode, which is as long as the policy lets it be.
+#[test]
+fn two_policies_are_compared() {
+    let ((fast, _), (normal, _)) = (drive("expert", 4, Action::Fast), drive("expert", 4, Action::Normal));
+    let counts = [fast.ticks().count(), normal.ticks().count()];
+    let (long, short) = if counts[0] > counts[1] {
+        (fast, normal)
+    } else {
+        (normal, fast)
+    };
+    let last = counts.into_iter().min().unwrap() - 1;
+    assert_ne!(counts[0], counts[1]);
+    compare(
+        &long,
+        &short,
+        &format!("\n`right` ends with tick {last}; later ticks are not shown"),
+    );
+}
+
 /// Checks the page of two runs and the summary, which ends with the given text. Returns the differences.
 fn compare(left: &Run, right: &Run, end: &str) -> Value {
     let pages = [left.loaded(), right.loaded()];
