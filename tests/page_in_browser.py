@@ -254,7 +254,7 @@ def test_a_driven_car_is_marked(page: Callable[..., WebDriver], driven: list[dic
     browser = page(name="driven.html")
     assert "Car_1 was driven: 39 of 40 actions agreed with the rules." in text(browser, "driven")
     assert "driven" in text(browser, "legend")
-    browser.find_element(By.XPATH, "//*[@id='driven']/button[contains(., 'violated S1')]").click()
+    browser.find_element(By.XPATH, "//*[@id='driven']//button[contains(., 'violated S1')]").click()
     assert text(browser, "tick") == "tick 39" and text(browser, "action") == "Fast"
     assert text(browser, "wanted").startswith("Stop") and "S1" in text(browser, "judged")
     shown = text(browser, "agent")

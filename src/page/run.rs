@@ -34,7 +34,8 @@ pub struct Page {
     config: String,
     rules: String,
     split: String,
-    seed: u64,
+    /// As text, since JavaScript rounds large integers.
+    seed: String,
     hash: String,
     #[serde(skip)]
     pub(super) scenery: Scenery,
@@ -216,7 +217,7 @@ impl Page {
             config: header.config.clone(),
             rules: shown_file(&header.rules, &header.rules),
             split: header.split.clone(),
-            seed: header.seed,
+            seed: header.seed.to_string(),
             hash: header.rules_hash.clone(),
             scenery: Scenery::new(world.map(), icons, &header.agents, replay.kinds()),
             actions: Action::ALL.map(Action::name),

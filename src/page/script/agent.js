@@ -51,7 +51,7 @@ class AgentPanel {
   /** Returns the name of the run, if there are two. */
   runName() {
     const { difference } = this.page;
-    return difference ? make("p", { class: "panel-run" }, `${difference.names[this.number]}: ${this.data.rules}`) : null;
+    return difference ? make("p", { class: "panel-run" }, `${difference.names[this.number]}: ${fileName(this.data.rules)}`) : null;
   }
 
   badge(action, id) {
@@ -120,7 +120,7 @@ class AgentPanel {
 
   clauseLink(clause) {
     const { doc, file, line, text } = this.data.clauses[clause];
-    return make("span", { class: "clause", title: text }, `${(doc || text).split("\n")[0]}  [${file.split("/").pop()}:${line}]`);
+    return make("span", { class: "clause", title: text }, `${(doc || text).split("\n")[0]}  [${fileName(file)}:${line}]`);
   }
 
   /** Returns the proof of a node, or why it does not hold. Expands each node only once. */

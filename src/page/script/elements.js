@@ -29,6 +29,11 @@ function pixelUnit() {
   return window.devicePixelRatio || 1;
 }
 
+/** Returns the name of a file without its folder. */
+function fileName(path) {
+  return path.split("/").pop();
+}
+
 /** Returns the id of an element in the pane of a run. The first run has the ids of the document. */
 function paneId(name, run) {
   return run ? `${name}-b` : name;

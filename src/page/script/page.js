@@ -44,7 +44,7 @@ class Page {
       const label = $(paneId("run-name", number));
       label.hidden = false;
       const { rules, seed } = this.runs[number].data;
-      label.replaceChildren(make("strong", {}, name), ` ${rules}, seed ${seed}`);
+      label.replaceChildren(make("strong", {}, name), ` ${fileName(rules)}, seed ${seed}`);
     });
     for (const speed of SPEEDS) $("speed").append(make("option", { value: speed, selected: speed === this.now.speed }, `${speed} /s`));
     const entry = (words, swatch) => $("legend").append(make("li", {}, swatch, words));

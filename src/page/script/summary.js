@@ -20,7 +20,7 @@ class Summary {
 
   fillClauses() {
     const { data } = this;
-    if (this.page.difference) this.element("clauses-title").textContent = this.named(`clauses of ${data.rules}`);
+    if (this.page.difference) this.element("clauses-title").textContent = this.named(`clauses of ${fileName(data.rules)}`);
     for (let clause = 0; clause < data.counted; clause += 1) {
       const { head, doc, text } = data.clauses[clause];
       const title = (doc || text).split("\n")[0];
@@ -72,10 +72,10 @@ class Summary {
         const labels = broken.map((clause) => run.label(clause)).join(", ");
         return make("button", { type: "button", title: "go to this tick", onclick: go(tick) }, `tick ${data.first + tick}: violated ${labels}`);
       });
-      $("driven").append(this.named(""),
+      $("driven").append(make("div", {}, this.named(""),
         make("button", { type: "button", title: "go to this tick", class: "agent-link", onclick: go(steps[0].tick) }, data.agents[agent].id),
         ` was driven: ${heeded} of ${steps.length} actions agreed with the rules. `,
-        ...(broken.length ? broken : ["No clause was violated. "]));
+        ...(broken.length ? broken : ["No clause was violated."])));
     }
   }
 
