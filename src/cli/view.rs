@@ -125,7 +125,7 @@ fn load(
     let mut reader = TraceReader::open(trace)?;
     let mut replay = reader.replay(sources, config, rules, true)?;
     let icons = icons.load(Seed(reader.header.seed))?;
-    let mut page = Page::new(&replay, &reader.header, &icons, sources);
+    let mut page = Page::new(&replay, &reader.header, &icons, sources)?;
     // The number of ticks is unknown before the end of the file, but its size is known.
     let bar = ProgressBar::new(reader.length).with_style(
         ProgressStyle::with_template("{bar:30} explaining tick {msg}, {percent} %, {eta} left")

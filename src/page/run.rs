@@ -19,6 +19,9 @@ use std::io::{self, Write};
 /// The most decisions in a page; more make it slow to open.
 pub const DECISIONS_MAX: usize = 400_000;
 
+/// The most cells of a map in a page.
+const CELLS_MAX: i64 = 1 << 24;
+
 /// Upper bound of tick numbers: JavaScript represents smaller integers exactly.
 const TICK_MAX: u64 = 1 << 53;
 
@@ -190,8 +193,16 @@ struct Driven {
 
 impl Page {
     /// Returns a page without ticks for a trace with this header.
-    pub fn new(replay: &Replay, header: &TraceHeader, icons: &Icons, sources: &Sources) -> Page {
+    ///
+    /// # Errors
+    /// `limit-exceeded`, without a place, for a map of more than 2^24 cells.
+    pub fn new(replay: &Replay, header: &TraceHeader, icons: &Icons, sources: &Sources) -> Result<Page, Diagnostic> {
         let world = replay.world();
+        let cells = i64::from(world.map().rows()) * i64::from(world.map().cols());
+        if cells > CELLS_MAX {
+            let message = format!("a page of a map of {cells} cells would be slow to open; the limit is {CELLS_MAX}");
+            return Err(Diagnostic::new(Code::LIMIT_EXCEEDED, message).help("run the rules on a smaller map"));
+        }
         let printer = ExplanationPrinter::new(world.program.rules(), replay.session().symbols(), sources);
         let mut proofs = Proofs::new(&header.rules);
         let counted = world.clauses().map(|clause| proofs.clause(&printer, clause)).count();
@@ -212,7 +223,7 @@ impl Page {
             arity: predicate.arity,
         });
         let count = agents.len();
-        Page {
+        Ok(Page {
             title: format!("{} ({}), seed {}", header.config, header.split, header.seed),
             config: header.config.clone(),
             rules: shown_file(&header.rules, &header.rules),
@@ -251,7 +262,7 @@ impl Page {
             parts: Vec::new(),
             unpacked: Unpacked::default(),
             agents,
-        }
+        })
     }
 
     /// Sets a limit other than [`DECISIONS_MAX`].

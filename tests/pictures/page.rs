@@ -130,7 +130,7 @@ impl Run {
 
     fn loaded(&self) -> Page {
         let mut replay = self.replay();
-        let mut page = Page::new(&replay, &self.header(), &Icons::default(), &self.sources);
+        let mut page = Page::new(&replay, &self.header(), &Icons::default(), &self.sources).unwrap();
         for tick in self.ticks() {
             replay.set(&tick).unwrap();
             page.push(&replay, &tick, &self.sources).unwrap();
@@ -759,7 +759,7 @@ fn ticks_are_consecutive() {
         replay.set(tick).unwrap();
         page.push(replay, tick, &run.sources)
     };
-    let page = |replay: &Replay| Page::new(replay, &run.header(), &Icons::default(), &run.sources);
+    let page = |replay: &Replay| Page::new(replay, &run.header(), &Icons::default(), &run.sources).unwrap();
     let mut gap = page(&replay);
     push(&mut gap, &mut replay, &ticks[0]).unwrap();
     assert_eq!(
@@ -785,7 +785,7 @@ fn a_run_that_is_too_long_is_an_error() {
     let mut replay = run.replay();
     let mut tick = run.ticks().next().unwrap();
     replay.set(&tick).unwrap();
-    let mut page = Page::new(&replay, &run.header(), &Icons::default(), &run.sources);
+    let mut page = Page::new(&replay, &run.header(), &Icons::default(), &run.sources).unwrap();
     let agents = run.header().agents.len();
     page.set_limit(2 * agents);
     for number in 0..2 {
@@ -795,6 +795,34 @@ fn a_run_that_is_too_long_is_an_error() {
     tick.tick = 2;
     let fault = page.push(&replay, &tick, &run.sources).unwrap_err();
     assert_eq!(fault.code, Code::LIMIT_EXCEEDED);
+}
+
+/// A page of a map that no browser could show is refused at once.
+#[test]
+fn a_map_that_is_too_large_is_an_error() {
+    let folder = tempfile::tempdir().unwrap();
+    let config = folder.path().join("large.yaml");
+    std::fs::write(&config, "base: configs/expert.yaml\nmap: configs/maps/metropolis.yaml\n").unwrap();
+    let output = Command::new(env!("CARGO_BIN_EXE_logicity"))
+        .args([
+            "run",
+            "large.yaml",
+            "--ticks",
+            "1",
+            "--no-pictures",
+            "--html",
+            "city.html",
+        ])
+        .current_dir(folder.path())
+        .output()
+        .unwrap();
+    let said = String::from_utf8(output.stderr).unwrap();
+    assert_eq!(output.status.code(), Some(1), "{said}");
+    assert!(
+        said.contains("limit-exceeded") && said.contains("cells would be slow to open"),
+        "{said}"
+    );
+    assert!(!folder.path().join("city.html").exists());
 }
 
 /// For the driven car, trace and page show what the task computed in every step. For all other agents, they show what
@@ -911,7 +939,7 @@ fn an_impossible_record_of_a_driven_car_is_an_error() {
         tick["agents"][0]["driven"][key] = wrong;
         let tick = TraceTick::read(&tick.to_string()).unwrap();
         replay.set(&tick).unwrap();
-        let mut page = Page::new(&replay, &run.header(), &Icons::default(), &run.sources);
+        let mut page = Page::new(&replay, &run.header(), &Icons::default(), &run.sources).unwrap();
         let fault = page.push(&replay, &tick, &run.sources).unwrap_err();
         assert_eq!(fault.code, Code::INVALID_TRACE, "{key}");
     }
