@@ -665,7 +665,7 @@ fn compare(left: &Run, right: &Run, end: &str) -> Value {
             && let Some(&agent) = acts.first()
         {
             let id = &left.header().agents[agent].id;
-            let actions = [one, other].map(|tick| &*tick.agents[agent].action);
+            let actions = [&one, &other].map(|tick| &*tick.agents[agent].action);
             first = Some(format!("{tick}: {id} acts {}", actions.join(" and ")));
         }
         if !acts.is_empty() || !apart.is_empty() {
