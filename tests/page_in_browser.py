@@ -1,16 +1,22 @@
 """Tests the page of a run in headless Chromium: clicks, moves the slider, reads texts and takes screenshots.
 
 `make page` runs this file as a program. Without a browser it prints what it skips and exits with 0; with one it exits
-as pytest does. Tests write screenshots to the folder LOGICITY_SCREENSHOTS if it is set.
+as pytest does. Tests write screenshots to the folder LOGICITY_SCREENSHOTS if it is set. With pages as arguments, the
+program instead prints their sizes and the times to their first frame and to the last of their explanations.
 """
 
+import base64
 import json
 import os
 import pathlib
+import re
 import shutil
+import statistics
 import subprocess
 import sys
 import time
+import xml.etree.ElementTree
+import zlib
 from collections.abc import Callable, Iterator
 
 import pytest
@@ -45,7 +51,7 @@ def folder(tmp_path_factory: pytest.TempPathFactory) -> pathlib.Path:
     page = folder / "city.html"
     options = ["--seed", "10", "--ticks", str(TICKS), "--no-pictures", "--out", folder, "--html", page]
     subprocess.run([PROGRAM, "run", "configs/expert.yaml", *options], cwd=ROOT, check=True, capture_output=True)
-    assert page.stat().st_size < 500_000
+    assert page.stat().st_size < 600_000
     return folder
 
 
@@ -90,6 +96,17 @@ def driven(folder: pathlib.Path, trace: list[dict]) -> list[dict]:
     return ticks
 
 
+@pytest.fixture(scope="module")
+def other(folder: pathlib.Path) -> list[dict]:
+    """Write `pair.html`: the run beside a shorter one with other rules."""
+    rules = ["--rules", "rules/hard.dl", "--seed", "10", "--ticks", "200", "--no-pictures", "--out", folder / "other"]
+    subprocess.run([PROGRAM, "run", "configs/expert.yaml", *rules], cwd=ROOT, check=True, capture_output=True)
+    view = [PROGRAM, "view", folder / "trace.jsonl", folder / "other/trace.jsonl", "-o", folder / "pair.html"]
+    said = subprocess.run(view, cwd=ROOT, check=True, capture_output=True, text=True).stdout
+    assert "`other` ends with tick 199" in said and "decisions, first in tick" in said
+    return [json.loads(line) for line in (folder / "other/trace.jsonl").read_text().splitlines()]
+
+
 @pytest.fixture
 def page(browser: WebDriver, folder: pathlib.Path) -> Iterator[Callable[..., WebDriver]]:
     """Open the page at an address. After the test, neither the browser nor the page may have reported an error."""
@@ -97,12 +114,18 @@ def page(browser: WebDriver, folder: pathlib.Path) -> Iterator[Callable[..., Web
     def open_at(address: str = "", name: str = "city.html") -> WebDriver:
         browser.get("about:blank")
         browser.get((folder / name).as_uri() + address)
-        WebDriverWait(browser, 20).until(lambda _: browser.find_element(By.ID, "tick").text)
+        wait_for(browser)
         return browser
 
     yield open_at
     assert browser.get_log("browser") == []
     assert not browser.find_element(By.ID, "fault").is_displayed()
+
+
+def wait_for(browser: WebDriver) -> None:
+    """Wait until the page has unpacked all its parts."""
+    loaded = "return performance.getEntriesByName('loaded').length"
+    WebDriverWait(browser, 20).until(lambda _: browser.execute_script(loaded))
 
 
 def photograph(browser: WebDriver, name: str) -> None:
@@ -231,7 +254,7 @@ def test_a_driven_car_is_marked(page: Callable[..., WebDriver], driven: list[dic
     browser = page(name="driven.html")
     assert "Car_1 was driven: 39 of 40 actions agreed with the rules." in text(browser, "driven")
     assert "driven" in text(browser, "legend")
-    browser.find_element(By.XPATH, "//*[@id='driven']/button[contains(., 'violated S1')]").click()
+    browser.find_element(By.XPATH, "//*[@id='driven']//button[contains(., 'violated S1')]").click()
     assert text(browser, "tick") == "tick 39" and text(browser, "action") == "Fast"
     assert text(browser, "wanted").startswith("Stop") and "S1" in text(browser, "judged")
     shown = text(browser, "agent")
@@ -308,14 +331,240 @@ def test_the_theme_can_be_changed(page: Callable[..., WebDriver]) -> None:
     photograph(browser, "dark.png")
 
 
-def test_the_page_fits_a_phone(folder: pathlib.Path) -> None:
-    browser = start(500, 900)
+def test_the_proof_is_in_view_on_a_phone(folder: pathlib.Path, other: list[dict]) -> None:
+    browser = start(500, 1000)
     try:
-        browser.get((folder / "city.html").as_uri() + "#tick=210&agent=Car_6")
-        WebDriverWait(browser, 20).until(lambda _: text(browser, "tick"))
-        wide, room = browser.execute_script("return [document.documentElement.scrollWidth, innerWidth]")
-        assert wide <= room, "the page needs no horizontal scrolling"
-        photograph(browser, "phone.png")
+        metrics = {"width": 390, "height": 844, "deviceScaleFactor": 2, "mobile": True}
+        browser.execute_cdp_cmd("Emulation.setDeviceMetricsOverride", metrics)
+        for name in ("city.html", "pair.html"):
+            browser.get((folder / name).as_uri() + "#tick=190&agent=Car_6")
+            wait_for(browser)
+            wide, room = browser.execute_script("return [document.documentElement.scrollWidth, innerWidth]")
+            assert wide <= room == 390, "the page needs no horizontal scrolling"
+            inside = """const box = arguments[0].getBoundingClientRect();
+                return box.top >= 0 && box.left >= 0 && box.right <= innerWidth && box.bottom <= innerHeight"""
+            steps = browser.find_elements(By.CSS_SELECTOR, "#agent > .tree li")
+            assert len(steps) > 2 and all(browser.execute_script(inside, step) for step in steps)
+            assert browser.execute_script("return document.elementFromPoint(200, 200).id").startswith("map")
+            photograph(browser, f"phone-{name}.png")
+            # The timeline and the clauses are one tap away.
+            browser.find_element(By.CSS_SELECTOR, "#tabs [data-tab=time]").click()
+            assert browser.find_element(By.ID, "strip").is_displayed()
+            assert not browser.find_element(By.ID, "agent").is_displayed()
+            browser.find_element(By.CSS_SELECTOR, "#tabs [data-tab=rules]").click()
+            assert browser.find_element(By.ID, "clauses").is_displayed()
+    finally:
+        browser.quit()
+
+
+def premises(trace: pathlib.Path, tick: int, agent: str) -> tuple[str, list[str]]:
+    """The action of an agent and the premises of its proof, as the engine has them."""
+    command = [PROGRAM, "explain", "--tick", str(tick), "--agent", agent, "--json", trace]
+    answer = json.loads(subprocess.run(command, cwd=ROOT, check=True, capture_output=True).stdout)
+    return answer["action"], [premise["literal"] for premise in answer["explanations"][0]["nodes"][0]["premises"]]
+
+
+def test_two_runs_are_compared(
+    page: Callable[..., WebDriver], folder: pathlib.Path, trace: list[dict], other: list[dict]
+) -> None:
+    names = [agent["id"] for agent in trace[0]["agents"]]
+    differ = {
+        left["tick"]: [
+            name
+            for name, a, b in zip(names, left["agents"], right["agents"], strict=True)
+            if a["action"] != b["action"]
+        ]
+        for left, right in zip(trace[1:], other[1:], strict=False)
+    }
+    ticks = [tick for tick, agents in differ.items() if agents]
+    browser = page("#tick=150", "pair.html")
+    total = sum(map(len, differ.values()))
+    assert text(browser, "differing").startswith(f"{total} of {200 * len(names)} decisions differ")
+    assert browser.find_element(By.ID, "scrub").get_attribute("max") == "199"
+    # The first divergence, with both proofs as the engine has them.
+    browser.find_element(By.ID, "diverge").click()
+    for tick, key in zip(ticks[:3], ["d", "d", None], strict=True):
+        assert text(browser, "tick") == f"tick {tick}"
+        agent = text(browser, "agent").splitlines()[1]
+        assert agent in differ[tick]
+        photograph(browser, f"pair-{tick}.png")
+        for suffix, file in (("", "trace.jsonl"), ("-b", "other/trace.jsonl")):
+            action, literals = premises(folder / file, tick, agent)
+            assert text(browser, f"action{suffix}") == action
+            shown = text(browser, f"agent{suffix}")
+            assert f"Why {action}?" in shown and all(literal in shown for literal in literals)
+        assert text(browser, "action") != text(browser, "action-b")
+        if key:
+            browser.find_element(By.TAG_NAME, "body").send_keys(key)
+    # The axis marks exactly the ticks that differ.
+    marked = """const canvas = document.getElementById("marks"), count = arguments[0];
+        const {data} = canvas.getContext("2d").getImageData(0, canvas.height - 1, canvas.width, 1);
+        return Array.from({length: count}, (_, tick) => {
+            const at = 4 * Math.floor((tick + 0.5) * canvas.width / count);
+            return data[at] > data[at + 1] + 100;
+        });"""
+    strong = [tick for tick, is_marked in enumerate(browser.execute_script(marked, 200)) if is_marked]
+    apart = {
+        left["tick"]
+        for left, right in zip(trace[1:], other[1:], strict=False)
+        if any(a["at"] != b["at"] for a, b in zip(left["agents"], right["agents"], strict=True))
+    }
+    assert set(ticks) <= set(strong) <= set(ticks) | apart
+    browser.find_element(By.CSS_SELECTOR, "#tabs [data-tab=rules]").click()
+    assert "expert.dl" in text(browser, "clauses-title") and "hard.dl" in text(browser, "clauses-title-b")
+    browser.find_element(By.CSS_SELECTOR, "#clauses-b tr[data-decides] button").click()
+    assert "run=2" in browser.current_url and browser.find_element(By.ID, "filter-b").is_displayed()
+    assert not browser.find_element(By.ID, "filter").is_displayed()
+
+
+def test_equal_runs_agree(page: Callable[..., WebDriver], folder: pathlib.Path) -> None:
+    trace = folder / "trace.jsonl"
+    shutil.copy(trace, folder / "again.jsonl")
+    view = [PROGRAM, "view", trace, folder / "again.jsonl", "--ticks", "20", "-o", folder / "equal.html"]
+    said = subprocess.run(view, cwd=ROOT, check=True, capture_output=True, text=True).stdout
+    assert "the runs agree in all 360 decisions" in said
+    browser = page(name="equal.html")
+    assert "agree in all 360 decisions" in text(browser, "differing")
+    assert not browser.find_element(By.ID, "marks").is_displayed()
+
+
+def test_figures_are_saved(page: Callable[..., WebDriver], tmp_path: pathlib.Path, other: list[dict]) -> None:
+    for name in ("city.html", "pair.html"):
+        browser = page("#tick=100&agent=Car_6", name)
+        folder = tmp_path / name
+        folder.mkdir()
+        where = {"behavior": "allow", "downloadPath": str(folder)}
+        browser.execute_cdp_cmd("Browser.setDownloadBehavior", where)
+        for number in range(4):
+            browser.find_element(By.ID, "save").click()
+            browser.find_elements(By.CSS_SELECTOR, "#formats button")[number].click()
+            wait_for_files(browser, folder, number + 1)
+        assert sorted(finished(folder)) == [
+            "expert-tick-100-Car_6.png",
+            "expert-tick-100-Car_6.svg",
+            "expert-timeline.png",
+            "expert-timeline.svg",
+        ]
+        for file in folder.glob("*.svg"):
+            figure = xml.etree.ElementTree.parse(file).getroot()
+            assert figure.tag.endswith("}svg")
+            words = {element.text for element in figure.iter() if element.tag.endswith("}text")}
+            assert {"Slow", "Normal", "Fast", "Stop"} <= words
+            assert "Car_6 tiro" in words if "tick" in file.name else {"Car_6", "Pedestrian_8", "100"} <= words
+            links = [value for element in figure.iter() for key, value in element.items() if key.endswith("href")]
+            assert all(link.startswith(("#", "data:image/png;base64,")) for link in links)
+            assert bool(links) == ("tick" in file.name)
+        for file in folder.glob("*.png"):
+            content = file.read_bytes()
+            assert content.startswith(b"\x89PNG") and len(content) > 20_000
+
+
+def wait_for_files(browser: WebDriver, folder: pathlib.Path, count: int) -> None:
+    WebDriverWait(browser, 10).until(lambda _: len(finished(folder)) == count)
+
+
+def finished(folder: pathlib.Path) -> list[str]:
+    return [file.name for file in folder.iterdir() if not file.name.endswith(".crdownload")]
+
+
+def test_the_link_leads_to_the_same_decision(page: Callable[..., WebDriver]) -> None:
+    browser = page("#tick=40")
+    browser.execute_script(
+        "Object.defineProperty(navigator, 'clipboard', {value: {writeText: async (text) => { window.copied = text; }}})"
+    )
+    browser.find_element(By.XPATH, "//*[@id='rows']/button[.='Car_9']").click()
+    browser.find_element(By.ID, "copy").click()
+    link = browser.execute_script("return window.copied")
+    assert link.endswith("#tick=40&agent=Car_9") and "Copied the link" in text(browser, "notice")
+    browser.get("about:blank")
+    browser.get(link)
+    wait_for(browser)
+    assert text(browser, "tick") == "tick 40" and text(browser, "agent").startswith("Car_9")
+
+
+def test_an_embedded_page_is_the_map_with_its_controls(page: Callable[..., WebDriver]) -> None:
+    browser = page("?embed#tick=30&agent=Car_1")
+    for hidden in ("title", "agent", "strip", "clauses", "save", "copy"):
+        assert not browser.find_element(By.ID, hidden).is_displayed(), hidden
+    for shown in ("map", "play", "scrub", "tick", "whole"):
+        assert browser.find_element(By.ID, shown).is_displayed(), shown
+    canvas = browser.find_element(By.ID, "map")
+    assert canvas.size["width"] == browser.execute_script("return innerWidth")
+    browser.find_element(By.ID, "play").click()
+    WebDriverWait(browser, 10).until(lambda _: text(browser, "tick") != "tick 30")
+    browser.find_element(By.ID, "play").click()
+    link = browser.find_element(By.ID, "open").get_attribute("href")
+    assert "?" not in link and "agent=Car_1" in link
+    photograph(browser, "embed.png")
+
+
+def test_a_bar_shows_the_loading_after_the_first_frame(page: Callable[..., WebDriver]) -> None:
+    watch = """document.addEventListener("readystatechange", () => {
+        const bar = document.getElementById("loading");
+        if (!bar || window.progress) return;
+        window.progress = [];
+        new MutationObserver(() => window.progress.push([bar.value, bar.hidden]))
+            .observe(bar, {attributes: true, attributeFilter: ["value", "hidden"]});
+    });"""
+    browser = page()
+    script = browser.execute_cdp_cmd("Page.addScriptToEvaluateOnNewDocument", {"source": watch})
+    try:
+        page()
+        *steps, (last, hidden) = browser.execute_script("return window.progress")
+        values = [value for value, _ in steps]
+        assert len(values) >= 4 and values == sorted(values) and values[0] < values[-1]
+        assert last == 1 and hidden and not any(is_hidden for _, is_hidden in steps)
+        first, loaded = browser.execute_script(
+            "return ['first-frame', 'loaded'].map((name) => performance.getEntriesByName(name)[0].startTime)"
+        )
+        assert first < loaded
+    finally:
+        browser.execute_cdp_cmd("Page.removeScriptToEvaluateOnNewDocument", script)
+
+
+def test_the_page_names_no_path(tmp_path: pathlib.Path) -> None:
+    html = tmp_path / "page.html"
+    paths = ["--rules", ROOT / "rules/expert.dl", "--out", tmp_path, "--html", html]
+    command = [PROGRAM, "run", ROOT / "configs/expert.yaml", "--ticks", "3", "--no-pictures", *paths]
+    subprocess.run(command, cwd=tmp_path, check=True, capture_output=True)
+    file = html.read_text()
+    parts = re.findall(r'<script class="data"[^>]*>([^<]*)<', file)
+    assert len(parts) >= 3
+    for content in [file, *(zlib.decompress(base64.b64decode(part)).decode() for part in parts)]:
+        assert str(ROOT) not in content and str(tmp_path) not in content
+
+
+def test_the_rows_and_ticks_of_the_chart_are_named(page: Callable[..., WebDriver], trace: list[dict]) -> None:
+    browser = page()
+    names = [row.text for row in browser.find_elements(By.CSS_SELECTOR, "#rows button")]
+    assert names == [agent["id"] for agent in trace[0]["agents"]]
+    strip = browser.find_element(By.ID, "strip").rect
+    for agent, row in enumerate(browser.find_elements(By.CSS_SELECTOR, "#rows button")):
+        middle = row.rect["y"] + row.rect["height"] / 2 - strip["y"]
+        assert int(middle / strip["height"] * len(names)) == agent
+    for label in browser.find_elements(By.CSS_SELECTOR, "#axis span:not(.start, .end)"):
+        wanted = strip["x"] + (int(label.text) + 0.5) / TICKS * strip["width"]
+        assert abs(label.rect["x"] + label.rect["width"] / 2 - wanted) < 2
+
+
+def measure(pages: list[str]) -> None:
+    """Print the size of each page, and the median times of five visits, from navigation on."""
+    browser = start(1400, 1000)
+    try:
+        for name in pages:
+            file = pathlib.Path(name).resolve()
+            visits = []
+            for _ in range(5):
+                browser.get("about:blank")
+                browser.get(file.as_uri())
+                wait_for(browser)
+                marks = (
+                    "return ['first-frame', 'loaded'].map((name) => performance.getEntriesByName(name)[0].startTime)"
+                )
+                visits.append(browser.execute_script(marks))
+            first, loaded = (statistics.median(times) / 1000 for times in zip(*visits, strict=True))
+            size = file.stat().st_size / 1e6
+            print(f"{name}: {size:.1f} MB, first frame after {first:.2f} s, all explanations after {loaded:.2f} s")
     finally:
         browser.quit()
 
@@ -323,5 +572,8 @@ def test_the_page_fits_a_phone(folder: pathlib.Path) -> None:
 if __name__ == "__main__":
     if not (CHROMIUM and DRIVER):
         print(SKIPPED)
+        sys.exit(0)
+    if sys.argv[1:]:
+        measure(sys.argv[1:])
         sys.exit(0)
     sys.exit(pytest.main(["-q", __file__]))

@@ -152,7 +152,7 @@ pub fn run(arguments: &Arguments, sources: &mut Sources) -> Result<(), Failure> 
     let page = match (&arguments.html, written.first()) {
         (Some(page), Some(trace)) => {
             let files = [Some(arguments.config.as_path()), arguments.rules.as_deref()];
-            let made = super::view::write(trace, page, (0, u64::MAX), files, &arguments.icons, &mut Sources::new());
+            let made = super::view::write(trace, page, files, &arguments.icons, &mut Sources::new());
             if made.is_ok() {
                 written.push(page.clone());
             }

@@ -1,11 +1,11 @@
-//! `logicity view`: writes an HTML page of a trace.
+//! `logicity view`: writes an HTML page of a trace, or of two traces side by side.
 
 use crate::cli::Failure;
 use crate::cli::icons::IconOptions;
 use crate::cli::trace::TraceReader;
 use crate::diag::{Code, Diagnostic, Sources};
 use crate::files::Output;
-use crate::page::Page;
+use crate::page::{Comparison, Page};
 use crate::rng::Seed;
 use indicatif::{ProgressBar, ProgressStyle};
 use std::io::{self, Write};
@@ -13,8 +13,9 @@ use std::path::{Path, PathBuf};
 
 #[derive(clap::Args)]
 pub struct Arguments {
-    /// Trace written by `logicity run`
-    trace: PathBuf,
+    /// Trace written by `logicity run`; two traces are shown side by side, with their differences
+    #[arg(required = true, num_args = 1..=2, value_name = "TRACE")]
+    traces: Vec<PathBuf>,
     /// Write the page to FILE
     #[arg(short, long, value_name = "FILE", default_value = "city.html")]
     output: PathBuf,
@@ -24,54 +25,107 @@ pub struct Arguments {
     /// Number of ticks to show [default: all]
     #[arg(long, value_parser = clap::value_parser!(u64).range(1..), allow_negative_numbers = true)]
     ticks: Option<u64>,
-    /// Configuration of the run, if it is not at the path that the trace names
-    #[arg(long)]
-    config: Option<PathBuf>,
-    /// Rules of the run, if they are not at the path that the trace names
-    #[arg(long)]
-    rules: Option<PathBuf>,
+    /// Configuration of the run, if it is not at the path that the trace names; for two traces, one for both or two
+    #[arg(long, value_name = "CONFIG")]
+    config: Vec<PathBuf>,
+    /// Rules of the run, if they are not at the path that the trace names; for two traces, one for both or two
+    #[arg(long, value_name = "RULES")]
+    rules: Vec<PathBuf>,
     #[command(flatten)]
     icons: IconOptions,
 }
 
 pub fn run(arguments: &Arguments, sources: &mut Sources) -> Result<(), Failure> {
+    let Arguments {
+        traces, output, icons, ..
+    } = arguments;
     let range = (arguments.from, arguments.ticks.unwrap_or(u64::MAX));
-    let files = [arguments.config.as_deref(), arguments.rules.as_deref()];
-    write(
-        &arguments.trace,
-        &arguments.output,
-        range,
-        files,
-        &arguments.icons,
-        sources,
-    )?;
-    writeln!(io::stdout(), "wrote {}", arguments.output.display())?;
+    // The file given for a trace, or for both.
+    let file = |files: &'_ [PathBuf], number: usize| files.get(number).or(files.last()).cloned();
+    for (option, files) in [("--config", &arguments.config), ("--rules", &arguments.rules)] {
+        if files.len() > traces.len() {
+            let message = format!("{option} is given {} times for {} trace", files.len(), traces.len());
+            return Err(Failure::Usage(message));
+        }
+    }
+    for trace in traces {
+        refuse_overwriting(trace, output)?;
+    }
+    let mut pages = Vec::new();
+    for (number, trace) in traces.iter().enumerate() {
+        let files = [file(&arguments.config, number), file(&arguments.rules, number)];
+        let files = [files[0].as_deref(), files[1].as_deref()];
+        pages.push(load(trace, range, files, icons, sources)?);
+    }
+    let mut out = io::stdout();
+    if let [left, right] = &pages[..] {
+        let comparison = Comparison::new([left, right], names([&traces[0], &traces[1]]))?;
+        save(output, |file| comparison.write(file))?;
+        writeln!(out, "{}", comparison.summary())?;
+    } else {
+        save(output, |file| pages[0].write(file))?;
+    }
+    writeln!(out, "wrote {}", output.display())?;
     Ok(())
 }
 
-/// Writes a page of at most `most` ticks of a trace, from number `from` on. `config` and `rules` replace the paths that
-/// the trace names.
+/// Writes a page of a whole trace. `config` and `rules` replace the paths that the trace names.
 pub fn write(
     trace: &Path,
     output: &Path,
+    files: [Option<&Path>; 2],
+    icons: &IconOptions,
+    sources: &mut Sources,
+) -> Result<(), Failure> {
+    refuse_overwriting(trace, output)?;
+    let page = load(trace, (0, u64::MAX), files, icons, sources)?;
+    save(output, |file| page.write(file))
+}
+
+fn refuse_overwriting(trace: &Path, output: &Path) -> Result<(), Failure> {
+    match (trace.canonicalize(), output.canonicalize()) {
+        (Ok(from), Ok(to)) if from == to => Err(Failure::Usage(format!(
+            "the page would overwrite its trace `{}`; specify another file",
+            trace.display()
+        ))),
+        _ => Ok(()),
+    }
+}
+
+/// Returns the last parts of two paths that differ: `x` and `y` for `x/trace.jsonl` and `y/trace.jsonl`. Without a
+/// difference, returns `A` and `B`.
+fn names([left, right]: [&Path; 2]) -> [String; 2] {
+    let different = left
+        .iter()
+        .rev()
+        .zip(right.iter().rev())
+        .find(|(one, other)| one != other);
+    match different {
+        Some((one, other)) => [one, other].map(|part| part.to_string_lossy().into_owned()),
+        None => ["A", "B"].map(str::to_owned),
+    }
+}
+
+fn save(output: &Path, write: impl FnOnce(&mut Output) -> io::Result<()>) -> Result<(), Failure> {
+    let fail = |error| Failure::file("write", output, error);
+    let mut out = Output::create(output).map_err(fail)?;
+    write(&mut out).map_err(fail)?;
+    out.finish().map_err(fail)
+}
+
+/// Returns a page of at most `most` ticks of a trace, from number `from` on. `config` and `rules` replace the paths
+/// that the trace names.
+fn load(
+    trace: &Path,
     (from, most): (u64, u64),
     [config, rules]: [Option<&Path>; 2],
     icons: &IconOptions,
     sources: &mut Sources,
-) -> Result<(), Failure> {
-    if let (Ok(from), Ok(to)) = (trace.canonicalize(), output.canonicalize())
-        && from == to
-    {
-        let message = format!(
-            "the page would overwrite its trace `{}`; specify another file",
-            trace.display()
-        );
-        return Err(Failure::Usage(message));
-    }
+) -> Result<Page, Failure> {
     let mut reader = TraceReader::open(trace)?;
     let mut replay = reader.replay(sources, config, rules, true)?;
     let icons = icons.load(Seed(reader.header.seed))?;
-    let mut page = Page::new(&replay, &reader.header, &icons, sources);
+    let mut page = Page::new(&replay, &reader.header, &icons, sources)?;
     // The number of ticks is unknown before the end of the file, but its size is known.
     let bar = ProgressBar::new(reader.length).with_style(
         ProgressStyle::with_template("{bar:30} explaining tick {msg}, {percent} %, {eta} left")
@@ -95,17 +149,11 @@ pub fn write(
     match last {
         None => {
             let message = format!("`{}` has no ticks", trace.display());
-            return Err(Diagnostic::new(Code::INVALID_TRACE, message).into());
+            Err(Diagnostic::new(Code::INVALID_TRACE, message).into())
         }
-        Some(last) if shown == 0 => {
-            return Err(Failure::Usage(format!(
-                "the trace ends with tick {last}, before tick {from}"
-            )));
-        }
-        Some(_) => {}
+        Some(last) if shown == 0 => Err(Failure::Usage(format!(
+            "the trace ends with tick {last}, before tick {from}"
+        ))),
+        Some(_) => Ok(page),
     }
-    let fail = |error| Failure::file("write", output, error);
-    let mut out = Output::create(output).map_err(fail)?;
-    page.write(&mut out).map_err(fail)?;
-    out.finish().map_err(fail)
 }

@@ -9,6 +9,7 @@ use crate::datalog::explain::{
 use serde::Serialize;
 use serde_json::{Value, json};
 use std::collections::HashMap;
+use std::path::{Component, Path};
 
 /// The nodes of [`ExplanationPrinter::json`], with short keys and with numbers that are unique in the run.
 #[derive(Default, Serialize)]
@@ -17,8 +18,16 @@ pub struct Proofs {
     pub clauses: Vec<Value>,
     /// A fact is `{"t": text, "by": ..}`. If a clause derives it, it also has `"c"` (position in `clauses`), `"b"`
     /// (binding) and `"p"` (premises). An absent fact is `{"f": text, "by": ..}`. If clauses could derive it, it also
-    /// has `"m"`: for each, `[clause, binding, failures]`. A premise or failure is `[text, kind, node or -1]`.
+    /// has `"m"`: for each, `[clause, binding, failures]`. A premise or failure is `[text, kind, node or -1]`. Only the
+    /// nodes since the last [`Proofs::forget`].
+    #[serde(skip)]
     pub nodes: Vec<Value>,
+    /// Number of nodes before these.
+    #[serde(skip)]
+    forgotten: usize,
+    /// The rule file of the run.
+    #[serde(skip)]
+    main: String,
     #[serde(skip)]
     known_clauses: HashMap<ClauseId, usize>,
     /// Keyed by the output of [`write_key`].
@@ -30,6 +39,20 @@ pub struct Proofs {
 }
 
 impl Proofs {
+    /// Returns an empty store for the rules of a file.
+    pub fn new(rules: &str) -> Proofs {
+        Proofs {
+            main: rules.to_owned(),
+            ..Proofs::default()
+        }
+    }
+
+    /// Drops the nodes, but keeps their numbers for sharing.
+    pub fn forget(&mut self) {
+        self.forgotten += self.nodes.len();
+        self.nodes.clear();
+    }
+
     /// Returns the position of a clause, and adds it if it is new.
     pub fn clause(&mut self, printer: &ExplanationPrinter<'_>, clause: ClauseId) -> usize {
         let next = self.clauses.len();
@@ -38,6 +61,9 @@ impl Proofs {
             let mut json = printer.clause_json(clause);
             json["label"] = printer.label(clause).into();
             json["text"] = printer.source(clause).into();
+            if let Some(file) = json["file"].as_str() {
+                json["file"] = shown_file(file, &self.main).into();
+            }
             self.clauses.push(json);
         }
         position
@@ -73,7 +99,10 @@ impl Proofs {
                 continue;
             }
             match numbers[at] {
-                Some(number) => self.nodes[number as usize] = self.format(printer, &nodes[at], &numbers),
+                Some(number) => {
+                    let place = number as usize - self.forgotten;
+                    self.nodes[place] = self.format(printer, &nodes[at], &numbers);
+                }
                 None => numbers[at] = Some(self.share(printer, &nodes[at], &numbers)),
             }
             state[at] = State::Done;
@@ -84,7 +113,7 @@ impl Proofs {
 
     fn push(&mut self, node: Value) -> u32 {
         self.nodes.push(node);
-        u32::try_from(self.nodes.len() - 1).expect("fewer than 2^32 nodes")
+        u32::try_from(self.forgotten + self.nodes.len() - 1).expect("fewer than 2^32 nodes")
     }
 
     /// Returns the number of a node whose children have theirs. Most nodes are already known, so `share` formats a node
@@ -108,6 +137,19 @@ impl Proofs {
             .collect();
         short(&printer.node_json(node), &clauses, numbers)
     }
+}
+
+/// Returns the name of a rule file without the folders of the author: relative to the folder of the main file if it is
+/// inside, else its own name. Names of built-in files stay.
+pub fn shown_file(file: &str, main: &str) -> String {
+    if file.starts_with("<builtin>") {
+        return file.to_owned();
+    }
+    let folder = Path::new(main).parent().unwrap_or(Path::new(""));
+    let inside = (Path::new(file).strip_prefix(folder).ok())
+        .filter(|rest| rest.components().all(|part| matches!(part, Component::Normal(_))));
+    let name = inside.or_else(|| Path::new(file).file_name().map(Path::new));
+    name.unwrap_or(Path::new("rules")).to_string_lossy().into_owned()
 }
 
 /// Returns a node with short keys and the positions of its clauses.

@@ -11,7 +11,8 @@ use std::time::Duration;
 /// Errors of the output.
 pub fn write_png(picture: &Picture, out: impl Write) -> io::Result<()> {
     let (width, height) = (picture.width(), picture.height());
-    write(picture.pixels(), width, height, png::ColorType::Rgb, out)
+    let pixels = picture.pixels();
+    write(pixels, (width, height), png::ColorType::Rgb, (png::Filter::Up, 2), out)
 }
 
 /// Reads an RGB PNG with eight bits per channel.
@@ -75,19 +76,32 @@ fn unreadable(error: png::DecodingError) -> String {
 /// The longest side to decode, in pixels, which bounds the memory for untrusted files.
 const DECODED_SIDE_MAX: u32 = 1 << 14;
 
-/// Writes RGBA pixels as a PNG.
+/// Writes RGBA pixels as a PNG, with settings that favor speed.
 pub(super) fn write_rgba(pixels: &[u8], width: u32, height: u32, out: impl Write) -> io::Result<()> {
-    write(pixels, width, height, png::ColorType::Rgba, out)
+    let settings = (png::Filter::Up, 2);
+    write(pixels, (width, height), png::ColorType::Rgba, settings, out)
 }
 
-fn write(pixels: &[u8], width: u32, height: u32, colors: png::ColorType, out: impl Write) -> io::Result<()> {
+/// Writes RGBA pixels as a small PNG.
+pub(super) fn write_rgba_small(pixels: &[u8], width: u32, height: u32, out: impl Write) -> io::Result<()> {
+    let settings = (png::Filter::Adaptive, 9);
+    write(pixels, (width, height), png::ColorType::Rgba, settings, out)
+}
+
+/// Writes pixels with a filter and a compression level. Decoders undo the Up filter many bytes at a time and the other
+/// filters byte by byte; for large pictures, levels above 2 save little.
+fn write(
+    pixels: &[u8],
+    (width, height): (u32, u32),
+    colors: png::ColorType,
+    (filter, level): (png::Filter, u8),
+    out: impl Write,
+) -> io::Result<()> {
     let mut encoder = png::Encoder::new(out, width, height);
     encoder.set_color(colors);
     encoder.set_depth(png::BitDepth::Eight);
-    // Decoders undo the Up filter many bytes at a time and the other filters byte by byte. Higher compression levels
-    // save little.
-    encoder.set_filter(png::Filter::Up);
-    encoder.set_deflate_compression(png::DeflateCompression::Level(2));
+    encoder.set_filter(filter);
+    encoder.set_deflate_compression(png::DeflateCompression::Level(level));
     let written = encoder.write_header().and_then(|mut writer| {
         writer.write_image_data(pixels)?;
         writer.finish()

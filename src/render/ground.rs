@@ -9,6 +9,7 @@ use crate::render::icon::Icons;
 use crate::render::picture::{Picture, Rgb};
 use crate::render::view::{Scale, Viewport};
 use crate::rng::{Purpose, RngExt, Seed};
+use std::ops::Range;
 
 impl Purpose {
     /// The texture of the ground.
@@ -92,6 +93,24 @@ impl Surface {
             Some(Ground::Traffic) => Surface::Asphalt(beside(&|other| {
                 map.junction(other).car_is_at() && map.ground_at(other) == Some(Ground::Crossing)
             })),
+        }
+    }
+}
+
+impl Surface {
+    /// Returns the number of the surface in a [`GroundPlan`].
+    fn code(self) -> u32 {
+        let sides = |sides: [bool; 4]| {
+            let marked = (0..4).zip(sides).filter(|(_, marked)| *marked);
+            marked.map(|(side, _)| 8 << side).sum::<u32>()
+        };
+        match self {
+            Surface::Meadow => 0,
+            Surface::Sidewalk(curbs) => 1 + sides(curbs),
+            Surface::Asphalt(stops) => 2 + sides(stops),
+            Surface::Crossing(along_row) => 4 - u32::from(along_row),
+            Surface::MidLine(along_row) => 6 - u32::from(along_row),
+            Surface::Building(_) => 7,
         }
     }
 }
@@ -281,40 +300,126 @@ pub(super) fn draw(map: &CityMap, icons: &Icons, view: &Viewport, look: Look) ->
         }
     }
     if scale.cells == 1 {
-        buildings(map, icons, view, look.first_building, &mut picture);
+        let layout = map.layout;
+        let [block_rows, block_cols] = layout.blocks();
+        let shown = |from: i32, cells: i32, blocks: i32| {
+            let block = |at: i32| at.div_euclid(layout.period()).clamp(0, blocks);
+            block(from)..(block(from + (cells - 1)) + 1).min(blocks)
+        };
+        let rows = shown(view.corner.row, view.rows, block_rows);
+        let cols = shown(view.corner.col, view.cols, block_cols);
+        for site in sites(map, look.first_building, rows, cols) {
+            let size = (i64::from(site.side) * i64::from(scale.pixels)) as u32;
+            let stamp = icons.stamp(&Class::building(site.building), site.instance, Facing::Up, size);
+            let along = |start: i32, corner: i32| {
+                let pixels = scale.start(start) - scale.start(corner);
+                i32::try_from(pixels + i64::from(size / 2)).expect("it is near the picture")
+            };
+            let corner = site.corner;
+            let (x, y) = (along(corner.col, view.corner.col), along(corner.row, view.corner.row));
+            picture.stamp(&stamp, x, y);
+        }
     }
     picture
 }
 
-/// Draws every building that is at least partly in view.
-fn buildings(map: &CityMap, icons: &Icons, view: &Viewport, first: u32, picture: &mut Picture) {
+/// A building at its place.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub struct Site {
+    /// Its type.
+    pub building: Building,
+    /// The instance of its icon.
+    pub instance: u32,
+    /// Its first cell.
+    pub corner: Cell,
+    /// Its side, in cells.
+    pub side: i32,
+}
+
+/// Returns the buildings in a range of blocks.
+fn sites(map: &CityMap, first: u32, rows: Range<i32>, cols: Range<i32>) -> impl Iterator<Item = Site> + '_ {
     let layout = map.layout;
-    let [block_rows, block_cols] = layout.blocks();
-    let shown = |from: i32, cells: i32, blocks: i32| {
-        let block = |at: i32| at.div_euclid(layout.period()).clamp(0, blocks);
-        block(from)..(block(from + (cells - 1)) + 1).min(blocks)
-    };
-    for row in shown(view.corner.row, view.rows, block_rows) {
-        for col in shown(view.corner.col, view.cols, block_cols) {
-            let number = row * block_cols + col;
-            for (which, &building) in (0..).zip(&map.buildings()[number as usize]) {
+    let [_, block_cols] = layout.blocks();
+    let blocks = rows.flat_map(move |row| cols.clone().map(move |col| (row, col)));
+    blocks.flat_map(move |(row, col)| {
+        let number = row * block_cols + col;
+        (0..)
+            .zip(&map.buildings()[number as usize])
+            .map(move |(which, &building)| {
                 let (rows, cols) = (
                     layout.building_span(row, which / 2),
                     layout.building_span(col, which % 2),
                 );
-                let size = (rows.len() as i64 * i64::from(view.scale.pixels)) as u32;
-                let instance = first.wrapping_add((4 * number + which).cast_unsigned());
-                let stamp = icons.stamp(&Class::building(building), instance, Facing::Up, size);
-                let along = |start: i32, corner: i32| {
-                    let pixels = view.scale.start(start) - view.scale.start(corner);
-                    i32::try_from(pixels + i64::from(size / 2)).expect("it is near the picture")
-                };
-                picture.stamp(
-                    &stamp,
-                    along(cols.start, view.corner.col),
-                    along(rows.start, view.corner.row),
-                );
+                Site {
+                    building,
+                    instance: first.wrapping_add((4 * number + which).cast_unsigned()),
+                    corner: Cell::new(rows.start, cols.start),
+                    side: rows.end - rows.start,
+                }
+            })
+    })
+}
+
+/// The ground as rectangles of equal cells, for drawing it at any scale. It has the colors and the buildings of the
+/// pictures with the same icons, without specks and clouds.
+#[derive(Clone, Debug)]
+pub struct GroundPlan {
+    /// The colors of [`GroundPlan::COLORS`], as red, green and blue.
+    pub colors: [Rgb; 6],
+    /// Runs of equal rows: the number of rows, and their cells as pairs of a surface and a number of columns. A
+    /// surface is a position in [`GroundPlan::SURFACES`] plus 8 for each marked side, times 2 to the power of its
+    /// position in [`Heading::ALL`]. Marked sides of sidewalk have a curb, those of asphalt a stop line.
+    pub bands: Vec<(u32, Vec<(u32, u32)>)>,
+    /// The buildings.
+    pub sites: Vec<Site>,
+}
+
+impl GroundPlan {
+    /// The names of the colors.
+    pub const COLORS: [&'static str; 6] = ["meadow", "sidewalk", "curb", "asphalt", "paint", "mid line"];
+    /// The names of the surfaces. Walkers along the row of a crossing cross stripes that alternate along the row.
+    pub const SURFACES: [&'static str; 8] = [
+        "meadow",
+        "sidewalk",
+        "asphalt",
+        "crossing along row",
+        "crossing along column",
+        "mid line along row",
+        "mid line along column",
+        "building",
+    ];
+
+    /// Returns the plan of a map.
+    pub fn new(map: &CityMap, icons: &Icons) -> GroundPlan {
+        let look = Look::of(icons);
+        let texture = Texture::new(look.seed, icons.difficulty().share());
+        let mut bands: Vec<(u32, Vec<(u32, u32)>)> = Vec::new();
+        for row in 0..map.rows() {
+            let mut runs: Vec<(u32, u32)> = Vec::new();
+            for col in 0..map.cols() {
+                let surface = Surface::of(map, Cell { row, col }).code();
+                match runs.last_mut() {
+                    Some((before, count)) if *before == surface => *count += 1,
+                    _ => runs.push((surface, 1)),
+                }
             }
+            match bands.last_mut() {
+                Some((count, before)) if *before == runs => *count += 1,
+                _ => bands.push((1, runs)),
+            }
+        }
+        let [block_rows, block_cols] = map.layout.blocks();
+        GroundPlan {
+            colors: [
+                texture.meadow,
+                texture.sidewalk,
+                texture.curb,
+                texture.asphalt,
+                PAINT,
+                MID_LINE,
+            ],
+            bands,
+            sites: sites(map, look.first_building, 0..block_rows, 0..block_cols).collect(),
         }
     }
 }

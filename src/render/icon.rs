@@ -228,14 +228,6 @@ impl Icons {
     /// Returns an icon as a square PNG on a transparent ground, scaled to fit into `side` pixels, 1 to [`ICON_MAX`].
     pub fn png(&self, class: &Class, instance: u32, facing: Facing, side: u32) -> Vec<u8> {
         let side = side.clamp(1, ICON_MAX);
-        let reach = |stamp: &Stamp| {
-            let PixelBox { x, y, width, height } = stamp.area;
-            let far = |from: i32, length: u32| {
-                from.unsigned_abs()
-                    .max((i64::from(from) + i64::from(length)).unsigned_abs() as u32)
-            };
-            2 * far(x, width).max(far(y, height))
-        };
         let mut size = side;
         let mut stamp = self.stamp(class, instance, facing, size);
         while reach(&stamp) > side && size > 1 {
@@ -243,28 +235,90 @@ impl Icons {
             stamp = self.stamp(class, instance, facing, size);
         }
         let mut pixels = vec![0; 4 * (side * side) as usize];
-        #[allow(clippy::cast_possible_wrap)]
-        let half = (side / 2) as i32;
-        for (row, line) in stamp.pixels.chunks_exact(4 * stamp.area.width as usize).enumerate() {
-            for (col, pixel) in line.chunks_exact(4).enumerate() {
-                let at = |from: i32, offset: usize| usize::try_from(from + half).ok().map(|start| start + offset);
-                let (Some(y), Some(x)) = (at(stamp.area.y, row), at(stamp.area.x, col)) else {
-                    continue;
-                };
-                if x < side as usize && y < side as usize {
-                    let alpha = u32::from(pixel[3]);
-                    let straight = |channel: u8| match alpha {
-                        0 => 0,
-                        alpha => ((u32::from(channel) * 255 + alpha / 2) / alpha).min(255) as u8,
-                    };
-                    let rgba = [straight(pixel[0]), straight(pixel[1]), straight(pixel[2]), pixel[3]];
-                    pixels[4 * (y * side as usize + x)..][..4].copy_from_slice(&rgba);
-                }
-            }
-        }
+        lay(&stamp, &mut pixels, (side, side), (side / 2, side / 2));
         let mut bytes = Vec::new();
         super::encode::write_rgba(&pixels, side, side, &mut bytes).expect("writing to a vector cannot fail");
         bytes
+    }
+
+    /// Returns icons of one size as squares of a single PNG, on a transparent ground. `size` is that of pictures: the
+    /// short side of a car, or the side of a pedestrian or building.
+    ///
+    /// # Panics
+    /// If `icons` is empty.
+    pub fn atlas(&self, icons: &[(Class, u32, Facing)], size: u32) -> Atlas {
+        let stamps: Vec<Arc<Stamp>> = (icons.iter())
+            .map(|(class, instance, facing)| self.stamp(class, *instance, *facing, size))
+            .collect();
+        let side = stamps
+            .iter()
+            .map(|stamp| reach(stamp))
+            .max()
+            .expect("at least one icon");
+        let count = u32::try_from(stamps.len()).expect("few icons");
+        let columns = (1..count).find(|columns| columns * columns >= count).unwrap_or(1);
+        let (width, height) = (columns * side, count.div_ceil(columns) * side);
+        let mut pixels = vec![0; 4 * width as usize * height as usize];
+        for (number, stamp) in (0..).zip(&stamps) {
+            let (x, y) = (number % columns * side + side / 2, number / columns * side + side / 2);
+            lay(stamp, &mut pixels, (width, height), (x, y));
+        }
+        let mut png = Vec::new();
+        super::encode::write_rgba_small(&pixels, width, height, &mut png).expect("writing to a vector cannot fail");
+        Atlas {
+            png,
+            size: size.clamp(1, ICON_MAX),
+            side,
+            columns,
+        }
+    }
+}
+
+/// Icons of one size in a grid of squares, row by row.
+#[derive(Clone, Debug)]
+pub struct Atlas {
+    /// The picture as PNG with transparency.
+    pub png: Vec<u8>,
+    /// The size of the icons, in pixels.
+    pub size: u32,
+    /// The side of a square, in pixels. Each icon is centered in its square.
+    pub side: u32,
+    /// The number of squares per row.
+    pub columns: u32,
+}
+
+/// Returns the side of the smallest square around the center of an icon that holds the icon.
+fn reach(stamp: &Stamp) -> u32 {
+    let PixelBox { x, y, width, height } = stamp.area;
+    let far = |from: i32, length: u32| {
+        let end = (i64::from(from) + i64::from(length)).unsigned_abs() as u32;
+        from.unsigned_abs().max(end)
+    };
+    2 * far(x, width).max(far(y, height))
+}
+
+/// Copies an icon into RGBA pixels, centered on a pixel; undoes the premultiplication of its colors.
+fn lay(stamp: &Stamp, pixels: &mut [u8], (width, height): (u32, u32), (x, y): (u32, u32)) {
+    let place = |middle: u32, from: i32, offset: usize, end: u32| {
+        let at = i64::from(middle) + i64::from(from) + offset as i64;
+        usize::try_from(at).ok().filter(|at| *at < end as usize)
+    };
+    for (row, line) in stamp.pixels.chunks_exact(4 * stamp.area.width as usize).enumerate() {
+        let Some(y) = place(y, stamp.area.y, row, height) else {
+            continue;
+        };
+        for (col, pixel) in line.chunks_exact(4).enumerate() {
+            let Some(x) = place(x, stamp.area.x, col, width) else {
+                continue;
+            };
+            let alpha = u32::from(pixel[3]);
+            let straight = |channel: u8| match alpha {
+                0 => 0,
+                alpha => ((u32::from(channel) * 255 + alpha / 2) / alpha).min(255) as u8,
+            };
+            let rgba = [straight(pixel[0]), straight(pixel[1]), straight(pixel[2]), pixel[3]];
+            pixels[4 * (y * width as usize + x)..][..4].copy_from_slice(&rgba);
+        }
     }
 }
 

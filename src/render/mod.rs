@@ -2,8 +2,8 @@
 //!
 //! An [`Overview`] shows a whole city to people, with rulers, legend and labels. A [`Renderer`] draws any part of a map
 //! at any scale ([`Viewport`]) and returns the box of each agent; a [`Placement`] returns the boxes without drawing.
-//! [`Icons`] draws single icons, and [`sheet`] shows instances of all classes. [`write_png`] encodes a [`Picture`] as
-//! PNG, and [`Animation`] a sequence of them as GIF.
+//! [`Icons`] draws single icons, and [`sheet`] shows instances of all classes. A [`GroundPlan`] describes the ground
+//! for drawing at any scale. [`write_png`] encodes a [`Picture`] as PNG, and [`Animation`] a sequence of them as GIF.
 //!
 //! Icons are generated, each as a function of seed, class and instance, or come from a [`Pack`]. The same input gives
 //! the same bytes on any number of threads.
@@ -60,7 +60,8 @@ mod view;
 
 pub use class::{Class, Facing};
 pub use encode::{Animation, read_png, read_png_into, write_png};
-pub use icon::{Difficulty, ICON_MAX, Icons};
+pub use ground::{GroundPlan, Site};
+pub use icon::{Atlas, Difficulty, ICON_MAX, Icons};
 pub use overview::{Marked, Overview};
 pub use pack::{Mode, PACK_FILE_MAX, PACK_FILES_MAX, Pack, PackFault};
 pub use picture::{Picture, PixelBox};

@@ -3,16 +3,16 @@
 use base64::Engine as _;
 use flate2::read::ZlibDecoder;
 use logicity::cancel::Cancel;
-use logicity::city::Cell;
-use logicity::city::{Action, Split};
+use logicity::city::{Action, Cell, Split, field_of_view};
 use logicity::datalog::explain::{Explainer, ExplanationPrinter};
 use logicity::diag::{Code, Sources};
-use logicity::page::Page;
-use logicity::render::Icons;
+use logicity::page::{Comparison, Page};
+use logicity::render::{Class, Icons, Renderer, Scale, Viewport};
 use logicity::rng::Seed;
 use logicity::sim::{Replay, Settings, Simulation, TraceHeader, TraceTick, TraceWriter, World, hash_sources};
 use logicity::task::spf::{ControlMode, Env, Origin, RecordError, SpfTask, record};
 use serde_json::{Value, json};
+use std::collections::{BTreeMap, BTreeSet};
 use std::io::Read;
 use std::process::Command;
 use std::sync::Arc;
@@ -125,26 +125,160 @@ impl Run {
     }
 
     fn page(&self) -> String {
+        written(|out| self.loaded().write(out))
+    }
+
+    fn loaded(&self) -> Page {
         let mut replay = self.replay();
-        let mut page = Page::new(&replay, &self.header(), &Icons::default(), &self.sources);
+        let mut page = Page::new(&replay, &self.header(), &Icons::default(), &self.sources).unwrap();
         for tick in self.ticks() {
             replay.set(&tick).unwrap();
             page.push(&replay, &tick, &self.sources).unwrap();
         }
-        let mut out = Vec::new();
-        page.write(&mut out).unwrap();
-        String::from_utf8(out).unwrap()
+        page
     }
 }
 
+fn written(write: impl FnOnce(&mut Vec<u8>) -> std::io::Result<()>) -> String {
+    let mut out = Vec::new();
+    write(&mut out).unwrap();
+    String::from_utf8(out).unwrap()
+}
+
+/// Returns the parts of a page: kind, run, data.
+fn parts(page: &str) -> Vec<(String, usize, Value)> {
+    let mut parts = Vec::new();
+    for part in page
+        .split(r#"<script class="data" type="text/plain" data-kind=""#)
+        .skip(1)
+    {
+        let (kind, rest) = part.split_once(r#"" data-run=""#).unwrap();
+        let (run, rest) = rest.split_once(r#"">"#).unwrap();
+        let packed = base64::engine::general_purpose::STANDARD
+            .decode(rest.split_once('<').unwrap().0)
+            .unwrap();
+        let mut text = String::new();
+        ZlibDecoder::new(&packed[..]).read_to_string(&mut text).unwrap();
+        parts.push((
+            kind.to_owned(),
+            run.parse().unwrap(),
+            serde_json::from_str(&text).unwrap(),
+        ));
+    }
+    parts
+}
+
 fn unpack(page: &str) -> Value {
-    let (_, rest) = page.split_once(r#"<script id="data" type="text/plain">"#).unwrap();
-    let packed = base64::engine::general_purpose::STANDARD
-        .decode(rest.split_once('<').unwrap().0)
-        .unwrap();
-    let mut text = String::new();
-    ZlibDecoder::new(&packed[..]).read_to_string(&mut text).unwrap();
-    serde_json::from_str(&text).unwrap()
+    unpack_run(page, 0)
+}
+
+/// Returns the data of a run with all ticks unfolded.
+fn unpack_run(page: &str, number: usize) -> Value {
+    let parts = parts(page);
+    let of = |wanted: &str| {
+        let wanted = wanted.to_owned();
+        let found = parts
+            .iter()
+            .filter(move |(kind, run, _)| *kind == wanted && *run == number);
+        found.map(|(_, _, data)| data)
+    };
+    let mut run = of("run").next().unwrap().clone();
+    let all = |key: &str| -> Vec<Value> { of("proofs").flat_map(|part| list(&part[key]).to_vec()).collect() };
+    let (whys, changes) = (all("why"), all("facts"));
+    let agents = list(&run["agents"]).len();
+    let arities: Vec<usize> = list(&run["predicates"])
+        .iter()
+        .map(|one| whole(&one["arity"]))
+        .collect();
+    let mut rows: Vec<BTreeSet<usize>> = vec![BTreeSet::new(); arities.len()];
+    let mut why = vec![[0_i64; 4]; agents];
+    let mut at = vec![[0_i64; 2]; agents];
+    let mut goal = vec![Value::Null; agents];
+    let digit = |key: &str, agent: usize, tick: usize| {
+        let digit = run[key][agent].as_str().unwrap().chars().nth(tick).unwrap();
+        digit.to_digit(16).unwrap()
+    };
+    let mut ticks = Vec::new();
+    for tick in 0..whole(&run["count"]) {
+        let mut state: BTreeMap<&str, Vec<Value>> = BTreeMap::new();
+        for agent in 0..agents {
+            for (axis, place) in at[agent].iter_mut().enumerate() {
+                *place += run["at"][agent][2 * tick + axis].as_i64().unwrap();
+            }
+            for (action, node) in why[agent].iter_mut().enumerate() {
+                *node += whys[tick][4 * agent + action].as_i64().unwrap();
+            }
+            if let Some(new) = list(&run["goal"][agent]).iter().find(|new| new[0] == tick) {
+                goal[agent] = json!([new[1], new[2]]);
+            }
+            let heading = match digit("heading", agent, tick) {
+                4 => -1,
+                heading => i64::from(heading),
+            };
+            let offsets = &run["views"][whole(&run["view"][agent][tick])];
+            let corner = |at: usize| at_i64(offsets, at);
+            let [row, col] = at[agent];
+            for (key, value) in [
+                ("at", json!(at[agent])),
+                ("goal", goal[agent].clone()),
+                ("heading", json!(heading)),
+                ("action", json!(digit("action", agent, tick))),
+                ("derived", json!(digit("derived", agent, tick))),
+                ("fired", run["fired_sets"][whole(&run["fired"][agent][tick])].clone()),
+                ("why", json!(why[agent])),
+                (
+                    "view",
+                    json!([row + corner(0), col + corner(1), row + corner(2), col + corner(3)]),
+                ),
+            ] {
+                state.entry(key).or_default().push(value);
+            }
+        }
+        for change in list(&changes[tick]) {
+            let predicate = whole(&change[0]);
+            let mut row = 0;
+            for step in &list(change)[1..] {
+                row += whole(step);
+                if !rows[predicate].remove(&row) {
+                    rows[predicate].insert(row);
+                }
+            }
+        }
+        let flat = |(rows, arity): (&BTreeSet<usize>, &usize)| -> Value {
+            let row = |&row: &usize| match arity {
+                2 => vec![row / agents, row % agents],
+                _ => vec![row],
+            };
+            rows.iter().flat_map(row).collect()
+        };
+        let mut state = json!(state);
+        state["rows"] = rows.iter().zip(&arities).map(flat).collect();
+        ticks.push(state);
+    }
+    run["ticks"] = ticks.into();
+    run["nodes"] = all("nodes").into();
+    run
+}
+
+fn list(value: &Value) -> &[Value] {
+    value.as_array().unwrap()
+}
+
+fn whole(value: &Value) -> usize {
+    usize::try_from(value.as_u64().unwrap()).unwrap()
+}
+
+fn at_i64(value: &Value, at: usize) -> i64 {
+    value[at].as_i64().unwrap()
+}
+
+/// Returns the name of a rule file as the page has it.
+fn shown_file(file: &Value) -> Value {
+    let file = file.as_str().unwrap();
+    match file.starts_with("<builtin>") {
+        true => json!(file),
+        false => json!(file.rsplit('/').next()),
+    }
 }
 
 /// An explanation of the page, as a tree with the words of [`ExplanationPrinter::json`].
@@ -192,13 +326,24 @@ fn engine_tree(nodes: &Value, number: u64) -> Value {
         };
         list.as_array().unwrap().iter().map(one).collect()
     };
+    let clause = |clause: &Value| {
+        let mut clause = clause.clone();
+        clause["file"] = shown_file(&clause["file"]);
+        clause
+    };
     match (node.get("holds"), node.get("premises"), node.get("clauses")) {
         (Some(text), Some(premises), _) => {
-            json!([text, node["by"], node["clause"], node["binding"], literals(premises)])
+            json!([
+                text,
+                node["by"],
+                clause(&node["clause"]),
+                node["binding"],
+                literals(premises)
+            ])
         }
         (Some(text), None, _) => json!([text, node["by"]]),
         (None, _, Some(misses)) => {
-            let miss = |miss: &Value| json!([miss["clause"], miss["binding"], literals(&miss["fails"])]);
+            let miss = |miss: &Value| json!([clause(&miss["clause"]), miss["binding"], literals(&miss["fails"])]);
             json!([
                 node["absent"],
                 node["because"],
@@ -214,17 +359,15 @@ fn a_page_shows_the_decisions_of_the_trace_and_why() {
     let run = run("expert", 25);
     let data = unpack(&run.page());
     let mut replay = run.replay();
-    let mut rows: Vec<Value> = Vec::new();
     for (number, tick) in run.ticks().enumerate() {
         replay.set(&tick).unwrap();
         let shown = &data["ticks"][number];
-        rows.resize(replay.facts().rows.len(), json!([]));
-        for change in shown["facts"].as_array().unwrap() {
-            rows[usize::try_from(change[0].as_u64().unwrap()).unwrap()] = change[1].clone();
-        }
-        for (predicate, (shown, rows)) in rows.iter().zip(&replay.facts().rows).enumerate() {
-            let arity = usize::try_from(data["predicates"][predicate]["arity"].as_u64().unwrap()).unwrap();
+        for (predicate, rows) in replay.facts().rows.iter().enumerate() {
+            let arity = whole(&data["predicates"][predicate]["arity"]);
+            let mut rows = rows.clone();
+            rows.sort_unstable();
             let flat: Vec<u32> = rows.iter().flat_map(|row| row[..arity].to_vec()).collect();
+            let shown = &shown["rows"][predicate];
             assert_eq!(shown, &json!(flat), "predicate {predicate} in tick {number}");
         }
         let session = replay.session();
@@ -235,6 +378,14 @@ fn a_page_shows_the_decisions_of_the_trace_and_why() {
             assert_eq!(shown["goal"][agent], json!(state.goal));
             assert_eq!(shown["fired"][agent], json!(state.clauses));
             assert_eq!(name("actions", &shown["action"][agent]), json!(state.action));
+            let seen = field_of_view(
+                Cell::new(state.at[0], state.at[1]),
+                state.heading().unwrap(),
+                run.world.scenario.view,
+                run.world.map(),
+            );
+            let view = json!([seen.first.row, seen.first.col, seen.last.row, seen.last.col]);
+            assert_eq!(shown["view"][agent], view);
             match &state.heading {
                 None => assert_eq!(shown["heading"][agent], json!(-1)),
                 Some(heading) => assert_eq!(name("headings", &shown["heading"][agent]), json!(heading)),
@@ -303,7 +454,265 @@ fn the_page_shows_a_deadlock() {
         "as in the summary of `run`"
     );
     assert_eq!(last["since"], 5);
-    assert!(page.len() < 500_000, "{} bytes", page.len());
+    assert!(page.len() < 600_000, "{} bytes", page.len());
+}
+
+/// Explanations of a long run are in several parts. Nodes keep their numbers.
+#[test]
+fn a_long_run_has_several_parts_with_explanations() {
+    let page = run("easy", 230).page();
+    let proofs = parts(&page).into_iter().filter(|(kind, ..)| kind == "proofs").count();
+    assert!(proofs >= 3, "{proofs}");
+    let data = unpack(&page);
+    let nodes = list(&data["nodes"]);
+    for tick in list(&data["ticks"]) {
+        for node in list(&tick["why"]).iter().flat_map(|why| list(why)) {
+            let node = &nodes[usize::try_from(node.as_i64().unwrap()).unwrap()];
+            assert!(node.get("t").or(node.get("f")).is_some());
+        }
+    }
+}
+
+/// The ground of the page is that of the pictures, and every building has its icon.
+#[test]
+fn the_page_has_the_ground_and_the_buildings_of_the_pictures() {
+    let run = run("easy", 1);
+    let (map, icons) = (run.world.map(), Icons::default());
+    let page = run.page();
+    let (_, _, scenery) = parts(&page).into_iter().find(|(kind, ..)| kind == "scenery").unwrap();
+    let side = 8;
+    let view = Viewport::whole(map, Scale::pixels(side).unwrap()).unwrap();
+    let renderer = Renderer::new(map, Arc::new(icons), view);
+    let ground = renderer.ground();
+    let pixel = |x: u32, y: u32| -> [u8; 3] {
+        let at = 3 * (y as usize * ground.width() as usize + x as usize);
+        ground.pixels()[at..at + 3].try_into().unwrap()
+    };
+    let (mut row, mut checked) = (0, 0);
+    let code = |surface: u64| {
+        scenery["map"]["surfaces"][usize::try_from(surface % 8).unwrap()]
+            .as_str()
+            .unwrap()
+    };
+    for band in list(&scenery["map"]["bands"]) {
+        for _ in 0..whole(&band[0]) {
+            let mut col = 0;
+            for run in list(&band[1]) {
+                for _ in 0..whole(&run[1]) {
+                    let surface = code(run[0].as_u64().unwrap());
+                    let color = match surface {
+                        "meadow" | "sidewalk" => surface,
+                        "asphalt" => "asphalt",
+                        "crossing along row" if col % 2 == 0 => "paint",
+                        "crossing along column" if row % 2 == 0 => "paint",
+                        "crossing along row" | "crossing along column" => "asphalt",
+                        "mid line along row" if col % 5 < 3 => "mid line",
+                        "mid line along column" if row % 5 < 3 => "mid line",
+                        "mid line along row" | "mid line along column" => "asphalt",
+                        _ => {
+                            assert_eq!(surface, "building");
+                            col += 1;
+                            continue;
+                        }
+                    };
+                    // The middle of an unmarked cell, or of the half beside a curb or a stop line.
+                    let sides = run[0].as_u64().unwrap() / 8;
+                    let (x, y) = ((sides & 1) as u32 * 2, (sides >> 2 & 1) as u32 * 2);
+                    let (x, y) = (col * side + 3 + x, row * side + 3 + y);
+                    let wanted = scenery["map"]["colors"][color].as_str().unwrap();
+                    for (channel, found) in (0..3).zip(pixel(x, y)) {
+                        let wanted = u8::from_str_radix(&wanted[1 + 2 * channel..3 + 2 * channel], 16).unwrap();
+                        assert!(
+                            found.abs_diff(wanted) <= 32,
+                            "{surface} at [{row}, {col}]: {wanted} {found}"
+                        );
+                    }
+                    (checked, col) = (checked + 1, col + 1);
+                }
+            }
+            assert_eq!(col, u32::try_from(map.cols()).unwrap());
+            row += 1;
+        }
+    }
+    assert_eq!(row, u32::try_from(map.rows()).unwrap());
+    assert!(checked > 40_000, "{checked}");
+    let buildings = &scenery["atlases"][2];
+    let bytes = base64::engine::general_purpose::STANDARD
+        .decode(buildings["png"].as_str().unwrap())
+        .unwrap();
+    assert!(bytes.starts_with(b"\x89PNG"));
+    let sites = list(&scenery["map"]["sites"]);
+    assert_eq!(sites.len(), 100);
+    for site in sites {
+        let cell = Cell::new(
+            i32::try_from(at_i64(site, 2)).unwrap(),
+            i32::try_from(at_i64(site, 3)).unwrap(),
+        );
+        let building = map.building_at(cell).unwrap();
+        assert_eq!(site[1], Class::building(building).to_string());
+        assert_eq!(
+            map.building_at(Cell::new(cell.row - 1, cell.col)),
+            None,
+            "the site begins at {cell:?}"
+        );
+    }
+}
+
+/// Whoever gets a page learns nothing about the folders of its author.
+#[test]
+fn a_page_names_no_folder_of_the_author() {
+    let folder = tempfile::tempdir().unwrap();
+    let home = folder.path().join("home-of-the-author");
+    std::fs::create_dir_all(home.join("lib")).unwrap();
+    std::fs::write(home.join("lib/inner.dl"), "Slow(X) :- IsTiro(X).\n").unwrap();
+    let rules = "//! Mine.\n.include \"vocabulary.dl\"\n.include \"lib/inner.dl\"\nStop(X) :- IsAmbulance(X).\n";
+    std::fs::write(home.join("mine.dl"), rules).unwrap();
+    let path = |name: &str| home.join(name).display().to_string();
+    let (rules, out, page) = (path("mine.dl"), path("out"), path("page.html"));
+    let output = Command::new(env!("CARGO_BIN_EXE_logicity"))
+        .args([
+            "run",
+            "expert",
+            "--ticks",
+            "3",
+            "--no-pictures",
+            "--rules",
+            &rules,
+            "--out",
+            &out,
+            "--html",
+            &page,
+        ])
+        .current_dir(folder.path())
+        .output()
+        .unwrap();
+    assert!(output.status.success(), "{}", String::from_utf8_lossy(&output.stderr));
+    let page = std::fs::read_to_string(page).unwrap();
+    let data = unpack(&page);
+    for text in std::iter::once(page.clone()).chain(parts(&page).into_iter().map(|(_, _, data)| data.to_string())) {
+        assert!(!text.contains("home-of-the-author"));
+    }
+    let files: BTreeSet<&str> = list(&data["clauses"])
+        .iter()
+        .map(|clause| clause["file"].as_str().unwrap())
+        .collect();
+    assert!(files.contains("mine.dl") && files.contains("lib/inner.dl"), "{files:?}");
+    assert_eq!(data["rules"], "mine.dl");
+}
+
+/// Two runs: the page has both with their explanations, and every decision in which they differ.
+#[test]
+fn a_comparison_marks_every_difference() {
+    let rules = "//! Less.\n.include \"vocabulary.dl\"\n// S7: queue\nStop(X) :- CollidingClose(X, Y).\n";
+    let (left, right) = (run("expert", 30), run_with("expert", Some(rules), Seed(0), 20));
+    compare(&left, &right, "\n`right` ends with tick 19; later ticks are not shown");
+    // An action in tick 3, and another agent in another cell in tick 6.
+    let (left, mut right) = (run("expert", 10), run("expert", 10));
+    let mut lines: Vec<Value> = right
+        .trace
+        .lines()
+        .map(|line| serde_json::from_str(line).unwrap())
+        .collect();
+    let action = &mut lines[4]["agents"][2]["action"];
+    *action = json!(if *action == "Fast" { "Stop" } else { "Fast" });
+    lines[7]["agents"][5]["at"] = json!([60, 60]);
+    right.trace = lines.iter().map(|line| format!("{line}\n")).collect();
+    let differences = compare(&left, &right, "");
+    assert_eq!(
+        differences,
+        json!([{"tick": 3, "acts": [2], "apart": []}, {"tick": 6, "acts": [], "apart": [5]}])
+    );
+}
+
+/// Two policies in one episode, which is as long as the policy lets it be.
+#[test]
+fn two_policies_are_compared() {
+    let ((fast, _), (normal, _)) = (drive("expert", 4, Action::Fast), drive("expert", 4, Action::Normal));
+    let counts = [fast.ticks().count(), normal.ticks().count()];
+    let (long, short) = if counts[0] > counts[1] {
+        (fast, normal)
+    } else {
+        (normal, fast)
+    };
+    let last = counts.into_iter().min().unwrap() - 1;
+    assert_ne!(counts[0], counts[1]);
+    compare(
+        &long,
+        &short,
+        &format!("\n`right` ends with tick {last}; later ticks are not shown"),
+    );
+}
+
+/// Checks the page of two runs and the summary, which ends with the given text. Returns the differences.
+fn compare(left: &Run, right: &Run, end: &str) -> Value {
+    let pages = [left.loaded(), right.loaded()];
+    let names = ["left", "right"].map(str::to_owned);
+    let comparison = Comparison::new([&pages[0], &pages[1]], names).unwrap();
+    let page = written(|out| comparison.write(out));
+    let (_, _, pair) = parts(&page).into_iter().find(|(kind, ..)| kind == "pair").unwrap();
+    assert_eq!(pair["names"], json!(["left", "right"]));
+    let count = right.ticks().count();
+    assert_eq!(pair["count"], count);
+    let (mut wanted, mut decisions, mut first) = (Vec::new(), 0, None);
+    for (tick, (one, other)) in left.ticks().zip(right.ticks()).enumerate() {
+        let both = || one.agents.iter().zip(&other.agents).enumerate();
+        let acts: Vec<usize> = (both().filter(|(_, (a, b))| a.action != b.action))
+            .map(|(at, _)| at)
+            .collect();
+        let apart: Vec<usize> = both().filter(|(_, (a, b))| a.at != b.at).map(|(at, _)| at).collect();
+        decisions += acts.len();
+        if wanted.is_empty()
+            && let Some(&agent) = acts.first()
+        {
+            let id = &left.header().agents[agent].id;
+            let actions = [&one, &other].map(|tick| &*tick.agents[agent].action);
+            first = Some(format!("{tick}: {id} acts {}", actions.join(" and ")));
+        }
+        if !acts.is_empty() || !apart.is_empty() {
+            wanted.push(json!({"tick": tick, "acts": acts, "apart": apart}));
+        }
+    }
+    assert_eq!(pair["differences"], json!(wanted));
+    let total = count * left.header().agents.len();
+    let first = first.expect("the first difference is an action");
+    assert_eq!(
+        comparison.summary(),
+        format!("the runs differ in {decisions} of {total} decisions, first in tick {first}{end}")
+    );
+    for (number, run) in [left, right].into_iter().enumerate() {
+        assert_eq!(
+            unpack_run(&page, number),
+            unpack(&run.page()),
+            "each run is as on its own page"
+        );
+    }
+    pair["differences"].clone()
+}
+
+/// Runs of other maps or agents are not compared.
+#[test]
+fn runs_of_other_cities_are_not_compared() {
+    let fault = |left: &Run, right: &Run| {
+        let (one, other) = (left.loaded(), right.loaded());
+        let fault = Comparison::new([&one, &other], ["a", "b"].map(str::to_owned))
+            .err()
+            .expect("they differ");
+        assert_eq!(fault.code, Code::TRACE_MISMATCH);
+        assert!(!fault.help.is_empty());
+        fault.message
+    };
+    let expert = run("expert", 2);
+    assert_eq!(
+        fault(&expert, &run("easy", 2)),
+        "the runs have different agents: Car_1 (Car, ambulance, priority 1) in `a`, Car_1 (Car, priority 1) in `b`"
+    );
+    let mut late = run("expert", 2);
+    let mut lines = late.trace.lines();
+    late.trace = [lines.next().unwrap(), lines.nth(1).unwrap()].join("\n");
+    assert_eq!(
+        fault(&expert, &late),
+        "the runs begin with different ticks: 0 in `a`, 1 in `b`"
+    );
 }
 
 #[test]
@@ -350,7 +759,7 @@ fn ticks_are_consecutive() {
         replay.set(tick).unwrap();
         page.push(replay, tick, &run.sources)
     };
-    let page = |replay: &Replay| Page::new(replay, &run.header(), &Icons::default(), &run.sources);
+    let page = |replay: &Replay| Page::new(replay, &run.header(), &Icons::default(), &run.sources).unwrap();
     let mut gap = page(&replay);
     push(&mut gap, &mut replay, &ticks[0]).unwrap();
     assert_eq!(
@@ -376,7 +785,7 @@ fn a_run_that_is_too_long_is_an_error() {
     let mut replay = run.replay();
     let mut tick = run.ticks().next().unwrap();
     replay.set(&tick).unwrap();
-    let mut page = Page::new(&replay, &run.header(), &Icons::default(), &run.sources);
+    let mut page = Page::new(&replay, &run.header(), &Icons::default(), &run.sources).unwrap();
     let agents = run.header().agents.len();
     page.set_limit(2 * agents);
     for number in 0..2 {
@@ -386,6 +795,34 @@ fn a_run_that_is_too_long_is_an_error() {
     tick.tick = 2;
     let fault = page.push(&replay, &tick, &run.sources).unwrap_err();
     assert_eq!(fault.code, Code::LIMIT_EXCEEDED);
+}
+
+/// A page of a map that no browser could show is refused at once.
+#[test]
+fn a_map_that_is_too_large_is_an_error() {
+    let folder = tempfile::tempdir().unwrap();
+    let config = folder.path().join("large.yaml");
+    std::fs::write(&config, "base: configs/expert.yaml\nmap: configs/maps/metropolis.yaml\n").unwrap();
+    let output = Command::new(env!("CARGO_BIN_EXE_logicity"))
+        .args([
+            "run",
+            "large.yaml",
+            "--ticks",
+            "1",
+            "--no-pictures",
+            "--html",
+            "city.html",
+        ])
+        .current_dir(folder.path())
+        .output()
+        .unwrap();
+    let said = String::from_utf8(output.stderr).unwrap();
+    assert_eq!(output.status.code(), Some(1), "{said}");
+    assert!(
+        said.contains("limit-exceeded") && said.contains("cells would be slow to open"),
+        "{said}"
+    );
+    assert!(!folder.path().join("city.html").exists());
 }
 
 /// For the driven car, trace and page show what the task computed in every step. For all other agents, they show what
@@ -502,7 +939,7 @@ fn an_impossible_record_of_a_driven_car_is_an_error() {
         tick["agents"][0]["driven"][key] = wrong;
         let tick = TraceTick::read(&tick.to_string()).unwrap();
         replay.set(&tick).unwrap();
-        let mut page = Page::new(&replay, &run.header(), &Icons::default(), &run.sources);
+        let mut page = Page::new(&replay, &run.header(), &Icons::default(), &run.sources).unwrap();
         let fault = page.push(&replay, &tick, &run.sources).unwrap_err();
         assert_eq!(fault.code, Code::INVALID_TRACE, "{key}");
     }

@@ -368,6 +368,53 @@ fn a_page_does_not_overwrite_its_trace() {
     assert_eq!(code(&output), 2);
     assert!(err(&output).contains("overwrite its trace"), "{}", err(&output));
     assert_eq!(fs::read(&trace).unwrap(), before);
+    let copy = write(folder.path(), "copy.jsonl", &before);
+    let output = logicity(["view", &copy, trace.to_str().unwrap(), "-o", trace.to_str().unwrap()]);
+    fails(&output, 2, &["overwrite its trace"]);
+    assert_eq!(fs::read(&trace).unwrap(), before);
+}
+
+#[test]
+fn two_traces_are_compared() {
+    let folder = tempfile::tempdir().unwrap();
+    let path = |name: &str| folder.path().join(name).display().to_string();
+    let trace = |config: &str, name: &str, seed: &str| {
+        let options = ["--no-pictures", "--ticks", "4", "--seed", seed, "--out", &path(name)];
+        let output = run(&[&["run", config][..], &options].concat(), b"");
+        assert_eq!(code(&output), 0, "{}", err(&output));
+        path(&format!("{name}/trace.jsonl"))
+    };
+    let easy = trace("easy", "easy", "0");
+    let (hard, other) = (trace("hard", "hard", "0"), trace("easy", "other", "1"));
+    let page = path("page.html");
+    let view = |traces: &[&str], options: &[&str]| run(&[&["view", "-o", &page][..], traces, options].concat(), b"");
+    let said = out(&view(&[&easy, &other], &[]));
+    assert!(
+        said.starts_with("the runs differ in ") && said.ends_with("page.html\n"),
+        "{said}"
+    );
+    assert!(
+        fs::read_to_string(&page)
+            .unwrap()
+            .contains("<title>easy and other</title>")
+    );
+    let said = out(&view(
+        &[&easy, &easy],
+        &["--from", "1", "--config", "easy", "--rules", "rules/easy.dl"],
+    ));
+    assert!(said.starts_with("the runs agree in all "), "{said}");
+    assert!(fs::read_to_string(&page).unwrap().contains("<title>A and B</title>"));
+    fs::remove_file(&page).unwrap();
+    fails(
+        &view(&[&easy, &hard], &[]),
+        1,
+        &["trace-mismatch", "different agents", "in `hard`"],
+    );
+    let twice = ["--config", "easy", "--config", "easy"];
+    fails(&view(&[&easy], &twice), 2, &["--config is given 2 times for 1 trace"]);
+    fails(&view(&[&easy, &easy, &easy], &[]), 2, &["TRACE"]);
+    fails(&view(&[], &[]), 2, &["TRACE"]);
+    assert!(!Path::new(&page).exists());
 }
 
 #[test]

@@ -1,63 +1,99 @@
 // The panel of the chosen agent: its action and the explanation.
 
 class AgentPanel {
-  constructor(run, page) {
-    Object.assign(this, { run, page, data: run.data, now: page.now });
+  constructor(run, page, number) {
+    Object.assign(this, { run, page, number, data: run.data, now: page.now });
+    this.panel = $(paneId("agent", number));
+  }
+
+  id(name) {
+    return paneId(name, this.number);
   }
 
   fill() {
-    const { data, now: { tick, agent } } = this;
+    const { data, panel, run, now: { tick, agent } } = this;
     // Parts that the reader opened stay open from tick to tick.
-    const open = new Set([...$("agent").querySelectorAll("details[open]")].map((details) => details.dataset.part));
+    const open = new Set([...panel.querySelectorAll("details[open]")].map((details) => details.dataset.part));
     if (agent < 0) {
-      const list = data.agents.map(({ id }, index) => make("li", {}, this.agentLink(index, id), ` ${this.run.action(tick, index)}`));
-      $("agent").replaceChildren(
-        make("h2", {}, "Click an agent to see why it acts as it does"),
-        make("ul", { class: "tree" }, ...list));
+      panel.replaceChildren(...this.overview(tick));
       return;
     }
     const { id, kind, concepts, priority } = data.agents[agent];
-    const { at, heading, goal, derived, why, action } = data.ticks[tick];
-    const done = data.actions[action[agent]];
-    const driven = this.run.driven(tick, agent);
-    const judged = this.run.byRules(tick, agent);
-    const by = this.run.causes(tick, agent);
-    const bits = data.actions.filter((_, index) => derived[agent] >> index & 1);
-    const head = make("div", { class: "card-head" },
+    const done = run.action(tick, agent);
+    const driven = run.driven(tick, agent);
+    const judged = run.byRules(tick, agent);
+    const derived = run.derived(tick, agent);
+    const parts = [this.runName(), make("div", { class: "card-head" },
       make("h2", {}, id),
-      make("span", { class: "badge", id: "action", style: `background:${COLORS[done]}` }, done),
+      this.badge(done, this.id("action")),
       ...[kind, ...concepts].map((word) => make("span", { class: "chip" }, word)),
       driven && make("span", { class: "chip driven" }, "driven"),
-      make("button", { type: "button", title: "clear the selection (Esc)", onclick: () => this.page.choose({ agent: -1 }) }, "×"));
-    const direction = heading[agent] < 0 ? "has not moved yet" : `heading ${data.headings[heading[agent]]}`;
+      make("button", { type: "button", class: "close", title: "clear the selection (Esc)", "aria-label": "clear the selection", onclick: () => this.page.choose({ agent: -1 }) }, "×"))];
+    if (driven) parts.push(make("dl", { class: "facts" }, ...this.steering(driven)));
+    parts.push(make("h3", {}, driven ? `Why do the rules want ${data.actions[judged]}?` : `Why ${done}?`));
+    if (tick >= run.explained) {
+      parts.push(make("p", { class: "atoms" }, "loading the explanations …"));
+    } else {
+      if (!driven && !run.fired(tick, agent).length) parts.push(make("p", { class: "atoms" }, "No clause fired, so the default applies."));
+      parts.push(this.tree(run.node(tick, agent, judged)));
+      data.actions.forEach((other, index) => {
+        const node = run.node(tick, agent, index);
+        if (index === judged || node < 0) return;
+        const question = derived.includes(other) ? `${other} was derived too: why?` : `Why not ${other}?`;
+        parts.push(this.part(`why-${other}`, question, open, () => [this.tree(node)]));
+      });
+      parts.push(this.part("atoms", "True atoms", open, () => this.atoms(tick, agent)));
+    }
+    parts.push(this.state(tick, agent, derived, data.actions[judged], priority));
+    panel.replaceChildren(...parts.filter((part) => part));
+  }
+
+  /** Returns the name of the run, if there are two. */
+  runName() {
+    const { difference } = this.page;
+    return difference ? make("p", { class: "panel-run" }, `${difference.names[this.number]}: ${fileName(this.data.rules)}`) : null;
+  }
+
+  badge(action, id) {
+    return make("span", { class: "badge", id, style: `background:${COLORS[action]}` }, action);
+  }
+
+  /** Returns the list of all agents; those that differ between two runs come first. */
+  overview(tick) {
+    const { data, run } = this;
+    const different = new Set(this.page.difference?.at(tick)?.acts);
+    const order = data.agents.map((_, agent) => agent).sort((a, b) => different.has(b) - different.has(a));
+    const items = order.map((agent) => make("li", { class: different.has(agent) ? "different" : null },
+      make("span", { class: "swatch", style: `background:${COLORS[run.action(tick, agent)]}` }),
+      this.agentLink(agent), ` ${run.action(tick, agent)}`));
+    const title = make("h2", {}, "Click an agent to see why it acts as it does");
+    return [this.runName() ?? title, make("ul", { class: "agents" }, ...items)];
+  }
+
+  /** Returns place, goal, priority and cause. */
+  state(tick, agent, derived, preferred, priority) {
+    const { run } = this;
+    const heading = run.heading(tick, agent);
     const facts = make("dl", { class: "facts" },
-      make("dt", {}, "at"), make("dd", {}, `[${at[agent]}], ${direction}`),
-      make("dt", {}, "goal"), make("dd", {}, `[${goal[agent]}]`),
-      make("dt", {}, "priority"), make("dd", {}, String(priority)),
-      ...(driven ? this.steering(driven) : [make("dt", {}, "because"), make("dd", {}, by || "no clause fired")]));
-    if (bits.length > 1) facts.append(make("dt", {}, "derived"), make("dd", {}, `${bits.join(", ")}; the rules prefer ${data.actions[judged]}`));
-    const question = driven ? `Why do the rules want ${data.actions[judged]}?` : `Why ${done}?`;
-    const parts = [head, facts, make("h3", {}, question), this.tree(why[agent][judged])];
-    data.actions.forEach((other, index) => {
-      if (index === judged || why[agent][index] < 0) return;
-      const question = bits.includes(other) ? `${other} was derived too: why?` : `Why not ${other}?`;
-      parts.push(this.part(`why-${other}`, question, open, () => [this.tree(why[agent][index])]));
-    });
-    parts.push(this.part("atoms", "True atoms", open, () => this.atoms(tick, agent)));
-    $("agent").replaceChildren(...parts);
+      make("dt", {}, "at"), make("dd", {}, `[${run.at(tick, agent).join(", ")}], ${heading ? `heading ${heading}` : "has not moved yet"}`),
+      make("dt", {}, "goal"), make("dd", {}, `[${run.goal(tick, agent).join(", ")}]`),
+      make("dt", {}, "priority"), make("dd", {}, String(priority)));
+    if (!run.driven(tick, agent)) facts.append(make("dt", {}, "because"), make("dd", {}, run.causes(tick, agent) || "no clause fired"));
+    if (derived.length > 1) facts.append(make("dt", {}, "derived"), make("dd", {}, `${derived.join(", ")}; the rules prefer ${preferred}`));
+    return facts;
   }
 
   /** Shows what a driven agent observed, and the clauses that its action violated. Proofs cover all agents in view. */
   steering({ observes, wanted, broken, agent, tick }) {
     const { data } = this;
     const others = observes.filter((other) => other !== agent).flatMap((other) => [this.agentLink(other), " "]);
-    const node = data.nodes[data.ticks[tick].why[agent][wanted]];
+    const node = this.run.nodes[this.run.node(tick, agent, wanted)];
     const judged = broken.map((clause) => make("div", { class: "no" }, "violated ", this.clauseLink(clause)));
     return [
       make("dt", {}, "observes"), make("dd", {}, ...(others.length ? others : ["no other agent"])),
-      make("dt", {}, "rules want"), make("dd", { id: "wanted" }, data.actions[wanted],
+      make("dt", {}, "rules want"), make("dd", { id: this.id("wanted") }, data.actions[wanted],
         node && node.t === undefined ? "; given all agents in view, the rules want another action" : ""),
-      make("dt", {}, "judged"), make("dd", { id: "judged" }, ...(judged.length ? judged : ["no clause violated"])),
+      make("dt", {}, "judged"), make("dd", { id: this.id("judged") }, ...(judged.length ? judged : ["no clause violated"])),
     ];
   }
 
@@ -84,18 +120,18 @@ class AgentPanel {
 
   clauseLink(clause) {
     const { doc, file, line, text } = this.data.clauses[clause];
-    return make("span", { class: "clause", title: text }, `${(doc || text).split("\n")[0]}  [${file.split(/[\\/]/).pop()}:${line}]`);
+    return make("span", { class: "clause", title: text }, `${(doc || text).split("\n")[0]}  [${fileName(file)}:${line}]`);
   }
 
   /** Returns the proof of a node, or why it does not hold. Expands each node only once. */
   tree(number) {
     const list = make("ul", { class: "tree" });
-    if (number >= 0) list.append(this.branch(number, this.data.nodes[number].t ?? this.data.nodes[number].f, new Set()));
+    if (number >= 0) list.append(this.branch(number, this.run.nodes[number].t ?? this.run.nodes[number].f, new Set()));
     return list;
   }
 
   branch(number, text, expanded) {
-    const node = this.data.nodes[number];
+    const node = this.run.nodes[number];
     const item = make("li", {});
     if (node.t !== undefined) {
       item.append(make("span", { class: "yes" }, ...this.linked(text)));
@@ -117,7 +153,7 @@ class AgentPanel {
   /** Returns a literal that holds. */
   premise([text, kind, child], expanded) {
     if (child < 0) return make("li", {}, make("span", { class: "yes" }, ...this.linked(text)));
-    const node = this.data.nodes[child];
+    const node = this.run.nodes[child];
     if (kind !== "not") return this.branch(child, text, expanded);
     const item = make("li", {}, make("span", { class: "yes" }, ...this.linked(text)));
     if (node.m && !expanded.has(child)) {
@@ -136,7 +172,7 @@ class AgentPanel {
       const failures = fails.map(([text, kind, child]) => {
         const say = kind === "not" ? " fails" : kind === "in-view" ? " is not in view" : kind === "fact" ? " does not hold" : " is false";
         const failure = make("li", {}, make("span", { class: "no" }, ...this.linked(text)), say);
-        const node = child < 0 ? undefined : this.data.nodes[child];
+        const node = child < 0 ? undefined : this.run.nodes[child];
         if (node && (node.c !== undefined || node.m) && !expanded.has(child)) failure.append(make("ul", {}, this.branch(child, node.t ?? node.f, expanded)));
         return failure;
       });
@@ -149,15 +185,17 @@ class AgentPanel {
   /** Returns the atoms that are true of an agent and of the agents it sees, as the rules read them. */
   atoms(tick, agent) {
     const { predicates, agents } = this.data;
-    const rows = this.run.facts[tick];
-    const sees = predicates.findIndex(({ name }) => name === "Sees");
+    const rows = this.run.rows(tick);
+    const pair = (number) => [Math.floor(number / agents.length), number % agents.length];
     const seen = new Set([agent]);
-    for (let at = 0; at < rows[sees].length; at += 2) if (rows[sees][at] === agent) seen.add(rows[sees][at + 1]);
-    const of = new Map([...seen].map((one) => [one, []]));
+    for (const number of rows[predicates.findIndex(({ name }) => name === "Sees")]) {
+      const [from, to] = pair(number);
+      if (from === agent) seen.add(to);
+    }
+    const of = new Map([...seen].sort((a, b) => (b === agent) - (a === agent) || a - b).map((one) => [one, []]));
     predicates.forEach(({ name, arity }, predicate) => {
-      const flat = rows[predicate];
-      for (let at = 0; at < flat.length; at += arity) {
-        const row = flat.slice(at, at + arity);
+      for (const number of [...rows[predicate]].sort((a, b) => a - b)) {
+        const row = arity === 2 ? pair(number) : [number];
         if (row.some((one) => !seen.has(one)) || (arity === 2 && row[0] === row[1])) continue;
         of.get(row[0]).push(`${name}(${row.map((one) => agents[one].id).join(", ")})`);
       }

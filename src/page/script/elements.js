@@ -1,6 +1,10 @@
+"use strict";
+
 // Helpers that all parts of the page share.
 
-const COLORS = { Slow: "#b87a00", Normal: "#0a8a63", Fast: "#3f7fb5", Stop: "#c8401a" };
+const COLORS = { Slow: "#a06a00", Normal: "#0b7f5b", Fast: "#2f6fb0", Stop: "#c8401a" };
+/** Marks where two runs differ. */
+const DIFFERENT = "#c2188f";
 const $ = (id) => document.getElementById(id);
 
 /** Returns an element with attributes and children. Text is never parsed as markup. */
@@ -23,4 +27,23 @@ function isDark() {
 /** Returns the number of canvas pixels per page pixel. */
 function pixelUnit() {
   return window.devicePixelRatio || 1;
+}
+
+/** Returns the name of a file without its folder. */
+function fileName(path) {
+  return path.split("/").pop();
+}
+
+/** Returns the id of an element in the pane of a run. The first run has the ids of the document. */
+function paneId(name, run) {
+  return run ? `${name}-b` : name;
+}
+
+/** Adds the elements of a second run: copies of those of the first, with their own ids. */
+function addSecondPane() {
+  for (const element of document.querySelectorAll("[data-pane]")) {
+    const copy = element.cloneNode(true);
+    for (const part of [copy, ...copy.querySelectorAll("[id]")]) part.id = paneId(part.id, 1);
+    element.after(copy);
+  }
 }

@@ -1,118 +1,78 @@
-// The map: the city from above.
+// The map of a run: the city from above.
 
 /** The clockwise rotation of an icon that faces up, in radians. */
 const TURNS = { Up: 0, Right: Math.PI / 2, Down: Math.PI, Left: -Math.PI / 2 };
 
+/** The side of an agent, in cells, and its least side, in page pixels. */
+const SIDES = { Car: [4, 9], Pedestrian: [4, 13] };
+
+/** The part of the city that all maps of the page show. */
+class Camera {
+  constructor(rows, cols) {
+    Object.assign(this, { rows, cols, row: rows / 2, col: cols / 2, scale: 1, fits: true });
+  }
+
+  /** Shows a rectangle of cells as large as it fits. */
+  frame([top, left, bottom, right], width, height) {
+    this.row = (top + bottom) / 2;
+    this.col = (left + right) / 2;
+    this.scale = Math.min(width / (right - left), height / (bottom - top));
+    this.fits = true;
+    this.clamp(width, height);
+  }
+
+  /** Keeps the map in view. */
+  clamp(width, height) {
+    const keep = (at, pixels, cells) => {
+      const half = pixels / this.scale / 2;
+      return 2 * half >= cells ? cells / 2 : Math.max(half, Math.min(cells - half, at));
+    };
+    this.row = keep(this.row, height, this.rows);
+    this.col = keep(this.col, width, this.cols);
+  }
+}
+
 class CityMap {
-  constructor(run, page, icons) {
-    Object.assign(this, { run, page, icons, data: run.data, now: page.now });
+  constructor(run, page, number) {
+    Object.assign(this, { run, page, number, now: page.now, camera: page.camera, scenery: page.scenery });
+    this.stage = $(paneId("stage", number));
+    this.canvas = $(paneId("map", number));
     this.stillMotion = matchMedia("(prefers-reduced-motion: reduce)").matches;
-    this.camera = null;
-    this.drawGround();
+    this.below = new OffscreenCanvas(1, 1);
     this.listen();
   }
 
-  /** Draws the ground once. The cell size shrinks so that a large city fits a canvas. */
-  drawGround() {
-    const { rows, cols, ground, kinds } = this.data.map;
-    const dark = isDark();
-    const [other, walking, traffic, crossing, line, house, office, garage, store, station] = dark
-      ? ["#1b2a20", "#4a4d52", "#2c2f34", "#5b5e52", "#c9a400", "#6b4438", "#3d5266", "#55565e", "#6a5a2f", "#6a3550"]
-      : ["#cfe0c3", "#e6e2d8", "#a9adb3", "#d4d0b4", "#ffd700", "#c98f78", "#8fa9c2", "#a6a3ad", "#d8bd6d", "#c987a6"];
-    const colours = [other, walking, traffic, crossing, line, house, office, garage, store, station];
-    const size = Math.max(1, Math.min(8, Math.floor(4096 / Math.max(rows, cols))));
-    const canvas = new OffscreenCanvas(cols * size, rows * size);
-    const paint = canvas.getContext("2d");
-    ground.forEach((runs, row) => {
-      let col = 0;
-      for (let at = 0; at < runs.length; at += 2) {
-        const [kind, length] = [runs[at], runs[at + 1]];
-        paint.fillStyle = colours[kind];
-        paint.fillRect(col * size, row * size, length * size, size);
-        if (kind === 3) {
-          paint.fillStyle = dark ? "#85887a" : "#ffffff";
-          for (let cell = col; cell < col + length; cell += 1) if ((cell + row) % 2) paint.fillRect(cell * size, row * size, size, size);
-        }
-        col += length;
-      }
-    });
-    this.ground = { canvas, size };
-    this.buildings = this.findBuildings(kinds);
-  }
-
-  /** Returns the rectangles and names of the buildings. */
-  findBuildings(kinds) {
-    const found = new Map();
-    const done = [];
-    this.data.map.ground.forEach((runs, row) => {
-      let col = 0;
-      const here = new Set();
-      for (let at = 0; at < runs.length; at += 2) {
-        const [kind, length] = [runs[at], runs[at + 1]];
-        if (kind >= 5) {
-          const key = `${kind} ${col} ${length}`;
-          here.add(key);
-          if (found.has(key)) found.get(key).rows += 1;
-          else found.set(key, { name: kinds[kind], row, col, rows: 1, cols: length });
-        }
-        col += length;
-      }
-      for (const [key, building] of found) {
-        if (!here.has(key)) {
-          done.push(building);
-          found.delete(key);
-        }
-      }
-    });
-    return [...done, ...found.values()];
-  }
-
   resize() {
-    const canvas = $("map");
     const scale = pixelUnit();
-    canvas.width = Math.max(1, Math.round(canvas.clientWidth * scale));
-    canvas.height = Math.max(1, Math.round(canvas.clientHeight * scale));
-    if (!this.camera || this.camera.whole) this.showWhole();
-    else this.draw();
+    this.canvas.width = Math.max(1, Math.round(this.canvas.clientWidth * scale));
+    this.canvas.height = Math.max(1, Math.round(this.canvas.clientHeight * scale));
+    this.forgetGround();
   }
 
-  showWhole() {
-    // Frames the region that agents visit; the reader can pan to the rest.
-    const cells = this.data.ticks.flatMap(({ at }) => at);
-    const spread = (axis, most) => {
-      const values = cells.map((cell) => cell[axis]);
-      const [low, high] = [values.reduce((a, b) => Math.min(a, b)) - 8, values.reduce((a, b) => Math.max(a, b)) + 8];
-      return [Math.max(low, 0), Math.min(high, most)];
-    };
-    const [top, bottom] = spread(0, this.data.map.rows);
-    const [left, right] = spread(1, this.data.map.cols);
-    const { width, height } = $("map");
-    const scale = Math.min(width / (right - left), height / (bottom - top));
-    this.camera = { row: (top + bottom) / 2, col: (left + right) / 2, scale, whole: true };
-    this.now.follow = false;
-    $("follow").setAttribute("aria-pressed", false);
-    this.draw();
+  /** Makes the next frame draw the ground again. */
+  forgetGround() {
+    this.groundKey = "";
   }
 
   /** Zooms around a fixed point of the canvas. */
-  zoom(by, x = $("map").width / 2, y = $("map").height / 2) {
-    const { camera } = this;
+  zoom(by, x = this.canvas.width / 2, y = this.canvas.height / 2) {
+    const { camera, canvas } = this;
     const [row, col] = this.cellAt(x, y);
     camera.scale = Math.max(0.5, Math.min(80, camera.scale * by));
-    camera.whole = false;
-    camera.row = row - (y - $("map").height / 2) / camera.scale;
-    camera.col = col - (x - $("map").width / 2) / camera.scale;
-    this.draw();
+    camera.fits = false;
+    camera.row = row - (y - canvas.height / 2) / camera.scale;
+    camera.col = col - (x - canvas.width / 2) / camera.scale;
+    this.page.draw();
   }
 
   cellAt(x, y) {
-    const { row, col, scale } = this.camera;
-    return [row + (y - $("map").height / 2) / scale, col + (x - $("map").width / 2) / scale];
+    const { camera: { row, col, scale }, canvas } = this;
+    return [row + (y - canvas.height / 2) / scale, col + (x - canvas.width / 2) / scale];
   }
 
   pixelAt(row, col) {
-    const { camera } = this;
-    return [(col - camera.col) * camera.scale + $("map").width / 2, (row - camera.row) * camera.scale + $("map").height / 2];
+    const { camera, canvas } = this;
+    return [(col - camera.col) * camera.scale + canvas.width / 2, (row - camera.row) * camera.scale + canvas.height / 2];
   }
 
   /** Returns the position of an agent, interpolated between cells while the city moves. */
@@ -123,18 +83,26 @@ class CityMap {
     return [from[0] + (to[0] - from[0]) * share + 0.5, from[1] + (to[1] - from[1]) * share + 0.5];
   }
 
+  /** Returns the rotation of a car, interpolated like its position. */
+  turn(agent) {
+    const { tick, part } = this.now;
+    const [from, to] = [TURNS[this.run.facing(tick, agent)], TURNS[this.run.facing(tick + 1, agent)]];
+    const by = Math.atan2(Math.sin(to - from), Math.cos(to - from));
+    return from + (this.stillMotion ? 0 : part) * by;
+  }
+
   agentAt(x, y) {
-    const near = this.data.agents.map((_, agent) => {
+    let [nearest, found] = [Math.max(3 * this.camera.scale, 14 * pixelUnit()), -1];
+    for (let agent = 0; agent < this.run.agents; agent += 1) {
       const [px, py] = this.pixelAt(...this.place(agent));
-      return [Math.hypot(px - x, py - y), agent];
-    });
-    const [distance, agent] = near.reduce((a, b) => (b[0] < a[0] ? b : a), [Infinity, -1]);
-    return distance < Math.max(3 * this.camera.scale, 14 * pixelUnit()) ? agent : -1;
+      const distance = Math.hypot(px - x, py - y);
+      if (distance < nearest) [nearest, found] = [distance, agent];
+    }
+    return found;
   }
 
   listen() {
-    new ResizeObserver(() => this.resize()).observe($("stage"));
-    const canvas = $("map");
+    const { canvas, camera } = this;
     const held = new Map();
     let moved = false;
     const point = (event) => {
@@ -151,7 +119,9 @@ class CityMap {
       const here = point(event);
       const before = held.get(event.pointerId);
       if (!before) {
-        canvas.style.cursor = this.agentAt(...here) < 0 ? "grab" : "pointer";
+        const agent = this.agentAt(...here);
+        canvas.style.cursor = agent < 0 ? "grab" : "pointer";
+        canvas.title = agent < 0 ? "" : this.caption(agent);
         return;
       }
       if (!moved && Math.hypot(here[0] - before[0], here[1] - before[1]) < 5) return;
@@ -164,12 +134,11 @@ class CityMap {
         this.zoom(spread(here) / spread(before), ox, oy);
         return;
       }
-      this.camera.row -= (here[1] - before[1]) / this.camera.scale;
-      this.camera.col -= (here[0] - before[0]) / this.camera.scale;
-      this.camera.whole = false;
-      this.now.follow = false;
-      $("follow").setAttribute("aria-pressed", false);
-      this.draw();
+      camera.row -= (here[1] - before[1]) / camera.scale;
+      camera.col -= (here[0] - before[0]) / camera.scale;
+      camera.fits = false;
+      this.page.setFollow(false);
+      this.page.draw();
     });
     const release = (event) => {
       if (!held.delete(event.pointerId) || held.size) return;
@@ -183,155 +152,186 @@ class CityMap {
     }, { passive: false });
   }
 
-  /** Keeps the map in view. */
-  clamp() {
-    const { camera, data: { map } } = this;
-    const keep = (at, pixels, cells) => {
-      const half = pixels / camera.scale / 2;
-      return 2 * half >= cells ? cells / 2 : Math.max(half, Math.min(cells - half, at));
-    };
-    camera.row = keep(camera.row, $("map").height, map.rows);
-    camera.col = keep(camera.col, $("map").width, map.cols);
+  /** Returns the name of an agent with its concepts and action. */
+  caption(agent) {
+    const { id, concepts } = this.run.data.agents[agent];
+    return `${[id, ...concepts].join(" ")}: ${this.run.action(this.now.tick, agent)}`;
+  }
+
+  /** Returns where the ground is on the canvas. */
+  frame() {
+    const [x, y] = this.pixelAt(0, 0);
+    return { x, y, scale: this.camera.scale, width: this.canvas.width, height: this.canvas.height };
   }
 
   draw() {
-    if (!this.camera) return;
-    const { tick, agent, clause, follow } = this.now;
-    if (follow && agent >= 0) [this.camera.row, this.camera.col] = this.place(agent);
-    this.clamp();
-    const canvas = $("map");
+    const { canvas, below } = this;
     const paint = canvas.getContext("2d");
-    paint.clearRect(0, 0, canvas.width, canvas.height);
-    const [x, y] = this.pixelAt(0, 0);
-    const { scale } = this.camera;
-    paint.imageSmoothingEnabled = scale < this.ground.size;
-    paint.drawImage(this.ground.canvas, x, y, this.data.map.cols * scale, this.data.map.rows * scale);
-    if (scale > 5) this.nameBuildings(paint);
-    if (agent >= 0) this.drawChoice(paint, tick, agent);
-    // Draws the chosen agent last, above the others.
-    const order = this.data.agents.map((_, one) => one).filter((one) => one !== agent);
-    if (agent >= 0) order.push(agent);
-    order.forEach((one) => {
-      const fired = clause < 0 || this.data.ticks[tick].fired[one].includes(clause);
-      paint.globalAlpha = fired || one === agent ? 1 : 0.35;
-      this.drawAgent(paint, one);
-      paint.globalAlpha = 1;
-    });
+    const frame = this.frame();
+    const key = JSON.stringify([frame, isDark()]);
+    if (key !== this.groundKey) {
+      [below.width, below.height] = [canvas.width, canvas.height];
+      const ground = below.getContext("2d");
+      ground.imageSmoothingQuality = "high";
+      this.scenery.ground.draw(ground, frame);
+      this.groundKey = key;
+    }
+    paint.drawImage(below, 0, 0);
+    paint.imageSmoothingQuality = "high";
+    this.drawAgents(paint);
   }
 
-  nameBuildings(paint) {
-    const { scale } = this.camera;
-    paint.fillStyle = isDark() ? "#ffffff90" : "#00000080";
-    paint.textAlign = "center";
-    paint.textBaseline = "middle";
-    paint.font = `${Math.min(1.6 * scale, 22)}px system-ui, sans-serif`;
-    for (const { name, row, col, rows, cols } of this.buildings) {
-      paint.fillText(name, ...this.pixelAt(row + rows / 2, col + cols / 2));
+  /** Draws all agents, and what belongs to the chosen one. */
+  drawAgents(paint) {
+    const { tick, agent, clause, of } = this.now;
+    if (agent >= 0) this.drawChoice(paint, tick, agent);
+    // Pedestrians cover cars, as in pictures; the chosen agent covers all.
+    const rank = (one) => 2 * (one === agent) + (this.run.data.agents[one].kind === "Pedestrian");
+    const order = this.run.data.agents.map((_, one) => one).sort((a, b) => rank(a) - rank(b));
+    const different = this.page.difference?.at(tick);
+    for (const one of order) {
+      const faint = clause >= 0 && of === this.number && one !== agent && !this.run.fired(tick, one).includes(clause);
+      paint.globalAlpha = faint ? 0.35 : 1;
+      this.drawAgent(paint, one, different);
+      paint.globalAlpha = 1;
     }
+    for (const one of order) this.drawLabel(paint, one);
   }
 
   /** Draws field of view, remaining route, goal and partners of the chosen agent. */
   drawChoice(paint, tick, agent) {
-    const { view, goal } = this.data.ticks[tick];
     const colour = COLORS[this.run.action(tick, agent)];
     const { scale } = this.camera;
     const unit = pixelUnit();
-    const [top, left, bottom, right] = view[agent];
+    const [top, left, bottom, right] = this.run.view(tick, agent);
     const [x, y] = this.pixelAt(top, left);
     const size = [(right + 1 - left) * scale, (bottom + 1 - top) * scale];
-    paint.fillStyle = isDark() ? "#ffffff14" : "#1f5fbf16";
+    paint.fillStyle = "#ffffff2e";
     paint.fillRect(x, y, ...size);
-    paint.strokeStyle = isDark() ? "#ffffff80" : "#1f5fbf90";
+    paint.strokeStyle = isDark() ? "#ffffffb0" : "#1d2026b0";
     paint.lineWidth = 1.5 * unit;
     paint.setLineDash([6 * unit, 4 * unit]);
     paint.strokeRect(x, y, ...size);
     paint.setLineDash([]);
     const way = this.run.wayAhead(tick, agent);
+    paint.lineJoin = "round";
     if (way.length) {
-      paint.strokeStyle = colour;
-      paint.globalAlpha = 0.55;
-      paint.lineWidth = Math.max(2 * unit, 0.6 * scale);
-      paint.lineJoin = "round";
-      paint.beginPath();
-      way.forEach(([row, col], at) => {
-        const point = this.pixelAt(row + 0.5, col + 0.5);
-        if (at) paint.lineTo(...point);
-        else paint.moveTo(...point);
-      });
-      paint.stroke();
-      paint.globalAlpha = 1;
+      for (const [color, wide] of [["#ffffffc0", Math.max(5 * unit, scale)], [colour, Math.max(2.5 * unit, 0.5 * scale)]]) {
+        paint.strokeStyle = color;
+        paint.lineWidth = wide;
+        paint.beginPath();
+        way.forEach(([row, col], at) => {
+          const point = this.pixelAt(row + 0.5, col + 0.5);
+          if (at) paint.lineTo(...point);
+          else paint.moveTo(...point);
+        });
+        paint.stroke();
+      }
     }
-    const [gx, gy] = this.pixelAt(goal[agent][0] + 0.5, goal[agent][1] + 0.5);
-    paint.fillStyle = colour;
+    const [row, col] = this.run.goal(tick, agent);
     paint.beginPath();
-    paint.arc(gx, gy, Math.max(4 * unit, scale), 0, 2 * Math.PI);
+    paint.arc(...this.pixelAt(row + 0.5, col + 0.5), Math.max(5 * unit, scale), 0, 2 * Math.PI);
+    paint.fillStyle = colour;
     paint.fill();
+    paint.strokeStyle = "#ffffff";
+    paint.lineWidth = 2 * unit;
+    paint.stroke();
     const here = this.pixelAt(...this.place(agent));
-    paint.lineWidth = 2.5 * unit;
-    paint.strokeStyle = colour;
     for (const partner of this.run.partners(tick, agent)) {
       const there = this.pixelAt(...this.place(partner));
-      paint.beginPath();
-      paint.moveTo(...here);
-      paint.lineTo(...there);
-      paint.stroke();
-      paint.beginPath();
-      paint.arc(...there, Math.max(3.4 * scale, 12 * unit), 0, 2 * Math.PI);
-      paint.stroke();
+      for (const [color, wide] of [["#ffffffc0", 5 * unit], [colour, 2.5 * unit]]) {
+        paint.strokeStyle = color;
+        paint.lineWidth = wide;
+        paint.beginPath();
+        paint.moveTo(...here);
+        paint.lineTo(...there);
+        paint.stroke();
+        paint.beginPath();
+        paint.arc(...there, Math.max(3.6 * scale, 13 * unit), 0, 2 * Math.PI);
+        paint.stroke();
+      }
     }
   }
 
-  /** Draws a dashed ring around a driven agent, solid and red where its action violates a clause. */
-  drawDriven(paint, x, y, side, { broken }) {
-    const unit = pixelUnit();
-    paint.beginPath();
-    paint.arc(x, y, 0.55 * side, 0, 2 * Math.PI);
-    paint.lineWidth = 2.5 * unit;
-    paint.strokeStyle = broken.length ? COLORS.Stop : isDark() ? "#fff" : "#000";
-    paint.setLineDash(broken.length ? [] : [5 * unit, 3 * unit]);
-    paint.stroke();
-    paint.setLineDash([]);
+  /** Returns the side of an agent, in canvas pixels. */
+  side(kind) {
+    const [cells, least] = SIDES[kind];
+    return Math.max(cells * this.camera.scale, least * pixelUnit());
   }
 
-  drawAgent(paint, agent) {
-    const { kind, concepts, id, icons } = this.data.agents[agent];
-    const { tick } = this.now;
-    const { scale } = this.camera;
+  drawAgent(paint, agent, different) {
+    const { kind } = this.run.data.agents[agent];
+    const { tick, hover } = this.now;
     const unit = pixelUnit();
     const [x, y] = this.pixelAt(...this.place(agent));
-    const heading = this.data.ticks[tick].heading[agent];
-    const chosen = agent === this.now.agent || agent === this.now.hover;
-    const car = kind === "Car";
-    const side = Math.max((car ? 7 : 5) * scale, (car ? 26 : 20) * unit);
+    const { width, height } = this.canvas;
+    const side = this.side(kind);
+    if (x < -2 * side || y < -2 * side || x > width + 2 * side || y > height + 2 * side) return;
     const colour = COLORS[this.run.action(tick, agent)];
-    // The action: a disc under the icon, with a rim visible on any ground.
+    const radius = (kind === "Car" ? 0.95 : 0.62) * side;
+    const ring = (color, wide, dash = [], by = 1) => {
+      paint.beginPath();
+      paint.arc(x, y, by * radius, 0, 2 * Math.PI);
+      paint.strokeStyle = color;
+      paint.lineWidth = wide * unit;
+      paint.setLineDash(dash.map((length) => length * unit));
+      paint.stroke();
+      paint.setLineDash([]);
+    };
+    // The action: a disc under the icon, and a dot beside it.
     paint.beginPath();
-    paint.arc(x, y, 0.42 * side, 0, 2 * Math.PI);
-    paint.fillStyle = `${colour}70`;
+    paint.arc(x, y, radius, 0, 2 * Math.PI);
+    paint.fillStyle = `${colour}59`;
     paint.fill();
-    paint.strokeStyle = chosen ? (isDark() ? "#fff" : "#000") : colour;
-    paint.lineWidth = (chosen ? 3 : 2) * unit;
-    paint.stroke();
-    const driven = this.run.driven(tick, agent);
-    if (driven) this.drawDriven(paint, x, y, side, driven);
-    paint.save();
-    paint.translate(x, y);
-    if (car) paint.rotate(TURNS[this.data.headings[heading]] ?? 0);
-    paint.imageSmoothingEnabled = true;
-    paint.imageSmoothingQuality = "high";
-    const icon = this.icons[car ? icons[0] : icons[Math.max(heading, 0)]];
-    paint.drawImage(icon, -side / 2, -side / 2, side, side);
-    paint.restore();
-    if (scale > 5 * unit || chosen) {
-      paint.font = `${chosen ? 600 : 400} ${12 * unit}px system-ui, sans-serif`;
-      paint.textAlign = "center";
-      paint.textBaseline = "top";
-      const words = [id, ...concepts].join(" ");
-      const [width, below] = [paint.measureText(words).width, y + 0.45 * side];
-      paint.fillStyle = isDark() ? "#000000b0" : "#ffffffc8";
-      paint.fillRect(x - width / 2 - 3 * unit, below - 2 * unit, width + 6 * unit, 16 * unit);
-      paint.fillStyle = isDark() ? "#fff" : "#000";
-      paint.fillText(words, x, below);
+    if (agent === this.now.agent || agent === hover) {
+      ring("#ffffff", 5);
+      ring("#000000", 2.5);
     }
+    const driven = this.run.driven(tick, agent);
+    if (driven) {
+      ring("#ffffff", 4, [], 1.15);
+      ring(driven.broken.length ? COLORS.Stop : "#000000", 2.5, driven.broken.length ? [] : [5, 3], 1.15);
+    }
+    if (different?.acts.includes(agent) || different?.apart.includes(agent)) {
+      ring("#ffffff", 5, [], 1.3);
+      ring(DIFFERENT, 3, different.acts.includes(agent) ? [] : [3, 3], 1.3);
+    }
+    const car = kind === "Car";
+    const icons = this.scenery.icons[agent];
+    const facing = Math.max(this.run.data.headings.indexOf(this.run.facing(tick, agent)), 0);
+    const atlas = car ? this.scenery.cars : this.scenery.pedestrians;
+    atlas.draw(paint, car ? icons[0] : icons[facing], x, y, side, car ? this.turn(agent) : 0);
+    const dot = Math.max(3.2 * unit, 0.16 * side);
+    paint.beginPath();
+    paint.arc(x + 0.72 * radius, y - 0.72 * radius, dot, 0, 2 * Math.PI);
+    paint.fillStyle = colour;
+    paint.fill();
+    paint.strokeStyle = "#ffffff";
+    paint.lineWidth = 1.2 * unit;
+    paint.stroke();
+  }
+
+  /** Names the chosen agent, and all agents of a map that is large enough. */
+  drawLabel(paint, agent) {
+    const { id, kind, concepts } = this.run.data.agents[agent];
+    const unit = pixelUnit();
+    const chosen = agent === this.now.agent || agent === this.now.hover;
+    if (!chosen && this.camera.scale < 7 * unit) return;
+    const [x, y] = this.pixelAt(...this.place(agent));
+    paint.font = `${chosen ? 600 : 400} ${12 * unit}px system-ui, sans-serif`;
+    paint.textAlign = "center";
+    paint.textBaseline = "middle";
+    const words = [id, ...concepts].join(" ");
+    const wide = paint.measureText(words).width + 8 * unit;
+    // A label stays on the canvas.
+    const { width, height } = this.canvas;
+    const inside = (at, half, end) => Math.max(half, Math.min(end - half, at));
+    const middle = inside(x, wide / 2, width);
+    const below = inside(y + (kind === "Car" ? 1 : 0.7) * this.side(kind) + 10 * unit, 9 * unit, height);
+    if (Math.abs(middle - x) > wide || Math.abs(below - y) > 3 * this.side(kind) + 20 * unit) return;
+    paint.fillStyle = isDark() ? "#000000c8" : "#ffffffdc";
+    paint.fillRect(middle - wide / 2, below - 9 * unit, wide, 18 * unit);
+    paint.fillStyle = isDark() ? "#ffffff" : "#000000";
+    paint.fillText(words, middle, below);
   }
 }

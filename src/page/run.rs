@@ -1,0 +1,597 @@
+//! The page of one run: its decisions in columns, and their explanations.
+
+use crate::city::Action;
+use crate::city::{Cell, Heading, Route, field_of_view};
+use crate::datalog::explain::{Explainer, ExplanationPrinter};
+use crate::datalog::{ClauseId, Value};
+use crate::diag::{Code, Diagnostic, Sources};
+use crate::page::file::{packed, write_parts};
+use crate::page::proofs::{Proofs, shown_file};
+use crate::page::scenery::Scenery;
+use crate::render::Icons;
+use crate::sim::{
+    LOOK_TICKS, Replay, STUCK_TICKS, TraceHeader, TraceState, TraceTick, WaitsFor, find_deadlocks, waits,
+};
+use serde::Serialize;
+use std::fmt;
+use std::io::{self, Write};
+
+/// The most decisions in a page; more make it slow to open.
+pub const DECISIONS_MAX: usize = 400_000;
+
+/// The most cells of a map in a page.
+const CELLS_MAX: i64 = 1 << 24;
+
+/// Upper bound of tick numbers: JavaScript represents smaller integers exactly.
+const TICK_MAX: u64 = 1 << 53;
+
+/// A part with explanations ends after this number of nodes or ticks, so that the browser stays responsive while it
+/// unpacks the parts.
+const PART_NODES: usize = 8_000;
+const PART_TICKS: usize = 100;
+
+/// A page under construction.
+#[derive(Serialize)]
+pub struct Page {
+    title: String,
+    config: String,
+    rules: String,
+    split: String,
+    /// As text, since JavaScript rounds large integers.
+    seed: String,
+    hash: String,
+    #[serde(skip)]
+    pub(super) scenery: Scenery,
+    pub(super) agents: Vec<Agent>,
+    actions: [&'static str; 4],
+    headings: [&'static str; 4],
+    predicates: Vec<Predicate>,
+    /// Number of clauses whose firings the trace records: the first ones in [`Proofs::clauses`], in the order of the
+    /// trace.
+    counted: usize,
+    /// For each of these clauses, the number of rows it derived in all ticks, and whether it derives an action.
+    firings: Vec<(u64, bool)>,
+    #[serde(flatten)]
+    proofs: Proofs,
+    /// Number of the first tick.
+    pub(super) first: u64,
+    /// Number of ticks.
+    pub(super) count: usize,
+    #[serde(flatten)]
+    columns: Columns,
+    /// The cells of the agents after the last tick.
+    last: Vec<[i32; 2]>,
+    /// For each agent, its routes: the position of the tick where the route begins, and its corners.
+    routes: Vec<Vec<(usize, Vec<[i32; 2]>)>>,
+    deadlocks: Vec<Deadlock>,
+    /// Number of deadlock searches that reached a limit.
+    deadlock_searches_cut: u32,
+    /// The steps of externally controlled agents, with the actions that the rules wanted.
+    #[serde(skip_serializing_if = "Vec::is_empty")]
+    driven: Vec<Driven>,
+    #[serde(skip)]
+    most: usize,
+    /// For each agent, the tick after its last move.
+    #[serde(skip)]
+    still_since: Vec<u64>,
+    /// The state of the last tick before its decisions; empty before the first tick.
+    #[serde(skip)]
+    places: Vec<Place>,
+    /// For each tick, the cell and the action of each agent.
+    #[serde(skip)]
+    taken: Vec<Vec<([i32; 2], Action)>>,
+    /// The rows of each predicate in the last tick, as numbers in ascending order.
+    #[serde(skip)]
+    rows: Vec<Vec<u64>>,
+    /// The explanations in the last tick, for each agent and action.
+    #[serde(skip)]
+    why: Vec<[i64; 4]>,
+    /// Packed explanations and facts.
+    #[serde(skip)]
+    parts: Vec<String>,
+    /// Those that are not packed yet, without their nodes.
+    #[serde(skip)]
+    unpacked: Unpacked,
+}
+
+/// Cell and goal of an agent before a tick.
+type Place = ([i32; 2], [i32; 2]);
+
+#[derive(Serialize, PartialEq, Eq)]
+pub(super) struct Agent {
+    pub(super) id: String,
+    kind: &'static str,
+    concepts: Vec<String>,
+    priority: i32,
+}
+
+impl fmt::Display for Agent {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        write!(f, "{} ({}", self.id, self.kind)?;
+        for concept in &self.concepts {
+            write!(f, ", {concept}")?;
+        }
+        write!(f, ", priority {})", self.priority)
+    }
+}
+
+#[derive(Serialize)]
+struct Predicate {
+    name: String,
+    arity: usize,
+}
+
+/// The states of all agents before the decisions, and the decisions. The fields without a remark have an entry per
+/// agent.
+#[derive(Default, Serialize)]
+struct Columns {
+    /// Row and column in the first tick, then their changes from tick to tick.
+    at: Vec<Vec<i32>>,
+    /// A digit per tick: the position in `headings`, or 4 before the first move.
+    heading: Vec<String>,
+    /// A digit per tick: the position in `actions`.
+    action: Vec<String>,
+    /// A hexadecimal digit per tick: the actions derived before the default, as a bit set.
+    derived: Vec<String>,
+    /// Position of a tick, row and column, where the goal changes.
+    goal: Vec<Vec<(usize, i32, i32)>>,
+    /// A position in `views` per tick.
+    view: Vec<Vec<usize>>,
+    /// First and last cell of a field of view, relative to the agent; not per agent.
+    views: Vec<[i32; 4]>,
+    /// A position in `fired_sets` per tick.
+    fired: Vec<Vec<usize>>,
+    /// Sets of clauses that fired together for an agent; not per agent.
+    fired_sets: Vec<Vec<usize>>,
+}
+
+/// Explanations and facts of some consecutive ticks.
+#[derive(Default, Serialize)]
+struct Unpacked {
+    /// For each tick, agent and action, the number of the node that explains why it was or was not derived (-1 if no
+    /// rule has the action), as a difference from the tick before.
+    why: Vec<Vec<i64>>,
+    /// For each tick, predicates with the rows that appear or disappear: first the predicate, then the rows in
+    /// ascending order, each as a difference from the row before. A row (x, y) is x times the number of agents plus y.
+    facts: Vec<Vec<Vec<u64>>>,
+}
+
+/// A part with explanations, as JSON.
+#[derive(Serialize)]
+struct ProofPart<'a> {
+    nodes: &'a [serde_json::Value],
+    #[serde(flatten)]
+    rest: &'a Unpacked,
+}
+
+/// A cycle of agents that wait for each other.
+#[derive(Serialize)]
+struct Deadlock {
+    /// Each agent waits for the next, the last one for the first.
+    agents: Vec<usize>,
+    /// The clause that makes each agent wait; `None` if it is not in the rule files.
+    clauses: Vec<Option<usize>>,
+    /// The tick in which the last of them stopped.
+    since: u64,
+    /// The last tick in which a search found the deadlock.
+    until: u64,
+}
+
+/// An externally controlled agent in a tick.
+#[derive(Serialize)]
+struct Driven {
+    /// Position of the tick in the page; `agent` is the position of the agent.
+    tick: usize,
+    agent: usize,
+    /// The agents that it observed, itself first.
+    observes: Vec<usize>,
+    /// Position in `actions` of the action that the rules wanted.
+    wanted: u8,
+    /// The clauses that its action violated.
+    broken: Vec<usize>,
+}
+
+impl Page {
+    /// Returns a page without ticks for a trace with this header.
+    ///
+    /// # Errors
+    /// `limit-exceeded`, without a place, for a map of more than 2^24 cells.
+    pub fn new(replay: &Replay, header: &TraceHeader, icons: &Icons, sources: &Sources) -> Result<Page, Diagnostic> {
+        let world = replay.world();
+        let cells = i64::from(world.map().rows()) * i64::from(world.map().cols());
+        if cells > CELLS_MAX {
+            let message = format!("a page of a map of {cells} cells would be slow to open; the limit is {CELLS_MAX}");
+            return Err(Diagnostic::new(Code::LIMIT_EXCEEDED, message).help("run the rules on a smaller map"));
+        }
+        let printer = ExplanationPrinter::new(world.program.rules(), replay.session().symbols(), sources);
+        let mut proofs = Proofs::new(&header.rules);
+        let counted = world.clauses().map(|clause| proofs.clause(&printer, clause)).count();
+        for index in 0..world.program.rules().clauses.len() {
+            let index = u32::try_from(index).expect("fewer than 2^32 clauses");
+            proofs.clause(&printer, ClauseId(index));
+        }
+        let agents: Vec<Agent> = (header.agents.iter().zip(replay.kinds()))
+            .map(|(agent, &kind)| Agent {
+                id: agent.id.clone(),
+                kind: kind.name(),
+                concepts: agent.concepts.clone(),
+                priority: agent.priority,
+            })
+            .collect();
+        let predicates = (world.vocabulary.predicates.iter()).map(|predicate| Predicate {
+            name: predicate.name.clone(),
+            arity: predicate.arity,
+        });
+        let count = agents.len();
+        Ok(Page {
+            title: format!("{} ({}), seed {}", header.config, header.split, header.seed),
+            config: header.config.clone(),
+            rules: shown_file(&header.rules, &header.rules),
+            split: header.split.clone(),
+            seed: header.seed.to_string(),
+            hash: header.rules_hash.clone(),
+            scenery: Scenery::new(world.map(), icons, &header.agents, replay.kinds()),
+            actions: Action::ALL.map(Action::name),
+            headings: Heading::ALL.map(Heading::name),
+            predicates: predicates.collect(),
+            counted,
+            firings: (world.clauses())
+                .map(|clause| {
+                    let head = world.program.rules().clauses[clause.index()].head.relation;
+                    let is_action = Action::ALL
+                        .map(|action| world.vocabulary.action(action))
+                        .contains(&Some(head));
+                    (0, is_action)
+                })
+                .collect(),
+            proofs,
+            first: 0,
+            count: 0,
+            columns: Columns::new(count),
+            last: Vec::new(),
+            routes: vec![Vec::new(); count],
+            deadlocks: Vec::new(),
+            deadlock_searches_cut: 0,
+            driven: Vec::new(),
+            most: DECISIONS_MAX,
+            still_since: vec![0; count],
+            places: Vec::new(),
+            taken: Vec::new(),
+            rows: vec![Vec::new(); world.vocabulary.predicates.len()],
+            why: vec![[0; 4]; count],
+            parts: Vec::new(),
+            unpacked: Unpacked::default(),
+            agents,
+        })
+    }
+
+    /// Sets a limit other than [`DECISIONS_MAX`].
+    pub fn set_limit(&mut self, decisions: usize) {
+        self.most = decisions;
+    }
+
+    /// Adds a tick, which the caller has loaded into `replay`. Ticks must be consecutive.
+    ///
+    /// # Errors
+    /// `invalid-trace`, without a place, for an inconsistent tick; `limit-exceeded` for more decisions than the limit,
+    /// or an explanation that takes too many steps.
+    pub fn push(&mut self, replay: &Replay, tick: &TraceTick, sources: &Sources) -> Result<(), Diagnostic> {
+        if (self.count + 1) * self.agents.len() > self.most {
+            let message = format!("a page of more than {} decisions would be slow to open", self.most);
+            return Err(Diagnostic::new(Code::LIMIT_EXCEEDED, message).help("choose ticks with `--from` and `--ticks`"));
+        }
+        let expected = match self.count {
+            0 => tick.tick,
+            shown => self.first + shown as u64,
+        };
+        if tick.tick != expected || tick.tick >= TICK_MAX {
+            let message = match tick.tick >= TICK_MAX {
+                true => format!("tick number {} is too large", tick.tick),
+                false => format!("found tick {} instead of tick {expected}", tick.tick),
+            };
+            return Err(Diagnostic::new(Code::INVALID_TRACE, message));
+        }
+        if self.count == 0 {
+            self.first = tick.tick;
+            self.still_since.fill(tick.tick);
+        }
+        self.follow_routes(replay, tick);
+        self.explain(replay, sources)?;
+        self.note_facts(replay);
+        let (world, view) = (replay.world(), replay.world().scenario.view);
+        let mut taken = Vec::with_capacity(tick.agents.len());
+        for (position, agent) in tick.agents.iter().enumerate() {
+            self.check_clauses(&agent.clauses)?;
+            if let Some(driven) = &agent.driven {
+                self.check_clauses(&driven.broken)?;
+                self.driven.push(Driven {
+                    tick: self.count,
+                    agent: position,
+                    observes: positions(replay, &driven.observes)?,
+                    wanted: driven.wanted()? as u8,
+                    broken: driven.broken.clone(),
+                });
+            }
+            let heading = agent.heading()?;
+            let action = agent.action()?;
+            let seen = field_of_view(cell(agent.at), heading, view, world.map());
+            let [row, col] = agent.at;
+            let view = [
+                seen.first.row - row,
+                seen.first.col - col,
+                seen.last.row - row,
+                seen.last.col - col,
+            ];
+            let derived = (replay.derived(position).iter()).fold(0, |bits, action| bits | 1 << action as u32);
+            self.columns
+                .push(position, self.places.get(position), agent, self.count);
+            self.columns
+                .note(position, (heading, action, derived), view, &agent.clauses);
+            taken.push((agent.at, action));
+            if agent.next != agent.at {
+                self.still_since[position] = tick.tick + 1;
+            }
+        }
+        for (clause, (count, is_action)) in world.clauses().zip(&mut self.firings) {
+            // The trace records every firing of clauses that derive actions.
+            if !*is_action {
+                *count += replay.session().fired(clause).len() as u64;
+            }
+        }
+        for &clause in tick.agents.iter().flat_map(|agent| &agent.clauses) {
+            self.firings[clause].0 += 1;
+        }
+        self.places = tick.agents.iter().map(|agent| (agent.at, agent.goal)).collect();
+        self.taken.push(taken);
+        self.count += 1;
+        self.last = tick.agents.iter().map(|agent| agent.next).collect();
+        if (tick.tick + 1).is_multiple_of(LOOK_TICKS) {
+            self.look_for_deadlocks(replay, tick.tick);
+        }
+        if self.proofs.nodes.len() >= PART_NODES || self.unpacked.why.len() >= PART_TICKS {
+            let part = self.part().expect("writing to a vector cannot fail");
+            self.parts.push(part);
+            self.unpacked = Unpacked::default();
+            self.proofs.forget();
+        }
+        Ok(())
+    }
+
+    /// Writes the page.
+    ///
+    /// # Errors
+    /// Errors of `out`.
+    pub fn write(&self, out: &mut impl Write) -> io::Result<()> {
+        let mut parts = vec![("scenery", 0, packed(&self.scenery)?), ("run", 0, packed(self)?)];
+        parts.extend(self.proof_parts()?.into_iter().map(|part| ("proofs", 0, part)));
+        write_parts(&self.title, &parts, out)
+    }
+
+    /// Returns the packed explanations and facts.
+    pub(super) fn proof_parts(&self) -> io::Result<Vec<String>> {
+        let mut parts = self.parts.clone();
+        if !self.unpacked.why.is_empty() {
+            parts.push(self.part()?);
+        }
+        Ok(parts)
+    }
+
+    /// Packs the explanations and facts that are not packed yet.
+    fn part(&self) -> io::Result<String> {
+        packed(&ProofPart {
+            nodes: &self.proofs.nodes,
+            rest: &self.unpacked,
+        })
+    }
+
+    /// Returns the cell of an agent before a tick, given the position of the tick.
+    pub(super) fn at(&self, tick: usize, agent: usize) -> [i32; 2] {
+        self.taken[tick][agent].0
+    }
+
+    /// Returns the action of an agent in a tick, given the position of the tick.
+    pub(super) fn action(&self, tick: usize, agent: usize) -> Action {
+        self.taken[tick][agent].1
+    }
+
+    fn check_clauses(&self, clauses: &[usize]) -> Result<(), Diagnostic> {
+        let Some(clause) = clauses.iter().find(|clause| **clause >= self.counted) else {
+            return Ok(());
+        };
+        let message = format!("no clause {clause}: the rules have {}", self.counted);
+        Err(Diagnostic::new(Code::INVALID_TRACE, message))
+    }
+
+    /// Explains for each agent why it did or did not take each action.
+    fn explain(&mut self, replay: &Replay, sources: &Sources) -> Result<(), Diagnostic> {
+        let session = replay.session();
+        let printer = ExplanationPrinter::new(session.program().rules(), session.symbols(), sources);
+        let mut explainer = Explainer::new(session);
+        let mut changes = Vec::with_capacity(4 * self.agents.len());
+        for position in 0..self.agents.len() {
+            let mut nodes = [-1; 4];
+            for (node, action) in nodes.iter_mut().zip(Action::ALL) {
+                let Some(relation) = replay.world().vocabulary.action(action) else {
+                    continue;
+                };
+                let asked: [Option<Value>; 1] = [Some(replay.value(position))];
+                if let (_, Some(explanation)) = explainer.explain_either(relation, &asked)? {
+                    *node = i64::from(self.proofs.add(&printer, &explanation));
+                }
+            }
+            changes.extend(
+                nodes
+                    .iter()
+                    .zip(&self.why[position])
+                    .map(|(node, before)| node - before),
+            );
+            self.why[position] = nodes;
+        }
+        self.unpacked.why.push(changes);
+        Ok(())
+    }
+
+    /// Adds the rows of predicates that appear or disappear in a tick.
+    fn note_facts(&mut self, replay: &Replay) {
+        let agents = self.agents.len() as u64;
+        let mut changes = Vec::new();
+        for (index, (rows, old)) in replay.facts().rows.iter().zip(&mut self.rows).enumerate() {
+            let number = |row: &[u32; 2]| match self.predicates[index].arity {
+                2 => u64::from(row[0]) * agents + u64::from(row[1]),
+                _ => u64::from(row[0]),
+            };
+            let mut now: Vec<u64> = rows.iter().map(number).collect();
+            now.sort_unstable();
+            let (mut list, mut before) = (vec![index as u64], 0);
+            for row in one_sided(old, &now) {
+                list.push(row - before);
+                before = row;
+            }
+            if list.len() > 1 {
+                changes.push(list);
+            }
+            *old = now;
+        }
+        self.unpacked.facts.push(changes);
+    }
+
+    /// Plans the routes of agents with a new goal. A trace records only goals, but start and goal determine a route. An
+    /// agent that reaches its goal starts the next route in the same tick; the next tick is the first to show the new
+    /// goal.
+    fn follow_routes(&mut self, replay: &Replay, tick: &TraceTick) {
+        let router = &replay.world().router;
+        for (position, agent) in tick.agents.iter().enumerate() {
+            let now = self.count;
+            let (since, start) = match self.places.get(position).copied() {
+                Some((_, goal)) if goal == agent.goal => continue,
+                Some((at, goal)) if at == goal => (now - 1, at),
+                _ => (now, agent.at),
+            };
+            let route = router.plan(replay.kinds()[position], cell(start), cell(agent.goal));
+            let corners = route.map_or_else(|_| Vec::new(), |route| corners(&route));
+            self.routes[position].push((since, corners));
+        }
+    }
+
+    fn look_for_deadlocks(&mut self, replay: &Replay, now: u64) {
+        let stuck: Vec<usize> = (0..self.agents.len())
+            .filter(|&agent| now + 1 - self.still_since[agent] >= STUCK_TICKS)
+            .collect();
+        if stuck.is_empty() {
+            return;
+        }
+        let Ok(waits) = waits(&replay.snapshot(), &stuck) else {
+            self.deadlock_searches_cut += 1;
+            return;
+        };
+        let found = find_deadlocks(&stuck, &waits);
+        for cycle in found.deadlocks {
+            let agents: Vec<usize> = cycle.iter().map(|wait| wait.agent).collect();
+            let same = |known: &&mut Deadlock| known.agents == agents && known.until + LOOK_TICKS >= now;
+            if let Some(known) = self.deadlocks.iter_mut().find(same) {
+                known.until = now;
+                continue;
+            }
+            let position = |wait: &WaitsFor| replay.world().clauses().position(|clause| clause == wait.clause);
+            self.deadlocks.push(Deadlock {
+                clauses: cycle.iter().map(position).collect(),
+                since: agents.iter().map(|&agent| self.still_since[agent]).max().unwrap_or(now),
+                until: now,
+                agents,
+            });
+        }
+    }
+}
+
+/// Returns the positions of the agents with these names.
+fn positions(replay: &Replay, names: &[String]) -> Result<Vec<usize>, Diagnostic> {
+    let position = |name: &String| {
+        let unknown = || Diagnostic::new(Code::INVALID_TRACE, format!("no agent `{name}`"));
+        replay.position(name).ok_or_else(unknown)
+    };
+    names.iter().map(position).collect()
+}
+
+impl Columns {
+    fn new(agents: usize) -> Columns {
+        Columns {
+            at: vec![Vec::new(); agents],
+            heading: vec![String::new(); agents],
+            action: vec![String::new(); agents],
+            derived: vec![String::new(); agents],
+            goal: vec![Vec::new(); agents],
+            view: vec![Vec::new(); agents],
+            fired: vec![Vec::new(); agents],
+            ..Columns::default()
+        }
+    }
+
+    /// Adds cell and goal of an agent; `before` are those of the tick before.
+    fn push(&mut self, agent: usize, before: Option<&Place>, now: &TraceState, tick: usize) {
+        let (at, goal) = before.map_or(([0; 2], None), |&(at, goal)| (at, Some(goal)));
+        self.at[agent].extend([now.at[0] - at[0], now.at[1] - at[1]]);
+        if goal != Some(now.goal) {
+            self.goal[agent].push((tick, now.goal[0], now.goal[1]));
+        }
+    }
+
+    /// Adds the decision of an agent.
+    fn note(
+        &mut self,
+        agent: usize,
+        (heading, action, derived): (Option<Heading>, Action, u32),
+        view: [i32; 4],
+        fired: &[usize],
+    ) {
+        let digit = |number: u32| char::from_digit(number, 16).expect("four bits");
+        self.heading[agent].push(digit(heading.map_or(4, |heading| heading as u32)));
+        self.action[agent].push(digit(action as u32));
+        self.derived[agent].push(digit(derived));
+        self.view[agent].push(position_in(&mut self.views, view));
+        self.fired[agent].push(position_in(&mut self.fired_sets, fired.to_vec()));
+    }
+}
+
+/// Returns the position of an entry in a short list, and adds it if it is new.
+fn position_in<T: PartialEq>(list: &mut Vec<T>, entry: T) -> usize {
+    list.iter().position(|known| *known == entry).unwrap_or_else(|| {
+        list.push(entry);
+        list.len() - 1
+    })
+}
+
+/// Returns the numbers that exactly one of two ascending lists has, in ascending order.
+fn one_sided(left: &[u64], right: &[u64]) -> Vec<u64> {
+    let (mut left, mut right) = (left.iter().peekable(), right.iter().peekable());
+    let mut found = Vec::new();
+    loop {
+        match (left.peek(), right.peek()) {
+            (Some(one), Some(other)) if one == other => {
+                left.next();
+                right.next();
+            }
+            (Some(one), other) if other.is_none_or(|other| one < other) => found.extend(left.next()),
+            (_, Some(_)) => found.extend(right.next()),
+            (_, None) => return found,
+        }
+    }
+}
+
+fn cell([row, col]: [i32; 2]) -> Cell {
+    Cell { row, col }
+}
+
+/// Returns start and goal of a route, and the cells between them where it turns.
+fn corners(route: &Route) -> Vec<[i32; 2]> {
+    let mut corners: Vec<[i32; 2]> = Vec::new();
+    for cell in route.cells() {
+        let now = [cell.row, cell.col];
+        if let [.., a, b] = corners[..]
+            && (a[0] == b[0] && b[0] == now[0] || a[1] == b[1] && b[1] == now[1])
+        {
+            corners.pop();
+        }
+        corners.push(now);
+    }
+    corners
+}
