@@ -2,7 +2,7 @@
 
 use crate::datalog::syntax::ast::Comparison;
 use crate::datalog::syntax::ast::{Atom, Clause, Literal, Place, TermKind};
-use crate::datalog::syntax::functor::Functor;
+use crate::datalog::syntax::functor::{AggregateOp, Functor};
 use crate::datalog::syntax::lexer::{CONJUNCTION, DISJUNCTION, IMPLICATION, Kind, NEGATION, Token};
 use crate::diag::{Code, Diagnostic};
 
@@ -246,6 +246,7 @@ impl Parser<'_> {
 
     /// `A(x)`, `match(x, y)`
     fn atom_or_text_test(&mut self) -> Parse<Literal> {
+        let start = self.token();
         let op = match self.slice(self.token()) {
             "match" => Some(Comparison::Match),
             "contains" => Some(Comparison::Contains),
@@ -259,6 +260,9 @@ impl Parser<'_> {
                 return Err(self.expected_with("`,` or `.`", Some(help)));
             }
             if comparison(after.kind).is_some() || self.infix(after).is_some() {
+                if AggregateOp::ALL.iter().any(|op| op.name() == self.slice(start)) {
+                    return Err(self.applied_aggregate(start));
+                }
                 return Err(self.unsupported(
                     atom.place.0,
                     &format!("the functor `{}` is", atom.predicate.text),
