@@ -77,7 +77,8 @@ pub fn run(arguments: &Arguments, sources: &mut Sources) -> Result<(), Failure> 
     let bar = progress("question", count as u64);
     let set = QuestionSet::draw(&world, request, |found| bar.set_position(found as u64));
     bar.finish_and_clear();
-    let set = set?;
+    // The configuration is valid, so the request asks for what it does not have.
+    let set = set.map_err(Failure::option)?;
     let rules = RulesFile {
         name: sources.name(rule_file),
         hash: &hash,

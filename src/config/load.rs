@@ -4,7 +4,7 @@
 //! whether a street has room for its lanes.
 
 use crate::city::{Action, AgentGroup, AgentKind, AgentSet, Building, Buildings, MapConfig, Routing, Split, Widths};
-use crate::config::compose::{AGENTS, Composer, MAP, PREDICATES, RUN, Read, TASK};
+use crate::config::compose::{AGENTS, Composer, Kind, MAP, PREDICATES, RUN, Read, TASK};
 use crate::config::model::*;
 use crate::config::predicates::{Concepts, Predicates, carried, predicates};
 use crate::config::read::{Fields, choice, integer, invalid, list, number, text};
@@ -48,13 +48,32 @@ const BUILDINGS: [(&str, char, Building); 5] = [
 pub fn load_scenario(sources: &mut Sources, path: &Path, read: Read<'_>) -> Result<Scenario, Vec<Diagnostic>> {
     let mut composer = Composer::new(sources, read);
     let scenario = composer
-        .root(
-            path,
-            RUN,
-            &[("map", MAP), ("agents", AGENTS), ("predicates", PREDICATES), ("task", TASK)],
-        )
+        .root(path, RUN, &PARTS_OF_RUN)
         .and_then(|tree| scenario(&mut composer, &tree));
     finish(scenario, composer.faults)
+}
+
+/// What a configuration file holds.
+#[derive(Clone, Debug)]
+pub enum Loaded {
+    /// A run configuration.
+    Scenario(Box<Scenario>),
+    /// A map.
+    Map(MapConfig),
+}
+
+/// Loads a run configuration or a map, whichever the file holds. Otherwise like [`load_scenario`].
+///
+/// # Errors
+/// All faults of all files.
+pub fn load_any(sources: &mut Sources, path: &Path, read: Read<'_>) -> Result<Loaded, Vec<Diagnostic>> {
+    let mut composer = Composer::new(sources, read);
+    let tree = composer.root(path, RUN, &PARTS_OF_RUN);
+    let loaded = tree.and_then(|tree| match part_of_run(&tree) {
+        Some(("map", _)) => map(&tree, composer.name_of(&tree), &mut composer.faults).map(Loaded::Map),
+        _ => scenario(&mut composer, &tree).map(|scenario| Loaded::Scenario(Box::new(scenario))),
+    });
+    finish(loaded, composer.faults)
 }
 
 /// Loads a map file. A bare name such as `square-5x5` means `configs/maps/square-5x5.yaml`. Otherwise like
@@ -85,6 +104,14 @@ pub(super) fn finish<T>(value: Option<T>, faults: Vec<Diagnostic>) -> Result<T, 
     }
 }
 
+/// The parts of a run configuration that may be files of their own.
+const PARTS_OF_RUN: [(&str, Kind); 4] = [
+    ("map", MAP),
+    ("agents", AGENTS),
+    ("predicates", PREDICATES),
+    ("task", TASK),
+];
+
 /// The keys of the parts of a run configuration, what each part is, and the keys that only such a part has.
 const PARTS: [(&str, &str, &[&str]); 4] = [
     ("map", "a map", &["blocks", "widths", "buildings"]),
@@ -93,16 +120,22 @@ const PARTS: [(&str, &str, &[&str]); 4] = [
     ("task", "a task", &["entities", "state_agents", "horizon", "patience", "reward", "ego", "episodes"]),
 ];
 
+/// Returns the key and the description of the part that a tree holds instead of a run configuration.
+fn part_of_run(tree: &Node) -> Option<(&'static str, &'static str)> {
+    let Value::Map(entries) = &tree.value else { return None };
+    let has = |keys: &[&str]| entries.iter().any(|(key, _)| keys.contains(&key.text.as_str()));
+    if has(&PARTS.map(|(key, ..)| key)) || has(&["rules"]) {
+        return None;
+    }
+    let part = PARTS.iter().find(|(_, _, keys)| has(keys));
+    part.map(|(key, what, _)| (*key, *what))
+}
+
 /// Reports a file that holds a part of a run configuration instead of one.
 fn is_part(composer: &mut Composer<'_>, tree: &Node) -> bool {
-    let Value::Map(entries) = &tree.value else { return false };
-    let has = |keys: &[&str]| entries.iter().any(|(key, _)| keys.contains(&key.text.as_str()));
-    let Some((key, what, _)) = PARTS.iter().find(|(_, _, keys)| has(keys)) else {
+    let Some((key, what)) = part_of_run(tree) else {
         return false;
     };
-    if has(&PARTS.map(|(key, ..)| key)) || has(&["rules"]) {
-        return false;
-    }
     let path = composer.path_of(tree).display().to_string();
     let path = path.strip_prefix(BUILTIN_FOLDER).map_or(path.as_str(), |inside| inside.trim_start_matches('/'));
     let message = format!("expected a run configuration, found {what}");
