@@ -53,7 +53,7 @@ pub struct Diagnostic {
     pub fixes: Vec<Fix>,
 }
 
-/// A suggested change of the texts.
+/// A suggested change of the texts, for editors.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub struct Fix {
     /// What the change does, in one line.
