@@ -36,10 +36,14 @@ pub struct Checked {
 pub fn open(path: &Path, sources: &mut Sources) -> Result<Opened, Failure> {
     let is_yaml = (path.extension()).is_some_and(|ending| ending == "yaml" || ending == "yml");
     let is_bare = path.extension().is_none() && path.components().count() == 1 && !path.exists();
-    let named = Path::new("configs").join(path).with_extension("yaml");
-    if !is_yaml && !(is_bare && BuiltinFiles.read_or_builtin(&named).is_ok()) {
+    let named = ["configs", "configs/maps"].map(|folder| Path::new(folder).join(path).with_extension("yaml"));
+    let named = named
+        .iter()
+        .find(|named| is_bare && BuiltinFiles.read_or_builtin(named).is_ok());
+    if !is_yaml && named.is_none() {
         return Ok(Opened::Rules);
     }
+    let path = named.map_or(path, |named| named.as_path());
     let (map, scenario) = match load_any(sources, path, &BuiltinFiles) {
         Ok(Loaded::Map(map)) => (map, None),
         Ok(Loaded::Scenario(scenario)) => (scenario.map.clone(), Some(scenario)),
@@ -97,7 +101,10 @@ impl Checked {
         };
         let agents: serde_json::Map<String, Value> = splits(scenario)
             .map(|(split, [cars, pedestrians])| {
-                (split.name().to_owned(), json!({ "cars": cars, "pedestrians": pedestrians }))
+                (
+                    split.name().to_owned(),
+                    json!({ "cars": cars, "pedestrians": pedestrians }),
+                )
             })
             .collect();
         json!({
@@ -118,7 +125,11 @@ impl Checked {
             let (cars, pedestrians) = (plural(cars as u64, "car"), plural(pedestrians as u64, "pedestrian"));
             format!("{} {cars} and {pedestrians}", split.name())
         });
-        let task = if scenario.task.is_some() { "Safe Path Following" } else { "none" };
+        let task = if scenario.task.is_some() {
+            "Safe Path Following"
+        } else {
+            "none"
+        };
         writeln!(out, "{}: a run configuration", path.display())?;
         writeln!(out, "  map: {}, {map}", self.map.name)?;
         writeln!(out, "  agents: {}", agents.collect::<Vec<_>>().join(", "))?;

@@ -397,13 +397,11 @@ impl<T: Copy + Send + Sync + 'static> OneOf<T> {
 impl<T: Copy + Send + Sync + 'static> TypedValueParser for OneOf<T> {
     type Value = T;
 
-    fn parse_ref(
-        &self,
-        command: &clap::Command,
-        argument: Option<&clap::Arg>,
-        text: &OsStr,
-    ) -> Result<T, clap::Error> {
-        let is_named = |value: &&T| text.to_str().is_some_and(|text| (self.name)(**value).eq_ignore_ascii_case(text));
+    fn parse_ref(&self, command: &clap::Command, argument: Option<&clap::Arg>, text: &OsStr) -> Result<T, clap::Error> {
+        let is_named = |value: &&T| {
+            text.to_str()
+                .is_some_and(|text| (self.name)(**value).eq_ignore_ascii_case(text))
+        };
         match self.all.iter().find(is_named) {
             Some(&value) => Ok(value),
             None => {
@@ -456,7 +454,9 @@ fn similar_file(path: &Path) -> Option<String> {
     let name = path.file_name()?.to_str()?;
     let ending = path.extension().and_then(OsStr::to_str);
     let folder = path.parent().filter(|folder| !folder.as_os_str().is_empty());
-    let entries = std::fs::read_dir(folder.unwrap_or(Path::new("."))).into_iter().flatten();
+    let entries = std::fs::read_dir(folder.unwrap_or(Path::new(".")))
+        .into_iter()
+        .flatten();
     let beside: Vec<String> = entries
         .take(SIMILAR_MAX)
         .filter_map(|entry| entry.ok()?.file_name().into_string().ok())

@@ -78,10 +78,12 @@ pub fn run(arguments: &Arguments, sources: &mut Sources) -> Result<(), Failure> 
     let set = QuestionSet::draw(&world, request, |found| bar.set_position(found as u64));
     bar.finish_and_clear();
     // The configuration is valid, so an invalid value is one of the request.
-    let set = set.map_err(|faults| match faults.iter().all(|fault| fault.code == Code::INVALID_VALUE) {
-        true => Failure::option(faults),
-        false => Failure::Input(faults),
-    })?;
+    let set = set.map_err(
+        |faults| match faults.iter().all(|fault| fault.code == Code::INVALID_VALUE) {
+            true => Failure::option(faults),
+            false => Failure::Input(faults),
+        },
+    )?;
     let rules = RulesFile {
         name: sources.name(rule_file),
         hash: &hash,

@@ -75,7 +75,10 @@ impl Kind {
 
     /// Returns the bare name of a built-in file of this kind.
     fn name_of(self, path: &str) -> Option<&str> {
-        let name = path.strip_prefix(self.folder)?.strip_prefix('/')?.strip_suffix(self.ending)?;
+        let name = path
+            .strip_prefix(self.folder)?
+            .strip_prefix('/')?
+            .strip_suffix(self.ending)?;
         name.strip_suffix('.').filter(|name| !name.contains('/'))
     }
 }
@@ -123,7 +126,9 @@ impl<'a> Composer<'a> {
             Err(error) => {
                 let mut fault = unreadable(path, &error);
                 if error == ReadError::NotFound {
-                    fault.help.extend(self.suggestion(Path::new(""), &path.to_string_lossy(), kind));
+                    fault
+                        .help
+                        .extend(self.suggestion(Path::new(""), &path.to_string_lossy(), kind));
                 }
                 self.faults.push(fault);
                 None
@@ -151,7 +156,9 @@ impl<'a> Composer<'a> {
                 let is = format!("`{written}` is {}", other.what);
                 return Some(match *key {
                     "" => is,
-                    key => format!("{is}, a part of a run configuration: write one with `base: expert` and `{key}: {written}`"),
+                    key => format!(
+                        "{is}, a part of a run configuration: write one with `base: expert` and `{key}: {written}`"
+                    ),
                 });
             }
             return Some(format!("built in as {}: {}", kind.what, of(kind).join(", ")));
@@ -201,7 +208,9 @@ impl<'a> Composer<'a> {
                     fault = fault
                         .note("a path is relative to the file that names it; there is no such built-in file either");
                     let help = node.missing_space();
-                    fault.help.extend(help.or_else(|| self.suggestion(&folder, reference, kind)));
+                    fault
+                        .help
+                        .extend(help.or_else(|| self.suggestion(&folder, reference, kind)));
                 }
                 self.faults.push(fault);
                 None
@@ -279,13 +288,7 @@ impl<'a> Composer<'a> {
         }
     }
 
-    fn referred(
-        &mut self,
-        node: &Node,
-        kind: Kind,
-        parts: &[(&str, Kind)],
-        chain: &mut Vec<PathBuf>,
-    ) -> Option<Node> {
+    fn referred(&mut self, node: &Node, kind: Kind, parts: &[(&str, Kind)], chain: &mut Vec<PathBuf>) -> Option<Node> {
         let (path, text) = self.refer(node, kind)?;
         if chain.contains(&path) || chain.len() == MAX_CHAIN {
             let fault = if chain.len() == MAX_CHAIN {

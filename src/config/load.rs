@@ -117,7 +117,19 @@ const PARTS: [(&str, &str, &[&str]); 4] = [
     ("map", "a map", &["blocks", "widths", "buildings"]),
     ("agents", "agent sets", &["train", "val", "test"]),
     ("predicates", "predicates", &["define", "use"]),
-    ("task", "a task", &["entities", "state_agents", "horizon", "patience", "reward", "ego", "episodes"]),
+    (
+        "task",
+        "a task",
+        &[
+            "entities",
+            "state_agents",
+            "horizon",
+            "patience",
+            "reward",
+            "ego",
+            "episodes",
+        ],
+    ),
 ];
 
 /// Returns the key and the description of the part that a tree holds instead of a run configuration.
@@ -137,7 +149,9 @@ fn is_part(composer: &mut Composer<'_>, tree: &Node) -> bool {
         return false;
     };
     let path = composer.path_of(tree).display().to_string();
-    let path = path.strip_prefix(BUILTIN_FOLDER).map_or(path.as_str(), |inside| inside.trim_start_matches('/'));
+    let path = path
+        .strip_prefix(BUILTIN_FOLDER)
+        .map_or(path.as_str(), |inside| inside.trim_start_matches('/'));
     let message = format!("expected a run configuration, found {what}");
     let fault = Diagnostic::new(Code::INVALID_VALUE, message).at(tree.span, "");
     let help = format!("write a run configuration with `base: expert` and `{key}: {path}`");
@@ -286,8 +300,12 @@ fn other_blocks(
     let fault = Diagnostic::new(Code::INVALID_VALUE, message);
     // The file that overrides the other has the buildings as a whole.
     let fault = match whole.span.source == node.span.source {
-        true => fault.at(node.span, "").also(blocks.span, "the blocks, inherited from the base"),
-        false => fault.at(blocks.span, "").also(node.span, "the rows, inherited from the base"),
+        true => fault
+            .at(node.span, "")
+            .also(blocks.span, "the blocks, inherited from the base"),
+        false => fault
+            .at(blocks.span, "")
+            .also(node.span, "the rows, inherited from the base"),
     };
     faults.push(
         fault
@@ -343,7 +361,10 @@ fn buildings(node: &Node, blocks: Option<Located<[u32; 2]>>, faults: &mut Vec<Di
                 let fault = fault.at(rows.span, "").also(random.span, inherited);
                 fault.help("remove the inherited `random`: `buildings: {random: ~, rows: [...]}`")
             } else {
-                fault.at(random.span, "").also(rows.span, "given here").help("remove one of them")
+                fault
+                    .at(random.span, "")
+                    .also(rows.span, "given here")
+                    .help("remove one of them")
             });
             None
         }

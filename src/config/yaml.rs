@@ -239,7 +239,11 @@ impl Builder<'_> {
         if let Some(tab) = line(start)[..indent(start)].find('\t') {
             let fault = Diagnostic::new(Code::YAML_SYNTAX, "a tab indents this line");
             let span = Span::new(self.source, start + tab..start + tab + 1);
-            return Some(fault.at(span, "").help("indent with spaces: YAML does not allow tabs here"));
+            return Some(
+                fault
+                    .at(span, "")
+                    .help("indent with spaces: YAML does not allow tabs here"),
+            );
         }
         let before = start.checked_sub(1).map(start_of);
         [Some(start), before].into_iter().flatten().find_map(|start| {

@@ -305,15 +305,17 @@ impl Patterns {
     pub fn compile(pattern: &str) -> Result<regex::Regex, String> {
         let build = |pattern: &str| regex::RegexBuilder::new(pattern).size_limit(1 << 20).build();
         // Errors name the pattern as the user wrote it. `^(?:a)(b)$` is valid for the invalid pattern `a)(b`.
-        build(pattern).and_then(|_| build(&format!("^(?:{pattern})$"))).map_err(|error| match error {
-            regex::Error::CompiledTooBig(limit) => format!("compiled, it needs more than {} KiB", limit >> 10),
-            // The message draws the pattern; its last line names the fault.
-            error => {
-                let text = error.to_string();
-                let last = text.lines().next_back().unwrap_or_default();
-                last.strip_prefix("error: ").unwrap_or(last).to_owned()
-            }
-        })
+        build(pattern)
+            .and_then(|_| build(&format!("^(?:{pattern})$")))
+            .map_err(|error| match error {
+                regex::Error::CompiledTooBig(limit) => format!("compiled, it needs more than {} KiB", limit >> 10),
+                // The message draws the pattern; its last line names the fault.
+                error => {
+                    let text = error.to_string();
+                    let last = text.lines().next_back().unwrap_or_default();
+                    last.strip_prefix("error: ").unwrap_or(last).to_owned()
+                }
+            })
     }
 }
 

@@ -466,10 +466,16 @@ impl Definition {
         let names: Vec<&str> = given.iter().map(|(key, _)| *key).collect();
         let is_part = |keys: &[&str]| !names.is_empty() && names.iter().all(|name| keys.contains(name));
         if let Some((keys, _)) = mappings.clone().find(|(keys, _)| is_part(keys)) {
-            let missing = keys.iter().find(|key| !names.contains(key)).copied().unwrap_or_default();
+            let missing = keys
+                .iter()
+                .find(|key| !names.contains(key))
+                .copied()
+                .unwrap_or_default();
             let message = format!("`{}` needs the key `{missing}`, too", names.join("` with `"));
             let fault = Diagnostic::new(Code::MISSING_KEY, message).at(node.span, "");
-            faults.push(fault.help("name the concept and who can have it: `{concept: taxi, of: Car}` or `of: Pedestrian`"));
+            faults.push(
+                fault.help("name the concept and who can have it: `{concept: taxi, of: Car}` or `of: Pedestrian`"),
+            );
             return None;
         }
         let forms: Vec<String> = mappings

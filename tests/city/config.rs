@@ -167,7 +167,11 @@ fn common_mistakes_are_explained_once() {
         (
             "map: {buildings: {random: {seed: 1, weights: {House: 1}}}}",
             (2, 27),
-            vec!["both `rows` and `random`", "inherited from the base", "`buildings: {rows: ~, random: {...}}`"],
+            vec![
+                "both `rows` and `random`",
+                "inherited from the base",
+                "`buildings: {rows: ~, random: {...}}`",
+            ],
         ),
         (
             "map: {buildings: {rows: [], random: {seed: 1, weights: {House: 1}}}}",
@@ -177,12 +181,21 @@ fn common_mistakes_are_explained_once() {
         (
             "map: {blocks: [1, 1]}",
             (2, 15),
-            vec!["has 1 x 1 blocks", "for 5 x 5 blocks", "{rows: [HO, SG]}", "{rows: ~, random: "],
+            vec![
+                "has 1 x 1 blocks",
+                "for 5 x 5 blocks",
+                "{rows: [HO, SG]}",
+                "{rows: ~, random: ",
+            ],
         ),
         (
             "map: {buildings: {rows: [HO, SG]}}",
             (2, 25),
-            vec!["has 5 x 5 blocks", "for 1 x 1 blocks", "the blocks, inherited from the base"],
+            vec![
+                "has 5 x 5 blocks",
+                "for 1 x 1 blocks",
+                "the blocks, inherited from the base",
+            ],
         ),
         (
             "predicates: {define: {IsTaxi: {concept: taxi}}}",
@@ -211,26 +224,63 @@ fn common_mistakes_are_explained_once() {
         ),
         ("view:40", (2, 1), vec!["expected a space after `view:`", "`view: 40`"]),
         ("view:40\nticks: 3", (2, 1), vec!["expected a space after `view:`"]),
-        ("ticks: 3\nagents:\n  test:\n    cars:\n      - priority:1\n        count: 3", (6, 9), vec!["`priority: 1`"]),
-        ("map:\n  blocks:[1, 1]", (2, 1), vec!["put a space after the colon: `blocks: [1, 1]`"]),
-        ("map: {blocks:3}", (2, 7), vec!["unknown key `blocks:3`", "put a space after the colon: `blocks: 3`"]),
-        ("map:\n\tblocks: [1, 1]", (3, 1), vec!["a tab indents this line", "indent with spaces"]),
-        ("map:\n  buildings:\n  \trows: ~", (4, 3), vec!["a tab indents this line"]),
-        ("map: square5x5", (2, 6), vec!["no such file", "did you mean `square-5x5`?"]),
-        ("map: atlantis", (2, 6), vec!["built in as a map: metropolis, random-8x8, square-5x5"]),
+        (
+            "ticks: 3\nagents:\n  test:\n    cars:\n      - priority:1\n        count: 3",
+            (6, 9),
+            vec!["`priority: 1`"],
+        ),
+        (
+            "map:\n  blocks:[1, 1]",
+            (2, 1),
+            vec!["put a space after the colon: `blocks: [1, 1]`"],
+        ),
+        (
+            "map: {blocks:3}",
+            (2, 7),
+            vec!["unknown key `blocks:3`", "put a space after the colon: `blocks: 3`"],
+        ),
+        (
+            "map:\n\tblocks: [1, 1]",
+            (3, 1),
+            vec!["a tab indents this line", "indent with spaces"],
+        ),
+        (
+            "map:\n  buildings:\n  \trows: ~",
+            (4, 3),
+            vec!["a tab indents this line"],
+        ),
+        (
+            "map: square5x5",
+            (2, 6),
+            vec!["no such file", "did you mean `square-5x5`?"],
+        ),
+        (
+            "map: atlantis",
+            (2, 6),
+            vec!["built in as a map: metropolis, random-8x8, square-5x5"],
+        ),
         ("map: expert", (2, 6), vec!["`expert` is a run configuration"]),
         ("agents: exprt", (2, 9), vec!["did you mean `expert`?"]),
         ("rules: rules/exprt.dl", (2, 8), vec!["did you mean `rules/expert.dl`?"]),
         ("rules: exprt", (2, 8), vec!["did you mean `expert`?"]),
-        ("agents: {test: {cars: [{priority: 1, concept: [bus]}]}}", (2, 38), vec!["did you mean `concepts`?"]),
+        (
+            "agents: {test: {cars: [{priority: 1, concept: [bus]}]}}",
+            (2, 38),
+            vec!["did you mean `concepts`?"],
+        ),
     ] {
-        let (sources, result) = load_memory(&[("main.yaml", &format!("{expert}{text}\n"))]);
+        let whole = format!("{expert}{text}\n");
+        let (sources, result) = load_memory(&[("main.yaml", whole.as_str())]);
         let faults = result.err().unwrap_or_default();
         let shown = rendered(&sources, &faults);
         assert_eq!(faults.len(), 1, "{text}\n{shown}");
         let span = faults[0].primary.as_ref().expect("a place").span;
         let at = sources.position(span);
-        assert_eq!((sources.name(span.source), at.line, at.column), ("main.yaml", place.0, place.1), "{shown}");
+        assert_eq!(
+            (sources.name(span.source), at.line, at.column),
+            ("main.yaml", place.0, place.1),
+            "{shown}"
+        );
         for word in words {
             assert!(shown.contains(word), "`{word}` is missing in:\n{shown}");
         }
@@ -246,7 +296,12 @@ fn a_bad_base_hides_no_other_fault() {
     let (sources, result) = load_memory(&[("main.yaml", text)]);
     let faults = result.expect_err("faults");
     let lines: Vec<(usize, &str)> = (faults.iter())
-        .map(|fault| (sources.position(fault.primary.as_ref().expect("a place").span).line, fault.code.name()))
+        .map(|fault| {
+            (
+                sources.position(fault.primary.as_ref().expect("a place").span).line,
+                fault.code.name(),
+            )
+        })
         .collect();
     let expected = [
         (1, "missing-file"),

@@ -118,8 +118,14 @@ fn habits_of_other_languages_are_reported_once_with_help() {
         ("exists(A(_), A(3))", "A(_), A(3)"),
     ] {
         let said = helps(&format!("{HEAD}B(x) :- A(x), {written}.\n"));
-        assert!(said.len() == 1 && said[0].contains(&format!("`{help}`")), "{written}: {said:?}");
-        let literal = match (help.starts_with('A'), help.contains(['>', '=']) && !help.contains("y >")) {
+        assert!(
+            said.len() == 1 && said[0].contains(&format!("`{help}`")),
+            "{written}: {said:?}"
+        );
+        let literal = match (
+            help.starts_with('A'),
+            help.contains(['>', '=']) && !help.contains("y >"),
+        ) {
             (false, false) => format!("x = {help}"),
             _ => help.to_owned(),
         };
@@ -137,8 +143,14 @@ fn habits_of_other_languages_are_reported_once_with_help() {
         (".decl Near(x, y)", "`.decl Near(x: symbol, y: symbol)`"),
         (".decl Near(x: number, y)", "`.decl Near(x: number, y: symbol)`"),
         (".decl Near(symbol, number)", "`.decl Near(x1: symbol, x2: number)`"),
-        (".include \"vocabulary.dl\"\n.decl Near(x, y)", "`.decl Near(x: agent, y: agent)`"),
-        (".decl C(x: number, y: number) eqrel", "`C(x, x) :- C(x, _). C(y, x) :- C(x, y). C(x, z) :- "),
+        (
+            ".include \"vocabulary.dl\"\n.decl Near(x, y)",
+            "`.decl Near(x: agent, y: agent)`",
+        ),
+        (
+            ".decl C(x: number, y: number) eqrel",
+            "`C(x, x) :- C(x, _). C(y, x) :- C(x, y). C(x, z) :- ",
+        ),
         (
             ".decl C(x: number, y: number) choice-domain x",
             "`C(x, y) :- All(x, _), y = min v : { All(x, v) }.`",
@@ -188,20 +200,60 @@ fn a_string_without_a_closing_quote_is_one_error() {
 fn suggestions_are_edits_that_remove_the_fault() {
     const HEAD: &str = ".decl Road, Way(x: symbol, y: symbol)\n.input Road\n.output Way\n";
     for (written, code, mended) in [
-        ("Way(x, y) :- Raod(x, y), Raod(y, x).", "unknown-predicate", "Way(x, y) :- Road(x, y), Road(y, x)."),
-        (".decl A(x: string)\nA(x) :- Road(x, _).", "unknown-type", ".decl A(x: symbol)\nA(x) :- Road(x, _)."),
-        ("Way(x, y) :- Road(x, z), Road(_, y).", "singleton-variable", "Way(x, y) :- Road(x, _), Road(_, y)."),
-        ("Way(x, y) :- Road(x, y), x == y.", "syntax", "Way(x, y) :- Road(x, y), x = y."),
-        ("Way(x, y) :- Road(x, y) and Road(y, x).", "syntax", "Way(x, y) :- Road(x, y) , Road(y, x)."),
+        (
+            "Way(x, y) :- Raod(x, y), Raod(y, x).",
+            "unknown-predicate",
+            "Way(x, y) :- Road(x, y), Road(y, x).",
+        ),
+        (
+            ".decl A(x: string)\nA(x) :- Road(x, _).",
+            "unknown-type",
+            ".decl A(x: symbol)\nA(x) :- Road(x, _).",
+        ),
+        (
+            "Way(x, y) :- Road(x, z), Road(_, y).",
+            "singleton-variable",
+            "Way(x, y) :- Road(x, _), Road(_, y).",
+        ),
+        (
+            "Way(x, y) :- Road(x, y), x == y.",
+            "syntax",
+            "Way(x, y) :- Road(x, y), x = y.",
+        ),
+        (
+            "Way(x, y) :- Road(x, y) and Road(y, x).",
+            "syntax",
+            "Way(x, y) :- Road(x, y) , Road(y, x).",
+        ),
         ("Way(x, y) <- Road(x, y).", "syntax", "Way(x, y) :- Road(x, y)."),
         ("Way(x, y) if Road(x, y).", "syntax", "Way(x, y) :- Road(x, y)."),
-        ("Way(x, y) :- Road(x, y), NOT Road(y, x).", "syntax", "Way(x, y) :- Road(x, y), not Road(y, x)."),
+        (
+            "Way(x, y) :- Road(x, y), NOT Road(y, x).",
+            "syntax",
+            "Way(x, y) :- Road(x, y), not Road(y, x).",
+        ),
         ("Way(x, y) :- Road(x, y)", "syntax", "Way(x, y) :- Road(x, y)."),
-        (".outptu Road\nWay(x, y) :- Road(x, y).", "syntax", ".output Road\nWay(x, y) :- Road(x, y)."),
+        (
+            ".outptu Road\nWay(x, y) :- Road(x, y).",
+            "syntax",
+            ".output Road\nWay(x, y) :- Road(x, y).",
+        ),
         ("Way(a, \"b\").", "unbound-variable", "Way(\"a\", \"b\")."),
-        (".include \"vocabulry.dl\"", "missing-include", ".include \"vocabulary.dl\""),
-        (".once\nWay(x, y) :- Road(x, y).", "ignored", "\nWay(x, y) :- Road(x, y)."),
-        ("Way(\"a\", \"b\").\nWay(\"a\", \"b\").", "duplicate-clause", "Way(\"a\", \"b\").\n"),
+        (
+            ".include \"vocabulry.dl\"",
+            "missing-include",
+            ".include \"vocabulary.dl\"",
+        ),
+        (
+            ".once\nWay(x, y) :- Road(x, y).",
+            "ignored",
+            "\nWay(x, y) :- Road(x, y).",
+        ),
+        (
+            "Way(\"a\", \"b\").\nWay(\"a\", \"b\").",
+            "duplicate-clause",
+            "Way(\"a\", \"b\").\n",
+        ),
     ] {
         let text = format!("{HEAD}{written}\n");
         let (sources, loaded) = load_text("main.dl", &text);
@@ -215,18 +267,31 @@ fn suggestions_are_edits_that_remove_the_fault() {
         }
         assert_eq!(fixed, format!("{HEAD}{mended}\n"), "{}", fault.message);
         let (_, loaded) = load_text("main.dl", &fixed);
-        assert!(!loaded.diagnostics.iter().any(|fault| fault.code.name() == code), "{written}");
+        assert!(
+            !loaded.diagnostics.iter().any(|fault| fault.code.name() == code),
+            "{written}"
+        );
     }
 }
 
 #[test]
 fn parts_of_names_are_suggested() {
     let include = ".include \"vocabulary.dl\"\n";
-    assert_eq!(helps(&format!("{include}Stop(X) :- Car(X).\n")), ["did you mean `IsCar`?"]);
-    assert_eq!(helps(&format!("{include}Stop(X) :- Isambulence(X).\n")), ["did you mean `IsAmbulance`?"]);
+    assert_eq!(
+        helps(&format!("{include}Stop(X) :- Car(X).\n")),
+        ["did you mean `IsCar`?"]
+    );
+    assert_eq!(
+        helps(&format!("{include}Stop(X) :- Isambulence(X).\n")),
+        ["did you mean `IsAmbulance`?"]
+    );
     let said = helps(&format!("{include}Stop(X) :- Teleports(X).\n"));
     assert!(said.len() == 1 && !said[0].contains("vocabulary.dl"), "{said:?}");
-    assert!(helps("Stop(X) :- Teleports(X).\n").iter().all(|help| help.contains("vocabulary.dl")));
+    assert!(
+        helps("Stop(X) :- Teleports(X).\n")
+            .iter()
+            .all(|help| help.contains("vocabulary.dl"))
+    );
 }
 
 #[test]

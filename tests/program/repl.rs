@@ -530,7 +530,10 @@ mod terminal {
             history.contains("Reachable(7).") && !history.contains("Reachable(8"),
             "{history}"
         );
-        assert!(history.contains("Reachable(\\n\"a\")."), "one entry for both lines: {history}");
+        assert!(
+            history.contains("Reachable(\\n\"a\")."),
+            "one entry for both lines: {history}"
+        );
 
         let mut terminal = Terminal::open(folder.path());
         terminal.sees("> ");

@@ -147,7 +147,10 @@ impl Analysis {
     /// Returns the fix for an unknown predicate that the vocabulary of the city declares.
     pub fn include_vocabulary(&self, fault: &Diagnostic) -> Option<Fix> {
         const VOCABULARY: &str = "vocabulary.dl";
-        let label = fault.primary.as_ref().filter(|_| fault.code == Code::UNKNOWN_PREDICATE)?;
+        let label = fault
+            .primary
+            .as_ref()
+            .filter(|_| fault.code == Code::UNKNOWN_PREDICATE)?;
         let name = self.sources.slice(label.span);
         let mut sources = Sources::new();
         let id = sources.add(VOCABULARY, builtin::text(&format!("rules/{VOCABULARY}"))?);
@@ -156,10 +159,15 @@ impl Analysis {
             _ => false,
         };
         let start = Span::new(self.entry, 0..0);
-        datalog::parse(&sources, id).file.items.iter().any(declares).then(|| Fix {
-            title: format!("include {VOCABULARY}"),
-            edits: vec![(start, format!(".include \"{VOCABULARY}\"\n"))],
-        })
+        datalog::parse(&sources, id)
+            .file
+            .items
+            .iter()
+            .any(declares)
+            .then(|| Fix {
+                title: format!("include {VOCABULARY}"),
+                edits: vec![(start, format!(".include \"{VOCABULARY}\"\n"))],
+            })
     }
 
     /// Returns the include in the file itself that reaches a text, directly or through others.

@@ -17,10 +17,10 @@ use crate::files::{ReadError, ReadFile, normalize};
 use analysis::{Analysis, Meaning};
 use lsp_server::{Connection, ErrorCode, Message, Notification, ProtocolError, Request, Response};
 use lsp_types::{
-    CodeActionParams, CompletionItem, CompletionItemKind, CompletionParams, DiagnosticSeverity, DidChangeTextDocumentParams,
-    DidCloseTextDocumentParams, DidOpenTextDocumentParams, DocumentFormattingParams, DocumentSymbolParams,
-    Documentation, GotoDefinitionParams, HoverParams, MarkupContent, MarkupKind, MessageType, Position,
-    ReferenceParams, RenameParams, SymbolKind, TextDocumentPositionParams,
+    CodeActionParams, CompletionItem, CompletionItemKind, CompletionParams, DiagnosticSeverity,
+    DidChangeTextDocumentParams, DidCloseTextDocumentParams, DidOpenTextDocumentParams, DocumentFormattingParams,
+    DocumentSymbolParams, Documentation, GotoDefinitionParams, HoverParams, MarkupContent, MarkupKind, MessageType,
+    Position, ReferenceParams, RenameParams, SymbolKind, TextDocumentPositionParams,
 };
 use place::{Lines, path_of, uri_of};
 use serde::de::DeserializeOwned;
@@ -252,33 +252,32 @@ impl Server {
 
     fn answer(&self, request: Request) -> Response {
         let Request { id, method, params } = request;
-        let answer =
-            match method.as_str() {
-                "textDocument/hover" => {
-                    read(params).and_then(|params: HoverParams| self.hover(&params.text_document_position_params))
-                }
-                "textDocument/definition" => read(params)
-                    .and_then(|params: GotoDefinitionParams| self.definition(&params.text_document_position_params)),
-                "textDocument/references" => read(params).and_then(|params: ReferenceParams| {
-                    let declared = params.context.include_declaration;
-                    self.references(&params.text_document_position, declared)
-                }),
-                "textDocument/documentSymbol" => read(params)
-                    .and_then(|params: DocumentSymbolParams| self.symbols(params.text_document.uri.as_str())),
-                "textDocument/formatting" => read(params)
-                    .and_then(|params: DocumentFormattingParams| self.format(params.text_document.uri.as_str())),
-                "textDocument/completion" => {
-                    read(params).and_then(|params: CompletionParams| self.complete(&params.text_document_position))
-                }
-                "textDocument/prepareRename" => {
-                    read(params).and_then(|params: TextDocumentPositionParams| self.prepare_rename(&params))
-                }
-                "textDocument/rename" => read(params).and_then(|params: RenameParams| self.rename(&params)),
-                "textDocument/codeAction" => {
-                    read(params).and_then(|params: CodeActionParams| self.code_actions(&params))
-                }
-                other => Err((ErrorCode::MethodNotFound, format!("`{other}` is not supported"))),
-            };
+        let answer = match method.as_str() {
+            "textDocument/hover" => {
+                read(params).and_then(|params: HoverParams| self.hover(&params.text_document_position_params))
+            }
+            "textDocument/definition" => read(params)
+                .and_then(|params: GotoDefinitionParams| self.definition(&params.text_document_position_params)),
+            "textDocument/references" => read(params).and_then(|params: ReferenceParams| {
+                let declared = params.context.include_declaration;
+                self.references(&params.text_document_position, declared)
+            }),
+            "textDocument/documentSymbol" => {
+                read(params).and_then(|params: DocumentSymbolParams| self.symbols(params.text_document.uri.as_str()))
+            }
+            "textDocument/formatting" => {
+                read(params).and_then(|params: DocumentFormattingParams| self.format(params.text_document.uri.as_str()))
+            }
+            "textDocument/completion" => {
+                read(params).and_then(|params: CompletionParams| self.complete(&params.text_document_position))
+            }
+            "textDocument/prepareRename" => {
+                read(params).and_then(|params: TextDocumentPositionParams| self.prepare_rename(&params))
+            }
+            "textDocument/rename" => read(params).and_then(|params: RenameParams| self.rename(&params)),
+            "textDocument/codeAction" => read(params).and_then(|params: CodeActionParams| self.code_actions(&params)),
+            other => Err((ErrorCode::MethodNotFound, format!("`{other}` is not supported"))),
+        };
         match answer {
             Ok(value) => Response::new_ok(id, value),
             Err((code, message)) => Response::new_err(id, code as i32, message),
@@ -438,9 +437,7 @@ impl Server {
     /// Returns the fixes of the diagnostics in a range as quick fixes.
     fn code_actions(&self, params: &CodeActionParams) -> Result<Value, Refusal> {
         let document = self.document(params.text_document.uri.as_str())?;
-        let Analysis {
-            diagnostics, hints, ..
-        } = &document.analysis;
+        let Analysis { diagnostics, hints, .. } = &document.analysis;
         let own_lines = Lines::new(&document.text);
         let asked = own_lines.byte(params.range.start)..own_lines.byte(params.range.end);
         let mut actions = Vec::new();
@@ -475,11 +472,23 @@ impl Server {
         let mut changes: BTreeMap<String, Vec<Value>> = BTreeMap::new();
         for (span, text) in &fix.edits {
             let uri = self.uri(sources, span.source)?;
-            let span = if text.is_empty() { whole_lines(sources, *span) } else { *span };
+            let span = if text.is_empty() {
+                whole_lines(sources, *span)
+            } else {
+                *span
+            };
             let range = Lines::of(sources, span.source).range(span);
-            changes.entry(uri).or_default().push(json!({ "range": range, "newText": text }));
+            changes
+                .entry(uri)
+                .or_default()
+                .push(json!({ "range": range, "newText": text }));
         }
-        Some(changes.into_iter().map(|(uri, edits)| (uri, Value::Array(edits))).collect())
+        Some(
+            changes
+                .into_iter()
+                .map(|(uri, edits)| (uri, Value::Array(edits)))
+                .collect(),
+        )
     }
 
     /// Lists declarations, types and clauses in source order.
@@ -638,7 +647,8 @@ fn hover_word(document: &Document, position: Position) -> Option<Value> {
     let is_part = |c: char| c.is_ascii_alphanumeric() || c == '_';
     let start = at - text[..at].chars().rev().take_while(|c| is_part(*c)).count();
     let end = at + text[at..].chars().take_while(|c| is_part(*c)).count();
-    let line = lines.byte(Position::new(position.line, 0));
+    // A position past the end of the text maps to that end.
+    let line = lines.byte(Position::new(position.line, 0)).min(start);
     let directive = text[line..start].trim_start() == ".";
     // Not in comments and strings.
     let before = &text[line..start];

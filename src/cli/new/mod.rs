@@ -62,7 +62,11 @@ pub fn run(arguments: &Arguments) -> Result<(), Failure> {
 fn quoted(path: &Path) -> String {
     let text = path.display().to_string();
     // A path that begins with a hyphen would be an option.
-    let text = if text.starts_with('-') { format!("./{text}") } else { text };
+    let text = if text.starts_with('-') {
+        format!("./{text}")
+    } else {
+        text
+    };
     let is_plain = |c: char| c.is_ascii_alphanumeric() || "/._-+,=@%".contains(c);
     match text.chars().all(is_plain) {
         true => text,

@@ -395,7 +395,10 @@ impl Lexer<'_> {
                 .map(str::to_owned)
         };
         let is_aggregate = |rest: &str| {
-            let word = rest.split(|c: char| !c.is_ascii_alphabetic()).next().unwrap_or_default();
+            let word = rest
+                .split(|c: char| !c.is_ascii_alphabetic())
+                .next()
+                .unwrap_or_default();
             ASP_AGGREGATES.contains(&word) && rest[word.len()..].trim_start_matches(['+', ' ', '\t']).starts_with('{')
         };
         let length = match rest.strip_prefix('#') {

@@ -326,7 +326,10 @@ impl Parser<'_> {
         let word = self.token();
         let arguments = self.arguments_of(word);
         let negated = matches!(
-            (self.at.checked_sub(1).map(|at| self.tokens[at].kind), self.at.checked_sub(2)),
+            (
+                self.at.checked_sub(1).map(|at| self.tokens[at].kind),
+                self.at.checked_sub(2)
+            ),
             (Some(Kind::Bang), _)
         ) || self.at >= 2
             && self.previous().kind == Kind::LParen
@@ -337,7 +340,11 @@ impl Parser<'_> {
             }
             (true, _) => "count the exceptions: `count : { A(y), Not(B(x, y)) } = 0`".to_owned(),
             (false, _) if negated => {
-                let body = if arguments.is_empty() { "A(y), B(x, y)".to_owned() } else { arguments.join(", ") };
+                let body = if arguments.is_empty() {
+                    "A(y), B(x, y)".to_owned()
+                } else {
+                    arguments.join(", ")
+                };
                 format!("\"none exists\" is `count : {{ {body} }} = 0`")
             }
             (false, []) => "write the literals alone: variables that occur only in the body are existential".to_owned(),
@@ -347,8 +354,11 @@ impl Parser<'_> {
             ),
         };
         let message = format!("the quantifier `{}` is not part of the language", self.slice(word));
-        self.faults
-            .push(Diagnostic::new(Code::SYNTAX, message).at(self.span(word), "").help(help));
+        self.faults.push(
+            Diagnostic::new(Code::SYNTAX, message)
+                .at(self.span(word), "")
+                .help(help),
+        );
         Reported
     }
 

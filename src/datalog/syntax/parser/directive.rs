@@ -305,12 +305,19 @@ impl Parser<'_> {
     /// if they are more than names.
     fn with_types(&self, of: &str, open: usize) -> Option<String> {
         // The parser does not know which types are declared. The vocabulary of the city declares `agent`.
-        let usual = if self.text.contains("vocabulary.dl") { "agent" } else { BaseType::Symbol.name() };
+        let usual = if self.text.contains("vocabulary.dl") {
+            "agent"
+        } else {
+            BaseType::Symbol.name()
+        };
         let is_type = |word: &str| word == "agent" || BaseType::ALL.iter().any(|base| base.name() == word);
         let mut columns = Vec::new();
         let mut rest = self.tokens[open + 1..].iter();
         loop {
-            let name = rest.next().filter(|token| token.kind == Kind::Ident).map(|token| self.slice(*token))?;
+            let name = rest
+                .next()
+                .filter(|token| token.kind == Kind::Ident)
+                .map(|token| self.slice(*token))?;
             let mut next = rest.next()?.kind;
             columns.push(match next {
                 Kind::Colon => {
@@ -327,7 +334,10 @@ impl Parser<'_> {
                 _ => return None,
             }
         }
-        Some(format!("give each column a type, for example `.decl {of}({})`", columns.join(", ")))
+        Some(format!(
+            "give each column a type, for example `.decl {of}({})`",
+            columns.join(", ")
+        ))
     }
 
     /// Reports the qualifiers of Soufflé that the language does not have: `eqrel`, `choice-domain ...`.

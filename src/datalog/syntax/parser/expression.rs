@@ -227,7 +227,9 @@ impl Parser<'_> {
         let name = self.slice(word);
         let body = |from: usize| {
             let rest = &self.text[from..];
-            rest.split_once('}').and_then(|(inside, _)| inside.split_once('{')).map(|(_, inside)| inside)
+            rest.split_once('}')
+                .and_then(|(inside, _)| inside.split_once('{'))
+                .map(|(_, inside)| inside)
         };
         let parts = body(word.end as usize).and_then(|inside| inside.split_once(':'));
         let help = match (name, parts) {
@@ -291,9 +293,7 @@ impl Parser<'_> {
                 if self.eat(Kind::RParen) {
                     break;
                 }
-                if self.kind() == Kind::Colon
-                    && AggregateOp::ALL.into_iter().any(|op| op.name() == functor.name())
-                {
+                if self.kind() == Kind::Colon && AggregateOp::ALL.into_iter().any(|op| op.name() == functor.name()) {
                     return Err(self.applied_aggregate(start));
                 }
                 if !self.eat(Kind::Comma) {

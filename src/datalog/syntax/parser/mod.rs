@@ -290,7 +290,9 @@ impl<'a> Parser<'a> {
     fn is_before_open_text(&self) -> bool {
         let rest = &self.tokens[self.at..];
         let length = rest.iter().skip(1).take_while(|token| !token.first_on_line).count() + 1;
-        rest[..length.min(rest.len())].iter().any(|token| token.kind == Kind::OpenText)
+        rest[..length.min(rest.len())]
+            .iter()
+            .any(|token| token.kind == Kind::OpenText)
     }
 
     /// Reports that no clause or directive can begin at the current token.
