@@ -1,7 +1,7 @@
 //! The words of the language that no file declares: directives, functions, aggregates, operators and types.
 
 /// Where a word can stand.
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Hash)]
 pub enum Place {
     /// After a full stop at the start of a line.
     Directive,
