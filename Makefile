@@ -7,7 +7,7 @@ SOLVERS := .venv-solvers
 FUZZ_TARGETS := parse check query evaluate config scene rows
 FUZZ_SECONDS := 600
 
-.PHONY: test quick lint features rust doc wheel python python-all page solvers fuzz $(FUZZ_TARGETS:%=fuzz-%)
+.PHONY: test quick lint features rust doc wheel python python-all page vscode solvers fuzz $(FUZZ_TARGETS:%=fuzz-%)
 
 test: lint features rust doc python page
 
@@ -61,6 +61,13 @@ page: $(VENV)/bin/python
 	$(VENV)/bin/ruff check --config python/pyproject.toml tests/page_in_browser.py
 	$(VENV)/bin/ruff format --config python/pyproject.toml --check tests/page_in_browser.py
 	$(VENV)/bin/python tests/page_in_browser.py
+
+# Not part of `make test`. Checks the extension for Visual Studio Code and packages it as target/logicity.vsix. Needs npm.
+VSCODE := editors/vscode
+vscode:
+	cp rules/logicity.tmLanguage.json LICENSE $(VSCODE)
+	mkdir -p target
+	cd $(VSCODE) && npm ci --no-audit --no-fund --ignore-scripts && npm run check && npm run package
 
 # `make python` skips the tests with Stable-Baselines3, since it depends on torch, which takes some gigabytes.
 python-all: wheel $(VENV)-all/bin/python

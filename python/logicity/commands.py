@@ -3,10 +3,13 @@
 from __future__ import annotations
 
 import argparse
+import errno
 import json
+import math
 import os
 import sys
 from collections.abc import Callable, Sequence
+from difflib import get_close_matches
 from pathlib import Path
 from typing import TYPE_CHECKING, cast
 
@@ -53,13 +56,34 @@ def run(words: tuple[str, ...], arguments: Sequence[str]) -> int:
         # The reader has closed the pipe. Python flushes standard output again at exit, which must not fail.
         os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
         return 0
+    except _UsageError as error:
+        print(f"error: {error}", file=sys.stderr)
+        return 2
     except (InputError, ConnectionError, ValueError) as error:
         print(f"error: {error}", file=sys.stderr)
         return 1
+    except FileNotFoundError as error:
+        print(f"error: {_missing(error)}", file=sys.stderr)
+        return 2
     except (ImportError, OSError) as error:
         print(f"error: {error}", file=sys.stderr)
         return 2
     return code
+
+
+def _missing(error: FileNotFoundError) -> str:
+    """Describe a missing file in the words of the other commands, with a similar name from its folder."""
+    if error.filename is None:
+        return str(error)
+    path = Path(os.fsdecode(error.filename))
+    message = f"cannot read `{path}`: no such file"
+    beside = [entry.name for entry in path.parent.iterdir()] if path.parent.is_dir() else []
+    near = get_close_matches(path.name, sorted(beside), n=1)
+    return f"{message}\nhelp: did you mean `{path.parent / near[0]}`?" if near else message
+
+
+class _UsageError(Exception):
+    """The value of an option that does not fit the input."""
 
 
 #: Runs a command with its parsed arguments.
@@ -74,7 +98,9 @@ def _add_evaluate(parser: argparse.ArgumentParser) -> _Command:
         default="all",
         help=f"all (default), or any of {','.join(ENVIRONMENTS)}, or configuration files",
     )
-    parser.add_argument("--split", choices=("train", "val", "test"), default="test", help="default: test")
+    parser.add_argument(
+        "--split", type=str.lower, choices=("train", "val", "test"), default="test", help="default: test"
+    )
     parser.add_argument("--json", type=Path, metavar="FILE", help="write the results, with one record per episode")
     parser.add_argument(
         "--traces",
@@ -88,7 +114,7 @@ def _add_evaluate(parser: argparse.ArgumentParser) -> _Command:
 def _add_train(parser: argparse.ArgumentParser) -> _Command:
     parser.add_argument("config", type=Path, help="for example configs/baselines/dqn-easy.yaml")
     parser.add_argument("--run", type=Path, metavar="FOLDER", help="folder of the run; default: runs/CONFIG-SEED")
-    parser.add_argument("--seed", type=int, help="replace the seed of the configuration")
+    parser.add_argument("--seed", type=_seed, help="replace the seed of the configuration")
     return _train
 
 
@@ -110,9 +136,9 @@ def _add_ask(parser: argparse.ArgumentParser) -> _Command:
         help='more fields of the request; default: {"temperature": 0}',
     )
     parser.add_argument(
-        "--timeout", type=float, default=120.0, metavar="SECONDS", help="timeout of a request; default: 120"
+        "--timeout", type=_positive_float, default=120.0, metavar="SECONDS", help="timeout of a request; default: 120"
     )
-    parser.add_argument("--tries", type=int, default=6, help="attempts per request; default: 6")
+    parser.add_argument("--tries", type=_positive, default=6, help="attempts per request; default: 6")
     return _ask
 
 
@@ -132,7 +158,7 @@ def _add_describe(parser: argparse.ArgumentParser) -> _Command:
 def _add_webdataset(parser: argparse.ArgumentParser) -> _Command:
     parser.add_argument("folder", type=Path, help="the data set")
     parser.add_argument("out", type=Path, help="the folder to create")
-    parser.add_argument("--shard-size", type=int, default=1000, help="samples per file; default: 1000")
+    parser.add_argument("--shard-size", type=_positive, default=1000, help="samples per file; default: 1000")
     parser.add_argument("--no-pictures", action="store_true", help="omit pictures; required if the data set has none")
     return _webdataset
 
@@ -151,8 +177,8 @@ def _add_coco(parser: argparse.ArgumentParser) -> _Command:
 def _add_baselines(parser: argparse.ArgumentParser) -> _Command:
     parser.add_argument("--train", type=Path, required=True, metavar="FOLDER", help="the data set to train on")
     parser.add_argument("--test", type=Path, required=True, metavar="FOLDER", help="the data set to measure on")
-    parser.add_argument("--seed", type=int, default=0, help="seed of the network; default: 0")
-    parser.add_argument("--epochs", type=int, default=30, help="epochs of the network; default: 30")
+    parser.add_argument("--seed", type=_seed, default=0, help="seed of the network; default: 0")
+    parser.add_argument("--epochs", type=_positive, default=30, help="epochs of the network; default: 30")
     parser.add_argument("--json", type=Path, metavar="FILE", help="write the measures")
     return _baselines
 
@@ -184,11 +210,35 @@ def _named_policy(text: str) -> tuple[Policy, str]:
     path = Path(text)
     if not path.is_file():
         if path.suffix == ".zip" or len(path.parts) > 1:
-            raise FileNotFoundError(f"no such file: `{text}`")
-        raise ValueError(f"unknown policy `{text}`: expected oracle, random, or a model file of Stable-Baselines3")
+            raise FileNotFoundError(errno.ENOENT, "no such file", text)
+        raise _UsageError(f"unknown policy `{text}`: expected oracle, random, or a model file of Stable-Baselines3")
     from .train import load_model
 
     return load_model(text), path.stem
+
+
+def _whole(text: str, least: int) -> int:
+    if not text.isdecimal() or int(text) < least:
+        raise argparse.ArgumentTypeError(f"expected an integer from {least}, found `{text}`")
+    return int(text)
+
+
+def _positive(text: str) -> int:
+    return _whole(text, 1)
+
+
+def _seed(text: str) -> int:
+    return _whole(text, 0)
+
+
+def _positive_float(text: str) -> float:
+    try:
+        value = float(text)
+    except ValueError:
+        value = math.nan
+    if not 0 < value < math.inf:
+        raise argparse.ArgumentTypeError(f"expected a positive number, found `{text}`")
+    return value
 
 
 def _object(text: str) -> dict[str, object]:
@@ -245,7 +295,7 @@ def _ask(given: argparse.Namespace) -> int:
     if given.key_from is not None:
         key = os.environ.get(given.key_from, "").strip()
         if not key:
-            raise ValueError(f"the environment variable `{given.key_from}` is not set")
+            raise _UsageError(f"the environment variable `{given.key_from}` is not set")
     questions = load_questions(given.questions)
     endpoint = Endpoint(given.url, given.model, key, given.settings, given.timeout, given.tries)
     print(grade(questions, ask_with_progress(questions, endpoint, given.output)))
@@ -255,7 +305,11 @@ def _ask(given: argparse.Namespace) -> int:
 def _grade(given: argparse.Namespace) -> int:
     from .questions import grade, load_answers, load_questions
 
-    graded = grade(load_questions(given.questions), load_answers(given.answers))
+    answers = load_answers(given.answers)
+    if not given.questions.exists():
+        help = "name the questions with --questions; `logicity questions --output questions.jsonl` writes some"
+        raise _UsageError(f"cannot read `{given.questions}`: no such file\nhelp: {help}")
+    graded = grade(load_questions(given.questions), answers)
     print(graded)
     for what, ids in [
         ("counted as wrong, no answer", graded.missing),

@@ -12,6 +12,7 @@ from pathlib import Path
 import pytest
 from conftest import COUNTING
 
+from logicity.__main__ import main
 from logicity.commands import _COMMANDS, SUMMARIES
 
 COMMAND = str(Path(sysconfig.get_path("scripts")) / "logicity")
@@ -57,9 +58,11 @@ def test_exit_codes(tmp_path: Path) -> None:
         (["--version"], 0, ""),
         (["query", str(tmp_path / "p.dl"), "-D", "-"], 0, ""),
         (["check", str(tmp_path / "faulty.dl")], 1, "unknown-predicate"),
-        (["evaluate", "--policy", "foo", "--modes", "easy"], 1, "unknown policy `foo`"),
+        (["evaluate", "--policy", "foo", "--modes", "easy"], 2, "unknown policy `foo`"),
         (["check", "no-such.dl"], 2, "no-such.dl"),
-        (["grade", "no-such.jsonl"], 2, "questions.jsonl"),
+        (["grade", "no-such.jsonl"], 2, "error: cannot read `no-such.jsonl`: no such file"),
+        (["vap", "baselines", "--train", "a", "--test", "b", "--epochs", "0"], 2, "expected an integer from 1"),
+        (["vap", "webdataset", "a", "b", "--shard-size", "-1"], 2, "expected an integer from 1"),
         (["trian"], 2, "'train'"),
         (["vap", "cocos"], 2, "'coco'"),
         (["evaluate"], 2, "--policy"),
@@ -118,3 +121,13 @@ def test_ctrl_c_ends_every_command(tmp_path: Path) -> None:
             process.send_signal(signal.SIGINT)
             process.communicate(timeout=30)
         assert process.returncode == code, arguments
+
+
+def test_missing_files_are_reported_with_similar_names(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    (tmp_path / "answers.jsonl").write_text('{"id": "0", "answer": "A"}\n')
+    typo = tmp_path / "anwsers.jsonl"
+    assert main(["grade", str(typo)]) == 2
+    help = f"help: did you mean `{tmp_path / 'answers.jsonl'}`?"
+    assert capsys.readouterr().err == f"error: cannot read `{typo}`: no such file\n{help}\n"
+    assert main(["grade", str(tmp_path / "answers.jsonl"), "--questions", str(tmp_path / "none.jsonl")]) == 2
+    assert "name the questions with --questions" in capsys.readouterr().err

@@ -291,11 +291,15 @@ def test_progress_is_shown_on_a_terminal(monkeypatch: pytest.MonkeyPatch, capsys
 @pytest.mark.parametrize(
     ("arguments", "status", "message"),
     [
-        (["evaluate", "--policy", "no-such.zip", "--modes", "easy"], 2, "error: no such file: `no-such.zip`"),
-        (["evaluate", "--policy", "runs/best", "--modes", "easy"], 2, "error: no such file: `runs/best`"),
+        (
+            ["evaluate", "--policy", "no-such.zip", "--modes", "easy"],
+            2,
+            "error: cannot read `no-such.zip`: no such file",
+        ),
+        (["evaluate", "--policy", "runs/best", "--modes", "easy"], 2, "error: cannot read `runs/best`: no such file"),
         (
             ["evaluate", "--policy", "foo"],
-            1,
+            2,
             "unknown policy `foo`: expected oracle, random, or a model",
         ),
         (["evaluate", "--policy", "oracle", "--modes", "easy", "--json", "no/such/folder.json"], 2, "error: "),

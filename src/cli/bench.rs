@@ -3,7 +3,7 @@
 use crate::builtin::BuiltinFiles;
 use crate::city::{Action, AgentSet, Building, Buildings, MapConfig, Split};
 use crate::city::{Agent, Cell};
-use crate::cli::{Failure, load_city, one_of, threads};
+use crate::cli::{Failure, load_city, one_of, threads, unreadable};
 use crate::config::Scenario;
 use crate::datalog::dense::{BitFacts, BitState, Dense, TrackFirings};
 use crate::diag::{Code, Diagnostic, Sources};
@@ -653,7 +653,7 @@ fn infer_scenes(arguments: &Arguments, city: LoadedCity, path: &Path) -> Result<
         true => files::read_from(io::stdin().lock()),
         false => files::read_text(path),
     };
-    let text = text.map_err(|error| Failure::file("read", path, error))?;
+    let text = text.map_err(|error| unreadable(path, &error))?;
     let mut scenes = Vec::new();
     for (number, line) in (1..).zip(text.lines()).filter(|(_, line)| !line.trim().is_empty()) {
         let mut sources = Sources::new();

@@ -1,5 +1,6 @@
-//! `logicity check`: checks rule files.
+//! `logicity check`: checks rule files and configurations.
 
+use crate::cli::configuration::{self, Checked, Opened};
 use crate::cli::trace::TraceReader;
 use crate::cli::{Failure, load_workspace, plural, report};
 use crate::datalog::diff::{Cut, Equivalence};
@@ -15,11 +16,12 @@ use std::path::{Path, PathBuf};
 
 #[derive(clap::Args)]
 pub struct Arguments {
-    /// Rule files to check, each as a program of its own [default with --coverage: the rules of the run]
-    #[arg(required_unless_present = "coverage", value_name = "RULES")]
+    /// Rule files, each checked as a program of its own; configurations (.yaml, or names of built-in ones such as
+    /// `expert`), checked with their rules; maps [default with --coverage: the rules of the run]
+    #[arg(required_unless_present = "coverage", value_name = "FILES")]
     rules: Vec<PathBuf>,
     /// Print one JSON object per file, with the keys `file`, `ok`, `strata`, `executors`, `conflicts` and
-    /// `diagnostics`; `coverage` with --coverage; `unfinished` lists searches that reached a limit
+    /// `diagnostics`; `configuration` for a configuration; `coverage` with --coverage; `unfinished` lists searches that reached a limit
     #[arg(long)]
     json: bool,
     /// Count how often each clause fires on the states of this trace, and list the literals that never matter there
@@ -76,6 +78,8 @@ pub fn run(arguments: &Arguments, sources: &mut Sources) -> Result<(), Failure> 
 
 /// The results for one file.
 struct Report {
+    /// The contents of the configuration, if the file is one.
+    configuration: Option<Checked>,
     program: Option<Program>,
     found: Vec<Diagnostic>,
     /// The searches that reached a limit.
@@ -86,11 +90,24 @@ struct Report {
 
 fn examine(arguments: &Arguments, path: &Path, sources: &mut Sources) -> Result<Report, Failure> {
     let mut report = Report {
+        configuration: None,
         program: None,
         found: Vec::new(),
         unfinished: Vec::new(),
         overlaps: Vec::new(),
         covered: None,
+    };
+    let path = match configuration::open(path, sources)? {
+        Opened::Rules => path,
+        Opened::Faulty(faults) => {
+            report.found = faults;
+            return Ok(report);
+        }
+        Opened::Map(map) => {
+            report.configuration = Some(map);
+            return Ok(report);
+        }
+        Opened::Run(run) => &report.configuration.insert(run).rules().to_owned(),
     };
     let loaded = match load_workspace(sources, path, Edb::Fixed) {
         Ok(texts) => texts.check(),
@@ -119,6 +136,9 @@ fn examine(arguments: &Arguments, path: &Path, sources: &mut Sources) -> Result<
         report.unfinished.extend(lints.unfinished);
     }
     report.overlaps = conflicts(&program)?;
+    if let Some(configuration) = &mut report.configuration {
+        report.found.extend(configuration.bind(&program, sources));
+    }
     if let Some(trace) = &arguments.coverage {
         report.covered = Some(measure(arguments, trace, path, sources)?);
     }
@@ -134,10 +154,13 @@ impl Report {
     fn json(&self, path: &Path, sources: &Sources) -> serde_json::Value {
         let mut line = json!({
             "file": path.display().to_string(),
-            "ok": self.program.is_some(),
+            "ok": !self.found.iter().any(Diagnostic::is_error),
             "strata": self.rules().map(strata),
             "executors": self.rules().map(executors_json),
         });
+        if let Some(configuration) = &self.configuration {
+            line["configuration"] = configuration.json();
+        }
         if let Some(rules) = self.rules() {
             line["conflicts"] = overlaps_json(&self.overlaps, rules, sources);
             if let Some(covered) = &self.covered {
@@ -153,7 +176,11 @@ impl Report {
 
     /// Prints nothing for rules with errors.
     fn print(&self, out: &mut impl Write, path: &Path, arguments: &Arguments, sources: &Sources) -> io::Result<()> {
+        if let Some(configuration) = &self.configuration {
+            configuration.print(out, path)?;
+        }
         let Some(rules) = self.rules() else { return Ok(()) };
+        let path = self.configuration.as_ref().map_or(path, Checked::rules);
         let strata: Vec<String> = strata(rules).iter().map(|names| names.join(", ")).collect();
         writeln!(out, "{}: {}", path.display(), plural(rules.clauses.len(), "clause"))?;
         writeln!(out, "  strata: {}", strata.join(" < "))?;

@@ -2,7 +2,7 @@
 
 use crate::cli::{Failure, load_program, report};
 use crate::datalog::diff::{Cut, Difference, Equivalence, Options, diff};
-use crate::diag::Sources;
+use crate::diag::{Code, Diagnostic, Sources};
 use crate::sim::scene_json;
 use serde_json::{Value, json};
 use std::io::Write;
@@ -18,10 +18,16 @@ pub struct Arguments {
     #[arg(long, value_delimiter = ',', value_name = "NAMES")]
     predicates: Vec<String>,
     /// Compare scenes of at most this many entities
-    #[arg(long, value_name = "COUNT", default_value_t = Options::default().entities_max)]
+    #[arg(
+        long,
+        value_name = "COUNT",
+        value_parser = entities,
+        default_value_t = Options::default().entities_max,
+        allow_negative_numbers = true
+    )]
     entities: usize,
     /// Stop the search after this many conflicts, or a tenth as many scenes where `diff` evaluates scenes one by one
-    #[arg(long, value_name = "COUNT", default_value_t = Options::default().conflicts_max)]
+    #[arg(long, value_name = "COUNT", default_value_t = Options::default().conflicts_max, allow_negative_numbers = true)]
     effort: u64,
     /// Print only a scene that shows a difference, as input for `logicity infer`
     #[arg(long, conflicts_with = "json")]
@@ -29,6 +35,11 @@ pub struct Arguments {
     /// Print one JSON object
     #[arg(long)]
     json: bool,
+}
+
+fn entities(text: &str) -> Result<usize, String> {
+    let count = text.parse().ok().filter(|&count| count > 0);
+    count.ok_or_else(|| "expected an integer from 1".to_owned())
 }
 
 /// Returns exit code 0 if it finds no difference, 1 if it finds one.
@@ -43,7 +54,13 @@ pub fn run(arguments: &Arguments, sources: &mut Sources) -> Result<u8, Failure> 
         conflicts_max: arguments.effort,
         ..Options::default()
     };
-    let equivalence = diff(left.rules(), right.rules(), &options)?;
+    let equivalence = diff(left.rules(), right.rules(), &options).map_err(|faults| {
+        let is_option = |fault: &Diagnostic| fault.code == Code::RULE_MISMATCH && !arguments.predicates.is_empty();
+        match faults.iter().all(is_option) {
+            true => Failure::option(faults),
+            false => Failure::Input(faults),
+        }
+    })?;
 
     let mut out = anstream::stdout();
     let names = [&arguments.left, &arguments.right].map(|path| path.display().to_string());

@@ -3,8 +3,8 @@
 use crate::cancel::Cancel;
 use crate::city::Action;
 use crate::city::Cell;
-use crate::cli::Failure;
 use crate::cli::trace::TraceReader;
+use crate::cli::{Failure, one_of};
 use crate::datalog::explain::ExplanationPrinter;
 use crate::diag::{Code, Diagnostic, Sources, did_you_mean};
 use crate::sim::{Decision, Driven, Replay, TraceTick, World};
@@ -23,7 +23,7 @@ pub struct Arguments {
     #[arg(long)]
     agent: String,
     /// Explain why this action was not derived, instead of why the agent acted as it did
-    #[arg(long, value_name = "ACTION", value_parser = action)]
+    #[arg(long, value_name = "ACTION", value_parser = one_of(&Action::ALL, Action::name))]
     why_not: Option<Action>,
     /// Print JSON with the keys `tick`, `agent`, `at`, `heading`, `derived`, `action` and `explanations`, plus `driven`
     /// for a controlled agent
@@ -35,11 +35,6 @@ pub struct Arguments {
     /// Rules of the run, if they are not at the path that the trace names
     #[arg(long)]
     rules: Option<PathBuf>,
-}
-
-fn action(text: &str) -> Result<Action, String> {
-    let known = Action::ALL.into_iter().find(|action| action.name() == text);
-    known.ok_or_else(|| "expected Slow, Normal, Fast or Stop".to_owned())
 }
 
 pub fn run(arguments: &Arguments, sources: &mut Sources) -> Result<(), Failure> {

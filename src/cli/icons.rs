@@ -56,9 +56,11 @@ fn load_pack(folder: &Path, mode: Mode) -> Result<Pack, Failure> {
     let files = files::read_folders(folder, PACK_FILES_MAX, PACK_FILE_MAX as u64)
         .map_err(|(path, error)| Failure::file("read", &path, error))?;
     Pack::new(mode, files).map_err(|faults| {
-        let message =
-            |PackFault { file, reason }: &PackFault| format!("icon `{}`: {reason}", folder.join(file).display());
-        Failure::Usage(faults.iter().map(message).collect::<Vec<_>>().join("\nerror: "))
+        for PackFault { file, reason } in faults {
+            let icon = folder.join(file);
+            let _ = writeln!(anstream::stderr(), "error: icon `{}`: {reason}", icon.display());
+        }
+        Failure::Reported
     })
 }
 
@@ -94,7 +96,8 @@ fn class(text: &str) -> Result<Class, String> {
         "expected a building type, an agent type, or concepts joined by `+`; \
             the first must be a known concept or an agent type"
     };
-    Class::from_name(text).ok_or_else(|| unknown().to_owned())
+    let class = Class::from_name(text).or_else(|| Class::from_name(&text.to_ascii_lowercase()));
+    class.ok_or_else(|| unknown().to_owned())
 }
 
 pub fn run(arguments: &Arguments) -> Result<(), Failure> {

@@ -1,14 +1,13 @@
 //! `logicity infer`: evaluates the rules on scenes.
 
 use crate::builtin::BuiltinFiles;
-use crate::cli::{Failure, load_city, one_of, report};
+use crate::cli::{Failure, load_city, one_of, open, report};
 use crate::diag::{Code, Diagnostic, Sources, to_json};
 use crate::files;
 use crate::files::{Output, ReadError};
 use crate::rng::Seed;
 use crate::sim::{Executor, Inference};
 use serde_json::json;
-use std::fs::File;
 use std::io::{self, BufRead, BufReader, BufWriter, Read, Write};
 use std::path::{Path, PathBuf};
 
@@ -62,8 +61,7 @@ pub fn run(arguments: &Arguments, sources: &mut Sources) -> Result<(), Failure> 
     let (input, name): (Box<dyn Read>, _) = if arguments.file == Path::new("-") {
         (Box::new(io::stdin().lock()), "<stdin>".to_owned())
     } else {
-        let file = File::open(&arguments.file).map_err(|error| Failure::file("read", &arguments.file, error))?;
-        (Box::new(file), arguments.file.display().to_string())
+        (Box::new(open(&arguments.file)?), arguments.file.display().to_string())
     };
     let scenes = BufReader::new(input);
     match &arguments.out {

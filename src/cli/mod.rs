@@ -7,6 +7,7 @@
 
 mod bench;
 mod check;
+mod configuration;
 mod diff;
 mod episodes;
 mod explain;
@@ -15,6 +16,7 @@ mod icons;
 mod infer;
 #[cfg(feature = "lsp")]
 mod lsp;
+mod new;
 mod query;
 mod questions;
 #[cfg(feature = "repl")]
@@ -31,13 +33,14 @@ use crate::city::MapConfig;
 use crate::config::{load_map, missing_file};
 use crate::datalog::{Edb, Rules, Workspace};
 use crate::datalog::{EvalError, Limits, Program};
-use crate::diag::{Code, Diagnostic, Sources, render};
+use crate::diag::{Code, Diagnostic, Sources, did_you_mean, render};
 use crate::files::{FileError, ReadError, ReadFile as _};
 use crate::sim::{LoadError, LoadedCity};
-use clap::builder::{PossibleValuesParser, TypedValueParser};
+use clap::builder::{PossibleValue, PossibleValuesParser, TypedValueParser};
 use clap::{CommandFactory, FromArgMatches, Parser, Subcommand};
 use indicatif::{ProgressBar, ProgressStyle};
-use std::ffi::OsString;
+use std::ffi::{OsStr, OsString};
+use std::fs::File;
 use std::io::{self, IsTerminal, Write};
 use std::iter;
 use std::num::NonZeroUsize;
@@ -56,7 +59,9 @@ struct Arguments {
 enum Command {
     /// Run a city and write a trace, an animation and a picture of the last tick
     Run(run::Arguments),
-    /// Check rule files and print diagnostics, strata and conflicts
+    /// Create a folder with a rule file, a configuration and a scene to start from
+    New(new::Arguments),
+    /// Check rule files and configurations, and print diagnostics, strata and conflicts
     Check(check::Arguments),
     /// Format rule files
     Fmt(fmt::Arguments),
@@ -101,6 +106,8 @@ enum Failure {
     Input(Vec<Diagnostic>),
     /// The input is faulty, and the command has printed the diagnostics. Exit code 1.
     Reported,
+    /// The value of an option does not fit the input, as the diagnostics describe. Exit code 2.
+    Option(Vec<Diagnostic>),
     /// Wrong usage, or a file that cannot be read or written. Exit code 2.
     Usage(String),
     /// The user interrupted the command; its results so far are on disk. Exit code 130, as in shells.
@@ -125,7 +132,7 @@ impl From<LoadError> for Failure {
     fn from(error: LoadError) -> Self {
         match error {
             LoadError::Config(faults) => missing_is_usage(faults),
-            LoadError::RuleFile(path, error) => unreadable(&path, error),
+            LoadError::RuleFile(path, error) => unreadable(&path, &error),
             LoadError::Rules(faults) => faults.into(),
         }
     }
@@ -151,6 +158,11 @@ impl Failure {
     /// Returns the failure to read or write a file; `doing` is the verb.
     fn file(doing: &str, path: &Path, error: impl std::fmt::Display) -> Failure {
         Failure::Usage(format!("cannot {doing} `{}`: {error}", path.display()))
+    }
+
+    /// Returns the failure of an option whose value does not fit the input.
+    fn option(faults: impl Into<Vec<Diagnostic>>) -> Failure {
+        Failure::Option(faults.into())
     }
 }
 
@@ -274,6 +286,7 @@ fn run(mut command: clap::Command, arguments: &[OsString]) -> u8 {
     let mut sources = Sources::new();
     let result = match arguments.command {
         Command::Run(arguments) => run::run(&arguments, &mut sources),
+        Command::New(arguments) => new::run(&arguments),
         Command::Check(arguments) => check::run(&arguments, &mut sources),
         Command::Fmt(arguments) => fmt::run(&arguments, &mut sources),
         Command::Diff(arguments) => {
@@ -315,7 +328,13 @@ fn exit(failure: Failure, sources: &Sources) -> u8 {
         Failure::Closed => 0,
         Failure::Input(diagnostics) => {
             report(&diagnostics, sources);
-            1
+            // Splits come from options only.
+            let is_option = diagnostics.iter().all(|fault| fault.code == Code::UNKNOWN_SPLIT);
+            if is_option { 2 } else { 1 }
+        }
+        Failure::Option(diagnostics) => {
+            report(&diagnostics, sources);
+            2
         }
         Failure::Reported => 1,
         Failure::Interrupted => 130,
@@ -355,31 +374,115 @@ fn count(errors: usize, warnings: usize) -> String {
     }
 }
 
-/// Returns a parser for a fixed list of values, by name.
+/// Returns a parser for a fixed list of values, by name in upper or lower case.
 fn one_of<T: Copy + Send + Sync + 'static>(
     all: &'static [T],
     name: fn(T) -> &'static str,
 ) -> impl TypedValueParser<Value = T> {
-    PossibleValuesParser::new(all.iter().map(|&value| name(value))).map(move |text| {
-        let found = all.iter().find(|value| name(**value) == text);
-        *found.expect("no other text is possible")
-    })
+    OneOf { all, name }
+}
+
+#[derive(Clone, Copy)]
+struct OneOf<T: 'static> {
+    all: &'static [T],
+    name: fn(T) -> &'static str,
+}
+
+impl<T: Copy + Send + Sync + 'static> OneOf<T> {
+    fn names(self) -> impl Iterator<Item = &'static str> {
+        self.all.iter().map(move |&value| (self.name)(value))
+    }
+}
+
+impl<T: Copy + Send + Sync + 'static> TypedValueParser for OneOf<T> {
+    type Value = T;
+
+    fn parse_ref(&self, command: &clap::Command, argument: Option<&clap::Arg>, text: &OsStr) -> Result<T, clap::Error> {
+        let is_named = |value: &&T| {
+            text.to_str()
+                .is_some_and(|text| (self.name)(**value).eq_ignore_ascii_case(text))
+        };
+        match self.all.iter().find(is_named) {
+            Some(&value) => Ok(value),
+            None => {
+                let refused = PossibleValuesParser::new(self.names()).parse_ref(command, argument, text);
+                Err(refused.expect_err("it is none of the names"))
+            }
+        }
+    }
+
+    fn possible_values(&self) -> Option<Box<dyn Iterator<Item = PossibleValue> + '_>> {
+        Some(Box::new(self.names().map(PossibleValue::new)))
+    }
 }
 
 /// Reads a file named on the command line, or a built-in one.
 fn read(path: &Path) -> Result<String, Failure> {
     BuiltinFiles
         .read_or_builtin(path)
-        .map_err(|error| unreadable(path, error))
+        .map_err(|error| unreadable(path, &error))
+}
+
+/// Opens a file named on the command line, which may be a pipe.
+fn open(path: &Path) -> Result<File, Failure> {
+    File::open(path).map_err(|error| match error.kind() {
+        io::ErrorKind::NotFound => unreadable(path, &ReadError::NotFound),
+        _ => Failure::file("read", path, error),
+    })
 }
 
 /// Reports a file named on the command line that cannot be read.
-fn unreadable(path: &Path, error: ReadError) -> Failure {
+fn unreadable(path: &Path, error: &ReadError) -> Failure {
     match error {
         ReadError::NotText { .. } => Diagnostic::new(Code::NOT_TEXT, format!("`{}` is {error}", path.display()))
             .help("save the file as UTF-8")
             .into(),
-        error => Failure::file("read", path, error),
+        error => {
+            let near = (*error == ReadError::NotFound).then(|| similar_file(path)).flatten();
+            let help = near.map_or_else(String::new, |near| format!("\nhelp: did you mean `{near}`?"));
+            Failure::Usage(format!("cannot read `{}`: {error}{help}", path.display()))
+        }
+    }
+}
+
+/// The most files of a folder among which [`similar_file`] searches.
+const SIMILAR_MAX: usize = 10_000;
+
+/// Returns a file with a name like that of a missing one: in the same folder, or built in.
+fn similar_file(path: &Path) -> Option<String> {
+    let written = path.to_str()?;
+    let name = path.file_name()?.to_str()?;
+    let ending = path.extension().and_then(OsStr::to_str);
+    let folder = path.parent().filter(|folder| !folder.as_os_str().is_empty());
+    let entries = std::fs::read_dir(folder.unwrap_or(Path::new(".")))
+        .into_iter()
+        .flatten();
+    let beside: Vec<String> = entries
+        .take(SIMILAR_MAX)
+        .filter_map(|entry| entry.ok()?.file_name().into_string().ok())
+        .filter(|name| !name.starts_with('.'))
+        .collect();
+    // A missing ending, then a typing error.
+    let ended = beside.iter().map(String::as_str).find(|other| {
+        let stem = Path::new(other).file_stem();
+        ending.is_none() && stem == Some(OsStr::new(name))
+    });
+    let same_ending = |other: &&str| ending.is_none() || Path::new(other).extension().and_then(OsStr::to_str) == ending;
+    let mut near: Vec<&str> = beside.iter().map(String::as_str).filter(same_ending).collect();
+    near.sort_unstable();
+    if let Some(near) = ended.or_else(|| did_you_mean(name, near)) {
+        return Some(folder.map_or(near.to_owned(), |folder| folder.join(near).display().to_string()));
+    }
+    let known = BuiltinFiles.builtin_paths();
+    let rules = || known.iter().map(String::as_str).filter(|known| known.ends_with(".dl"));
+    let named = |known: &&str| Path::new(known).file_stem() == path.file_stem();
+    match ending {
+        None | Some("dl") => rules()
+            .find(|known| folder.is_none() && named(known))
+            .or_else(|| did_you_mean(written, rules().collect::<Vec<_>>()))
+            .map(str::to_owned),
+        Some("yaml") => did_you_mean(written, known.iter().map(String::as_str)).map(str::to_owned),
+        Some(_) => None,
     }
 }
 

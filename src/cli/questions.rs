@@ -2,7 +2,7 @@
 
 use crate::city::Split;
 use crate::cli::{Failure, load_city, one_of, progress};
-use crate::diag::Sources;
+use crate::diag::{Code, Sources};
 use crate::files::Output;
 use crate::task::questions::{Extent, QUESTIONS_MAX, QuestionSet, Request, RulesFile, SHOTS_MAX, askable};
 use std::io::{self, Write};
@@ -77,7 +77,13 @@ pub fn run(arguments: &Arguments, sources: &mut Sources) -> Result<(), Failure> 
     let bar = progress("question", count as u64);
     let set = QuestionSet::draw(&world, request, |found| bar.set_position(found as u64));
     bar.finish_and_clear();
-    let set = set?;
+    // The configuration is valid, so an invalid value is one of the request.
+    let set = set.map_err(
+        |faults| match faults.iter().all(|fault| fault.code == Code::INVALID_VALUE) {
+            true => Failure::option(faults),
+            false => Failure::Input(faults),
+        },
+    )?;
     let rules = RulesFile {
         name: sources.name(rule_file),
         hash: &hash,

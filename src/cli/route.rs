@@ -71,8 +71,8 @@ pub fn run(arguments: &Arguments, sources: &mut Sources) -> Result<(), Failure> 
         };
         let fault = Diagnostic::new(Code::NO_ROUTE, format!("{message} on `{}`", map.name));
         match cell {
-            Some(cell) => fault.help(outside(cell).unwrap_or_else(|| rule.to_owned())),
-            None => fault,
+            Some(cell) => Failure::option([fault.help(outside(cell).unwrap_or_else(|| rule.to_owned()))]),
+            None => fault.into(),
         }
     })?;
     let mut out = BufWriter::new(io::stdout().lock());

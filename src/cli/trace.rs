@@ -1,7 +1,7 @@
 //! Reads traces, and finds the configuration and rules of their runs.
 
 use crate::builtin::BuiltinFiles;
-use crate::cli::Failure;
+use crate::cli::{Failure, open};
 use crate::diag::{Code, Diagnostic, Sources};
 use crate::files::MAX_BYTES;
 use crate::sim::{LoadError, LoadedCity, Replay, TraceHeader, TraceTick};
@@ -24,7 +24,7 @@ pub struct TraceReader {
 
 impl TraceReader {
     pub fn open(path: &Path) -> Result<TraceReader, Failure> {
-        let file = File::open(path).map_err(|error| Failure::file("read", path, error))?;
+        let file = open(path)?;
         let length = file.metadata().map_or(0, |file| file.len());
         let mut lines = BufReader::new(file);
         let (mut number, mut read) = (0, 0);

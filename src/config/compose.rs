@@ -23,6 +23,66 @@ use std::path::{Path, PathBuf};
 /// The maximum depth of files that build on each other.
 const MAX_CHAIN: usize = 16;
 
+/// A kind of file. A bare name, such as `expert`, means the file with this name and ending in the folder.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub(super) struct Kind {
+    folder: &'static str,
+    ending: &'static str,
+    /// The kind in messages, with its article.
+    what: &'static str,
+}
+
+pub(super) const RUN: Kind = Kind::yaml("configs", "a run configuration");
+pub(super) const MAP: Kind = Kind::yaml("configs/maps", "a map");
+pub(super) const AGENTS: Kind = Kind::yaml("configs/agents", "agent sets");
+pub(super) const PREDICATES: Kind = Kind::yaml("configs/predicates", "predicates");
+pub(super) const TASK: Kind = Kind::yaml("configs/tasks", "a task");
+const BASELINE: Kind = Kind::yaml("configs/baselines", "a configuration of `logicity train`");
+const RULES: Kind = Kind {
+    folder: "rules",
+    ending: "dl",
+    what: "rules",
+};
+
+/// The kinds of built-in files, and the key of a run configuration for each part.
+const KINDS: [(Kind, &str); 7] = [
+    (RUN, ""),
+    (MAP, "map"),
+    (AGENTS, "agents"),
+    (PREDICATES, "predicates"),
+    (TASK, "task"),
+    (BASELINE, ""),
+    (RULES, "rules"),
+];
+
+impl Kind {
+    const fn yaml(folder: &'static str, what: &'static str) -> Kind {
+        let ending = "yaml";
+        Kind { folder, ending, what }
+    }
+
+    /// Returns the kind of the built-in files in a folder; run configurations if it has none.
+    pub fn of_folder(folder: &str) -> Kind {
+        let found = KINDS.iter().find(|(kind, _)| kind.folder == folder);
+        found.map_or(RUN, |(kind, _)| *kind)
+    }
+
+    /// Returns the path that a bare name means.
+    fn named(self, name: &Path) -> Option<PathBuf> {
+        let is_bare = name.extension().is_none() && name.components().count() == 1 && !name.as_os_str().is_empty();
+        is_bare.then(|| Path::new(self.folder).join(name).with_extension(self.ending))
+    }
+
+    /// Returns the bare name of a built-in file of this kind.
+    fn name_of(self, path: &str) -> Option<&str> {
+        let name = path
+            .strip_prefix(self.folder)?
+            .strip_prefix('/')?
+            .strip_suffix(self.ending)?;
+        name.strip_suffix('.').filter(|name| !name.contains('/'))
+    }
+}
+
 /// Reads a file: returns its text, or the reason why it cannot.
 pub type Read<'a> = &'a dyn ReadFile;
 
@@ -47,32 +107,70 @@ impl<'a> Composer<'a> {
     }
 
     /// Returns the tree of a file that the user named. A bare name such as `expert` means the file with this name in
-    /// `folder`.
-    pub fn root(&mut self, path: &Path, folder: &str, parts: &[&str]) -> Option<Node> {
+    /// the folder of `kind`.
+    pub fn root(&mut self, path: &Path, kind: Kind, parts: &[(&str, Kind)]) -> Option<Node> {
         let mut found = self.find(path, path);
-        if matches!(found, Err(ReadError::NotFound)) && path.extension().is_none() && path.components().count() == 1 {
-            let named = Path::new(folder).join(path).with_extension("yaml");
+        if let (Err(ReadError::NotFound), Some(named)) = (&found, kind.named(path)) {
             found = self.find(&named, &named);
         }
         match found {
-            Ok((path, text)) => self.file(path, text, parts, &mut Vec::new()),
+            _ if path.extension().is_some_and(|ending| ending == RULES.ending) => {
+                let path = path.display();
+                let message = format!("`{path}` is a rule file, not a configuration");
+                let help = format!("name the rules in a configuration: `rules: {path}`");
+                self.faults
+                    .push(Diagnostic::new(Code::INVALID_VALUE, message).help(help));
+                None
+            }
+            Ok((path, text)) => self.file(path, text, kind, parts, &mut Vec::new()),
             Err(error) => {
-                let known = self.read.builtin_paths();
-                let names = known
-                    .iter()
-                    .filter_map(|known| known.strip_prefix(folder)?.strip_prefix('/')?.strip_suffix(".yaml"));
-                let near = path.to_str().and_then(|name| did_you_mean(name, names));
                 let mut fault = unreadable(path, &error);
-                fault.help.extend(near.map(|near| format!("did you mean `{near}`?")));
+                if error == ReadError::NotFound {
+                    fault
+                        .help
+                        .extend(self.suggestion(Path::new(""), &path.to_string_lossy(), kind));
+                }
                 self.faults.push(fault);
                 None
             }
         }
     }
 
-    /// Returns the path of the existing file that a value names.
-    pub fn locate(&mut self, node: &Node) -> Option<PathBuf> {
-        self.refer(node).map(|(path, _)| path)
+    /// Returns help for a missing file of a kind: a similar name, or what else has this name.
+    fn suggestion(&self, folder: &Path, written: &str, kind: Kind) -> Option<String> {
+        let did_you_mean_this = |near: &str| Some(format!("did you mean `{near}`?"));
+        let known = self.read.builtin_paths();
+        let of = |kind: Kind| {
+            let names = known.iter().filter_map(move |known| kind.name_of(known));
+            names.collect::<Vec<&str>>()
+        };
+        if kind.named(Path::new(written)).is_some() {
+            let with_ending = format!("{written}.{}", kind.ending);
+            if self.read.read(&folder.join(&with_ending)).is_ok() {
+                return did_you_mean_this(&with_ending);
+            }
+            if let Some(near) = did_you_mean(written, of(kind)) {
+                return did_you_mean_this(near);
+            }
+            if let Some((other, key)) = KINDS.iter().find(|(other, _)| of(*other).contains(&written)) {
+                let is = format!("`{written}` is {}", other.what);
+                return Some(match *key {
+                    "" => is,
+                    key => format!(
+                        "{is}, a part of a run configuration: write one with `base: expert` and `{key}: {written}`"
+                    ),
+                });
+            }
+            return Some(format!("built in as {}: {}", kind.what, of(kind).join(", ")));
+        }
+        // Paths from another folder differ in their beginning.
+        let trimmed = written.trim_start_matches(['.', '/']);
+        did_you_mean(trimmed, known.iter().map(String::as_str)).and_then(did_you_mean_this)
+    }
+
+    /// Returns the path of the existing rule file that a value names.
+    pub fn rule_file(&mut self, node: &Node) -> Option<PathBuf> {
+        self.refer(node, RULES).map(|(path, _)| path)
     }
 
     /// Returns the path of the file that a value names; the file need not exist.
@@ -88,21 +186,31 @@ impl<'a> Composer<'a> {
         stem.to_string_lossy().into_owned()
     }
 
-    fn path_of(&self, node: &Node) -> &Path {
+    /// Returns the path of the file that a tree came from.
+    pub fn path_of(&self, node: &Node) -> &Path {
         let file = self.files.iter().find(|(id, _)| *id == node.span.source);
         file.map_or(Path::new(""), |(_, path)| path)
     }
 
-    fn refer(&mut self, node: &Node) -> Option<(PathBuf, String)> {
+    fn refer(&mut self, node: &Node, kind: Kind) -> Option<(PathBuf, String)> {
         let path = self.name_file(node)?;
         let reference = super::read::text(node, "the path of a file", &mut self.faults)?;
-        match self.find(&path, Path::new(reference)) {
+        let folder = self.path_of(node).parent().unwrap_or(Path::new("")).to_owned();
+        let mut found = self.find(&path, Path::new(reference));
+        if let (Err(ReadError::NotFound), Some(named)) = (&found, kind.named(Path::new(reference))) {
+            found = self.find(&normalize(&folder.join(&named)), &named);
+        }
+        match found {
             Ok(found) => Some(found),
             Err(error) => {
                 let mut fault = unreadable(&path, &error).at(node.span, "");
                 if error == ReadError::NotFound {
                     fault = fault
                         .note("a path is relative to the file that names it; there is no such built-in file either");
+                    let help = node.missing_space();
+                    fault
+                        .help
+                        .extend(help.or_else(|| self.suggestion(&folder, reference, kind)));
                 }
                 self.faults.push(fault);
                 None
@@ -134,7 +242,14 @@ impl<'a> Composer<'a> {
 
     /// Returns the tree of one file with its parts and its base inserted. `chain` lists the files that wait for this
     /// one.
-    fn file(&mut self, path: PathBuf, text: String, parts: &[&str], chain: &mut Vec<PathBuf>) -> Option<Node> {
+    fn file(
+        &mut self,
+        path: PathBuf,
+        text: String,
+        kind: Kind,
+        parts: &[(&str, Kind)],
+        chain: &mut Vec<PathBuf>,
+    ) -> Option<Node> {
         if text.len() > yaml::MAX_BYTES {
             let (length, limit) = (text.len(), yaml::MAX_BYTES);
             let message = format!("`{}` has {length} bytes, the limit is {limit}", path.display());
@@ -146,11 +261,13 @@ impl<'a> Composer<'a> {
         chain.push(path.clone());
         self.files.push((id, path));
         if let Value::Map(entries) = &mut node.value {
-            for (_, part) in entries.iter_mut().filter(|(key, _)| parts.contains(&key.text.as_str())) {
-                self.part(part, chain);
+            for (key, part) in entries {
+                if let Some((_, kind)) = parts.iter().find(|(name, _)| *name == key.text) {
+                    self.part(part, *kind, chain);
+                }
             }
         }
-        self.base(&mut node, parts, chain);
+        self.base(&mut node, kind, parts, chain);
         chain.pop();
         node.whole = true;
         (!matches!(node.value, Value::Absent)).then_some(node)
@@ -158,21 +275,21 @@ impl<'a> Composer<'a> {
 
     /// Replaces a path by the tree of its file, and inserts the base into a part written in place. A part that cannot
     /// be loaded becomes absent; its diagnostic has been pushed.
-    fn part(&mut self, part: &mut Node, chain: &mut Vec<PathBuf>) {
+    fn part(&mut self, part: &mut Node, kind: Kind, chain: &mut Vec<PathBuf>) {
         match &part.value {
-            Value::Map(_) => self.base(part, &[], chain),
+            Value::Map(_) => self.base(part, kind, &[], chain),
             Value::Scalar { .. } if !part.is_null() => {
                 let span = part.span;
                 *part = self
-                    .referred(part, &[], chain)
+                    .referred(part, kind, &[], chain)
                     .unwrap_or(Node::new(span, Value::Absent));
             }
             _ => {}
         }
     }
 
-    fn referred(&mut self, node: &Node, parts: &[&str], chain: &mut Vec<PathBuf>) -> Option<Node> {
-        let (path, text) = self.refer(node)?;
+    fn referred(&mut self, node: &Node, kind: Kind, parts: &[(&str, Kind)], chain: &mut Vec<PathBuf>) -> Option<Node> {
+        let (path, text) = self.refer(node, kind)?;
         if chain.contains(&path) || chain.len() == MAX_CHAIN {
             let fault = if chain.len() == MAX_CHAIN {
                 Diagnostic::new(
@@ -185,24 +302,28 @@ impl<'a> Composer<'a> {
             self.faults.push(fault.at(node.span, ""));
             return None;
         }
-        self.file(path, text, parts, chain)
+        self.file(path, text, kind, parts, chain)
     }
 
-    /// Removes the key `base` and merges the other keys over the file that it names.
-    fn base(&mut self, node: &mut Node, parts: &[&str], chain: &mut Vec<PathBuf>) {
+    /// Removes the key `base` and merges the other keys over the file that it names. If that file cannot be loaded, the
+    /// other keys remain, marked as partial.
+    fn base(&mut self, node: &mut Node, kind: Kind, parts: &[(&str, Kind)], chain: &mut Vec<PathBuf>) {
         let Value::Map(entries) = &mut node.value else { return };
         let Some(at) = entries.iter().position(|(key, _)| key.text == "base") else {
             return;
         };
         let (_, reference) = entries.remove(at);
         node.whole = true;
-        match self.referred(&reference, parts, chain) {
+        match self.referred(&reference, kind, parts, chain) {
             Some(mut base) => {
                 base.span = node.span;
                 let over = std::mem::replace(node, base);
                 merge(node, Node { whole: false, ..over });
+                if node.partial {
+                    node.mark_partial();
+                }
             }
-            None => node.value = Value::Absent,
+            None => node.mark_partial(),
         }
         node.whole = true;
     }
@@ -239,5 +360,5 @@ fn unreadable(path: &Path, error: &ReadError) -> Diagnostic {
         ReadError::TooLarge => Code::LIMIT_EXCEEDED,
         ReadError::NotFound | ReadError::Io(_) => Code::MISSING_FILE,
     };
-    Diagnostic::new(code, format!("`{}` cannot be read: {error}", path.display()))
+    Diagnostic::new(code, format!("cannot read `{}`: {error}", path.display()))
 }

@@ -4,13 +4,14 @@
 //! whether a street has room for its lanes.
 
 use crate::city::{Action, AgentGroup, AgentKind, AgentSet, Building, Buildings, MapConfig, Routing, Split, Widths};
-use crate::config::compose::{Composer, Read};
+use crate::config::compose::{AGENTS, Composer, Kind, MAP, PREDICATES, RUN, Read, TASK};
 use crate::config::model::*;
 use crate::config::predicates::{Concepts, Predicates, carried, predicates};
 use crate::config::read::{Fields, choice, integer, invalid, list, number, text};
 use crate::config::task;
 use crate::config::yaml::{Node, Value};
 use crate::diag::{Code, Diagnostic, Faults, Located, MAX_FAULTS, Sources, Span};
+use crate::files::BUILTIN_FOLDER;
 use sha2::{Digest, Sha256};
 use std::path::Path;
 
@@ -47,9 +48,32 @@ const BUILDINGS: [(&str, char, Building); 5] = [
 pub fn load_scenario(sources: &mut Sources, path: &Path, read: Read<'_>) -> Result<Scenario, Vec<Diagnostic>> {
     let mut composer = Composer::new(sources, read);
     let scenario = composer
-        .root(path, "configs", &["map", "agents", "predicates", "task"])
+        .root(path, RUN, &PARTS_OF_RUN)
         .and_then(|tree| scenario(&mut composer, &tree));
     finish(scenario, composer.faults)
+}
+
+/// What a configuration file holds.
+#[derive(Clone, Debug)]
+pub enum Loaded {
+    /// A run configuration.
+    Scenario(Box<Scenario>),
+    /// A map.
+    Map(MapConfig),
+}
+
+/// Loads a run configuration or a map, whichever the file holds. Otherwise like [`load_scenario`].
+///
+/// # Errors
+/// All faults of all files.
+pub fn load_any(sources: &mut Sources, path: &Path, read: Read<'_>) -> Result<Loaded, Vec<Diagnostic>> {
+    let mut composer = Composer::new(sources, read);
+    let tree = composer.root(path, RUN, &PARTS_OF_RUN);
+    let loaded = tree.and_then(|tree| match part_of_run(&tree) {
+        Some(("map", _)) => map(&tree, composer.name_of(&tree), &mut composer.faults).map(Loaded::Map),
+        _ => scenario(&mut composer, &tree).map(|scenario| Loaded::Scenario(Box::new(scenario))),
+    });
+    finish(loaded, composer.faults)
 }
 
 /// Loads a map file. A bare name such as `square-5x5` means `configs/maps/square-5x5.yaml`. Otherwise like
@@ -60,7 +84,7 @@ pub fn load_scenario(sources: &mut Sources, path: &Path, read: Read<'_>) -> Resu
 pub fn load_map(sources: &mut Sources, path: &Path, read: Read<'_>) -> Result<MapConfig, Vec<Diagnostic>> {
     let mut composer = Composer::new(sources, read);
     let map = composer
-        .root(path, "configs/maps", &[])
+        .root(path, MAP, &[])
         .and_then(|tree| map(&tree, composer.name_of(&tree), &mut composer.faults));
     finish(map, composer.faults)
 }
@@ -80,12 +104,70 @@ pub(super) fn finish<T>(value: Option<T>, faults: Vec<Diagnostic>) -> Result<T, 
     }
 }
 
+/// The parts of a run configuration that may be files of their own.
+const PARTS_OF_RUN: [(&str, Kind); 4] = [
+    ("map", MAP),
+    ("agents", AGENTS),
+    ("predicates", PREDICATES),
+    ("task", TASK),
+];
+
+/// The keys of the parts of a run configuration, what each part is, and the keys that only such a part has.
+const PARTS: [(&str, &str, &[&str]); 4] = [
+    ("map", "a map", &["blocks", "widths", "buildings"]),
+    ("agents", "agent sets", &["train", "val", "test"]),
+    ("predicates", "predicates", &["define", "use"]),
+    (
+        "task",
+        "a task",
+        &[
+            "entities",
+            "state_agents",
+            "horizon",
+            "patience",
+            "reward",
+            "ego",
+            "episodes",
+        ],
+    ),
+];
+
+/// Returns the key and the description of the part that a tree holds instead of a run configuration.
+fn part_of_run(tree: &Node) -> Option<(&'static str, &'static str)> {
+    let Value::Map(entries) = &tree.value else { return None };
+    let has = |keys: &[&str]| entries.iter().any(|(key, _)| keys.contains(&key.text.as_str()));
+    if has(&PARTS.map(|(key, ..)| key)) || has(&["rules"]) {
+        return None;
+    }
+    let part = PARTS.iter().find(|(_, _, keys)| has(keys));
+    part.map(|(key, what, _)| (*key, *what))
+}
+
+/// Reports a file that holds a part of a run configuration instead of one.
+fn is_part(composer: &mut Composer<'_>, tree: &Node) -> bool {
+    let Some((key, what)) = part_of_run(tree) else {
+        return false;
+    };
+    let path = composer.path_of(tree).display().to_string();
+    let path = path
+        .strip_prefix(BUILTIN_FOLDER)
+        .map_or(path.as_str(), |inside| inside.trim_start_matches('/'));
+    let message = format!("expected a run configuration, found {what}");
+    let fault = Diagnostic::new(Code::INVALID_VALUE, message).at(tree.span, "");
+    let help = format!("write a run configuration with `base: expert` and `{key}: {path}`");
+    composer.faults.push(fault.help(help));
+    true
+}
+
 fn scenario(composer: &mut Composer<'_>, tree: &Node) -> Option<Scenario> {
+    if is_part(composer, tree) {
+        return None;
+    }
     let mut fields = Fields::open(tree, "a run configuration", &mut composer.faults)?;
     fields.optional("base");
     let rules = fields
         .required("rules", &mut composer.faults)
-        .and_then(|node| composer.locate(node).map(|value| Located { value, span: node.span }));
+        .and_then(|node| composer.rule_file(node).map(|value| Located { value, span: node.span }));
     let faults = &mut composer.faults;
     let map_node = fields.required("map", faults);
     let map = map_node.and_then(|node| map(node, composer.name_of(node), &mut composer.faults));
@@ -159,7 +241,7 @@ fn map(node: &Node, name: String, faults: &mut Vec<Diagnostic>) -> Option<MapCon
         Some(Located { value, span: node.span })
     });
     let buildings = fields.required("buildings", faults).and_then(|node| {
-        let value = buildings(node, blocks.map(|blocks| blocks.value), faults)?;
+        let value = buildings(node, blocks, faults)?;
         Some(Located { value, span: node.span })
     });
     fields.close(faults);
@@ -189,13 +271,68 @@ fn widths(node: &Node, faults: &mut Vec<Diagnostic>) -> Option<Widths> {
     })
 }
 
-fn buildings(node: &Node, blocks: Option<[u32; 2]>, faults: &mut Vec<Diagnostic>) -> Option<Buildings> {
+/// Reports buildings whose rows come from another file than the blocks and have another size.
+fn other_blocks(
+    whole: &Node,
+    node: &Node,
+    rows: &[Node],
+    blocks: Located<[u32; 2]>,
+    faults: &mut Vec<Diagnostic>,
+) -> bool {
+    if node.span.source == blocks.span.source {
+        return false;
+    }
+    let letters = |row: &Node| match &row.value {
+        Value::Scalar { text, .. } => text.chars().filter(|letter| !letter.is_whitespace()).count(),
+        _ => 0,
+    };
+    let [wanted_rows, wanted_cols] = blocks.value;
+    let widths: Vec<usize> = rows.iter().map(letters).collect();
+    let fits = rows.len() == 2 * wanted_rows as usize && widths.iter().all(|width| *width == 2 * wanted_cols as usize);
+    if fits {
+        return false;
+    }
+    let found = [rows.len() / 2, widths.first().map_or(0, |width| width / 2)];
+    let message = format!(
+        "the map has {wanted_rows} x {wanted_cols} blocks, but its rows of buildings are for {} x {} blocks",
+        found[0], found[1]
+    );
+    let fault = Diagnostic::new(Code::INVALID_VALUE, message);
+    // The file that overrides the other has the buildings as a whole.
+    let fault = match whole.span.source == node.span.source {
+        true => fault
+            .at(node.span, "")
+            .also(blocks.span, "the blocks, inherited from the base"),
+        false => fault
+            .at(blocks.span, "")
+            .also(node.span, "the rows, inherited from the base"),
+    };
+    faults.push(
+        fault
+            .help(
+                "give the buildings of these blocks, two rows of two letters for each block: `buildings: {rows: [HO, SG]}` \
+                 for 1 x 1 blocks",
+            )
+            .help("or draw them: `buildings: {rows: ~, random: {seed: 1, weights: {House: 1, Store: 1}}}`"),
+    );
+    true
+}
+
+fn buildings(node: &Node, blocks: Option<Located<[u32; 2]>>, faults: &mut Vec<Diagnostic>) -> Option<Buildings> {
     let mut fields = Fields::open(node, "the buildings of a map", faults)?;
     let (rows, random) = (fields.optional("rows"), fields.optional("random"));
     fields.close(faults);
     match (rows, random) {
-        (Some(node), None) => {
-            let rows: Vec<_> = list(node, "rows of buildings", faults)?
+        (Some(rows), None) => {
+            let (whole, node) = (node, rows);
+            let rows = list(node, "rows of buildings", faults)?;
+            if let Some(blocks) = blocks
+                && other_blocks(whole, node, rows, blocks, faults)
+            {
+                return None;
+            }
+            let blocks = blocks.map(|blocks| blocks.value);
+            let rows: Vec<_> = rows
                 .iter()
                 .map(|row| building_row(row, blocks.map(|[_, cols]| 2 * cols as usize), faults))
                 .collect();
@@ -213,8 +350,28 @@ fn buildings(node: &Node, blocks: Option<[u32; 2]>, faults: &mut Vec<Diagnostic>
             rows.into_iter().collect::<Option<_>>().map(Buildings::Fixed)
         }
         (None, Some(node)) => random_buildings(node, faults),
-        _ => {
-            invalid(node, "either `rows` or `random`", faults);
+        (Some(rows), Some(random)) => {
+            let fault = Diagnostic::new(Code::INVALID_VALUE, "the buildings have both `rows` and `random`");
+            let inherited = "inherited from the base";
+            let (source, whole) = (node.span.source, "buildings: {rows: ~, random: {...}}");
+            faults.push(if rows.span.source != source {
+                let fault = fault.at(random.span, "").also(rows.span, inherited);
+                fault.help(format!("remove the inherited rows: `{whole}`"))
+            } else if random.span.source != source {
+                let fault = fault.at(rows.span, "").also(random.span, inherited);
+                fault.help("remove the inherited `random`: `buildings: {random: ~, rows: [...]}`")
+            } else {
+                fault
+                    .at(random.span, "")
+                    .also(rows.span, "given here")
+                    .help("remove one of them")
+            });
+            None
+        }
+        (None, None) => {
+            if !node.partial {
+                invalid(node, "either `rows` or `random`", faults);
+            }
             None
         }
     }
@@ -316,7 +473,7 @@ fn splits(
         }
     }
     fields.close(faults);
-    if splits.is_empty() && faults.len() == before {
+    if splits.is_empty() && faults.len() == before && !node.partial {
         let fault = Diagnostic::new(
             Code::INVALID_VALUE,
             "expected at least one of `train`, `val`, `test`, found none",
@@ -357,7 +514,7 @@ fn agents(
         Some(Located { value, span: node.span })
     });
     fields.close(faults);
-    if cars.is_empty() && pedestrians.is_empty() && faults.len() == before {
+    if cars.is_empty() && pedestrians.is_empty() && faults.len() == before && !node.partial {
         let message = format!("the split `{}` has no agents", split.name());
         let fault = Diagnostic::new(Code::INVALID_VALUE, message).at(node.span, "");
         faults.push(fault.help("give it `cars` or `pedestrians`"));

@@ -60,10 +60,12 @@ pub(super) fn predicates(node: &Node, faults: &mut Vec<Diagnostic>) -> Option<Pr
     }
     let used = match selection {
         None => Some(defined.clone()),
+        // The names that the base defines are unknown.
+        Some(_) if define?.partial => None,
         Some(node) => selected(node, &defined, faults),
     };
-    // A failed definition would make each use of it a second fault.
-    if faults.len() > before {
+    // A failed definition, or one of the missing base, would make each use of it a second fault.
+    if faults.len() > before || node.partial {
         return None;
     }
     let mut used = used?;
@@ -107,7 +109,7 @@ fn selected(node: &Node, defined: &[PredicateConfig], faults: &mut Vec<Diagnosti
                 if wanted == SEES {
                     fault = fault.help(format!("remove it: `{SEES}` is predefined"));
                 } else if let Some(near) = did_you_mean(wanted, names) {
-                    fault = fault.help(format!("did you mean `{near}`?"));
+                    fault = fault.did_you_mean(near, &[item.span]);
                 }
                 faults.push(fault.at(item.span, ""));
             }

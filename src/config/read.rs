@@ -3,7 +3,7 @@
 //! A function returns `None` after it has pushed a fault. The caller continues with the other keys, so that one run
 //! reports all faults. This module does not know the contents of configurations.
 
-use crate::config::yaml::{Key, Node, Value};
+use crate::config::yaml::{Key, Node, Value, space_help};
 use crate::diag::{Code, Diagnostic, Span, did_you_mean};
 use std::fmt::Display;
 use std::ops::RangeInclusive;
@@ -11,7 +11,9 @@ use std::ops::RangeInclusive;
 /// Reports that a value is not what was expected.
 pub(crate) fn invalid(node: &Node, expected: impl Display, faults: &mut Vec<Diagnostic>) {
     let message = format!("expected {expected}, found {}", node.describe());
-    faults.push(Diagnostic::new(Code::INVALID_VALUE, message).at(node.span, ""));
+    let mut fault = Diagnostic::new(Code::INVALID_VALUE, message).at(node.span, "");
+    fault.help.extend(node.missing_space());
+    faults.push(fault);
 }
 
 /// A mapping that the caller reads key by key.
@@ -22,6 +24,8 @@ pub(crate) struct Fields<'n> {
     entries: &'n [(Key, Node)],
     allowed: Vec<&'static str>,
     missing: Vec<&'static str>,
+    /// Whether keys may be missing because the base could not be loaded.
+    partial: bool,
 }
 
 impl<'n> Fields<'n> {
@@ -32,6 +36,7 @@ impl<'n> Fields<'n> {
             entries: entries(node, what, faults)?,
             allowed: Vec::new(),
             missing: Vec::new(),
+            partial: node.partial,
         })
     }
 
@@ -71,7 +76,7 @@ impl<'n> Fields<'n> {
     pub fn close_with(self, help: Option<&str>, faults: &mut Vec<Diagnostic>) {
         let quoted: Vec<_> = self.missing.iter().map(|key| format!("`{key}`")).collect();
         let quoted = quoted.join(", ");
-        if !self.missing.is_empty() {
+        if !self.missing.is_empty() && !self.partial {
             let subject = if self.missing.len() == 1 { "the key" } else { "the keys" };
             let verb = if self.missing.len() == 1 { "is" } else { "are" };
             let message = format!("{subject} {quoted} {verb} missing in {}", self.what);
@@ -89,8 +94,10 @@ impl<'n> Fields<'n> {
             )
             .at(key.span, "")
             .note(format!("allowed keys: {}", self.allowed.join(", ")));
-            if let Some(near) = did_you_mean(&key.text, self.allowed.iter().copied()) {
-                fault = fault.help(format!("did you mean `{near}`?"));
+            if let Some(help) = space_help(&key.text) {
+                fault = fault.help(help);
+            } else if let Some(near) = did_you_mean(&key.text, self.allowed.iter().copied()) {
+                fault = fault.did_you_mean(near, &[key.span]);
             }
             faults.push(fault);
         }

@@ -1,6 +1,6 @@
 //! Configuration files whose keys the caller interprets, such as those of training in Python.
 
-use crate::config::compose::{Composer, Read};
+use crate::config::compose::{Composer, Kind, Read};
 use crate::config::load::finish;
 use crate::config::yaml::{Node, Value};
 use crate::diag::{Code, Diagnostic, Sources};
@@ -17,7 +17,7 @@ pub struct Tree(Node);
 /// All faults of all files.
 pub fn load_tree(sources: &mut Sources, path: &Path, folder: &str, read: Read<'_>) -> Result<Tree, Vec<Diagnostic>> {
     let mut composer = Composer::new(sources, read);
-    let tree = composer.root(path, folder, &[]).map(Tree);
+    let tree = composer.root(path, Kind::of_folder(folder), &[]).map(Tree);
     finish(tree, composer.faults)
 }
 

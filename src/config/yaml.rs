@@ -29,6 +29,8 @@ pub(crate) struct Node {
     pub value: Value,
     /// Whether this mapping came from a separate file, so that it replaces what it overrides instead of merging.
     pub whole: bool,
+    /// Whether the base of this mapping could not be loaded, so that keys may be missing.
+    pub partial: bool,
 }
 
 #[derive(Clone, Debug)]
@@ -52,8 +54,29 @@ pub(crate) struct Key {
 
 impl Node {
     pub fn new(span: Span, value: Value) -> Self {
-        let whole = false;
-        Node { span, value, whole }
+        Node {
+            span,
+            value,
+            whole: false,
+            partial: false,
+        }
+    }
+
+    /// Marks this mapping, and those in it that would merge with mappings of the base, as partial.
+    pub fn mark_partial(&mut self) {
+        self.partial = true;
+        if let Value::Map(entries) = &mut self.value {
+            let merging = entries.iter_mut().filter(|(_, node)| !node.whole);
+            merging.for_each(|(_, node)| node.mark_partial());
+        }
+    }
+
+    /// Returns the help for a text such as `view:40`, which is no key and value because a space is missing.
+    pub fn missing_space(&self) -> Option<String> {
+        match &self.value {
+            Value::Scalar { text, plain: true } => space_help(text),
+            _ => None,
+        }
     }
 
     /// Whether this is YAML's null.
@@ -83,6 +106,24 @@ impl Node {
             }
         }
     }
+}
+
+/// Returns the help for a plain text that would be a key and a value with a space after its first colon.
+pub(crate) fn space_help(text: &str) -> Option<String> {
+    let (key, value) = glued(text)?;
+    const SHOWN: usize = 40;
+    let shown: String = value.chars().take(SHOWN).collect();
+    let more = if shown.len() < value.len() { "..." } else { "" };
+    Some(format!("put a space after the colon: `{key}: {shown}{more}`"))
+}
+
+/// Splits `view:40` into key and value. `None` if the text does not begin with a word and a colon, or if it is a URL.
+fn glued(text: &str) -> Option<(&str, &str)> {
+    let (key, value) = text.split_once(':')?;
+    let is_word = key.starts_with(|c: char| c.is_ascii_alphabetic() || c == '_')
+        && key.chars().all(|c| c.is_ascii_alphanumeric() || "_-".contains(c));
+    let is_value = value.starts_with(|c: char| !c.is_whitespace()) && !value.starts_with("//");
+    (is_word && is_value).then_some((key, value.trim_end()))
 }
 
 /// A collection whose end has not been parsed.
@@ -153,7 +194,8 @@ pub(crate) fn parse(
                 let span = builder.one_character(at);
                 Err(Box::new(match error.kind() {
                     ErrorKind::RecursionLimitExceeded => too_deep(span),
-                    kind => Diagnostic::new(Code::YAML_SYNTAX, kind.to_string()).at(span, ""),
+                    kind => (builder.known_mistake(at))
+                        .unwrap_or_else(|| Diagnostic::new(Code::YAML_SYNTAX, kind.to_string()).at(span, "")),
                 }))
             }
         };
@@ -183,6 +225,38 @@ impl Builder<'_> {
         }
         let length = self.text[start..].chars().next().map_or(0, char::len_utf8);
         Span::new(self.source, start..start + length)
+    }
+
+    /// Explains a syntax error at this byte: a tab that indents its line, or a missing space after a key there or in
+    /// the line before.
+    fn known_mistake(&self, at: usize) -> Option<Diagnostic> {
+        let text = self.text;
+        let start_of = |byte: usize| text[..byte].rfind('\n').map_or(0, |newline| newline + 1);
+        let at = self.one_character(at).range().start;
+        let start = start_of(at);
+        let line = |start: usize| text[start..].lines().next().unwrap_or_default();
+        let indent = |start: usize| line(start).len() - line(start).trim_start_matches([' ', '\t']).len();
+        if let Some(tab) = line(start)[..indent(start)].find('\t') {
+            let fault = Diagnostic::new(Code::YAML_SYNTAX, "a tab indents this line");
+            let span = Span::new(self.source, start + tab..start + tab + 1);
+            return Some(
+                fault
+                    .at(span, "")
+                    .help("indent with spaces: YAML does not allow tabs here"),
+            );
+        }
+        let before = start.checked_sub(1).map(start_of);
+        [Some(start), before].into_iter().flatten().find_map(|start| {
+            let mut from = start + indent(start);
+            while let Some(rest) = text[from..].strip_prefix("- ") {
+                from = text.len() - rest.trim_start_matches(' ').len();
+            }
+            let written = line(from);
+            let (key, _) = glued(written)?;
+            let fault = Diagnostic::new(Code::YAML_SYNTAX, format!("expected a space after `{key}:`"));
+            let span = Span::new(self.source, from..from + written.trim_end().len());
+            Some(fault.at(span, "").help(space_help(written)?))
+        })
     }
 
     /// The span of an event, clipped to its first line.

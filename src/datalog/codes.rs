@@ -15,6 +15,8 @@ crate::diagnostic_codes! {
     ARITY_MISMATCH = "arity-mismatch", Error;
     /// A term of one type where another is needed.
     TYPE_MISMATCH = "type-mismatch", Error;
+    /// A constant that is not a regular expression where one is needed.
+    INVALID_PATTERN = "invalid-pattern", Error;
     /// A variable that no positive atom of the body binds.
     UNBOUND_VARIABLE = "unbound-variable", Error;
     /// A predicate that depends on its own negation.

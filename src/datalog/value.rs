@@ -283,7 +283,8 @@ fn narrow(value: f64) -> f32 {
     value as f32
 }
 
-/// Cache of compiled regular expressions, by pattern symbol. An invalid pattern matches nothing.
+/// Cache of compiled regular expressions, by pattern symbol. An invalid pattern that is not a constant of the rules
+/// matches nothing; the checker reports constants.
 #[derive(Debug, Default)]
 pub struct Patterns(HashMap<Value, Option<regex::Regex>>);
 
@@ -292,10 +293,29 @@ impl Patterns {
     pub fn matches(&mut self, pattern: Value, text: &str, symbols: &Symbols) -> bool {
         let compiled = self.0.entry(pattern).or_insert_with(|| {
             let pattern = symbols.text(Symbol(pattern.0)).unwrap_or_default();
-            let whole = format!("^(?:{pattern})$");
-            regex::RegexBuilder::new(&whole).size_limit(1 << 20).build().ok()
+            Patterns::compile(pattern).ok()
         });
         compiled.as_ref().is_some_and(|compiled| compiled.is_match(text))
+    }
+
+    /// Compiles a pattern that matches whole texts.
+    ///
+    /// # Errors
+    /// Why the pattern is invalid, in one line.
+    pub fn compile(pattern: &str) -> Result<regex::Regex, String> {
+        let build = |pattern: &str| regex::RegexBuilder::new(pattern).size_limit(1 << 20).build();
+        // Errors name the pattern as the user wrote it. `^(?:a)(b)$` is valid for the invalid pattern `a)(b`.
+        build(pattern)
+            .and_then(|_| build(&format!("^(?:{pattern})$")))
+            .map_err(|error| match error {
+                regex::Error::CompiledTooBig(limit) => format!("compiled, it needs more than {} KiB", limit >> 10),
+                // The message draws the pattern; its last line names the fault.
+                error => {
+                    let text = error.to_string();
+                    let last = text.lines().next_back().unwrap_or_default();
+                    last.strip_prefix("error: ").unwrap_or(last).to_owned()
+                }
+            })
     }
 }
 

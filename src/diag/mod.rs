@@ -47,8 +47,19 @@ pub struct Diagnostic {
     pub secondary: Vec<Label>,
     /// Explanations.
     pub notes: Vec<String>,
-    /// Suggested fixes.
+    /// Suggested fixes, in words.
     pub help: Vec<String>,
+    /// Suggested fixes as edits, which an editor can apply.
+    pub fixes: Vec<Fix>,
+}
+
+/// A suggested change of the texts, for editors.
+#[derive(Clone, Debug, PartialEq, Eq)]
+pub struct Fix {
+    /// What the change does, in one line.
+    pub title: String,
+    /// The ranges to replace, which do not overlap, and their new texts.
+    pub edits: Vec<(Span, String)>,
 }
 
 impl Diagnostic {
@@ -61,6 +72,7 @@ impl Diagnostic {
             secondary: Vec::new(),
             notes: Vec::new(),
             help: Vec::new(),
+            fixes: Vec::new(),
         }
     }
 
@@ -99,6 +111,27 @@ impl Diagnostic {
         self
     }
 
+    /// Adds a suggested change of the texts.
+    pub fn fix(mut self, title: impl Into<String>, edits: impl IntoIterator<Item = (Span, String)>) -> Self {
+        self.fixes.push(Fix {
+            title: title.into(),
+            edits: edits.into_iter().collect(),
+        });
+        self
+    }
+
+    /// Suggests the nearest name in words, and to write it at these places.
+    pub fn did_you_mean(self, near: &str, places: &[Span]) -> Self {
+        let edits = places.iter().map(|&place| (place, near.to_owned()));
+        self.help(format!("did you mean `{near}`?"))
+            .fix(format!("replace it with `{near}`"), edits)
+    }
+
+    /// Suggests to remove a place.
+    pub fn remove(self, place: Span) -> Self {
+        self.help("remove it").fix("remove it", [(place, String::new())])
+    }
+
     /// Returns the severity, which depends on the code alone.
     pub fn severity(&self) -> Severity {
         self.code.severity()
@@ -111,10 +144,16 @@ impl Diagnostic {
 }
 
 /// Returns the candidate closest to `name` if it is close enough for a typing error. Ties go to the earlier candidate.
-pub fn did_you_mean<'a>(name: &str, candidates: impl IntoIterator<Item = &'a str>) -> Option<&'a str> {
+///
+/// Without a close candidate, returns the only one that begins or ends with `name`, if there is one.
+pub fn did_you_mean<'a, I>(name: &str, candidates: I) -> Option<&'a str>
+where
+    I: IntoIterator<Item = &'a str, IntoIter: Clone>,
+{
+    let candidates = candidates.into_iter();
     let lower = name.to_lowercase();
     let mut best: Option<(usize, &str)> = None;
-    for candidate in candidates {
+    for candidate in candidates.clone() {
         // The comparison takes time proportional to the product of the lengths, so skip long names.
         if name.len().max(candidate.len()) > 100 {
             continue;
@@ -125,5 +164,17 @@ pub fn did_you_mean<'a>(name: &str, candidates: impl IntoIterator<Item = &'a str
             best = Some((distance, candidate));
         }
     }
-    best.map(|(_, candidate)| candidate)
+    if let Some((_, candidate)) = best {
+        return Some(candidate);
+    }
+    // A part of the name, such as `Car` for `IsCar`.
+    let mut longer = candidates.filter(|candidate| {
+        let candidate = candidate.to_lowercase();
+        lower.len() >= PART_MIN && (candidate.ends_with(&lower) || candidate.starts_with(&lower))
+    });
+    let first = longer.next()?;
+    longer.all(|other| other == first).then_some(first)
 }
+
+/// The shortest part of a name that suggests the whole, in bytes.
+const PART_MIN: usize = 3;

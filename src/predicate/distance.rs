@@ -66,6 +66,7 @@ fn read(node: &Node, faults: &mut Vec<Diagnostic>) -> Option<Distance> {
         return None;
     }
     let empty = match (above.or(at_least), below.or(at_most)) {
+        (None, None) if node.partial => return None,
         (None, None) => {
             let message = "expected at least one of `above`, `at_least`, `below`, `at_most`, found none";
             faults.push(Diagnostic::new(Code::INVALID_VALUE, message).at(node.span, ""));

@@ -28,9 +28,9 @@ mod sees;
 mod side;
 
 use crate::city::{AgentKind, Cell, CityMap, FieldOfView, Heading, Junction};
-use crate::config::read::{Fields, choice, invalid};
+use crate::config::read::{Fields, choice};
 use crate::config::yaml::{Node, Value};
-use crate::diag::Diagnostic;
+use crate::diag::{Code, Diagnostic};
 use serde::{Serialize, Serializer};
 
 pub use colliding::Colliding;
@@ -441,6 +441,7 @@ impl Definition {
             Syntax::Keys(keys, read) => Some((*keys, *read)),
             Syntax::Word(..) | Syntax::Always => None,
         });
+        let before = faults.len();
         let mut fields = Fields::open(node, "the definition of a predicate", faults)?;
         let further_keys = mappings.clone().flat_map(|(keys, _)| &keys[1..]);
         let keys = mappings.clone().map(|(keys, _)| &keys[0]).chain(further_keys);
@@ -451,19 +452,69 @@ impl Definition {
             let nodes: Vec<&Node> = keys.iter().map(value).collect::<Option<_>>()?;
             (nodes.len() == given.len()).then_some((nodes, read))
         });
+        if faults.len() > before {
+            explain_unknown_keys(node, &mut faults[before..]);
+            return None;
+        }
         if let Some((nodes, read)) = found {
             return read(&nodes, faults);
+        }
+        if node.partial {
+            return None;
+        }
+        // The keys of one kind, some of them missing.
+        let names: Vec<&str> = given.iter().map(|(key, _)| *key).collect();
+        let is_part = |keys: &[&str]| !names.is_empty() && names.iter().all(|name| keys.contains(name));
+        if let Some((keys, _)) = mappings.clone().find(|(keys, _)| is_part(keys)) {
+            let missing = keys
+                .iter()
+                .find(|key| !names.contains(key))
+                .copied()
+                .unwrap_or_default();
+            let message = format!("`{}` needs the key `{missing}`, too", names.join("` with `"));
+            let fault = Diagnostic::new(Code::MISSING_KEY, message).at(node.span, "");
+            faults.push(
+                fault.help("name the concept and who can have it: `{concept: taxi, of: Car}` or `of: Pedestrian`"),
+            );
+            return None;
         }
         let forms: Vec<String> = mappings
             .map(|(keys, _)| format!("`{}`", keys.join("` with `")))
             .collect();
-        invalid(node, format_args!("exactly one of {}", forms.join(", ")), faults);
-        if let Some(fault) = faults.last_mut() {
-            fault
-                .notes
-                .push("keys inherited through `base` count; `key: ~` removes one".into());
-        }
+        let found = match names.as_slice() {
+            [] => "none".to_owned(),
+            names => format!("`{}`", names.join("`, `")),
+        };
+        let message = format!("expected exactly one of {}, found {found}", forms.join(", "));
+        let fault = Diagnostic::new(Code::INVALID_VALUE, message).at(node.span, "");
+        faults.push(fault.note("keys inherited through `base` count; `key: ~` removes one"));
         None
+    }
+}
+
+/// Words that users write for a bound of the distance from above, and from below.
+const NEAR: [&str; 8] = ["near", "close", "within", "radius", "range", "max", "at_most", "below"];
+const FAR: [&str; 5] = ["far", "beyond", "min", "at_least", "above"];
+
+/// Adds help to the faults of unknown keys in a definition.
+fn explain_unknown_keys(node: &Node, faults: &mut [Diagnostic]) {
+    let Value::Map(entries) = &node.value else { return };
+    for fault in faults {
+        let place = fault.primary.as_ref().map(|label| label.span);
+        let Some((key, value)) = entries.iter().find(|(key, _)| Some(key.span) == place) else {
+            continue;
+        };
+        let number = match &value.value {
+            Value::Scalar { text, plain: true } if text.parse::<f64>().is_ok() => text.as_str(),
+            _ => "12",
+        };
+        let bound = match key.text.to_lowercase().as_str() {
+            word if NEAR.contains(&word) => "at_most",
+            word if FAR.contains(&word) => "above",
+            _ => continue,
+        };
+        fault.help = vec![format!("a distance is written `{{distance: {{{bound}: {number}}}}}`")];
+        fault.fixes.clear();
     }
 }
 

@@ -159,6 +159,181 @@ fn fixtures_give_the_faults_they_expect() {
     }
 }
 
+/// Each text has one fault, at this place, with these words in message, notes or help.
+#[test]
+fn common_mistakes_are_explained_once() {
+    let expert = "base: configs/expert.yaml\n";
+    for (text, place, words) in [
+        (
+            "map: {buildings: {random: {seed: 1, weights: {House: 1}}}}",
+            (2, 27),
+            vec![
+                "both `rows` and `random`",
+                "inherited from the base",
+                "`buildings: {rows: ~, random: {...}}`",
+            ],
+        ),
+        (
+            "map: {buildings: {rows: [], random: {seed: 1, weights: {House: 1}}}}",
+            (2, 37),
+            vec!["both `rows` and `random`", "remove one of them"],
+        ),
+        (
+            "map: {blocks: [1, 1]}",
+            (2, 15),
+            vec![
+                "has 1 x 1 blocks",
+                "for 5 x 5 blocks",
+                "{rows: [HO, SG]}",
+                "{rows: ~, random: ",
+            ],
+        ),
+        (
+            "map: {buildings: {rows: [HO, SG]}}",
+            (2, 25),
+            vec![
+                "has 5 x 5 blocks",
+                "for 1 x 1 blocks",
+                "the blocks, inherited from the base",
+            ],
+        ),
+        (
+            "predicates: {define: {IsTaxi: {concept: taxi}}}",
+            (2, 31),
+            vec!["`concept` needs the key `of`, too", "`{concept: taxi, of: Car}`"],
+        ),
+        (
+            "predicates: {define: {IsNear: {near: 3}}}",
+            (2, 32),
+            vec!["unknown key `near`", "`{distance: {at_most: 3}}`"],
+        ),
+        (
+            "predicates: {define: {IsFar: {above: 30}}}",
+            (2, 31),
+            vec!["unknown key `above`", "`{distance: {above: 30}}`"],
+        ),
+        (
+            "predicates: {define: {IsFar: {kind: Car, distance: {above: 30}}}}",
+            (2, 30),
+            vec!["expected exactly one of", "found `kind`, `distance`"],
+        ),
+        (
+            "predicates: {define: {IsCar: {knd: Car}}}",
+            (2, 31),
+            vec!["unknown key `knd`", "did you mean `kind`?"],
+        ),
+        ("view:40", (2, 1), vec!["expected a space after `view:`", "`view: 40`"]),
+        ("view:40\nticks: 3", (2, 1), vec!["expected a space after `view:`"]),
+        (
+            "ticks: 3\nagents:\n  test:\n    cars:\n      - priority:1\n        count: 3",
+            (6, 9),
+            vec!["`priority: 1`"],
+        ),
+        (
+            "map:\n  blocks:[1, 1]",
+            (2, 1),
+            vec!["put a space after the colon: `blocks: [1, 1]`"],
+        ),
+        (
+            "map: {blocks:3}",
+            (2, 7),
+            vec!["unknown key `blocks:3`", "put a space after the colon: `blocks: 3`"],
+        ),
+        (
+            "map:\n\tblocks: [1, 1]",
+            (3, 1),
+            vec!["a tab indents this line", "indent with spaces"],
+        ),
+        (
+            "map:\n  buildings:\n  \trows: ~",
+            (4, 3),
+            vec!["a tab indents this line"],
+        ),
+        (
+            "map: square5x5",
+            (2, 6),
+            vec!["no such file", "did you mean `square-5x5`?"],
+        ),
+        (
+            "map: atlantis",
+            (2, 6),
+            vec!["built in as a map: metropolis, random-8x8, square-5x5"],
+        ),
+        ("map: expert", (2, 6), vec!["`expert` is a run configuration"]),
+        ("agents: exprt", (2, 9), vec!["did you mean `expert`?"]),
+        ("rules: rules/exprt.dl", (2, 8), vec!["did you mean `rules/expert.dl`?"]),
+        ("rules: exprt", (2, 8), vec!["did you mean `expert`?"]),
+        (
+            "agents: {test: {cars: [{priority: 1, concept: [bus]}]}}",
+            (2, 38),
+            vec!["did you mean `concepts`?"],
+        ),
+    ] {
+        let whole = format!("{expert}{text}\n");
+        let (sources, result) = load_memory(&[("main.yaml", whole.as_str())]);
+        let faults = result.err().unwrap_or_default();
+        let shown = rendered(&sources, &faults);
+        assert_eq!(faults.len(), 1, "{text}\n{shown}");
+        let span = faults[0].primary.as_ref().expect("a place").span;
+        let at = sources.position(span);
+        assert_eq!(
+            (sources.name(span.source), at.line, at.column),
+            ("main.yaml", place.0, place.1),
+            "{shown}"
+        );
+        for word in words {
+            assert!(shown.contains(word), "`{word}` is missing in:\n{shown}");
+        }
+    }
+    // Without any other key, the text is a scalar.
+    assert!(bad(&[("main.yaml", "view:40\n")]).contains("put a space after the colon: `view: 40`"));
+}
+
+#[test]
+fn a_bad_base_hides_no_other_fault() {
+    let text = "base: exprt\nview: no\nfoo: 3\nmap: {blocks: 3}\npredicates: {use: [IsCar], define: {IsNear: {near: 3}}}\n\
+                agents: {test: {cars: [{priority: x, concepts: [taxi]}]}}\nticks: 3\n";
+    let (sources, result) = load_memory(&[("main.yaml", text)]);
+    let faults = result.expect_err("faults");
+    let lines: Vec<(usize, &str)> = (faults.iter())
+        .map(|fault| {
+            (
+                sources.position(fault.primary.as_ref().expect("a place").span).line,
+                fault.code.name(),
+            )
+        })
+        .collect();
+    let expected = [
+        (1, "missing-file"),
+        (2, "invalid-value"),
+        (3, "unknown-key"),
+        (4, "invalid-value"),
+        (5, "unknown-key"),
+        (6, "invalid-value"),
+    ];
+    assert_eq!(lines, expected, "{}", rendered(&sources, &faults));
+    assert!(rendered(&sources, &faults).contains("did you mean `expert`?"));
+    // A base with a syntax error counts as missing, too.
+    let (sources, result) = load_memory(&[("main.yaml", "base: other.yaml\nview: no\n"), ("other.yaml", "[")]);
+    let faults = result.expect_err("faults");
+    assert_eq!(faults.len(), 2, "{}", rendered(&sources, &faults));
+}
+
+#[test]
+fn bare_names_are_built_in_files() {
+    let long = "base: configs/easy.yaml\nmap: configs/maps/random-8x8.yaml\nagents: configs/agents/expert.yaml\n\
+                predicates: configs/predicates/standard.yaml\ntask: configs/tasks/expert.yaml\nrules: rules/expert.dl\n";
+    let short = "base: easy\nmap: random-8x8\nagents: expert\npredicates: standard\ntask: expert\nrules: expert\n";
+    let (long, short) = (good(&[("main.yaml", long)]), good(&[("main.yaml", short)]));
+    assert_eq!((long.hash, long.rules.value), (short.hash, short.rules.value));
+    let part = good(&[("main.yaml", "base: expert\nmap: {base: random-8x8, blocks: [9, 9]}\n")]);
+    assert_eq!(part.map.blocks.value, [9, 9]);
+    // A file beside the configuration comes first.
+    let own = "base: configs/expert.yaml\nview: 7\n";
+    let text = "base: expert\nmap: square-5x5\n";
+    assert_eq!(good(&[("main.yaml", text), ("configs/expert.yaml", own)]).view, 7);
+}
+
 #[test]
 fn agent_sets_equal_the_recorded_ones() {
     let sets = |mode: &str| {

@@ -102,11 +102,214 @@ fn habits_of_other_languages_are_reported_once_with_help() {
         let said = helps(&format!("{HEAD}{written}\n"));
         assert!(said.len() == 1 && said[0].contains(help), "{written}: {said:?}");
     }
+    // Each suggestion is a literal that the same clause accepts.
+    for (written, help) in [
+        ("count(A(y)) > 2", "count : { A(y) }"),
+        ("count(A(y))", "count : { A(y) } > 0"),
+        ("2 < count(A(y), !A(3))", "count : { A(y), !A(3) }"),
+        ("x = count(A(y))", "count : { A(y) }"),
+        ("#count{y : A(y)} > 2", "count : { A(y) }"),
+        ("x > #count { y : A(y), y > 1 }", "count : { A(y), y > 1 }"),
+        ("x = #sum{y, z : A(y)}", "sum y : { A(y) }"),
+        ("x < #max{y : A(y)}", "max y : { A(y) }"),
+        ("forall(A(y), A(y))", "count : { A(y), Not(A(y)) } = 0"),
+        ("Not(exists(A(y), A(3)))", "count : { A(y), A(3) } = 0"),
+        ("!exists(A(y))", "count : { A(y) } = 0"),
+        ("exists(A(_), A(3))", "A(_), A(3)"),
+    ] {
+        let said = helps(&format!("{HEAD}B(x) :- A(x), {written}.\n"));
+        assert!(
+            said.len() == 1 && said[0].contains(&format!("`{help}`")),
+            "{written}: {said:?}"
+        );
+        let literal = match (
+            help.starts_with('A'),
+            help.contains(['>', '=']) && !help.contains("y >"),
+        ) {
+            (false, false) => format!("x = {help}"),
+            _ => help.to_owned(),
+        };
+        load_clean("main.dl", &format!("{HEAD}B(x) :- A(x), {literal}.\n"));
+    }
+    for (written, help) in [
+        ("B(x) :- A(x), count(x) > 2.", "`n = count : { A(x, y) }`"),
+        ("B(x) :- x = sum(A(y)).", "`n = sum y : { A(y) }`"),
+        ("B(x) :- A(x), forall y: A(y).", "count the exceptions"),
+        ("B(x) :- A(x), exists y (A(y)).", "existential"),
+        ("B(x) :- A(x), exists y: A(y).", "existential"),
+        ("Not(B(x)) :- A(x).", "clauses derive what holds"),
+        ("!B(x) :- A(x).", "clauses derive what holds"),
+        ("B(x) :- Is(prime)(x), A(x).", "one word"),
+        (".decl Near(x, y)", "`.decl Near(x: symbol, y: symbol)`"),
+        (".decl Near(x: number, y)", "`.decl Near(x: number, y: symbol)`"),
+        (".decl Near(symbol, number)", "`.decl Near(x1: symbol, x2: number)`"),
+        (
+            ".include \"vocabulary.dl\"\n.decl Near(x, y)",
+            "`.decl Near(x: agent, y: agent)`",
+        ),
+        (
+            ".decl C(x: number, y: number) eqrel",
+            "`C(x, x) :- C(x, _). C(y, x) :- C(x, y). C(x, z) :- ",
+        ),
+        (
+            ".decl C(x: number, y: number) choice-domain x",
+            "`C(x, y) :- All(x, _), y = min v : { All(x, v) }.`",
+        ),
+        (".decl C(x: number) btree_delete", "remove it"),
+        ("B(x) :- A(x), match(\"[a\", to_string(x)).", "Rust's `regex`"),
+    ] {
+        let said = helps(&format!("{HEAD}{written}\n"));
+        assert!(said.len() == 1 && said[0].contains(help), "{written}: {said:?}");
+    }
+    // A predicate may have the name of a quantifier.
+    load_clean(
+        "main.dl",
+        &format!("{HEAD}.decl exists(x: number)\n.input exists\nB(x) :- A(x), exists(x), !exists(3).\n"),
+    );
     // Similar code in our syntax.
     load_clean(
         "main.dl",
         &format!("{HEAD}B(x) :- A(x), x <-1.\n.decl and(x: number)\n.output and\nand(x) :- A(x).\n"),
     );
+}
+
+#[test]
+fn a_string_without_a_closing_quote_is_one_error() {
+    const HEAD: &str = ".decl A, B(x: symbol)\n.input A\n.output B\n";
+    for written in [
+        "B(\"a).\nB(\"b\").",
+        "B(\"a, \"b\").\nB(x) :- A(x).",
+        "B(x) :- A(x), x = \"a.\n.decl C(x: symbol)",
+        "B(x) :- A(x), match(\"a, x).\nB(x) :- A(x).",
+        "B(x) :- A(\"a,\n    \"b\"), A(x).\nB(x) :- A(x).",
+        ".include \"vocabulary.dl\nB(x) :- A(x).",
+        ".input A(filename=\"a.csv)\nB(x) :- A(x).",
+        ".pragma \"a\nB(x) :- A(x).",
+    ] {
+        let (sources, loaded) = load_text("main.dl", &format!("{HEAD}{written}\n"));
+        let errors: Vec<&Diagnostic> = loaded.diagnostics.iter().filter(|one| one.is_error()).collect();
+        assert!(
+            errors.len() == 1 && errors[0].message.contains("closing quote"),
+            "{written}\n{}",
+            render(&loaded.diagnostics, &sources, false)
+        );
+    }
+}
+
+#[test]
+fn suggestions_are_edits_that_remove_the_fault() {
+    const HEAD: &str = ".decl Road, Way(x: symbol, y: symbol)\n.input Road\n.output Way\n";
+    for (written, code, mended) in [
+        (
+            "Way(x, y) :- Raod(x, y), Raod(y, x).",
+            "unknown-predicate",
+            "Way(x, y) :- Road(x, y), Road(y, x).",
+        ),
+        (
+            ".decl A(x: string)\nA(x) :- Road(x, _).",
+            "unknown-type",
+            ".decl A(x: symbol)\nA(x) :- Road(x, _).",
+        ),
+        (
+            "Way(x, y) :- Road(x, z), Road(_, y).",
+            "singleton-variable",
+            "Way(x, y) :- Road(x, _), Road(_, y).",
+        ),
+        (
+            "Way(x, y) :- Road(x, y), x == y.",
+            "syntax",
+            "Way(x, y) :- Road(x, y), x = y.",
+        ),
+        (
+            "Way(x, y) :- Road(x, y) and Road(y, x).",
+            "syntax",
+            "Way(x, y) :- Road(x, y) , Road(y, x).",
+        ),
+        ("Way(x, y) <- Road(x, y).", "syntax", "Way(x, y) :- Road(x, y)."),
+        ("Way(x, y) if Road(x, y).", "syntax", "Way(x, y) :- Road(x, y)."),
+        (
+            "Way(x, y) :- Road(x, y), NOT Road(y, x).",
+            "syntax",
+            "Way(x, y) :- Road(x, y), not Road(y, x).",
+        ),
+        ("Way(x, y) :- Road(x, y)", "syntax", "Way(x, y) :- Road(x, y)."),
+        (
+            ".outptu Road\nWay(x, y) :- Road(x, y).",
+            "syntax",
+            ".output Road\nWay(x, y) :- Road(x, y).",
+        ),
+        ("Way(a, \"b\").", "unbound-variable", "Way(\"a\", \"b\")."),
+        (
+            ".include \"vocabulry.dl\"",
+            "missing-include",
+            ".include \"vocabulary.dl\"",
+        ),
+        (
+            ".once\nWay(x, y) :- Road(x, y).",
+            "ignored",
+            "\nWay(x, y) :- Road(x, y).",
+        ),
+        (
+            "Way(\"a\", \"b\").\nWay(\"a\", \"b\").",
+            "duplicate-clause",
+            "Way(\"a\", \"b\").\n",
+        ),
+    ] {
+        let text = format!("{HEAD}{written}\n");
+        let (sources, loaded) = load_text("main.dl", &text);
+        let fault = loaded.diagnostics.iter().find(|fault| fault.code.name() == code);
+        let fault = fault.unwrap_or_else(|| panic!("{written}\n{}", render(&loaded.diagnostics, &sources, false)));
+        let mut edits = fault.fixes[0].edits.clone();
+        edits.sort_by_key(|(span, _)| span.start);
+        let mut fixed = text.clone();
+        for (span, new) in edits.iter().rev() {
+            fixed.replace_range(span.range(), new);
+        }
+        assert_eq!(fixed, format!("{HEAD}{mended}\n"), "{}", fault.message);
+        let (_, loaded) = load_text("main.dl", &fixed);
+        assert!(
+            !loaded.diagnostics.iter().any(|fault| fault.code.name() == code),
+            "{written}"
+        );
+    }
+}
+
+#[test]
+fn parts_of_names_are_suggested() {
+    let include = ".include \"vocabulary.dl\"\n";
+    assert_eq!(
+        helps(&format!("{include}Stop(X) :- Car(X).\n")),
+        ["did you mean `IsCar`?"]
+    );
+    assert_eq!(
+        helps(&format!("{include}Stop(X) :- Isambulence(X).\n")),
+        ["did you mean `IsAmbulance`?"]
+    );
+    let said = helps(&format!("{include}Stop(X) :- Teleports(X).\n"));
+    assert!(said.len() == 1 && !said[0].contains("vocabulary.dl"), "{said:?}");
+    assert!(
+        helps("Stop(X) :- Teleports(X).\n")
+            .iter()
+            .all(|help| help.contains("vocabulary.dl"))
+    );
+}
+
+#[test]
+fn an_include_may_have_an_absolute_path() {
+    let read = |path: &Path| match path.to_str() {
+        Some("/shared/parts.dl") => Ok(".decl A(x: symbol)\n.input A\n".to_owned()),
+        _ => Err(ReadError::NotFound),
+    };
+    let load = |included: &str| {
+        let text = format!(".include \"{included}\"\n.output B\n.decl B(x: symbol)\nB(x) :- A(x).\n");
+        let mut sources = Sources::new();
+        let entry = sources.add("folder/main.dl", text);
+        load(&mut sources, entry, &read).diagnostics
+    };
+    assert_eq!(load("/shared/parts.dl"), []);
+    let missing = &load("/shared/other.dl")[0];
+    assert_eq!(missing.code, Code::MISSING_INCLUDE);
+    assert_eq!(missing.notes, ["looked for `/shared/other.dl`"]);
 }
 
 #[test]

@@ -681,6 +681,285 @@ fn wrong_usage_exits_with_2() {
 }
 
 #[test]
+fn option_values_that_do_not_fit_the_input_exit_with_2() {
+    for (arguments, words) in [
+        (
+            vec!["run", "metropolis", "--split", "val", "--no-trace"],
+            vec!["error[unknown-split]"],
+        ),
+        (
+            vec!["bench", "tick", "--config", "metropolis", "--split", "val"],
+            vec!["error[unknown-split]"],
+        ),
+        (
+            vec!["diff", "rules/easy.dl", "rules/medium.dl", "--predicates", "stop"],
+            vec!["`stop`", "did you mean `Stop`?"],
+        ),
+        (
+            vec!["diff", "rules/easy.dl", "rules/medium.dl", "--predicates", "Fly"],
+            vec!["`--predicates NAME,...`"],
+        ),
+        (
+            vec!["diff", "rules/easy.dl", "rules/medium.dl", "--entities", "0"],
+            vec!["expected an integer from 1"],
+        ),
+        (
+            vec!["diff", "rules/easy.dl", "rules/medium.dl", "--entities", "-1"],
+            vec!["expected an integer from 1"],
+        ),
+        (vec!["questions", "--shots", "1"], vec!["`--shots 0`"]),
+        (vec!["questions", "--about", "Tiro"], vec!["did you mean `tiro`?"]),
+    ] {
+        fails(&run(&arguments, b""), 2, &words);
+    }
+}
+
+#[test]
+fn fixed_words_may_be_in_upper_or_lower_case() {
+    let cells = |kind: &str, routing: &str| {
+        let arguments = [
+            "route",
+            "--type",
+            kind,
+            "--routing",
+            routing,
+            "--from",
+            "46,20",
+            "--to",
+            "46,60",
+        ];
+        let output = logicity(arguments);
+        assert_eq!(code(&output), 0, "{}", err(&output));
+        out(&output)
+    };
+    assert_eq!(cells("car", "weighted"), cells("Car", "Weighted"));
+    assert_eq!(cells("car", "hops"), cells("CAR", "HOPS"));
+    fails(
+        &logicity(["route", "--type", "cra", "--from", "46,20", "--to", "46,60"]),
+        2,
+        &["possible values: car, pedestrian", "'car'"],
+    );
+
+    let scene = |kind: &str, heading: &str| {
+        let scene = format!(
+            "{{\"map\": \"square-5x5\", \"agents\": [{{\"id\": \"Car_1\", \"type\": \"{kind}\", \"at\": [102, 20], \
+             \"heading\": \"{heading}\"}}]}}\n"
+        );
+        let output = with_input(["infer", "--executor", "Dense"], scene.as_bytes());
+        assert_eq!(code(&output), 0, "{}", err(&output));
+        out(&output)
+    };
+    assert_eq!(scene("Car", "Up"), scene("car", "UP"));
+
+    let folder = tempfile::tempdir().unwrap();
+    let place = folder.path().to_str().unwrap();
+    let output = logicity([
+        "run",
+        "easy",
+        "--ticks",
+        "2",
+        "--split",
+        "Test",
+        "--no-pictures",
+        "--out",
+        place,
+    ]);
+    assert_eq!(code(&output), 0, "{}", err(&output));
+    let trace = format!("{place}/trace.jsonl");
+    let why_not = |action: &str| out(&logicity(["explain", &trace, "--agent", "Car_1", "--why-not", action]));
+    assert!(!why_not("Stop").is_empty());
+    assert_eq!(why_not("Stop"), why_not("stop"));
+}
+
+#[test]
+fn a_missing_file_is_reported_in_one_wording_with_a_similar_name() {
+    let folder = tempfile::tempdir().unwrap();
+    let mine = write(folder.path(), "mine.dl", "");
+    let traces = write(folder.path(), "trace.jsonl", "");
+    let near = |path: &str, change: (&str, &str)| path.replace(change.0, change.1);
+    let typo = near(&mine, ("mine.dl", "mien.dl"));
+    let bare = near(&mine, ("mine.dl", "mine"));
+    let trace = near(&traces, ("trace.jsonl", "trcae.jsonl"));
+    let (typo, bare, mine) = (typo.as_str(), bare.as_str(), mine.as_str());
+    let (trace, traces) = (trace.as_str(), traces.as_str());
+    for (arguments, path, help) in [
+        (vec!["check", typo], typo, mine),
+        (vec!["fmt", bare], bare, mine),
+        (vec!["query", typo], typo, mine),
+        (vec!["repl", typo], typo, mine),
+        (vec!["diff", typo, "rules/easy.dl"], typo, mine),
+        (vec!["check", "expert.dl"], "expert.dl", "rules/expert.dl"),
+        (vec!["check", "rules/exprt.dl"], "rules/exprt.dl", "rules/expert.dl"),
+        (
+            vec!["run", "expert", "--rules", "expert", "--no-trace"],
+            "expert",
+            "rules/expert.dl",
+        ),
+        (vec!["run", "exprt", "--no-trace"], "exprt", "expert"),
+        (
+            vec!["check", "configs/exprt.yaml"],
+            "configs/exprt.yaml",
+            "configs/expert.yaml",
+        ),
+        (
+            vec![
+                "route",
+                "--map",
+                "square5x5",
+                "--type",
+                "car",
+                "--from",
+                "0,0",
+                "--to",
+                "0,0",
+            ],
+            "square5x5",
+            "square-5x5",
+        ),
+        (vec!["infer", trace], trace, traces),
+        (vec!["bench", "infer", "--scenes", trace], trace, traces),
+        (vec!["explain", trace, "--agent", "Car_1"], trace, traces),
+        (vec!["view", trace], trace, traces),
+        (vec!["check", "--coverage", trace], trace, traces),
+    ] {
+        let message = format!("error: cannot read `{path}`: no such file\nhelp: did you mean `{help}`?");
+        fails(&run(&arguments, b""), 2, &[&message]);
+    }
+    let output = logicity(["run", "square-5x5", "--no-trace"]);
+    fails(
+        &output,
+        2,
+        &[
+            "`square-5x5` is a map",
+            "write one with `base: expert` and `map: square-5x5`",
+        ],
+    );
+    let output = logicity(["run", "configs/maps/square-5x5.yaml", "--no-trace"]);
+    fails(
+        &output,
+        1,
+        &[
+            "expected a run configuration, found a map",
+            "`map: configs/maps/square-5x5.yaml`",
+        ],
+    );
+    let output = logicity(["run", "rules/expert.dl", "--no-trace"]);
+    fails(&output, 1, &["`rules/expert.dl` is a rule file"]);
+}
+
+#[test]
+fn check_examines_configurations_with_their_rules() {
+    let folder = tempfile::tempdir().unwrap();
+    let output = logicity(["check", "configs/expert.yaml", "expert", "square-5x5"]);
+    assert_eq!((code(&output), err(&output).as_str()), (0, ""));
+    let said = out(&output);
+    for words in [
+        "configs/expert.yaml: a run configuration\n",
+        "expert: a run configuration\n",
+        "  map: square-5x5, 5 x 5 blocks, 241 x 241 cells\n",
+        "test 10 cars and 8 pedestrians",
+        "  task: Safe Path Following\n",
+        "rules/expert.dl: 14 clauses\n",
+        "square-5x5: a map of 5 x 5 blocks, 241 x 241 cells\n",
+    ] {
+        assert!(said.contains(words), "`{words}` is missing in:\n{said}");
+    }
+    let output = logicity(["check", "configs/maps/metropolis.yaml", "--json"]);
+    let line: Value = serde_json::from_slice(&output.stdout).unwrap();
+    assert_eq!((code(&output), &line["ok"]), (0, &Value::Bool(true)));
+    assert_eq!(line["configuration"]["map"]["cells"], serde_json::json!([28301, 28301]));
+
+    write(
+        folder.path(),
+        "rules.dl",
+        ".include \"vocabulary.dl\"\nStop(X) :- IsCra(X).\n",
+    );
+    let faulty = write(folder.path(), "faulty.yaml", "base: expert\nrules: rules.dl\n");
+    fails(
+        &logicity(["check", &faulty]),
+        1,
+        &["unknown-predicate", "rules.dl:2:12", "did you mean `IsCar`?"],
+    );
+    let small = "base: expert\nmap: {blocks: [1, 1], buildings: {rows: [HO, SG]}}\nagents: {test: {cars: [{priority: 1, count: 9999}]}}\n";
+    let small = write(folder.path(), "small.yaml", small);
+    let output = logicity(["check", &small, "--json"]);
+    let line: Value = serde_json::from_slice(&output.stdout).unwrap();
+    assert_eq!((code(&output), &line["ok"]), (1, &Value::Bool(false)), "{line}");
+    assert_eq!(line["diagnostics"][0]["code"], "no-start-cell", "{line}");
+    let taxi = "base: expert\nrules: taxi.dl\n";
+    write(
+        folder.path(),
+        "taxi.dl",
+        ".include \"vocabulary.dl\"\n.decl IsTaxi(x: agent)\n.input IsTaxi\nStop(X) :- IsTaxi(X).\n",
+    );
+    let taxi = write(folder.path(), "taxi.yaml", taxi);
+    fails(&logicity(["check", &taxi]), 1, &["rule-mismatch", "IsTaxi"]);
+    let agents = write(folder.path(), "agents.yaml", "test: {cars: [{priority: 1}]}\n");
+    fails(&logicity(["check", &agents]), 1, &["found agent sets", "agents: "]);
+}
+
+#[test]
+fn new_creates_files_whose_next_commands_work() {
+    let program = env!("CARGO_BIN_EXE_logicity");
+    for name in ["city", "a city/it's mine"] {
+        let folder = tempfile::tempdir().unwrap();
+        let shell = |line: &str| {
+            let line = line.replacen("logicity", &format!("'{program}'"), 1);
+            let output = Command::new("sh")
+                .args(["-c", &line])
+                .current_dir(folder.path())
+                .output();
+            output.unwrap()
+        };
+        let create = || {
+            Command::new(program)
+                .args(["new", name])
+                .current_dir(folder.path())
+                .output()
+                .unwrap()
+        };
+        let output = create();
+        assert_eq!(code(&output), 0, "{}", err(&output));
+        let said = out(&output);
+        let commands: Vec<&str> = said.lines().filter_map(|line| line.strip_prefix("  ")).collect();
+        assert!(
+            commands.len() == 4 && commands.iter().all(|line| line.starts_with("logicity ")),
+            "{said}"
+        );
+        for command in &commands {
+            let output = shell(command);
+            assert_eq!(
+                (code(&output), err(&output).as_str()),
+                (0, ""),
+                "{command}\n{}",
+                out(&output)
+            );
+            if command.contains(" check ") {
+                assert!(out(&output).contains("conflicts: none"), "{}", out(&output));
+            }
+            if command.contains(" infer ") {
+                let answers: Vec<Value> = out(&output)
+                    .lines()
+                    .map(|line| serde_json::from_str(line).unwrap())
+                    .collect();
+                assert_eq!(answers[0]["egos"]["Car_1"]["action"], "Stop");
+                assert_eq!(answers[1]["egos"]["ambulance"]["action"], "Fast");
+            }
+        }
+        let rules = folder.path().join(name).join("rules.dl");
+        let formatted = Command::new(program)
+            .args(["fmt", "--check"])
+            .arg(&rules)
+            .output()
+            .unwrap();
+        assert_eq!(code(&formatted), 0, "the rules are formatted");
+        fs::write(&rules, "// mine\n").unwrap();
+        fails(&create(), 2, &["exists", "overwrites nothing"]);
+        assert_eq!(fs::read_to_string(&rules).unwrap(), "// mine\n");
+    }
+}
+
+#[test]
 fn a_file_that_is_not_text_exits_with_1() {
     let folder = tempfile::tempdir().unwrap();
     let bytes = b"\n.decl \xff\xfe";
@@ -1245,12 +1524,12 @@ fn route_prints_the_cells() {
     assert_eq!(text.lines().count(), 1 + 60 + 41);
     fails(
         &logicity(["route", "--type", "car", "--from", "0,0", "--to", "46,34"]),
-        1,
+        2,
         &["no-route"],
     );
     fails(
         &logicity(["route", "--type", "car", "--from=-1,0", "--to", "46,999999"]),
-        1,
+        2,
         &["no-route"],
     );
 }
@@ -1601,7 +1880,7 @@ fn slow_icons_come_from_a_pack_and_its_faults_are_reported() {
     let (output, _) = sheet(&["--pack", pack_path], "broken.png");
     fails(
         &output,
-        2,
+        1,
         &[&broken, "not a valid PNG", "plane/1.svg", "unknown class `plane`"],
     );
     let (output, _) = sheet(&["--pack", "nowhere"], "none.png");

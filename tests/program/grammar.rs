@@ -1,7 +1,8 @@
 //! The TextMate grammar: every expression compiles, it knows every directive, and every word of a rule file gets a
 //! scope.
 
-use logicity::datalog::DIRECTIVES;
+use logicity::datalog::{DIRECTIVES, parse};
+use logicity::diag::Sources;
 use regex::Regex;
 use serde_json::Value;
 use std::fs;
@@ -225,5 +226,75 @@ fn every_directive_is_a_keyword() {
             "keyword.control.directive.logicity",
             ".{name}"
         );
+    }
+}
+
+/// The extension for Visual Studio Code uses this grammar for the files of the language, and its snippets are valid code.
+#[test]
+fn the_extension_fits_the_grammar() {
+    let folder = root().join("editors/vscode");
+    let json = |path: PathBuf| -> Value {
+        let text = fs::read_to_string(&path).unwrap_or_else(|error| panic!("{}: {error}", path.display()));
+        serde_json::from_str(&text).unwrap_or_else(|error| panic!("{}: {error}", path.display()))
+    };
+    let package = json(folder.join("package.json"));
+    let contributes = &package["contributes"];
+    let (language, used) = (&contributes["languages"][0], &contributes["grammars"][0]);
+    assert_eq!(used["scopeName"], grammar()["scopeName"]);
+    assert_eq!(
+        (&used["language"], &contributes["snippets"][0]["language"]),
+        (&language["id"], &language["id"])
+    );
+    let endings = grammar()["fileTypes"].as_array().unwrap().clone();
+    let endings: Vec<String> = endings
+        .iter()
+        .map(|ending| format!(".{}", ending.as_str().unwrap()))
+        .collect();
+    assert_eq!(language["extensions"], serde_json::json!(endings));
+    // `make vscode` copies the grammar, so that there is one file.
+    let path = used["path"].as_str().unwrap().trim_start_matches("./");
+    assert!(root().join("rules").join(path).exists());
+    let makefile = fs::read_to_string(root().join("Makefile")).unwrap();
+    assert!(makefile.contains(&format!("cp rules/{path} ")));
+    for file in [
+        &package["main"],
+        &language["configuration"],
+        &contributes["snippets"][0]["path"],
+    ] {
+        assert!(folder.join(file.as_str().unwrap()).exists(), "{file}");
+    }
+    assert_eq!(package["version"], env!("CARGO_PKG_VERSION"));
+    let script = fs::read_to_string(folder.join("extension.js")).unwrap();
+    for command in contributes["commands"].as_array().unwrap() {
+        assert!(script.contains(command["command"].as_str().unwrap()));
+    }
+
+    let settings = json(folder.join("language-configuration.json"));
+    assert!(
+        Regex::new(settings["wordPattern"].as_str().unwrap())
+            .unwrap()
+            .is_match("IsCar")
+    );
+    let placeholder = Regex::new(r"\$\{\d+(?::([^}]*)|\|([^,|]*)[^}]*)\}|\$0").unwrap();
+    for (name, snippet) in json(folder.join("snippets.json")).as_object().unwrap() {
+        let lines = match &snippet["body"] {
+            Value::String(line) => line.clone(),
+            lines => lines
+                .as_array()
+                .unwrap()
+                .iter()
+                .map(|line| line.as_str().unwrap().to_owned() + "\n")
+                .collect(),
+        };
+        let filled = placeholder.replace_all(&lines, "$1$2");
+        let is_literal = !filled.contains(".decl") && !filled.contains(":-");
+        let text = if is_literal {
+            format!("A(x) :- {filled}.")
+        } else {
+            filled.into_owned()
+        };
+        let mut sources = Sources::new();
+        let id = sources.add("snippet.dl", text.as_str());
+        assert!(parse(&sources, id).diagnostics.is_empty(), "{name}:\n{text}");
     }
 }

@@ -20,8 +20,10 @@ struct Editor {
 
 impl Editor {
     fn start() -> Editor {
+        let folder = tempfile::tempdir().unwrap();
         let mut process = Command::new(env!("CARGO_BIN_EXE_logicity"))
             .arg("lsp")
+            .env("XDG_CACHE_HOME", folder.path().join("cache"))
             .stdin(Stdio::piped())
             .stdout(Stdio::piped())
             .spawn()
@@ -32,7 +34,7 @@ impl Editor {
             to,
             from: BufReader::new(from),
             published: VecDeque::new(),
-            folder: tempfile::tempdir().unwrap(),
+            folder,
             next: 0,
         };
         let answer = editor.ask(
@@ -287,11 +289,24 @@ fn open_texts_have_precedence_over_files() {
         definition,
         json!({ "uri": editor.uri("parts.dl"), "range": range(0, 0, 0) })
     );
-    assert_eq!(
-        editor.at("textDocument/definition", "main.dl", (1, 12), json!({})),
-        Value::Null,
-        "built in"
-    );
+    // An editor opens a built-in file as a read-only copy.
+    let copied = |editor: &mut Editor, place: (u32, u32)| {
+        let definition = editor.at("textDocument/definition", "main.dl", place, json!({}));
+        let copy = PathBuf::from(definition["uri"].as_str().unwrap().strip_prefix("file://").unwrap());
+        assert!(copy.starts_with(editor.path("cache")), "{definition}");
+        let text = fs::read_to_string(&copy).unwrap();
+        assert_eq!(
+            text,
+            fs::read_to_string(concat!(env!("CARGO_MANIFEST_DIR"), "/rules/vocabulary.dl")).unwrap()
+        );
+        assert!(fs::metadata(&copy).unwrap().permissions().readonly());
+        let line = definition["range"]["start"]["line"].as_u64().unwrap();
+        text.lines().nth(line as usize).unwrap().to_owned()
+    };
+    copied(&mut editor, (1, 12));
+    editor.change("main.dl", &main.replace("New(x), Old(x)", "New(x), Old(x), IsCar(x)"));
+    assert!(copied(&mut editor, (3, 29)).starts_with(".decl IsCar("));
+    editor.change("main.dl", main);
 
     // A fault in an included text is reported at the include.
     editor.change("parts.dl", ".decl Old, New(x: symbol)\n.input Old, New\nOld(1).\n");
@@ -327,7 +342,8 @@ fn names_are_completed_and_renamed_in_all_open_texts() {
         items.map(|item| item["label"].as_str().unwrap().to_owned()).collect()
     };
     let items = editor.at("textDocument/completion", "main.dl", (2, 12), json!({}));
-    assert_eq!(labels(&items), ["Main", "Old"]);
+    assert_eq!(labels(&items)[..3], ["Main", "Old", "Not"]);
+    assert!(labels(&items).contains(&"count".to_owned()));
     assert_eq!(
         (&items[1]["detail"], &items[1]["documentation"]["value"]),
         (&json!(".decl Old(x: place)"), &json!("Given."))
@@ -336,6 +352,11 @@ fn names_are_completed_and_renamed_in_all_open_texts() {
     assert_eq!(labels(&items), ["symbol", "number", "unsigned", "float", "place"]);
     let items = editor.at("textDocument/completion", "main.dl", (1, 2), json!({}));
     assert!(labels(&items).contains(&"printsize".to_owned()));
+    let items = editor.at("textDocument/completion", "main.dl", (3, 0), json!({}));
+    assert!(labels(&items).contains(&".printsize".to_owned()) && labels(&items).contains(&"Main".to_owned()));
+    assert!(!labels(&items).contains(&"count".to_owned()), "not in a body");
+    let items = editor.at("textDocument/completion", "main.dl", (0, 12), json!({}));
+    assert!(labels(&items).contains(&"vocabulary.dl".to_owned()));
 
     // A separate program, whose predicate only has the same name.
     editor.open("other.dl", ".decl Old(x: symbol)\nOld(\"a\").\n");
@@ -371,6 +392,134 @@ fn names_are_completed_and_renamed_in_all_open_texts() {
         refused["message"].as_str().unwrap().contains("read-only file"),
         "{refused}"
     );
+    editor.end();
+}
+
+/// The titles of the quick fixes at a place, and the text after each.
+fn fixes(editor: &mut Editor, name: &str, text: &str, place: (u32, u32)) -> Vec<(String, String)> {
+    let position = json!({ "line": place.0, "character": place.1 });
+    let params = json!({
+        "textDocument": { "uri": editor.uri(name) },
+        "range": { "start": position, "end": position },
+        "context": { "diagnostics": [] },
+    });
+    let actions = editor.ask("textDocument/codeAction", params);
+    let uri = editor.uri(name);
+    let fixed = actions.as_array().unwrap().iter().map(|action| {
+        assert_eq!(action["kind"], "quickfix");
+        assert_eq!(action["diagnostics"][0]["source"], "logicity");
+        let changes = action["edit"]["changes"].as_object().unwrap();
+        assert_eq!(changes.keys().collect::<Vec<_>>(), [&uri]);
+        let mut lines: Vec<Vec<u16>> = text.split('\n').map(|line| line.encode_utf16().collect()).collect();
+        let mut edits = changes[&uri].as_array().unwrap().clone();
+        edits.sort_by_key(|edit| {
+            (
+                edit["range"]["start"]["line"].as_u64(),
+                edit["range"]["start"]["character"].as_u64(),
+            )
+        });
+        for edit in edits.iter().rev() {
+            let at = |end: &str, part: &str| edit["range"][end][part].as_u64().unwrap() as usize;
+            let (first, last) = (at("start", "line"), at("end", "line"));
+            let mut line = lines[first][..at("start", "character")].to_vec();
+            line.extend(edit["newText"].as_str().unwrap().encode_utf16());
+            line.extend(&lines[last][at("end", "character")..]);
+            drop(lines.splice(first..=last, [line]));
+        }
+        let text: Vec<String> = lines.iter().map(|line| String::from_utf16(line).unwrap()).collect();
+        (action["title"].as_str().unwrap().to_owned(), text.join("\n"))
+    });
+    fixed.collect()
+}
+
+#[test]
+fn suggestions_are_quick_fixes() {
+    let mut editor = Editor::start();
+    editor.open("a.dl", RULES);
+    let faulty = RULES.replace("Way(x, y), Road(y, z)", "Way(x, y), Raod(y, z)");
+    assert_eq!(codes(&editor.change("a.dl", &faulty)), ["unknown-predicate"]);
+    let column = "/* \u{e9} \u{1f697} */ Way(x, z) :- Way(x, y), Ra"
+        .encode_utf16()
+        .count() as u32;
+    let found = fixes(&mut editor, "a.dl", &faulty, (4, column));
+    assert_eq!(found, [("replace it with `Road`".to_owned(), RULES.to_owned())]);
+    assert!(fixes(&mut editor, "a.dl", &faulty, (5, 0)).is_empty(), "no fault there");
+
+    let doubled = format!("{RULES}Road(\"\u{1f697}\", \"b\").\n");
+    assert_eq!(codes(&editor.change("a.dl", &doubled)), ["duplicate-clause"]);
+    let found = fixes(&mut editor, "a.dl", &doubled, (7, 3));
+    assert_eq!(found, [("remove it".to_owned(), RULES.to_owned())], "with its line");
+
+    let lone = RULES.replace("Way(x, y) :- Road(x, y).", "Way(x, x) :- Road(x, y).");
+    editor.change("a.dl", &lone);
+    let titles: Vec<String> = fixes(&mut editor, "a.dl", &lone, (5, 21))
+        .into_iter()
+        .map(|(title, _)| title)
+        .collect();
+    assert_eq!(titles, ["replace it with `_`", "rename it to `_y`"]);
+
+    let without = "Stop(X) :- IsCar(X).\n";
+    editor.change("a.dl", without);
+    for (title, text) in fixes(&mut editor, "a.dl", without, (0, 12)) {
+        assert_eq!(title, "include vocabulary.dl");
+        assert!(editor.change("a.dl", &text).is_empty(), "{text}");
+    }
+    editor.end();
+}
+
+#[test]
+fn variables_are_renamed_in_their_clause() {
+    let mut editor = Editor::start();
+    editor.open("a.dl", RULES);
+    // `y` of line 4 occurs twice there; that of line 5 is another variable.
+    let column = "/* \u{e9} \u{1f697} */ Way(x, z) :- Way(x, ".encode_utf16().count() as u32;
+    let place = editor.at("textDocument/prepareRename", "a.dl", (4, column), json!({}));
+    assert_eq!(place, range(4, column, column + 1));
+    let renamed = editor.at(
+        "textDocument/rename",
+        "a.dl",
+        (4, column),
+        json!({ "newName": "middle" }),
+    );
+    let edits = &renamed["changes"][editor.uri("a.dl")];
+    let edit = |column: u32| json!({ "range": range(4, column, column + 1), "newText": "middle" });
+    assert_eq!(*edits, json!([edit(column), edit(column + 9)]));
+    let asked = json!({ "context": { "includeDeclaration": true } });
+    let places = editor.at("textDocument/references", "a.dl", (5, 7), asked);
+    assert_eq!(places.as_array().unwrap().len(), 2, "{places}");
+    for (new, words) in [
+        ("x", "already a variable"),
+        ("count", "a word of the language"),
+        ("not", "not a name"),
+        ("a b", "not a name"),
+    ] {
+        let refused = editor.at("textDocument/rename", "a.dl", (4, column), json!({ "newName": new }));
+        assert!(refused["message"].as_str().unwrap().contains(words), "{refused}");
+    }
+    editor.end();
+}
+
+#[test]
+fn words_of_the_language_are_described() {
+    let mut editor = Editor::start();
+    let text = ".decl A(x: number)\n.output A\n// count\nA(n) :- n = count : { A(_) }, !match(\"count\", \"b\").\n";
+    editor.open("a.dl", text);
+    let mut hover = |line: u32, character: u32| {
+        let shown = editor.at("textDocument/hover", "a.dl", (line, character), json!({}));
+        (
+            shown["contents"]["value"].as_str().map(str::to_owned),
+            shown["range"].clone(),
+        )
+    };
+    let (shown, place) = hover(1, 3);
+    assert!(shown.unwrap().contains("a result of the program"));
+    assert_eq!(place, range(1, 0, 7));
+    let (shown, place) = hover(3, 14);
+    assert!(shown.unwrap().contains("the number of ways in which the body holds"));
+    assert_eq!(place, range(3, 12, 17));
+    assert!(hover(3, 34).0.unwrap().contains("regular expression"));
+    assert_eq!(hover(2, 5).0, None, "a comment");
+    assert_eq!(hover(3, 39).0, None, "a string");
     editor.end();
 }
 

@@ -366,11 +366,11 @@ fn slow_impossible_requests_are_errors() {
     refused(&["nowhere"], 2, &["nowhere"]);
     refused(&["--count", "0"], 2, &["1..=20000"]);
     refused(&["--mini", "--count", "3"], 2, &["--mini"]);
-    refused(&["--shots", "3"], 1, &["invalid-value", "Slow, Normal, Fast, Stop"]);
-    refused(&["--split", "train"], 1, &["invalid-value", "the same agents"]);
+    refused(&["--shots", "3"], 2, &["invalid-value", "Slow, Normal, Fast, Stop"]);
+    refused(&["--split", "train"], 2, &["invalid-value", "the same agents"]);
     refused(
         &["--about", "tyro,bus"],
-        1,
+        2,
         &["no car concept `tyro`", "did you mean `tiro`?"],
     );
     refused(
@@ -378,7 +378,7 @@ fn slow_impossible_requests_are_errors() {
         1,
         &["limit-exceeded", "1000008 agents"],
     );
-    refused(&["metropolis", "--count", "3"], 1, &["unknown-split"]);
+    refused(&["metropolis", "--count", "3"], 2, &["unknown-split"]);
     // A car that is alone allows few questions.
     let folder = tempfile::tempdir().unwrap();
     let config = folder.path().join("alone.yaml");

@@ -507,11 +507,12 @@ mod terminal {
         terminal.sees("> ");
         // Incomplete input continues in the next line, and Ctrl-C discards it.
         terminal.press("Reachable(8\r");
+        terminal.sees("| ");
         terminal.press("\u{3}");
-        // The end of bracketed paste: the line editor has returned the input.
-        terminal.sees("\u{1b}[?2004l");
         terminal.sees("> ");
-        terminal.press("Reachable(\"a\").\r");
+        terminal.press("Reachable(\r");
+        terminal.sees("| ");
+        terminal.press("\"a\").\r");
         let shown = terminal.sees("type-mismatch");
         assert!(shown.contains("\u{1b}["), "without color: {shown:?}");
         terminal.sees("<input 3>");
@@ -528,6 +529,10 @@ mod terminal {
         assert!(
             history.contains("Reachable(7).") && !history.contains("Reachable(8"),
             "{history}"
+        );
+        assert!(
+            history.contains("Reachable(\\n\"a\")."),
+            "one entry for both lines: {history}"
         );
 
         let mut terminal = Terminal::open(folder.path());

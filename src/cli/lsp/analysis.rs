@@ -1,11 +1,12 @@
 //! One rule file with its includes: its diagnostics, and the names in it with their meanings.
 
+use crate::builtin;
 use crate::datalog;
 use crate::datalog::ast;
 use crate::datalog::ast::{Item, Literal, Name, Term, TermKind, TypeDefinition};
 use crate::datalog::print;
 use crate::datalog::{Program, optimize};
-use crate::diag::{Diagnostic, SourceId, Sources, Span};
+use crate::diag::{Code, Diagnostic, Fix, SourceId, Sources, Span};
 use crate::files::{BUILTIN_FOLDER, ReadFile, normalize};
 use std::path::{Path, PathBuf};
 
@@ -16,6 +17,8 @@ pub enum Meaning {
     Type(String),
     /// An include, and the text it refers to if that exists.
     Include(Option<SourceId>),
+    /// A variable of the clause at this place.
+    Variable(Span, String),
 }
 
 /// A name in the text.
@@ -36,6 +39,8 @@ pub struct Analysis {
     pub hints: Vec<Diagnostic>,
     pub files: Vec<(SourceId, ast::File)>,
     pub occurrences: Vec<Occurrence>,
+    /// The clause whose names are being collected.
+    clause: Option<Span>,
 }
 
 impl Analysis {
@@ -49,7 +54,7 @@ impl Analysis {
         if let Some(rules) = loaded.rules {
             for lint in optimize::lints(&rules).diagnostics {
                 match lint.code {
-                    crate::diag::Code::CONTRADICTORY_BODY => diagnostics.push(lint),
+                    Code::CONTRADICTORY_BODY => diagnostics.push(lint),
                     _ => hints.push(lint),
                 }
             }
@@ -65,6 +70,7 @@ impl Analysis {
             hints,
             files: Vec::new(),
             occurrences: Vec::new(),
+            clause: None,
         };
         for (id, file) in &files {
             file.items.iter().for_each(|item| analysis.item(*id, item));
@@ -128,6 +134,42 @@ impl Analysis {
             .map(|one| &one.meaning)
     }
 
+    /// Returns whether a byte of the file itself is in the body of a clause, complete or not.
+    pub fn in_body(&self, byte: usize) -> bool {
+        let text = self.sources.text(self.entry);
+        let before = &text[..byte.min(text.len())];
+        // A full stop before white space ends a clause. One in a string or a comment is rare, and only hides words.
+        let ends = [". ", ".\n", ".\r\n", ".\t"].map(|end| before.rfind(end));
+        let from = ends.into_iter().flatten().max().map_or(0, |end| end + 1);
+        before[from..].contains(":-")
+    }
+
+    /// Returns the fix for an unknown predicate that the vocabulary of the city declares.
+    pub fn include_vocabulary(&self, fault: &Diagnostic) -> Option<Fix> {
+        const VOCABULARY: &str = "vocabulary.dl";
+        let label = fault
+            .primary
+            .as_ref()
+            .filter(|_| fault.code == Code::UNKNOWN_PREDICATE)?;
+        let name = self.sources.slice(label.span);
+        let mut sources = Sources::new();
+        let id = sources.add(VOCABULARY, builtin::text(&format!("rules/{VOCABULARY}"))?);
+        let declares = |item: &Item| match item {
+            Item::Decl(decl) => decl.names.iter().any(|declared| declared.text == name),
+            _ => false,
+        };
+        let start = Span::new(self.entry, 0..0);
+        datalog::parse(&sources, id)
+            .file
+            .items
+            .iter()
+            .any(declares)
+            .then(|| Fix {
+                title: format!("include {VOCABULARY}"),
+                edits: vec![(start, format!(".include \"{VOCABULARY}\"\n"))],
+            })
+    }
+
     /// Returns the include in the file itself that reaches a text, directly or through others.
     pub fn include_of(&self, mut id: SourceId) -> Option<Span> {
         // A chain of includes is at most as long as the number of texts.
@@ -182,6 +224,7 @@ impl Analysis {
                 .iter()
                 .for_each(|name| self.add(name, Meaning::Predicate, false)),
             Item::Clause(clause) => {
+                self.clause = Some(clause.place.0);
                 clause.heads.iter().for_each(|head| self.atom(head));
                 clause.body.iter().for_each(|literal| self.literal(literal));
             }
@@ -204,6 +247,15 @@ impl Analysis {
 
     fn term(&mut self, term: &Term) {
         match &term.kind {
+            TermKind::Variable(name) => {
+                if let Some(clause) = self.clause {
+                    self.occurrences.push(Occurrence {
+                        span: term.place.0,
+                        meaning: Meaning::Variable(clause, name.clone()),
+                        declares: false,
+                    });
+                }
+            }
             TermKind::Functor(_, arguments) => arguments.iter().for_each(|argument| self.term(argument)),
             TermKind::Cast(inner, ty) => {
                 self.term(inner);

@@ -4,27 +4,30 @@
 //! checks all open texts and their includes again. An open text takes precedence over the file on disk.
 
 mod analysis;
+mod builtin;
 mod place;
+mod words;
 
 use crate::builtin::BuiltinFiles;
 use crate::cli::Failure;
 use crate::datalog;
 use crate::datalog::{DIRECTIVES, ast};
-use crate::diag::{Diagnostic, Label, Severity, SourceId, Sources, Span};
+use crate::diag::{Diagnostic, Fix, Label, Severity, SourceId, Sources, Span};
 use crate::files::{ReadError, ReadFile, normalize};
 use analysis::{Analysis, Meaning};
 use lsp_server::{Connection, ErrorCode, Message, Notification, ProtocolError, Request, Response};
 use lsp_types::{
-    CompletionItem, CompletionItemKind, CompletionParams, DiagnosticSeverity, DidChangeTextDocumentParams,
-    DidCloseTextDocumentParams, DidOpenTextDocumentParams, DocumentFormattingParams, DocumentSymbolParams,
-    Documentation, GotoDefinitionParams, HoverParams, MarkupContent, MarkupKind, MessageType, Position,
-    ReferenceParams, RenameParams, SymbolKind, TextDocumentPositionParams,
+    CodeActionParams, CompletionItem, CompletionItemKind, CompletionParams, DiagnosticSeverity,
+    DidChangeTextDocumentParams, DidCloseTextDocumentParams, DidOpenTextDocumentParams, DocumentFormattingParams,
+    DocumentSymbolParams, Documentation, GotoDefinitionParams, HoverParams, MarkupContent, MarkupKind, MessageType,
+    Position, ReferenceParams, RenameParams, SymbolKind, TextDocumentPositionParams,
 };
 use place::{Lines, path_of, uri_of};
 use serde::de::DeserializeOwned;
 use serde_json::{Value, json};
 use std::collections::{BTreeMap, BTreeSet};
 use std::path::{Path, PathBuf};
+use words::Word;
 
 #[derive(clap::Args)]
 pub struct Arguments {
@@ -57,6 +60,7 @@ fn serve(connection: &Connection) -> Result<(), ProtocolError> {
         "documentFormattingProvider": true,
         "completionProvider": { "triggerCharacters": ["."] },
         "renameProvider": { "prepareProvider": true },
+        "codeActionProvider": { "codeActionKinds": ["quickfix"] },
     });
     let server = json!({ "name": "logicity", "version": env!("CARGO_PKG_VERSION") });
     connection.initialize_finish(id, json!({ "capabilities": capabilities, "serverInfo": server }))?;
@@ -183,13 +187,9 @@ impl Server {
 
     fn diagnostics(&self, document: &Document) -> Vec<Value> {
         let Analysis { diagnostics, hints, .. } = &document.analysis;
-        let severe = diagnostics.iter().map(|fault| {
-            let severity = match fault.severity() {
-                Severity::Error => DiagnosticSeverity::ERROR,
-                Severity::Warning => DiagnosticSeverity::WARNING,
-            };
-            self.diagnostic(document, fault, severity)
-        });
+        let severe = diagnostics
+            .iter()
+            .map(|fault| self.diagnostic(document, fault, severity_of(fault)));
         let hints = hints
             .iter()
             .map(|lint| self.diagnostic(document, lint, DiagnosticSeverity::INFORMATION));
@@ -252,30 +252,32 @@ impl Server {
 
     fn answer(&self, request: Request) -> Response {
         let Request { id, method, params } = request;
-        let answer =
-            match method.as_str() {
-                "textDocument/hover" => {
-                    read(params).and_then(|params: HoverParams| self.hover(&params.text_document_position_params))
-                }
-                "textDocument/definition" => read(params)
-                    .and_then(|params: GotoDefinitionParams| self.definition(&params.text_document_position_params)),
-                "textDocument/references" => read(params).and_then(|params: ReferenceParams| {
-                    let declared = params.context.include_declaration;
-                    self.references(&params.text_document_position, declared)
-                }),
-                "textDocument/documentSymbol" => read(params)
-                    .and_then(|params: DocumentSymbolParams| self.symbols(params.text_document.uri.as_str())),
-                "textDocument/formatting" => read(params)
-                    .and_then(|params: DocumentFormattingParams| self.format(params.text_document.uri.as_str())),
-                "textDocument/completion" => {
-                    read(params).and_then(|params: CompletionParams| self.complete(&params.text_document_position))
-                }
-                "textDocument/prepareRename" => {
-                    read(params).and_then(|params: TextDocumentPositionParams| self.prepare_rename(&params))
-                }
-                "textDocument/rename" => read(params).and_then(|params: RenameParams| self.rename(&params)),
-                other => Err((ErrorCode::MethodNotFound, format!("`{other}` is not supported"))),
-            };
+        let answer = match method.as_str() {
+            "textDocument/hover" => {
+                read(params).and_then(|params: HoverParams| self.hover(&params.text_document_position_params))
+            }
+            "textDocument/definition" => read(params)
+                .and_then(|params: GotoDefinitionParams| self.definition(&params.text_document_position_params)),
+            "textDocument/references" => read(params).and_then(|params: ReferenceParams| {
+                let declared = params.context.include_declaration;
+                self.references(&params.text_document_position, declared)
+            }),
+            "textDocument/documentSymbol" => {
+                read(params).and_then(|params: DocumentSymbolParams| self.symbols(params.text_document.uri.as_str()))
+            }
+            "textDocument/formatting" => {
+                read(params).and_then(|params: DocumentFormattingParams| self.format(params.text_document.uri.as_str()))
+            }
+            "textDocument/completion" => {
+                read(params).and_then(|params: CompletionParams| self.complete(&params.text_document_position))
+            }
+            "textDocument/prepareRename" => {
+                read(params).and_then(|params: TextDocumentPositionParams| self.prepare_rename(&params))
+            }
+            "textDocument/rename" => read(params).and_then(|params: RenameParams| self.rename(&params)),
+            "textDocument/codeAction" => read(params).and_then(|params: CodeActionParams| self.code_actions(&params)),
+            other => Err((ErrorCode::MethodNotFound, format!("`{other}` is not supported"))),
+        };
         match answer {
             Ok(value) => Response::new_ok(id, value),
             Err((code, message)) => Response::new_err(id, code as i32, message),
@@ -296,8 +298,9 @@ impl Server {
     }
 
     fn hover(&self, at: &TextDocumentPositionParams) -> Result<Value, Refusal> {
-        let (document, Some((span, meaning))) = self.named(at)? else {
-            return Ok(Value::Null);
+        let (document, found) = self.named(at)?;
+        let Some((span, meaning)) = found else {
+            return Ok(hover_word(document, at.position).unwrap_or(Value::Null));
         };
         let Analysis { sources, entry, .. } = &document.analysis;
         let text = match meaning {
@@ -310,14 +313,18 @@ impl Server {
         Ok(json!({ "contents": markdown(text), "range": Lines::of(sources, *entry).range(span) }))
     }
 
+    /// Returns the place of a declaration. An editor can open built-in files only as copies on the disk.
     fn definition(&self, at: &TextDocumentPositionParams) -> Result<Value, Refusal> {
         let (document, Some((_, meaning))) = self.named(at)? else {
             return Ok(Value::Null);
         };
-        let analysis = &document.analysis;
-        let place = analysis
-            .declaration(meaning)
-            .and_then(|span| self.location(&analysis.sources, span));
+        let Analysis { sources, .. } = &document.analysis;
+        let place = document.analysis.declaration(meaning).and_then(|span| {
+            self.location(sources, span).or_else(|| {
+                let copy = builtin::copy(Path::new(sources.name(span.source)), sources.text(span.source))?;
+                Some(json!({ "uri": uri_of(&copy)?, "range": Lines::of(sources, span.source).range(span) }))
+            })
+        });
         Ok(place.unwrap_or(Value::Null))
     }
 
@@ -345,7 +352,11 @@ impl Server {
     ) -> (BTreeMap<String, BTreeSet<Place>>, bool) {
         let mut places: BTreeMap<String, BTreeSet<Place>> = BTreeMap::new();
         let mut builtin = false;
-        for document in self.sharing(document, meaning) {
+        // A variable belongs to a clause of one text.
+        let is_variable = matches!(meaning, Meaning::Variable(..));
+        let sharing = self.sharing(document, meaning);
+        let own = |one: &&Document| !is_variable || std::ptr::eq(*one, document);
+        for document in sharing.filter(own) {
             let sources = &document.analysis.sources;
             let named = document
                 .analysis
@@ -383,7 +394,7 @@ impl Server {
 
     fn prepare_rename(&self, at: &TextDocumentPositionParams) -> Result<Value, Refusal> {
         let (document, found) = self.named(at)?;
-        let Some((span, Meaning::Predicate(_) | Meaning::Type(_))) = found else {
+        let Some((span, Meaning::Predicate(_) | Meaning::Type(_) | Meaning::Variable(..))) = found else {
             return Ok(Value::Null);
         };
         Ok(json!(Lines::new(&document.text).range(span)))
@@ -392,11 +403,22 @@ impl Server {
     fn rename(&self, params: &RenameParams) -> Result<Value, Refusal> {
         let refuse = |message: String| Err((ErrorCode::RequestFailed, message));
         let (document, found) = self.named(&params.text_document_position)?;
-        let Some((_, meaning @ (Meaning::Predicate(_) | Meaning::Type(_)))) = found else {
-            return refuse("only predicates and types can be renamed".to_owned());
+        let Some((_, meaning @ (Meaning::Predicate(_) | Meaning::Type(_) | Meaning::Variable(..)))) = found else {
+            return refuse("only predicates, types and variables can be renamed".to_owned());
         };
         if !datalog::is_name(&params.new_name) {
             return refuse(format!("`{}` is not a name", params.new_name));
+        }
+        if let Meaning::Variable(clause, _) = meaning {
+            let new = Meaning::Variable(*clause, params.new_name.clone());
+            if document.analysis.occurrences.iter().any(|one| one.meaning == new) {
+                return refuse(format!("`{}` is already a variable of this clause", params.new_name));
+            }
+            if words::find(&params.new_name, false).is_some() {
+                return refuse(format!("`{}` is a word of the language", params.new_name));
+            }
+            let (places, _) = self.places(document, meaning, true);
+            return Ok(renamed(places, &params.new_name));
         }
         // Predicates and types share a namespace.
         let new = [Meaning::Predicate, Meaning::Type].map(|kind| kind(params.new_name.clone()));
@@ -409,13 +431,64 @@ impl Server {
         if builtin || document.analysis.declaration(meaning).is_none() {
             return refuse("a read-only file declares the name".to_owned());
         }
-        let changes = places.into_iter().map(|(uri, ranges)| {
-            let edits = ranges
-                .iter()
-                .map(|range| json!({ "range": range_json(range), "newText": params.new_name }));
-            (uri, edits.collect::<Value>())
-        });
-        Ok(json!({ "changes": changes.collect::<serde_json::Map<_, _>>() }))
+        Ok(renamed(places, &params.new_name))
+    }
+
+    /// Returns the fixes of the diagnostics in a range as quick fixes.
+    fn code_actions(&self, params: &CodeActionParams) -> Result<Value, Refusal> {
+        let document = self.document(params.text_document.uri.as_str())?;
+        let Analysis { diagnostics, hints, .. } = &document.analysis;
+        let own_lines = Lines::new(&document.text);
+        let asked = own_lines.byte(params.range.start)..own_lines.byte(params.range.end);
+        let mut actions = Vec::new();
+        let severities = [None, Some(DiagnosticSeverity::INFORMATION)];
+        for (faults, severity) in [diagnostics, hints].into_iter().zip(severities) {
+            for fault in faults {
+                let severity = severity.unwrap_or(severity_of(fault));
+                let shown = self.diagnostic(document, fault, severity);
+                let range: lsp_types::Range = serde_json::from_value(shown["range"].clone()).expect("made from one");
+                let place = own_lines.byte(range.start)..own_lines.byte(range.end);
+                if place.end < asked.start || asked.end < place.start {
+                    continue;
+                }
+                let fixes = fault.fixes.iter().cloned();
+                for fix in fixes.chain(document.analysis.include_vocabulary(fault)) {
+                    if let Some(changes) = self.changes(&document.analysis.sources, &fix) {
+                        actions.push(json!({
+                            "title": fix.title,
+                            "kind": "quickfix",
+                            "diagnostics": [shown.clone()],
+                            "edit": { "changes": changes },
+                        }));
+                    }
+                }
+            }
+        }
+        Ok(Value::Array(actions))
+    }
+
+    /// Returns the edits of a fix by URI; `None` if one is in a built-in file.
+    fn changes(&self, sources: &Sources, fix: &Fix) -> Option<serde_json::Map<String, Value>> {
+        let mut changes: BTreeMap<String, Vec<Value>> = BTreeMap::new();
+        for (span, text) in &fix.edits {
+            let uri = self.uri(sources, span.source)?;
+            let span = if text.is_empty() {
+                whole_lines(sources, *span)
+            } else {
+                *span
+            };
+            let range = Lines::of(sources, span.source).range(span);
+            changes
+                .entry(uri)
+                .or_default()
+                .push(json!({ "range": range, "newText": text }));
+        }
+        Some(
+            changes
+                .into_iter()
+                .map(|(uri, edits)| (uri, Value::Array(edits)))
+                .collect(),
+        )
     }
 
     /// Lists declarations, types and clauses in source order.
@@ -480,7 +553,8 @@ impl Server {
         })
     }
 
-    /// Completes directives after a full stop at the start of a line, types after a colon, else predicates.
+    /// Completes directives at the start of a line, files in an include, types after a colon, else predicates and, in
+    /// bodies, words of the language.
     fn complete(&self, at: &TextDocumentPositionParams) -> Result<Value, Refusal> {
         let document = self.document(at.text_document.uri.as_str())?;
         let lines = Lines::new(&document.text);
@@ -504,13 +578,29 @@ impl Server {
                 ..CompletionItem::default()
             }
         };
+        let keyword = |word: &Word, label: String| CompletionItem {
+            label,
+            kind: Some(CompletionItemKind::KEYWORD),
+            detail: Some(word.form.to_owned()),
+            documentation: Some(Documentation::MarkupContent(markdown(word.meaning.to_owned()))),
+            ..CompletionItem::default()
+        };
+        let directives = |dot: &'static str| {
+            let words = DIRECTIVES.iter().filter_map(|name| words::find(name, true));
+            words.map(move |word| keyword(word, format!("{dot}{}", word.name)))
+        };
         if before == "." {
-            let directives = DIRECTIVES.iter().map(|name| CompletionItem {
-                label: (*name).to_owned(),
-                kind: Some(CompletionItemKind::KEYWORD),
+            return Ok(json!(directives("").collect::<Vec<_>>()));
+        }
+        if before.starts_with(".include") && before.contains('"') {
+            let known = BuiltinFiles.builtin_paths();
+            let names = known.iter().filter_map(|path| path.strip_prefix("rules/"));
+            let file = |name: &str| CompletionItem {
+                label: name.to_owned(),
+                kind: Some(CompletionItemKind::FILE),
                 ..CompletionItem::default()
-            });
-            return Ok(json!(directives.collect::<Vec<_>>()));
+            };
+            return Ok(json!(names.map(file).collect::<Vec<_>>()));
         }
         let of_types = (before.starts_with(".decl") && before.ends_with(':'))
             || (before.starts_with(".type") && before.ends_with([':', '=', '|']));
@@ -530,7 +620,69 @@ impl Server {
                 _ => {}
             }
         }
+        let in_clause = !before.starts_with('.') && document.analysis.in_body(start + line.len());
+        if in_clause {
+            let words = words::WORDS.iter();
+            let words = words.filter(|word| matches!(word.place, words::Place::Body | words::Place::Operator));
+            items.extend(words.map(|word| keyword(word, word.name.to_owned())));
+        } else if before.is_empty() {
+            items.extend(directives("."));
+        }
         Ok(json!(items))
+    }
+}
+
+fn severity_of(fault: &Diagnostic) -> DiagnosticSeverity {
+    match fault.severity() {
+        Severity::Error => DiagnosticSeverity::ERROR,
+        Severity::Warning => DiagnosticSeverity::WARNING,
+    }
+}
+
+/// Returns the description of the word of the language at a position.
+fn hover_word(document: &Document, position: Position) -> Option<Value> {
+    let text = document.text.as_str();
+    let lines = Lines::new(text);
+    let at = lines.byte(position);
+    let is_part = |c: char| c.is_ascii_alphanumeric() || c == '_';
+    let start = at - text[..at].chars().rev().take_while(|c| is_part(*c)).count();
+    let end = at + text[at..].chars().take_while(|c| is_part(*c)).count();
+    // A position past the end of the text maps to that end.
+    let line = lines.byte(Position::new(position.line, 0)).min(start);
+    let directive = text[line..start].trim_start() == ".";
+    // Not in comments and strings.
+    let before = &text[line..start];
+    if before.contains("//") || before.matches('"').count() % 2 == 1 {
+        return None;
+    }
+    let word = words::find(&text[start..end], directive)?;
+    let shown = format!("```prolog\n{}\n```\n\n{}\n", word.form, word.meaning);
+    let span = Span::new(document.analysis.entry, start - usize::from(directive)..end);
+    Some(json!({ "contents": markdown(shown), "range": lines.range(span) }))
+}
+
+/// Returns the edits that write a new name in all places.
+fn renamed(places: BTreeMap<String, BTreeSet<Place>>, name: &str) -> Value {
+    let changes = places.into_iter().map(|(uri, ranges)| {
+        let edits = ranges
+            .iter()
+            .map(|range| json!({ "range": range_json(range), "newText": name }));
+        (uri, edits.collect::<Value>())
+    });
+    json!({ "changes": changes.collect::<serde_json::Map<_, _>>() })
+}
+
+/// Extends a span that is alone on its lines to whole lines.
+fn whole_lines(sources: &Sources, span: Span) -> Span {
+    let text = sources.text(span.source);
+    let bytes = span.range();
+    let (before, after) = (&text[..bytes.start], &text[bytes.end..]);
+    let start = before.rfind('\n').map_or(0, |newline| newline + 1);
+    let rest = after.find('\n').map_or(after.len(), |newline| newline + 1);
+    let is_alone = before[start..].trim().is_empty() && after[..rest].trim().is_empty();
+    match is_alone {
+        true => Span::new(span.source, start..bytes.end + rest),
+        false => span,
     }
 }
 

@@ -10,11 +10,15 @@ use rustyline::error::ReadlineError;
 use rustyline::highlight::Highlighter;
 use rustyline::hint::Hinter;
 use rustyline::history::FileHistory;
-use rustyline::validate::{ValidationContext, ValidationResult, Validator};
+use rustyline::validate::Validator;
 use rustyline::{CompletionType, Context, Editor, Helper};
 use std::borrow::Cow;
 use std::io::{self, BufRead, IsTerminal, Write};
 use std::path::PathBuf;
+
+/// The prompt of a new input, and of a line that continues an incomplete one.
+const PROMPT: &str = "> ";
+const CONTINUATION: &str = "| ";
 
 /// The most inputs in the history.
 const HISTORY_MAX: usize = 1000;
@@ -49,7 +53,7 @@ impl Lines {
             .completion_type(CompletionType::List)
             .bell_style(BellStyle::None)
             .max_history_size(HISTORY_MAX)
-            .map(|builder| builder.auto_add_history(true).build());
+            .map(|builder| builder.build());
         let editor = config.and_then(Editor::with_config);
         match editor {
             Ok(mut editor) => {
@@ -113,21 +117,32 @@ impl Terminal {
             let shown = query::relations(bench.session.program()).filter(|(_, relation)| !relation.hidden);
             words.relations = shown.map(|(_, relation)| relation.name.clone()).collect();
         }
+        let mut text = String::new();
         loop {
-            match self.editor.readline("> ") {
-                Ok(text) => {
-                    self.save();
-                    return Ok(Line::Text(text));
+            let prompt = if text.is_empty() { PROMPT } else { CONTINUATION };
+            match self.editor.readline(prompt) {
+                Ok(line) => {
+                    text.push_str(&line);
+                    if super::is_whole(&text) {
+                        self.save(&text);
+                        return Ok(Line::Text(text));
+                    }
+                    text.push('\n');
                 }
-                Err(ReadlineError::Interrupted) => {}
-                Err(ReadlineError::Eof) => return Ok(Line::End),
+                Err(ReadlineError::Interrupted) => text.clear(),
+                Err(ReadlineError::Eof) if text.is_empty() => return Ok(Line::End),
+                // As through a pipe, the end of the input ends an incomplete text.
+                Err(ReadlineError::Eof) => return Ok(Line::Text(text)),
                 Err(error) => return Err(Failure::Usage(format!("cannot read from the terminal: {error}"))),
             }
         }
     }
 
-    /// Saves the history after every input, so that interrupting an evaluation loses nothing. Reports a failure once.
-    fn save(&mut self) {
+    /// Saves the input to the history at once, so that interrupting its evaluation loses nothing. Reports a failure
+    /// once.
+    fn save(&mut self, text: &str) {
+        // The entry is only missing from the history of this session.
+        let _ = self.editor.add_history_entry(text.trim_end());
         let Some(path) = &self.history else { return };
         let folder = path.parent().map_or(Ok(()), std::fs::create_dir_all);
         let saved = folder
@@ -197,14 +212,7 @@ impl Completer for Words {
     }
 }
 
-impl Validator for Words {
-    fn validate(&self, context: &mut ValidationContext<'_>) -> rustyline::Result<ValidationResult> {
-        Ok(match super::is_whole(context.input()) {
-            true => ValidationResult::Valid(None),
-            false => ValidationResult::Incomplete,
-        })
-    }
-}
+impl Validator for Words {}
 
 impl Highlighter for Words {
     fn highlight_prompt<'b, 's: 'b, 'p: 'b>(&'s self, prompt: &'p str, _: bool) -> Cow<'b, str> {

@@ -305,7 +305,12 @@ fn lone_variables(clause: &ast::Clause, variables: &[Known], guarded: &[bool], f
         .help(format!(
             "write `_` or `_{}` if its value does not matter",
             variable.name
-        ));
+        ))
+        .fix("replace it with `_`", [(variable.first, "_".to_owned())])
+        .fix(
+            format!("rename it to `_{}`", variable.name),
+            [(variable.first, format!("_{}", variable.name))],
+        );
         faults.push(fault);
     }
 }

@@ -186,6 +186,6 @@ fn report(code: Code, span: Span, other: Span, faults: &mut Faults) {
         Diagnostic::new(code, message)
             .at(span, "")
             .also(other, label)
-            .help("remove it"),
+            .remove(span),
     );
 }

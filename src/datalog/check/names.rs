@@ -89,7 +89,7 @@ pub(crate) fn declare(items: &[Item], complete: bool, inputs: Edb, faults: &mut 
             Item::Pragma(pragma) => faults.push(
                 Diagnostic::new(Code::IGNORED, "`.pragma` has no effect")
                     .at(pragma.place.0, "")
-                    .help("remove it"),
+                    .remove(pragma.place.0),
             ),
             _ => {}
         }
@@ -631,12 +631,16 @@ impl Names {
                     if let Some(span) = id.and_then(|id| self.type_spans[id]) {
                         fault = fault.also(span, format!("`{near}` is declared here"));
                     }
-                    fault.help(format!("did you mean `{near}`?"))
+                    fault.did_you_mean(near, uses)
                 }
-                None => fault.help(match BaseType::of_other_languages(name) {
-                    Some(base) => format!("write `{}`", base.name()),
-                    None => format!("declare it: `.type {name} <: symbol`"),
-                }),
+                None => match BaseType::of_other_languages(name) {
+                    Some(base) => {
+                        let edits = uses.iter().map(|&place| (place, base.name().to_owned()));
+                        let title = format!("write `{}`", base.name());
+                        fault.help(title.clone()).fix(title, edits)
+                    }
+                    None => fault.help(format!("declare it: `.type {name} <: symbol`")),
+                },
             };
             faults.push(fault);
         }
@@ -655,8 +659,12 @@ impl Names {
                     if let Some(span) = span {
                         fault = fault.also(span, format!("`{near}` is declared here"));
                     }
-                    fault.help(format!("did you mean `{near}`?"))
+                    fault.did_you_mean(near, uses)
                 }
+                // The vocabulary declares `Sees`.
+                None if self.relation_by_name.contains_key("Sees") => fault.help(format!(
+                    "declare it: `.decl {name}(...)`, or include the file that declares it"
+                )),
                 None => fault.help(format!(
                     "declare it: `.decl {name}(...)`, or include the file that declares it; `.include \"vocabulary.dl\"` \
                      declares the predicates of the city"
@@ -683,7 +691,7 @@ fn qualifiers(words: &[Name], faults: &mut Faults) {
             faults.push(fault.help("remove one of them"));
         } else if word.text != "inline" && !words[index + 1..].iter().any(|later| rivals(word, later)) {
             let fault = Diagnostic::new(Code::IGNORED, format!("`{}` has no effect", word.text));
-            faults.push(fault.at(word.place.0, "").help("remove it"));
+            faults.push(fault.at(word.place.0, "").remove(word.place.0));
         }
     }
 }

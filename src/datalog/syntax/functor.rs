@@ -144,6 +144,12 @@ impl Functor {
         all.find(|(_, other)| *other == name).map(|(functor, _)| *functor)
     }
 
+    /// Returns the names of functions, and of the operators that are words.
+    pub fn words() -> impl Iterator<Item = &'static str> {
+        let names = Self::NAMES.iter().map(|(_, name)| *name);
+        names.filter(|name| name.starts_with(|c: char| c.is_ascii_alphabetic()))
+    }
+
     /// Returns the binary operator with that spelling.
     pub(crate) fn infix(text: &str) -> Option<Functor> {
         let infix = |functor: &Functor| !functor.is_prefix() && functor.precedence().is_some();

@@ -91,17 +91,16 @@ impl Walk<'_> {
             .unwrap_or(Path::new(""))
             .join(&include.path);
         let builtin = Path::new(BUILTIN_FOLDER).join(&include.path);
+        // `join` with an absolute path returns that path, so both candidates are the same.
+        let builtin = builtin.starts_with(BUILTIN_FOLDER).then_some(builtin);
         let mut error = ReadError::NotFound;
-        for path in [&beside, &builtin] {
+        for path in std::iter::once(&beside).chain(&builtin) {
             let key = normalize(path);
             if let Some(position) = self.open.iter().position(|(open, _)| *open == key) {
                 return self.cycle(position, span);
             }
             if self.gathered.seen.contains(&key) {
                 return;
-            }
-            if path.as_os_str() == builtin.as_os_str() && !builtin.starts_with(BUILTIN_FOLDER) {
-                continue; // An absolute path.
             }
             match self.read.read(path) {
                 Ok(text) => return self.open(path, key, text, span),
@@ -118,9 +117,14 @@ impl Walk<'_> {
             ReadError::NotFound => {
                 let fault = Diagnostic::new(Code::MISSING_INCLUDE, format!("no file `{}` to include", include.path))
                     .at(span, "")
-                    .note(format!("looked for `{path}` and for a built-in rule file of that name"));
+                    .note(match builtin {
+                        Some(_) => format!("looked for `{path}` and for a built-in rule file of that name"),
+                        None => format!("looked for `{path}`"),
+                    });
                 match self.similar(from, &include.path) {
-                    Some(near) => fault.help(format!("did you mean `{near}`?")),
+                    Some(near) => fault
+                        .help(format!("did you mean `{near}`?"))
+                        .fix(format!("include `{near}`"), [(span, format!("\"{near}\""))]),
                     None => fault,
                 }
             }

@@ -79,6 +79,24 @@ const PREPROCESSOR: &[&str] = &[
     "pragma",
 ];
 
+/// The aggregates of answer set programming, which begin with `#`.
+const ASP_AGGREGATES: &[&str] = &["count", "sum", "min", "max"];
+
+/// Returns the spelling of a token of punctuation.
+fn spelling(kind: Kind) -> Option<&'static str> {
+    Some(match kind {
+        Kind::Bang => "!",
+        Kind::NotEqual => "!=",
+        Kind::Equal => "=",
+        Kind::LessEqual => "<=",
+        Kind::GreaterEqual => ">=",
+        Kind::Comma => ",",
+        Kind::Semicolon => ";",
+        Kind::If => ":-",
+        _ => return None,
+    })
+}
+
 pub(crate) const COMMENT: &str = "comments begin with `//`, or stand between `/*` and `*/`";
 pub(crate) const NEGATION: &str = "negation is written `Not(P(X))`, `not P(X)` or `!P(X)`";
 pub(crate) const CONJUNCTION: &str = "literals are separated by commas, which mean \"and\"";
@@ -375,6 +393,13 @@ impl Lexer<'_> {
         let fault = Diagnostic::new(Code::SYNTAX, format!("`{written}` has no meaning here"))
             .at(self.span(self.at, self.at + written.len()), "")
             .help(*help);
+        let fault = match spelling(*kind) {
+            Some(spelling) => {
+                let span = self.span(self.at, self.at + written.len());
+                fault.fix(format!("replace it with `{spelling}`"), [(span, spelling.to_owned())])
+            }
+            None => fault,
+        };
         self.faults.push(fault);
         self.push(*kind, written.len());
         Some(())
@@ -390,7 +415,16 @@ impl Lexer<'_> {
                 .next()
                 .map(str::to_owned)
         };
+        let is_aggregate = |rest: &str| {
+            let word = rest
+                .split(|c: char| !c.is_ascii_alphabetic())
+                .next()
+                .unwrap_or_default();
+            ASP_AGGREGATES.contains(&word) && rest[word.len()..].trim_start_matches(['+', ' ', '\t']).starts_with('{')
+        };
         let length = match rest.strip_prefix('#') {
+            // The parser reports it.
+            Some(rest) if is_aggregate(rest) => return false,
             Some(rest) if !word(rest).is_some_and(|word| PREPROCESSOR.contains(&word.as_str())) => 1,
             None if after_item && rest.starts_with('%') => 1,
             None if after_item && rest.starts_with("--") => 2,

@@ -283,7 +283,9 @@ impl<'a> Reader<'a> {
 
     fn kind(&self, raw: &'a RawValue) -> Read<AgentKind> {
         let name: String = self.value(raw)?;
-        let kind = AgentKind::ALL.into_iter().find(|kind| kind.name() == name);
+        let kind = AgentKind::ALL
+            .into_iter()
+            .find(|kind| kind.name().eq_ignore_ascii_case(&name));
         kind.ok_or_else(|| {
             let message = format!("`{name}` is not a type of agent");
             vec![self.fault(raw, message, "expected \"Car\" or \"Pedestrian\"")]
@@ -293,7 +295,10 @@ impl<'a> Reader<'a> {
     fn heading(&self, raw: &'a RawValue) -> Read<Heading> {
         let name: String = self.value(raw)?;
         let expected = "expected \"Left\", \"Right\", \"Up\", \"Down\" or null";
-        Heading::from_name(&name).ok_or_else(|| vec![self.fault(raw, format!("`{name}` is not a heading"), expected)])
+        let heading = Heading::ALL
+            .into_iter()
+            .find(|heading| heading.name().eq_ignore_ascii_case(&name));
+        heading.ok_or_else(|| vec![self.fault(raw, format!("`{name}` is not a heading"), expected)])
     }
 
     fn concept(&self, raw: &'a RawValue, kind: AgentKind) -> Read<String> {

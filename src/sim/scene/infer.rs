@@ -270,8 +270,9 @@ impl Inference {
                 let fault = Diagnostic::new(Code::INVALID_SCENE, format!("the map `{}` cannot be used", scene.map));
                 Err(faults
                     .iter()
-                    .fold(fault.at(scene.map_span, "named here"), |fault, cause| {
+                    .fold(fault.at(scene.map_span, "named here"), |mut fault, cause| {
                         let place = cause.primary.as_ref().map(|label| sources.locate(label.span) + ": ");
+                        fault.help.extend(cause.help.iter().cloned());
                         fault.note(format!("{}{}", place.unwrap_or_default(), cause.message))
                     }))
             }

@@ -24,7 +24,7 @@ use crate::datalog::check::{Clause, Constraint, Literal, RelId, Rules, Term};
 use crate::datalog::naive;
 use crate::datalog::syntax::ast::BaseType;
 use crate::datalog::value::Value;
-use crate::diag::{Code, Diagnostic};
+use crate::diag::{Code, Diagnostic, did_you_mean};
 use crate::symbol::{Symbol, Symbols};
 use ground::{BaseFact, Circuit, ScopeRows, TooLarge};
 use sat::{Lit, Outcome};
@@ -381,10 +381,13 @@ fn outputs(left: &Rules, right: &Rules, options: &Options) -> Result<Vec<Output>
                 _ => "the right side does not declare",
             };
             let message = format!("{side} a predicate `{name}`");
-            faults.push(
-                Diagnostic::new(Code::RULE_MISMATCH, message)
-                    .help("compare only predicates that both sides declare: `--predicates NAME,...`"),
-            );
+            let fault = Diagnostic::new(Code::RULE_MISMATCH, message);
+            let shared = in_left.keys().copied().filter(|name| in_right.contains_key(name));
+            let shared: BTreeSet<&str> = shared.collect();
+            faults.push(match did_you_mean(name, shared.iter().copied()) {
+                Some(near) => fault.help(format!("did you mean `{near}`?")),
+                None => fault.help("compare only predicates that both sides declare: `--predicates NAME,...`"),
+            });
             continue;
         };
         let [x, y] = [(left, a), (right, b)].map(|(rules, id)| &rules.relations[id.index()]);

@@ -21,7 +21,7 @@ use crate::datalog::syntax::ast;
 use crate::datalog::syntax::ast::TermKind;
 use crate::datalog::syntax::ast::{BaseType, Comparison, names_in, names_of};
 use crate::datalog::syntax::functor::{AggregateOp, Functor, Shape};
-use crate::datalog::value::Value;
+use crate::datalog::value::{Patterns, Value};
 
 mod aggregate;
 mod range;
@@ -696,6 +696,14 @@ impl<'c> Check<'_, 'c> {
                             return;
                         }
                     }
+                }
+                if let (Comparison::Match | Comparison::NotMatch, TermKind::Text(pattern)) = (op, &left.kind)
+                    && let Err(reason) = Patterns::compile(pattern)
+                {
+                    let fault = Diagnostic::new(Code::INVALID_PATTERN, format!("not a regular expression: {reason}"));
+                    let help = "a regular expression of Rust's `regex` matches the whole text; a backslash before a \
+                                special character makes it literal, written `\\\\` in a string";
+                    self.fault(fault.at(left.place.0, "").help(help));
                 }
                 let left = self.operand(left, None);
                 let right = self.operand(right, None);

@@ -154,7 +154,11 @@ impl<'c> Check<'_, 'c> {
             if is_fact {
                 fault = fault
                     .note("a fact has no variables; a name without quotes is a variable")
-                    .help(format!("write the constant in quotes: `\"{name}\"`"));
+                    .help(format!("write the constant in quotes: `\"{name}\"`"))
+                    .fix(
+                        "write a constant in quotes",
+                        [(self.variables[index].first, format!("\"{name}\""))],
+                    );
             } else {
                 if let Some((_, span)) = self.variables[index].negated
                     && span != self.variables[index].first

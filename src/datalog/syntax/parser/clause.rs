@@ -2,10 +2,11 @@
 
 use crate::datalog::syntax::ast::Comparison;
 use crate::datalog::syntax::ast::{Atom, Clause, Literal, Place, TermKind};
+use crate::datalog::syntax::functor::{AggregateOp, Functor};
 use crate::datalog::syntax::lexer::{CONJUNCTION, DISJUNCTION, IMPLICATION, Kind, NEGATION, Token};
 use crate::diag::{Code, Diagnostic};
 
-use crate::datalog::syntax::parser::{Parse, Parser, Reported};
+use crate::datalog::syntax::parser::{FULL_STOP, Parse, Parser, Reported};
 
 impl Parser<'_> {
     /// Returns whether the current tokens are `?-`.
@@ -73,7 +74,7 @@ impl Parser<'_> {
         // An indented line is more likely a literal after a missing comma.
         let next_clause = token.kind == Kind::Ident && token.first_on_line && self.indent(token) <= self.indent(start);
         if self.at_known_directive() || token.kind == Kind::End || next_clause {
-            self.expected_with(what, Some("a clause ends with a full stop"));
+            self.expected_with(what, Some(FULL_STOP));
             return Ok(());
         }
         if self.eat(Kind::Dot) {
@@ -214,6 +215,12 @@ impl Parser<'_> {
 
     fn atom_or_comparison(&mut self) -> Parse<Vec<Literal>> {
         let (start, next) = (self.token(), self.ahead(1));
+        if self.is_quantifier() {
+            return Err(self.quantifier());
+        }
+        if self.is_applied_aggregate() {
+            return Err(self.applied_aggregate(start));
+        }
         if start.kind == Kind::Ident && next.kind == Kind::LParen && !self.is_term_with_parentheses() {
             return Ok(vec![self.atom_or_text_test()?]);
         }
@@ -239,6 +246,7 @@ impl Parser<'_> {
 
     /// `A(x)`, `match(x, y)`
     fn atom_or_text_test(&mut self) -> Parse<Literal> {
+        let start = self.token();
         let op = match self.slice(self.token()) {
             "match" => Some(Comparison::Match),
             "contains" => Some(Comparison::Contains),
@@ -247,7 +255,14 @@ impl Parser<'_> {
         let mut atom = self.atom("`(`")?;
         let Some(op) = op else {
             let after = self.token();
+            if after.kind == Kind::LParen && !after.first_on_line {
+                let help = "the name of a predicate is one word, as in `IsCar(X)`; literals are separated by commas";
+                return Err(self.expected_with("`,` or `.`", Some(help)));
+            }
             if comparison(after.kind).is_some() || self.infix(after).is_some() {
+                if AggregateOp::ALL.iter().any(|op| op.name() == self.slice(start)) {
+                    return Err(self.applied_aggregate(start));
+                }
                 return Err(self.unsupported(
                     atom.place.0,
                     &format!("the functor `{}` is", atom.predicate.text),
@@ -280,7 +295,7 @@ impl Parser<'_> {
         let start = self.token();
         let begins = matches!(
             start.kind,
-            Kind::Dollar | Kind::At | Kind::LBracket | Kind::Faulty | Kind::OpenText
+            Kind::Dollar | Kind::At | Kind::LBracket | Kind::Faulty | Kind::OpenText | Kind::Hash
         );
         if !begins && !self.begins_operand(start) && start.kind != Kind::Ident {
             return Err(self.expected("a literal"));
@@ -296,6 +311,95 @@ impl Parser<'_> {
         let right = self.term()?;
         let place = self.place_from(start);
         Ok(Literal::Compare { op, left, right, place })
+    }
+
+    /// Returns whether a quantifier of logic begins here: `forall(A(y), B(x, y))`, `exists y: A(y)`.
+    fn is_quantifier(&self) -> bool {
+        let next = self.ahead(1);
+        let is_word = FOR_ALL.contains(&self.slice(self.token())) || EXISTS.contains(&self.slice(self.token()));
+        let is_applied = next.kind == Kind::LParen && self.is_atom_ahead(2);
+        is_word && (is_applied || (next.kind == Kind::Ident && !next.first_on_line))
+    }
+
+    /// Reports a quantifier.
+    fn quantifier(&mut self) -> Reported {
+        let word = self.token();
+        let arguments = self.arguments_of(word);
+        let negated = matches!(
+            (
+                self.at.checked_sub(1).map(|at| self.tokens[at].kind),
+                self.at.checked_sub(2)
+            ),
+            (Some(Kind::Bang), _)
+        ) || self.at >= 2
+            && self.previous().kind == Kind::LParen
+            && matches!(self.slice(self.tokens[self.at - 2]), "Not" | "not" | "!");
+        let help = match (FOR_ALL.contains(&self.slice(word)), arguments.as_slice()) {
+            (true, [condition, conclusion]) => {
+                format!("count the exceptions: `count : {{ {condition}, Not({conclusion}) }} = 0`")
+            }
+            (true, _) => "count the exceptions: `count : { A(y), Not(B(x, y)) } = 0`".to_owned(),
+            (false, _) if negated => {
+                let body = if arguments.is_empty() {
+                    "A(y), B(x, y)".to_owned()
+                } else {
+                    arguments.join(", ")
+                };
+                format!("\"none exists\" is `count : {{ {body} }} = 0`")
+            }
+            (false, []) => "write the literals alone: variables that occur only in the body are existential".to_owned(),
+            (false, arguments) => format!(
+                "write `{}` alone: variables that occur only in the body are existential",
+                arguments.join(", ")
+            ),
+        };
+        let message = format!("the quantifier `{}` is not part of the language", self.slice(word));
+        self.faults.push(
+            Diagnostic::new(Code::SYNTAX, message)
+                .at(self.span(word), "")
+                .help(help),
+        );
+        Reported
+    }
+
+    /// Returns whether the token at offset `ahead` begins an atom, negated or not, as opposed to a function.
+    pub(super) fn is_atom_ahead(&self, ahead: usize) -> bool {
+        let first = self.ahead(ahead);
+        let skipped = usize::from(first.kind == Kind::Bang);
+        let (name, next) = (self.ahead(ahead + skipped), self.ahead(ahead + skipped + 1));
+        let is_function = Functor::function(self.slice(name)).is_some() || self.slice(name) == "as";
+        name.kind == Kind::Ident && next.kind == Kind::LParen && !is_function
+    }
+
+    /// Returns the texts of the arguments of `name(...)`; empty if the parenthesis is not closed in this clause.
+    pub(super) fn arguments_of(&self, name: Token) -> Vec<&str> {
+        let Some(open) = self.tokens[self.at..].iter().find(|token| token.kind == Kind::LParen) else {
+            return Vec::new();
+        };
+        let (mut depth, mut from, mut found) = (0_usize, open.end as usize, Vec::new());
+        if open.start != name.end {
+            return found;
+        }
+        for token in self.tokens[self.at..].iter().skip(1) {
+            let ends = |found: &mut Vec<_>| found.push(self.text[from..token.start as usize].trim());
+            match token.kind {
+                Kind::LParen | Kind::LBrace => depth += 1,
+                Kind::RParen | Kind::RBrace => {
+                    depth = depth.saturating_sub(1);
+                    if depth == 0 {
+                        ends(&mut found);
+                        return found;
+                    }
+                }
+                Kind::Comma if depth == 1 => {
+                    ends(&mut found);
+                    from = token.end as usize;
+                }
+                Kind::Dot | Kind::If | Kind::End => return Vec::new(),
+                _ => {}
+            }
+        }
+        Vec::new()
     }
 
     /// Reports a name that is neither part of an atom nor of a comparison.
@@ -316,6 +420,10 @@ impl Parser<'_> {
         Reported
     }
 }
+
+/// The words for the quantifiers in logic and other languages.
+const FOR_ALL: &[&str] = &["forall", "forAll", "Forall", "ForAll", "FORALL", "foreach"];
+const EXISTS: &[&str] = &["exists", "Exists", "EXISTS", "exist", "some"];
 
 /// Help for programs that use a cut.
 const CUT: &str = "Datalog derives all answers and ignores the order of clauses; to exclude what another clause covers, \

@@ -50,7 +50,7 @@ impl Parser<'_> {
             "irreflexive" => self.constraint(ConstraintKind::Irreflexive, dot),
             "symmetric" => self.constraint(ConstraintKind::Symmetric, dot),
             "include" => {
-                if !matches!(self.kind(), Kind::Text | Kind::OpenText) {
+                if self.kind() != Kind::Text {
                     return Err(self.expected("the file's name in quotes"));
                 }
                 let token = self.bump();
@@ -64,12 +64,12 @@ impl Parser<'_> {
                 let fault = Diagnostic::new(Code::IGNORED, "`.once` has no effect")
                     .at(span, "")
                     .note("every file is read once");
-                self.faults.push(fault.help("remove it"));
+                self.faults.push(fault.remove(span));
                 Ok(None)
             }
             "pragma" => {
                 let mut words = Vec::new();
-                while matches!(self.kind(), Kind::Text | Kind::OpenText) {
+                while self.kind() == Kind::Text {
                     let token = self.bump();
                     words.push(self.unescape(token));
                 }
@@ -108,7 +108,7 @@ impl Parser<'_> {
                 }
                 let mut fault = Diagnostic::new(Code::SYNTAX, format!("unknown directive `.{name}`")).at(span, "");
                 fault = match did_you_mean(name, DIRECTIVES.iter().copied()) {
-                    Some(near) => fault.help(format!("did you mean `.{near}`?")),
+                    Some(near) => fault.did_you_mean(&format!(".{near}"), &[span]),
                     None => fault.note(format!("the directives are {}", listed(DIRECTIVES))),
                 };
                 self.faults.push(fault);
@@ -192,7 +192,7 @@ impl Parser<'_> {
         }
         let token = self.token();
         let value = match token.kind {
-            Kind::Text | Kind::OpenText => self.unescape(token),
+            Kind::Text => self.unescape(token),
             Kind::Ident | Kind::Number => self.slice(token).to_owned(),
             _ => return Err(self.expected("the option's value")),
         };
@@ -228,7 +228,8 @@ impl Parser<'_> {
     fn decl(&mut self, doc: String) -> Parse<Decl> {
         let names = self.names("the predicate's name")?;
         let start = self.at - 1;
-        let columns = match self.columns() {
+        let first = names[0].text.clone();
+        let columns = match self.columns(&first) {
             Ok(columns) => Some(columns),
             Err(Reported) => {
                 self.recover(start);
@@ -260,7 +261,7 @@ impl Parser<'_> {
                     None => qualifiers.push(word),
                 }
             }
-            self.foreign_qualifiers();
+            self.foreign_qualifiers(&first, columns.as_deref().unwrap_or_default());
         }
         Ok(Decl {
             names,
@@ -270,8 +271,10 @@ impl Parser<'_> {
         })
     }
 
-    fn columns(&mut self) -> Parse<Vec<ColumnDecl>> {
+    /// Parses the columns of the predicate `of`.
+    fn columns(&mut self, of: &str) -> Parse<Vec<ColumnDecl>> {
         let mut columns = Vec::new();
+        let open = self.at;
         if !self.eat(Kind::LParen) {
             return Err(self.expected("`(` and the columns"));
         }
@@ -281,7 +284,8 @@ impl Parser<'_> {
         loop {
             let name = self.name("a column's name")?;
             if !self.eat(Kind::Colon) {
-                return Err(self.expected("`:` and the column's type"));
+                let help = self.with_types(of, open);
+                return Err(self.expected_with("`:` and the column's type", help.as_deref()));
             }
             let ty = self.name("a type")?;
             if self.kind() == Kind::Less {
@@ -297,8 +301,47 @@ impl Parser<'_> {
         }
     }
 
+    /// Returns the help for a declaration whose columns, after the parenthesis at token `open`, lack their types. `None`
+    /// if they are more than names.
+    fn with_types(&self, of: &str, open: usize) -> Option<String> {
+        // The parser does not know which types are declared. The vocabulary of the city declares `agent`.
+        let usual = if self.text.contains("vocabulary.dl") {
+            "agent"
+        } else {
+            BaseType::Symbol.name()
+        };
+        let is_type = |word: &str| word == "agent" || BaseType::ALL.iter().any(|base| base.name() == word);
+        let mut columns = Vec::new();
+        let mut rest = self.tokens[open + 1..].iter();
+        loop {
+            let name = rest
+                .next()
+                .filter(|token| token.kind == Kind::Ident)
+                .map(|token| self.slice(*token))?;
+            let mut next = rest.next()?.kind;
+            columns.push(match next {
+                Kind::Colon => {
+                    let ty = rest.next()?;
+                    next = rest.next()?.kind;
+                    format!("{name}: {}", self.slice(*ty))
+                }
+                _ if is_type(name) => format!("x{}: {name}", columns.len() + 1),
+                _ => format!("{name}: {usual}"),
+            });
+            match next {
+                Kind::Comma => {}
+                Kind::RParen => break,
+                _ => return None,
+            }
+        }
+        Some(format!(
+            "give each column a type, for example `.decl {of}({})`",
+            columns.join(", ")
+        ))
+    }
+
     /// Reports the qualifiers of Soufflé that the language does not have: `eqrel`, `choice-domain ...`.
-    fn foreign_qualifiers(&mut self) {
+    fn foreign_qualifiers(&mut self, of: &str, columns: &[ColumnDecl]) {
         let first = self.token();
         let known = matches!(
             self.slice(first),
@@ -319,7 +362,26 @@ impl Parser<'_> {
             word => word.to_owned(),
         };
         let span = self.span(first);
-        self.unsupported(span, &format!("the qualifier `{word}` is"), "remove it");
+        let help = match (word.as_str(), columns) {
+            ("eqrel", _) => format!(
+                "write the equivalence as clauses: `{of}(x, x) :- {of}(x, _). {of}(y, x) :- {of}(x, y). {of}(x, z) :- \
+                 {of}(x, y), {of}(y, z).`"
+            ),
+            ("choice-domain", [key, value]) => {
+                let (key, value) = (&key.name.text, &value.name.text);
+                format!(
+                    "to keep one row for each `{key}`, derive all rows into another predicate and choose one: \
+                     `{of}({key}, {value}) :- All({key}, _), {value} = min v : {{ All({key}, v) }}.`"
+                )
+            }
+            ("choice-domain", _) => format!(
+                "to keep one row for each key, derive all rows into another predicate and choose one with an aggregate: \
+                 `{of}(x, y) :- All(x, _), y = min v : {{ All(x, v) }}.`"
+            ),
+            // They concern only storage.
+            _ => "remove it".to_owned(),
+        };
+        self.unsupported(span, &format!("the qualifier `{word}` is"), &help);
     }
 
     /// Parses the rest of a `.type`. `old` is the base type that an old notation, such as `.number_type`, implies.

@@ -182,8 +182,8 @@ impl Parser<'_> {
     /// Reports a name before `(` that is no functor.
     fn unknown_function(&mut self, name: Token) -> Reported {
         let word = self.slice(name);
-        if let Some(op) = AggregateOp::ALL.into_iter().find(|op| op.name() == word) {
-            return self.applied_aggregate(op, name);
+        if AggregateOp::ALL.into_iter().any(|op| op.name() == word) {
+            return self.applied_aggregate(name);
         }
         let help = match word {
             "autoinc" => "",
@@ -192,20 +192,70 @@ impl Parser<'_> {
         self.unsupported(self.span(name), &format!("the functor `{word}` is"), help)
     }
 
-    /// Reports an aggregate in function notation: `count(x)`, `sum(x : A(x))`.
-    fn applied_aggregate(&mut self, op: AggregateOp, name: Token) -> Reported {
-        let word = op.name();
-        let of = if op == AggregateOp::Count { "" } else { " y" };
-        let fault = Diagnostic::new(Code::SYNTAX, format!("`{word}` is not a function"))
-            .at(self.span(name), "")
-            .help(format!("write it before a body: `n = {word}{of} : {{ A(x, y) }}`"));
-        self.faults.push(fault);
+    /// Returns whether an aggregate of literals in function notation begins here: `count(A(x))`.
+    pub(super) fn is_applied_aggregate(&self) -> bool {
+        let word = self.slice(self.token());
+        let is_aggregate = AggregateOp::ALL.into_iter().any(|op| op.name() == word);
+        is_aggregate && self.ahead(1).kind == Kind::LParen && self.is_atom_ahead(2)
+    }
+
+    /// Reports an aggregate in function notation: `count(x)`, `sum(x : A(x))`. `name` is its name.
+    pub(super) fn applied_aggregate(&mut self, name: Token) -> Reported {
+        let word = self.slice(name);
+        let body = match name.start == self.token().start && self.is_atom_ahead(2) {
+            true => self.arguments_of(name).join(", "),
+            false => String::new(),
+        };
+        let help = match word {
+            "count" if !body.is_empty() => {
+                // Between commas, a comparison is missing, too.
+                let after = self.after_parenthesis(1);
+                let alone = after.is_none_or(|after| matches!(after.kind, Kind::Comma | Kind::Semicolon | Kind::Dot));
+                let bound = self.at == 0 || !matches!(self.previous().kind, Kind::Equal | Kind::Less | Kind::Greater);
+                let compared = if alone && bound { " > 0" } else { "" };
+                format!("write `count : {{ {body} }}{compared}`")
+            }
+            "count" => "write it before a body: `n = count : { A(x, y) }`".to_owned(),
+            _ if !body.is_empty() => format!("name the value: `n = {word} y : {{ {body} }}`"),
+            _ => format!("write it before a body: `n = {word} y : {{ A(x, y) }}`"),
+        };
+        let fault = Diagnostic::new(Code::SYNTAX, format!("`{word}` is not a function"));
+        self.faults.push(fault.at(self.span(name), "").help(help));
+        Reported
+    }
+
+    /// Reports an aggregate in the notation of answer set programming: `#count{x : A(x)}`.
+    fn asp_aggregate(&mut self) -> Reported {
+        let (hash, word) = (self.token(), self.ahead(1));
+        let name = self.slice(word);
+        let body = |from: usize| {
+            let rest = &self.text[from..];
+            rest.split_once('}')
+                .and_then(|(inside, _)| inside.split_once('{'))
+                .map(|(_, inside)| inside)
+        };
+        let parts = body(word.end as usize).and_then(|inside| inside.split_once(':'));
+        let help = match (name, parts) {
+            ("count", Some((_, body))) if !body.contains('\n') => format!("write `count : {{ {} }}`", body.trim()),
+            ("count", _) => "write `count : { A(x, y) }`".to_owned(),
+            (_, Some((value, body))) if !body.contains('\n') => {
+                let value = value.split(',').next().unwrap_or_default().trim();
+                format!("write `{name} {value} : {{ {} }}`", body.trim())
+            }
+            _ => format!("write `{name} y : {{ A(x, y) }}`"),
+        };
+        let fault = Diagnostic::new(Code::SYNTAX, format!("`#{name}` is not an aggregate of this language"));
+        let span = self.span(hash).to(self.span(word));
+        self.faults.push(fault.at(span, "").help(help));
         Reported
     }
 
     /// `_`, `1`, `"text"`
     fn constant(&mut self) -> Parse<TermKind> {
         let token = self.token();
+        if token.kind == Kind::Hash && self.ahead(1).kind == Kind::Ident && !self.ahead(1).first_on_line {
+            return Err(self.asp_aggregate());
+        }
         let foreign = match token.kind {
             Kind::LBracket => "records (`[...]`) are",
             Kind::Dollar => "algebraic data types and counters (`$`) are",
@@ -221,9 +271,9 @@ impl Parser<'_> {
             Kind::Address => TermKind::Address(self.address(token)),
             Kind::Unsigned => TermKind::Unsigned(u32::try_from(self.number(token)).unwrap_or(0)),
             Kind::Float => TermKind::Float(self.slice(token).to_owned()),
-            Kind::Text | Kind::OpenText => TermKind::Text(self.unescape(token)),
+            Kind::Text => TermKind::Text(self.unescape(token)),
             // The lexer has reported it.
-            Kind::Faulty => return Err(Reported),
+            Kind::Faulty | Kind::OpenText => return Err(Reported),
             _ => return Err(self.expected("an argument: a variable, a constant, `_` or an expression")),
         };
         self.bump();
@@ -247,10 +297,8 @@ impl Parser<'_> {
                 if self.eat(Kind::RParen) {
                     break;
                 }
-                if self.kind() == Kind::Colon
-                    && let Some(op) = AggregateOp::ALL.into_iter().find(|op| op.name() == functor.name())
-                {
-                    return Err(self.applied_aggregate(op, start));
+                if self.kind() == Kind::Colon && AggregateOp::ALL.into_iter().any(|op| op.name() == functor.name()) {
+                    return Err(self.applied_aggregate(start));
                 }
                 if !self.eat(Kind::Comma) {
                     return Err(self.expected("`,` or `)`"));
@@ -305,7 +353,7 @@ impl Parser<'_> {
         let is_applied = |after: Token| after.kind != Kind::Colon && self.infix(after).is_none();
         if op != AggregateOp::Count && self.kind() == Kind::LParen && self.after_parenthesis(0).is_some_and(is_applied)
         {
-            return Err(self.applied_aggregate(op, word));
+            return Err(self.applied_aggregate(word));
         }
         let target = if op == AggregateOp::Count {
             None

@@ -10,7 +10,9 @@ use crate::diag::{Code, Diagnostic, Faults, SourceId, Span};
 use crate::datalog::syntax::ast::BaseType;
 use crate::datalog::syntax::ast::{File, Include, Item, Literal, Name, Place};
 use crate::datalog::syntax::lexer;
-use crate::datalog::syntax::lexer::{COMMENT, CONJUNCTION, DISJUNCTION, DocLine, IMPLICATION, Kind, Lexed, Token};
+use crate::datalog::syntax::lexer::{
+    COMMENT, CONJUNCTION, DISJUNCTION, DocLine, IMPLICATION, Kind, Lexed, NEGATION, Token,
+};
 
 mod clause;
 mod directive;
@@ -40,6 +42,9 @@ pub const DIRECTIVES: &[&str] = &[
     "irreflexive",
     "symmetric",
 ];
+
+/// Help where only the full stop of a clause is missing.
+const FULL_STOP: &str = "a clause ends with a full stop";
 
 /// Directives of Soufflé that this language does not have, with their descriptions.
 const FOREIGN_DIRECTIVES: &[(&str, &str)] = &[
@@ -228,7 +233,7 @@ impl<'a> Parser<'a> {
     /// Reports as [`Parser::expected`] does, with the given help.
     fn expected_with(&mut self, what: &str, help: Option<&str>) -> Reported {
         let token = self.token();
-        if token.kind == Kind::Faulty {
+        if token.kind == Kind::Faulty || self.is_before_open_text() {
             return Reported;
         }
         let message = format!("expected {what}, found {}", self.describe(token));
@@ -243,8 +248,32 @@ impl<'a> Parser<'a> {
         if let Some(help) = help {
             fault = fault.help(help);
         }
+        if let Some((title, place, text)) = self.fix_for(help) {
+            fault = fault.fix(title, [(place, text.to_owned())]);
+        }
         self.faults.push(fault);
         Reported
+    }
+
+    /// Returns the change that the help suggests at the current token, with its title.
+    fn fix_for(&self, help: Option<&str>) -> Option<(String, Span, &'static str)> {
+        let token = self.token();
+        let text = match help? {
+            FULL_STOP => {
+                let end = self.previous().end as usize;
+                return Some(("end the clause".to_owned(), Span::new(self.source, end..end), "."));
+            }
+            CONJUNCTION => ",",
+            DISJUNCTION => ";",
+            IMPLICATION => ":-",
+            NEGATION => "not",
+            _ => return None,
+        };
+        let written = match token.kind {
+            Kind::Ident | Kind::Pipe => self.span(token),
+            _ => self.span(token).to(self.span(self.ahead(1))),
+        };
+        Some((format!("replace it with `{text}`"), written, text))
     }
 
     /// Returns the help for a spelling of another language at the current token.
@@ -279,6 +308,16 @@ impl<'a> Parser<'a> {
         true
     }
 
+    /// Returns whether this line has a string without its closing quote at or after the current token. The lexer has
+    /// reported it, and it may be the cause of any fault before it.
+    fn is_before_open_text(&self) -> bool {
+        let rest = &self.tokens[self.at..];
+        let length = rest.iter().skip(1).take_while(|token| !token.first_on_line).count() + 1;
+        rest[..length.min(rest.len())]
+            .iter()
+            .any(|token| token.kind == Kind::OpenText)
+    }
+
     /// Reports that no clause or directive can begin at the current token.
     fn expected_item(&mut self, why: &str) -> Reported {
         let token = self.token();
@@ -289,6 +328,12 @@ impl<'a> Parser<'a> {
         let mut fault = Diagnostic::new(Code::SYNTAX, message).at(self.span(token), "");
         if matches!((self.slice(token), self.ahead(1).kind), ("%", _) | ("-", Kind::Minus)) {
             fault = fault.help(COMMENT);
+        }
+        if token.kind == Kind::Bang || matches!(self.slice(token), "Not" | "not") {
+            fault = fault.help(
+                "clauses derive what holds; negate the atom in the bodies of other clauses, or add the exception to the \
+                 bodies of the clauses that derive it",
+            );
         }
         self.faults.push(fault);
         Reported

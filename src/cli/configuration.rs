@@ -1,0 +1,144 @@
+//! Checks a configuration for `logicity check`: its files, and whether rules, map and agents fit together.
+
+use crate::builtin::BuiltinFiles;
+use crate::city::{AgentKind, CityMap, MapConfig, Split};
+use crate::cli::{Failure, missing_is_usage, plural};
+use crate::config::{Loaded, Scenario, load_any, missing_file};
+use crate::datalog::Program;
+use crate::diag::{Diagnostic, Sources};
+use crate::files::ReadFile as _;
+use crate::rng::Seed;
+use crate::sim::{Settings, Simulation, World};
+use crate::task::spf::SpfTask;
+use serde_json::{Value, json};
+use std::io::{self, Write};
+use std::path::Path;
+use std::sync::Arc;
+
+/// What a file named on the command line holds.
+pub enum Opened {
+    Rules,
+    Run(Checked),
+    Map(Checked),
+    /// A configuration with errors.
+    Faulty(Vec<Diagnostic>),
+}
+
+/// The contents of a valid configuration.
+pub struct Checked {
+    map: MapConfig,
+    /// Rows and columns of cells.
+    size: [i32; 2],
+    scenario: Option<Box<Scenario>>,
+}
+
+/// Reads a file, unless it is a rule file. A bare name without a file means a built-in configuration.
+pub fn open(path: &Path, sources: &mut Sources) -> Result<Opened, Failure> {
+    let is_yaml = (path.extension()).is_some_and(|ending| ending == "yaml" || ending == "yml");
+    let is_bare = path.extension().is_none() && path.components().count() == 1 && !path.exists();
+    let named = ["configs", "configs/maps"].map(|folder| Path::new(folder).join(path).with_extension("yaml"));
+    let named = named
+        .iter()
+        .find(|named| is_bare && BuiltinFiles.read_or_builtin(named).is_ok());
+    if !is_yaml && named.is_none() {
+        return Ok(Opened::Rules);
+    }
+    let path = named.map_or(path, |named| named.as_path());
+    let (map, scenario) = match load_any(sources, path, &BuiltinFiles) {
+        Ok(Loaded::Map(map)) => (map, None),
+        Ok(Loaded::Scenario(scenario)) => (scenario.map.clone(), Some(scenario)),
+        Err(faults) if missing_file(&faults).is_some() => return Err(missing_is_usage(faults)),
+        Err(faults) => return Ok(Opened::Faulty(faults)),
+    };
+    Ok(match CityMap::generate(&map) {
+        Err(fault) => Opened::Faulty(vec![fault]),
+        Ok(city) => {
+            let checked = Checked {
+                map,
+                size: [city.rows(), city.cols()],
+                scenario,
+            };
+            match checked.scenario {
+                None => Opened::Map(checked),
+                Some(_) => Opened::Run(checked),
+            }
+        }
+    })
+}
+
+impl Checked {
+    /// Returns the path of the rule file. A map has none.
+    pub fn rules(&self) -> &Path {
+        let scenario = self.scenario.as_ref();
+        scenario.map_or(Path::new(""), |scenario| &scenario.rules.value)
+    }
+
+    /// Binds the predicates to the rules, creates the task and places the agents of each split. Returns the errors.
+    pub fn bind(&self, program: &Program, sources: &Sources) -> Vec<Diagnostic> {
+        let Some(scenario) = &self.scenario else {
+            return Vec::new();
+        };
+        let world = match World::new((**scenario).clone(), program.clone()) {
+            Ok(world) => Arc::new(world),
+            Err(faults) => return faults,
+        };
+        let mut faults = Vec::new();
+        if scenario.task.is_some() {
+            faults.extend(SpfTask::new(Arc::clone(&world), sources).err().into_iter().flatten());
+        }
+        for (split, _) in &scenario.splits {
+            let placed = Simulation::new(Arc::clone(&world), *split, Seed(0), Settings::default());
+            faults.extend(placed.err());
+        }
+        faults
+    }
+
+    pub fn json(&self) -> Value {
+        let [rows, cols] = self.map.blocks.value;
+        let map = json!({ "name": self.map.name, "blocks": [rows, cols], "cells": self.size });
+        let Some(scenario) = &self.scenario else {
+            return json!({ "map": map });
+        };
+        let agents: serde_json::Map<String, Value> = splits(scenario)
+            .map(|(split, [cars, pedestrians])| {
+                (
+                    split.name().to_owned(),
+                    json!({ "cars": cars, "pedestrians": pedestrians }),
+                )
+            })
+            .collect();
+        json!({
+            "map": map,
+            "rules": scenario.rules.value.display().to_string(),
+            "agents": agents,
+            "task": scenario.task.is_some(),
+        })
+    }
+
+    pub fn print(&self, out: &mut impl Write, path: &Path) -> io::Result<()> {
+        let ([block_rows, block_cols], [rows, cols]) = (self.map.blocks.value, self.size);
+        let map = format!("{block_rows} x {block_cols} blocks, {rows} x {cols} cells");
+        let Some(scenario) = &self.scenario else {
+            return writeln!(out, "{}: a map of {map}", path.display());
+        };
+        let agents = splits(scenario).map(|(split, [cars, pedestrians])| {
+            let (cars, pedestrians) = (plural(cars as u64, "car"), plural(pedestrians as u64, "pedestrian"));
+            format!("{} {cars} and {pedestrians}", split.name())
+        });
+        let task = if scenario.task.is_some() {
+            "Safe Path Following"
+        } else {
+            "none"
+        };
+        writeln!(out, "{}: a run configuration", path.display())?;
+        writeln!(out, "  map: {}, {map}", self.map.name)?;
+        writeln!(out, "  agents: {}", agents.collect::<Vec<_>>().join(", "))?;
+        writeln!(out, "  task: {task}")
+    }
+}
+
+/// Returns the splits with their numbers of cars and pedestrians.
+fn splits(scenario: &Scenario) -> impl Iterator<Item = (Split, [usize; 2])> {
+    let splits = scenario.splits.iter();
+    splits.map(|(split, set)| (*split, AgentKind::ALL.map(|kind| set.count(kind))))
+}
