@@ -43,14 +43,14 @@ const REASONS: [(MoveReason, &str); 4] = [
 const OVERRIDES: &str = "<overrides>";
 
 /// The source text of files by path.
-type Files = BTreeMap<PathBuf, String>;
+pub type Files = BTreeMap<PathBuf, String>;
 
 /// A loaded city and its sources.
 pub struct Loaded {
     pub sources: Sources,
     pub city: LoadedCity,
     /// The files that were read.
-    files: Files,
+    pub files: Files,
 }
 
 impl Loaded {

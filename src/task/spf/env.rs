@@ -33,6 +33,8 @@ pub struct Env {
     horizon: u32,
     steps: u32,
     controls: Vec<(usize, Action)>,
+    /// The actions of all controlled cars in each step of the episode.
+    taken: Vec<Action>,
     episode: Episode,
     /// The agents of the previous episode; the next one reuses their memory.
     spare: Vec<Agent>,
@@ -156,6 +158,7 @@ impl Env {
             horizon: task.config().horizon,
             steps: 0,
             controls: Vec::with_capacity(controlled_cars.len()),
+            taken: Vec::new(),
             episode: Episode::of(0, city.agents()),
             spare: Vec::new(),
             control,
@@ -198,6 +201,12 @@ impl Env {
     /// Returns the start of the episode.
     pub fn episode(&self) -> &Episode {
         &self.episode
+    }
+
+    /// Returns the actions of each step so far, one per controlled car. [`Env::episode`] and these actions determine
+    /// the state.
+    pub fn taken(&self) -> std::slice::ChunksExact<'_, Action> {
+        self.taken.chunks_exact(self.controlled_cars.len())
     }
 
     /// Begins a random episode: draws starts and goals for all agents, and priority and concepts for the first car if
@@ -258,6 +267,7 @@ impl Env {
         }
         self.city.restart(Seed(seed), &mut self.spare);
         self.steps = 0;
+        self.taken.clear();
         for controlled_car in &mut self.controlled_cars {
             controlled_car.cells = self.city.agents()[controlled_car.agent()].route().steps() + 1;
             controlled_car.running = true;
@@ -309,6 +319,7 @@ impl Env {
         }
         self.city.tick(&self.controls)?;
         self.steps += 1;
+        self.taken.extend_from_slice(actions);
         for controlled_car in self
             .controlled_cars
             .iter_mut()
