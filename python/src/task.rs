@@ -125,6 +125,16 @@ impl PyTask {
         Ok(view_named(observation)?.shape(&self.task))
     }
 
+    /// Returns the largest number of steps of a drawn or recorded episode.
+    fn max_steps(&self, py: Python<'_>, split: &str, recorded: bool) -> PyResult<u32> {
+        let split = split_named(split)?;
+        if !recorded {
+            return Ok(self.task.config().horizon);
+        }
+        let episodes = self.recorded_episodes(py, split)?.iter();
+        Ok(episodes.map(|episode| episode.horizon(self.task.config())).max().unwrap_or(0))
+    }
+
     /// Replays the actions taken in an episode, and writes the trace to a file. `config` is the configuration file in
     /// the header of the trace.
     fn write_trace(

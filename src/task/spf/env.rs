@@ -236,18 +236,18 @@ impl Env {
         self.begin(seed)
     }
 
-    /// Begins a given episode. Its horizon is `patience` times the oracle's steps; without these, or if every car is
-    /// controlled, it is the configured horizon, because the oracle's steps are those of the first car.
+    /// Begins a given episode. Its horizon is [`Episode::horizon`]; if every car is controlled, it is the configured
+    /// horizon, because the oracle's steps are those of the first car.
     ///
     /// # Errors
     /// `invalid-episode` if its agents differ from those of the split, have concepts without a predicate for their
     /// type, or have no route; `limit-exceeded`.
     pub fn reset_to(&mut self, episode: &Episode) -> Result<(), Diagnostic> {
         self.spare = episode.place(self.task.world(), self.city.agents())?;
-        let config = self.task.config();
-        let oracle = episode.oracle.as_ref().filter(|_| self.control == ControlMode::First);
-        let horizon = oracle.map(|oracle| oracle.steps.saturating_mul(config.patience));
-        self.horizon = horizon.unwrap_or(config.horizon).max(1);
+        self.horizon = match self.control {
+            ControlMode::First => episode.horizon(self.task.config()),
+            ControlMode::Cars => self.task.config().horizon.max(1),
+        };
         self.begin(episode.seed)?;
         self.episode.oracle.clone_from(&episode.oracle);
         Ok(())
