@@ -349,7 +349,7 @@ def test_a_copy_continues_identically(way: str, episodes: Any) -> None:
 
 def test_a_pickled_environment_reads_no_rule_file(tmp_path: Path) -> None:
     (tmp_path / "mine.dl").write_text('.include "vocabulary.dl"\nStop(X) :- IsCar(X).\n')
-    (tmp_path / "mine.yaml").write_text("base: easy\nrules: mine.dl\n")
+    (tmp_path / "mine.yaml").write_text("base: configs/easy.yaml\nrules: mine.dl\n")
     env = SPFEnv(tmp_path / "mine.yaml", overrides={"view": 30})
     assert env.reset(seed=0)[1]["oracle_action"] == 3
     data = pickle.dumps(env)
@@ -380,7 +380,7 @@ def test_a_copied_vector_environment_continues_identically(way: str, mode: Autor
         done = results[2] | results[3]
     twin = WAYS[way](envs)
     ends = 0
-    for _ in range(60):
+    for _ in range(150):
         actions = generator.integers(4, size=5)
         one, other = proceed(envs, actions, done), proceed(twin, actions, done)
         assert data_equivalence(one, other, exact=True)

@@ -14,6 +14,7 @@ import logicity
 from logicity.envs import SPFEnv
 
 ID = "logicity/SPF-Easy-v0"
+SHORT = {"task": {"horizon": 20}}
 
 
 @pytest.fixture
@@ -44,27 +45,25 @@ class TestTorchRL:
 
     def test_rewards_equal_those_of_the_environment(self, torchrl: Any) -> None:
         env = torchrl.GymEnv(ID, categorical_action_encoding=True)
-        steps = env.rollout(400, policy=lambda step: step.set("action", env.action_spec.zero() + 3))
-        alone = SPFEnv("easy")
-        alone.reset(seed=0)
+        steps = env.rollout(400, policy=lambda observation: env.action_spec.zero() + 3)
         rewards = steps["next", "reward"].flatten()
         assert len(rewards) == 400 and steps["next", "truncated"][-1] and not steps["next", "terminated"].any()
         # Waiting costs the same in every step; the last step also costs the overtime value.
         assert (rewards[:-1] == rewards[0]).all() and rewards[-1] < rewards[0] - 2
 
-    @pytest.mark.parametrize("mode", ["Disabled", "SameStep"])
-    def test_vector_environments(self, torchrl: Any, mode: str) -> None:
-        env = torchrl.GymWrapper(gymnasium.make_vec(ID, num_envs=4, autoreset_mode=mode))
+    def test_vector_environments(self, torchrl: Any) -> None:
+        env = torchrl.GymWrapper(gymnasium.make_vec(ID, num_envs=4, autoreset_mode="Disabled"))
         env.set_seed(0)
         steps = env.rollout(100, break_when_any_done=False)
-        assert steps["observation"].shape == (4, 100, 85) and steps["next", "done"].sum() > 10
+        assert steps["observation"].shape == (4, 100, 85) and steps["next", "done"].sum() > 5
         # The observation after each step is the last one of the episode, not the first one of the next episode.
         done = steps["next", "done"][:, :-1, 0]
         following = steps["observation"][:, 1:] == steps["next", "observation"][:, :-1]
         assert following.all(-1)[~done].all() and not following.all(-1)[done].all()
 
     def test_several_processes(self, torchrl: Any) -> None:
-        env = torchrl.GymEnv(ID, num_envs=2)
+        # The part before the colon is a module, which gymnasium imports in every process.
+        env = torchrl.GymEnv(f"logicity:{ID}", num_workers=2)
         try:
             assert env.rollout(20, break_when_any_done=False)["observation"].shape == (2, 20, 85)
         finally:
@@ -79,7 +78,7 @@ class TestSuperSuit:
 
     @pytest.mark.parametrize("processes", [0, 2])
     def test_vector_environments(self, supersuit: Any, processes: int) -> None:
-        cars = supersuit.black_death_v3(logicity.parallel_env("easy"))
+        cars = supersuit.black_death_v3(logicity.parallel_env("easy", overrides=SHORT))
         single = supersuit.pettingzoo_env_to_vec_env_v1(cars)
         envs = supersuit.concat_vec_envs_v1(single, 2, num_cpus=processes, base_class="gymnasium")
         try:
@@ -90,19 +89,20 @@ class TestSuperSuit:
             for _ in range(50):
                 observations, rewards, terminated, truncated, _ = envs.step(generator.integers(4, size=count))
                 assert observations.shape == (count, 85) and rewards.shape == (count,)
-                ends += int(np.sum(terminated) + np.sum(truncated))
-            assert ends > 10
+                ends += int(np.sum(np.logical_or(terminated, truncated)))
+            # With `black_death`, the cars of a city end together, at the horizon.
+            assert ends == 2 * count
         finally:
             envs.close()
 
     def test_stable_baselines(self, supersuit: Any) -> None:
         pytest.importorskip("stable_baselines3", reason="needs the extra `train`")
-        cars = supersuit.black_death_v3(logicity.parallel_env("easy", observation="state"))
+        cars = supersuit.black_death_v3(logicity.parallel_env("easy", observation="state", overrides=SHORT))
         single = supersuit.pettingzoo_env_to_vec_env_v1(supersuit.flatten_v0(cars))
         envs = supersuit.concat_vec_envs_v1(single, 2, base_class="stable_baselines3")
         from stable_baselines3 import PPO
 
-        model = PPO("MlpPolicy", envs, n_steps=32, batch_size=64, n_epochs=1, seed=0)
+        model = PPO("MlpPolicy", envs, n_steps=32, batch_size=64, n_epochs=1)
         assert model.learn(512).num_timesteps >= 512
 
 

@@ -27,7 +27,7 @@ def test_pettingzoo_checks_pass(mode: str) -> None:
 
 
 def test_unknown_options_raise() -> None:
-    with pytest.raises(TypeError, match="no option `episodes`; known: split, .*, render_mode$"):
+    with pytest.raises(TypeError, match="got an unexpected keyword argument 'episodes'; known: split, .*, render_mode$"):
         logicity.parallel_env("easy", episodes="recorded")
 
 

@@ -155,11 +155,12 @@ def test_the_steps_of_a_finished_run_can_be_raised(tmp_path: Path) -> None:
     assert first["steps"] == 512
     longer = config.model_copy(update={"steps": 900})
     second = train(longer, tmp_path, tensorboard=False)
-    assert second["steps"] == 900 and second["config"]["steps"] == 900
+    # DQN steps in rounds of `train_freq` steps of each environment.
+    assert second["steps"] == 904 and second["config"]["steps"] == 900
     assert second["validations"][:3] == first["validations"]
-    assert [point["steps"] for point in second["validations"][3:]] == [600, 800, 900]
+    assert [point["steps"] for point in second["validations"][3:]] == [600, 800, 904]
     assert json.loads((tmp_path / "config.json").read_text())["steps"] == 900
-    with pytest.raises(ValueError, match="has a run of 900 steps: `steps` can be raised, not lowered to 512"):
+    with pytest.raises(ValueError, match="has a run of 904 steps: `steps` can be raised, not lowered to 512"):
         train(config, tmp_path, tensorboard=False)
     with pytest.raises(ValueError, match="another configuration \\(`seed` differ\\)"):
         train(longer.model_copy(update={"seed": 5}), tmp_path, tensorboard=False)
@@ -332,7 +333,7 @@ def test_every_error_is_reported_with_its_location(tmp_path: Path) -> None:
         # A seed from the command line has no location in a file.
         ("invalid-value", "config.yaml", 1, 1),
     }
-    assert "unknown mode `hart`; did you mean `hard`?" in str(caught.value)
+    assert "unknown mode `hart`, and no file has this name; did you mean `hard`?" in str(caught.value)
     assert "`network.1` must be at least 1, not `0`" in str(caught.value)
     (tmp_path / "config.yaml").write_text("algorithm: dqn\nalgorithm: ppo\n")
     with pytest.raises(InputError, match="duplicate-key"):
