@@ -158,7 +158,7 @@ class SPFEnv(gymnasium.Env[Observations, np.int64]):
     """
 
     metadata = {"render_modes": ["rgb_array", "ansi"], "render_fps": 10}
-    spec = _HorizonSpec()  # type: ignore[assignment]
+    spec = _HorizonSpec()
 
     def __init__(
         self,
@@ -463,7 +463,7 @@ class SPFVectorEnv(VectorEnv[Observations, NDArray[np.int64], NDArray[Any]]):
     """
 
     metadata: dict[str, Any] = {"render_modes": ["rgb_array", "ansi"], "render_fps": 10}
-    spec = _HorizonSpec()  # type: ignore[assignment]
+    spec = _HorizonSpec()
 
     def __init__(
         self,

@@ -72,9 +72,7 @@ class SPFParallelEnv(ParallelEnv[str, Observations, "np.int64 | int"]):
         self.agents: list[str] = []
         self._index = {name: car for car, name in enumerate(self.possible_agents)}
         # Each car has its own space, so that seeding one does not affect the others.
-        self.observation_spaces = {
-            name: observation_space(self._config, self._task) for name in self.possible_agents
-        }
+        self.observation_spaces = {name: observation_space(self._config, self._task) for name in self.possible_agents}
         self.action_spaces = {name: Discrete(4) for name in self.possible_agents}
         self._generator: np.random.Generator | None = None
         self._seeded = self._begun = False

@@ -368,9 +368,8 @@ class ProgressLines(BaseCallback):
             speed = (self.num_timesteps - self._done_before) / (now - self._begun)
             left = max(0, self._steps - self.num_timesteps) / speed / 60
             share = min(1.0, self.num_timesteps / self._steps)
-            self._log(
-                f"{self.num_timesteps:,} of {self._steps:,} steps ({share:.0%}), {speed:,.0f} steps/s, {left:.1f} min left"
-            )
+            done = f"{self.num_timesteps:,} of {self._steps:,} steps ({share:.0%})"
+            self._log(f"{done}, {speed:,.0f} steps/s, {left:.1f} min left")
         return True
 
 
@@ -508,7 +507,9 @@ def _check_claim(run: Path, config: TrainConfig, state: State) -> None:
             "remove it or choose another folder"
         )
     if new["steps"] < old["steps"] and new["steps"] < state.steps:
-        raise ValueError(f"{run} has a run of {state.steps} steps: `steps` can be raised, not lowered to {new['steps']}")
+        raise ValueError(
+            f"{run} has a run of {state.steps} steps: `steps` can be raised, not lowered to {new['steps']}"
+        )
 
 
 def new_model(config: TrainConfig, env: VecEnv, log: str | None = None) -> BaseAlgorithm:

@@ -8,6 +8,7 @@ import pickle
 import random
 import threading
 import time
+from collections.abc import Callable
 from contextlib import suppress
 from pathlib import Path
 from typing import Any
@@ -282,7 +283,9 @@ def test_simulation_rejects_invalid_use() -> None:
 
 
 @pytest.mark.parametrize(
-    "again", [copy.copy, copy.deepcopy, lambda city: pickle.loads(pickle.dumps(city))], ids=["copy", "deepcopy", "pickle"]
+    "again",
+    [copy.copy, copy.deepcopy, lambda city: pickle.loads(pickle.dumps(city))],
+    ids=["copy", "deepcopy", "pickle"],
 )
 def test_a_copied_simulation_continues_identically(again: Callable[[Simulation], Simulation], tmp_path: Path) -> None:
     rules = tmp_path / "mine.dl"

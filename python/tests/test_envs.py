@@ -411,7 +411,7 @@ def test_the_spec_has_the_horizon_of_the_environment(tmp_path: Path) -> None:
     longest = max(range(100), key=lambda number: json.loads(lines[number])["oracle"]["steps"])
     for made in (env, gymnasium.make(env.spec)):
         made.reset(options={"episode": longest})
-        for step in range(1, 925):
+        for step in range(1, 925):  # noqa: B007
             *_, terminated, truncated, info = made.step(3)
             assert not terminated or info["violations"]
             if terminated or truncated:
@@ -431,9 +431,7 @@ def test_autoreset_modes_have_several_spellings() -> None:
             assert isinstance(envs, SPFVectorEnv) and envs.autoreset_mode is mode
             assert envs.metadata["autoreset_mode"] is mode
     for wrong in ("Never", "same", "", 1, None):
-        with pytest.raises(
-            ValueError, match='autoreset_mode must be one of "NextStep", "SameStep", "Disabled", not'
-        ):
+        with pytest.raises(ValueError, match='autoreset_mode must be one of "NextStep", "SameStep", "Disabled", not'):
             SPFVectorEnv(1, autoreset_mode=wrong)  # type: ignore[arg-type]
 
 
@@ -671,7 +669,8 @@ def test_invalid_use_of_a_vector_environment_raises() -> None:
                 method(at)
     for name, value in [("num_envs", 0), ("num_envs", -1), ("num_threads", 0), ("num_threads", 1025)]:
         with pytest.raises(ValueError, match=f"{name}: expected 1 to .*, not {value}"):
-            SPFVectorEnv(**{name: value})
+            wrong: dict[str, Any] = {name: value}
+            SPFVectorEnv(**wrong)
 
 
 def test_ctrl_c_ends_a_step_and_a_reset_recovers(tmp_path: Path, ctrl_c: Interrupt) -> None:

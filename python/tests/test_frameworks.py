@@ -36,7 +36,8 @@ class TestTorchRL:
         env = torchrl.GymEnv(ID, **options)
         torchrl.check_env_specs(env)
         steps = env.rollout(50, break_when_any_done=False)
-        assert steps["observation"].shape == (50, *SPFEnv("easy", **options).observation_space.shape)
+        expected: Any = SPFEnv("easy", **options).observation_space.shape
+        assert steps["observation"].shape == (50, *expected)
 
     def test_frame_skip_repeats_actions(self, torchrl: Any) -> None:
         env = torchrl.GymEnv(ID, frame_skip=4)
@@ -112,7 +113,7 @@ def test_gymnasium_records_videos(tmp_path: Any) -> None:
 
     with warnings.catch_warnings():
         warnings.simplefilter("ignore")
-        env = RecordVideo(gymnasium.make(ID, render_mode="rgb_array"), str(tmp_path), disable_logger=True)
+        env: Any = RecordVideo(gymnasium.make(ID, render_mode="rgb_array"), str(tmp_path), disable_logger=True)
         env.reset(seed=0)
         for _ in range(3):
             env.step(3)
@@ -126,10 +127,8 @@ def test_gymnasium_shows_a_window(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setenv("SDL_VIDEODRIVER", "dummy")
     with warnings.catch_warnings():
         warnings.simplefilter("ignore")
-        env = gymnasium.make(ID, render_mode="human")
+        env: Any = gymnasium.make(ID, render_mode="human")
         env.reset(seed=0)
         assert env.step(3)[4]["steps"] == 1
-        window: Any = env
-        assert type(window).__name__ == "HumanRendering" and window.window is not None
-        assert window.window.get_size() == window.screen_size
+        assert type(env).__name__ == "HumanRendering" and env.window.get_size() == env.screen_size
         env.close()

@@ -27,7 +27,9 @@ def test_pettingzoo_checks_pass(mode: str) -> None:
 
 
 def test_unknown_options_raise() -> None:
-    with pytest.raises(TypeError, match="got an unexpected keyword argument 'episodes'; known: split, .*, render_mode$"):
+    with pytest.raises(
+        TypeError, match="got an unexpected keyword argument 'episodes'; known: split, .*, render_mode$"
+    ):
         logicity.parallel_env("easy", episodes="recorded")
 
 
@@ -99,7 +101,9 @@ def test_invalid_use_raises() -> None:
         with pytest.raises(InvalidAction, match=message):
             env.step(actions)  # type: ignore[arg-type]
     for space in (env.observation_space, env.action_space):
-        with pytest.raises(KeyError, match="unknown car `car 1`; did you mean `Car_1`|unknown car `car 1`; known: Car_1"):
+        with pytest.raises(
+            KeyError, match="unknown car `car 1`; did you mean `Car_1`|unknown car `car 1`; known: Car_1"
+        ):
             space("car 1")
     infos = env.step(dict.fromkeys(env.agents, 1))[4]
     assert isinstance(env.reset(seed=0)[1]["Car_1"]["seed"], np.uint64)

@@ -79,7 +79,7 @@ def test_a_copy_continues_identically(monitor: bool) -> None:
         expected = envs.step(actions)
         for twin in twins:
             for one, other in zip(expected[:3], twin.step(actions)[:3], strict=True):
-                assert np.array_equal(one, other)  # type: ignore[arg-type]
+                assert np.array_equal(one, other)
 
 
 def test_other_autoreset_modes_raise() -> None:

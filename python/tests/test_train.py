@@ -278,14 +278,20 @@ def test_the_network_has_the_layers_of_the_configuration(tmp_path: Path) -> None
 @pytest.mark.parametrize(
     ("text", "message"),
     [
-        ("algorithm: dqn\nmode: easy\nnetwork: [8]\nobservation: pixels\nsettings: {}", "`groundings` or `state`, not `pixels`"),
+        (
+            "algorithm: dqn\nmode: easy\nnetwork: [8]\nobservation: pixels\nsettings: {}",
+            "`groundings` or `state`, not `pixels`",
+        ),
         ("algorithm: dqn\nmode: none.yaml\nnetwork: [8]\nsettings: {}", r"cannot read `.*none\.yaml`: no such file"),
         ("algorithm: [dqn]\nmode: easy\nnetwork: [8]\nsettings: {}", "`algorithm` must be text"),
         ("algorithm: sarsa\nmode: easy\nnetwork: [8]\nsettings: {}", "unknown algorithm `sarsa`"),
         ("algorithm: dqn\nmode: simple\nnetwork: [8]\nsettings: {}", "unknown mode `simple`"),
         ("algorithm: dqn\nmode: easy\nnetwork: []\nsettings: {}", "`network` must be a list of 1 or more values"),
         ("algorithm: dqn\nmode: easy\nnetwork: 8\nsettings: {}", "`network` must be a list, not `8`"),
-        ("algorithm: dqn\nmode: easy\nnetwork: [8]\nsettings: {}\nsteps: many", "`steps` must be an integer, not `many`"),
+        (
+            "algorithm: dqn\nmode: easy\nnetwork: [8]\nsettings: {}\nsteps: many",
+            "`steps` must be an integer, not `many`",
+        ),
         ("algorithm: dqn\nmode: easy\nnetwork: [8]\nsettings: {}\nseed: -1", "`seed` must be at least 0, not `-1`"),
         ("algorithm: dqn\nmode: easy\nnetwork: [8]\nsettings: 3", "`settings` must be a mapping, not `3`"),
         ("algorithm: dqn\nmode: easy\nnetwork: [8]\nsettings: {}\nepochs: 3", "unknown key `epochs`"),
