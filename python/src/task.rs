@@ -132,7 +132,10 @@ impl PyTask {
             return Ok(self.task.config().horizon);
         }
         let episodes = self.recorded_episodes(py, split)?.iter();
-        Ok(episodes.map(|episode| episode.horizon(self.task.config())).max().unwrap_or(0))
+        Ok(episodes
+            .map(|episode| episode.horizon(self.task.config()))
+            .max()
+            .unwrap_or(0))
     }
 
     /// Replays the actions taken in an episode, and writes the trace to a file. `config` is the configuration file in

@@ -290,7 +290,9 @@ fn make_dataset(
         let number = u32::try_from(given).ok().filter(|number| (low..=high).contains(number));
         number.ok_or_else(|| PyValueError::new_err(format!("{name}: expected {low} to {high}, not {given}")))
     };
-    let count = worlds.map(|worlds| in_range("worlds", worlds, 1, WORLDS_MAX)).transpose()?;
+    let count = worlds
+        .map(|worlds| in_range("worlds", worlds, 1, WORLDS_MAX))
+        .transpose()?;
     let count = count.unwrap_or(published_worlds(split));
     let first_world = in_range("first_world", first_world, 0, WORLDS_MAX - 1)?;
     let percent = u8::try_from(in_range("difficulty", difficulty, 0, 100)?).ok();

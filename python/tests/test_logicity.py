@@ -6,6 +6,7 @@ import copy
 import pickle
 import subprocess
 import sys
+from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
@@ -170,9 +171,10 @@ def test_every_public_object_can_be_copied_or_says_why_not() -> None:
     classes = {name for name in logicity.__all__ if isinstance(getattr(logicity, name), type)}
     typed = {name for name in classes if issubclass(getattr(logicity, name), dict)}
     objects = public_objects()
+    ways: list[Callable[[Any], Any]] = [copy.deepcopy, lambda it: pickle.loads(pickle.dumps(it))]
     assert {type(one).__name__ for one in objects} == classes - typed
     for one in objects:
-        for copied in (copy.deepcopy, lambda it: pickle.loads(pickle.dumps(it))):
+        for copied in ways:
             if isinstance(one, (logicity.Session, logicity.Change, logicity.Rows)):
                 with pytest.raises(TypeError, match="cannot be pickled or copied, because .*: "):
                     copied(one)

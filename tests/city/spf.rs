@@ -613,7 +613,10 @@ fn compliance_counts_only_runs_with_a_constrained_step() {
     assert_eq!(summary.dsr, rate(2, 5));
     assert_eq!(summary.compliance, rate(2, 3));
     let nothing = summarize(&task, &rollouts[2..4], None);
-    assert_eq!((nothing.tsr.value, nothing.dsr.value, nothing.compliance.runs), (1.0, 0.0, 0));
+    assert_eq!(
+        (nothing.tsr.value, nothing.dsr.value, nothing.compliance.runs),
+        (1.0, 0.0, 0)
+    );
 }
 
 /// The result of a step, for comparison.

@@ -5,7 +5,9 @@ use logicity::cancel::Cancel;
 use logicity::city::{Action, Split};
 use logicity::diag::Code;
 use logicity::rng::{Purpose, RngExt, Seed};
-use logicity::task::spf::{Autoreset, Begin, ControlMode, Env, EpisodeSource, Info, ObservationKind, SubEnv, VectorEnv};
+use logicity::task::spf::{
+    Autoreset, Begin, ControlMode, Env, EpisodeSource, Info, ObservationKind, SubEnv, VectorEnv,
+};
 use std::sync::Arc;
 use std::sync::atomic::{AtomicI64, Ordering};
 
@@ -157,7 +159,11 @@ fn a_replayed_batch_continues_identically() {
         let mut actions = || -> Vec<Action> { (0..COUNT).map(|_| Action::ALL[random.random_range(0..4)]).collect() };
         let proceed = |batch: &mut VectorEnv, actions: &[Action], shown: &mut [f32]| {
             let ready = |sub_env: &SubEnv| sub_env.is_ready(autoreset);
-            let begin: Vec<_> = batch.sub_envs().iter().map(|each| (!ready(each)).then_some(Begin::Next)).collect();
+            let begin: Vec<_> = batch
+                .sub_envs()
+                .iter()
+                .map(|each| (!ready(each)).then_some(Begin::Next))
+                .collect();
             batch.reset(&begin, shown).unwrap();
             batch.step(actions, shown).unwrap();
         };
