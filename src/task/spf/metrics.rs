@@ -174,7 +174,7 @@ pub(super) fn summarise_runs(task: &SpfTask, rollouts: &[Rollout], runs: usize, 
     let constrained = |rollout: &Rollout| rollout.constrained.iter().any(|steps| *steps > 0);
     Summary {
         tsr: rate(&|rollout| Some(rollout.success)),
-        compliance: rate(&|rollout| constrained(rollout).then(|| rollout.broken.is_empty())),
+        compliance: rate(&|rollout| constrained(rollout).then_some(rollout.broken.is_empty())),
         dsr: rate(&|rollout| Some(rollout.broken.is_empty() && constrained(rollout))),
         dsr_by_action: Action::ALL
             .into_iter()
