@@ -89,7 +89,7 @@ class TrainConfig(BaseModel):
     Attributes:
         algorithm: `dqn`, `ppo` or `a2c`.
         mode: The mode, or the path of a configuration file, which determines the rules and the episodes. In a YAML
-            file, a path is relative to that file.
+            file, a path is relative to the folder of that file.
         observation: `groundings` or `state`, as in `gymnasium.make`.
         network: The widths of the feature layers between the observation and the heads.
         settings: Arguments of the algorithm's class in Stable-Baselines3.
@@ -161,16 +161,31 @@ class TrainConfig(BaseModel):
             values["seed"] = seed
         mode = values.get("mode")
         if isinstance(mode, str) and mode not in ENVIRONMENTS:
-            # As in run configurations, a path is relative to the file that contains it.
-            at = Path(file.file_of(["mode"]) or path).parent / mode
-            if at.exists():
-                values["mode"] = str(at.resolve())
-            elif at.suffix:
-                raise file.error([("missing-file", ["mode"], f"cannot read `{at}`: no such file", "")])
+            values["mode"] = _mode_file(file, mode, Path(file.file_of(["mode"]) or path).parent)
         try:
             return cls.model_validate(values)
         except ValidationError as error:
             raise file.error(_faults(error, values)) from None
+
+
+def _mode_file(file: _logicity.ConfigFile, mode: str, folder: Path) -> str:
+    """Return the absolute path of a mode's configuration file, or `mode` if it names a built-in file or no file.
+
+    As in run configurations, a path is relative to the folder of the file that contains it, or names a built-in file.
+
+    Raises:
+        InputError: If the path names no file.
+    """
+    at = folder / mode
+    if at.exists():
+        return str(at.resolve())
+    if at.suffix and mode not in _BUILTIN_MODES:
+        raise file.error([("missing-file", ["mode"], f"cannot read `{at}`: no such file", "")])
+    return mode
+
+
+#: The paths of the modes among the built-in files.
+_BUILTIN_MODES = {f"configs/{name}.yaml" for name in ENVIRONMENTS}
 
 
 def _known(what: str, name: str, known: Iterable[str]) -> str:

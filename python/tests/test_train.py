@@ -177,6 +177,8 @@ def test_a_mode_can_be_a_configuration_file(tmp_path: Path, capsys: pytest.Captu
     )
     config = TrainConfig.load(folder / "train.yaml")
     assert config.mode == str(folder / "far.yaml") and config.observation == "state"
+    (tmp_path / "built-in.yaml").write_text("base: configs/train.yaml\nmode: configs/hard.yaml\n")
+    assert TrainConfig.load(tmp_path / "built-in.yaml").mode == "configs/hard.yaml"
     run = tmp_path / "run"
     result = train(config, run, tensorboard=False)
     model = load_model(run / "best.zip")
