@@ -39,7 +39,7 @@ benchmark = logicity.Benchmark("easy")
 policies: dict[str, Any] = {"dqn": model, "oracle": "oracle", "random": "random"}
 for name, policy in policies.items():
     measured = benchmark.evaluate(policy, name=name)
-    print(f"{name:7} TSR {measured.tsr}  DSR {measured.dsr}  Score {measured.score}")
+    print(f"{name:7} {measured.summary()}")
 
 # %% Replay an episode, and explain the oracle's action where the agent takes another action.
 env = gymnasium.make(logicity.ENVIRONMENTS["easy"], split="test", render_mode="rgb_array")

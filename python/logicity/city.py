@@ -8,13 +8,13 @@ from collections.abc import Mapping
 from dataclasses import dataclass
 from functools import cached_property
 from operator import index
-from typing import Any, NoReturn, SupportsIndex, TypeAlias, TypeVar, cast
+from typing import Any, SupportsIndex, TypeAlias, TypeVar, cast
 
 import numpy as np
 import numpy.typing as npt
 
 from . import _logicity
-from .errors import did_you_mean
+from .errors import checked_integer, did_you_mean
 from .rules import rule_file
 from .types import Action, Answer, Executor, Heading, Scene, Split, SymbolicScene
 
@@ -57,8 +57,7 @@ class Inference:
         InputError: If the configuration or rule file is invalid.
         UnsupportedError: If `executor="dense"` cannot evaluate the rules.
         OSError: If a file cannot be read.
-        OverflowError: If the seed is out of range.
-        ValueError: If the executor is unknown.
+        ValueError: If the executor is unknown, or the seed is out of range.
     """
 
     def __init__(
@@ -70,7 +69,7 @@ class Inference:
     ) -> None:
         """Load the configuration and the rules."""
         self._args: tuple[str, str | None, int, str]
-        self._args = (os.fspath(config), rule_file(rules), seed, executor)
+        self._args = (os.fspath(config), rule_file(rules), checked_integer("seed", seed), executor)
         self._inference = _logicity.Inference(*self._args, None)
 
     @classmethod
@@ -82,7 +81,7 @@ class Inference:
 
     def __reduce__(self) -> tuple[Any, ...]:
         """Pickle the arguments and the loaded source text."""
-        return type(self)._restore, (self._args, dict(self._inference.files()))
+        return type(self)._restore, (self._args, self._inference.files())
 
     def answer(self, scene: Scene | SymbolicScene) -> Answer:
         """Return the actions that the rules derive in a scene.
@@ -119,7 +118,6 @@ def infer(
     Raises:
         InputError: As for `Inference` and `Inference.answer`.
         OSError: As for `Inference`.
-        OverflowError: As for `Inference`.
         TypeError: As for `Inference.answer`.
         ValueError: As for `Inference`.
     """
@@ -191,7 +189,8 @@ class Simulation:
     """A running city. The same configuration, rules, split, seed and controls give the same ticks.
 
     Not thread-safe: concurrent use raises `RuntimeError`. Long calls release the GIL. Ctrl-C ends `run` after the
-    current tick. A simulation cannot be pickled or copied.
+    current tick. A copy continues identically. Pickling and copying store the loaded source text and the controls, so a
+    copy reads no file but repeats the ticks, which takes as long as the run so far.
 
     Args:
         config: A run configuration: a path, or a built-in one such as `configs/expert.yaml` or `expert`.
@@ -209,8 +208,7 @@ class Simulation:
         LimitError: If there are too many agents.
         UnsupportedError: If `executor="dense"` cannot evaluate the rules.
         OSError: If a file cannot be read.
-        OverflowError: If the seed or the number of threads is out of range.
-        ValueError: If the split or executor is unknown, or there are more than 1024 threads.
+        ValueError: If the split or executor is unknown, the seed is out of range, or there are more than 1024 threads.
     """
 
     def __init__(
@@ -225,20 +223,29 @@ class Simulation:
         count_firings: bool = False,
     ) -> None:
         """Place the agents."""
-        self._config, self._split, self._seed = os.fspath(config), split, seed
-        self._counts = count_firings
-        self._city = _logicity.Simulation(config, rule_file(rules), split, seed, threads, executor, count_firings)
+        seed, threads = checked_integer("seed", seed), checked_integer("threads", threads)
+        self._args = (os.fspath(config), rule_file(rules), split, seed, threads, executor, count_firings)
+        self._city = _logicity.Simulation(*self._args, None)
+        #: The controls by tick, for ticks that had any.
+        self._controls: dict[int, list[tuple[int, int]]] = {}
 
-    def __reduce__(self) -> NoReturn:
-        """Refuse to pickle and to copy."""
-        raise TypeError(
-            "a Simulation cannot be pickled or copied: make another with the same arguments, "
-            "and repeat the ticks with the same controls"
-        )
+    def __getstate__(self) -> dict[str, Any]:
+        """Return the arguments, the loaded source text, the number of ticks, and the controls."""
+        return {"args": self._args, "files": self._city.files(), "now": self.now, "controls": self._controls}
+
+    def __setstate__(self, state: dict[str, Any]) -> None:
+        """Repeat the ticks with the same controls."""
+        self._args, self._controls = state["args"], dict(state["controls"])
+        self._city = _logicity.Simulation(*self._args, state["files"])
+        for tick, controls in self._controls.items():
+            self._city.run(tick - self.now, None)
+            self._city.tick(controls)
+        self._city.run(state["now"] - self.now, None)
 
     def __repr__(self) -> str:
         """Show the configuration, the split, the seed and the number of ticks."""
-        return f"<Simulation {self._config}, split {self._split}, seed {self._seed}, after {self.now} ticks>"
+        config, _, split, seed, *_ = self._args
+        return f"<Simulation {config}, split {split}, seed {seed}, after {self.now} ticks>"
 
     @property
     def now(self) -> int:
@@ -313,7 +320,11 @@ class Simulation:
             ValueError: If the action is unknown.
         """
         actions: Mapping[Any, _ActionLike] = {} if controls is None else controls
-        return Tick(*self._city.tick([(self._agent(agent), _action(action)) for agent, action in actions.items()]))
+        numbers = [(self._agent(agent), _action(action)) for agent, action in actions.items()]
+        done = Tick(*self._city.tick(numbers))
+        if numbers:
+            self._controls[done.tick] = numbers
+        return done
 
     def run(self, ticks: int, *, trace: str | os.PathLike[str] | None = None) -> None:
         """Run several ticks.
@@ -328,12 +339,11 @@ class Simulation:
             KeyboardInterrupt: On Ctrl-C. The city keeps the state after the last complete tick.
             LimitError: As for `tick`, or if there are too many agents for a trace.
             OSError: If the trace cannot be written.
-            OverflowError: If the number of ticks is negative.
-            ValueError: If `trace` is set without `count_firings`.
+            ValueError: If the number of ticks is negative, or `trace` is set without `count_firings`.
         """
-        if trace is not None and not self._counts:
+        if trace is not None and not self._args[-1]:
             raise ValueError("a trace records which clauses fired: make the Simulation with count_firings=True")
-        self._city.run(ticks, trace)
+        self._city.run(checked_integer("ticks", ticks), trace)
 
     def semantic_map(self) -> npt.NDArray[np.float32]:
         """Return the current state as a float32 array of shape (rows, columns, 8 + n) with values 0 and 1.

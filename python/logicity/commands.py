@@ -19,6 +19,7 @@ from .files import write_json
 from .modes import ENVIRONMENTS, checked_mode
 
 if TYPE_CHECKING:
+    from .env_config import ObservationKind
     from .evaluation import Evaluation, Policy
 
 __all__ = ["SUMMARIES", "run"]
@@ -100,6 +101,11 @@ def _add_evaluate(parser: argparse.ArgumentParser) -> _Command:
     )
     parser.add_argument(
         "--split", type=str.lower, choices=("train", "val", "test"), default="test", help="default: test"
+    )
+    parser.add_argument(
+        "--observation",
+        choices=("groundings", "state"),
+        help="the kind of observation; default: that of the model, or groundings",
     )
     parser.add_argument("--json", type=Path, metavar="FILE", help="write the results, with one record per episode")
     parser.add_argument(
@@ -241,6 +247,12 @@ def _positive_float(text: str) -> float:
     return value
 
 
+def _observation_of(policy: Policy) -> ObservationKind:
+    """Return the kind of observation that a model was trained on: `state` has two axes, `groundings` has one."""
+    space = getattr(policy, "observation_space", None)
+    return "state" if space is not None and len(space.shape) == 2 else "groundings"
+
+
 def _object(text: str) -> dict[str, object]:
     try:
         value = json.loads(text)
@@ -264,8 +276,10 @@ def _evaluate(given: argparse.Namespace) -> int:
         # Check all folders before the first mode runs, so that no mode fails late.
         if folder is not None:
             check_no_traces(folder)
+    observation = given.observation or _observation_of(policy)
     for mode, folder in zip(given.modes, folders, strict=True):
-        results.append(Benchmark(mode, given.split).evaluate(policy, name=name, traces=folder))
+        benchmark = Benchmark(mode, given.split, observation=observation)
+        results.append(benchmark.evaluate(policy, name=name, traces=folder))
     print(table(results))
     if given.json is not None:
         write_json(given.json, [result.to_dict() for result in results])
@@ -278,12 +292,13 @@ def _train(given: argparse.Namespace) -> int:
     config = TrainConfig.load(given.config, seed=given.seed)
     run = given.run or Path("runs") / f"{given.config.stem}-{config.seed}"
     try:
-        result = train(config, run, progress=sys.stderr.isatty())
+        result = train(config, run, progress=True)
     except ValueError as error:
         raise ValueError(f"{given.config}: {error}") from error
-    tsr = result["test"]["tsr"]
     print(f"{result['steps']} steps in {result['minutes']} minutes; best after {result['best']['steps']}")
-    print(f"TSR on test episodes: {tsr['value']:.2f} [{tsr['low']:.2f}, {tsr['high']:.2f}]")
+    for name, label in {"compliance": "compliance", "tsr": "TSR", "dsr": "DSR"}.items():
+        rate = result["test"][name]
+        print(f"{label} on test episodes: {rate['value']:.2f} [{rate['low']:.2f}, {rate['high']:.2f}]")
     print(f"all results in {run / 'result.json'}")
     return 0
 

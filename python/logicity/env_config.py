@@ -65,7 +65,9 @@ class EnvConfig:
             name = next(iter(unknown))
             parameters = signature(env_class).parameters.values() if env_class else ()
             known = [*EnvOptions.__annotations__, *(each.name for each in parameters if each.kind is each.KEYWORD_ONLY)]
-            raise TypeError(f"environments have no option `{name}`{did_you_mean(name, known)}")
+            # Libraries such as TorchRL look for Python's own words to learn which arguments exist.
+            of = f"{env_class.__name__}() " if env_class else ""
+            raise TypeError(f"{of}got an unexpected keyword argument '{name}'{did_you_mean(name, known)}")
         self.config, self.split, self.observation = os.fspath(config), split, observation
         self.rules = rule_file(rules)
         self.overrides = dict(overrides or {})

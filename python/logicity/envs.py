@@ -13,6 +13,7 @@ from __future__ import annotations
 import operator
 import os
 from collections.abc import Mapping, Sequence
+from copy import copy, deepcopy
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Literal, TypedDict, cast
 
@@ -21,10 +22,11 @@ from numpy.typing import ArrayLike, NDArray
 
 from . import _logicity
 from .city import ACTIONS
-from .errors import missing_extra
+from .errors import checked_integer, missing_extra
 
 try:
     import gymnasium
+    from gymnasium.envs.registration import EnvSpec
     from gymnasium.error import InvalidAction, ResetNeeded, UnsupportedMode
     from gymnasium.spaces import Box, Discrete, Space
     from gymnasium.utils.seeding import np_random
@@ -93,6 +95,26 @@ def config_overrides(options: Mapping[str, Any]) -> dict[str, Any]:
     return {key: options[key] for key in ("map", "agents") if options.get(key) is not None}
 
 
+class _HorizonSpec:
+    """Sets `max_episode_steps` of the spec that `gymnasium.make` assigns to an environment.
+
+    The environments truncate episodes themselves, so the registered spec has no `max_episode_steps`: gymnasium would
+    add a `TimeLimit`, which knows neither the horizons of recorded episodes nor those of overrides.
+    """
+
+    def __set_name__(self, owner: type, name: str) -> None:
+        self._name = f"_{name}"
+
+    def __get__(self, env: Any, owner: type | None = None) -> EnvSpec | None:
+        return getattr(env, self._name, None)
+
+    def __set__(self, env: SPFEnv | SPFVectorEnv, spec: EnvSpec | None) -> None:
+        if spec is not None:
+            spec = copy(spec)
+            spec.max_episode_steps = env._task.max_steps(env._config.split, env._recorded)
+        setattr(env, self._name, spec)
+
+
 class SPFEnv(gymnasium.Env[Observations, np.int64]):
     """Safe Path Following with one controlled car.
 
@@ -105,6 +127,9 @@ class SPFEnv(gymnasium.Env[Observations, np.int64]):
       row is the ego. The other rows are the other agents in its field of view, up to the number of rows.
 
     `logicity describe` prints the meaning of each number of both kinds.
+
+    The environment truncates episodes itself. `spec.max_episode_steps` is the horizon of the configuration, or the
+    largest step limit of the recorded episodes.
 
     `info` has these keys:
 
@@ -133,6 +158,7 @@ class SPFEnv(gymnasium.Env[Observations, np.int64]):
     """
 
     metadata = {"render_modes": ["rgb_array", "ansi"], "render_fps": 10}
+    spec = _HorizonSpec()
 
     def __init__(
         self,
@@ -153,10 +179,9 @@ class SPFEnv(gymnasium.Env[Observations, np.int64]):
         self.observation_space, self._shape = cast(Space[Observations], space), space.shape
         self.action_space = Discrete(4)
         self._base = self._make_core(self._task)
-        self._core = self._base
+        self._core, self._core_task = self._base, self._task
         self._overrides: dict[str, Any] = {}
-        self._seeded = False
-        self._taken: list[int] | None = None
+        self._seeded = self._begun = False
 
     def _make_core(self, task: _logicity.Task) -> _logicity.VectorEnv:
         config = self._config
@@ -192,23 +217,23 @@ class SPFEnv(gymnasium.Env[Observations, np.int64]):
             self._seeded = True
         self._apply_overrides(config_overrides(options))
         observation = self._new_observation()
-        self._taken = None
+        self._begun = False
         self._core.reset([parse_episode(options.get("episode"))], observation)
         if self._core is not self._base:
             self._base.seed(0, *self._core.source(0))
-        self._taken = []
+        self._begun = True
         return observation, _env_info(self._core.info(0), self._core, 0, self._atoms)
 
     def _apply_overrides(self, overrides: dict[str, Any]) -> None:
         """Switch to the configuration with these overrides, and continue the sequence of episodes."""
         if not overrides:
-            self._core, self._overrides = self._base, {}
+            self._core, self._core_task, self._overrides = self._base, self._task, {}
             return
         if self._core is self._base or overrides != self._overrides:
             task = self._config.task(**overrides)
             if observation_space(self._config, task) != self.observation_space:
                 raise ValueError("`map` and `agents` must not change the shape of observations")
-            self._core, self._overrides = self._make_core(task), overrides
+            self._core, self._core_task, self._overrides = self._make_core(task), task, overrides
         self._core.seed(0, *self._base.source(0))
 
     def step(self, action: np.int64 | int) -> tuple[Observations, float, bool, bool, dict[str, Any]]:
@@ -224,12 +249,9 @@ class SPFEnv(gymnasium.Env[Observations, np.int64]):
             gymnasium.error.ResetNeeded: If no episode has started, or the episode has ended.
             gymnasium.error.InvalidAction: If the action is not 0, 1, 2 or 3.
         """
-        if self._taken is None:
-            raise ResetNeeded("no episode has started: call `reset`")
+        self._check_begun()
         observation = self._new_observation()
-        number = checked_action(action)
-        reward, terminated, truncated, info = self._core.step_one(number, observation)
-        self._taken.append(number)
+        reward, terminated, truncated, info = self._core.step_one(checked_action(action), observation)
         return observation, reward, terminated, truncated, _env_info(info, self._core, 0, self._atoms)
 
     @property
@@ -239,7 +261,7 @@ class SPFEnv(gymnasium.Env[Observations, np.int64]):
         return cast(EpisodeStart, self._core.episode(0))
 
     def _check_begun(self) -> None:
-        if self._taken is None:
+        if not self._begun:
             raise ResetNeeded("no episode has started: call `reset`")
 
     def explain(self) -> str:
@@ -267,14 +289,14 @@ class SPFEnv(gymnasium.Env[Observations, np.int64]):
             gymnasium.error.ResetNeeded: If no episode has started.
         """
         self._check_begun()
-        if not self._taken:
+        taken = self._core.taken(0)
+        if not taken:
             raise ValueError("the episode has no steps yet: call `step` before `write_trace`")
         path = Path(path)
         if path.suffix == ".yaml":
             raise ValueError(f"`{path}` has the suffix of configurations: use another one, such as .jsonl")
         config = self._config.written_config(path.with_name(f"{path.name}.yaml"), **self._overrides)
-        task = self._config.task(**self._overrides) if self._overrides else self._task
-        task.write_trace(self._config.split, self._core.episode(0), self._taken, path, config)
+        self._core_task.write_trace(self._config.split, self._core.episode(0), taken, path, config)
 
     def render(self) -> Any:
         """Return a picture of the city, a uint8 array of shape (height, width, 3), or text in the mode `ansi`.
@@ -287,29 +309,42 @@ class SPFEnv(gymnasium.Env[Observations, np.int64]):
         return _rendered(self._core, 0, self.render_mode)
 
     def __getstate__(self) -> dict[str, Any]:
-        """Return the arguments, the episode and the actions taken, which determine the state."""
-        state = {key: value for key, value in self.__dict__.items() if key not in ("_task", "_base", "_core")}
-        state["_source"] = self._base.source(0)
-        # A cancelled step ends the episode.
-        in_episode = self._taken is not None and self._core.has_begun(0)
-        state["_start"] = self._core.episode(0) if in_episode else None
-        state["_taken"] = self._taken if in_episode else None
-        return state
+        """Return the tasks, the episode and the actions taken, which determine the state."""
+        state = {key: value for key, value in self.__dict__.items() if key not in ("_base", "_core")}
+        return {**state, "_states": _states(self._core), "_source": self._base.source(0)}
 
     def __setstate__(self, state: dict[str, Any]) -> None:
         """Start the same episode and take the same actions."""
-        source, start, overrides = state.pop("_source"), state.pop("_start"), state.pop("_overrides")
+        states, source = state.pop("_states"), state.pop("_source")
         self.__dict__.update(state)
-        self._task = self._config.task()
         self._base = self._core = self._make_core(self._task)
-        self._overrides = {}
+        if self._core_task is not self._task:
+            self._core = self._make_core(self._core_task)
+        _restore(self._core, states, self._new_observation())
         self._base.seed(0, *source)
-        self._apply_overrides(overrides)
-        if start is not None:
-            observation = self._new_observation()
-            self._core.reset([start], observation)
-            for action in self._taken or []:
-                self._core.step_one(action, observation)
+
+    def __copy__(self) -> SPFEnv:
+        """Return a deep copy, because two environments cannot share a city."""
+        return deepcopy(self)
+
+
+#: The states of environments: the seed of the episodes and the number of episodes started, and, if an episode has
+#: started, its start and the actions taken.
+_States = list[tuple[list[int], tuple[dict[str, Any], bytes] | None]]
+
+
+def _states(core: _logicity.VectorEnv, count: int = 1) -> _States:
+    """Return the states of all environments."""
+    return [
+        (core.source(at), (core.episode(at), core.taken(at)) if core.has_begun(at) else None) for at in range(count)
+    ]
+
+
+def _restore(core: _logicity.VectorEnv, states: _States, observations: Observations) -> None:
+    """Restore the states of all environments."""
+    for at, (source, _) in enumerate(states):
+        core.seed(at, *source)
+    core.replay([episode for _, episode in states], observations)
 
 
 def info_dict(info: dict[str, Any]) -> dict[str, Any]:
@@ -414,7 +449,7 @@ class SPFVectorEnv(VectorEnv[Observations, NDArray[np.int64], NDArray[Any]]):
         episodes: As for `SPFEnv`.
         atoms: As for `SPFEnv`.
         render_mode: As for `SPFEnv`.
-        autoreset_mode: An `AutoresetMode` or its name.
+        autoreset_mode: An `AutoresetMode`, or its name or value in any case: `"SAME_STEP"`, `"SameStep"`.
         num_threads: The number of threads of a step.
         copy: Whether every call returns a new array of observations. `False` is faster: every call overwrites and
             returns the same array.
@@ -428,6 +463,7 @@ class SPFVectorEnv(VectorEnv[Observations, NDArray[np.int64], NDArray[Any]]):
     """
 
     metadata: dict[str, Any] = {"render_modes": ["rgb_array", "ansi"], "render_fps": 10}
+    spec = _HorizonSpec()
 
     def __init__(
         self,
@@ -444,29 +480,33 @@ class SPFVectorEnv(VectorEnv[Observations, NDArray[np.int64], NDArray[Any]]):
     ) -> None:
         """Load the configuration and the rules."""
         super().__init__()
-        if num_envs < 1 or num_threads < 1:
-            raise ValueError(f"`num_envs` ({num_envs}) and `num_threads` ({num_threads}) must be at least 1")
-        self.num_envs = num_envs
-        self.autoreset_mode = AutoresetMode(autoreset_mode)
+        self.num_envs = checked_integer("num_envs", num_envs, 1)
+        self._num_threads = checked_integer("num_threads", num_threads, 1, _logicity.THREADS_MAX)
+        self.autoreset_mode = _autoreset_mode(autoreset_mode)
         self.metadata = {**self.metadata, "autoreset_mode": self.autoreset_mode}
         self.render_mode = checked_render_mode(render_mode, self.metadata)
         self._atoms, self.copy = atoms, copy
-        env_config = EnvConfig(config, SPFVectorEnv, **options)
-        task = env_config.task()
-        self.single_observation_space = observation_space(env_config, task)
+        self._config = EnvConfig(config, SPFVectorEnv, **options)
+        self._task = self._config.task()
+        self.single_observation_space = observation_space(self._config, self._task)
         self.single_action_space = Discrete(4)
         self.observation_space = batch_space(self.single_observation_space, num_envs)
         self.action_space = batch_space(self.single_action_space, num_envs)
-        recorded = _is_recorded(episodes)
-        self._core = _logicity.VectorEnv(
-            task, env_config.split, num_envs, self.autoreset_mode.value, env_config.observation, recorded, num_threads
-        )
-        if atoms:
-            self._core.keep_last_atoms()
+        self._recorded = _is_recorded(episodes)
+        self._core = self._make_core()
         self._observations = np.zeros((num_envs, *(self.single_observation_space.shape or ())), np.float32)
         self._seeded = np.zeros(num_envs, np.bool_)
         self._no_violations = np.empty(num_envs, object)
         self._no_violations.fill(())
+
+    def _make_core(self) -> _logicity.VectorEnv:
+        config, mode = self._config, self.autoreset_mode.value
+        core = _logicity.VectorEnv(
+            self._task, config.split, self.num_envs, mode, config.observation, self._recorded, self._num_threads
+        )
+        if self._atoms:
+            core.keep_last_atoms()
+        return core
 
     def reset(
         self, *, seed: int | Sequence[int | None] | None = None, options: dict[str, Any] | None = None
@@ -631,8 +671,37 @@ class SPFVectorEnv(VectorEnv[Observations, NDArray[np.int64], NDArray[Any]]):
         return tuple(_rendered(self._core, at, self.render_mode) for at in range(self.num_envs))
 
     def __getstate__(self) -> dict[str, Any]:
-        """Raise `TypeError`. Send the arguments to another process instead."""
-        raise TypeError("an SPFVectorEnv cannot be pickled or copied: make another with the same arguments")
+        """Return the task, the episodes and the actions taken, which determine the state."""
+        state = {key: value for key, value in self.__dict__.items() if key != "_core"}
+        return {**state, "_states": _states(self._core, self.num_envs)}
+
+    def __setstate__(self, state: dict[str, Any]) -> None:
+        """Start the same episodes and take the same actions."""
+        states = state.pop("_states")
+        self.__dict__.update(state)
+        self._core = self._make_core()
+        _restore(self._core, states, self._observations)
+
+    def __copy__(self) -> SPFVectorEnv:
+        """Return a deep copy, because two environments cannot share a city."""
+        return deepcopy(self)
+
+
+def _autoreset_mode(mode: AutoresetMode | str) -> AutoresetMode:
+    """Return the autoreset mode of a name or value, in any case and with or without underscores.
+
+    Raises:
+        ValueError: If the mode is unknown.
+    """
+
+    def plain(text: str) -> str:
+        return text.rpartition(".")[2].replace("_", "").casefold()
+
+    for known in AutoresetMode:
+        if mode is known or isinstance(mode, str) and plain(mode) == plain(known.name):
+            return known
+    known_modes = ", ".join(f'"{known.value}"' for known in AutoresetMode)
+    raise ValueError(f"autoreset_mode must be one of {known_modes}, not {mode!r}")
 
 
 _Columns = tuple[NDArray[np.int64], NDArray[np.float64], NDArray[np.bool_], NDArray[np.int64], NDArray[np.uint64]]

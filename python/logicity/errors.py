@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+import operator
 from collections.abc import Iterable
+from typing import SupportsIndex
 
 from . import _logicity
 from .types import Diagnostic
@@ -47,6 +49,23 @@ def did_you_mean(name: object, known: Iterable[str]) -> str:
     if near is not None:
         return f"; did you mean `{near}`?"
     return f"; known: {', '.join(names)}" if len(names) <= 30 else ""
+
+
+def checked_integer(name: str, value: SupportsIndex, low: int = 0, high: int = 2**64 - 1) -> int:
+    """Check an integer argument and return it as an int.
+
+    Raises:
+        TypeError: If the value is not an integer.
+        ValueError: If the value is less than `low` or greater than `high`.
+    """
+    try:
+        number = operator.index(value)
+    except TypeError:
+        raise TypeError(f"{name}: expected an integer, not {type(value).__name__}") from None
+    if not low <= number <= high:
+        largest = f"2**{high.bit_length()} - 1" if high == 2 ** high.bit_length() - 1 > 2**16 else f"{high}"
+        raise ValueError(f"{name}: expected {low} to {largest}, not {number}")
+    return number
 
 
 def missing_extra(extra: str, error: ImportError) -> ImportError:

@@ -99,10 +99,12 @@ class Evaluation:
         mode: The mode, or the path of the configuration file.
         split: The split of the episodes.
         episodes_hash: SHA-256 of the set of episodes. Only results with the same hash are comparable.
+        compliance: Rule compliance rate: of the episodes in which the rules require an action at least once, the share
+            in which the car never violates a rule. The episode may end in any way. If the rules require nothing, 0 with
+            the interval [0, 1].
         tsr: Trajectory success rate: the share of episodes in which the car reaches the goal in time without violating
             a rule.
-        dsr: Decision success rate: the share of all episodes in which the rules require an action at least once and
-            the car never violates a rule. The episode may end in any way.
+        dsr: Decision success rate of the paper: the numerator of `compliance` over the number of all episodes.
         dsr_by_action: By action, the share of the episodes that require the action in which the car violates no
             clause that requires it.
         score: The mean difference between the return and the mean return of the random policy on the same episode.
@@ -115,6 +117,7 @@ class Evaluation:
     mode: str
     split: str
     episodes_hash: str
+    compliance: Interval
     tsr: Interval
     dsr: Interval
     dsr_by_action: Mapping[str, Interval]
@@ -124,15 +127,23 @@ class Evaluation:
     episodes: tuple[EpisodeRecord, ...]
 
     def __repr__(self) -> str:
-        """Show the three measures and the number of runs."""
+        """Show the main measures and the number of runs."""
         return (
-            f"<Evaluation of {self.policy} in {self.mode}, {self.split}: TSR {self.tsr}, DSR {self.dsr}, "
-            f"Score {self.score}, {len(self.episodes)} episodes>"
+            f"<Evaluation of {self.policy} in {self.mode}, {self.split}: {self.summary()}, "
+            f"{len(self.episodes)} episodes>"
         )
+
+    def summary(self) -> str:
+        """Return the main measures in one line."""
+        return f"compliance {self.compliance}, TSR {self.tsr}, DSR {self.dsr}, Score {self.score}"
 
     def to_dict(self) -> dict[str, Any]:
         """Return a dictionary for JSON."""
         return asdict(self)
+
+
+#: The names of the main measures.
+MEASURES = ("compliance", "tsr", "dsr", "score")
 
 
 class Progress:
@@ -226,6 +237,20 @@ class Benchmark:
         """Return the number of episodes."""
         return len(self._random)
 
+    @property
+    def observation_shape(self) -> tuple[int, ...]:
+        """The shape of an observation."""
+        return tuple(self._task.shape(self._observation))
+
+    def __getstate__(self) -> dict[str, Any]:
+        """Return the arguments. A copy runs the random policy again."""
+        return {key: value for key, value in self.__dict__.items() if key not in ("_random", "_baseline_episodes")}
+
+    def __setstate__(self, state: dict[str, Any]) -> None:
+        """Load the episodes."""
+        self.__dict__.update(state)
+        self._random, self._baseline_episodes = _logicity.RandomBaseline(self._task, self.split), 0
+
     def _baseline(self) -> _logicity.RandomBaseline:
         """Return the results of the random policy. The first call runs it."""
         if self._baseline_episodes < len(self):
@@ -281,7 +306,7 @@ class Benchmark:
         running = np.ones(len(evaluator), np.bool_)
         act = _actor(policy, batched, evaluator)
         write_traces = None if traces is None else self._traces_into(traces)
-        taken: list[list[int]] = [[] for _ in range(len(evaluator))]
+        taken = [bytearray() for _ in range(len(evaluator))]
         with Progress(f"{self.mode} {self.split}, {named}", len(evaluator)) as progress:
             while running.any():
                 evaluator.observe(observations)
@@ -296,19 +321,19 @@ class Benchmark:
             write_traces(evaluator, taken)
         return self._result(named, evaluator.report(self._baseline()))
 
-    def _traces_into(self, folder: Path) -> Callable[[_logicity.BatchEvaluator, list[list[int]]], None]:
+    def _traces_into(self, folder: Path) -> Callable[[_logicity.BatchEvaluator, list[bytearray]], None]:
         """Prepare a folder, and return a function that writes the traces from the actions taken."""
         check_no_traces(folder)
         _make_writable(folder)
         return partial(self._write_traces, folder, self._config.written_config(folder / "config.yaml"))
 
     def _write_traces(
-        self, folder: Path, config: str, evaluator: _logicity.BatchEvaluator, taken: list[list[int]]
+        self, folder: Path, config: str, evaluator: _logicity.BatchEvaluator, taken: list[bytearray]
     ) -> None:
         with Progress(f"{self.mode} {self.split}, traces", len(evaluator)) as progress:
             for at, actions in enumerate(taken):
                 path = folder / f"episode-{at}.jsonl"
-                self._task.write_trace(self.split, evaluator.episode(at), actions, path, config)
+                self._task.write_trace(self.split, evaluator.episode(at), bytes(actions), path, config)
                 progress.update(at + 1)
 
     def _result(self, policy: str, report: Mapping[str, Any]) -> Evaluation:
@@ -322,6 +347,7 @@ class Benchmark:
             mode=self.mode,
             split=self.split,
             episodes_hash=self.episodes_hash,
+            compliance=interval(summary["compliance"]),
             tsr=interval(summary["tsr"]),
             dsr=interval(summary["dsr"]),
             dsr_by_action={rate["action"]: interval(rate) for rate in summary["dsr_by_action"]},
@@ -456,9 +482,9 @@ def evaluate(
 
 def table(results: list[Evaluation]) -> str:
     """Format a text table like that of the paper, with one row per result."""
-    head = ("policy", "mode", "TSR", "DSR", "Score", "return", "steps")
+    head = ("policy", "mode", "compliance", "TSR", "DSR", "Score", "return", "steps")
     rows = [
-        (r.policy, r.mode, str(r.tsr), str(r.dsr), str(r.score), str(r.mean_return), f"{r.mean_steps:.1f}")
+        (r.policy, r.mode, *map(str, (r.compliance, r.tsr, r.dsr, r.score, r.mean_return)), f"{r.mean_steps:.1f}")
         for r in results
     ]
     widths = [max(len(row[column]) for row in [head, *rows]) for column in range(len(head))]

@@ -11,6 +11,7 @@ import re
 import shutil
 import tempfile
 from collections.abc import Iterator, Mapping, Sequence
+from copy import copy
 from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, overload
@@ -329,7 +330,10 @@ def demonstrations(
     if not 1 <= wanted <= count:
         raise ValueError(f"expected 1 to {count} demonstrations, the number recorded for {name}, {split}, not {wanted}")
     env = _environment(name, split=split, observation=observation, **options)
-    assert env.spec is not None
+    # With a limit in the spec, `gymnasium.make` would add a `TimeLimit`, which may be less than that of an episode.
+    spec = copy(env.spec)
+    assert spec is not None
+    spec.max_episode_steps = None
     try:
         with episodes_that_fit():
             trajectories = [_run_oracle(env, episode) for episode in range(wanted)]
@@ -339,7 +343,7 @@ def demonstrations(
     atoms = tuple(atoms_of(description)) if observation == "groundings" else ()
     asked = {constraint["action"] for constraint in description["constraints"]}
     named = tuple(action for action in ACTIONS if action in asked)
-    return Demonstrations(name, split, description["splits"][split]["hash"], atoms, named, env.spec, trajectories)
+    return Demonstrations(name, split, description["splits"][split]["hash"], atoms, named, spec, trajectories)
 
 
 def _environment(mode: str, **options: Any) -> gymnasium.Env[Any, Any]:

@@ -3,7 +3,9 @@
 from __future__ import annotations
 
 import os
-from typing import TYPE_CHECKING, Any, Literal, cast
+from collections.abc import Mapping
+from copy import deepcopy
+from typing import TYPE_CHECKING, Any, Literal, TypeVar, cast
 
 import numpy as np
 
@@ -37,6 +39,8 @@ if TYPE_CHECKING:
 
 __all__ = ["SPFParallelEnv"]
 
+_T = TypeVar("_T")
+
 
 class SPFParallelEnv(ParallelEnv[str, Observations, "np.int64 | int"]):
     """Safe Path Following in which every car is a controlled agent, named `Car_1`, `Car_2`, ...
@@ -61,25 +65,45 @@ class SPFParallelEnv(ParallelEnv[str, Observations, "np.int64 | int"]):
     ) -> None:
         """Load the configuration and the rules."""
         self.render_mode = checked_render_mode(render_mode, self.metadata)
-        env_config = EnvConfig(config, SPFParallelEnv, **options)
-        task = env_config.task()
-        self._cars = _logicity.MultiCarEnv(task, env_config.split, env_config.observation)
+        self._config = EnvConfig(config, SPFParallelEnv, **options)
+        self._task = self._config.task()
+        self._cars = self._make_cars()
         self.possible_agents = self._cars.names()
         self.agents: list[str] = []
         self._index = {name: car for car, name in enumerate(self.possible_agents)}
         # Each car has its own space, so that seeding one does not affect the others.
-        self.observation_spaces = {name: observation_space(env_config, task) for name in self.possible_agents}
+        self.observation_spaces = {name: observation_space(self._config, self._task) for name in self.possible_agents}
         self.action_spaces = {name: Discrete(4) for name in self.possible_agents}
         self._generator: np.random.Generator | None = None
         self._seeded = self._begun = False
 
+    def _make_cars(self) -> _logicity.MultiCarEnv:
+        return _logicity.MultiCarEnv(self._task, self._config.split, self._config.observation)
+
     def observation_space(self, agent: str) -> Box:
-        """Return the observation space of a car. Every call returns the same object."""
-        return self.observation_spaces[agent]
+        """Return the observation space of a car. Every call returns the same object.
+
+        Raises:
+            KeyError: If the car is unknown.
+        """
+        return self._of(self.observation_spaces, agent)
 
     def action_space(self, agent: str) -> Discrete:
-        """Return the action space of a car. Every call returns the same object."""
-        return self.action_spaces[agent]
+        """Return the action space of a car. Every call returns the same object.
+
+        Raises:
+            KeyError: If the car is unknown.
+        """
+        return self._of(self.action_spaces, agent)
+
+    def _of(self, by_car: Mapping[str, _T], agent: str) -> _T:
+        try:
+            return by_car[agent]
+        except KeyError:
+            raise KeyError(self._unknown(agent)) from None
+
+    def _unknown(self, agent: object) -> str:
+        return f"unknown car `{agent}`{did_you_mean(agent, self.possible_agents)}"
 
     def reset(
         self, seed: int | None = None, options: dict[str, Any] | None = None
@@ -102,7 +126,7 @@ class SPFParallelEnv(ParallelEnv[str, Observations, "np.int64 | int"]):
         if seed is not None or not self._seeded:
             if seed is not None or self._generator is None:
                 self._generator, _ = np_random(seed)
-            self._cars.seed(checked_seed(seed, self._generator))
+            self._cars.seed(checked_seed(seed, self._generator), 0)
             self._seeded = True
         episode = parse_episode(options.get("episode"))
         if not (episode is True or isinstance(episode, dict)):
@@ -137,11 +161,11 @@ class SPFParallelEnv(ParallelEnv[str, Observations, "np.int64 | int"]):
             raise ResetNeeded("no episode has started: call `reset`")
         live = self.agents
         missing = [name for name in live if name not in actions]
-        unknown = [str(name) for name in actions if name not in self._index]
-        if missing or unknown:
-            raise InvalidAction(
-                f"missing action of {', '.join(missing)}" if missing else f"unknown car {', '.join(unknown)}"
-            )
+        unknown = [name for name in actions if name not in self._index]
+        if unknown:
+            raise InvalidAction(self._unknown(unknown[0]))
+        if missing:
+            raise InvalidAction(f"missing action of {', '.join(missing)}")
         numbers = [0] * len(self.possible_agents)
         for name in live:
             numbers[self._index[name]] = checked_action(actions[name])
@@ -171,7 +195,7 @@ class SPFParallelEnv(ParallelEnv[str, Observations, "np.int64 | int"]):
         """
         self._check_begun()
         if agent not in self._index:
-            raise ValueError(f"unknown car `{agent}`{did_you_mean(agent, self._index)}")
+            raise ValueError(self._unknown(agent))
         return self._cars.explain(self._index[agent])
 
     def _check_begun(self) -> None:
@@ -188,5 +212,20 @@ class SPFParallelEnv(ParallelEnv[str, Observations, "np.int64 | int"]):
         return "\n".join(self._cars.text(car) for car in range(len(self.possible_agents)))
 
     def __getstate__(self) -> dict[str, Any]:
-        """Raise `TypeError`. Send the arguments to another process instead."""
-        raise TypeError("an SPFParallelEnv cannot be pickled or copied: make another with the same arguments")
+        """Return the task, the episode and the actions taken, which determine the state."""
+        state = {key: value for key, value in self.__dict__.items() if key != "_cars"}
+        episode = (self._cars.episode(), self._cars.taken()) if self._begun else None
+        return {**state, "_source": self._cars.source(), "_episode": episode}
+
+    def __setstate__(self, state: dict[str, Any]) -> None:
+        """Start the same episode and take the same actions."""
+        source, episode = state.pop("_source"), state.pop("_episode")
+        self.__dict__.update(state)
+        self._cars = self._make_cars()
+        self._cars.seed(*source)
+        if episode is not None:
+            self._cars.replay(*episode)
+
+    def __copy__(self) -> SPFParallelEnv:
+        """Return a deep copy, because two environments cannot share a city."""
+        return deepcopy(self)

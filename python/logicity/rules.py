@@ -10,6 +10,7 @@ from typing import Any, Literal, NoReturn, cast, overload
 import numpy.typing as npt
 
 from . import _logicity
+from .errors import checked_integer
 from .types import Clause, Diagnostic, StratumStats
 
 __all__ = ["Change", "Column", "Explanation", "Program", "Relation", "Rows", "Session", "check"]
@@ -199,6 +200,13 @@ class Rows(Sequence[Row]):
         shown = [repr(row) for row in self[:5]] + ["..."] * (len(self) > 5)
         return f"[{', '.join(shown)}]"
 
+    def __reduce__(self) -> NoReturn:
+        """Refuse to pickle and to copy."""
+        raise TypeError(
+            "rows of a commit cannot be pickled or copied, because they belong to their session: "
+            "use `list(rows)` or `rows.columns()`"
+        )
+
     def columns(self) -> dict[str, npt.NDArray[Any]]:
         """Return one array per column, as `Session.columns` does."""
         return self._rows.columns()
@@ -258,8 +266,8 @@ class Session:
             about three times as much.
 
     Raises:
-        OverflowError: If a number is negative.
         RuntimeError: If the threads cannot be started.
+        ValueError: If a number is negative, or there are more than 1024 threads.
     """
 
     def __init__(
@@ -275,11 +283,16 @@ class Session:
         if not isinstance(program, Program):
             raise TypeError(f"expected a Program, not {type(program).__name__}")
         self._program = program
-        self._session = _logicity.Session(program._program, threads, max_rows, max_steps, max_bytes)
+        limits = {"max_rows": max_rows, "max_steps": max_steps, "max_bytes": max_bytes}
+        checked = (None if limit is None else checked_integer(name, limit) for name, limit in limits.items())
+        self._session = _logicity.Session(program._program, checked_integer("threads", threads), *checked)
 
     def __reduce__(self) -> NoReturn:
         """Refuse to pickle and to copy."""
-        raise TypeError("a Session cannot be pickled or copied: pickle its program and insert the facts again")
+        raise TypeError(
+            "a Session cannot be pickled or copied, because its rows and indexes exist only in the memory of the "
+            "engine: pickle its program, and insert the facts into a new session"
+        )
 
     @property
     def program(self) -> Program:

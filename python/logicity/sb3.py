@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import inspect
 import os
 from collections.abc import Sequence
 from typing import Any
@@ -129,6 +130,18 @@ class SPFVecEnv(VecEnv):
         return self.envs.render() or ()
 
 
+class _Monitor(VecMonitor):
+    """A `VecMonitor` that can be pickled and copied."""
+
+    def __getstate__(self) -> dict[str, Any]:
+        """Leave out the members of the class, some of which cannot be pickled."""
+        return {key: value for key, value in self.__dict__.items() if key != "class_attributes"}
+
+    def __setstate__(self, state: dict[str, Any]) -> None:
+        """Add the members of the class, as `VecEnvWrapper` does."""
+        self.__dict__.update(state, class_attributes=dict(inspect.getmembers(type(self))))
+
+
 def make_vec_env(
     config: str | os.PathLike[str] = "expert",
     n_envs: int = 1,
@@ -153,4 +166,4 @@ def make_vec_env(
     envs = SPFVecEnv(SPFVectorEnv(n_envs, config, autoreset_mode=AutoresetMode.SAME_STEP, **arguments))
     if seed is not None:
         envs.seed(seed)
-    return VecMonitor(envs) if monitor else envs
+    return _Monitor(envs) if monitor else envs

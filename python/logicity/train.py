@@ -10,8 +10,9 @@ from __future__ import annotations
 import json
 import os
 import shutil
+import sys
 import time
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import asdict, dataclass, field
 from functools import cache
 from inspect import signature
@@ -48,10 +49,11 @@ from stable_baselines3.common.vec_env import VecEnv
 
 from . import _logicity
 from ._logicity import __version__
+from .env_config import ObservationKind
 from .errors import did_you_mean
-from .evaluation import Benchmark, Evaluation
+from .evaluation import MEASURES, Benchmark, Evaluation
 from .files import write_json
-from .modes import ENVIRONMENTS
+from .modes import ENVIRONMENTS, checked_mode
 from .sb3 import make_vec_env
 
 __all__ = ["ALGORITHMS", "FeatureLayers", "TrainConfig", "load_model", "new_model", "train"]
@@ -86,11 +88,13 @@ class TrainConfig(BaseModel):
 
     Attributes:
         algorithm: `dqn`, `ppo` or `a2c`.
-        mode: The mode, which determines the rules and the episodes.
+        mode: The mode, or the path of a configuration file, which determines the rules and the episodes. In a YAML
+            file, a path is relative to the folder of that file.
+        observation: `groundings` or `state`, as in `gymnasium.make`.
         network: The widths of the feature layers between the observation and the heads.
         settings: Arguments of the algorithm's class in Stable-Baselines3.
         overrides: Changes to the configuration for training. Validation and test use the mode without overrides.
-        steps: The total number of steps of all environments.
+        steps: The total number of steps of all environments. Only `steps` may change when a run resumes.
         envs: The number of parallel environments.
         seed: The seed of networks, exploration and episodes.
         validate_every: The number of steps between validations. Each validation writes a checkpoint.
@@ -101,6 +105,7 @@ class TrainConfig(BaseModel):
 
     algorithm: str
     mode: str
+    observation: ObservationKind = "groundings"
     network: Annotated[tuple[Count, ...], Field(min_length=1)]
     settings: dict[str, Any]
     overrides: dict[str, Any] = Field(default_factory=dict)
@@ -118,7 +123,10 @@ class TrainConfig(BaseModel):
     @field_validator("mode")
     @classmethod
     def _known_mode(cls, name: str) -> str:
-        return _known("mode", name, ENVIRONMENTS)
+        try:
+            return checked_mode(name)
+        except ValueError as error:
+            raise _custom(str(error)) from None
 
     @field_validator("settings")
     @classmethod
@@ -151,17 +159,43 @@ class TrainConfig(BaseModel):
             raise file.error([("invalid-value", [], "a training configuration must be a mapping", "")])
         if seed is not None:
             values["seed"] = seed
+        mode = values.get("mode")
+        if isinstance(mode, str) and mode not in ENVIRONMENTS:
+            values["mode"] = _mode_file(file, mode, Path(file.file_of(["mode"]) or path).parent)
         try:
             return cls.model_validate(values)
         except ValidationError as error:
             raise file.error(_faults(error, values)) from None
 
 
+def _mode_file(file: _logicity.ConfigFile, mode: str, folder: Path) -> str:
+    """Return the absolute path of a mode's configuration file, or `mode` if it names a built-in file or no file.
+
+    As in run configurations, a path is relative to the folder of the file that contains it, or names a built-in file.
+
+    Raises:
+        InputError: If the path names no file.
+    """
+    at = folder / mode
+    if at.exists():
+        return str(at.resolve())
+    if at.suffix and mode not in _BUILTIN_MODES:
+        raise file.error([("missing-file", ["mode"], f"cannot read `{at}`: no such file", "")])
+    return mode
+
+
+#: The paths of the modes among the built-in files.
+_BUILTIN_MODES = {f"configs/{name}.yaml" for name in ENVIRONMENTS}
+
+
 def _known(what: str, name: str, known: Iterable[str]) -> str:
     if name in known:
         return name
-    message = f"unknown {what} `{name}`{did_you_mean(name, known)}"
-    raise PydanticCustomError("unknown_name", "{message}", {"message": message})
+    raise _custom(f"unknown {what} `{name}`{did_you_mean(name, known)}")
+
+
+def _custom(message: str) -> PydanticCustomError:
+    return PydanticCustomError("unknown_name", "{message}", {"message": message})
 
 
 @cache
@@ -213,12 +247,44 @@ def _fault(
         return "missing-key", list(path), f"the key `{name}` is missing", ""
     if first["type"] == "unknown_name":
         return "invalid-value", list(path), first["msg"], ""
-    expected = [each["msg"].removeprefix("Input should be ") for each in errors if each["msg"].startswith("Input ")]
-    if not expected:
-        return "invalid-value", list(path), f"`{'.'.join(path)}`: {first['msg']}", ""
+    expected = " or ".join(dict.fromkeys(map(_expected, errors)))
     shown = first["input"] if isinstance(first["input"], str) else json.dumps(first["input"], default=repr)
-    message = f"`{'.'.join(path)}` must be {' or '.join(dict.fromkeys(expected))}, not `{shown:.40}`"
+    message = f"`{'.'.join(path)}` must be {expected}, not `{shown:.40}`"
     return "invalid-value", list(path), message, ""
+
+
+#: What a value must be, by the type of pydantic's error.
+_EXPECTED = {
+    "bool_type": "true or false",
+    "dict_type": "a mapping",
+    "finite_number": "a finite number",
+    "float_type": "a number",
+    "int_from_float": "an integer",
+    "int_type": "an integer",
+    "list_type": "a list",
+    "model_type": "a mapping",
+    "none_required": "null (~)",
+    "string_type": "text",
+    "tuple_type": "a list",
+}
+
+
+def _expected(error: ErrorDetails) -> str:
+    """Describe the values that a key accepts."""
+    kind, context = error["type"], error.get("ctx", {})
+    if kind in _EXPECTED:
+        return _EXPECTED[kind]
+    if kind == "literal_error":
+        return str(context["expected"]).replace("'", "`")
+    if kind == "greater_than_equal":
+        return f"at least {context['ge']}"
+    if kind == "less_than":
+        return f"less than {context['lt']}"
+    if kind == "too_short":
+        return f"a list of {context['min_length']} or more values"
+    if kind == "too_long":
+        return f"a list of at most {context['max_length']} values"
+    return f"valid ({error['msg']})"
 
 
 @dataclass
@@ -234,11 +300,13 @@ class State:
 class Validation(BaseCallback):
     """Validates the model at intervals, keeps the best one, and writes checkpoints."""
 
-    def __init__(self, run: Path, config: TrainConfig, state: State) -> None:
-        """Start from a state."""
+    def __init__(
+        self, run: Path, config: TrainConfig, state: State, benchmark: Benchmark, log: Callable[[str], None]
+    ) -> None:
+        """Start from a state. `log` receives a line per validation."""
         super().__init__()
         self._run, self._config, self._state = run, config, state
-        self._benchmark = Benchmark(config.mode, "val")
+        self._benchmark, self._log = benchmark, log
         self._since = time.monotonic() - state.seconds
 
     def _on_step(self) -> bool:
@@ -258,8 +326,9 @@ class Validation(BaseCallback):
         self._state.seconds = time.monotonic() - self._since
         point = {"steps": self.num_timesteps, "seconds": round(self._state.seconds, 1), **_figures(measured)}
         self._state.validations.append(point)
-        for name in ("tsr", "dsr", "score"):
+        for name in MEASURES:
             self.logger.record(f"validation/{name}", point[name]["value"])
+        self._log(f"validation after {self.num_timesteps:,} steps: {measured.summary()}")
         best = self._state.best
         if best is None or _rank(point) > _rank(best):
             self._state.best = point
@@ -289,7 +358,34 @@ def _rank(point: Mapping[str, Any]) -> tuple[float, float]:
 
 def _figures(measured: Evaluation) -> dict[str, Any]:
     measures = measured.to_dict()
-    return {name: measures[name] for name in ("tsr", "dsr", "dsr_by_action", "score", "mean_return", "mean_steps")}
+    return {name: measures[name] for name in (*MEASURES, "dsr_by_action", "mean_return", "mean_steps")}
+
+
+class ProgressLines(BaseCallback):
+    """Logs the number of steps, the speed and the remaining time at intervals, for logs without a terminal."""
+
+    #: The interval between two lines.
+    SECONDS = 10.0
+
+    def __init__(self, steps: int, log: Callable[[str], None]) -> None:
+        """Store the total number of steps, and the function that receives the lines."""
+        super().__init__()
+        self._steps, self._log = steps, log
+
+    def _on_training_start(self) -> None:
+        self._begun = self._shown = time.monotonic()
+        self._done_before = self.num_timesteps
+
+    def _on_step(self) -> bool:
+        now = time.monotonic()
+        if now - self._shown >= self.SECONDS:
+            self._shown = now
+            speed = (self.num_timesteps - self._done_before) / (now - self._begun)
+            left = max(0, self._steps - self.num_timesteps) / speed / 60
+            share = min(1.0, self.num_timesteps / self._steps)
+            done = f"{self.num_timesteps:,} of {self._steps:,} steps ({share:.0%})"
+            self._log(f"{done}, {speed:,.0f} steps/s, {left:.1f} min left")
+        return True
 
 
 def _checkpoints(run: Path) -> list[Path]:
@@ -318,7 +414,11 @@ def load_model(path: str | os.PathLike[str]) -> BaseAlgorithm:
 
 
 def train(
-    config: TrainConfig, run: str | os.PathLike[str], *, progress: bool = False, tensorboard: bool = True
+    config: TrainConfig,
+    run: str | os.PathLike[str],
+    *,
+    progress: bool = False,
+    tensorboard: bool = True,
 ) -> dict[str, Any]:
     """Train a model, or resume from the last checkpoint of the same configuration.
 
@@ -327,28 +427,45 @@ def train(
     rollout of PPO or A2C, or the random states. New random streams start from the seed plus the number of steps. A
     resumed run therefore differs from an uninterrupted one, but two runs interrupted at the same point are identical.
 
+    If `steps` is larger than that of a finished run, training continues. Schedules that depend on the total number of
+    steps, such as DQN's exploration rate, then follow the new total.
+
     Args:
         config: The configuration.
         run: The folder of the run, which is created if it does not exist.
-        progress: Whether to show a progress bar on the terminal.
+        progress: Whether to show the progress on standard error: as a bar if it is a terminal, and otherwise as lines,
+            at the start, every 10 seconds and after each validation.
         tensorboard: Whether to write training curves.
 
     Returns:
         The content of `result.json`.
 
     Raises:
-        InputError: If an override is invalid.
-        ValueError: If the folder has another run, or the algorithm rejects the settings. Then no run starts.
+        InputError: If the configuration of the mode or an override is invalid, or no episodes are recorded.
+        ValueError: If the folder has another run, the overrides change the shape of observations, or the algorithm
+            rejects the settings. Then no run starts.
     """
     run = Path(run)
-    claimed = _is_claimed(run, config)
-    torch.set_num_threads(config.threads)
     checkpoints = _checkpoints(run)
     state = State(**json.loads((checkpoints[-1] / "state.json").read_text())) if checkpoints else State()
+    _check_claim(run, config, state)
+    torch.set_num_threads(config.threads)
+    # Load the test episodes now, so that an error in them does not surface after hours of training.
+    val, test = (Benchmark(config.mode, split, observation=config.observation) for split in ("val", "test"))
     # The model seeds the environments.
-    env = make_vec_env(config.mode, config.envs, split="train", overrides=config.overrides)
+    env = make_vec_env(
+        config.mode, config.envs, split="train", overrides=config.overrides, observation=config.observation
+    )
     log = str(run / "tensorboard") if tensorboard else None
+    as_bar = progress and sys.stderr.isatty()
+    say = _print_line if progress and not as_bar else _print_nothing
     try:
+        if env.observation_space.shape != val.observation_shape:
+            raise ValueError(
+                f"the `overrides` change the shape of observations from {val.observation_shape} to "
+                f"{env.observation_space.shape}, but validation and test use the mode without overrides: write a "
+                "configuration file with these changes, and name it under `mode`"
+            )
         if checkpoints:
             model = ALGORITHMS[config.algorithm].load(
                 checkpoints[-1] / "model.zip", env=env, device="cpu", tensorboard_log=log
@@ -359,37 +476,55 @@ def train(
             model.set_random_seed((config.seed + state.steps) % 2**32)
         else:
             model = new_model(config, env, log)
-        if not claimed:
-            run.mkdir(parents=True, exist_ok=True)
-            write_json(run / "config.json", config.model_dump(mode="json"))
-        validation = Validation(run, config, state)
-        bar = [ProgressBarCallback()] if progress else []
+        run.mkdir(parents=True, exist_ok=True)
+        write_json(run / "config.json", config.model_dump(mode="json"))
+        begun = f"resumed after {state.steps:,} of" if checkpoints else "started:"
+        say(f"{config.algorithm} in {config.mode}, {begun} {config.steps:,} steps; folder {run}")
+        callbacks: list[BaseCallback] = [Validation(run, config, state, val, say)]
+        if progress:
+            callbacks.append(ProgressBarCallback() if as_bar else ProgressLines(config.steps, say))
         model.learn(
             max(0, config.steps - state.steps),
-            callback=CallbackList([validation, *bar]),
+            callback=CallbackList(callbacks),
             reset_num_timesteps=not checkpoints,
             tb_log_name=config.algorithm,
         )
     finally:
         env.close()
     shutil.copyfile(_checkpoints(run)[-1] / "best.zip", run / "best.zip")
-    result = _result(config, state, load_model(run / "best.zip"))
+    result = _result(config, state, test.evaluate(load_model(run / "best.zip"), name=config.algorithm))
     write_json(run / "result.json", result)
     return result
 
 
-def _is_claimed(run: Path, config: TrainConfig) -> bool:
-    """Return whether the folder already has this run.
+def _print_line(line: str) -> None:
+    print(line, file=sys.stderr, flush=True)
+
+
+def _print_nothing(line: str) -> None:
+    pass
+
+
+def _check_claim(run: Path, config: TrainConfig, state: State) -> None:
+    """Check that the folder has no run, or a run of this configuration with at most as many steps.
 
     Raises:
         ValueError: If the folder has another run.
     """
     stored = run / "config.json"
     if not stored.exists():
-        return False
-    if json.loads(stored.read_text(encoding="utf-8")) != config.model_dump(mode="json"):
-        raise ValueError(f"{run} has a run of another configuration; remove it or choose another folder")
-    return True
+        return
+    old, new = json.loads(stored.read_text(encoding="utf-8")), config.model_dump(mode="json")
+    changed = [name for name in new if name != "steps" and new[name] != old.get(name)]
+    if changed:
+        raise ValueError(
+            f"{run} has a run of another configuration ({', '.join(f'`{name}`' for name in changed)} differ); "
+            "remove it or choose another folder"
+        )
+    if new["steps"] < old["steps"] and new["steps"] < state.steps:
+        raise ValueError(
+            f"{run} has a run of {state.steps} steps: `steps` can be raised, not lowered to {new['steps']}"
+        )
 
 
 def new_model(config: TrainConfig, env: VecEnv, log: str | None = None) -> BaseAlgorithm:
@@ -422,8 +557,7 @@ def new_model(config: TrainConfig, env: VecEnv, log: str | None = None) -> BaseA
         raise ValueError(f"{config.algorithm.upper()} rejects the `settings`: {error}") from error
 
 
-def _result(config: TrainConfig, state: State, best: BaseAlgorithm) -> dict[str, Any]:
-    measured = Benchmark(config.mode, "test").evaluate(best, name=config.algorithm)
+def _result(config: TrainConfig, state: State, measured: Evaluation) -> dict[str, Any]:
     return {
         "config": config.model_dump(mode="json"),
         "versions": {

@@ -43,14 +43,14 @@ const REASONS: [(MoveReason, &str); 4] = [
 const OVERRIDES: &str = "<overrides>";
 
 /// The source text of files by path.
-type Files = BTreeMap<PathBuf, String>;
+pub type Files = BTreeMap<PathBuf, String>;
 
 /// A loaded city and its sources.
 pub struct Loaded {
     pub sources: Sources,
     pub city: LoadedCity,
     /// The files that were read.
-    files: Files,
+    pub files: Files,
 }
 
 impl Loaded {
@@ -159,11 +159,8 @@ impl PyInference {
     }
 
     /// Returns the files that were read, with their text.
-    fn files(&self) -> Vec<(&Path, &str)> {
-        self.files
-            .iter()
-            .map(|(path, text)| (path.as_path(), text.as_str()))
-            .collect()
+    fn files(&self) -> Files {
+        self.files.clone()
     }
 }
 
@@ -175,6 +172,7 @@ struct PySimulation {
     sources: Sources,
     config: PathBuf,
     rule_files: Vec<SourceId>,
+    files: Files,
 }
 
 /// A tick: its number, the positions and headings before it, the derived actions, the actions, the positions after it,
@@ -212,12 +210,13 @@ impl PySimulation {
         threads: usize,
         executor: &str,
         count_firings: bool,
+        files: Option<Files>,
     ) -> PyResult<Self> {
         let split = one_of("split", split, &Split::ALL, Split::name)?;
         let executor = one_of("executor", executor, &Executor::ALL, Executor::name)?;
         let signals = Signals::new();
         let threads = threads_of(threads)?.get();
-        let Loaded { sources, city, .. } = Loaded::new(py, &signals, config.clone(), rules, None, None)?;
+        let Loaded { sources, city, files } = Loaded::new(py, &signals, config.clone(), rules, files, None)?;
         let rule_files = city.rule_files.clone();
         let settings = Settings {
             executor,
@@ -237,7 +236,13 @@ impl PySimulation {
             sources,
             config,
             rule_files,
+            files,
         })
+    }
+
+    /// Returns the files that were read, with their text.
+    fn files(&self) -> Files {
+        self.files.clone()
     }
 
     fn agents(&self) -> PyResult<Vec<AgentInfo>> {

@@ -43,6 +43,14 @@ impl PyConfigFile {
         to_python(py, &self.tree.to_json())
     }
 
+    /// Returns the path of the file that has the value at a path of keys and indices.
+    #[expect(clippy::needless_pass_by_value, reason = "converted from Python")]
+    fn file_of(&self, path: Vec<String>) -> Option<&str> {
+        let path: Vec<&str> = path.iter().map(String::as_str).collect();
+        let place = self.tree.fault(&path, Code::INVALID_VALUE, "").primary?;
+        Some(self.sources.name(place.span.source))
+    }
+
     /// Returns the `InputError` for errors in this file.
     ///
     /// Each error has a code, the path of keys and indices to its value, a message, and a help text that may be empty.

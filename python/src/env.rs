@@ -2,7 +2,7 @@
 
 use crate::city::one_of;
 use crate::episode::{PyEpisode, PyEpisodeOption, read_episode};
-use crate::task::{PyTask, gymnasium_error, read_action, split_named, view_named};
+use crate::task::{PyTask, gymnasium_error, read_action, read_actions, split_named, view_named};
 use crate::{Signals, borrowed, borrowed_mut, slice_of};
 use logicity::city::{Action, Split};
 use logicity::task::spf::{Autoreset, Begin, Episode, EpisodeSource, Info, SubEnv, VectorEnv, describe};
@@ -303,6 +303,35 @@ impl PyVectorEnv {
     fn has_begun(slf: &Bound<'_, Self>, at: usize) -> PyResult<bool> {
         let this = borrowed(slf)?;
         Ok(this.sub_env(at)?.is_ready(Autoreset::NextStep))
+    }
+
+    /// Returns the actions taken in an environment's episode, one byte each.
+    fn taken(slf: &Bound<'_, Self>, at: usize) -> PyResult<Vec<u8>> {
+        let this = borrowed(slf)?;
+        let taken = this.sub_env(at)?.env().taken().flatten();
+        Ok(taken.map(|&action| action as u8).collect())
+    }
+
+    /// Restores environments from the starts of their episodes and the actions taken.
+    fn replay(
+        slf: &Bound<'_, Self>,
+        py: Python<'_>,
+        episodes: Vec<Option<(Bound<'_, PyDict>, Vec<u8>)>>,
+        observations: &Bound<'_, PyArrayDyn<f32>>,
+    ) -> PyResult<()> {
+        let this = &mut *borrowed_mut(slf)?;
+        let mut observations = observations.try_readwrite()?;
+        this.check(episodes.len())?;
+        let task = this.task.get();
+        let read = |(episode, sub_env): (Option<(Bound<'_, PyDict>, Vec<u8>)>, &SubEnv)| {
+            let Some((start, taken)) = episode else { return Ok(None) };
+            let start = read_episode(&start, sub_env.env()).map_err(|fault| task.error(py, fault))?;
+            Ok(Some((Arc::new(start), read_actions(py, &taken)?)))
+        };
+        let episodes: Vec<_> = (episodes.into_iter().zip(this.vector.sub_envs()).map(read)).collect::<PyResult<_>>()?;
+        let rows = this.rows(&mut observations)?;
+        let vector = &mut this.vector;
+        (this.signals.detach(py, || vector.replay(&episodes, rows))?).map_err(|fault| task.error(py, fault))
     }
 
     /// Returns the start of an environment's episode.

@@ -351,6 +351,7 @@ fn did_you_mean(name: &str, known: Vec<String>) -> Option<String> {
 #[pymodule]
 fn _logicity(module: &Bound<'_, PyModule>) -> PyResult<()> {
     module.add("__version__", env!("CARGO_PKG_VERSION"))?;
+    module.add("THREADS_MAX", THREADS_MAX)?;
     module.add_function(wrap_pyfunction!(did_you_mean, module)?)?;
     module.add_function(wrap_pyfunction!(read_file, module)?)?;
     module.add_function(wrap_pyfunction!(python_commands, module)?)?;

@@ -1,7 +1,7 @@
 //! An environment that controls every car of a city.
 
 use crate::episode::{PyEpisode, read_episode};
-use crate::task::{PyTask, read_action, split_named, view_named};
+use crate::task::{PyTask, read_action, read_actions, split_named, view_named};
 use crate::{Signals, borrowed, borrowed_mut, slice_of};
 use logicity::city::Action;
 use logicity::task::spf::{ControlMode, Env, EpisodeSource, Info, ObservationKind, describe};
@@ -57,10 +57,38 @@ impl PyMultiCarEnv {
             .collect())
     }
 
-    /// Sets the seed of the following episodes.
-    fn seed(slf: &Bound<'_, Self>, seed: u64) -> PyResult<()> {
-        borrowed_mut(slf)?.source = EpisodeSource::new(seed, None);
+    /// Sets the seed of the episodes, and skips the first `begun` episodes.
+    fn seed(slf: &Bound<'_, Self>, seed: u64, begun: u64) -> PyResult<()> {
+        let mut source = EpisodeSource::new(seed, None);
+        source.skip_to(begun);
+        borrowed_mut(slf)?.source = source;
         Ok(())
+    }
+
+    /// Returns the seed of the episodes, and the number of episodes started from it.
+    fn source(slf: &Bound<'_, Self>) -> PyResult<[u64; 2]> {
+        Ok(borrowed(slf)?.source.place())
+    }
+
+    /// Returns the actions taken in the episode, one byte per car and step.
+    fn taken(slf: &Bound<'_, Self>) -> PyResult<Vec<u8>> {
+        let this = borrowed(slf)?;
+        Ok(this.env.taken().flatten().map(|&action| action as u8).collect())
+    }
+
+    /// Starts `episode`, and takes actions as `taken` returns them.
+    fn replay(slf: &Bound<'_, Self>, py: Python<'_>, episode: Bound<'_, PyDict>, taken: &[u8]) -> PyResult<()> {
+        let this = &mut *borrowed_mut(slf)?;
+        let task = this.task.get();
+        let start = read_episode(&episode, &this.env).map_err(|fault| task.error(py, fault))?;
+        let actions = read_actions(py, taken)?;
+        let env = &mut this.env;
+        let count = env.controlled_cars().len();
+        let replayed = this.signals.detach(py, || {
+            env.reset_to(&start)?;
+            actions.chunks_exact(count).try_for_each(|actions| env.step(actions))
+        })?;
+        replayed.map_err(|fault| task.error(py, fault))
     }
 
     /// Starts the next episode, or `episode`.

@@ -1,6 +1,6 @@
 //! The task that environments share: Safe Path Following in one world.
 
-use crate::city::{Loaded, one_of};
+use crate::city::{Files, Loaded, one_of};
 use crate::episode::read_episode;
 use crate::{Signals, input_error, locked};
 use logicity::builtin::BuiltinFiles;
@@ -16,7 +16,7 @@ use numpy::{IntoPyArray, PyArray3, PyArrayMethods};
 use pyo3::exceptions::{PyOSError, PyValueError};
 use pyo3::intern;
 use pyo3::prelude::*;
-use pyo3::types::{PyDict, PyString, PyTuple};
+use pyo3::types::{PyDict, PyString, PyTuple, PyType};
 use std::path::PathBuf;
 use std::sync::{Arc, Mutex, OnceLock};
 
@@ -28,6 +28,8 @@ pub fn register(module: &Bound<'_, PyModule>) -> PyResult<()> {
 #[pyclass(name = "Task", module = "logicity._logicity", frozen)]
 pub struct PyTask {
     pub task: Arc<SpfTask>,
+    /// The arguments of `new`, with the text of the files that were read.
+    arguments: Arguments,
     sources: Mutex<Sources>,
     /// The rule files among the sources.
     rule_files: Vec<SourceId>,
@@ -36,6 +38,9 @@ pub struct PyTask {
     recorded: [OnceLock<Arc<[Episode]>>; 3],
     overview: OnceLock<Overview>,
 }
+
+/// The configuration, the rule file, the overrides, and the text of files by path.
+type Arguments = (PathBuf, Option<PathBuf>, Option<String>, Option<Files>);
 
 pub fn split_named(name: &str) -> PyResult<Split> {
     one_of("split", name, &Split::ALL, Split::name)
@@ -54,6 +59,12 @@ pub fn gymnasium_error(py: Python<'_>, name: &str, message: String) -> PyErr {
     }
 }
 
+/// Reads actions that an environment returned as bytes.
+pub fn read_actions(py: Python<'_>, taken: &[u8]) -> PyResult<Vec<Action>> {
+    let actions = taken.iter().map(|&action| read_action(py, action.into(), String::new));
+    actions.collect()
+}
+
 pub fn read_action(py: Python<'_>, action: i64, of: impl Fn() -> String) -> PyResult<Action> {
     let known = usize::try_from(action).ok().and_then(|action| Action::ALL.get(action));
     known.copied().ok_or_else(|| {
@@ -68,9 +79,17 @@ pub fn read_action(py: Python<'_>, action: i64, of: impl Fn() -> String) -> PyRe
 #[pymethods]
 impl PyTask {
     #[new]
-    fn new(py: Python<'_>, config: PathBuf, rules: Option<PathBuf>, overrides: Option<String>) -> PyResult<Self> {
+    #[pyo3(signature = (config, rules, overrides, files=None))]
+    fn new(
+        py: Python<'_>,
+        config: PathBuf,
+        rules: Option<PathBuf>,
+        overrides: Option<String>,
+        files: Option<Files>,
+    ) -> PyResult<Self> {
         let signals = Signals::new();
-        let Loaded { sources, city, .. } = Loaded::new(py, &signals, config, rules, None, overrides)?;
+        let (named, replaced, merged) = (config.clone(), rules.clone(), overrides.clone());
+        let Loaded { sources, city, files } = Loaded::new(py, &signals, named, replaced, files, merged)?;
         let rule_files = city.rule_files.clone();
         let (made, sources) = signals.on_thread(py, move || {
             let world = city.world().map(Arc::new);
@@ -82,6 +101,7 @@ impl PyTask {
             labels: constraints
                 .map(|constraint| PyString::new(py, task.label(constraint)).unbind())
                 .collect(),
+            arguments: (config, rules, overrides, Some(files)),
             sources: Mutex::new(sources),
             rule_files,
             recorded: Default::default(),
@@ -90,9 +110,32 @@ impl PyTask {
         })
     }
 
+    /// Pickles the arguments and the text of the files, so that unpickling reads no file.
+    fn __reduce__<'py>(slf: &Bound<'py, Self>) -> (Bound<'py, PyType>, Arguments) {
+        (slf.get_type(), slf.get().arguments.clone())
+    }
+
+    /// Returns the task itself, because it is immutable.
+    fn __deepcopy__<'py>(slf: &Bound<'py, Self>, _memo: &Bound<'py, PyAny>) -> Bound<'py, Self> {
+        slf.clone()
+    }
+
     /// Returns the shape of a kind of observation.
     fn shape(&self, observation: &str) -> PyResult<Vec<usize>> {
         Ok(view_named(observation)?.shape(&self.task))
+    }
+
+    /// Returns the largest number of steps of a drawn or recorded episode.
+    fn max_steps(&self, py: Python<'_>, split: &str, recorded: bool) -> PyResult<u32> {
+        let split = split_named(split)?;
+        if !recorded {
+            return Ok(self.task.config().horizon);
+        }
+        let episodes = self.recorded_episodes(py, split)?.iter();
+        Ok(episodes
+            .map(|episode| episode.horizon(self.task.config()))
+            .max()
+            .unwrap_or(0))
     }
 
     /// Replays the actions taken in an episode, and writes the trace to a file. `config` is the configuration file in
@@ -102,13 +145,12 @@ impl PyTask {
         py: Python<'_>,
         split: &str,
         episode: &Bound<'_, PyDict>,
-        actions: Vec<i64>,
+        actions: &[u8],
         path: PathBuf,
         config: &str,
     ) -> PyResult<()> {
         let split = split_named(split)?;
-        let actions = actions.into_iter().map(|action| read_action(py, action, String::new));
-        let actions: Vec<Action> = actions.collect::<PyResult<_>>()?;
+        let actions = read_actions(py, actions)?;
         let signals = Signals::new();
         let cancel = signals.cancel();
         let env = signals.detach(py, || {

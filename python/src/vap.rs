@@ -273,30 +273,30 @@ fn make_dataset(
     mode: &str,
     split: &str,
     agents: &str,
-    worlds: Option<u32>,
-    first_world: u32,
+    worlds: Option<u64>,
+    first_world: u64,
     seed: u64,
     images: bool,
     pack: Option<PathBuf>,
     pack_mode: &str,
-    difficulty: u8,
+    difficulty: u64,
     threads: usize,
     progress: Option<Py<PyAny>>,
 ) -> PyResult<()> {
     let mode = one_of("mode", mode, &Mode::ALL, Mode::name)?;
     let split = one_of("split", split, &Split::ALL, Split::name)?;
     let pack_mode = one_of("pack_mode", pack_mode, &PackMode::ALL, PackMode::name)?;
-    let count = worlds.unwrap_or(published_worlds(split));
-    if !(1..=WORLDS_MAX).contains(&count) {
-        let message = format!("worlds: expected 1 to {WORLDS_MAX}, not {count}");
-        return Err(PyValueError::new_err(message));
-    }
-    if first_world >= WORLDS_MAX {
-        let message = format!("first_world: expected 0 to {}, not {first_world}", WORLDS_MAX - 1);
-        return Err(PyValueError::new_err(message));
-    }
-    let wrong = || PyValueError::new_err(format!("difficulty: expected 0 to 100, not {difficulty}"));
-    let difficulty = Difficulty::percent(difficulty).ok_or_else(wrong)?;
+    let in_range = |name: &str, given: u64, low: u32, high: u32| {
+        let number = u32::try_from(given).ok().filter(|number| (low..=high).contains(number));
+        number.ok_or_else(|| PyValueError::new_err(format!("{name}: expected {low} to {high}, not {given}")))
+    };
+    let count = worlds
+        .map(|worlds| in_range("worlds", worlds, 1, WORLDS_MAX))
+        .transpose()?;
+    let count = count.unwrap_or(published_worlds(split));
+    let first_world = in_range("first_world", first_world, 0, WORLDS_MAX - 1)?;
+    let percent = u8::try_from(in_range("difficulty", difficulty, 0, 100)?).ok();
+    let difficulty = percent.and_then(Difficulty::percent).expect("in range");
     let request = DatasetRequest {
         mode,
         agents: one_of("agents", agents, &Agents::ALL, Agents::name)?,

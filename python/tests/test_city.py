@@ -8,6 +8,7 @@ import pickle
 import random
 import threading
 import time
+from collections.abc import Callable
 from contextlib import suppress
 from pathlib import Path
 from typing import Any
@@ -102,8 +103,11 @@ def test_invalid_files_and_options_raise(kind: Any, tmp_path: Path) -> None:
         kind(rules="nowhere.dl")
     with pytest.raises(ValueError, match=r'"auto", "dense", "relational", not "quick"'):
         kind(executor="quick")
-    with pytest.raises(OverflowError):
-        kind(seed=-1)
+    for seed in (-1, 2**64):
+        with pytest.raises(ValueError, match=rf"^seed: expected 0 to 2\*\*64 - 1, not {seed}$"):
+            kind(seed=seed)
+    with pytest.raises(TypeError, match="^seed: expected an integer, not float$"):
+        kind(seed=1.5)
     rules = tmp_path / "mine.dl"
     rules.write_text('.include "vocabulary.dl"\nStop(X) :- IsCarr(X).\n')
     with pytest.raises(InputError) as caught:
@@ -271,11 +275,32 @@ def test_the_command_line_reads_the_trace(tmp_path: Path) -> None:
 def test_simulation_rejects_invalid_use() -> None:
     with pytest.raises(ValueError, match='"train", "val", "test", not "tset"'):
         Simulation(split="tset")  # type: ignore[arg-type]
-    with pytest.raises(OverflowError):
+    with pytest.raises(ValueError, match="ticks: expected 0 to .*, not -1"):
         Simulation().run(-1)
-    for copied in (pickle.dumps, copy.copy, copy.deepcopy):
-        with pytest.raises(TypeError, match="make another with the same arguments"):
-            copied(Simulation("easy"))
+    for threads in (-1, 1025):
+        with pytest.raises(ValueError, match=f"threads: expected 0 to .*, not {threads}"):
+            Simulation(threads=threads)
+
+
+@pytest.mark.parametrize(
+    "again",
+    [copy.copy, copy.deepcopy, lambda city: pickle.loads(pickle.dumps(city))],
+    ids=["copy", "deepcopy", "pickle"],
+)
+def test_a_copied_simulation_continues_identically(again: Callable[[Simulation], Simulation], tmp_path: Path) -> None:
+    rules = tmp_path / "mine.dl"
+    rules.write_text('.include "medium.dl"\nFast(X) :- IsBus(X).\n')
+    city = Simulation("medium", rules, seed=4, count_firings=True)
+    rules.unlink()
+    for ticks in (0, 7, 30):
+        city.run(ticks)
+        city.tick({"Car_1": "Stop", "Car_2": 2})
+        twin = again(city)
+        assert (twin.now, repr(twin), twin.firings) == (city.now, repr(city), city.firings)
+        for _ in range(20):
+            one, other = city.tick({0: 3}), twin.tick({0: 3})
+            assert all(np.array_equal(getattr(one, key), getattr(other, key)) for key in one.__dataclass_fields__)
+        assert twin.explain("Car_1") == city.explain("Car_1")
 
 
 def test_ctrl_c_ends_a_run_and_keeps_its_trace(tmp_path: Path, ctrl_c: Interrupt) -> None:

@@ -19,6 +19,7 @@ from gymnasium.error import InvalidAction, ResetNeeded, UnsupportedMode
 from gymnasium.utils.env_checker import check_env, data_equivalence
 from gymnasium.utils.env_match import check_environments_match
 from gymnasium.vector import AutoresetMode, SyncVectorEnv
+from gymnasium.wrappers.vector import DictInfoToList, RecordEpisodeStatistics
 from numpy.typing import NDArray
 
 import logicity
@@ -308,7 +309,7 @@ def test_overrides_accept_numpy_values(tmp_path: Path) -> None:
     ],
 )
 def test_unknown_options_raise(make: Any, name: str, message: str) -> None:
-    with pytest.raises(TypeError, match=f"no option `{name}`; {message}"):
+    with pytest.raises(TypeError, match=f"got an unexpected keyword argument '{name}'; {message}"):
         make(**{name: 1})
 
 
@@ -319,17 +320,139 @@ def test_rules_must_be_a_path() -> None:
                 use(rules=text)
 
 
-@pytest.mark.parametrize("way", ["copy", "pickle"])
-def test_a_copy_continues_identically(way: str) -> None:
-    env = SPFEnv("hard", atoms=True)
-    untouched = copy.deepcopy(env)
+WAYS: dict[str, Callable[[Any], Any]] = {
+    "copy": copy.copy,
+    "deepcopy": copy.deepcopy,
+    "pickle": lambda it: pickle.loads(pickle.dumps(it)),
+}
+
+
+@pytest.mark.parametrize("way", WAYS)
+@pytest.mark.parametrize("episodes", ["drawn", "recorded"])
+def test_a_copy_continues_identically(way: str, episodes: Any) -> None:
+    env = SPFEnv("hard", atoms=True, episodes=episodes)
+    untouched = WAYS[way](env)
     with pytest.raises(ResetNeeded):
         untouched.step(0)
     env.reset(seed=5)
     play(env, 137, 2)
-    twin = copy.deepcopy(env) if way == "copy" else pickle.loads(pickle.dumps(env))
+    twin = WAYS[way](env)
+    assert twin.episode == env.episode
     assert data_equivalence(play(env, 200, 3), play(twin, 200, 3), exact=True)
     assert env.np_random.integers(1000) == twin.np_random.integers(1000)
+    # A copy after an invalid reset needs a reset, too.
+    with pytest.raises(ValueError):
+        env.reset(options={"episode": -1})
+    with pytest.raises(ResetNeeded):
+        WAYS[way](env).step(0)
+
+
+def test_a_pickled_environment_reads_no_rule_file(tmp_path: Path) -> None:
+    (tmp_path / "mine.dl").write_text('.include "vocabulary.dl"\nStop(X) :- IsCar(X).\n')
+    (tmp_path / "mine.yaml").write_text("base: configs/easy.yaml\nrules: mine.dl\n")
+    env = SPFEnv(tmp_path / "mine.yaml", overrides={"view": 30})
+    assert env.reset(seed=0)[1]["oracle_action"] == 3
+    data = pickle.dumps(env)
+    for file in tmp_path.iterdir():
+        file.unlink()
+    twin = pickle.loads(data)
+    assert data_equivalence(play(env, 20, 1)[0], play(twin, 20, 1)[0], exact=True)
+    assert twin.explain() == env.explain()
+
+
+@pytest.mark.parametrize("way", WAYS)
+@pytest.mark.parametrize("mode", AutoresetMode)
+def test_a_copied_vector_environment_continues_identically(way: str, mode: AutoresetMode) -> None:
+    envs = SPFVectorEnv(5, "easy", autoreset_mode=mode, atoms=True, num_threads=2)
+    with pytest.raises(ResetNeeded):
+        WAYS[way](envs).step(np.zeros(5, int))
+    generator = np.random.default_rng(0)
+
+    def proceed(of: SPFVectorEnv, actions: NDArray[np.int64], done: NDArray[np.bool_]) -> Any:
+        if mode is AutoresetMode.DISABLED and done.any():
+            of.reset(options={"reset_mask": done})
+        return of.step(actions)
+
+    envs.reset(seed=3)
+    done = np.zeros(5, np.bool_)
+    for _ in range(30):
+        results = proceed(envs, generator.integers(4, size=5), done)
+        done = results[2] | results[3]
+    twin = WAYS[way](envs)
+    ends = 0
+    for _ in range(150):
+        actions = generator.integers(4, size=5)
+        one, other = proceed(envs, actions, done), proceed(twin, actions, done)
+        assert data_equivalence(one, other, exact=True)
+        done = one[2] | one[3]
+        ends += int(done.sum())
+    assert ends > 10
+    one, other = envs.reset(), twin.reset()
+    assert data_equivalence(one, other, exact=True)
+
+
+def test_the_spec_has_the_horizon_of_the_environment(tmp_path: Path) -> None:
+    for id in IDS:
+        env = gymnasium.make(id)
+        horizon = 400 if "Easy" in id and "Transfer" not in id or "Medium" in id and "Transfer" not in id else 200
+        assert env.spec is not None and env.spec.max_episode_steps == horizon, id
+        # The environment truncates itself: gymnasium adds no `TimeLimit`.
+        assert "TimeLimit" not in str(env)
+        envs = gymnasium.make_vec(id, num_envs=2)
+        assert envs.spec is not None and envs.spec.max_episode_steps == horizon
+    env = gymnasium.make(IDS[0], overrides={"task": {"horizon": 7}})
+    assert env.spec is not None and env.spec.max_episode_steps == 7
+    again = gymnasium.make(env.spec)
+    assert again.spec == env.spec or again.spec is not None and again.spec.max_episode_steps == 7
+    # The longest of the recorded episodes of the test set takes the oracle 462 steps.
+    env = gymnasium.make(IDS[0], episodes="recorded", split="test")
+    assert env.spec is not None and env.spec.max_episode_steps == 924
+    lines = (Path(__file__).parents[2] / "configs" / "episodes" / "easy-test.jsonl").read_text().splitlines()[1:]
+    longest = max(range(100), key=lambda number: json.loads(lines[number])["oracle"]["steps"])
+    for made in (env, gymnasium.make(env.spec)):
+        made.reset(options={"episode": longest})
+        for step in range(1, 925):  # noqa: B007
+            *_, terminated, truncated, info = made.step(3)
+            assert not terminated or info["violations"]
+            if terminated or truncated:
+                break
+        assert terminated or step == 924
+
+
+def test_autoreset_modes_have_several_spellings() -> None:
+    spellings: dict[AutoresetMode, list[Any]] = {
+        AutoresetMode.SAME_STEP: ["SameStep", "SAME_STEP", "same_step", "AutoresetMode.SAME_STEP"],
+        AutoresetMode.NEXT_STEP: ["NextStep", "NEXT_STEP", "next_step"],
+        AutoresetMode.DISABLED: ["Disabled", "DISABLED", "disabled"],
+    }
+    for mode, names in spellings.items():
+        for name in (mode, *names):
+            envs = gymnasium.make_vec(IDS[0], num_envs=1, autoreset_mode=name)
+            assert isinstance(envs, SPFVectorEnv) and envs.autoreset_mode is mode
+            assert envs.metadata["autoreset_mode"] is mode
+    for wrong in ("Never", "same", "", 1, None):
+        with pytest.raises(ValueError, match='autoreset_mode must be one of "NextStep", "SameStep", "Disabled", not'):
+            SPFVectorEnv(1, autoreset_mode=wrong)  # type: ignore[arg-type]
+
+
+def test_wrappers_find_the_info_of_ended_episodes() -> None:
+    """In SameStep mode, the step's info is that of the next episode, and `final_info` that of the ended one."""
+    for vectorization in ("vector_entry_point", "sync"):
+        arguments: dict[str, Any] = {"autoreset_mode": AutoresetMode.SAME_STEP}
+        if vectorization == "sync":
+            arguments = {"vector_kwargs": arguments}
+        made = gymnasium.make_vec(IDS[0], num_envs=3, vectorization_mode=vectorization, **arguments)
+        envs = DictInfoToList(RecordEpisodeStatistics(made))
+        envs.reset(seed=0)
+        ended = 0
+        while ended < 5:
+            _, _, terminated, truncated, infos = envs.step(np.full(3, 2))
+            for at in np.flatnonzero(terminated | truncated):
+                final = infos[at]["final_info"]
+                assert infos[at]["progress"] == 0 and infos[at]["steps"] == 0 and infos[at]["episode"]["l"] >= 1
+                assert final["steps"] == infos[at]["episode"]["l"] and 0 < final["progress"] <= 1
+                assert final["violations"] or final["success"] or truncated[at]
+                ended += 1
 
 
 def test_invalid_use_raises_gymnasium_errors() -> None:
@@ -544,13 +667,10 @@ def test_invalid_use_of_a_vector_environment_raises() -> None:
         for method in (envs.episode, envs.explain):
             with pytest.raises(IndexError, match=f"no environment {at}: expected 0 to 2"):
                 method(at)
-    for copied in (copy.deepcopy, pickle.dumps):
-        with pytest.raises(TypeError, match="cannot be pickled"):
-            copied(envs)
-    wrong: list[dict[str, Any]] = [{"num_envs": 0}, {"num_threads": 0}, {"autoreset_mode": "Never"}]
-    for arguments in wrong:
-        with pytest.raises(ValueError):
-            SPFVectorEnv(**arguments)
+    for name, value in [("num_envs", 0), ("num_envs", -1), ("num_threads", 0), ("num_threads", 1025)]:
+        with pytest.raises(ValueError, match=f"{name}: expected 1 to .*, not {value}"):
+            wrong: dict[str, Any] = {name: value}
+            SPFVectorEnv(**wrong)
 
 
 def test_ctrl_c_ends_a_step_and_a_reset_recovers(tmp_path: Path, ctrl_c: Interrupt) -> None:

@@ -1,6 +1,8 @@
 from __future__ import annotations
 
+import copy
 import json
+import pickle
 import re
 import sys
 import time
@@ -132,8 +134,9 @@ def test_all_kinds_of_policies_give_equal_results() -> None:
 
 def test_results_have_a_short_repr() -> None:
     shown = repr(evaluate("oracle", "easy", "val"))
-    assert shown.startswith("<Evaluation of oracle in easy, val: TSR 1.00 [0.91, 1.00], DSR 1.00 [0.91, 1.00], Score ")
-    assert shown.endswith(", 40 episodes>") and len(shown) < 150
+    one = "1.00 [0.91, 1.00]"
+    assert shown.startswith(f"<Evaluation of oracle in easy, val: compliance {one}, TSR {one}, DSR {one}, Score ")
+    assert shown.endswith(", 40 episodes>") and len(shown) < 180
 
 
 def test_an_evaluation_equals_runs_of_single_environments() -> None:
@@ -153,6 +156,7 @@ def test_an_evaluation_equals_runs_of_single_environments() -> None:
     asked = [any(record.constrained.values()) for record in measured.episodes]
     kept = [ever and not record.violations for ever, record in zip(asked, measured.episodes, strict=True)]
     assert measured.dsr.value == np.mean(kept)
+    assert measured.compliance.value == pytest.approx(sum(kept) / sum(asked))
     assert measured.dsr_by_action["Stop"].value == pytest.approx(sum(kept) / sum(asked))
     random = evaluate("random", "hard", "val").episodes
     zero = [np.mean([run.total for run in random if run.episode == record.episode]) for record in measured.episodes]
@@ -204,6 +208,7 @@ def test_episodes_without_required_actions_lower_only_dsr(tmp_path: Path) -> Non
     oracle = evaluate("oracle", "easy", "val", rules=rules)
     asked = [any(record.constrained.values()) for record in oracle.episodes]
     assert oracle.dsr.value == np.mean(asked) and 0 < oracle.dsr.value < 1
+    assert oracle.compliance.value == 1.0 and oracle.tsr.value > oracle.dsr.value
     assert oracle.dsr_by_action["Stop"].value == 1.0
 
 
@@ -271,13 +276,23 @@ def test_the_command_prints_a_table_and_writes_results(tmp_path: Path, capsys: p
     assert main(arguments) == 0
     output = capsys.readouterr()
     rows = output.out.splitlines()
-    assert rows[0].split() == ["policy", "mode", "TSR", "DSR", "Score", "return", "steps"]
+    assert rows[0].split() == ["policy", "mode", "compliance", "TSR", "DSR", "Score", "return", "steps"]
     assert rows[1].split()[:4] == ["oracle", "easy", "1.00", "[0.91,"] and rows[2].split()[1] == "hard"
     assert output.err == "", "progress appears only on terminals"
     written = json.loads(file.read_text())
     direct: Evaluation = evaluate("oracle", "easy", "val")
     assert written[0] == json.loads(json.dumps(direct.to_dict()))
     assert [path.name for path in tmp_path.iterdir()] == ["out.json"]
+    # The compliance rate is the first measure.
+    assert list(written[0])[4:8] == ["compliance", "tsr", "dsr", "dsr_by_action"]
+
+
+def test_a_copied_benchmark_measures_the_same() -> None:
+    benchmark = Benchmark("easy", "val", overrides={"view": 30})
+    measured = benchmark.evaluate(varied)
+    for again in (copy.deepcopy(benchmark), pickle.loads(pickle.dumps(benchmark))):
+        assert again.evaluate(varied) == measured
+    assert pickle.loads(pickle.dumps(measured)) == measured
 
 
 def test_progress_is_shown_on_a_terminal(monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]) -> None:

@@ -2,9 +2,13 @@
 
 from __future__ import annotations
 
+import copy
+import pickle
 import subprocess
 import sys
+from collections.abc import Callable
 from pathlib import Path
+from typing import Any
 
 import pytest
 
@@ -143,3 +147,36 @@ city.tick({"Car_1": 1.5})  # type: ignore[dict-item]
     checked = [sys.executable, "-m", "mypy", "--strict", "--warn-unused-ignores", "use.py"]
     done = subprocess.run(checked, capture_output=True, text=True, cwd=tmp_path)
     assert done.returncode == 0, done.stdout + done.stderr
+
+
+def public_objects() -> list[Any]:
+    """Return an object of every public class."""
+    program = logicity.Program(".decl p(x: number)\n.input p\n.decl q(x: number)\n.output q\nq(x) :- p(x).\n")
+    session = logicity.Session(program)
+    session.insert("p", [(1,)])
+    change = session.commit()["q"]
+    city = logicity.Simulation("easy")
+    measured = logicity.evaluate("oracle", "easy", "val")
+    shown = logicity.demonstrations("easy", 1)
+    errors = [kind("text", []) for kind in (logicity.InputError, logicity.LimitError, logicity.UnsupportedError)]
+    relation = program.relations["p"]
+    return [
+        *[program, relation, relation.columns[0], session, change, change.added, session.explain("q(1)")],
+        *[city, city.tick(), city.agents[0], city.explain(0), logicity.Inference("easy")],
+        *[logicity.Benchmark("easy", "val"), measured, measured.episodes[0], measured.tsr, shown, shown[0], *errors],
+    ]
+
+
+def test_every_public_object_can_be_copied_or_says_why_not() -> None:
+    classes = {name for name in logicity.__all__ if isinstance(getattr(logicity, name), type)}
+    typed = {name for name in classes if issubclass(getattr(logicity, name), dict)}
+    objects = public_objects()
+    ways: list[Callable[[Any], Any]] = [copy.deepcopy, lambda it: pickle.loads(pickle.dumps(it))]
+    assert {type(one).__name__ for one in objects} == classes - typed
+    for one in objects:
+        for copied in ways:
+            if isinstance(one, (logicity.Session, logicity.Change, logicity.Rows)):
+                with pytest.raises(TypeError, match="cannot be pickled or copied, because .*: "):
+                    copied(one)
+            else:
+                assert type(copied(one)) is type(one)

@@ -355,15 +355,25 @@ def test_limits_name_the_clause_and_leave_the_session_as_it_was(limit: str) -> N
 
 
 def test_options_out_of_range() -> None:
-    for options in ({"threads": -1}, {"max_rows": -1}, {"max_steps": 2**64}):
-        with pytest.raises(OverflowError):
-            session(PATH, **options)
+    for name, value in [("threads", -1), ("threads", 1025), ("max_rows", -1), ("max_steps", 2**64), ("max_bytes", -5)]:
+        with pytest.raises(ValueError, match=f"{name}: expected 0 to .*, not {value}"):
+            session(PATH, **{name: value})
 
 
 def test_sessions_cannot_be_pickled() -> None:
     for copied in (pickle.dumps, copy.copy, copy.deepcopy):
-        with pytest.raises(TypeError, match="pickle its program"):
+        with pytest.raises(TypeError, match="because its rows .*: pickle its program"):
             copied(session(PATH))
+
+
+def test_rows_of_a_commit_cannot_be_pickled() -> None:
+    held = session(PATH)
+    held.insert("edge", [("a", "b")])
+    change = held.commit()["path"]
+    for copied in (pickle.dumps, copy.copy, copy.deepcopy):
+        with pytest.raises(TypeError, match=r"belong to their session: use `list\(rows\)`"):
+            copied(change.added)
+    assert pickle.loads(pickle.dumps(list(change.added))) == change.added
 
 
 @pytest.mark.parametrize("threads", [1, 2])

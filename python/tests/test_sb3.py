@@ -1,5 +1,8 @@
 from __future__ import annotations
 
+import copy
+import pickle
+
 import gymnasium
 import numpy as np
 import pytest
@@ -61,6 +64,22 @@ def test_dqn_trains() -> None:
     model = DQN("MlpPolicy", envs, learning_starts=100, seed=0)
     model.learn(400)
     assert model.ep_info_buffer
+
+
+@pytest.mark.parametrize("monitor", [False, True])
+def test_a_copy_continues_identically(monitor: bool) -> None:
+    envs = make_vec_env("easy", 3, seed=1, monitor=monitor)
+    envs.reset()
+    generator = np.random.default_rng(0)
+    for _ in range(20):
+        envs.step(generator.integers(4, size=3))
+    twins = [copy.deepcopy(envs), pickle.loads(pickle.dumps(envs))]
+    for _ in range(100):
+        actions = generator.integers(4, size=3)
+        expected = envs.step(actions)
+        for twin in twins:
+            for one, other in zip(expected[:3], twin.step(actions)[:3], strict=True):
+                assert np.array_equal(one, other)
 
 
 def test_other_autoreset_modes_raise() -> None:

@@ -1,6 +1,9 @@
 from __future__ import annotations
 
 import json
+import re
+import subprocess
+import sys
 from pathlib import Path
 from typing import Any
 
@@ -58,6 +61,7 @@ def test_every_mode_of_the_paper_has_a_configuration_for_every_algorithm() -> No
 @pytest.mark.parametrize("algorithm", list(ALGORITHMS))
 def test_a_short_run_leaves_all_files(algorithm: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     run = tmp_path / "run"
+    assert capsys.readouterr().err == ""
     result = train(short(algorithm), run)
     assert json.loads((run / "result.json").read_text()) == json.loads(json.dumps(result))
     steps = [point["steps"] for point in result["validations"]]
@@ -84,6 +88,121 @@ def test_built_in_configurations_need_no_repository(tmp_path: Path, monkeypatch:
         assert TrainConfig.load(f"configs/baselines/{file.name}") == TrainConfig.load(file)
     with pytest.raises(FileNotFoundError, match="baselines/none.yaml"):
         TrainConfig.load("configs/baselines/none.yaml")
+
+
+def test_messages_do_not_quote_pydantic(tmp_path: Path) -> None:
+    keys = {"algorithm", "mode", "observation", "network", "settings", "overrides", "steps", "envs", "seed"}
+    assert keys < set(TrainConfig.model_fields)
+    good = "algorithm: {}\nmode: easy\nnetwork: [8]\nsettings: {{}}\n"
+    texts = [(key, good.format("dqn").replace(f"{key}:", "seed: 0 #") + f"{key}: ") for key in keys]
+    for algorithm in ALGORITHMS:
+        for setting in training._settings_model(algorithm).model_fields:
+            texts.append((setting, good.format(algorithm).replace("{}", f"{{{setting}: ")))
+    values = ["word", "1.5", "-3", "true", "[1, [2], x]", "{a: 1}", "[]", "~"]
+    refused: dict[str, int] = {}
+    for key, text in texts:
+        for value in values:
+            (tmp_path / "config.yaml").write_text(text + value + ("}" if text.endswith(f"{{{key}: ") else ""))
+            try:
+                TrainConfig.load(tmp_path / "config.yaml")
+            except InputError as error:
+                refused[key] = refused.get(key, 0) + 1
+                for words in ("Input", "should", "valid (", "pydantic", "dictionary", "string", "tuple"):
+                    assert words not in "".join(fault["message"] for fault in error.diagnostics), error
+                assert all(fault["labels"] for fault in error.diagnostics)
+    assert refused.keys() == {key for key, _ in texts} and min(refused.values()) >= 2
+
+
+def test_progress_is_logged_without_a_terminal(tmp_path: Path) -> None:
+    (tmp_path / "config.json").write_text(json.dumps(short("dqn").model_dump()))
+    command = [sys.executable, "-m", "logicity", "train", str(tmp_path / "config.json"), "--run", str(tmp_path / "run")]
+    done = subprocess.run(command, capture_output=True, text=True, check=True)
+    lines = done.stderr.splitlines()
+    assert lines[0] == f"dqn in easy, started: 512 steps; folder {tmp_path / 'run'}"
+    validations = [line for line in lines if line.startswith("validation after ")]
+    assert [line.split()[2] for line in validations] == ["200", "400", "512"]
+    assert all(re.search(r"steps: compliance \d\.\d\d \[.*TSR .*DSR .*Score ", line) for line in validations)
+    assert done.stdout.splitlines()[0].startswith("512 steps in ")
+    assert done.stdout.splitlines()[1].startswith("compliance on test episodes: ")
+
+
+def test_the_first_line_is_logged_before_a_kill(tmp_path: Path) -> None:
+    config = short("dqn").model_copy(update={"steps": 10**6, "validate_every": 10**6})
+    (tmp_path / "config.json").write_text(json.dumps(config.model_dump()))
+    command = [sys.executable, "-m", "logicity", "train", str(tmp_path / "config.json"), "--run", str(tmp_path / "run")]
+    with subprocess.Popen(command, stderr=subprocess.PIPE, stdout=subprocess.DEVNULL, text=True) as run:
+        assert run.stderr is not None
+        try:
+            assert run.stderr.readline().startswith("dqn in easy, started: 1,000,000 steps")
+        finally:
+            run.kill()
+
+
+def test_progress_lines_have_speed_and_remaining_time(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    monkeypatch.setattr(training.ProgressLines, "SECONDS", 0.0)
+    train(short("ppo"), tmp_path, progress=True, tensorboard=False)
+    lines = [line for line in capsys.readouterr().err.splitlines() if " steps/s, " in line]
+    assert len(lines) == 256
+    assert re.fullmatch(r"2 of 512 steps \(0%\), [\d,]+ steps/s, \d+\.\d min left", lines[0])
+    assert re.fullmatch(r"512 of 512 steps \(100%\), [\d,]+ steps/s, 0\.0 min left", lines[-1])
+
+
+def test_the_steps_of_a_finished_run_can_be_raised(tmp_path: Path) -> None:
+    config = short("dqn")
+    first = train(config, tmp_path, tensorboard=False)
+    assert first["steps"] == 512
+    longer = config.model_copy(update={"steps": 900})
+    second = train(longer, tmp_path, tensorboard=False)
+    # DQN steps in rounds of `train_freq` steps of each environment.
+    assert second["steps"] == 904 and second["config"]["steps"] == 900
+    assert second["validations"][:3] == first["validations"]
+    assert [point["steps"] for point in second["validations"][3:]] == [600, 800, 904]
+    assert json.loads((tmp_path / "config.json").read_text())["steps"] == 900
+    with pytest.raises(ValueError, match="has a run of 904 steps: `steps` can be raised, not lowered to 512"):
+        train(config, tmp_path, tensorboard=False)
+    with pytest.raises(ValueError, match="another configuration \\(`seed` differ\\)"):
+        train(longer.model_copy(update={"seed": 5}), tmp_path, tensorboard=False)
+
+
+def test_a_mode_can_be_a_configuration_file(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    folder = tmp_path / "configs"
+    folder.mkdir()
+    (folder / "far.yaml").write_text("base: configs/easy.yaml\nview: 30\ntask: {reward: {overtime: -6}}\n")
+    (tmp_path / "base.yaml").write_text("mode: configs/far.yaml\nobservation: state\nnetwork: [16, 8]\n")
+    (folder / "train.yaml").write_text(
+        "base: ../base.yaml\nalgorithm: ppo\nsteps: 256\nenvs: 2\nvalidate_every: 200\n"
+        "settings: {n_steps: 64, batch_size: 32}\n"
+    )
+    config = TrainConfig.load(folder / "train.yaml")
+    assert config.mode == str(folder / "far.yaml") and config.observation == "state"
+    (tmp_path / "built-in.yaml").write_text("base: configs/train.yaml\nmode: configs/hard.yaml\n")
+    assert TrainConfig.load(tmp_path / "built-in.yaml").mode == "configs/hard.yaml"
+    run = tmp_path / "run"
+    result = train(config, run, tensorboard=False)
+    model = load_model(run / "best.zip")
+    assert model.observation_space.shape == (20, 15)
+    measured = evaluate(model, folder / "far.yaml", observation="state")
+    assert measured.score.value == result["test"]["score"]["value"]
+    # The command knows the kind of observation from the model.
+    assert main(["evaluate", "--policy", str(run / "best.zip"), "--modes", config.mode, "--split", "val"]) == 0
+    assert capsys.readouterr().out.splitlines()[1].split()[1] == config.mode
+    for name in ("train", "val", "test"):
+        wrong = folder / f"no-{name}.yaml"
+        wrong.write_text(f"base: configs/easy.yaml\ntask: {{episodes: {{{name}: ~}}}}\n")
+        if name != "train":
+            # Missing episodes are reported before training starts.
+            with pytest.raises(InputError, match="logicity episodes make"):
+                train(config.model_copy(update={"mode": str(wrong)}), tmp_path / name)
+            assert not (tmp_path / name).exists()
+
+
+def test_overrides_must_not_change_observations(tmp_path: Path) -> None:
+    config = short("dqn").model_copy(update={"overrides": {"task": {"route_length": True}}})
+    with pytest.raises(ValueError, match=r"shape of observations from \(85,\) to \(86,\).*name it under `mode`"):
+        train(config, tmp_path / "run")
+    assert not (tmp_path / "run").exists()
 
 
 class Killed(Exception):
@@ -161,19 +280,28 @@ def test_the_network_has_the_layers_of_the_configuration(tmp_path: Path) -> None
 @pytest.mark.parametrize(
     ("text", "message"),
     [
+        (
+            "algorithm: dqn\nmode: easy\nnetwork: [8]\nobservation: pixels\nsettings: {}",
+            "`groundings` or `state`, not `pixels`",
+        ),
+        ("algorithm: dqn\nmode: none.yaml\nnetwork: [8]\nsettings: {}", r"cannot read `.*none\.yaml`: no such file"),
+        ("algorithm: [dqn]\nmode: easy\nnetwork: [8]\nsettings: {}", "`algorithm` must be text"),
         ("algorithm: sarsa\nmode: easy\nnetwork: [8]\nsettings: {}", "unknown algorithm `sarsa`"),
         ("algorithm: dqn\nmode: simple\nnetwork: [8]\nsettings: {}", "unknown mode `simple`"),
-        ("algorithm: dqn\nmode: easy\nnetwork: []\nsettings: {}", "`network`"),
-        ("algorithm: dqn\nmode: easy\nnetwork: 8\nsettings: {}", "`network`"),
-        ("algorithm: dqn\nmode: easy\nnetwork: [8]\nsettings: {}\nsteps: many", "`steps`"),
-        ("algorithm: dqn\nmode: easy\nnetwork: [8]\nsettings: {}\nseed: -1", "`seed`"),
-        ("algorithm: dqn\nmode: easy\nnetwork: [8]\nsettings: 3", "`settings`"),
+        ("algorithm: dqn\nmode: easy\nnetwork: []\nsettings: {}", "`network` must be a list of 1 or more values"),
+        ("algorithm: dqn\nmode: easy\nnetwork: 8\nsettings: {}", "`network` must be a list, not `8`"),
+        (
+            "algorithm: dqn\nmode: easy\nnetwork: [8]\nsettings: {}\nsteps: many",
+            "`steps` must be an integer, not `many`",
+        ),
+        ("algorithm: dqn\nmode: easy\nnetwork: [8]\nsettings: {}\nseed: -1", "`seed` must be at least 0, not `-1`"),
+        ("algorithm: dqn\nmode: easy\nnetwork: [8]\nsettings: 3", "`settings` must be a mapping, not `3`"),
         ("algorithm: dqn\nmode: easy\nnetwork: [8]\nsettings: {}\nepochs: 3", "unknown key `epochs`"),
         (GIVEN + "{gama: 0.9}", "DQN has no setting `gama`[^?]*did you mean `gamma`"),
-        (GIVEN + "{gamma: x}", "`settings.gamma` must be a valid number, not `x`"),
-        (GIVEN + "{gamma: .nan}", "`settings.gamma` must be a valid number, not `.nan`"),
-        (GIVEN + "{batch_size: 1.5}", "`settings.batch_size` must be a valid integer.*, not `1.5`"),
-        (GIVEN + "{learning_rate: true}", "`settings.learning_rate` must be a valid number, not `true`"),
+        (GIVEN + "{gamma: x}", "`settings.gamma` must be a number, not `x`"),
+        (GIVEN + "{gamma: .nan}", "`settings.gamma` must be a number, not `.nan`"),
+        (GIVEN + "{batch_size: 1.5}", "`settings.batch_size` must be an integer, not `1.5`"),
+        (GIVEN + "{learning_rate: true}", "`settings.learning_rate` must be a number, not `true`"),
         (GIVEN + "{seed: 3}", "DQN has no setting `seed`"),
         ("algorithm: dqn", "the key `mode` is missing"),
         ("- dqn", "must be a mapping"),
@@ -213,8 +341,8 @@ def test_every_error_is_reported_with_its_location(tmp_path: Path) -> None:
         # A seed from the command line has no location in a file.
         ("invalid-value", "config.yaml", 1, 1),
     }
-    assert "unknown mode `hart`; did you mean `hard`?" in str(caught.value)
-    assert "`network.1` must be greater than or equal to 1, not `0`" in str(caught.value)
+    assert "unknown mode `hart`, and no file has this name; did you mean `hard`?" in str(caught.value)
+    assert "`network.1` must be at least 1, not `0`" in str(caught.value)
     (tmp_path / "config.yaml").write_text("algorithm: dqn\nalgorithm: ppo\n")
     with pytest.raises(InputError, match="duplicate-key"):
         TrainConfig.load(tmp_path / "config.yaml")

@@ -305,6 +305,8 @@ def test_the_seed_determines_the_order(drawn: VapDataset) -> None:
         shards = [order(seed=3, shuffle=shuffle, shard=(part, 4)) for part in range(4)]
         assert sorted(sum(shards, [])) == plain and {len(shard) for shard in shards} == {66, 67}
         assert [shards[place % 4][place // 4] for place in range(len(plain))] == order(seed=3, shuffle=shuffle)
+    with pytest.raises(ValueError, match="seed: expected 0 to .*, not -1"):
+        drawn.iterate(seed=-1)
     for shard in [(0, 0), (1, 1), (-1, 2)]:
         with pytest.raises(ValueError, match="with 0 <= i < n"):
             drawn.iterate(shard=shard)

@@ -248,8 +248,8 @@ impl Show {
         writeln!(out)?;
         writeln!(
             out,
-            "{:8} {:>18} {:>18} {:>22} {:>7} {:>6}",
-            "policy", "TSR", "DSR", "Score", "return", "steps"
+            "{:8} {:>18} {:>18} {:>18} {:>22} {:>7} {:>6}",
+            "policy", "compliance", "TSR", "DSR", "Score", "return", "steps"
         )?;
         for (name, summary) in [("oracle", &wanted), ("random", &drawn)] {
             let rate = |rate: crate::task::spf::Rate| format!("{:.2} [{:.2}, {:.2}]", rate.value, rate.low, rate.high);
@@ -257,10 +257,10 @@ impl Show {
                 format!("{:.2} [{:.2}, {:.2}]", score.value, score.low, score.high)
             });
             let (total, steps) = (summary.mean_return.value, summary.mean_steps);
-            let (tsr, dsr) = (rate(summary.tsr), rate(summary.dsr));
+            let (compliance, tsr, dsr) = (rate(summary.compliance), rate(summary.tsr), rate(summary.dsr));
             writeln!(
                 out,
-                "{name:8} {tsr:>18} {dsr:>18} {score:>22} {total:>7.2} {steps:>6.1}"
+                "{name:8} {compliance:>18} {tsr:>18} {dsr:>18} {score:>22} {total:>7.2} {steps:>6.1}"
             )?;
         }
         writeln!(out, "{} {} {}", set.config, set.split.name(), set.hash())?;

@@ -9,8 +9,8 @@ use logicity::diag::{Code, Diagnostic, Sources};
 use logicity::rng::{Purpose, RngExt, Seed};
 use logicity::sim::{Chance, Entity, Facts, Observer, Settings, Simulation, ground};
 use logicity::task::spf::{
-    Baseline, BatchEvaluator, ControlMode, Env, EpisodeSet, Policy, RANDOM_RUNS, Rollout, Score, SpfTask, describe,
-    rollout,
+    Baseline, BatchEvaluator, ControlMode, Env, EpisodeSet, Policy, RANDOM_RUNS, Rate, Rollout, Score, SpfTask,
+    describe, rollout, summarize,
 };
 use proptest::prelude::*;
 use std::collections::BTreeSet;
@@ -593,6 +593,30 @@ fn the_random_policy_scores_zero() {
         "each run has its own draws"
     );
     assert_eq!(drive().rollouts(), baseline.rollouts());
+}
+
+/// The rule compliance rate leaves out the runs without a constrained step; the decision success rate counts them.
+#[test]
+#[allow(clippy::cast_precision_loss)]
+fn compliance_counts_only_runs_with_a_constrained_step() {
+    let task = task("easy", None);
+    let run = |stops: u32, broken: &[usize]| Rollout {
+        constrained: [0, 0, 0, stops],
+        broken: broken.to_vec(),
+        success: broken.is_empty(),
+        ..Rollout::default()
+    };
+    let rollouts = [run(2, &[]), run(1, &[0]), run(0, &[]), run(0, &[]), run(7, &[])];
+    let summary = summarize(&task, &rollouts, None);
+    let rate = |hits: usize, runs: usize| Rate::of((0..runs).map(|run| [usize::from(run < hits), 1]));
+    assert_eq!(summary.tsr, rate(4, 5));
+    assert_eq!(summary.dsr, rate(2, 5));
+    assert_eq!(summary.compliance, rate(2, 3));
+    let nothing = summarize(&task, &rollouts[2..4], None);
+    assert_eq!(
+        (nothing.tsr.value, nothing.dsr.value, nothing.compliance.runs),
+        (1.0, 0.0, 0)
+    );
 }
 
 /// The result of a step, for comparison.

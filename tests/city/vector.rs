@@ -5,7 +5,9 @@ use logicity::cancel::Cancel;
 use logicity::city::{Action, Split};
 use logicity::diag::Code;
 use logicity::rng::{Purpose, RngExt, Seed};
-use logicity::task::spf::{Autoreset, Begin, ControlMode, Env, EpisodeSource, Info, ObservationKind, VectorEnv};
+use logicity::task::spf::{
+    Autoreset, Begin, ControlMode, Env, EpisodeSource, Info, ObservationKind, SubEnv, VectorEnv,
+};
 use std::sync::Arc;
 use std::sync::atomic::{AtomicI64, Ordering};
 
@@ -135,6 +137,63 @@ fn slow_a_batch_equals_individual_environments() {
         2,
         10_000,
     );
+}
+
+/// A batch that replays the actions of another continues identically, in every autoreset mode.
+#[test]
+fn a_replayed_batch_continues_identically() {
+    const COUNT: usize = 12;
+    let (task, view) = (task("expert", None), ObservationKind::State);
+    let width: usize = view.shape(&task).iter().product();
+    for autoreset in [Autoreset::NextStep, Autoreset::SameStep, Autoreset::Disabled] {
+        let make = |seeds: u64| {
+            let sources = (0..COUNT as u64).map(|sub_env| EpisodeSource::new(seeds + sub_env, None));
+            VectorEnv::new(&task, Split::Train, sources, autoreset, view, 1).unwrap()
+        };
+        let (mut first, mut shown) = (make(7), vec![0.0; COUNT * width]);
+        // The last environment has no episode yet.
+        let mut begin = vec![Some(Begin::Next); COUNT];
+        begin[COUNT - 1] = None;
+        first.reset(&begin, &mut shown).unwrap();
+        let mut random = Seed(5).stream(Purpose::POLICY, 0, 0);
+        let mut actions = || -> Vec<Action> { (0..COUNT).map(|_| Action::ALL[random.random_range(0..4)]).collect() };
+        let proceed = |batch: &mut VectorEnv, actions: &[Action], shown: &mut [f32]| {
+            let ready = |sub_env: &SubEnv| sub_env.is_ready(autoreset);
+            let begin: Vec<_> = batch
+                .sub_envs()
+                .iter()
+                .map(|each| (!ready(each)).then_some(Begin::Next))
+                .collect();
+            batch.reset(&begin, shown).unwrap();
+            batch.step(actions, shown).unwrap();
+        };
+        for steps in [0, 1, 40] {
+            for _ in 0..steps {
+                proceed(&mut first, &actions(), &mut shown);
+            }
+            let mut twin = make(0);
+            let mut episodes = Vec::new();
+            for (position, sub_env) in first.sub_envs().iter().enumerate() {
+                twin.set_source(position, sub_env.source().clone());
+                let taken = sub_env.env().taken().flatten().copied().collect();
+                let begun = sub_env.is_ready(Autoreset::NextStep);
+                episodes.push(begun.then(|| (Arc::new(sub_env.env().episode().clone()), taken)));
+            }
+            let mut seen = vec![0.0; COUNT * width];
+            twin.replay(&episodes, &mut seen).unwrap();
+            assert_eq!(seen, shown, "{autoreset:?} after {steps}");
+            for _ in 0..60 {
+                let actions = actions();
+                proceed(&mut first, &actions, &mut shown);
+                proceed(&mut twin, &actions, &mut seen);
+                assert_eq!(seen, shown, "{autoreset:?} after {steps}");
+                for (one, other) in first.sub_envs().iter().zip(twin.sub_envs()) {
+                    assert_eq!((one.outcome(), one.info()), (other.outcome(), other.info()));
+                    assert_eq!(one.ended(), other.ended());
+                }
+            }
+        }
+    }
 }
 
 #[test]

@@ -17,6 +17,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from .. import _logicity
+from ..errors import checked_integer
 from ..types import Split
 
 __all__ = ["BINARY", "PICTURE_SIDE", "UNARY", "VapDataset", "VapSample"]
@@ -221,12 +222,13 @@ class VapDataset(Sequence[VapSample]):
                 n - 1 partition the samples.
 
         Raises:
-            ValueError: If the shard index is not from 0 to n - 1.
+            ValueError: If the seed is negative, or the shard index is not from 0 to n - 1.
         """
         part, parts = shard
         if not 0 <= part < parts:
             raise ValueError(f"`shard` must be a pair (i, n) with 0 <= i < n, not ({part}, {parts})")
-        order = np.random.default_rng(seed).permutation(len(self)) if shuffle else np.arange(len(self))
+        random = np.random.default_rng(checked_integer("seed", seed))
+        order = random.permutation(len(self)) if shuffle else np.arange(len(self))
         return (self[position] for position in order[part::parts])
 
     def _locate(self, index: SupportsIndex) -> tuple[_Tables, int, int]:

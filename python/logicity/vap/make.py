@@ -8,6 +8,7 @@ from dataclasses import dataclass
 from typing import Literal
 
 from .. import _logicity
+from ..errors import checked_integer
 from ..types import Action, Split
 from .data import VapDataset
 
@@ -84,7 +85,6 @@ def make_dataset(
         InputError: If the folder has worlds with other settings, rules or pictures.
         KeyboardInterrupt: On Ctrl-C.
         OSError: If a file cannot be read or written.
-        OverflowError: If a number is negative, or does not fit its integer type.
         ValueError: If a name is unknown, a number is out of range, or an icon is invalid.
 
     Example:
@@ -97,14 +97,14 @@ def make_dataset(
         mode,
         split,
         agents,
-        worlds,
-        first_world,
-        seed,
+        None if worlds is None else checked_integer("worlds", worlds),
+        checked_integer("first_world", first_world),
+        checked_integer("seed", seed),
         images,
         pack,
         pack_mode,
-        difficulty,
-        threads,
+        checked_integer("difficulty", difficulty),
+        checked_integer("threads", threads),
         progress,
     )
     return VapDataset(folder, images)
@@ -130,7 +130,6 @@ def check_dataset(
         InputError: If the data set has errors. `diagnostics` lists all of them.
         KeyboardInterrupt: On Ctrl-C.
         OSError: If the folder or its manifest cannot be read.
-        OverflowError: If the number of threads is negative.
-        ValueError: If there are too many threads.
+        ValueError: If the number of threads is negative, or there are too many.
     """
-    return VapCounts(**_logicity.check_dataset(folder, threads, progress))
+    return VapCounts(**_logicity.check_dataset(folder, checked_integer("threads", threads), progress))

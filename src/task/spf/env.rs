@@ -33,6 +33,8 @@ pub struct Env {
     horizon: u32,
     steps: u32,
     controls: Vec<(usize, Action)>,
+    /// The actions of all controlled cars in each step of the episode.
+    taken: Vec<Action>,
     episode: Episode,
     /// The agents of the previous episode; the next one reuses their memory.
     spare: Vec<Agent>,
@@ -156,6 +158,7 @@ impl Env {
             horizon: task.config().horizon,
             steps: 0,
             controls: Vec::with_capacity(controlled_cars.len()),
+            taken: Vec::new(),
             episode: Episode::of(0, city.agents()),
             spare: Vec::new(),
             control,
@@ -200,6 +203,12 @@ impl Env {
         &self.episode
     }
 
+    /// Returns the actions of each step so far, one per controlled car. [`Env::episode`] and these actions determine
+    /// the state.
+    pub fn taken(&self) -> std::slice::ChunksExact<'_, Action> {
+        self.taken.chunks_exact(self.controlled_cars.len())
+    }
+
     /// Begins a random episode: draws starts and goals for all agents, and priority and concepts for the first car if
     /// the configuration says so.
     ///
@@ -227,18 +236,18 @@ impl Env {
         self.begin(seed)
     }
 
-    /// Begins a given episode. Its horizon is `patience` times the oracle's steps; without these, or if every car is
-    /// controlled, it is the configured horizon, because the oracle's steps are those of the first car.
+    /// Begins a given episode. Its horizon is [`Episode::horizon`]; if every car is controlled, it is the configured
+    /// horizon, because the oracle's steps are those of the first car.
     ///
     /// # Errors
     /// `invalid-episode` if its agents differ from those of the split, have concepts without a predicate for their
     /// type, or have no route; `limit-exceeded`.
     pub fn reset_to(&mut self, episode: &Episode) -> Result<(), Diagnostic> {
         self.spare = episode.place(self.task.world(), self.city.agents())?;
-        let config = self.task.config();
-        let oracle = episode.oracle.as_ref().filter(|_| self.control == ControlMode::First);
-        let horizon = oracle.map(|oracle| oracle.steps.saturating_mul(config.patience));
-        self.horizon = horizon.unwrap_or(config.horizon).max(1);
+        self.horizon = match self.control {
+            ControlMode::First => episode.horizon(self.task.config()),
+            ControlMode::Cars => self.task.config().horizon.max(1),
+        };
         self.begin(episode.seed)?;
         self.episode.oracle.clone_from(&episode.oracle);
         Ok(())
@@ -258,6 +267,7 @@ impl Env {
         }
         self.city.restart(Seed(seed), &mut self.spare);
         self.steps = 0;
+        self.taken.clear();
         for controlled_car in &mut self.controlled_cars {
             controlled_car.cells = self.city.agents()[controlled_car.agent()].route().steps() + 1;
             controlled_car.running = true;
@@ -309,6 +319,7 @@ impl Env {
         }
         self.city.tick(&self.controls)?;
         self.steps += 1;
+        self.taken.extend_from_slice(actions);
         for controlled_car in self
             .controlled_cars
             .iter_mut()

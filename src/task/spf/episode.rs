@@ -8,7 +8,7 @@
 
 use crate::city::{Action, AgentConfig, AgentKind, AgentName, Split};
 use crate::city::{Agent, Cell};
-use crate::config::PredicateConfig;
+use crate::config::{PredicateConfig, SpfConfig};
 use crate::diag::{Code, Diagnostic, SourceId, Sources, Span, did_you_mean, json_error};
 use crate::files::ReadFile;
 use crate::sim::World;
@@ -71,6 +71,16 @@ pub struct OracleRun {
     /// Number of steps in which the rules derived each action, in the order of
     /// [`Action::ALL`](crate::city::Action::ALL).
     pub constrained: [u32; 4],
+}
+
+impl Episode {
+    /// Returns the maximum number of steps when the first car is controlled: `patience` times the oracle's steps, or
+    /// the configured horizon if these are unknown.
+    pub fn horizon(&self, config: &SpfConfig) -> u32 {
+        let oracle = self.oracle.as_ref();
+        let horizon = oracle.map(|oracle| oracle.steps.saturating_mul(config.patience));
+        horizon.unwrap_or(config.horizon).max(1)
+    }
 }
 
 impl EpisodeAgent {

@@ -112,7 +112,10 @@ pub struct ActionRate {
 pub struct Summary {
     /// Trajectory success rate: the proportion of runs that reach the goal in time without a violation.
     pub tsr: Rate,
-    /// Decision success rate: the proportion of runs that have a constrained step and no violation.
+    /// Rule compliance rate: of the runs that have a constrained step, the proportion without a violation.
+    pub compliance: Rate,
+    /// Decision success rate: the proportion of runs that have a constrained step and no violation. Unlike
+    /// `compliance`, it counts runs without a constrained step as failures.
     pub dsr: Rate,
     /// Decision success rate by action.
     pub dsr_by_action: Vec<ActionRate>,
@@ -171,6 +174,7 @@ pub(super) fn summarise_runs(task: &SpfTask, rollouts: &[Rollout], runs: usize, 
     let constrained = |rollout: &Rollout| rollout.constrained.iter().any(|steps| *steps > 0);
     Summary {
         tsr: rate(&|rollout| Some(rollout.success)),
+        compliance: rate(&|rollout| constrained(rollout).then_some(rollout.broken.is_empty())),
         dsr: rate(&|rollout| Some(rollout.broken.is_empty() && constrained(rollout))),
         dsr_by_action: Action::ALL
             .into_iter()

@@ -421,6 +421,36 @@ impl VectorEnv {
         })
     }
 
+    /// Restores the states of environments from the starts of their episodes and the actions taken in them, as
+    /// [`Env::episode`] and [`Env::taken`] return them. `None` leaves an environment unchanged. Writes one row of
+    /// `observations` for each restored environment.
+    ///
+    /// # Errors
+    /// As [`VectorEnv::reset`] and [`VectorEnv::step`].
+    ///
+    /// # Panics
+    /// If the length of `episodes` differs from the number of environments, or actions follow the end of an episode.
+    pub fn replay(
+        &mut self,
+        episodes: &[Option<(Arc<Episode>, Vec<Action>)>],
+        observations: &mut [f32],
+    ) -> Result<(), Diagnostic> {
+        let view = self.view;
+        self.each(episodes, observations, |sub_env, episode, row, cancelled| {
+            let Some((start, taken)) = episode else { return Ok(()) };
+            if cancelled {
+                return sub_env.cancel();
+            }
+            sub_env.begin(&Begin::Given(Arc::clone(start)))?;
+            for &action in taken {
+                assert!(sub_env.is_ready(Autoreset::Disabled), "the episode has ended");
+                sub_env.step(action, Autoreset::Disabled, view)?;
+            }
+            view.write(&sub_env.env, 0, row);
+            Ok(())
+        })
+    }
+
     /// Takes a step in every environment and writes one row of `observations` for each.
     ///
     /// # Errors
