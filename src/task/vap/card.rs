@@ -137,10 +137,10 @@ fn concepts(manifest: &Manifest) -> String {
 }
 
 fn atoms(manifest: &Manifest) -> String {
-    let mut text =
-        "## Facts\n\nTrue atoms of all frames. An atom about two agents counts if the first sees the second.\n\n\
+    let mut text = "## Facts\n\nTrue atoms of all frames. An atom about two agents counts if both\n\
+         stand in the view of one agent, which may be one of the two.\n\n\
          | predicate | true |\n|---|---|\n"
-            .to_owned();
+        .to_owned();
     for (predicate, count) in &manifest.atoms {
         writeln!(text, "| `{predicate}` | {count} |").expect("memory");
     }
