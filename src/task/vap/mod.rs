@@ -322,6 +322,11 @@ impl Worlds {
         self.placement.boxes(&frame.sprites())
     }
 
+    /// Returns the visible fraction of each agent of a frame, as [`Placement::visible`].
+    pub fn visible(&self, frame: &Frame) -> Vec<Option<f32>> {
+        self.placement.visible(&frame.sprites())
+    }
+
     /// Returns the shared world with drawn agents.
     fn with_drawn_agents(&self, seed: Seed) -> Result<Arc<World>, Diagnostic> {
         let mut scenario = self.world.scenario.clone();
