@@ -118,7 +118,7 @@ fn planner(config: &str) -> (AgentSet, Router, Places) {
     let World { router, scenario, .. } = city.world().expect("the rules fit");
     let set = scenario.agent_set(Split::Test).expect("a test set").clone();
     let cells = |given: &Option<Located<u32>>| given.as_ref().map(|given| given.value);
-    let places = Places::new(&router, cells(&set.region), cells(&set.trip));
+    let places = Places::new(&router, scenario.trip_ends, cells(&set.region), cells(&set.trip));
     (set, router, places)
 }
 

@@ -230,6 +230,7 @@ def read_world(
     list[str],
     list[npt.NDArray[np.int64]],
     npt.NDArray[np.float32],
+    npt.NDArray[np.float32],
     npt.NDArray[np.bool_],
     npt.NDArray[np.bool_],
     npt.NDArray[np.bool_],

@@ -11,7 +11,7 @@ use logicity::render::{
     Difficulty, Icons, Mode as PackMode, PACK_FILE_MAX, PACK_FILES_MAX, Pack, PackFault, PixelBox, read_png_into,
 };
 use logicity::sim::LoadedCity;
-use logicity::task::vap::table::{Table, boxes, sample_rows};
+use logicity::task::vap::table::{Table, boxes, sample_rows, visible};
 use logicity::task::vap::{
     Agents, Dataset, DatasetError, DatasetRequest, DatasetWriter, Mode, SIDE, WORLDS_MAX, published_worlds,
 };
@@ -83,6 +83,8 @@ struct WorldTables {
     /// The priorities, headings and labels, with -1 for an absent heading or label.
     numbers: [Vec<i64>; 3],
     boxes: Array2<f32>,
+    /// The visible fractions, with NaN outside the picture.
+    visible: Vec<f32>,
     unary: Array2<bool>,
     binary: Array2<bool>,
     sees: Vec<bool>,
@@ -143,6 +145,9 @@ impl WorldTables {
                 labels,
             ],
             boxes: sides,
+            visible: (visible(&entities)?.into_iter())
+                .map(|fraction| fraction.unwrap_or(f32::NAN))
+                .collect(),
             unary: truths(&entities, unary)?,
             binary: truths(&pairs, binary)?,
             sees: pairs.bools("Sees")?.to_vec(),
@@ -158,6 +163,7 @@ type WorldArrays<'py> = (
     Vec<Bound<'py, PyString>>,
     Vec<Bound<'py, PyArray1<i64>>>,
     Bound<'py, PyArray2<f32>>,
+    Bound<'py, PyArray1<f32>>,
     Bound<'py, PyArray2<bool>>,
     Bound<'py, PyArray2<bool>>,
     Bound<'py, PyArray1<bool>>,
@@ -188,6 +194,7 @@ fn read_world(
         shared_texts(py, &world.concepts),
         world.numbers.map(|numbers| numbers.into_pyarray(py)).into(),
         world.boxes.into_pyarray(py),
+        world.visible.into_pyarray(py),
         world.unary.into_pyarray(py),
         world.binary.into_pyarray(py),
         world.sees.into_pyarray(py),

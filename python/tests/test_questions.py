@@ -37,6 +37,19 @@ def test_loaded_questions_agree_with_the_rules() -> None:
         assert user["content"].rfind(line["question"]) > user["content"].rfind("Answer: ")
 
 
+def test_questions_in_words_are_graded_like_others(tmp_path: Path) -> None:
+    file = tmp_path / "words.jsonl"
+    assert main(["questions", "--count", "8", "--shots", "4", "--style", "words", "--output", str(file)]) == 0
+    in_words, in_atoms = load_questions(file), load_questions(QUESTIONS)
+    assert [question.answer for question in in_words] == [question.answer for question in in_atoms]
+    assert not {question.id for question in in_words} & {question.id for question in in_atoms}
+    for words, atoms in zip(in_words, in_atoms, strict=True):
+        assert "What is not stated is false." in words.text and "Predicates and their arities" in atoms.text
+        assert words.messages()[0] == atoms.messages()[0]
+    answers = {question.id: f"Answer: {question.answer}" for question in in_words}
+    assert grade(in_words, answers).overall.correct == 8
+
+
 @pytest.mark.parametrize(
     ("reply", "letter"),
     [

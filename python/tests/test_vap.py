@@ -73,6 +73,7 @@ def test_arrays_have_their_shapes_and_types(drawn: VapDataset) -> None:
         count = len(sample.names)
         shapes = {
             "boxes": ((count, 4), np.float32),
+            "visible": ((count,), np.float32),
             "h": ((count, 9), np.float32),
             "unary": ((count, 11), np.bool_),
             "binary": ((count, count, 6), np.bool_),
@@ -91,7 +92,7 @@ def test_arrays_have_their_shapes_and_types(drawn: VapDataset) -> None:
 
 def test_arrays_of_samples_are_copies(hard: VapDataset) -> None:
     before = hard[5]
-    for name in ("boxes", "h", "unary", "binary", "sees", "actions", "mask"):
+    for name in ("boxes", "visible", "h", "unary", "binary", "sees", "actions", "mask"):
         getattr(hard[5], name)[:] = 1
     assert alike(before, hard[5])
 
@@ -146,10 +147,10 @@ def test_samples_equal_the_tables(sets: Path) -> None:
                 if row["heading"] is not None:
                     heading[row["heading"]] = 1.0
                 if box[0] is None:
-                    assert np.isnan(sample.boxes[at]).all()
+                    assert np.isnan(sample.boxes[at]).all() and np.isnan(sample.visible[at])
                     box = [0] * 4
                 else:
-                    assert sample.boxes[at].tolist() == box
+                    assert sample.boxes[at].tolist() == box and sample.visible[at] == np.float32(row["visible"])
                 wanted = [*(side / 1024 for side in box), *heading, row["priority"] / largest]
                 assert sample.h[at].tolist() == pytest.approx(wanted)
                 assert sample.actions[at] == (-1 if row["label"] is None else row["label"])
@@ -174,14 +175,16 @@ def test_entities_outside_the_picture_have_no_box(own: Path, tmp_path: Path) -> 
     path = own / "world-00000" / "entities.parquet"
     table = parquet.read_table(path)
     outside = np.arange(table.num_rows) % 5 == 2
-    for name in ("x", "y", "width", "height"):
-        column = pyarrow.array(table[name].to_numpy(), mask=outside, type=pyarrow.int32())
+    for name in ("x", "y", "width", "height", "visible"):
+        kind = pyarrow.float32() if name == "visible" else pyarrow.int32()
+        column = pyarrow.array(table[name].to_numpy(), mask=outside, type=kind)
         table = table.set_column(table.schema.get_field_index(name), table.schema.field(name), column)
     parquet.write_table(table, path)
     samples = VapDataset(own, images=False)
     for index, gone in enumerate(np.split(outside, 89)):
         sample = samples[index]
         assert np.isnan(sample.boxes[gone]).all() and not np.isnan(sample.boxes[~gone]).any()
+        assert np.isnan(sample.visible[gone]).all() and not np.isnan(sample.visible[~gone]).any()
         assert (sample.h[gone, :4] == 0).all() and (sample.h[~gone, 2:4] > 0).all()
     to_coco(own, tmp_path / "boxes.json", images=False)
     coco = check_coco(tmp_path / "boxes.json", samples)
@@ -249,7 +252,7 @@ def test_invalid_data_sets_raise(own: Path, tmp_path: Path) -> None:
         VapDataset(own)
     manifest = (own / "manifest.json").read_text()
     for text, message in [
-        (manifest.replace('"version": 2', '"version": 1'), "version 1; this package reads version 2"),
+        (manifest.replace('"version": 3', '"version": 2'), "version 2; this package reads version 3"),
         (manifest.replace('"logicity vap"', '"photographs"'), "a data set `photographs`"),
         ("{", "not a manifest"),
         ("[]", "not a manifest"),
@@ -400,9 +403,9 @@ def test_shards_hold_every_sample(shown: Path, tmp_path: Path) -> None:
                 assert (record["mode"], record["split"]) == ("easy", "val")
                 assert (record["unary"], record["binary"]) == (list(UNARY), list(BINARY))
                 with np.load(arrays) as held:
-                    assert sorted(held) == ["actions", "binary", "boxes", "h", "mask", "sees", "unary"]
+                    assert sorted(held) == ["actions", "binary", "boxes", "h", "mask", "sees", "unary", "visible"]
                     for name in held:
-                        assert np.array_equal(held[name], getattr(sample, name), equal_nan=name == "boxes")
+                        assert np.array_equal(held[name], getattr(sample, name), equal_nan=name in ("boxes", "visible"))
                 assert image.read() == samples.picture_path(index).read_bytes()
                 index += 1
     assert index == len(samples)
@@ -461,6 +464,7 @@ def check_coco(path: Path, samples: VapDataset) -> dict[str, Any]:
             category = categories[annotation["category_id"]]
             kind = "Car" if sample.mask[at] else "Pedestrian"
             assert (category["name"], category["supercategory"]) == (sample.concepts[at] or kind.lower(), kind)
+            assert annotation["visible"] == sample.visible[at]
             assert annotation.get("action") == (ACTIONS[sample.actions[at]] if sample.mask[at] else None)
     return coco
 
@@ -555,7 +559,7 @@ def test_tensors_equal_the_arrays(shown: Path) -> None:
     assert isinstance(tensors, torch.utils.data.Dataset) and len(tensors) == len(samples)
     for index in (0, 100, -1):
         sample, found = samples[index], tensors[index]
-        for name in ("boxes", "h", "unary", "binary", "sees", "actions", "mask"):
+        for name in ("boxes", "visible", "h", "unary", "binary", "sees", "actions", "mask"):
             assert torch.equal(found[name].nan_to_num(-5), torch.from_numpy(getattr(sample, name)).nan_to_num(-5))
         assert np.array_equal(found["image"].permute(1, 2, 0).numpy(), image_of(sample))
         assert {name: found[name] for name in ("world", "tick", "names", "concepts")} == {
@@ -570,7 +574,7 @@ def test_batches_are_padded(drawn: VapDataset) -> None:
     chosen = [tensors[index] for index in (0, 100, 200)]
     batch = collate(chosen)
     most = max(len(sample["names"]) for sample in chosen)
-    fillers = {"boxes": math.nan, "h": 0, "unary": 0, "binary": 0, "sees": 0, "actions": -1, "mask": 0}
+    fillers = {"boxes": math.nan, "visible": math.nan, "h": 0, "unary": 0, "binary": 0, "sees": 0, "actions": -1, "mask": 0}
     for row, sample in enumerate(chosen):
         count = len(sample["names"])
         assert batch["valid"][row].tolist() == [True] * count + [False] * (most - count)
@@ -584,10 +588,10 @@ def test_batches_are_padded(drawn: VapDataset) -> None:
                     wanted = (
                         sample[name][at] if inside else torch.full_like(sample[name][0], filler)[0 if square else ...]
                     )
-                    assert np.array_equal(batch[name][(row, *at)].numpy(), wanted.numpy(), equal_nan=name == "boxes")
+                    assert np.array_equal(batch[name][(row, *at)].numpy(), wanted.numpy(), equal_nan=name in ("boxes", "visible"))
     assert batch["names"] == [sample["names"] for sample in chosen] and batch["tick"].tolist() == [11, 22, 33]
     assert "image" not in batch
-    assert sum(value.nbytes for value in batch.values() if torch.is_tensor(value)) == 3 * (7 * most**2 + 73 * most + 16)
+    assert sum(value.nbytes for value in batch.values() if torch.is_tensor(value)) == 3 * (7 * most**2 + 77 * most + 16)
     with pytest.raises(ValueError, match="at least one sample"):
         collate([])
 

@@ -2,7 +2,7 @@
 
 use crate::cancel::Cancel;
 use crate::city::{AgentConfig, AgentKind, AgentName, AgentSet};
-use crate::city::{Cell, Heading, Places, Route, Router};
+use crate::city::{Cell, Heading, Places, Route, Router, TripEnds};
 use crate::diag::{Code, Diagnostic};
 use crate::rng::{Purpose, RngExt, Seed};
 use std::collections::BTreeMap;
@@ -194,8 +194,8 @@ pub fn place_agents_into(
         let free = &mut free[name.kind as usize];
         let drawn = free.take(stream.random_range(0..free.count));
         let start = places.nth(name.kind, drawn).expect("a place that was free");
-        let route =
-            (places.draw_route(router, name.kind, start, &mut stream)).map_err(|_| nowhere(set, name, start))?;
+        let route = (places.draw_route(router, name.kind, start, &mut stream))
+            .map_err(|_| nowhere(set, places, name, start))?;
         match agents.get_mut(index) {
             Some(agent) => {
                 agent.kind = name.kind;
@@ -230,10 +230,16 @@ fn check_room(set: &AgentSet, places: &Places, kind: AgentKind) -> Result<(), Di
         return Ok(());
     }
     let (plural, rule) = match kind {
-        AgentKind::Car => (
-            "cars",
-            "cars start at the curb across from a gas station, garage or store",
-        ),
+        AgentKind::Car => match places.trip_ends() {
+            TripEnds::Curb => (
+                "cars",
+                "cars start at the curb across from a gas station, garage or store",
+            ),
+            TripEnds::Lane => (
+                "cars",
+                "cars start on lanes that lead right or down, across from a gas station, garage or store",
+            ),
+        },
         AgentKind::Pedestrian => ("pedestrians", "pedestrians start beside a house or office"),
     };
     let message = format!(
@@ -253,9 +259,12 @@ fn check_room(set: &AgentSet, places: &Places, kind: AgentKind) -> Result<(), Di
 }
 
 /// Returns the `no-route` diagnostic of an agent that cannot reach any goal.
-fn nowhere(set: &AgentSet, name: AgentName, Cell { row, col }: Cell) -> Diagnostic {
+fn nowhere(set: &AgentSet, places: &Places, name: AgentName, Cell { row, col }: Cell) -> Diagnostic {
     let goal = match name.kind {
-        AgentKind::Car => "a car needs another curb cell as its goal",
+        AgentKind::Car => match places.trip_ends() {
+            TripEnds::Curb => "a car needs another curb cell as its goal",
+            TripEnds::Lane => "a car needs another lane cell beside a building as its goal",
+        },
         AgentKind::Pedestrian => "a pedestrian needs a house or office in another block as its goal",
     };
     let (span, near, larger) = match (set.trip, set.region) {

@@ -26,7 +26,7 @@ pub use grid::{Cell, Heading};
 pub use map::{CityMap, Ground, Junction, Layout, SEMANTIC_MAX, STATIC_LAYERS};
 pub use model::{
     Action, AgentConfig, AgentGroup, AgentKind, AgentName, AgentSet, Building, Buildings, MapConfig, Routing, Split,
-    Widths,
+    TripEnds, Widths,
 };
 pub use motion::{MoveReason, Moved, Surroundings, advance, possible_cells, speed_cells};
 pub use places::Places;

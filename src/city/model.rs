@@ -309,6 +309,36 @@ impl Action {
     }
 }
 
+/// The cells where trips of cars start and end.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize)]
+pub enum TripEnds {
+    /// The curb: the outermost cells of a traffic street, on every side of a block (the paper).
+    #[default]
+    Curb,
+    /// The lanes that lead right or down, so on the upper and the right side of a block (the published program that
+    /// makes pictures).
+    Lane,
+}
+
+impl TripEnds {
+    /// Both values.
+    pub const ALL: [TripEnds; 2] = [TripEnds::Curb, TripEnds::Lane];
+
+    /// Returns its name: `curb` or `lane`.
+    pub const fn name(self) -> &'static str {
+        match self {
+            TripEnds::Curb => "curb",
+            TripEnds::Lane => "lane",
+        }
+    }
+
+    /// Returns whether this is the default. The serialized form omits it, so that hashes of configurations without this
+    /// key do not depend on it.
+    pub(crate) fn is_default(&self) -> bool {
+        *self == TripEnds::default()
+    }
+}
+
 /// The algorithm by which agents choose routes.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize)]
 pub enum Routing {

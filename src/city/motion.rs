@@ -157,7 +157,7 @@ fn choose(agent: &Agent, decided: Action, draw: impl FnOnce(usize) -> usize) -> 
 mod tests {
     use super::*;
     use crate::city::generate::tests::square;
-    use crate::city::{AgentConfig, AgentName, Routing};
+    use crate::city::{AgentConfig, AgentName, Routing, TripEnds};
     use std::sync::Arc;
 
     /// A car that leaves the curb, stops at the node at the end of its lane, and turns right behind it.
@@ -221,7 +221,7 @@ mod tests {
     #[test]
     fn an_agent_without_another_goal_stays() {
         let router = Router::new(Arc::new(square([1, 1])), Routing::Weighted);
-        let places = Places::new(&router, Some(0), None);
+        let places = Places::new(&router, TripEnds::Curb, Some(0), None);
         let mut car = car();
         while !car.at_goal() {
             car.step(1);

@@ -5,7 +5,7 @@
 //! given number.
 
 use crate::city::{AgentKind, Building};
-use crate::city::{Cell, CityMap, Layout, NoRoute, Route, Router};
+use crate::city::{Cell, CityMap, Layout, NoRoute, Route, Router, TripEnds};
 use crate::rng::{Rng, RngExt};
 use std::ops::Range;
 use std::sync::Arc;
@@ -15,8 +15,8 @@ const GOAL_DRAWS: usize = 16;
 
 /// The cells where agents start and arrive in a region of the map, numbered from 0 row by row.
 ///
-/// Pedestrians: cells of the walking street that touch a house or an office, corners included. Cars: curb cells of a
-/// traffic street directly across the sidewalk from a gas station, garage or store.
+/// Pedestrians: cells of the walking street that touch a house or an office, corners included. Cars: cells of a traffic
+/// street straight across the sidewalk from a gas station, garage or store, on the lines of [`TripEnds`].
 #[derive(Clone, Debug)]
 pub struct Places {
     map: Arc<CityMap>,
@@ -27,6 +27,7 @@ pub struct Places {
     all: [Numbering; 2],
     /// The maximum distance of a goal in rows and columns.
     trip: Option<i32>,
+    ends: TripEnds,
 }
 
 /// A rectangle of cells.
@@ -36,10 +37,11 @@ struct Extent {
     cols: Range<i32>,
 }
 
-/// The places of a block by its buildings, in cells from its first row and column. Curbs are one cell outside of the
-/// block.
+/// The places of a block by its buildings, in cells from its first row and column. Cars stop outside of the block.
 #[derive(Clone, Debug)]
 struct Pattern {
+    /// The rows and the columns that places of a block can have.
+    reach: Range<i32>,
     /// Ranges of rows with places in the same columns, from the top.
     bands: Vec<Range<i32>>,
     /// For each set of buildings and each band: the columns from the left, and their number.
@@ -77,25 +79,54 @@ fn overlap(a: &Range<i32>, b: &Range<i32>) -> Range<i32> {
     a.start.max(b.start)..a.end.min(b.end)
 }
 
-/// The positions of a block's buildings on an axis, from its first cell.
+/// The positions of a block's buildings on an axis, and of the lines of cells where cars stop beside it, from its first
+/// cell.
 struct BlockAxis {
     buildings: [Range<i32>; 2],
     side: i32,
+    /// The lines before and after the block.
+    lines: [i32; 2],
+    /// The lines in use among rows: above and below the block.
+    above_below: [bool; 2],
+    /// The lines in use among columns: to the left and to the right of the block.
+    left_right: [bool; 2],
 }
 
 impl BlockAxis {
-    fn new(layout: &Layout) -> Self {
+    fn new(layout: &Layout, ends: TripEnds) -> Self {
         let first = layout.block_start(0);
         let from_first = |span: Range<i32>| span.start - first..span.end - first;
+        let side = layout.block_side();
+        let (lines, above_below, left_right) = match ends {
+            TripEnds::Curb => ([-1, side], [true, true], [true, true]),
+            // Cars keep right: the lane above a block leads right, the lane to the right of it leads down.
+            TripEnds::Lane => (
+                [
+                    layout.mid_line(0) + layout.lane_offset() - first,
+                    layout.mid_line(1) - layout.lane_offset() - first,
+                ],
+                [true, false],
+                [false, true],
+            ),
+        };
         BlockAxis {
             buildings: [0, 1].map(|which| from_first(layout.building_span(0, which))),
-            side: layout.block_side(),
+            side,
+            lines,
+            above_below,
+            left_right,
         }
     }
 
-    /// The block and its curbs, split into ranges of equivalent coordinates.
+    /// The coordinates from the first line to the last.
+    fn reach(&self) -> Range<i32> {
+        self.lines[0]..self.lines[1] + 1
+    }
+
+    /// The block and the lines beside it, split into ranges of equivalent coordinates.
     fn parts(&self) -> Vec<Range<i32>> {
-        let mut lines = vec![-1, 0, self.side, self.side + 1];
+        let [before, after] = self.lines;
+        let mut lines = vec![before, before + 1, 0, self.side, after, after + 1];
         for span in &self.buildings {
             lines.extend([span.start - 1, span.start, span.end, span.end + 1]);
         }
@@ -109,9 +140,9 @@ impl BlockAxis {
         self.buildings.iter().position(|span| span.contains(&at))
     }
 
-    /// The building on the side of a curb.
-    fn curb(&self, at: i32) -> Option<usize> {
-        [-1, self.side].into_iter().position(|curb| curb == at)
+    /// The building on the side of a line, if that line is in use.
+    fn beside(&self, used: [bool; 2], at: i32) -> Option<usize> {
+        (0..2).find(|&side| used[side] && self.lines[side] == at)
     }
 
     /// Whether a coordinate is in a building or adjacent to it.
@@ -124,9 +155,9 @@ impl BlockAxis {
         let has = |row: usize, col: usize| set >> (2 * row + col) & 1 == 1;
         match kind {
             AgentKind::Car => {
-                let across = |at, along| Some((self.curb(at)?, self.within(along)?));
-                across(row, col).is_some_and(|(row, col)| has(row, col))
-                    || across(col, row).is_some_and(|(col, row)| has(row, col))
+                let across = |used, at, along| Some((self.beside(used, at)?, self.within(along)?));
+                across(self.above_below, row, col).is_some_and(|(row, col)| has(row, col))
+                    || across(self.left_right, col, row).is_some_and(|(col, row)| has(row, col))
             }
             AgentKind::Pedestrian => {
                 let touches = |&(r, c): &(usize, usize)| has(r, c) && self.touches(row, r) && self.touches(col, c);
@@ -138,8 +169,8 @@ impl BlockAxis {
 }
 
 impl Pattern {
-    fn new(layout: &Layout, kind: AgentKind) -> Self {
-        let axis = BlockAxis::new(layout);
+    fn new(layout: &Layout, ends: TripEnds, kind: AgentKind) -> Self {
+        let axis = BlockAxis::new(layout, ends);
         let parts = axis.parts();
         let cols_of = |set: u8, rows: &Range<i32>| -> Vec<Range<i32>> {
             let is_place = |cols: &&Range<i32>| axis.is_place(kind, set, rows.start, cols.start);
@@ -153,6 +184,7 @@ impl Pattern {
         };
         let pairs = (0..16).flat_map(|set| bands.iter().map(move |rows| (set, rows)));
         Pattern {
+            reach: axis.reach(),
             cols: pairs.map(|(set, rows)| counted(cols_of(set, rows))).collect(),
             bands,
         }
@@ -168,13 +200,11 @@ fn starts(kind: AgentKind, buildings: [Building; 4]) -> u8 {
     (0..4).filter(|&at| is_start(buildings[at])).map(|at| 1 << at).sum()
 }
 
-/// The rows (or columns) of blocks whose places, curbs included, can lie in this range of cells.
-fn blocks_near(layout: &Layout, cells: &Range<i32>, blocks: i32) -> Range<i32> {
-    // The curb after a block is the first cell of the next street; the curb before it is the last cell of its own
-    // street.
-    let period = layout.period();
-    let first = (cells.start - 1).div_euclid(period);
-    let end = (cells.end - layout.block_start(0)).div_euclid(period) + 1;
+/// The rows (or columns) of blocks with coordinates of their `reach` in this range of cells.
+fn blocks_near(layout: &Layout, reach: &Range<i32>, cells: &Range<i32>, blocks: i32) -> Range<i32> {
+    let (period, start) = (layout.period(), layout.block_start(0));
+    let first = (cells.start - start - reach.end).div_euclid(period) + 1;
+    let end = (cells.end - start - reach.start - 1).div_euclid(period) + 1;
     first.max(0)..end.min(blocks)
 }
 
@@ -197,13 +227,13 @@ struct Selection<'p> {
 impl Numbering {
     fn new(of: OfKind<'_>, extent: Extent) -> Self {
         let layout = &of.map.layout;
-        let near = blocks_near(layout, &extent.cols, layout.blocks()[1]);
+        let near = blocks_near(layout, &of.pattern.reach, &extent.cols, layout.blocks()[1]);
         let mut numbering = Numbering {
             bands: Vec::new(),
             count: 0,
             extent,
         };
-        for block_row in blocks_near(layout, &numbering.extent.rows, layout.blocks()[0]) {
+        for block_row in blocks_near(layout, &of.pattern.reach, &numbering.extent.rows, layout.blocks()[0]) {
             let first = layout.block_start(block_row);
             for (band, rows) in of.pattern.bands.iter().enumerate() {
                 let rows = overlap(&(first + rows.start..first + rows.end), &numbering.extent.rows);
@@ -250,9 +280,9 @@ impl Selection<'_> {
 
     /// The number of places in the extent, per row of a band of a block.
     fn in_block(&self, block_row: i32, block_col: i32, band: usize) -> usize {
-        let first = self.of.map.layout.block_start(block_col) - 1;
+        let (first, reach) = (self.of.map.layout.block_start(block_col), &self.of.pattern.reach);
         let extent = &self.numbering.extent.cols;
-        if extent.start <= first && first + self.of.map.layout.block_side() + 2 <= extent.end {
+        if extent.start <= first + reach.start && first + reach.end <= extent.end {
             return self.cols(block_row, block_col, band).1;
         }
         self.runs(block_row, block_col, band).map(|cols| cols.len()).sum()
@@ -261,6 +291,7 @@ impl Selection<'_> {
     fn blocks_across(&self) -> Range<i32> {
         blocks_near(
             &self.of.map.layout,
+            &self.of.pattern.reach,
             &self.numbering.extent.cols,
             self.of.map.layout.blocks()[1],
         )
@@ -298,8 +329,7 @@ impl Selection<'_> {
         }
         let mut number = band.before + (cell.row - band.rows.start) as usize * band.in_row;
         for block_col in self.blocks_across() {
-            // The curb before the block is its first place.
-            if cell.col > self.of.map.layout.block_start(block_col) + self.of.map.layout.block_side() {
+            if cell.col >= self.of.map.layout.block_start(block_col) + self.of.pattern.reach.end {
                 number += self.in_block(band.block_row, block_col, band.band);
                 continue;
             }
@@ -395,8 +425,8 @@ impl Goals<'_> {
 
 impl Places {
     /// Returns the places within the first `region` rows and columns; `None` for the whole map. Goals are at most
-    /// `trip` rows and columns away; `None` for no limit.
-    pub fn new(router: &Router, region: Option<u32>, trip: Option<u32>) -> Self {
+    /// `trip` rows and columns away; `None` for no limit. Trips of cars start and end at `ends`.
+    pub fn new(router: &Router, ends: TripEnds, region: Option<u32>, trip: Option<u32>) -> Self {
         let map = router.map();
         let cells = |cells: u32| i32::try_from(cells).unwrap_or(i32::MAX);
         let limit = region.map_or(i32::MAX, cells);
@@ -406,10 +436,11 @@ impl Places {
         };
         let starts = AgentKind::ALL.map(|kind| map.buildings().iter().map(|&block| starts(kind, block)).collect());
         let mut places = Places {
-            patterns: AgentKind::ALL.map(|kind| Pattern::new(&map.layout, kind)),
+            patterns: AgentKind::ALL.map(|kind| Pattern::new(&map.layout, ends, kind)),
             starts,
             all: [Numbering::default(), Numbering::default()],
             trip: trip.map(cells),
+            ends,
             map: Arc::clone(map),
         };
         places.all = AgentKind::ALL.map(|kind| Numbering::new(places.of(kind), extent.clone()));
@@ -435,6 +466,11 @@ impl Places {
             of: self.of(kind),
             numbering: near.unwrap_or(&self.all[kind as usize]),
         }
+    }
+
+    /// Returns where trips of cars start and end.
+    pub fn trip_ends(&self) -> TripEnds {
+        self.ends
     }
 
     /// Returns the number of places for agents of a kind.

@@ -4,7 +4,7 @@ use crate::city::Split;
 use crate::cli::{Failure, load_city, one_of, progress};
 use crate::diag::{Code, Sources};
 use crate::files::Output;
-use crate::task::questions::{Extent, QUESTIONS_MAX, QuestionSet, Request, RulesFile, SHOTS_MAX, askable};
+use crate::task::questions::{Extent, QUESTIONS_MAX, QuestionSet, Request, RulesFile, SHOTS_MAX, Style, askable};
 use std::io::{self, Write};
 use std::path::{Path, PathBuf};
 use std::sync::Arc;
@@ -40,6 +40,9 @@ pub struct Arguments {
     /// Entities of a question: those that the car sees, or all in the city as in the paper
     #[arg(long, value_parser = one_of(&Extent::ALL, Extent::name), default_value = "view")]
     entities: Extent,
+    /// Form of the facts: a list of atoms as in the paper, or English sentences
+    #[arg(long, value_parser = one_of(&Style::ALL, Style::name), default_value = "atoms")]
+    style: Style,
     /// Only ask about cars with one of these concepts, separated by commas
     #[arg(long, value_delimiter = ',', value_name = "CONCEPTS")]
     about: Vec<String>,
@@ -71,6 +74,7 @@ pub fn run(arguments: &Arguments, sources: &mut Sources) -> Result<(), Failure> 
         split: arguments.split,
         demonstrations: arguments.demonstrations,
         entities: arguments.entities,
+        style: arguments.style,
         about,
         seed: arguments.seed,
     };

@@ -6,13 +6,16 @@ use crate::cli::icons::IconOptions;
 use crate::cli::{Failure, load_city, one_of, progress, threads};
 use crate::diag::Sources;
 use crate::files::Folder;
+use crate::render::{Difficulty, Icons};
 use crate::task::vap::{
-    Agents, Dataset, DatasetError, DatasetRequest, DatasetWriter, Manifest, Mode, WORLDS_MAX, percent,
-    published_worlds, total,
+    Agents, Dataset, DatasetError, DatasetRequest, DatasetWriter, Estimate, Manifest, Mode, Statistics, WORLDS_MAX,
+    WorldCounts, Worlds, icon_seed, percent, published_worlds, total,
 };
 use std::io::{self, Write};
 use std::num::NonZeroUsize;
+use std::ops::Range;
 use std::path::{Path, PathBuf};
+use std::sync::Arc;
 
 #[derive(clap::Args)]
 pub struct Arguments {
@@ -26,11 +29,13 @@ enum What {
     Make(Make),
     /// Check files, hashes, order, pictures and boxes of a data set, and derive every label from the facts
     Check(Check),
+    /// Estimate the shares of labels and the number of true facts, with standard errors; writes no files
+    Stats(Stats),
 }
 
+/// The worlds of a data set.
 #[derive(clap::Args)]
-#[command(mut_arg("difficulty", |difficulty| difficulty.default_value("50")))]
-struct Make {
+struct WorldOptions {
     /// Rules: those of configs/vap-easy.yaml or configs/vap-hard.yaml
     #[arg(long, value_parser = one_of(&Mode::ALL, Mode::name))]
     mode: Mode,
@@ -51,14 +56,28 @@ struct Make {
     /// Seed of the data set
     #[arg(long, default_value_t = 0, allow_negative_numbers = true)]
     seed: u64,
+    /// Number of threads; 0 means one per core. The result does not depend on it
+    #[arg(long, value_parser = threads, default_value = "0", allow_negative_numbers = true)]
+    threads: NonZeroUsize,
+}
+
+impl WorldOptions {
+    fn numbers(&self) -> Range<u32> {
+        let count = self.worlds.unwrap_or(published_worlds(self.split));
+        self.first_world..self.first_world + count
+    }
+}
+
+#[derive(clap::Args)]
+#[command(mut_arg("difficulty", |difficulty| difficulty.default_value("50")))]
+struct Make {
+    #[command(flatten)]
+    worlds: WorldOptions,
     /// Write tables only; boxes are the same as with pictures
     #[arg(long)]
     no_pictures: bool,
     #[command(flatten)]
     icons: IconOptions,
-    /// Number of threads; 0 means one per core. The files do not depend on it
-    #[arg(long, value_parser = threads, default_value = "0", allow_negative_numbers = true)]
-    threads: NonZeroUsize,
     /// Folder to write
     #[arg(short, long)]
     out: PathBuf,
@@ -76,10 +95,20 @@ struct Check {
     json: bool,
 }
 
+#[derive(clap::Args)]
+struct Stats {
+    #[command(flatten)]
+    worlds: WorldOptions,
+    /// Print one JSON object
+    #[arg(long)]
+    json: bool,
+}
+
 pub fn run(arguments: &Arguments, sources: &mut Sources) -> Result<(), Failure> {
     match &arguments.what {
         What::Make(make) => make.run(sources),
         What::Check(check) => check.run(sources),
+        What::Stats(stats) => stats.run(sources),
     }
 }
 
@@ -105,16 +134,16 @@ fn with_bar<R>(unit: &str, work: impl FnOnce(&(dyn Fn(u64, u64) + Sync)) -> R) -
 
 impl Make {
     fn run(&self, sources: &mut Sources) -> Result<(), Failure> {
-        let city = load_city(sources, Path::new(self.mode.config()), None)?;
-        let count = self.worlds.unwrap_or(published_worlds(self.split));
+        let worlds = &self.worlds;
+        let city = load_city(sources, Path::new(worlds.mode.config()), None)?;
         let request = DatasetRequest {
-            mode: self.mode,
-            agents: self.agents,
-            split: self.split,
-            worlds: self.first_world..self.first_world + count,
-            seed: self.seed,
+            mode: worlds.mode,
+            agents: worlds.agents,
+            split: worlds.split,
+            worlds: worlds.numbers(),
+            seed: worlds.seed,
             pictures: !self.no_pictures,
-            threads: self.threads,
+            threads: worlds.threads,
         };
         let icons = self.icons.load(request.icon_seed())?;
         let writer = DatasetWriter::new(request, city, icons)?;
@@ -170,12 +199,68 @@ impl Check {
         let concepts = concepts.iter().map(|(name, count)| (name.as_str(), *count));
         writeln!(out, "agents: {}", shares(concepts, *agents))?;
         let atoms: Vec<String> = atoms.iter().map(|(name, count)| format!("{name} {count}")).collect();
+        writeln!(out, "true atoms, pairs if an agent sees both: {}", atoms.join(", "))?;
+        Ok(())
+    }
+}
+
+impl Stats {
+    fn run(&self, sources: &mut Sources) -> Result<(), Failure> {
+        let options = &self.worlds;
+        let city = load_city(sources, Path::new(options.mode.config()), None)?;
+        let icons = Arc::new(Icons::new(icon_seed(options.seed, options.split), Difficulty::CLEAN));
+        let worlds = Worlds::new(
+            city.scenario,
+            city.program,
+            icons,
+            options.agents,
+            options.split,
+            options.seed,
+        )?;
+        let counts = with_bar("world", |progress| {
+            WorldCounts::of_worlds(&worlds, options.numbers(), options.threads, progress, &Cancel::never())
+        })?;
+        let found = Statistics::of(&counts);
+        let published = options.mode.published_actions();
+        let per = published_worlds(options.split);
+        let mut out = io::stdout().lock();
+        if self.json {
+            let estimate = |Estimate { value, error }: Estimate| serde_json::json!({"value": value, "error": error});
+            let actions = Action::ALL.iter().map(|action| action.name().to_owned());
+            let actions = actions
+                .zip(found.actions.map(estimate))
+                .collect::<serde_json::Map<_, _>>();
+            let atoms = found.atoms.iter().map(|(name, &atoms)| (name.clone(), estimate(atoms)));
+            let all = serde_json::json!({
+                "worlds": found.worlds, "labels": found.labels, "published": published,
+                "shares": actions, "atoms_per_world": atoms.collect::<serde_json::Map<_, _>>(),
+            });
+            writeln!(out, "{all}")?;
+            return Ok(());
+        }
         writeln!(
             out,
-            "true atoms, pairs if the first sees the second: {}",
-            atoms.join(", ")
+            "worlds: {}, labels of cars: {}; estimates with standard errors",
+            found.worlds, found.labels
         )?;
+        for (action, share) in Action::ALL.into_iter().zip(found.actions) {
+            let paper = percent(published[action as usize], total(published));
+            let share = with_error(share.times(100.0), 1);
+            writeln!(out, "{:<16} {share:>16} %, published test {paper}", action.name())?;
+        }
+        writeln!(out, "true atoms per {per} worlds, pairs if an agent sees both:")?;
+        for (name, &atoms) in &found.atoms {
+            writeln!(out, "{name:<16} {:>16}", with_error(atoms.times(per.into()), 0))?;
+        }
         Ok(())
+    }
+}
+
+/// Formats an estimate, for example `45.9 ± 0.7`.
+fn with_error(Estimate { value, error }: Estimate, decimals: usize) -> String {
+    match error {
+        Some(error) => format!("{value:.decimals$} ± {error:.decimals$}"),
+        None => format!("{value:.decimals$}"),
     }
 }
 

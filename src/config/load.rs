@@ -3,7 +3,8 @@
 //! `configs/README.md` documents the keys for users. The city checks whether the values are consistent, for example
 //! whether a street has room for its lanes.
 
-use crate::city::{Action, AgentGroup, AgentKind, AgentSet, Building, Buildings, MapConfig, Routing, Split, Widths};
+use crate::city::{Action, AgentGroup, AgentKind, AgentSet, Building, Buildings, MapConfig, Routing, Split};
+use crate::city::{TripEnds, Widths};
 use crate::config::compose::{AGENTS, Composer, Kind, MAP, PREDICATES, RUN, Read, TASK};
 use crate::config::model::*;
 use crate::config::predicates::{Concepts, Predicates, carried, predicates};
@@ -188,6 +189,9 @@ fn scenario(composer: &mut Composer<'_>, tree: &Node) -> Option<Scenario> {
     let routing = fields
         .required("routing", faults)
         .and_then(|node| choice(node, &Routing::ALL.map(|routing| (routing.name(), routing)), faults));
+    let trip_ends = fields.optional("trip_ends").map_or(Some(TripEnds::default()), |node| {
+        choice(node, &TripEnds::ALL.map(|ends| (ends.name(), ends)), faults)
+    });
     let view = fields
         .required("view", faults)
         .and_then(|node| integer(node, 1..=MAX_VIEW, faults));
@@ -207,6 +211,7 @@ fn scenario(composer: &mut Composer<'_>, tree: &Node) -> Option<Scenario> {
         predicates: predicates?.used,
         actions: actions?,
         routing: routing?,
+        trip_ends: trip_ends?,
         view: view?,
         ticks: ticks?,
         task: task.map_or(Some(None), |task| task.map(Some))?,

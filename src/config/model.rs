@@ -2,7 +2,7 @@
 //!
 //! The serialized form omits file names and places. [`Scenario::hash`] is its hash.
 
-use crate::city::{Action, AgentSet, MapConfig, Routing, Split};
+use crate::city::{Action, AgentSet, MapConfig, Routing, Split, TripEnds};
 use crate::diag::{Located, Span};
 use crate::predicate::Definition;
 use serde::Serialize;
@@ -118,6 +118,9 @@ pub struct Scenario {
     pub actions: ActionsConfig,
     /// The algorithm by which agents choose routes.
     pub routing: Routing,
+    /// The cells where trips of cars start and end.
+    #[serde(skip_serializing_if = "TripEnds::is_default")]
+    pub trip_ends: TripEnds,
     /// The half-width of the field of view, in cells.
     pub view: u32,
     /// The length of a run in ticks; the command line can override it.

@@ -9,7 +9,7 @@ use crate::config::yaml::Node;
 use crate::diag::Diagnostic;
 #[cfg(test)]
 use crate::predicate::Definition;
-use crate::predicate::{PairKind, PredicateKind, Reach, Relation, Sight, Subject, Syntax, Views};
+use crate::predicate::{PairKind, Phrase, PredicateKind, Reach, Relation, Sight, Subject, Syntax, Views};
 use serde::Serialize;
 
 /// The first is about to run into the second.
@@ -29,6 +29,14 @@ pub struct Colliding {
 
 impl PredicateKind for Colliding {
     const SYNTAX: Syntax = Syntax::Keys(&["colliding"], |nodes, faults| Some(read(nodes[0], faults)?.into()));
+
+    fn phrase(&self) -> Phrase {
+        Phrase::new("is about to run into").meaning(format!(
+            "An agent can only be about to run into another one that is straight ahead of it: a car at most {} cells, a \
+             pedestrian at most {} cells away.",
+            self.car_range, self.pedestrian_range
+        ))
+    }
 
     #[cfg(test)]
     fn samples() -> Vec<Definition> {

@@ -2,7 +2,7 @@
 
 use crate::city::AgentKind;
 use crate::config::read::name;
-use crate::predicate::{Definition, PredicateKind, Static, StaticKind, Syntax, kind};
+use crate::predicate::{Definition, Phrase, PredicateKind, Static, StaticKind, Syntax, kind};
 use serde::Serialize;
 
 /// The agent is of this kind and carries this concept.
@@ -21,6 +21,19 @@ impl PredicateKind for Concept {
         let (concept, of) = (concept?, of?);
         Some(Concept { of, concept }.into())
     });
+
+    fn phrase(&self) -> Phrase {
+        match (self.of, self.concept.as_str()) {
+            (AgentKind::Car, "ambulance") => Phrase::new("is an ambulance"),
+            (AgentKind::Car, "bus") => Phrase::new("is a bus"),
+            (AgentKind::Car, "police") => Phrase::new("is a police car"),
+            (AgentKind::Car, "tiro") => Phrase::new("has a beginner at the wheel"),
+            (AgentKind::Car, "reckless") => Phrase::new("is driven recklessly"),
+            (AgentKind::Pedestrian, "old") => Phrase::new("is old"),
+            (AgentKind::Pedestrian, "young") => Phrase::new("is young"),
+            (_, concept) => Phrase::new(format!("has the property {concept}")),
+        }
+    }
 
     #[cfg(test)]
     fn samples() -> Vec<Definition> {

@@ -9,7 +9,7 @@ use crate::config::yaml::Node;
 use crate::diag::{Code, Diagnostic};
 #[cfg(test)]
 use crate::predicate::Definition;
-use crate::predicate::{PairKind, PredicateKind, Reach, Relation, Sight, Subject, Syntax, Views};
+use crate::predicate::{PairKind, Phrase, PredicateKind, Reach, Relation, Sight, Subject, Syntax, Views};
 use serde::Serialize;
 
 /// The Euclidean distance d in cells is within the present bounds.
@@ -30,6 +30,23 @@ const SQUARE_MAX: i64 = 1 << 50;
 
 impl PredicateKind for Distance {
     const SYNTAX: Syntax = Syntax::Keys(&["distance"], |nodes, faults| Some(read(nodes[0], faults)?.into()));
+
+    fn phrase(&self) -> Phrase {
+        let bounds = [
+            ("more than", self.above),
+            ("at least", self.at_least),
+            ("less than", self.below),
+            ("at most", self.at_most),
+        ];
+        let bounds = bounds
+            .iter()
+            .filter_map(|(words, bound)| Some(format!("{words} {}", (*bound)?)));
+        let bounds: Vec<String> = bounds.collect();
+        match bounds.is_empty() {
+            true => Phrase::new("is at some distance from"),
+            false => Phrase::new(format!("is {} cells away from", bounds.join(" and "))),
+        }
+    }
 
     #[cfg(test)]
     fn samples() -> Vec<Definition> {

@@ -3,7 +3,7 @@
 use crate::city::{AgentKind, Cell, CityMap, Junction};
 #[cfg(test)]
 use crate::predicate::Definition;
-use crate::predicate::{LocalKind, PredicateKind, Syntax};
+use crate::predicate::{LocalKind, Phrase, PredicateKind, Syntax};
 use serde::Serialize;
 
 /// A car is on an entrance line or a pedestrian on an outline of an intersection.
@@ -16,6 +16,13 @@ pub struct InIntersection;
 
 impl PredicateKind for AtIntersection {
     const SYNTAX: Syntax = Syntax::Word("at-intersection", || AtIntersection.into());
+
+    fn phrase(&self) -> Phrase {
+        Phrase::new("is at the edge of an intersection").meaning(
+            "A car is at the edge of an intersection when it is on the line where it would enter; a pedestrian, when it \
+             is on any side of the intersection.",
+        )
+    }
 
     #[cfg(test)]
     fn samples() -> Vec<Definition> {
@@ -35,6 +42,10 @@ impl LocalKind for AtIntersection {
 
 impl PredicateKind for InIntersection {
     const SYNTAX: Syntax = Syntax::Word("in-intersection", || InIntersection.into());
+
+    fn phrase(&self) -> Phrase {
+        Phrase::new("is inside an intersection")
+    }
 
     #[cfg(test)]
     fn samples() -> Vec<Definition> {

@@ -6,7 +6,7 @@ use crate::config::yaml::Node;
 use crate::diag::Diagnostic;
 #[cfg(test)]
 use crate::predicate::Definition;
-use crate::predicate::{PredicateKind, StaticKind, Syntax};
+use crate::predicate::{Phrase, PredicateKind, StaticKind, Syntax};
 use serde::Serialize;
 
 /// The agent is of this kind.
@@ -15,6 +15,17 @@ pub struct Kind(pub AgentKind);
 
 impl PredicateKind for Kind {
     const SYNTAX: Syntax = Syntax::Keys(&["kind"], |nodes, faults| Some(Kind(read(nodes[0], faults)?).into()));
+
+    fn phrase(&self) -> Phrase {
+        let phrase = match self.0 {
+            AgentKind::Car => Phrase::new("is a car"),
+            AgentKind::Pedestrian => Phrase::new("is a pedestrian"),
+        };
+        Phrase {
+            noun: Some(self.0.name()),
+            ..phrase
+        }
+    }
 
     #[cfg(test)]
     fn samples() -> Vec<Definition> {

@@ -3,7 +3,7 @@
 //! Each kind of predicate has a file in this folder and an entry in `kinds!` below. Other code names only two kinds:
 //! [`Sees`] limits what rules can read, and agents carry [`Concept`]s. The file of a kind implements
 //!
-//! 1. `PredicateKind`: the syntax in a configuration and the parsing of parameters;
+//! 1. `PredicateKind`: the syntax in a configuration, the parsing of parameters, and the words in English sentences;
 //! 2. the *definition*, written for readability; [`sim::ground`](crate::sim::ground) computes rows from it;
 //! 3. the *fast form* of the same predicate, for windows of the dense executor and observations of a task.
 //!
@@ -100,9 +100,40 @@ pub(crate) enum Syntax {
     Always,
 }
 
+/// How English sentences express a predicate.
+#[derive(Clone, Debug, PartialEq, Eq)]
+pub struct Phrase {
+    /// The words after the first agent. In a predicate over two agents, the second agent follows.
+    pub verb: String,
+    /// The noun that names an agent for which the predicate holds, if it determines one.
+    pub noun: Option<&'static str>,
+    /// A sentence that explains the words, if they need one.
+    pub meaning: Option<String>,
+}
+
+impl Phrase {
+    fn new(verb: impl Into<String>) -> Phrase {
+        Phrase {
+            verb: verb.into(),
+            noun: None,
+            meaning: None,
+        }
+    }
+
+    fn meaning(self, sentence: impl Into<String>) -> Phrase {
+        Phrase {
+            meaning: Some(sentence.into()),
+            ..self
+        }
+    }
+}
+
 /// A kind of predicate.
 pub(crate) trait PredicateKind: Into<Definition> {
     const SYNTAX: Syntax;
+
+    /// Returns the words of the predicate in an English sentence.
+    fn phrase(&self) -> Phrase;
 
     /// Returns predicates of this kind, for which the tests compare fast form and definition.
     #[cfg(test)]
@@ -355,6 +386,17 @@ macro_rules! kinds {
             fn from(predicate: $pair) -> Definition { Definition::Pair(Pair::$pair(predicate)) }
         })*
 
+        impl Definition {
+            /// Returns the words of the predicate in an English sentence.
+            pub fn phrase(&self) -> Phrase {
+                match self {
+                    $(Definition::Static(Static::$static(predicate)) => predicate.phrase(),)*
+                    $(Definition::Local(Local::$local(predicate)) => predicate.phrase(),)*
+                    $(Definition::Pair(Pair::$pair(predicate)) => predicate.phrase(),)*
+                }
+            }
+        }
+
         /// Returns predicates of all kinds.
         #[cfg(test)]
         fn samples() -> Vec<Vec<Definition>> {
@@ -416,6 +458,11 @@ impl Definition {
             Definition::Static(_) | Definition::Local(_) => 1,
             Definition::Pair(_) => 2,
         }
+    }
+
+    /// Returns whether the predicate relates every agent to itself.
+    pub(crate) fn is_reflexive(&self) -> bool {
+        matches!(self, Definition::Pair(pair) if pair.is_reflexive())
     }
 
     /// Returns whether the predicate depends only on kind and concepts, not on positions.

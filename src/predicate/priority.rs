@@ -2,7 +2,7 @@
 
 #[cfg(test)]
 use crate::predicate::Definition;
-use crate::predicate::{PairKind, PredicateKind, Relation, Sight, Subject, Syntax};
+use crate::predicate::{PairKind, Phrase, PredicateKind, Relation, Sight, Subject, Syntax};
 use serde::Serialize;
 
 /// The first has the smaller priority number.
@@ -11,6 +11,10 @@ pub struct HigherPriority;
 
 impl PredicateKind for HigherPriority {
     const SYNTAX: Syntax = Syntax::Word("higher-priority", || HigherPriority.into());
+
+    fn phrase(&self) -> Phrase {
+        Phrase::new("has priority over")
+    }
 
     #[cfg(test)]
     fn samples() -> Vec<Definition> {

@@ -4,7 +4,7 @@
 use crate::city::{AgentKind, Heading, field_of_view, view_reach};
 #[cfg(test)]
 use crate::predicate::Definition;
-use crate::predicate::{PairKind, PredicateKind, Reach, Relation, Sight, Subject, Syntax};
+use crate::predicate::{PairKind, Phrase, PredicateKind, Reach, Relation, Sight, Subject, Syntax};
 use serde::Serialize;
 
 /// The second is in the field of view of the first. Every agent sees itself.
@@ -13,6 +13,10 @@ pub struct Sees;
 
 impl PredicateKind for Sees {
     const SYNTAX: Syntax = Syntax::Always;
+
+    fn phrase(&self) -> Phrase {
+        Phrase::new("sees").meaning("Every agent sees itself.")
+    }
 
     #[cfg(test)]
     fn samples() -> Vec<Definition> {

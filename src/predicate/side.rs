@@ -3,7 +3,7 @@
 use crate::city::{Cell, Heading};
 #[cfg(test)]
 use crate::predicate::Definition;
-use crate::predicate::{PairKind, PredicateKind, Relation, Sight, Subject, Syntax, Views};
+use crate::predicate::{PairKind, Phrase, PredicateKind, Relation, Sight, Subject, Syntax, Views};
 use serde::Serialize;
 
 /// The first lies left of the second, seen along the second's heading.
@@ -14,8 +14,15 @@ pub struct LeftOf;
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize)]
 pub struct RightOf;
 
+/// The meaning of both phrases.
+const SIDES: &str = "Left and right of an agent are as that agent sees them, in the direction of its last move.";
+
 impl PredicateKind for LeftOf {
     const SYNTAX: Syntax = Syntax::Word("left-of", || LeftOf.into());
+
+    fn phrase(&self) -> Phrase {
+        Phrase::new("is to the left of").meaning(SIDES)
+    }
 
     #[cfg(test)]
     fn samples() -> Vec<Definition> {
@@ -25,6 +32,10 @@ impl PredicateKind for LeftOf {
 
 impl PredicateKind for RightOf {
     const SYNTAX: Syntax = Syntax::Word("right-of", || RightOf.into());
+
+    fn phrase(&self) -> Phrase {
+        Phrase::new("is to the right of").meaning(SIDES)
+    }
 
     #[cfg(test)]
     fn samples() -> Vec<Definition> {

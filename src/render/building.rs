@@ -1,6 +1,7 @@
 //! Parametric drawings of buildings: a front and its surroundings, in a square of side 1 around the origin.
 
 use crate::city::Building;
+use crate::render::clutter::leaves;
 use crate::render::sketch::{Dice, Edges, Ink, Sketch};
 use crate::rng::Rng;
 
@@ -425,13 +426,13 @@ impl<R: Rng> Lot<'_, R> {
         }
     }
 
-    /// Draws clutter around the building under noise, and shadows over everything.
+    /// Draws trees, boxes and fallen leaves around the building under noise.
     fn clutter(&mut self) {
         let most = 9.0 * self.noise;
         #[allow(clippy::cast_possible_truncation, clippy::cast_sign_loss)]
         for _ in 0..self.dice.between(0.0, most) as u32 {
             let (x, y) = (self.dice.between(-0.46, 0.46), self.dice.between(-0.46, 0.46));
-            match self.dice.below(4) {
+            match self.dice.below(3) {
                 0 => {
                     let size = self.dice.between(0.04, 0.09);
                     self.tree(x, y, size);
@@ -440,20 +441,7 @@ impl<R: Rng> Lot<'_, R> {
                     let box_ink = self.dice.ink(&[0x8a6a42, 0x4f6f8a, 0x9a3f35, 0x6d6f72]);
                     (self.sketch).rect([x, y, x + self.dice.between(0.03, 0.09), y + 0.06], box_ink);
                 }
-                2 => {
-                    let stain = self.dice.ink(&[0x2a2826, 0x5f5a45, 0x3f4a38]);
-                    (self.sketch).oval(x, y, self.dice.between(0.03, 0.1), 0.05, stain.faint(0.45));
-                }
-                _ => {
-                    let reach = self.dice.between(0.1, 0.35);
-                    let shade = [
-                        (x, y),
-                        (x + reach, y + 0.1),
-                        (x + reach * 0.8, y + 0.3),
-                        (x - 0.1, y + 0.2),
-                    ];
-                    (self.sketch).polygon(&shade, Ink::BLACK.faint(0.28));
-                }
+                _ => leaves(&mut self.sketch, self.dice, (x, y), 0.075),
             }
         }
     }

@@ -5,6 +5,7 @@
 use crate::city::Building;
 use crate::city::{Cell, CityMap, Ground, Heading};
 use crate::render::class::{Class, Facing};
+use crate::render::clutter;
 use crate::render::icon::Icons;
 use crate::render::picture::{Picture, Rgb};
 use crate::render::view::{Scale, Viewport};
@@ -170,7 +171,7 @@ impl Texture {
         ((along(0) * (lattice - down) + along(1) * down) / (lattice * lattice)) as i32
     }
 
-    /// Varies the lightness of a color by place: clouds over some cells, specks, stains, and uneven light under noise.
+    /// Varies the lightness of a color by place: clouds over some cells, specks, and uneven light under noise.
     fn weathered(self, rgb: Rgb, x: i64, y: i64, scale: Scale, layer: u32) -> Rgb {
         let cell = i64::from(scale.pixels);
         let mut light = (self.wave(x, y, 6 * cell, layer) * (5 * 256 + 18 * self.noise)) >> 16;
@@ -183,30 +184,8 @@ impl Texture {
         }
         if self.noise > 0 {
             light += (self.wave(x, y, 37 * cell, layer + 1) * self.noise * 50) >> 16;
-            light += self.stain(x, y, cell, layer);
         }
         rgb.map(|channel| (i32::from(channel) + light).clamp(0, 255) as u8)
-    }
-
-    /// Returns the effect of a stain. Every square of 9 x 9 cells has at most one round stain.
-    fn stain(self, x: i64, y: i64, cell: i64, layer: u32) -> i32 {
-        let side = 9 * cell;
-        let (col, row) = (x.div_euclid(side), y.div_euclid(side));
-        let dice = self.hash(col, row, layer + 2);
-        if (dice & 255) as i32 >= self.noise / 2 {
-            return 0;
-        }
-        let radius = cell + cell * i64::from(dice >> 8 & 15) / 8;
-        let place = |bits: u32| radius + (side - 2 * radius) * i64::from(bits & 63) / 63;
-        let (dx, dy) = (
-            x.rem_euclid(side) - place(dice >> 12),
-            y.rem_euclid(side) - place(dice >> 18),
-        );
-        if dx * dx + dy * dy < radius * radius {
-            -12 - (dice >> 24 & 31) as i32
-        } else {
-            0
-        }
     }
 
     /// Returns the color of a pixel of a cell. `right` and `down` count from the cell's corner; `x` and `y` are the
@@ -300,6 +279,7 @@ pub(super) fn draw(map: &CityMap, icons: &Icons, view: &Viewport, look: Look) ->
         }
     }
     if scale.cells == 1 {
+        clutter::draw(map, view, look.seed, icons.difficulty().share(), &mut picture);
         let layout = map.layout;
         let [block_rows, block_cols] = layout.blocks();
         let shown = |from: i32, cells: i32, blocks: i32| {

@@ -3,7 +3,7 @@
 use crate::city::AgentKind;
 use crate::render::class::{Class, Facing, Subject};
 use crate::render::pack::{Mode, Pack, shrunk};
-use crate::render::picture::{PixelBox, Stamp};
+use crate::render::picture::{Body, PixelBox, Stamp};
 use crate::render::sketch::{Dice, Ink, Sketch, byte};
 use crate::render::{building, car, pedestrian};
 use crate::rng::{Purpose, Rng, Seed};
@@ -52,8 +52,8 @@ const DRAWN: u32 = 100;
 /// Approximate limit of the icon cache, in bytes.
 const KEPT: usize = 64 << 20;
 
-/// Limit of the cache of body boxes, in entries.
-const BODIES_KEPT: usize = 1 << 17;
+/// Approximate limit of the cache of bodies, in bytes.
+const BODIES_KEPT: usize = 32 << 20;
 
 type Key = (Class, u32, Facing, u32);
 
@@ -63,8 +63,10 @@ struct Kept {
     stamps: BTreeMap<Key, Arc<Stamp>>,
     /// Total size of the stamps' pixels, in bytes.
     bytes: usize,
-    /// Body boxes, also of icons without a stamp.
-    bodies: BTreeMap<Key, PixelBox>,
+    /// Bodies, also of icons without a stamp.
+    bodies: BTreeMap<Key, Arc<Body>>,
+    /// Total size of the bodies, in bytes.
+    body_bytes: usize,
 }
 
 /// All icons: generated, from a pack, or both. Each is a function of seed, difficulty, pack, class, instance, facing
@@ -78,11 +80,13 @@ pub struct Icons {
 }
 
 impl Kept {
-    fn note_body(&mut self, key: &Key, body: PixelBox) {
-        if self.bodies.len() >= BODIES_KEPT {
-            self.bodies.clear();
+    fn note_body(&mut self, key: &Key, body: &Arc<Body>) {
+        if self.body_bytes > BODIES_KEPT {
+            (self.bodies, self.body_bytes) = Default::default();
         }
-        self.bodies.insert(key.clone(), body);
+        if self.bodies.insert(key.clone(), Arc::clone(body)).is_none() {
+            self.body_bytes += body.bytes();
+        }
     }
 }
 
@@ -156,20 +160,20 @@ impl Icons {
             (kept.stamps, kept.bytes) = Default::default();
         }
         kept.bytes += stamp.pixels.len();
-        kept.note_body(&key, stamp.body);
+        kept.note_body(&key, &stamp.body);
         kept.stamps.insert(key, Arc::clone(&stamp));
         stamp
     }
 
-    /// Returns the body box of an icon, as in its stamp, relative to the center; does not draw the stamp.
-    pub(super) fn body(&self, class: &Class, instance: u32, facing: Facing, size: u32) -> PixelBox {
+    /// Returns the body of an icon, as in its stamp; does not draw the stamp.
+    pub(super) fn body(&self, class: &Class, instance: u32, facing: Facing, size: u32) -> Arc<Body> {
         let key = self.key(class, instance, facing, size);
         if let Some(body) = self.kept().bodies.get(&key) {
-            return *body;
+            return Arc::clone(body);
         }
         let (drawing, _) = self.drawing(class, key.1, facing);
-        let body = body_of(&drawing.outline(facing, key.3));
-        self.kept().note_body(&key, body);
+        let body = Arc::new(body_of(&drawing.outline(facing, key.3)));
+        self.kept().note_body(&key, &body);
         body
     }
 
@@ -467,7 +471,7 @@ impl Layers {
     /// Adds noise and a shadow, and crops the result.
     fn finish<R: Rng>(mut self, dice: &mut Dice<R>, noise: f32, size: u32, shadow: bool) -> Stamp {
         let (width, height) = (self.body.width(), self.body.height());
-        let body = body_of(&self.body);
+        let body = Arc::new(body_of(&self.body));
         if noise > 0.0 {
             disturb(&mut self.body, dice, noise, size);
         }
@@ -501,7 +505,7 @@ impl Layers {
             Transform::identity(),
             None,
         );
-        let area = bounds(&all, 1).unwrap_or(body);
+        let area = bounds(&all, 1).unwrap_or(body.area);
         let pixel = |from: i32, side: u32| (from + (side / 2).cast_signed()).cast_unsigned();
         let (left, top) = (pixel(area.x, width), pixel(area.y, height));
         let mut pixels = Vec::with_capacity(4 * (area.width * area.height) as usize);
@@ -513,14 +517,21 @@ impl Layers {
     }
 }
 
-/// Returns the box of the body's pixels that are at least half opaque, or the center if there are none.
-fn body_of(body: &Pixmap) -> PixelBox {
-    bounds(body, 128).unwrap_or(PixelBox {
+/// The least opacity of the pixels of a body.
+const HALF_OPAQUE: u8 = 128;
+
+/// Returns the pixels of a body that are at least half opaque.
+fn body_of(pixmap: &Pixmap) -> Body {
+    let area = bounds(pixmap, HALF_OPAQUE).unwrap_or(PixelBox {
         x: 0,
         y: 0,
         width: 1,
         height: 1,
-    })
+    });
+    let pixel = |from: i32, side: u32| (from + (side / 2).cast_signed()).cast_unsigned();
+    let (left, top) = (pixel(area.x, pixmap.width()), pixel(area.y, pixmap.height()));
+    let alpha = |col, row| pixmap.pixel(left + col, top + row).map_or(0, |pixel| pixel.alpha());
+    Body::new(area, |col, row| alpha(col, row) >= HALF_OPAQUE)
 }
 
 /// Returns the box of pixels with at least this opacity, relative to the center.
@@ -641,7 +652,14 @@ mod tests {
                 icons.stamp(&class, instance, facing, size).body,
                 "case {case}: {class}"
             );
-            assert_eq!(body, slow_bounds(&drawn), "case {case}: {class}");
+            assert_eq!(body.area, slow_bounds(&drawn), "case {case}: {class}");
+            let (width, height) = (drawn.width().cast_signed(), drawn.height().cast_signed());
+            let places = (0..height).flat_map(|y| (0..width).map(move |x| (x, y)));
+            for ((x, y), pixel) in places.zip(drawn.pixels()) {
+                let is_in = body.contains(x - width / 2, y - height / 2);
+                assert_eq!(is_in, pixel.alpha() >= 128, "case {case}: {class}");
+            }
+            assert!(!body.contains(i32::MIN, 0) && !body.contains(0, i32::MAX));
         }
     }
 

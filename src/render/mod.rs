@@ -43,6 +43,7 @@
 mod building;
 mod car;
 mod class;
+mod clutter;
 mod encode;
 mod ground;
 mod icon;

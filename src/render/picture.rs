@@ -8,6 +8,7 @@ use embedded_graphics::pixelcolor::{Rgb888, RgbColor};
 use embedded_graphics::prelude::Drawable;
 use embedded_graphics::text::{Alignment, Baseline, Text, TextStyleBuilder};
 use std::convert::Infallible;
+use std::sync::Arc;
 
 /// A rectangle in a picture, in pixels.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -23,6 +24,15 @@ pub struct PixelBox {
 }
 
 impl PixelBox {
+    /// Returns whether two rectangles have a pixel in common.
+    pub fn overlaps(self, other: PixelBox) -> bool {
+        let along = |from: i32, length: u32, other_from: i32, other_length: u32| {
+            let end = |from: i32, length: u32| i64::from(from) + i64::from(length);
+            i64::from(from) < end(other_from, other_length) && i64::from(other_from) < end(from, length)
+        };
+        along(self.x, self.width, other.x, other.width) && along(self.y, self.height, other.y, other.height)
+    }
+
     /// Returns the part inside a picture of this size; `None` if there is none.
     pub fn clipped(self, width: u32, height: u32) -> Option<PixelBox> {
         let along = |from: i32, length: u32, end: u32| {
@@ -38,13 +48,58 @@ impl PixelBox {
     }
 }
 
+/// The pixels of an agent itself, without shadow or marks: those where its icon is at least half opaque.
+#[derive(Clone, Debug, PartialEq, Eq)]
+pub(super) struct Body {
+    /// Their box, relative to the center of the icon; the center if there are no such pixels.
+    pub(super) area: PixelBox,
+    /// One bit per pixel of the box, row by row.
+    bits: Box<[u64]>,
+}
+
+impl Body {
+    /// Returns the body with the pixels of the box for which `is_in` returns true, by column and row of the box.
+    pub(super) fn new(area: PixelBox, is_in: impl Fn(u32, u32) -> bool) -> Body {
+        let mut bits = vec![0; (area.width as usize * area.height as usize).div_ceil(64)];
+        for (row, col) in (0..area.height).flat_map(|row| (0..area.width).map(move |col| (row, col))) {
+            let bit = row as usize * area.width as usize + col as usize;
+            bits[bit / 64] |= u64::from(is_in(col, row)) << (bit % 64);
+        }
+        Body {
+            area,
+            bits: bits.into(),
+        }
+    }
+
+    /// Returns whether a pixel belongs to the body, by its place relative to the center.
+    pub(super) fn contains(&self, x: i32, y: i32) -> bool {
+        let PixelBox {
+            x: left,
+            y: top,
+            width,
+            height,
+        } = self.area;
+        let (col, row) = (
+            x.wrapping_sub(left).cast_unsigned(),
+            y.wrapping_sub(top).cast_unsigned(),
+        );
+        let bit = row as usize * width as usize + col as usize;
+        col < width && row < height && self.bits[bit / 64] >> (bit % 64) & 1 == 1
+    }
+
+    /// Returns its size in memory, in bytes.
+    pub(super) fn bytes(&self) -> usize {
+        size_of::<Body>() + size_of_val(&*self.bits)
+    }
+}
+
 /// An icon of one size and facing, centered on the origin.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub struct Stamp {
     /// The area of the pixels, relative to the center.
     pub(super) area: PixelBox,
-    /// The area of the agent itself, without shadow or marks, relative to the center.
-    pub(super) body: PixelBox,
+    /// The pixels of the agent itself, without shadow or marks.
+    pub(super) body: Arc<Body>,
     /// Premultiplied RGBA, row by row.
     pub(super) pixels: Vec<u8>,
 }
@@ -157,15 +212,20 @@ impl Picture {
             y: y.saturating_add(stamp.area.y),
             ..stamp.area
         };
+        self.blend(area, &stamp.pixels);
+    }
+
+    /// Blends a rectangle of premultiplied RGBA onto the picture.
+    pub(super) fn blend(&mut self, area: PixelBox, pixels: &[u8]) {
         let Some((left, top, width, height)) = self.clip(area) else {
             return;
         };
         let (skip_x, skip_y) = (skipped(left, area.x), skipped(top, area.y));
         for row in 0..height {
             let to = 3 * ((top + row) * self.width as usize + left);
-            let from = 4 * ((skip_y + row) * stamp.area.width as usize + skip_x);
+            let from = 4 * ((skip_y + row) * area.width as usize + skip_x);
             let below = self.pixels[to..to + 3 * width].as_chunks_mut::<3>().0;
-            let over = stamp.pixels[from..from + 4 * width].as_chunks::<4>().0;
+            let over = pixels[from..from + 4 * width].as_chunks::<4>().0;
             for (below, &[r, g, b, alpha]) in below.iter_mut().zip(over) {
                 match alpha {
                     0 => {}

@@ -6,7 +6,7 @@ use crate::render::ground;
 use crate::render::ground::Look;
 use crate::render::icon::Icons;
 use crate::render::picture::Picture;
-use crate::render::picture::{PixelBox, Stamp};
+use crate::render::picture::{Body, PixelBox, Stamp};
 use crate::render::sprite::Sprite;
 use crate::render::view::Viewport;
 use crate::rng::Seed;
@@ -42,13 +42,57 @@ impl Placement {
     }
 
     fn pixel_box(&self, agent: &Sprite<'_>) -> Option<PixelBox> {
+        self.clipped(&self.body(agent)?)
+    }
+
+    /// Returns the fraction of each agent that the picture shows: of the pixels of its icon inside the picture, those
+    /// that no icon drawn later covers. Pixels count where an icon is at least half opaque, without its shadow. `None`
+    /// if the agent has no box.
+    pub fn visible(&self, agents: &[Sprite<'_>]) -> Vec<Option<f32>> {
+        let mut fractions = vec![None; agents.len()];
+        // From the top down: each body, with its box.
+        let mut above: Vec<(PlacedBody, PixelBox)> = Vec::new();
+        for at in drawing_order(agents).rev() {
+            let Some(body) = self.body(&agents[at]) else { continue };
+            let Some(area) = self.clipped(&body) else { continue };
+            let covers: Vec<&PlacedBody> = (above.iter())
+                .filter(|(_, other)| other.overlaps(area))
+                .map(|(body, _)| body)
+                .collect();
+            let (right, bottom) = (area.x + area.width.cast_signed(), area.y + area.height.cast_signed());
+            let pixels = (area.y..bottom).flat_map(|y| (area.x..right).map(move |x| (x, y)));
+            let mut own = pixels.filter(|&(x, y)| body.contains(x, y));
+            fractions[at] = Some(match covers.is_empty() {
+                true => f32::from(u8::from(own.next().is_some())),
+                false => {
+                    let (mut all, mut shown) = (0_u32, 0_u32);
+                    for (x, y) in own {
+                        all += 1;
+                        shown += u32::from(!covers.iter().any(|cover| cover.contains(x, y)));
+                    }
+                    #[allow(clippy::cast_precision_loss)]
+                    let fraction = shown as f32 / all.max(1) as f32;
+                    fraction
+                }
+            });
+            above.push((body, area));
+        }
+        fractions
+    }
+
+    fn body(&self, agent: &Sprite<'_>) -> Option<PlacedBody> {
         let (x, y) = self.middle(agent)?;
         let body = (self.icons).body(&agent.class(), agent.instance, agent.facing, self.size(agent));
+        Some(PlacedBody { body, x, y })
+    }
+
+    /// Returns the part of a body's box that is in the picture.
+    fn clipped(&self, PlacedBody { body, x, y }: &PlacedBody) -> Option<PixelBox> {
         let (width, height) = self.view.size();
         PixelBox {
-            x: x + body.x,
-            y: y + body.y,
-            ..body
+            x: x + body.area.x,
+            y: y + body.area.y,
+            ..body.area
         }
         .clipped(width, height)
     }
@@ -82,6 +126,27 @@ impl Placement {
 pub struct Renderer {
     placement: Placement,
     ground: Picture,
+}
+
+/// Returns the agents in the order in which they are drawn: cars, then pedestrians.
+fn drawing_order(agents: &[Sprite<'_>]) -> impl DoubleEndedIterator<Item = usize> {
+    let of = |kind: AgentKind| (0..agents.len()).filter(move |&at| agents[at].kind == kind);
+    of(AgentKind::Car).chain(of(AgentKind::Pedestrian))
+}
+
+/// A body at its place.
+struct PlacedBody {
+    body: Arc<Body>,
+    /// Its center.
+    x: i32,
+    y: i32,
+}
+
+impl PlacedBody {
+    /// Whether a pixel of the picture belongs to the body.
+    fn contains(&self, x: i32, y: i32) -> bool {
+        self.body.contains(x - self.x, y - self.y)
+    }
 }
 
 /// An icon at its place.
@@ -140,11 +205,9 @@ impl Renderer {
     }
 
     fn add_agents(&self, agents: &[Sprite<'_>], picture: &mut Picture) {
-        for kind in [AgentKind::Car, AgentKind::Pedestrian] {
-            for agent in agents.iter().filter(|agent| agent.kind == kind) {
-                if let Some(Placed { stamp, x, y }) = self.placement.stamp(agent) {
-                    picture.stamp(&stamp, x, y);
-                }
+        for at in drawing_order(agents) {
+            if let Some(Placed { stamp, x, y }) = self.placement.stamp(&agents[at]) {
+                picture.stamp(&stamp, x, y);
             }
         }
     }
@@ -153,6 +216,11 @@ impl Renderer {
     /// map or the picture.
     pub fn boxes(&self, agents: &[Sprite<'_>]) -> Vec<Option<PixelBox>> {
         self.placement.boxes(agents)
+    }
+
+    /// Returns the visible fraction of each agent, as [`Placement::visible`].
+    pub fn visible(&self, agents: &[Sprite<'_>]) -> Vec<Option<f32>> {
+        self.placement.visible(agents)
     }
 
     pub(super) fn pixel_box(&self, agent: &Sprite<'_>) -> Option<PixelBox> {
@@ -241,10 +309,43 @@ mod tests {
         pixels
     }
 
+    /// Reference implementation of [`Placement::visible`]: paints the number of each agent over its body, pixel by
+    /// pixel, and counts what is left in the end. The bodies are those of complete drawings.
+    fn slowly_visible(icons: &Icons, view: &Viewport, map: &CityMap, agents: &[Sprite<'_>]) -> Vec<(u32, u32)> {
+        let (width, height) = view.size();
+        let mut owner = vec![None; (width * height) as usize];
+        let mut counts = vec![(0, 0); agents.len()];
+        let mut order: Vec<usize> = (0..agents.len()).collect();
+        order.sort_by_key(|&at| agents[at].kind == AgentKind::Pedestrian);
+        for at in order.into_iter().filter(|&at| map.contains(agents[at].at)) {
+            let agent = &agents[at];
+            let size = match agent.kind {
+                AgentKind::Car => view.car,
+                AgentKind::Pedestrian => view.pedestrian,
+            };
+            let stamp = icons.draw(&agent.class(), agent.instance, agent.facing, size);
+            let middle = |cell: i32, corner: i32| (cell - corner) * view.scale.pixels + view.scale.pixels / 2;
+            let (x, y) = (
+                middle(agent.at.col, view.corner.col),
+                middle(agent.at.row, view.corner.row),
+            );
+            for (place, owner) in owner.iter_mut().enumerate() {
+                let place = ((place as u32 % width) as i32 - x, (place as u32 / width) as i32 - y);
+                if stamp.body.contains(place.0, place.1) {
+                    counts[at].1 += 1;
+                    *owner = Some(at);
+                }
+            }
+        }
+        owner.into_iter().flatten().for_each(|at| counts[at].0 += 1);
+        counts
+    }
+
     #[test]
     fn slow_what_is_kept_makes_no_difference() {
         let map = map();
         let concepts = ["bus", "tiro", "ambulance", "taxi", "old", "young"].map(str::to_owned);
+        let mut covered = 0;
         for case in 0..6 {
             let mut stream = Seed(9).stream(Purpose::SCENE, case, 0);
             let percent = stream.random_range(0..=100);
@@ -283,7 +384,17 @@ mod tests {
                     "case {case}"
                 );
                 assert_eq!(renderer.boxes(&agents), placement.boxes(&agents), "case {case}");
+                let counts = slowly_visible(&icons(), &view, &map, &agents);
+                let visible = placement.visible(&agents);
+                assert_eq!(renderer.visible(&agents), visible, "case {case}");
+                for (at, (shown, all)) in counts.into_iter().enumerate() {
+                    let boxed = placement.boxes(&agents[at..=at])[0].is_some();
+                    let fraction = boxed.then(|| shown as f32 / all.max(1) as f32);
+                    assert_eq!(visible[at], fraction, "case {case}, agent {at}: {shown} of {all}");
+                    covered += u32::from(shown > 0 && shown < all);
+                }
             }
         }
+        assert!(covered > 5, "{covered} agents are partly covered");
     }
 }

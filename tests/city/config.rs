@@ -1,7 +1,7 @@
 //! Configurations: the shipped files, every message, the blocks of the reference, and hostile input.
 
 use logicity::builtin::{self, BuiltinFiles};
-use logicity::city::{Action, AgentConfig, AgentKind, Buildings, Split};
+use logicity::city::{Action, AgentConfig, AgentKind, Buildings, Routing, Split, TripEnds};
 use logicity::config::{Scenario, load_map, load_scenario};
 use logicity::diag::{Code, Diagnostic, MAX_FAULTS, Sources, render, to_json};
 use logicity::files::{BUILTIN_FOLDER, ReadError, ReadFile, read_text};
@@ -436,6 +436,11 @@ fn values_are_those_of_the_reference() {
     };
     assert_eq!(region(&expert), [Some(100), Some(120), Some(120)]);
     assert_eq!(region(&load(Path::new("vap-easy"))), [Some(100); 3]);
+    assert_eq!((expert.trip_ends, expert.routing), (TripEnds::Curb, Routing::Weighted));
+    for mode in ["vap-easy", "vap-hard"] {
+        let scenario = load(Path::new(mode));
+        assert_eq!((scenario.trip_ends, scenario.routing), (TripEnds::Lane, Routing::Hops));
+    }
     assert_eq!(
         (expert.view, expert.ticks, expert.actions.default),
         (25, 300, Action::Normal)
@@ -517,10 +522,14 @@ fn the_hash_depends_on_content_and_not_on_files_places_or_names() {
         ),
         ("b.yaml", "base: configs/expert.yaml\nview: 7\n"),
     ]);
-    let other = good(&[("main.yaml", "base: configs/expert.yaml\nview: 31\n")]);
     assert_eq!(one.hash.len(), 64);
     assert_eq!(one.hash, same.hash);
-    assert_ne!(one.hash, other.hash);
+    let curb = good(&[("main.yaml", "base: configs/expert.yaml\nview: 30\ntrip_ends: curb\n")]);
+    assert_eq!(one.hash, curb.hash);
+    for change in ["view: 31", "view: 30\ntrip_ends: lane"] {
+        let other = good(&[("main.yaml", &format!("base: configs/expert.yaml\n{change}\n"))]);
+        assert_ne!(one.hash, other.hash, "{change}");
+    }
     let modes = ["easy", "medium", "hard", "expert", "vap-easy"].map(|mode| load(Path::new(mode)).hash);
     assert!(
         modes

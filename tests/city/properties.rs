@@ -2,11 +2,12 @@
 //! decisions.
 
 use logicity::builtin::BuiltinFiles;
-use logicity::city::{Action, AgentGroup, AgentKind, AgentSet, Building, Buildings, MapConfig, Routing, Split, Widths};
+use logicity::city::{Action, AgentGroup, AgentKind, AgentSet, Building, Buildings, MapConfig, Routing, Split};
 use logicity::city::{
     Agent, Cell, CityMap, Ground, Heading, Junction, Lane, Layout, MoveReason, NoRoute, Places, Route, Router,
     Surroundings, advance, place_agents, possible_cells,
 };
+use logicity::city::{TripEnds, Widths};
 use logicity::config::{load_map, load_scenario};
 use logicity::diag::Located;
 use logicity::diag::{Code, Sources, Span};
@@ -76,6 +77,10 @@ fn building_tables() -> impl Strategy<Value = Buildings> {
         (any::<u64>(), proptest::collection::vec((building, weight), 0..7))
             .prop_map(|(seed, weights)| Buildings::Random { seed, weights }),
     ]
+}
+
+fn trip_ends() -> impl Strategy<Value = TripEnds> {
+    proptest::sample::select(&TripEnds::ALL[..])
 }
 
 /// All cells, row by row.
@@ -441,18 +446,36 @@ proptest! {
 
     /// Start cells equal their definition, cell by cell.
     #[test]
-    fn start_cells_are_beside_the_right_buildings(map in maps(), region in 0..120_u32, trip in 0..100_u32, pick in any::<Index>()) {
+    fn start_cells_are_beside_the_right_buildings(
+        map in maps(),
+        ends in trip_ends(),
+        region in 0..120_u32,
+        trip in 0..100_u32,
+        pick in any::<Index>(),
+    ) {
         let building = |cell: Cell| map.building_at(cell);
-        let reach = map.layout.sidewalk() + 1;
         let router = Router::new(map.clone(), Routing::Weighted);
-        let places = Places::new(&router, Some(region), None);
-        let trips = Places::new(&router, Some(region), Some(trip));
+        let reach = map.layout.sidewalk() + 1 + match ends {
+            TripEnds::Curb => 0,
+            TripEnds::Lane => map.layout.mid_line(0) - map.layout.lane_offset(),
+        };
+        let on_line = |cell: Cell| match ends {
+            TripEnds::Curb => map.ground_at(cell) == Some(Ground::Traffic),
+            TripEnds::Lane => router.lanes().any(|lane| {
+                let between = |at: i32, from: i32, to: i32| (from..=to).contains(&at);
+                matches!(lane.heading, Heading::Right | Heading::Down)
+                    && between(cell.row, lane.start.row, lane.end.row)
+                    && between(cell.col, lane.start.col, lane.end.col)
+            }),
+        };
+        let places = Places::new(&router, ends, Some(region), None);
+        let trips = Places::new(&router, ends, Some(region), Some(trip));
         for kind in AgentKind::ALL {
             let is_place = |&cell: &Cell| match kind {
                 AgentKind::Pedestrian => map.ground_at(cell) == Some(Ground::Walking) && (-1..=1).any(|dr| (-1..=1).any(|dc| {
                     matches!(building(Cell::new(cell.row + dr, cell.col + dc)), Some(Building::House | Building::Office))
                 })),
-                AgentKind::Car => map.ground_at(cell) == Some(Ground::Traffic) && Heading::ALL.iter().any(|&heading| {
+                AgentKind::Car => on_line(cell) && Heading::ALL.iter().any(|&heading| {
                     let near = (1..=reach).find_map(|cells| building(cell.ahead(heading, cells)));
                     matches!(near, Some(Building::GasStation | Building::Garage | Building::Store))
                 }),
@@ -484,8 +507,13 @@ proptest! {
     }
 
     #[test]
-    fn cars_reach_every_goal_by_a_best_route_and_keep_right(map in maps(), picks in proptest::collection::vec(any::<[Index; 2]>(), 6)) {
-        let places = list(&Places::new(&Router::new(map.clone(), Routing::Weighted), None, None), AgentKind::Car);
+    fn cars_reach_every_goal_by_a_best_route_and_keep_right(
+        map in maps(),
+        ends in trip_ends(),
+        picks in proptest::collection::vec(any::<[Index; 2]>(), 6),
+    ) {
+        let router = Router::new(map.clone(), Routing::Weighted);
+        let places = list(&Places::new(&router, ends, None, None), AgentKind::Car);
         prop_assume!(!places.is_empty());
         for routing in [Routing::Weighted, Routing::Hops] {
             let router = Router::new(map.clone(), routing);
@@ -509,8 +537,8 @@ proptest! {
     fn slow_routes_on_large_maps_are_best(map in maps_of(7..=13), pick in any::<[Index; 2]>(), near in any::<Index>()) {
         for routing in [Routing::Weighted, Routing::Hops] {
             let router = Router::new(map.clone(), routing);
-            let places = Places::new(&router, None, None);
-            let trips = Places::new(&router, None, Some(3 * map.layout.period().unsigned_abs()));
+            let places = Places::new(&router, TripEnds::Curb, None, None);
+            let trips = Places::new(&router, TripEnds::Curb, None, Some(3 * map.layout.period().unsigned_abs()));
             prop_assume!(places.count(AgentKind::Car) > 0);
             let [start, far] = pick.map(|pick| places.nth(AgentKind::Car, pick.index(places.count(AgentKind::Car))).unwrap());
             let close = trips.goals(AgentKind::Car, start);
@@ -561,12 +589,13 @@ proptest! {
     #[test]
     fn agents_stay_on_their_routes_under_any_decisions(
         map in maps(),
+        ends in trip_ends(),
         seed in any::<u64>(),
         trip in proptest::option::of(20..200_u32),
         decisions in proptest::collection::vec(proptest::sample::select(&Action::ALL[..]), 60..90),
     ) {
         let router = Router::new(map.clone(), Routing::Weighted);
-        let places = Places::new(&router, None, trip);
+        let places = Places::new(&router, ends, None, trip);
         let set = agent_set(places.count(AgentKind::Car).min(3), places.count(AgentKind::Pedestrian).min(3), None);
         let agents = match place_agents(&set, &router, &places, Seed(seed)) {
             Ok(agents) => agents,
@@ -623,7 +652,7 @@ fn too_many_agents_for_a_region_are_reported() {
     let map = Arc::new(CityMap::generate(&config([1, 1], widths, buildings)).unwrap());
     let router = Router::new(map, Routing::Weighted);
     let place = |set: &AgentSet| {
-        let places = Places::new(&router, set.region.map(|region| region.value), None);
+        let places = Places::new(&router, TripEnds::Curb, set.region.map(|region| region.value), None);
         place_agents(set, &router, &places, Seed(1)).map_err(|diagnostic| diagnostic.code)
     };
     // Two stores with two curbs of ten cells each.
@@ -670,7 +699,7 @@ fn slow_agents_of_a_metropolis_are_small_and_keep_to_their_trips() {
     assert_eq!(map.semantic(&[]).unwrap_err().code, Code::LIMIT_EXCEEDED);
     let router = Router::new(Arc::new(map), scenario.routing);
     let trip = set.trip.map(|trip| trip.value);
-    let places = Places::new(&router, None, trip);
+    let places = Places::new(&router, TripEnds::Curb, None, trip);
     let mut agents = place_agents(&set, &router, &places, Seed(1)).expect("free start cells");
     let starts: BTreeSet<Cell> = agents.iter().map(|agent| agent.cell).collect();
     assert_eq!((agents.len(), starts.len()), (9_000, 9_000));
@@ -722,7 +751,7 @@ fn pedestrians_meet_intersections_as_often_as_in_the_published_program() {
     let config = load_map(&mut Sources::new(), Path::new("square-5x5"), &BuiltinFiles).expect("built in");
     let map = Arc::new(CityMap::generate(&config).expect("a valid map"));
     let [published, ours] = [Routing::Hops, Routing::Weighted].map(|routing| Router::new(map.clone(), routing));
-    let places = Places::new(&ours, Some(120), None);
+    let places = Places::new(&ours, TripEnds::Curb, Some(120), None);
     let count = places.count(AgentKind::Pedestrian);
     let cell = |number: usize| places.nth(AgentKind::Pedestrian, number % count).unwrap();
     let trips: Vec<[Cell; 2]> = (0..1000)

@@ -83,6 +83,95 @@ fn read(question: &str) -> Value {
     json!({"entities": entities, "ego": ego, "facts": facts})
 }
 
+/// The words of the predicates of the shipped configurations.
+const WORDS: [(&str, &str); 18] = [
+    ("IsPedestrian", "is a pedestrian"),
+    ("IsCar", "is a car"),
+    ("IsAmbulance", "is an ambulance"),
+    ("IsBus", "is a bus"),
+    ("IsPolice", "is a police car"),
+    ("IsTiro", "has a beginner at the wheel"),
+    ("IsReckless", "is driven recklessly"),
+    ("IsOld", "is old"),
+    ("IsYoung", "is young"),
+    ("IsAtInter", "is at the edge of an intersection"),
+    ("IsInInter", "is inside an intersection"),
+    ("IsClose", "is more than 12 and at most 20 cells away from"),
+    ("HigherPri", "has priority over"),
+    ("CollidingClose", "is about to run into"),
+    ("LeftOf", "is to the left of"),
+    ("RightOf", "is to the right of"),
+    ("NextTo", "is less than 12 cells away from"),
+    ("Sees", "sees"),
+];
+
+/// Parses the sentences of a question as a scene, as a person would.
+fn read_sentences(question: &str) -> Value {
+    let lines: Vec<&str> = question.lines().collect();
+    let [general, scene, agents @ .., ask] = &lines[..] else {
+        panic!("no scene in:\n{question}")
+    };
+    assert!(
+        general.contains("1 cell (Slow), 2 cells (Normal), 3 cells (Fast) or 0 cells (Stop)"),
+        "{general}"
+    );
+    assert!(general.contains("Every agent sees itself."), "{general}");
+    let plural = if agents.len() == 1 { "" } else { "s" };
+    assert_eq!(
+        *scene,
+        format!(
+            "A scene with {} agent{plural}. What is not stated is false.",
+            agents.len()
+        )
+    );
+    let name = |line: &str| line.split(' ').take(2).collect::<Vec<_>>().join(" ");
+    let names: Vec<String> = agents.iter().map(|line| name(line)).collect();
+    let place = |name: &str| {
+        names
+            .iter()
+            .position(|known| known == name)
+            .expect("an agent of the scene")
+    };
+    let mut facts: BTreeMap<&str, Vec<Vec<usize>>> = WORDS.iter().map(|(name, _)| (*name, Vec::new())).collect();
+    let predicate = |words: &str| WORDS.iter().find(|(_, known)| *known == words).map(|(name, _)| *name);
+    for (agent, line) in agents.iter().enumerate() {
+        facts.get_mut("Sees").unwrap().push(vec![agent, agent]);
+        let sentences = line.trim_end_matches('.').split(". ");
+        for (number, sentence) in sentences.enumerate() {
+            let said = sentence.strip_prefix(&names[agent]).unwrap().trim_start();
+            if number == 0 {
+                for words in said.split(", ").flat_map(|part| part.split(" and ")) {
+                    let predicate = predicate(words).unwrap_or_else(|| panic!("`{words}` in: {line}"));
+                    facts.get_mut(predicate).unwrap().push(vec![agent]);
+                }
+                continue;
+            }
+            // The longest verb that fits: names begin with a capital letter.
+            let verb = said.find(|letter: char| letter.is_uppercase()).unwrap();
+            let predicate = predicate(said[..verb].trim_end()).unwrap_or_else(|| panic!("`{said}` in: {line}"));
+            for other in said[verb..].split(", ").flat_map(|part| part.split(" and ")) {
+                facts.get_mut(predicate).unwrap().push(vec![agent, place(other)]);
+            }
+        }
+    }
+    let entity = |place: &usize| format!("Entity_{place}");
+    let facts = facts.into_iter().map(|(name, mut rows)| {
+        rows.sort();
+        let rows: Vec<Vec<String>> = rows.iter().map(|row| row.iter().map(entity).collect()).collect();
+        (name.to_owned(), json!(rows))
+    });
+    let ego = ask
+        .strip_prefix("Which action does ")
+        .unwrap()
+        .strip_suffix(" take next?")
+        .unwrap();
+    json!({
+        "entities": (0..names.len()).map(|place| entity(&place)).collect::<Vec<_>>(),
+        "ego": entity(&place(ego)),
+        "facts": facts.collect::<serde_json::Map<_, _>>(),
+    })
+}
+
 /// The decisions of `logicity infer`, as letters.
 fn inferred(config: &str, scenes: &[Value]) -> Vec<&'static str> {
     let lines: String = scenes.iter().map(|scene| format!("{scene}\n")).collect();
@@ -113,13 +202,30 @@ fn slow_every_answer_follows_from_the_text() {
             "expert",
             &["--seed", "4", "--count", "200", "--split", "val", "--shots", "10"],
         ),
+        ("vap-easy", &["--seed", "5", "--count", "200", "--style", "words"]),
+        ("vap-hard", &["--seed", "6", "--style", "words"]),
+        (
+            "expert",
+            &[
+                "--seed",
+                "7",
+                "--count",
+                "200",
+                "--style",
+                "words",
+                "--entities",
+                "city",
+            ],
+        ),
     ];
     for (config, arguments) in sets {
         let questions = questions(&[&[config], arguments].concat());
         let first = &questions[0];
         let shown = first["demonstrations"].as_array().unwrap();
         let all = || questions.iter().chain(shown);
-        let scenes: Vec<Value> = all().map(|question| read(string(&question["question"]))).collect();
+        let words = arguments.contains(&"words");
+        let parse = if words { read_sentences } else { read };
+        let scenes: Vec<Value> = all().map(|question| parse(string(&question["question"]))).collect();
         let wanted: Vec<&str> = all().map(|question| string(&question["answer"])).collect();
         assert_eq!(inferred(config, &scenes), wanted, "{config}");
         for question in all() {
@@ -143,6 +249,7 @@ fn slow_every_answer_follows_from_the_text() {
             }
         }
         for question in &questions {
+            assert_eq!(string(&question["id"]).contains("-words-"), words);
             assert_eq!(
                 [&question["demonstrations"], &question["system"]],
                 [&first["demonstrations"], &first["system"]]

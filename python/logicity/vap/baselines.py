@@ -42,7 +42,7 @@ def measure_baselines(
     - `rules` predicts the action that the rules derive from the facts, which is always correct in a valid data set.
 
     The tensors of both data sets are in memory at once. Each sample is padded to the number N of entities in the
-    largest sample, and takes 7 N² + 73 N + 16 bytes.
+    largest sample, and takes 7 N² + 77 N + 16 bytes.
 
     Args:
         train: The folder of the data set to train on.

@@ -44,7 +44,7 @@ PICTURE_SIDE = _logicity.PICTURE_SIDE
 """The side length of a picture in pixels, 1024."""
 
 #: The supported version of the data set format.
-VERSION = 2
+VERSION = 3
 
 
 @dataclass(frozen=True, eq=False)
@@ -61,6 +61,8 @@ class VapSample:
             concepts.
         image: uint8 (1024, 1024, 3): rows, columns, and RGB channels. `None` if pictures are not read.
         boxes: float32 (N, 4): left edge, upper edge, width and height in pixels. NaN for entities outside the picture.
+        visible: float32 (N,): the fraction of the pixels of an entity's icon in the picture that no other icon covers,
+            from 0 to 1. NaN for entities outside the picture.
         h: float32 (N, 9), the node vectors of the paper. Columns 0 to 3 are the box divided by the side of the picture,
             from 0 to 1, or 0 for entities outside the picture. Columns 4 to 7 are the one-hot heading (left, right, up,
             down), or 0 before the first move. Column 8 is the priority divided by the largest priority of the sample. A
@@ -79,6 +81,7 @@ class VapSample:
     concepts: tuple[str, ...]
     image: NDArray[np.uint8] | None
     boxes: NDArray[np.float32]
+    visible: NDArray[np.float32]
     h: NDArray[np.float32]
     unary: NDArray[np.bool_]
     binary: NDArray[np.bool_]
@@ -96,6 +99,7 @@ class _Tables(NamedTuple):
     concepts: list[str]
     numbers: list[NDArray[np.int64]]
     boxes: NDArray[np.float32]
+    visible: NDArray[np.float32]
     unary: NDArray[np.bool_]
     binary: NDArray[np.bool_]
     sees: NDArray[np.bool_]
@@ -183,6 +187,7 @@ class VapDataset(Sequence[VapSample]):
             concepts=tuple(tables.concepts[begin:end]),
             image=None,
             boxes=boxes,
+            visible=tables.visible[begin:end].copy(),
             h=_node_vectors(boxes, headings, priorities),
             unary=tables.unary[begin:end].copy(),
             binary=tables.binary[pairs].reshape(count, count, len(BINARY)).copy(),

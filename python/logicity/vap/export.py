@@ -111,8 +111,9 @@ def to_coco(folder: str | os.PathLike[str], out: str | os.PathLike[str], *, imag
 
     - `info` has `pictures`, which is false if the data set has no pictures.
     - `images` have `world` and `tick`. Each `file_name` is relative to the folder of the data set.
-    - `annotations` have `name`, `concepts` and, for cars, `action`. Each entity in the picture has an annotation. Its
-      `bbox` is the left edge, upper edge, width and height in pixels, and its `area` is that of the box.
+    - `annotations` have `name`, `concepts`, `visible` (the fraction of the icon that no other icon covers) and, for
+      cars, `action`. Each entity in the picture has an annotation. Its `bbox` is the left edge, upper edge, width and
+      height in pixels, and its `area` is that of the box.
     - `categories` are `car`, `ambulance`, `bus`, `police`, `tiro`, `reckless`, `pedestrian`, `old` and `young`, with
       ids from 1, followed by the combinations of concepts that occur, such as `bus+tiro`. The `supercategory` is `Car`
       or `Pedestrian`.
@@ -172,6 +173,7 @@ def _annotations(sample: VapSample) -> Iterator[dict[str, Any]]:
             "iscrowd": 0,
             "name": sample.names[entity],
             "concepts": sample.concepts[entity],
+            "visible": float(sample.visible[entity]),
         }
         if sample.mask[entity]:
             annotation["action"] = ACTIONS[sample.actions[entity]]

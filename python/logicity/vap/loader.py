@@ -22,6 +22,7 @@ __all__ = ["TorchVapDataset", "padded_batch"]
 #: The number of leading axes over entities of each field, and its padding value.
 PADDED: dict[str, tuple[int, float]] = {
     "boxes": (1, float("nan")),
+    "visible": (1, float("nan")),
     "h": (1, 0),
     "unary": (1, 0),
     "binary": (2, 0),

@@ -51,7 +51,7 @@ impl World {
     pub(super) fn places(&self, split: Split, set: &AgentSet) -> Arc<Places> {
         let make = || {
             let [region, trip] = [&set.region, &set.trip].map(|cells| cells.as_ref().map(|cells| cells.value));
-            Arc::new(Places::new(&self.router, region, trip))
+            Arc::new(Places::new(&self.router, self.scenario.trip_ends, region, trip))
         };
         Arc::clone(self.places[split as usize].get_or_init(make))
     }

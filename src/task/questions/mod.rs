@@ -5,11 +5,13 @@
 //! questions.
 
 mod wording;
+mod words;
 
 pub use wording::{RulesFile, letter};
 
 use crate::city::{Action, AgentKind, AgentName, AgentSet, Split};
 use crate::diag::{Code, Diagnostic, did_you_mean};
+use crate::predicate::Definition;
 use crate::rng::{Purpose, Rng, RngExt, Seed};
 use crate::sim::{Facts, MAX_ENTITIES, Settings, Simulation, World};
 use std::collections::BTreeSet;
@@ -51,6 +53,8 @@ pub struct Request {
     pub demonstrations: Split,
     /// The entities that a question names.
     pub entities: Extent,
+    /// The form of the facts in the text.
+    pub style: Style,
     /// Restricts questions to cars with one of these concepts, unless empty.
     pub about: Vec<String>,
     /// Seed of the set.
@@ -79,6 +83,28 @@ impl Extent {
     }
 }
 
+/// The form of the facts in the text of a question.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Style {
+    /// A list of atoms, as in the paper.
+    Atoms,
+    /// English sentences about each agent.
+    Words,
+}
+
+impl Style {
+    /// Both values.
+    pub const ALL: [Style; 2] = [Style::Atoms, Style::Words];
+
+    /// Returns the name: `atoms` or `words`.
+    pub const fn name(self) -> &'static str {
+        match self {
+            Style::Atoms => "atoms",
+            Style::Words => "words",
+        }
+    }
+}
+
 /// Questions, and the demonstrations that precede each of them.
 #[derive(Clone, Debug)]
 pub struct QuestionSet {
@@ -88,8 +114,8 @@ pub struct QuestionSet {
     pub demonstrations: Vec<Question>,
     /// The questions.
     pub questions: Vec<Question>,
-    /// Names and arities of the predicates, `Sees` last.
-    predicates: Vec<(String, usize)>,
+    /// Names and definitions of the predicates, `Sees` last.
+    predicates: Vec<(String, Definition)>,
     /// Number of worlds that the search simulated for the questions.
     pub worlds: usize,
 }
@@ -168,7 +194,7 @@ impl QuestionSet {
             demonstrations,
             questions,
             predicates: (predicates.iter())
-                .map(|predicate| (predicate.name.clone(), predicate.arity))
+                .map(|predicate| (predicate.name.clone(), predicate.definition.clone()))
                 .collect(),
             worlds: search.worlds,
             request,

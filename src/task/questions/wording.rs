@@ -2,7 +2,7 @@
 
 use crate::city::{Action, Split};
 use crate::sim::World;
-use crate::task::questions::{Question, QuestionSet};
+use crate::task::questions::{Question, QuestionSet, Request, Style, words};
 use serde_json::{Map, Value, json};
 use std::io::{self, Write};
 
@@ -27,7 +27,12 @@ impl QuestionSet {
     /// Errors of `out`.
     pub fn write_json(&self, world: &World, rules: RulesFile<'_>, out: &mut impl Write) -> io::Result<()> {
         let scenario = &world.scenario;
-        let set = format!("{}-{}-{}", scenario.name, self.request.split.name(), self.request.seed);
+        let style = match self.request.style {
+            Style::Atoms => "",
+            Style::Words => "-words",
+        };
+        let Request { split, seed, .. } = &self.request;
+        let set = format!("{}-{}-{seed}{style}", scenario.name, split.name());
         let shown = self.demonstrations.iter().map(|shown| {
             json!({
                 "question": self.text(shown),
@@ -44,7 +49,7 @@ impl QuestionSet {
         for (number, question) in self.questions.iter().enumerate() {
             let mut from = source(question);
             for (key, value) in [
-                ("seed", self.request.seed.into()),
+                ("seed", (*seed).into()),
                 ("config", scenario.name.as_str().into()),
                 ("config_hash", scenario.hash.as_str().into()),
                 ("rules", rules.name.into()),
@@ -88,7 +93,7 @@ impl QuestionSet {
     fn rows(&self, questions: &[Question], out: &mut impl Write) -> io::Result<()> {
         let options = Action::ALL.map(Action::name).join(",");
         for question in questions {
-            // The text needs no escaping, because names of predicates are identifiers without quotes.
+            // The text needs no escaping: neither names of predicates and concepts nor sentences contain quotes.
             writeln!(out, "\"{}\",{options},{}", self.text(question), letter(question.answer))?;
         }
         Ok(())
@@ -113,16 +118,26 @@ impl QuestionSet {
 
     /// Returns a question without its options.
     fn text(&self, question: &Question) -> String {
+        match self.request.style {
+            Style::Atoms => self.atoms(question),
+            Style::Words => words::text(&self.predicates, question),
+        }
+    }
+
+    fn atoms(&self, question: &Question) -> String {
         let names: Vec<String> = (0..question.entities).map(entity).collect();
         let predicates: Vec<String> = self
             .predicates
             .iter()
-            .map(|(name, arity)| format!("{name}/{arity}"))
+            .map(|(name, definition)| format!("{name}/{}", definition.arity()))
             .collect();
         let mut facts = String::new();
-        for ((name, arity), rows) in self.predicates.iter().zip(&question.facts.rows) {
+        for ((name, definition), rows) in self.predicates.iter().zip(&question.facts.rows) {
             let atoms = rows.iter().map(|row| {
-                let arguments: Vec<String> = row[..*arity].iter().map(|&place| entity(place as usize)).collect();
+                let arguments: Vec<String> = row[..definition.arity()]
+                    .iter()
+                    .map(|&place| entity(place as usize))
+                    .collect();
                 format!("{name}({})", arguments.join(", "))
             });
             let atoms: Vec<String> = atoms.collect();
@@ -143,9 +158,9 @@ impl QuestionSet {
     /// Returns the facts as a scene for `logicity infer`.
     fn scene(&self, question: &Question) -> Value {
         let predicates = self.predicates.iter().zip(&question.facts.rows);
-        let facts = predicates.map(|((name, arity), rows)| {
+        let facts = predicates.map(|((name, definition), rows)| {
             let row = |row: &[u32; 2]| match row.map(|place| entity(place as usize)) {
-                [only, _] if *arity == 1 => Value::from(only),
+                [only, _] if definition.arity() == 1 => Value::from(only),
                 both => json!(both),
             };
             (name.clone(), rows.iter().map(row).collect::<Value>())

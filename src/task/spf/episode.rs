@@ -175,7 +175,7 @@ impl Episode {
                     format!("[{}, {}]", goal.row, goal.col),
                 );
                 invalid(format!("{} cannot go from {from} to {to}", agent.name))
-                    .help("cars start and end on curb cells of traffic streets, pedestrians on sidewalks")
+                    .help("cars start and end on traffic streets beside a block, pedestrians on sidewalks")
             })?;
             let config = AgentConfig {
                 name: agent.name,

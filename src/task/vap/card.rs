@@ -2,7 +2,7 @@
 
 use crate::city::Action;
 use crate::task::vap::folder::{DatasetSettings, Manifest};
-use crate::task::vap::table::{ENTITY_NAMES, ENTITY_NUMBERS, PAIR_NAMES};
+use crate::task::vap::table::{ENTITY_NAMES, ENTITY_NUMBERS, PAIR_NAMES, VISIBLE};
 use crate::task::vap::{FIRST_TICK, Mode, SIDE, TICKS, Worlds, percent, total};
 use std::fmt::Write as _;
 
@@ -137,10 +137,10 @@ fn concepts(manifest: &Manifest) -> String {
 }
 
 fn atoms(manifest: &Manifest) -> String {
-    let mut text =
-        "## Facts\n\nTrue atoms of all frames. An atom about two agents counts if the first sees the second.\n\n\
+    let mut text = "## Facts\n\nTrue atoms of all frames. An atom about two agents counts if both\n\
+         stand in the view of one agent, which may be one of the two.\n\n\
          | predicate | true |\n|---|---|\n"
-            .to_owned();
+        .to_owned();
     for (predicate, count) in &manifest.atoms {
         writeln!(text, "| `{predicate}` | {count} |").expect("memory");
     }
@@ -161,7 +161,7 @@ fn columns(worlds: &Worlds) -> String {
         | column | meaning |\n|---|---|\n"
         .to_owned();
     let numbers = ENTITY_NUMBERS.iter().map(|(name, what, _)| (*name, *what));
-    for (name, what) in ENTITY_NAMES.into_iter().chain(numbers) {
+    for (name, what) in ENTITY_NAMES.into_iter().chain(numbers).chain([VISIBLE]) {
         writeln!(text, "| `{name}` | {what} |").expect("memory");
     }
     write!(

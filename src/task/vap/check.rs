@@ -1,6 +1,7 @@
 //! Opens and checks data sets.
 
 use crate::cancel::Cancel;
+use crate::city::AgentKind;
 use crate::diag::{Code, Diagnostic};
 use crate::files::{Folder, ReadError};
 use crate::render::read_png;
@@ -8,7 +9,7 @@ use crate::rng::Seed;
 use crate::sim::{Executor, Inference, LoadedCity, SceneFacts};
 use crate::task::vap::dataset::{Monitor, Step};
 use crate::task::vap::folder::{ENTITIES, MANIFEST, PAIRS, add, file_record, wrong};
-use crate::task::vap::table::{Sample, Table, boxes, count_concepts, samples};
+use crate::task::vap::table::{Sample, Table, boxes, count_concepts, samples, visible};
 use crate::task::vap::{DatasetError, Manifest, Mode, SIDE, WorldRecord, count_atoms, folder};
 use std::collections::{BTreeMap, BTreeSet};
 use std::num::NonZeroUsize;
@@ -52,7 +53,7 @@ impl Dataset {
         self.folder.path().join(MANIFEST)
     }
 
-    /// Checks files, hashes, order, pictures and boxes, and derives every label from the facts.
+    /// Checks files, hashes, order, pictures, boxes and visible fractions, and derives every label from the facts.
     ///
     /// `city` has the configuration of [`mode`](Dataset::mode). `progress` receives the numbers of worlds checked and
     /// to check. It is called, and `cancel` is polled, on the calling thread only.
@@ -204,7 +205,8 @@ fn check_picture(bytes: &[u8]) -> Result<(), String> {
     }
 }
 
-/// Reads the entities and the samples of a world. All boxes must lie in the picture, and all files must be tables.
+/// Reads the entities and the samples of a world. All boxes must lie in the picture, visible fractions must fit them,
+/// and all files must be tables.
 fn read_tables(
     inference: &Inference,
     record: &WorldRecord,
@@ -221,9 +223,38 @@ fn read_tables(
             format!("`{name}` is neither a table nor a picture"),
         ));
     }
-    boxes(&entities)?;
+    check_visible(&entities)?;
     let samples = samples(inference.vocabulary(), record.world, &entities, &pairs)?;
     Ok((entities, samples))
+}
+
+/// Checks visible fractions. An agent is whole unless the box of an agent that is drawn later overlaps its own, or its
+/// box is cut off by the edge of the picture.
+fn check_visible(entities: &Table) -> Result<(), Diagnostic> {
+    let (boxes, fractions) = (boxes(entities)?, visible(entities)?);
+    let (ticks, kinds) = (entities.ints("tick")?, entities.texts("type")?);
+    let drawn = |row: usize| (kinds[row] == AgentKind::Pedestrian.name(), row);
+    for (row, (pixels, fraction)) in boxes.iter().zip(fractions).enumerate() {
+        let (Some(pixels), Some(fraction)) = (pixels, fraction) else {
+            continue;
+        };
+        let is_frame = |other: &usize| ticks[*other] == ticks[row];
+        let before = (0..row).rev().take_while(is_frame);
+        let later = (before.chain((row..boxes.len()).take_while(is_frame))).filter(|&other| drawn(other) > drawn(row));
+        let is_covered = || {
+            later
+                .filter_map(|other| boxes[other])
+                .any(|other| other.overlaps(*pixels))
+        };
+        let right = pixels.x + pixels.width.cast_signed();
+        let bottom = pixels.y + pixels.height.cast_signed();
+        let at_edge = pixels.x.min(pixels.y) == 0 || right.max(bottom) == SIDE.cast_signed();
+        if fraction < 1.0 && !is_covered() && !(fraction == 0.0 && at_edge) {
+            let message = format!("row {row} of the entities is {fraction} visible, but nothing covers it");
+            return Err(Diagnostic::new(Code::INVALID_DATA_SET, message));
+        }
+    }
+    Ok(())
 }
 
 /// Counts the labels of a sample. Every label must be the action that the rules choose.

@@ -17,7 +17,7 @@ use std::path::{Path, PathBuf};
 pub(super) const DATA: &str = "logicity vap";
 
 /// The version of the format. It increases when a reader of the old version would misread the new one.
-pub(super) const VERSION: u32 = 2;
+pub(super) const VERSION: u32 = 3;
 
 pub(super) const MANIFEST: &str = "manifest.json";
 const CARD: &str = "README.md";

@@ -11,6 +11,7 @@ mod codes;
 mod dataset;
 mod error;
 mod folder;
+mod stats;
 pub mod table;
 
 pub use check::Dataset;
@@ -18,6 +19,7 @@ pub use codes::CODES;
 pub use dataset::{DatasetRequest, DatasetSummary, DatasetWriter, WORLDS_MAX};
 pub use error::DatasetError;
 pub use folder::{DatasetSettings, FileRecord, Manifest, WorldRecord};
+pub use stats::{Estimate, Statistics, WorldCounts};
 
 use crate::city::{Action, AgentGroup, AgentKind, AgentName, AgentSet, Split};
 use crate::city::{Cell, Heading};
@@ -27,7 +29,7 @@ use crate::diag::{Code, Diagnostic};
 use crate::render::{Class, Facing, Icons, Picture, PixelBox, Placement, Renderer, Scale, Sprite, Viewport};
 use crate::rng::{Purpose, Rng, RngExt, Seed};
 use crate::sim::{Facts, Settings, Simulation, Vocabulary, World};
-use std::collections::{BTreeMap, HashSet};
+use std::collections::BTreeMap;
 use std::sync::Arc;
 
 impl Purpose {
@@ -320,6 +322,11 @@ impl Worlds {
         self.placement.boxes(&frame.sprites())
     }
 
+    /// Returns the visible fraction of each agent of a frame, as [`Placement::visible`].
+    pub fn visible(&self, frame: &Frame) -> Vec<Option<f32>> {
+        self.placement.visible(&frame.sprites())
+    }
+
     /// Returns the shared world with drawn agents.
     fn with_drawn_agents(&self, seed: Seed) -> Result<Arc<World>, Diagnostic> {
         let mut scenario = self.world.scenario.clone();
@@ -391,17 +398,50 @@ pub fn count_actions(frames: &[Frame]) -> [u64; 4] {
     counts
 }
 
-/// Counts the true atoms of each predicate. An atom over two agents counts if the first sees the second.
+/// Counts the true atoms of each predicate. An atom over two agents counts if both stand in the view of one agent,
+/// which may be one of the two, as in the published program: it joins the facts that the agents of a frame see.
 pub fn count_atoms<'a>(vocabulary: &Vocabulary, all: impl IntoIterator<Item = &'a Facts>) -> BTreeMap<String, u64> {
     let mut counts = BTreeMap::new();
     for facts in all {
-        let seen: HashSet<[u32; 2]> = facts.rows[vocabulary.sees].iter().copied().collect();
+        let seen = pairs_in_view(&facts.rows[vocabulary.sees]);
         for (predicate, rows) in vocabulary.predicates.iter().zip(&facts.rows) {
-            let counted = rows.iter().filter(|row| predicate.arity == 1 || seen.contains(*row));
+            let counted = rows.iter().filter(|row| predicate.arity == 1 || seen.contains(row));
             *counts.entry(predicate.name.clone()).or_default() += counted.count() as u64;
         }
     }
     counts
+}
+
+/// Pairs of agents, as bits.
+struct Pairs {
+    /// More than the greatest number of an agent.
+    agents: usize,
+    set: Vec<bool>,
+}
+
+impl Pairs {
+    fn contains(&self, &[first, second]: &[u32; 2]) -> bool {
+        let (first, second) = (first as usize, second as usize);
+        first.max(second) < self.agents && self.set[first * self.agents + second]
+    }
+}
+
+/// Returns the pairs of agents that stand in the view of one agent.
+fn pairs_in_view(sees: &[[u32; 2]]) -> Pairs {
+    let agents = sees.iter().flatten().max().map_or(0, |&last| last as usize + 1);
+    let mut views: Vec<Vec<usize>> = vec![Vec::new(); agents];
+    for &[viewer, seen] in sees {
+        views[viewer as usize].push(seen as usize);
+    }
+    let mut set = vec![false; agents * agents];
+    for view in views {
+        for &first in &view {
+            for &second in &view {
+                set[first * agents + second] = true;
+            }
+        }
+    }
+    Pairs { agents, set }
 }
 
 /// Formats a share, for example `41.0 %`.

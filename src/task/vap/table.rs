@@ -10,7 +10,7 @@ use crate::task::vap::{Frame, FrameAgent, SIDE, Worlds, faulty};
 use bytes::Bytes;
 use parquet::basic::{Compression, Repetition};
 use parquet::column::reader::ColumnReader;
-use parquet::data_type::{BoolType, ByteArray, ByteArrayType, Int32Type};
+use parquet::data_type::{BoolType, ByteArray, ByteArrayType, FloatType, Int32Type};
 use parquet::errors::ParquetError;
 use parquet::file::properties::WriterProperties;
 use parquet::file::reader::{FileReader, SerializedFileReader};
@@ -36,6 +36,8 @@ pub enum Values {
     Int(Vec<i32>),
     /// Optional integers.
     MaybeInt(Vec<Option<i32>>),
+    /// Optional 32-bit floats.
+    MaybeFloat(Vec<Option<f32>>),
     /// Strings.
     Text(Vec<String>),
     /// Booleans.
@@ -47,6 +49,7 @@ impl Values {
         match self {
             Values::Int(values) => values.len(),
             Values::MaybeInt(values) => values.len(),
+            Values::MaybeFloat(values) => values.len(),
             Values::Text(values) => values.len(),
             Values::Bool(values) => values.len(),
         }
@@ -57,6 +60,7 @@ impl Values {
         match self {
             Values::Int(_) => format!("required int32 {name};"),
             Values::MaybeInt(_) => format!("optional int32 {name};"),
+            Values::MaybeFloat(_) => format!("optional float {name};"),
             Values::Text(_) => format!("required binary {name} (UTF8);"),
             Values::Bool(_) => format!("required boolean {name};"),
         }
@@ -80,7 +84,7 @@ pub const ENTITY_NAMES: [(&str, &str); 6] = [
     ("concepts", "joined by `+`; empty if there are none"),
 ];
 
-/// The next columns. The unary predicates follow them.
+/// The next columns.
 pub const ENTITY_NUMBERS: [EntityColumn; 11] = [
     ("priority", "priority; a smaller number goes first", |agent, _| {
         Some(agent.priority)
@@ -135,6 +139,13 @@ pub const ENTITY_NUMBERS: [EntityColumn; 11] = [
     ),
 ];
 
+/// The last column before the unary predicates.
+pub const VISIBLE: (&str, &str) = (
+    "visible",
+    "fraction of its icon inside the picture that no icon drawn later covers, 0 to 1, without shadows; cars are drawn \
+     before pedestrians, both in order of `agent`; null outside the picture",
+);
+
 /// The columns that identify a row of the table of pairs, with their descriptions. The binary predicates follow them.
 pub const PAIR_NAMES: [(&str, &str); 4] = [
     ("world", "number of the world"),
@@ -175,7 +186,9 @@ impl Table {
             let values = all.iter().map(|(_, _, agent, pixels)| value(agent, *pixels));
             ((*name).to_owned(), Values::MaybeInt(values.collect()))
         });
+        let visible = frames.iter().flat_map(|frame| worlds.visible(frame)).collect();
         let mut columns: Vec<(String, Values)> = names.chain(numbers).collect();
+        columns.push((VISIBLE.0.to_owned(), Values::MaybeFloat(visible)));
         columns.extend(truths(&worlds.world().vocabulary, frames, 1));
         Table { columns }
     }
@@ -225,6 +238,11 @@ impl Table {
                     let values: Vec<i32> = values.iter().flatten().copied().collect();
                     column.typed::<Int32Type>().write_batch(&values, Some(&there), None)?
                 }
+                Values::MaybeFloat(values) => {
+                    let there: Vec<i16> = values.iter().map(|value| value.is_some().into()).collect();
+                    let values: Vec<f32> = values.iter().flatten().copied().collect();
+                    column.typed::<FloatType>().write_batch(&values, Some(&there), None)?
+                }
                 Values::Text(values) => {
                     let values: Vec<ByteArray> = values.iter().map(|text| text.as_str().into()).collect();
                     column.typed::<ByteArrayType>().write_batch(&values, None, None)?
@@ -272,6 +290,17 @@ impl Table {
         match self.column(name)? {
             Values::MaybeInt(values) => Ok(values),
             _ => Err(faulty(format!("the column `{name}` does not hold optional integers"))),
+        }
+    }
+
+    /// Returns a column of optional 32-bit floats.
+    ///
+    /// # Errors
+    /// `invalid-data-set` if there is no such column.
+    pub fn maybe_floats(&self, name: &str) -> Result<&[Option<f32>], Diagnostic> {
+        match self.column(name)? {
+            Values::MaybeFloat(values) => Ok(values),
+            _ => Err(faulty(format!("the column `{name}` does not hold optional floats"))),
         }
     }
 
@@ -339,6 +368,23 @@ pub fn boxes(entities: &Table) -> Result<Vec<Option<PixelBox>>, Diagnostic> {
     all.collect()
 }
 
+/// Returns the visible fraction of each row of the table of entities.
+///
+/// # Errors
+/// As [`boxes`]; `invalid-data-set` unless exactly the agents with a box have a fraction, from 0 to 1.
+pub fn visible(entities: &Table) -> Result<Vec<Option<f32>>, Diagnostic> {
+    let fractions = entities.maybe_floats(VISIBLE.0)?;
+    for (row, (pixels, fraction)) in boxes(entities)?.iter().zip(fractions).enumerate() {
+        let in_range = fraction.is_none_or(|fraction| (0.0..=1.0).contains(&fraction));
+        if !in_range || pixels.is_some() != fraction.is_some() {
+            return Err(faulty(format!(
+                "row {row} of the entities has a wrong visible fraction"
+            )));
+        }
+    }
+    Ok(fractions.to_vec())
+}
+
 /// Returns, for each predicate of this arity, whether it holds in each row.
 fn truths(vocabulary: &Vocabulary, frames: &[Frame], arity: usize) -> Vec<(String, Values)> {
     let predicates = vocabulary
@@ -367,6 +413,13 @@ fn fault(message: &str) -> ParquetError {
     ParquetError::General(message.to_owned())
 }
 
+/// Returns a value or `None` for each flag.
+fn with_gaps<T>(there: Vec<i16>, values: Vec<T>) -> Vec<Option<T>> {
+    let mut values = values.into_iter();
+    let next = |there: i16| if there == 0 { None } else { values.next() };
+    there.into_iter().map(next).collect()
+}
+
 fn read(bytes: Bytes) -> Result<Table, ParquetError> {
     let file = SerializedFileReader::new(bytes)?;
     if file.num_row_groups() != 1 {
@@ -381,9 +434,12 @@ fn read(bytes: Bytes) -> Result<Table, ParquetError> {
             (ColumnReader::Int32ColumnReader(mut reader), true) => {
                 let (mut values, mut there) = (Vec::new(), Vec::new());
                 reader.read_records(rows, Some(&mut there), None, &mut values)?;
-                let mut values = values.into_iter();
-                let next = |there: i16| if there == 0 { None } else { values.next() };
-                Values::MaybeInt(there.into_iter().map(next).collect())
+                Values::MaybeInt(with_gaps(there, values))
+            }
+            (ColumnReader::FloatColumnReader(mut reader), true) => {
+                let (mut values, mut there) = (Vec::new(), Vec::new());
+                reader.read_records(rows, Some(&mut there), None, &mut values)?;
+                Values::MaybeFloat(with_gaps(there, values))
             }
             (ColumnReader::Int32ColumnReader(mut reader), false) => {
                 let mut values = Vec::new();

@@ -1,7 +1,7 @@
 //! The map, its road graph and its start cells equal those of the published program.
 
 use super::{folder, square_5x5};
-use logicity::city::{AgentKind, Building, Routing};
+use logicity::city::{AgentKind, Building, Routing, TripEnds};
 use logicity::city::{Cell, CityMap, Ground, Lane, Places, Router};
 use ndarray::{Array2, Array3, Axis};
 use ndarray_npy::NpzReader;
@@ -58,11 +58,15 @@ fn every_layer_of_the_map_equals_the_recorded_one() {
 #[test]
 fn the_number_of_start_cells_equals_that_of_the_published_program() {
     let router = Router::new(Arc::new(square_5x5()), Routing::Weighted);
-    let count = |kind| {
-        [Some(60), Some(100), Some(120), Some(140), None].map(|region| Places::new(&router, region, None).count(kind))
+    let count = |ends, kind| {
+        let regions = [Some(60), Some(100), Some(120), Some(140), None];
+        regions.map(|region| Places::new(&router, ends, region, None).count(kind))
     };
-    assert_eq!(count(AgentKind::Car), [90, 160, 220, 360, 980]);
-    assert_eq!(count(AgentKind::Pedestrian), [44, 352, 616, 792, 2244]);
+    assert_eq!(count(TripEnds::Curb, AgentKind::Car), [90, 160, 220, 360, 980]);
+    assert_eq!(count(TripEnds::Lane, AgentKind::Car), [50, 100, 120, 160, 520]);
+    for ends in TripEnds::ALL {
+        assert_eq!(count(ends, AgentKind::Pedestrian), [44, 352, 616, 792, 2244]);
+    }
 }
 
 #[test]

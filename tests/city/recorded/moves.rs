@@ -1,7 +1,7 @@
 //! Fields of view, routes and moves equal the recorded ones.
 
 use super::{Recording, cell, cells, heading, index, kind, plain_agent, recordings, square_5x5};
-use logicity::city::{Action, AgentKind, Routing};
+use logicity::city::{Action, AgentKind, Routing, TripEnds};
 use logicity::city::{
     Agent, Cell, CityMap, Heading, MoveReason, Moved, Places, Rest, Route, Router, Surroundings, advance,
     field_of_view, possible_cells, speed_cells,
@@ -25,7 +25,7 @@ fn router(map: CityMap) -> Router {
 fn routes_equal_the_recorded_ones() {
     let router = router(square_5x5());
     let weighted = Router::new(router.map().clone(), Routing::Weighted);
-    let places = Places::new(&router, Some(REGION), None);
+    let places = Places::new(&router, TripEnds::Curb, Some(REGION), None);
     for recording in recordings("paths") {
         let (mut cars, mut pedestrians) = (0, 0);
         for line in recording.lines() {
@@ -184,7 +184,7 @@ impl Planned {
 #[test]
 fn agents_move_as_recorded() {
     let router = router(square_5x5());
-    let places = Places::new(&router, Some(REGION), None);
+    let places = Places::new(&router, TripEnds::Curb, Some(REGION), None);
     for recording in recordings("trace") {
         let planned = Planned::new(&router, &recording);
         let (mut moves, mut drawn, mut replans, mut unseen, mut lost) = (0, 0, 0, 0, Vec::new());
