@@ -32,6 +32,17 @@ pub struct Overlap {
     pub finding: Finding,
 }
 
+impl Overlap {
+    /// Returns the action that an agent takes if both are derived, given the order of precedence.
+    ///
+    /// # Panics
+    /// If the order lacks an action.
+    pub fn winner(&self, precedence: &[Action]) -> Action {
+        let first = precedence.iter().find(|action| self.actions.contains(action));
+        *first.expect("an order of all actions")
+    }
+}
+
 /// Whether one scene can derive two actions for the same agent.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub enum Finding {

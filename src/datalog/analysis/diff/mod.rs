@@ -20,7 +20,7 @@ mod sat;
 mod trial;
 
 use crate::datalog::check::subsumption::within_theory;
-use crate::datalog::check::{Clause, Constraint, Literal, RelId, Rules, Term};
+use crate::datalog::check::{Clause, Constraint, DeclaredConstraint, Literal, RelId, Rules, Term};
 use crate::datalog::naive;
 use crate::datalog::syntax::ast::BaseType;
 use crate::datalog::value::Value;
@@ -337,9 +337,20 @@ fn relevant(rules: [&Rules; 2], base: &[Base], outputs: &[Output]) -> BTreeSet<u
             let atoms = clause.body.iter().filter_map(Literal::atom);
             reads[clause.head.relation.index()].extend(atoms.map(|atom| atom.relation));
         }
-        for constraint in &rules.constraints {
-            if let Constraint::Implies(one, other) = constraint.constraint {
-                reads[one.index()].push(other);
+        for DeclaredConstraint { constraint, domain, .. } in &rules.constraints {
+            let mut implied = |premise: RelId, relation: RelId| reads[premise.index()].push(relation);
+            match *constraint {
+                Constraint::Implies(one, other) => implied(one, other),
+                Constraint::Reflexive(other) => domain.iter().for_each(|&(one, _)| implied(one, other)),
+                Constraint::Covering(ref others) => {
+                    for &(one, _) in domain {
+                        others.iter().for_each(|&other| implied(one, other));
+                    }
+                }
+                Constraint::Disjoint(..)
+                | Constraint::Irreflexive(_)
+                | Constraint::Symmetric(_)
+                | Constraint::Asymmetric(_) => {}
             }
         }
         let mut open: Vec<RelId> = outputs.iter().map(|output| output.ids[side]).collect();

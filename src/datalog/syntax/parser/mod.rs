@@ -37,8 +37,11 @@ pub const DIRECTIVES: &[&str] = &[
     "scope",
     "disjoint",
     "implies",
+    "covering",
+    "reflexive",
     "irreflexive",
     "symmetric",
+    "asymmetric",
 ];
 
 /// Directives of Soufflé that this language does not have, with their descriptions.
