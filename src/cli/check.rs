@@ -1,8 +1,8 @@
 //! `logicity check`: checks rule files.
 
-use crate::cli::trace::TraceReader;
 use crate::builtin::BuiltinFiles;
 use crate::city::Action;
+use crate::cli::trace::TraceReader;
 use crate::cli::{Failure, load_workspace, plural, report};
 use crate::config::load_scenario;
 use crate::datalog::diff::{Cut, Equivalence};
@@ -144,7 +144,7 @@ fn precedence(arguments: &Arguments, sources: &mut Sources) -> Result<Vec<Action
         Some(config) => {
             let scenario = load_scenario(sources, config, &BuiltinFiles).map_err(LoadError::Config)?;
             Ok(scenario.actions.priority)
-        },
+        }
         None => Ok(Action::SAFEST_FIRST.to_vec()),
     }
 }
@@ -324,12 +324,7 @@ fn unproved(equivalence: &Equivalence) -> Vec<String> {
     }
 }
 
-fn overlaps_json(
-    overlaps: &[Overlap],
-    precedence: &[Action],
-    rules: &Rules,
-    sources: &Sources,
-) -> serde_json::Value {
+fn overlaps_json(overlaps: &[Overlap], precedence: &[Action], rules: &Rules, sources: &Sources) -> serde_json::Value {
     let printer = ExplanationPrinter::new(rules, &rules.symbols, sources);
     let conflicts = overlaps.iter().map(|overlap| {
         let Overlap { actions, finding } = overlap;

@@ -44,11 +44,12 @@ pub fn violations_among(session: &Session, known: impl Fn(RelId) -> bool) -> Vec
                     format!("{} holds, none of {} does", shown(relation, row), options.join(", "))
                 })
             }
-            Constraint::Reflexive(a) => outside(session, domain, |value| session.contains(a, &[value, value]))
-                .map(|(relation, row, value)| {
+            Constraint::Reflexive(a) => {
+                outside(session, domain, |value| session.contains(a, &[value, value])).map(|(relation, row, value)| {
                     let own = shown(a, &[value, value]);
                     format!("{} holds, {own} does not", shown(relation, row))
-                }),
+                })
+            }
             Constraint::Irreflexive(a) => session
                 .rows(a)
                 .find(|row| row[0] == row[1])
@@ -57,12 +58,13 @@ pub fn violations_among(session: &Session, known: impl Fn(RelId) -> bool) -> Vec
                 .rows(a)
                 .find(|row| !session.contains(a, &reversed(row)))
                 .map(|row| format!("{} holds, {} does not", shown(a, row), shown(a, &reversed(row)))),
-            Constraint::Asymmetric(a) => session.rows(a).find(|row| session.contains(a, &reversed(row))).map(|row| {
-                match row[0] == row[1] {
+            Constraint::Asymmetric(a) => session
+                .rows(a)
+                .find(|row| session.contains(a, &reversed(row)))
+                .map(|row| match row[0] == row[1] {
                     true => format!("{} holds", shown(a, row)),
                     false => format!("both {} and {} hold", shown(a, row), shown(a, &reversed(row))),
-                }
-            }),
+                }),
         };
         if let Some(message) = found
             && faults.len() < BROKEN_MAX

@@ -318,9 +318,12 @@ fn lone_variables(
         let known = variables.iter().find(|variable| variable.name == *name);
         let is_text = known.is_some_and(|variable| base(variable.ty, names) == Some(BaseType::Symbol));
         let message = format!("`{one} = {other}` is always true: the variable `{name}` occurs nowhere else");
-        let fault = Diagnostic::new(Code::VACUOUS_EQUATION, message).at(term.place.0, "a variable, since it has no quotes");
+        let fault =
+            Diagnostic::new(Code::VACUOUS_EQUATION, message).at(term.place.0, "a variable, since it has no quotes");
         faults.push(match is_text {
-            true => fault.help(format!("if you mean the text, write it in quotes: `{same} = \"{name}\"`")),
+            true => fault.help(format!(
+                "if you mean the text, write it in quotes: `{same} = \"{name}\"`"
+            )),
             false => fault.help("remove the equation"),
         });
         reported.push(name);

@@ -159,7 +159,10 @@ fn cover(
         let relation = (*relation)?;
         let message = match names.relation(relation).columns.as_slice() {
             [column] if covered.is_some_and(|ty| ty != column.ty) => {
-                format!("`{}` covers another type than `{}`", name.text, constraint.names[0].text)
+                format!(
+                    "`{}` covers another type than `{}`",
+                    name.text, constraint.names[0].text
+                )
             }
             [_] if relations.contains(&relation) => format!("`.covering` names `{}` twice", name.text),
             [column] => {
@@ -167,7 +170,10 @@ fn cover(
                 relations.push(relation);
                 continue;
             }
-            _ => format!("`{}` cannot be covering: it does not have exactly one column", name.text),
+            _ => format!(
+                "`{}` cannot be covering: it does not have exactly one column",
+                name.text
+            ),
         };
         faults.push(refuse(message, name.place.0, relation, names));
         return None;

@@ -28,24 +28,17 @@ pub fn conflict_lints(overlaps: &[Overlap], rules: &Rules, precedence: &[Action]
         Finding::Excluded | Finding::NotFound(_) => None,
     });
     let lint = |(overlap, clauses): (&Overlap, &[ClauseId; 2])| {
-        let [first, second] = overlap.actions;
-        let winner = overlap.winner(precedence);
-        let message = format!(
-            "the rules can derive {} and {} for one agent, which then takes {}",
-            first.name(),
-            second.name(),
-            winner.name()
-        );
-        let [one, other] = clauses.map(|clause: ClauseId| rules.clauses[clause.index()].span);
-        let loser = if winner == first { second } else { first };
+        let spans = clauses.map(|clause| rules.clauses[clause.index()].span);
+        let (winner, loser) = (overlap.winner(precedence), overlap.loser(precedence));
+        let span_of = |action| spans[usize::from(action != overlap.actions[0])];
+        let [wins, loses] = [winner, loser].map(Action::name);
+        let message = format!("the rules can derive {wins} and {loses} for one agent, and {wins} wins");
         Diagnostic::new(Code::ACTION_CONFLICT, message)
-            .at(one, format!("{} by this clause", first.name()))
-            .also(other, format!("{} by this one", second.name()))
-            .note("the order of precedence is `actions.priority` of the configuration")
+            .at(span_of(loser), format!("this clause derives {loses}"))
+            .also(span_of(winner), format!("this one derives {wins}"))
+            .note("`actions.priority` of the configuration is the order of precedence")
             .help(format!(
-                "add `Not({}(X))` to the clauses of {}, so that the rules say which action applies",
-                winner.name(),
-                loser.name()
+                "if {wins} should win, add `Not({wins}(X))` to the clause of {loses}"
             ))
     };
     together.map(lint).collect()
@@ -117,7 +110,9 @@ fn unquoted_agents(rules: &Rules, sources: &Sources) -> Vec<Diagnostic> {
             if matches!(literals.as_slice(), [Literal::Compare { .. }]) && !in_head {
                 continue;
             }
-            let Some(span) = occurrence(clause, name, sources) else { continue };
+            let Some(span) = occurrence(clause, name, sources) else {
+                continue;
+            };
             let message = format!("`{name}` is a variable, not the agent of that name");
             let fault = Diagnostic::new(Code::UNQUOTED_AGENT, message)
                 .at(span, "stands for any agent")

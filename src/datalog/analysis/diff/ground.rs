@@ -480,7 +480,9 @@ impl<'a> Circuit<'a> {
         for DeclaredConstraint { constraint, domain, .. } in &sides[side].rules.constraints {
             let fact = self.base(side, relation, row)?;
             let conclusion = match *constraint {
-                Constraint::Irreflexive(a) | Constraint::Asymmetric(a) if a == relation && row[0] == row[1] => !self.yes,
+                Constraint::Irreflexive(a) | Constraint::Asymmetric(a) if a == relation && row[0] == row[1] => {
+                    !self.yes
+                }
                 Constraint::Asymmetric(a) if a == relation => !self.base(side, a, &reversed)?,
                 Constraint::Symmetric(a) if a == relation => self.base(side, a, &reversed)?,
                 Constraint::Implies(a, b) if a == relation => self.base(side, b, row)?,
@@ -500,13 +502,7 @@ impl<'a> Circuit<'a> {
     }
 
     /// Adds a covering or reflexive constraint for a value of its domain, as one clause with the literals of `unless`.
-    fn within(
-        &mut self,
-        side: usize,
-        constraint: &Constraint,
-        value: usize,
-        unless: Vec<Lit>,
-    ) -> Result<(), TooLarge> {
+    fn within(&mut self, side: usize, constraint: &Constraint, value: usize, unless: Vec<Lit>) -> Result<(), TooLarge> {
         let mut clause = unless;
         match constraint {
             Constraint::Covering(relations) => {

@@ -127,7 +127,7 @@ pub(crate) struct Side<'a> {
     base: Vec<Option<usize>>,
     /// The facts in the text for predicates without rules; the rows contain positions of individuals.
     facts: HashSet<(RelId, Vec<usize>)>,
-    /// The base predicates that serve as guards.
+    /// The base predicates that serve as guards on either side.
     scopes: BTreeSet<RelId>,
 }
 
@@ -187,7 +187,16 @@ pub fn diff(left: &Rules, right: &Rules, options: &Options) -> Result<Equivalenc
     let base = shared_base(left, right)?;
     let outputs = outputs(left, right, options)?;
     let rules = [left, right];
-    let sides = rules.map(|rules| side(rules, &base));
+    let mut sides = rules.map(|rules| side(rules, &base));
+    // A predicate that guards on one side is complete on both.
+    let scopes: BTreeSet<usize> = (sides.iter())
+        .flat_map(|side| side.scopes.iter().filter_map(|scope| side.base[scope.index()]))
+        .collect();
+    for side in &mut sides {
+        let shared = (side.base.iter().zip((0..).map(RelId)))
+            .filter(|(position, _)| position.is_some_and(|position| scopes.contains(&position)));
+        side.scopes = shared.map(|(_, relation)| relation).collect();
+    }
     let sides = [&sides[0], &sides[1]];
     let mut budget = Remaining {
         conflicts: options.conflicts_max,

@@ -179,7 +179,9 @@ impl<'a> Trial<'a> {
         let mut constants = BTreeSet::new();
         rules.iter().for_each(|rules| named(rules, &mut constants));
         let (mut required, mut covers) = (vec![Vec::new(); base.len()], Vec::new());
-        rules.iter().for_each(|rules| requirements(rules, base, &mut required, &mut covers));
+        rules
+            .iter()
+            .for_each(|rules| requirements(rules, base, &mut required, &mut covers));
         Ok(Trial {
             sessions,
             base,
@@ -372,12 +374,14 @@ impl<'a> Trial<'a> {
                     }
                 }
             }
-            let covered = |cover: &[usize], value: &String| {
-                cover.iter().any(|&one| all.contains(&(one, vec![value.clone()])))
-            };
+            let covered =
+                |cover: &[usize], value: &String| cover.iter().any(|&one| all.contains(&(one, vec![value.clone()])));
             let missing = self.covers.iter().find_map(|(domain, cover)| {
                 all.iter().find_map(|(predicate, row)| {
-                    let values = domain.iter().filter(|(one, _)| one == predicate).map(|&(_, column)| &row[column]);
+                    let values = domain
+                        .iter()
+                        .filter(|(one, _)| one == predicate)
+                        .map(|&(_, column)| &row[column]);
                     let value = values.into_iter().find(|value| !covered(cover, value))?;
                     Some((cover[0], vec![value.clone()]))
                 })
@@ -450,7 +454,9 @@ impl<'a> Trial<'a> {
             derived
         });
         let mut by_predicate: Vec<(String, Vec<Vec<String>>)> = Vec::new();
-        let ordered = all.into_iter().filter(|(predicate, _)| !self.scopes.contains(predicate));
+        let ordered = all
+            .into_iter()
+            .filter(|(predicate, _)| !self.scopes.contains(predicate));
         // The differing row comes first.
         let differs = |row: &&(String, Vec<String>)| derived.iter().any(|rows: &Vec<_>| !rows.contains(*row));
         let mut names = Vec::new();
@@ -600,7 +606,9 @@ fn requirements(
         base.iter().position(|base| base.name == *name)
     };
     for DeclaredConstraint { constraint, domain, .. } in &rules.constraints {
-        let domain = domain.iter().filter_map(|&(relation, column)| Some((place(relation)?, column)));
+        let domain = domain
+            .iter()
+            .filter_map(|&(relation, column)| Some((place(relation)?, column)));
         match *constraint {
             Constraint::Implies(one, other) => {
                 if let (Some(one), Some(other)) = (place(one), place(other)) {

@@ -15,9 +15,7 @@ mod theory;
 
 use crate::datalog::check::subsumption;
 use crate::datalog::check::subsumption::{Fact, NoConstraints, Pattern, Theory, covers, facts, within_theory};
-use crate::datalog::check::{
-    Atom, Budget, Clause, ClauseId, Comparing, Literal, RelId, Rules, Term, VarId,
-};
+use crate::datalog::check::{Atom, Budget, Clause, ClauseId, Comparing, Literal, RelId, Rules, Term, VarId};
 use crate::datalog::syntax::ast::{BaseType, Comparison};
 use crate::datalog::syntax::quoted;
 use crate::datalog::value::Value;
