@@ -367,16 +367,16 @@ fn repeated_bodies_are_reported() {
             &(clause("Stop", "IsBus") + &clause("Slow", "IsTiro") + &clause("Fast", "IsPolice")),
         ))
     };
-    let found = three("IsClose(X, Y), IsOld(Y), NextTo(Y, X)");
+    let found = three("IsClose(X, Y), IsOld(Y), LeftOf(Y, X)");
     assert_eq!(
         found.iter().map(|lint| lint.code).collect::<Vec<_>>(),
         [Code::REPEATED_BODY]
     );
     assert!(
-        found[0].help[0].contains("`Name(X) :- IsClose(X, Y), IsOld(Y), NextTo(Y, X).`"),
+        found[0].help[0].contains("`Name(X) :- IsClose(X, Y), IsOld(Y), LeftOf(Y, X).`"),
         "{found:?}"
     );
-    assert_eq!(three("IsClose(Z, Y), IsOld(Y), NextTo(Y, Z)"), []);
+    assert_eq!(three("IsClose(Z, Y), IsOld(Y), LeftOf(Y, Z)"), []);
     assert_eq!(three("IsClose(X, Y), IsOld(Y)"), []);
 }
 
