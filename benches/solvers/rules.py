@@ -146,7 +146,7 @@ def _read_file(path: Path, rules: Rules, clauses: list[tuple[Clause, str]], seen
                 rules.scope = tokens.take("name").text
             case ".type":
                 tokens.take("name"), tokens.take("symbol"), tokens.take("name")
-            case ".disjoint" | ".implies" | ".irreflexive" | ".symmetric":
+            case ".disjoint" | ".implies" | ".covering" | ".reflexive" | ".irreflexive" | ".symmetric" | ".asymmetric":
                 tokens.names()
             case other:
                 raise Refused(f"{directive.place}: {other} has no encoding here")

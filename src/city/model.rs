@@ -298,6 +298,9 @@ impl Action {
     /// All four actions, in the order of their published indices.
     pub const ALL: [Action; 4] = [Action::Slow, Action::Normal, Action::Fast, Action::Stop];
 
+    /// The default order of precedence: the safest action first.
+    pub const SAFEST_FIRST: [Action; 4] = [Action::Stop, Action::Slow, Action::Fast, Action::Normal];
+
     /// Returns its name, which is also the name of its predicate.
     pub const fn name(self) -> &'static str {
         match self {

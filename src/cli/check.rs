@@ -1,14 +1,19 @@
 //! `logicity check`: checks rule files and configurations.
 
+use crate::builtin::BuiltinFiles;
+use crate::city::Action;
 use crate::cli::configuration::{self, Checked, Opened};
 use crate::cli::trace::TraceReader;
 use crate::cli::{Failure, load_workspace, plural, report};
+use crate::config::load_scenario;
 use crate::datalog::diff::{Cut, Equivalence};
 use crate::datalog::explain::ExplanationPrinter;
 use crate::datalog::{ClauseId, Edb, RelId, Rules};
 use crate::datalog::{Program, dense, optimize};
 use crate::diag::{Code, Diagnostic, Sources, to_json};
-use crate::sim::{CONFLICT_BUDGET, Coverage, Finding, Overlap, conflicts, scene_json};
+use crate::sim::{
+    CONFLICT_BUDGET, Coverage, Finding, LoadError, Overlap, city_lints, conflict_lints, conflicts, scene_json,
+};
 use serde_json::json;
 use std::collections::HashSet;
 use std::io::{self, Write};
@@ -27,8 +32,9 @@ pub struct Arguments {
     /// Count how often each clause fires on the states of this trace, and list the literals that never matter there
     #[arg(long, value_name = "TRACE")]
     coverage: Option<PathBuf>,
-    /// Configuration of the run, if it is not at the path that the trace names
-    #[arg(long, requires = "coverage")]
+    /// Configuration whose order of actions decides conflicts [default: Stop, Slow, Fast, Normal]; with --coverage the
+    /// configuration of the run [default: the one that the trace names]
+    #[arg(long)]
     config: Option<PathBuf>,
     /// Also report literals and clauses that are always true or redundant
     #[arg(long)]
@@ -85,6 +91,8 @@ struct Report {
     /// The searches that reached a limit.
     unfinished: Vec<&'static str>,
     overlaps: Vec<Overlap>,
+    /// The order of precedence of actions.
+    precedence: Vec<Action>,
     covered: Option<Coverage>,
 }
 
@@ -95,6 +103,7 @@ fn examine(arguments: &Arguments, path: &Path, sources: &mut Sources) -> Result<
         found: Vec::new(),
         unfinished: Vec::new(),
         overlaps: Vec::new(),
+        precedence: precedence(arguments, sources)?,
         covered: None,
     };
     let path = match configuration::open(path, sources)? {
@@ -107,7 +116,12 @@ fn examine(arguments: &Arguments, path: &Path, sources: &mut Sources) -> Result<
             report.configuration = Some(map);
             return Ok(report);
         }
-        Opened::Run(run) => &report.configuration.insert(run).rules().to_owned(),
+        Opened::Run(run) => {
+            if arguments.config.is_none() {
+                report.precedence = run.precedence().to_vec();
+            }
+            &report.configuration.insert(run).rules().to_owned()
+        }
     };
     let loaded = match load_workspace(sources, path, Edb::Fixed) {
         Ok(texts) => texts.check(),
@@ -135,7 +149,10 @@ fn examine(arguments: &Arguments, path: &Path, sources: &mut Sources) -> Result<
     if arguments.lints {
         report.unfinished.extend(lints.unfinished);
     }
+    report.found.extend(city_lints(program.rules(), sources));
     report.overlaps = conflicts(&program)?;
+    let lints = conflict_lints(&report.overlaps, program.rules(), &report.precedence);
+    report.found.extend(lints);
     if let Some(configuration) = &mut report.configuration {
         report.found.extend(configuration.bind(&program, sources));
     }
@@ -144,6 +161,17 @@ fn examine(arguments: &Arguments, path: &Path, sources: &mut Sources) -> Result<
     }
     report.program = Some(program);
     Ok(report)
+}
+
+/// Returns the order in which derived actions take precedence.
+fn precedence(arguments: &Arguments, sources: &mut Sources) -> Result<Vec<Action>, Failure> {
+    match &arguments.config {
+        Some(config) => {
+            let scenario = load_scenario(sources, config, &BuiltinFiles).map_err(LoadError::Config)?;
+            Ok(scenario.actions.priority)
+        }
+        None => Ok(Action::SAFEST_FIRST.to_vec()),
+    }
 }
 
 impl Report {
@@ -162,7 +190,7 @@ impl Report {
             line["configuration"] = configuration.json();
         }
         if let Some(rules) = self.rules() {
-            line["conflicts"] = overlaps_json(&self.overlaps, rules, sources);
+            line["conflicts"] = overlaps_json(&self.overlaps, &self.precedence, rules, sources);
             if let Some(covered) = &self.covered {
                 line["coverage"] = coverage_json(covered, rules, sources);
             }
@@ -191,7 +219,7 @@ impl Report {
                 "  incomplete: the search for {what} reached its limit and may have missed some"
             )?;
         }
-        print_overlaps(out, &self.overlaps, rules, sources)?;
+        print_overlaps(out, &self.overlaps, &self.precedence, rules, sources)?;
         if let (Some(covered), Some(trace)) = (&self.covered, &arguments.coverage) {
             print_coverage(out, covered, trace, rules, sources)?;
         }
@@ -245,10 +273,17 @@ fn executors_json(rules: &Rules) -> serde_json::Value {
 }
 
 /// Prints nothing for programs with fewer than two actions.
-fn print_overlaps(out: &mut impl Write, overlaps: &[Overlap], rules: &Rules, sources: &Sources) -> io::Result<()> {
+fn print_overlaps(
+    out: &mut impl Write,
+    overlaps: &[Overlap],
+    precedence: &[Action],
+    rules: &Rules,
+    sources: &Sources,
+) -> io::Result<()> {
     let printer = ExplanationPrinter::new(rules, &rules.symbols, sources);
     let mut printed = false;
-    for Overlap { actions, finding } in overlaps {
+    for overlap in overlaps {
+        let Overlap { actions, finding } = overlap;
         let [first, second] = actions.map(|action| action.name());
         match finding {
             Finding::Excluded => {}
@@ -256,7 +291,8 @@ fn print_overlaps(out: &mut impl Write, overlaps: &[Overlap], rules: &Rules, sou
                 let [a, b] = clauses.map(|clause| printer.title(clause));
                 writeln!(
                     out,
-                    "  conflicts: {first} and {second} can be derived together, as in this scene:"
+                    "  conflicts: {first} and {second} can be derived together, and {} wins, as in this scene:",
+                    overlap.winner(precedence).name()
                 )?;
                 writeln!(out, "    {}", scene_json(scene))?;
                 writeln!(out, "    {first} by {a}\n    {second} by {b}")?;
@@ -320,15 +356,18 @@ fn unproved(equivalence: &Equivalence) -> Vec<String> {
     }
 }
 
-fn overlaps_json(overlaps: &[Overlap], rules: &Rules, sources: &Sources) -> serde_json::Value {
+fn overlaps_json(overlaps: &[Overlap], precedence: &[Action], rules: &Rules, sources: &Sources) -> serde_json::Value {
     let printer = ExplanationPrinter::new(rules, &rules.symbols, sources);
-    let conflicts = overlaps.iter().map(|Overlap { actions, finding }| {
+    let conflicts = overlaps.iter().map(|overlap| {
+        let Overlap { actions, finding } = overlap;
+        let winner = overlap.winner(precedence).name();
         let actions = actions.map(|action| action.name());
         match finding {
             Finding::Excluded => json!({ "actions": actions, "finding": "excluded" }),
             Finding::Together { clauses, scene } => json!({
                 "actions": actions,
                 "finding": "together",
+                "winner": winner,
                 "clauses": clauses.map(|clause| printer.clause_json(clause)),
                 "scene": scene_json(scene),
             }),

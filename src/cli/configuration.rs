@@ -1,7 +1,7 @@
 //! Checks a configuration for `logicity check`: its files, and whether rules, map and agents fit together.
 
 use crate::builtin::BuiltinFiles;
-use crate::city::{AgentKind, CityMap, MapConfig, Split};
+use crate::city::{Action, AgentKind, CityMap, MapConfig, Split};
 use crate::cli::{Failure, missing_is_usage, plural};
 use crate::config::{Loaded, Scenario, load_any, missing_file};
 use crate::datalog::Program;
@@ -71,6 +71,12 @@ impl Checked {
     pub fn rules(&self) -> &Path {
         let scenario = self.scenario.as_ref();
         scenario.map_or(Path::new(""), |scenario| &scenario.rules.value)
+    }
+
+    /// Returns the order in which derived actions take precedence. A map has none.
+    pub fn precedence(&self) -> &[Action] {
+        let scenario = self.scenario.as_ref();
+        scenario.map_or(&[], |scenario| &scenario.actions.priority)
     }
 
     /// Binds the predicates to the rules, creates the task and places the agents of each split. Returns the errors.

@@ -46,7 +46,7 @@ pub struct Arguments {
     /// Only ask about cars with one of these concepts, separated by commas
     #[arg(long, value_delimiter = ',', value_name = "CONCEPTS")]
     about: Vec<String>,
-    /// Use the size and concepts of the paper's small set: 117 questions about tiro and reckless cars
+    /// Use the size and concepts of the paper's small set: 117 questions about tiro (novice) and reckless cars
     #[arg(long, conflicts_with_all = ["count", "about"])]
     mini: bool,
     /// Write the questions to FILE, one JSON object per line [default: standard output]

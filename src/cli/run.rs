@@ -17,7 +17,7 @@ use crate::sim::{
     find_deadlocks, waits,
 };
 use indicatif::{ProgressBar, ProgressStyle};
-use std::collections::BTreeSet;
+use std::collections::{BTreeMap, BTreeSet};
 use std::fmt::Write as _;
 use std::io::{self, Write as _};
 use std::num::NonZeroUsize;
@@ -79,7 +79,8 @@ struct Tally {
     ticks: u64,
     deciding: Duration,
     actions: [[u64; 4]; 2],
-    overlaps: u64,
+    /// The decisions with several derived actions: these actions, the chosen one, and the number of decisions.
+    overlaps: BTreeMap<(Vec<Action>, Action), u64>,
     firings: Vec<u64>,
     goals: u64,
     last_move: Vec<u64>,
@@ -139,7 +140,10 @@ pub fn run(arguments: &Arguments, sources: &mut Sources) -> Result<(), Failure> 
         tally.deciding += begin.elapsed();
         tally.add(&mut simulation);
         if arguments.check_constraints {
-            tally.add_broken(constraints::violations(simulation.snapshot()?.session()), tick);
+            let snapshot = simulation.snapshot()?;
+            let world = snapshot.world();
+            let known = |relation| world.vocabulary.defines(&world.program, relation);
+            tally.add_broken(constraints::violations_among(snapshot.session(), known), tick);
         }
         if let Some(record) = &mut record {
             record.tick(&simulation)?;
@@ -301,7 +305,10 @@ impl Tally {
                 AgentKind::Pedestrian => 1,
             };
             self.actions[kind][done.action as usize] += 1;
-            self.overlaps += u64::from(done.derived.len() > 1);
+            if done.derived.len() > 1 {
+                let overlap = (done.derived.iter().collect(), done.action);
+                *self.overlaps.entry(overlap).or_default() += 1;
+            }
             if done.moved.from != done.moved.to {
                 self.last_move[index] = self.ticks;
                 self.goals += u64::from(agent.at_goal());
@@ -387,11 +394,15 @@ fn summary(simulation: &mut Simulation, tally: &Tally, sources: &Sources, writte
             .collect();
         let _ = writeln!(text, "{kind:<12}{counts}");
     }
-    if tally.overlaps > 0 {
+    for ((derived, chosen), count) in &tally.overlaps {
+        let others = derived.iter().filter(|action| *action != chosen);
+        let others: Vec<&str> = others.map(|action| action.name()).collect();
         let _ = writeln!(
             text,
-            "{} decisions had several derived actions; the agent took the one with the highest priority",
-            tally.overlaps
+            "conflicts: {} won over {} in {}",
+            chosen.name(),
+            others.join(" and "),
+            plural(*count, "decision")
         );
     }
     let _ = writeln!(text, "\n{:>10}  clause", "fired");

@@ -37,6 +37,8 @@ crate::diagnostic_codes! {
     INVALID_CONSTRAINT = "invalid-constraint", Error;
     /// A named variable that occurs only once in its rule.
     SINGLETON_VARIABLE = "singleton-variable", Warning;
+    /// An equation that is always true, because one of its variables occurs nowhere else.
+    VACUOUS_EQUATION = "vacuous-equation", Warning;
     /// A clause whose rows another clause derives as well.
     SUBSUMED_CLAUSE = "subsumed-clause", Warning;
     /// A clause equal to another up to variable names and the order of literals.

@@ -3,6 +3,12 @@
 crate::diagnostic_codes! {
     /// The dense executor was requested, but it cannot evaluate these rules or this number of agents.
     DENSE_UNSUPPORTED = "dense-unsupported", Error;
+    /// Two actions that the rules can derive for one agent.
+    ACTION_CONFLICT = "action-conflict", Warning;
+    /// Rules for actions that do not react to imminent collisions.
+    NO_COLLISION_CLAUSE = "no-collision-clause", Warning;
+    /// A variable with the name of an agent.
+    UNQUOTED_AGENT = "unquoted-agent", Warning;
     /// A scene that is not JSON or does not follow the scene format.
     INVALID_SCENE = "invalid-scene", Error;
     /// A trace that is not JSON or does not follow the trace format.

@@ -16,7 +16,10 @@ pub use crate::predicate::Entity;
 pub use codes::CODES;
 pub use load::{LoadError, LoadedCity};
 pub use observe::{ActionConstraint, OBSERVED_MAX, Observer, Oracle};
-pub use scene::{Answer, CONFLICT_BUDGET, EgoAnswer, Finding, Inference, Overlap, SceneFacts, conflicts, scene_json};
+pub use scene::{
+    Answer, CONFLICT_BUDGET, EgoAnswer, Finding, Inference, Overlap, SceneFacts, city_lints, conflict_lints, conflicts,
+    scene_json,
+};
 pub use tick::chance::Chance;
 pub use tick::executor::Executor;
 pub use tick::ground::{Facts, MAX_ENTITIES, ground};

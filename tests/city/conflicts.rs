@@ -1,12 +1,18 @@
 //! Conflicts of actions: `infer` confirms each scene that the search reports, and brute force finds no smaller scene.
 
-use crate::shipped_world::MODES;
+use crate::shipped_world::{MODES, world};
 use crate::written_program::program;
-use logicity::city::Action;
-use logicity::datalog::diff::{Cut, Difference, Equivalence};
+use logicity::city::{Action, Split};
+use logicity::datalog::diff::{Cut, Difference, Equivalence, Options, diff};
 use logicity::datalog::{BaseType, Column, RelId, Value};
 use logicity::datalog::{Program, constraints};
-use logicity::sim::{Finding, conflicts, scene_json};
+use logicity::diag::{Sources, render};
+use logicity::files::read_text;
+use logicity::rng::Seed;
+use logicity::sim::{
+    Actions, EgoAnswer, Executor, Finding, Inference, Overlap, Settings, Simulation, conflicts, scene_json,
+};
+use proptest::prelude::*;
 
 /// The finding for a pair of actions.
 fn finding(text: &str, pair: [Action; 2]) -> Finding {
@@ -90,15 +96,23 @@ fn the_smallest_scene_is_reported() {
     let both = [Action::Slow, Action::Stop];
     assert_eq!(
         scene(
+            "Stop(X) :- IsAtInter(X), IsCar(Y). Slow(X) :- IsTiro(X), IsCar(Y).",
+            both
+        ),
+        r#"{"entities":["e0"],"ego":"e0","facts":{"IsCar":["e0"],"IsTiro":["e0"],"IsAtInter":["e0"]}}"#
+    );
+    // A single agent would have to be at an intersection and inside it.
+    assert_eq!(
+        scene(
             "Stop(X) :- IsAtInter(X), IsInInter(Y). Slow(X) :- IsTiro(X), IsCar(Y).",
             both
         ),
-        r#"{"entities":["e0"],"ego":"e0","facts":{"IsCar":["e0"],"IsTiro":["e0"],"IsAtInter":["e0"],"IsInInter":["e0"]}}"#
+        r#"{"entities":["e0","e1"],"ego":"e0","facts":{"IsPedestrian":["e1"],"IsCar":["e0"],"IsTiro":["e0"],"IsAtInter":["e0"],"IsInInter":["e1"]}}"#
     );
     // A single agent would have to be next to itself.
     assert_eq!(
         scene("Stop(X) :- NextTo(X, Y). Slow(X) :- NextTo(Z, X).", both),
-        r#"{"entities":["e0","e1"],"ego":"e0","facts":{"NextTo":[["e0","e1"],["e1","e0"]]}}"#
+        r#"{"entities":["e0","e1"],"ego":"e0","facts":{"IsPedestrian":["e0"],"IsCar":["e1"],"NextTo":[["e0","e1"],["e1","e0"]]}}"#
     );
     // The clauses need different Y, so the scene has three agents.
     assert_eq!(
@@ -106,7 +120,7 @@ fn the_smallest_scene_is_reported() {
             "Stop(X) :- LeftOf(Y, X), Not(IsCar(Y)). Slow(X) :- LeftOf(Y, X), IsCar(Y), IsBus(Y), Not(IsBus(X)).",
             both
         ),
-        r#"{"entities":["e0","e1","e2"],"ego":"e0","facts":{"IsCar":["e2"],"IsBus":["e2"],"LeftOf":[["e1","e0"],["e2","e0"]]}}"#
+        r#"{"entities":["e0","e1","e2"],"ego":"e0","facts":{"IsPedestrian":["e1"],"IsCar":["e0","e2"],"IsBus":["e2"],"LeftOf":[["e1","e0"],["e2","e0"]]}}"#
     );
 }
 
@@ -201,7 +215,7 @@ fn rules_without_a_circuit_are_sampled() {
     let counted = "Stop(X) :- IsBus(X). Slow(X) :- IsCar(X), n = count : { NextTo(X, _) }, n > 0.";
     assert_eq!(
         scene(counted, both),
-        r#"{"entities":["e0","e1"],"ego":"e0","facts":{"IsCar":["e0"],"IsBus":["e0"],"NextTo":[["e0","e1"],["e1","e0"]]}}"#
+        r#"{"entities":["e0","e1"],"ego":"e0","facts":{"IsCar":["e0","e1"],"IsBus":["e0"],"NextTo":[["e0","e1"],["e1","e0"]]}}"#
     );
     let none_near = "Stop(X) :- IsBus(X). Slow(X) :- IsCar(X), 0 = count : { NextTo(X, _) }.";
     assert_eq!(
@@ -247,9 +261,8 @@ fn the_search_agrees_with_brute_force() {
                     session.insert(rel, row).unwrap();
                 };
                 for (at, &x) in names.iter().enumerate() {
-                    if bits >> at & 1 == 1 {
-                        insert(&mut session, relation("IsCar"), &[x]);
-                    }
+                    let kind = if bits >> at & 1 == 1 { "IsCar" } else { "IsPedestrian" };
+                    insert(&mut session, relation(kind), &[x]);
                     if bits >> (2 + at) & 1 == 1 {
                         insert(&mut session, relation("IsBus"), &[x]);
                     }
@@ -293,4 +306,188 @@ fn slow_hostile_rules_end_soon() {
         deep.join("\n")
     ));
     assert_eq!(finding(&text, both), Finding::Excluded);
+}
+
+// --- scenes that `check` and `diff` print
+
+/// Rules for actions from small numbers; with `count` one of them contains an aggregate, so that scenes are sampled.
+fn written(genes: &[(u8, [u8; 3])], count: bool) -> String {
+    const LITERALS: [&str; 24] = [
+        "IsCar(X)",
+        "IsPedestrian(X)",
+        "IsBus(X)",
+        "IsOld(Y)",
+        "IsAtInter(X)",
+        "IsInInter(Y)",
+        "IsAtInter(Y)",
+        "IsClose(X, Y)",
+        "NextTo(Y, X)",
+        "HigherPri(X, Y)",
+        "HigherPri(Y, X)",
+        "CollidingClose(X, Y)",
+        "LeftOf(Y, X)",
+        "RightOf(X, Y)",
+        "Sees(X, Y)",
+        "X = Y",
+        "X != Y",
+        "Not(IsCar(X))",
+        "Not(IsPedestrian(Y))",
+        "Not(HigherPri(X, Y))",
+        "Not(NextTo(X, Y))",
+        "Not(IsClose(X, _))",
+        "Not(Sees(Y, X))",
+        "Not(Stop(X))",
+    ];
+    let mut text = ".include \"vocabulary.dl\"\n".to_owned();
+    for (number, (head, literals)) in genes.iter().enumerate() {
+        let head = ["Stop", "Slow", "Fast"][usize::from(*head) % 3];
+        let mut body: Vec<&str> = literals
+            .iter()
+            .map(|&one| LITERALS[usize::from(one) % LITERALS.len()])
+            .collect();
+        if head == "Stop" {
+            body.retain(|literal| *literal != "Not(Stop(X))");
+        }
+        if count && number == 0 {
+            body.push("count : { NextTo(X, _) } < 2");
+        }
+        body.push("Sees(X, X)");
+        if body.iter().any(|literal| literal.contains('Y')) {
+            body.push("Sees(X, Y)");
+        }
+        text += &format!("{head}(X) :- {}.\n", body.join(", "));
+    }
+    text
+}
+
+/// The answer of `infer --check-constraints` for a scene under the rules of a text and the actions of a configuration.
+fn inferred(config: &str, text: &str, scene: &Difference) -> EgoAnswer {
+    let world = world(config, Some(text), |_| ());
+    let (scenario, program) = (world.scenario.clone(), world.program.clone());
+    let mut inference = Inference::new(scenario, program, Seed(0), Executor::Auto, read_text).expect("rules fit");
+    inference.check_constraints();
+    let mut sources = Sources::new();
+    let source = sources.add("scene", scene_json(scene).to_string());
+    let answer = inference.answer(&sources, source);
+    let mut egos = answer
+        .unwrap_or_else(|faults| panic!("{text}{}", render(&faults, &sources, false)))
+        .egos;
+    egos.pop().expect("a scene has an ego")
+}
+
+fn clauses() -> impl Strategy<Value = Vec<(u8, [u8; 3])>> {
+    proptest::collection::vec(any::<(u8, [u8; 3])>(), 2..5)
+}
+
+proptest! {
+    #![proptest_config(ProptestConfig { cases: 60, ..ProptestConfig::default() })]
+
+    /// The scene of a conflict satisfies the constraints, derives both actions, and the announced one is taken.
+    #[test]
+    fn slow_scenes_of_conflicts_are_what_infer_says(genes in clauses(), count in 0..10_u8, published in any::<bool>()) {
+        let text = written(&genes, count == 0);
+        let config = if published { "vap-hard" } else { "expert" };
+        let precedence = world(config, None, |_| ()).scenario.actions.priority.clone();
+        for overlap in conflicts(&program(&text)).unwrap() {
+            let Finding::Together { scene, .. } = &overlap.finding else { continue };
+            let answer = inferred(config, &text, scene);
+            prop_assert!(overlap.actions.iter().all(|&action| answer.derived.contains(action)), "{text}{answer:?}");
+            let of_two: Vec<Action> = answer.derived.iter().filter(|action| overlap.actions.contains(action)).collect();
+            prop_assert_eq!(of_two.len(), 2);
+            if answer.derived.len() == 2 {
+                prop_assert_eq!(answer.action, overlap.winner(&precedence));
+            }
+        }
+    }
+
+    /// The scene of a difference satisfies the constraints, and each side derives in it what `diff` prints.
+    #[test]
+    fn slow_scenes_of_differences_are_what_infer_says(left in clauses(), right in clauses(), count in 0..10_u8) {
+        let texts = [written(&left, count == 0), written(&right, false)];
+        let [one, other] = texts.each_ref().map(|text| program(text));
+        let options = Options { entities_max: 3, conflicts_max: 5_000, ..Options::default() };
+        let found = diff(one.rules(), other.rules(), &options).unwrap();
+        if let Equivalence::Different(scene) = found {
+            prop_assert_ne!(&scene.derived[0], &scene.derived[1]);
+            for (text, derived) in texts.iter().zip(&scene.derived) {
+                let answer = inferred("expert", text, &scene);
+                let of_ego = |action: &Action| {
+                    derived.contains(&(action.name().to_owned(), vec![scene.entities[0].clone()]))
+                };
+                let mut expected: Actions = Action::ALL.into_iter().filter(of_ego).collect();
+                if expected == [Action::Normal].into_iter().collect() {
+                    expected = Actions::default();
+                }
+                prop_assert_eq!(answer.derived, expected, "{}{:?}", text, scene);
+            }
+        }
+    }
+}
+
+/// An agent is a car or a pedestrian, never both and never neither.
+#[test]
+fn types_exclude_conflicts() {
+    for text in [
+        "Stop(X) :- IsCar(X), IsAtInter(X). Fast(X) :- IsPedestrian(X).",
+        "Stop(X) :- Not(IsCar(X)), IsAtInter(X). Fast(X) :- Not(IsPedestrian(X)), IsAtInter(X).",
+        "Stop(X) :- IsAtInter(X). Fast(X) :- IsInInter(X).",
+        "Stop(X) :- HigherPri(X, Y), HigherPri(Y, X). Fast(X) :- IsCar(X).",
+        "Stop(X) :- IsCar(X), Not(Sees(X, X)). Fast(X) :- IsCar(X).",
+    ] {
+        assert_eq!(
+            finding(&rules(text), [Action::Fast, Action::Stop]),
+            Finding::Excluded,
+            "{text}"
+        );
+    }
+}
+
+#[test]
+fn the_order_of_actions_decides_conflicts() {
+    let overlap = |actions| Overlap {
+        actions,
+        finding: Finding::Excluded,
+    };
+    let published = Action::ALL;
+    for (pair, safest, first) in [
+        ([Action::Slow, Action::Stop], Action::Stop, Action::Slow),
+        ([Action::Fast, Action::Stop], Action::Stop, Action::Fast),
+        ([Action::Slow, Action::Fast], Action::Slow, Action::Slow),
+        ([Action::Slow, Action::Normal], Action::Slow, Action::Slow),
+    ] {
+        assert_eq!(overlap(pair).winner(&Action::SAFEST_FIRST), safest);
+        assert_eq!(overlap(pair).winner(&published), first);
+        assert_ne!(overlap(pair).loser(&published), first);
+    }
+    let priority = |mode: &str| world(mode, None, |_| ()).scenario.actions.priority.clone();
+    for mode in MODES {
+        let expected = if mode.starts_with("vap") {
+            published
+        } else {
+            Action::SAFEST_FIRST
+        };
+        assert_eq!(priority(mode), expected, "{mode}");
+    }
+}
+
+/// The facts of running cities satisfy the constraints of `vocabulary.dl`; see also the recorded scenes.
+#[test]
+fn slow_every_mode_keeps_the_constraints_of_the_vocabulary() {
+    for mode in MODES {
+        let world = world(mode, None, |_| ());
+        for seed in 0..2 {
+            let settings = Settings {
+                executor: Executor::Relational,
+                ..Settings::default()
+            };
+            let mut city = Simulation::new(world.clone(), Split::Test, Seed(seed), settings).unwrap();
+            for _ in 0..25 {
+                city.tick(&[]).unwrap();
+                let snapshot = city.snapshot().unwrap();
+                let known = |relation| world.vocabulary.defines(&world.program, relation);
+                let broken = constraints::violations_among(snapshot.session(), known);
+                assert!(broken.is_empty(), "{mode}: {broken:?}");
+            }
+        }
+    }
 }

@@ -927,9 +927,8 @@ fn item() -> impl Strategy<Value = ast::Item> {
         1 => proptest::collection::vec((0..9_i64, proptest::collection::vec(0..9_i64, 0..3)), 1..3).prop_map(|orders| {
             ast::Item::Plan(ast::Plan { orders, place: place() })
         }),
-        1 => (0..4_usize, name(), name()).prop_map(|(kind, one, other)| {
-            use ast::ConstraintKind::{Disjoint, Implies, Irreflexive, Symmetric};
-            let kind = [Disjoint, Implies, Irreflexive, Symmetric][kind];
+        1 => (0..ast::ConstraintKind::ALL.len(), name(), name()).prop_map(|(kind, one, other)| {
+            let kind = ast::ConstraintKind::ALL[kind];
             ast::Item::Constraint(ast::ConstraintDecl { kind, names: vec![node(one), node(other)], place: place() })
         }),
         1 => proptest::option::of(name()).prop_map(|name| {

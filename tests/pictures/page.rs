@@ -802,7 +802,11 @@ fn a_run_that_is_too_long_is_an_error() {
 fn a_map_that_is_too_large_is_an_error() {
     let folder = tempfile::tempdir().unwrap();
     let config = folder.path().join("large.yaml");
-    std::fs::write(&config, "base: configs/expert.yaml\nmap: configs/maps/metropolis.yaml\n").unwrap();
+    std::fs::write(
+        &config,
+        "base: configs/expert.yaml\nmap: configs/maps/metropolis.yaml\n",
+    )
+    .unwrap();
     let output = Command::new(env!("CARGO_BIN_EXE_logicity"))
         .args([
             "run",

@@ -76,6 +76,41 @@ fn slow_commands_print_the_output_in_readme() {
     assert!(compared >= 4, "README has too few examples");
 }
 
+/// The scenes that README shows satisfy the constraints of the rules: those that it pipes to `infer`, and those that
+/// `check` and `diff` print.
+#[test]
+fn the_scenes_of_readme_satisfy_the_constraints() {
+    let folder = tempfile::tempdir().unwrap();
+    let mut count = 0;
+    let mut infer = |command: &str| {
+        let output = shell(command, folder.path());
+        assert!(
+            output.starts_with("{\"egos\"") && !output.contains("error"),
+            "{command}\n{output}"
+        );
+        count += 1;
+    };
+    for block in blocks() {
+        if block.kind == "sh" && block.text.contains("| logicity infer") || block.text.contains("|\n  logicity infer") {
+            infer(
+                &block
+                    .text
+                    .replace("logicity infer", "logicity infer --check-constraints"),
+            );
+        }
+        for line in block
+            .text
+            .lines()
+            .filter(|line| line.trim().starts_with("{\"entities\""))
+        {
+            infer(&format!(
+                "echo '{line}' | logicity infer --config vap-hard --check-constraints"
+            ));
+        }
+    }
+    assert!(count >= 4, "README shows too few scenes");
+}
+
 #[test]
 fn readme_names_every_command() {
     let help = shell("logicity --help", &root());

@@ -8,6 +8,7 @@ use crate::datalog::print;
 use crate::datalog::{Program, optimize};
 use crate::diag::{Code, Diagnostic, Fix, SourceId, Sources, Span};
 use crate::files::{BUILTIN_FOLDER, ReadFile, normalize};
+use crate::sim::city_lints;
 use std::path::{Path, PathBuf};
 
 /// The meaning of a name.
@@ -58,6 +59,7 @@ impl Analysis {
                     _ => hints.push(lint),
                 }
             }
+            diagnostics.extend(city_lints(&rules, &sources));
             diagnostics.extend(Program::new(rules).err());
         }
         let files: Vec<(SourceId, ast::File)> = (sources.ids())

@@ -1,49 +1,110 @@
 //! Integrity constraints on the facts of a session.
 
-use crate::datalog::check::{Constraint, RelId};
+use crate::datalog::check::{Constraint, DeclaredConstraint, RelId};
 use crate::datalog::session::Session;
 use crate::datalog::syntax::ast::BaseType;
 use crate::datalog::value::{Value, print_float};
 use crate::diag::{Code, Diagnostic};
 use crate::symbol::Symbol;
+use std::collections::HashSet;
 
 /// Maximum number of violations reported, one for each constraint.
 pub const BROKEN_MAX: usize = 20;
 
 /// Returns the constraints that the facts of the last commit violate, each with one offending row.
 pub fn violations(session: &Session) -> Vec<Diagnostic> {
+    violations_among(session, |_| true)
+}
+
+/// Variant of [`violations`] that skips constraints on predicates for which `known` is false.
+pub fn violations_among(session: &Session, known: impl Fn(RelId) -> bool) -> Vec<Diagnostic> {
     let mut faults = Vec::new();
-    for constraint in &session.program().rules().constraints {
+    for DeclaredConstraint {
+        constraint,
+        domain,
+        span,
+    } in &session.program().rules().constraints
+    {
+        let shown = |relation: RelId, row: &[Value]| shown(session, relation, row);
         let reversed = |row: &[Value]| -> Vec<Value> { row.iter().rev().copied().collect() };
-        let found = match constraint.constraint {
+        let found = match *constraint {
+            _ if !relations(constraint).all(&known) => continue,
             Constraint::Disjoint(a, b) => session
                 .rows(a)
                 .find(|row| session.contains(b, row))
-                .map(|row| format!("both {} and {} hold", shown(session, a, row), shown(session, b, row))),
+                .map(|row| format!("both {} and {} hold", shown(a, row), shown(b, row))),
             Constraint::Implies(a, b) => session
                 .rows(a)
                 .find(|row| !session.contains(b, row))
-                .map(|row| format!("{} holds, {} does not", shown(session, a, row), shown(session, b, row))),
+                .map(|row| format!("{} holds, {} does not", shown(a, row), shown(b, row))),
+            Constraint::Covering(ref relations) => {
+                let covered = |value| relations.iter().any(|&relation| session.contains(relation, &[value]));
+                outside(session, domain, covered).map(|(relation, row, value)| {
+                    let options: Vec<String> = relations.iter().map(|&one| shown(one, &[value])).collect();
+                    format!("{} holds, none of {} does", shown(relation, row), options.join(", "))
+                })
+            }
+            Constraint::Reflexive(a) => {
+                outside(session, domain, |value| session.contains(a, &[value, value])).map(|(relation, row, value)| {
+                    let own = shown(a, &[value, value]);
+                    format!("{} holds, {own} does not", shown(relation, row))
+                })
+            }
             Constraint::Irreflexive(a) => session
                 .rows(a)
                 .find(|row| row[0] == row[1])
-                .map(|row| format!("{} holds", shown(session, a, row))),
+                .map(|row| format!("{} holds", shown(a, row))),
             Constraint::Symmetric(a) => session
                 .rows(a)
                 .find(|row| !session.contains(a, &reversed(row)))
-                .map(|row| {
-                    let other = shown(session, a, &reversed(row));
-                    format!("{} holds, {other} does not", shown(session, a, row))
+                .map(|row| format!("{} holds, {} does not", shown(a, row), shown(a, &reversed(row)))),
+            Constraint::Asymmetric(a) => session
+                .rows(a)
+                .find(|row| session.contains(a, &reversed(row)))
+                .map(|row| match row[0] == row[1] {
+                    true => format!("{} holds", shown(a, row)),
+                    false => format!("both {} and {} hold", shown(a, row), shown(a, &reversed(row))),
                 }),
         };
         if let Some(message) = found
             && faults.len() < BROKEN_MAX
         {
-            let fault = Diagnostic::new(Code::CONSTRAINT_VIOLATION, message).at(constraint.span, "declared here");
+            let fault = Diagnostic::new(Code::CONSTRAINT_VIOLATION, message).at(*span, "declared here");
             faults.push(fault.help("correct the facts, or remove the constraint"));
         }
     }
     faults
+}
+
+/// Returns the predicates that a constraint names.
+fn relations(constraint: &Constraint) -> impl Iterator<Item = RelId> {
+    let (listed, single): (&[RelId], &[RelId]) = match constraint {
+        Constraint::Disjoint(a, b) | Constraint::Implies(a, b) => (std::slice::from_ref(a), std::slice::from_ref(b)),
+        Constraint::Covering(relations) => (relations, &[]),
+        Constraint::Reflexive(a)
+        | Constraint::Irreflexive(a)
+        | Constraint::Symmetric(a)
+        | Constraint::Asymmetric(a) => (&[], std::slice::from_ref(a)),
+    };
+    listed.iter().chain(single).copied()
+}
+
+/// Returns the first value of a domain for which the test fails, with a row that contains it.
+fn outside<'s>(
+    session: &'s Session,
+    domain: &[(RelId, usize)],
+    holds: impl Fn(Value) -> bool,
+) -> Option<(RelId, &'s [Value], Value)> {
+    let mut passed: HashSet<Value> = HashSet::new();
+    for &(relation, column) in domain {
+        for row in session.rows(relation) {
+            let value = row[column];
+            if passed.insert(value) && !holds(value) {
+                return Some((relation, row, value));
+            }
+        }
+    }
+    None
 }
 
 /// Returns a fact in the notation of rules.

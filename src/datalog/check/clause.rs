@@ -15,7 +15,7 @@ use crate::datalog::check::scope;
 use crate::datalog::check::scope::Scope;
 use crate::datalog::check::witness;
 use crate::datalog::syntax::ast;
-use crate::datalog::syntax::ast::{BaseType, Item, names_in, names_of};
+use crate::datalog::syntax::ast::{BaseType, Comparison, Item, names_in, names_of};
 
 /// Maximum number of literals in a body.
 const MAX_LITERALS: usize = 1024;
@@ -222,7 +222,7 @@ fn alternative(
     let checked = body::check(clause, head, body, scopes.current(), names, out, faults);
     let Some(Body {
         head,
-        mut body,
+        body: mut literals,
         variables,
         sound,
     }) = checked
@@ -230,10 +230,10 @@ fn alternative(
         out.incomplete = true;
         return;
     };
-    let is_fact = body.is_empty();
+    let is_fact = literals.is_empty();
     let mut scoped = Scope {
         head: &head,
-        body: &mut body,
+        body: &mut literals,
         names: variables.iter().map(|variable| variable.name.clone()).collect(),
         types: variables.iter().map(|variable| variable.ty).collect(),
         guarded: vec![false; variables.len()],
@@ -245,7 +245,7 @@ fn alternative(
         ..
     } = scoped;
     if sound && !is_fact {
-        lone_variables(clause, &variables, &guarded, faults);
+        lone_variables(clause, body, &variables, &guarded, names, faults);
     }
     let bases = variables.iter().map(|variable| base(variable.ty, names)).collect();
     let derived = &mut names.relations[head.relation.index()].derived;
@@ -253,7 +253,7 @@ fn alternative(
     out.clauses.push(Checked {
         clause: Clause {
             head,
-            body,
+            body: literals,
             variables: variable_names,
             doc: clause.doc.clone(),
             span: clause.place.0,
@@ -271,15 +271,19 @@ fn base(ty: VariableType, names: &Names) -> Option<BaseType> {
     }
 }
 
-/// Warns of variables that occur once. A guarded variable means "some agent in view" and needs no second occurrence.
-fn lone_variables(clause: &ast::Clause, variables: &[Known], guarded: &[bool], faults: &mut Faults) {
-    let lone = |variable: &Known| variable.count == 1 && !variable.hidden && !variable.name.starts_with('_');
+/// Warns of equations that are always true, and of other variables that occur once. A guarded variable means "some agent
+/// in view" and needs no second occurrence.
+fn lone_variables(
+    clause: &ast::Clause,
+    body: &[&ast::Literal],
+    variables: &[Known],
+    guarded: &[bool],
+    names: &Names,
+    faults: &mut Faults,
+) {
     let mut counts = None;
-    for (variable, guarded) in variables.iter().zip(guarded) {
-        if *guarded || !lone(variable) {
-            continue;
-        }
-        // A variable that occurs once in this alternative may occur in others.
+    // A variable that occurs once in this alternative may occur in others.
+    let mut is_lone = |name: &str| {
         let counts = counts.get_or_insert_with(|| {
             let mut counts: HashMap<&str, usize> = HashMap::new();
             let mut count = |name| *counts.entry(name).or_default() += 1;
@@ -294,22 +298,61 @@ fn lone_variables(clause: &ast::Clause, variables: &[Known], guarded: &[bool], f
                 .for_each(|literal| names_in(literal, true, &mut count));
             counts
         });
-        if counts.get(variable.name.as_str()).is_none_or(|&count| count > 1) {
+        counts.get(name) == Some(&1)
+    };
+    let explicit = |name: &str| !name.starts_with('_');
+    let mut reported: Vec<&str> = Vec::new();
+    for literal in body {
+        let ast::Literal::Compare {
+            op: Comparison::Equal,
+            left,
+            right,
+            place,
+        } = literal
+        else {
+            continue;
+        };
+        let (ast::TermKind::Variable(one), ast::TermKind::Variable(other)) = (&left.kind, &right.kind) else {
+            continue;
+        };
+        if one == other {
+            let fault = Diagnostic::new(Code::VACUOUS_EQUATION, format!("`{one} = {other}` is always true"));
+            faults.push(fault.at(place.0, "").help("remove it"));
+            continue;
+        }
+        let mut sides = [(other, right, one), (one, left, other)].into_iter();
+        let Some((name, term, same)) = sides.find(|(name, ..)| explicit(name) && is_lone(name)) else {
+            continue;
+        };
+        let known = variables.iter().find(|variable| variable.name == *name);
+        let is_text = known.is_some_and(|variable| base(variable.ty, names) == Some(BaseType::Symbol));
+        let message = format!("`{one} = {other}` is always true: the variable `{name}` occurs nowhere else");
+        let fault =
+            Diagnostic::new(Code::VACUOUS_EQUATION, message).at(term.place.0, "a variable, since it has no quotes");
+        faults.push(match is_text {
+            true => fault.help(format!(
+                "if you mean the text, write it in quotes: `{same} = \"{name}\"`"
+            )),
+            false => fault.help("remove the equation"),
+        });
+        reported.push(name);
+    }
+    for (variable, guarded) in variables.iter().zip(guarded) {
+        let name = variable.name.as_str();
+        let once = variable.count == 1 && !variable.hidden && explicit(name);
+        if *guarded || !once || reported.contains(&name) || !is_lone(name) {
             continue;
         }
         let fault = Diagnostic::new(
             Code::SINGLETON_VARIABLE,
-            format!("the variable `{}` occurs only once", variable.name),
+            format!("the variable `{name}` occurs only once"),
         )
         .at(variable.first, "")
-        .help(format!(
-            "write `_` or `_{}` if its value does not matter",
-            variable.name
-        ))
+        .help(format!("write `_` or `_{name}` if its value does not matter"))
         .fix("replace it with `_`", [(variable.first, "_".to_owned())])
         .fix(
-            format!("rename it to `_{}`", variable.name),
-            [(variable.first, format!("_{}", variable.name))],
+            format!("rename it to `_{name}`"),
+            [(variable.first, format!("_{name}"))],
         );
         faults.push(fault);
     }

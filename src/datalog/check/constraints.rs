@@ -1,9 +1,9 @@
-//! Integrity constraints: `.disjoint`, `.implies`, `.irreflexive` and `.symmetric` on the facts of base predicates.
+//! Integrity constraints, such as `.disjoint` and `.reflexive`, on the facts of base predicates.
 
 use crate::diag::{Code, Diagnostic, Faults, Span};
 
 use crate::datalog::check::names::Names;
-use crate::datalog::check::rules::{Constraint, DeclaredConstraint, RelId};
+use crate::datalog::check::rules::{Constraint, DeclaredConstraint, RelId, TypeId};
 use crate::datalog::syntax::ast;
 use crate::datalog::syntax::ast::{ConstraintKind, Item, Name};
 
@@ -34,44 +34,67 @@ pub(crate) fn check(items: &[Item], names: &mut Names, faults: &mut Faults) -> V
             break;
         }
         let span = constraint.place.0;
+        let mut declare = |constraint, domain| {
+            constraints.push(DeclaredConstraint {
+                constraint,
+                domain,
+                span,
+            });
+        };
         match constraint.kind {
             ConstraintKind::Disjoint => {
                 for (later, name) in constraint.names.iter().enumerate() {
                     for earlier in 0..later {
                         if let Some((a, b)) = pair(found[earlier], found[later], constraint, name, names, faults) {
-                            constraints.push(DeclaredConstraint {
-                                constraint: Constraint::Disjoint(a, b),
-                                span,
-                            });
+                            declare(Constraint::Disjoint(a, b), Vec::new());
                         }
                     }
                 }
             }
             ConstraintKind::Implies => {
                 if let Some((a, b)) = pair(found[0], found[1], constraint, &constraint.names[1], names, faults) {
-                    constraints.push(DeclaredConstraint {
-                        constraint: Constraint::Implies(a, b),
-                        span,
-                    });
+                    declare(Constraint::Implies(a, b), Vec::new());
                 }
             }
-            ConstraintKind::Irreflexive | ConstraintKind::Symmetric => {
+            ConstraintKind::Covering => {
+                if let Some((relations, ty)) = cover(&found, constraint, names, faults) {
+                    declare(Constraint::Covering(relations), domain(ty, names));
+                }
+            }
+            ConstraintKind::Reflexive
+            | ConstraintKind::Irreflexive
+            | ConstraintKind::Symmetric
+            | ConstraintKind::Asymmetric => {
                 for (relation, name) in found.into_iter().zip(&constraint.names) {
-                    let Some(relation) =
-                        relation.filter(|&relation| relates(relation, name, constraint, names, faults))
-                    else {
+                    let Some(relation) = relation else { continue };
+                    let Some(ty) = relates(relation, name, constraint, names, faults) else {
                         continue;
                     };
-                    let constraint = match constraint.kind {
-                        ConstraintKind::Symmetric => Constraint::Symmetric(relation),
-                        _ => Constraint::Irreflexive(relation),
-                    };
-                    constraints.push(DeclaredConstraint { constraint, span });
+                    match constraint.kind {
+                        ConstraintKind::Reflexive => declare(Constraint::Reflexive(relation), domain(ty, names)),
+                        ConstraintKind::Symmetric => declare(Constraint::Symmetric(relation), Vec::new()),
+                        ConstraintKind::Asymmetric => declare(Constraint::Asymmetric(relation), Vec::new()),
+                        _ => declare(Constraint::Irreflexive(relation), Vec::new()),
+                    }
                 }
             }
         }
     }
     constraints
+}
+
+/// Returns the columns that hold values of a type; see [`DeclaredConstraint::domain`].
+fn domain(ty: TypeId, names: &Names) -> Vec<(RelId, usize)> {
+    let mut domain = Vec::new();
+    for (relation, id) in names.relations.iter().zip((0..).map(RelId)) {
+        if relation.derived || relation.hidden {
+            continue;
+        }
+        let columns = relation.columns.iter().enumerate();
+        let within = columns.filter(|(_, column)| names.is_subtype(column.ty, ty));
+        domain.extend(within.map(|(column, _)| (id, column)));
+    }
+    domain
 }
 
 fn refuse(message: String, at: Span, relation: RelId, names: &Names) -> Diagnostic {
@@ -123,14 +146,56 @@ fn pair(
     fits.then_some((first, second))
 }
 
-/// Returns whether the predicate has two columns of one type, and reports it otherwise.
-fn relates(relation: RelId, name: &Name, constraint: &ast::ConstraintDecl, names: &Names, faults: &mut Faults) -> bool {
+/// Returns the predicates of a covering constraint and the type that they cover. They have one column each, of one type.
+fn cover(
+    found: &[Option<RelId>],
+    constraint: &ast::ConstraintDecl,
+    names: &Names,
+    faults: &mut Faults,
+) -> Option<(Vec<RelId>, TypeId)> {
+    let mut relations: Vec<RelId> = Vec::new();
+    let mut covered = None;
+    for (relation, name) in found.iter().zip(&constraint.names) {
+        let relation = (*relation)?;
+        let message = match names.relation(relation).columns.as_slice() {
+            [column] if covered.is_some_and(|ty| ty != column.ty) => {
+                format!(
+                    "`{}` covers another type than `{}`",
+                    name.text, constraint.names[0].text
+                )
+            }
+            [_] if relations.contains(&relation) => format!("`.covering` names `{}` twice", name.text),
+            [column] => {
+                covered = Some(column.ty);
+                relations.push(relation);
+                continue;
+            }
+            _ => format!(
+                "`{}` cannot be covering: it does not have exactly one column",
+                name.text
+            ),
+        };
+        faults.push(refuse(message, name.place.0, relation, names));
+        return None;
+    }
+    Some((relations, covered?))
+}
+
+/// Returns the type that the two columns of the predicate share. Reports a predicate that does not have two such
+/// columns.
+fn relates(
+    relation: RelId,
+    name: &Name,
+    constraint: &ast::ConstraintDecl,
+    names: &Names,
+    faults: &mut Faults,
+) -> Option<TypeId> {
     let columns = &names.relation(relation).columns;
-    let fits = match columns.as_slice() {
-        [a, b] => names.meet(a.ty, b.ty).is_some(),
-        _ => false,
+    let shared = match columns.as_slice() {
+        [a, b] => names.meet(a.ty, b.ty),
+        _ => None,
     };
-    if !fits {
+    if shared.is_none() {
         let message = format!(
             "`{}` cannot be {}: it does not have exactly two columns of one type",
             name.text,
@@ -138,5 +203,5 @@ fn relates(relation: RelId, name: &Name, constraint: &ast::ConstraintDecl, names
         );
         faults.push(refuse(message, name.place.0, relation, names));
     }
-    fits
+    shared
 }

@@ -311,23 +311,32 @@ pub struct Clause {
 }
 
 /// An integrity constraint on the facts of base predicates. The author declares it; no rule implies it.
-#[derive(Clone, Copy, Debug, PartialEq, Eq, Hash)]
+#[derive(Clone, Debug, PartialEq, Eq, Hash)]
 pub enum Constraint {
     /// No row is in both predicates.
     Disjoint(RelId, RelId),
     /// Every row of the first predicate is in the second one.
     Implies(RelId, RelId),
+    /// Every value of the domain is in one of the predicates.
+    Covering(Vec<RelId>),
+    /// Every value of the domain is related to itself.
+    Reflexive(RelId),
     /// No row relates a value to itself.
     Irreflexive(RelId),
     /// With every row the reversed row holds too.
     Symmetric(RelId),
+    /// With no row the reversed row holds too, so no row relates a value to itself.
+    Asymmetric(RelId),
 }
 
-/// A constraint with its place.
-#[derive(Clone, Copy, Debug)]
+/// A constraint with its domain and its place.
+#[derive(Clone, Debug)]
 pub struct DeclaredConstraint {
     /// The constraint.
     pub constraint: Constraint,
+    /// The columns whose values are the domain of a covering or reflexive constraint: those of visible predicates
+    /// without rules that have the type of the constraint's predicates or a subtype of it. Empty for other constraints.
+    pub domain: Vec<(RelId, usize)>,
     /// The place of the directive.
     pub span: Span,
 }

@@ -165,7 +165,7 @@ pub(crate) mod random_clauses {
     use proptest::sample::select;
 
     const DECLARED: &str = ".decl D(x: symbol)\n.decl E, L, S(x: symbol, y: symbol)\n.input D, E, L, S\n\
-                            .irreflexive L\n.symmetric S\n.implies L, E\n.decl P(x: symbol, y: symbol)\n.output P\n";
+                            .asymmetric L\n.symmetric S\n.reflexive E\n.implies L, E\n.decl P(x: symbol, y: symbol)\n.output P\n";
 
     const HEADS: &[&str] = &["P(x, y)", "P(x, x)", "P(x, \"a\")", "P(\"a\", y)"];
 

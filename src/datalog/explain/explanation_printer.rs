@@ -74,12 +74,13 @@ impl<'a> ExplanationPrinter<'a> {
         ExplanationPrinter { quotes: true, ..self }
     }
 
-    /// Returns the explanation as a tree of lines. The tree expands each node once.
+    /// Returns the explanation as a tree of lines. The tree expands each node once. All symbols stand in quotes, so that
+    /// readers can copy atoms into rules.
     pub fn tree(&self, explanation: &Explanation) -> String {
         let mut out = String::new();
         if !explanation.nodes().is_empty() {
             let mut drawing = Drawing {
-                printer: *self,
+                printer: self.quoting(),
                 explanation,
                 printed: HashSet::new(),
                 open: Vec::new(),

@@ -45,7 +45,7 @@ pub enum Item {
     Decl(Decl),
     /// `.input A, B`, `.output A`, `.printsize A`
     Mark(Mark),
-    /// `.disjoint A, B`, `.implies A, B`, `.irreflexive A`, `.symmetric A`
+    /// An integrity constraint: `.disjoint A, B`, `.reflexive A`, ...
     Constraint(ConstraintDecl),
     /// `.pragma "key" "value"`: parsed and ignored.
     Pragma(Pragma),
@@ -157,7 +157,7 @@ pub struct DirectiveOption {
 pub struct ConstraintDecl {
     /// The kind of constraint.
     pub kind: ConstraintKind,
-    /// The predicates: exactly two for `.implies`, at least two for `.disjoint`, at least one otherwise.
+    /// The predicates: exactly two for `.implies`, at least two for `.disjoint` and `.covering`, at least one otherwise.
     pub names: Vec<Name>,
     /// The whole directive.
     pub place: Place,
@@ -170,20 +170,40 @@ pub enum ConstraintKind {
     Disjoint,
     /// `.implies`: every row of the first predicate is in the second one.
     Implies,
+    /// `.covering`: every value of the type is in one of the predicates.
+    Covering,
+    /// `.reflexive`: every value of the type is related to itself.
+    Reflexive,
     /// `.irreflexive`: no row relates a value to itself.
     Irreflexive,
     /// `.symmetric`: with every row, the swapped row holds too.
     Symmetric,
+    /// `.asymmetric`: with no row, the swapped row holds too.
+    Asymmetric,
 }
 
 impl ConstraintKind {
+    /// All kinds.
+    pub const ALL: [ConstraintKind; 7] = [
+        ConstraintKind::Disjoint,
+        ConstraintKind::Implies,
+        ConstraintKind::Covering,
+        ConstraintKind::Reflexive,
+        ConstraintKind::Irreflexive,
+        ConstraintKind::Symmetric,
+        ConstraintKind::Asymmetric,
+    ];
+
     /// Returns the name of the directive without its dot.
     pub fn name(self) -> &'static str {
         match self {
             ConstraintKind::Disjoint => "disjoint",
             ConstraintKind::Implies => "implies",
+            ConstraintKind::Covering => "covering",
+            ConstraintKind::Reflexive => "reflexive",
             ConstraintKind::Irreflexive => "irreflexive",
             ConstraintKind::Symmetric => "symmetric",
+            ConstraintKind::Asymmetric => "asymmetric",
         }
     }
 }

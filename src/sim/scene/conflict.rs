@@ -32,6 +32,30 @@ pub struct Overlap {
     pub finding: Finding,
 }
 
+impl Overlap {
+    /// Returns the action that an agent takes if both are derived, given the order of precedence.
+    ///
+    /// # Panics
+    /// If the order lacks an action.
+    pub fn winner(&self, precedence: &[Action]) -> Action {
+        let first = precedence.iter().find(|action| self.actions.contains(action));
+        *first.expect("an order of all actions")
+    }
+
+    /// Returns the other action.
+    ///
+    /// # Panics
+    /// If the order lacks an action.
+    pub fn loser(&self, precedence: &[Action]) -> Action {
+        let [first, second] = self.actions;
+        if self.winner(precedence) == first {
+            second
+        } else {
+            first
+        }
+    }
+}
+
 /// Whether one scene can derive two actions for the same agent.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub enum Finding {
@@ -190,11 +214,18 @@ fn scopes(scene: &Difference) -> Vec<(String, Vec<Vec<String>>)> {
         .collect()
 }
 
-/// Returns the scene in the format of `logicity infer`, which assumes a complete `Sees`.
+/// Returns the scene in the format of `logicity infer`, which assumes a complete `Sees` unless the scene lists it.
 pub fn scene_json(scene: &Difference) -> serde_json::Value {
     let scopes = scopes(scene);
-    let scopes = scopes.iter().filter(|(name, _)| name != "Sees");
-    let facts: Map<String, serde_json::Value> = (scene.facts.iter().chain(scopes))
+    let is_complete = |rows: &[Vec<String>]| {
+        let mut pairs = scene
+            .entities
+            .iter()
+            .flat_map(|x| scene.entities.iter().map(move |y| [x, y]));
+        pairs.all(|[x, y]| rows.iter().any(|row| row == &[x.as_str(), y.as_str()]))
+    };
+    let listed = (scene.facts.iter().chain(&scopes)).filter(|(name, rows)| name != "Sees" || !is_complete(rows));
+    let facts: Map<String, serde_json::Value> = listed
         .map(|(name, rows)| {
             let rows = rows.iter().map(|row| match row.as_slice() {
                 [only] => json!(only),

@@ -341,7 +341,8 @@ impl Inference {
         state.set_with(&scene.facts, cancel)?;
         if self.check_constraints {
             // The rules are not in the caller's sources, so the diagnostic does not point to the declaration.
-            let mut broken = constraints::violations(state.session()).into_iter();
+            let known = |relation| self.vocabulary.defines(&self.program, relation);
+            let mut broken = constraints::violations_among(state.session(), known).into_iter();
             if let Some(first) = broken.next() {
                 let fault = Diagnostic::new(Code::CONSTRAINT_VIOLATION, first.message);
                 return Err(broken.fold(fault, |fault, other| fault.note(other.message)));

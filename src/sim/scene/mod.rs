@@ -3,6 +3,8 @@
 mod conflict;
 mod format;
 mod infer;
+mod lint;
 
 pub use conflict::{CONFLICT_BUDGET, Finding, Overlap, conflicts, scene_json};
 pub use infer::{Answer, EgoAnswer, Inference, SceneFacts};
+pub use lint::{city_lints, conflict_lints};

@@ -162,6 +162,12 @@ impl Vocabulary {
         self.predicates[predicate].relation.is_some()
     }
 
+    /// Returns whether the facts of a relation are known: the configuration defines it, or it is not an input.
+    pub fn defines(&self, program: &Program, relation: RelId) -> bool {
+        let mut defined = self.predicates.iter().filter_map(|predicate| predicate.relation);
+        !program.rules().relations[relation.index()].input || defined.any(|one| one == relation)
+    }
+
     /// Returns the relation of an action, if the rules declare it.
     pub fn action(&self, action: Action) -> Option<RelId> {
         self.actions[action as usize]

@@ -149,8 +149,9 @@ impl Account<'_> {
             let names: Vec<&str> = derived.iter().map(|action| action.name()).collect();
             let _ = writeln!(
                 text,
-                "derived: {}; the first in the configured order was taken",
-                names.join(", ")
+                "derived: {}; {} is first in the configured order",
+                names.join(", "),
+                by_rules.name()
             );
         } else if derived.is_empty() && self.explanations.len() > 1 {
             text += "no action was derived, so the default was taken\n";

@@ -240,7 +240,7 @@ fn atoms_of(ego: &EgoAnswer) -> Atoms {
         .collect()
 }
 
-/// Answers scenes with both executors, which must agree.
+/// Answers scenes with both executors, which must agree. The facts of the scenes satisfy the constraints of the rules.
 fn answers(config: &str, edit: fn(&mut Scenario), scenes: &[&Value]) -> Vec<Vec<EgoAnswer>> {
     std::thread::scope(|scope| {
         let by = |executor| scope.spawn(move || answers_by(executor, config, edit, scenes));
@@ -258,6 +258,9 @@ fn answers_by(executor: Executor, config: &str, edit: fn(&mut Scenario), scenes:
     let world = world(config, None, edit);
     let (scenario, program) = (world.scenario.clone(), world.program.clone());
     let mut inference = Inference::new(scenario, program, Seed(0), executor, read_text).expect("rules fit");
+    if executor == Executor::Relational {
+        inference.check_constraints();
+    }
     let answer = |scene: &&Value| {
         let mut sources = Sources::new();
         let source = sources.add("scene", scene.to_string());

@@ -6,7 +6,7 @@
 
 use crate::datalog::analysis::diff::sat::{Lit, Solver};
 use crate::datalog::analysis::diff::{Individual, Side};
-use crate::datalog::check::{Atom, Clause, Constraint, Literal, RelId, Term};
+use crate::datalog::check::{Atom, Clause, Constraint, DeclaredConstraint, Literal, RelId, Term};
 use crate::datalog::syntax::ast::{BaseType, Comparison};
 use crate::datalog::value::Value;
 use std::collections::{BTreeMap, BTreeSet, HashMap};
@@ -434,32 +434,34 @@ impl<'a> Circuit<'a> {
 
     // --- constraints
 
-    /// Adds the constraints of both sides to the circuit, for all facts in it.
+    /// Adds the constraints of both sides to the circuit, for all facts in it and those in the text.
     pub(super) fn constraints(&mut self) -> Result<(), TooLarge> {
+        let sides = self.sides;
+        for (side, program) in sides.into_iter().enumerate() {
+            let mut facts: Vec<&(RelId, Vec<usize>)> = program.facts.iter().collect();
+            facts.sort_unstable();
+            for (relation, row) in facts {
+                self.constrain(side, *relation, row)?;
+            }
+            // Every entity sees itself, so all are in the domain of a constraint over the type of a scope.
+            if self.view == ScopeRows::Free {
+                continue;
+            }
+            for DeclaredConstraint { constraint, domain, .. } in &program.rules.constraints {
+                if domain.iter().any(|(relation, _)| program.scopes.contains(relation)) {
+                    for value in self.of(BaseType::Symbol) {
+                        self.within(side, constraint, value, Vec::new())?;
+                    }
+                }
+            }
+        }
         let mut done = 0;
         let mut queue: Vec<BaseFact> = self.atoms.keys().cloned().collect();
         while let Some((base, row)) = queue.get(done).cloned() {
             done += 1;
-            for side in 0..2 {
-                for constraint in &self.sides[side].rules.constraints {
-                    let relation = |relation: RelId| self.sides[side].base[relation.index()] == Some(base);
-                    let reversed: Vec<usize> = row.iter().rev().copied().collect();
-                    let clause = match constraint.constraint {
-                        Constraint::Irreflexive(a) if relation(a) && row[0] == row[1] => {
-                            vec![!self.base(side, a, &row)?]
-                        }
-                        Constraint::Symmetric(a) if relation(a) => {
-                            vec![!self.base(side, a, &row)?, self.base(side, a, &reversed)?]
-                        }
-                        Constraint::Implies(a, b) if relation(a) => {
-                            vec![!self.base(side, a, &row)?, self.base(side, b, &row)?]
-                        }
-                        Constraint::Disjoint(a, b) if relation(a) || relation(b) => {
-                            vec![!self.base(side, a, &row)?, !self.base(side, b, &row)?]
-                        }
-                        _ => continue,
-                    };
-                    self.solver.add(&clause);
+            for (side, program) in sides.into_iter().enumerate() {
+                if let Some(relation) = (program.base.iter()).position(|&position| position == Some(base)) {
+                    self.constrain(side, RelId(relation as u32), &row)?;
                 }
             }
             // The facts added in this step; all earlier ones are in the queue.
@@ -468,6 +470,50 @@ impl<'a> Circuit<'a> {
             queue.extend(more.iter().cloned());
             self.asked.extend(more);
         }
+        Ok(())
+    }
+
+    /// Adds the constraints of one side that concern a fact.
+    fn constrain(&mut self, side: usize, relation: RelId, row: &[usize]) -> Result<(), TooLarge> {
+        let sides = self.sides;
+        let reversed: Vec<usize> = row.iter().rev().copied().collect();
+        for DeclaredConstraint { constraint, domain, .. } in &sides[side].rules.constraints {
+            let fact = self.base(side, relation, row)?;
+            let conclusion = match *constraint {
+                Constraint::Irreflexive(a) | Constraint::Asymmetric(a) if a == relation && row[0] == row[1] => {
+                    !self.yes
+                }
+                Constraint::Asymmetric(a) if a == relation => !self.base(side, a, &reversed)?,
+                Constraint::Symmetric(a) if a == relation => self.base(side, a, &reversed)?,
+                Constraint::Implies(a, b) if a == relation => self.base(side, b, row)?,
+                Constraint::Disjoint(a, b) if a == relation => !self.base(side, b, row)?,
+                Constraint::Disjoint(a, b) if b == relation => !self.base(side, a, row)?,
+                Constraint::Covering(_) | Constraint::Reflexive(_) => {
+                    for &(_, column) in domain.iter().filter(|(other, _)| *other == relation) {
+                        self.within(side, constraint, row[column], vec![!fact])?;
+                    }
+                    continue;
+                }
+                _ => continue,
+            };
+            self.solver.add(&[!fact, conclusion]);
+        }
+        Ok(())
+    }
+
+    /// Adds a covering or reflexive constraint for a value of its domain, as one clause with the literals of `unless`.
+    fn within(&mut self, side: usize, constraint: &Constraint, value: usize, unless: Vec<Lit>) -> Result<(), TooLarge> {
+        let mut clause = unless;
+        match constraint {
+            Constraint::Covering(relations) => {
+                for &relation in relations {
+                    clause.push(self.base(side, relation, &[value])?);
+                }
+            }
+            Constraint::Reflexive(relation) => clause.push(self.base(side, *relation, &[value, value])?),
+            _ => return Ok(()),
+        }
+        self.solver.add(&clause);
         Ok(())
     }
 }

@@ -20,7 +20,7 @@ mod sat;
 mod trial;
 
 use crate::datalog::check::subsumption::within_theory;
-use crate::datalog::check::{Clause, Constraint, Literal, RelId, Rules, Term};
+use crate::datalog::check::{Clause, Constraint, DeclaredConstraint, Literal, RelId, Rules, Term};
 use crate::datalog::naive;
 use crate::datalog::syntax::ast::BaseType;
 use crate::datalog::value::Value;
@@ -127,7 +127,7 @@ pub(crate) struct Side<'a> {
     base: Vec<Option<usize>>,
     /// The facts in the text for predicates without rules; the rows contain positions of individuals.
     facts: HashSet<(RelId, Vec<usize>)>,
-    /// The base predicates that serve as guards.
+    /// The base predicates that serve as guards on either side.
     scopes: BTreeSet<RelId>,
 }
 
@@ -187,7 +187,16 @@ pub fn diff(left: &Rules, right: &Rules, options: &Options) -> Result<Equivalenc
     let base = shared_base(left, right)?;
     let outputs = outputs(left, right, options)?;
     let rules = [left, right];
-    let sides = rules.map(|rules| side(rules, &base));
+    let mut sides = rules.map(|rules| side(rules, &base));
+    // A predicate that guards on one side is complete on both.
+    let scopes: BTreeSet<usize> = (sides.iter())
+        .flat_map(|side| side.scopes.iter().filter_map(|scope| side.base[scope.index()]))
+        .collect();
+    for side in &mut sides {
+        let shared = (side.base.iter().zip((0..).map(RelId)))
+            .filter(|(position, _)| position.is_some_and(|position| scopes.contains(&position)));
+        side.scopes = shared.map(|(_, relation)| relation).collect();
+    }
     let sides = [&sides[0], &sides[1]];
     let mut budget = Remaining {
         conflicts: options.conflicts_max,
@@ -337,9 +346,20 @@ fn relevant(rules: [&Rules; 2], base: &[Base], outputs: &[Output]) -> BTreeSet<u
             let atoms = clause.body.iter().filter_map(Literal::atom);
             reads[clause.head.relation.index()].extend(atoms.map(|atom| atom.relation));
         }
-        for constraint in &rules.constraints {
-            if let Constraint::Implies(one, other) = constraint.constraint {
-                reads[one.index()].push(other);
+        for DeclaredConstraint { constraint, domain, .. } in &rules.constraints {
+            let mut implied = |premise: RelId, relation: RelId| reads[premise.index()].push(relation);
+            match *constraint {
+                Constraint::Implies(one, other) => implied(one, other),
+                Constraint::Reflexive(other) => domain.iter().for_each(|&(one, _)| implied(one, other)),
+                Constraint::Covering(ref others) => {
+                    for &(one, _) in domain {
+                        others.iter().for_each(|&other| implied(one, other));
+                    }
+                }
+                Constraint::Disjoint(..)
+                | Constraint::Irreflexive(_)
+                | Constraint::Symmetric(_)
+                | Constraint::Asymmetric(_) => {}
             }
         }
         let mut open: Vec<RelId> = outputs.iter().map(|output| output.ids[side]).collect();

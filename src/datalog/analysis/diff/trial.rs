@@ -7,7 +7,7 @@
 
 use crate::datalog::analysis::constraints;
 use crate::datalog::analysis::diff::{Base, Difference, Equivalence, Model, Options, Output, relevant};
-use crate::datalog::check::{Literal, RelId, Rules, Term};
+use crate::datalog::check::{Constraint, DeclaredConstraint, Literal, RelId, Rules, Term};
 use crate::datalog::eval::limits::Limits;
 use crate::datalog::program::Program;
 use crate::datalog::session::Session;
@@ -50,6 +50,17 @@ const LIMITS: Limits = Limits {
 /// A base fact: the position of its predicate, and its values as text.
 type Fact = (usize, Vec<String>);
 
+/// A fact that a constraint requires together with another one.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+enum Requirement {
+    /// The same row of this predicate.
+    Same(usize),
+    /// The reversed row.
+    Reversed,
+    /// The value of this column related to itself by this predicate.
+    Loop { column: usize, of: usize },
+}
+
 /// Both programs with the building blocks of scenes.
 struct Trial<'a> {
     sessions: [Session; 2],
@@ -62,6 +73,10 @@ struct Trial<'a> {
     /// The base predicates that relate every entity to every other.
     scopes: Vec<usize>,
     constants: BTreeSet<(BaseType, String)>,
+    /// By base predicate: the facts that the constraints require with each of its facts.
+    required: Vec<Vec<Requirement>>,
+    /// The covering constraints: the columns of the domain, and the predicates that cover it.
+    covers: Vec<(Vec<(usize, usize)>, Vec<usize>)>,
     /// Whether entities are interchangeable, because no rule inspects the characters or the order of strings.
     nameless: bool,
     held: BTreeSet<Fact>,
@@ -163,6 +178,10 @@ impl<'a> Trial<'a> {
         };
         let mut constants = BTreeSet::new();
         rules.iter().for_each(|rules| named(rules, &mut constants));
+        let (mut required, mut covers) = (vec![Vec::new(); base.len()], Vec::new());
+        rules
+            .iter()
+            .for_each(|rules| requirements(rules, base, &mut required, &mut covers));
         Ok(Trial {
             sessions,
             base,
@@ -171,6 +190,8 @@ impl<'a> Trial<'a> {
             relevant: relevant(rules, base, outputs),
             scopes: (0..base.len()).filter(|&one| guards(&base[one])).collect(),
             constants,
+            required,
+            covers,
             nameless: rules.iter().all(|rules| is_nameless(rules)),
             held: BTreeSet::new(),
             tried: 0,
@@ -328,7 +349,8 @@ impl<'a> Trial<'a> {
         facts
     }
 
-    /// Returns the facts together with the rows of the scopes.
+    /// Returns the facts with the rows of the scopes and the facts that the constraints require. If a covering
+    /// constraint offers a choice, its first predicate is chosen.
     fn complete(&self, facts: &[Fact], entities: usize) -> BTreeSet<Fact> {
         let names = self.names(entities);
         let mut all: BTreeSet<Fact> = facts.iter().cloned().collect();
@@ -338,7 +360,36 @@ impl<'a> Trial<'a> {
                 .flat_map(|x| names.iter().map(move |y| vec![x.clone(), y.clone()]));
             all.extend(pairs.map(|row| (scope, row)));
         }
-        all
+        let mut queue: Vec<Fact> = all.iter().cloned().collect();
+        loop {
+            while let Some((predicate, row)) = queue.pop() {
+                for requirement in &self.required[predicate] {
+                    let fact = match *requirement {
+                        Requirement::Same(other) => (other, row.clone()),
+                        Requirement::Reversed => (predicate, row.iter().rev().cloned().collect()),
+                        Requirement::Loop { column, of } => (of, vec![row[column].clone(); 2]),
+                    };
+                    if all.insert(fact.clone()) {
+                        queue.push(fact);
+                    }
+                }
+            }
+            let covered =
+                |cover: &[usize], value: &String| cover.iter().any(|&one| all.contains(&(one, vec![value.clone()])));
+            let missing = self.covers.iter().find_map(|(domain, cover)| {
+                all.iter().find_map(|(predicate, row)| {
+                    let values = domain
+                        .iter()
+                        .filter(|(one, _)| one == predicate)
+                        .map(|&(_, column)| &row[column]);
+                    let value = values.into_iter().find(|value| !covered(cover, value))?;
+                    Some((cover[0], vec![value.clone()]))
+                })
+            });
+            let Some(fact) = missing else { return all };
+            all.insert(fact.clone());
+            queue.push(fact);
+        }
     }
 
     /// Returns whether the scene satisfies the constraints of both sides and they derive different outputs. A side that
@@ -403,8 +454,9 @@ impl<'a> Trial<'a> {
             derived
         });
         let mut by_predicate: Vec<(String, Vec<Vec<String>>)> = Vec::new();
-        let mut ordered = facts.to_vec();
-        ordered.sort();
+        let ordered = all
+            .into_iter()
+            .filter(|(predicate, _)| !self.scopes.contains(predicate));
         // The differing row comes first.
         let differs = |row: &&(String, Vec<String>)| derived.iter().any(|rows: &Vec<_>| !rows.contains(*row));
         let mut names = Vec::new();
@@ -538,6 +590,48 @@ fn named(rules: &Rules, constants: &mut BTreeSet<(BaseType, String)>) {
                 }
                 _ => {}
             }
+        }
+    }
+}
+
+/// Adds what the constraints of one side require of facts; see [`Trial`].
+fn requirements(
+    rules: &Rules,
+    base: &[Base],
+    required: &mut [Vec<Requirement>],
+    covers: &mut Vec<(Vec<(usize, usize)>, Vec<usize>)>,
+) {
+    let place = |relation: RelId| {
+        let name = &rules.relations[relation.index()].name;
+        base.iter().position(|base| base.name == *name)
+    };
+    for DeclaredConstraint { constraint, domain, .. } in &rules.constraints {
+        let domain = domain
+            .iter()
+            .filter_map(|&(relation, column)| Some((place(relation)?, column)));
+        match *constraint {
+            Constraint::Implies(one, other) => {
+                if let (Some(one), Some(other)) = (place(one), place(other)) {
+                    required[one].push(Requirement::Same(other));
+                }
+            }
+            Constraint::Symmetric(one) => {
+                if let Some(one) = place(one) {
+                    required[one].push(Requirement::Reversed);
+                }
+            }
+            Constraint::Reflexive(of) => {
+                if let Some(of) = place(of) {
+                    domain.for_each(|(one, column)| required[one].push(Requirement::Loop { column, of }));
+                }
+            }
+            Constraint::Covering(ref cover) => {
+                let cover: Vec<usize> = cover.iter().filter_map(|&one| place(one)).collect();
+                if !cover.is_empty() {
+                    covers.push((domain.collect(), cover));
+                }
+            }
+            Constraint::Disjoint(..) | Constraint::Irreflexive(_) | Constraint::Asymmetric(_) => {}
         }
     }
 }

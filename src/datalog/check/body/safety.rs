@@ -2,8 +2,7 @@
 
 use crate::datalog::check::rules::{Term, VarId};
 use crate::datalog::syntax::ast;
-use crate::datalog::syntax::ast::Comparison;
-use crate::datalog::syntax::ast::TermKind;
+use crate::datalog::syntax::ast::{BaseType, Comparison, TermKind};
 use crate::diag::{Code, Diagnostic};
 
 use crate::datalog::check::body::{Check, Operand, OperandKind, Pending, Variable};
@@ -172,6 +171,10 @@ impl<'c> Check<'_, 'c> {
                     Some(binder) => fault.help(format!("add a positive atom that binds `{name}`, such as `{binder}`")),
                     None => fault.help(format!("add a positive atom with `{name}` to the body")),
                 };
+                let compared = self.variables[index].compared.map(|ty| self.names.base(ty));
+                if compared == Some(BaseType::Symbol) && self.variables[index].negated.is_none() {
+                    fault = fault.help(format!("or, if you mean the text, write it in quotes: `\"{name}\"`"));
+                }
             }
             self.fault(fault);
         }

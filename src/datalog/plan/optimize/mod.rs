@@ -15,9 +15,7 @@ mod theory;
 
 use crate::datalog::check::subsumption;
 use crate::datalog::check::subsumption::{Fact, NoConstraints, Pattern, Theory, covers, facts, within_theory};
-use crate::datalog::check::{
-    Atom, Budget, Clause, ClauseId, Comparing, Constraint, Literal, RelId, Rules, Term, VarId,
-};
+use crate::datalog::check::{Atom, Budget, Clause, ClauseId, Comparing, Literal, RelId, Rules, Term, VarId};
 use crate::datalog::syntax::ast::{BaseType, Comparison};
 use crate::datalog::syntax::quoted;
 use crate::datalog::value::Value;
@@ -52,12 +50,7 @@ enum Finding {
 /// that satisfy the declared constraints.
 pub(crate) fn optimize(rules: &Rules, assume: bool) -> Rules {
     let mut better = rules.clone();
-    let constraints: Vec<Constraint> = rules
-        .constraints
-        .iter()
-        .map(|constraint| constraint.constraint)
-        .collect();
-    let theory = Constraints::new(if assume { constraints } else { Vec::new() });
+    let theory = Constraints::new(rules.constraints.iter().filter(|_| assume));
     let mut gone = vec![false; rules.clauses.len()];
     let mut redundant: BTreeMap<ClauseId, BTreeSet<usize>> = BTreeMap::new();
     for finding in find(rules, &theory, true).findings {
@@ -105,7 +98,7 @@ pub struct Lints {
 /// Returns possible simplifications of the rules as warnings. They concern implied literals, contradictory bodies,
 /// clauses that others subsume under the constraints, and repeated parts of bodies.
 pub fn lints(rules: &Rules) -> Lints {
-    let theory = Constraints::new(rules.constraints.iter().map(|constraint| constraint.constraint));
+    let theory = Constraints::new(&rules.constraints);
     let mut lints = Vec::new();
     // Loading reports clauses that are subsumed without constraints.
     let found = find(rules, &theory, !rules.constraints.is_empty());
@@ -414,7 +407,7 @@ mod tests {
     proptest! {
         #[test]
         fn traits_suffice_under_constraints(rules in random_clauses::rules()) {
-            let theory = Constraints::new(rules.constraints.iter().map(|constraint| constraint.constraint));
+            let theory = Constraints::new(&rules.constraints);
             let known = rules.clauses.iter().filter(|clause| is_known(clause));
             prop_assert!(subsumption::traits_suffice(known, &theory));
         }

@@ -1,7 +1,7 @@
 //! Consequences of one literal, with and without the integrity constraints.
 
 use crate::datalog::check::subsumption::{Arg, EQUAL, Fact, GREATER, LESS, Theory};
-use crate::datalog::check::{Constraint, RelId};
+use crate::datalog::check::{Constraint, DeclaredConstraint, RelId};
 use std::collections::{BTreeMap, BTreeSet};
 
 /// The integrity constraints, indexed by predicate.
@@ -12,16 +12,19 @@ pub(super) struct Constraints {
     disjoint: BTreeMap<RelId, Vec<RelId>>,
     irreflexive: BTreeSet<RelId>,
     symmetric: BTreeSet<RelId>,
+    asymmetric: BTreeSet<RelId>,
+    /// By predicate: its columns with the predicates that relate their values to themselves.
+    reflexive: BTreeMap<RelId, Vec<(usize, RelId)>>,
 }
 
 /// The maximum number of consequences derived from one literal.
 const CLOSURE_MAX: usize = 256;
 
 impl Constraints {
-    pub(super) fn new(constraints: impl IntoIterator<Item = Constraint>) -> Self {
+    pub(super) fn new<'c>(constraints: impl IntoIterator<Item = &'c DeclaredConstraint>) -> Self {
         let mut theory = Constraints::default();
-        for constraint in constraints {
-            match constraint {
+        for DeclaredConstraint { constraint, domain, .. } in constraints {
+            match *constraint {
                 Constraint::Disjoint(a, b) => {
                     theory.disjoint.entry(a).or_default().push(b);
                     theory.disjoint.entry(b).or_default().push(a);
@@ -32,6 +35,17 @@ impl Constraints {
                 }
                 Constraint::Irreflexive(a) => _ = theory.irreflexive.insert(a),
                 Constraint::Symmetric(a) => _ = theory.symmetric.insert(a),
+                Constraint::Asymmetric(a) => {
+                    theory.irreflexive.insert(a);
+                    theory.asymmetric.insert(a);
+                }
+                Constraint::Reflexive(a) => {
+                    for &(relation, column) in domain {
+                        theory.reflexive.entry(relation).or_default().push((column, a));
+                    }
+                }
+                // A disjunction follows from no single literal in this form.
+                Constraint::Covering(_) => {}
             }
         }
         theory
@@ -86,7 +100,24 @@ impl Theory for Constraints {
                     args: args.iter().rev().copied().collect(),
                 });
             }
+            let reflexive = self.reflexive.get(&relation).filter(|_| holds);
+            for &(column, relation) in reflexive.into_iter().flatten() {
+                if args[column] != Arg::Any {
+                    add(Fact::Atom {
+                        holds,
+                        relation,
+                        args: vec![args[column]; 2],
+                    });
+                }
+            }
             if holds && !args.contains(&Arg::Any) {
+                if self.asymmetric.contains(&relation) {
+                    add(Fact::Atom {
+                        holds: false,
+                        relation,
+                        args: args.iter().rev().copied().collect(),
+                    });
+                }
                 for &relation in self.disjoint.get(&relation).into_iter().flatten() {
                     add(Fact::Atom {
                         holds: false,

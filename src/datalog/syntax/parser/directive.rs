@@ -45,10 +45,6 @@ impl Parser<'_> {
             "input" => self.mark(MarkKind::Input).map(|mark| Some(Item::Mark(mark))),
             "output" => self.mark(MarkKind::Output).map(|mark| Some(Item::Mark(mark))),
             "printsize" => self.mark(MarkKind::PrintSize).map(|mark| Some(Item::Mark(mark))),
-            "disjoint" => self.constraint(ConstraintKind::Disjoint, dot),
-            "implies" => self.constraint(ConstraintKind::Implies, dot),
-            "irreflexive" => self.constraint(ConstraintKind::Irreflexive, dot),
-            "symmetric" => self.constraint(ConstraintKind::Symmetric, dot),
             "include" => {
                 if self.kind() != Kind::Text {
                     return Err(self.expected("the file's name in quotes"));
@@ -93,6 +89,9 @@ impl Parser<'_> {
                 Ok(Some(Item::Scope(Scope { predicate, place })))
             }
             _ => {
+                if let Some(kind) = ConstraintKind::ALL.into_iter().find(|kind| kind.name() == name) {
+                    return self.constraint(kind, dot);
+                }
                 if let Some(&(_, base)) = OLD_TYPES.iter().find(|(old, _)| *old == name) {
                     return self.type_decl(doc, Some(base)).map(|decl| Some(Item::Type(decl)));
                 }
@@ -212,9 +211,12 @@ impl Parser<'_> {
         }
         let place = self.place_from(dot);
         let (good, wanted) = match kind {
-            ConstraintKind::Disjoint => (names.len() >= 2, "two predicates or more"),
+            ConstraintKind::Disjoint | ConstraintKind::Covering => (names.len() >= 2, "two predicates or more"),
             ConstraintKind::Implies => (names.len() == 2, "two predicates: the premise, then the conclusion"),
-            ConstraintKind::Irreflexive | ConstraintKind::Symmetric => (true, ""),
+            ConstraintKind::Reflexive
+            | ConstraintKind::Irreflexive
+            | ConstraintKind::Symmetric
+            | ConstraintKind::Asymmetric => (true, ""),
         };
         if !good {
             let message = format!("`.{}` names {wanted}", kind.name());

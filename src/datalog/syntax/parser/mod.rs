@@ -39,8 +39,11 @@ pub const DIRECTIVES: &[&str] = &[
     "scope",
     "disjoint",
     "implies",
+    "covering",
+    "reflexive",
     "irreflexive",
     "symmetric",
+    "asymmetric",
 ];
 
 /// Help where only the full stop of a clause is missing.

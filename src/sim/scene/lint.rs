@@ -1,0 +1,145 @@
+//! Warnings of rules that mean something else in the city than they seem to.
+
+use crate::city::Action;
+use crate::datalog::{Atom, Clause, ClauseId, Literal, RelId, Rules, Term, VarId};
+use crate::diag::{Code, Diagnostic, Sources, Span};
+use crate::sim::scene::conflict::{Finding, Overlap};
+use std::collections::{BTreeMap, BTreeSet};
+
+/// The predicate that announces collisions.
+const COLLISION: &str = "CollidingClose";
+
+/// Returns warnings of rules that decide actions: variables with the names of agents, and missing clauses against
+/// collisions. Rules without a clause for an action have no warning.
+pub fn city_lints(rules: &Rules, sources: &Sources) -> Vec<Diagnostic> {
+    let actions = decided_actions(rules);
+    if actions.is_empty() {
+        return Vec::new();
+    }
+    let mut found = unquoted_agents(rules, sources);
+    found.extend(no_collision_clause(rules, &actions));
+    found
+}
+
+/// Returns one warning for each pair of actions that can be derived together. `precedence` decides which action wins.
+pub fn conflict_lints(overlaps: &[Overlap], rules: &Rules, precedence: &[Action]) -> Vec<Diagnostic> {
+    let together = overlaps.iter().filter_map(|overlap| match &overlap.finding {
+        Finding::Together { clauses, .. } => Some((overlap, clauses)),
+        Finding::Excluded | Finding::NotFound(_) => None,
+    });
+    let lint = |(overlap, clauses): (&Overlap, &[ClauseId; 2])| {
+        let spans = clauses.map(|clause| rules.clauses[clause.index()].span);
+        let (winner, loser) = (overlap.winner(precedence), overlap.loser(precedence));
+        let span_of = |action| spans[usize::from(action != overlap.actions[0])];
+        let [wins, loses] = [winner, loser].map(Action::name);
+        let message = format!("the rules can derive {wins} and {loses} for one agent, and {wins} wins");
+        Diagnostic::new(Code::ACTION_CONFLICT, message)
+            .at(span_of(loser), format!("this clause derives {loses}"))
+            .also(span_of(winner), format!("this one derives {wins}"))
+            .note("`actions.priority` of the configuration is the order of precedence")
+            .help(format!(
+                "if {wins} should win, add `Not({wins}(X))` to the clause of {loses}"
+            ))
+    };
+    together.map(lint).collect()
+}
+
+/// Returns the action predicates with a clause other than the default: one whose body is more than negated actions.
+fn decided_actions(rules: &Rules) -> Vec<RelId> {
+    let actions: Vec<RelId> = (Action::ALL.into_iter())
+        .filter_map(|action| rules.relation(action.name()))
+        .filter(|relation| rules.relations[relation.index()].columns.len() == 1)
+        .collect();
+    let own_view = |atom: &Atom| matches!(atom.terms.as_slice(), [one, other] if one == other);
+    let is_default = |clause: &Clause| {
+        clause.body.iter().all(|literal| match literal {
+            Literal::Negative(atom) => actions.contains(&atom.relation),
+            Literal::Positive(atom) | Literal::Guard(atom) => own_view(atom),
+            _ => false,
+        })
+    };
+    let decided = |action: &RelId| {
+        let mut clauses = rules.clauses.iter().filter(|clause| clause.head.relation == *action);
+        clauses.any(|clause| !is_default(clause))
+    };
+    actions.iter().copied().filter(decided).collect()
+}
+
+/// Warns if no clause for an action depends on the predicate that announces collisions.
+fn no_collision_clause(rules: &Rules, actions: &[RelId]) -> Option<Diagnostic> {
+    let collision = rules.relation(COLLISION)?;
+    if !rules.relations[collision.index()].input {
+        return None;
+    }
+    let mut reads: BTreeMap<RelId, BTreeSet<RelId>> = BTreeMap::new();
+    for clause in &rules.clauses {
+        let atoms = clause.body.iter().filter_map(Literal::atom);
+        let read = reads.entry(clause.head.relation).or_default();
+        read.extend(atoms.map(|atom| atom.relation));
+    }
+    let (mut open, mut seen) = (actions.to_vec(), BTreeSet::new());
+    while let Some(relation) = open.pop() {
+        if seen.insert(relation) {
+            open.extend(reads.get(&relation).into_iter().flatten());
+        }
+    }
+    if seen.contains(&collision) {
+        return None;
+    }
+    let mut clauses = rules.clauses.iter();
+    let first = clauses.find(|clause| actions.contains(&clause.head.relation))?;
+    let message = format!("no clause for an action reads `{COLLISION}`, so cars drive through others");
+    let fault = Diagnostic::new(Code::NO_COLLISION_CLAUSE, message).at(first.head.span, "these rules decide actions");
+    Some(fault.help(format!("add `Stop(X) :- {COLLISION}(X, Y).`")))
+}
+
+/// Warns of variables whose names are those of agents: `Car_2` without quotes.
+fn unquoted_agents(rules: &Rules, sources: &Sources) -> Vec<Diagnostic> {
+    let mut found: BTreeMap<Span, Diagnostic> = BTreeMap::new();
+    for clause in &rules.clauses {
+        for (name, id) in clause.variables.iter().zip((0..).map(VarId)) {
+            let uses = |literal: &&Literal| {
+                !matches!(literal, Literal::Guard(_)) && literal.terms().any(|term| *term == Term::Variable(id))
+            };
+            if !is_agent(name) {
+                continue;
+            }
+            let literals: Vec<&Literal> = clause.body.iter().filter(uses).collect();
+            let in_head = clause.head.terms.contains(&Term::Variable(id));
+            // Loading reports an equation that is always true.
+            if matches!(literals.as_slice(), [Literal::Compare { .. }]) && !in_head {
+                continue;
+            }
+            let Some(span) = occurrence(clause, name, sources) else {
+                continue;
+            };
+            let message = format!("`{name}` is a variable, not the agent of that name");
+            let fault = Diagnostic::new(Code::UNQUOTED_AGENT, message)
+                .at(span, "stands for any agent")
+                .help(format!(
+                    "write `\"{name}\"` for the agent, or rename the variable, for example to `Y`"
+                ));
+            found.entry(span).or_insert(fault);
+        }
+    }
+    found.into_values().collect()
+}
+
+/// Returns whether a name is that of an agent: `Car_1`, `Pedestrian_12`.
+fn is_agent(name: &str) -> bool {
+    let number = ["Car_", "Pedestrian_"].iter().find_map(|kind| name.strip_prefix(kind));
+    number.is_some_and(|number| !number.is_empty() && number.bytes().all(|byte| byte.is_ascii_digit()))
+}
+
+/// Returns the first place of a name in the text of a clause, outside of quotes.
+fn occurrence(clause: &Clause, name: &str, sources: &Sources) -> Option<Span> {
+    let text = sources.slice(clause.span);
+    let word = |c: char| c.is_alphanumeric() || c == '_' || c == '?';
+    let places = text.match_indices(name).filter(|(at, _)| {
+        let (before, after) = (&text[..*at], &text[at + name.len()..]);
+        !before.ends_with(|c: char| word(c) || c == '"') && !after.starts_with(word)
+    });
+    let (at, _) = places.into_iter().next()?;
+    let start = clause.span.start as usize + at;
+    Some(Span::new(clause.span.source, start..start + name.len()))
+}
