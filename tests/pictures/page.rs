@@ -466,7 +466,7 @@ fn a_long_run_has_several_parts_with_explanations() {
     let data = unpack(&page);
     let nodes = list(&data["nodes"]);
     for tick in list(&data["ticks"]) {
-        for node in list(&tick["why"]).iter().flat_map(|why| list(why)) {
+        for node in list(&tick["why"]).iter().flat_map(list) {
             let node = &nodes[usize::try_from(node.as_i64().unwrap()).unwrap()];
             assert!(node.get("t").or(node.get("f")).is_some());
         }
@@ -802,7 +802,11 @@ fn a_run_that_is_too_long_is_an_error() {
 fn a_map_that_is_too_large_is_an_error() {
     let folder = tempfile::tempdir().unwrap();
     let config = folder.path().join("large.yaml");
-    std::fs::write(&config, "base: configs/expert.yaml\nmap: configs/maps/metropolis.yaml\n").unwrap();
+    std::fs::write(
+        &config,
+        "base: configs/expert.yaml\nmap: configs/maps/metropolis.yaml\n",
+    )
+    .unwrap();
     let output = Command::new(env!("CARGO_BIN_EXE_logicity"))
         .args([
             "run",
