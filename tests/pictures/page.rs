@@ -466,7 +466,7 @@ fn a_long_run_has_several_parts_with_explanations() {
     let data = unpack(&page);
     let nodes = list(&data["nodes"]);
     for tick in list(&data["ticks"]) {
-        for node in list(&tick["why"]).iter().flat_map(|why| list(why)) {
+        for node in list(&tick["why"]).iter().flat_map(list) {
             let node = &nodes[usize::try_from(node.as_i64().unwrap()).unwrap()];
             assert!(node.get("t").or(node.get("f")).is_some());
         }
