@@ -41,6 +41,9 @@ type Outcomes<'py> = (
     PyReadwriteArray1<'py, bool>,
 );
 
+/// The start of an episode, and the actions taken in it, one byte each.
+type BegunEpisode<'py> = (Bound<'py, PyDict>, Vec<u8>);
+
 /// The end of an episode: the index of the environment, the last observation, and the names of the violated clauses.
 type EpisodeEnd<'py> = (usize, Bound<'py, PyArray1<f32>>, Bound<'py, PyTuple>);
 
@@ -316,14 +319,14 @@ impl PyVectorEnv {
     fn replay(
         slf: &Bound<'_, Self>,
         py: Python<'_>,
-        episodes: Vec<Option<(Bound<'_, PyDict>, Vec<u8>)>>,
+        episodes: Vec<Option<BegunEpisode<'_>>>,
         observations: &Bound<'_, PyArrayDyn<f32>>,
     ) -> PyResult<()> {
         let this = &mut *borrowed_mut(slf)?;
         let mut observations = observations.try_readwrite()?;
         this.check(episodes.len())?;
         let task = this.task.get();
-        let read = |(episode, sub_env): (Option<(Bound<'_, PyDict>, Vec<u8>)>, &SubEnv)| {
+        let read = |(episode, sub_env): (Option<BegunEpisode<'_>>, &SubEnv)| {
             let Some((start, taken)) = episode else { return Ok(None) };
             let start = read_episode(&start, sub_env.env()).map_err(|fault| task.error(py, fault))?;
             Ok(Some((Arc::new(start), read_actions(py, &taken)?)))
