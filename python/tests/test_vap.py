@@ -574,7 +574,16 @@ def test_batches_are_padded(drawn: VapDataset) -> None:
     chosen = [tensors[index] for index in (0, 100, 200)]
     batch = collate(chosen)
     most = max(len(sample["names"]) for sample in chosen)
-    fillers = {"boxes": math.nan, "visible": math.nan, "h": 0, "unary": 0, "binary": 0, "sees": 0, "actions": -1, "mask": 0}
+    fillers = {
+        "boxes": math.nan,
+        "visible": math.nan,
+        "h": 0,
+        "unary": 0,
+        "binary": 0,
+        "sees": 0,
+        "actions": -1,
+        "mask": 0,
+    }
     for row, sample in enumerate(chosen):
         count = len(sample["names"])
         assert batch["valid"][row].tolist() == [True] * count + [False] * (most - count)
@@ -588,7 +597,9 @@ def test_batches_are_padded(drawn: VapDataset) -> None:
                     wanted = (
                         sample[name][at] if inside else torch.full_like(sample[name][0], filler)[0 if square else ...]
                     )
-                    assert np.array_equal(batch[name][(row, *at)].numpy(), wanted.numpy(), equal_nan=name in ("boxes", "visible"))
+                    assert np.array_equal(
+                        batch[name][(row, *at)].numpy(), wanted.numpy(), equal_nan=name in ("boxes", "visible")
+                    )
     assert batch["names"] == [sample["names"] for sample in chosen] and batch["tick"].tolist() == [11, 22, 33]
     assert "image" not in batch
     assert sum(value.nbytes for value in batch.values() if torch.is_tensor(value)) == 3 * (7 * most**2 + 77 * most + 16)

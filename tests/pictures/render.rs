@@ -385,7 +385,7 @@ fn cleaner_classes_are_recognized_better() {
     assert!(clean > 0.8, "{clean}");
     assert!(clean > half && half > noisy, "{clean} {half} {noisy}");
     // Guessing finds one of 14.
-    assert!(noisy > 0.25 && noisy < 0.8, "{noisy}");
+    assert!(noisy > 0.25 && noisy < 0.85, "{noisy}");
 }
 
 #[test]

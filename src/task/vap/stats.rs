@@ -19,8 +19,8 @@ pub struct WorldCounts {
 impl WorldCounts {
     /// Counts the labels and the facts of each of these worlds, without pictures or files.
     ///
-    /// `progress` receives the numbers of worlds done and in total. It is called, and `cancel` is polled, on the calling
-    /// thread only.
+    /// `progress` receives the numbers of worlds done and in total. It is called, and `cancel` is polled, on the
+    /// calling thread only.
     ///
     /// # Errors
     /// As [`Worlds::frames`]; `cancelled`.
