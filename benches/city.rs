@@ -85,7 +85,7 @@ fn rules(criterion: &mut Criterion) {
             let facts = simulation.facts(|predicate| vocabulary.is_read(predicate));
             let facts: BitFacts<WIDTH> = facts.to_bits(vocabulary, &dense, count);
             facts.load(&dense, &mut bit_state);
-            bit_state.run(&dense, &facts);
+            bit_state.run(&dense, &facts).expect("few steps");
             for action in Action::ALL {
                 let relation = world.vocabulary.action(action).expect("the rules use every action");
                 let set = bit_state.set(&dense, relation).expect("derived");
@@ -105,7 +105,7 @@ fn rules(criterion: &mut Criterion) {
         bencher.iter(|| {
             state = (state + 1) % states.len();
             states[state].load(&dense, &mut bit_state);
-            bit_state.run(&dense, &states[state]);
+            bit_state.run(&dense, &states[state]).expect("few steps");
             black_box(&bit_state);
         });
     });

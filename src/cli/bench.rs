@@ -620,7 +620,8 @@ fn evaluate<const W: usize>(
     Timed::run(seconds, |times| {
         for _ in 0..times {
             states[next].load(dense, &mut bit_state);
-            bit_state.run(dense, &states[next]);
+            let run = bit_state.run(dense, &states[next]);
+            run.map_err(|error| Failure::Usage(format!("{error}; choose --executor relational")))?;
             black_box(&bit_state);
             next += 1;
             if next == states.len() {

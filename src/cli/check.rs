@@ -212,7 +212,7 @@ impl Report {
         let strata: Vec<String> = strata(rules).iter().map(|names| names.join(", ")).collect();
         writeln!(out, "{}: {}", path.display(), plural(rules.clauses.len(), "clause"))?;
         writeln!(out, "  strata: {}", strata.join(" < "))?;
-        print_executors(out, rules)?;
+        print_executors(out, rules, sources)?;
         for what in &self.unfinished {
             writeln!(
                 out,
@@ -250,10 +250,28 @@ fn executors(rules: &Rules) -> Vec<(Vec<&str>, Option<String>)> {
     strata.zip(reasons).filter(|(names, _)| !names.is_empty()).collect()
 }
 
-fn print_executors(out: &mut impl Write, rules: &Rules) -> io::Result<()> {
+/// The number of agents for which `check` estimates the steps of the dense executor.
+const CROWD: usize = 64;
+
+/// Prints the clauses for which the dense executor may give up.
+fn print_costly(out: &mut impl Write, rules: &Rules, sources: &Sources) -> io::Result<()> {
+    let printer = ExplanationPrinter::new(rules, &rules.symbols, sources);
+    for clause in dense::choose(rules).costly(rules, CROWD, CROWD) {
+        let title = printer.title(clause);
+        writeln!(
+            out,
+            "    relational if {CROWD} agents or more leave it no other choice: many variables depend on each other in \
+             {title}"
+        )?;
+    }
+    Ok(())
+}
+
+fn print_executors(out: &mut impl Write, rules: &Rules, sources: &Sources) -> io::Result<()> {
     let executors = executors(rules);
     if executors.iter().all(|(_, reason)| reason.is_none()) {
-        return writeln!(out, "  executor: dense");
+        writeln!(out, "  executor: dense")?;
+        return print_costly(out, rules, sources);
     }
     writeln!(out, "  executor: relational")?;
     for (names, reason) in executors {

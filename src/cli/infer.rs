@@ -90,7 +90,7 @@ fn finish(faulty: bool) -> Result<(), Failure> {
 }
 
 /// Answers every scene. Writes `{"error": [diagnostics]}` for a faulty one, so that answers stay aligned with scenes.
-/// Returns whether any scene was faulty.
+/// Notes the first scene for which the dense executor gave up. Returns whether any scene was faulty.
 fn answer_all(
     inference: &mut Inference,
     mut scenes: impl BufRead,
@@ -98,7 +98,7 @@ fn answer_all(
     path: &Path,
     mut write: impl FnMut(serde_json::Value) -> Result<(), Failure>,
 ) -> Result<bool, Failure> {
-    let mut faulty = false;
+    let (mut faulty, mut noted) = (false, false);
     let mut bytes = Vec::new();
     for number in 1.. {
         bytes.clear();
@@ -135,7 +135,13 @@ fn answer_all(
             }
         };
         match answer {
-            Ok(answer) => write(answer.to_json())?,
+            Ok(answer) => {
+                if let Some(reason) = answer.fallback.as_ref().filter(|_| !noted) {
+                    eprintln!("note: the relational executor decided line {number} of `{name}`: {reason}");
+                    noted = true;
+                }
+                write(answer.to_json())?;
+            }
             Err(faults) => {
                 faulty = true;
                 write(json!({ "error": to_json(&faults, &sources) }))?;

@@ -1,6 +1,7 @@
 //! Decides which strata the dense executor can evaluate.
 
-use crate::datalog::check::{Atom, Literal, RelId, Rules, Stratum, Term};
+use crate::datalog::check::{Atom, ClauseId, Literal, RelId, Rules, Stratum, Term};
+use crate::datalog::dense::body::{Body, PAIR, decompose};
 use crate::datalog::dense::program::Dense;
 use crate::datalog::syntax::ast::{BaseType, Comparison};
 use crate::diag::Span;
@@ -17,6 +18,22 @@ impl Choice {
     /// Returns whether the dense executor evaluates the stratum.
     pub fn is_dense(&self, stratum: usize) -> bool {
         self.relational[stratum].is_none()
+    }
+
+    /// Returns the clauses of dense strata whose searches may take more than [`Dense::steps_max`] steps over this many
+    /// entities, `egos` of them to decide about. A run of the other clauses always ends.
+    pub fn costly(&self, rules: &Rules, entities: usize, egos: usize) -> Vec<ClauseId> {
+        let strata = rules.strata.iter().enumerate().filter(|(position, _)| self.is_dense(*position));
+        let clauses = strata.flat_map(|(_, stratum)| &stratum.clauses).copied();
+        let steps: Vec<(ClauseId, u64)> = clauses
+            .map(|clause| (clause, steps(rules, clause, entities as u64, egos as u64)))
+            .collect();
+        let all = steps.iter().fold(0_u64, |sum, (_, steps)| sum.saturating_add(*steps));
+        let max = Dense::steps_max(entities);
+        // If the sum alone exceeds it, the most expensive clause counts.
+        let largest = steps.iter().map(|(_, steps)| *steps).max().unwrap_or(0);
+        let costly = |steps: u64| steps > max || all > max && steps == largest;
+        steps.into_iter().filter(|(_, steps)| costly(*steps)).map(|(clause, _)| clause).collect()
     }
 
     /// Returns whether the dense executor evaluates all strata.
@@ -121,6 +138,25 @@ pub fn choose(rules: &Rules) -> Choice {
         }
     }
     Choice { relational }
+}
+
+/// Returns the maximum number of steps that the searches of a clause take.
+fn steps(rules: &Rules, clause: ClauseId, entities: u64, egos: u64) -> u64 {
+    let Some(body) = Body::new(&rules.clauses[clause.index()]) else {
+        return 0;
+    };
+    let (groups, first) = (body.groups(), body.second_of_head());
+    let mut sum = 0_u64;
+    for group in groups.iter().filter(|group| group.len() > PAIR) {
+        let first = first.filter(|first| group.contains(first));
+        for branch in decompose(&body.search(group, first, &[])) {
+            let of_head = if branch.of_head { egos } else { 1 };
+            let combinations = branch.separator.iter().fold(of_head, |product, _| product.saturating_mul(entities));
+            // An interrupted search repeats some steps.
+            sum = sum.saturating_add(combinations.saturating_mul(2));
+        }
+    }
+    sum
 }
 
 /// Returns the reason in the stratum itself why it cannot be dense, if any.

@@ -3,7 +3,7 @@
 use crate::datalog::check::{Atom, Clause, Literal, RelId, Term};
 use crate::datalog::dense::program::Argument;
 use crate::datalog::syntax::ast::Comparison;
-use std::collections::BTreeMap;
+use std::collections::{BTreeMap, BTreeSet};
 
 /// A variable of a body; 0 is the head's first.
 pub(super) type Var = usize;
@@ -132,6 +132,11 @@ impl Body {
         (1..self.variables).all(guarded) && !self.literals.iter().any(asks_all)
     }
 
+    /// Returns the head's second variable, if it has two columns.
+    pub fn second_of_head(&self) -> Option<Var> {
+        self.pair.then_some(1)
+    }
+
     /// Returns the groups of existential variables.
     pub fn conditions(&self) -> Vec<Vec<Var>> {
         self.groups().split_off(usize::from(self.pair))
@@ -193,12 +198,34 @@ impl Body {
         self.literals.iter().filter_map(of).collect()
     }
 
-    /// Returns a search for a group. It begins with `first`, if given, and binds next the variable with the most known
-    /// conditions. It tests `guards` first, since they leave few values.
+    /// Returns a search for a group. It begins with `first`, if given. It tests `guards` first, since they leave few
+    /// values.
     pub fn search(&self, group: &[Var], first: Option<Var>, guards: &[RelId]) -> Search {
+        let order = match group.len() {
+            0..=PAIR => self.most_known_first(group, first),
+            _ => self.last_eliminated_first(group, first),
+        };
+        let mut bound: Vec<Var> = vec![0];
+        let mut search = Vec::new();
+        for next in order {
+            let mut relations = self.relations(next, &bound);
+            relations.sort_by_key(|&(relates, to, holds)| {
+                let guards = matches!(relates, Relates::By(relation, _) if guards.contains(&relation));
+                (!holds, !guards, relates, to)
+            });
+            search.push(Seek {
+                properties: self.properties(next),
+                relations,
+            });
+            bound.push(next);
+        }
+        search
+    }
+
+    /// Orders a group so that the variable with the most known conditions comes next.
+    fn most_known_first(&self, group: &[Var], first: Option<Var>) -> Vec<Var> {
         let mut bound: Vec<Var> = vec![0];
         let mut rest = group.to_vec();
-        let mut search = Vec::new();
         while !rest.is_empty() {
             let known = |&var: &Var| {
                 let relations = self.relations(var, &bound);
@@ -211,18 +238,89 @@ impl Body {
                 )
             };
             let next = *rest.iter().max_by_key(|var| known(var)).expect("there is one");
-            let mut relations = self.relations(next, &bound);
-            relations.sort_by_key(|&(relates, to, holds)| {
-                let guards = matches!(relates, Relates::By(relation, _) if guards.contains(&relation));
-                (!holds, !guards, relates, to)
-            });
-            search.push(Seek {
-                properties: self.properties(next),
-                relations,
-            });
             bound.push(next);
             rest.retain(|&var| var != next);
         }
-        search
+        bound.split_off(1)
     }
+
+    /// Orders a group by variable elimination, last eliminated first: the variable that relates to the fewest others
+    /// goes next, and these are related from then on. A variable that does not relate to the head's first variable
+    /// goes before one that does.
+    fn last_eliminated_first(&self, group: &[Var], first: Option<Var>) -> Vec<Var> {
+        let mut related = vec![BTreeSet::new(); self.variables];
+        for literal in &self.literals {
+            if let Lit::Pair(_, left, right, _) | Lit::Same(left, right, _) = *literal {
+                related[left].insert(right);
+                related[right].insert(left);
+            }
+        }
+        let of_head: Vec<bool> = related.iter().map(|related| related.contains(&0)).collect();
+        for others in &mut related {
+            others.remove(&0);
+        }
+        let mut rest = group.to_vec();
+        let mut eliminated = Vec::with_capacity(rest.len());
+        while !rest.is_empty() {
+            let unrelated = |var: Var| {
+                let others = &related[var];
+                let missing = |&one: &Var| others.range(one + 1..).filter(|other| !related[one].contains(other)).count();
+                others.iter().map(missing).sum::<usize>()
+            };
+            let cost = |&var: &Var| (Some(var) == first, related[var].len(), unrelated(var), of_head[var], var);
+            let next = *rest.iter().min_by_key(|var| cost(var)).expect("there is one");
+            let others = std::mem::take(&mut related[next]);
+            for &one in &others {
+                related[one].extend(others.iter().filter(|&&other| other != one));
+                related[one].remove(&next);
+            }
+            rest.retain(|&var| var != next);
+            eliminated.push(next);
+        }
+        eliminated.reverse();
+        eliminated
+    }
+}
+
+/// Groups of at most this many variables are searched without tables.
+pub(super) const PAIR: usize = 2;
+
+/// The decomposition of a search into a tree of its steps: the values of a step depend on the variables of its
+/// separator only.
+pub(super) struct Branch {
+    /// The bound variables, besides the head's first, that the step and its descendants relate to; ascending. The last
+    /// one is that of the parent. Empty for the root.
+    pub separator: Vec<usize>,
+    /// The steps whose parent this is.
+    pub children: Vec<usize>,
+    /// Whether the step or a descendant relates to the head's first variable.
+    pub of_head: bool,
+}
+
+/// Decomposes a search of a group of several variables. The first step is the root.
+pub(super) fn decompose(search: &Search) -> Vec<Branch> {
+    let mut branches: Vec<Branch> = (search.iter())
+        .map(|seek| {
+            let bound: BTreeSet<usize> = seek.relations.iter().map(|&(_, to, _)| to).collect();
+            Branch {
+                of_head: bound.contains(&0),
+                separator: bound.into_iter().filter(|&to| to != 0).collect(),
+                children: Vec::new(),
+            }
+        })
+        .collect();
+    for step in (1..branches.len()).rev() {
+        let (parents, rest) = branches.split_at_mut(step);
+        let branch = &mut rest[0];
+        branch.children.sort_unstable();
+        let (&parent, others) = branch.separator.split_last().expect("a group is connected");
+        let into = &mut parents[parent - 1];
+        into.separator.extend(others);
+        into.separator.sort_unstable();
+        into.separator.dedup();
+        into.children.push(step);
+        into.of_head |= branch.of_head;
+    }
+    branches[0].children.sort_unstable();
+    branches
 }

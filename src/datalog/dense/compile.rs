@@ -2,9 +2,9 @@
 
 use crate::datalog::check::{ClauseId, Literal, RelId, Rules};
 use crate::datalog::dense::analyze::Choice;
-use crate::datalog::dense::body::{Body, Lit, Property, Relates, Search, Seek};
+use crate::datalog::dense::body::{Body, Lit, PAIR, Property, Relates, Search, Seek, decompose};
 use crate::datalog::dense::program::{
-    Any, Argument, DemandOp, Dense, Fired, Home, Input, List, Op, Place, Range, Rare, Reg, SearchStep, Test,
+    Any, Argument, Branch, DemandOp, Dense, Fired, Home, Input, List, Op, Place, Range, Rare, Reg, SearchStep, Test,
     TrackFirings,
 };
 use std::collections::{BTreeMap, BTreeSet};
@@ -112,6 +112,8 @@ impl<'a> Compiler<'a> {
                 row_lists: 0,
                 steps: Vec::new(),
                 tests: Vec::new(),
+                branches: Vec::new(),
+                numbers: Vec::new(),
                 restless: 0,
                 settling: Vec::new(),
                 ops: Vec::new(),
@@ -267,13 +269,19 @@ impl<'a> Compiler<'a> {
                 let groups = body.groups();
                 let search = body.search(&groups[0], Some(1), &self.guards);
                 let steps = self.steps(&search);
-                let steps = Range::extend(&mut self.out.steps, steps);
                 let dst = match self.counting {
                     TrackFirings::Off => rows,
                     TrackFirings::Each => self.row_list(),
                 };
                 let demand = found;
-                self.out.ops.push(Op::Rare(Rare::Rows { dst, demand, steps }));
+                let op = if search.len() <= PAIR {
+                    let steps = Range::extend(&mut self.out.steps, steps);
+                    Rare::Rows { dst, demand, steps }
+                } else {
+                    let branches = self.branches(&search, steps);
+                    Rare::RowsTree { dst, demand, branches }
+                };
+                self.out.ops.push(Op::Rare(op));
                 if self.counting == TrackFirings::Each {
                     self.out.fired[id.index()] = Some(Fired::Rows(dst));
                     self.out.ops.push(Op::Rare(Rare::OrRows { dst: rows, from: dst }));
@@ -321,10 +329,32 @@ impl<'a> Compiler<'a> {
     /// Adds the demanded entities for which a search succeeds.
     fn add_existing(&mut self, demand: DemandOp, search: &Search) {
         let steps = self.steps(search);
-        let op = self
-            .any(demand, &steps)
-            .unwrap_or_else(|| Op::Exists(demand, Range::extend(&mut self.out.steps, steps)));
+        let op = match self.any(demand, &steps) {
+            Some(op) => op,
+            None if steps.len() <= PAIR => Op::Exists(demand, Range::extend(&mut self.out.steps, steps)),
+            None => Op::Rare(Rare::ExistsTree(demand, self.branches(search, steps))),
+        };
         self.out.ops.push(op);
+    }
+
+    /// Adds the tree of a search.
+    fn branches(&mut self, search: &Search, steps: Vec<SearchStep>) -> Range {
+        let branches = (decompose(search).into_iter().zip(steps)).map(|(branch, step)| {
+            let mut others = branch.separator;
+            others.pop();
+            let tests = self.out.tests(step.tests).iter().copied();
+            let (to_head, to_others): (Vec<Test>, Vec<Test>) = tests.partition(|test| test.to == 0);
+            Branch {
+                among: step.among,
+                to_head: Range::extend(&mut self.out.tests, to_head),
+                to_others: Range::extend(&mut self.out.tests, to_others),
+                children: Range::extend(&mut self.out.numbers, branch.children),
+                others: Range::extend(&mut self.out.numbers, others),
+                of_head: branch.of_head,
+            }
+        });
+        let branches = branches.collect();
+        Range::extend(&mut self.out.branches, branches)
     }
 
     /// Adds the members of both `left` and `right` to a set.

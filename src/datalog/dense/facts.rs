@@ -2,7 +2,8 @@
 
 use crate::datalog::check::RelId;
 use crate::datalog::dense::program::{Argument, Dense, Input, List, Reg};
-use crate::datalog::dense::run::{BinaryFacts, BitState};
+use crate::datalog::dense::run::BitState;
+use crate::datalog::dense::search::BinaryFacts;
 use crate::datalog::dense::sets::{Set, and, is_empty};
 
 /// The facts of all predicates that a program reads, stored as bits.

@@ -15,6 +15,7 @@
 //! - `body` splits a clause into conditions on its variables.
 //! - `compile` translates these to a `program`: a short list of operations on numbered sets. It shares conditions
 //!   between clauses.
+//! - `search` finds values of one or two variables; `tree` finds values of more, with tables of what failed before.
 //! - `run` executes the list.
 //!
 //! Binary facts come from a [`BinaryFacts`], which can store them ([`BitFacts`], in `facts`) or compute them lazily.
@@ -26,10 +27,14 @@ mod compile;
 mod facts;
 mod program;
 mod run;
+mod search;
 mod sets;
+mod tree;
 
 pub use analyze::{Choice, Unsupported, choose};
 pub use facts::BitFacts;
 pub use program::{Argument, Dense, Input, List, TrackFirings};
-pub use run::{BinaryFacts, BitState};
+pub use run::BitState;
+pub use search::BinaryFacts;
 pub use sets::{Set, and, first, has, is_empty, members, without};
+pub use tree::TooManySteps;

@@ -24,7 +24,7 @@ impl Reg {
     }
 }
 
-/// A slice of the program's list of steps or of tests.
+/// A slice of one of the program's lists.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord)]
 pub(super) struct Range {
     start: u32,
@@ -38,6 +38,11 @@ impl Range {
         let start = end(list);
         list.extend(items);
         Range { start, end: end(list) }
+    }
+
+    /// Returns the range of each item alone.
+    pub fn each(self) -> impl Iterator<Item = Range> {
+        (self.start..self.end).map(|at| Range { start: at, end: at + 1 })
     }
 
     #[inline]
@@ -93,7 +98,7 @@ pub(super) enum Op {
     Any1(DemandOp, Any<1>),
     Any2(DemandOp, Any<2>),
     Any3(DemandOp, Any<3>),
-    /// A search for a value of each step.
+    /// A search for a value of each of one or two steps.
     Exists(DemandOp, Range),
     Rare(Rare),
 }
@@ -101,8 +106,13 @@ pub(super) enum Op {
 /// A rarely used operation.
 #[derive(Clone, Copy, Debug)]
 pub(super) enum Rare {
-    /// For each member of `demand`: adds the values of the first step for which the other steps have values to its row.
+    /// For each member of `demand`: adds the values of the first step for which the second one, if any, has a value to
+    /// its row.
     Rows { dst: usize, demand: Reg, steps: Range },
+    /// A search for a value of each branch of a tree.
+    ExistsTree(DemandOp, Range),
+    /// For each member of `demand`: adds the values of the root for which the other branches have values to its row.
+    RowsTree { dst: usize, demand: Reg, branches: Range },
     /// Adds all rows of `from`.
     OrRows { dst: usize, from: usize },
     /// Writes the entities that their own row contains.
@@ -117,6 +127,23 @@ pub(super) struct SearchStep {
     pub among: Reg,
     /// The conditions that relate it to bound variables.
     pub tests: Range,
+}
+
+/// A step of a search in a tree. Branch `n` of a tree binds variable `n + 1`.
+#[derive(Clone, Copy, Debug)]
+pub(super) struct Branch {
+    /// The values that satisfy the conditions on this variable alone.
+    pub among: Reg,
+    /// The conditions that relate it to the head's first variable.
+    pub to_head: Range,
+    /// The conditions that relate it to variables of other branches.
+    pub to_others: Range,
+    /// The positions of the children in the tree, in [`Dense::numbers`].
+    pub children: Range,
+    /// The variables of the separator besides the head's first and the parent's, in [`Dense::numbers`].
+    pub others: Range,
+    /// Whether the branch depends on the head's first variable.
+    pub of_head: bool,
 }
 
 /// A condition that relates a value to a bound variable.
@@ -180,6 +207,8 @@ pub struct Dense {
     pub(super) row_lists: usize,
     pub(super) steps: Vec<SearchStep>,
     pub(super) tests: Vec<Test>,
+    pub(super) branches: Vec<Branch>,
+    pub(super) numbers: Vec<usize>,
     /// The number of `inputs` that change often; these come first.
     pub(super) restless: usize,
     /// The operations that depend on steady inputs only.
@@ -215,6 +244,14 @@ impl Dense {
     /// The maximum number of variables that a search binds, the head's included.
     pub(super) const VARIABLES_MAX: usize = 24;
 
+    /// Returns the maximum number of steps of one run over this many entities. A step finds the values of one variable
+    /// of a search over three or more; other work is at most cubic in the number of entities.
+    pub fn steps_max(entities: usize) -> u64 {
+        const PER_PAIR: u64 = 256;
+        let entities = entities.max(64) as u64;
+        PER_PAIR * entities * entities
+    }
+
     /// Returns the input sets, in the order of [`super::BitState::set_input`].
     pub fn inputs(&self) -> &[Input] {
         &self.inputs
@@ -246,6 +283,15 @@ impl Dense {
     #[inline]
     pub(super) fn tests(&self, range: Range) -> &[Test] {
         range.cut(&self.tests)
+    }
+
+    pub(super) fn branches(&self, range: Range) -> &[Branch] {
+        range.cut(&self.branches)
+    }
+
+    #[inline]
+    pub(super) fn numbers(&self, range: Range) -> &[usize] {
+        range.cut(&self.numbers)
     }
 
     pub(super) fn set_of(&self, relation: RelId) -> Option<Reg> {

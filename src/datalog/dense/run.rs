@@ -1,39 +1,10 @@
 //! Executes a [`Dense`] program.
 
 use crate::datalog::check::{ClauseId, RelId};
-use crate::datalog::dense::program::{Any, Argument, DemandOp, Dense, Op, Place, Range, Rare, Reg, SearchStep};
-use crate::datalog::dense::sets::{Set, and, first, has, is_empty, members, only, or, without};
-
-/// A source of binary facts, which it may compute lazily.
-pub trait BinaryFacts<const W: usize> {
-    /// Returns the members of `among` that a list relates to entity `at`. `list` is a position in [`Dense::lists`].
-    fn narrow(&self, list: usize, at: usize, among: Set<W>) -> Set<W>;
-
-    /// Polls for cancellation. Once it returns true, the results are meaningless.
-    #[inline]
-    fn cancelled(&self) -> bool {
-        false
-    }
-
-    /// Returns the members of `demand` that all lists relate to one and the same member of `among`.
-    #[inline]
-    fn any<const N: usize>(&self, lists: [usize; N], demand: Set<W>, among: Set<W>) -> Set<W> {
-        let mut found = [0; W];
-        for at in members(&demand) {
-            let mut set = among;
-            for list in lists {
-                set = self.narrow(list, at, set);
-                if is_empty(&set) {
-                    break;
-                }
-            }
-            if !is_empty(&set) {
-                found[at / 64] |= 1 << (at % 64);
-            }
-        }
-        found
-    }
-}
+use crate::datalog::dense::program::{Any, DemandOp, Dense, Op, Rare, Reg};
+use crate::datalog::dense::search::{BinaryFacts, search};
+use crate::datalog::dense::sets::{Set, and, first, has, is_empty, members, or, without};
+use crate::datalog::dense::tree::{Tables, TooManySteps, TreeSearch};
 
 /// Programs with at most this number of sets run faster.
 const FEW: usize = 256;
@@ -104,6 +75,7 @@ pub struct BitState<const W: usize> {
     pub(super) unsettled: bool,
     /// The rows of derived two-column predicates, `count` for each.
     rows: Vec<Set<W>>,
+    tables: Tables<W>,
 }
 
 impl<const W: usize> BitState<W> {
@@ -117,6 +89,7 @@ impl<const W: usize> BitState<W> {
             sets: vec![[0; W]; program.set_count.max(FEW)],
             unsettled: true,
             rows: Vec::new(),
+            tables: Tables::new(),
         };
         bit_state.reset(program, count);
         bit_state
@@ -161,13 +134,19 @@ impl<const W: usize> BitState<W> {
     }
 
     /// Evaluates the program.
-    pub fn run(&mut self, program: &Dense, pairs: &impl BinaryFacts<W>) {
+    ///
+    /// # Errors
+    /// If searches over many variables take more steps than [`Dense::steps_max`]; the results are then meaningless.
+    /// Whether they do depends on the program and the facts only.
+    pub fn run(&mut self, program: &Dense, pairs: &impl BinaryFacts<W>) -> Result<(), TooManySteps> {
         let BitState {
             count,
             sets,
             unsettled,
             rows,
+            tables,
         } = self;
+        tables.begin_run(Dense::steps_max(*count));
         for set in &program.cleared {
             sets[set.index()] = [0; W];
         }
@@ -175,13 +154,20 @@ impl<const W: usize> BitState<W> {
             rows.fill([0; W]);
         }
         let mut execute = |ops: &[Op]| match sets.first_chunk_mut::<FEW>() {
-            Some(few) if program.set_count <= FEW => execute(program, ops, few, rows, *count, pairs),
-            _ => execute(program, ops, &mut sets[..], rows, *count, pairs),
+            Some(few) if program.set_count <= FEW => execute(program, ops, few, rows, tables, *count, pairs),
+            _ => execute(program, ops, &mut sets[..], rows, tables, *count, pairs),
         };
         if std::mem::take(unsettled) {
             execute(&program.settling);
         }
         execute(&program.ops);
+        tables.end_run()
+    }
+
+    /// Returns the number of steps that searches over three or more variables took in the last run; see
+    /// [`Dense::steps_max`].
+    pub fn steps(&self) -> u64 {
+        self.tables.steps()
     }
 
     /// Returns the entities for which a one-column predicate holds, or `None` if the program does not derive it.
@@ -223,6 +209,7 @@ fn execute<const W: usize>(
     ops: &[Op],
     sets: &mut (impl Sets<W> + ?Sized),
     rows: &mut [Set<W>],
+    tables: &mut Tables<W>,
     count: usize,
     pairs: &impl BinaryFacts<W>,
 ) {
@@ -242,12 +229,12 @@ fn execute<const W: usize>(
             Op::Exists(demand, steps) => {
                 let asked = demand.of(sets);
                 if !is_empty(&asked) {
-                    let found = search(program, sets, rows, count, pairs).exists(asked, *steps);
+                    let found = search(program, sets.as_ref(), rows, count, pairs).exists(asked, *steps);
                     let dst = sets.get_mut(demand.dst);
                     *dst = or(*dst, &found);
                 }
             }
-            Op::Rare(op) => execute_rare(program, op, sets, rows, count, pairs),
+            Op::Rare(op) => execute_rare(program, op, sets, rows, tables, count, pairs),
         }
     }
 }
@@ -259,6 +246,7 @@ fn execute_rare<const W: usize>(
     op: &Rare,
     sets: &mut (impl Sets<W> + ?Sized),
     rows: &mut [Set<W>],
+    tables: &mut Tables<W>,
     count: usize,
     pairs: &impl BinaryFacts<W>,
 ) {
@@ -269,7 +257,26 @@ fn execute_rare<const W: usize>(
                 return;
             }
             for ego in members(&demand) {
-                let set = search(program, sets, rows, count, pairs).values(ego, steps);
+                let set = search(program, sets.as_ref(), rows, count, pairs).values(ego, steps);
+                let row = dst * count + ego;
+                rows[row] = or(rows[row], &set);
+            }
+        }
+        Rare::ExistsTree(demand, branches) => {
+            let asked = demand.of(sets);
+            if !is_empty(&asked) {
+                let search = search(program, sets.as_ref(), rows, count, pairs);
+                let found = TreeSearch::new(search, tables, *branches).exists(asked);
+                let dst = sets.get_mut(demand.dst);
+                *dst = or(*dst, &found);
+            }
+        }
+        Rare::RowsTree { dst, demand, branches } => {
+            let search = search(program, sets.as_ref(), rows, count, pairs);
+            let mut search = TreeSearch::new(search, tables, *branches);
+            let egos = members(sets.get(*demand));
+            let found: Vec<(usize, Set<W>)> = egos.map(|ego| (ego, search.values(ego))).collect();
+            for (ego, set) in found {
                 let row = dst * count + ego;
                 rows[row] = or(rows[row], &set);
             }
@@ -289,112 +296,5 @@ fn execute_rare<const W: usize>(
             }
             *sets.get_mut(*dst) = set;
         }
-    }
-}
-
-fn search<'a, const W: usize, P>(
-    program: &'a Dense,
-    sets: &'a (impl Sets<W> + ?Sized),
-    rows: &'a [Set<W>],
-    count: usize,
-    pairs: &'a P,
-) -> Search<'a, W, P> {
-    Search {
-        program,
-        sets: sets.as_ref(),
-        rows,
-        count,
-        pairs,
-    }
-}
-
-/// A search for values of variables.
-struct Search<'a, const W: usize, P> {
-    program: &'a Dense,
-    sets: &'a [Set<W>],
-    rows: &'a [Set<W>],
-    count: usize,
-    pairs: &'a P,
-}
-
-/// The values of the head's first variable and of the variables of earlier steps.
-type Bound = [usize; Dense::VARIABLES_MAX + 1];
-
-impl<const W: usize, P: BinaryFacts<W>> Search<'_, W, P> {
-    /// Returns the members of `demand` for which all steps have values.
-    #[inline(never)]
-    fn exists(&self, demand: Set<W>, steps: Range) -> Set<W> {
-        let mut found = [0; W];
-        let steps = self.program.steps(steps);
-        if is_empty(&self.sets[steps[0].among.index()]) {
-            return found;
-        }
-        for ego in members(&demand) {
-            let mut bound = [0; Dense::VARIABLES_MAX + 1];
-            bound[0] = ego;
-            let set = self.narrow(&steps[0], &bound);
-            if self.go_on(steps, 0, set, &mut bound) {
-                found[ego / 64] |= 1 << (ego % 64);
-            }
-        }
-        found
-    }
-
-    /// Returns the values of the first step for which the other steps have values.
-    fn values(&self, ego: usize, steps: &[SearchStep]) -> Set<W> {
-        let mut bound = [0; Dense::VARIABLES_MAX + 1];
-        bound[0] = ego;
-        let mut set = self.narrow(&steps[0], &bound);
-        if steps.len() > 1 {
-            for value in members(&set) {
-                if !self.go_on(steps, 0, only(value), &mut bound) {
-                    set = without(set, &only(value));
-                }
-            }
-        }
-        set
-    }
-
-    /// Whether some member of `set`, as the value of step `depth`, leaves values for all later steps.
-    fn go_on(&self, steps: &[SearchStep], depth: usize, set: Set<W>, bound: &mut Bound) -> bool {
-        let Some(next) = steps.get(depth + 1) else {
-            return !is_empty(&set);
-        };
-        if is_empty(&set) || is_empty(&self.sets[next.among.index()]) || self.pairs.cancelled() {
-            return false;
-        }
-        members(&set).any(|value| {
-            bound[depth + 1] = value;
-            let set = self.narrow(next, bound);
-            self.go_on(steps, depth + 1, set, bound)
-        })
-    }
-
-    /// Returns the values that a step allows, given the bound values.
-    #[inline]
-    fn narrow(&self, step: &SearchStep, bound: &Bound) -> Set<W> {
-        let mut set = self.sets[step.among.index()];
-        for test in self.program.tests(step.tests) {
-            let at = bound[test.to];
-            let fitting = match test.list {
-                Place::Input(list) => self.pairs.narrow(list, at, set),
-                Place::Derived(list, Argument::Second) => and(set, &self.rows[list * self.count + at]),
-                Place::Derived(list, Argument::First) => {
-                    let mut fitting = [0; W];
-                    for member in members(&set) {
-                        if has(&self.rows[list * self.count + member], at) {
-                            fitting[member / 64] |= 1 << (member % 64);
-                        }
-                    }
-                    fitting
-                }
-                Place::Same => and(set, &only(at)),
-            };
-            set = match test.holds {
-                true => fitting,
-                false => without(set, &fitting),
-            };
-        }
-        set
     }
 }

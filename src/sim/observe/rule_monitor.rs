@@ -10,7 +10,7 @@ use crate::city::Agent;
 use crate::datalog;
 use crate::datalog::Program;
 use crate::datalog::dense::{
-    Argument, BinaryFacts, BitState, Dense, Input, List, Set, TrackFirings, first, has, members,
+    Argument, BinaryFacts, BitState, Dense, Input, List, Set, TrackFirings, choose, first, has, members,
 };
 use crate::datalog::{ClauseId, Literal, RelId, Rules};
 use crate::diag::Diagnostic;
@@ -263,7 +263,10 @@ impl Conditions {
 }
 
 impl DenseRules {
-    /// Compiles the rules. `None` if the dense executor cannot evaluate them.
+    /// The maximum number of observed entities.
+    const ENTITIES: usize = 64;
+
+    /// Compiles the rules. `None` if the dense executor cannot evaluate them in a bounded number of steps.
     fn new(
         rules: &Rules,
         vocabulary: &Vocabulary,
@@ -271,6 +274,10 @@ impl DenseRules {
         counting: TrackFirings,
     ) -> Option<DenseRules> {
         let dense = compile(rules, vocabulary, counting).ok()?;
+        let egos = if dense.is_local() { 1 } else { Self::ENTITIES };
+        if !choose(rules).costly(rules, Self::ENTITIES, egos).is_empty() {
+            return None;
+        }
         let bound = vocabulary.predicates.iter().map(|predicate| predicate.relation);
         let bound: Vec<Option<RelId>> = bound.chain(given).collect();
         let place = |relation: RelId| bound.iter().position(|bound| *bound == Some(relation));
@@ -305,7 +312,8 @@ impl DenseRules {
             bit_state.set_input(&self.dense, input, [set]);
         }
         let lists = &self.lists;
-        bit_state.run(&self.dense, &Related { atoms, lists });
+        let run = bit_state.run(&self.dense, &Related { atoms, lists });
+        run.expect("no clause is costly");
     }
 }
 

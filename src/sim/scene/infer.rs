@@ -4,7 +4,7 @@ use crate::cancel::Cancel;
 use crate::city::Action;
 use crate::city::CityMap;
 use crate::config::{Scenario, load_map};
-use crate::datalog::dense::{BinaryFacts, BitFacts, BitState, Dense, Set, TrackFirings, has};
+use crate::datalog::dense::{BinaryFacts, BitFacts, BitState, Dense, Set, TooManySteps, TrackFirings, has};
 use crate::datalog::{Program, constraints};
 use crate::diag::{Code, Diagnostic, SourceId, Sources, Span};
 use crate::files::ReadFile;
@@ -12,7 +12,7 @@ use crate::predicate::Entity;
 use crate::rng::Seed;
 use crate::sim::scene::format::{GeometricScene, GivenPredicate, Scene, SymbolicScene, Terms, parse_scene};
 use crate::sim::tick::chance::Draws;
-use crate::sim::tick::executor::{Choice, Executor, compile};
+use crate::sim::tick::executor::{Choice, Executor, compile, given_up};
 use crate::sim::tick::ground::{Facts, MAX_ENTITIES, ground_with};
 use crate::sim::tick::ground_state::GroundState;
 use crate::sim::tick::vocabulary::{Actions, Vocabulary};
@@ -34,6 +34,7 @@ pub struct Inference {
     read: Box<Reader>,
     maps: HashMap<String, Arc<CityMap>>,
     seed: Seed,
+    executor: Executor,
     check_constraints: bool,
     /// The dense program; `None` if a session decides.
     dense: Option<Dense>,
@@ -55,6 +56,9 @@ pub struct SceneFacts {
 pub struct Answer {
     /// One answer per ego, in the order of the scene.
     pub egos: Vec<EgoAnswer>,
+    /// Why the relational executor decided although the dense one can evaluate the rules: a sentence without a full
+    /// stop.
+    pub fallback: Option<String>,
 }
 
 /// The decision of the rules for one ego.
@@ -131,6 +135,7 @@ impl Inference {
             read: Box::new(read),
             maps: HashMap::new(),
             seed,
+            executor,
             check_constraints: false,
         })
     }
@@ -317,7 +322,7 @@ impl Inference {
     fn decide(&self, scene: &SceneFacts, cancel: &Cancel) -> Result<Answer, Diagnostic> {
         let SceneFacts { names, egos, facts } = scene;
         let names: Vec<&str> = names.iter().map(String::as_str).collect();
-        let derived = self.derive(scene, &names, cancel)?;
+        let (derived, fallback) = self.derive(scene, &names, cancel)?;
         let egos = egos.iter().zip(derived).map(|(&ego, derived)| {
             let sees = entities_in_view(&facts.rows[self.vocabulary.sees], ego);
             EgoAnswer {
@@ -328,14 +333,27 @@ impl Inference {
                 derived: self.vocabulary.before_default(derived),
             }
         });
-        Ok(Answer { egos: egos.collect() })
+        Ok(Answer {
+            egos: egos.collect(),
+            fallback,
+        })
     }
 
-    /// Returns the derived actions of each ego.
-    fn derive(&self, scene: &SceneFacts, names: &[&str], cancel: &Cancel) -> Result<Vec<Actions>, Diagnostic> {
+    /// Returns the derived actions of each ego and, if the dense executor gave up, the reason.
+    fn derive(
+        &self,
+        scene: &SceneFacts,
+        names: &[&str],
+        cancel: &Cancel,
+    ) -> Result<(Vec<Actions>, Option<String>), Diagnostic> {
+        let mut fallback = None;
         if let (Some(dense), false) = (&self.dense, self.check_constraints) {
             let width = Width::of(names.len()).expect("a scene has fewer entities than the widest set");
-            return in_words!(width, W => self.derive_dense::<W>(dense, scene, cancel));
+            match in_words!(width, W => self.derive_dense::<W>(dense, scene, cancel))? {
+                Ok(derived) => return Ok((derived, None)),
+                Err(error) if self.executor == Executor::Dense => return Err(given_up(error)),
+                Err(error) => fallback = Some(format!("the dense executor gave up: {error}")),
+            }
         }
         let mut state = GroundState::new(&self.program, &self.vocabulary, names.iter().copied());
         state.set_with(&scene.facts, cancel)?;
@@ -348,9 +366,8 @@ impl Inference {
                 return Err(broken.fold(fault, |fault, other| fault.note(other.message)));
             }
         }
-        Ok((scene.egos.iter())
-            .map(|&ego| state.derived(&self.vocabulary, ego))
-            .collect())
+        let derived = scene.egos.iter().map(|&ego| state.derived(&self.vocabulary, ego));
+        Ok((derived.collect(), fallback))
     }
 
     fn derive_dense<const W: usize>(
@@ -358,7 +375,7 @@ impl Inference {
         dense: &Dense,
         scene: &SceneFacts,
         cancel: &Cancel,
-    ) -> Result<Vec<Actions>, Diagnostic> {
+    ) -> Result<Result<Vec<Actions>, TooManySteps>, Diagnostic> {
         let count = scene.names.len();
         let bits: BitFacts<W> = scene.facts.to_bits(&self.vocabulary, dense, count);
         let mut bit_state = BitState::new(dense, count);
@@ -369,16 +386,19 @@ impl Inference {
             polls: Cell::new(0),
             cancelled: Cell::new(false),
         };
-        bit_state.run(dense, &facts);
+        let run = bit_state.run(dense, &facts);
         if facts.cancelled.get() {
             return Err(Diagnostic::cancelled());
+        }
+        if let Err(error) = run {
+            return Ok(Err(error));
         }
         let holds = |action: Action, ego: usize| {
             let relation = self.vocabulary.action(action);
             relation.is_some_and(|relation| bit_state.set(dense, relation).is_some_and(|set| has(set, ego)))
         };
         let derived = |&ego: &usize| Action::ALL.into_iter().filter(|&action| holds(action, ego)).collect();
-        Ok(scene.egos.iter().map(derived).collect())
+        Ok(Ok(scene.egos.iter().map(derived).collect()))
     }
 }
 

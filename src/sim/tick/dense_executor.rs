@@ -2,7 +2,7 @@
 
 use crate::city::Action;
 use crate::city::{Agent, Cell, CityMap};
-use crate::datalog::dense::{Set, TrackFirings, has, members};
+use crate::datalog::dense::{Set, TooManySteps, TrackFirings, has, members};
 use crate::datalog::{ClauseId, RelId};
 use crate::diag::{Code, Diagnostic};
 use crate::sim::tick::chance::Draws;
@@ -119,6 +119,21 @@ impl Reading {
     }
 }
 
+/// The reason why the dense executor did not decide.
+#[derive(Debug)]
+pub(super) enum Undecided {
+    /// Another executor can decide.
+    TooManySteps(TooManySteps),
+    /// More than [`WINDOW_MAX`] agents are around one cell.
+    Crowded(Diagnostic),
+}
+
+impl From<TooManySteps> for Undecided {
+    fn from(error: TooManySteps) -> Self {
+        Undecided::TooManySteps(error)
+    }
+}
+
 /// Evaluates the rules of one city as bits.
 pub(super) struct DenseExecutor {
     reading: Reading,
@@ -192,14 +207,11 @@ impl DenseExecutor {
     /// Decides for all agents. Clears `out` first, and leaves it empty on error.
     ///
     /// # Errors
-    /// `limit-exceeded` for more than [`WINDOW_MAX`] agents around one cell.
-    pub fn decide(&mut self, map: &CityMap, draws: Draws, out: &mut Decisions) -> Result<(), Diagnostic> {
+    /// See [`Undecided`].
+    pub fn decide(&mut self, map: &CityMap, draws: Draws, out: &mut Decisions) -> Result<(), Undecided> {
         out.clear();
         let decided = match &mut self.shape {
-            Shape::One(one) => {
-                one.decide(&self.reading, draws, out);
-                Ok(())
-            }
+            Shape::One(one) => one.decide(&self.reading, draws, out).map_err(Undecided::from),
             Shape::Tiles(tiles) => tiles.decide(&self.reading, map, draws, out),
         };
         if decided.is_err() {
@@ -238,7 +250,7 @@ fn list_bodies(bodies: &mut Vec<Body>, grounder: &mut Grounder, map: &CityMap, a
 /// A whole city in one window.
 trait OneWindow: Send + Sync {
     fn restart(&mut self, grounder: &mut Grounder, map: &CityMap, agents: &[Agent]);
-    fn decide(&mut self, reading: &Reading, draws: Draws, out: &mut Decisions);
+    fn decide(&mut self, reading: &Reading, draws: Draws, out: &mut Decisions) -> Result<(), TooManySteps>;
     fn follow(&mut self, grounder: &Grounder, map: &CityMap, positions: &[Position]);
     fn count_facts(&mut self, grounder: &Grounder, draws: Draws) -> u64;
 }
@@ -270,11 +282,12 @@ impl<const W: usize> OneWindow for One<W> {
         self.fill(grounder, map);
     }
 
-    fn decide(&mut self, reading: &Reading, draws: Draws, out: &mut Decisions) {
-        self.window.run(&reading.grounder, draws);
+    fn decide(&mut self, reading: &Reading, draws: Draws, out: &mut Decisions) -> Result<(), TooManySteps> {
+        self.window.run(&reading.grounder, draws)?;
         let mut firings = std::mem::take(&mut out.firings);
         reading.read(&self.window, &self.all, out, &mut firings);
         out.firings = firings;
+        Ok(())
     }
 
     fn follow(&mut self, grounder: &Grounder, map: &CityMap, positions: &[Position]) {
@@ -411,7 +424,7 @@ impl Tiles {
         map: &CityMap,
         draws: Draws,
         out: &mut Decisions,
-    ) -> Result<(), Diagnostic> {
+    ) -> Result<(), Undecided> {
         self.sort();
         for worker in &mut self.workers {
             let firings = &mut worker.get_mut().expect("no thread has panicked").firings;
@@ -461,7 +474,7 @@ impl Tiles {
         map: &CityMap,
         draws: Draws,
         out: &Decisions,
-    ) -> Result<(), Diagnostic> {
+    ) -> Result<(), Undecided> {
         let found = &mut worker.found;
         found.clear();
         let inner = self.bins_of(tile);
@@ -496,9 +509,9 @@ impl Tiles {
             egos,
         };
         match Width::of(found.len()) {
-            Some(Width::One) => evaluate.run(&mut worker.narrow, found, &mut worker.firings),
-            Some(Width::Two) => evaluate.run(&mut worker.pair, found, &mut worker.firings),
-            Some(Width::Four) => evaluate.run(&mut worker.wide, found, &mut worker.firings),
+            Some(Width::One) => evaluate.run(&mut worker.narrow, found, &mut worker.firings)?,
+            Some(Width::Two) => evaluate.run(&mut worker.pair, found, &mut worker.firings)?,
+            Some(Width::Four) => evaluate.run(&mut worker.wide, found, &mut worker.firings)?,
             _ if tile.rows > BIN || tile.cols > BIN => {
                 // Splits the tile where the city is crowded.
                 let half = |cells: i32| (cells / 2 + BIN - 1) / BIN * BIN;
@@ -516,12 +529,13 @@ impl Tiles {
                     }
                 }
             }
-            Some(Width::Sixteen) => evaluate.run(&mut worker.wider, found, &mut worker.firings),
-            Some(Width::SixtyFour) => evaluate.run(&mut worker.widest, found, &mut worker.firings),
+            Some(Width::Sixteen) => evaluate.run(&mut worker.wider, found, &mut worker.firings)?,
+            Some(Width::SixtyFour) => evaluate.run(&mut worker.widest, found, &mut worker.firings)?,
             None => {
                 let (many, Cell { row, col }) = (found.len(), tile.first);
                 let message = format!("{many} agents around the cell [{row}, {col}], the limit is {WINDOW_MAX}");
-                return Err(Diagnostic::new(Code::LIMIT_EXCEEDED, message).help("use a larger map or fewer agents"));
+                let fault = Diagnostic::new(Code::LIMIT_EXCEEDED, message);
+                return Err(Undecided::Crowded(fault.help("use a larger map or fewer agents")));
             }
         }
         Ok(())
@@ -557,14 +571,22 @@ struct Evaluate<'a> {
 }
 
 impl Evaluate<'_> {
-    fn run<const W: usize>(&self, window: &mut Window<W>, found: &mut Vec<Body>, firings: &mut [usize]) {
+    fn run<const W: usize>(
+        &self,
+        window: &mut Window<W>,
+        found: &mut Vec<Body>,
+        firings: &mut [usize],
+    ) -> Result<(), TooManySteps> {
         std::mem::swap(&mut window.bodies, found);
         let Area { first, rows, cols } = self.window;
         window.fill(&self.reading.grounder, first, [rows, cols]);
         let egos = crate::datalog::dense::first(self.egos);
         window.bit_state.set_egos(egos);
-        window.run(&self.reading.grounder, self.draws);
-        self.reading.read(window, &egos, self.out, firings);
+        let decided = window.run(&self.reading.grounder, self.draws);
+        if decided.is_ok() {
+            self.reading.read(window, &egos, self.out, firings);
+        }
         std::mem::swap(&mut window.bodies, found);
+        decided
     }
 }

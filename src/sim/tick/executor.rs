@@ -1,7 +1,7 @@
 //! The choice of executor, and the compilation of rules for the dense one.
 
 use crate::datalog::Rules;
-use crate::datalog::dense::{Dense, TrackFirings, choose};
+use crate::datalog::dense::{Dense, TooManySteps, TrackFirings, choose};
 use crate::diag::{Code, Diagnostic};
 use crate::sim::tick::vocabulary::Vocabulary;
 
@@ -59,6 +59,12 @@ pub(crate) enum Choice<T> {
 pub(super) fn not_dense(reason: &str) -> Diagnostic {
     let message = format!("the dense executor cannot evaluate these rules, because {reason}");
     Diagnostic::new(Code::DENSE_UNSUPPORTED, message)
+}
+
+/// Returns the diagnostic for a run that the dense executor gives up.
+pub(crate) fn given_up(error: TooManySteps) -> Diagnostic {
+    Diagnostic::new(Code::LIMIT_EXCEEDED, format!("the dense executor gave up: {error}"))
+        .help("`--executor auto` falls back to the relational executor")
 }
 
 /// Compiles the rules for the dense executor.

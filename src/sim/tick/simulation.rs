@@ -9,8 +9,8 @@ use crate::diag::{Code, Diagnostic};
 use crate::predicate::Entity;
 use crate::rng::Seed;
 use crate::sim::tick::chance::Draws;
-use crate::sim::tick::dense_executor::{Decisions, DenseExecutor, WHOLE_MAX};
-use crate::sim::tick::executor::{Choice, Executor};
+use crate::sim::tick::dense_executor::{Decisions, DenseExecutor, Undecided, WHOLE_MAX};
+use crate::sim::tick::executor::{Choice, Executor, given_up};
 use crate::sim::tick::ground::{Facts, MAX_ENTITIES, ground_with};
 use crate::sim::tick::ground_state::GroundState;
 use crate::sim::tick::vocabulary::Actions;
@@ -56,7 +56,9 @@ pub struct Simulation {
     positions: Vec<Position>,
     /// The dense executor; `None` if `state` decides.
     dense: Option<DenseExecutor>,
-    /// Why the dense executor was not chosen.
+    /// The executor that the settings demand.
+    demanded: Executor,
+    /// Why the dense executor was not chosen or gave up.
     fallback: Option<String>,
     decisions: Decisions,
     /// The action that the caller imposes on each agent. All `None` between ticks.
@@ -214,6 +216,7 @@ impl Simulation {
             positions: agents.iter().map(Position::of).collect(),
             agents,
             dense,
+            demanded: settings.executor,
             fallback,
             state: None,
             stated: None,
@@ -322,7 +325,7 @@ impl Simulation {
         }
     }
 
-    /// Returns why [`Executor::Auto`] chose the relational executor: a sentence without a full stop.
+    /// Returns why [`Executor::Auto`] chose the relational executor or fell back to it: a sentence without a full stop.
     pub fn fallback(&self) -> Option<&str> {
         self.fallback.as_deref()
     }
@@ -352,12 +355,13 @@ impl Simulation {
     /// Runs one tick: all agents decide, then all move.
     ///
     /// `controls` overrides the decisions of agents, given by their positions in the list. The last entry for an agent
-    /// counts.
+    /// counts. If the dense executor needs too many steps, [`Executor::Auto`] falls back to the relational one for this
+    /// and all later ticks ([`Simulation::fallback`]).
     ///
     /// # Errors
     /// `invalid-value` for a position outside the list; `limit-exceeded` if the rules derive more rows than the
-    /// relational executor allows, or too many agents are in one place for the dense one; `cancelled` on cancellation.
-    /// On error the city is unchanged.
+    /// relational executor allows, too many agents are in one place for the dense one, or it needs too many steps and
+    /// the settings demand it; `cancelled` on cancellation. On error the city is unchanged.
     pub fn tick(&mut self, controls: &[(usize, Action)]) -> Result<&TickReport, Diagnostic> {
         self.tick_watched(controls, |_| ())
     }
@@ -381,15 +385,27 @@ impl Simulation {
             time: self.tick,
         };
         let map = self.world.map();
-        match &mut self.dense {
-            Some(dense) => {
-                let decisions = &mut self.decisions;
-                match &self.threads {
-                    Some(pool) => pool.install(|| dense.decide(map, draws, decisions)),
-                    None => dense.decide(map, draws, decisions),
-                }?;
+        if let Some(dense) = &mut self.dense {
+            let decisions = &mut self.decisions;
+            let decided = match &self.threads {
+                Some(pool) => pool.install(|| dense.decide(map, draws, decisions)),
+                None => dense.decide(map, draws, decisions),
+            };
+            match decided {
+                Ok(()) => {}
+                Err(Undecided::Crowded(fault)) => return Err(fault),
+                Err(Undecided::TooManySteps(error)) => {
+                    let agents = self.agents.len();
+                    if self.demanded == Executor::Dense || agents > MAX_ENTITIES {
+                        return Err(given_up(error));
+                    }
+                    self.fallback = Some(format!("the dense executor gave up in tick {}: {error}", self.tick));
+                    self.dense = None;
+                }
             }
-            None => self.decide_by_facts(draws)?,
+        }
+        if self.dense.is_none() {
+            self.decide_by_facts(draws)?;
         }
         ended(Phase::Decide);
         self.advance(controls);

@@ -6,7 +6,7 @@
 use crate::city::AgentKind;
 use crate::city::{Agent, Cell, CityMap, Heading, Junction};
 use crate::datalog::dense::{
-    Argument, BinaryFacts, BitState, Dense, Input, List, Set, and, first, is_empty, members, without,
+    Argument, BinaryFacts, BitState, Dense, Input, List, Set, TooManySteps, and, first, is_empty, members, without,
 };
 use crate::predicate::{
     CellTable, Definition, Pair, PairRelation, Reach, Relation, Static, Subject, Views, with_relation,
@@ -383,7 +383,10 @@ impl<const W: usize> Window<W> {
     }
 
     /// Evaluates the rules.
-    pub fn run(&mut self, grounder: &Grounder, draws: Draws) {
+    ///
+    /// # Errors
+    /// As [`BitState::run`].
+    pub fn run(&mut self, grounder: &Grounder, draws: Draws) -> Result<(), TooManySteps> {
         for (input, set) in self.inputs.iter().enumerate() {
             self.bit_state.set_input(&grounder.dense, input, *set);
         }
@@ -393,7 +396,7 @@ impl<const W: usize> Window<W> {
             place: &self.place,
             draws,
         };
-        self.bit_state.run(&grounder.dense, &scene);
+        self.bit_state.run(&grounder.dense, &scene)
     }
 }
 
