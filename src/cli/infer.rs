@@ -1,14 +1,13 @@
 //! `logicity infer`: evaluates the rules on scenes.
 
 use crate::builtin::BuiltinFiles;
-use crate::cli::{Failure, load_city, one_of, report};
+use crate::cli::{Failure, ForceOption, finish, load_city, one_of, report, unwritable};
 use crate::diag::{Code, Diagnostic, Sources, to_json};
 use crate::files;
-use crate::files::{Output, ReadError};
+use crate::files::ReadError;
 use crate::rng::Seed;
 use crate::sim::{Executor, Inference};
 use serde_json::json;
-use std::fs::File;
 use std::io::{self, BufRead, BufReader, BufWriter, Read, Write};
 use std::path::{Path, PathBuf};
 
@@ -39,6 +38,8 @@ pub struct Arguments {
     /// Write the answers to FILE [default: standard output]
     #[arg(long, value_name = "FILE")]
     out: Option<PathBuf>,
+    #[command(flatten)]
+    force: ForceOption,
 }
 
 pub fn run(arguments: &Arguments, sources: &mut Sources) -> Result<(), Failure> {
@@ -62,7 +63,7 @@ pub fn run(arguments: &Arguments, sources: &mut Sources) -> Result<(), Failure> 
     let (input, name): (Box<dyn Read>, _) = if arguments.file == Path::new("-") {
         (Box::new(io::stdin().lock()), "<stdin>".to_owned())
     } else {
-        let file = File::open(&arguments.file).map_err(|error| Failure::file("read", &arguments.file, error))?;
+        let file = files::open(&arguments.file).map_err(|error| Failure::file("read", &arguments.file, error))?;
         (Box::new(file), arguments.file.display().to_string())
     };
     let scenes = BufReader::new(input);
@@ -73,21 +74,20 @@ pub fn run(arguments: &Arguments, sources: &mut Sources) -> Result<(), Failure> 
                 writeln!(out, "{line}").map_err(Failure::from)
             })?;
             out.flush()?;
-            finish(faulty)
+            outcome(faulty)
         }
         Some(path) => {
-            let fail = |error| Failure::file("write", path, error);
-            let mut out = Output::create(path).map_err(fail)?;
+            let mut out = arguments.force.create(path)?;
             let faulty = answer_all(&mut inference, scenes, &name, &arguments.file, |line| {
-                writeln!(out, "{line}").map_err(fail)
+                writeln!(out, "{line}").map_err(|error| unwritable(path, &error))
             })?;
-            out.finish().map_err(fail)?;
-            finish(faulty)
+            finish(out, path)?;
+            outcome(faulty)
         }
     }
 }
 
-fn finish(faulty: bool) -> Result<(), Failure> {
+fn outcome(faulty: bool) -> Result<(), Failure> {
     if faulty { Err(Failure::Reported) } else { Ok(()) }
 }
 

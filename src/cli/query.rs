@@ -2,12 +2,14 @@
 
 use crate::cli::why;
 use crate::cli::why::Question;
-use crate::cli::{Failure, LimitOptions, compile, load_workspace, report, too_much};
+use crate::cli::{
+    Failure, ForceOption, LimitOptions, compile, finish, load_workspace, report, too_much, unwritable,
+};
 use crate::datalog::{ClauseId, Edb, MarkKind, RelId, RowPlace};
 use crate::datalog::{Delta, EvalEvent, Limits, Options, Program, RuleStats, Session, Threads, constraints, facts};
 use crate::diag::{Code, Diagnostic, Sources, Span};
 use crate::files;
-use crate::files::{Output, make_folder};
+use crate::files::make_folder;
 use std::cell::{Cell, RefCell};
 use std::cmp::Reverse;
 use std::collections::BTreeMap;
@@ -49,6 +51,8 @@ pub struct Arguments {
     threads: NonZeroUsize,
     #[command(flatten)]
     limits: LimitOptions,
+    #[command(flatten)]
+    force: ForceOption,
 }
 
 impl Arguments {
@@ -91,6 +95,9 @@ pub fn run(arguments: &Arguments, sources: &mut Sources) -> Result<(), Failure> 
         &mut session,
         sources,
     )?;
+    if question.is_none() && !arguments.plan {
+        check_outputs(session.program(), &arguments.output, &arguments.force)?;
+    }
     let times = match arguments.profile {
         true => timed_commit(&mut session).map(|(_, times)| Some(times)),
         false => (session.commit().map(|_| None)).map_err(|error| too_much(&error, program.rules())),
@@ -115,14 +122,41 @@ pub fn run(arguments: &Arguments, sources: &mut Sources) -> Result<(), Failure> 
         let asked = (question, sources.add(format!("<{name}>"), fact));
         return why::explain(&mut out, asked, &workspace, &session, sources, arguments.json);
     }
-    write_results(&mut out, &session, &arguments.output)?;
+    write_results(&mut out, &session, &arguments.output, &arguments.force)?;
     out.flush()?;
+    Ok(())
+}
+
+/// Returns the file of an output relation, or `None` for standard output.
+fn output_path(folder: &Path, relation: &str, place: &RowPlace) -> Option<PathBuf> {
+    match place {
+        _ if folder == Path::new("-") => None,
+        RowPlace::Terminal => None,
+        RowPlace::Usual => Some(folder.join(format!("{relation}.csv"))),
+        RowPlace::File(name) => Some(folder.join(name)),
+    }
+}
+
+/// Makes the folders of the output relations, and reports files that cannot be written, before the evaluation.
+fn check_outputs(program: &Program, folder: &Path, force: &ForceOption) -> Result<(), Failure> {
+    for (_, relation) in relations(program) {
+        let outputs = relation.directives.iter().filter(|directive| directive.kind == MarkKind::Output);
+        for path in outputs.filter_map(|directive| output_path(folder, &relation.name, &directive.place)) {
+            make_folder(path.parent().unwrap_or(Path::new(".")))?;
+            force.check(&path)?;
+        }
+    }
     Ok(())
 }
 
 /// Writes every output relation to its file in `folder`, or to `out` if its directive says so or `folder` is `-`.
 /// Writes the sizes of `.printsize` relations to `out`.
-fn write_results(out: &mut dyn Write, session: &Session, folder: &Path) -> Result<(), Failure> {
+fn write_results(
+    out: &mut dyn Write,
+    session: &Session,
+    folder: &Path,
+    force: &ForceOption,
+) -> Result<(), Failure> {
     let to_terminal = folder == Path::new("-");
     for (id, relation) in relations(session.program()) {
         for directive in &relation.directives {
@@ -134,14 +168,8 @@ fn write_results(out: &mut dyn Write, session: &Session, folder: &Path) -> Resul
                     format.headers |= to_terminal;
                     let header = facts::header(relation, &format);
                     let rows = |out: &mut dyn Write| facts::write_rows(session, id, &format, out);
-                    let path = match &directive.place {
-                        _ if to_terminal => None,
-                        RowPlace::Terminal => None,
-                        RowPlace::Usual => Some(folder.join(format!("{}.csv", relation.name))),
-                        RowPlace::File(name) => Some(folder.join(name)),
-                    };
-                    match path {
-                        Some(path) => write_relation(&path, &header, rows)?,
+                    match output_path(folder, &relation.name, &directive.place) {
+                        Some(path) => write_relation(&path, force, &header, rows)?,
                         None => print_relation(out, &relation.name, &header, rows)?,
                     }
                 }
@@ -258,9 +286,10 @@ pub(super) fn load_inputs(folder: &Path, session: &mut Session, sources: &mut So
                 RowPlace::File(name) => folder.join(name),
                 RowPlace::Terminal => PathBuf::from("standard input"),
             };
-            let read = match directive.place {
+            let read = match &directive.place {
                 RowPlace::Terminal => files::read_any(std::io::stdin()),
-                _ => files::open(&path).and_then(files::read_any),
+                RowPlace::File(name) if name == "/dev/stdin" => files::read_any(std::io::stdin()),
+                _ => files::open_regular(&path).and_then(files::read_any),
             };
             let (text, not_text) = read.map_err(|error| {
                 let (name, path) = (&relation.name, path.display());
@@ -283,11 +312,15 @@ pub(super) fn load_inputs(folder: &Path, session: &mut Session, sources: &mut So
 }
 
 /// Writes a relation to a file, which appears only once it is complete.
-fn write_relation(path: &Path, header: &str, rows: impl Fn(&mut dyn Write) -> io::Result<()>) -> Result<(), Failure> {
-    make_folder(path.parent().unwrap_or(Path::new(".")))?;
-    let fail = |error: io::Error| Failure::file("write", path, error);
-    let mut file = Output::create(path).map_err(fail)?;
+fn write_relation(
+    path: &Path,
+    force: &ForceOption,
+    header: &str,
+    rows: impl Fn(&mut dyn Write) -> io::Result<()>,
+) -> Result<(), Failure> {
+    let fail = |error: io::Error| unwritable(path, &error);
+    let mut file = force.create(path)?;
     file.write_all(header.as_bytes()).map_err(fail)?;
     rows(&mut file).map_err(fail)?;
-    file.finish().map_err(fail)
+    finish(file, path)
 }

@@ -1,8 +1,8 @@
 //! `logicity view`: writes an HTML page of a trace.
 
-use crate::cli::Failure;
 use crate::cli::icons::IconOptions;
 use crate::cli::trace::TraceReader;
+use crate::cli::{Failure, ForceOption, finish, unwritable};
 use crate::diag::{Code, Diagnostic, Sources};
 use crate::files::Output;
 use crate::page::Page;
@@ -24,41 +24,22 @@ pub struct Arguments {
     /// Number of ticks to show [default: all]
     #[arg(long, value_parser = clap::value_parser!(u64).range(1..), allow_negative_numbers = true)]
     ticks: Option<u64>,
-    /// Configuration of the run, if it is not at the path that the trace names
+    /// Configuration to use instead of the one in the trace; must have the same content
     #[arg(long)]
     config: Option<PathBuf>,
-    /// Rules of the run, if they are not at the path that the trace names
+    /// Rules to use instead of those in the trace; must have the same content
     #[arg(long)]
     rules: Option<PathBuf>,
     #[command(flatten)]
     icons: IconOptions,
+    #[command(flatten)]
+    force: ForceOption,
 }
 
 pub fn run(arguments: &Arguments, sources: &mut Sources) -> Result<(), Failure> {
     let range = (arguments.from, arguments.ticks.unwrap_or(u64::MAX));
     let files = [arguments.config.as_deref(), arguments.rules.as_deref()];
-    write(
-        &arguments.trace,
-        &arguments.output,
-        range,
-        files,
-        &arguments.icons,
-        sources,
-    )?;
-    writeln!(io::stdout(), "wrote {}", arguments.output.display())?;
-    Ok(())
-}
-
-/// Writes a page of at most `most` ticks of a trace, from number `from` on. `config` and `rules` replace the paths that
-/// the trace names.
-pub fn write(
-    trace: &Path,
-    output: &Path,
-    (from, most): (u64, u64),
-    [config, rules]: [Option<&Path>; 2],
-    icons: &IconOptions,
-    sources: &mut Sources,
-) -> Result<(), Failure> {
+    let (trace, output) = (&arguments.trace, &arguments.output);
     if let (Ok(from), Ok(to)) = (trace.canonicalize(), output.canonicalize())
         && from == to
     {
@@ -68,6 +49,24 @@ pub fn write(
         );
         return Err(Failure::Usage(message));
     }
+    let mut out = arguments.force.create(output)?;
+    write(trace, &mut out, output, range, files, &arguments.icons, sources)?;
+    finish(out, output)?;
+    writeln!(io::stdout(), "wrote {}", output.display())?;
+    Ok(())
+}
+
+/// Writes a page of at most `most` ticks of a trace, from number `from` on, to `out`, whose path is `output`. `config`
+/// and `rules` replace those in the trace.
+pub fn write(
+    trace: &Path,
+    out: &mut Output,
+    output: &Path,
+    (from, most): (u64, u64),
+    [config, rules]: [Option<&Path>; 2],
+    icons: &IconOptions,
+    sources: &mut Sources,
+) -> Result<(), Failure> {
     let mut reader = TraceReader::open(trace)?;
     let mut replay = reader.replay(sources, config, rules, true)?;
     let icons = icons.load(Seed(reader.header.seed))?;
@@ -104,8 +103,5 @@ pub fn write(
         }
         Some(_) => {}
     }
-    let fail = |error| Failure::file("write", output, error);
-    let mut out = Output::create(output).map_err(fail)?;
-    page.write(&mut out).map_err(fail)?;
-    out.finish().map_err(fail)
+    page.write(out).map_err(|error| unwritable(output, &error))
 }

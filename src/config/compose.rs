@@ -49,7 +49,10 @@ impl<'a> Composer<'a> {
     /// Returns the tree of a file that the user named. A bare name such as `expert` means the file with this name in
     /// `folder`.
     pub fn root(&mut self, path: &Path, folder: &str, parts: &[&str]) -> Option<Node> {
-        let mut found = self.find(path, path);
+        let mut found = match self.read.read_named(path) {
+            Err(ReadError::NotFound) => self.find(path, path),
+            read => read.map(|text| (path.to_owned(), text)),
+        };
         if matches!(found, Err(ReadError::NotFound)) && path.extension().is_none() && path.components().count() == 1 {
             let named = Path::new(folder).join(path).with_extension("yaml");
             found = self.find(&named, &named);

@@ -14,6 +14,7 @@ use crate::city::{Cell, Heading, Route, field_of_view};
 use crate::datalog::explain::{Explainer, ExplanationPrinter};
 use crate::datalog::{ClauseId, Value};
 use crate::diag::{Code, Diagnostic, Sources};
+use crate::files::portable_name;
 use crate::render::{Class, Facing, Icons};
 use crate::sim::{
     LOOK_TICKS, Replay, STUCK_TICKS, TraceAgent, TraceHeader, TraceTick, WaitsFor, find_deadlocks, waits,
@@ -203,7 +204,7 @@ impl Page {
         Page {
             title: format!("{} ({}), seed {}", header.config, header.split, header.seed),
             config: header.config.clone(),
-            rules: header.rules.clone(),
+            rules: portable_name(&header.rules),
             split: header.split.clone(),
             seed: header.seed,
             hash: header.rules_hash.clone(),

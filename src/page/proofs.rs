@@ -6,6 +6,7 @@ use crate::datalog::explain::{
     Absence, AbsenceReason, Explanation, ExplanationPrinter, Fact, Failure, FailureKind, Miss, Node, NodeId, Obstacle,
     Origin, Premise,
 };
+use crate::files::portable_name;
 use serde::Serialize;
 use serde_json::{Value, json};
 use std::collections::HashMap;
@@ -36,6 +37,7 @@ impl Proofs {
         let position = *self.known_clauses.entry(clause).or_insert(next);
         if position == next {
             let mut json = printer.clause_json(clause);
+            json["file"] = portable_name(json["file"].as_str().unwrap_or_default()).into();
             json["label"] = printer.label(clause).into();
             json["text"] = printer.source(clause).into();
             self.clauses.push(json);
