@@ -12,6 +12,7 @@ import os
 import shutil
 import time
 from collections.abc import Iterable, Mapping, Sequence
+from contextlib import ExitStack
 from dataclasses import asdict, dataclass, field
 from functools import cache
 from inspect import signature
@@ -50,7 +51,7 @@ from . import _logicity
 from ._logicity import __version__
 from .errors import did_you_mean
 from .evaluation import Benchmark, Evaluation
-from .files import write_json
+from .files import reserved, write_json
 from .modes import ENVIRONMENTS
 from .sb3 import make_vec_env
 
@@ -277,7 +278,7 @@ class Validation(BaseCallback):
         old = _checkpoints(self._run)
         is_best = self._state.best is self._state.validations[-1]
         shutil.copyfile(temporary / "model.zip" if is_best else old[-1] / "best.zip", temporary / "best.zip")
-        write_json(temporary / "state.json", asdict(self._state))
+        (temporary / "state.json").write_text(json.dumps(asdict(self._state), indent=1, allow_nan=False) + "\n")
         temporary.rename(self._run / name)
         for folder in old:
             shutil.rmtree(folder)
@@ -338,7 +339,9 @@ def train(
 
     Raises:
         InputError: If an override is invalid.
-        ValueError: If the folder has another run, or the algorithm rejects the settings. Then no run starts.
+        OSError: If another process trains in the folder, or a file cannot be written.
+        ValueError: If the folder has another run or files of a run, or the algorithm rejects the settings. Then no run
+            starts.
     """
     run = Path(run)
     claimed = _is_claimed(run, config)
@@ -348,7 +351,8 @@ def train(
     # The model seeds the environments.
     env = make_vec_env(config.mode, config.envs, split="train", overrides=config.overrides)
     log = str(run / "tensorboard") if tensorboard else None
-    try:
+    with ExitStack() as files:
+        files.callback(env.close)
         if checkpoints:
             model = ALGORITHMS[config.algorithm].load(
                 checkpoints[-1] / "model.zip", env=env, device="cpu", tensorboard_log=log
@@ -362,6 +366,8 @@ def train(
         if not claimed:
             run.mkdir(parents=True, exist_ok=True)
             write_json(run / "config.json", config.model_dump(mode="json"))
+        # Keeps other processes from the run until its end.
+        output = files.enter_context(reserved(run / "result.json", record=False))
         validation = Validation(run, config, state)
         bar = [ProgressBarCallback()] if progress else []
         model.learn(
@@ -370,11 +376,9 @@ def train(
             reset_num_timesteps=not checkpoints,
             tb_log_name=config.algorithm,
         )
-    finally:
-        env.close()
-    shutil.copyfile(_checkpoints(run)[-1] / "best.zip", run / "best.zip")
-    result = _result(config, state, load_model(run / "best.zip"))
-    write_json(run / "result.json", result)
+        shutil.copyfile(_checkpoints(run)[-1] / "best.zip", run / "best.zip")
+        result = _result(config, state, load_model(run / "best.zip"))
+        write_json(run / "result.json", result, output=output)
     return result
 
 
@@ -386,6 +390,9 @@ def _is_claimed(run: Path, config: TrainConfig) -> bool:
     """
     stored = run / "config.json"
     if not stored.exists():
+        foreign = [path.name for path in (run / "result.json", run / "best.zip", *_checkpoints(run)) if path.exists()]
+        if foreign:
+            raise ValueError(f"{run} has {foreign[0]}, but no run: choose another folder")
         return False
     if json.loads(stored.read_text(encoding="utf-8")) != config.model_dump(mode="json"):
         raise ValueError(f"{run} has a run of another configuration; remove it or choose another folder")

@@ -1,5 +1,6 @@
 //! The task that environments share: Safe Path Following in one world.
 
+use crate::output::{overwrite_if, unwritable};
 use crate::city::{Loaded, one_of};
 use crate::episode::read_episode;
 use crate::{Signals, input_error, locked};
@@ -13,7 +14,7 @@ use logicity::task::spf::{
     record,
 };
 use numpy::{IntoPyArray, PyArray3, PyArrayMethods};
-use pyo3::exceptions::{PyOSError, PyValueError};
+use pyo3::exceptions::PyValueError;
 use pyo3::intern;
 use pyo3::prelude::*;
 use pyo3::types::{PyDict, PyString, PyTuple};
@@ -95,8 +96,7 @@ impl PyTask {
         Ok(view_named(observation)?.shape(&self.task))
     }
 
-    /// Replays the actions taken in an episode, and writes the trace to a file. `config` is the configuration file in
-    /// the header of the trace.
+    /// Replays the actions taken in an episode, and writes the trace to a file. `overwrite` permits to replace any file.
     fn write_trace(
         &self,
         py: Python<'_>,
@@ -104,8 +104,9 @@ impl PyTask {
         episode: &Bound<'_, PyDict>,
         actions: Vec<i64>,
         path: PathBuf,
-        config: &str,
+        overwrite: bool,
     ) -> PyResult<()> {
+        let output = Output::create(&path, overwrite_if(overwrite)).map_err(|error| unwritable(&path, &error))?;
         let split = split_named(split)?;
         let actions = actions.into_iter().map(|action| read_action(py, action, String::new));
         let actions: Vec<Action> = actions.collect::<PyResult<_>>()?;
@@ -119,18 +120,16 @@ impl PyTask {
         let sources = self.sources();
         let origin = Origin {
             sources: &sources,
-            config_file: config,
             rule_files: &self.rule_files,
         };
         let written = signals.detach(py, || {
-            let file = Output::create(&path)?;
             let driven = (&episode, actions.as_slice());
-            record(&self.task, split, driven, origin, file, &cancel)?.finish()?;
+            record(&self.task, split, driven, origin, output, &cancel)?.finish()?;
             Ok(())
         })?;
         written.map_err(|error| match error {
             RecordError::Fault(fault) => self.error(py, fault),
-            RecordError::Write(error) => PyOSError::new_err(format!("cannot write `{}`: {error}", path.display())),
+            RecordError::Write(error) => unwritable(&path, &error),
         })
     }
 

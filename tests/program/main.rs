@@ -3,6 +3,8 @@
 mod cli;
 mod diagnostics;
 mod diff;
+#[cfg(unix)]
+mod files;
 mod grammar;
 mod layers;
 mod lsp;
