@@ -6,6 +6,8 @@ mod diff;
 #[cfg(unix)]
 mod files;
 mod grammar;
+#[cfg(unix)]
+mod hostile;
 mod layers;
 mod lsp;
 mod questions;
