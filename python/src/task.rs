@@ -1,8 +1,8 @@
 //! The task that environments share: Safe Path Following in one world.
 
-use crate::output::{overwrite_if, unwritable};
 use crate::city::{Loaded, one_of};
 use crate::episode::read_episode;
+use crate::output::{overwrite_if, unwritable};
 use crate::{Signals, input_error, locked};
 use logicity::builtin::BuiltinFiles;
 use logicity::city::{Action, Split};

@@ -1,7 +1,7 @@
 //! Data sets of Visual Action Prediction: creation, checks, the tables of a world as arrays, and pictures.
 
-use crate::output::overwrite_if;
 use crate::city::{Loaded, one_of};
+use crate::output::overwrite_if;
 use crate::{Signals, input_error, read_error, slice_of, threads_of, to_python};
 use logicity::cancel::Cancel;
 use logicity::city::Heading;

@@ -89,12 +89,7 @@ struct Report {
     covered: Option<Coverage>,
 }
 
-fn examine(
-    arguments: &Arguments,
-    path: &Path,
-    files: &dyn ReadFile,
-    sources: &mut Sources,
-) -> Result<Report, Failure> {
+fn examine(arguments: &Arguments, path: &Path, files: &dyn ReadFile, sources: &mut Sources) -> Result<Report, Failure> {
     let mut report = Report {
         program: None,
         found: Vec::new(),

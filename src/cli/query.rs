@@ -2,9 +2,7 @@
 
 use crate::cli::why;
 use crate::cli::why::Question;
-use crate::cli::{
-    Failure, ForceOption, LimitOptions, compile, finish, load_workspace, report, too_much, unwritable,
-};
+use crate::cli::{Failure, ForceOption, LimitOptions, compile, finish, load_workspace, report, too_much, unwritable};
 use crate::datalog::{ClauseId, Edb, MarkKind, RelId, RowPlace};
 use crate::datalog::{Delta, EvalEvent, Limits, Options, Program, RuleStats, Session, Threads, constraints, facts};
 use crate::diag::{Code, Diagnostic, Sources, Span};
@@ -140,7 +138,10 @@ fn output_path(folder: &Path, relation: &str, place: &RowPlace) -> Option<PathBu
 /// Makes the folders of the output relations, and reports files that cannot be written, before the evaluation.
 fn check_outputs(program: &Program, folder: &Path, force: &ForceOption) -> Result<(), Failure> {
     for (_, relation) in relations(program) {
-        let outputs = relation.directives.iter().filter(|directive| directive.kind == MarkKind::Output);
+        let outputs = relation
+            .directives
+            .iter()
+            .filter(|directive| directive.kind == MarkKind::Output);
         for path in outputs.filter_map(|directive| output_path(folder, &relation.name, &directive.place)) {
             make_folder(path.parent().unwrap_or(Path::new(".")))?;
             force.check(&path)?;
@@ -151,12 +152,7 @@ fn check_outputs(program: &Program, folder: &Path, force: &ForceOption) -> Resul
 
 /// Writes every output relation to its file in `folder`, or to `out` if its directive says so or `folder` is `-`.
 /// Writes the sizes of `.printsize` relations to `out`.
-fn write_results(
-    out: &mut dyn Write,
-    session: &Session,
-    folder: &Path,
-    force: &ForceOption,
-) -> Result<(), Failure> {
+fn write_results(out: &mut dyn Write, session: &Session, folder: &Path, force: &ForceOption) -> Result<(), Failure> {
     let to_terminal = folder == Path::new("-");
     for (id, relation) in relations(session.program()) {
         for directive in &relation.directives {

@@ -126,7 +126,11 @@ pub fn run(arguments: &Arguments, sources: &mut Sources) -> Result<(), Failure> 
         false => Some(Record::new(arguments, &simulation, sources, &rule_files)?),
     };
 
-    let page = arguments.html.as_deref().map(|page| arguments.force.create(page)).transpose()?;
+    let page = arguments
+        .html
+        .as_deref()
+        .map(|page| arguments.force.create(page))
+        .transpose()?;
 
     let bar = ProgressBar::new(ticks).with_style(
         ProgressStyle::with_template("{bar:30} tick {pos} of {len}, {per_sec}, {eta} left").expect("a valid template"),
@@ -245,7 +249,9 @@ impl Record {
     fn tick(&mut self, simulation: &Simulation) -> Result<(), Failure> {
         (self.trace.tick(simulation)).map_err(|error| self.fault("trace.jsonl", error))?;
         let tick = simulation.report().tick;
-        if let Some(Pictures { overview, animation, .. }) = &mut self.pictures
+        if let Some(Pictures {
+            overview, animation, ..
+        }) = &mut self.pictures
             && tick < MAX_FRAMES
         {
             let frame = overview.draw(tick, &sprites(simulation, &self.names));

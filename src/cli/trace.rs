@@ -59,7 +59,11 @@ impl TraceReader {
         let missing = || {
             let message = "a trace of version 1, which does not contain its rules";
             let fault = Diagnostic::new(Code::INVALID_TRACE, message);
-            placed(fault.help("specify rule files, and the configuration of the run with `--config`"), &self.path, 1)
+            placed(
+                fault.help("specify rule files, and the configuration of the run with `--config`"),
+                &self.path,
+                1,
+            )
         };
         self.header.archive.clone().ok_or_else(missing)
     }
@@ -150,6 +154,8 @@ fn matching(what: &str, path: &Path, [found, wanted]: [&String; 2], trace: &Path
     );
     Err(Diagnostic::new(Code::TRACE_MISMATCH, message)
         .note(note)
-        .help(format!("specify the original file with {option}, omit {option} to use that in the trace, or run again"))
+        .help(format!(
+            "specify the original file with {option}, omit {option} to use that in the trace, or run again"
+        ))
         .into())
 }

@@ -76,9 +76,11 @@ mod tests {
 
     #[test]
     fn scalars_follow_the_core_schema() {
-        let text = "a: [1, -2, 0x1f, 0o17, 3e-5, .5, 2.e1, 1e999, inf, .nan, true, yes, ~, \"1\", +3, 18446744073709551615]";
+        let text =
+            "a: [1, -2, 0x1f, 0o17, 3e-5, .5, 2.e1, 1e999, inf, .nan, true, yes, ~, \"1\", +3, 18446744073709551615]";
         let (_, tree) = load(&[("main.yaml", text)]);
-        let expected = r#"{"a":[1,-2,31,15,0.00003,0.5,20.0,"1e999","inf",".nan",true,"yes",null,"1",3,18446744073709551615]}"#;
+        let expected =
+            r#"{"a":[1,-2,31,15,0.00003,0.5,20.0,"1e999","inf",".nan",true,"yes",null,"1",3,18446744073709551615]}"#;
         assert_eq!(tree.to_json().to_string(), expected);
     }
 

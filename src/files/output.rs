@@ -101,7 +101,9 @@ impl Output {
             // A file that the user protected against writing.
             OpenOptions::new().write(true).open(&target)?;
         }
-        let seconds = SystemTime::now().duration_since(UNIX_EPOCH).map_or(0, |time| time.as_secs());
+        let seconds = SystemTime::now()
+            .duration_since(UNIX_EPOCH)
+            .map_or(0, |time| time.as_secs());
         let temporary = folder.join(format!(".{}{TEMPORARY}{}-{seconds}", short(&name), std::process::id()));
         let file = create_temporary(&temporary, existing.as_ref())?;
         match file.try_lock() {
@@ -215,7 +217,9 @@ fn existing(path: &Path) -> io::Result<Option<fs::Metadata>> {
 /// file systems: then two processes that begin at the same instant are not told apart.
 fn lock(folder: &Path) -> io::Result<Option<File>> {
     // Only Unix opens folders.
-    let Ok(handle) = File::open(folder) else { return Ok(None) };
+    let Ok(handle) = File::open(folder) else {
+        return Ok(None);
+    };
     for _ in 0..LOCK_TRIES {
         match handle.try_lock() {
             Ok(()) => return Ok(Some(handle)),
@@ -305,7 +309,10 @@ fn check_own(folder: &Path, name: &str, existing: Option<&fs::Metadata>, overwri
 }
 
 fn stamp(found: &fs::Metadata) -> Stamp {
-    let changed = found.modified().ok().and_then(|time| time.duration_since(UNIX_EPOCH).ok());
+    let changed = found
+        .modified()
+        .ok()
+        .and_then(|time| time.duration_since(UNIX_EPOCH).ok());
     Stamp {
         bytes: found.len(),
         changed: changed.map_or(0, |time| u64::try_from(time.as_nanos()).unwrap_or(u64::MAX)),
@@ -343,7 +350,20 @@ fn date(seconds: u64) -> String {
         year += 1;
     }
     let mut month = 1;
-    for length in [31, 28 + u64::from(is_leap(year)), 31, 30, 31, 30, 31, 31, 30, 31, 30, 31] {
+    for length in [
+        31,
+        28 + u64::from(is_leap(year)),
+        31,
+        30,
+        31,
+        30,
+        31,
+        31,
+        30,
+        31,
+        30,
+        31,
+    ] {
         if days < length || month == 12 {
             break;
         }
@@ -430,7 +450,10 @@ mod tests {
     fn leftovers_of_dead_processes_are_removed() {
         let folder = tempfile::tempdir().expect("a folder");
         let kept = [".out.logicity-1-x", ".out.logicity", "out.logicity-1-2", ".out.tmp"];
-        for name in [".out.logicity-1-2", ".else.logicity-4294967295-18446744073709551615"].iter().chain(&kept) {
+        for name in [".out.logicity-1-2", ".else.logicity-4294967295-18446744073709551615"]
+            .iter()
+            .chain(&kept)
+        {
             fs::write(folder.path().join(name), "left").expect("writable");
         }
         write(&folder.path().join("out"), "", Overwrite::Own).expect("new");

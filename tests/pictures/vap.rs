@@ -273,7 +273,11 @@ fn a_cancelled_data_set_is_resumed() {
     for (index, writer) in writers.iter().enumerate() {
         let out = Folder::make(&folder.path().join(format!("library-{index}"))).unwrap();
         // Before the first world.
-        is_cancelled(writer.write(&out, Overwrite::Own, &|_, _| (), &Cancel::when(|| true)).unwrap_err());
+        is_cancelled(
+            writer
+                .write(&out, Overwrite::Own, &|_, _| (), &Cancel::when(|| true))
+                .unwrap_err(),
+        );
         assert!(contents(out.path()).is_empty());
         // Before the tables of the last world.
         let frames = Arc::new(AtomicU64::new(0));
@@ -304,7 +308,9 @@ fn a_cancelled_data_set_is_resumed() {
                 .all(|(name, bytes)| name.starts_with('.') || *bytes == expected[name])
         );
         // Another call makes the rest, with any number of threads.
-        let summary = writers[1 - index].write(&out, Overwrite::Own, &|_, _| (), &Cancel::never()).unwrap();
+        let summary = writers[1 - index]
+            .write(&out, Overwrite::Own, &|_, _| (), &Cancel::never())
+            .unwrap();
         assert_eq!((summary.made, summary.manifest.frames), (2 - complete.len(), 178));
         assert!(contents(out.path()) == expected);
     }

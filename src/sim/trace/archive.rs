@@ -63,7 +63,9 @@ fn portable_names(paths: &[&str]) -> Vec<String> {
     for path in paths {
         let own = portable_name(path);
         let numbered = (2..).map(|number| format!("{number}-{own}"));
-        let mut free = std::iter::once(own.clone()).chain(numbered).filter(|name| !names.contains(name));
+        let mut free = std::iter::once(own.clone())
+            .chain(numbered)
+            .filter(|name| !names.contains(name));
         let name = free.next().expect("finitely many names are taken");
         names.push(name);
     }
@@ -107,4 +109,70 @@ fn with_includes(sources: &Sources, id: SourceId, paths: &[&str], names: &[Strin
         }
     }
     text
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn rule_files_have_names_without_folders_and_includes_reach_them() {
+        let files = [
+            (
+                "/home/me/main.dl",
+                ".include \"lib/a.dl\" // own\n.include \"/home/me/lib/b/a.dl\"\nA(1).\n",
+            ),
+            (
+                "/home/me/lib/a.dl",
+                ".include \"../lib/c.dl\"\n.include \"vocabulary.dl\"\n",
+            ),
+            ("/home/me/lib/c.dl", ""),
+            ("<builtin>/vocabulary.dl", ".include \"types.dl\"\n"),
+            ("<builtin>/types.dl", "// .include \"/home\"\n"),
+            (
+                "/home/me/lib/b/a.dl",
+                ".include \"vocabulary.dl\"\n.include \"missing.dl\"\n",
+            ),
+            ("/home/me/lib/b/vocabulary.dl", ""),
+        ];
+        let mut sources = Sources::new();
+        let ids: Vec<SourceId> = files.iter().map(|(name, text)| sources.add(*name, *text)).collect();
+        let paths: Vec<&str> = files.iter().map(|(name, _)| *name).collect();
+        let names = portable_names(&paths);
+        let expected = [
+            "main.dl",
+            "a.dl",
+            "c.dl",
+            "<builtin>/vocabulary.dl",
+            "<builtin>/types.dl",
+            "2-a.dl",
+            "vocabulary.dl",
+        ];
+        assert_eq!(names, expected);
+        let texts: Vec<String> = (ids.iter())
+            .map(|&id| with_includes(&sources, id, &paths, &names))
+            .collect();
+        let expected = [
+            ".include \"a.dl\" // own\n.include \"2-a.dl\"\nA(1).\n",
+            ".include \"c.dl\"\n.include \"<builtin>/vocabulary.dl\"\n",
+            "",
+            files[3].1,
+            files[4].1,
+            ".include \"vocabulary.dl\"\n.include \"missing.dl\"\n",
+            "",
+        ];
+        assert_eq!(texts, expected);
+        // Every include reaches the same file as before.
+        for (file, text) in files.iter().zip(&texts) {
+            let position = paths.iter().position(|path| *path == file.0).unwrap();
+            let written = |text: &str| -> Vec<String> {
+                let parts = text.split('"').skip(1).step_by(2);
+                parts.map(str::to_owned).collect()
+            };
+            for (before, after) in written(file.1).iter().zip(written(text)) {
+                let reached = included(&paths, file.0, before);
+                assert_eq!(included(&names, &names[position], &after), reached, "{before} {after}");
+            }
+        }
+    }
 }
