@@ -4,7 +4,7 @@ use std::path::Path;
 
 use include_dir::{Dir, include_dir};
 
-use crate::files::{BUILTIN_FOLDER, ReadError, ReadFile, read_text};
+use crate::files::{BUILTIN_FOLDER, ReadError, ReadFile, open, read_from, read_text};
 
 static RULES: Dir<'_> = include_dir!("$CARGO_MANIFEST_DIR/rules");
 static CONFIGS: Dir<'_> = include_dir!("$CARGO_MANIFEST_DIR/configs");
@@ -56,6 +56,13 @@ impl ReadFile for BuiltinFiles {
             .to_str()
             .and_then(|inside| text(inside).or_else(|| text(&format!("rules/{inside}"))));
         found.map(str::to_owned).ok_or(ReadError::NotFound)
+    }
+
+    fn read_named(&self, path: &Path) -> Result<String, ReadError> {
+        match path.starts_with(BUILTIN_FOLDER) {
+            true => self.read(path),
+            false => read_from(open(path)?),
+        }
     }
 
     fn builtin_paths(&self) -> Vec<String> {

@@ -1,19 +1,20 @@
 //! File input and output; no other module of the library reads or writes files.
 //!
-//! Input is read as a whole, is bounded in size, and must be UTF-8. Output goes to a temporary file in the same folder,
-//! which is renamed when complete. So a reader never sees a partial file, and a failed write leaves the old file
-//! intact.
+//! Input is read as a whole, is bounded in size, and must be UTF-8. [`Output`] writes files atomically and protects
+//! those that the program did not write.
 
-#[cfg(feature = "sim")]
-use std::io::Write;
 use std::io::{self, Read};
 use std::path::{Component, Path, PathBuf};
 
 #[cfg(feature = "parquet")]
 mod folder;
+#[cfg(feature = "sim")]
+mod output;
 
 #[cfg(feature = "parquet")]
 pub use folder::{FileError, Folder, make_folder};
+#[cfg(feature = "sim")]
+pub use output::{Output, Overwrite};
 
 /// The folder, as paths name it, that holds the built-in files and nothing else.
 pub const BUILTIN_FOLDER: &str = "<builtin>";
@@ -59,23 +60,33 @@ impl std::error::Error for ReadError {}
 ///
 /// Every function `Fn(&Path) -> Result<String, ReadError>` implements it, for example [`read_text`].
 pub trait ReadFile {
-    /// Returns the text of a file.
+    /// Returns the text of a file that another file names. On disk it must be a regular file, because reading a pipe or
+    /// a device may never end.
     ///
     /// # Errors
     /// Why the file cannot be read.
     fn read(&self, path: &Path) -> Result<String, ReadError>;
+
+    /// Returns the text of a file that the user named, for example on the command line: also of a pipe, such as
+    /// `<(command)` in a shell.
+    ///
+    /// # Errors
+    /// Why the file cannot be read.
+    fn read_named(&self, path: &Path) -> Result<String, ReadError> {
+        self.read(path)
+    }
 
     /// Returns the paths of the files below [`BUILTIN_FOLDER`], for suggestions in messages.
     fn builtin_paths(&self) -> Vec<String> {
         Vec::new()
     }
 
-    /// The text of a file or, if it does not exist, of the built-in file with that path.
+    /// Returns the text of a file that the user named or, if it does not exist, of the built-in file with that path.
     ///
     /// # Errors
     /// Why the file cannot be read.
     fn read_or_builtin(&self, path: &Path) -> Result<String, ReadError> {
-        match self.read(path) {
+        match self.read_named(path) {
             Err(ReadError::NotFound) if self.builtin_paths().iter().any(|known| path.to_str() == Some(known)) => {
                 self.read(&Path::new(BUILTIN_FOLDER).join(path))
             }
@@ -90,23 +101,39 @@ impl<F: Fn(&Path) -> Result<String, ReadError>> ReadFile for F {
     }
 }
 
-/// Reads a text file.
+/// Reads a text file, which must be a regular file.
 ///
 /// # Errors
 /// Why the file cannot be read.
 pub fn read_text(path: &Path) -> Result<String, ReadError> {
-    read_from(open(path)?)
+    read_from(open_regular(path)?)
 }
 
-/// Opens a file. Fails if the path is a folder.
+/// Opens a regular file. Fails at once for a pipe, a device or a folder.
+///
+/// # Errors
+/// Why the file cannot be read.
+pub fn open_regular(path: &Path) -> Result<std::fs::File, ReadError> {
+    let found = std::fs::metadata(path).map_err(unreadable)?;
+    if !found.is_file() && !found.is_dir() {
+        return Err(ReadError::Io("it is a pipe or a device, not a regular file".into()));
+    }
+    open(path)
+}
+
+fn unreadable(error: io::Error) -> ReadError {
+    match error.kind() {
+        io::ErrorKind::NotFound => ReadError::NotFound,
+        _ => ReadError::Io(error.to_string()),
+    }
+}
+
+/// Opens a file that the user named. Fails if the path is a folder. Waits for the writer of a pipe.
 ///
 /// # Errors
 /// Why the file cannot be read.
 pub fn open(path: &Path) -> Result<std::fs::File, ReadError> {
-    let fail = |error: io::Error| match error.kind() {
-        io::ErrorKind::NotFound => ReadError::NotFound,
-        _ => ReadError::Io(error.to_string()),
-    };
+    let fail = unreadable;
     let file = std::fs::File::open(path).map_err(fail)?;
     if file.metadata().map_err(fail)?.is_dir() {
         return Err(ReadError::Io("it is a folder, not a file".into()));
@@ -137,7 +164,11 @@ pub fn read_any(input: impl Read) -> Result<(String, Option<usize>), ReadError> 
     })
 }
 
-fn read_bytes(input: impl Read) -> Result<Vec<u8>, ReadError> {
+/// Reads all input.
+///
+/// # Errors
+/// Why the input cannot be read.
+pub fn read_bytes(input: impl Read) -> Result<Vec<u8>, ReadError> {
     let fail = |error: std::io::Error| ReadError::Io(error.to_string());
     let mut bytes = Vec::new();
     input.take(MAX_BYTES + 1).read_to_end(&mut bytes).map_err(fail)?;
@@ -163,7 +194,7 @@ pub fn read_folders(path: &Path, files_max: usize, bytes_max: u64) -> Result<Vec
             if found.len() == files_max {
                 return Err(fail(ReadError::Io(format!("more than {files_max} files"))));
             }
-            let handle = open(&file).map_err(fail)?;
+            let handle = open_regular(&file).map_err(fail)?;
             // Read one byte more, so that the caller can detect that the file is too large.
             let bytes = read_bytes(handle.take(bytes_max + 1)).map_err(fail)?;
             let inside = file.strip_prefix(path).ok().and_then(Path::to_str);
@@ -224,85 +255,12 @@ pub fn normalize(path: &Path) -> PathBuf {
     out
 }
 
-/// A file that is written under a temporary name. [`Output::finish`] renames it; dropping it earlier removes it.
-#[cfg(feature = "sim")]
-pub struct Output {
-    file: io::BufWriter<tempfile::NamedTempFile>,
-    path: PathBuf,
-}
-
-#[cfg(feature = "sim")]
-impl Output {
-    /// Begins to write the file at `path`, whose folder must exist.
-    ///
-    /// # Errors
-    /// Errors of the system, and `InvalidInput` if `path` exists and is not a regular file, since the output would
-    /// replace it.
-    pub fn create(path: &Path) -> io::Result<Output> {
-        if std::fs::metadata(path).is_ok_and(|found| !found.is_file()) {
-            return Err(io::Error::new(io::ErrorKind::InvalidInput, "it is not a regular file"));
-        }
-        let folder = match path.parent() {
-            Some(folder) if !folder.as_os_str().is_empty() => folder,
-            _ => Path::new("."),
-        };
-        if !folder.is_dir() {
-            let message = format!("there is no folder `{}`", folder.display());
-            return Err(io::Error::new(io::ErrorKind::NotFound, message));
-        }
-        let mut builder = tempfile::Builder::new();
-        #[cfg(unix)]
-        {
-            // Temporary files are private; give the output the permissions of an ordinary file.
-            use std::os::unix::fs::PermissionsExt;
-            builder.permissions(std::fs::Permissions::from_mode(0o666));
-        }
-        Ok(Output {
-            file: io::BufWriter::new(builder.tempfile_in(folder)?),
-            path: path.to_owned(),
-        })
-    }
-
-    /// Renames the complete file to its path.
-    ///
-    /// # Errors
-    /// Errors of the system. Then an existing file at that path is unchanged.
-    pub fn finish(self) -> io::Result<()> {
-        let file = self.file.into_inner().map_err(io::IntoInnerError::into_error)?;
-        file.persist(&self.path).map_err(|error| error.error)?;
-        Ok(())
-    }
-}
-
-#[cfg(feature = "sim")]
-impl Write for Output {
-    fn write(&mut self, bytes: &[u8]) -> io::Result<usize> {
-        self.file.write(bytes)
-    }
-
-    fn flush(&mut self) -> io::Result<()> {
-        self.file.flush()
-    }
-}
-
-#[cfg(all(test, feature = "sim"))]
-mod tests {
-    use super::*;
-
-    #[test]
-    fn only_regular_files_are_replaced() {
-        let folder = tempfile::tempdir().expect("a folder");
-        let path = folder.path().join("out");
-        for text in ["first", "second"] {
-            let mut output = Output::create(&path).expect("the folder exists");
-            output.write_all(text.as_bytes()).expect("there is room");
-            output.finish().expect("it can be renamed");
-            assert_eq!(read_text(&path).as_deref(), Ok(text));
-        }
-        drop(Output::create(&path).expect("the folder exists"));
-        assert_eq!(read_text(&path).as_deref(), Ok("second"));
-        let refused = Output::create(folder.path()).err().map(|error| error.kind());
-        assert_eq!(refused, Some(io::ErrorKind::InvalidInput));
-        assert_eq!(std::fs::read_dir(folder.path()).expect("it is there").count(), 1);
-    }
+/// Returns the name of a file without folders, for outputs that must not contain paths of this machine. A built-in file
+/// keeps its path. Control characters, quotes and backslashes become `_`.
+pub fn portable_name(path: &str) -> String {
+    let name = match Path::new(path).starts_with(BUILTIN_FOLDER) {
+        true => path,
+        false => path.rsplit(std::path::is_separator).next().unwrap_or_default(),
+    };
+    name.replace(|c: char| c.is_control() || "\"\\".contains(c), "_")
 }

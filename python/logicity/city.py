@@ -326,24 +326,26 @@ class Simulation:
             self._controls[done.tick] = numbers
         return done
 
-    def run(self, ticks: int, *, trace: str | os.PathLike[str] | None = None) -> None:
+    def run(self, ticks: int, *, trace: str | os.PathLike[str] | None = None, overwrite: bool = False) -> None:
         """Run several ticks.
 
         Args:
             ticks: The number of ticks, at least 0.
             trace: A file for the trace of these ticks, which `logicity explain` and `logicity check --coverage` read.
                 The file appears at the end of the call, also after an exception. A trace records firings, so it
-                requires `count_firings`.
+                requires `count_firings`. It contains the configuration and the rules.
+            overwrite: Whether to replace a file that this package did not write, or that has changed since.
 
         Raises:
+            FileExistsError: If the file of the trace must not be replaced. Then no tick runs.
             KeyboardInterrupt: On Ctrl-C. The city keeps the state after the last complete tick.
             LimitError: As for `tick`, or if there are too many agents for a trace.
-            OSError: If the trace cannot be written.
+            OSError: If the trace cannot be written, or another process writes it. Then no tick runs.
             ValueError: If the number of ticks is negative, or `trace` is set without `count_firings`.
         """
         if trace is not None and not self._args[-1]:
             raise ValueError("a trace records which clauses fired: make the Simulation with count_firings=True")
-        self._city.run(checked_integer("ticks", ticks), trace)
+        self._city.run(checked_integer("ticks", ticks), trace, overwrite)
 
     def semantic_map(self) -> npt.NDArray[np.float32]:
         """Return the current state as a float32 array of shape (rows, columns, 8 + n) with values 0 and 1.

@@ -15,7 +15,7 @@ from typing import TYPE_CHECKING, cast
 
 from . import _logicity
 from .errors import InputError
-from .files import write_json
+from .files import check_writable, write_json
 from .modes import ENVIRONMENTS, checked_mode
 
 if TYPE_CHECKING:
@@ -108,6 +108,7 @@ def _add_evaluate(parser: argparse.ArgumentParser) -> _Command:
         help="the kind of observation; default: that of the model, or groundings",
     )
     parser.add_argument("--json", type=Path, metavar="FILE", help="write the results, with one record per episode")
+    _add_force(parser)
     parser.add_argument(
         "--traces",
         type=Path,
@@ -154,6 +155,7 @@ def _add_grade(parser: argparse.ArgumentParser) -> _Command:
     )
     parser.add_argument("--questions", type=Path, default=Path("questions.jsonl"), metavar="FILE", help=QUESTIONS)
     parser.add_argument("--json", type=Path, metavar="FILE", help="write the measures")
+    _add_force(parser)
     return _grade
 
 
@@ -177,6 +179,7 @@ def _add_coco(parser: argparse.ArgumentParser) -> _Command:
         action="store_true",
         help="accept a data set without pictures; the output still has `file_name`s, and `info.pictures` is false",
     )
+    _add_force(parser)
     return _coco
 
 
@@ -186,7 +189,22 @@ def _add_baselines(parser: argparse.ArgumentParser) -> _Command:
     parser.add_argument("--seed", type=_seed, default=0, help="seed of the network; default: 0")
     parser.add_argument("--epochs", type=_positive, default=30, help="epochs of the network; default: 30")
     parser.add_argument("--json", type=Path, metavar="FILE", help="write the measures")
+    _add_force(parser)
     return _baselines
+
+
+def _add_force(parser: argparse.ArgumentParser) -> None:
+    parser.add_argument(
+        "--force",
+        action="store_true",
+        help="replace output files that logicity did not write, or that have changed since",
+    )
+
+
+def _check_json(given: argparse.Namespace) -> None:
+    """Report now if the file of `--json`, which is written at the end, cannot be written."""
+    if given.json is not None:
+        check_writable(given.json, overwrite=given.force)
 
 
 _COMMANDS: dict[tuple[str, ...], Callable[[argparse.ArgumentParser], _Command]] = {
@@ -266,6 +284,7 @@ def _object(text: str) -> dict[str, object]:
 def _evaluate(given: argparse.Namespace) -> int:
     from .evaluation import Benchmark, check_no_traces, table
 
+    _check_json(given)
     policy, name = _named_policy(given.policy)
     results: list[Evaluation] = []
     stems = [Path(mode).stem for mode in given.modes]
@@ -282,7 +301,7 @@ def _evaluate(given: argparse.Namespace) -> int:
         results.append(benchmark.evaluate(policy, name=name, traces=folder))
     print(table(results))
     if given.json is not None:
-        write_json(given.json, [result.to_dict() for result in results])
+        write_json(given.json, [result.to_dict() for result in results], overwrite=given.force)
     return 0
 
 
@@ -320,6 +339,7 @@ def _ask(given: argparse.Namespace) -> int:
 def _grade(given: argparse.Namespace) -> int:
     from .questions import grade, load_answers, load_questions
 
+    _check_json(given)
     answers = load_answers(given.answers)
     if not given.questions.exists():
         help = "name the questions with --questions; `logicity questions --output questions.jsonl` writes some"
@@ -334,7 +354,7 @@ def _grade(given: argparse.Namespace) -> int:
         if ids:
             print(f"{what}: {len(ids)}: {', '.join(ids[:5])}{', ...' * (len(ids) > 5)}", file=sys.stderr)
     if given.json is not None:
-        write_json(given.json, graded.to_dict())
+        write_json(given.json, graded.to_dict(), overwrite=given.force)
     return 0
 
 
@@ -356,17 +376,18 @@ def _webdataset(given: argparse.Namespace) -> int:
 def _coco(given: argparse.Namespace) -> int:
     from .vap import to_coco
 
-    to_coco(given.folder, given.out, images=not given.no_pictures)
+    to_coco(given.folder, given.out, images=not given.no_pictures, overwrite=given.force)
     return 0
 
 
 def _baselines(given: argparse.Namespace) -> int:
     from .vap import baseline_table, measure_baselines
 
+    _check_json(given)
     results = measure_baselines(given.train, given.test, given.seed, given.epochs)
     print(baseline_table(results))
     if given.json is not None:
-        write_json(given.json, [result.to_dict() for result in results])
+        write_json(given.json, [result.to_dict() for result in results], overwrite=given.force)
     by_rules = next(result for result in results if result.name == "rules")
     if set(by_rules.metrics.recall.values()) != {1.0}:
         print(f"error: {given.test} has labels that the rules do not derive from its facts", file=sys.stderr)

@@ -13,7 +13,6 @@ import numpy as np
 
 from . import _logicity
 from .errors import did_you_mean
-from .files import write_new
 from .rules import rule_file
 from .types import Split
 
@@ -83,35 +82,15 @@ class EnvConfig:
         """
         return _logicity.Task(self.config, self.rules, self._as_json(more))
 
-    def _as_json(self, more: Mapping[str, Any], *, absolute: bool = False) -> str | None:
-        """Return the configuration with its overrides as JSON, or `None` without overrides.
-
-        With `absolute`, the key `base` is an absolute path.
-        """
+    def _as_json(self, more: Mapping[str, Any]) -> str | None:
+        """Return the configuration with its overrides as JSON, or `None` without overrides."""
         overrides = {**self.overrides, **more}
         if not overrides:
             return None
         base = Path(self.config)
         if len(base.parts) == 1 and not base.suffix and not base.exists():
             base = Path("configs") / f"{base}.yaml"
-        if absolute and base.exists():
-            base = base.resolve()
         return json.dumps({"base": base.as_posix(), **overrides}, default=to_json)
-
-    def written_config(self, path: Path, **more: Any) -> str:
-        """Return the path of the configuration file for the header of a trace.
-
-        Without overrides, return the configuration itself. Otherwise write the overridden configuration to `path`, and
-        return `path`.
-
-        Raises:
-            FileExistsError: If `path` exists with different content.
-        """
-        text = self._as_json(more, absolute=True)
-        if text is None:
-            return self.config
-        write_new(path, text + "\n")
-        return str(path)
 
 
 def to_json(value: Any) -> Any:

@@ -14,7 +14,6 @@ import operator
 import os
 from collections.abc import Mapping, Sequence
 from copy import copy, deepcopy
-from pathlib import Path
 from typing import TYPE_CHECKING, Any, Literal, TypedDict, cast
 
 import numpy as np
@@ -269,34 +268,29 @@ class SPFEnv(gymnasium.Env[Observations, np.int64]):
         self._check_begun()
         return self._core.explain(0)
 
-    def write_trace(self, path: str | os.PathLike[str]) -> None:
+    def write_trace(self, path: str | os.PathLike[str], *, overwrite: bool = False) -> None:
         """Write the trace of the episode so far, in the format of `logicity run`.
 
         `logicity view` converts a trace to an HTML page. For every step, the trace records the observed entities, the
-        required action, and the clauses that the action violated.
-
-        If `overrides`, or `map` or `agents` of a reset, change the configuration, this method also writes the resulting
-        configuration. For `episode.jsonl` its path is `episode.jsonl.yaml`, and the trace refers to it. An existing
-        trace is replaced. A different existing configuration is not.
+        required action, and the clauses that the action violated. The trace contains the rules and the configuration,
+        with `overrides` and with `map` and `agents` of a reset.
 
         Args:
             path: The file of the trace.
+            overwrite: Whether to replace a file that this package did not write, or that has changed since.
 
         Raises:
-            FileExistsError: If a different configuration file exists beside the trace.
-            OSError: If a file cannot be written.
-            ValueError: If the episode has no steps yet, or `path` ends in `.yaml`.
+            FileExistsError: If the file must not be replaced.
+            OSError: If the file cannot be written, or another process writes it.
+            ValueError: If the episode has no steps yet.
             gymnasium.error.ResetNeeded: If no episode has started.
         """
         self._check_begun()
         taken = self._core.taken(0)
         if not taken:
             raise ValueError("the episode has no steps yet: call `step` before `write_trace`")
-        path = Path(path)
-        if path.suffix == ".yaml":
-            raise ValueError(f"`{path}` has the suffix of configurations: use another one, such as .jsonl")
-        config = self._config.written_config(path.with_name(f"{path.name}.yaml"), **self._overrides)
-        self._core_task.write_trace(self._config.split, self._core.episode(0), taken, path, config)
+        task = self._config.task(**self._overrides) if self._overrides else self._core_task
+        task.write_trace(self._config.split, self._core.episode(0), taken, path, overwrite)
 
     def render(self) -> Any:
         """Return a picture of the city, a uint8 array of shape (height, width, 3), or text in the mode `ansi`.

@@ -278,12 +278,11 @@ class Benchmark:
                 of shape (episodes,).
             name: The name of the policy in the result.
             traces: A folder for one trace per episode, which is created if it does not exist. `episode-7.jsonl` is the
-                trace of episode 7, see `SPFEnv.write_trace`. An overridden configuration is written beside the traces
-                as `config.yaml`. The folder must not contain traces or a different `config.yaml`. The random policy
+                trace of episode 7, see `SPFEnv.write_trace`. The folder must not contain traces. The random policy
                 does not support traces.
 
         Raises:
-            FileExistsError: If the folder already has traces, or a different configuration.
+            FileExistsError: If the folder already has traces.
             InputError: If the episodes do not fit the agents, for example because of overrides.
             OSError: If a trace cannot be written.
             TypeError: If the policy has an unsupported type, or its actions are not integers.
@@ -325,15 +324,13 @@ class Benchmark:
         """Prepare a folder, and return a function that writes the traces from the actions taken."""
         check_no_traces(folder)
         _make_writable(folder)
-        return partial(self._write_traces, folder, self._config.written_config(folder / "config.yaml"))
+        return partial(self._write_traces, folder)
 
-    def _write_traces(
-        self, folder: Path, config: str, evaluator: _logicity.BatchEvaluator, taken: list[bytearray]
-    ) -> None:
+    def _write_traces(self, folder: Path, evaluator: _logicity.BatchEvaluator, taken: list[bytearray]) -> None:
         with Progress(f"{self.mode} {self.split}, traces", len(evaluator)) as progress:
             for at, actions in enumerate(taken):
                 path = folder / f"episode-{at}.jsonl"
-                self._task.write_trace(self.split, evaluator.episode(at), bytes(actions), path, config)
+                self._task.write_trace(self.split, evaluator.episode(at), bytes(actions), path, False)
                 progress.update(at + 1)
 
     def _result(self, policy: str, report: Mapping[str, Any]) -> Evaluation:

@@ -1,4 +1,4 @@
-"""Atomic writes: a file is either complete or absent."""
+"""Atomic writes: a file is either complete or absent. Files of other programs are protected."""
 
 from __future__ import annotations
 
@@ -6,41 +6,66 @@ import json
 import os
 from collections.abc import Iterator
 from contextlib import contextmanager
-from pathlib import Path
 from typing import Any
 
-__all__ = ["replacing", "write_json", "write_new"]
+from . import _logicity
+
+__all__ = ["check_writable", "replacing", "reserved", "write_json"]
 
 
 @contextmanager
-def replacing(path: str | os.PathLike[str]) -> Iterator[str]:
-    """Yield a temporary path to write to. On success, the file replaces `path`."""
-    temporary = f"{os.fspath(path)}.{os.getpid()}.tmp"
-    try:
-        yield temporary
-        os.replace(temporary, path)
-    finally:
-        if os.path.exists(temporary):
-            os.unlink(temporary)
+def replacing(path: str | os.PathLike[str], *, overwrite: bool = False) -> Iterator[str]:
+    """Yield a temporary path to write to. On success, the file replaces `path`.
 
+    The temporary file exists already; a writer opens it and writes it in place. Links are followed, and an existing
+    file keeps its permissions.
 
-def write_json(path: str | os.PathLike[str], value: Any) -> None:
-    """Write JSON, replacing an existing file."""
-    with replacing(path) as temporary, open(temporary, "w", encoding="utf-8") as out:
-        json.dump(value, out, indent=1, allow_nan=False)
-        out.write("\n")
-
-
-def write_new(path: Path, text: str) -> None:
-    """Write text to a file unless it already exists with the same content.
+    Args:
+        path: The file.
+        overwrite: Whether to replace a file that this package did not write, or that has changed since.
 
     Raises:
-        FileExistsError: If the file has different content.
+        FileExistsError: If `path` must not be replaced.
+        OSError: If the file cannot be written, or another process writes it.
     """
-    content = text.encode()
-    if path.exists():
-        if path.read_bytes() != content:
-            raise FileExistsError(f"`{path}` exists with different content: remove it, or choose another path")
+    with reserved(path, overwrite=overwrite) as output:
+        yield os.fspath(output.temporary)
+        output.finish()
+
+
+@contextmanager
+def reserved(
+    path: str | os.PathLike[str], *, overwrite: bool = False, record: bool = True
+) -> Iterator[_logicity.OutputFile]:
+    """Yield an output file that no other process can write in the meantime. It is discarded unless it is finished.
+
+    Args:
+        path: The file.
+        overwrite: As for `replacing`.
+        record: Whether the file counts as written by this package. If not, any file can be replaced.
+    """
+    output = _logicity.OutputFile(path, overwrite, record)
+    try:
+        yield output
+    finally:
+        output.discard()
+
+
+def check_writable(path: str | os.PathLike[str], *, overwrite: bool = False) -> None:
+    """Raise now if `replacing` would raise later."""
+    with reserved(path, overwrite=overwrite):
+        pass
+
+
+def write_json(
+    path: str | os.PathLike[str], value: Any, *, overwrite: bool = False, output: _logicity.OutputFile | None = None
+) -> None:
+    """Write JSON to a file as `replacing` does, or to an output file that `reserved` has begun."""
+    if output is None:
+        with reserved(path, overwrite=overwrite) as begun:
+            write_json(path, value, output=begun)
         return
-    with replacing(path) as temporary:
-        Path(temporary).write_bytes(content)
+    with open(output.temporary, "w", encoding="utf-8") as out:
+        json.dump(value, out, indent=1, allow_nan=False)
+        out.write("\n")
+    output.finish()

@@ -8,9 +8,8 @@ from __future__ import annotations
 
 import os
 import re
-import shutil
-import tempfile
 from collections.abc import Iterator, Mapping, Sequence
+from contextlib import ExitStack
 from copy import copy
 from dataclasses import dataclass
 from pathlib import Path
@@ -25,7 +24,7 @@ from .describe import Atom, atoms_of
 from .env_config import ObservationKind
 from .errors import missing_extra
 from .evaluation import episodes_that_fit, load_task
-from .files import replacing
+from .files import replacing, reserved
 from .modes import ENVIRONMENTS, checked_mode
 
 if TYPE_CHECKING:
@@ -158,7 +157,9 @@ class Demonstrations(Sequence[Trajectory]):
             },
         )
 
-    def to_popper(self, folder: str | os.PathLike[str], *, distinct: bool = False) -> list[Path]:
+    def to_popper(
+        self, folder: str | os.PathLike[str], *, distinct: bool = False, overwrite: bool = False
+    ) -> list[Path]:
         """Write files for Popper, an inductive logic programming system.
 
         Every action that the rules can require gets a folder with `bk.pl`, `exs.pl` and `bias.pl`. The name of the
@@ -171,14 +172,16 @@ class Demonstrations(Sequence[Trajectory]):
         step. A learned rule needs them for entities that no other literal connects to the ego.
 
         Args:
-            folder: The folder to write, which is created if it does not exist. The folder of each action is replaced.
+            folder: The folder to write, which is created if it does not exist.
             distinct: Whether to write steps with the same observation and action only once. The rules that are
                 consistent with all examples stay the same, but the weights of examples in noisy learning change.
+            overwrite: Whether to replace files that this package did not write, or that have changed since.
 
         Returns:
             The folders of the actions.
 
         Raises:
+            FileExistsError: If a file must not be replaced.
             OSError: If a file cannot be written.
             ValueError: If the observations are not of the kind `groundings`.
         """
@@ -203,7 +206,7 @@ class Demonstrations(Sequence[Trajectory]):
                 "exs.pl": [f"{'pos' if positive else 'neg'}({head}(s{step}_e0))." for step, positive in taken],
                 "bias.pl": bias,
             }
-            written.append(_write_folder(Path(folder) / head, files))
+            written.append(_write_folder(Path(folder) / head, files, overwrite))
         return written
 
     def _examples(self, distinct: bool) -> Iterator[tuple[NDArray[np.float32], int]]:
@@ -227,7 +230,7 @@ class Demonstrations(Sequence[Trajectory]):
                 arguments = ",".join(f"s{step}_e{entity}" for entity in entities)
                 yield f"{'' if holds else 'not_'}{_snake(name)}({arguments})."
 
-    def to_parquet(self, path: str | os.PathLike[str]) -> None:
+    def to_parquet(self, path: str | os.PathLike[str], *, overwrite: bool = False) -> None:
         """Write a Parquet table with one row per step, atomically.
 
         The columns are `episode` (int32), `step` (int32), `observation` (fixed-size list of float32), `action` (int8),
@@ -237,8 +240,10 @@ class Demonstrations(Sequence[Trajectory]):
 
         Args:
             path: The file to write.
+            overwrite: Whether to replace a file that this package did not write, or that has changed since.
 
         Raises:
+            FileExistsError: If the file must not be replaced.
             ImportError: If pyarrow is not installed. The extra `offline` installs it: `pip install
                 './python[offline]'`.
             OSError: If the file cannot be written.
@@ -271,7 +276,7 @@ class Demonstrations(Sequence[Trajectory]):
             "atoms": ";".join(f"{name}({','.join(map(str, entities))})" for name, entities in self.atoms),
         }
         table = pyarrow.table(columns).replace_schema_metadata(metadata)
-        with replacing(path) as temporary:
+        with replacing(path, overwrite=overwrite) as temporary:
             pyarrow.parquet.write_table(table, temporary)
 
 
@@ -280,20 +285,15 @@ def _snake(name: str) -> str:
     return re.sub(r"(?<=[a-z0-9])(?=[A-Z])", "_", name).lower()
 
 
-def _write_folder(folder: Path, files: Mapping[str, Sequence[str]]) -> Path:
-    """Write files to a temporary folder, which then replaces `folder`."""
-    folder.parent.mkdir(parents=True, exist_ok=True)
-    temporary = Path(tempfile.mkdtemp(prefix=f".{folder.name}-", dir=folder.parent))
-    try:
-        for name, lines in files.items():
-            (temporary / name).write_text("".join(f"{line}\n" for line in sorted(lines)), encoding="utf-8")
-        temporary.chmod(0o755)
-        if folder.exists():
-            shutil.rmtree(folder)
-        temporary.rename(folder)
-    except BaseException:
-        shutil.rmtree(temporary, ignore_errors=True)
-        raise
+def _write_folder(folder: Path, files: Mapping[str, Sequence[str]], overwrite: bool) -> Path:
+    """Write files to a folder. If one of them cannot be written, none changes."""
+    folder.mkdir(parents=True, exist_ok=True)
+    with ExitStack() as stack:
+        outputs = [stack.enter_context(reserved(folder / name, overwrite=overwrite)) for name in files]
+        for output, lines in zip(outputs, files.values(), strict=True):
+            Path(output.temporary).write_text("".join(f"{line}\n" for line in sorted(lines)), encoding="utf-8")
+        for output in outputs:
+            output.finish()
     return folder
 
 

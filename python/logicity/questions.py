@@ -23,6 +23,7 @@ from typing import Any
 
 from .city import ACTIONS
 from .evaluation import Interval, Progress
+from .files import reserved
 
 __all__ = ["Endpoint", "Grade", "Question", "Recall", "ask", "grade", "load_answers", "load_questions", "read_letter"]
 
@@ -391,13 +392,13 @@ def ask(
 
     Raises:
         ConnectionError: As for `Endpoint.reply`. The file keeps the earlier replies.
-        OSError: If the file cannot be read or written.
-        ValueError: If the file has answers to other questions, or from another model.
+        OSError: If the file cannot be read or written, or another process writes it.
+        ValueError: If the file has answers to other questions or from another model, or other content.
     """
-    _cut_torn_line(Path(path))
     known = {question.id for question in questions}
     answers: dict[str, str] = {}
-    with open(path, "a+", encoding="utf-8") as file:
+    # The reservation keeps other processes from the file; it writes nothing.
+    with reserved(path, record=False), _without_torn_line(Path(path)).open("a+", encoding="utf-8") as file:
         for place, line in _lines(path):
             if line["id"] not in known:
                 raise ValueError(
@@ -420,15 +421,23 @@ def ask(
     return answers
 
 
-def _cut_torn_line(path: Path) -> None:
-    """Remove an incomplete last line from a file."""
+def _without_torn_line(path: Path) -> Path:
+    """Remove the incomplete last line that an interrupted `ask` has left in a file, and return the path.
+
+    Raises:
+        ValueError: If the last line is not the beginning of a reply. Then the file is unchanged.
+    """
     if not path.exists():
-        return
+        return path
     with open(path, "r+b") as file:
         text = file.read()
         whole = text.rfind(b"\n") + 1
-        if whole < len(text):
+        torn, begin = text[whole:], b'{"id": "'
+        if torn and torn[: len(begin)] != begin[: len(torn)]:
+            raise ValueError(f"{path}: the last line is not a reply: choose another output file")
+        if torn:
             file.truncate(whole)
+    return path
 
 
 def ask_with_progress(questions: Sequence[Question], endpoint: Endpoint, path: Path) -> dict[str, str]:

@@ -13,6 +13,7 @@ import shutil
 import sys
 import time
 from collections.abc import Callable, Iterable, Mapping, Sequence
+from contextlib import ExitStack
 from dataclasses import asdict, dataclass, field
 from functools import cache
 from inspect import signature
@@ -52,7 +53,7 @@ from ._logicity import __version__
 from .env_config import ObservationKind
 from .errors import did_you_mean
 from .evaluation import MEASURES, Benchmark, Evaluation
-from .files import write_json
+from .files import reserved, write_json
 from .modes import ENVIRONMENTS, checked_mode
 from .sb3 import make_vec_env
 
@@ -346,7 +347,7 @@ class Validation(BaseCallback):
         old = _checkpoints(self._run)
         is_best = self._state.best is self._state.validations[-1]
         shutil.copyfile(temporary / "model.zip" if is_best else old[-1] / "best.zip", temporary / "best.zip")
-        write_json(temporary / "state.json", asdict(self._state))
+        (temporary / "state.json").write_text(json.dumps(asdict(self._state), indent=1, allow_nan=False) + "\n")
         temporary.rename(self._run / name)
         for folder in old:
             shutil.rmtree(folder)
@@ -442,8 +443,9 @@ def train(
 
     Raises:
         InputError: If the configuration of the mode or an override is invalid, or no episodes are recorded.
-        ValueError: If the folder has another run, the overrides change the shape of observations, or the algorithm
-            rejects the settings. Then no run starts.
+        OSError: If another process trains in the folder, or a file cannot be written.
+        ValueError: If the folder has another run or files of a run, the overrides change the shape of observations, or
+            the algorithm rejects the settings. Then no run starts.
     """
     run = Path(run)
     checkpoints = _checkpoints(run)
@@ -459,7 +461,8 @@ def train(
     log = str(run / "tensorboard") if tensorboard else None
     as_bar = progress and sys.stderr.isatty()
     say = _print_line if progress and not as_bar else _print_nothing
-    try:
+    with ExitStack() as files:
+        files.callback(env.close)
         if env.observation_space.shape != val.observation_shape:
             raise ValueError(
                 f"the `overrides` change the shape of observations from {val.observation_shape} to "
@@ -477,6 +480,8 @@ def train(
         else:
             model = new_model(config, env, log)
         run.mkdir(parents=True, exist_ok=True)
+        # Keeps other processes from the run until its end.
+        output = files.enter_context(reserved(run / "result.json", record=False))
         write_json(run / "config.json", config.model_dump(mode="json"))
         begun = f"resumed after {state.steps:,} of" if checkpoints else "started:"
         say(f"{config.algorithm} in {config.mode}, {begun} {config.steps:,} steps; folder {run}")
@@ -489,11 +494,9 @@ def train(
             reset_num_timesteps=not checkpoints,
             tb_log_name=config.algorithm,
         )
-    finally:
-        env.close()
-    shutil.copyfile(_checkpoints(run)[-1] / "best.zip", run / "best.zip")
-    result = _result(config, state, test.evaluate(load_model(run / "best.zip"), name=config.algorithm))
-    write_json(run / "result.json", result)
+        shutil.copyfile(_checkpoints(run)[-1] / "best.zip", run / "best.zip")
+        result = _result(config, state, test.evaluate(load_model(run / "best.zip"), name=config.algorithm))
+        write_json(run / "result.json", result, output=output)
     return result
 
 
@@ -513,6 +516,9 @@ def _check_claim(run: Path, config: TrainConfig, state: State) -> None:
     """
     stored = run / "config.json"
     if not stored.exists():
+        foreign = [path.name for path in (run / "result.json", run / "best.zip", *_checkpoints(run)) if path.exists()]
+        if foreign:
+            raise ValueError(f"{run} has {foreign[0]}, but no run: choose another folder")
         return
     old, new = json.loads(stored.read_text(encoding="utf-8")), config.model_dump(mode="json")
     changed = [name for name in new if name != "steps" and new[name] != old.get(name)]

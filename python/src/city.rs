@@ -1,5 +1,6 @@
 //! Scenes and simulations.
 
+use crate::output::{overwrite_if, unwritable};
 use crate::{Shared, Signals, input_error, read_error, threads_of, to_python};
 use logicity::builtin::{BuiltinFiles, ReadWith};
 use logicity::cancel::Cancel;
@@ -11,11 +12,11 @@ use logicity::diag::{Code, Diagnostic, SourceId, Sources};
 use logicity::files::{Output, ReadError, ReadFile};
 use logicity::rng::Seed;
 use logicity::sim::{
-    Executor, Inference, LoadError, LoadedCity, MAX_ENTITIES, Settings, Simulation, TraceWriter, World, hash_sources,
+    Executor, Inference, LoadError, LoadedCity, MAX_ENTITIES, Settings, Simulation, TraceWriter, World,
 };
 use numpy::ndarray::{Array1, Array2};
 use numpy::{IntoPyArray, PyArray1, PyArray2, PyArray3};
-use pyo3::exceptions::{PyFileNotFoundError, PyOSError, PyValueError};
+use pyo3::exceptions::{PyFileNotFoundError, PyValueError};
 use pyo3::prelude::*;
 use pyo3::types::PyDict;
 use std::cell::RefCell;
@@ -104,7 +105,10 @@ impl Loaded {
             }
         });
         let entry = overrides.map_or(config, |_| Path::new(OVERRIDES));
-        let city = LoadedCity::load(sources, entry, rules.as_deref(), &reader)?;
+        let mut city = LoadedCity::load(sources, entry, rules.as_deref(), &reader)?;
+        if overrides.is_some() {
+            city.scenario.name = config.file_stem().unwrap_or_default().to_string_lossy().into_owned();
+        }
         Ok((city, read.into_inner()))
     }
 }
@@ -170,7 +174,6 @@ struct PySimulation {
     city: Shared<Simulation>,
     world: Arc<World>,
     sources: Sources,
-    config: PathBuf,
     rule_files: Vec<SourceId>,
     files: Files,
 }
@@ -216,7 +219,7 @@ impl PySimulation {
         let executor = one_of("executor", executor, &Executor::ALL, Executor::name)?;
         let signals = Signals::new();
         let threads = threads_of(threads)?.get();
-        let Loaded { sources, city, files } = Loaded::new(py, &signals, config.clone(), rules, files, None)?;
+        let Loaded { sources, city, files } = Loaded::new(py, &signals, config, rules, files, None)?;
         let rule_files = city.rule_files.clone();
         let settings = Settings {
             executor,
@@ -234,7 +237,6 @@ impl PySimulation {
             city: Shared::with_signals("Simulation", city, signals),
             world,
             sources,
-            config,
             rule_files,
             files,
         })
@@ -326,18 +328,18 @@ impl PySimulation {
         })
     }
 
-    /// Runs ticks, and writes their trace to a file if `trace` names one.
-    fn run(&self, py: Python<'_>, ticks: u64, trace: Option<PathBuf>) -> PyResult<()> {
-        let done = self.city.detached(py, |city, cancel| match &trace {
+    /// Runs ticks, and writes their trace to a file if `trace` names one. `overwrite` permits to replace any file.
+    fn run(&self, py: Python<'_>, ticks: u64, trace: Option<PathBuf>, overwrite: bool) -> PyResult<()> {
+        let output = (trace.as_deref())
+            .map(|path| Output::create(path, overwrite_if(overwrite)).map_err(|error| unwritable(path, &error)))
+            .transpose()?;
+        let done = self.city.detached(py, |city, cancel| match output {
             None => run(city, ticks, cancel, |_| Ok(())),
-            Some(path) => self.run_traced(city, ticks, cancel, path),
+            Some(output) => self.run_traced(city, ticks, cancel, output),
         })?;
         done.map_err(|failure| match failure {
             Failure::Fault(fault) => input_error(py, &[fault], &self.sources),
-            Failure::File(error) => {
-                let path = trace.unwrap_or_default();
-                PyOSError::new_err(format!("cannot write `{}`: {error}", path.display()))
-            }
+            Failure::File(error) => unwritable(&trace.unwrap_or_default(), &error),
         })
     }
 
@@ -387,14 +389,11 @@ impl PySimulation {
 }
 
 impl PySimulation {
-    fn run_traced(&self, city: &mut Simulation, ticks: u64, cancel: &Cancel, path: &Path) -> Result<(), Failure> {
+    fn run_traced(&self, city: &mut Simulation, ticks: u64, cancel: &Cancel, output: Output) -> Result<(), Failure> {
         if city.agents().len() > MAX_ENTITIES {
             return Err(Failure::Fault(too_many(city.agents().len(), "a trace")));
         }
-        let hash = hash_sources(&self.sources, &self.rule_files);
-        let file = Output::create(path).map_err(Failure::File)?;
-        let config = self.config.to_string_lossy();
-        let writer = TraceWriter::new(file, city, &self.sources, &config, self.rule_files[0], &hash);
+        let writer = TraceWriter::new(output, city, &self.sources, &self.rule_files);
         let mut writer = writer.map_err(Failure::File)?;
         let done = run(city, ticks, cancel, |city| writer.tick(city).map_err(Failure::File));
         // After a failure, the trace keeps the earlier ticks.

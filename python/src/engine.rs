@@ -50,7 +50,7 @@ impl Loaded {
     }
 
     /// Returns the declared predicates.
-    fn relations(&self) -> impl Iterator<Item = (RelId, &Relation)> {
+    fn relations(&self) -> impl Iterator<Item = (RelId, &Relation)> + Clone {
         let relations = (0..).map(RelId).zip(&self.program.rules().relations);
         relations.filter(|(_, relation)| !relation.hidden)
     }

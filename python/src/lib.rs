@@ -17,6 +17,7 @@ mod env;
 mod episode;
 mod evaluate;
 mod multi_car;
+mod output;
 mod task;
 mod vap;
 
@@ -359,6 +360,7 @@ fn _logicity(module: &Bound<'_, PyModule>) -> PyResult<()> {
     config::register(module)?;
     engine::register(module)?;
     city::register(module)?;
+    output::register(module)?;
     task::register(module)?;
     env::register(module)?;
     multi_car::register(module)?;

@@ -2,6 +2,7 @@
 
 use crate::city::{Files, Loaded, one_of};
 use crate::episode::read_episode;
+use crate::output::{overwrite_if, unwritable};
 use crate::{Signals, input_error, locked};
 use logicity::builtin::BuiltinFiles;
 use logicity::city::{Action, Split};
@@ -13,7 +14,7 @@ use logicity::task::spf::{
     record,
 };
 use numpy::{IntoPyArray, PyArray3, PyArrayMethods};
-use pyo3::exceptions::{PyOSError, PyValueError};
+use pyo3::exceptions::PyValueError;
 use pyo3::intern;
 use pyo3::prelude::*;
 use pyo3::types::{PyDict, PyString, PyTuple, PyType};
@@ -138,8 +139,7 @@ impl PyTask {
             .unwrap_or(0))
     }
 
-    /// Replays the actions taken in an episode, and writes the trace to a file. `config` is the configuration file in
-    /// the header of the trace.
+    /// Replays the actions taken in an episode, and writes the trace to a file. `overwrite` permits to replace any file.
     fn write_trace(
         &self,
         py: Python<'_>,
@@ -147,8 +147,9 @@ impl PyTask {
         episode: &Bound<'_, PyDict>,
         actions: &[u8],
         path: PathBuf,
-        config: &str,
+        overwrite: bool,
     ) -> PyResult<()> {
+        let output = Output::create(&path, overwrite_if(overwrite)).map_err(|error| unwritable(&path, &error))?;
         let split = split_named(split)?;
         let actions = read_actions(py, actions)?;
         let signals = Signals::new();
@@ -161,18 +162,16 @@ impl PyTask {
         let sources = self.sources();
         let origin = Origin {
             sources: &sources,
-            config_file: config,
             rule_files: &self.rule_files,
         };
         let written = signals.detach(py, || {
-            let file = Output::create(&path)?;
             let driven = (&episode, actions.as_slice());
-            record(&self.task, split, driven, origin, file, &cancel)?.finish()?;
+            record(&self.task, split, driven, origin, output, &cancel)?.finish()?;
             Ok(())
         })?;
         written.map_err(|error| match error {
             RecordError::Fault(fault) => self.error(py, fault),
-            RecordError::Write(error) => PyOSError::new_err(format!("cannot write `{}`: {error}", path.display())),
+            RecordError::Write(error) => unwritable(&path, &error),
         })
     }
 

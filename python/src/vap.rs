@@ -1,6 +1,7 @@
 //! Data sets of Visual Action Prediction: creation, checks, the tables of a world as arrays, and pictures.
 
 use crate::city::{Loaded, one_of};
+use crate::output::overwrite_if;
 use crate::{Signals, input_error, read_error, slice_of, threads_of, to_python};
 use logicity::cancel::Cancel;
 use logicity::city::Heading;
@@ -289,6 +290,7 @@ fn make_dataset(
     difficulty: u64,
     threads: usize,
     progress: Option<Py<PyAny>>,
+    overwrite: bool,
 ) -> PyResult<()> {
     let mode = one_of("mode", mode, &Mode::ALL, Mode::name)?;
     let split = one_of("split", split, &Split::ALL, Split::name)?;
@@ -324,7 +326,7 @@ fn make_dataset(
     })?;
     let folder = Folder::make(&folder).map_err(|error| file_error(&error))?;
     let written = with_progress(py, &signals, progress, |progress, cancel| {
-        writer.write(&folder, progress, cancel)
+        writer.write(&folder, overwrite_if(overwrite), progress, cancel)
     })?;
     written.map_err(|error| raise(py, error, &sources))?;
     Ok(())

@@ -80,7 +80,9 @@ def test_completions_include_python_commands() -> None:
 def test_run_writes_its_files(tmp_path: Path) -> None:
     done = logicity("run", "expert", "--seed", "4", "--ticks", "3", "--out", str(tmp_path / "out"))
     assert done.returncode == 0 and "dense executor" in done.stdout
-    assert {path.name for path in (tmp_path / "out").iterdir()} == {"city.gif", "last.png", "trace.jsonl"}
+    assert {path.name for path in (tmp_path / "out").iterdir()} == {
+        *(".logicity.json", "city.gif", "last.png", "trace.jsonl")
+    }
 
 
 def test_rust_commands_import_neither_numpy_nor_gymnasium() -> None:

@@ -4,6 +4,7 @@ import copy
 import json
 import pickle
 import signal
+import subprocess
 import sys
 import threading
 from collections.abc import Callable
@@ -197,7 +198,7 @@ def test_a_trace_records_the_episode(tmp_path: Path) -> None:
     env.write_trace(tmp_path / "fast.jsonl")
     header, *ticks = [json.loads(line) for line in (tmp_path / "fast.jsonl").read_text().splitlines()]
     assert [agent["id"] for agent in header["agents"]] == [agent["id"] for agent in env.episode["agents"]]
-    assert header["seed"] == env.episode["seed"] and header["config_file"] == "hard" and len(ticks) == len(infos)
+    assert header["seed"] == env.episode["seed"] and header["config"] == "hard" and len(ticks) == len(infos)
     cars = [tick["agents"][0] for tick in ticks]
     assert tuple(cars[0]["at"]) == env.episode["agents"][0]["start"] and {car["action"] for car in cars} == {"Fast"}
     labels = [clause["doc"].split(":")[0] for clause in header["clauses"]]
@@ -209,51 +210,50 @@ def test_a_trace_records_the_episode(tmp_path: Path) -> None:
     # The header equals that of a simulation trace with the same configuration and rules.
     logicity.Simulation("hard", count_firings=True).run(1, trace=tmp_path / "run.jsonl")
     run = json.loads((tmp_path / "run.jsonl").read_text().splitlines()[0])
-    keys = ("config_hash", "rules_hash", "rules", "clauses", "version")
+    keys = ("config_hash", "rules_hash", "rules", "clauses", "version", "configuration", "rule_files")
     assert [header[key] for key in keys] == [run[key] for key in keys]
     with pytest.raises(OSError, match="missing"):
         env.write_trace(tmp_path / "missing" / "trace.jsonl")
 
 
-def test_a_trace_under_overrides_names_the_merged_configuration(tmp_path: Path) -> None:
+def test_a_trace_contains_the_overridden_configuration(tmp_path: Path) -> None:
     env = SPFEnv("easy", overrides={"view": 30})
     env.reset(seed=1, options={"map": "configs/maps/random-8x8.yaml"})
     env.step(1)
-    with pytest.raises(ValueError, match="suffix of configurations"):
-        env.write_trace(tmp_path / "trace.yaml")
     env.write_trace(tmp_path / "trace.jsonl")
     header = json.loads((tmp_path / "trace.jsonl").read_text().splitlines()[0])
-    config = tmp_path / "trace.jsonl.yaml"
-    assert header["config_file"] == str(config) and header["map"] == "random-8x8"
-    city = logicity.Simulation(config, count_firings=True)
+    assert header["map"] == "random-8x8" and header["config"] == "easy"
+    assert header["configuration"]["view"] == 30 and header["configuration"]["map"]["blocks"] == [8, 8]
+    # The configuration in the trace, written to a file, is that of the episode.
+    (tmp_path / "config.yaml").write_text(json.dumps(header["configuration"]))
+    city = logicity.Simulation(tmp_path / "config.yaml", count_firings=True)
     city.run(1, trace=tmp_path / "run.jsonl")
     assert json.loads((tmp_path / "run.jsonl").read_text().splitlines()[0])["config_hash"] == header["config_hash"]
-    plain = logicity.Simulation("easy", count_firings=True)
-    plain.run(1, trace=tmp_path / "plain.jsonl")
-    assert json.loads((tmp_path / "plain.jsonl").read_text().splitlines()[0])["config_hash"] != header["config_hash"]
+    done = subprocess.run(
+        [sys.executable, "-m", "logicity", "explain", "trace.jsonl", "--agent", "Car_1"],
+        **{"cwd": tmp_path, "capture_output": True, "text": True, "check": True},
+    )
+    assert "Car_1" in done.stdout
 
 
-def test_a_trace_does_not_overwrite_configurations(tmp_path: Path) -> None:
-    own = tmp_path / "easy.yaml"
-    own.write_text("base: configs/easy.yaml\n")
-    env = SPFEnv(own, overrides={"view": 30})
+def test_a_trace_replaces_own_files_only(tmp_path: Path) -> None:
+    env = SPFEnv("easy")
     env.reset(seed=1)
     env.step(1)
+    trace = tmp_path / "easy.jsonl"
     for _ in range(2):
-        env.write_trace(tmp_path / "easy.jsonl")
-    assert own.read_text() == "base: configs/easy.yaml\n"
-    assert {path.name for path in tmp_path.iterdir()} == {"easy.yaml", "easy.jsonl", "easy.jsonl.yaml"}
-    header = json.loads((tmp_path / "easy.jsonl").read_text().splitlines()[0])
-    assert header["config_file"] == str(tmp_path / "easy.jsonl.yaml")
-    logicity.Simulation(header["config_file"])
-
-    trace, config = (tmp_path / name for name in ("easy.jsonl", "easy.jsonl.yaml"))
-    before = trace.read_bytes(), config.read_bytes()
-    env.reset(seed=1, options={"map": "configs/maps/random-8x8.yaml"})
-    env.step(1)
-    with pytest.raises(FileExistsError, match=r"easy\.jsonl\.yaml"):
         env.write_trace(trace)
-    assert (trace.read_bytes(), config.read_bytes()) == before
+    trace.write_text("foreign")
+    with pytest.raises(FileExistsError, match=r"easy\.jsonl.*overwrite"):
+        env.write_trace(trace)
+    city = logicity.Simulation("easy", count_firings=True)
+    with pytest.raises(FileExistsError):
+        city.run(1, trace=trace)
+    assert city.tick().tick == 0, "no tick ran before the refusal"
+    assert trace.read_text() == "foreign"
+    env.write_trace(trace, overwrite=True)
+    assert trace.read_text() != "foreign"
+    city.run(1, trace=trace)
 
 
 def test_concurrent_use_of_an_environment_raises() -> None:

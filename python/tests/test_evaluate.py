@@ -20,7 +20,7 @@ from logicity import ENVIRONMENTS, Benchmark, Evaluation, _logicity, demonstrati
 from logicity.__main__ import main
 from logicity.describe import describe
 from logicity.evaluation import load_task
-from logicity.files import write_json
+from logicity.files import check_writable, reserved, write_json
 
 README = Path(__file__).parents[1] / "README.md"
 
@@ -46,11 +46,14 @@ def test_the_oracle_succeeds_and_the_random_policy_scores_zero(mode: str) -> Non
 def test_traces_of_all_episodes(tmp_path: Path) -> None:
     folder = tmp_path / "made" / "traces"
     result = evaluate(varied, "easy", "val", traces=folder)
-    assert {path.name for path in folder.iterdir()} == {f"episode-{at}.jsonl" for at in range(40)}
+    assert {path.name for path in folder.iterdir()} == {
+        *(f"episode-{at}.jsonl" for at in range(40)),
+        ".logicity.json",
+    }
     for record in result.episodes:
         lines = (folder / f"episode-{record.episode}.jsonl").read_text().splitlines()
         header, *ticks = map(json.loads, lines)
-        assert header["config_file"] == "easy" and len(ticks) == record.steps
+        assert header["config"] == "easy" and len(ticks) == record.steps
         driven = [tick["agents"][0]["driven"] for tick in ticks]
         labels = [clause["doc"].split(":")[0] for clause in header["clauses"]]
         assert tuple(labels[at] for at in driven[-1]["broken"]) == record.violations
@@ -61,13 +64,12 @@ def test_traces_of_all_episodes(tmp_path: Path) -> None:
         evaluate("random", "easy", "val", traces=folder)
     command = ["evaluate", "--policy", "oracle", "--split", "val", "--traces", str(tmp_path), "--modes"]
     assert main([*command, "easy"]) == 0
-    assert len(list((tmp_path / "easy").iterdir())) == 40
+    assert len(list((tmp_path / "easy").glob("episode-*.jsonl"))) == 40
     assert main([*command, "easy,easy"]) != 0
     changed = tmp_path / "changed"
     evaluate("oracle", "easy", "val", overrides={"task": {"patience": 3}}, traces=changed)
     header = json.loads((changed / "episode-0.jsonl").read_text().splitlines()[0])
-    assert header["config_file"] == str(changed / "config.yaml")
-    assert logicity.Benchmark(changed / "config.yaml", "val").evaluate("oracle").tsr.value == 1.0
+    assert header["configuration"]["task"]["patience"] == 3
 
 
 def uncalled(observation: NDArray[np.float32]) -> int:
@@ -77,12 +79,7 @@ def uncalled(observation: NDArray[np.float32]) -> int:
 
 def test_traces_do_not_overwrite_files(own_city: Path, capsys: pytest.CaptureFixture[str]) -> None:
     own = own_city.rename(own_city.with_name("config.yaml"))
-    text, folder = own.read_text(), own.parent
-    with pytest.raises(FileExistsError, match=r"config\.yaml"):
-        evaluate(uncalled, own, "val", overrides={"view": 30}, traces=folder)
-    assert own.read_text() == text
-    assert {path.name for path in folder.iterdir()} == {"config.yaml", "five.jsonl"}
-
+    folder = own.parent
     (folder / "traces").mkdir()
     (folder / "traces" / "episode-77.jsonl").write_text("earlier")
     with pytest.raises(FileExistsError, match=r"already has traces, for example episode-77\.jsonl"):
@@ -282,9 +279,12 @@ def test_the_command_prints_a_table_and_writes_results(tmp_path: Path, capsys: p
     written = json.loads(file.read_text())
     direct: Evaluation = evaluate("oracle", "easy", "val")
     assert written[0] == json.loads(json.dumps(direct.to_dict()))
-    assert [path.name for path in tmp_path.iterdir()] == ["out.json"]
+    assert {path.name for path in tmp_path.iterdir()} == {"out.json", ".logicity.json"}
     # The compliance rate is the first measure.
     assert list(written[0])[4:8] == ["compliance", "tsr", "dsr", "dsr_by_action"]
+    file.write_text("foreign")
+    assert main(arguments) == 2 and "--force" in capsys.readouterr().err and file.read_text() == "foreign"
+    assert main([*arguments, "--force"]) == 0 and json.loads(file.read_text()) == written
 
 
 def test_a_copied_benchmark_measures_the_same() -> None:
@@ -379,7 +379,28 @@ def test_files_are_replaced_atomically(tmp_path: Path) -> None:
     with pytest.raises(ValueError):
         write_json(file, {"a": float("nan")})
     assert json.loads(file.read_text()) == {"a": 1}
-    assert [path.name for path in tmp_path.iterdir()] == ["result.json"]
+    assert {path.name for path in tmp_path.iterdir()} == {"result.json", ".logicity.json"}
+
+
+@pytest.mark.skipif(sys.platform == "win32", reason="links and permissions of POSIX")
+def test_files_of_other_programs_are_protected(tmp_path: Path) -> None:
+    file, link = tmp_path / "file.json", tmp_path / "link.json"
+    link.symlink_to("file.json")
+    write_json(link, 1)
+    file.chmod(0o640)
+    write_json(link, 2)
+    assert link.is_symlink() and json.loads(file.read_text()) == 2 and file.stat().st_mode & 0o777 == 0o640
+    file.write_text("foreign")
+    with pytest.raises(FileExistsError, match="overwrite"):
+        write_json(file, 3)
+    assert file.read_text() == "foreign"
+    write_json(file, 3, overwrite=True)
+    write_json(file, 4)
+    with reserved(file), pytest.raises(OSError, match="this process already writes it"):
+        write_json(file, 5)
+    with pytest.raises(OSError):
+        check_writable(tmp_path / "missing" / "file.json")
+    assert {path.name for path in tmp_path.iterdir()} == {"file.json", "link.json", ".logicity.json"}
 
 
 def test_the_readme_has_the_output_of_describe(capsys: pytest.CaptureFixture[str]) -> None:

@@ -179,6 +179,16 @@ def test_expert_rules_require_three_actions(tmp_path: Path) -> None:
     again = demonstrations("expert", 4).to_popper(tmp_path)
     assert again == written and len((again[0] / "exs.pl").read_text().splitlines()) > counts.pop()
     assert sorted(path.name for path in tmp_path.iterdir()) == ["fast", "slow", "stop"]
+    names = {path.name for path in (tmp_path / "fast").iterdir()}
+    assert names == {"bk.pl", "exs.pl", "bias.pl", ".logicity.json"}
+    (tmp_path / "fast" / "notes.txt").write_text("mine")
+    (tmp_path / "fast" / "exs.pl").write_text("mine")
+    before = (tmp_path / "fast" / "bk.pl").read_text()
+    with pytest.raises(FileExistsError, match=r"exs\.pl"):
+        demonstrations("expert", 3).to_popper(tmp_path)
+    assert (tmp_path / "fast" / "bk.pl").read_text() == before
+    demonstrations("expert", 4).to_popper(tmp_path, overwrite=True)
+    assert (tmp_path / "fast" / "notes.txt").read_text() == "mine"
 
 
 def test_state_observations_cannot_be_exported_to_popper(tmp_path: Path) -> None:
@@ -201,7 +211,7 @@ def test_a_table_has_every_step(observation: ObservationKind, tmp_path: Path) ->
         assert (table[name].to_numpy() == np.concatenate([getattr(t, values) for t in trajectories])).all()
     assert table["step"].to_numpy()[: len(trajectories[0])].tolist() == list(range(len(trajectories[0])))
     assert table.schema.metadata[b"episodes_hash"].decode() == trajectories.episodes_hash
-    assert [path.name for path in tmp_path.iterdir()] == ["steps.parquet"]
+    assert {path.name for path in tmp_path.iterdir()} == {"steps.parquet", ".logicity.json"}
     with pytest.raises(OSError):
         trajectories.to_parquet(tmp_path / "no" / "such.parquet")
 

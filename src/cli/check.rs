@@ -4,13 +4,14 @@ use crate::builtin::BuiltinFiles;
 use crate::city::Action;
 use crate::cli::configuration::{self, Checked, Opened};
 use crate::cli::trace::TraceReader;
-use crate::cli::{Failure, load_workspace, plural, report};
+use crate::cli::{Failure, load_workspace_from, plural, report};
 use crate::config::load_scenario;
 use crate::datalog::diff::{Cut, Equivalence};
 use crate::datalog::explain::ExplanationPrinter;
 use crate::datalog::{ClauseId, Edb, RelId, Rules};
 use crate::datalog::{Program, dense, optimize};
 use crate::diag::{Code, Diagnostic, Sources, to_json};
+use crate::files::ReadFile;
 use crate::sim::{
     CONFLICT_BUDGET, Coverage, Finding, LoadError, Overlap, city_lints, conflict_lints, conflicts, scene_json,
 };
@@ -33,7 +34,7 @@ pub struct Arguments {
     #[arg(long, value_name = "TRACE")]
     coverage: Option<PathBuf>,
     /// Configuration whose order of actions decides conflicts [default: Stop, Slow, Fast, Normal]; with --coverage the
-    /// configuration of the run [default: the one that the trace names]
+    /// configuration to use instead of the one in the trace
     #[arg(long)]
     config: Option<PathBuf>,
     /// Also report literals and clauses that are always true or redundant
@@ -47,11 +48,14 @@ pub fn run(arguments: &Arguments, sources: &mut Sources) -> Result<(), Failure> 
     let mut diagnostics: Vec<Diagnostic> = Vec::new();
     let mut unreadable = Vec::new();
     let mut paths = arguments.rules.clone();
+    let mut files: Box<dyn ReadFile> = Box::new(BuiltinFiles);
     if let (Some(trace), true) = (&arguments.coverage, paths.is_empty()) {
-        paths.push(TraceReader::open(trace)?.header.rules.into());
+        let archive = TraceReader::open(trace)?.rules()?;
+        paths.extend(archive.rule_files.first().map(|file| file.name.clone().into()));
+        files = Box::new(archive);
     }
     for path in &paths {
-        let report = match examine(arguments, path, sources) {
+        let report = match examine(arguments, path, &*files, sources) {
             Ok(report) => report,
             Err(Failure::Usage(message)) => {
                 unreadable.push(message);
@@ -96,7 +100,7 @@ struct Report {
     covered: Option<Coverage>,
 }
 
-fn examine(arguments: &Arguments, path: &Path, sources: &mut Sources) -> Result<Report, Failure> {
+fn examine(arguments: &Arguments, path: &Path, files: &dyn ReadFile, sources: &mut Sources) -> Result<Report, Failure> {
     let mut report = Report {
         configuration: None,
         program: None,
@@ -123,7 +127,7 @@ fn examine(arguments: &Arguments, path: &Path, sources: &mut Sources) -> Result<
             &report.configuration.insert(run).rules().to_owned()
         }
     };
-    let loaded = match load_workspace(sources, path, Edb::Fixed) {
+    let loaded = match load_workspace_from(sources, path, Edb::Fixed, files) {
         Ok(texts) => texts.check(),
         Err(Failure::Input(faults)) => {
             report.found = faults;
@@ -404,8 +408,8 @@ fn overlaps_json(overlaps: &[Overlap], precedence: &[Action], rules: &Rules, sou
 fn measure(arguments: &Arguments, trace: &Path, rules: &Path, sources: &mut Sources) -> Result<Coverage, Failure> {
     let mut trace = TraceReader::open(trace)?;
     // The user may measure other rules than those of the run.
-    let strict = arguments.rules.is_empty();
-    let mut replay = trace.replay(sources, arguments.config.as_deref(), Some(rules), strict)?;
+    let given = (!arguments.rules.is_empty()).then_some(rules);
+    let mut replay = trace.replay(sources, arguments.config.as_deref(), given, given.is_none())?;
     let mut coverage = Coverage::new(replay.session().program().rules());
     while let Some(tick) = trace.tick()? {
         replay.set(&tick).map_err(|fault| trace.placed(fault))?;

@@ -2,10 +2,9 @@
 
 use crate::builtin::BuiltinFiles;
 use crate::city::Split;
-use crate::cli::{Failure, load_city, one_of, progress};
+use crate::cli::{Failure, ForceOption, finish, load_city, one_of, progress, unwritable};
 use crate::diag::{Code, Diagnostic, Sources};
 use crate::files;
-use crate::files::Output;
 use crate::task::spf::{
     Baseline, ControlMode, Env, Episode, EpisodeSet, Policy, RANDOM_RUNS, Rollout, SpfTask, constrained_by_name,
     make_episodes, rollout, summarize,
@@ -59,6 +58,8 @@ struct Make {
     /// Write the episodes to FILE [default: the file that the configuration names]
     #[arg(short, long, value_name = "FILE")]
     output: Option<PathBuf>,
+    #[command(flatten)]
+    force: ForceOption,
 }
 
 #[derive(clap::Args)]
@@ -188,13 +189,12 @@ impl Make {
                 ));
             }
         };
+        let mut out = self.force.create(&path)?;
         let bar = progress("episode", count as u64);
         let set = make_episodes(&task, split, count, self.seed, |found| bar.set_position(found as u64))?;
         bar.finish_and_clear();
-        let fail = |error| Failure::file("write", &path, error);
-        let mut out = Output::create(&path).map_err(fail)?;
-        set.write(&mut out).map_err(fail)?;
-        out.finish().map_err(fail)?;
+        set.write(&mut out).map_err(|error| unwritable(&path, &error))?;
+        finish(out, &path)?;
         writeln!(
             io::stdout(),
             "wrote {count} episodes to {}: {}",

@@ -29,10 +29,10 @@ pub struct Arguments {
     /// for a controlled agent
     #[arg(long)]
     json: bool,
-    /// Configuration of the run, if it is not at the path that the trace names
+    /// Configuration to use instead of the one in the trace; must have the same content
     #[arg(long)]
     config: Option<PathBuf>,
-    /// Rules of the run, if they are not at the path that the trace names
+    /// Rules to use instead of those in the trace; must have the same content
     #[arg(long)]
     rules: Option<PathBuf>,
 }

@@ -1,6 +1,6 @@
 //! `logicity fmt`: formats rule files.
 
-use crate::cli::{Failure, read};
+use crate::cli::{Failure, finish, read, unwritable};
 use crate::datalog;
 use crate::diag::{Diagnostic, Sources};
 use crate::files::Output;
@@ -48,10 +48,10 @@ pub fn run(arguments: &Arguments, sources: &mut Sources) -> Result<(), Failure> 
         } else if is_stdin {
             write!(out, "{formatted}")?;
         } else if !same {
-            let fail = |error: std::io::Error| Failure::file("write", path, error);
-            let mut file = Output::create(path).map_err(fail)?;
+            let fail = |error: std::io::Error| unwritable(path, &error);
+            let mut file = Output::edit(path).map_err(fail)?;
             file.write_all(formatted.as_bytes()).map_err(fail)?;
-            file.finish().map_err(fail)?;
+            finish(file, path)?;
         }
     }
     if !faults.is_empty() {

@@ -1,8 +1,7 @@
 //! `logicity icons`, and the icon options of other commands.
 
-use crate::cli::{Failure, one_of};
+use crate::cli::{Failure, ForceOption, finish, one_of, unwritable};
 use crate::files;
-use crate::files::Output;
 use crate::render::{Class, Difficulty, Icons, Mode, PACK_FILE_MAX, PACK_FILES_MAX, Pack, PackFault, sheet, write_png};
 use crate::rng::Seed;
 use std::io::Write;
@@ -89,6 +88,8 @@ struct SheetArguments {
     /// Write the sheet to FILE
     #[arg(short, long, value_name = "FILE", default_value = "sheet.png")]
     output: PathBuf,
+    #[command(flatten)]
+    force: ForceOption,
 }
 
 fn class(text: &str) -> Result<Class, String> {
@@ -102,13 +103,10 @@ fn class(text: &str) -> Result<Class, String> {
 
 pub fn run(arguments: &Arguments) -> Result<(), Failure> {
     let Command::Sheet(sheet_of) = &arguments.command;
+    let path = &sheet_of.output;
+    let mut out = sheet_of.force.create(path)?;
     let icons = sheet_of.icons.load(Seed(sheet_of.seed))?;
     let picture = sheet(&icons, &sheet_of.classes);
-    let path = &sheet_of.output;
-    Output::create(path)
-        .and_then(|mut file| {
-            write_png(&picture, &mut file)?;
-            file.finish()
-        })
-        .map_err(|error| Failure::file("write", path, error))
+    write_png(&picture, &mut out).map_err(|error| unwritable(path, &error))?;
+    finish(out, path)
 }

@@ -1,10 +1,10 @@
 //! `logicity infer`: evaluates the rules on scenes.
 
 use crate::builtin::BuiltinFiles;
-use crate::cli::{Failure, load_city, one_of, open, report};
+use crate::cli::{Failure, ForceOption, finish, load_city, one_of, open, report, unwritable};
 use crate::diag::{Code, Diagnostic, Sources, to_json};
 use crate::files;
-use crate::files::{Output, ReadError};
+use crate::files::ReadError;
 use crate::rng::Seed;
 use crate::sim::{Executor, Inference};
 use serde_json::json;
@@ -38,6 +38,8 @@ pub struct Arguments {
     /// Write the answers to FILE [default: standard output]
     #[arg(long, value_name = "FILE")]
     out: Option<PathBuf>,
+    #[command(flatten)]
+    force: ForceOption,
 }
 
 pub fn run(arguments: &Arguments, sources: &mut Sources) -> Result<(), Failure> {
@@ -71,21 +73,20 @@ pub fn run(arguments: &Arguments, sources: &mut Sources) -> Result<(), Failure> 
                 writeln!(out, "{line}").map_err(Failure::from)
             })?;
             out.flush()?;
-            finish(faulty)
+            outcome(faulty)
         }
         Some(path) => {
-            let fail = |error| Failure::file("write", path, error);
-            let mut out = Output::create(path).map_err(fail)?;
+            let mut out = arguments.force.create(path)?;
             let faulty = answer_all(&mut inference, scenes, &name, &arguments.file, |line| {
-                writeln!(out, "{line}").map_err(fail)
+                writeln!(out, "{line}").map_err(|error| unwritable(path, &error))
             })?;
-            out.finish().map_err(fail)?;
-            finish(faulty)
+            finish(out, path)?;
+            outcome(faulty)
         }
     }
 }
 
-fn finish(faulty: bool) -> Result<(), Failure> {
+fn outcome(faulty: bool) -> Result<(), Failure> {
     if faulty { Err(Failure::Reported) } else { Ok(()) }
 }
 

@@ -34,7 +34,7 @@ use crate::config::{load_map, missing_file};
 use crate::datalog::{Edb, Rules, Workspace};
 use crate::datalog::{EvalError, Limits, Program};
 use crate::diag::{Code, Diagnostic, Sources, did_you_mean, render};
-use crate::files::{FileError, ReadError, ReadFile as _};
+use crate::files::{self, FileError, Output, Overwrite, ReadError, ReadFile};
 use crate::sim::{LoadError, LoadedCity};
 use clap::builder::{PossibleValue, PossibleValuesParser, TypedValueParser};
 use clap::{CommandFactory, FromArgMatches, Parser, Subcommand};
@@ -164,6 +164,44 @@ impl Failure {
     fn option(faults: impl Into<Vec<Diagnostic>>) -> Failure {
         Failure::Option(faults.into())
     }
+}
+
+/// The option to replace files of other programs.
+#[derive(clap::Args)]
+struct ForceOption {
+    /// Replace output files that logicity did not write, or that have changed since
+    #[arg(long)]
+    force: bool,
+}
+
+impl ForceOption {
+    fn overwrite(&self) -> Overwrite {
+        if self.force { Overwrite::Any } else { Overwrite::Own }
+    }
+
+    /// Begins to write an output file.
+    fn create(&self, path: &Path) -> Result<Output, Failure> {
+        Output::create(path, self.overwrite()).map_err(|error| unwritable(path, &error))
+    }
+
+    /// Reports now if a file that is written later cannot be written.
+    fn check(&self, path: &Path) -> Result<(), Failure> {
+        Output::check(path, self.overwrite()).map_err(|error| unwritable(path, &error))
+    }
+}
+
+/// Gives a complete output file its name.
+fn finish(output: Output, path: &Path) -> Result<(), Failure> {
+    output.finish().map_err(|error| unwritable(path, &error))
+}
+
+/// Reports an output file that cannot be written.
+fn unwritable(path: &Path, error: &io::Error) -> Failure {
+    let help = match error.kind() {
+        io::ErrorKind::AlreadyExists => "\nhelp: choose another path, or replace it with `--force`",
+        _ => "",
+    };
+    Failure::Usage(format!("cannot write `{}`: {error}{help}", path.display()))
 }
 
 /// The commands that the Python package implements, as words of the command line, and their summaries.
@@ -418,17 +456,16 @@ impl<T: Copy + Send + Sync + 'static> TypedValueParser for OneOf<T> {
 
 /// Reads a file named on the command line, or a built-in one.
 fn read(path: &Path) -> Result<String, Failure> {
-    BuiltinFiles
-        .read_or_builtin(path)
-        .map_err(|error| unreadable(path, &error))
+    read_with(&BuiltinFiles, path)
+}
+
+fn read_with(files: &dyn ReadFile, path: &Path) -> Result<String, Failure> {
+    files.read_or_builtin(path).map_err(|error| unreadable(path, &error))
 }
 
 /// Opens a file named on the command line, which may be a pipe.
 fn open(path: &Path) -> Result<File, Failure> {
-    File::open(path).map_err(|error| match error.kind() {
-        io::ErrorKind::NotFound => unreadable(path, &ReadError::NotFound),
-        _ => Failure::file("read", path, error),
-    })
+    files::open(path).map_err(|error| unreadable(path, &error))
 }
 
 /// Reports a file named on the command line that cannot be read.
@@ -578,10 +615,20 @@ fn compile(workspace: &Workspace) -> Result<(Program, Vec<Diagnostic>), Failure>
 
 /// Reads a rule file and its includes.
 fn load_workspace(sources: &mut Sources, path: &Path, edb: Edb) -> Result<Workspace, Failure> {
-    let text = read(path)?;
+    load_workspace_from(sources, path, edb, &BuiltinFiles)
+}
+
+/// Reads a rule file and its includes from `files`.
+fn load_workspace_from(
+    sources: &mut Sources,
+    path: &Path,
+    edb: Edb,
+    files: &dyn ReadFile,
+) -> Result<Workspace, Failure> {
+    let text = read_with(files, path)?;
     let entry = sources.add(path.display().to_string(), text);
     let mut workspace = Workspace::new(edb);
-    workspace.add(sources, entry, &BuiltinFiles);
+    workspace.add(sources, entry, files);
     Ok(workspace)
 }
 

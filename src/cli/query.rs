@@ -2,12 +2,12 @@
 
 use crate::cli::why;
 use crate::cli::why::Question;
-use crate::cli::{Failure, LimitOptions, compile, load_workspace, report, too_much};
-use crate::datalog::{ClauseId, Edb, MarkKind, RelId, RowPlace};
+use crate::cli::{Failure, ForceOption, LimitOptions, compile, finish, load_workspace, report, too_much, unwritable};
+use crate::datalog::{ClauseId, Directive, Edb, MarkKind, RelId, RowPlace};
 use crate::datalog::{Delta, EvalEvent, Limits, Options, Program, RuleStats, Session, Threads, constraints, facts};
 use crate::diag::{Code, Diagnostic, Sources, Span};
 use crate::files;
-use crate::files::{Output, ReadError, make_folder};
+use crate::files::{ReadError, make_folder};
 use flate2::Compression;
 use flate2::read::MultiGzDecoder;
 use flate2::write::GzEncoder;
@@ -53,6 +53,8 @@ pub struct Arguments {
     threads: NonZeroUsize,
     #[command(flatten)]
     limits: LimitOptions,
+    #[command(flatten)]
+    force: ForceOption,
 }
 
 impl Arguments {
@@ -95,6 +97,9 @@ pub fn run(arguments: &Arguments, sources: &mut Sources) -> Result<(), Failure> 
         &mut session,
         sources,
     )?;
+    if question.is_none() && !arguments.plan {
+        check_outputs(session.program(), &arguments.output, &arguments.force)?;
+    }
     let times = match arguments.profile {
         true => timed_commit(&mut session).map(|(_, times)| Some(times)),
         false => (session.commit().map(|_| None)).map_err(|error| too_much(&error, program.rules())),
@@ -119,14 +124,42 @@ pub fn run(arguments: &Arguments, sources: &mut Sources) -> Result<(), Failure> 
         let asked = (question, sources.add(format!("<{name}>"), fact));
         return why::explain(&mut out, asked, &workspace, &session, sources, arguments.json);
     }
-    write_results(&mut out, &session, &arguments.output)?;
+    write_results(&mut out, &session, &arguments.output, &arguments.force)?;
     out.flush()?;
+    Ok(())
+}
+
+/// Returns the file of an output relation, or `None` for standard output.
+fn output_path(folder: &Path, relation: &str, directive: &Directive) -> Option<PathBuf> {
+    match &directive.place {
+        _ if folder == Path::new("-") => None,
+        RowPlace::Terminal => None,
+        RowPlace::Usual => {
+            let end = if directive.compress { "csv.gz" } else { "csv" };
+            Some(folder.join(format!("{relation}.{end}")))
+        }
+        RowPlace::File(name) => Some(folder.join(name)),
+    }
+}
+
+/// Makes the folders of the output relations, and reports files that cannot be written, before the evaluation.
+fn check_outputs(program: &Program, folder: &Path, force: &ForceOption) -> Result<(), Failure> {
+    for (_, relation) in relations(program) {
+        let outputs = relation
+            .directives
+            .iter()
+            .filter(|directive| directive.kind == MarkKind::Output);
+        for path in outputs.filter_map(|directive| output_path(folder, &relation.name, directive)) {
+            make_folder(path.parent().unwrap_or(Path::new(".")))?;
+            force.check(&path)?;
+        }
+    }
     Ok(())
 }
 
 /// Writes every output relation to its file in `folder`, or to `out` if its directive says so or `folder` is `-`.
 /// Writes the sizes of `.printsize` relations to `out`.
-fn write_results(out: &mut dyn Write, session: &Session, folder: &Path) -> Result<(), Failure> {
+fn write_results(out: &mut dyn Write, session: &Session, folder: &Path, force: &ForceOption) -> Result<(), Failure> {
     let to_terminal = folder == Path::new("-");
     for (id, relation) in relations(session.program()) {
         for directive in &relation.directives {
@@ -138,17 +171,8 @@ fn write_results(out: &mut dyn Write, session: &Session, folder: &Path) -> Resul
                     format.headers |= to_terminal;
                     let header = facts::header(relation, &format);
                     let rows = |out: &mut dyn Write| facts::write_rows(session, id, &format, out);
-                    let path = match &directive.place {
-                        _ if to_terminal => None,
-                        RowPlace::Terminal => None,
-                        RowPlace::Usual => {
-                            let end = if directive.compress { "csv.gz" } else { "csv" };
-                            Some(folder.join(format!("{}.{end}", relation.name)))
-                        }
-                        RowPlace::File(name) => Some(folder.join(name)),
-                    };
-                    match path {
-                        Some(path) => write_relation(&path, directive.compress, &header, rows)?,
+                    match output_path(folder, &relation.name, directive) {
+                        Some(path) => write_relation(&path, directive.compress, force, &header, rows)?,
                         None => print_relation(out, &relation.name, &header, rows)?,
                     }
                 }
@@ -273,9 +297,10 @@ pub(super) fn load_inputs(folder: &Path, session: &mut Session, sources: &mut So
                 RowPlace::File(name) => folder.join(name),
                 RowPlace::Terminal => PathBuf::from("standard input"),
             };
-            let read = match directive.place {
+            let read = match &directive.place {
                 RowPlace::Terminal => files::read_any(std::io::stdin()),
-                _ => files::open(&path).and_then(read_decompressed),
+                RowPlace::File(name) if name == "/dev/stdin" => files::read_any(std::io::stdin()),
+                _ => files::open_regular(&path).and_then(read_decompressed),
             };
             let (text, not_text) = read.map_err(|error| {
                 let (name, path) = (&relation.name, path.display());
@@ -311,12 +336,12 @@ fn read_decompressed(file: File) -> Result<(String, Option<usize>), ReadError> {
 fn write_relation(
     path: &Path,
     compress: bool,
+    force: &ForceOption,
     header: &str,
     rows: impl Fn(&mut dyn Write) -> io::Result<()>,
 ) -> Result<(), Failure> {
-    make_folder(path.parent().unwrap_or(Path::new(".")))?;
-    let fail = |error: io::Error| Failure::file("write", path, error);
-    let mut file = Output::create(path).map_err(fail)?;
+    let fail = |error: io::Error| unwritable(path, &error);
+    let mut file = force.create(path)?;
     if compress {
         let mut stream = GzEncoder::new(&mut file, Compression::default());
         stream.write_all(header.as_bytes()).map_err(fail)?;
@@ -326,5 +351,5 @@ fn write_relation(
         file.write_all(header.as_bytes()).map_err(fail)?;
         rows(&mut file).map_err(fail)?;
     }
-    file.finish().map_err(fail)
+    finish(file, path)
 }

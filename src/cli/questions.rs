@@ -1,12 +1,12 @@
 //! `logicity questions`: generates language questions.
 
 use crate::city::Split;
-use crate::cli::{Failure, load_city, one_of, progress};
+use crate::cli::{Failure, ForceOption, finish, load_city, one_of, progress, unwritable};
 use crate::diag::{Code, Sources};
 use crate::files::Output;
 use crate::task::questions::{Extent, QUESTIONS_MAX, QuestionSet, Request, RulesFile, SHOTS_MAX, Style, askable};
 use std::io::{self, Write};
-use std::path::{Path, PathBuf};
+use std::path::PathBuf;
 use std::sync::Arc;
 
 /// Size and concepts of the paper's small set.
@@ -58,6 +58,8 @@ pub struct Arguments {
     /// Also write the solved examples to FILE in the same format
     #[arg(long, value_name = "FILE")]
     demonstrations_csv: Option<PathBuf>,
+    #[command(flatten)]
+    force: ForceOption,
 }
 
 pub fn run(arguments: &Arguments, sources: &mut Sources) -> Result<(), Failure> {
@@ -78,6 +80,10 @@ pub fn run(arguments: &Arguments, sources: &mut Sources) -> Result<(), Failure> 
         about,
         seed: arguments.seed,
     };
+    let begin = |path: &Option<PathBuf>| path.as_deref().map(|path| arguments.force.create(path)).transpose();
+    let table = begin(&arguments.csv)?;
+    let demonstrations = begin(&arguments.demonstrations_csv)?;
+    let questions = begin(&arguments.output)?;
     let bar = progress("question", count as u64);
     let set = QuestionSet::draw(&world, request, |found| bar.set_position(found as u64));
     bar.finish_and_clear();
@@ -92,15 +98,15 @@ pub fn run(arguments: &Arguments, sources: &mut Sources) -> Result<(), Failure> 
         name: sources.name(rule_file),
         hash: &hash,
     };
-    write(arguments.csv.as_deref(), |out| set.write_table(out))?;
-    write(arguments.demonstrations_csv.as_deref(), |out| {
+    write(table, &arguments.csv, |out| set.write_table(out))?;
+    write(demonstrations, &arguments.demonstrations_csv, |out| {
         set.write_demonstrations(out)
     })?;
     let Some(path) = &arguments.output else {
         set.write_json(&world, rules, &mut io::BufWriter::new(io::stdout().lock()))?;
         return Ok(());
     };
-    write(Some(path), |out| set.write_json(&world, rules, out))?;
+    write(questions, &arguments.output, |out| set.write_json(&world, rules, out))?;
     let answers = set.answers();
     let counts = askable(&world)
         .into_iter()
@@ -116,10 +122,14 @@ pub fn run(arguments: &Arguments, sources: &mut Sources) -> Result<(), Failure> 
 }
 
 /// Writes a file, if the user named one.
-fn write(path: Option<&Path>, what: impl FnOnce(&mut Output) -> io::Result<()>) -> Result<(), Failure> {
-    let Some(path) = path else { return Ok(()) };
-    let fail = |error| Failure::file("write", path, error);
-    let mut out = Output::create(path).map_err(fail)?;
-    what(&mut out).map_err(fail)?;
-    out.finish().map_err(fail)
+fn write(
+    output: Option<Output>,
+    path: &Option<PathBuf>,
+    what: impl FnOnce(&mut Output) -> io::Result<()>,
+) -> Result<(), Failure> {
+    let (Some(mut output), Some(path)) = (output, path) else {
+        return Ok(());
+    };
+    what(&mut output).map_err(|error| unwritable(path, &error))?;
+    finish(output, path)
 }

@@ -3,7 +3,7 @@
 use crate::cancel::Cancel;
 use crate::city::{Action, AgentKind, Split};
 use crate::cli::icons::IconOptions;
-use crate::cli::{Failure, load_city, one_of, plural};
+use crate::cli::{Failure, ForceOption, finish, load_city, one_of, plural, unwritable};
 use crate::datalog::constraints;
 use crate::datalog::explain::ExplanationPrinter;
 use crate::datalog::{Clause, ClauseId};
@@ -71,6 +71,8 @@ pub struct Arguments {
     /// Print the summary but write no files
     #[arg(long)]
     no_trace: bool,
+    #[command(flatten)]
+    force: ForceOption,
 }
 
 /// The counts of the summary.
@@ -92,7 +94,7 @@ struct Tally {
 
 pub fn run(arguments: &Arguments, sources: &mut Sources) -> Result<(), Failure> {
     let city = load_city(sources, &arguments.config, arguments.rules.as_deref())?;
-    let (rule_file, rules_hash) = (city.rule_files[0], city.rules_hash.clone());
+    let rule_files = city.rule_files.clone();
     let ticks = arguments.ticks.unwrap_or(u64::from(city.scenario.ticks));
     let mut simulation = Simulation::new(
         Arc::new(city.world()?),
@@ -122,8 +124,14 @@ pub fn run(arguments: &Arguments, sources: &mut Sources) -> Result<(), Failure> 
     }
     let mut record = match arguments.no_trace {
         true => None,
-        false => Some(Record::new(arguments, &simulation, sources, rule_file, &rules_hash)?),
+        false => Some(Record::new(arguments, &simulation, sources, &rule_files)?),
     };
+
+    let page = arguments
+        .html
+        .as_deref()
+        .map(|page| arguments.force.create(page))
+        .transpose()?;
 
     let bar = ProgressBar::new(ticks).with_style(
         ProgressStyle::with_template("{bar:30} tick {pos} of {len}, {per_sec}, {eta} left").expect("a valid template"),
@@ -153,10 +161,10 @@ pub fn run(arguments: &Arguments, sources: &mut Sources) -> Result<(), Failure> 
     bar.finish_and_clear();
 
     let mut written = record.map_or_else(|| Ok(Vec::new()), |record| record.finish(&simulation))?;
-    let page = match (&arguments.html, written.first()) {
-        (Some(page), Some(trace)) => {
-            let files = [Some(arguments.config.as_path()), arguments.rules.as_deref()];
-            let made = super::view::write(trace, page, files, &arguments.icons, &mut Sources::new());
+    let page = match (&arguments.html, page, written.first()) {
+        (Some(page), Some(mut out), Some(trace)) => {
+            let made = super::view::write(trace, &mut out, page, &arguments.icons, &mut Sources::new())
+                .and_then(|()| finish(out, page));
             if made.is_ok() {
                 written.push(page.clone());
             }
@@ -187,8 +195,15 @@ pub fn run(arguments: &Arguments, sources: &mut Sources) -> Result<(), Failure> 
 struct Record {
     folder: PathBuf,
     trace: TraceWriter<Output>,
-    pictures: Option<(Overview, Animation<Output>)>,
+    pictures: Option<Pictures>,
     names: Vec<String>,
+}
+
+struct Pictures {
+    overview: Overview,
+    animation: Animation<Output>,
+    /// The picture of the last tick.
+    last: Output,
 }
 
 impl Record {
@@ -196,16 +211,13 @@ impl Record {
         arguments: &Arguments,
         simulation: &Simulation,
         sources: &Sources,
-        rule_file: SourceId,
-        rules_hash: &str,
+        rule_files: &[SourceId],
     ) -> Result<Record, Failure> {
         let folder = arguments.out.clone();
         make_folder(&folder)?;
-        let create = |name: &str| Output::create(&folder.join(name));
-        let config = arguments.config.to_string_lossy();
-        let trace = create("trace.jsonl")
-            .and_then(|file| TraceWriter::new(file, simulation, sources, &config, rule_file, rules_hash))
-            .map_err(|error| Failure::file("write", &folder.join("trace.jsonl"), error))?;
+        let create = |name: &str| arguments.force.create(&folder.join(name));
+        let trace = TraceWriter::new(create("trace.jsonl")?, simulation, sources, rule_files)
+            .map_err(|error| unwritable(&folder.join("trace.jsonl"), &error))?;
         let names: Vec<String> = (simulation.agents().iter().map(|agent| agent.name().to_string())).collect();
         let pictures = if arguments.no_pictures {
             None
@@ -216,10 +228,13 @@ impl Record {
             )
             .map_err(|error| Diagnostic::new(Code::INVALID_MAP, error.to_string()))?;
             let first = overview.draw(0, &sprites(simulation, &names));
-            let animation = create("city.gif")
-                .and_then(|file| Animation::new(file, &first, FRAME_DELAY))
-                .map_err(|error| Failure::file("write", &folder.join("city.gif"), error))?;
-            Some((overview, animation))
+            let animation = Animation::new(create("city.gif")?, &first, FRAME_DELAY)
+                .map_err(|error| unwritable(&folder.join("city.gif"), &error))?;
+            Some(Pictures {
+                overview,
+                animation,
+                last: create("last.png")?,
+            })
         };
         Ok(Record {
             names,
@@ -230,14 +245,16 @@ impl Record {
     }
 
     fn fault(&self, name: &str, error: io::Error) -> Failure {
-        Failure::file("write", &self.folder.join(name), error)
+        unwritable(&self.folder.join(name), &error)
     }
 
     /// Writes the last tick.
     fn tick(&mut self, simulation: &Simulation) -> Result<(), Failure> {
         (self.trace.tick(simulation)).map_err(|error| self.fault("trace.jsonl", error))?;
         let tick = simulation.report().tick;
-        if let Some((overview, animation)) = &mut self.pictures
+        if let Some(Pictures {
+            overview, animation, ..
+        }) = &mut self.pictures
             && tick < MAX_FRAMES
         {
             let frame = overview.draw(tick, &sprites(simulation, &self.names));
@@ -249,20 +266,20 @@ impl Record {
     /// Gives the files their final names and returns these.
     fn finish(self, simulation: &Simulation) -> Result<Vec<PathBuf>, Failure> {
         let path = |name: &str| self.folder.join(name);
-        let fault = |name: &str, error: io::Error| Failure::file("write", &path(name), error);
-        (self.trace.into_inner().finish()).map_err(|error| fault("trace.jsonl", error))?;
+        let fault = |name: &str, error: io::Error| unwritable(&path(name), &error);
+        finish(self.trace.into_inner(), &path("trace.jsonl"))?;
         let mut written = vec![path("trace.jsonl")];
-        if let Some((overview, animation)) = self.pictures {
-            (animation.finish())
-                .and_then(Output::finish)
-                .map_err(|error| fault("city.gif", error))?;
+        if let Some(Pictures {
+            overview,
+            animation,
+            mut last,
+        }) = self.pictures
+        {
+            let animation = animation.finish().map_err(|error| fault("city.gif", error))?;
+            finish(animation, &path("city.gif"))?;
             let frame = overview.draw(simulation.now(), &sprites(simulation, &self.names));
-            Output::create(&path("last.png"))
-                .and_then(|mut file| {
-                    write_png(&frame, &mut file)?;
-                    file.finish()
-                })
-                .map_err(|error| fault("last.png", error))?;
+            write_png(&frame, &mut last).map_err(|error| fault("last.png", error))?;
+            finish(last, &path("last.png"))?;
             written.extend([path("city.gif"), path("last.png")]);
         }
         Ok(written)

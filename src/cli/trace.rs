@@ -1,10 +1,10 @@
-//! Reads traces, and finds the configuration and rules of their runs.
+//! Reads traces with the configuration and the rules of their runs.
 
 use crate::builtin::BuiltinFiles;
 use crate::cli::{Failure, open};
 use crate::diag::{Code, Diagnostic, Sources};
 use crate::files::MAX_BYTES;
-use crate::sim::{LoadError, LoadedCity, Replay, TraceHeader, TraceTick};
+use crate::sim::{Archive, LoadError, LoadedCity, Replay, TraceHeader, TraceTick};
 use std::fs::File;
 use std::io::{BufRead, BufReader, Read};
 use std::path::{Path, PathBuf};
@@ -54,8 +54,22 @@ impl TraceReader {
         placed(fault, &self.path, self.number)
     }
 
-    /// Returns the replay under the configuration and rules of the run, or under the given files. Rejects a
-    /// configuration with another hash, and other rules if `strict`.
+    /// Returns the rules in the trace.
+    pub fn rules(&self) -> Result<Archive, Failure> {
+        let missing = || {
+            let message = "a trace of version 1, which does not contain its rules";
+            let fault = Diagnostic::new(Code::INVALID_TRACE, message);
+            placed(
+                fault.help("specify rule files, and the configuration of the run with `--config`"),
+                &self.path,
+                1,
+            )
+        };
+        self.header.archive.clone().ok_or_else(missing)
+    }
+
+    /// Returns the replay under the configuration and rules in the trace, or under the given files. Rejects a given
+    /// configuration with another hash, and other rules if `strict`. Opens no file that the trace names.
     pub fn replay(
         &self,
         sources: &mut Sources,
@@ -63,25 +77,24 @@ impl TraceReader {
         rules: Option<&Path>,
         strict: bool,
     ) -> Result<Replay, Failure> {
-        let named = self.header.config_file.as_ref().unwrap_or(&self.header.config);
-        let config_path = config.unwrap_or(Path::new(named));
-        let rules_path = rules.unwrap_or(Path::new(&self.header.rules));
-        let city = LoadedCity::load(sources, config_path, Some(rules_path), &BuiltinFiles).map_err(|error| {
-            let (given, help) = match error {
-                LoadError::Config(_) => (config, "specify the configuration of the run with --config"),
-                LoadError::RuleFile(..) | LoadError::Rules(_) => (rules, "specify the rules of the run with --rules"),
-            };
-            match Failure::from(error) {
-                // A file that only the trace names.
-                Failure::Usage(message) if given.is_none() => Failure::Usage(format!("{message}\nhelp: {help}")),
-                failure => failure,
+        let city = LoadedCity::of_trace(sources, &self.header, config, rules, &BuiltinFiles).map_err(|error| {
+            match (error, config) {
+                // A missing file can be one that the user named only.
+                (LoadError::Config(faults), None) if faults.iter().all(|fault| fault.primary.is_none()) => {
+                    placed(faults.into_iter().next().expect("at least one"), &self.path, 1)
+                }
+                (error, _) => error.into(),
             }
         })?;
-        let hashes = [&city.scenario.hash, &self.header.config_hash];
-        matching("configuration", config_path, hashes, &self.path, "--config")?;
-        if strict {
+        if let Some(config) = config {
+            let hashes = [&city.scenario.hash, &self.header.config_hash];
+            matching("configuration", config, hashes, &self.path, "--config")?;
+        }
+        // The rules of a trace of version 1 come from its configuration.
+        if strict && (rules.is_some() || self.header.archive.is_none()) {
             let hashes = [&city.rules_hash, &self.header.rules_hash];
-            matching("rules", rules_path, hashes, &self.path, "--rules")?;
+            let path = sources.name(city.rule_files[0]).to_owned();
+            matching("rules", Path::new(&path), hashes, &self.path, "--rules")?;
         }
         let world = city.world()?;
         Replay::new(Arc::new(world), &self.header).map_err(|fault| placed(fault, &self.path, 1))
@@ -141,6 +154,8 @@ fn matching(what: &str, path: &Path, [found, wanted]: [&String; 2], trace: &Path
     );
     Err(Diagnostic::new(Code::TRACE_MISMATCH, message)
         .note(note)
-        .help(format!("specify the original file with {option}, or run again"))
+        .help(format!(
+            "specify the original file with {option}, omit {option} to use that in the trace, or run again"
+        ))
         .into())
 }

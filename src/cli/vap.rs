@@ -3,7 +3,7 @@
 use crate::cancel::Cancel;
 use crate::city::{Action, Split};
 use crate::cli::icons::IconOptions;
-use crate::cli::{Failure, load_city, one_of, progress, threads};
+use crate::cli::{Failure, ForceOption, load_city, one_of, progress, threads};
 use crate::diag::Sources;
 use crate::files::Folder;
 use crate::render::{Difficulty, Icons};
@@ -81,6 +81,8 @@ struct Make {
     /// Folder to write
     #[arg(short, long)]
     out: PathBuf,
+    #[command(flatten)]
+    force: ForceOption,
 }
 
 #[derive(clap::Args)]
@@ -148,7 +150,9 @@ impl Make {
         let icons = self.icons.load(request.icon_seed())?;
         let writer = DatasetWriter::new(request, city, icons)?;
         let folder = Folder::make(&self.out)?;
-        let summary = with_bar("frame", |progress| writer.write(&folder, progress, &Cancel::never()))?;
+        let summary = with_bar("frame", |progress| {
+            writer.write(&folder, self.force.overwrite(), progress, &Cancel::never())
+        })?;
         writeln!(
             io::stdout(),
             "worlds made: {}, in {}: {}; labels of cars: {}",

@@ -1,8 +1,8 @@
 //! `logicity view`: writes an HTML page of a trace, or of two traces side by side.
 
-use crate::cli::Failure;
 use crate::cli::icons::IconOptions;
 use crate::cli::trace::TraceReader;
+use crate::cli::{Failure, ForceOption, finish, unwritable};
 use crate::diag::{Code, Diagnostic, Sources};
 use crate::files::Output;
 use crate::page::{Comparison, Page};
@@ -25,14 +25,17 @@ pub struct Arguments {
     /// Number of ticks to show [default: all]
     #[arg(long, value_parser = clap::value_parser!(u64).range(1..), allow_negative_numbers = true)]
     ticks: Option<u64>,
-    /// Configuration of the run, if it is not at the path that the trace names; for two traces, one for both or two
+    /// Configuration to use instead of the one in the trace; must have the same content. For two traces, one for both
+    /// or two
     #[arg(long, value_name = "CONFIG")]
     config: Vec<PathBuf>,
-    /// Rules of the run, if they are not at the path that the trace names; for two traces, one for both or two
+    /// Rules to use instead of those in the trace; must have the same content. For two traces, one for both or two
     #[arg(long, value_name = "RULES")]
     rules: Vec<PathBuf>,
     #[command(flatten)]
     icons: IconOptions,
+    #[command(flatten)]
+    force: ForceOption,
 }
 
 pub fn run(arguments: &Arguments, sources: &mut Sources) -> Result<(), Failure> {
@@ -51,6 +54,7 @@ pub fn run(arguments: &Arguments, sources: &mut Sources) -> Result<(), Failure> 
     for trace in traces {
         refuse_overwriting(trace, output)?;
     }
+    let mut file_out = arguments.force.create(output)?;
     let mut pages = Vec::new();
     for (number, trace) in traces.iter().enumerate() {
         let files = [file(&arguments.config, number), file(&arguments.rules, number)];
@@ -58,28 +62,29 @@ pub fn run(arguments: &Arguments, sources: &mut Sources) -> Result<(), Failure> 
         pages.push(load(trace, range, files, icons, sources)?);
     }
     let mut out = io::stdout();
+    let fail = |error| unwritable(output, &error);
     if let [left, right] = &pages[..] {
         let comparison = Comparison::new([left, right], names([&traces[0], &traces[1]]))?;
-        save(output, |file| comparison.write(file))?;
+        comparison.write(&mut file_out).map_err(fail)?;
         writeln!(out, "{}", comparison.summary())?;
     } else {
-        save(output, |file| pages[0].write(file))?;
+        pages[0].write(&mut file_out).map_err(fail)?;
     }
+    finish(file_out, output)?;
     writeln!(out, "wrote {}", output.display())?;
     Ok(())
 }
 
-/// Writes a page of a whole trace. `config` and `rules` replace the paths that the trace names.
+/// Writes a page of a whole trace to `out`, whose path is `output`.
 pub fn write(
     trace: &Path,
+    out: &mut Output,
     output: &Path,
-    files: [Option<&Path>; 2],
     icons: &IconOptions,
     sources: &mut Sources,
 ) -> Result<(), Failure> {
-    refuse_overwriting(trace, output)?;
-    let page = load(trace, (0, u64::MAX), files, icons, sources)?;
-    save(output, |file| page.write(file))
+    let page = load(trace, (0, u64::MAX), [None; 2], icons, sources)?;
+    page.write(out).map_err(|error| unwritable(output, &error))
 }
 
 fn refuse_overwriting(trace: &Path, output: &Path) -> Result<(), Failure> {
@@ -106,15 +111,8 @@ fn names([left, right]: [&Path; 2]) -> [String; 2] {
     }
 }
 
-fn save(output: &Path, write: impl FnOnce(&mut Output) -> io::Result<()>) -> Result<(), Failure> {
-    let fail = |error| Failure::file("write", output, error);
-    let mut out = Output::create(output).map_err(fail)?;
-    write(&mut out).map_err(fail)?;
-    out.finish().map_err(fail)
-}
-
-/// Returns a page of at most `most` ticks of a trace, from number `from` on. `config` and `rules` replace the paths
-/// that the trace names.
+/// Returns a page of at most `most` ticks of a trace, from number `from` on. `config` and `rules` replace those in the
+/// trace.
 fn load(
     trace: &Path,
     (from, most): (u64, u64),

@@ -109,7 +109,10 @@ impl<'a> Composer<'a> {
     /// Returns the tree of a file that the user named. A bare name such as `expert` means the file with this name in
     /// the folder of `kind`.
     pub fn root(&mut self, path: &Path, kind: Kind, parts: &[(&str, Kind)]) -> Option<Node> {
-        let mut found = self.find(path, path);
+        let mut found = match self.read.read_named(path) {
+            Err(ReadError::NotFound) => self.find(path, path),
+            read => read.map(|text| (path.to_owned(), text)),
+        };
         if let (Err(ReadError::NotFound), Some(named)) = (&found, kind.named(path)) {
             found = self.find(&named, &named);
         }

@@ -216,9 +216,22 @@ fn scenario(composer: &mut Composer<'_>, tree: &Node) -> Option<Scenario> {
         ticks: ticks?,
         task: task.map_or(Some(None), |task| task.map(Some))?,
         hash: String::new(),
+        composed: composed(tree),
     };
     scenario.hash = hash(&scenario);
     Some(scenario)
+}
+
+/// Returns the value of [`Scenario::composed`].
+fn composed(tree: &Node) -> serde_json::Value {
+    let mut json = tree.to_json();
+    if let Some(keys) = json.as_object_mut() {
+        keys.shift_remove("rules");
+        if let Some(task) = keys.get_mut("task").and_then(serde_json::Value::as_object_mut) {
+            task.shift_remove("episodes");
+        }
+    }
+    json
 }
 
 /// Hashes the JSON form of the scenario, which omits file names and places. Its keys are in the order of the types.

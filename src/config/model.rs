@@ -132,6 +132,10 @@ pub struct Scenario {
     /// the file names.
     #[serde(skip)]
     pub hash: String,
+    /// The configuration with all its parts as JSON, without `rules` and files of episodes. With a value for `rules`,
+    /// it is a configuration file of the same meaning that refers to no other file.
+    #[serde(skip)]
+    pub composed: serde_json::Value,
 }
 
 impl Scenario {

@@ -4,7 +4,7 @@ use crate::config::compose::{Composer, Kind, Read};
 use crate::config::load::finish;
 use crate::config::yaml::{Node, Value};
 use crate::diag::{Code, Diagnostic, Sources};
-use serde_json::{Map, Value as Json};
+use serde_json::Value as Json;
 use std::path::Path;
 
 /// A configuration file with its `base` merged in.
@@ -25,7 +25,7 @@ impl Tree {
     /// Returns the values as JSON. Plain scalars follow the core schema of YAML 1.2; numbers that JSON cannot represent
     /// become text.
     pub fn to_json(&self) -> Json {
-        to_json(&self.0)
+        self.0.to_json()
     }
 
     /// Returns a diagnostic at the value that `path` leads to. The path consists of keys of mappings and positions in
@@ -58,47 +58,6 @@ impl Tree {
     }
 }
 
-fn to_json(node: &Node) -> Json {
-    match &node.value {
-        Value::Absent => Json::Null,
-        _ if node.is_null() => Json::Null,
-        Value::Scalar { text, plain: false } => Json::from(text.as_str()),
-        Value::Scalar { text, plain: true } => plain(text),
-        Value::List(items) => items.iter().map(to_json).collect(),
-        Value::Map(entries) => {
-            let entries = entries.iter().map(|(key, value)| (key.text.clone(), to_json(value)));
-            Json::Object(entries.collect::<Map<_, _>>())
-        }
-    }
-}
-
-/// Converts a scalar without quotes.
-fn plain(text: &str) -> Json {
-    match text {
-        "true" | "True" | "TRUE" => return Json::Bool(true),
-        "false" | "False" | "FALSE" => return Json::Bool(false),
-        _ => {}
-    }
-    let radix = |prefix, radix| {
-        text.strip_prefix(prefix)
-            .and_then(|digits| i64::from_str_radix(digits, radix).ok())
-    };
-    let integer = (text.parse().ok())
-        .or_else(|| radix("0x", 16))
-        .or_else(|| radix("0o", 8));
-    if let Some(integer) = integer {
-        return Json::from(integer);
-    }
-    // Rust also parses names such as `inf`, which are text in YAML.
-    let numeric = text.starts_with(|c: char| c.is_ascii_digit() || "+-.".contains(c))
-        && text.chars().all(|c| c.is_ascii_digit() || "+-.eE".contains(c));
-    let float = numeric
-        .then(|| text.parse().ok())
-        .flatten()
-        .and_then(serde_json::Number::from_f64);
-    float.map_or_else(|| Json::from(text), Json::Number)
-}
-
 #[cfg(test)]
 mod tests {
     use super::*;
@@ -117,9 +76,11 @@ mod tests {
 
     #[test]
     fn scalars_follow_the_core_schema() {
-        let text = "a: [1, -2, 0x1f, 0o17, 3e-5, .5, 2.e1, 1e999, inf, .nan, true, yes, ~, \"1\", +3]";
+        let text =
+            "a: [1, -2, 0x1f, 0o17, 3e-5, .5, 2.e1, 1e999, inf, .nan, true, yes, ~, \"1\", +3, 18446744073709551615]";
         let (_, tree) = load(&[("main.yaml", text)]);
-        let expected = r#"{"a":[1,-2,31,15,0.00003,0.5,20.0,"1e999","inf",".nan",true,"yes",null,"1",3]}"#;
+        let expected =
+            r#"{"a":[1,-2,31,15,0.00003,0.5,20.0,"1e999","inf",".nan",true,"yes",null,"1",3,18446744073709551615]}"#;
         assert_eq!(tree.to_json().to_string(), expected);
     }
 

@@ -8,6 +8,7 @@
 //! errors have at most one place. This module does not know what the keys mean.
 
 use crate::diag::{Code, Diagnostic, SourceId, Sources, Span};
+use serde_json::{Map, Value as Json};
 use serde_yaml::granit_parser::{ErrorKind, Event, Parser, ScalarStyle, Span as Mark, StructureStyle};
 use std::collections::HashMap;
 use std::ops::Range;
@@ -84,6 +85,21 @@ impl Node {
         matches!(&self.value, Value::Scalar { text, plain: true } if matches!(text.as_str(), "" | "~" | "null" | "Null" | "NULL"))
     }
 
+    /// Returns the value as JSON; see [`Tree::to_json`](crate::config::Tree::to_json).
+    pub fn to_json(&self) -> Json {
+        match &self.value {
+            Value::Absent => Json::Null,
+            _ if self.is_null() => Json::Null,
+            Value::Scalar { text, plain: false } => Json::from(text.as_str()),
+            Value::Scalar { text, plain: true } => plain_to_json(text),
+            Value::List(items) => items.iter().map(Node::to_json).collect(),
+            Value::Map(entries) => {
+                let entries = entries.iter().map(|(key, value)| (key.text.clone(), value.to_json()));
+                Json::Object(entries.collect::<Map<_, _>>())
+            }
+        }
+    }
+
     /// Describes this value in messages.
     pub fn describe(&self) -> String {
         const SHOWN: usize = 40;
@@ -124,6 +140,36 @@ fn glued(text: &str) -> Option<(&str, &str)> {
         && key.chars().all(|c| c.is_ascii_alphanumeric() || "_-".contains(c));
     let is_value = value.starts_with(|c: char| !c.is_whitespace()) && !value.starts_with("//");
     (is_word && is_value).then_some((key, value.trim_end()))
+}
+
+/// Converts a scalar without quotes.
+fn plain_to_json(text: &str) -> Json {
+    match text {
+        "true" | "True" | "TRUE" => return Json::Bool(true),
+        "false" | "False" | "FALSE" => return Json::Bool(false),
+        _ => {}
+    }
+    let radix = |prefix, radix| {
+        text.strip_prefix(prefix)
+            .and_then(|digits| i64::from_str_radix(digits, radix).ok())
+    };
+    let integer = (text.parse().ok())
+        .or_else(|| radix("0x", 16))
+        .or_else(|| radix("0o", 8));
+    if let Some(integer) = integer {
+        return Json::from(integer);
+    }
+    if let Ok(large) = text.parse::<u64>() {
+        return Json::from(large);
+    }
+    // Rust also parses names such as `inf`, which are text in YAML.
+    let numeric = text.starts_with(|c: char| c.is_ascii_digit() || "+-.".contains(c))
+        && text.chars().all(|c| c.is_ascii_digit() || "+-.eE".contains(c));
+    let float = numeric
+        .then(|| text.parse().ok())
+        .flatten()
+        .and_then(serde_json::Number::from_f64);
+    float.map_or_else(|| Json::from(text), Json::Number)
 }
 
 /// A collection whose end has not been parsed.

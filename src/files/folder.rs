@@ -1,9 +1,9 @@
 //! Folders of several files, for example data sets.
 
-use crate::files::{ReadError, read_text};
+use crate::files::{Output, ReadError, open_regular, read_text};
 use std::fmt;
 use std::fs;
-use std::io;
+use std::io::{self, Read, Write};
 use std::path::{Path, PathBuf};
 
 /// An error of a file or folder operation.
@@ -127,7 +127,12 @@ impl Folder {
     pub fn read_of_length(&self, name: &str, length: u64) -> io::Result<Option<Vec<u8>>> {
         let path = self.path.join(name);
         match fs::metadata(&path)?.len() == length {
-            true => fs::read(&path).map(Some),
+            true => {
+                let mut bytes = Vec::new();
+                let mut file = open_regular(&path).map_err(io::Error::other)?;
+                file.read_to_end(&mut bytes)?;
+                Ok(Some(bytes))
+            }
             false => Ok(None),
         }
     }
@@ -139,6 +144,24 @@ impl Folder {
     pub fn write(&self, name: &str, bytes: impl AsRef<[u8]>) -> Result<(), FileError> {
         let path = self.path.join(name);
         fs::write(&path, bytes).map_err(FileError::new("write", path))
+    }
+
+    /// Begins to write a file, which replaces an existing one. No other process can write it at the same time.
+    ///
+    /// # Errors
+    /// As [`Output::edit`].
+    pub fn replace(&self, name: &str) -> Result<Output, FileError> {
+        let path = self.path.join(name);
+        Output::edit(&path).map_err(FileError::new("write", path))
+    }
+
+    /// Completes a file that [`Folder::replace`] began.
+    ///
+    /// # Errors
+    /// I/O errors.
+    pub fn finish(&self, name: &str, mut output: Output, text: &str) -> Result<(), FileError> {
+        let written = output.write_all(text.as_bytes()).and_then(|()| output.finish());
+        written.map_err(FileError::new("write", self.path.join(name)))
     }
 
     /// Renames a file or folder inside.

@@ -6,10 +6,10 @@ use crate::datalog::explain::{
     Absence, AbsenceReason, Explanation, ExplanationPrinter, Fact, Failure, FailureKind, Miss, Node, NodeId, Obstacle,
     Origin, Premise,
 };
+use crate::files::portable_name;
 use serde::Serialize;
 use serde_json::{Value, json};
 use std::collections::HashMap;
-use std::path::{Component, Path};
 
 /// The nodes of [`ExplanationPrinter::json`], with short keys and with numbers that are unique in the run.
 #[derive(Default, Serialize)]
@@ -25,9 +25,6 @@ pub struct Proofs {
     /// Number of nodes before these.
     #[serde(skip)]
     forgotten: usize,
-    /// The rule file of the run.
-    #[serde(skip)]
-    main: String,
     #[serde(skip)]
     known_clauses: HashMap<ClauseId, usize>,
     /// Keyed by the output of [`write_key`].
@@ -39,14 +36,6 @@ pub struct Proofs {
 }
 
 impl Proofs {
-    /// Returns an empty store for the rules of a file.
-    pub fn new(rules: &str) -> Proofs {
-        Proofs {
-            main: rules.to_owned(),
-            ..Proofs::default()
-        }
-    }
-
     /// Drops the nodes, but keeps their numbers for sharing.
     pub fn forget(&mut self) {
         self.forgotten += self.nodes.len();
@@ -59,11 +48,9 @@ impl Proofs {
         let position = *self.known_clauses.entry(clause).or_insert(next);
         if position == next {
             let mut json = printer.clause_json(clause);
+            json["file"] = portable_name(json["file"].as_str().unwrap_or_default()).into();
             json["label"] = printer.label(clause).into();
             json["text"] = printer.source(clause).into();
-            if let Some(file) = json["file"].as_str() {
-                json["file"] = shown_file(file, &self.main).into();
-            }
             self.clauses.push(json);
         }
         position
@@ -137,19 +124,6 @@ impl Proofs {
             .collect();
         short(&printer.node_json(node), &clauses, numbers)
     }
-}
-
-/// Returns the name of a rule file without the folders of the author: relative to the folder of the main file if it is
-/// inside, else its own name. Names of built-in files stay.
-pub fn shown_file(file: &str, main: &str) -> String {
-    if file.starts_with("<builtin>") {
-        return file.to_owned();
-    }
-    let folder = Path::new(main).parent().unwrap_or(Path::new(""));
-    let inside = (Path::new(file).strip_prefix(folder).ok())
-        .filter(|rest| rest.components().all(|part| matches!(part, Component::Normal(_))));
-    let name = inside.or_else(|| Path::new(file).file_name().map(Path::new));
-    name.unwrap_or(Path::new("rules")).to_string_lossy().into_owned()
 }
 
 /// Returns a node with short keys and the positions of its clauses.

@@ -5,8 +5,9 @@ use crate::city::{Cell, Heading, Route, field_of_view};
 use crate::datalog::explain::{Explainer, ExplanationPrinter};
 use crate::datalog::{ClauseId, Value};
 use crate::diag::{Code, Diagnostic, Sources};
+use crate::files::portable_name;
 use crate::page::file::{packed, write_parts};
-use crate::page::proofs::{Proofs, shown_file};
+use crate::page::proofs::Proofs;
 use crate::page::scenery::Scenery;
 use crate::render::Icons;
 use crate::sim::{
@@ -204,7 +205,7 @@ impl Page {
             return Err(Diagnostic::new(Code::LIMIT_EXCEEDED, message).help("run the rules on a smaller map"));
         }
         let printer = ExplanationPrinter::new(world.program.rules(), replay.session().symbols(), sources);
-        let mut proofs = Proofs::new(&header.rules);
+        let mut proofs = Proofs::default();
         let counted = world.clauses().map(|clause| proofs.clause(&printer, clause)).count();
         for index in 0..world.program.rules().clauses.len() {
             let index = u32::try_from(index).expect("fewer than 2^32 clauses");
@@ -226,7 +227,7 @@ impl Page {
         Ok(Page {
             title: format!("{} ({}), seed {}", header.config, header.split, header.seed),
             config: header.config.clone(),
-            rules: shown_file(&header.rules, &header.rules),
+            rules: portable_name(&header.rules),
             split: header.split.clone(),
             seed: header.seed.to_string(),
             hash: header.rules_hash.clone(),

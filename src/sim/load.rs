@@ -2,10 +2,10 @@
 
 use crate::config::{Scenario, load_scenario};
 use crate::datalog::Program;
-use crate::diag::{Diagnostic, Located, SourceId, Sources, Span};
+use crate::diag::{Code, Diagnostic, Located, SourceId, Sources, Span};
 use crate::files::{ReadError, ReadFile};
 use crate::sim::tick::world::World;
-use crate::sim::trace::hash_sources;
+use crate::sim::trace::{TraceHeader, hash_sources};
 use std::path::{Path, PathBuf};
 
 /// A scenario and the program of its rules. [`LoadedCity::world`] joins them.
@@ -49,9 +49,26 @@ impl LoadedCity {
         rules: Option<&Path>,
         files: &dyn ReadFile,
     ) -> Result<LoadedCity, LoadError> {
-        let mut scenario = load_scenario(sources, config, files).map_err(LoadError::Config)?;
+        let scenario = load_scenario(sources, config, files).map_err(LoadError::Config)?;
+        LoadedCity::with_rules(sources, scenario, rules, files)
+    }
+
+    /// Loads the rules of a configuration, which `rules` overrides; see [`LoadedCity::load`].
+    ///
+    /// # Errors
+    /// [`LoadError::RuleFile`] and [`LoadError::Rules`].
+    pub fn with_rules(
+        sources: &mut Sources,
+        mut scenario: Scenario,
+        rules: Option<&Path>,
+        files: &dyn ReadFile,
+    ) -> Result<LoadedCity, LoadError> {
         let path = rules.unwrap_or(&scenario.rules.value).to_owned();
-        let text = files.read_or_builtin(&path);
+        let text = match rules {
+            Some(path) => files.read_or_builtin(path),
+            // The configuration names it, and has found it.
+            None => files.read(&path),
+        };
         let text = text.map_err(|error| LoadError::RuleFile(path.clone(), error))?;
         let entry = sources.add(path.display().to_string(), text);
         let (program, diagnostics) = Program::load(sources, entry, files);
@@ -71,6 +88,47 @@ impl LoadedCity {
             rule_files,
             warnings: diagnostics,
         })
+    }
+
+    /// Loads the city of a trace: the configuration and the rules in its header, or `config` and `rules` from `files`
+    /// instead. Opens no file that the trace names. Otherwise like [`LoadedCity::load`].
+    ///
+    /// # Errors
+    /// See [`LoadError`]; `invalid-trace` for a trace of version 1 without `config`.
+    pub fn of_trace(
+        sources: &mut Sources,
+        header: &TraceHeader,
+        config: Option<&Path>,
+        rules: Option<&Path>,
+        files: &dyn ReadFile,
+    ) -> Result<LoadedCity, LoadError> {
+        let scenario = match (config, &header.archive) {
+            (None, Some(archive)) => {
+                let name = format!("{}.yaml", header.config);
+                let text = archive.configuration.to_string();
+                let read = |path: &Path| match path == Path::new(&name) {
+                    true => Ok(text.clone()),
+                    false => archive.read(path),
+                };
+                let mut scenario = load_scenario(sources, Path::new(&name), &read).map_err(LoadError::Config)?;
+                scenario.map.name.clone_from(&header.map);
+                scenario
+            }
+            (Some(config), _) => load_scenario(sources, config, files).map_err(LoadError::Config)?,
+            (None, None) => {
+                let message = "a trace of version 1, which does not contain its configuration and rules";
+                let fault = Diagnostic::new(Code::INVALID_TRACE, message);
+                let help = "specify the configuration of the run with `--config`, or run again";
+                return Err(LoadError::Config(vec![fault.help(help)]));
+            }
+        };
+        match (rules, &header.archive) {
+            (None, Some(archive)) => {
+                let rules = archive.rule_files.first().map(|file| Path::new(&file.name));
+                LoadedCity::with_rules(sources, scenario, rules, archive)
+            }
+            (rules, _) => LoadedCity::with_rules(sources, scenario, rules, files),
+        }
     }
 
     /// Generates the map and binds the predicates of the configuration to the rules.

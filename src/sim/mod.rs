@@ -32,7 +32,7 @@ pub(crate) use tick::width::in_words;
 pub use tick::world::World;
 pub use tick::{WHOLE_MAX, WINDOW_MAX};
 pub use trace::{
-    Account, ClauseCoverage, Coverage, DeadlockReport, Decision, Driven, LOOK_TICKS, Replay, STUCK_TICKS,
-    TRACE_VERSION, TraceAgent, TraceHeader, TraceState, TraceTick, TraceWriter, WaitsFor, find_deadlocks, hash_sources,
-    waits,
+    Account, Archive, ArchivedFile, ClauseCoverage, Coverage, DeadlockReport, Decision, Driven, LOOK_TICKS, Replay,
+    STUCK_TICKS, TRACE_VERSION, TraceAgent, TraceHeader, TraceState, TraceTick, TraceWriter, WaitsFor, find_deadlocks,
+    hash_sources, waits,
 };

@@ -9,7 +9,7 @@ use logicity::diag::{Code, Sources};
 use logicity::page::{Comparison, Page};
 use logicity::render::{Class, Icons, Renderer, Scale, Viewport};
 use logicity::rng::Seed;
-use logicity::sim::{Replay, Settings, Simulation, TraceHeader, TraceTick, TraceWriter, World, hash_sources};
+use logicity::sim::{Replay, Settings, Simulation, TraceHeader, TraceTick, TraceWriter, World};
 use logicity::task::spf::{ControlMode, Env, Origin, RecordError, SpfTask, record};
 use serde_json::{Value, json};
 use std::collections::{BTreeMap, BTreeSet};
@@ -39,8 +39,7 @@ fn run_with(config: &str, rules: Option<&str>, seed: Seed, ticks: u64) -> Run {
     };
     let mut city = Simulation::new(Arc::clone(&world), Split::Test, seed, settings).unwrap();
     let rules = sources.ids().next().unwrap();
-    let hash = hash_sources(&sources, &[rules]);
-    let mut trace = TraceWriter::new(Vec::new(), &city, &sources, config, rules, &hash).unwrap();
+    let mut trace = TraceWriter::new(Vec::new(), &city, &sources, &[rules]).unwrap();
     let mut ways = Vec::new();
     for _ in 0..ticks {
         ways.push(
@@ -88,7 +87,6 @@ fn drive(config: &str, seed: u64, action: Action) -> (Run, Vec<Value>) {
     let rule_files: Vec<_> = sources.ids().skip_while(|id| sources.name(*id) != rules).collect();
     let origin = Origin {
         sources: &sources,
-        config_file: config,
         rule_files: &rule_files,
     };
     let write = |actions: &[Action]| {

@@ -5,7 +5,7 @@ use logicity::builtin::BuiltinFiles;
 use logicity::cancel::Cancel;
 use logicity::city::{AgentKind, Split};
 use logicity::diag::{Code, Sources};
-use logicity::files::Folder;
+use logicity::files::{Folder, Overwrite};
 use logicity::render::{Difficulty, Icons, Picture, PixelBox, read_png, write_png};
 use logicity::rng::{Purpose, RngExt, Seed};
 use logicity::sim::LoadedCity;
@@ -277,7 +277,11 @@ fn a_cancelled_data_set_is_resumed() {
     for (index, writer) in writers.iter().enumerate() {
         let out = Folder::make(&folder.path().join(format!("library-{index}"))).unwrap();
         // Before the first world.
-        is_cancelled(writer.write(&out, &|_, _| (), &Cancel::when(|| true)).unwrap_err());
+        is_cancelled(
+            writer
+                .write(&out, Overwrite::Own, &|_, _| (), &Cancel::when(|| true))
+                .unwrap_err(),
+        );
         assert!(contents(out.path()).is_empty());
         // Before the tables of the last world.
         let frames = Arc::new(AtomicU64::new(0));
@@ -290,7 +294,7 @@ fn a_cancelled_data_set_is_resumed() {
             assert_eq!(thread::current().id(), here);
             made.load(Ordering::Relaxed) == 178
         });
-        let written = writer.write(&out, &progress, &cancel);
+        let written = writer.write(&out, Overwrite::Own, &progress, &cancel);
         let kept = contents(out.path());
         let complete: BTreeSet<&str> = kept
             .keys()
@@ -308,7 +312,9 @@ fn a_cancelled_data_set_is_resumed() {
                 .all(|(name, bytes)| name.starts_with('.') || *bytes == expected[name])
         );
         // Another call makes the rest, with any number of threads.
-        let summary = writers[1 - index].write(&out, &|_, _| (), &Cancel::never()).unwrap();
+        let summary = writers[1 - index]
+            .write(&out, Overwrite::Own, &|_, _| (), &Cancel::never())
+            .unwrap();
         assert_eq!((summary.made, summary.manifest.frames), (2 - complete.len(), 178));
         assert!(contents(out.path()) == expected);
     }
@@ -561,7 +567,7 @@ fn pictures_are_the_same_after_a_kill_and_on_any_number_of_threads() {
     // Leave the files of a kill at the worst moment.
     fs::create_dir_all(killed.join(".world-00001.partial")).unwrap();
     fs::write(killed.join(".world-00001.partial/entities.parquet"), "PAR1").unwrap();
-    fs::write(killed.join(".manifest.json.partial"), "{").unwrap();
+    fs::write(killed.join(".manifest.json.logicity-1-2"), "{").unwrap();
     for _ in 0..2 {
         assert!(make(&killed, "3").status().unwrap().success());
         assert!(contents(&killed) == expected);

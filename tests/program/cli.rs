@@ -108,7 +108,12 @@ fn run_writes_a_trace_an_animation_and_a_picture() {
     }
     assert!(fs::read(target.join("city.gif")).unwrap().starts_with(b"GIF89a"));
     assert!(fs::read(target.join("last.png")).unwrap().starts_with(b"\x89PNG"));
-    assert_eq!(fs::read_dir(&target).unwrap().count(), 3, "no temporary file remains");
+    let mut names: Vec<_> = (fs::read_dir(&target).unwrap())
+        .map(|entry| entry.unwrap().file_name().into_string().unwrap())
+        .collect();
+    names.sort();
+    let written = [".logicity.json", "city.gif", "last.png", "trace.jsonl"];
+    assert_eq!(names, written, "no temporary file remains");
 }
 
 #[cfg(unix)]
@@ -123,7 +128,7 @@ fn an_interrupted_run_keeps_its_ticks() {
         .spawn()
         .unwrap();
     // The program creates the files before the first tick, so the test interrupts once they exist.
-    while fs::read_dir(folder.path()).unwrap().count() < 2 {
+    while fs::read_dir(folder.path()).unwrap().count() < 3 {
         std::thread::sleep(std::time::Duration::from_millis(10));
     }
     let kill = Command::new("kill")
@@ -139,7 +144,7 @@ fn an_interrupted_run_keeps_its_ticks() {
         .map(|entry| entry.unwrap().file_name())
         .collect();
     names.sort();
-    assert_eq!(names, ["city.gif", "last.png", "trace.jsonl"]);
+    assert_eq!(names, [".logicity.json", "city.gif", "last.png", "trace.jsonl"]);
     let trace = fs::read_to_string(folder.path().join("trace.jsonl")).unwrap();
     assert!(trace.lines().all(|line| serde_json::from_str::<Value>(line).is_ok()));
 }
@@ -341,7 +346,7 @@ fn hostile_traces_are_errors() {
         ),
         (header.replace("\"Pedestrian\"", "\"Bird\""), ["bad.jsonl:1", "Bird"]),
         (
-            header.replace("\"version\":1", "\"version\":9"),
+            header.replace("\"version\":2", "\"version\":9"),
             ["bad.jsonl:1", "version 9"],
         ),
         (drawn, ["bad.jsonl:2", "CollidingClose"]),

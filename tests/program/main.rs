@@ -3,7 +3,11 @@
 mod cli;
 mod diagnostics;
 mod diff;
+#[cfg(unix)]
+mod files;
 mod grammar;
+#[cfg(unix)]
+mod hostile;
 mod layers;
 mod lsp;
 mod questions;

@@ -18,7 +18,7 @@ import numpy as np
 
 from ..city import ACTIONS
 from ..evaluation import Progress
-from ..files import write_json
+from ..files import check_writable, write_json
 from .data import BINARY, PICTURE_SIDE, UNARY, VapDataset, VapSample
 
 __all__ = ["to_coco", "to_webdataset"]
@@ -104,7 +104,9 @@ def _new_folder(path: Path) -> Iterator[Path]:
         raise
 
 
-def to_coco(folder: str | os.PathLike[str], out: str | os.PathLike[str], *, images: bool = True) -> None:
+def to_coco(
+    folder: str | os.PathLike[str], out: str | os.PathLike[str], *, images: bool = True, overwrite: bool = False
+) -> None:
     """Write the boxes of a data set as COCO JSON, atomically.
 
     Beyond the keys of COCO, the file has these:
@@ -122,12 +124,15 @@ def to_coco(folder: str | os.PathLike[str], out: str | os.PathLike[str], *, imag
         folder: A folder made by `logicity vap make`.
         out: The file.
         images: Whether the data set must have pictures. The pictures are not read.
+        overwrite: Whether to replace a file that this package did not write, or that has changed since.
 
     Raises:
+        FileExistsError: If the file must not be replaced.
         OSError: If a file cannot be read or written.
         ValueError: As for `VapDataset`.
     """
     samples = VapDataset(folder, images)
+    check_writable(out, overwrite=overwrite)
     pictures: list[dict[str, Any]] = []
     annotations: list[dict[str, Any]] = []
     kinds: dict[str, str] = {}
@@ -157,7 +162,8 @@ def to_coco(folder: str | os.PathLike[str], out: str | os.PathLike[str], *, imag
         "description": f"LogiCity, Visual Action Prediction, {samples.mode}, {samples.split}",
         "pictures": samples.has_pictures,
     }
-    write_json(out, {"info": info, "images": pictures, "annotations": annotations, "categories": categories})
+    content = {"info": info, "images": pictures, "annotations": annotations, "categories": categories}
+    write_json(out, content, overwrite=overwrite)
 
 
 def _annotations(sample: VapSample) -> Iterator[dict[str, Any]]:

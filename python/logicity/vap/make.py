@@ -55,12 +55,13 @@ def make_dataset(
     difficulty: int = 50,
     threads: int = 0,
     progress: Callable[[int, int], object] | None = None,
+    overwrite: bool = False,
 ) -> VapDataset:
     """Create a data set, or resume an interrupted call. The files equal those of `logicity vap make`.
 
     World k depends only on the arguments and k. Worlds that already exist in the folder are kept. After Ctrl-C or an
     exception in `progress`, complete worlds stay in the folder, and another call with the same arguments creates the
-    others. Releases the GIL. Only one process at a time may write to a folder.
+    others. Releases the GIL. A second process that writes the same folder fails at once.
 
     Args:
         folder: The folder to write, which is created if it does not exist.
@@ -77,12 +78,13 @@ def make_dataset(
         difficulty: The variation of colors, light, sharpness, markings and surroundings, from 0 (clean) to 100 (noisy).
         threads: The number of threads, up to 1024; 0 means one per core. It does not affect the files.
         progress: A function that receives the number of finished frames and the total, on the calling thread.
+        overwrite: Whether to replace a `README.md` or `manifest.json` that is not of a data set with these arguments.
 
     Returns:
         The data set with all worlds in the folder.
 
     Raises:
-        InputError: If the folder has worlds with other settings, rules or pictures.
+        InputError: If the folder has worlds with other settings, rules or pictures, or files that must not be replaced.
         KeyboardInterrupt: On Ctrl-C.
         OSError: If a file cannot be read or written.
         ValueError: If a name is unknown, a number is out of range, or an icon is invalid.
@@ -106,6 +108,7 @@ def make_dataset(
         checked_integer("difficulty", difficulty),
         checked_integer("threads", threads),
         progress,
+        overwrite,
     )
     return VapDataset(folder, images)
 

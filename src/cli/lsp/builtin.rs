@@ -11,7 +11,9 @@ pub fn copy(name: &Path, text: &str) -> Option<PathBuf> {
     let path = folder()?.join(inside);
     if read_text(&path).as_deref() != Ok(text) {
         std::fs::create_dir_all(path.parent()?).ok()?;
-        let mut file = Output::create(&path).ok()?;
+        // An older copy is read-only.
+        let _ = std::fs::remove_file(&path);
+        let mut file = Output::edit(&path).ok()?;
         file.write_all(text.as_bytes()).ok()?;
         file.finish().ok()?;
         let mut permissions = std::fs::metadata(&path).ok()?.permissions();

@@ -6,6 +6,7 @@
 mod analysis;
 mod builtin;
 mod place;
+mod transport;
 mod words;
 
 use crate::builtin::BuiltinFiles;
@@ -38,13 +39,15 @@ pub struct Arguments {
 
 pub fn run(_: &Arguments) -> Result<(), Failure> {
     let fail = |error: ProtocolError| Failure::Usage(format!("the editor violated the protocol: {error}"));
-    let (connection, threads) = Connection::stdio();
-    serve(&connection).map_err(fail)?;
+    let (connection, transport) = transport::start();
+    let served = serve(&connection).map_err(fail);
     // The writer thread ends when no sender is left.
     drop(connection);
-    threads
-        .join()
-        .map_err(|error| Failure::Usage(format!("the connection failed: {error}")))
+    // A failed connection also breaks the protocol; its cause says more.
+    transport
+        .finish()
+        .map_err(|error| Failure::Usage(format!("the connection failed: {error}")))?;
+    served
 }
 
 /// Serves one editor until it shuts down the server or disconnects.

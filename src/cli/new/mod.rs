@@ -36,7 +36,7 @@ pub fn run(arguments: &Arguments) -> Result<(), Failure> {
     for (name, text) in FILES {
         let path = folder.join(name);
         let fail = |error| Failure::file("write", &path, error);
-        let mut file = Output::create(&path).map_err(fail)?;
+        let mut file = Output::edit(&path).map_err(fail)?;
         file.write_all(text.as_bytes()).map_err(fail)?;
         file.finish().map_err(fail)?;
     }

@@ -205,7 +205,11 @@ impl<'a, const W: usize, P: BinaryFacts<W>> TreeSearch<'a, W, P> {
             return self.make_consistent() && self.has_values(0);
         }
         // Some of the steps that consistency takes.
-        let tests: usize = self.branches.iter().map(|branch| self.search.program.tests(branch.to_others).len()).sum();
+        let tests: usize = self
+            .branches
+            .iter()
+            .map(|branch| self.search.program.tests(branch.to_others).len())
+            .sum();
         self.interrupt = self.tables.steps + (tests * self.search.count / 16) as u64;
         let found = self.has_values(0);
         self.is_hard = self.tables.steps > self.interrupt;
@@ -270,7 +274,9 @@ impl<'a, const W: usize, P: BinaryFacts<W>> TreeSearch<'a, W, P> {
         if !self.may_step() {
             return false;
         }
-        let Branch { to_others, children, .. } = self.branches[branch];
+        let Branch {
+            to_others, children, ..
+        } = self.branches[branch];
         let set = self.search.pass(to_others, self.tables.domains[branch], &self.bound);
         let (mut open, mut sure) = (set, set);
         for &child in self.search.program.numbers(children) {

@@ -12,6 +12,7 @@ use crate::sim::tick::ground_state::GroundState;
 use crate::sim::tick::simulation::Snapshot;
 use crate::sim::tick::vocabulary::Actions;
 use crate::sim::tick::world::World;
+use crate::sim::trace::archive::Archive;
 use crate::sim::trace::writer::{Driven, TRACE_VERSION};
 use serde::Deserialize;
 use std::collections::{BTreeMap, HashMap};
@@ -24,20 +25,24 @@ pub struct TraceHeader {
     version: u32,
     /// The name of the configuration.
     pub config: String,
-    /// The configuration file, as the user named it.
-    pub config_file: Option<String>,
+    /// The name of the map.
+    #[serde(default)]
+    pub map: String,
     /// The hash of the configuration.
     pub config_hash: String,
     /// The name of the split.
     pub split: String,
     /// The seed of the run.
     pub seed: u64,
-    /// The rule file.
+    /// The name of the rule file.
     pub rules: String,
     /// The hash of the rules and all included files.
     pub rules_hash: String,
     /// The agents in list order.
     pub agents: Vec<TraceAgent>,
+    /// The configuration and the rule files. `None` in a trace of version 1.
+    #[serde(skip)]
+    pub archive: Option<Archive>,
 }
 
 /// An agent of a [`TraceHeader`].
@@ -134,14 +139,18 @@ impl TraceHeader {
     /// # Errors
     /// `invalid-trace`, without a source position.
     pub fn read(line: &str) -> Result<TraceHeader, Diagnostic> {
-        let header: TraceHeader = serde_json::from_str(line)
-            .map_err(|error| invalid(format!("not the header of a trace: {}", json_error(&error))))?;
-        if header.trace != "logicity" || header.version != TRACE_VERSION {
+        let not_header =
+            |error: serde_json::Error| invalid(format!("not the header of a trace: {}", json_error(&error)));
+        let mut header: TraceHeader = serde_json::from_str(line).map_err(not_header)?;
+        if header.trace != "logicity" || ![1, TRACE_VERSION].contains(&header.version) {
             let message = format!(
-                "a trace of `{}`, version {}; this program reads `logicity`, version {TRACE_VERSION}",
+                "a trace of `{}`, version {}; this program reads `logicity`, versions 1 and {TRACE_VERSION}",
                 header.trace, header.version
             );
             return Err(invalid(message));
+        }
+        if header.version > 1 {
+            header.archive = Some(serde_json::from_str(line).map_err(not_header)?);
         }
         Ok(header)
     }

@@ -4,13 +4,14 @@ use crate::city::Action;
 use crate::city::{Heading, Moved};
 use crate::diag::{SourceId, Sources};
 use crate::sim::tick::simulation::Simulation;
+use crate::sim::trace::archive::Archive;
 use serde::{Deserialize, Serialize};
 use serde_json::{Map, Value, json};
 use sha2::{Digest, Sha256};
 use std::io::{self, Write};
 
 /// The version of the format. It grows when an old reader would misread the new format.
-pub const TRACE_VERSION: u32 = 1;
+pub const TRACE_VERSION: u32 = 2;
 
 /// The trace entry of an agent that the caller controls in a tick. Readers that do not know it still read the action
 /// correctly.
@@ -32,20 +33,18 @@ pub struct TraceWriter<W: Write> {
 }
 
 impl<W: Write> TraceWriter<W> {
-    /// Writes the header. `config_file` and `rule_file` are the files of configuration and rules, and `rules_hash` is
-    /// the hash of the rules ([`hash_sources`]).
+    /// Writes the header, which contains the configuration and the rules. `rule_files` is the rule file, then the files
+    /// it includes.
     ///
     /// # Errors
     /// The errors of `out`.
-    pub fn new(
-        mut out: W,
-        simulation: &Simulation,
-        sources: &Sources,
-        config_file: &str,
-        rule_file: SourceId,
-        rules_hash: &str,
-    ) -> io::Result<Self> {
+    pub fn new(mut out: W, simulation: &Simulation, sources: &Sources, rule_files: &[SourceId]) -> io::Result<Self> {
         let world = simulation.world();
+        let archive = Archive::new(&world.scenario, sources, rule_files);
+        let file_name = |id: SourceId| {
+            let position = rule_files.iter().position(|file| *file == id);
+            position.map_or("", |position| &archive.rule_files[position].name)
+        };
         let rules = world.program.rules();
         let agents: Vec<Value> = simulation
             .agents()
@@ -67,7 +66,7 @@ impl<W: Write> TraceWriter<W> {
                 let position = sources.position(clause.span);
                 json!({
                     "head": rules.relations[clause.head.relation.index()].name,
-                    "file": sources.name(clause.span.source),
+                    "file": file_name(clause.span.source),
                     "line": position.line,
                     "doc": clause.doc,
                     "text": sources.slice(clause.span),
@@ -78,16 +77,17 @@ impl<W: Write> TraceWriter<W> {
             "trace": "logicity",
             "version": TRACE_VERSION,
             "config": world.scenario.name,
-            "config_file": config_file,
             "config_hash": world.scenario.hash,
-            "rules": sources.name(rule_file),
-            "rules_hash": rules_hash,
+            "rules": archive.rule_files.first().map(|file| &file.name),
+            "rules_hash": hash_sources(sources, rule_files),
             "map": world.map().name,
             "routing": world.scenario.routing.name(),
             "split": simulation.split().name(),
             "seed": simulation.seed().0,
             "agents": agents,
             "clauses": clauses,
+            "configuration": archive.configuration,
+            "rule_files": archive.rule_files,
         });
         writeln!(out, "{header}")?;
         let drawn = (world.vocabulary.predicates.iter().enumerate())

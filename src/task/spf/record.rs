@@ -3,7 +3,7 @@
 use crate::cancel::Cancel;
 use crate::city::{Action, Split};
 use crate::diag::{Code, Diagnostic, SourceId, Sources};
-use crate::sim::{Driven, MAX_ENTITIES, Settings, TraceWriter, hash_sources};
+use crate::sim::{Driven, MAX_ENTITIES, Settings, TraceWriter};
 use crate::task::spf::{ControlMode, Env, Episode, SpfTask};
 use std::io::{self, Write};
 use std::sync::Arc;
@@ -13,8 +13,6 @@ use std::sync::Arc;
 pub struct Origin<'a> {
     /// The sources that the rules were loaded from.
     pub sources: &'a Sources,
-    /// The file of the configuration.
-    pub config_file: &'a str,
     /// The file of the rules and its includes.
     pub rule_files: &'a [SourceId],
 }
@@ -48,9 +46,6 @@ impl From<io::Error> for RecordError {
 /// As [`Env::new`] and [`Env::reset_to`]; `invalid-value` for more actions than the episode has steps,
 /// `limit-exceeded` for more than [`MAX_ENTITIES`] agents; `cancelled` on cancellation. Ticks written before that stay
 /// in `out`.
-///
-/// # Panics
-/// If `origin` names no rule file.
 pub fn record<W: Write>(
     task: &Arc<SpfTask>,
     split: Split,
@@ -70,13 +65,8 @@ pub fn record<W: Write>(
         let message = format!("a trace of {agents} agents would be too large; the limit is {MAX_ENTITIES}");
         return Err(Diagnostic::new(Code::LIMIT_EXCEEDED, message).into());
     }
-    let Origin {
-        sources,
-        config_file,
-        rule_files,
-    } = origin;
-    let hash = hash_sources(sources, rule_files);
-    let mut trace = TraceWriter::new(out, env.city(), sources, config_file, rule_files[0], &hash)?;
+    let Origin { sources, rule_files } = origin;
+    let mut trace = TraceWriter::new(out, env.city(), sources, rule_files)?;
     for &action in actions {
         if env.city().cancel().requested() {
             return Err(Diagnostic::cancelled().into());

@@ -3,12 +3,12 @@
 use crate::cancel::Cancel;
 use crate::city::Split;
 use crate::diag::Diagnostic;
-use crate::files::Folder;
+use crate::files::{Folder, Overwrite};
 use crate::render::{Icons, Picture, write_png};
 use crate::rng::Seed;
 use crate::sim::{LoadedCity, run_polled, start_threads};
 use crate::task::vap::error::DatasetError;
-use crate::task::vap::folder::{ENTITIES, PAIRS, WorldWriter, wrong};
+use crate::task::vap::folder::{Description, ENTITIES, PAIRS, WorldWriter};
 use crate::task::vap::table::{Table, count_concepts};
 use crate::task::vap::{
     Agents, DatasetSettings, FIRST_TICK, Manifest, Mode, TICKS, WorldRecord, Worlds, card, count_actions, count_atoms,
@@ -122,29 +122,29 @@ impl DatasetWriter {
     }
 
     /// Writes the requested worlds that the folder lacks, then its `README.md` and `manifest.json`. It keeps existing
-    /// worlds.
+    /// worlds. `overwrite` tells whether it may replace a `README.md` or `manifest.json` that no data set with these
+    /// settings has written.
     ///
     /// `progress` receives the numbers of frames made and to make. It is called, and `cancel` is polled, on the calling
     /// thread only. After cancellation the complete worlds stay in the folder, and another call makes the others.
     ///
     /// # Errors
-    /// `invalid-data-set` if the folder has worlds with other settings; those of [`Worlds::frames`]; `cancelled`; files
-    /// that cannot be read or written.
+    /// `invalid-data-set` if the folder has worlds with other settings, or files that it must not replace; those of
+    /// [`Worlds::frames`]; `cancelled`; files that cannot be read or written; another process that makes worlds in the
+    /// folder.
     pub fn write(
         &self,
         folder: &Folder,
+        overwrite: Overwrite,
         progress: &(dyn Fn(u64, u64) + Sync),
         cancel: &Cancel,
     ) -> Result<DatasetSummary, DatasetError> {
         for (path, file) in folder::worlds(folder)? {
             if file.settings != self.settings {
-                let fault = wrong(
-                    &path,
-                    "belongs to a data set with other settings, configuration, rules or pictures",
-                );
-                return Err(fault.help("choose another folder (`--out` on the command line)").into());
+                return Err(folder::other_settings(&path).into());
             }
         }
+        let description = Description::begin(folder, &self.settings, overwrite)?;
         folder::remove_partials(folder)?;
         let numbers = self.request.worlds.clone();
         let missing: Vec<u32> = numbers
@@ -157,7 +157,7 @@ impl DatasetWriter {
         let records = folder::worlds(folder)?.into_iter().map(|(_, file)| file.record);
         let manifest = Manifest::new(self.settings.clone(), records.collect());
         let card = card::card(self.request.mode, &manifest, &self.worlds);
-        folder::write_description(folder, &card, &manifest)?;
+        description.finish(folder, &card, &manifest)?;
         Ok(DatasetSummary {
             made: missing.len(),
             manifest,

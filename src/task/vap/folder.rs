@@ -1,11 +1,11 @@
 //! The layout of a data set on disk: one folder per world, named by its number, and at the end `README.md` and
 //! `manifest.json`.
 //!
-//! Each file is written under a temporary name, `.NAME.partial`, and renamed when complete. The next command removes
-//! temporary files that an interrupted command has left.
+//! Each world is written under a temporary name, `.NAME.partial`, and renamed when complete. The next command removes
+//! temporary files that an interrupted command has left. A [`Description`] keeps other commands from the folder.
 
 use crate::diag::{Code, Diagnostic, json_error};
-use crate::files::{FileError, Folder};
+use crate::files::{FileError, Folder, Output, Overwrite};
 use crate::task::vap::error::DatasetError;
 use serde::{Deserialize, Serialize};
 use sha2::{Digest, Sha256};
@@ -233,23 +233,83 @@ impl<'f> WorldWriter<'f> {
     }
 }
 
-/// Writes `README.md` and `manifest.json`.
-pub(super) fn write_description(set: &Folder, card: &str, manifest: &Manifest) -> Result<(), FileError> {
-    for (name, text) in [(CARD, card), (MANIFEST, &pretty(manifest))] {
-        set.write(&partial(name), text)?;
-        set.rename(&partial(name), name)?;
-    }
-    Ok(())
+/// `README.md` and `manifest.json` of a data set while a command makes its worlds.
+pub(super) struct Description {
+    card: Output,
+    manifest: Output,
 }
 
-/// Removes files and folders with temporary names.
+impl Description {
+    /// Reserves both files, so that a second command on the same folder fails. Unless `overwrite` permits it, existing
+    /// files must come from a data set with the same settings.
+    pub(super) fn begin(
+        set: &Folder,
+        settings: &DatasetSettings,
+        overwrite: Overwrite,
+    ) -> Result<Description, DatasetError> {
+        let description = Description {
+            card: set.replace(CARD)?,
+            manifest: set.replace(MANIFEST)?,
+        };
+        if overwrite == Overwrite::Own {
+            let help = "choose another folder (`--out` on the command line), or replace the file with `--force`";
+            if set.has(MANIFEST) {
+                let helped = |error| match error {
+                    DatasetError::Faulty(faults) => {
+                        let helped = faults.into_iter().map(|fault| fault.help(help));
+                        DatasetError::Faulty(helped.collect())
+                    }
+                    file => file,
+                };
+                if read_manifest(set).map_err(helped)?.settings != *settings {
+                    return Err(other_settings(&set.path().join(MANIFEST)).into());
+                }
+            }
+            if set.has(CARD) && !is_sealed(&set.read_text(CARD)?) {
+                let fault = wrong(
+                    &set.path().join(CARD),
+                    "logicity did not write it, or it has changed since",
+                );
+                return Err(fault.help(help).into());
+            }
+        }
+        Ok(description)
+    }
+
+    /// Writes the files.
+    pub(super) fn finish(self, set: &Folder, card: &str, manifest: &Manifest) -> Result<(), FileError> {
+        set.finish(CARD, self.card, &sealed(card))?;
+        set.finish(MANIFEST, self.manifest, &pretty(manifest))
+    }
+}
+
+/// Returns the fault of a file or world that belongs to another data set.
+pub(super) fn other_settings(path: &Path) -> Diagnostic {
+    let message = "belongs to a data set with other settings, configuration, rules or pictures";
+    wrong(path, message).help("choose another folder (`--out` on the command line)")
+}
+
+const SEAL: [&str; 2] = ["\n<!-- logicity vap: SHA-256 of the text above: ", " -->\n"];
+
+/// Appends a hash, by which [`is_sealed`] recognizes a text that has not changed.
+fn sealed(text: &str) -> String {
+    let [before, after] = SEAL;
+    format!("{text}{before}{}{after}", hash(text.as_bytes()))
+}
+
+fn is_sealed(text: &str) -> bool {
+    let parts = text.strip_suffix(SEAL[1]).and_then(|text| text.rsplit_once(SEAL[0]));
+    parts.is_some_and(|(text, found)| found == hash(text.as_bytes()))
+}
+
+/// Removes worlds with temporary names. The caller holds the [`Description`] of the folder.
 pub(super) fn remove_partials(set: &Folder) -> Result<(), FileError> {
     for path in set.entries()? {
         let Some(name) = path.file_name().and_then(OsStr::to_str) else {
             continue;
         };
         let whole = name.strip_prefix('.').and_then(|name| name.strip_suffix(PARTIAL));
-        if whole.is_some_and(|whole| is_world(Path::new(whole)) || [CARD, MANIFEST].contains(&whole)) {
+        if whole.is_some_and(|whole| is_world(Path::new(whole))) {
             set.remove(name)?;
         }
     }

@@ -1,0 +1,450 @@
+//! Files: what the program writes, and what it leaves alone. Traces that explain themselves.
+
+use serde_json::Value;
+use std::fs;
+use std::os::unix::fs::{PermissionsExt, symlink};
+use std::path::Path;
+use std::process::{Command, Output, Stdio};
+use std::thread;
+use std::time::Duration;
+
+/// Runs the program in `folder`.
+fn logicity(folder: &Path, line: &str) -> Output {
+    let mut command = Command::new(env!("CARGO_BIN_EXE_logicity"));
+    let done = command
+        .args(line.split_whitespace())
+        .current_dir(folder)
+        .stdin(Stdio::null())
+        .output();
+    done.unwrap()
+}
+
+fn said(output: &Output) -> String {
+    String::from_utf8_lossy(&output.stderr).into_owned()
+}
+
+fn succeeds(folder: &Path, line: &str) -> String {
+    let output = logicity(folder, line);
+    assert_eq!(output.status.code(), Some(0), "{line}: {}", said(&output));
+    String::from_utf8(output.stdout).unwrap()
+}
+
+fn fails(folder: &Path, line: &str, code: i32, words: &[&str]) {
+    let output = logicity(folder, line);
+    let said = said(&output);
+    assert_eq!(output.status.code(), Some(code), "{line}: {said}");
+    for word in words {
+        assert!(said.contains(word), "{line}: `{word}` is missing in:\n{said}");
+    }
+}
+
+/// Prepares what the writers read: rules with outputs, a trace, and episodes' configuration.
+fn inputs(folder: &Path) {
+    fs::write(folder.join("in.dl"), ".decl A(x: number)\n.output A\nA(1).\n").unwrap();
+    fs::write(folder.join("scene.jsonl"), "").unwrap();
+    succeeds(folder, "run easy --ticks 2 --no-pictures --out in");
+}
+
+/// Every command that writes, with the files that it writes.
+const WRITERS: [(&str, &[&str]); 8] = [
+    (
+        "run easy --ticks 2 --out new --html new/page.html",
+        &["trace.jsonl", "city.gif", "last.png", "page.html"],
+    ),
+    ("view in/trace.jsonl -o new/page.html", &["page.html"]),
+    ("icons sheet -o new/sheet.png", &["sheet.png"]),
+    (
+        "episodes make easy --count 1 -o new/episodes.jsonl",
+        &["episodes.jsonl"],
+    ),
+    (
+        "questions --count 8 --shots 0 -o new/questions.jsonl --csv new/table.csv --demonstrations-csv new/dev.csv",
+        &["questions.jsonl", "table.csv", "dev.csv"],
+    ),
+    ("infer scene.jsonl --out new/answers.jsonl", &["answers.jsonl"]),
+    ("query in.dl -D new", &["A.csv"]),
+    (
+        "vap make --mode easy --split test --worlds 1 --no-pictures --threads 1 --out new",
+        &["README.md", "manifest.json"],
+    ),
+];
+
+#[test]
+fn slow_no_command_replaces_a_file_of_another_program() {
+    let folder = tempfile::tempdir().unwrap();
+    inputs(folder.path());
+    let new = folder.path().join("new");
+    for (line, files) in WRITERS {
+        for file in files {
+            fs::create_dir(&new).unwrap();
+            fs::write(new.join(file), "foreign").unwrap();
+            let code = if line.starts_with("vap") { 1 } else { 2 };
+            fails(folder.path(), line, code, &[file, "--force"]);
+            assert_eq!(fs::read(new.join(file)).unwrap(), b"foreign", "{line}");
+            let names = fs::read_dir(&new).unwrap().count();
+            assert_eq!(names, 1, "{line}: no file is written before the refusal");
+            fs::remove_dir_all(&new).unwrap();
+        }
+        fs::create_dir(&new).unwrap();
+        for file in files {
+            fs::write(new.join(file), "foreign").unwrap();
+        }
+        succeeds(folder.path(), &format!("{line} --force"));
+        for file in files {
+            assert_ne!(fs::read(new.join(file)).unwrap(), b"foreign", "{line}");
+        }
+        // Its own files are replaced without `--force`.
+        succeeds(folder.path(), line);
+        // Not after an edit.
+        fs::write(new.join(files[0]), "edited").unwrap();
+        let code = if line.starts_with("vap") { 1 } else { 2 };
+        fails(folder.path(), line, code, &[files[0], "--force"]);
+        assert_eq!(fs::read(new.join(files[0])).unwrap(), b"edited", "{line}");
+        fs::remove_dir_all(&new).unwrap();
+    }
+}
+
+#[test]
+fn paths_that_cannot_be_written_are_reported_before_the_work() {
+    let folder = tempfile::tempdir().unwrap();
+    inputs(folder.path());
+    fs::create_dir(folder.path().join("dir")).unwrap();
+    // Each would take minutes.
+    for (line, path) in [
+        (
+            "run expert --ticks 20000 --no-pictures --html no/page.html",
+            "no/page.html",
+        ),
+        ("run expert --ticks 20000 --no-pictures --html dir", "dir"),
+        ("run expert --ticks 1000000 --out in.dl", "in.dl"),
+        ("episodes make expert --count 100000 -o no/e.jsonl", "no/e.jsonl"),
+        ("episodes make expert --count 100000 -o /dev/full", "/dev/full"),
+        ("questions --count 100000 --csv no/q.csv", "no/q.csv"),
+        ("questions --count 100000 -o dir", "dir"),
+        ("infer scene.jsonl --out no/a.jsonl", "no/a.jsonl"),
+        ("view in/trace.jsonl -o no/page.html", "no/page.html"),
+        ("icons sheet -o no/sheet.png", "no/sheet.png"),
+        ("vap make --mode hard --split train --out in.dl", "in.dl"),
+        ("query endless.dl -D in.dl", "in.dl"),
+    ] {
+        let endless = ".decl N(x: number)\n.output N\nN(0).\nN(X + 1) :- N(X), X < 100000000.\n";
+        fs::write(folder.path().join("endless.dl"), endless).unwrap();
+        let mut process = Command::new(env!("CARGO_BIN_EXE_logicity"))
+            .args(line.split_whitespace())
+            .current_dir(folder.path())
+            .stdin(Stdio::null())
+            .stderr(Stdio::piped())
+            .spawn()
+            .unwrap();
+        let mut waited = 0;
+        while process.try_wait().unwrap().is_none() {
+            thread::sleep(Duration::from_millis(20));
+            waited += 1;
+            if waited == 1000 {
+                process.kill().unwrap();
+            }
+        }
+        let output = process.wait_with_output().unwrap();
+        assert_eq!(output.status.code(), Some(2), "{line}: {}", said(&output));
+        assert!(said(&output).contains(path), "{line}: {}", said(&output));
+    }
+}
+
+#[test]
+fn a_second_writer_learns_who_writes_since_when() {
+    let folder = tempfile::tempdir().unwrap();
+    let busy = |line: &str, temporary: &str, again: &str| {
+        let mut first = Command::new(env!("CARGO_BIN_EXE_logicity"))
+            .args(line.split_whitespace())
+            .current_dir(folder.path())
+            .stdout(Stdio::null())
+            .stderr(Stdio::null())
+            .spawn()
+            .unwrap();
+        let has = || {
+            let entries = fs::read_dir(folder.path().join("out")).into_iter().flatten().flatten();
+            let mut names = entries.map(|entry| entry.file_name().into_string().unwrap());
+            names.any(|name| name.starts_with(temporary))
+        };
+        while !has() {
+            assert!(first.try_wait().unwrap().is_none(), "{line}");
+            thread::sleep(Duration::from_millis(5));
+        }
+        let process = format!("process {} has been writing it since 20", first.id());
+        fails(folder.path(), again, 2, &[&process, " UTC"]);
+        first.kill().unwrap();
+        first.wait().unwrap();
+        // The process is dead. The next writer takes over and removes what it has left.
+        assert!(has(), "the killed run leaves files");
+        succeeds(folder.path(), again);
+        assert!(!has(), "no leftovers");
+        fs::remove_dir_all(folder.path().join("out")).unwrap();
+    };
+    let run = "run expert --ticks 1000000000 --out out";
+    busy(run, ".city.gif.logicity-", "run easy --ticks 1 --out out");
+    let make = "vap make --mode hard --split train --out out --threads 1";
+    let other = "vap make --mode easy --split test --worlds 1 --no-pictures --out out --threads 1";
+    busy(make, ".manifest.json.logicity-", other);
+}
+
+#[test]
+fn formatting_keeps_links_and_permissions() {
+    let folder = tempfile::tempdir().unwrap();
+    let (file, link) = (folder.path().join("file.dl"), folder.path().join("link.dl"));
+    fs::write(&file, ".decl A(x:number)").unwrap();
+    fs::set_permissions(&file, fs::Permissions::from_mode(0o640)).unwrap();
+    symlink("file.dl", &link).unwrap();
+    succeeds(folder.path(), "fmt link.dl");
+    assert!(fs::symlink_metadata(&link).unwrap().is_symlink());
+    assert_eq!(fs::read_to_string(&file).unwrap(), ".decl A(x: number)\n");
+    assert_eq!(fs::metadata(&file).unwrap().permissions().mode() & 0o7777, 0o640);
+    assert_eq!(fs::read_dir(folder.path()).unwrap().count(), 2);
+    // The outputs of other commands, too.
+    let sheet = folder.path().join("sheet.png");
+    symlink("real.png", &sheet).unwrap();
+    succeeds(folder.path(), "icons sheet -o sheet.png");
+    fs::set_permissions(folder.path().join("real.png"), fs::Permissions::from_mode(0o600)).unwrap();
+    let before = fs::metadata(folder.path().join("real.png")).unwrap().len();
+    succeeds(folder.path(), "icons sheet -o sheet.png --seed 1");
+    let after = fs::metadata(folder.path().join("real.png")).unwrap();
+    assert!(fs::symlink_metadata(&sheet).unwrap().is_symlink() && after.len() != before);
+    assert_eq!(after.permissions().mode() & 0o7777, 0o600);
+}
+
+/// Writes rules in several folders, with an absolute and with colliding names, and a configuration that uses them.
+fn own_city(folder: &Path) {
+    for name in ["cfg", "lib", "lib/more"] {
+        fs::create_dir(folder.join(name)).unwrap();
+    }
+    let root = folder.display();
+    let rules = "/// W1: the file of another folder\n.include \"../lib/vocabulary.dl\"\n.include \"../lib/more/rules.dl\"\n\
+         /// S1: stop for somebody\nStop(X) :- IsCar(X), IsClose(X, Y), IsPedestrian(Y).\n";
+    fs::write(folder.join("cfg/rules.dl"), rules).unwrap();
+    // The name of a built-in file.
+    fs::write(folder.join("lib/vocabulary.dl"), ".include \"more/../types.dl\"\n").unwrap();
+    let shipped = fs::read_to_string(concat!(env!("CARGO_MANIFEST_DIR"), "/rules/vocabulary.dl")).unwrap();
+    fs::write(folder.join("lib/types.dl"), shipped).unwrap();
+    fs::write(
+        folder.join("lib/more/rules.dl"),
+        "/// S2: the tired\nSlow(X) :- IsTiro(X).\n",
+    )
+    .unwrap();
+    let config = format!("base: {root}/cfg/base.yaml\nrules: {root}/cfg/rules.dl\nagents: {{base: agents.yaml}}\n");
+    fs::write(folder.join("cfg/own.yaml"), config).unwrap();
+    fs::write(folder.join("cfg/base.yaml"), "base: configs/easy.yaml\nview: 20\n").unwrap();
+    let agents = "test: {cars: [{count: 3, priority: 1, concepts: [tiro]}], pedestrians: [{count: 4}]}\n";
+    fs::write(folder.join("cfg/agents.yaml"), agents).unwrap();
+}
+
+#[test]
+fn a_trace_explains_itself_without_the_files_of_the_run() {
+    let folder = tempfile::tempdir().unwrap();
+    own_city(folder.path());
+    let config = folder.path().join("cfg/own.yaml");
+    succeeds(
+        folder.path(),
+        &format!("run {} --ticks 12 --out out --html out/run.html", config.display()),
+    );
+    let trace = fs::read_to_string(folder.path().join("out/trace.jsonl")).unwrap();
+    let questions = [
+        "explain trace.jsonl --agent Car_1",
+        "explain trace.jsonl --agent Car_2 --tick 3 --why-not Stop --json",
+        "check --coverage trace.jsonl --json",
+        "view trace.jsonl -o page.html",
+    ];
+    // On another machine: another folder, and the files of the run are gone.
+    let ask = |here: &Path| questions.map(|line| succeeds(here, line));
+    let beside = folder.path().join("out");
+    let before = ask(&beside);
+    let other = tempfile::tempdir().unwrap();
+    fs::copy(beside.join("trace.jsonl"), other.path().join("trace.jsonl")).unwrap();
+    let root = folder.path().to_str().unwrap().to_owned();
+    let pages = [beside.join("page.html"), beside.join("run.html")].map(|page| fs::read_to_string(page).unwrap());
+    drop(folder);
+    assert_eq!(ask(other.path()), before);
+    assert!(before[0].contains("S1") || before[0].contains("S2"), "{}", before[0]);
+    assert_eq!(fs::read_to_string(other.path().join("page.html")).unwrap(), pages[0]);
+    // No path of the machine of the run.
+    assert!(!trace.contains(&root), "{}", trace.lines().next().unwrap());
+    for page in &pages {
+        let data = page.lines().map(str::len).max().unwrap();
+        assert!(data > 1000 && !page.contains(&root));
+    }
+    let header: Value = serde_json::from_str(trace.lines().next().unwrap()).unwrap();
+    let names = |key: &str| -> Vec<&str> {
+        let files = header[key].as_array().unwrap().iter();
+        files.map(|file| file["name"].as_str().unwrap()).collect()
+    };
+    assert_eq!(
+        names("rule_files"),
+        ["rules.dl", "vocabulary.dl", "types.dl", "2-rules.dl"]
+    );
+    assert_eq!(
+        (&header["rules"], &header["config"]),
+        (&"rules.dl".into(), &"own".into())
+    );
+    assert_eq!(header["clauses"][0]["file"], "2-rules.dl");
+    assert_eq!(header["configuration"]["view"], 20);
+}
+
+#[test]
+fn edited_rules_do_not_make_a_trace_unexplainable() {
+    let folder = tempfile::tempdir().unwrap();
+    own_city(folder.path());
+    succeeds(folder.path(), "run cfg/own.yaml --ticks 3 --no-pictures --out out");
+    let ask = || succeeds(folder.path(), "explain out/trace.jsonl --agent Car_1");
+    let before = ask();
+    let rules = folder.path().join("cfg/rules.dl");
+    fs::write(&rules, fs::read_to_string(&rules).unwrap().replace("S1:", "S9:")).unwrap();
+    assert_eq!(ask(), before);
+    // Given rules must be those of the run.
+    let line = "explain out/trace.jsonl --agent Car_1 --rules cfg/rules.dl";
+    fails(folder.path(), line, 1, &["trace-mismatch", "omit --rules"]);
+}
+
+/// A trace is input from elsewhere. Nothing in it makes the program open a file.
+#[test]
+fn no_file_that_a_trace_names_is_opened() {
+    let folder = tempfile::tempdir().unwrap();
+    succeeds(folder.path(), "run easy --ticks 2 --no-pictures --out .");
+    let trace = fs::read_to_string(folder.path().join("trace.jsonl")).unwrap();
+    let (header, ticks) = trace.split_once('\n').unwrap();
+    let secret = folder.path().join("secret");
+    fs::write(&secret, "password: hunter2\n").unwrap();
+    let path = secret.to_str().unwrap();
+    type Change<'a> = &'a dyn Fn(&mut Value);
+    let changes: [Change<'_>; 8] = [
+        &|header| header["configuration"]["rules"] = path.into(),
+        &|header| header["configuration"]["base"] = path.into(),
+        &|header| header["configuration"]["map"] = path.into(),
+        &|header| header["configuration"] = path.into(),
+        &|header| header["config"] = path.into(),
+        &|header| header["rule_files"][0]["text"] = format!(".include \"{path}\"\n").into(),
+        &|header| header["rule_files"][0]["name"] = path.into(),
+        &|header| {
+            // The fields of version 1.
+            header["version"] = 1.into();
+            header["config_file"] = path.into();
+            header["rules"] = path.into();
+        },
+    ];
+    for (index, change) in changes.iter().enumerate() {
+        let mut header: Value = serde_json::from_str(header).unwrap();
+        change(&mut header);
+        fs::write(folder.path().join("bad.jsonl"), format!("{header}\n{ticks}")).unwrap();
+        for line in [
+            "view bad.jsonl -o page.html --force",
+            "explain bad.jsonl --agent Car_1",
+            "check --coverage bad.jsonl",
+        ] {
+            let output = logicity(folder.path(), line);
+            let all = said(&output) + &String::from_utf8_lossy(&output.stdout);
+            assert!(
+                !all.contains("hunter2") && !all.contains("panicked"),
+                "{index} {line}: {all}"
+            );
+            let code = output.status.code();
+            assert!(matches!(code, Some(0..=2)), "{index} {line}: {all}");
+        }
+        let page = fs::read_to_string(folder.path().join("page.html")).unwrap_or_default();
+        assert!(!page.contains("hunter2"));
+    }
+}
+
+#[test]
+fn traces_of_the_first_version_need_their_configuration() {
+    let folder = tempfile::tempdir().unwrap();
+    own_city(folder.path());
+    succeeds(folder.path(), "run cfg/own.yaml --ticks 3 --no-pictures --out out");
+    let path = folder.path().join("out/trace.jsonl");
+    let trace = fs::read_to_string(&path).unwrap();
+    let (header, ticks) = trace.split_once('\n').unwrap();
+    let mut header: Value = serde_json::from_str(header).unwrap();
+    header["version"] = 1.into();
+    header["config_file"] = "cfg/own.yaml".into();
+    header["rules"] = "cfg/rules.dl".into();
+    for key in ["configuration", "rule_files"] {
+        header.as_object_mut().unwrap().shift_remove(key);
+    }
+    let now = succeeds(folder.path(), "explain out/trace.jsonl --agent Car_1");
+    fs::write(&path, format!("{header}\n{ticks}")).unwrap();
+    for line in [
+        "explain out/trace.jsonl --agent Car_1",
+        "view out/trace.jsonl -o p.html",
+        "check --coverage out/trace.jsonl",
+    ] {
+        fails(folder.path(), line, 1, &["invalid-trace", "version 1", "--config"]);
+    }
+    let line = "explain out/trace.jsonl --agent Car_1 --config cfg/own.yaml";
+    assert_eq!(succeeds(folder.path(), line), now);
+    fs::write(folder.path().join("cfg/rules.dl"), ".include \"vocabulary.dl\"\n").unwrap();
+    fails(folder.path(), line, 1, &["trace-mismatch", "rules"]);
+}
+
+#[test]
+fn the_header_of_a_trace_is_compact() {
+    let folder = tempfile::tempdir().unwrap();
+    succeeds(folder.path(), "run expert --ticks 1 --no-pictures --out .");
+    let trace = fs::read_to_string(folder.path().join("trace.jsonl")).unwrap();
+    let header = trace.lines().next().unwrap().len();
+    println!("the header of an expert run has {header} bytes");
+    assert!(header < 24 << 10, "{header}");
+}
+
+/// A pipe that a file names would make the program wait for ever. The user may name one on the command line.
+#[test]
+fn pipes_are_read_only_where_the_user_names_them() {
+    let folder = tempfile::tempdir().unwrap();
+    let pipe = |name: &str| {
+        let path = folder.path().join(name);
+        fs::create_dir_all(path.parent().unwrap()).unwrap();
+        assert!(Command::new("mkfifo").arg(&path).status().unwrap().success());
+    };
+    let write = |name: &str, text: &str| fs::write(folder.path().join(name), text).unwrap();
+    pipe("pipe");
+    pipe("pack/car/icon.png");
+    pipe("pack/car/icon.svg");
+    pipe("facts/A.facts");
+    pipe("set/manifest.json");
+    write("include.dl", ".include \"pipe\"\n");
+    write("facts.dl", ".decl A(x: number)\n.input A\n");
+    write("rules.yaml", "base: configs/easy.yaml\nrules: pipe\n");
+    write("base.yaml", "base: pipe\n");
+    write("map.yaml", "base: configs/easy.yaml\nmap: pipe\n");
+    symlink("/dev/null", folder.path().join("null")).unwrap();
+    symlink("/dev/zero", folder.path().join("zero")).unwrap();
+    write("null.dl", ".include \"null\"\n");
+    write("zero.dl", ".include \"zero\"\n");
+    for (line, code) in [
+        ("check include.dl", 1),
+        ("check null.dl", 1),
+        ("check zero.dl", 1),
+        ("query include.dl", 1),
+        ("query facts.dl -F facts", 2),
+        ("run rules.yaml --no-trace --ticks 1", 1),
+        ("run base.yaml --no-trace --ticks 1", 1),
+        ("run map.yaml --no-trace --ticks 1", 1),
+        ("icons sheet --pack pack -o sheet.png", 2),
+        ("vap check set", 2),
+        ("vap make --mode easy --split test --out set", 2),
+    ] {
+        fails(folder.path(), line, code, &["pipe or a device"]);
+    }
+    for line in ["icons sheet -o pipe", "fmt pipe"] {
+        let mut writer = Command::new("sh")
+            .args(["-c", "printf '.decl A(x:number)' > pipe"])
+            .current_dir(folder.path())
+            .spawn()
+            .unwrap();
+        fails(folder.path(), line, 2, &["not a regular file"]);
+        let _ = writer.kill();
+        writer.wait().unwrap();
+    }
+    // Process substitution, as in `check <(command)`.
+    let output = Command::new("bash")
+        .args(["-c", "\"$0\" check --json <(printf '.decl A(x: number)\\nA(1).\\n')"])
+        .arg(env!("CARGO_BIN_EXE_logicity"))
+        .output()
+        .unwrap();
+    assert_eq!(output.status.code(), Some(0), "{}", said(&output));
+}

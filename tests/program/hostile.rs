@@ -1,0 +1,1291 @@
+//! Hostile files and command lines: every command and option with values and files that are wrong, huge or malicious.
+//!
+//! Each case is a shell command line that runs the program (`@`, or in front where there is none) with 2 GB of address
+//! space and 20 seconds. It must end with its exit code and print its words, without a panic, an abort or a hang. No
+//! file that existed before may change: neither its bytes nor its permissions, nor where a link leads.
+
+use sha2::{Digest, Sha256};
+use std::collections::BTreeMap;
+use std::fmt::Write as _;
+use std::fs;
+use std::os::unix::fs::{PermissionsExt, symlink};
+use std::os::unix::process::ExitStatusExt;
+use std::path::{Path, PathBuf};
+use std::process::{Command, ExitStatus, Stdio};
+use std::sync::Mutex;
+use std::sync::atomic::{AtomicUsize, Ordering};
+use std::thread;
+use std::time::{Duration, Instant};
+
+/// The address space of a command, in KiB.
+const MEMORY: u32 = 2 << 20;
+/// The time for a command.
+const TIME: Duration = Duration::from_secs(20);
+/// The commands that run at the same time.
+const THREADS: usize = 2;
+
+/// A command line, the exit code, and words of the message (in standard output or standard error).
+type Case = (&'static str, i32, &'static str);
+
+const CHECK: &[Case] = &[
+    ("", 2, "Usage"),
+    ("nonsense", 2, "unrecognized subcommand"),
+    ("--nonsense", 2, "unexpected argument"),
+    ("check", 2, "RULES"),
+    ("check ''", 2, "cannot read"),
+    ("check missing.dl", 2, "missing.dl"),
+    ("check \"$(printf 'missing\\377.dl')\"", 2, "missing"),
+    ("check folder", 2, "folder"),
+    ("check good.dl/inside.dl", 2, "good.dl/inside.dl"),
+    ("check loop.dl", 2, "loop.dl"),
+    ("check dangling.dl", 2, "dangling.dl"),
+    ("check latin1.dl", 1, "not-text"),
+    ("check utf16.dl", 1, "not-text"),
+    ("check nul.dl", 1, "nul.dl:1"),
+    ("check empty.dl", 0, "0 clauses"),
+    ("check comment.dl", 1, "comment.dl"),
+    ("check string.dl", 1, "string.dl"),
+    ("check bom.dl", 0, "1 clause"),
+    ("check crlf.dl", 0, "1 clause"),
+    ("check picture.png", 1, "not-text"),
+    ("check deep-parentheses.dl", 1, "limit-exceeded"),
+    ("check deep-aggregates.dl", 1, "limit-exceeded"),
+    ("check deep-negation.dl", 1, "error"),
+    ("check number.dl", 1, "number.dl:1"),
+    ("check float.dl", 1, "float.dl"),
+    ("check wide.dl", 1, "error"),
+    ("check alternatives.dl", 1, "limit-exceeded"),
+    ("check faults.dl", 1, "errors"),
+    ("check variables.dl", 0, "1 clause"),
+    ("check names.dl", 1, "names.dl"),
+    ("check negation.dl", 1, "cyclic-negation"),
+    ("check regex.dl", 1, "regex.dl"),
+    ("check include-self.dl", 1, "include-cycle"),
+    ("check include-folder.dl", 1, "missing-include"),
+    ("check include-missing.dl", 1, "missing-include"),
+    ("check include-chain-0.dl", 1, "nested too deeply"),
+    ("check include-up.dl", 1, "missing-include"),
+    ("check include-device.dl", 1, "missing-include"),
+    ("check include-pipe.dl", 1, "pipe or a device"),
+    ("check include-passwd.dl", 1, "include-passwd.dl"),
+    ("check - < folder", 2, "cannot read"),
+    ("check good.dl missing.dl folder", 2, "missing.dl"),
+    ("check --json latin1.dl nul.dl", 1, "not-text"),
+    ("check --lints deep-parentheses.dl", 1, "limit-exceeded"),
+    ("check --config easy good.dl", 2, "--coverage"),
+    ("check --coverage missing.jsonl", 2, "missing.jsonl"),
+    ("check --coverage folder", 2, "folder"),
+    ("check --coverage empty.dl", 1, "empty"),
+    ("check --coverage picture.png", 1, "not-text"),
+    ("check --coverage deep.json", 1, "not the header"),
+    ("check --coverage trace.jsonl missing.dl", 2, "missing.dl"),
+    ("check --coverage trace.jsonl --config missing.yaml", 2, "missing.yaml"),
+    ("check --coverage trace-version.jsonl", 1, "invalid-trace"),
+    ("check --coverage trace-cycle.jsonl", 1, "include-cycle"),
+    ("check good.dl > /dev/full", 2, "standard output"),
+    ("check --json good.dl > /dev/full", 2, "standard output"),
+    ("--help > /dev/full", 0, ""),
+];
+
+const FORMAT: &[Case] = &[
+    ("fmt", 2, "RULES"),
+    ("fmt ''", 2, "cannot read"),
+    ("fmt missing.dl", 2, "missing.dl"),
+    ("fmt folder", 2, "folder"),
+    ("fmt loop.dl", 2, "loop.dl"),
+    ("fmt dangling.dl", 2, "dangling.dl"),
+    ("fmt latin1.dl", 1, "not-text"),
+    ("fmt nul.dl", 1, "nul.dl"),
+    ("fmt faults.dl", 1, "errors"),
+    ("fmt deep-parentheses.dl", 1, "limit-exceeded"),
+    ("fmt rules/vocabulary.dl", 0, ""),
+    ("fmt --check unformatted.dl", 1, "unformatted.dl"),
+    ("fmt --check nul.dl", 1, "nul.dl"),
+    ("head -c 100000 /dev/zero | @ fmt -", 1, "error"),
+    ("printf '\\377' | @ fmt -", 2, "UTF-8"),
+    ("printf '' | @ fmt -", 0, ""),
+    ("printf 'A(1).' | @ fmt - > /dev/full", 2, "standard output"),
+    ("fmt good.dl -- --check", 2, "--check"),
+];
+
+const DIFF: &[Case] = &[
+    ("diff", 2, "LEFT"),
+    ("diff good.dl", 2, "RIGHT"),
+    ("diff good.dl missing.dl", 2, "missing.dl"),
+    ("diff missing.dl good.dl", 2, "missing.dl"),
+    ("diff good.dl folder", 2, "folder"),
+    ("diff good.dl nul.dl", 1, "nul.dl"),
+    ("diff good.dl latin1.dl", 1, "not-text"),
+    ("diff expert hard", 2, "expert"),
+    ("diff good.dl good.dl --entities -1", 2, "-1"),
+    (
+        "diff good.dl good.dl --entities 99999999999999999999",
+        2,
+        "99999999999999999999",
+    ),
+    ("diff good.dl good.dl --entities NaN", 2, "NaN"),
+    ("diff good.dl good.dl --entities ''", 2, "--entities"),
+    ("diff rules/expert.dl rules/hard.dl --entities 1000000", 2, "--entities"),
+    ("diff good.dl good.dl --effort -1", 2, "-1"),
+    ("diff good.dl good.dl --effort 1e9", 2, "1e9"),
+    ("diff good.dl good.dl --predicates ''", 1, "predicate"),
+    ("diff good.dl good.dl --predicates Missing", 1, "Missing"),
+    ("diff rules/expert.dl rules/hard.dl > /dev/full", 2, "standard output"),
+];
+
+const QUERY: &[Case] = &[
+    ("query", 2, "RULES"),
+    ("query missing.dl", 2, "missing.dl"),
+    ("query folder", 2, "folder"),
+    ("query nul.dl", 1, "nul.dl"),
+    ("query input.dl -F missing", 2, "missing"),
+    ("query input.dl -F good.dl", 2, "good.dl"),
+    ("query input.dl -F folder", 2, "A.facts"),
+    ("query input.dl -F facts/latin1 -D -", 1, "not-text"),
+    ("query input.dl -F facts/nul -D -", 1, "invalid-fact"),
+    ("query input.dl -F facts/wide -D -", 1, "invalid-fact"),
+    ("query input.dl -F facts/large -D -", 1, "invalid-fact"),
+    ("query input.dl -F facts/digits -D -", 1, "invalid-fact"),
+    ("query input.dl -F facts/crlf -D -", 0, "2"),
+    ("query input.dl -F facts/bom -D -", 1, "invalid-fact"),
+    ("query input.dl -F facts/faults -D -", 1, "errors"),
+    ("query input.dl -F facts/folder -D -", 2, "folder"),
+    ("query input.dl -F facts/pipe -D -", 2, "pipe or a device"),
+    ("query input.dl -F facts/loop -D -", 2, "A.facts"),
+    ("query input.dl -F facts/gzip -D -", 1, "A.facts"),
+    ("query text.dl -F facts/text -D -", 0, "S"),
+    ("query device.dl -D -", 2, "pipe or a device"),
+    ("query good.dl -D good.dl", 2, "good.dl"),
+    ("query good.dl -D /dev/full", 2, "/dev/full"),
+    ("query good.dl -D /dev/null/inside", 2, "/dev/null"),
+    ("query good.dl -D ''", 0, ""),
+    ("query good.dl -D foreign", 2, "foreign/A.csv"),
+    ("query good.dl -D linked", 2, "linked/A.csv"),
+    ("query good.dl -D taken", 2, "not a regular file"),
+    ("query outside.dl -D folder", 2, "good.dl"),
+    ("query good.dl -D - > /dev/full", 2, "standard output"),
+    ("query good.dl --explain", 2, "--explain"),
+    ("query good.dl --explain ''", 1, "error"),
+    ("query good.dl --explain 'A('", 1, "error"),
+    ("query good.dl --explain 'B(1)'", 1, "B"),
+    ("query good.dl --explain 'A(99999999999999999999)'", 1, "error"),
+    ("query good.dl --explain 'A(1), A(2)'", 1, "error"),
+    ("query good.dl --explain \"$(printf 'A(\\377)')\"", 2, "UTF-8"),
+    (
+        "query good.dl --why-not \"$(head -c 100000 /dev/zero | tr '\\0' '(')\"",
+        1,
+        "error",
+    ),
+    ("query good.dl --explain 'A(1)' --why-not 'A(1)'", 2, "cannot be used"),
+    ("query good.dl --json", 2, "--json requires"),
+    ("query good.dl --plan --profile", 2, "cannot be used"),
+    ("query good.dl --threads -1", 2, "1024"),
+    ("query good.dl --threads 99999999999999999999", 2, "1024"),
+    ("query good.dl --threads 1e3", 2, "1024"),
+    ("query good.dl --threads ''", 2, "1024"),
+    ("query good.dl --max-rows -1", 2, "nonnegative"),
+    ("query good.dl --max-rows NaN", 2, "nonnegative"),
+    ("query good.dl --max-rows 1e99", 2, "nonnegative"),
+    ("query good.dl -D - --max-rows 99999999999T", 2, "nonnegative"),
+    ("query good.dl --max-rows 0 -D -", 1, "--max-rows"),
+    ("query good.dl --max-steps inf", 2, "nonnegative"),
+    ("query good.dl --max-memory -5", 2, "MiB"),
+    ("query good.dl --max-memory 5X", 2, "MiB"),
+    ("query good.dl --max-memory 0 -D -", 1, "--max-memory"),
+    ("query endless.dl --max-rows 100K -D -", 1, "--max-rows"),
+    ("query endless.dl --max-memory 20M -D -", 1, "--max-memory"),
+    ("query text-endless.dl --max-memory 100M -D -", 1, "--max-memory"),
+    ("query product.dl --max-steps 10M -D -", 1, "--max-steps"),
+    ("query range.dl --max-rows 100K -D -", 1, "--max-rows"),
+    ("query arithmetic.dl -D -", 0, "A"),
+    ("query regex.dl -D -", 1, "regex.dl"),
+    ("query substr.dl -D -", 0, "A"),
+];
+
+const REPL: &[Case] = &[
+    ("repl missing.dl < empty.dl", 2, "missing.dl"),
+    ("repl folder < empty.dl", 2, "folder"),
+    ("repl good.dl -F missing < empty.dl", 2, "missing"),
+    ("repl < empty.dl", 0, ""),
+    ("repl < faults.dl", 1, "error"),
+    ("repl < nul.dl", 1, "error"),
+    ("repl < latin1.dl", 2, "UTF-8"),
+    ("repl < picture.png", 2, "UTF-8"),
+    ("repl < deep-parentheses.dl", 1, "limit-exceeded"),
+    ("repl < folder", 2, "cannot read"),
+    (
+        "printf '.load missing.dl\\n.load folder\\n.load\\n' | @ repl",
+        1,
+        "missing.dl",
+    ),
+    ("printf '.facts missing\\n' | @ repl", 1, "missing"),
+    ("printf '.nonsense\\n?-\\n?- A(\\n' | @ repl", 1, "nonsense"),
+    (
+        "printf '.decl N(x: number)\\nN(0).\\nN(X + 1) :- N(X).\\n' | @ repl",
+        1,
+        "--max-rows",
+    ),
+    ("printf '.load include-pipe.dl\\n' | @ repl", 1, "pipe or a device"),
+    (
+        "printf '.decl A(x: number)\\n+A(99999999999999999999).\\n' | @ repl",
+        1,
+        "error",
+    ),
+    ("repl --max-rows -1 < empty.dl", 2, "nonnegative"),
+    ("printf '.help\\n' | @ repl > /dev/full", 2, "standard output"),
+];
+
+const INFER: &[Case] = &[
+    ("infer missing.jsonl", 2, "missing.jsonl"),
+    ("infer folder", 2, "folder"),
+    ("infer empty.dl", 0, ""),
+    ("infer picture.png", 1, "not-text"),
+    ("infer latin1.dl", 1, "not-text"),
+    ("infer utf16.dl", 1, "not-text"),
+    ("infer nul.dl", 1, "invalid-scene"),
+    ("infer deep.json", 1, "invalid-scene"),
+    ("infer huge-line.json", 1, "limit-exceeded"),
+    ("printf '{}' | @ infer", 1, "entities"),
+    ("printf 'null\\n[]\\n1\\n\"\"\\n' | @ infer", 1, "invalid-scene"),
+    ("printf '{\"entities\":{}' | @ infer", 1, "invalid-scene"),
+    ("printf '\\357\\273\\277{}' | @ infer", 1, "invalid-scene"),
+    ("printf '{\"entities\":NaN}' | @ infer", 1, "invalid-scene"),
+    (
+        "printf '{\"entities\":[],\"entities\":[]}' | @ infer",
+        1,
+        "invalid-scene",
+    ),
+    (
+        "printf '{\"entities\":{\"A\":{\"type\":\"Car\",\"priority\":1e999}}}' | @ infer",
+        1,
+        "invalid-scene",
+    ),
+    (
+        "printf '{\"entities\":{\"A\":{\"type\":\"Bird\"}}}' | @ infer",
+        1,
+        "Bird",
+    ),
+    ("infer entities.json", 1, "error"),
+    ("printf '{}' | @ infer --config missing.yaml", 2, "missing.yaml"),
+    ("printf '{}' | @ infer --config folder", 1, "folder"),
+    ("printf '{}' | @ infer --rules missing.dl", 2, "missing.dl"),
+    ("printf '{}' | @ infer --rules good.dl", 1, "error"),
+    ("printf '{}' | @ infer --seed -1", 2, "-1"),
+    ("printf '{}' | @ infer --seed 99999999999999999999", 2, "--seed"),
+    ("printf '{}' | @ infer --executor nonsense", 2, "nonsense"),
+    (
+        "printf '{}' | @ infer --executor dense --check-constraints",
+        2,
+        "relational",
+    ),
+    ("printf '{}' | @ infer --out folder", 2, "not a regular file"),
+    ("printf '{}' | @ infer --out good.dl", 2, "--force"),
+    ("printf '{}' | @ infer --out /dev/full", 2, "not a regular file"),
+    ("printf '{}' | @ infer --out loop.dl", 2, "symbolic links"),
+    ("printf '{}' | @ infer --out missing/answers.jsonl", 2, "no folder"),
+    ("printf '{}' | @ infer --out ''", 2, "cannot write"),
+    ("printf '{}' | @ infer > /dev/full", 2, "standard output"),
+];
+
+const RUN: &[Case] = &[
+    ("run", 2, "CONFIG"),
+    ("run '' --no-trace", 2, "cannot be read"),
+    ("run missing --no-trace", 2, "missing"),
+    ("run missing.yaml --no-trace", 2, "missing.yaml"),
+    ("run folder --no-trace", 1, "folder"),
+    ("run latin1.dl --no-trace", 1, "not-text"),
+    ("run picture.png --no-trace", 1, "not-text"),
+    ("run empty.dl --no-trace", 1, "run configuration"),
+    ("run nul.dl --no-trace", 1, "error"),
+    ("run yaml/bomb.yaml --no-trace", 1, "limit-exceeded"),
+    ("run yaml/deep.yaml --no-trace", 1, "error"),
+    ("run yaml/deep-flow.yaml --no-trace", 1, "error"),
+    ("run yaml/large.yaml --no-trace", 1, "limit-exceeded"),
+    ("run yaml/tab.yaml --no-trace", 1, "yaml-syntax"),
+    ("run yaml/duplicate.yaml --no-trace", 1, "duplicate-key"),
+    ("run yaml/keys.yaml --no-trace", 1, "error"),
+    ("run yaml/list.yaml --no-trace", 1, "run configuration"),
+    ("run yaml/documents.yaml --no-trace", 1, "error"),
+    ("run yaml/anchor.yaml --no-trace", 1, "yaml-syntax"),
+    ("run yaml/self-base.yaml --no-trace", 1, "include-cycle"),
+    ("run yaml/chain-0.yaml --no-trace", 1, "limit-exceeded"),
+    ("run yaml/base-folder.yaml --no-trace", 1, "folder"),
+    ("run yaml/base-pipe.yaml --no-trace", 1, "pipe or a device"),
+    ("run yaml/base-device.yaml --no-trace", 1, "pipe or a device"),
+    ("run yaml/base-secret.yaml --no-trace", 1, "error"),
+    ("run yaml/rules-missing.yaml --no-trace", 1, "missing-file"),
+    ("run yaml/rules-folder.yaml --no-trace", 1, "folder"),
+    ("run yaml/rules-pipe.yaml --no-trace", 1, "pipe or a device"),
+    ("run yaml/view-large.yaml --no-trace", 1, "invalid-value"),
+    ("run yaml/view-negative.yaml --no-trace", 1, "invalid-value"),
+    ("run yaml/view-nan.yaml --no-trace", 1, "invalid-value"),
+    ("run yaml/ticks.yaml --no-trace", 1, "invalid-value"),
+    ("run yaml/agents.yaml --no-trace", 1, "error"),
+    ("run yaml/agents-none.yaml --no-trace", 1, "error"),
+    ("run yaml/priority.yaml --no-trace", 1, "invalid-value"),
+    ("run yaml/map-zero.yaml --no-trace", 1, "invalid"),
+    ("run yaml/map-large.yaml --no-trace", 1, "invalid-value"),
+    ("run yaml/map-narrow.yaml --no-trace", 1, "invalid"),
+    ("run yaml/crlf.yaml --no-trace --ticks 1", 0, "1 ticks"),
+    ("run yaml/bom.yaml --no-trace --ticks 1", 0, "1 ticks"),
+    ("run easy --ticks 0 --no-trace", 2, "--ticks"),
+    ("run easy --ticks -1 --no-trace", 2, "-1"),
+    ("run easy --ticks 1e3 --no-trace", 2, "1e3"),
+    ("run easy --ticks '' --no-trace", 2, "--ticks"),
+    ("run easy --ticks 99999999999999999999 --no-trace", 2, "--ticks"),
+    ("run easy --seed NaN --no-trace", 2, "NaN"),
+    ("run easy --seed -1 --no-trace", 2, "-1"),
+    ("run easy --split nonsense --no-trace", 2, "nonsense"),
+    ("run easy --split '' --no-trace", 2, "--split"),
+    ("run easy --executor '' --no-trace", 2, "--executor"),
+    ("run easy --threads -1 --no-trace", 2, "1024"),
+    ("run easy --threads 1025 --no-trace", 2, "1024"),
+    ("run easy --rules missing.dl --no-trace", 2, "missing.dl"),
+    ("run easy --rules folder --no-trace", 2, "folder"),
+    ("run easy --rules good.dl --no-trace", 1, "error"),
+    ("run easy --rules runaway.dl --no-trace --ticks 1", 1, "limit-exceeded"),
+    ("run easy --html page.html --no-trace", 2, "cannot be used"),
+    ("run easy --ticks 1 --no-pictures --out good.dl", 2, "good.dl"),
+    ("run easy --ticks 1 --no-pictures --out /dev/full", 2, "/dev/full"),
+    ("run easy --ticks 1 --no-pictures --out loop.dl", 2, "loop.dl"),
+    ("run easy --ticks 1 --no-pictures --out ''", 2, "cannot"),
+    (
+        "run easy --ticks 1 --no-pictures --out foreign",
+        2,
+        "foreign/trace.jsonl",
+    ),
+    ("run easy --ticks 1 --no-pictures --out linked", 2, "linked/trace.jsonl"),
+    ("run easy --ticks 1 --no-pictures --out taken", 2, "not a regular file"),
+    (
+        "run easy --ticks 1 --no-pictures --out new --html folder",
+        2,
+        "not a regular file",
+    ),
+    (
+        "run easy --ticks 1 --no-pictures --out new --html new/trace.jsonl",
+        2,
+        "already writes it",
+    ),
+    (
+        "run easy --ticks 1 --no-pictures --out new --html good.dl",
+        2,
+        "--force",
+    ),
+    ("run easy --ticks 1 --out new --pack missing", 2, "missing"),
+    ("run easy --ticks 1 --out new --pack good.dl", 2, "not a folder"),
+    ("run easy --ticks 1 --out new --pack packs/pipe", 2, "pipe or a device"),
+    (
+        "run easy --ticks 1 --no-pictures --out new --pack packs/pipe",
+        2,
+        "cannot be used",
+    ),
+    (
+        "run easy --ticks 1 --no-pictures --out new > /dev/full",
+        2,
+        "standard output",
+    ),
+];
+
+const TRACES: &[Case] = &[
+    ("explain", 2, "TRACE"),
+    ("explain missing.jsonl --agent Car_1", 2, "missing.jsonl"),
+    ("explain folder --agent Car_1", 2, "folder"),
+    ("explain empty.dl --agent Car_1", 1, "empty"),
+    ("explain picture.png --agent Car_1", 1, "not-text"),
+    ("explain deep.json --agent Car_1", 1, "not the header"),
+    ("explain nul.dl --agent Car_1", 1, "not the header"),
+    ("explain huge-line.json --agent Car_1", 1, "not the header"),
+    ("explain trace.jsonl", 2, "--agent"),
+    ("explain trace.jsonl --agent ''", 2, "no agent"),
+    ("explain trace.jsonl --agent \"$(printf '\\377')\"", 2, "UTF-8"),
+    ("explain trace.jsonl --agent Car_1 --tick -1", 2, "-1"),
+    ("explain trace.jsonl --agent Car_1 --tick 99", 2, "no tick 99"),
+    (
+        "explain trace.jsonl --agent Car_1 --tick 99999999999999999999",
+        2,
+        "--tick",
+    ),
+    ("explain trace.jsonl --agent Car_1 --why-not Nonsense", 2, "Nonsense"),
+    (
+        "explain trace.jsonl --agent Car_1 --config missing.yaml",
+        2,
+        "missing.yaml",
+    ),
+    ("explain trace.jsonl --agent Car_1 --config folder", 1, "folder"),
+    ("explain trace.jsonl --agent Car_1 --config hard", 1, "trace-mismatch"),
+    ("explain trace.jsonl --agent Car_1 --rules missing.dl", 2, "missing.dl"),
+    ("explain trace.jsonl --agent Car_1 --rules good.dl", 1, "error"),
+    ("explain trace-header.jsonl --agent Car_1", 2, "no ticks"),
+    ("explain trace-truncated.jsonl --agent Car_1", 1, "not a tick"),
+    ("explain trace-keys.jsonl --agent Car_1", 1, "not the header"),
+    ("explain trace-version.jsonl --agent Car_1", 1, "version 1"),
+    ("explain trace-future.jsonl --agent Car_1", 1, "version 99"),
+    ("explain trace-config.jsonl --agent Car_1", 1, "error"),
+    ("explain trace-base.jsonl --agent Car_1", 1, "error"),
+    ("explain trace-rules.jsonl --agent Car_1", 1, "error"),
+    ("explain trace-include.jsonl --agent Car_1", 1, "missing-include"),
+    ("explain trace-cycle.jsonl --agent Car_1", 1, "include-cycle"),
+    ("explain trace-no-rules.jsonl --agent Car_1", 1, "error"),
+    ("explain trace-runaway.jsonl --agent Car_1", 1, "limit-exceeded"),
+    ("explain trace-agents.jsonl --agent Car_1", 1, "twice"),
+    ("explain trace-type.jsonl --agent Car_1", 1, "type of agent"),
+    ("explain trace-cell.jsonl --agent Car_1", 1, "not on the map"),
+    ("explain trace-cell-large.jsonl --agent Car_1", 1, "not a tick"),
+    ("explain trace-heading.jsonl --agent Car_1", 1, "heading"),
+    ("explain trace-action.jsonl --agent Car_1", 1, "action"),
+    ("explain trace-derived.jsonl --agent Car_1", 1, "trace-mismatch"),
+    ("explain trace.jsonl --agent Car_1 > /dev/full", 2, "standard output"),
+    ("view", 2, "TRACE"),
+    ("view missing.jsonl", 2, "missing.jsonl"),
+    ("view folder -o new.html", 2, "folder"),
+    ("view deep.json -o new.html", 1, "not the header"),
+    ("view trace.jsonl -o trace.jsonl", 2, "overwrite its trace"),
+    ("view trace.jsonl -o trace.jsonl --force", 2, "overwrite its trace"),
+    ("view trace.jsonl -o good.dl", 2, "--force"),
+    ("view trace.jsonl -o folder", 2, "not a regular file"),
+    ("view trace.jsonl -o pipe", 2, "not a regular file"),
+    ("view trace.jsonl -o /dev/full", 2, "not a regular file"),
+    ("view trace.jsonl -o missing/new.html", 2, "no folder"),
+    ("view trace.jsonl -o dangling.dl", 2, "no folder"),
+    ("view trace.jsonl -o new.html --from 99", 2, "before tick 99"),
+    ("view trace.jsonl -o new.html --from -1", 2, "-1"),
+    ("view trace.jsonl -o new.html --ticks 0", 2, "--ticks"),
+    ("view trace.jsonl -o new.html --from 99999999999999999999", 2, "--from"),
+    ("view trace-header.jsonl -o new.html", 1, "no ticks"),
+    ("view trace-gap.jsonl -o new.html", 1, "invalid-trace"),
+    ("view trace-number.jsonl -o new.html", 1, "invalid-trace"),
+    ("view trace-clauses.jsonl -o new.html", 1, "invalid-trace"),
+    ("view trace-truncated.jsonl -o new.html", 1, "not a tick"),
+    ("view trace-config.jsonl -o new.html", 1, "error"),
+    ("view trace-base.jsonl -o new.html", 1, "error"),
+    ("view trace.jsonl -o new.html --pack missing", 2, "missing"),
+    ("view trace.jsonl -o new.html --difficulty 101", 2, "0 to 100"),
+];
+
+const TASKS: &[Case] = &[
+    ("episodes", 2, "Usage"),
+    ("episodes nonsense", 2, "nonsense"),
+    ("episodes check missing.yaml", 2, "missing.yaml"),
+    ("episodes check folder", 1, "folder"),
+    ("episodes check vap-easy", 1, "task"),
+    ("episodes check episodes/missing.yaml", 1, "missing"),
+    ("episodes check episodes/empty.yaml", 1, "empty.jsonl"),
+    ("episodes check episodes/deep.yaml", 1, "invalid-episode"),
+    ("episodes check episodes/nul.yaml", 1, "invalid-episode"),
+    ("episodes check episodes/binary.yaml", 1, "not-text"),
+    ("episodes check episodes/pipe.yaml", 1, "pipe or a device"),
+    ("episodes check episodes/numbers.yaml", 1, "invalid-episode"),
+    ("episodes show easy --episode 99999", 2, "no episode"),
+    ("episodes show easy --episode -1", 2, "-1"),
+    ("episodes show easy --split nonsense", 2, "nonsense"),
+    ("episodes make easy --count 0 -o new.jsonl", 2, "--count"),
+    ("episodes make easy --count -5 -o new.jsonl", 2, "-5"),
+    ("episodes make easy --count 1e9 -o new.jsonl", 2, "1e9"),
+    ("episodes make easy --seed -1 -o new.jsonl", 2, "-1"),
+    ("episodes make easy", 2, "--output"),
+    ("episodes make easy --count 1 -o good.dl", 2, "--force"),
+    ("episodes make easy --count 1 -o folder", 2, "not a regular file"),
+    ("episodes make easy --count 1 -o /dev/full", 2, "not a regular file"),
+    ("episodes make vap-easy --count 1 -o new.jsonl", 1, "task"),
+    ("episodes spread easy --sets 1", 2, "--sets"),
+    ("episodes spread easy --sets NaN", 2, "NaN"),
+    ("episodes spread easy --count 0", 2, "--count"),
+    ("questions missing.yaml", 2, "missing.yaml"),
+    ("questions folder", 1, "folder"),
+    ("questions --count 0", 2, "--count"),
+    ("questions --count 99999999999", 2, "--count"),
+    ("questions --shots -1", 2, "-1"),
+    ("questions --shots 1", 1, "shots"),
+    ("questions --about ''", 1, "concept"),
+    ("questions --about nonsense", 1, "nonsense"),
+    ("questions --mini --count 5", 2, "cannot be used"),
+    ("questions --entities nonsense", 2, "nonsense"),
+    ("questions --seed 1.5", 2, "1.5"),
+    ("questions --count 8 --shots 0 -o good.dl", 2, "--force"),
+    ("questions --count 8 --shots 0 --csv folder", 2, "not a regular file"),
+    (
+        "questions --count 8 --shots 0 -o new.x --csv new.x",
+        2,
+        "already writes it",
+    ),
+    ("questions --count 8 --shots 0 > /dev/full", 2, "standard output"),
+    ("questions --rules missing.dl", 2, "missing.dl"),
+    ("route --from 1,1 --to a,b", 2, "a,b"),
+    ("route --from 1 --to 2,2", 2, "--from"),
+    ("route --from -1,5 --to 2,2", 2, "-1"),
+    ("route --from 99999999999,1 --to 2,2", 2, "--from"),
+    ("route --from NaN,NaN --to 2,2", 2, "NaN"),
+    ("route --map missing --from 1,1 --to 2,2", 2, "missing"),
+    ("route --map folder --from 1,1 --to 2,2", 1, "folder"),
+    ("route --type nonsense --from 1,1 --to 2,2", 2, "nonsense"),
+    ("route --from 0,0 --to 2147483647,2147483647", 1, "2147483647"),
+];
+
+const PICTURES: &[Case] = &[
+    ("icons", 2, "Usage"),
+    ("icons sheet --class ''", 2, "--class"),
+    ("icons sheet --class nonsense", 2, "nonsense"),
+    ("icons sheet --class \"$(printf '\\377')\"", 2, "UTF-8"),
+    ("icons sheet --seed -1", 2, "-1"),
+    ("icons sheet --difficulty -1", 2, "0 to 100"),
+    ("icons sheet --difficulty NaN", 2, "0 to 100"),
+    ("icons sheet --pack-mode replace", 2, "--pack"),
+    ("icons sheet -o good.dl", 2, "--force"),
+    ("icons sheet -o folder", 2, "not a regular file"),
+    ("icons sheet -o /dev/full", 2, "not a regular file"),
+    ("icons sheet -o new.png --pack missing", 2, "no such folder"),
+    ("icons sheet -o new.png --pack good.dl", 2, "not a folder"),
+    ("icons sheet -o new.png --pack folder", 2, "folder"),
+    ("icons sheet -o new.png --pack packs/pipe", 2, "pipe or a device"),
+    ("icons sheet -o new.png --pack packs/class", 2, "nonsense"),
+    ("icons sheet -o new.png --pack packs/empty", 2, "car/icon.png"),
+    ("icons sheet -o new.png --pack packs/truncated", 2, "car/icon.png"),
+    ("icons sheet -o new.png --pack packs/dimensions", 2, "car/icon.png"),
+    ("icons sheet -o new.png --pack packs/text", 2, "car/icon.png"),
+    ("icons sheet -o new.png --pack packs/gif", 2, "car/icon.gif"),
+    ("icons sheet -o new.png --pack packs/large", 2, "car/icon.png"),
+    ("icons sheet -o new.png --pack packs/entities", 2, "car/icon.svg"),
+    ("icons sheet -o new.png --pack packs/reference", 2, "car/icon.svg"),
+    ("icons sheet -o new.png --pack packs/nested", 2, "car/icon.svg"),
+    ("icons sheet -o new.png --pack packs/use", 2, "car/icon.svg"),
+    ("icons sheet -o new.png --pack packs/size", 2, "car/icon.svg"),
+    ("icons sheet -o new.png --pack packs/loop", 2, "loop"),
+    ("vap", 2, "Usage"),
+    ("vap make", 2, "--mode"),
+    ("vap make --mode nonsense --split test --out new", 2, "nonsense"),
+    ("vap make --mode easy --split nonsense --out new", 2, "nonsense"),
+    ("vap make --mode easy --split test", 2, "--out"),
+    ("vap make --mode easy --split test --out ''", 2, "cannot"),
+    ("vap make --mode easy --split test --out good.dl", 2, "good.dl"),
+    ("vap make --mode easy --split test --out /dev/full", 2, "/dev/full"),
+    (
+        "vap make --mode easy --split test --out foreign",
+        1,
+        "foreign/manifest.json",
+    ),
+    ("vap make --mode easy --split test --out readme", 1, "readme/README.md"),
+    ("vap make --mode easy --split test --out sets/world", 1, "world.json"),
+    (
+        "vap make --mode easy --split test --out sets/pipe",
+        2,
+        "pipe or a device",
+    ),
+    ("vap make --mode easy --split test --worlds 0 --out new", 2, "--worlds"),
+    (
+        "vap make --mode easy --split test --worlds 99999999999 --out new",
+        2,
+        "--worlds",
+    ),
+    ("vap make --mode easy --split test --first-world -1 --out new", 2, "-1"),
+    ("vap make --mode easy --split test --threads 5000 --out new", 2, "1024"),
+    (
+        "vap make --mode easy --split test --difficulty 1e2 --out new",
+        2,
+        "0 to 100",
+    ),
+    (
+        "vap make --mode easy --split test --pack packs/text --out new",
+        2,
+        "car/icon.png",
+    ),
+    ("vap check missing", 2, "missing"),
+    ("vap check good.dl", 2, "good.dl"),
+    ("vap check folder", 2, "manifest.json"),
+    ("vap check foreign", 1, "manifest.json"),
+    ("vap check sets/deep", 1, "manifest.json"),
+    ("vap check sets/binary", 2, "manifest.json"),
+    ("vap check sets/pipe", 2, "pipe or a device"),
+    ("vap check sets/version", 1, "version 99"),
+    ("vap check sets/numbers", 1, "manifest.json"),
+    ("vap check set-table", 1, "parquet"),
+    ("vap check set-cut", 1, "parquet"),
+    ("vap check set-extra", 1, "foreign.txt"),
+    ("vap check set-missing", 1, "pairs.parquet"),
+    ("vap check folder --threads -1", 2, "1024"),
+];
+
+const BENCH: &[Case] = &[
+    ("bench nonsense", 2, "nonsense"),
+    ("bench tick --config missing.yaml", 2, "missing.yaml"),
+    ("bench tick --agents -1", 2, "-1"),
+    ("bench tick --agents 999999999999", 2, "--agents"),
+    ("bench tick --seconds -1", 2, "-1"),
+    ("bench tick --seconds NaN", 2, "NaN"),
+    ("bench tick --seconds inf", 2, "inf"),
+    ("bench tick --seconds 1e308", 2, "1e308"),
+    ("bench tick --seconds ''", 2, "--seconds"),
+    ("bench tick --threads 1e9", 2, "1024"),
+    ("bench tick --seed -1", 2, "-1"),
+    ("bench tick --scenes deep.json", 2, "--scenes"),
+    ("bench infer --scenes missing.jsonl", 2, "missing.jsonl"),
+    ("bench infer --scenes folder", 2, "folder"),
+    ("bench infer --scenes deep.json", 1, "invalid-scene"),
+    ("bench infer --scenes empty.dl", 1, "scene"),
+    ("bench infer --scenes picture.png", 1, "not-text"),
+    ("completions nonsense", 2, "nonsense"),
+    ("completions bash > /dev/full", 2, "standard output"),
+];
+
+const SERVER: &[Case] = &[
+    ("printf '' | @ lsp", 2, "error"),
+    ("lsp < empty.dl", 2, "error"),
+    ("lsp < picture.png", 2, "malformed"),
+    (
+        "printf 'Content-Length: 99999999999999\\r\\n\\r\\n{}' | @ lsp",
+        2,
+        "at most 64 MiB",
+    ),
+    (
+        "printf 'Content-Length: 18446744073709551616\\r\\n\\r\\n{}' | @ lsp",
+        2,
+        "at most 64 MiB",
+    ),
+    ("printf 'Content-Length: -5\\r\\n\\r\\n{}' | @ lsp", 2, "Content-Length"),
+    (
+        "printf 'Content-Length: NaN\\r\\n\\r\\n{}' | @ lsp",
+        2,
+        "Content-Length",
+    ),
+    (
+        "printf 'Content-Length: 60000000\\r\\n\\r\\n{}' | @ lsp",
+        2,
+        "ends within",
+    ),
+    ("printf 'Content-Length: 2\\n\\n{}' | @ lsp", 2, "malformed"),
+    ("printf 'Nonsense\\r\\n\\r\\n{}' | @ lsp", 2, "malformed"),
+    ("printf 'Content-Type: x\\r\\n\\r\\n{}' | @ lsp", 2, "no Content-Length"),
+    ("printf 'Content-Length: 0\\r\\n\\r\\n' | @ lsp", 2, "not a message"),
+    ("printf 'Content-Length: 2\\r\\n\\r\\n{}' | @ lsp", 2, "error"),
+    (
+        "printf 'Content-Length: 3\\r\\n\\r\\n\\377\\377\\377' | @ lsp",
+        2,
+        "not a message",
+    ),
+    ("head -c 50000000 /dev/zero | @ lsp", 2, "malformed"),
+    (
+        "(printf 'Content-Length: 1000000\\r\\n\\r\\n'; head -c 1000000 deep.json) | @ lsp",
+        2,
+        "not a message",
+    ),
+    ("lsp < lsp/twice", 0, "capabilities"),
+    ("lsp < lsp/unknown", 0, "unknown"),
+    ("lsp < lsp/positions", 0, "capabilities"),
+    ("lsp < lsp/texts", 0, "diagnostics"),
+    ("lsp < lsp/parameters", 0, "error"),
+    ("lsp < lsp/include", 0, "missing-include"),
+    ("lsp < lsp/initialize > /dev/full", 2, "error"),
+    ("lsp --socket 1", 2, "--socket"),
+];
+
+const ALL: [&[Case]; 12] = [
+    CHECK, FORMAT, DIFF, QUERY, REPL, INFER, RUN, TRACES, TASKS, PICTURES, BENCH, SERVER,
+];
+
+/// The fixtures, written once and copied for each thread.
+struct Fixtures {
+    folder: tempfile::TempDir,
+}
+
+impl Fixtures {
+    fn new() -> Fixtures {
+        let fixtures = Fixtures {
+            folder: tempfile::tempdir().unwrap(),
+        };
+        fixtures.rules();
+        fixtures.facts();
+        fixtures.configurations();
+        fixtures.traces();
+        fixtures.episodes();
+        fixtures.packs();
+        fixtures.sets();
+        fixtures.messages();
+        fixtures
+    }
+
+    fn path(&self, name: &str) -> PathBuf {
+        self.folder.path().join(name)
+    }
+
+    fn put(&self, name: &str, bytes: impl AsRef<[u8]>) {
+        let path = self.path(name);
+        fs::create_dir_all(path.parent().unwrap()).unwrap();
+        fs::write(path, bytes).unwrap();
+    }
+
+    fn link(&self, name: &str, target: &str) {
+        let path = self.path(name);
+        fs::create_dir_all(path.parent().unwrap()).unwrap();
+        symlink(target, path).unwrap();
+    }
+
+    fn pipe(&self, name: &str) {
+        let path = self.path(name);
+        fs::create_dir_all(path.parent().unwrap()).unwrap();
+        assert!(Command::new("mkfifo").arg(path).status().unwrap().success());
+    }
+
+    fn rules(&self) {
+        let decl = ".decl A(x: number)\n.output A\n";
+        fs::create_dir(self.path("folder")).unwrap();
+        self.pipe("pipe");
+        self.link("loop.dl", "loop.dl");
+        self.link("dangling.dl", "nowhere/nothing.dl");
+        self.put("good.dl", format!("{decl}A(1).\n"));
+        self.put("latin1.dl", b"// caf\xe9\nA(1).\n");
+        self.put(
+            "utf16.dl",
+            "A(1).".encode_utf16().flat_map(u16::to_le_bytes).collect::<Vec<u8>>(),
+        );
+        self.put("nul.dl", [0; 100]);
+        self.put("empty.dl", "");
+        self.put("comment.dl", "/* never closed");
+        self.put("string.dl", format!("{decl}A(\"never closed).\n"));
+        self.put("bom.dl", format!("\u{feff}{decl}A(1).\n"));
+        self.put("crlf.dl", format!("{decl}A(1).\n").replace('\n', "\r\n"));
+        self.put("picture.png", b"\x89PNG\r\n\x1a\n\0\0\0\rIHDR\xff\xff\xff\xff");
+        self.put("unformatted.dl", "  .decl   A(x:number)  \n");
+        let deep = 200_000;
+        self.put(
+            "deep-parentheses.dl",
+            format!("{decl}A(X) :- X = {}1{}.\n", "(".repeat(deep), ")".repeat(deep)),
+        );
+        self.put(
+            "deep-aggregates.dl",
+            format!("{decl}A(X) :- X = {}1", "count : { A(Y), Y = ".repeat(10_000)),
+        );
+        self.put("deep-negation.dl", format!("{decl}A(1) :- {}A(1).\n", "!".repeat(deep)));
+        self.put("deep.json", "[".repeat(2_000_000));
+        self.put("number.dl", format!("A({}).\n", "9".repeat(1_000_000)));
+        self.put("float.dl", ".decl A(x: float)\nA(1e999).\nA(NaN).\n");
+        let columns: Vec<String> = (0..100_000).map(|column| format!("c{column}: number")).collect();
+        self.put("wide.dl", format!(".decl W({})\n", columns.join(", ")));
+        let pairs = vec!["(A(X); A(X + 1))"; 60].join(", ");
+        self.put("alternatives.dl", format!("{decl}A(X) :- {pairs}.\n"));
+        self.put("faults.dl", "A(1\n".repeat(50_000));
+        let variables: Vec<String> = (0..300).map(|variable| format!("A(X{variable})")).collect();
+        self.put("variables.dl", format!("{decl}A(1) :- {}.\n", variables.join(", ")));
+        self.put("names.dl", ".decl \u{1f697}(x: number)\n\u{1f697}(1).\n");
+        self.put("negation.dl", format!("{decl}A(1) :- !A(1).\n"));
+        let pattern = "(a{1000}){1000}".repeat(10);
+        self.put("regex.dl", format!("{decl}A(1) :- match(\"{pattern}\", \"a\").\n"));
+        self.put("include-self.dl", ".include \"include-self.dl\"\n");
+        self.put("include-folder.dl", ".include \"folder\"\n");
+        self.put("include-missing.dl", ".include \"missing.dl\"\n");
+        for link in 0..80 {
+            self.put(
+                &format!("include-chain-{link}.dl"),
+                format!(".include \"include-chain-{}.dl\"\n", link + 1),
+            );
+        }
+        self.put(
+            "include-up.dl",
+            format!(".include \"{}missing.dl\"\n", "../".repeat(10_000)),
+        );
+        self.put("include-device.dl", ".include \"/dev/zero\"\n");
+        self.put("include-pipe.dl", ".include \"pipe\"\n");
+        self.put("include-passwd.dl", ".include \"/etc/passwd\"\n");
+        self.put("input.dl", ".decl A(x: number)\n.input A\n.output A\n");
+        self.put("text.dl", ".decl S(x: symbol)\n.input S\n.output S\n");
+        self.put(
+            "device.dl",
+            ".decl A(x: number)\n.input A(filename=\"/dev/zero\")\n.output A\n",
+        );
+        self.put(
+            "outside.dl",
+            ".decl A(x: number)\nA(1).\n.output A(filename=\"../good.dl\")\n",
+        );
+        self.put(
+            "endless.dl",
+            format!("{decl}A(0).\nA(X + 1) :- A(X), X < 2000000000.\n"),
+        );
+        let grow = ".decl T(x: symbol)\n.output T\nT(\"aaaaaaaaaaaaaaaa\").\nT(cat(X, X)) :- T(X).\n";
+        self.put("text-endless.dl", grow);
+        let product = ".decl N(x: number)\nN(X) :- X = range(0, 1000).\n.decl A(x: number)\n.output A\n\
+                       A(X) :- N(X), N(Y), N(Z), N(U), Y + Z + U < 0.\n";
+        self.put("product.dl", product);
+        self.put("range.dl", format!("{decl}A(X) :- X = range(0, 2000000000).\n"));
+        let numbers = "A(1 / 0).\nA(-2147483648 / -1).\nA(5 % 0).\nA(2 ^ 99).\nA(1 bshl 99).\nA(2147483647 + 1).\n";
+        self.put("arithmetic.dl", format!("{decl}{numbers}"));
+        self.put(
+            "substr.dl",
+            format!("{decl}A(strlen(substr(\"aé\", -5, 2147483647))).\nA(to_number(\"9e99\")).\n"),
+        );
+        let runaway = ".include \"vocabulary.dl\"\n.decl N(x: number)\nN(0).\nN(X + 1) :- N(X), X < 2000000000.\n\
+                       Stop(X) :- IsCar(X), N(1000000000).\n";
+        self.put("runaway.dl", runaway);
+        self.put("foreign/A.csv", "foreign\n");
+        self.put("foreign/trace.jsonl", "foreign\n");
+        self.put("foreign/manifest.json", "{\"foreign\": true}\n");
+        self.put("readme/README.md", "# Mine\n");
+        for name in ["A.csv", "trace.jsonl"] {
+            self.link(&format!("linked/{name}"), "../good.dl");
+            fs::create_dir_all(self.path(&format!("taken/{name}"))).unwrap();
+        }
+    }
+
+    fn facts(&self) {
+        self.put("facts/latin1/A.facts", b"1\n\xff\n");
+        self.put("facts/nul/A.facts", [0; 10]);
+        self.put("facts/wide/A.facts", "1\t".repeat(100_000));
+        self.put("facts/large/A.facts", "99999999999999999999\n-99999999999999999999\n");
+        self.put("facts/digits/A.facts", "7".repeat(1_000_000));
+        self.put("facts/crlf/A.facts", "1\r\n2\r\n");
+        self.put("facts/bom/A.facts", "\u{feff}1\n");
+        self.put("facts/faults/A.facts", "x\n".repeat(50_000));
+        fs::create_dir_all(self.path("facts/folder/A.facts")).unwrap();
+        self.pipe("facts/pipe/A.facts");
+        self.link("facts/loop/A.facts", "A.facts");
+        self.put(
+            "facts/gzip/A.facts",
+            b"\x1f\x8b\x08\0\0\0\0\0\0\x03\x03\0\0\0\0\0\0\0\0\0",
+        );
+        self.put("facts/text/S.facts", "\u{202e}\u{7}\u{1b}[31m\n".repeat(10));
+        self.put("entities.json", {
+            let mut scene = "{\"entities\":{".to_owned();
+            for entity in 0..100_000 {
+                write!(scene, "\"E{entity}\":{{\"type\":\"Car\"}},").unwrap();
+            }
+            scene + "\"Last\":{\"type\":\"Car\"}}}"
+        });
+        self.put("huge-line.json", vec![b' '; 70 << 20]);
+    }
+
+    fn configurations(&self) {
+        let put = |name: &str, text: &str| self.put(&format!("yaml/{name}.yaml"), text);
+        let easy = |name: &str, keys: &str| put(name, &format!("base: configs/easy.yaml\n{keys}\n"));
+        let mut bomb = "a0: &a0 [x, x, x, x, x, x, x, x, x, x]\n".to_owned();
+        for level in 1..12 {
+            let parts = vec![format!("*a{}", level - 1); 10].join(", ");
+            writeln!(bomb, "a{level}: &a{level} [{parts}]").unwrap();
+        }
+        put("bomb", &bomb);
+        let deep: String = (0..3000).map(|level| format!("{}a:\n", " ".repeat(level))).collect();
+        put("deep", &deep);
+        put("deep-flow", &"[".repeat(1_000_000));
+        put("large", &"# comment\n".repeat(1_000_000));
+        put("tab", "rules:\n\t- x\n");
+        put("duplicate", "base: configs/easy.yaml\nview: 5\nview: 6\n");
+        put(
+            "keys",
+            &(0..30_000).map(|key| format!("k{key}: 1\n")).collect::<String>(),
+        );
+        put("list", "- 1\n- 2\n");
+        put("documents", "--- 1\n--- 2\n--- 3\n");
+        put("anchor", "a: *nothing\n");
+        put("self-base", "base: self-base.yaml\n");
+        for link in 0..20 {
+            put(&format!("chain-{link}"), &format!("base: chain-{}.yaml\n", link + 1));
+        }
+        put("base-folder", "base: ../folder\n");
+        put("base-pipe", "base: ../pipe\n");
+        put("base-device", "base: /dev/zero\n");
+        put("base-secret", "base: /etc/passwd\n");
+        easy("rules-missing", "rules: missing.dl");
+        easy("rules-folder", "rules: ../folder");
+        easy("rules-pipe", "rules: ../pipe");
+        easy("view-large", "view: 99999999999999999999");
+        easy("view-negative", "view: -5");
+        easy("view-nan", "view: .nan");
+        easy("ticks", "ticks: 1e30");
+        easy("agents", "agents: {test: {cars: [{count: 4000000000, priority: 1}]}}");
+        easy("agents-none", "agents: {test: {}}");
+        easy("priority", "agents: {test: {cars: [{priority: 99999999999}]}}");
+        let map = |blocks: &str, widths: &str| {
+            let buildings = "{random: {seed: 1, weights: {House: 1}}}";
+            format!("map: {{blocks: {blocks}, widths: {widths}, buildings: {buildings}}}")
+        };
+        let usual = "{street: 8, sidewalk: 3, building: 6, inner_sidewalk: 1}";
+        easy("map-zero", &map("[0, 0]", usual));
+        easy("map-large", &map("[99999999, 99999999]", usual));
+        easy(
+            "map-narrow",
+            &map("[2, 2]", "{street: 0, sidewalk: 0, building: 0, inner_sidewalk: 0}"),
+        );
+        put("crlf", "base: configs/easy.yaml\r\nview: 20\r\n");
+        put("bom", "\u{feff}base: configs/easy.yaml\nview: 20\n");
+    }
+
+    fn run(&self, arguments: &[&str]) {
+        let mut command = Command::new(env!("CARGO_BIN_EXE_logicity"));
+        let done = command
+            .args(arguments)
+            .current_dir(self.folder.path())
+            .output()
+            .unwrap();
+        assert!(
+            done.status.success(),
+            "{arguments:?}: {}",
+            String::from_utf8_lossy(&done.stderr)
+        );
+    }
+
+    fn traces(&self) {
+        self.run(&["run", "easy", "--ticks", "3", "--no-pictures", "--out", "made"]);
+        let trace = fs::read_to_string(self.path("made/trace.jsonl")).unwrap();
+        fs::remove_dir_all(self.path("made")).unwrap();
+        self.put("trace.jsonl", &trace);
+        let lines: Vec<&str> = trace.lines().collect();
+        let parsed: Vec<serde_json::Value> = lines.iter().map(|line| serde_json::from_str(line).unwrap()).collect();
+        self.put("trace-header.jsonl", lines[0]);
+        self.put("trace-truncated.jsonl", &trace[..trace.len() - 100]);
+        self.put("trace-keys.jsonl", "{\"trace\":\"logicity\",\"version\":2}\n");
+        let change = |name: &str, line: usize, pointer: &str, value: &str| {
+            let mut changed = parsed.clone();
+            let (parent, key) = pointer.rsplit_once('/').unwrap();
+            changed[line].pointer_mut(parent).unwrap()[key] = serde_json::from_str(value).unwrap();
+            let lines: Vec<String> = changed.iter().map(ToString::to_string).collect();
+            self.put(&format!("trace-{name}.jsonl"), lines.join("\n"));
+        };
+        change("version", 0, "/version", "1");
+        change("future", 0, "/version", "99");
+        change("config", 0, "/configuration", "[[[]]]");
+        change("base", 0, "/configuration/base", "\"/etc/passwd\"");
+        change("no-rules", 0, "/rule_files", "[]");
+        change("agents", 0, "/agents/1", &parsed[0]["agents"][0].to_string());
+        change("type", 0, "/agents/0/type", "\"Bird\"");
+        let rules = |name: &str, text: &str| {
+            let own = parsed[0]["rule_files"][0]["name"].to_string();
+            change(
+                name,
+                0,
+                "/rule_files",
+                &format!("[{{\"name\":{own},\"text\":{text:?}}}]"),
+            );
+        };
+        rules("rules", "A(((");
+        rules("include", ".include \"/etc/passwd\"");
+        rules("cycle", &format!(".include {}", parsed[0]["rule_files"][0]["name"]));
+        let vocabulary = fs::read_to_string(concat!(env!("CARGO_MANIFEST_DIR"), "/rules/vocabulary.dl")).unwrap();
+        let runaway =
+            ".decl N(x: number)\nN(0).\nN(X + 1) :- N(X), X < 2000000000.\nStop(X) :- IsCar(X), N(1000000000).\n";
+        rules("runaway", &format!("{vocabulary}\n{runaway}"));
+        change("cell", 3, "/agents/0/at", "[-1, 5]");
+        change("cell-large", 3, "/agents/0/at", "[1, 99999999999]");
+        change("heading", 3, "/agents/0/heading", "\"Inwards\"");
+        change("action", 3, "/agents/0/action", "\"Fly\"");
+        change("derived", 3, "/agents/0/derived", "[\"Slow\",\"Fast\"]");
+        change("gap", 3, "/tick", "77");
+        change("number", 1, "/tick", "18446744073709551615");
+        change("clauses", 1, "/agents/0/clauses", "[99999999999]");
+    }
+
+    fn episodes(&self) {
+        let put = |name: &str, bytes: &[u8]| {
+            let config = format!("base: configs/easy.yaml\ntask: {{episodes: {{test: {name}.jsonl}}}}\n");
+            self.put(&format!("episodes/{name}.yaml"), config);
+            self.put(&format!("episodes/{name}.jsonl"), bytes);
+        };
+        put("missing", b"");
+        fs::remove_file(self.path("episodes/missing.jsonl")).unwrap();
+        put("empty", b"");
+        put("deep", "[".repeat(1_000_000).as_bytes());
+        put("nul", &[0; 100]);
+        put("binary", b"\xff\xfe");
+        put("numbers", b"{\"seed\": 1e999, \"trips\": [[-1, 99999999999, 1, 1]]}\n");
+        put("pipe", b"");
+        fs::remove_file(self.path("episodes/pipe.jsonl")).unwrap();
+        self.pipe("episodes/pipe.jsonl");
+    }
+
+    fn packs(&self) {
+        let put = |pack: &str, name: &str, bytes: &[u8]| self.put(&format!("packs/{pack}/car/icon.{name}"), bytes);
+        self.pipe("packs/pipe/car/icon.png");
+        self.put("packs/class/nonsense/icon.png", "");
+        put("empty", "png", b"");
+        put("truncated", "png", b"\x89PNG\r\n\x1a\n\0\0\0\rIHDR");
+        let mut dimensions = b"\x89PNG\r\n\x1a\n\0\0\0\rIHDR".to_vec();
+        dimensions.extend(b"\x7f\xff\xff\xff\x7f\xff\xff\xff\x08\x06\0\0\0\0\0\0\0");
+        put("dimensions", "png", &dimensions);
+        put("text", "png", b"no picture");
+        put("gif", "gif", b"GIF89a");
+        put("large", "png", &vec![0; 9 << 20]);
+        let svg = |inner: &str| format!("<svg xmlns=\"http://www.w3.org/2000/svg\" viewBox=\"0 0 9 9\">{inner}</svg>");
+        let entities = "<!DOCTYPE svg [<!ENTITY a \"aaaaaaaaaa\"><!ENTITY b \"&a;&a;&a;&a;&a;&a;&a;&a;&a;&a;\">]>";
+        put("entities", "svg", format!("{entities}{}", svg("&b;")).as_bytes());
+        put(
+            "reference",
+            "svg",
+            svg("<image href=\"/etc/passwd\" width=\"9\" height=\"9\"/>").as_bytes(),
+        );
+        put("nested", "svg", svg(&"<g>".repeat(100_000)).as_bytes());
+        let mut uses = "<defs><rect id=\"u0\" width=\"1\" height=\"1\"/>".to_owned();
+        for level in 1..30 {
+            let used = format!("<use href=\"#u{}\"/>", level - 1).repeat(10);
+            write!(uses, "<g id=\"u{level}\">{used}</g>").unwrap();
+        }
+        put(
+            "use",
+            "svg",
+            svg(&format!("{uses}</defs><use href=\"#u29\"/>")).as_bytes(),
+        );
+        put(
+            "size",
+            "svg",
+            b"<svg xmlns=\"http://www.w3.org/2000/svg\" width=\"1e30\" height=\"1e-30\"/>",
+        );
+        self.link("packs/loop/car", "car");
+    }
+
+    fn sets(&self) {
+        self.put("sets/deep/manifest.json", "[".repeat(1_000_000));
+        self.put("sets/binary/manifest.json", b"\xff");
+        self.pipe("sets/pipe/manifest.json");
+        self.put(
+            "sets/version/manifest.json",
+            "{\"settings\":{\"data\":\"logicity vap\",\"version\":99}}",
+        );
+        self.put(
+            "sets/numbers/manifest.json",
+            "{\"settings\":{\"data\":\"logicity vap\",\"version\":2,\"seed\":1e999}}",
+        );
+        self.put("sets/world/world-00000/world.json", "{}");
+        let make = [
+            "vap",
+            "make",
+            "--mode",
+            "easy",
+            "--split",
+            "test",
+            "--worlds",
+            "1",
+            "--no-pictures",
+        ];
+        for set in ["set-table", "set-cut", "set-extra", "set-missing"] {
+            if set == "set-table" {
+                self.run(&[&make[..], &["--threads", "1", "--out", set]].concat());
+            } else {
+                copy(&self.path("set-table"), &self.path(set));
+            }
+        }
+        let table = |set: &str| self.path(set).join("world-00000/entities.parquet");
+        let bytes = fs::read(table("set-table")).unwrap();
+        fs::write(table("set-cut"), &bytes[..bytes.len() / 2]).unwrap();
+        self.put("set-extra/foreign.txt", "foreign");
+        fs::remove_file(self.path("set-missing/world-00000/pairs.parquet")).unwrap();
+        let mut changed = bytes;
+        for byte in changed.iter_mut().skip(4).step_by(3) {
+            *byte ^= 0x55;
+        }
+        fs::write(table("set-table"), changed).unwrap();
+    }
+
+    fn messages(&self) {
+        let put = |name: &str, messages: &[&str]| {
+            let begin = r#"{"jsonrpc":"2.0","id":1,"method":"initialize","params":{"capabilities":{}}}"#;
+            let begun = r#"{"jsonrpc":"2.0","method":"initialized","params":{}}"#;
+            let end = r#"{"jsonrpc":"2.0","id":99,"method":"shutdown"}"#;
+            let exit = r#"{"jsonrpc":"2.0","method":"exit"}"#;
+            let all = [&[begin, begun], messages, &[end, exit]].concat();
+            let framed = all
+                .iter()
+                .map(|text| format!("Content-Length: {}\r\n\r\n{text}", text.len()));
+            self.put(&format!("lsp/{name}"), framed.collect::<String>());
+        };
+        let open = |text: &str| {
+            let text = serde_json::to_string(text).unwrap();
+            format!(
+                r#"{{"jsonrpc":"2.0","method":"textDocument/didOpen","params":{{"textDocument":{{"uri":"file:///x.dl","languageId":"x","version":1,"text":{text}}}}}}}"#
+            )
+        };
+        put("initialize", &[]);
+        put(
+            "twice",
+            &[r#"{"jsonrpc":"2.0","id":2,"method":"initialize","params":{"capabilities":{}}}"#],
+        );
+        put(
+            "unknown",
+            &[
+                r#"{"jsonrpc":"2.0","id":2,"method":"unknown/method","params":[1,2,3]}"#,
+                r#"{"jsonrpc":"2.0","method":"unknown/notification"}"#,
+                r#"{"jsonrpc":"2.0","id":77,"result":null}"#,
+                "[]",
+                "{\"id\":",
+            ],
+        );
+        let position = |line: &str| {
+            format!(
+                r#"{{"jsonrpc":"2.0","id":3,"method":"textDocument/hover","params":{{"textDocument":{{"uri":"file:///x.dl"}},"position":{{"line":{line},"character":{line}}}}}}}"#
+            )
+        };
+        put(
+            "positions",
+            &[
+                &open(".decl A(x: number)\nA(1).\n"),
+                &position("4294967295"),
+                &position("-1"),
+                &position("99999999999999999999"),
+            ],
+        );
+        put(
+            "texts",
+            &[
+                &open("\u{0}\u{202e}\u{1f697}(((("),
+                &open(&"(".repeat(200_000)),
+                r#"{"jsonrpc":"2.0","method":"textDocument/didChange","params":{"textDocument":{"uri":"file:///never-opened.dl","version":-1},"contentChanges":[]}}"#,
+                r#"{"jsonrpc":"2.0","method":"textDocument/didClose","params":{"textDocument":{"uri":"nonsense"}}}"#,
+            ],
+        );
+        put(
+            "parameters",
+            &[
+                r#"{"jsonrpc":"2.0","id":4,"method":"textDocument/rename","params":{"newName":1}}"#,
+                r#"{"jsonrpc":"2.0","method":"textDocument/didOpen","params":"x"}"#,
+            ],
+        );
+        put("include", &[&open(".include \"/dev/zero\"\n")]);
+    }
+}
+
+/// Copies a folder with its links and pipes.
+fn copy(from: &Path, to: &Path) {
+    let copied = Command::new("cp").arg("-a").arg(from).arg(to).status().unwrap();
+    assert!(copied.success());
+}
+
+/// What must not change about a file.
+#[derive(Clone, Debug, PartialEq, Eq)]
+struct Content {
+    mode: u32,
+    /// The hash of a regular file, or the target of a link.
+    content: String,
+}
+
+/// Returns the content of all files and folders below a folder.
+fn snapshot(folder: &Path) -> BTreeMap<PathBuf, Content> {
+    let mut found = BTreeMap::new();
+    let mut open = vec![folder.to_owned()];
+    while let Some(path) = open.pop() {
+        for entry in fs::read_dir(path).unwrap() {
+            let path = entry.unwrap().path();
+            let metadata = fs::symlink_metadata(&path).unwrap();
+            let content = if metadata.is_file() {
+                // Large files are not rewritten with the same length by accident.
+                match metadata.len() {
+                    0..100_000 => format!("{:x}", Sha256::digest(fs::read(&path).unwrap())),
+                    length => format!("{length} {:?}", metadata.modified().unwrap()),
+                }
+            } else if metadata.is_symlink() {
+                fs::read_link(&path).unwrap().to_string_lossy().into_owned()
+            } else {
+                String::new()
+            };
+            let mode = metadata.permissions().mode();
+            if metadata.is_dir() {
+                open.push(path.clone());
+            }
+            found.insert(path, Content { mode, content });
+        }
+    }
+    found
+}
+
+/// Runs a command line in `folder`. Returns its status, and what it printed, or that it did not end in time.
+fn run(folder: &Path, output: &Path, line: &str) -> Result<(ExitStatus, String), String> {
+    let line = match line.contains('@') {
+        true => line.replace('@', "\"$0\""),
+        false => format!("\"$0\" {line}"),
+    };
+    // In a group of its own, so that all of a pipeline can be killed.
+    let file = fs::File::create(output).unwrap();
+    let mut process = Command::new("setsid")
+        .args(["-w", "sh", "-c"])
+        .arg(format!("ulimit -v {MEMORY}; ulimit -c 0; {line}"))
+        .arg(env!("CARGO_BIN_EXE_logicity"))
+        .current_dir(folder)
+        .env("XDG_STATE_HOME", folder)
+        .env("RUST_BACKTRACE", "0")
+        .stdin(Stdio::null())
+        .stdout(file.try_clone().unwrap())
+        .stderr(file)
+        .spawn()
+        .unwrap();
+    let begun = Instant::now();
+    let status = loop {
+        if let Some(status) = process.try_wait().unwrap() {
+            break status;
+        }
+        if begun.elapsed() > TIME {
+            // `setsid` is the parent of the group's leader.
+            let leader = format!("$(ps -o pid= --ppid {})", process.id());
+            let _ = Command::new("sh")
+                .args(["-c", &format!("kill -9 -- -{leader}")])
+                .status();
+            let _ = process.kill();
+            process.wait().unwrap();
+            return Err(format!("it has not ended after {} s", TIME.as_secs()));
+        }
+        thread::sleep(Duration::from_millis(2));
+    };
+    Ok((status, String::from_utf8_lossy(&fs::read(output).unwrap()).into_owned()))
+}
+
+/// Returns why a case fails.
+fn fault((line, code, words): &Case, folder: &Path, output: &Path) -> Option<String> {
+    let (status, said) = match run(folder, output, line) {
+        Ok(done) => done,
+        Err(fault) => return Some(fault),
+    };
+    let shown: String = said.chars().take(600).collect();
+    if said.contains("panicked") || said.contains("overflowed its stack") || said.contains("memory allocation") {
+        return Some(format!("it panicked or aborted: {shown}"));
+    }
+    if status.signal().is_some() || status.code() != Some(*code) {
+        return Some(format!("{status} instead of exit code {code}: {shown}"));
+    }
+    if !said.contains(words) {
+        return Some(format!("`{words}` is missing: {shown}"));
+    }
+    None
+}
+
+#[test]
+fn slow_hostile_input_ends_with_a_message_and_harms_no_file() {
+    let fixtures = Fixtures::new();
+    let only = std::env::var("LOGICITY_HOSTILE").unwrap_or_default();
+    let cases: Vec<&Case> = ALL
+        .into_iter()
+        .flatten()
+        .filter(|(line, ..)| line.contains(&only))
+        .collect();
+    let (next, faults) = (AtomicUsize::new(0), Mutex::new(Vec::new()));
+    thread::scope(|scope| {
+        for _ in 0..THREADS {
+            scope.spawn(|| {
+                let own = tempfile::tempdir().unwrap();
+                let (folder, output) = (own.path().join("here"), own.path().join("output"));
+                copy(fixtures.folder.path(), &folder);
+                let before = snapshot(&folder);
+                while let Some(case) = cases.get(next.fetch_add(1, Ordering::Relaxed)) {
+                    let begun = Instant::now();
+                    let mut fault = fault(case, &folder, &output);
+                    let after = snapshot(&folder);
+                    for (path, content) in &before {
+                        if after.get(path) != Some(content) {
+                            fault = Some(format!("{} changed: {:?}", path.display(), after.get(path)));
+                        }
+                    }
+                    for path in after.keys().filter(|path| !before.contains_key(*path)).rev() {
+                        let is_folder = fs::symlink_metadata(path).unwrap().is_dir();
+                        if is_folder {
+                            fs::remove_dir(path)
+                        } else {
+                            fs::remove_file(path)
+                        }
+                        .unwrap();
+                    }
+                    let time = begun.elapsed();
+                    if time > Duration::from_secs(3) {
+                        println!("{time:?}: {}", case.0);
+                    }
+                    if let Some(fault) = fault {
+                        faults.lock().unwrap().push(format!("{}\n    {fault}", case.0));
+                    }
+                }
+            });
+        }
+    });
+    println!("{} cases", cases.len());
+    let faults = faults.into_inner().unwrap();
+    assert!(faults.is_empty(), "{} faults:\n{}", faults.len(), faults.join("\n"));
+    assert!(!only.is_empty() || cases.len() >= 200);
+}
