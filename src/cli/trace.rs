@@ -78,12 +78,18 @@ impl TraceReader {
         strict: bool,
     ) -> Result<Replay, Failure> {
         let city = LoadedCity::of_trace(sources, &self.header, config, rules, &BuiltinFiles).map_err(|error| {
-            match (error, config) {
-                // A missing file can be one that the user named only.
-                (LoadError::Config(faults), None) if faults.iter().all(|fault| fault.primary.is_none()) => {
+            let noted = |faults: Vec<Diagnostic>, what: &str| -> Vec<Diagnostic> {
+                let note = format!("in the {what} of the trace `{}`", self.path.display());
+                faults.into_iter().map(|fault| fault.note(note.clone())).collect()
+            };
+            match (error, config, rules) {
+                // Without a place: it is no file that the user named, so it has no other one.
+                (LoadError::Config(faults), None, _) if faults.iter().all(|fault| fault.primary.is_none()) => {
                     placed(faults.into_iter().next().expect("at least one"), &self.path, 1)
                 }
-                (error, _) => error.into(),
+                (LoadError::Config(faults), None, _) => noted(faults, "configuration").into(),
+                (LoadError::Rules(faults), _, None) => noted(faults, "rules").into(),
+                (error, ..) => error.into(),
             }
         })?;
         if let Some(config) = config {
@@ -97,7 +103,12 @@ impl TraceReader {
             matching("rules", Path::new(&path), hashes, &self.path, "--rules")?;
         }
         let world = city.world()?;
-        Replay::new(Arc::new(world), &self.header).map_err(|fault| placed(fault, &self.path, 1))
+        let replay = Replay::new(Arc::new(world), &self.header);
+        let mut replay = replay.map_err(|fault| placed(fault, &self.path, 1))?;
+        if rules.is_none() {
+            replay.bound();
+        }
+        Ok(replay)
     }
 }
 

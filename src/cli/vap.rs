@@ -148,8 +148,8 @@ impl Make {
             threads: worlds.threads,
         };
         let icons = self.icons.load(request.icon_seed())?;
-        let writer = DatasetWriter::new(request, city, icons)?;
         let folder = Folder::make(&self.out)?;
+        let writer = DatasetWriter::new(request, city, icons)?;
         let summary = with_bar("frame", |progress| {
             writer.write(&folder, self.force.overwrite(), progress, &Cancel::never())
         })?;

@@ -344,7 +344,14 @@ fn hostile_traces_are_errors() {
             header.replace("\"Pedestrian_2\"", "\"Car_1\""),
             ["bad.jsonl:1", "twice"],
         ),
-        (header.replace("\"Pedestrian\"", "\"Bird\""), ["bad.jsonl:1", "Bird"]),
+        (
+            header.replacen("\"type\":\"Pedestrian\"", "\"type\":\"Bird\"", 1),
+            ["bad.jsonl:1", "Bird"],
+        ),
+        (
+            header.replace("\"Pedestrian\"", "\"Bird\""),
+            ["in the configuration of the trace", "Bird"],
+        ),
         (
             header.replace("\"version\":2", "\"version\":9"),
             ["bad.jsonl:1", "version 9"],

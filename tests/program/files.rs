@@ -119,8 +119,8 @@ fn paths_that_cannot_be_written_are_reported_before_the_work() {
         ("run expert --ticks 1000000 --out in.dl", "in.dl"),
         ("episodes make expert --count 100000 -o no/e.jsonl", "no/e.jsonl"),
         ("episodes make expert --count 100000 -o /dev/full", "/dev/full"),
-        ("questions --count 100000 --csv no/q.csv", "no/q.csv"),
-        ("questions --count 100000 -o dir", "dir"),
+        ("questions --count 20000 --csv no/q.csv", "no/q.csv"),
+        ("questions --count 20000 -o dir", "dir"),
         ("infer scene.jsonl --out no/a.jsonl", "no/a.jsonl"),
         ("view in/trace.jsonl -o no/page.html", "no/page.html"),
         ("icons sheet -o no/sheet.png", "no/sheet.png"),
@@ -231,7 +231,7 @@ fn own_city(folder: &Path) {
     .unwrap();
     let config = format!("base: {root}/cfg/base.yaml\nrules: {root}/cfg/rules.dl\nagents: {{base: agents.yaml}}\n");
     fs::write(folder.join("cfg/own.yaml"), config).unwrap();
-    fs::write(folder.join("cfg/base.yaml"), "base: configs/easy.yaml\nview: 20\n").unwrap();
+    fs::write(folder.join("cfg/base.yaml"), "base: configs/expert.yaml\nview: 20\n").unwrap();
     let agents = "test: {cars: [{count: 3, priority: 1, concepts: [tiro]}], pedestrians: [{count: 4}]}\n";
     fs::write(folder.join("cfg/agents.yaml"), agents).unwrap();
 }
@@ -283,7 +283,8 @@ fn a_trace_explains_itself_without_the_files_of_the_run() {
         (&header["rules"], &header["config"]),
         (&"rules.dl".into(), &"own".into())
     );
-    assert_eq!(header["clauses"][0]["file"], "2-rules.dl");
+    let clauses = header["clauses"].as_array().unwrap();
+    assert!(clauses.iter().any(|clause| clause["file"] == "2-rules.dl"));
     assert_eq!(header["configuration"]["view"], 20);
 }
 
@@ -376,7 +377,7 @@ fn traces_of_the_first_version_need_their_configuration() {
         fails(folder.path(), line, 1, &["invalid-trace", "version 1", "--config"]);
     }
     let line = "explain out/trace.jsonl --agent Car_1 --config cfg/own.yaml";
-    assert_eq!(succeeds(folder.path(), line), now);
+    assert_eq!(succeeds(folder.path(), line), now.replace("2-rules.dl", "rules.dl"));
     fs::write(folder.path().join("cfg/rules.dl"), ".include \"vocabulary.dl\"\n").unwrap();
     fails(folder.path(), line, 1, &["trace-mismatch", "rules"]);
 }
@@ -426,10 +427,11 @@ fn pipes_are_read_only_where_the_user_names_them() {
         ("run map.yaml --no-trace --ticks 1", 1),
         ("icons sheet --pack pack -o sheet.png", 2),
         ("vap check set", 2),
-        ("vap make --mode easy --split test --out set", 2),
     ] {
         fails(folder.path(), line, code, &["pipe or a device"]);
     }
+    let make = "vap make --mode easy --split test --out set";
+    fails(folder.path(), make, 2, &["not a regular file"]);
     for line in ["icons sheet -o pipe", "fmt pipe"] {
         let mut writer = Command::new("sh")
             .args(["-c", "printf '.decl A(x:number)' > pipe"])

@@ -93,8 +93,11 @@ impl Lines {
 }
 
 fn plain() -> Result<Line, Failure> {
+    /// The size up to which every line may end an input. Checking a text takes time in proportion to its size.
+    const SHORT: usize = 4096;
     let mut input = io::stdin().lock();
     let mut bytes = Vec::new();
+    let mut checked = 0;
     loop {
         let read = input.read_until(b'\n', &mut bytes);
         let read = read.map_err(|error| Failure::Usage(format!("cannot read standard input: {error}")))?;
@@ -105,7 +108,11 @@ fn plain() -> Result<Line, Failure> {
             return Ok(Line::End);
         }
         // At the end of the input, an incomplete text is final.
-        if read == 0 || super::is_whole(text) {
+        let may_end = text.len() < SHORT || text.trim_end().ends_with('.') && text.len() > checked + checked / 8;
+        if may_end {
+            checked = text.len();
+        }
+        if read == 0 || may_end && super::is_whole(text) {
             return Ok(Line::Text(text.to_owned()));
         }
     }

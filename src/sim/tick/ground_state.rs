@@ -2,7 +2,7 @@
 
 use crate::cancel::Cancel;
 use crate::city::Action;
-use crate::datalog::{EvalError, Program, RelId, Session, Value};
+use crate::datalog::{EvalError, Limits, Program, RelId, Session, Value};
 use crate::sim::tick::ground::Facts;
 use crate::sim::tick::vocabulary::{Actions, Vocabulary};
 use std::collections::HashMap;
@@ -45,6 +45,11 @@ impl GroundState {
             },
             relations,
         }
+    }
+
+    /// Bounds the rows and steps of every evaluation.
+    pub(crate) fn set_limits(&mut self, limits: Limits) {
+        self.session.set_limits(limits);
     }
 
     /// Replaces the current facts by `facts`: inserts and retracts the difference and commits.
@@ -120,7 +125,6 @@ mod tests {
     use super::*;
     use crate::builtin::BuiltinFiles;
     use crate::config::load_scenario;
-    use crate::datalog::Limits;
     use crate::diag::Sources;
     use std::path::Path;
 

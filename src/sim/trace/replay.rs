@@ -2,8 +2,7 @@
 
 use crate::city::{Action, AgentKind};
 use crate::city::{Cell, Heading};
-use crate::datalog::Session;
-use crate::datalog::Value;
+use crate::datalog::{Limits, Session, Value};
 use crate::diag::{Code, Diagnostic, json_error};
 use crate::predicate::Entity;
 use crate::sim::tick::chance::Chance;
@@ -174,6 +173,7 @@ pub struct Replay {
     positions: HashMap<String, usize>,
     state: GroundState,
     facts: Facts,
+    is_bounded: bool,
 }
 
 impl Replay {
@@ -201,8 +201,23 @@ impl Replay {
             kinds,
             positions,
             facts: Facts::default(),
+            is_bounded: false,
             world,
         })
+    }
+
+    /// Bounds the work of every tick in proportion to the number of pairs of agents, for rules that come with the
+    /// trace: far more than a city needs, and far less than the default of a session.
+    pub fn bound(&mut self) {
+        let usual = Limits::default();
+        let pairs = self.agents.len() * self.agents.len();
+        let rows = usual.rows.min(100_000 + 100 * pairs);
+        self.state.set_limits(Limits {
+            rows,
+            steps: usual.steps.min(100_000_000 + 1000 * rows as u64),
+            ..usual
+        });
+        self.is_bounded = true;
     }
 
     /// Loads the state on which a tick was decided into the session.
@@ -254,7 +269,13 @@ impl Replay {
             facts.rows[index].sort_unstable();
             facts.rows[index].dedup();
         }
-        (self.state.set(&facts)).map_err(Diagnostic::from)?;
+        self.state.set(&facts).map_err(|error| {
+            let fault = Diagnostic::from(error);
+            match self.is_bounded {
+                true => fault.help("rules in a trace are bounded; specify the rules with `--rules` if you trust them"),
+                false => fault,
+            }
+        })?;
         self.facts = facts;
         Ok(())
     }

@@ -10,7 +10,7 @@ use crate::city::{Action, AgentConfig, AgentKind, AgentName, Split};
 use crate::city::{Agent, Cell};
 use crate::config::{PredicateConfig, SpfConfig};
 use crate::diag::{Code, Diagnostic, SourceId, Sources, Span, did_you_mean, json_error};
-use crate::files::ReadFile;
+use crate::files::{ReadError, ReadFile};
 use crate::sim::World;
 use crate::task::spf::{SpfTask, constrained_by_name};
 use serde::{Deserialize, Serialize};
@@ -284,11 +284,11 @@ impl EpisodeSet {
         };
         let (path, name) = (&file.value, file.value.display());
         let text = read.read(path).map_err(|error| {
-            let fault = Diagnostic::new(
-                Code::MISSING_FILE,
-                format!("cannot read the episodes `{name}`: {error}"),
-            );
-            fault
+            let code = match error {
+                ReadError::NotText { .. } => Code::NOT_TEXT,
+                _ => Code::MISSING_FILE,
+            };
+            Diagnostic::new(code, format!("cannot read the episodes `{name}`: {error}"))
                 .at(file.span, "named here")
                 .help("create the file with `logicity episodes make`")
         })?;
