@@ -84,14 +84,25 @@ fn the_scenes_of_readme_satisfy_the_constraints() {
     let mut count = 0;
     let mut infer = |command: &str| {
         let output = shell(command, folder.path());
-        assert!(output.starts_with("{\"egos\"") && !output.contains("error"), "{command}\n{output}");
+        assert!(
+            output.starts_with("{\"egos\"") && !output.contains("error"),
+            "{command}\n{output}"
+        );
         count += 1;
     };
     for block in blocks() {
         if block.kind == "sh" && block.text.contains("| logicity infer") || block.text.contains("|\n  logicity infer") {
-            infer(&block.text.replace("logicity infer", "logicity infer --check-constraints"));
+            infer(
+                &block
+                    .text
+                    .replace("logicity infer", "logicity infer --check-constraints"),
+            );
         }
-        for line in block.text.lines().filter(|line| line.trim().starts_with("{\"entities\"")) {
+        for line in block
+            .text
+            .lines()
+            .filter(|line| line.trim().starts_with("{\"entities\""))
+        {
             infer(&format!(
                 "echo '{line}' | logicity infer --config vap-hard --check-constraints"
             ));
