@@ -191,7 +191,13 @@ fn redundant(
     literal: usize,
     because: Option<usize>,
 ) -> Option<Diagnostic> {
-    if matches!(clause.body[literal], Literal::Guard(_)) || rules.relations[clause.head.relation.index()].hidden {
+    // Loading reports an equation of a variable with itself.
+    let reported = match clause.body[literal] {
+        Literal::Guard(_) => true,
+        Literal::Compare { op, left, right, .. } => op == Comparison::Equal && left == right,
+        _ => false,
+    };
+    if reported || rules.relations[clause.head.relation.index()].hidden {
         return None;
     }
     let redundant = shown_literal(rules, clause, literal);
