@@ -1,6 +1,6 @@
 //! Configurations: the shipped files, every message, the blocks of the reference, and hostile input.
 
-use logicity::builtin::{self, BuiltinFiles};
+use logicity::builtin::{self, BuiltinFiles, ReadWith};
 use logicity::city::{Action, AgentConfig, AgentKind, Buildings, Split};
 use logicity::config::{Scenario, load_map, load_scenario};
 use logicity::diag::{Code, Diagnostic, MAX_FAULTS, Sources, render, to_json};
@@ -45,7 +45,8 @@ fn load_memory(files: &[(&str, &str)]) -> (Sources, Result<Scenario, Vec<Diagnos
         }
     };
     let mut sources = Sources::new();
-    let result = load_scenario(&mut sources, Path::new("main.yaml"), &read);
+    // With the built-in paths, for suggestions.
+    let result = load_scenario(&mut sources, Path::new("main.yaml"), &ReadWith(read));
     (sources, result)
 }
 
