@@ -232,7 +232,7 @@ fn common_mistakes_are_explained_once() {
         ),
         (
             "map:\n  blocks:[1, 1]",
-            (2, 1),
+            (3, 3),
             vec!["put a space after the colon: `blocks: [1, 1]`"],
         ),
         (

@@ -685,9 +685,9 @@ fn fixed_words_may_be_in_upper_or_lower_case() {
     assert_eq!(cells("car", "weighted"), cells("Car", "Weighted"));
     assert_eq!(cells("car", "hops"), cells("CAR", "HOPS"));
     fails(
-        &logicity(["route", "--type", "cra", "--from", "46,20", "--to", "46,80"]),
+        &logicity(["route", "--type", "pedestrain", "--from", "46,20", "--to", "46,80"]),
         2,
-        &["possible values: car, pedestrian", "'car'"],
+        &["possible values: car, pedestrian", "a similar value exists: 'pedestrian'"],
     );
 
     let scene = |kind: &str, heading: &str| {
