@@ -238,7 +238,10 @@ fn common_mistakes_are_explained_once() {
         (
             "map: {blocks:3}",
             (2, 7),
-            vec!["unknown key `blocks:3`", "put a space after the colon: `blocks: 3`"],
+            vec![
+                "expected a space after `blocks:`",
+                "put a space after the colon: `blocks: 3`",
+            ],
         ),
         (
             "map:\n\tblocks: [1, 1]",

@@ -687,7 +687,10 @@ fn fixed_words_may_be_in_upper_or_lower_case() {
     fails(
         &logicity(["route", "--type", "pedestrain", "--from", "46,20", "--to", "46,80"]),
         2,
-        &["possible values: car, pedestrian", "a similar value exists: 'pedestrian'"],
+        &[
+            "possible values: car, pedestrian",
+            "a similar value exists: 'pedestrian'",
+        ],
     );
 
     let scene = |kind: &str, heading: &str| {
