@@ -27,7 +27,8 @@ pub struct Arguments {
     #[arg(required_unless_present = "coverage", value_name = "FILES")]
     rules: Vec<PathBuf>,
     /// Print one JSON object per file, with the keys `file`, `ok`, `strata`, `executors`, `conflicts` and
-    /// `diagnostics`; `configuration` for a configuration; `coverage` with --coverage; `unfinished` lists searches that reached a limit
+    /// `diagnostics`; `configuration` for a configuration; `coverage` with --coverage; `unfinished` lists searches
+    /// that reached a limit
     #[arg(long)]
     json: bool,
     /// Count how often each clause fires on the states of this trace, and list the literals that never matter there

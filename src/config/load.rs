@@ -240,8 +240,8 @@ fn hash(scenario: &Scenario) -> String {
     format!("{:x}", Sha256::digest(json))
 }
 
-fn map(node: &Node, name: String, faults: &mut Vec<Diagnostic>) -> Option<MapConfig> {
-    let mut fields = Fields::open(node, "a map", faults)?;
+fn map(map: &Node, name: String, faults: &mut Vec<Diagnostic>) -> Option<MapConfig> {
+    let mut fields = Fields::open(map, "a map", faults)?;
     fields.optional("base");
     let blocks = fields.required("blocks", faults).and_then(|node| {
         let [rows, cols] = list(node, "two numbers: rows and columns of blocks", faults)? else {
@@ -259,7 +259,7 @@ fn map(node: &Node, name: String, faults: &mut Vec<Diagnostic>) -> Option<MapCon
         Some(Located { value, span: node.span })
     });
     let buildings = fields.required("buildings", faults).and_then(|node| {
-        let value = buildings(node, blocks, faults)?;
+        let value = buildings(map, node, blocks, faults)?;
         Some(Located { value, span: node.span })
     });
     fields.close(faults);
@@ -291,7 +291,7 @@ fn widths(node: &Node, faults: &mut Vec<Diagnostic>) -> Option<Widths> {
 
 /// Reports buildings whose rows come from another file than the blocks and have another size.
 fn other_blocks(
-    whole: &Node,
+    map: &Node,
     node: &Node,
     rows: &[Node],
     blocks: Located<[u32; 2]>,
@@ -316,8 +316,8 @@ fn other_blocks(
         found[0], found[1]
     );
     let fault = Diagnostic::new(Code::INVALID_VALUE, message);
-    // The file that overrides the other has the buildings as a whole.
-    let fault = match whole.span.source == node.span.source {
+    // The file of the map overrides its base.
+    let fault = match map.span.source == node.span.source {
         true => fault
             .at(node.span, "")
             .also(blocks.span, "the blocks, inherited from the base"),
@@ -336,16 +336,21 @@ fn other_blocks(
     true
 }
 
-fn buildings(node: &Node, blocks: Option<Located<[u32; 2]>>, faults: &mut Vec<Diagnostic>) -> Option<Buildings> {
+fn buildings(
+    map: &Node,
+    node: &Node,
+    blocks: Option<Located<[u32; 2]>>,
+    faults: &mut Vec<Diagnostic>,
+) -> Option<Buildings> {
     let mut fields = Fields::open(node, "the buildings of a map", faults)?;
     let (rows, random) = (fields.optional("rows"), fields.optional("random"));
     fields.close(faults);
     match (rows, random) {
         (Some(rows), None) => {
-            let (whole, node) = (node, rows);
+            let node = rows;
             let rows = list(node, "rows of buildings", faults)?;
             if let Some(blocks) = blocks
-                && other_blocks(whole, node, rows, blocks, faults)
+                && other_blocks(map, node, rows, blocks, faults)
             {
                 return None;
             }

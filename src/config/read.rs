@@ -3,7 +3,7 @@
 //! A function returns `None` after it has pushed a fault. The caller continues with the other keys, so that one run
 //! reports all faults. This module does not know the contents of configurations.
 
-use crate::config::yaml::{Key, Node, Value, space_help};
+use crate::config::yaml::{Key, Node, Value};
 use crate::diag::{Code, Diagnostic, Span, did_you_mean};
 use std::fmt::Display;
 use std::ops::RangeInclusive;
@@ -94,9 +94,7 @@ impl<'n> Fields<'n> {
             )
             .at(key.span, "")
             .note(format!("allowed keys: {}", self.allowed.join(", ")));
-            if let Some(help) = space_help(&key.text) {
-                fault = fault.help(help);
-            } else if let Some(near) = did_you_mean(&key.text, self.allowed.iter().copied()) {
+            if let Some(near) = did_you_mean(&key.text, self.allowed.iter().copied()) {
                 fault = fault.did_you_mean(near, &[key.span]);
             }
             faults.push(fault);

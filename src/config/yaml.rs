@@ -125,7 +125,7 @@ impl Node {
 }
 
 /// Returns the help for a plain text that would be a key and a value with a space after its first colon.
-pub(crate) fn space_help(text: &str) -> Option<String> {
+fn space_help(text: &str) -> Option<String> {
     let (key, value) = glued(text)?;
     const SHOWN: usize = 40;
     let shown: String = value.chars().take(SHOWN).collect();
@@ -388,6 +388,7 @@ impl Builder<'_> {
         } = open;
         self.spend(1, node.span)?;
         if let Value::Map(entries) = &mut node.value {
+            drop_glued(entries, self.faults);
             drop_duplicates(entries, self.faults);
         }
         let parent_key = self.open.last().and_then(|parent| parent.key.as_ref()?.as_ref());
@@ -434,6 +435,19 @@ impl Builder<'_> {
         }
         Ok(())
     }
+}
+
+/// Reports keys without a value, such as `{view:40}`, that lack a space after the colon.
+fn drop_glued(entries: &mut Vec<(Key, Node)>, faults: &mut Vec<Diagnostic>) {
+    entries.retain(|(key, value)| {
+        let help = space_help(&key.text).filter(|_| value.is_null());
+        let (Some(help), Some((word, _))) = (help, glued(&key.text)) else {
+            return true;
+        };
+        let fault = Diagnostic::new(Code::YAML_SYNTAX, format!("expected a space after `{word}:`"));
+        faults.push(fault.at(key.span, "").help(help));
+        false
+    });
 }
 
 /// Reports duplicate keys and keeps the first of each.

@@ -1,6 +1,6 @@
 //! Configurations: the shipped files, every message, the blocks of the reference, and hostile input.
 
-use logicity::builtin::{self, BuiltinFiles};
+use logicity::builtin::{self, BuiltinFiles, ReadWith};
 use logicity::city::{Action, AgentConfig, AgentKind, Buildings, Routing, Split, TripEnds};
 use logicity::config::{Scenario, load_map, load_scenario};
 use logicity::diag::{Code, Diagnostic, MAX_FAULTS, Sources, render, to_json};
@@ -45,7 +45,8 @@ fn load_memory(files: &[(&str, &str)]) -> (Sources, Result<Scenario, Vec<Diagnos
         }
     };
     let mut sources = Sources::new();
-    let result = load_scenario(&mut sources, Path::new("main.yaml"), &read);
+    // With the built-in paths, for suggestions.
+    let result = load_scenario(&mut sources, Path::new("main.yaml"), &ReadWith(read));
     (sources, result)
 }
 
@@ -231,13 +232,16 @@ fn common_mistakes_are_explained_once() {
         ),
         (
             "map:\n  blocks:[1, 1]",
-            (2, 1),
+            (3, 3),
             vec!["put a space after the colon: `blocks: [1, 1]`"],
         ),
         (
             "map: {blocks:3}",
             (2, 7),
-            vec!["unknown key `blocks:3`", "put a space after the colon: `blocks: 3`"],
+            vec![
+                "expected a space after `blocks:`",
+                "put a space after the colon: `blocks: 3`",
+            ],
         ),
         (
             "map:\n\tblocks: [1, 1]",

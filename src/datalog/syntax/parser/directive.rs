@@ -303,8 +303,8 @@ impl Parser<'_> {
         }
     }
 
-    /// Returns the help for a declaration whose columns, after the parenthesis at token `open`, lack their types. `None`
-    /// if they are more than names.
+    /// Returns the help for a declaration whose columns, after the parenthesis at token `open`, lack their types.
+    /// `None` if they are more than names.
     fn with_types(&self, of: &str, open: usize) -> Option<String> {
         // The parser does not know which types are declared. The vocabulary of the city declares `agent`.
         let usual = if self.text.contains("vocabulary.dl") {
