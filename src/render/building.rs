@@ -1,8 +1,7 @@
 //! Parametric drawings of buildings: a front and its surroundings, in a square of side 1 around the origin.
 
 use crate::city::Building;
-use crate::render::clutter::leaves;
-use crate::render::sketch::{Dice, Edges, Ink, Sketch};
+use crate::render::sketch::{Dice, Edges, Ink, Sketch, leaves};
 use crate::rng::Rng;
 
 const GLASS: [u32; 4] = [0x7fb2d6, 0x9cc7e0, 0x5f8fb5, 0xf4e3a1];

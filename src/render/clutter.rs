@@ -4,7 +4,7 @@
 
 use crate::city::{Cell, CityMap, Ground};
 use crate::render::picture::{Picture, PixelBox};
-use crate::render::sketch::{Dice, Ink, Sketch, byte};
+use crate::render::sketch::{Dice, Ink, Sketch, byte, leaves};
 use crate::render::view::Viewport;
 use crate::rng::{Purpose, Rng, Seed};
 use resvg::tiny_skia::{Pixmap, Transform};
@@ -15,30 +15,6 @@ const SQUARE: i32 = 9;
 const REACH: i32 = 6;
 /// The opacity of shadows.
 const SHADE: f32 = 0.34;
-
-/// Draws fallen leaves around a place; a leaf is about `size` long.
-pub(super) fn leaves<R: Rng>(sketch: &mut Sketch, dice: &mut Dice<R>, (x, y): (f32, f32), size: f32) {
-    for _ in 0..5 + dice.below(6) {
-        let (x, y) = (x + dice.between(-1.9, 1.9) * size, y + dice.between(-1.9, 1.9) * size);
-        let ink = dice.ink(&[0xc9742b, 0xd9a332, 0xa8452a, 0x8f8a34, 0xc4562c]);
-        let half = size * dice.between(0.42, 0.6);
-        // A direction without a sine: a point of a square, scaled to unit length.
-        let (dx, dy) = (dice.between(-1.0, 1.0), dice.between(0.1, 1.0));
-        let length = (dx * dx + dy * dy).sqrt();
-        let (dx, dy) = (dx / length * half, dy / length * half);
-        let at = |along: f32, across: f32| (x + along * dx - across * dy, y + along * dy + across * dx);
-        let outline = [
-            (-1.0, 0.0),
-            (-0.3, 0.55),
-            (0.4, 0.45),
-            (1.0, 0.0),
-            (0.4, -0.45),
-            (-0.3, -0.55),
-        ];
-        sketch.polygon(&outline.map(|(along, across)| at(along, across)), ink);
-        sketch.line(&[at(-1.5, 0.0), at(0.8, 0.0)], size * 0.1, ink.lit(-0.4));
-    }
-}
 
 /// Draws a manhole cover: a frame, an iron lid with bars, and two holes to lift it.
 fn manhole<R: Rng>(sketch: &mut Sketch, dice: &mut Dice<R>) {
