@@ -209,7 +209,10 @@ fn measure(program: &Program, entities: usize, facts: &[(RelId, Vec<usize>)]) ->
 }
 
 fn main() {
-    let arguments: Vec<f64> = std::env::args().skip(1).filter_map(|argument| argument.parse().ok()).collect();
+    let arguments: Vec<f64> = std::env::args()
+        .skip(1)
+        .filter_map(|argument| argument.parse().ok())
+        .collect();
     let clauses = arguments.first().map_or(50, |&clauses| clauses as usize);
     let seed = arguments.get(1).map_or(1, |&seed| seed as u64);
     let shown = arguments.get(2).copied().unwrap_or(f64::INFINITY);

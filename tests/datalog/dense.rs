@@ -250,7 +250,9 @@ fn check<const W: usize>(
         for input in 0..dense.inputs().len() {
             bit_state.set_input(&dense, input, [u64::MAX; W]);
         }
-        bit_state.run(&dense, &BitFacts::new(&dense, 64 * W)).expect("few steps");
+        bit_state
+            .run(&dense, &BitFacts::new(&dense, 64 * W))
+            .expect("few steps");
         bit_state.reset(&dense, entities);
         given.load(&dense, &mut bit_state);
         // The second run starts from the state of the first.
@@ -372,7 +374,11 @@ fn steps_over(text: &str, entities: usize, holds: impl Fn(&str, usize, usize) ->
             match arity {
                 1 if holds(name, x, x) => facts.push((relation, vec![x])),
                 1 => {}
-                _ => facts.extend((0..entities).filter(|&y| holds(name, x, y)).map(|y| (relation, vec![x, y]))),
+                _ => facts.extend(
+                    (0..entities)
+                        .filter(|&y| holds(name, x, y))
+                        .map(|y| (relation, vec![x, y])),
+                ),
             }
         }
     }

@@ -23,7 +23,11 @@ impl Choice {
     /// Returns the clauses of dense strata whose searches may take more than [`Dense::steps_max`] steps over this many
     /// entities, `egos` of them to decide about. A run of the other clauses always ends.
     pub fn costly(&self, rules: &Rules, entities: usize, egos: usize) -> Vec<ClauseId> {
-        let strata = rules.strata.iter().enumerate().filter(|(position, _)| self.is_dense(*position));
+        let strata = rules
+            .strata
+            .iter()
+            .enumerate()
+            .filter(|(position, _)| self.is_dense(*position));
         let clauses = strata.flat_map(|(_, stratum)| &stratum.clauses).copied();
         let steps: Vec<(ClauseId, u64)> = clauses
             .map(|clause| (clause, steps(rules, clause, entities as u64, egos as u64)))
@@ -33,7 +37,11 @@ impl Choice {
         // If the sum alone exceeds it, the most expensive clause counts.
         let largest = steps.iter().map(|(_, steps)| *steps).max().unwrap_or(0);
         let costly = |steps: u64| steps > max || all > max && steps == largest;
-        steps.into_iter().filter(|(_, steps)| costly(*steps)).map(|(clause, _)| clause).collect()
+        steps
+            .into_iter()
+            .filter(|(_, steps)| costly(*steps))
+            .map(|(clause, _)| clause)
+            .collect()
     }
 
     /// Returns whether the dense executor evaluates all strata.
@@ -151,7 +159,10 @@ fn steps(rules: &Rules, clause: ClauseId, entities: u64, egos: u64) -> u64 {
         let first = first.filter(|first| group.contains(first));
         for branch in decompose(&body.search(group, first, &[])) {
             let of_head = if branch.of_head { egos } else { 1 };
-            let combinations = branch.separator.iter().fold(of_head, |product, _| product.saturating_mul(entities));
+            let combinations = branch
+                .separator
+                .iter()
+                .fold(of_head, |product, _| product.saturating_mul(entities));
             // An interrupted search repeats some steps.
             sum = sum.saturating_add(combinations.saturating_mul(2));
         }

@@ -264,10 +264,23 @@ impl Body {
         while !rest.is_empty() {
             let unrelated = |var: Var| {
                 let others = &related[var];
-                let missing = |&one: &Var| others.range(one + 1..).filter(|other| !related[one].contains(other)).count();
+                let missing = |&one: &Var| {
+                    others
+                        .range(one + 1..)
+                        .filter(|other| !related[one].contains(other))
+                        .count()
+                };
                 others.iter().map(missing).sum::<usize>()
             };
-            let cost = |&var: &Var| (Some(var) == first, related[var].len(), unrelated(var), of_head[var], var);
+            let cost = |&var: &Var| {
+                (
+                    Some(var) == first,
+                    related[var].len(),
+                    unrelated(var),
+                    of_head[var],
+                    var,
+                )
+            };
             let next = *rest.iter().min_by_key(|var| cost(var)).expect("there is one");
             let others = std::mem::take(&mut related[next]);
             for &one in &others {

@@ -16,8 +16,8 @@
 //! are the bits of a row, so one operation decides all that are known. Tables that do not depend on the head's first
 //! variable stay valid for all its values.
 //!
-//! A search that takes more than a few steps is interrupted, to make the domains of the variables arc-consistent first,
-//! for this value of the head's first variable and all later ones. This removes no value that is part of a solution, so tables stay valid: if the values of a separator are in their
+//! A search that takes more than a few steps is interrupted, to make the domains of the variables arc-consistent
+//! first, for this value of the head's first variable and all later ones. This removes no value that is part of a solution, so tables stay valid: if the values of a separator are in their
 //! domains, so are those of the branches that they allow.
 
 use crate::datalog::dense::program::{Branch, Dense, Range};
@@ -205,7 +205,11 @@ impl<'a, const W: usize, P: BinaryFacts<W>> TreeSearch<'a, W, P> {
             return self.make_consistent() && self.has_values(0);
         }
         // Some of the steps that consistency takes.
-        let tests: usize = self.branches.iter().map(|branch| self.search.program.tests(branch.to_others).len()).sum();
+        let tests: usize = self
+            .branches
+            .iter()
+            .map(|branch| self.search.program.tests(branch.to_others).len())
+            .sum();
         self.interrupt = self.tables.steps + (tests * self.search.count / 16) as u64;
         let found = self.has_values(0);
         self.is_hard = self.tables.steps > self.interrupt;
@@ -270,7 +274,9 @@ impl<'a, const W: usize, P: BinaryFacts<W>> TreeSearch<'a, W, P> {
         if !self.may_step() {
             return false;
         }
-        let Branch { to_others, children, .. } = self.branches[branch];
+        let Branch {
+            to_others, children, ..
+        } = self.branches[branch];
         let set = self.search.pass(to_others, self.tables.domains[branch], &self.bound);
         let (mut open, mut sure) = (set, set);
         for &child in self.search.program.numbers(children) {

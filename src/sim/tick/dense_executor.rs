@@ -418,13 +418,7 @@ impl Tiles {
         }
     }
 
-    fn decide(
-        &mut self,
-        reading: &Reading,
-        map: &CityMap,
-        draws: Draws,
-        out: &mut Decisions,
-    ) -> Result<(), Undecided> {
+    fn decide(&mut self, reading: &Reading, map: &CityMap, draws: Draws, out: &mut Decisions) -> Result<(), Undecided> {
         self.sort();
         for worker in &mut self.workers {
             let firings = &mut worker.get_mut().expect("no thread has panicked").firings;
