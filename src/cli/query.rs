@@ -3,7 +3,7 @@
 use crate::cli::why;
 use crate::cli::why::Question;
 use crate::cli::{Failure, ForceOption, LimitOptions, compile, finish, load_workspace, report, too_much, unwritable};
-use crate::datalog::{ClauseId, Directive, Edb, MarkKind, RelId, RowPlace};
+use crate::datalog::{ClauseId, Directive, Edb, EvalError, MarkKind, RelId, RowPlace, Rules, rewrite};
 use crate::datalog::{Delta, EvalEvent, Limits, Options, Program, RuleStats, Session, Threads, constraints, facts};
 use crate::diag::{Code, Diagnostic, Sources, Span};
 use crate::files;
@@ -73,6 +73,11 @@ pub fn run(arguments: &Arguments, sources: &mut Sources) -> Result<(), Failure> 
     let workspace = load_workspace(sources, &arguments.rules, Edb::Extensible)?;
     let (program, warnings) = compile(&workspace)?;
     report(&warnings, sources);
+    // An explanation speaks of the clauses as they are written.
+    let program = match question {
+        None => rewritten(program, sources)?,
+        Some(_) => program,
+    };
     // Frees the texts, which may be large.
     let workspace = question.map(|_| workspace);
     // The session checks constraints after the commit, before it prints any answer.
@@ -102,7 +107,7 @@ pub fn run(arguments: &Arguments, sources: &mut Sources) -> Result<(), Failure> 
     }
     let times = match arguments.profile {
         true => timed_commit(&mut session).map(|(_, times)| Some(times)),
-        false => (session.commit().map(|_| None)).map_err(|error| too_much(&error, program.rules())),
+        false => (session.commit().map(|_| None)).map_err(|error| exceeded(&error, program.rules())),
     };
     let times = times?;
     if arguments.plan {
@@ -157,6 +162,36 @@ fn check_outputs(program: &Program, folder: &Path, force: &ForceOption) -> Resul
     Ok(())
 }
 
+/// Unfolds `inline` predicates and restricts `magic` ones. Warns of inline predicates whose rows are needed.
+fn rewritten(program: Program, sources: &Sources) -> Result<Program, Failure> {
+    let rules = program.rules();
+    let unfolded = rewrite::unfold(rules);
+    if let Some((_, kept)) = &unfolded {
+        let warning = |relation: &RelId| {
+            let relation = &rules.relations[relation.index()];
+            let message = format!("`{}` is inline, but some atoms need its rows", relation.name);
+            (Diagnostic::new(Code::IGNORED, message).at(relation.span, ""))
+                .note("an atom in an aggregate needs them, and one that is negated or has too many alternatives may")
+                .help("remove `inline`")
+        };
+        report(&kept.iter().map(warning).collect::<Vec<_>>(), sources);
+    }
+    let unfolded = unfolded.map(|(rules, _)| rules);
+    match rewrite::demand(unfolded.as_ref().unwrap_or(rules)).or(unfolded) {
+        Some(rules) => Ok(Program::new(rules)?),
+        None => Ok(program),
+    }
+}
+
+/// Returns the diagnostic of a failed commit, with what might help.
+fn exceeded(error: &EvalError, rules: &Rules) -> Diagnostic {
+    let fault = too_much(error, rules);
+    match matches!(error, EvalError::Cancelled { .. }) || !rewrite::would_restrict(rules) {
+        true => fault,
+        false => fault.help("`.pragma \"magic-transform\" \"*\"` derives only the rows that the outputs need"),
+    }
+}
+
 /// Writes every output relation to its file in `folder`, or to `out` if its directive says so or `folder` is `-`.
 /// Writes the sizes of `.printsize` relations to `out`.
 fn write_results(out: &mut dyn Write, session: &Session, folder: &Path, force: &ForceOption) -> Result<(), Failure> {
@@ -205,7 +240,7 @@ pub(super) fn timed_commit(session: &mut Session) -> Result<(Delta, Times), Diag
         }
     };
     let delta = session.commit_watched(&watch);
-    let delta = delta.map_err(|error| too_much(&error, session.program().rules()))?;
+    let delta = delta.map_err(|error| exceeded(&error, session.program().rules()))?;
     let mut times = times.into_inner();
     times.total = start.elapsed();
     Ok((delta, times))

@@ -11,6 +11,7 @@
 //! - [`diff`]: compares two rule sets, and proves them equivalent or finds a difference.
 //! - [`Workspace`]: edits a program and runs ad hoc queries.
 //! - [`dense`]: evaluates rules on bit sets, for a few dozen entities and entirely new facts each time.
+//! - [`rewrite`]: unfolds inline predicates and restricts others to the rows that the outputs need.
 //! - [`naive`]: the specification; a short, slow evaluator.
 //!
 //! # The life of a program
@@ -105,6 +106,7 @@ pub mod naive;
 mod plan;
 mod plan_printer;
 mod program;
+pub mod rewrite;
 mod row;
 mod session;
 mod syntax;

@@ -14,5 +14,6 @@ mod near_files;
 mod optimize;
 mod proofs;
 mod random_program;
+mod rewrite;
 mod rule_files;
 mod written_program;

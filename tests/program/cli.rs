@@ -1902,6 +1902,99 @@ fn bench_takes_scenes() {
     assert!(!err(&output).contains("--executor auto"), "{}", err(&output));
 }
 
+/// Seven groups without relations inside have no clique of eight; to find out takes the dense executor more steps than
+/// it may take.
+#[test]
+fn infer_falls_back_to_the_relational_executor() {
+    let folder = tempfile::tempdir().unwrap();
+    let names = ["A", "B", "C", "D", "E", "F", "G", "H"];
+    let pairs: Vec<String> = (names.iter().enumerate())
+        .flat_map(|(at, one)| {
+            names[at + 1..]
+                .iter()
+                .map(move |other| format!("IsClose({one}, {other})"))
+        })
+        .collect();
+    let text = format!(
+        ".include \"vocabulary.dl\"\n/// CL: a clique\nStop(X) :- IsCar(X), {}.\n",
+        pairs.join(", ")
+    );
+    let rules = write(folder.path(), "clique.dl", text);
+    let entities: Vec<String> = (0..14).map(|entity| format!("e{entity}")).collect();
+    let close: Vec<[&String; 2]> = (0..14 * 14)
+        .map(|pair| (pair / 14, pair % 14))
+        .filter(|(x, y)| x % 7 != y % 7)
+        .map(|(x, y)| [&entities[x], &entities[y]])
+        .collect();
+    let facts = serde_json::json!({ "IsCar": entities, "IsClose": close });
+    let scene = serde_json::json!({ "entities": entities, "ego": "e0", "facts": facts }).to_string();
+    let infer = |executor: &str| with_input(["infer", "--rules", &rules, "--executor", executor], scene.as_bytes());
+
+    let auto = infer("auto");
+    assert_eq!(code(&auto), 0, "{}", err(&auto));
+    let words = [
+        "note: the relational executor decided line 1",
+        "took more than 1048576 steps",
+    ];
+    assert!(words.iter().all(|words| err(&auto).contains(words)), "{}", err(&auto));
+    let relational = infer("relational");
+    assert_eq!((out(&auto), err(&relational)), (out(&relational), String::new()));
+    fails(&infer("dense"), 1, &["limit-exceeded", "gave up", "--executor auto"]);
+    // Without an edge there is nothing to search.
+    let easy = scene.replace("IsClose", "NextTo");
+    let easy = with_input(["infer", "--rules", &rules], easy.as_bytes());
+    assert_eq!((code(&easy), err(&easy)), (0, String::new()));
+
+    let check = logicity(["check", &rules]);
+    assert!(
+        out(&check).contains("executor: dense\n    relational if 64 agents or more"),
+        "{}",
+        out(&check)
+    );
+    assert!(out(&check).contains("CL: a clique"), "{}", out(&check));
+}
+
+#[test]
+fn query_unfolds_and_restricts() {
+    let folder = tempfile::tempdir().unwrap();
+    let text = ".decl A(x: number)\n.decl Pair(x: number, y: number) inline\n.decl B(x: number, y: number)\n\
+        .decl Path(x: number, y: number) magic\n.output B\n\
+        A(x) :- x = range(0, 3000).\nPair(x, y) :- A(x), A(y).\n\
+        B(x, y) :- Pair(x, y), x + y = 2.\n\
+        Path(x, x + 1) :- A(x).\nPath(x, z) :- Path(x, y), Path(y, z).\n\
+        B(-1, y) :- Path(2990, y).\n";
+    let rules = write(folder.path(), "rules.dl", text);
+    let query = |more: &[&str]| {
+        run(
+            &[&["query", &rules, "-D", "-", "--max-rows", "20000"], more].concat(),
+            b"",
+        )
+    };
+    let output = query(&[]);
+    assert_eq!(code(&output), 0, "{}", err(&output));
+    assert!(
+        out(&output).contains("\n2\t0\n") && out(&output).contains("\n-1\t3000\n"),
+        "{}",
+        out(&output)
+    );
+    // An explanation evaluates the clauses as they are written.
+    fails(&query(&["--explain", "B(1, 1)"]), 1, &["limit-exceeded"]);
+
+    let large = write(folder.path(), "large.dl", text.replace(" magic", ""));
+    let output = logicity(["query", &large, "-D", "-", "--max-rows", "20000"]);
+    fails(&output, 1, &["limit-exceeded", "magic-transform"]);
+    // An aggregate needs the rows.
+    let counted = text
+        .replace("x + y = 2", "x + y = count : { Pair(_, _) }")
+        .replace("3000", "9");
+    let output = logicity(["query", &write(folder.path(), "counted.dl", counted), "-D", "-"]);
+    assert!(
+        err(&output).contains("warning[ignored]: `Pair` is inline"),
+        "{}",
+        err(&output)
+    );
+}
+
 #[test]
 fn the_summary_names_the_executor() {
     let folder = tempfile::tempdir().unwrap();

@@ -44,6 +44,12 @@ pub use subsets::Comparing;
 #[cfg(test)]
 pub(crate) use subsets::random_clauses;
 
+/// Returns rules with the strata of their clauses, which another room has changed.
+pub(crate) fn restratified(mut rules: Rules) -> Rules {
+    rules.strata = strata::order(&rules.relations, &rules.clauses);
+    rules
+}
+
 /// Whether rules may derive `.input` predicates (the EDB).
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub enum Edb {

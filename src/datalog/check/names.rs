@@ -7,7 +7,7 @@ use crate::diag::{Code, Diagnostic, Faults, Span, did_you_mean};
 use crate::datalog::check::Edb;
 use crate::datalog::check::rules::{Column, Directive, RelId, Relation, RowFormat, RowPlace, Type, TypeId};
 use crate::datalog::syntax::ast::BaseType;
-use crate::datalog::syntax::ast::{Decl, Item, Mark, MarkKind, Name, TypeDecl, TypeDefinition};
+use crate::datalog::syntax::ast::{Decl, Item, Mark, MarkKind, Name, Pragma, TypeDecl, TypeDefinition};
 
 /// Maximum number of columns of a predicate.
 const MAX_COLUMNS: usize = 64;
@@ -86,15 +86,22 @@ pub(crate) fn declare(items: &[Item], complete: bool, inputs: Edb, faults: &mut 
     for item in items {
         match item {
             Item::Mark(mark) => names.mark(mark, faults),
-            Item::Pragma(pragma) => faults.push(
-                Diagnostic::new(Code::IGNORED, "`.pragma` has no effect")
-                    .at(pragma.place.0, "")
-                    .remove(pragma.place.0),
-            ),
+            Item::Pragma(pragma) => names.pragma(pragma, items, faults),
             _ => {}
         }
     }
     names
+}
+
+/// Returns whether a declaration of the predicate has the qualifier.
+fn is_qualified(items: &[Item], predicate: &str, qualifier: &str) -> bool {
+    items.iter().any(|item| match item {
+        Item::Decl(decl) => {
+            let named = decl.names.iter().any(|name| name.text == predicate);
+            named && decl.qualifiers.iter().any(|word| word.text == qualifier)
+        }
+        _ => false,
+    })
 }
 
 impl Names {
@@ -552,6 +559,7 @@ impl Names {
                 continue;
             }
             let id = RelId(u32::try_from(self.relations.len()).expect("fewer than 2^32 predicates"));
+            let has = |wanted: &str| decl.qualifiers.iter().any(|word| word.text == wanted);
             self.relation_by_name.insert(name.text.clone(), id);
             self.relations.push(Relation {
                 name: name.text.clone(),
@@ -564,12 +572,43 @@ impl Names {
                 printsize: false,
                 derived: false,
                 hidden: false,
+                inline: has("inline") && !has("no_inline"),
+                magic: has("magic") && !has("no_magic"),
                 directives: Vec::new(),
             });
             self.signatures.push(Signature {
                 columns: decl.columns.is_some().then(|| types.clone()),
                 input: None,
             });
+        }
+    }
+
+    /// Applies `.pragma "magic-transform" "A,B"`, where `*` names all predicates. Reports names without a declaration
+    /// and warns of other pragmas.
+    fn pragma(&mut self, pragma: &Pragma, items: &[Item], faults: &mut Faults) {
+        let [key, named] = pragma.words.as_slice() else {
+            return faults.push(no_effect(pragma));
+        };
+        if key != "magic-transform" {
+            return faults.push(no_effect(pragma));
+        }
+        let is_excluded = |name: &str| is_qualified(items, name, "no_magic");
+        for name in named.split(',').map(str::trim).filter(|name| !name.is_empty()) {
+            if name == "*" {
+                for relation in self
+                    .relations
+                    .iter_mut()
+                    .filter(|relation| !is_excluded(&relation.name))
+                {
+                    relation.magic = true;
+                }
+            } else if let Some(id) = self.find(name) {
+                self.relations[id.index()].magic = !is_excluded(name);
+            } else if self.complete {
+                let message = format!("`.pragma` names `{name}`, which is not declared");
+                let fault = Diagnostic::new(Code::IGNORED, message).at(pragma.place.0, "");
+                faults.push(fault.help("write the name of a predicate, or `*` for all"));
+            }
         }
     }
 
@@ -675,8 +714,16 @@ impl Names {
     }
 }
 
-/// Reports qualifiers that repeat or contradict another one, and warns of those without effect: all but `inline`. They
-/// ask for a way of evaluation, which never changes an answer.
+fn no_effect(pragma: &Pragma) -> Diagnostic {
+    (Diagnostic::new(Code::IGNORED, "`.pragma` has no effect").at(pragma.place.0, ""))
+        .help("remove it; only `.pragma \"magic-transform\" \"A,B\"` has one")
+}
+
+/// The qualifiers that have an effect.
+const EFFECTIVE: [&str; 4] = ["inline", "no_inline", "magic", "no_magic"];
+
+/// Reports qualifiers that repeat or contradict another one, and warns of those without effect. They ask for a way of
+/// evaluation, which never changes an answer.
 fn qualifiers(words: &[Name], faults: &mut Faults) {
     let storage = |word: &Name| matches!(word.text.as_str(), "btree" | "brie");
     let rivals = |a: &Name, b: &Name| a.text == b.text || (storage(a) && storage(b));
@@ -689,7 +736,9 @@ fn qualifiers(words: &[Name], faults: &mut Faults) {
             .at(word.place.0, "")
             .also(earlier.place.0, "one of them is enough");
             faults.push(fault.help("remove one of them"));
-        } else if word.text != "inline" && !words[index + 1..].iter().any(|later| rivals(word, later)) {
+        } else if !EFFECTIVE.contains(&word.text.as_str())
+            && !words[index + 1..].iter().any(|later| rivals(word, later))
+        {
             let fault = Diagnostic::new(Code::IGNORED, format!("`{}` has no effect", word.text));
             faults.push(fault.at(word.place.0, "").remove(word.place.0));
         }

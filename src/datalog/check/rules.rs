@@ -79,6 +79,10 @@ pub struct Relation {
     pub derived: bool,
     /// Whether the checker made it.
     pub hidden: bool,
+    /// Whether it is declared `inline` and its clauses bind their variables.
+    pub inline: bool,
+    /// Whether `magic` or `.pragma "magic-transform"` names it, and no `no_magic` does.
+    pub magic: bool,
     /// Its `.input`, `.output` and `.printsize` directives with their options.
     pub directives: Vec<Directive>,
 }
@@ -146,6 +150,8 @@ impl Relation {
             printsize: false,
             derived: true,
             hidden: true,
+            inline: false,
+            magic: false,
             directives: Vec::new(),
         }
     }

@@ -16,8 +16,8 @@
 //! are the bits of a row, so one operation decides all that are known. Tables that do not depend on the head's first
 //! variable stay valid for all its values.
 //!
-//! A search that takes more than a few steps is interrupted, to make the domains of the variables arc-consistent first,
-//! for this value of the head's first variable and all later ones. This removes no value that is part of a solution, so tables stay valid: if the values of a separator are in their
+//! A search that takes more than a few steps is interrupted, to make the domains of the variables arc-consistent
+//! first, for this value of the head's first variable and all later ones. This removes no value that is part of a solution, so tables stay valid: if the values of a separator are in their
 //! domains, so are those of the branches that they allow.
 
 use crate::datalog::dense::program::{Branch, Dense, Range};

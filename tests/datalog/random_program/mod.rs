@@ -294,6 +294,8 @@ fn declare(rules: &mut Rules, columns: &[bool], span: Span) {
         edb: None,
         output: true,
         printsize: false,
+        inline: false,
+        magic: false,
         derived: false,
         hidden: false,
         directives: Vec::new(),

@@ -1,0 +1,300 @@
+//! Restricts predicates to the rows that the outputs need: the magic-set transformation.
+//!
+//! ```text
+//! .output From_a                                +demand Path(x) says which first columns are needed:
+//! Path(x, y) :- Edge(x, y).                     +Path(x, y) :- +demand Path(x), Edge(x, y).
+//! Path(x, z) :- Edge(x, y), Path(y, z).         +Path(x, z) :- +demand Path(x), Edge(x, y), +Path(y, z).
+//! From_a(y) :- Path("a", y).                    From_a(y) :- +Path("a", y).
+//!                                               +demand Path("a").
+//!                                               +demand Path(y) :- +demand Path(x), Edge(x, y).
+//! ```
+//!
+//! Each atom of a clause is visited in an order in which bound variables come early. The positions that are bound there
+//! are the atom's *adornment*. Each adornment of a predicate has a copy of its clauses, and a demand predicate.
+//!
+//! What a clause negates or aggregates must be complete. So these predicates and all that they depend on stay as they
+//! are, and nothing that is complete depends on a demand: the program stays stratified.
+
+use crate::datalog::check::{Atom, Clause, Literal, RelId, Relation, Rules, Term, restratified};
+use crate::datalog::rewrite::is_visible;
+use crate::datalog::syntax::ast::Comparison;
+use std::collections::{BTreeMap, BTreeSet};
+
+/// The maximum number of copies of one predicate. A predicate with more is computed in full.
+const MAX_COPIES: usize = 8;
+
+/// For each column, whether it is bound.
+type Adornment = Vec<bool>;
+
+/// Returns the rules with the predicates that are marked `magic` restricted to the rows that the visible ones need.
+/// `None` if none can be restricted.
+pub fn demand(rules: &Rules) -> Option<Rules> {
+    if !rules.relations.iter().any(|relation| relation.magic) {
+        return None;
+    }
+    restrict(rules, |relation| rules.relations[relation.index()].magic)
+}
+
+/// Returns whether marking predicates `magic` would restrict one of them. Returns false for programs with many clauses.
+pub fn would_restrict(rules: &Rules) -> bool {
+    const MAX_CLAUSES: usize = 10_000;
+    rules.clauses.len() <= MAX_CLAUSES
+        && restrict(rules, |relation| !rules.relations[relation.index()].hidden).is_some()
+}
+
+fn restrict(rules: &Rules, wanted: impl Fn(RelId) -> bool) -> Option<Rules> {
+    let mut full = complete(rules);
+    for relation in (0..).map(RelId).take(rules.relations.len()) {
+        let defined = rules.clauses.iter().any(|clause| clause.head.relation == relation);
+        full[relation.index()] |= !defined || !wanted(relation) || is_visible(rules, relation);
+    }
+    // Finds out which predicates are needed in full before it makes any clause.
+    loop {
+        let mut transformer = Transformer::new(rules, &full);
+        transformer.all();
+        if transformer.in_full.is_empty() {
+            return (!transformer.copies.is_empty()).then(|| restratified(transformer.out));
+        }
+        for relation in transformer.in_full {
+            full[relation.index()] = true;
+        }
+    }
+}
+
+/// Returns the predicates that must be complete: what clauses negate or aggregate or a guard reads, and all that these
+/// depend on.
+fn complete(rules: &Rules) -> Vec<bool> {
+    let mut complete = vec![false; rules.relations.len()];
+    for literal in rules.clauses.iter().flat_map(|clause| &clause.body) {
+        if let Literal::Negative(atom) | Literal::Aggregate { atom, .. } | Literal::Guard(atom) = literal {
+            complete[atom.relation.index()] = true;
+        }
+    }
+    loop {
+        let mut changed = false;
+        for clause in rules
+            .clauses
+            .iter()
+            .filter(|clause| complete[clause.head.relation.index()])
+        {
+            for atom in clause.body.iter().filter_map(Literal::atom) {
+                changed |= !std::mem::replace(&mut complete[atom.relation.index()], true);
+            }
+        }
+        if !changed {
+            return complete;
+        }
+    }
+}
+
+struct Transformer<'a> {
+    rules: &'a Rules,
+    /// By [`RelId`]: whether the predicate is computed in full.
+    full: &'a [bool],
+    /// The predicates that must be computed in full as well.
+    in_full: BTreeSet<RelId>,
+    /// The copy of each predicate for each adornment, and its demand.
+    copies: BTreeMap<(RelId, Adornment), (RelId, RelId)>,
+    /// The copies whose clauses are to be made.
+    waiting: Vec<(RelId, Adornment)>,
+    out: Rules,
+}
+
+impl<'a> Transformer<'a> {
+    fn new(rules: &'a Rules, full: &'a [bool]) -> Self {
+        Transformer {
+            rules,
+            full,
+            in_full: BTreeSet::new(),
+            copies: BTreeMap::new(),
+            waiting: Vec::new(),
+            out: Rules {
+                clauses: Vec::new(),
+                ..rules.clone()
+            },
+        }
+    }
+
+    fn all(&mut self) {
+        let needs_complete = complete(self.rules);
+        for clause in &self.rules.clauses {
+            let head = clause.head.relation.index();
+            if needs_complete[head] {
+                self.out.clauses.push(clause.clone());
+            } else if self.full[head] {
+                self.clause(clause, None);
+            }
+        }
+        while let Some((relation, adornment)) = self.waiting.pop() {
+            for clause in self
+                .rules
+                .clauses
+                .iter()
+                .filter(|clause| clause.head.relation == relation)
+            {
+                self.clause(clause, Some(&adornment));
+            }
+        }
+        // A copy takes the place of the predicate itself, and a demand may consist of facts.
+        let mut derived = vec![false; self.out.relations.len()];
+        for clause in self.out.clauses.iter().filter(|clause| !clause.body.is_empty()) {
+            derived[clause.head.relation.index()] = true;
+        }
+        for (relation, derived) in self.out.relations.iter_mut().zip(derived) {
+            relation.derived = derived;
+        }
+    }
+
+    /// Adds the clause for an adornment of its head, and the clauses of the demands of its body.
+    fn clause(&mut self, clause: &Clause, adornment: Option<&Adornment>) {
+        let mut out = clause.clone();
+        let mut bound = vec![false; clause.variables.len()];
+        // The literals that hold where a demand arises.
+        let mut before: Vec<Literal> = Vec::new();
+        if let Some(adornment) = adornment {
+            let (copy, demand) = self.copies[&(clause.head.relation, adornment.clone())];
+            out.head.relation = copy;
+            let guard = Atom {
+                relation: demand,
+                terms: selected(&clause.head.terms, adornment),
+                span: clause.head.span,
+            };
+            bind(&mut bound, &guard.terms);
+            before.push(Literal::Positive(guard.clone()));
+            out.body.insert(0, Literal::Positive(guard));
+        }
+        let offset = out.body.len() - clause.body.len();
+        let mut rest: Vec<usize> = (0..clause.body.len()).collect();
+        loop {
+            settle(clause, &mut rest, &mut bound, &mut before);
+            let bound_in = |atom: &Atom| atom.terms.iter().filter(|term| is_bound(term, &bound)).count();
+            let next = (rest.iter().copied())
+                .filter_map(|at| match &clause.body[at] {
+                    Literal::Positive(atom) => Some((at, atom)),
+                    _ => None,
+                })
+                .max_by_key(|&(at, atom)| {
+                    let many = bound_in(atom);
+                    (many > 0, self.full[atom.relation.index()], many, std::cmp::Reverse(at))
+                });
+            let Some((at, atom)) = next else { break };
+            rest.retain(|&other| other != at);
+            let mut atom = atom.clone();
+            if !self.full[atom.relation.index()] {
+                let adornment: Adornment = atom.terms.iter().map(|term| is_bound(term, &bound)).collect();
+                if let Some((copy, demand)) = self.copy(atom.relation, &adornment) {
+                    let head = Atom {
+                        relation: demand,
+                        terms: selected(&atom.terms, &adornment),
+                        span: atom.span,
+                    };
+                    let is_head = |literal: &Literal| match literal {
+                        Literal::Positive(atom) => (atom.relation, &atom.terms) == (head.relation, &head.terms),
+                        _ => false,
+                    };
+                    if !before.iter().any(is_head) {
+                        self.out.clauses.push(Clause {
+                            head,
+                            body: before.clone(),
+                            variables: clause.variables.clone(),
+                            doc: String::new(),
+                            span: clause.span,
+                        });
+                    }
+                    atom.relation = copy;
+                }
+            }
+            bind(&mut bound, &atom.terms);
+            out.body[at + offset] = Literal::Positive(atom.clone());
+            before.push(Literal::Positive(atom));
+        }
+        self.out.clauses.push(out);
+    }
+
+    /// Returns the copy of a predicate and its demand; `None` if the predicate is needed in full.
+    fn copy(&mut self, relation: RelId, adornment: &Adornment) -> Option<(RelId, RelId)> {
+        let key = (relation, adornment.clone());
+        if let Some(&known) = self.copies.get(&key) {
+            return Some(known);
+        }
+        let others = self.copies.keys().filter(|(of, _)| *of == relation).count();
+        if !adornment.contains(&true) || others >= MAX_COPIES {
+            self.in_full.insert(relation);
+            return None;
+        }
+        let Relation {
+            name, columns, span, ..
+        } = self.rules.relations[relation.index()].clone();
+        let letters: String = adornment.iter().map(|&bound| if bound { 'b' } else { 'f' }).collect();
+        let wanted = columns
+            .iter()
+            .zip(adornment)
+            .filter(|(_, bound)| **bound)
+            .map(|(column, _)| column.clone());
+        let demand = Relation::made(
+            format!("+demand {name}.{letters}"),
+            wanted.collect(),
+            format!("the arguments for which `{name}` is needed"),
+            span,
+        );
+        let copy = Relation::made(
+            format!("+{name}.{letters}"),
+            columns,
+            format!("`{name}` as far as it is needed"),
+            span,
+        );
+        let mut add = |relation: Relation| {
+            self.out.relations.push(relation);
+            RelId(u32::try_from(self.out.relations.len() - 1).expect("fewer than 2^32 predicates"))
+        };
+        let made = (add(copy), add(demand));
+        self.copies.insert(key.clone(), made);
+        self.waiting.push(key);
+        Some(made)
+    }
+}
+
+/// Moves to `before` the comparisons and computations whose variables are bound, and binds what equals a bound
+/// variable. A computed value is not bound: demands are values of rows and constants, so they are finitely many.
+fn settle(clause: &Clause, rest: &mut Vec<usize>, bound: &mut [bool], before: &mut Vec<Literal>) {
+    loop {
+        let ready = rest.iter().position(|&at| match &clause.body[at] {
+            Literal::Compare { op, left, right, .. } => {
+                let known = [left, right].map(|term| is_bound(term, bound));
+                known == [true; 2] || *op == Comparison::Equal && known != [false; 2]
+            }
+            Literal::Compute { .. } => clause.body[at].terms().all(|term| is_bound(term, bound)),
+            _ => false,
+        });
+        let Some(ready) = ready else { return };
+        let literal = clause.body[rest.remove(ready)].clone();
+        literal.terms().for_each(|term| bind(bound, std::slice::from_ref(term)));
+        before.push(literal);
+    }
+}
+
+fn is_bound(term: &Term, bound: &[bool]) -> bool {
+    match term {
+        Term::Variable(of) => bound[of.index()],
+        Term::Constant(_) => true,
+        Term::Wildcard => false,
+    }
+}
+
+fn bind(bound: &mut [bool], terms: &[Term]) {
+    for term in terms {
+        if let Term::Variable(of) = term {
+            bound[of.index()] = true;
+        }
+    }
+}
+
+/// Returns the terms at the bound positions.
+fn selected(terms: &[Term], adornment: &Adornment) -> Vec<Term> {
+    terms
+        .iter()
+        .zip(adornment)
+        .filter(|(_, bound)| **bound)
+        .map(|(term, _)| *term)
+        .collect()
+}

@@ -1,0 +1,24 @@
+//! Rewrites checked rules so that evaluation computes fewer rows: [`unfold`] and [`demand`].
+//!
+//! The rewritten rules derive the same rows of `.output` and `.printsize` predicates. They have other clauses, so use
+//! them where only these rows matter: `query` does, unless it explains a fact. A rewritten clause keeps the place of
+//! the clause that it comes from.
+
+mod demand;
+mod unfold;
+
+pub use demand::{demand, would_restrict};
+pub use unfold::unfold;
+
+use crate::datalog::check::{Constraint, RelId, Rules};
+
+/// Returns whether the rows of a predicate are visible outside of the rules: to `.input`, `.output`, `.printsize` or a
+/// constraint.
+fn is_visible(rules: &Rules, relation: RelId) -> bool {
+    let declared = &rules.relations[relation.index()];
+    let named = rules.constraints.iter().any(|declared| match declared.constraint {
+        Constraint::Disjoint(one, other) | Constraint::Implies(one, other) => one == relation || other == relation,
+        Constraint::Irreflexive(one) | Constraint::Symmetric(one) => one == relation,
+    });
+    declared.input || declared.output || declared.printsize || declared.edb.is_some() || named
+}
