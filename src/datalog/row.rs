@@ -11,7 +11,7 @@ use std::cmp::Ordering;
 pub(crate) const WIDTHS: [usize; 6] = [2, 3, 4, 8, 16, 32];
 
 /// A row of `W` words, ordered lexicographically.
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Hash)]
 pub(crate) struct Row<const W: usize>(pub(crate) [Value; W]);
 
 impl<const W: usize> Row<W> {

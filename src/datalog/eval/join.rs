@@ -1,11 +1,12 @@
 //! Runs a plan: a pipelined nested-loop join over sorted rows, without intermediate relations.
 
 use crate::cancel::Cancel;
+use crate::datalog::eval::groups::{self, Groups};
 use crate::datalog::eval::seen_bitmap::{Added, SeenBitmap, raise};
-use crate::datalog::plan::steps::{List, Plan, Slot, Source, Step};
+use crate::datalog::plan::steps::{Fold, List, Plan, Slot, Source, Step};
 use crate::datalog::row::{Batch, Row, difference, gallop, normalize};
 use crate::datalog::syntax::ast::{BaseType, Comparison};
-use crate::datalog::syntax::functor::Functor;
+use crate::datalog::syntax::functor::{AggregateOp, Functor};
 use crate::datalog::value::{Patterns, Value};
 use crate::symbol::{Symbol, Symbols};
 use std::cmp::Ordering;
@@ -87,6 +88,8 @@ pub(crate) struct Output<const W: usize> {
     act_at: usize,
     compact_at: usize,
     limit: usize,
+    /// What a plan with a [`Fold`] derives, in place of rows.
+    groups: Option<Box<Groups<W>>>,
 }
 
 /// The reason why an evaluation was abandoned.
@@ -159,6 +162,16 @@ impl<const W: usize> Output<W> {
             act_at: compact_at.min(Self::SEEN_MIN),
             compact_at,
             limit,
+            groups: None,
+        }
+    }
+
+    /// An empty buffer for the output of a plan; it accepts at most `limit` distinct rows.
+    pub(crate) fn for_plan(plan: &Plan, limit: usize) -> Self {
+        let groups = |fold| Box::new(Groups::new(fold, plan.output.len()));
+        Output {
+            groups: plan.fold.map(groups),
+            ..Self::new(limit)
         }
     }
 
@@ -174,6 +187,7 @@ impl<const W: usize> Output<W> {
     pub(crate) fn fork(&self, limit: usize) -> Self {
         Output {
             seen: self.seen.as_ref().map(SeenBitmap::fork),
+            groups: self.groups.as_ref().map(|groups| Box::new(groups.fork())),
             ..Self::new(limit)
         }
     }
@@ -189,9 +203,17 @@ impl<const W: usize> Output<W> {
     }
 
     /// Adds the rows of a fork.
-    pub(crate) fn absorb(&mut self, mut fork: Self) -> Result<(), Abort> {
+    pub(crate) fn absorb(&mut self, mut fork: Self, symbols: &Symbols) -> Result<(), Abort> {
         let pushed = self.pushed + fork.pushed;
         self.pushed = pushed;
+        if let (Some(groups), Some(other)) = (&mut self.groups, fork.groups.take()) {
+            groups.merge(*other, symbols);
+            return if groups.len() > self.limit {
+                Err(Abort::Overflow)
+            } else {
+                Ok(())
+            };
+        }
         if let (Some(seen), Some(other)) = (&mut self.seen, &fork.seen)
             && other.keeps()
             && seen.is_like(other)
@@ -230,7 +252,23 @@ impl<const W: usize> Output<W> {
 
     /// Whether the buffer is empty.
     pub(crate) fn is_empty(&self) -> bool {
-        self.rows.is_empty() && self.kept == 0
+        self.rows.is_empty() && self.kept == 0 && self.groups.as_ref().is_none_or(|groups| groups.len() == 0)
+    }
+
+    /// Adds `times` matches with this key and value; `times` is 1 unless the aggregate is a count.
+    #[inline]
+    fn fold(&mut self, key: Row<W>, value: Option<Value>, times: u64, symbols: &Symbols) -> Result<(), Abort> {
+        self.pushed += times;
+        let Some(groups) = &mut self.groups else { return Ok(()) };
+        match value {
+            Some(value) => groups.add(key, value, symbols),
+            None => groups.count(key, times),
+        }
+        if groups.len() > self.limit {
+            Err(Abort::Overflow)
+        } else {
+            Ok(())
+        }
     }
 
     #[inline]
@@ -338,6 +376,9 @@ impl<const W: usize> Output<W> {
     /// Like `take`, with another function to sort rows and remove repetitions.
     pub(crate) fn take_by(&mut self, normalize: impl FnOnce(&mut Vec<Row<W>>)) -> Vec<Row<W>> {
         self.took |= !self.is_empty();
+        if let Some(groups) = &mut self.groups {
+            return groups.take();
+        }
         self.act_at = self.compact_at.min(Self::SEEN_MIN);
         if let Some(seen) = self.seen.as_mut().filter(|seen| seen.keeps()) {
             return seen.drain(std::mem::take(&mut self.kept));
@@ -510,6 +551,13 @@ impl<const W: usize> Join<'_, W> {
                     let value = op.of(*base, values, self.symbols);
                     self.fill(*to, *test, value)
                 }
+                Step::Group { key, op, to, test, .. } => {
+                    self.rows_scanned += 1;
+                    let words = self.key(key);
+                    let found = self.views[depth].first.range(&words[..key.len()]);
+                    let value = groups::lookup(found, key.len(), *op);
+                    self.fill(*to, *test, value)
+                }
             };
             if !passed {
                 return Ok(false);
@@ -559,7 +607,11 @@ impl<const W: usize> Join<'_, W> {
                 let last = depth + 1 == self.plan.steps.len();
                 if last && !once && check.is_empty() && *distinct == 0 {
                     let words = self.key(key);
-                    return self.spread(depth, &words[..key.len()], bind);
+                    match self.plan.fold {
+                        None => return self.spread(depth, &words[..key.len()], bind),
+                        Some(fold) if self.counts(fold, bind) => return self.count(depth, &words[..key.len()]),
+                        Some(_) => {}
+                    }
                 }
                 self.scan((depth, end, once), key, (bind, check), *distinct as usize)
             }
@@ -686,6 +738,22 @@ impl<const W: usize> Join<'_, W> {
         Ok(any)
     }
 
+    /// Whether the rows of the last scan only matter by their number.
+    fn counts(&self, fold: Fold, bind: Columns<'_>) -> bool {
+        fold.op == AggregateOp::Count && !bind.iter().any(|(_, slot)| self.plan.output.contains(slot))
+    }
+
+    /// Runs the last scan of a plan that counts: all rows found are in the same group.
+    fn count(&mut self, depth: usize, key: &[Value]) -> Result<bool, Abort> {
+        self.rows_scanned += 1;
+        let found: usize = self.views[depth].batches().map(|batch| batch.range(key).len()).sum();
+        if found > 0 {
+            let row = Row(self.key(&self.plan.output));
+            self.out.fold(row, None, found as u64, self.symbols)?;
+        }
+        Ok(found > 0)
+    }
+
     /// Stores a value in a slot, or compares it with the slot.
     fn fill(&mut self, to: Slot, test: bool, value: Option<Value>) -> bool {
         let slot = &mut self.slots[to as usize];
@@ -740,8 +808,14 @@ impl<const W: usize> Join<'_, W> {
 
     #[inline]
     fn emit(&mut self) -> Result<bool, Abort> {
-        let row = self.key(&self.plan.output);
-        self.out.push(Row(row))?;
+        let row = Row(self.key(&self.plan.output));
+        match self.plan.fold {
+            None => self.out.push(row)?,
+            Some(fold) => {
+                let value = fold.value.map(|slot| self.slots[slot as usize]);
+                self.out.fold(row, value, 1, self.symbols)?;
+            }
+        }
         Ok(true)
     }
 

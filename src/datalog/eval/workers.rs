@@ -106,7 +106,7 @@ impl Workers {
             let chunks = self.split(plan, views, out.seen_bytes());
             if !chunks.is_empty() {
                 let hands = self.evaluate(pool, (plan, views, &chunks), (symbols, cancel), state, out);
-                if let Some(result) = join_hands(hands, state, out) {
+                if let Some(result) = join_hands(hands, symbols, state, out) {
                     return result;
                 }
             }
@@ -215,6 +215,7 @@ impl Workers {
 /// derived the same rows.
 fn join_hands<const W: usize>(
     hands: Vec<Hand<W>>,
+    symbols: &Symbols,
     state: &mut JoinState,
     out: &mut Output<W>,
 ) -> Option<Result<(), Abort>> {
@@ -229,7 +230,7 @@ fn join_hands<const W: usize>(
     if stopped(Abort::Budget) || state.rows_scanned > state.budget {
         return Some(Err(Abort::Budget));
     }
-    Some(hands.into_iter().try_for_each(|hand| out.absorb(hand.out)))
+    Some(hands.into_iter().try_for_each(|hand| out.absorb(hand.out, symbols)))
 }
 
 /// Estimates the number of rows that the plan scans.

@@ -7,6 +7,7 @@ use crate::cancel::Cancel;
 use crate::datalog::check::{ClauseId, RelId, Term};
 use crate::datalog::eval::delta::{Delta, Rows};
 use crate::datalog::eval::exec::adapt::Basis;
+use crate::datalog::eval::groups;
 use crate::datalog::eval::join;
 use crate::datalog::eval::join::{Abort, JoinState, Output, RowView};
 use crate::datalog::eval::limits::{EvalError, Limits};
@@ -17,7 +18,8 @@ use crate::datalog::eval::workers::Workers;
 use crate::datalog::plan::Compiled;
 use crate::datalog::plan::Plans;
 use crate::datalog::plan::steps::{Aim, IndexId, IndexSpec, Plan, Source, Step, StratumPlan, Version};
-use crate::datalog::row::{Row, normalize};
+use crate::datalog::row::{Batch, Row, normalize};
+use crate::datalog::syntax::functor::AggregateOp;
 use crate::datalog::value::Value;
 use crate::symbol::Symbols;
 use std::sync::Arc;
@@ -49,6 +51,8 @@ pub(crate) trait Store: Send + Sync {
     fn row(&self, relation: RelId, position: usize) -> &[Value];
     /// The number of rows of the relation.
     fn len(&self, relation: RelId) -> usize;
+    /// The aggregate of the group with this key in a grouped relation.
+    fn group(&self, relation: RelId, key: &[Value], op: AggregateOp) -> Option<Value>;
     /// The plans in use.
     fn plans(&self) -> &Plans;
     /// The distinct rows that a clause derives.
@@ -152,6 +156,9 @@ impl<const W: usize> Commit<'_, W> {
         let relations = self.compiled.rules.relations.iter().zip((0..).map(RelId));
         for (changed, (relation, id)) in self.changed.into_iter().zip(relations) {
             let Some((change, _)) = changed else { continue };
+            if self.plans.indexes.is_grouped(id) {
+                continue;
+            }
             let arity = relation.arity();
             delta.push(
                 id,
@@ -498,6 +505,9 @@ impl<const W: usize> State<W> {
     ) -> Result<(Vec<Vec<Row<W>>>, usize), Failure> {
         let plans = &commit.plans;
         let mut outputs: Vec<Output<W>> = stratum.members.iter().map(|_| Output::new(quota.rows)).collect();
+        if let ([output], [clause]) = (&mut outputs[..], &stratum.clauses[..]) {
+            *output = Output::for_plan(&plans.clauses[clause.index()].complete, quota.rows);
+        }
         let mut views = Vec::new();
         for &clause in &stratum.clauses {
             let plan = &plans.clauses[clause.index()];
@@ -638,6 +648,11 @@ impl<const W: usize> Store for State<W> {
         self.tables[relation.index()].rows.len()
     }
 
+    fn group(&self, relation: RelId, key: &[Value], op: AggregateOp) -> Option<Value> {
+        let rows = Batch::plain(&self.tables[relation.index()].rows);
+        groups::lookup(rows.range(key), key.len(), op)
+    }
+
     fn plans(&self) -> &Plans {
         &self.plans
     }
@@ -645,7 +660,7 @@ impl<const W: usize> Store for State<W> {
     fn fired(&self, compiled: &Compiled, symbols: &Symbols, clause: ClauseId) -> Vec<Vec<Value>> {
         let plan = &self.plans.clauses[clause.index()].complete;
         let mut out = Output::new(usize::MAX);
-        if self.committed {
+        if self.committed && plan.fold.is_none() {
             let views: Vec<RowView<'_, W>> = self.complete_views(&self.plans, plan).collect();
             // This cannot overflow: what a clause derives is in its head's relation, which is within the limit.
             let _ = join::run(
