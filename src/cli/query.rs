@@ -2,16 +2,18 @@
 
 use crate::cli::why;
 use crate::cli::why::Question;
-use crate::cli::{Failure, LimitOptions, compile, load_workspace, report, too_much};
-use crate::datalog::{ClauseId, Edb, MarkKind, RelId, RowPlace};
-use crate::datalog::{Delta, EvalEvent, Limits, Options, Program, RuleStats, Session, Threads, constraints, facts};
+use crate::cli::{Failure, LimitOptions, load_workspace, report, too_much};
+use crate::datalog::{ClauseId, Edb, MarkKind, RelId, RowFormat, RowPlace};
+use crate::datalog::{
+    Delta, EvalError, EvalEvent, Limits, Options, Program, RuleStats, Session, Threads, constraints, facts,
+};
 use crate::diag::{Code, Diagnostic, Sources, Span};
 use crate::files;
 use crate::files::{Output, make_folder};
 use std::cell::{Cell, RefCell};
 use std::cmp::Reverse;
 use std::collections::BTreeMap;
-use std::io::{self, Write};
+use std::io::{self, Read, Write};
 use std::num::NonZeroUsize;
 use std::path::{Path, PathBuf};
 use std::time::{Duration, Instant};
@@ -65,10 +67,14 @@ pub fn run(arguments: &Arguments, sources: &mut Sources) -> Result<(), Failure> 
         return Err(Failure::Usage("--json requires --explain or --why-not".to_owned()));
     }
     let workspace = load_workspace(sources, &arguments.rules, Edb::Extensible)?;
-    let (program, warnings) = compile(&workspace)?;
-    report(&warnings, sources);
-    // Frees the texts, which may be large.
+    let loaded = workspace.check();
+    // Frees the syntax trees, which may be large.
     let workspace = question.map(|_| workspace);
+    let Some(rules) = loaded.rules else {
+        return Err(loaded.diagnostics.into());
+    };
+    let program = Program::new(rules)?;
+    report(&loaded.diagnostics, sources);
     // The session checks constraints after the commit, before it prints any answer.
     let options = Options {
         constraints: true,
@@ -258,6 +264,12 @@ pub(super) fn load_inputs(folder: &Path, session: &mut Session, sources: &mut So
                 RowPlace::File(name) => folder.join(name),
                 RowPlace::Terminal => PathBuf::from("standard input"),
             };
+            if !matches!(directive.place, RowPlace::Terminal)
+                && !directive.format.quoted
+                && load_blocks(&path, session, id, &directive.format)?
+            {
+                continue;
+            }
             let read = match directive.place {
                 RowPlace::Terminal => files::read_any(std::io::stdin()),
                 _ => files::open(&path).and_then(files::read_any),
@@ -280,6 +292,49 @@ pub(super) fn load_inputs(folder: &Path, session: &mut Session, sources: &mut So
         }
     }
     if faults.is_empty() { Ok(()) } else { Err(faults.into()) }
+}
+
+/// Loads a file of rows block by block, so that its text is never in memory as a whole. Returns `false` if that is
+/// impossible: only the whole text tells the places of its faults, and only a regular file can be read again for them.
+fn load_blocks(path: &Path, session: &mut Session, id: RelId, format: &RowFormat) -> Result<bool, Failure> {
+    const BLOCK: u64 = 1 << 20;
+    let Ok(mut file) = files::open(path) else {
+        return Ok(false);
+    };
+    if !file.metadata().is_ok_and(|metadata| metadata.is_file()) {
+        return Ok(false);
+    }
+    let mut format = format.clone();
+    let mut block: Vec<u8> = Vec::new();
+    loop {
+        let Ok(read) = (&mut file).take(BLOCK).read_to_end(&mut block) else {
+            return Ok(false);
+        };
+        // A block ends with a line.
+        let end = match block.iter().rposition(|&byte| byte == b'\n') {
+            _ if read == 0 => block.len(),
+            Some(at) => at + 1,
+            None => continue,
+        };
+        let Ok(text) = std::str::from_utf8(&block[..end]) else {
+            return Ok(false);
+        };
+        let mut sources = Sources::new();
+        let source = sources.add("", text);
+        if facts::load_as(session, id, &sources, source, &format).is_err() {
+            return Ok(false);
+        }
+        let limit = session.limits().bytes;
+        if session.bytes() > limit {
+            let error = EvalError::TooManyInputs { limit };
+            return Err(too_much(&error, session.program().rules()).into());
+        }
+        if read == 0 {
+            return Ok(true);
+        }
+        block.drain(..end);
+        format.headers = false;
+    }
 }
 
 /// Writes a relation to a file, which appears only once it is complete.

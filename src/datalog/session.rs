@@ -80,6 +80,16 @@ impl Session {
         self.limits = limits;
     }
 
+    /// Returns the limits of a commit.
+    pub fn limits(&self) -> Limits {
+        self.limits
+    }
+
+    /// Returns the bytes of the rows, indexes, pending changes and texts.
+    pub fn bytes(&self) -> u64 {
+        self.store.bytes() + self.symbols.bytes()
+    }
+
     /// Sets the number of evaluation threads; the default is one.
     ///
     /// The number changes neither rows nor their order, deltas or statistics.

@@ -6,6 +6,8 @@ mod diff;
 mod grammar;
 mod layers;
 mod lsp;
+#[cfg(target_os = "linux")]
+mod memory;
 mod questions;
 mod readme;
 mod repl;

@@ -46,6 +46,20 @@ impl<const W: usize> Groups<W> {
         self.done.len() + usize::from(self.current.is_some())
     }
 
+    /// The number of rows that take as much memory as the groups: a table is up to half empty, and has two copies while
+    /// it grows.
+    #[inline]
+    pub(crate) fn rows(&self) -> usize {
+        match self.len() {
+            // One group is no more than one row, however little memory there is.
+            count @ 0..=1 => count,
+            count => count * (3 * size_of::<(Row<W>, Partial)>() / size_of::<Row<W>>() + Self::EXACT),
+        }
+    }
+
+    /// The number of rows that take as much memory as an exact sum.
+    const EXACT: usize = 96_usize.div_ceil(size_of::<Row<W>>());
+
     /// Adds a match with this value.
     #[inline]
     pub(crate) fn add(&mut self, key: Row<W>, value: Value, symbols: &Symbols) {

@@ -88,6 +88,8 @@ pub(crate) struct Output<const W: usize> {
     act_at: usize,
     compact_at: usize,
     limit: usize,
+    /// The maximum number of distinct rows that memory allows.
+    fit: usize,
     /// What a plan with a [`Fold`] derives, in place of rows.
     groups: Option<Box<Groups<W>>>,
 }
@@ -142,6 +144,10 @@ impl<const W: usize> Output<W> {
     /// The minimum number of rows before the buffer considers a bitmap.
     const SEEN_MIN: usize = 256;
 
+    /// Distinct rows may take 3/4 of the memory. The rest is for repetitions, so that the buffer is not sorted for every
+    /// few rows, and for a bitmap.
+    const FIT_PARTS: usize = 4;
+
     /// Limits a bitmap to 1 GiB, the memory of this number of rows.
     const SEEN_ROWS_MAX: u64 = (1 << 30) / size_of::<Row<W>>() as u64;
 
@@ -162,8 +168,40 @@ impl<const W: usize> Output<W> {
             act_at: compact_at.min(Self::SEEN_MIN),
             compact_at,
             limit,
+            fit: usize::MAX,
             groups: None,
         }
+    }
+
+    /// Limits the memory of the buffer.
+    pub(crate) fn set_bytes(&mut self, bytes: u64) {
+        let rows = usize::try_from(bytes / size_of::<Row<W>>() as u64).unwrap_or(usize::MAX);
+        self.set_fit(rows / Self::FIT_PARTS * (Self::FIT_PARTS - 1));
+    }
+
+    fn set_fit(&mut self, fit: usize) {
+        self.fit = fit;
+        self.compact_at = self.compact_at.min(self.buffer_max());
+        self.act_at = self.act_at.min(self.compact_at);
+    }
+
+    /// The maximum number of rows in the list, repetitions included.
+    fn buffer_max(&self) -> usize {
+        let most = self.limit.min(self.fit);
+        most.saturating_add(most / (Self::FIT_PARTS - 1)).saturating_add(1)
+    }
+
+    /// Fails if there are too many distinct rows.
+    #[inline]
+    pub(crate) fn check(&self, rows: usize) -> Result<(), Abort> {
+        if rows <= self.limit.min(self.fit) {
+            return Ok(());
+        }
+        Err(if rows > self.limit {
+            Abort::Overflow
+        } else {
+            Abort::Memory
+        })
     }
 
     /// An empty buffer for the output of a plan; it accepts at most `limit` distinct rows.
@@ -183,18 +221,23 @@ impl<const W: usize> Output<W> {
         }
     }
 
-    /// Makes an empty buffer for a part of the rows, at most `limit`. It filters rows that this one knows.
-    pub(crate) fn fork(&self, limit: usize) -> Self {
-        Output {
+    /// Makes an empty buffer for one of `count` parts of the rows. It filters rows that this one knows. Together, the
+    /// parts need no more memory than this buffer has left for them and for its own copy of their rows.
+    pub(crate) fn fork(&self, count: usize) -> Self {
+        let mut fork = Output {
             seen: self.seen.as_ref().map(SeenBitmap::fork),
             groups: self.groups.as_ref().map(|groups| Box::new(groups.fork())),
-            ..Self::new(limit)
+            ..Self::new(self.limit / count)
+        };
+        if self.fit < usize::MAX {
+            fork.set_fit(self.fit.saturating_sub(self.rows.len()) / (2 * count));
         }
+        fork
     }
 
-    /// The maximum number of distinct rows.
-    pub(crate) fn limit(&self) -> usize {
-        self.limit
+    /// Whether the bitmaps of `count` forks fit into memory.
+    pub(crate) fn can_fork(&self, count: usize) -> bool {
+        self.seen_bytes() / size_of::<Row<W>>() * 2 * count <= self.fit / 4
     }
 
     /// The bytes of the bitmap of known rows.
@@ -208,11 +251,8 @@ impl<const W: usize> Output<W> {
         self.pushed = pushed;
         if let (Some(groups), Some(other)) = (&mut self.groups, fork.groups.take()) {
             groups.merge(*other, symbols);
-            return if groups.len() > self.limit {
-                Err(Abort::Overflow)
-            } else {
-                Ok(())
-            };
+            let rows = groups.rows();
+            return self.check(rows);
         }
         if let (Some(seen), Some(other)) = (&mut self.seen, &fork.seen)
             && other.keeps()
@@ -223,15 +263,16 @@ impl<const W: usize> Output<W> {
                 self.kept = std::mem::take(&mut self.rows).len();
             }
             self.kept += seen.absorb(other);
-            return if self.kept > self.limit {
-                Err(Abort::Overflow)
-            } else {
-                Ok(())
-            };
+            return self.check(self.kept);
         }
         let rows = fork.take();
         if self.seen.is_none() {
+            self.rows.try_reserve_exact(rows.len()).map_err(|_| Abort::Memory)?;
             self.rows.extend_from_slice(&rows);
+            drop(rows);
+            // A stable sort merges sorted runs, such as those of several forks, in linear time.
+            self.rows.sort();
+            self.rows.dedup();
             return if self.rows.len() >= self.act_at {
                 self.act()
             } else {
@@ -264,11 +305,8 @@ impl<const W: usize> Output<W> {
             Some(value) => groups.add(key, value, symbols),
             None => groups.count(key, times),
         }
-        if groups.len() > self.limit {
-            Err(Abort::Overflow)
-        } else {
-            Ok(())
-        }
+        let rows = groups.rows();
+        self.check(rows)
     }
 
     #[inline]
@@ -279,11 +317,7 @@ impl<const W: usize> Output<W> {
                 Added::Known => return Ok(()),
                 Added::New if seen.keeps() => {
                     self.kept += 1;
-                    return if self.kept > self.limit {
-                        Err(Abort::Overflow)
-                    } else {
-                        Ok(())
-                    };
+                    return self.check(self.kept);
                 }
                 Added::New => {}
                 Added::Beyond => self.unmark(),
@@ -305,9 +339,7 @@ impl<const W: usize> Output<W> {
             let (added, new) = seen.keep_along(row, word, found.iter().map(|other| other.0[column]));
             self.pushed += added as u64;
             self.kept += new;
-            if self.kept > self.limit {
-                return Err(Abort::Overflow);
-            }
+            self.check(self.kept)?;
             rest = &found[added..];
         }
         for other in rest {
@@ -339,7 +371,8 @@ impl<const W: usize> Output<W> {
     #[cold]
     fn act(&mut self) -> Result<(), Abort> {
         if self.seen.is_none() {
-            self.seen = SeenBitmap::over(&self.rows, self.largest, self.pushed.min(Self::SEEN_ROWS_MAX));
+            let rows = self.pushed.min(Self::SEEN_ROWS_MAX).min(self.fit as u64 / 6);
+            self.seen = SeenBitmap::over(&self.rows, self.largest, rows);
             if self.seen.is_some() {
                 self.whole = !self.took;
                 self.may_learn = self.took;
@@ -351,20 +384,23 @@ impl<const W: usize> Output<W> {
             self.kept = self.rows.len();
             self.rows = Vec::new();
         }
+        // Without a bitmap, the list may hold repetitions until it is compacted.
+        let mut distinct = self.seen.is_some();
         if self.rows.len() >= self.compact_at {
             normalize(&mut self.rows);
+            distinct = true;
             self.compact_at = self.compact_at.max(self.rows.len().saturating_mul(2));
+            self.compact_at = self.compact_at.min(self.buffer_max());
         }
-        if self.rows.len().max(self.kept) > self.limit {
-            return Err(Abort::Overflow);
-        }
+        self.check(if distinct { self.rows.len() } else { 0 }.max(self.kept))?;
         self.act_at = self
             .rows
             .len()
             .saturating_mul(2)
             .max(Self::SEEN_MIN)
             .min(self.compact_at);
-        Ok(())
+        let more = self.act_at.saturating_sub(self.rows.len());
+        self.rows.try_reserve_exact(more).map_err(|_| Abort::Memory)
     }
 
     /// Takes the distinct rows, in order. Afterwards the buffer is empty, but it may filter these rows when they are
@@ -385,6 +421,9 @@ impl<const W: usize> Output<W> {
         }
         let mut rows = std::mem::take(&mut self.rows);
         normalize(&mut rows);
+        if rows.capacity() > rows.len() + rows.len() / 8 + Self::SEEN_MIN {
+            rows.shrink_to_fit();
+        }
         if self.seen.is_none() {
             raise(&mut self.largest, &rows);
         }

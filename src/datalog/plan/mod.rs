@@ -10,6 +10,7 @@ pub mod optimize;
 mod planner;
 pub(crate) mod steps;
 
+use std::collections::BTreeMap;
 use std::sync::Arc;
 
 use crate::datalog::check::{Clause, ClauseId, RelId, Relation, Rules, Stratum};
@@ -31,10 +32,11 @@ pub(crate) struct Compiled {
 /// The plans of all clauses, the indexes they need, and the layout of the strata.
 #[derive(Clone, Debug)]
 pub(crate) struct Plans {
-    /// By [`ClauseId`]: the clauses as planned. The optimizer may have simplified them.
-    sources: Arc<[Clause]>,
-    /// By [`ClauseId`].
-    pub(crate) clauses: Vec<ClausePlans>,
+    /// The clauses as planned. The optimizer may have simplified them. Facts of relations that no clause with a body
+    /// derives are rows from the start, and have no plans.
+    sources: Arc<BTreeMap<ClauseId, Clause>>,
+    /// By [`ClauseId`]. All facts without plans share one entry, which is never evaluated.
+    pub(crate) clauses: Vec<Arc<ClausePlans>>,
     pub(crate) indexes: Indexes,
     /// By [`RelId`]: how a hidden relation is aggregated instead of stored; see [`grouping`].
     pub(crate) groupings: Vec<Option<Grouping>>,
@@ -81,12 +83,25 @@ impl Plans {
             }
         }
         let mut clauses = Vec::with_capacity(rules.clauses.len());
-        for (clause, stratum) in rules.clauses.iter().zip(computed_with) {
+        let mut sources = BTreeMap::new();
+        let mut fact: Option<Arc<ClausePlans>> = None;
+        for ((clause, stratum), id) in rules.clauses.iter().zip(computed_with).zip((0..).map(ClauseId)) {
             let grouping = groupings[clause.head.relation.index()].as_ref();
-            clauses.push(plan_clause(clause, stratum, grouping, &mut indexes)?);
+            let planned = !rules.is_row(clause);
+            if let (false, Some(fact)) = (planned, &fact) {
+                clauses.push(Arc::clone(fact));
+                continue;
+            }
+            let plans = Arc::new(plan_clause(clause, stratum, grouping, &mut indexes)?);
+            if planned {
+                sources.insert(id, clause.clone());
+            } else {
+                fact = Some(Arc::clone(&plans));
+            }
+            clauses.push(plans);
         }
         Ok(Plans {
-            sources: rules.clauses.clone().into(),
+            sources: sources.into(),
             clauses,
             strata,
             member,
@@ -103,7 +118,8 @@ impl Plans {
     pub(crate) fn adapt(&mut self, clauses: &[ClauseId], aim: Aim, sizes: &[Option<Size>]) {
         let indexes = &mut self.indexes;
         for &id in clauses {
-            let (clause, plans) = (&self.sources[id.index()], &mut self.clauses[id.index()]);
+            let Some(clause) = self.sources.get(&id) else { continue };
+            let plans = Arc::make_mut(&mut self.clauses[id.index()]);
             let grouping = &self.groupings[clause.head.relation.index()];
             // Replanning cannot fail: which variables can be bound does not depend on the order.
             match aim {
