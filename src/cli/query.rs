@@ -67,9 +67,11 @@ pub fn run(arguments: &Arguments, sources: &mut Sources) -> Result<(), Failure> 
         return Err(Failure::Usage("--json requires --explain or --why-not".to_owned()));
     }
     let workspace = load_workspace(sources, &arguments.rules, Edb::Extensible)?;
-    let loaded = workspace.check();
-    // Frees the syntax trees, which may be large.
-    let workspace = question.map(|_| workspace);
+    // Only a question needs the syntax trees, which may be large.
+    let (loaded, workspace) = match question {
+        Some(_) => (workspace.check(), Some(workspace)),
+        None => (workspace.into_checked(), None),
+    };
     let Some(rules) = loaded.rules else {
         return Err(loaded.diagnostics.into());
     };

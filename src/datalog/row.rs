@@ -8,7 +8,7 @@ use crate::datalog::value::Value;
 use std::cmp::Ordering;
 
 /// The supported widths, in words. The planner rejects a program with a larger arity.
-pub(crate) const WIDTHS: [usize; 6] = [2, 3, 4, 8, 16, 32];
+pub(crate) const WIDTHS: [usize; 8] = [2, 3, 4, 6, 8, 12, 20, 32];
 
 /// A row of `W` words, ordered lexicographically.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Hash)]

@@ -255,6 +255,11 @@ impl Session {
         (0..self.len(rel)).map(move |position| &self.store.row(rel, position)[..arity])
     }
 
+    /// Returns the row at a position below [`Session::len`].
+    pub(crate) fn row(&self, rel: RelId, position: usize) -> &[Value] {
+        &self.store.row(rel, position)[..self.arity(rel).unwrap_or(0)]
+    }
+
     /// Returns the number of rows that hold.
     pub fn len(&self, rel: RelId) -> usize {
         self.arity(rel).map_or(0, |_| self.store.len(rel))

@@ -104,8 +104,10 @@ pub(crate) fn store(compiled: &Compiled) -> Box<dyn Store> {
         2 => Box::new(State::<2>::new(compiled)),
         3 => Box::new(State::<3>::new(compiled)),
         4 => Box::new(State::<4>::new(compiled)),
+        6 => Box::new(State::<6>::new(compiled)),
         8 => Box::new(State::<8>::new(compiled)),
-        16 => Box::new(State::<16>::new(compiled)),
+        12 => Box::new(State::<12>::new(compiled)),
+        20 => Box::new(State::<20>::new(compiled)),
         _ => Box::new(State::<32>::new(compiled)),
     }
 }
