@@ -117,7 +117,10 @@ impl Workspace {
 
     /// Checks the program as [`check`](Workspace::check) does, and frees the syntax trees as early as possible.
     pub fn into_checked(mut self) -> Loaded {
-        let (items, faults) = (std::mem::take(&mut self.gathered.items), std::mem::take(&mut self.faults));
+        let (items, faults) = (
+            std::mem::take(&mut self.gathered.items),
+            std::mem::take(&mut self.faults),
+        );
         self.checked(Cow::Owned(items), faults)
     }
 

@@ -108,7 +108,7 @@ const DECLARATIONS: &str = ".decl N(x: number)
 
 #[test]
 fn runaways_stay_within_the_limit() {
-    const LIMIT: u64 = 40;
+    const LIMIT: u64 = 24;
     let folder = tempfile::tempdir().unwrap();
     let small = write(folder.path(), "small.dl", &format!("{DECLARATIONS}P(1, 2, 3)."));
     let least = measure(&["query", &small, "-F", folder.path().to_str().unwrap(), "-D", "-"]);
@@ -119,7 +119,7 @@ fn runaways_stay_within_the_limit() {
             let limit = LIMIT.to_string();
             let run = measure(&["query", &file, "--max-memory", &limit, "--threads", threads, "-D", "-"]);
             assert_eq!(run.code, 1, "{name}: {}", run.error);
-            assert!(run.error.contains("take more than 40 MiB"), "{name}: {}", run.error);
+            assert!(run.error.contains("take more than 24 MiB"), "{name}: {}", run.error);
             assert!(run.error.contains("--max-memory"), "{name}: {}", run.error);
             let extra = run.peak.saturating_sub(least.peak);
             println!("{name}, {threads} threads: {} MiB", extra >> 20);
@@ -172,13 +172,14 @@ fn in_address_space(kib: u64, arguments: &[&str]) -> (Option<i32>, String) {
 #[test]
 fn runaways_in_a_small_address_space_end_with_a_message() {
     let folder = tempfile::tempdir().unwrap();
-    for (name, rules) in RUNAWAYS {
+    let runaways = RUNAWAYS
+        .into_iter()
+        .filter(|(name, _)| ["sparse rows", "a closure", "texts"].contains(name));
+    for (name, rules) in runaways {
         let file = write(folder.path(), "runaway.dl", &format!("{DECLARATIONS}{rules}"));
-        let (code, error) = in_address_space(450_000, &["query", &file, "-D", "-"]);
-        // `indexes` is the only one that may end by itself.
-        let ended = code == Some(0) && name == "indexes";
-        assert!(ended || code == Some(1), "{name}: {code:?} {error}");
-        assert!(ended || error.contains("`ulimit -v`"), "{name}: {error}");
+        let (code, error) = in_address_space(260_000, &["query", &file, "-D", "-"]);
+        assert_eq!(code, Some(1), "{name}: {error}");
+        assert!(error.contains("`ulimit -v`"), "{name}: {error}");
     }
 }
 
