@@ -97,9 +97,11 @@ proptest! {
     }
 }
 
-/// Programs whose aggregates range over joins, and changes of their relations: whether the row is inserted, the
-/// relation and its values.
-fn aggregating_programs() -> impl proptest::strategy::Strategy<Value = (String, Vec<Vec<(bool, u8, [u8; 2])>>)> {
+/// A batch of changes: whether the row is inserted, its relation and its values.
+type ChangeGenes = Vec<(bool, u8, [u8; 2])>;
+
+/// Programs whose aggregates range over joins, and changes of their relations.
+fn aggregating_programs() -> impl proptest::strategy::Strategy<Value = (String, Vec<ChangeGenes>)> {
     use proptest::collection::vec;
     let clause =
         (any::<[u8; 6]>(), vec(any::<[u8; 3]>(), 1..4)).prop_map(|(genes, atoms)| aggregating_clause(genes, &atoms));
@@ -126,7 +128,7 @@ const AGGREGATED: &str = ".decl K(k: number)
 
 /// The columns, head and body of a clause with an aggregate.
 fn aggregating_clause(genes: [u8; 6], atoms: &[[u8; 3]]) -> (String, String, String) {
-    let keyed = genes[0] % 3 > 0;
+    let keyed = !genes[0].is_multiple_of(3);
     let number = |gene: u8| match gene % 9 {
         0 | 1 => {
             if keyed {
@@ -200,7 +202,7 @@ fn aggregating_clause(genes: [u8; 6], atoms: &[[u8; 3]]) -> (String, String, Str
     }
 }
 
-fn aggregating_script(program: &Program, changes: &[Vec<(bool, u8, [u8; 2])>]) -> Vec<Batch> {
+fn aggregating_script(program: &Program, changes: &[ChangeGenes]) -> Vec<Batch> {
     let change = |&(present, relation, values): &(bool, u8, [u8; 2])| {
         let name = ["K", "R", "R", "S", "S", "F", "T"][relation as usize % 7];
         let rel = program.relation(name).unwrap();
@@ -212,7 +214,7 @@ fn aggregating_script(program: &Program, changes: &[Vec<(bool, u8, [u8; 2])>]) -
         };
         (present, rel, columns.zip(values).map(value).collect())
     };
-    let batch = |changes: &Vec<(bool, u8, [u8; 2])>| changes.iter().map(change).collect();
+    let batch = |changes: &ChangeGenes| changes.iter().map(change).collect();
     changes.iter().map(batch).collect()
 }
 

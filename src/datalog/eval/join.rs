@@ -90,6 +90,8 @@ pub(crate) struct Output<const W: usize> {
     limit: usize,
     /// The maximum number of distinct rows that memory allows.
     fit: usize,
+    /// The lesser of `limit` and `fit`.
+    most: usize,
     /// What a plan with a [`Fold`] derives, in place of rows.
     groups: Option<Box<Groups<W>>>,
 }
@@ -169,6 +171,7 @@ impl<const W: usize> Output<W> {
             compact_at,
             limit,
             fit: usize::MAX,
+            most: limit,
             groups: None,
         }
     }
@@ -181,20 +184,21 @@ impl<const W: usize> Output<W> {
 
     fn set_fit(&mut self, fit: usize) {
         self.fit = fit;
+        self.most = fit.min(self.limit);
         self.compact_at = self.compact_at.min(self.buffer_max());
         self.act_at = self.act_at.min(self.compact_at);
     }
 
     /// The maximum number of rows in the list, repetitions included.
     fn buffer_max(&self) -> usize {
-        let most = self.limit.min(self.fit);
-        most.saturating_add(most / (Self::FIT_PARTS - 1)).saturating_add(1)
+        let repeated = self.most / (Self::FIT_PARTS - 1);
+        self.most.saturating_add(repeated).saturating_add(1)
     }
 
     /// Fails if there are too many distinct rows.
     #[inline]
     pub(crate) fn check(&self, rows: usize) -> Result<(), Abort> {
-        if rows <= self.limit.min(self.fit) {
+        if rows <= self.most {
             return Ok(());
         }
         Err(if rows > self.limit {
