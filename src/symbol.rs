@@ -33,8 +33,8 @@ type Block = Box<[OnceLock<Arc<str>>]>;
 /// The number of texts in the first block; a power of two.
 const FIRST_BLOCK: usize = 64;
 
-/// The overhead of a text in bytes: its entries in both directions and its reference counts.
-const TEXT_BYTES: u64 = 64;
+/// The overhead of a text in bytes, rounded up: its entries in both directions, with room to grow, and its allocation.
+const TEXT_BYTES: u64 = 128;
 
 /// The number of blocks that hold 2^32 texts.
 const BLOCKS: usize = 27;

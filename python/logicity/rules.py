@@ -262,8 +262,7 @@ class Session:
         threads: The number of threads; 0 means one per core. It does not affect the results.
         max_rows: The limit of derived rows. Default: 100,000,000.
         max_steps: The limit of rows that a commit reads. Default: 100,000,000,000, which takes some minutes.
-        max_bytes: The limit of memory for rows, indexes and symbols, in bytes. Default: 4 GiB. The process may need
-            about three times as much.
+        max_bytes: The limit of memory for rows, indexes, symbols and buffers, in bytes. Default: 4 GiB.
 
     Raises:
         RuntimeError: If the threads cannot be started.

@@ -16,6 +16,7 @@ mod icons;
 mod infer;
 #[cfg(feature = "lsp")]
 mod lsp;
+mod memory;
 mod new;
 mod query;
 mod questions;
@@ -321,6 +322,7 @@ fn run(mut command: clap::Command, arguments: &[OsString]) -> u8 {
             return u8::try_from(error.exit_code()).unwrap_or(2);
         }
     };
+    memory::exit_when_exhausted();
     let mut sources = Sources::new();
     let result = match arguments.command {
         Command::Run(arguments) => run::run(&arguments, &mut sources),
@@ -533,8 +535,8 @@ struct LimitOptions {
     /// Fail if the evaluation scans more than COUNT rows, with the same suffixes [default: 100G]
     #[arg(long, value_name = "COUNT", value_parser = count_of::<u64>, allow_negative_numbers = true)]
     max_steps: Option<u64>,
-    /// Fail if rows, indexes and symbols need more than SIZE, in MiB or with a suffix: K, M, G, T or KiB, MiB, GiB, TiB
-    /// (powers of 1024). The process may use about three times as much [default: 4096]
+    /// Fail if rows, indexes, symbols and buffers need more than SIZE, in MiB or with a suffix: K, M, G, T or KiB, MiB,
+    /// GiB, TiB (powers of 1024). Limits of the system (`ulimit -v`, control groups) lower it [default: 4096]
     #[arg(long, value_name = "SIZE", value_parser = memory, allow_negative_numbers = true)]
     max_memory: Option<u64>,
 }
@@ -545,7 +547,8 @@ impl LimitOptions {
         Limits {
             rows: self.max_rows.unwrap_or(usual.rows),
             steps: self.max_steps.unwrap_or(usual.steps),
-            bytes: self.max_memory.unwrap_or(usual.bytes),
+            bytes: (self.max_memory.unwrap_or(usual.bytes))
+                .min(memory::system_limit().map_or(u64::MAX, |limit| limit.bytes)),
         }
     }
 }
@@ -590,10 +593,17 @@ const MEMORY: &str = "expected an integer number of MiB, or one with a suffix: 5
 /// Returns the diagnostic of a failed commit, with the option that raises the limit.
 pub(super) fn too_much(error: &EvalError, rules: &Rules) -> Diagnostic {
     let fault = error.diagnostic(rules);
+    let bytes = match error {
+        EvalError::TooMuchMemory { limit, .. } | EvalError::TooManyInputs { limit } => Some(*limit),
+        _ => None,
+    };
+    if let Some(limit) = memory::system_limit().filter(|limit| Some(limit.bytes) == bytes) {
+        return fault.note(format!("{} leaves no more; raise that limit", limit.origin));
+    }
     let option = match error {
         EvalError::TooManyRows { .. } => "--max-rows",
         EvalError::TooManySteps { .. } => "--max-steps",
-        EvalError::TooMuchMemory { .. } => "--max-memory",
+        EvalError::TooMuchMemory { .. } | EvalError::TooManyInputs { .. } => "--max-memory",
         EvalError::Cancelled { .. } => return fault,
     };
     fault.note(format!("raise the limit with `{option}`"))

@@ -2,12 +2,12 @@
 
 use crate::cli::why;
 use crate::cli::why::Question;
-use crate::cli::{Failure, ForceOption, LimitOptions, compile, finish, load_workspace, report, too_much, unwritable};
-use crate::datalog::{ClauseId, Directive, Edb, EvalError, MarkKind, RelId, RowPlace, Rules, rewrite};
+use crate::cli::{Failure, ForceOption, LimitOptions, finish, load_workspace, report, too_much, unwritable};
+use crate::datalog::{ClauseId, Directive, Edb, EvalError, MarkKind, RelId, RowFormat, RowPlace, Rules, rewrite};
 use crate::datalog::{Delta, EvalEvent, Limits, Options, Program, RuleStats, Session, Threads, constraints, facts};
 use crate::diag::{Code, Diagnostic, Sources, Span};
 use crate::files;
-use crate::files::{ReadError, make_folder};
+use crate::files::{MAX_BYTES, ReadError, make_folder};
 use flate2::Compression;
 use flate2::read::MultiGzDecoder;
 use flate2::write::GzEncoder;
@@ -15,7 +15,7 @@ use std::cell::{Cell, RefCell};
 use std::cmp::Reverse;
 use std::collections::BTreeMap;
 use std::fs::File;
-use std::io::{self, BufRead, BufReader, Write};
+use std::io::{self, BufRead, BufReader, Read, Write};
 use std::num::NonZeroUsize;
 use std::path::{Path, PathBuf};
 use std::time::{Duration, Instant};
@@ -71,15 +71,21 @@ pub fn run(arguments: &Arguments, sources: &mut Sources) -> Result<(), Failure> 
         return Err(Failure::Usage("--json requires --explain or --why-not".to_owned()));
     }
     let workspace = load_workspace(sources, &arguments.rules, Edb::Extensible)?;
-    let (program, warnings) = compile(&workspace)?;
-    report(&warnings, sources);
+    // Only a question needs the syntax trees, which may be large.
+    let (loaded, workspace) = match question {
+        Some(_) => (workspace.check(), Some(workspace)),
+        None => (workspace.into_checked(), None),
+    };
+    let Some(rules) = loaded.rules else {
+        return Err(loaded.diagnostics.into());
+    };
+    let program = Program::new(rules)?;
+    report(&loaded.diagnostics, sources);
     // An explanation speaks of the clauses as they are written.
     let program = match question {
         None => rewritten(program, sources)?,
         Some(_) => program,
     };
-    // Frees the texts, which may be large.
-    let workspace = question.map(|_| workspace);
     // The session checks constraints after the commit, before it prints any answer.
     let options = Options {
         constraints: true,
@@ -332,6 +338,12 @@ pub(super) fn load_inputs(folder: &Path, session: &mut Session, sources: &mut So
                 RowPlace::File(name) => folder.join(name),
                 RowPlace::Terminal => PathBuf::from("standard input"),
             };
+            if !matches!(directive.place, RowPlace::Terminal)
+                && !directive.format.quoted
+                && load_blocks(&path, session, id, &directive.format)?
+            {
+                continue;
+            }
             let read = match &directive.place {
                 RowPlace::Terminal => files::read_any(std::io::stdin()),
                 RowPlace::File(name) if name == "/dev/stdin" => files::read_any(std::io::stdin()),
@@ -364,6 +376,48 @@ fn read_decompressed(file: File) -> Result<(String, Option<usize>), ReadError> {
     match start.starts_with(&[0x1f, 0x8b]) {
         true => files::read_any(MultiGzDecoder::new(file)),
         false => files::read_any(file),
+    }
+}
+
+/// Loads a file of rows block by block, so that its text is never in memory as a whole. Returns `false` if that is
+/// impossible: only the whole text tells the places of its faults, and only a regular file can be read again for them.
+fn load_blocks(path: &Path, session: &mut Session, id: RelId, format: &RowFormat) -> Result<bool, Failure> {
+    const BLOCK: u64 = 1 << 20;
+    let Ok(mut file) = files::open_regular(path) else {
+        return Ok(false);
+    };
+    let mut format = format.clone();
+    let mut block: Vec<u8> = Vec::new();
+    loop {
+        let Ok(read) = (&mut file).take(BLOCK).read_to_end(&mut block) else {
+            return Ok(false);
+        };
+        // A block ends with a line. What remains of the block before has no line break.
+        let new = block.len() - read;
+        let end = match block[new..].iter().rposition(|&byte| byte == b'\n') {
+            _ if read == 0 => block.len(),
+            Some(at) => new + at + 1,
+            None if block.len() as u64 > MAX_BYTES => return Ok(false),
+            None => continue,
+        };
+        let Ok(text) = std::str::from_utf8(&block[..end]) else {
+            return Ok(false);
+        };
+        let mut sources = Sources::new();
+        let source = sources.add("", text);
+        if facts::load_as(session, id, &sources, source, &format).is_err() {
+            return Ok(false);
+        }
+        let limit = session.limits().bytes;
+        if session.bytes() > limit {
+            let error = EvalError::TooManyInputs { limit };
+            return Err(too_much(&error, session.program().rules()).into());
+        }
+        if read == 0 {
+            return Ok(true);
+        }
+        block.drain(..end);
+        format.headers = false;
     }
 }
 

@@ -95,6 +95,7 @@
 //! The engine performs no I/O, reads no clock and is deterministic: threads ([`Session::set_threads`]) change neither
 //! rows nor their order. It knows nothing of cities, egos or actions.
 
+mod aggregate;
 mod analysis;
 mod check;
 mod codes;

@@ -236,13 +236,38 @@ impl Shown<'_> {
                     let what = if *test { "test" } else { "let " };
                     format!("{what}   {} = {} : {{ {rows} }}", value(*to, *base), op.name())
                 }
+                Step::Group {
+                    source,
+                    key,
+                    op,
+                    base,
+                    to,
+                    test,
+                } => {
+                    let relation = &self.compiled.rules.relations[self.plans.indexes[source.index].relation.index()];
+                    let terms: Vec<String> = (relation.columns.iter().zip(key))
+                        .map(|(column, &slot)| value(slot, column.base))
+                        .chain(std::iter::repeat_n("_".to_owned(), relation.arity() - key.len()))
+                        .collect();
+                    let what = if *test { "test" } else { "let " };
+                    let (to, op, name) = (value(*to, *base), op.name(), &relation.name);
+                    format!("{what}   {to} = {op} : {{ {name}({}) }}, by group", terms.join(", "))
+                }
             };
             *out += &format!("      {line}\n");
         }
         let relation = &self.compiled.rules.relations[plan.head.index()];
         let terms = relation.columns.iter().zip(&plan.output);
         let terms: Vec<String> = terms.map(|(column, &slot)| value(slot, column.base)).collect();
-        *out += &format!("      derive {}({})\n", relation.name, terms.join(", "));
+        let Some(fold) = plan.fold else {
+            *out += &format!("      derive {}({})\n", relation.name, terms.join(", "));
+            return;
+        };
+        let value = fold
+            .value
+            .map_or_else(String::new, |slot| format!(" {}", value(slot, fold.base)));
+        let (name, op) = (&relation.name, fold.op.name());
+        *out += &format!("      group  {name}({}) by {op}{value}\n", terms.join(", "));
     }
 
     /// Returns the atom with its key columns, its index unless that is the relation's own order, and the version of the

@@ -96,6 +96,13 @@ impl Program {
         &self.0.rules
     }
 
+    /// Returns whether sessions aggregate the rows of the predicate and do not store them.
+    ///
+    /// Such a predicate is the hidden one for the body of an aggregate. A session returns no rows of it and no changes.
+    pub fn is_aggregated(&self, rel: RelId) -> bool {
+        self.0.plans.groupings.get(rel.index()).is_some_and(Option::is_some)
+    }
+
     /// Returns the predicate with that name, if the program declares it.
     pub fn relation(&self, name: &str) -> Option<RelId> {
         self.0.rules.relation(name)

@@ -8,10 +8,10 @@ use crate::datalog::value::Value;
 use std::cmp::Ordering;
 
 /// The supported widths, in words. The planner rejects a program with a larger arity.
-pub(crate) const WIDTHS: [usize; 6] = [2, 3, 4, 8, 16, 32];
+pub(crate) const WIDTHS: [usize; 8] = [2, 3, 4, 6, 8, 12, 20, 32];
 
 /// A row of `W` words, ordered lexicographically.
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Hash)]
 pub(crate) struct Row<const W: usize>(pub(crate) [Value; W]);
 
 impl<const W: usize> Row<W> {

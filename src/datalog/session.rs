@@ -11,6 +11,7 @@ use crate::datalog::eval::stats::{EvalEvent, EvalStats, Strategy};
 use crate::datalog::eval::workers::{Threads, Workers};
 use crate::datalog::program::Program;
 use crate::datalog::syntax::ast::BaseType;
+use crate::datalog::syntax::functor::AggregateOp;
 use crate::datalog::value::Value;
 use crate::symbol::Symbols;
 
@@ -77,6 +78,16 @@ impl Session {
     /// Sets the limits of a commit. A commit that would exceed one fails.
     pub fn set_limits(&mut self, limits: Limits) {
         self.limits = limits;
+    }
+
+    /// Returns the limits of a commit.
+    pub fn limits(&self) -> Limits {
+        self.limits
+    }
+
+    /// Returns the bytes of the rows, indexes, pending changes and texts.
+    pub fn bytes(&self) -> u64 {
+        self.store.bytes() + self.symbols.bytes()
     }
 
     /// Sets the number of evaluation threads; the default is one.
@@ -231,10 +242,22 @@ impl Session {
         self.arity(rel) == Some(row.len()) && self.store.contains(rel, row)
     }
 
-    /// Returns the rows that hold, in the order of their words. For symbols this is the order of interning.
+    /// Returns the aggregate over the rows of a relation that begin with `key`, if that relation [is
+    /// aggregated](Program::is_aggregated).
+    pub(crate) fn group(&self, rel: RelId, key: &[Value], op: AggregateOp) -> Option<Value> {
+        self.store.group(rel, key, op)
+    }
+
+    /// Returns the rows that hold, in the order of their words. For symbols this is the order of interning. A relation
+    /// that [is aggregated](Program::is_aggregated) has none.
     pub fn rows(&self, rel: RelId) -> impl Iterator<Item = &[Value]> {
         let arity = self.arity(rel).unwrap_or(0);
         (0..self.len(rel)).map(move |position| &self.store.row(rel, position)[..arity])
+    }
+
+    /// Returns the row at a position below [`Session::len`].
+    pub(crate) fn row(&self, rel: RelId, position: usize) -> &[Value] {
+        &self.store.row(rel, position)[..self.arity(rel).unwrap_or(0)]
     }
 
     /// Returns the number of rows that hold.
@@ -247,17 +270,16 @@ impl Session {
         self.len(rel) == 0
     }
 
+    /// The number of columns of a relation whose rows are stored.
     fn arity(&self, rel: RelId) -> Option<usize> {
-        self.program
-            .rules()
-            .relations
-            .get(rel.index())
-            .map(|relation| relation.arity())
+        let relation = self.program.rules().relations.get(rel.index())?;
+        (!self.program.is_aggregated(rel)).then(|| relation.arity())
     }
 
     /// Returns the distinct rows that one clause derives from the current facts, sorted.
     ///
-    /// For a fact of the rule text this is the fact itself. Several clauses may derive the same row.
+    /// For a fact of the rule text this is the fact itself. Several clauses may derive the same row. For a relation that
+    /// [is aggregated](Program::is_aggregated) the result is empty.
     pub fn fired(&self, clause: ClauseId) -> Vec<Vec<Value>> {
         if clause.index() < self.program.rules().clauses.len() {
             self.store.fired(&self.program.0, &self.symbols, clause)

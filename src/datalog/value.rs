@@ -1,4 +1,4 @@
-//! Values, and the evaluation of functors and aggregates on them.
+//! Values, and the evaluation of functors on them.
 //!
 //! A functor application may have no value (`1 / 0`, `to_number("x")`); then the literal that contains it does not
 //! hold. So an expression never fails, and the derived facts do not depend on the order of evaluation.
@@ -8,7 +8,7 @@
 use std::collections::HashMap;
 
 use crate::datalog::syntax::ast::BaseType;
-use crate::datalog::syntax::functor::{AggregateOp, Functor, Functor::*};
+use crate::datalog::syntax::functor::{Functor, Functor::*};
 use crate::symbol::{Symbol, Symbols};
 
 /// One 32-bit word of a row.
@@ -230,57 +230,6 @@ pub fn parse(base: BaseType, text: &str) -> Option<Value> {
         },
         BaseType::Float => text.parse().ok().map(Value::float),
     }
-}
-
-impl AggregateOp {
-    /// Returns the aggregate of `values`; `None` if it has none, such as the minimum of no values.
-    ///
-    /// `base` is the base type of the values. [`AggregateOp::Count`] accepts values of any type. The order of the
-    /// values has no effect, not even for floats.
-    pub fn of(self, base: BaseType, values: impl Iterator<Item = Value>, symbols: &Symbols) -> Option<Value> {
-        let text = |value: &Value| symbols.text(Symbol(value.0)).unwrap_or_default();
-        match (self, base) {
-            (AggregateOp::Count, _) => i32::try_from(values.count()).ok().map(Value::number),
-            (AggregateOp::Sum, BaseType::Float) => {
-                let values: Vec<f64> = values.map(|value| f64::from(value.as_float())).collect();
-                Some(Value::float(narrow(total(values))))
-            }
-            // Wrapping addition is the same for signed and unsigned words.
-            (AggregateOp::Sum, _) => Some(Value(values.fold(0, |sum: u32, value| sum.wrapping_add(value.0)))),
-            (AggregateOp::Mean, _) => {
-                let values: Vec<f64> = values.map(|value| double(base, value)).collect();
-                let count = u32::try_from(values.len()).ok().filter(|&count| count > 0)?;
-                Some(Value::float(narrow(total(values) / f64::from(count))))
-            }
-            (AggregateOp::Min, BaseType::Symbol) => values.min_by(|a, b| text(a).cmp(text(b))),
-            (AggregateOp::Max, BaseType::Symbol) => values.max_by(|a, b| text(a).cmp(text(b))),
-            (AggregateOp::Min, BaseType::Number) => values.min_by_key(|value| value.as_number()),
-            (AggregateOp::Max, BaseType::Number) => values.max_by_key(|value| value.as_number()),
-            (AggregateOp::Min, BaseType::Unsigned) => values.min(),
-            (AggregateOp::Max, BaseType::Unsigned) => values.max(),
-            (AggregateOp::Min, BaseType::Float) => values.min_by(|a, b| a.as_float().total_cmp(&b.as_float())),
-            (AggregateOp::Max, BaseType::Float) => values.max_by(|a, b| a.as_float().total_cmp(&b.as_float())),
-        }
-    }
-}
-
-fn double(base: BaseType, value: Value) -> f64 {
-    match base {
-        BaseType::Float => f64::from(value.as_float()),
-        BaseType::Unsigned => f64::from(value.0),
-        _ => f64::from(value.as_number()),
-    }
-}
-
-/// Sums in sorted order, so that the result does not depend on the order of the input.
-fn total(mut values: Vec<f64>) -> f64 {
-    values.sort_unstable_by(f64::total_cmp);
-    values.into_iter().sum()
-}
-
-#[allow(clippy::cast_possible_truncation)]
-fn narrow(value: f64) -> f32 {
-    value as f32
 }
 
 /// Cache of compiled regular expressions, by pattern symbol. An invalid pattern that is not a constant of the rules

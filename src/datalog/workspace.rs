@@ -7,6 +7,7 @@
 //! `check` treats a query as a program of its own, in which every declared predicate is input. So a query re-checks no
 //! clause of the program, and its body may use everything that a clause body may use.
 
+use std::borrow::Cow;
 use std::collections::HashSet;
 
 use crate::diag::{Code, Diagnostic, Faults, SourceId, Sources, Span};
@@ -67,7 +68,7 @@ pub fn load(sources: &mut Sources, entry: SourceId, read: &dyn ReadFile) -> Load
 pub fn load_with(sources: &mut Sources, entry: SourceId, read: &dyn ReadFile, inputs: Edb) -> Loaded {
     let mut workspace = Workspace::new(inputs);
     workspace.add(sources, entry, read);
-    workspace.check()
+    workspace.into_checked()
 }
 
 /// The parsed sources of a program, which can grow and shrink between checks.
@@ -111,14 +112,21 @@ impl Workspace {
 
     /// Checks the program as a whole. `rules` is `None` if any diagnostic is an error.
     pub fn check(&self) -> Loaded {
-        let mut faults = self.faults.clone();
-        let (rules, compared) = check(
-            &self.gathered.items,
-            !self.gathered.incomplete,
-            self.inputs,
-            Symbols::new(),
-            &mut faults,
+        self.checked(Cow::Borrowed(&self.gathered.items), self.faults.clone())
+    }
+
+    /// Checks the program as [`check`](Workspace::check) does, and frees the syntax trees as early as possible.
+    pub fn into_checked(mut self) -> Loaded {
+        let (items, faults) = (
+            std::mem::take(&mut self.gathered.items),
+            std::mem::take(&mut self.faults),
         );
+        self.checked(Cow::Owned(items), faults)
+    }
+
+    fn checked(&self, items: Cow<'_, [Item]>, mut faults: Faults) -> Loaded {
+        let complete = !self.gathered.incomplete;
+        let (rules, compared) = check(items, complete, self.inputs, Symbols::new(), &mut faults);
         Loaded {
             rules,
             diagnostics: faults.finish(),
@@ -241,7 +249,7 @@ impl Workspace {
         }
         let mut items = self.declarations(false);
         items.extend(file.items);
-        let (rules, _) = check(&items, true, self.inputs, Symbols::new(), &mut faults);
+        let (rules, _) = check(Cow::Owned(items), true, self.inputs, Symbols::new(), &mut faults);
         let Some(rules) = rules else {
             return Err(of(id, faults));
         };
@@ -338,7 +346,7 @@ impl Workspace {
             .collect();
         let items = self.asked(columns, clause);
         let mut faults = Faults::default();
-        let (rules, compared) = check(&items, true, self.inputs, symbols, &mut faults);
+        let (rules, compared) = check(Cow::Owned(items), true, self.inputs, symbols, &mut faults);
         Loaded {
             rules,
             diagnostics: of(place.0.source, faults),

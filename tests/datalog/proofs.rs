@@ -6,12 +6,19 @@ use logicity::datalog::{Atom, ClauseId, Literal, RelId, Rules, Term, Value};
 use logicity::datalog::{Session, naive};
 use std::collections::{BTreeMap, BTreeSet};
 
-/// All rows of a session.
+/// All rows that hold in a session, also those that it aggregates.
 pub fn database(session: &Session) -> naive::Database {
-    let relations = session.program().rules().relations.len();
-    (0..relations as u32)
+    let rules = session.program().rules();
+    let mut model: naive::Database = (0..rules.relations.len() as u32)
         .map(|rel| session.rows(RelId(rel)).map(<[Value]>::to_vec).collect())
-        .collect()
+        .collect();
+    for clause in rules.strata.iter().flat_map(|stratum| &stratum.clauses) {
+        let clause = &rules.clauses[clause.index()];
+        if session.program().is_aggregated(clause.head.relation) {
+            model[clause.head.relation.index()] = naive::consequences(clause, session.symbols(), &model);
+        }
+    }
+    model
 }
 
 /// The atom's row under the binding.

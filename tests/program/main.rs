@@ -10,6 +10,8 @@ mod grammar;
 mod hostile;
 mod layers;
 mod lsp;
+#[cfg(target_os = "linux")]
+mod memory;
 mod questions;
 mod readme;
 mod repl;

@@ -33,6 +33,7 @@ pub(crate) mod witness;
 use crate::datalog::syntax::ast;
 use crate::diag::Faults;
 use crate::symbol::Symbols;
+use std::borrow::Cow;
 
 pub use rules::{
     Atom, Clause, ClauseId, Column, Constraint, DeclaredConstraint, Directive, Literal, RelId, Relation, RowFormat,
@@ -60,20 +61,22 @@ pub enum Edb {
     Extensible,
 }
 
-/// Checks all items and interns their constants in `symbols`. The rules are `None` if there is an error.
+/// Checks all items and interns their constants in `symbols`. The rules are `None` if there is an error. Owned items are
+/// dropped as soon as they are checked.
 pub(crate) fn check(
-    items: &[ast::Item],
+    written: Cow<'_, [ast::Item]>,
     complete: bool,
     inputs: Edb,
     symbols: Symbols,
     faults: &mut Faults,
 ) -> (Option<Rules>, Comparing) {
-    let replaced = inline::replace(items, faults);
+    let replaced = inline::replace(&written, faults);
     let syntax_is_good = !faults.failed();
-    let items = replaced.as_deref().unwrap_or(items);
+    let items = replaced.as_deref().unwrap_or(&written);
     let mut names = names::declare(items, complete, inputs, faults);
     let checked = clause::check(items, &mut names, symbols, faults);
     let constraints = constraints::check(items, &mut names, faults);
+    drop((replaced, written));
     names.report_unknown(faults);
     strata::check(&checked.edges, &names, faults);
     let mut compared = Comparing::default();
@@ -86,9 +89,8 @@ pub(crate) fn check(
         return (None, compared);
     }
     let names::Names { types, relations, .. } = names;
-    let clauses: Vec<Clause> = (checked.clauses.into_iter().map(|clause| clause.clause))
-        .chain(checked.hidden)
-        .collect();
+    let mut clauses: Vec<Clause> = checked.clauses.into_iter().map(|clause| clause.clause).collect();
+    clauses.extend(checked.hidden);
     let rules = Rules {
         strata: strata::order(&relations, &clauses),
         types,

@@ -382,6 +382,11 @@ impl Rules {
         Some(RelId(u32::try_from(index).expect("fewer than 2^32 predicates")))
     }
 
+    /// Returns whether the clause is a fact that is a row from the start: no clause with a body derives its predicate.
+    pub(crate) fn is_row(&self, clause: &Clause) -> bool {
+        clause.body.is_empty() && !self.relations[clause.head.relation.index()].derived
+    }
+
     /// Returns all predicates by name, for many lookups.
     pub(crate) fn relations_by_name(&self) -> HashMap<&str, RelId> {
         let names = self.relations.iter().map(|relation| relation.name.as_str());

@@ -1,11 +1,12 @@
 //! Runs a plan: a pipelined nested-loop join over sorted rows, without intermediate relations.
 
 use crate::cancel::Cancel;
+use crate::datalog::eval::groups::{self, Groups};
 use crate::datalog::eval::seen_bitmap::{Added, SeenBitmap, raise};
-use crate::datalog::plan::steps::{List, Plan, Slot, Source, Step};
+use crate::datalog::plan::steps::{Fold, List, Plan, Slot, Source, Step};
 use crate::datalog::row::{Batch, Row, difference, gallop, normalize};
 use crate::datalog::syntax::ast::{BaseType, Comparison};
-use crate::datalog::syntax::functor::Functor;
+use crate::datalog::syntax::functor::{AggregateOp, Functor};
 use crate::datalog::value::{Patterns, Value};
 use crate::symbol::{Symbol, Symbols};
 use std::cmp::Ordering;
@@ -87,6 +88,12 @@ pub(crate) struct Output<const W: usize> {
     act_at: usize,
     compact_at: usize,
     limit: usize,
+    /// The maximum number of distinct rows that memory allows.
+    fit: usize,
+    /// The lesser of `limit` and `fit`.
+    most: usize,
+    /// What a plan with a [`Fold`] derives, in place of rows.
+    groups: Option<Box<Groups<W>>>,
 }
 
 /// The reason why an evaluation was abandoned.
@@ -139,6 +146,10 @@ impl<const W: usize> Output<W> {
     /// The minimum number of rows before the buffer considers a bitmap.
     const SEEN_MIN: usize = 256;
 
+    /// Distinct rows may take 3/4 of the memory. The rest is for repetitions, so that the buffer is not sorted for every
+    /// few rows, and for a bitmap.
+    const FIT_PARTS: usize = 4;
+
     /// Limits a bitmap to 1 GiB, the memory of this number of rows.
     const SEEN_ROWS_MAX: u64 = (1 << 30) / size_of::<Row<W>>() as u64;
 
@@ -159,6 +170,50 @@ impl<const W: usize> Output<W> {
             act_at: compact_at.min(Self::SEEN_MIN),
             compact_at,
             limit,
+            fit: usize::MAX,
+            most: limit,
+            groups: None,
+        }
+    }
+
+    /// Limits the memory of the buffer.
+    pub(crate) fn set_bytes(&mut self, bytes: u64) {
+        let rows = usize::try_from(bytes / size_of::<Row<W>>() as u64).unwrap_or(usize::MAX);
+        self.set_fit(rows / Self::FIT_PARTS * (Self::FIT_PARTS - 1));
+    }
+
+    fn set_fit(&mut self, fit: usize) {
+        self.fit = fit;
+        self.most = fit.min(self.limit);
+        self.compact_at = self.compact_at.min(self.buffer_max());
+        self.act_at = self.act_at.min(self.compact_at);
+    }
+
+    /// The maximum number of rows in the list, repetitions included.
+    fn buffer_max(&self) -> usize {
+        let repeated = self.most / (Self::FIT_PARTS - 1);
+        self.most.saturating_add(repeated).saturating_add(1)
+    }
+
+    /// Fails if there are too many distinct rows.
+    #[inline]
+    pub(crate) fn check(&self, rows: usize) -> Result<(), Abort> {
+        if rows <= self.most {
+            return Ok(());
+        }
+        Err(if rows > self.limit {
+            Abort::Overflow
+        } else {
+            Abort::Memory
+        })
+    }
+
+    /// An empty buffer for the output of a plan; it accepts at most `limit` distinct rows.
+    pub(crate) fn for_plan(plan: &Plan, limit: usize) -> Self {
+        let groups = |fold| Box::new(Groups::new(fold, plan.output.len()));
+        Output {
+            groups: plan.fold.map(groups),
+            ..Self::new(limit)
         }
     }
 
@@ -170,17 +225,23 @@ impl<const W: usize> Output<W> {
         }
     }
 
-    /// Makes an empty buffer for a part of the rows, at most `limit`. It filters rows that this one knows.
-    pub(crate) fn fork(&self, limit: usize) -> Self {
-        Output {
+    /// Makes an empty buffer for one of `count` parts of the rows. It filters rows that this one knows. Together, the
+    /// parts need no more memory than this buffer has left for them and for its own copy of their rows.
+    pub(crate) fn fork(&self, count: usize) -> Self {
+        let mut fork = Output {
             seen: self.seen.as_ref().map(SeenBitmap::fork),
-            ..Self::new(limit)
+            groups: self.groups.as_ref().map(|groups| Box::new(groups.fork())),
+            ..Self::new(self.limit / count)
+        };
+        if self.fit < usize::MAX {
+            fork.set_fit(self.fit.saturating_sub(self.rows.len()) / (2 * count));
         }
+        fork
     }
 
-    /// The maximum number of distinct rows.
-    pub(crate) fn limit(&self) -> usize {
-        self.limit
+    /// Whether the bitmaps of `count` forks fit into memory.
+    pub(crate) fn can_fork(&self, count: usize) -> bool {
+        self.seen_bytes() / size_of::<Row<W>>() * 2 * count <= self.fit / 4
     }
 
     /// The bytes of the bitmap of known rows.
@@ -189,9 +250,14 @@ impl<const W: usize> Output<W> {
     }
 
     /// Adds the rows of a fork.
-    pub(crate) fn absorb(&mut self, mut fork: Self) -> Result<(), Abort> {
+    pub(crate) fn absorb(&mut self, mut fork: Self, symbols: &Symbols) -> Result<(), Abort> {
         let pushed = self.pushed + fork.pushed;
         self.pushed = pushed;
+        if let (Some(groups), Some(other)) = (&mut self.groups, fork.groups.take()) {
+            groups.merge(*other, symbols);
+            let rows = groups.rows();
+            return self.check(rows);
+        }
         if let (Some(seen), Some(other)) = (&mut self.seen, &fork.seen)
             && other.keeps()
             && seen.is_like(other)
@@ -201,15 +267,16 @@ impl<const W: usize> Output<W> {
                 self.kept = std::mem::take(&mut self.rows).len();
             }
             self.kept += seen.absorb(other);
-            return if self.kept > self.limit {
-                Err(Abort::Overflow)
-            } else {
-                Ok(())
-            };
+            return self.check(self.kept);
         }
         let rows = fork.take();
         if self.seen.is_none() {
+            self.rows.try_reserve_exact(rows.len()).map_err(|_| Abort::Memory)?;
             self.rows.extend_from_slice(&rows);
+            drop(rows);
+            // A stable sort merges sorted runs, such as those of several forks, in linear time.
+            self.rows.sort();
+            self.rows.dedup();
             return if self.rows.len() >= self.act_at {
                 self.act()
             } else {
@@ -230,7 +297,20 @@ impl<const W: usize> Output<W> {
 
     /// Whether the buffer is empty.
     pub(crate) fn is_empty(&self) -> bool {
-        self.rows.is_empty() && self.kept == 0
+        self.rows.is_empty() && self.kept == 0 && self.groups.as_ref().is_none_or(|groups| groups.len() == 0)
+    }
+
+    /// Adds `times` matches with this key and value; `times` is 1 unless the aggregate is a count.
+    #[inline]
+    fn fold(&mut self, key: Row<W>, value: Option<Value>, times: u64, symbols: &Symbols) -> Result<(), Abort> {
+        self.pushed += times;
+        let Some(groups) = &mut self.groups else { return Ok(()) };
+        match value {
+            Some(value) => groups.add(key, value, symbols),
+            None => groups.count(key, times),
+        }
+        let rows = groups.rows();
+        self.check(rows)
     }
 
     #[inline]
@@ -241,11 +321,7 @@ impl<const W: usize> Output<W> {
                 Added::Known => return Ok(()),
                 Added::New if seen.keeps() => {
                     self.kept += 1;
-                    return if self.kept > self.limit {
-                        Err(Abort::Overflow)
-                    } else {
-                        Ok(())
-                    };
+                    return self.check(self.kept);
                 }
                 Added::New => {}
                 Added::Beyond => self.unmark(),
@@ -267,9 +343,7 @@ impl<const W: usize> Output<W> {
             let (added, new) = seen.keep_along(row, word, found.iter().map(|other| other.0[column]));
             self.pushed += added as u64;
             self.kept += new;
-            if self.kept > self.limit {
-                return Err(Abort::Overflow);
-            }
+            self.check(self.kept)?;
             rest = &found[added..];
         }
         for other in rest {
@@ -301,7 +375,8 @@ impl<const W: usize> Output<W> {
     #[cold]
     fn act(&mut self) -> Result<(), Abort> {
         if self.seen.is_none() {
-            self.seen = SeenBitmap::over(&self.rows, self.largest, self.pushed.min(Self::SEEN_ROWS_MAX));
+            let rows = self.pushed.min(Self::SEEN_ROWS_MAX).min(self.fit as u64 / 6);
+            self.seen = SeenBitmap::over(&self.rows, self.largest, rows);
             if self.seen.is_some() {
                 self.whole = !self.took;
                 self.may_learn = self.took;
@@ -313,20 +388,23 @@ impl<const W: usize> Output<W> {
             self.kept = self.rows.len();
             self.rows = Vec::new();
         }
+        // Without a bitmap, the list may hold repetitions until it is compacted.
+        let mut distinct = self.seen.is_some();
         if self.rows.len() >= self.compact_at {
             normalize(&mut self.rows);
+            distinct = true;
             self.compact_at = self.compact_at.max(self.rows.len().saturating_mul(2));
+            self.compact_at = self.compact_at.min(self.buffer_max());
         }
-        if self.rows.len().max(self.kept) > self.limit {
-            return Err(Abort::Overflow);
-        }
+        self.check(if distinct { self.rows.len() } else { 0 }.max(self.kept))?;
         self.act_at = self
             .rows
             .len()
             .saturating_mul(2)
             .max(Self::SEEN_MIN)
             .min(self.compact_at);
-        Ok(())
+        let more = self.act_at.saturating_sub(self.rows.len());
+        self.rows.try_reserve_exact(more).map_err(|_| Abort::Memory)
     }
 
     /// Takes the distinct rows, in order. Afterwards the buffer is empty, but it may filter these rows when they are
@@ -338,12 +416,18 @@ impl<const W: usize> Output<W> {
     /// Like `take`, with another function to sort rows and remove repetitions.
     pub(crate) fn take_by(&mut self, normalize: impl FnOnce(&mut Vec<Row<W>>)) -> Vec<Row<W>> {
         self.took |= !self.is_empty();
+        if let Some(groups) = &mut self.groups {
+            return groups.take();
+        }
         self.act_at = self.compact_at.min(Self::SEEN_MIN);
         if let Some(seen) = self.seen.as_mut().filter(|seen| seen.keeps()) {
             return seen.drain(std::mem::take(&mut self.kept));
         }
         let mut rows = std::mem::take(&mut self.rows);
         normalize(&mut rows);
+        if rows.capacity() > rows.len() + rows.len() / 8 + Self::SEEN_MIN {
+            rows.shrink_to_fit();
+        }
         if self.seen.is_none() {
             raise(&mut self.largest, &rows);
         }
@@ -510,6 +594,13 @@ impl<const W: usize> Join<'_, W> {
                     let value = op.of(*base, values, self.symbols);
                     self.fill(*to, *test, value)
                 }
+                Step::Group { key, op, to, test, .. } => {
+                    self.rows_scanned += 1;
+                    let words = self.key(key);
+                    let found = self.views[depth].first.range(&words[..key.len()]);
+                    let value = groups::lookup(found, key.len(), *op);
+                    self.fill(*to, *test, value)
+                }
             };
             if !passed {
                 return Ok(false);
@@ -559,7 +650,11 @@ impl<const W: usize> Join<'_, W> {
                 let last = depth + 1 == self.plan.steps.len();
                 if last && !once && check.is_empty() && *distinct == 0 {
                     let words = self.key(key);
-                    return self.spread(depth, &words[..key.len()], bind);
+                    match self.plan.fold {
+                        None => return self.spread(depth, &words[..key.len()], bind),
+                        Some(fold) if self.counts(fold, bind) => return self.count(depth, &words[..key.len()]),
+                        Some(_) => {}
+                    }
                 }
                 self.scan((depth, end, once), key, (bind, check), *distinct as usize)
             }
@@ -686,6 +781,22 @@ impl<const W: usize> Join<'_, W> {
         Ok(any)
     }
 
+    /// Whether the rows of the last scan only matter by their number.
+    fn counts(&self, fold: Fold, bind: Columns<'_>) -> bool {
+        fold.op == AggregateOp::Count && !bind.iter().any(|(_, slot)| self.plan.output.contains(slot))
+    }
+
+    /// Runs the last scan of a plan that counts: all rows found are in the same group.
+    fn count(&mut self, depth: usize, key: &[Value]) -> Result<bool, Abort> {
+        self.rows_scanned += 1;
+        let found: usize = self.views[depth].batches().map(|batch| batch.range(key).len()).sum();
+        if found > 0 {
+            let row = Row(self.key(&self.plan.output));
+            self.out.fold(row, None, found as u64, self.symbols)?;
+        }
+        Ok(found > 0)
+    }
+
     /// Stores a value in a slot, or compares it with the slot.
     fn fill(&mut self, to: Slot, test: bool, value: Option<Value>) -> bool {
         let slot = &mut self.slots[to as usize];
@@ -740,8 +851,14 @@ impl<const W: usize> Join<'_, W> {
 
     #[inline]
     fn emit(&mut self) -> Result<bool, Abort> {
-        let row = self.key(&self.plan.output);
-        self.out.push(Row(row))?;
+        let row = Row(self.key(&self.plan.output));
+        match self.plan.fold {
+            None => self.out.push(row)?,
+            Some(fold) => {
+                let value = fold.value.map(|slot| self.slots[slot as usize]);
+                self.out.fold(row, value, 1, self.symbols)?;
+            }
+        }
         Ok(true)
     }
 

@@ -14,8 +14,8 @@ pub struct Limits {
     pub rows: usize,
     /// Maximum number of rows that scans and tests visit. Default: 10^11, which takes some minutes.
     pub steps: u64,
-    /// Maximum size of the session's rows, indexes and texts, in bytes. Default: 4 GiB. A commit also needs a copy of
-    /// what changes and buffers for derived rows, so the process may need about three times as much.
+    /// Maximum memory of a commit, in bytes. Default: 4 GiB. It counts the session's rows, indexes and texts, copies of
+    /// the rows that change, and buffers for derived rows. Memory that does not grow with the data is not counted.
     pub bytes: u64,
 }
 
@@ -47,6 +47,11 @@ pub enum EvalError {
         /// The clause that was evaluated.
         clause: ClauseId,
     },
+    /// The inserted rows take more memory than allowed.
+    TooManyInputs {
+        /// The limit, in bytes.
+        limit: u64,
+    },
     /// Rows, indexes and texts take more memory than allowed.
     TooMuchMemory {
         /// The limit, in bytes.
@@ -62,13 +67,15 @@ pub enum EvalError {
 }
 
 impl EvalError {
-    /// Returns the clause that was being evaluated, or one of several evaluated together.
-    pub fn clause(&self) -> ClauseId {
+    /// Returns the clause that was being evaluated, or one of several evaluated together. `None` if the inserted rows
+    /// alone exceed a limit.
+    pub fn clause(&self) -> Option<ClauseId> {
         match *self {
+            EvalError::TooManyInputs { .. } => None,
             EvalError::TooManyRows { clause, .. }
             | EvalError::TooManySteps { clause, .. }
             | EvalError::TooMuchMemory { clause, .. }
-            | EvalError::Cancelled { clause } => clause,
+            | EvalError::Cancelled { clause } => Some(clause),
         }
     }
 
@@ -76,7 +83,8 @@ impl EvalError {
     /// of the session.
     pub fn diagnostic(&self, rules: &Rules) -> Diagnostic {
         let fault = Diagnostic::from(self.clone());
-        let Some(clause) = rules.clauses.get(self.clause().index()) else {
+        let clause = self.clause().and_then(|clause| rules.clauses.get(clause.index()));
+        let Some(clause) = clause else {
             return fault;
         };
         let fault = fault.at(clause.span, "in the evaluation of this clause");
@@ -95,16 +103,21 @@ impl fmt::Display for EvalError {
         match self {
             EvalError::TooManyRows { limit, .. } => write!(f, "the rules derive more than {limit} rows"),
             EvalError::TooManySteps { limit, .. } => write!(f, "the rules scan more than {limit} rows"),
+            EvalError::TooManyInputs { limit } => write!(f, "the inserted rows take more than {}", size(*limit)),
             EvalError::TooMuchMemory { limit, .. } => {
-                // The largest unit that divides the limit.
-                let units = [(20, "MiB"), (10, "KiB"), (0, "bytes")].into_iter();
-                let mut fitting = units.filter(|(scale, _)| limit >> scale << scale == *limit);
-                let (scale, unit) = fitting.next().expect("it is a whole number of bytes");
-                write!(f, "rows, indexes and texts take more than {} {unit}", limit >> scale)
+                write!(f, "rows, indexes and texts take more than {}", size(*limit))
             }
             EvalError::Cancelled { .. } => write!(f, "the evaluation was cancelled"),
         }
     }
+}
+
+/// Formats a number of bytes in the largest unit that divides it.
+fn size(bytes: u64) -> String {
+    let units = [(20, "MiB"), (10, "KiB"), (0, "bytes")].into_iter();
+    let mut fitting = units.filter(|(scale, _)| bytes >> scale << scale == bytes);
+    let (scale, unit) = fitting.next().unwrap_or((0, "bytes"));
+    format!("{} {unit}", bytes >> scale)
 }
 
 impl std::error::Error for EvalError {}
@@ -114,9 +127,10 @@ impl From<EvalError> for Diagnostic {
     fn from(error: EvalError) -> Self {
         let code = match error {
             EvalError::Cancelled { .. } => Code::CANCELLED,
-            EvalError::TooManyRows { .. } | EvalError::TooManySteps { .. } | EvalError::TooMuchMemory { .. } => {
-                Code::LIMIT_EXCEEDED
-            }
+            EvalError::TooManyInputs { .. }
+            | EvalError::TooManyRows { .. }
+            | EvalError::TooManySteps { .. }
+            | EvalError::TooMuchMemory { .. } => Code::LIMIT_EXCEEDED,
         };
         Diagnostic::new(code, error.to_string())
     }

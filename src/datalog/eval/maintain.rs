@@ -204,6 +204,8 @@ impl<const W: usize> State<W> {
         let plans = &commit.plans;
         let now = |relation| self.now(stratum, base, relation);
         let mut outputs: Vec<Output<W>> = stratum.members.iter().map(|_| Output::new(quota.rows)).collect();
+        let share = quota.bytes / 2 / outputs.len().max(1) as u64;
+        outputs.iter_mut().for_each(|output| output.set_bytes(share));
         let mut steps: Vec<RowView<'_, W>> = Vec::new();
         for &clause in &stratum.clauses {
             for change in &plans.clauses[clause.index()].changes {

@@ -5,11 +5,13 @@
 //! - `adapt` replans clauses when the sizes of relations have changed.
 //! - `table` holds a relation and its indexes, `pending` the changes of the next commit, and `seen_bitmap` marks
 //!   derived rows.
+//! - `groups` aggregates what a plan derives.
 //! - `workers` holds the threads, and `limits` bounds the resources of a commit.
 //! - `delta` and `stats` report what a commit changed and did.
 
 pub mod delta;
 pub(crate) mod exec;
+pub(crate) mod groups;
 mod join;
 pub mod limits;
 mod maintain;

@@ -30,6 +30,11 @@ impl<const W: usize> PendingChanges<W> {
         self.coming.len() + self.changes.len()
     }
 
+    /// The bytes of the pending changes.
+    pub(crate) fn bytes(&self) -> u64 {
+        (size_of_val(&self.coming[..]) + size_of_val(&self.changes[..])) as u64
+    }
+
     pub(crate) fn is_empty(&self) -> bool {
         self.len() == 0
     }

@@ -16,6 +16,7 @@ use crate::datalog::plan::steps::{ClausePlans, IndexId, Plan, Source, Step, Stra
 use crate::datalog::row::{Batch, Row, difference, merge};
 pub(crate) use datafrog::{Iteration, Relation, Variable};
 use std::cell::Ref;
+use std::collections::BTreeSet;
 
 impl<const W: usize> State<W> {
     /// Returns the rows that follow from those in `outputs`, these included, and the number of rounds. `base` holds the
@@ -35,6 +36,9 @@ impl<const W: usize> State<W> {
         loop {
             for (member, output) in outputs.iter_mut().enumerate() {
                 let mut elements = meter.take(output);
+                output
+                    .check(elements.len())
+                    .or_else(|stop| meter.fail_if(true, stratum, stop))?;
                 if let Some(base) = base {
                     elements = difference(&elements, &base[member].rows);
                 }
@@ -57,7 +61,13 @@ impl<const W: usize> State<W> {
             let total = known + recursion.left_out.iter().sum::<usize>() + held.iter().map(Held::len).sum::<usize>();
             quota.check_rows(total, stratum, meter)?;
             let copies: usize = recursion.grown.iter().map(Grown::len).sum();
-            quota.check_bytes((total + copies) * size_of::<Row<W>>(), stratum, meter)?;
+            // Merging copies rows and indexes. A quarter of the memory is for the bitmaps of known rows.
+            let used = 2 * (total + copies) * size_of::<Row<W>>();
+            let left = quota.left(used.saturating_add((quota.bytes / 4) as usize), stratum, meter)?;
+            let heads: BTreeSet<RelId> = chosen.iter().map(|(_, _, plan)| plan.head).collect();
+            outputs
+                .iter_mut()
+                .for_each(|output| output.set_bytes(left / heads.len().max(1) as u64));
             let mut views: Vec<RowView<'_, W>> = Vec::new();
             for &(clause, over, plan) in &chosen {
                 let Some(head) = plans.member[plan.head.index()] else {
@@ -95,7 +105,7 @@ impl<const W: usize> State<W> {
         for &clause in &stratum.clauses {
             let ClausePlans {
                 deltas, alternatives, ..
-            } = &plans.clauses[clause.index()];
+            } = &*plans.clauses[clause.index()];
             for ((over, plan), alternatives) in deltas.iter().zip(alternatives) {
                 if let Some(over) = plans.member[over.index()].filter(|&over| !held[over].new.is_empty()) {
                     chosen.push((

@@ -76,9 +76,24 @@ impl<const W: usize> Table<W> {
         (starts.chain(lists).sum::<usize>() + size_of_val(&self.rows[..])) as u64
     }
 
-    /// Whether the index has been built.
-    pub(crate) fn has(&self, spec: &IndexSpec) -> bool {
-        spec.position == 0 || self.indexes[spec.position].get().is_some()
+    /// The bytes that building the index takes; 0 if it has been built.
+    pub(crate) fn missing_bytes(&self, spec: &IndexSpec) -> u64 {
+        if self.indexes[spec.position].get().is_some() {
+            return 0;
+        }
+        let first = spec.columns.first().map_or(0, |&column| column as usize);
+        let largest = self.rows.iter().map(|row| row.0[first].0).max().unwrap_or(0) as usize;
+        let starts = if Index::<W>::dense(self.rows.len(), largest) {
+            largest + 3
+        } else {
+            0
+        };
+        let rows = if spec.position == 0 {
+            0
+        } else {
+            size_of_val(&self.rows[..])
+        };
+        (rows + starts * size_of::<u32>()) as u64
     }
 
     /// The rows in primary order, with a directory if it has been built.

@@ -104,9 +104,9 @@ impl Workers {
     ) -> Result<(), Abort> {
         if let Some(pool) = &self.pool {
             let chunks = self.split(plan, views, out.seen_bytes());
-            if !chunks.is_empty() {
+            if !chunks.is_empty() && out.can_fork(self.threads.count.get()) {
                 let hands = self.evaluate(pool, (plan, views, &chunks), (symbols, cancel), state, out);
-                if let Some(result) = join_hands(hands, state, out) {
+                if let Some(result) = join_hands(hands, symbols, state, out) {
                     return result;
                 }
             }
@@ -166,7 +166,7 @@ impl Workers {
     ) -> Vec<Hand<W>> {
         let count = self.threads.count.get();
         let hand = || Hand {
-            out: out.fork(out.limit() / count),
+            out: out.fork(count),
             state: JoinState::new(state.budget.saturating_sub(state.rows_scanned)),
             result: Ok(()),
         };
@@ -211,10 +211,11 @@ impl Workers {
     }
 }
 
-/// Merges the results of the threads. `None` if a thread exceeded its share of the row limit: several threads may have
-/// derived the same rows.
+/// Merges the results of the threads. `None` if a thread exceeded its share of the rows or of the memory: several threads
+/// may have derived the same rows.
 fn join_hands<const W: usize>(
     hands: Vec<Hand<W>>,
+    symbols: &Symbols,
     state: &mut JoinState,
     out: &mut Output<W>,
 ) -> Option<Result<(), Abort>> {
@@ -222,14 +223,14 @@ fn join_hands<const W: usize>(
     if stopped(Abort::Cancelled) {
         return Some(Err(Abort::Cancelled));
     }
-    if stopped(Abort::Overflow) {
+    if stopped(Abort::Overflow) || stopped(Abort::Memory) {
         return None;
     }
     state.rows_scanned += hands.iter().map(|hand| hand.state.rows_scanned).sum::<u64>();
     if stopped(Abort::Budget) || state.rows_scanned > state.budget {
         return Some(Err(Abort::Budget));
     }
-    Some(hands.into_iter().try_for_each(|hand| out.absorb(hand.out)))
+    Some(hands.into_iter().try_for_each(|hand| out.absorb(hand.out, symbols)))
 }
 
 /// Estimates the number of rows that the plan scans.

@@ -109,6 +109,7 @@ fn follow(steps: &[Step], found: &dyn Fn(Source, usize) -> f64) -> (f64, f64) {
                 cost += flow * least * lists.len() as f64;
                 flow *= least;
             }
+            Step::Group { .. } => cost += flow,
             Step::Exists { source, key } => flow *= found(*source, key.len()).min(1.0),
             Step::AntiJoin { source, key } => flow *= 1.0 - found(*source, key.len()).min(0.9),
             Step::Copy { .. } | Step::Compute { test: false, .. } => {}

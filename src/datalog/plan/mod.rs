@@ -4,19 +4,22 @@
 //! With the feature `optimizer`, `optimize` simplifies clauses before they are planned.
 
 pub(crate) mod estimate;
+mod grouping;
 #[cfg(feature = "optimizer")]
 pub mod optimize;
 mod planner;
 pub(crate) mod steps;
 
+use std::collections::BTreeMap;
 use std::sync::Arc;
 
 use crate::datalog::check::{Clause, ClauseId, RelId, Relation, Rules, Stratum};
 use crate::datalog::row::WIDTHS;
 use crate::diag::{Code, Diagnostic};
 use estimate::Size;
+use grouping::groupings;
 use planner::{Order, is_maintainable, plan_changes, plan_clause, plan_complete};
-use steps::{Aim, ClausePlans, Indexes, StratumPlan};
+use steps::{Aim, ClausePlans, Grouping, Indexes, StratumPlan};
 
 /// A program with its plans.
 #[derive(Debug)]
@@ -29,11 +32,14 @@ pub(crate) struct Compiled {
 /// The plans of all clauses, the indexes they need, and the layout of the strata.
 #[derive(Clone, Debug)]
 pub(crate) struct Plans {
-    /// By [`ClauseId`]: the clauses as planned. The optimizer may have simplified them.
-    sources: Arc<[Clause]>,
-    /// By [`ClauseId`].
-    pub(crate) clauses: Vec<ClausePlans>,
+    /// The clauses as planned. The optimizer may have simplified them. Facts of relations that no clause with a body
+    /// derives are rows from the start, and have no plans.
+    sources: Arc<BTreeMap<ClauseId, Clause>>,
+    /// By [`ClauseId`]. All facts without plans share one entry, which is never evaluated.
+    pub(crate) clauses: Vec<Arc<ClausePlans>>,
     pub(crate) indexes: Indexes,
+    /// By [`RelId`]: how a hidden relation is aggregated instead of stored; see [`grouping`].
+    pub(crate) groupings: Vec<Option<Grouping>>,
     /// By position in [`Rules::strata`].
     pub(crate) strata: Vec<StratumPlan>,
     /// By [`RelId`]: the position of a derived relation among the members of its stratum.
@@ -55,20 +61,16 @@ impl Plans {
             );
             return Err(Diagnostic::new(Code::LIMIT_EXCEEDED, message).at(wide.span, "declared here"));
         }
-        let arity = rules
-            .relations
-            .iter()
-            .map(|relation| relation.arity())
-            .max()
-            .unwrap_or(0);
+        let groupings = groupings(rules);
+        let mut indexes = Indexes::new(rules.relations.iter().map(Relation::arity), &groupings);
+        let arity = (0..rules.relations.len() as u32).map(|relation| indexes.arity(RelId(relation)));
+        let arity = arity.max().unwrap_or(0);
         let width = WIDTHS.into_iter().find(|&width| width >= arity).unwrap_or(width_max);
-
-        let mut indexes = Indexes::new(rules.relations.iter().map(Relation::arity));
 
         let strata: Vec<StratumPlan> = rules
             .strata
             .iter()
-            .map(|stratum| plan_stratum(rules, stratum))
+            .map(|stratum| plan_stratum(rules, stratum, &groupings))
             .collect();
         let mut member = vec![None; rules.relations.len()];
         for (position, relation) in strata.iter().flat_map(|stratum| stratum.members.iter().enumerate()) {
@@ -81,15 +83,30 @@ impl Plans {
             }
         }
         let mut clauses = Vec::with_capacity(rules.clauses.len());
-        for (clause, stratum) in rules.clauses.iter().zip(computed_with) {
-            clauses.push(plan_clause(clause, stratum, &mut indexes)?);
+        let mut sources = BTreeMap::new();
+        let mut fact: Option<Arc<ClausePlans>> = None;
+        for ((clause, stratum), id) in rules.clauses.iter().zip(computed_with).zip((0..).map(ClauseId)) {
+            let grouping = groupings[clause.head.relation.index()].as_ref();
+            let planned = !rules.is_row(clause);
+            if let (false, Some(fact)) = (planned, &fact) {
+                clauses.push(Arc::clone(fact));
+                continue;
+            }
+            let plans = Arc::new(plan_clause(clause, stratum, grouping, &mut indexes)?);
+            if planned {
+                sources.insert(id, clause.clone());
+            } else {
+                fact = Some(Arc::clone(&plans));
+            }
+            clauses.push(plans);
         }
         Ok(Plans {
-            sources: rules.clauses.clone().into(),
+            sources: sources.into(),
             clauses,
             strata,
             member,
             indexes,
+            groupings,
             width,
         })
     }
@@ -101,12 +118,17 @@ impl Plans {
     pub(crate) fn adapt(&mut self, clauses: &[ClauseId], aim: Aim, sizes: &[Option<Size>]) {
         let indexes = &mut self.indexes;
         for &id in clauses {
-            let (clause, plans) = (&self.sources[id.index()], &mut self.clauses[id.index()]);
+            let Some(clause) = self.sources.get(&id) else { continue };
+            let plans = Arc::make_mut(&mut self.clauses[id.index()]);
+            let grouping = &self.groupings[clause.head.relation.index()];
             // Replanning cannot fail: which variables can be bound does not depend on the order.
             match aim {
                 Aim::Recompute if plans.deltas.is_empty() => {
                     if let Some(plan) = plan_complete(clause, indexes, sizes) {
-                        plans.complete = plan;
+                        plans.complete = match grouping {
+                            Some(grouping) => plan.grouped(grouping),
+                            None => plan,
+                        };
                     }
                 }
                 Aim::Recompute => {}
@@ -120,7 +142,7 @@ impl Plans {
     }
 }
 
-fn plan_stratum(rules: &Rules, stratum: &Stratum) -> StratumPlan {
+fn plan_stratum(rules: &Rules, stratum: &Stratum, groupings: &[Option<Grouping>]) -> StratumPlan {
     let derived = |relation: &RelId| rules.relations[relation.index()].derived;
     let head = |clause: &ClauseId| rules.clauses[clause.index()].head.relation;
     let members: Vec<RelId> = stratum.relations.iter().copied().filter(derived).collect();
@@ -137,9 +159,10 @@ fn plan_stratum(rules: &Rules, stratum: &Stratum) -> StratumPlan {
     inputs.retain(|relation| !members.contains(relation));
     inputs.dedup();
     let small = |clause: &ClauseId| is_maintainable(&rules.clauses[clause.index()]);
+    let grouped = members.iter().any(|member| groupings[member.index()].is_some());
     StratumPlan {
         recursive,
-        maintainable: clauses.iter().all(small),
+        maintainable: clauses.iter().all(small) && !grouped,
         members,
         inputs,
         clauses,

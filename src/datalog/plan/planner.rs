@@ -7,7 +7,9 @@
 
 use crate::datalog::check::{Atom, Clause, Literal, RelId, Term, VarId};
 use crate::datalog::plan::estimate::{Flow, Known, Reckoning, Size, cost_of_parts};
-use crate::datalog::plan::steps::{ChangePlan, ClausePlans, IndexId, Indexes, List, Plan, Slot, Source, Step, Version};
+use crate::datalog::plan::steps::{
+    ChangePlan, ClausePlans, Grouping, IndexId, Indexes, List, Plan, Slot, Source, Step, Version,
+};
 use crate::datalog::syntax::ast::{BaseType, Comparison};
 use crate::datalog::value::Value;
 use crate::diag::{Code, Diagnostic};
@@ -36,10 +38,11 @@ pub(crate) fn is_maintainable(clause: &Clause) -> bool {
     clause.body.len() <= MAINTAINED_LITERALS_MAX && !clause.body.iter().any(aggregates)
 }
 
-/// Makes all plans of a clause. `stratum` holds the relations of the head's stratum.
+/// Makes all plans of a clause. `stratum` holds the relations of the head's stratum. `grouping` aggregates the head.
 pub(crate) fn plan_clause(
     clause: &Clause,
     stratum: &[RelId],
+    grouping: Option<&Grouping>,
     indexes: &mut Indexes,
 ) -> Result<ClausePlans, Diagnostic> {
     for (what, count) in [("literals", clause.body.len()), ("variables", clause.variables.len())] {
@@ -55,7 +58,10 @@ pub(crate) fn plan_clause(
         })
         .collect();
     let order = Order::Text { large: &[] };
-    let complete = Planner::new(clause, indexes, order).plan(First::Any, &|_| Version::Complete)?;
+    let mut complete = Planner::new(clause, indexes, order).plan(First::Any, &|_| Version::Complete)?;
+    if let Some(grouping) = grouping {
+        complete = complete.grouped(grouping);
+    }
     let (mut deltas, mut alternatives) = (Vec::new(), Vec::new());
     for &delta in &recursive {
         // Each derivation is found once: by the plan of its first atom that matches a new row.
@@ -88,7 +94,7 @@ pub(crate) fn plan_clause(
         }
     }
     // In maintenance a recursive relation is already large; in a computation from scratch it begins empty.
-    let (changes, check) = match is_maintainable(clause) {
+    let (changes, check) = match is_maintainable(clause) && grouping.is_none() {
         true => plan_changes(clause, indexes, Order::Text { large: stratum })?,
         false => (Vec::new(), None),
     };
@@ -293,6 +299,7 @@ impl<'a> Planner<'a> {
             head: head.relation,
             enough: enough(&self.steps, &output),
             output,
+            fold: None,
             steps: self.steps,
             slots: self.slots,
             fresh,
@@ -397,6 +404,18 @@ impl<'a> Planner<'a> {
                     let columns = &self.indexes[source.index].columns;
                     let place = column.and_then(|column| columns.iter().position(|other| *other as usize == column));
                     let Some((to, test)) = self.result(to) else { continue };
+                    if self.indexes.is_grouped(atom.relation) {
+                        let (op, base) = (*op, *base);
+                        self.push(Step::Group {
+                            source,
+                            key,
+                            op,
+                            base,
+                            to,
+                            test,
+                        });
+                        continue;
+                    }
                     self.push(Step::Aggregate {
                         source,
                         key,

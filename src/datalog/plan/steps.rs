@@ -45,6 +45,8 @@ pub(crate) struct Indexes {
     specs: Vec<IndexSpec>,
     /// By [`RelId`]: the indexes of a relation, the primary index first.
     of: Vec<Vec<IndexId>>,
+    /// By [`RelId`]: whether the rows of the relation are groups, each a key and its aggregate.
+    grouped: Vec<bool>,
 }
 
 impl std::ops::Index<IndexId> for Indexes {
@@ -56,14 +58,27 @@ impl std::ops::Index<IndexId> for Indexes {
 }
 
 impl Indexes {
-    /// Creates the primary indexes of relations with these arities.
-    pub(crate) fn new(arities: impl Iterator<Item = usize>) -> Self {
-        let own = |(arity, number)| own_rows(RelId(number), arity);
-        let specs: Vec<IndexSpec> = arities.zip(0..).map(own).collect();
+    /// Creates the primary indexes of relations with these arities and groupings.
+    pub(crate) fn new(arities: impl Iterator<Item = usize>, groupings: &[Option<Grouping>]) -> Self {
+        let own = |((arity, grouping), number): ((usize, &Option<Grouping>), _)| {
+            own_rows(RelId(number), grouping.map_or(arity, |grouping| grouping.keys + 1))
+        };
+        let specs: Vec<IndexSpec> = arities.zip(groupings).zip(0..).map(own).collect();
         Indexes {
             of: (0..specs.len() as u32).map(|index| vec![IndexId(index)]).collect(),
             specs,
+            grouped: groupings.iter().map(Option::is_some).collect(),
         }
+    }
+
+    /// Whether the rows of the relation are groups.
+    pub(crate) fn is_grouped(&self, relation: RelId) -> bool {
+        self.grouped[relation.index()]
+    }
+
+    /// The number of words in a row of the relation.
+    pub(crate) fn arity(&self, relation: RelId) -> usize {
+        self.specs[relation.index()].columns.len()
     }
 
     /// The number of indexes of each relation, by [`RelId`].
@@ -207,6 +222,15 @@ pub(crate) enum Step {
         to: Slot,
         test: bool,
     },
+    /// Look up the aggregate of the group with this key, with `test` as in [`Step::Compute`].
+    Group {
+        source: Source,
+        key: Vec<Slot>,
+        op: AggregateOp,
+        base: BaseType,
+        to: Slot,
+        test: bool,
+    },
 }
 
 impl Step {
@@ -217,7 +241,8 @@ impl Step {
             Step::Scan { source, .. }
             | Step::Exists { source, .. }
             | Step::AntiJoin { source, .. }
-            | Step::Aggregate { source, .. } => Some(*source),
+            | Step::Aggregate { source, .. }
+            | Step::Group { source, .. } => Some(*source),
             Step::LeapfrogJoin { .. } | Step::Copy { .. } | Step::Compare { .. } | Step::Compute { .. } => None,
         }
     }
@@ -236,7 +261,9 @@ impl Step {
         match self {
             Step::Scan { bind, .. } => bind.iter().map(|&(_, slot)| slot).collect(),
             Step::LeapfrogJoin { to, .. } | Step::Copy { to, .. } => vec![*to],
-            Step::Compute { to, test: false, .. } | Step::Aggregate { to, test: false, .. } => vec![*to],
+            Step::Compute { to, test: false, .. }
+            | Step::Aggregate { to, test: false, .. }
+            | Step::Group { to, test: false, .. } => vec![*to],
             _ => Vec::new(),
         }
     }
@@ -252,7 +279,9 @@ impl Step {
             Step::Compute {
                 arguments, to, test, ..
             } => arguments.contains(&slot) || (*test && *to == slot),
-            Step::Aggregate { key, to, test, .. } => key.contains(&slot) || (*test && *to == slot),
+            Step::Aggregate { key, to, test, .. } | Step::Group { key, to, test, .. } => {
+                key.contains(&slot) || (*test && *to == slot)
+            }
         }
     }
 
@@ -262,12 +291,34 @@ impl Step {
     }
 }
 
+/// How a hidden relation is aggregated. Its first columns are the key of a group.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub(crate) struct Grouping {
+    /// The number of key columns.
+    pub(crate) keys: usize,
+    pub(crate) op: AggregateOp,
+    pub(crate) base: BaseType,
+    /// The column of the values; `None` for `count`.
+    pub(crate) column: Option<usize>,
+}
+
+/// The aggregate of a plan.
+#[derive(Clone, Copy, Debug)]
+pub(crate) struct Fold {
+    pub(crate) op: AggregateOp,
+    pub(crate) base: BaseType,
+    /// The slot of the values; `None` for `count`.
+    pub(crate) value: Option<Slot>,
+}
+
 /// A plan that evaluates a clause.
 #[derive(Clone, Debug)]
 pub(crate) struct Plan {
     pub(crate) head: RelId,
-    /// By column of the head: the slot that holds its value.
+    /// By column of the head: the slot that holds its value. With `fold`, only the columns of the key.
     pub(crate) output: Vec<Slot>,
+    /// Aggregates what the plan derives, by the key in `output`; see [`super::grouping`].
+    pub(crate) fold: Option<Fold>,
     pub(crate) steps: Vec<Step>,
     /// By step: the end of the existential group that begins with it, or 0 if none begins there. One success of the
     /// group is enough, since no later step reads what the group binds.
@@ -279,6 +330,17 @@ pub(crate) struct Plan {
 }
 
 impl Plan {
+    /// Makes the plan aggregate the rows that it derives.
+    pub(crate) fn grouped(mut self, grouping: &Grouping) -> Self {
+        self.fold = Some(Fold {
+            op: grouping.op,
+            base: grouping.base,
+            value: grouping.column.map(|column| self.output[column]),
+        });
+        self.output.truncate(grouping.keys);
+        self
+    }
+
     /// Whether a step scans all new rows without a key.
     pub(crate) fn searches_new(&self) -> bool {
         self.steps.iter().any(

@@ -16,9 +16,17 @@ use crate::datalog::check::{Constraint, RelId, Rules};
 /// constraint.
 fn is_visible(rules: &Rules, relation: RelId) -> bool {
     let declared = &rules.relations[relation.index()];
-    let named = rules.constraints.iter().any(|declared| match declared.constraint {
-        Constraint::Disjoint(one, other) | Constraint::Implies(one, other) => one == relation || other == relation,
-        Constraint::Irreflexive(one) | Constraint::Symmetric(one) => one == relation,
+    let named = rules.constraints.iter().any(|declared| {
+        let in_domain = declared.domain.iter().any(|(other, _)| *other == relation);
+        in_domain
+            || match &declared.constraint {
+                Constraint::Disjoint(one, other) | Constraint::Implies(one, other) => [one, other].contains(&&relation),
+                Constraint::Covering(relations) => relations.contains(&relation),
+                Constraint::Reflexive(one)
+                | Constraint::Irreflexive(one)
+                | Constraint::Symmetric(one)
+                | Constraint::Asymmetric(one) => *one == relation,
+            }
     });
     declared.input || declared.output || declared.printsize || declared.edb.is_some() || named
 }

@@ -54,7 +54,7 @@ impl<const W: usize> State<W> {
 
         let mut sizes: Vec<Option<Size>> = vec![None; self.tables.len()];
         for relation in relations() {
-            let arity = commit.compiled.rules.relations[relation.index()].arity();
+            let arity = commit.plans.indexes.arity(*relation);
             sizes[relation.index()] = Some(Size::of(&self.tables[relation.index()].rows, arity));
         }
         Arc::make_mut(&mut commit.plans).adapt(&stratum.clauses, aim, &sizes);

@@ -7,6 +7,7 @@ use crate::cancel::Cancel;
 use crate::datalog::check::{ClauseId, RelId, Term};
 use crate::datalog::eval::delta::{Delta, Rows};
 use crate::datalog::eval::exec::adapt::Basis;
+use crate::datalog::eval::groups;
 use crate::datalog::eval::join;
 use crate::datalog::eval::join::{Abort, JoinState, Output, RowView};
 use crate::datalog::eval::limits::{EvalError, Limits};
@@ -14,10 +15,10 @@ use crate::datalog::eval::pending::PendingChanges;
 use crate::datalog::eval::stats::{EvalEvent, EvalStats, RuleStats, Strategy, StratumStats, WorkCounts};
 use crate::datalog::eval::table::{Table, TableDelta};
 use crate::datalog::eval::workers::Workers;
-use crate::datalog::plan::Compiled;
-use crate::datalog::plan::Plans;
 use crate::datalog::plan::steps::{Aim, IndexId, IndexSpec, Plan, Source, Step, StratumPlan, Version};
-use crate::datalog::row::{Row, normalize};
+use crate::datalog::plan::{Compiled, Plans};
+use crate::datalog::row::{Batch, Row, normalize};
+use crate::datalog::syntax::functor::AggregateOp;
 use crate::datalog::value::Value;
 use crate::symbol::Symbols;
 use std::sync::Arc;
@@ -49,6 +50,10 @@ pub(crate) trait Store: Send + Sync {
     fn row(&self, relation: RelId, position: usize) -> &[Value];
     /// The number of rows of the relation.
     fn len(&self, relation: RelId) -> usize;
+    /// The bytes of the rows, indexes and pending changes.
+    fn bytes(&self) -> u64;
+    /// The aggregate of the group with this key in a grouped relation.
+    fn group(&self, relation: RelId, key: &[Value], op: AggregateOp) -> Option<Value>;
     /// The plans in use.
     fn plans(&self) -> &Plans;
     /// The distinct rows that a clause derives.
@@ -70,13 +75,14 @@ pub(crate) struct CommitOptions<'a> {
 /// The resources that the limits leave for a stratum.
 #[derive(Clone, Copy, Debug)]
 pub(crate) struct Quota {
-    /// Maximum rows of its members. `narrowed` if memory, not the row limit, determines it.
+    /// Maximum rows of its members.
     pub(crate) rows: usize,
-    narrowed: bool,
     /// Maximum rows scanned.
     steps: u64,
-    /// Maximum bytes of its members' rows and of the indexes it needs.
-    bytes: u64,
+    /// Maximum bytes of all that its evaluation adds: rows, indexes, buffers and texts.
+    pub(crate) bytes: u64,
+    /// Whether so much memory is in use that indexes count.
+    tight: bool,
 }
 
 impl Quota {
@@ -85,9 +91,10 @@ impl Quota {
         meter.fail_if(total > self.rows, stratum, Abort::Overflow)
     }
 
-    /// Fails if the members' rows take too much memory.
-    pub(crate) fn check_bytes(&self, bytes: usize, stratum: &StratumPlan, meter: &Meter<'_>) -> Result<(), Failure> {
-        meter.fail_if(bytes as u64 > self.bytes, stratum, Abort::Memory)
+    /// Returns the bytes left, or fails if there are none.
+    pub(crate) fn left(&self, used: usize, stratum: &StratumPlan, meter: &Meter<'_>) -> Result<u64, Failure> {
+        meter.fail_if(used as u64 > self.bytes, stratum, Abort::Memory)?;
+        Ok(self.bytes - used as u64)
     }
 }
 
@@ -97,8 +104,10 @@ pub(crate) fn store(compiled: &Compiled) -> Box<dyn Store> {
         2 => Box::new(State::<2>::new(compiled)),
         3 => Box::new(State::<3>::new(compiled)),
         4 => Box::new(State::<4>::new(compiled)),
+        6 => Box::new(State::<6>::new(compiled)),
         8 => Box::new(State::<8>::new(compiled)),
-        16 => Box::new(State::<16>::new(compiled)),
+        12 => Box::new(State::<12>::new(compiled)),
+        20 => Box::new(State::<20>::new(compiled)),
         _ => Box::new(State::<32>::new(compiled)),
     }
 }
@@ -142,6 +151,8 @@ pub(crate) struct Commit<'a, const W: usize> {
     options: CommitOptions<'a>,
     /// By [`RelId`]: the change of the relation so far, and its table before the commit.
     pub(crate) changed: Vec<Option<(TableDelta<W>, Table<W>)>>,
+    /// The bytes of pending changes and, at most, of `changed`.
+    kept: u64,
 }
 
 impl<const W: usize> Commit<'_, W> {
@@ -152,6 +163,9 @@ impl<const W: usize> Commit<'_, W> {
         let relations = self.compiled.rules.relations.iter().zip((0..).map(RelId));
         for (changed, (relation, id)) in self.changed.into_iter().zip(relations) {
             let Some((change, _)) = changed else { continue };
+            if self.plans.indexes.is_grouped(id) {
+                continue;
+            }
             let arity = relation.arity();
             delta.push(
                 id,
@@ -182,10 +196,10 @@ pub(crate) struct Meter<'a> {
 }
 
 impl<'a> Meter<'a> {
-    /// A meter that allows `budget` rows to be scanned.
-    fn new(budget: u64, options: CommitOptions<'a>, workers: Option<&'a Workers>) -> Self {
+    /// A meter that allows `budget` rows to be scanned, and texts to grow to `text_bytes`.
+    fn new(budget: u64, text_bytes: u64, options: CommitOptions<'a>, workers: Option<&'a Workers>) -> Self {
         let mut state = JoinState::new(budget);
-        state.text_bytes = options.limits.bytes;
+        state.text_bytes = text_bytes;
         Meter {
             state,
             rules: Vec::new(),
@@ -240,7 +254,7 @@ impl<'a> Meter<'a> {
 
     /// Returns an error if `failed`. It names the clause of the stratum that has derived the most rows, repetitions
     /// included.
-    fn fail_if(&self, failed: bool, stratum: &StratumPlan, stop: Abort) -> Result<(), Failure> {
+    pub(crate) fn fail_if(&self, failed: bool, stratum: &StratumPlan, stop: Abort) -> Result<(), Failure> {
         let derived = |clause: &ClauseId| {
             let position = self.rules.binary_search_by_key(clause, |rule| rule.clause);
             position.map_or(0, |position| self.rules[position].derived)
@@ -265,7 +279,7 @@ impl<const W: usize> State<W> {
         let rules = &compiled.rules;
         let mut text_facts = vec![Vec::new(); rules.relations.len()];
         for clause in &rules.clauses {
-            if !rules.relations[clause.head.relation.index()].derived {
+            if rules.is_row(clause) {
                 text_facts[clause.head.relation.index()].push(constants(&clause.head.terms));
             }
         }
@@ -294,7 +308,17 @@ impl<const W: usize> State<W> {
                 continue;
             }
             let table = &self.tables[relation.index()];
-            if let Some((delta, rows)) = pending.apply(table) {
+            // A changed table is copied, with its indexes.
+            let copied = if table.rows.is_empty() { 0 } else { 2 * table.bytes() };
+            if copied + pending.bytes() > limits.bytes / 16 {
+                let tables = self.tables.iter().map(Table::bytes).sum::<u64>();
+                if tables + commit.kept + copied + pending.bytes() + commit.symbols.bytes() > limits.bytes {
+                    return Err(EvalError::TooManyInputs { limit: limits.bytes });
+                }
+            }
+            let applied = pending.apply(table);
+            commit.kept += pending.bytes();
+            if let Some((delta, rows)) = applied {
                 let table = table.replaced(&specs(&commit.plans, relation), &delta, rows);
                 self.put(commit, relation, delta, table);
             }
@@ -309,18 +333,18 @@ impl<const W: usize> State<W> {
             let work = if self.committed && !changes {
                 StratumStats::Skipped
             } else {
-                let quota = self.quota(commit, stratum, (derived, steps));
+                let quota = self.quota(commit, (derived, steps));
                 let work = self.update(commit, (stratum, number), cost, quota);
                 work.map_err(|(clause, stop)| match stop {
                     Abort::Budget => EvalError::TooManySteps {
                         limit: limits.steps,
                         clause,
                     },
-                    Abort::Overflow if !quota.narrowed => EvalError::TooManyRows {
+                    Abort::Overflow => EvalError::TooManyRows {
                         limit: limits.rows,
                         clause,
                     },
-                    Abort::Overflow | Abort::Memory => EvalError::TooMuchMemory {
+                    Abort::Memory => EvalError::TooMuchMemory {
                         limit: limits.bytes,
                         clause,
                     },
@@ -336,26 +360,27 @@ impl<const W: usize> State<W> {
     }
 
     /// The resources left for a stratum after earlier strata derived and scanned this many rows.
-    fn quota(&self, commit: &Commit<'_, W>, stratum: &StratumPlan, (derived, steps): (usize, u64)) -> Quota {
+    fn quota(&self, commit: &Commit<'_, W>, (derived, steps): (usize, u64)) -> Quota {
         let limits = commit.options.limits;
-        let most = (self.rows * self.copies_max * size_of::<Row<W>>()) as u64;
+        let most = (self.rows * self.copies_max * size_of::<Row<W>>()) as u64 + commit.kept;
         // Use an upper bound where it suffices: adding up the tables takes longer than many commits.
-        let held = if most <= limits.bytes / 16 {
-            most
-        } else {
-            let relations = (0..self.tables.len() as u32).map(RelId).zip(&self.tables);
-            let others = relations.filter(|(relation, _)| !stratum.members.contains(relation));
-            others.map(|(_, table)| table.bytes()).sum()
+        let tight = most > limits.bytes / 16;
+        let held = match tight {
+            true => self.tables.iter().map(Table::bytes).sum::<u64>() + commit.kept,
+            false => most,
         };
-        let bytes = limits.bytes.saturating_sub(held + commit.symbols.bytes());
-        let rows = limits.rows.saturating_sub(derived);
-        let fit = usize::try_from(bytes / size_of::<Row<W>>() as u64).unwrap_or(usize::MAX);
         Quota {
-            rows: rows.min(fit),
-            narrowed: fit < rows,
+            rows: limits.rows.saturating_sub(derived),
             steps: limits.steps.saturating_sub(steps),
-            bytes,
+            bytes: limits.bytes.saturating_sub(held + commit.symbols.bytes()),
+            tight,
         }
+    }
+
+    /// The bytes of the members' tables, with their indexes.
+    fn bytes_of_members(&self, stratum: &StratumPlan) -> u64 {
+        let tables = stratum.members.iter().map(|member| &self.tables[member.index()]);
+        tables.map(Table::bytes).sum()
     }
 
     /// The bytes of the indexes that a computation of the stratum from scratch must build.
@@ -373,15 +398,9 @@ impl<const W: usize> State<W> {
         missing.sort_unstable();
         missing.dedup();
         let specs = missing.into_iter().map(|index| &plans.indexes[index]);
-        let bytes = specs.map(|spec| {
-            let table = &self.tables[spec.relation.index()];
-            if table.has(spec) {
-                0
-            } else {
-                size_of_val(&table.rows[..]) as u64
-            }
-        });
-        bytes.sum()
+        specs
+            .map(|spec| self.tables[spec.relation.index()].missing_bytes(spec))
+            .sum()
     }
 
     /// Updates the relations of a stratum by the strategy with the lower estimated cost.
@@ -399,18 +418,23 @@ impl<const W: usize> State<W> {
         let inputs: usize = stratum.inputs.iter().map(|&input| self.len(input)).sum();
         let inputs = inputs as u64;
         let mut given_up = 0;
+        // A stratum that makes texts shares its memory between rows and texts.
+        let text_bytes = commit.symbols.bytes() + quota.bytes / 2;
         if self.committed && stratum.maintainable && strategy != Strategy::Recompute {
             // The cost of the last computation from scratch, scaled to the current number of input rows.
             let recomputing = u128::from(cost.rows_scanned) * u128::from(inputs + 1) / u128::from(cost.inputs + 1);
             let recomputing = u64::try_from(recomputing).unwrap_or(u64::MAX);
             let maintaining = || Self::maintenance_cost(commit, stratum);
+            // Maintenance copies the members' tables, and their rows that may be lost.
+            let fits = !quota.tight || 3 * self.bytes_of_members(stratum) <= quota.bytes;
             let budget = match strategy {
+                _ if !fits => None,
                 Strategy::Maintain => Some(u64::MAX),
                 _ => (maintaining() <= recomputing).then_some(recomputing),
             };
             if let Some(budget) = budget.map(|budget| budget.min(quota.steps)) {
                 self.adapt(commit, (stratum, number), Aim::Maintain);
-                let mut meter = Meter::new(budget, commit.options, workers);
+                let mut meter = Meter::new(budget, text_bytes, commit.options, workers);
                 match self.maintain(commit, stratum, quota, &mut meter) {
                     Ok((deltas, rounds)) => {
                         for (&relation, delta) in stratum.members.iter().zip(deltas) {
@@ -430,19 +454,25 @@ impl<const W: usize> State<W> {
             }
         }
 
-        let quota = Quota {
+        let mut quota = Quota {
             steps: quota.steps - given_up,
             ..quota
         };
         self.adapt(commit, (stratum, number), Aim::Recompute);
-        if quota.narrowed || quota.bytes < commit.options.limits.bytes / 2 {
-            let missing = self.missing_indexes(&commit.plans, stratum);
+        if quota.tight {
+            // The new tables replace the members' tables after the evaluation, and the change is copied.
+            let copied = self.bytes_of_members(stratum);
+            let missing = self.missing_indexes(&commit.plans, stratum) + copied;
             if let (true, Some(&clause)) = (missing > quota.bytes, stratum.clauses.first()) {
                 return Err((clause, Abort::Memory));
             }
+            quota.bytes = (quota.bytes - missing) / if copied > 0 { 2 } else { 1 };
+        }
+        if makes_texts(&commit.plans, stratum) {
+            quota.bytes /= 2;
         }
         let attempt = |workers| {
-            let mut meter = Meter::new(quota.steps, commit.options, workers);
+            let mut meter = Meter::new(quota.steps, text_bytes, commit.options, workers);
             let result = self.evaluate(commit, stratum, quota, &mut meter);
             result.map(|(results, rounds)| (results, rounds, meter))
         };
@@ -484,6 +514,9 @@ impl<const W: usize> State<W> {
     /// Replaces a relation's table.
     fn put(&mut self, commit: &mut Commit<'_, W>, relation: RelId, delta: TableDelta<W>, table: Table<W>) {
         let old = std::mem::replace(&mut self.tables[relation.index()], table);
+        if !old.rows.is_empty() {
+            commit.kept += ((old.rows.len() * self.copies_max + delta.len()) * size_of::<Row<W>>()) as u64;
+        }
         self.rows = self.rows + self.len(relation) - old.rows.len();
         commit.changed[relation.index()] = Some((delta, old));
     }
@@ -498,6 +531,11 @@ impl<const W: usize> State<W> {
     ) -> Result<(Vec<Vec<Row<W>>>, usize), Failure> {
         let plans = &commit.plans;
         let mut outputs: Vec<Output<W>> = stratum.members.iter().map(|_| Output::new(quota.rows)).collect();
+        if let ([output], [clause]) = (&mut outputs[..], &stratum.clauses[..]) {
+            *output = Output::for_plan(&plans.clauses[clause.index()].complete, quota.rows);
+        }
+        let share = quota.bytes / outputs.len().max(1) as u64;
+        outputs.iter_mut().for_each(|output| output.set_bytes(share));
         let mut views = Vec::new();
         for &clause in &stratum.clauses {
             let plan = &plans.clauses[clause.index()];
@@ -521,6 +559,11 @@ impl<const W: usize> State<W> {
             return self.grow(commit, stratum, None, outputs, quota, meter);
         }
         let rows: Vec<_> = outputs.iter_mut().map(|output| meter.take(output)).collect();
+        for (rows, output) in rows.iter().zip(&outputs) {
+            output
+                .check(rows.len())
+                .or_else(|stop| meter.fail_if(true, stratum, stop))?;
+        }
         let total: usize = rows.iter().map(Vec::len).sum();
         quota.check_rows(total, stratum, meter)?;
         Ok((rows, 1))
@@ -597,6 +640,7 @@ impl<const W: usize> Store for State<W> {
             symbols,
             options,
             changed: self.tables.iter().map(|_| None).collect(),
+            kept: 0,
         };
         let result = self.try_commit(&mut commit);
         self.plans = Arc::clone(&commit.plans);
@@ -638,6 +682,16 @@ impl<const W: usize> Store for State<W> {
         self.tables[relation.index()].rows.len()
     }
 
+    fn bytes(&self) -> u64 {
+        let tables = self.tables.iter().map(Table::bytes);
+        tables.chain(self.pending.iter().map(PendingChanges::bytes)).sum()
+    }
+
+    fn group(&self, relation: RelId, key: &[Value], op: AggregateOp) -> Option<Value> {
+        let rows = Batch::plain(&self.tables[relation.index()].rows);
+        groups::lookup(rows.range(key), key.len(), op)
+    }
+
     fn plans(&self) -> &Plans {
         &self.plans
     }
@@ -645,7 +699,12 @@ impl<const W: usize> Store for State<W> {
     fn fired(&self, compiled: &Compiled, symbols: &Symbols, clause: ClauseId) -> Vec<Vec<Value>> {
         let plan = &self.plans.clauses[clause.index()].complete;
         let mut out = Output::new(usize::MAX);
-        if self.committed {
+        let source = &compiled.rules.clauses[clause.index()];
+        if self.committed && compiled.rules.is_row(source) {
+            let words = &constants::<W>(&source.head.terms).0[..source.head.terms.len()];
+            return vec![words.to_vec()];
+        }
+        if self.committed && plan.fold.is_none() {
             let views: Vec<RowView<'_, W>> = self.complete_views(&self.plans, plan).collect();
             // This cannot overflow: what a clause derives is in its head's relation, which is within the limit.
             let _ = join::run(

@@ -454,6 +454,11 @@ impl<'s> Search<'s> {
             Literal::Aggregate {
                 op, base, atom, column, ..
             } if determined(atom, binding) => {
+                if self.session.program().is_aggregated(atom.relation) {
+                    self.step()?;
+                    let key: Vec<Value> = atom.terms.iter().map_while(|term| value(term, binding)).collect();
+                    return Ok(Some(self.session.group(atom.relation, &key, *op)));
+                }
                 let rows = self.rows(atom.relation, &pattern(atom, binding));
                 (0..rows.len()).try_for_each(|_| self.step())?;
                 let values = (0..rows.len()).map(|at| match column {

@@ -22,6 +22,7 @@ use crate::datalog::value::Value;
 use crate::diag::{Code, Diagnostic};
 use crate::symbol::Symbol;
 use saturate::Knowledge;
+use std::borrow::Cow;
 use std::collections::{BTreeMap, BTreeSet};
 use theory::Constraints;
 
@@ -48,12 +49,16 @@ enum Finding {
 
 /// Returns equivalent rules with the same predicates and clause ids. With `assume`, they are equivalent only for facts
 /// that satisfy the declared constraints.
-pub(crate) fn optimize(rules: &Rules, assume: bool) -> Rules {
-    let mut better = rules.clone();
+pub(crate) fn optimize(rules: &Rules, assume: bool) -> Cow<'_, Rules> {
     let theory = Constraints::new(rules.constraints.iter().filter(|_| assume));
     let mut gone = vec![false; rules.clauses.len()];
     let mut redundant: BTreeMap<ClauseId, BTreeSet<usize>> = BTreeMap::new();
-    for finding in find(rules, &theory, true).findings {
+    let findings = find(rules, &theory, true).findings;
+    if findings.is_empty() {
+        return Cow::Borrowed(rules);
+    }
+    let mut better = rules.clone();
+    for finding in findings {
         match finding {
             Finding::Redundant { clause, literal, .. } => _ = redundant.entry(clause).or_default().insert(literal),
             Finding::Contradictory { clause, .. } => {
@@ -81,7 +86,7 @@ pub(crate) fn optimize(rules: &Rules, assume: bool) -> Rules {
     for stratum in &mut better.strata {
         stratum.clauses.retain(|clause| !gone[clause.index()]);
     }
-    better
+    Cow::Owned(better)
 }
 
 /// The result of [`lints`].
@@ -330,7 +335,7 @@ fn subsumed(rules: &Rules, theory: &Constraints, findings: &mut Vec<Finding>) ->
     let never: BTreeSet<ClauseId> = findings.iter().filter_map(contradictory).collect();
     let mut by_head: BTreeMap<RelId, Vec<ClauseId>> = BTreeMap::new();
     for (clause, id) in rules.clauses.iter().zip((0..).map(ClauseId)) {
-        if is_known(clause) && !never.contains(&id) {
+        if is_known(clause) && !rules.is_row(clause) && !never.contains(&id) {
             by_head.entry(clause.head.relation).or_default().push(id);
         }
     }

@@ -1,0 +1,197 @@
+//! Peak memory: an evaluation that runs away stays within its limit and ends with a message.
+
+use std::fs;
+use std::path::Path;
+use std::process::Command;
+
+/// The variable that names the arguments of [`measured`].
+const ARGUMENTS: &str = "LOGICITY_MEASURED_ARGUMENTS";
+
+/// The memory that the process may use besides what an evaluation counts, for buffers of fixed size.
+const MARGIN: u64 = 24 << 20;
+
+/// A finished process.
+struct Measured {
+    code: i32,
+    error: String,
+    /// The peak of its resident memory, in bytes.
+    peak: u64,
+}
+
+/// Runs the program and measures its peak memory. The system reports the largest peak of all child processes, so a
+/// process of its own runs this test program again, for [`measured`] alone.
+fn measure(arguments: &[&str]) -> Measured {
+    let output = Command::new(std::env::current_exe().unwrap())
+        .args(["--exact", "memory::measured", "--ignored", "--nocapture"])
+        .env(ARGUMENTS, arguments.join("\n"))
+        .output()
+        .unwrap();
+    let printed = String::from_utf8(output.stdout).unwrap();
+    let line = printed.lines().find_map(|line| line.strip_prefix("measured "));
+    let (code, peak) = line
+        .and_then(|line| line.split_once(' '))
+        .unwrap_or_else(|| panic!("{printed}"));
+    Measured {
+        code: code.parse().unwrap(),
+        error: String::from_utf8(output.stderr).unwrap(),
+        peak: peak.parse().unwrap(),
+    }
+}
+
+#[test]
+#[ignore = "a part of the other tests, in a process of its own"]
+fn measured() {
+    let arguments = std::env::var(ARGUMENTS).expect("another test sets it");
+    let status = Command::new(env!("CARGO_BIN_EXE_logicity"))
+        .args(arguments.lines())
+        .status()
+        .unwrap();
+    let usage = nix::sys::resource::getrusage(nix::sys::resource::UsageWho::RUSAGE_CHILDREN).unwrap();
+    println!("\nmeasured {} {}", status.code().unwrap_or(-1), usage.max_rss() << 10);
+}
+
+fn write(folder: &Path, name: &str, text: &str) -> String {
+    let path = folder.join(name);
+    fs::write(&path, text).unwrap();
+    path.to_str().unwrap().to_owned()
+}
+
+/// Programs that run away, each in another part of the evaluation.
+const RUNAWAYS: [(&str, &str); 9] = [
+    (
+        "dense rows",
+        "N(x) :- x = range(0, 2000). P(x, y, z) :- N(x), N(y), N(z).",
+    ),
+    (
+        "sparse rows",
+        "N(x * 1000003) :- x = range(0, 2000). P(x, y, z) :- N(x), N(y), N(z).",
+    ),
+    (
+        "repeated rows",
+        "N(x) :- x = range(0, 3000). P(x * 7919 % 1000003 * 2003, y, x) :- N(x), N(y), N(z), z < 40.",
+    ),
+    (
+        "a closure",
+        "N(x) :- x = range(0, 6000). Q(x, (x * 7 + 1) % 6000) :- N(x). Q(x, (x * 13 + 5) % 6000) :- N(x).
+        P(x, y, 0) :- Q(x, y). P(x, z, 0) :- P(x, y, 0), Q(y, z).",
+    ),
+    (
+        "a sparse closure",
+        "N(x) :- x = range(0, 6000). Q(x * 300007, (x * 7 + 1) % 6000 * 300007) :- N(x).
+        Q(x * 300007, (x * 13 + 5) % 6000 * 300007) :- N(x).
+        P(x, y, 0) :- Q(x, y). P(x, z, 0) :- P(x, y, 0), P(y, z, 0).",
+    ),
+    (
+        "doubling",
+        "N(1). N(x * 2) :- N(x), x > 0. N(x * 2 + 1) :- N(x), x > 0.",
+    ),
+    ("texts", "T(\"a\"). T(cat(x, \"b\")) :- T(x). T(cat(x, \"c\")) :- T(x)."),
+    (
+        "groups",
+        "N(x) :- x = range(0, 3000). P(x, y, n) :- N(x), N(y), n = sum z : { Q(x, z), N(y), z > y }.
+        Q(x, x + 1) :- N(x).",
+    ),
+    (
+        "indexes",
+        "N(x) :- x = range(0, 700). Q(x, y) :- N(x), N(y).
+        P(a, b, 0) :- N(a), a < 3, Q(x, a), Q(x, b), Q(b, x), Q(a, b).
+        P(a, b, c) :- Q(a, b), Q(b, c), Q(c, a).",
+    ),
+];
+
+const DECLARATIONS: &str = ".decl N(x: number)
+.decl Q(x: number, y: number)
+.decl P(x: number, y: number, z: number)
+.decl T(x: symbol)
+.printsize P
+";
+
+#[test]
+fn runaways_stay_within_the_limit() {
+    const LIMIT: u64 = 24;
+    let folder = tempfile::tempdir().unwrap();
+    let small = write(folder.path(), "small.dl", &format!("{DECLARATIONS}P(1, 2, 3)."));
+    let least = measure(&["query", &small, "-F", folder.path().to_str().unwrap(), "-D", "-"]);
+    assert_eq!(least.code, 0, "{}", least.error);
+    for (name, rules) in RUNAWAYS {
+        let file = write(folder.path(), "runaway.dl", &format!("{DECLARATIONS}{rules}"));
+        for threads in ["1", "3"] {
+            let limit = LIMIT.to_string();
+            let run = measure(&["query", &file, "--max-memory", &limit, "--threads", threads, "-D", "-"]);
+            assert_eq!(run.code, 1, "{name}: {}", run.error);
+            assert!(run.error.contains("take more than 24 MiB"), "{name}: {}", run.error);
+            assert!(run.error.contains("--max-memory"), "{name}: {}", run.error);
+            let extra = run.peak.saturating_sub(least.peak);
+            println!("{name}, {threads} threads: {} MiB", extra >> 20);
+            assert!(
+                extra < (LIMIT << 20) + MARGIN,
+                "{name}, {threads} threads: {} MiB",
+                extra >> 20
+            );
+        }
+    }
+}
+
+#[test]
+fn rows_of_a_file_count() {
+    let folder = tempfile::tempdir().unwrap();
+    let rows: String = (0..1_500_000).map(|row| format!("{row}\t{}\n", row % 1_000)).collect();
+    write(folder.path(), "Q.facts", &rows);
+    let file = write(folder.path(), "input.dl", &format!("{DECLARATIONS}.input Q"));
+    let folder = folder.path().to_str().unwrap();
+    let limited = |limit| measure(&["query", &file, "-F", folder, "-D", "-", "--max-memory", limit]);
+    let (enough, less) = (limited("40"), limited("8"));
+    assert_eq!(enough.code, 0, "{}", enough.error);
+    assert_eq!(less.code, 1, "{}", less.error);
+    assert!(
+        less.error.contains("the inserted rows take more than 8 MiB"),
+        "{}",
+        less.error
+    );
+    let least = measure(&["--version"]);
+    // 18 MB of rows, without their text.
+    assert!(
+        enough.peak - least.peak < 44 << 20,
+        "{}",
+        (enough.peak - least.peak) >> 20
+    );
+    assert!(less.peak - least.peak < 32 << 20, "{}", (less.peak - least.peak) >> 20);
+}
+
+/// Runs the program with an address space of so many KiB.
+fn in_address_space(kib: u64, arguments: &[&str]) -> (Option<i32>, String) {
+    let output = Command::new("sh")
+        .args(["-c", "ulimit -v \"$0\" && exec \"$@\"", &kib.to_string()])
+        .arg(env!("CARGO_BIN_EXE_logicity"))
+        .args(arguments)
+        .output()
+        .unwrap();
+    (output.status.code(), String::from_utf8(output.stderr).unwrap())
+}
+
+#[test]
+fn runaways_in_a_small_address_space_end_with_a_message() {
+    let folder = tempfile::tempdir().unwrap();
+    let runaways = RUNAWAYS
+        .into_iter()
+        .filter(|(name, _)| ["sparse rows", "a closure", "texts"].contains(name));
+    for (name, rules) in runaways {
+        let file = write(folder.path(), "runaway.dl", &format!("{DECLARATIONS}{rules}"));
+        let (code, error) = in_address_space(260_000, &["query", &file, "-D", "-"]);
+        assert_eq!(code, Some(1), "{name}: {error}");
+        assert!(error.contains("`ulimit -v`"), "{name}: {error}");
+    }
+}
+
+/// Where no limit applies, a failed allocation ends the process with a message and code 1.
+#[test]
+fn a_failed_allocation_ends_with_a_message() {
+    let folder = tempfile::tempdir().unwrap();
+    let facts: String = (0..400_000).map(|row| format!("Q({row}, 1).\n")).collect();
+    let file = write(folder.path(), "facts.dl", &format!("{DECLARATIONS}{facts}"));
+    for command in ["check", "query"] {
+        let (code, error) = in_address_space(200_000, &[command, &file]);
+        assert_eq!(code, Some(1), "{command}: {error}");
+        assert!(error.contains("memory allocation of"), "{command}: {error}");
+    }
+}
