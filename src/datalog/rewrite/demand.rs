@@ -73,11 +73,10 @@ fn complete(rules: &Rules) -> Vec<bool> {
     loop {
         let mut changed = false;
         for clause in &rules.clauses {
-            if !complete[clause.head.relation.index()] {
-                continue;
-            }
-            for atom in clause.body.iter().filter_map(Literal::atom) {
-                changed |= !std::mem::replace(&mut complete[atom.relation.index()], true);
+            if complete[clause.head.relation.index()] {
+                for atom in clause.body.iter().filter_map(Literal::atom) {
+                    changed |= !std::mem::replace(&mut complete[atom.relation.index()], true);
+                }
             }
         }
         if !changed {
