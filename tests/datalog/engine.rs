@@ -97,6 +97,49 @@ proptest! {
     }
 }
 
+/// A count visits no row of the last scan, and stores no row of the join.
+#[test]
+fn an_aggregate_over_a_join_stores_groups_only() {
+    let program = program(
+        ".decl R(x: number, y: number)
+        .decl S(y: number, z: number)
+        .decl Total(n: number)
+        .decl Most(x: number, n: number)
+        Total(n) :- n = count : { R(x, y), S(y, z) }.
+        Most(x, n) :- R(x, _), n = max z : { R(x, y), S(y, z) }.",
+    );
+    let rules = program.rules();
+    let hidden: Vec<RelId> = (0..rules.relations.len() as u32)
+        .map(RelId)
+        .filter(|rel| program.is_aggregated(*rel))
+        .collect();
+    assert_eq!(hidden.len(), 2);
+    assert!(hidden.iter().all(|rel| rules.relations[rel.index()].hidden));
+    for threads in [1, 3] {
+        let mut session = program.session();
+        session.set_threads(eager(threads)).unwrap();
+        let pairs = || (0..200).flat_map(|x| (0..20).map(move |y| numbers(&[x % 100, y + x / 100])));
+        for name in ["R", "S"] {
+            session.insert_all(program.relation(name).unwrap(), pairs()).unwrap();
+        }
+        let delta = session.commit().unwrap();
+        // 100 x 21 rows in R; those with y < 21 of 100 in S have 21 each.
+        assert_eq!(shown(&session, "Total"), (100 * 21 * 21).to_string());
+        assert_eq!(session.len(program.relation("Most").unwrap()), 100);
+        assert!(
+            hidden
+                .iter()
+                .all(|&rel| session.is_empty(rel) && delta.of(rel).is_none())
+        );
+        assert!(session.bytes() < 100_000, "{}", session.bytes());
+        let work: Vec<&RuleStats> = session.work().rules().collect();
+        let counted = work
+            .iter()
+            .find(|rule| rule.derived == 100 * 21 * 21 && rule.rows_scanned < 5_000);
+        assert!(counted.is_some(), "{work:?}");
+    }
+}
+
 /// A batch of changes: whether the row is inserted, its relation and its values.
 type ChangeGenes = Vec<(bool, u8, [u8; 2])>;
 
