@@ -98,6 +98,7 @@ fn examine(arguments: &Arguments, path: &Path, sources: &mut Sources) -> Result<
         overlaps: Vec::new(),
         covered: None,
     };
+    let rules: PathBuf;
     let path = match configuration::open(path, sources)? {
         Opened::Rules => path,
         Opened::Faulty(faults) => {
@@ -108,7 +109,11 @@ fn examine(arguments: &Arguments, path: &Path, sources: &mut Sources) -> Result<
             report.configuration = Some(map);
             return Ok(report);
         }
-        Opened::Run(run) => &report.configuration.insert(run).rules().to_owned(),
+        Opened::Run(run) => {
+            rules = run.rules().to_owned();
+            report.configuration = Some(run);
+            &rules
+        }
     };
     let loaded = match load_workspace(sources, path, Edb::Fixed) {
         Ok(texts) => texts.check(),
