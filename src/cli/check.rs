@@ -111,6 +111,7 @@ fn examine(arguments: &Arguments, path: &Path, files: &dyn ReadFile, sources: &m
         precedence: precedence(arguments, sources)?,
         covered: None,
     };
+    let rules: PathBuf;
     let path = match configuration::open(path, sources)? {
         Opened::Rules => path,
         Opened::Faulty(faults) => {
@@ -125,7 +126,9 @@ fn examine(arguments: &Arguments, path: &Path, files: &dyn ReadFile, sources: &m
             if arguments.config.is_none() {
                 report.precedence = run.precedence().to_vec();
             }
-            &report.configuration.insert(run).rules().to_owned()
+            rules = run.rules().to_owned();
+            report.configuration = Some(run);
+            &rules
         }
     };
     let loaded = match load_workspace_from(sources, path, Edb::Fixed, files) {
