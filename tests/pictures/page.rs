@@ -556,7 +556,7 @@ fn the_page_has_the_ground_and_the_buildings_of_the_pictures() {
     }
 }
 
-/// Whoever gets a page learns nothing about the folders of its author.
+/// A page does not show the folders of its author.
 #[test]
 fn a_page_names_no_folder_of_the_author() {
     let folder = tempfile::tempdir().unwrap();

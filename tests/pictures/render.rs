@@ -329,6 +329,63 @@ fn instances(icons: &Icons, class: &Class, numbers: std::ops::Range<u32>) -> Vec
         .collect()
 }
 
+/// Width and pixels of a PNG with transparency.
+fn rgba(bytes: &[u8]) -> (u32, Vec<u8>) {
+    let mut reader = png::Decoder::new(Cursor::new(bytes)).read_info().unwrap();
+    let mut pixels = vec![0; reader.output_buffer_size().unwrap()];
+    reader.next_frame(&mut pixels).unwrap();
+    (reader.info().width, pixels)
+}
+
+/// An icon in an atlas is the icon alone, in the middle of its square, and nothing else is in the square.
+#[test]
+fn an_atlas_has_every_icon_in_the_middle_of_its_square() {
+    let icons = Icons::new(Seed(3), Difficulty::NOISY);
+    let class = |name: &str| Class::from_name(name).unwrap();
+    let names = [
+        "car",
+        "bus+tiro",
+        "ambulance",
+        "old",
+        "house",
+        "gas-station",
+        "car+taxi",
+    ];
+    let list: Vec<(Class, u32, Facing)> = (names.iter().zip(0..).zip(Facing::ALL))
+        .map(|((name, instance), facing)| (class(name), instance, facing))
+        .collect();
+    for (size, count) in [(40, 7), (31, 4), (9, 2), (20, 1)] {
+        let atlas = icons.atlas(&list[..count], size);
+        let (width, pixels) = rgba(&atlas.png);
+        assert_eq!((atlas.size, width), (size, atlas.columns * atlas.side));
+        for (number, icon) in (0..).zip(&list[..count]) {
+            let alone = icons.atlas(std::slice::from_ref(icon), size);
+            let (side, wanted) = rgba(&alone.png);
+            assert_eq!((alone.side, alone.columns), (side, 1));
+            let corner = (number % atlas.columns * atlas.side, number / atlas.columns * atlas.side);
+            let margin = atlas.side / 2 - side / 2;
+            let mut seen = 0;
+            for (y, x) in (0..atlas.side).flat_map(|y| (0..atlas.side).map(move |x| (y, x))) {
+                let at = 4 * ((corner.1 + y) * width + corner.0 + x) as usize;
+                let inside = (margin..margin + side).contains(&x) && (margin..margin + side).contains(&y);
+                let expected = match inside {
+                    true => &wanted[4 * ((y - margin) * side + x - margin) as usize..][..4],
+                    false => &[0; 4],
+                };
+                assert_eq!(&pixels[at..at + 4], expected, "{icon:?} at {x}, {y}");
+                seen += u32::from(expected[3] > 0);
+            }
+            assert!(seen > size, "{icon:?}");
+        }
+    }
+    // Without noise, a building fills its square, as in `Icons::png`.
+    let icons = Icons::default();
+    let house = (class("house"), 2, Facing::Up);
+    let atlas = icons.atlas(std::slice::from_ref(&house), 64);
+    assert_eq!(atlas.side, 64);
+    assert_eq!(rgba(&atlas.png), rgba(&icons.png(&house.0, 2, Facing::Up, 64)));
+}
+
 #[test]
 fn the_hundred_instances_of_a_class_differ() {
     let icons = Icons::default();

@@ -11,7 +11,12 @@ class AgentPanel {
   }
 
   fill() {
-    const { data, panel, run, now: { tick, agent } } = this;
+    const {
+      data,
+      panel,
+      run,
+      now: { tick, agent },
+    } = this;
     // Parts that the reader opened stay open from tick to tick.
     const open = new Set([...panel.querySelectorAll("details[open]")].map((details) => details.dataset.part));
     if (agent < 0) {
@@ -23,18 +28,35 @@ class AgentPanel {
     const driven = run.driven(tick, agent);
     const judged = run.byRules(tick, agent);
     const derived = run.derived(tick, agent);
-    const parts = [this.runName(), make("div", { class: "card-head" },
-      make("h2", {}, id),
-      this.badge(done, this.id("action")),
-      ...[kind, ...concepts].map((word) => make("span", { class: "chip" }, word)),
-      driven && make("span", { class: "chip driven" }, "driven"),
-      make("button", { type: "button", class: "close", title: "clear the selection (Esc)", "aria-label": "clear the selection", onclick: () => this.page.choose({ agent: -1 }) }, "×"))];
+    const parts = [
+      this.runName(),
+      make(
+        "div",
+        { class: "card-head" },
+        make("h2", {}, id),
+        this.badge(done, this.id("action")),
+        ...[kind, ...concepts].map((word) => make("span", { class: "chip" }, word)),
+        driven && make("span", { class: "chip driven" }, "driven"),
+        make(
+          "button",
+          {
+            type: "button",
+            class: "close",
+            title: "clear the selection (Esc)",
+            "aria-label": "clear the selection",
+            onclick: () => this.page.choose({ agent: -1 }),
+          },
+          "×",
+        ),
+      ),
+    ];
     if (driven) parts.push(make("dl", { class: "facts" }, ...this.steering(driven)));
     parts.push(make("h3", {}, driven ? `Why do the rules want ${data.actions[judged]}?` : `Why ${done}?`));
     if (tick >= run.explained) {
       parts.push(make("p", { class: "atoms" }, "loading the explanations …"));
     } else {
-      if (!driven && !run.fired(tick, agent).length) parts.push(make("p", { class: "atoms" }, "No clause fired, so the default applies."));
+      if (!driven && !run.fired(tick, agent).length)
+        parts.push(make("p", { class: "atoms" }, "No clause fired, so the default applies."));
       parts.push(this.tree(run.node(tick, agent, judged)));
       data.actions.forEach((other, index) => {
         const node = run.node(tick, agent, index);
@@ -51,7 +73,9 @@ class AgentPanel {
   /** Returns the name of the run, if there are two. */
   runName() {
     const { difference } = this.page;
-    return difference ? make("p", { class: "panel-run" }, `${difference.names[this.number]}: ${fileName(this.data.rules)}`) : null;
+    return difference
+      ? make("p", { class: "panel-run" }, `${difference.names[this.number]}: ${fileName(this.data.rules)}`)
+      : null;
   }
 
   badge(action, id) {
@@ -63,9 +87,15 @@ class AgentPanel {
     const { data, run } = this;
     const different = new Set(this.page.difference?.at(tick)?.acts);
     const order = data.agents.map((_, agent) => agent).sort((a, b) => different.has(b) - different.has(a));
-    const items = order.map((agent) => make("li", { class: different.has(agent) ? "different" : null },
-      make("span", { class: "swatch", style: `background:${COLORS[run.action(tick, agent)]}` }),
-      this.agentLink(agent), ` ${run.action(tick, agent)}`));
+    const items = order.map((agent) =>
+      make(
+        "li",
+        { class: different.has(agent) ? "different" : null },
+        make("span", { class: "swatch", style: `background:${COLORS[run.action(tick, agent)]}` }),
+        this.agentLink(agent),
+        ` ${run.action(tick, agent)}`,
+      ),
+    );
     const title = make("h2", {}, "Click an agent to see why it acts as it does");
     return [this.runName() ?? title, make("ul", { class: "agents" }, ...items)];
   }
@@ -74,12 +104,20 @@ class AgentPanel {
   state(tick, agent, derived, preferred, priority) {
     const { run } = this;
     const heading = run.heading(tick, agent);
-    const facts = make("dl", { class: "facts" },
-      make("dt", {}, "at"), make("dd", {}, `[${run.at(tick, agent).join(", ")}], ${heading ? `heading ${heading}` : "has not moved yet"}`),
-      make("dt", {}, "goal"), make("dd", {}, `[${run.goal(tick, agent).join(", ")}]`),
-      make("dt", {}, "priority"), make("dd", {}, String(priority)));
-    if (!run.driven(tick, agent)) facts.append(make("dt", {}, "because"), make("dd", {}, run.causes(tick, agent) || "no clause fired"));
-    if (derived.length > 1) facts.append(make("dt", {}, "derived"), make("dd", {}, `${derived.join(", ")}; the rules prefer ${preferred}`));
+    const facts = make(
+      "dl",
+      { class: "facts" },
+      make("dt", {}, "at"),
+      make("dd", {}, `[${run.at(tick, agent).join(", ")}], ${heading ? `heading ${heading}` : "has not moved yet"}`),
+      make("dt", {}, "goal"),
+      make("dd", {}, `[${run.goal(tick, agent).join(", ")}]`),
+      make("dt", {}, "priority"),
+      make("dd", {}, String(priority)),
+    );
+    if (!run.driven(tick, agent))
+      facts.append(make("dt", {}, "because"), make("dd", {}, run.causes(tick, agent) || "no clause fired"));
+    if (derived.length > 1)
+      facts.append(make("dt", {}, "derived"), make("dd", {}, `${derived.join(", ")}; the rules prefer ${preferred}`));
     return facts;
   }
 
@@ -90,37 +128,69 @@ class AgentPanel {
     const node = this.run.nodes[this.run.node(tick, agent, wanted)];
     const judged = broken.map((clause) => make("div", { class: "no" }, "violated ", this.clauseLink(clause)));
     return [
-      make("dt", {}, "observes"), make("dd", {}, ...(others.length ? others : ["no other agent"])),
-      make("dt", {}, "rules want"), make("dd", { id: this.id("wanted") }, data.actions[wanted],
-        node && node.t === undefined ? "; given all agents in view, the rules want another action" : ""),
-      make("dt", {}, "judged"), make("dd", { id: this.id("judged") }, ...(judged.length ? judged : ["no clause violated"])),
+      make("dt", {}, "observes"),
+      make("dd", {}, ...(others.length ? others : ["no other agent"])),
+      make("dt", {}, "rules want"),
+      make(
+        "dd",
+        { id: this.id("wanted") },
+        data.actions[wanted],
+        node && node.t === undefined ? "; given all agents in view, the rules want another action" : "",
+      ),
+      make("dt", {}, "judged"),
+      make("dd", { id: this.id("judged") }, ...(judged.length ? judged : ["no clause violated"])),
     ];
   }
 
   /** Returns a section whose content is created when the reader opens it. */
   part(name, title, open, content) {
     const details = make("details", { "data-part": name, open: open.has(name) }, make("summary", {}, title));
-    const fill = () => { if (details.open && details.childElementCount === 1) details.append(...content()); };
+    const fill = () => {
+      if (details.open && details.childElementCount === 1) details.append(...content());
+    };
     details.addEventListener("toggle", fill);
     fill();
     return details;
   }
 
   agentLink(agent, text = this.data.agents[agent].id) {
-    const link = make("button", { type: "button", class: "agent-link", onclick: () => this.page.choose({ agent }) }, text);
-    const hover = (which) => () => { this.now.hover = which; this.page.draw(); };
-    for (const [name, which] of [["mouseenter", agent], ["focus", agent], ["mouseleave", -1], ["blur", -1]]) link.addEventListener(name, hover(which));
+    const link = make(
+      "button",
+      { type: "button", class: "agent-link", onclick: () => this.page.choose({ agent }) },
+      text,
+    );
+    const hover = (which) => () => {
+      this.now.hover = which;
+      this.page.draw();
+    };
+    for (const [name, which] of [
+      ["mouseenter", agent],
+      ["focus", agent],
+      ["mouseleave", -1],
+      ["blur", -1],
+    ])
+      link.addEventListener(name, hover(which));
     return link;
   }
 
   /** Returns a text in which agent names are links. */
   linked(text) {
-    return text.split(/([\w.-]+)/).map((word) => (this.run.names.has(word) && this.run.names.get(word) !== this.now.agent ? this.agentLink(this.run.names.get(word)) : word));
+    return text
+      .split(/([\w.-]+)/)
+      .map((word) =>
+        this.run.names.has(word) && this.run.names.get(word) !== this.now.agent
+          ? this.agentLink(this.run.names.get(word))
+          : word,
+      );
   }
 
   clauseLink(clause) {
     const { doc, file, line, text } = this.data.clauses[clause];
-    return make("span", { class: "clause", title: text }, `${(doc || text).split("\n")[0]}  [${fileName(file)}:${line}]`);
+    return make(
+      "span",
+      { class: "clause", title: text },
+      `${(doc || text).split("\n")[0]}  [${fileName(file)}:${line}]`,
+    );
   }
 
   /** Returns the proof of a node, or why it does not hold. Expands each node only once. */
@@ -165,21 +235,37 @@ class AgentPanel {
 
   /** Returns for each clause the literals that fail. */
   misses(misses, expanded) {
-    return make("ul", {}, ...misses.map(([clause, binding, fails]) => {
-      const nearest = Object.entries(binding).filter(([, name]) => this.run.names.get(name) !== this.now.agent);
-      const item = make("li", {}, this.clauseLink(clause));
-      if (nearest.length) item.append(" nearest ", ...this.linked(nearest.map(([variable, name]) => `${variable} = ${name}`).join(", ")));
-      const failures = fails.map(([text, kind, child]) => {
-        const say = kind === "not" ? " fails" : kind === "in-view" ? " is not in view" : kind === "fact" ? " does not hold" : " is false";
-        const failure = make("li", {}, make("span", { class: "no" }, ...this.linked(text)), say);
-        const node = child < 0 ? undefined : this.run.nodes[child];
-        if (node && (node.c !== undefined || node.m) && !expanded.has(child)) failure.append(make("ul", {}, this.branch(child, node.t ?? node.f, expanded)));
-        return failure;
-      });
-      if (!fails.length) failures.push(make("li", {}, "its head does not match"));
-      item.append(make("ul", {}, ...failures));
-      return item;
-    }));
+    return make(
+      "ul",
+      {},
+      ...misses.map(([clause, binding, fails]) => {
+        const nearest = Object.entries(binding).filter(([, name]) => this.run.names.get(name) !== this.now.agent);
+        const item = make("li", {}, this.clauseLink(clause));
+        if (nearest.length)
+          item.append(
+            " nearest ",
+            ...this.linked(nearest.map(([variable, name]) => `${variable} = ${name}`).join(", ")),
+          );
+        const failures = fails.map(([text, kind, child]) => {
+          const say =
+            kind === "not"
+              ? " fails"
+              : kind === "in-view"
+                ? " is not in view"
+                : kind === "fact"
+                  ? " does not hold"
+                  : " is false";
+          const failure = make("li", {}, make("span", { class: "no" }, ...this.linked(text)), say);
+          const node = child < 0 ? undefined : this.run.nodes[child];
+          if (node && (node.c !== undefined || node.m) && !expanded.has(child))
+            failure.append(make("ul", {}, this.branch(child, node.t ?? node.f, expanded)));
+          return failure;
+        });
+        if (!fails.length) failures.push(make("li", {}, "its head does not match"));
+        item.append(make("ul", {}, ...failures));
+        return item;
+      }),
+    );
   }
 
   /** Returns the atoms that are true of an agent and of the agents it sees, as the rules read them. */
@@ -200,6 +286,8 @@ class AgentPanel {
         of.get(row[0]).push(`${name}(${row.map((one) => agents[one].id).join(", ")})`);
       }
     });
-    return [...of].map(([one, atoms]) => make("div", {}, this.agentLink(one), make("p", { class: "atoms" }, ...this.linked(atoms.join(", ")))));
+    return [...of].map(([one, atoms]) =>
+      make("div", {}, this.agentLink(one), make("p", { class: "atoms" }, ...this.linked(atoms.join(", ")))),
+    );
   }
 }

@@ -12,9 +12,19 @@ class Chart {
   }
 
   nameRows() {
-    this.names = this.run.data.agents.map(({ id, concepts }, agent) => make("button", {
-      type: "button", tabindex: -1, title: [id, ...concepts].join(" "), style: `height:${ROW}px`, onclick: () => this.page.choose({ agent }),
-    }, id));
+    this.names = this.run.data.agents.map(({ id, concepts }, agent) =>
+      make(
+        "button",
+        {
+          type: "button",
+          tabindex: -1,
+          title: [id, ...concepts].join(" "),
+          style: `height:${ROW}px`,
+          onclick: () => this.page.choose({ agent }),
+        },
+        id,
+      ),
+    );
     $("rows").append(...this.names);
   }
 
@@ -31,12 +41,16 @@ class Chart {
       const [tick, agent] = decision(event);
       this.page.choose({ tick, agent });
     };
-    strip.addEventListener("pointerdown", (event) => { strip.setPointerCapture(event.pointerId); seek(event); });
+    strip.addEventListener("pointerdown", (event) => {
+      strip.setPointerCapture(event.pointerId);
+      seek(event);
+    });
     strip.addEventListener("pointermove", (event) => {
       if (event.buttons) return seek(event);
       const [tick, agent] = decision(event);
       const actions = this.runs.map((run) => run.action(tick, agent));
-      strip.title = `${this.run.data.agents[agent].id}, tick ${this.run.data.first + tick}: ${[...new Set(actions)].join(" and ")}`;
+      const { agents, first } = this.run.data;
+      strip.title = `${agents[agent].id}, tick ${first + tick}: ${[...new Set(actions)].join(" and ")}`;
     });
   }
 
@@ -63,7 +77,10 @@ class Chart {
     this.runs.forEach((run, lane) => {
       const fired = clause >= 0 && of === lane ? run.data.fired_sets.map((set) => set.includes(clause)) : null;
       for (let agent = 0; agent < run.agents; agent += 1) {
-        const [top, bottom] = [agent * row + lane * (row - 1) / lanes, agent * row + (lane + 1) * (row - 1) / lanes];
+        const [top, bottom] = [
+          agent * row + (lane * (row - 1)) / lanes,
+          agent * row + ((lane + 1) * (row - 1)) / lanes,
+        ];
         this.paintLane(paint, run, agent, fired, width, top, bottom);
       }
     });
@@ -99,19 +116,25 @@ class Chart {
     const lanes = this.runs.length;
     this.runs.forEach(({ data }, lane) => {
       const unit = row / ROW;
-      const [offset, high] = [lane * (row - 1) / lanes, (row - 1) / lanes];
+      const [offset, high] = [(lane * (row - 1)) / lanes, (row - 1) / lanes];
       paint.strokeStyle = isDark() ? "#ffffff" : "#000000";
       paint.lineWidth = 1.5 * unit;
       for (const { agents, since, until } of data.deadlocks) {
-        const x = (since - data.first) / this.run.count * width;
-        const end = Math.min((until + 1 - data.first) / this.run.count * width, width);
+        const x = ((since - data.first) / this.run.count) * width;
+        const end = Math.min(((until + 1 - data.first) / this.run.count) * width, width);
         if (x >= width) continue;
-        for (const agent of agents) paint.strokeRect(x + unit, agent * row + offset + 0.75 * unit, Math.max(end - x - 1.5 * unit, 2 * unit), high - 1.5 * unit);
+        for (const agent of agents)
+          paint.strokeRect(
+            x + unit,
+            agent * row + offset + 0.75 * unit,
+            Math.max(end - x - 1.5 * unit, 2 * unit),
+            high - 1.5 * unit,
+          );
       }
       paint.fillStyle = paint.strokeStyle;
       for (const { tick, agent, broken } of data.driven ?? []) {
         if (!broken.length || tick >= this.run.count) continue;
-        const [left, right] = [tick, tick + 1].map((at) => at / this.run.count * width);
+        const [left, right] = [tick, tick + 1].map((at) => (at / this.run.count) * width);
         paint.fillRect(left, agent * row + offset, Math.max(right - left, 3 * unit), high);
       }
     });
@@ -121,17 +144,26 @@ class Chart {
   labels(width) {
     const { first } = this.run.data;
     const most = Math.max(2, Math.floor(width / 70));
-    const step = [1, 2, 5, 10, 20, 50, 100, 200, 500, 1000, 2000, 5000].find((size) => this.run.count / size <= most) ?? 10 ** Math.ceil(Math.log10(this.run.count / most));
+    const step =
+      [1, 2, 5, 10, 20, 50, 100, 200, 500, 1000, 2000, 5000].find((size) => this.run.count / size <= most) ??
+      10 ** Math.ceil(Math.log10(this.run.count / most));
     const from = Math.ceil(first / step) * step;
-    return Array.from({ length: Math.max(0, Math.ceil((first + this.run.count - from) / step)) }, (_, at) => from + at * step - first);
+    return Array.from(
+      { length: Math.max(0, Math.ceil((first + this.run.count - from) / step)) },
+      (_, at) => from + at * step - first,
+    );
   }
 
   drawAxis() {
     const width = $("plot").clientWidth;
     $("axis").style.width = `${width}px`;
     const label = (tick) => {
-      const x = (tick + 0.5) / this.run.count * width;
-      return make("span", { style: `left:${x}px`, class: x < 12 ? "start" : x > width - 16 ? "end" : null }, String(this.run.data.first + tick));
+      const x = ((tick + 0.5) / this.run.count) * width;
+      return make(
+        "span",
+        { style: `left:${x}px`, class: x < 12 ? "start" : x > width - 16 ? "end" : null },
+        String(this.run.data.first + tick),
+      );
     };
     $("axis").replaceChildren(...this.labels(width).map(label));
   }
@@ -139,7 +171,7 @@ class Chart {
   drawCursor() {
     const { tick, part, agent } = this.now;
     const width = $("plot").clientWidth;
-    $("cursor").style.left = `${(tick + part + 0.5) / this.run.count * width}px`;
+    $("cursor").style.left = `${((tick + part + 0.5) / this.run.count) * width}px`;
     $("row-cursor").hidden = agent < 0;
     if (agent >= 0) Object.assign($("row-cursor").style, { top: `${agent * ROW}px`, height: `${ROW}px` });
     if (agent === this.markedRow) return;
@@ -148,6 +180,7 @@ class Chart {
     this.markedRow = agent;
     const box = $("strip-box");
     const top = agent * ROW;
-    if (agent >= 0 && (top < box.scrollTop || top + ROW > box.scrollTop + box.clientHeight)) box.scrollTop = top - ROW * Math.floor(box.clientHeight / ROW / 2);
+    if (agent >= 0 && (top < box.scrollTop || top + ROW > box.scrollTop + box.clientHeight))
+      box.scrollTop = top - ROW * Math.floor(box.clientHeight / ROW / 2);
   }
 }

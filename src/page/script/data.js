@@ -57,12 +57,12 @@ class Atlas {
 
   /** Returns the corner of an icon in the picture. */
   corner(icon) {
-    return [icon % this.columns * this.side, Math.floor(icon / this.columns) * this.side];
+    return [(icon % this.columns) * this.side, Math.floor(icon / this.columns) * this.side];
   }
 
   /** Draws an icon around a point, with the given size in pixels and rotation in radians. */
   draw(paint, icon, x, y, size, turn = 0) {
-    const side = this.side * size / this.size;
+    const side = (this.side * size) / this.size;
     if (paint.drawSprite) return paint.drawSprite(this, icon, x, y, side, turn);
     paint.save();
     paint.translate(x, y);

@@ -16,17 +16,28 @@ class Differences {
   }
 
   fill() {
-    const { list, runs: [left] } = this;
+    const {
+      list,
+      runs: [left],
+    } = this;
     const decisions = list.reduce((sum, { acts }) => sum + acts.length, 0);
     const total = left.count * left.agents;
     const press = (id, by, words) => make("button", { type: "button", id, onclick: () => this.jump(by) }, words);
     const text = list.length
-      ? [make("strong", {}, `${decisions} of ${total} decisions differ`),
-        make("button", { type: "button", id: "diverge", class: "primary", onclick: () => this.go(list[0]) }, `first difference: tick ${left.data.first + list[0].tick}`),
-        press("difference-back", -1, "◀ previous"), press("difference-on", 1, "next ▶")]
+      ? [
+          make("strong", {}, `${decisions} of ${total} decisions differ`),
+          make(
+            "button",
+            { type: "button", id: "diverge", class: "primary", onclick: () => this.go(list[0]) },
+            `first difference: tick ${left.data.first + list[0].tick}`,
+          ),
+          press("difference-back", -1, "◀ previous"),
+          press("difference-on", 1, "next ▶"),
+        ]
       : [make("strong", {}, `The runs agree in all ${total} decisions.`)];
     const ends = this.runs.map(({ data }) => data.count).filter((count) => count > left.count).length
-      ? ` Later ticks of the longer run are not shown.` : null;
+      ? ` Later ticks of the longer run are not shown.`
+      : null;
     $("differing").replaceChildren(...text, ...(ends ? [make("span", { class: "clause" }, ends)] : []));
   }
 
@@ -34,7 +45,7 @@ class Differences {
     const marks = $("marks");
     marks.addEventListener("pointerdown", (event) => {
       const box = marks.getBoundingClientRect();
-      const tick = (event.clientX - box.left) / box.width * this.runs[0].count - 0.5;
+      const tick = ((event.clientX - box.left) / box.width) * this.runs[0].count - 0.5;
       const near = this.list.reduce((a, b) => (Math.abs(b.tick - tick) < Math.abs(a.tick - tick) ? b : a));
       this.go(near);
     });
@@ -43,13 +54,14 @@ class Differences {
   /** Goes to a difference: its tick, and an agent that acts differently or is elsewhere. */
   go({ tick, acts, apart }) {
     const { agent } = this.now;
-    this.page.choose({ tick, agent: acts.includes(agent) ? agent : acts[0] ?? apart[0] });
+    this.page.choose({ tick, agent: acts.includes(agent) ? agent : (acts[0] ?? apart[0]) });
   }
 
   /** Goes to the next or previous tick in which an agent acts differently; after the last one to the first. */
   jump(by) {
     const acting = this.list.filter(({ acts }) => acts.length);
-    const found = by > 0 ? acting.find(({ tick }) => tick > this.now.tick) : acting.findLast(({ tick }) => tick < this.now.tick);
+    const found =
+      by > 0 ? acting.find(({ tick }) => tick > this.now.tick) : acting.findLast(({ tick }) => tick < this.now.tick);
     const next = found ?? (by > 0 ? acting[0] : acting.at(-1));
     if (next) this.go(next);
   }
@@ -75,7 +87,7 @@ class Differences {
         const left = Math.floor(tick * scale);
         const high = strong ? Math.max(0.5, Math.sqrt(acts.length / agents)) * height : 0.25 * height;
         paint.fillStyle = strong ? DIFFERENT : `${DIFFERENT}66`;
-        paint.fillRect(left, height - high, Math.max(Math.ceil((tick + 1) * scale) - left, 2 * height / 14), high);
+        paint.fillRect(left, height - high, Math.max(Math.ceil((tick + 1) * scale) - left, (2 * height) / 14), high);
       }
     }
   }

@@ -16,7 +16,8 @@ class Figure {
   name(figure) {
     const { data } = this.page.run;
     const agent = this.now.agent < 0 ? "" : `-${data.agents[this.now.agent].id}`;
-    const words = figure === "map" ? `${data.config}-tick-${data.first + this.now.tick}${agent}` : `${data.config}-timeline`;
+    const words =
+      figure === "map" ? `${data.config}-tick-${data.first + this.now.tick}${agent}` : `${data.config}-timeline`;
     return words.replace(/[^\w.-]+/g, "-");
   }
 
@@ -48,14 +49,23 @@ class Figure {
 
   size(figure) {
     const { maps, run } = this.page;
-    if (figure === "map") return { width: maps.length * maps[0].canvas.width / pixelUnit() + 8 * (maps.length - 1), height: maps[0].canvas.height / pixelUnit() + 58 };
+    if (figure === "map")
+      return {
+        width: (maps.length * maps[0].canvas.width) / pixelUnit() + 8 * (maps.length - 1),
+        height: maps[0].canvas.height / pixelUnit() + 58,
+      };
     return { width: 1100, height: ROW * run.agents + 84 };
   }
 
   draw(paint, figure, width, height) {
     paint.fillStyle = isDark() ? "#16181c" : "#ffffff";
     paint.fillRect(0, 0, width, height);
-    const { page, page: { run: { data } } } = this;
+    const {
+      page,
+      page: {
+        run: { data },
+      },
+    } = this;
     const names = page.difference ? page.difference.names.join(" | ") : data.title;
     this.text(paint, figure === "map" ? `${names}, tick ${data.first + this.now.tick}` : names, 8, 15, 600);
     if (figure === "map") this.drawMaps(paint, height);
@@ -85,7 +95,15 @@ class Figure {
     }
     this.part(paint, left, top, wide, high, 1, () => chart.paint(paint, wide, high));
     this.text(paint, "tick", left - 6, top + high + 12, 400, "right");
-    for (const tick of chart.labels(wide)) this.text(paint, String(run.data.first + tick), left + (tick + 0.5) / run.count * wide, top + high + 12, 400, "center");
+    for (const tick of chart.labels(wide))
+      this.text(
+        paint,
+        String(run.data.first + tick),
+        left + ((tick + 0.5) / run.count) * wide,
+        top + high + 12,
+        400,
+        "center",
+      );
   }
 
   drawLegend(paint, x, y) {
@@ -98,7 +116,12 @@ class Figure {
 
   /** Writes a text and returns its width. */
   text(paint, words, x, y, weight = 400, align = "left") {
-    Object.assign(paint, { font: `${weight} 12px system-ui, sans-serif`, textAlign: align, textBaseline: "middle", fillStyle: isDark() ? "#e8e6e1" : "#1d2026" });
+    Object.assign(paint, {
+      font: `${weight} 12px system-ui, sans-serif`,
+      textAlign: align,
+      textBaseline: "middle",
+      fillStyle: isDark() ? "#e8e6e1" : "#1d2026",
+    });
     paint.fillText(words, x, y);
     return paint.measureText(words).width;
   }

@@ -64,24 +64,30 @@ class Ground {
       if (sides & 4) fill(color, top, left, deep, cols);
       if (sides & 8) fill(color, top + rows - deep, left, deep, cols);
     }
-    if (surface === "crossing along row") for (let col = left + left % 2; col < left + cols; col += 2) fill(colors.paint, top, col, rows, 1);
-    if (surface === "crossing along column") for (let row = top + top % 2; row < top + rows; row += 2) fill(colors.paint, row, left, 1, cols);
+    if (surface === "crossing along row")
+      for (let col = left + (left % 2); col < left + cols; col += 2) fill(colors.paint, top, col, rows, 1);
+    if (surface === "crossing along column")
+      for (let row = top + (top % 2); row < top + rows; row += 2) fill(colors.paint, row, left, 1, cols);
     // Dashes are three of five cells long.
     const dashes = (start, length, draw) => {
-      for (let at = start - start % 5; at < start + length; at += 5) {
+      for (let at = start - (start % 5); at < start + length; at += 5) {
         const [from, to] = [Math.max(at, start), Math.min(at + 3, start + length)];
         if (from < to) draw(from, to - from);
       }
     };
-    if (surface === "mid line along row") dashes(left, cols, (col, wide) => fill(colors["mid line"], top + 0.375, col, 0.25, wide));
-    if (surface === "mid line along column") dashes(top, rows, (row, high) => fill(colors["mid line"], row, left + 0.375, high, 0.25));
+    if (surface === "mid line along row")
+      dashes(left, cols, (col, wide) => fill(colors["mid line"], top + 0.375, col, 0.25, wide));
+    if (surface === "mid line along column")
+      dashes(top, rows, (row, high) => fill(colors["mid line"], row, left + 0.375, high, 0.25));
   }
 
   /** Draws the joints between the slabs of a sidewalk, which are five cells wide. */
   drawJoints(paint, top, rows, left, cols, across, down) {
     paint.fillStyle = "#00000014";
     const [x, y] = [across(left), down(top)];
-    for (let col = left + (5 - left % 5) % 5; col < left + cols; col += 5) paint.fillRect(across(col), y, 1, down(top + rows) - y);
-    for (let row = top + (5 - top % 5) % 5; row < top + rows; row += 5) paint.fillRect(x, down(row), across(left + cols) - x, 1);
+    for (let col = left + ((5 - (left % 5)) % 5); col < left + cols; col += 5)
+      paint.fillRect(across(col), y, 1, down(top + rows) - y);
+    for (let row = top + ((5 - (top % 5)) % 5); row < top + rows; row += 5)
+      paint.fillRect(x, down(row), across(left + cols) - x, 1);
   }
 }

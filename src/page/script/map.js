@@ -66,13 +66,19 @@ class CityMap {
   }
 
   cellAt(x, y) {
-    const { camera: { row, col, scale }, canvas } = this;
+    const {
+      camera: { row, col, scale },
+      canvas,
+    } = this;
     return [row + (y - canvas.height / 2) / scale, col + (x - canvas.width / 2) / scale];
   }
 
   pixelAt(row, col) {
     const { camera, canvas } = this;
-    return [(col - camera.col) * camera.scale + canvas.width / 2, (row - camera.row) * camera.scale + canvas.height / 2];
+    return [
+      (col - camera.col) * camera.scale + canvas.width / 2,
+      (row - camera.row) * camera.scale + canvas.height / 2,
+    ];
   }
 
   /** Returns the position of an agent, interpolated between cells while the city moves. */
@@ -146,10 +152,14 @@ class CityMap {
     };
     canvas.addEventListener("pointerup", release);
     canvas.addEventListener("pointercancel", release);
-    canvas.addEventListener("wheel", (event) => {
-      event.preventDefault();
-      this.zoom(Math.exp(-event.deltaY * (event.deltaMode ? 0.05 : 0.0015)), ...point(event));
-    }, { passive: false });
+    canvas.addEventListener(
+      "wheel",
+      (event) => {
+        event.preventDefault();
+        this.zoom(Math.exp(-event.deltaY * (event.deltaMode ? 0.05 : 0.0015)), ...point(event));
+      },
+      { passive: false },
+    );
   }
 
   /** Returns the name of an agent with its concepts and action. */
@@ -200,7 +210,7 @@ class CityMap {
 
   /** Draws field of view, remaining route, goal and partners of the chosen agent. */
   drawChoice(paint, tick, agent) {
-    const colour = COLORS[this.run.action(tick, agent)];
+    const color = COLORS[this.run.action(tick, agent)];
     const { scale } = this.camera;
     const unit = pixelUnit();
     const [top, left, bottom, right] = this.run.view(tick, agent);
@@ -216,8 +226,11 @@ class CityMap {
     const way = this.run.wayAhead(tick, agent);
     paint.lineJoin = "round";
     if (way.length) {
-      for (const [color, wide] of [["#ffffffc0", Math.max(5 * unit, scale)], [colour, Math.max(2.5 * unit, 0.5 * scale)]]) {
-        paint.strokeStyle = color;
+      for (const [ink, wide] of [
+        ["#ffffffc0", Math.max(5 * unit, scale)],
+        [color, Math.max(2.5 * unit, 0.5 * scale)],
+      ]) {
+        paint.strokeStyle = ink;
         paint.lineWidth = wide;
         paint.beginPath();
         way.forEach(([row, col], at) => {
@@ -231,7 +244,7 @@ class CityMap {
     const [row, col] = this.run.goal(tick, agent);
     paint.beginPath();
     paint.arc(...this.pixelAt(row + 0.5, col + 0.5), Math.max(5 * unit, scale), 0, 2 * Math.PI);
-    paint.fillStyle = colour;
+    paint.fillStyle = color;
     paint.fill();
     paint.strokeStyle = "#ffffff";
     paint.lineWidth = 2 * unit;
@@ -239,8 +252,11 @@ class CityMap {
     const here = this.pixelAt(...this.place(agent));
     for (const partner of this.run.partners(tick, agent)) {
       const there = this.pixelAt(...this.place(partner));
-      for (const [color, wide] of [["#ffffffc0", 5 * unit], [colour, 2.5 * unit]]) {
-        paint.strokeStyle = color;
+      for (const [ink, wide] of [
+        ["#ffffffc0", 5 * unit],
+        [color, 2.5 * unit],
+      ]) {
+        paint.strokeStyle = ink;
         paint.lineWidth = wide;
         paint.beginPath();
         paint.moveTo(...here);
@@ -267,7 +283,7 @@ class CityMap {
     const { width, height } = this.canvas;
     const side = this.side(kind);
     if (x < -2 * side || y < -2 * side || x > width + 2 * side || y > height + 2 * side) return;
-    const colour = COLORS[this.run.action(tick, agent)];
+    const color = COLORS[this.run.action(tick, agent)];
     const radius = (kind === "Car" ? 0.95 : 0.62) * side;
     const ring = (color, wide, dash = [], by = 1) => {
       paint.beginPath();
@@ -281,7 +297,7 @@ class CityMap {
     // The action: a disc under the icon, and a dot beside it.
     paint.beginPath();
     paint.arc(x, y, radius, 0, 2 * Math.PI);
-    paint.fillStyle = `${colour}59`;
+    paint.fillStyle = `${color}59`;
     paint.fill();
     if (agent === this.now.agent || agent === hover) {
       ring("#ffffff", 5);
@@ -304,7 +320,7 @@ class CityMap {
     const dot = Math.max(3.2 * unit, 0.16 * side);
     paint.beginPath();
     paint.arc(x + 0.72 * radius, y - 0.72 * radius, dot, 0, 2 * Math.PI);
-    paint.fillStyle = colour;
+    paint.fillStyle = color;
     paint.fill();
     paint.strokeStyle = "#ffffff";
     paint.lineWidth = 1.2 * unit;

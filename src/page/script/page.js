@@ -8,8 +8,8 @@ class Page {
     const [run] = runs;
     Object.assign(this, { scenery, runs, run });
     if (pair) for (const one of runs) one.count = pair.count;
-    /** The state that determines the view, as positions or -1. `part` is the fraction of a tick that has passed; `of` is
-     *  the run of the clause. */
+    /** The state that determines the view, as positions or -1. `part` is the fraction of a tick that has passed; `of`
+     *  is the run of the clause. */
     this.now = { tick: 0, agent: -1, clause: -1, of: 0, hover: -1, playing: false, speed: 5, follow: false, part: 0 };
     this.fitsMap = false;
     this.camera = new Camera(scenery.ground.map.rows, scenery.ground.map.cols);
@@ -32,7 +32,14 @@ class Page {
 
   /** Fills in title, legend and speeds. */
   describe() {
-    const { difference, run, run: { data }, scenery: { ground: { map } } } = this;
+    const {
+      difference,
+      run,
+      run: { data },
+      scenery: {
+        ground: { map },
+      },
+    } = this;
     const rules = (one) => `${one.data.rules} (${one.data.hash.slice(0, 12)})`;
     const size = `${run.agents} agents on ${map.name}, ${run.count} ticks`;
     $("title").textContent = difference ? difference.names.join(" | ") : data.title;
@@ -46,9 +53,11 @@ class Page {
       const { rules, seed } = this.runs[number].data;
       label.replaceChildren(make("strong", {}, name), ` ${fileName(rules)}, seed ${seed}`);
     });
-    for (const speed of SPEEDS) $("speed").append(make("option", { value: speed, selected: speed === this.now.speed }, `${speed} /s`));
+    for (const speed of SPEEDS)
+      $("speed").append(make("option", { value: speed, selected: speed === this.now.speed }, `${speed} /s`));
     const entry = (words, swatch) => $("legend").append(make("li", {}, swatch, words));
-    for (const action of data.actions) entry(action, make("span", { class: "swatch", style: `background:${COLORS[action]}` }));
+    for (const action of data.actions)
+      entry(action, make("span", { class: "swatch", style: `background:${COLORS[action]}` }));
     if (this.runs.some((one) => one.data.driven)) entry("driven", make("span", { class: "swatch driven" }));
     if (difference) {
       entry("differs", make("span", { class: "swatch ring" }));
@@ -73,11 +82,17 @@ class Page {
     press("theme", () => this.turnTheme());
     press("copy", () => this.copyLink());
     press("next-difference", () => this.difference?.jump(1));
-    for (const tab of document.querySelectorAll("#tabs button")) tab.addEventListener("click", () => this.showTab(tab.dataset.tab));
+    for (const tab of document.querySelectorAll("#tabs button"))
+      tab.addEventListener("click", () => this.showTab(tab.dataset.tab));
     $("scrub").addEventListener("input", () => this.choose({ tick: Number($("scrub").value) }));
-    $("speed").addEventListener("change", () => { this.now.speed = Number($("speed").value); });
+    $("speed").addEventListener("change", () => {
+      this.now.speed = Number($("speed").value);
+    });
     document.addEventListener("keydown", (event) => this.key(event));
-    window.addEventListener("hashchange", () => { this.readAddress(); this.refresh(); });
+    window.addEventListener("hashchange", () => {
+      this.readAddress();
+      this.refresh();
+    });
     matchMedia("(prefers-color-scheme: dark)").addEventListener("change", () => this.recolor());
     new ResizeObserver(() => this.resize()).observe($("stages"));
     this.showTab("why");
@@ -131,7 +146,10 @@ class Page {
 
   /** Fits the region that agents visit, or the whole map. */
   fit(whole) {
-    const { camera, maps: [{ canvas }] } = this;
+    const {
+      camera,
+      maps: [{ canvas }],
+    } = this;
     this.region ??= this.visited();
     this.fitsMap = whole;
     camera.frame(whole ? [0, 0, camera.rows, camera.cols] : this.region, canvas.width, canvas.height);
@@ -181,7 +199,8 @@ class Page {
   /** Shows one of the sections that share a place on small screens, and beside two maps. */
   showTab(name) {
     document.querySelector("main").dataset.tab = name;
-    for (const tab of document.querySelectorAll("#tabs button")) tab.setAttribute("aria-pressed", tab.dataset.tab === name);
+    for (const tab of document.querySelectorAll("#tabs button"))
+      tab.setAttribute("aria-pressed", tab.dataset.tab === name);
   }
 
   /** Copies the address of this tick, agent and clause. */
@@ -245,7 +264,7 @@ class Page {
 
   advance(time) {
     if (!this.now.playing) return;
-    const passed = this.clock === undefined ? 0 : (time - this.clock) / 1000 * this.now.speed;
+    const passed = this.clock === undefined ? 0 : ((time - this.clock) / 1000) * this.now.speed;
     this.clock = time;
     const total = this.now.tick + this.now.part + passed;
     const before = this.now.tick;
@@ -257,12 +276,17 @@ class Page {
     requestAnimationFrame((next) => this.advance(next));
   }
 
-  /** Reads an address such as `#tick=20&agent=Car_1&clause=S4`, and reports values that do not exist. `run=2` means that
-   *  the clause is one of the second run. */
+  /** Reads an address such as `#tick=20&agent=Car_1&clause=S4`, and reports values that do not exist. `run=2` means
+   *  that the clause is one of the second run. */
   readAddress() {
     const wanted = new URLSearchParams(location.hash.slice(1));
     this.now.of = wanted.get("run") === "2" && this.runs[1] ? 1 : 0;
-    const { run, run: { data: { first } } } = this;
+    const {
+      run,
+      run: {
+        data: { first },
+      },
+    } = this;
     const { clauses, counted } = this.runs[this.now.of].data;
     const missing = [];
     const look = (name, position, what) => {
@@ -271,12 +295,24 @@ class Page {
       if (found < 0) missing.push(what(wanted.get(name)));
       else this.now[name] = found;
     };
-    look("tick", (text) => {
-      const tick = text.trim() === "" ? NaN : Number(text) - first;
-      return Number.isInteger(tick) && tick < run.count ? tick : -1;
-    }, (text) => `no tick ${text} (the page has ${first} to ${first + run.count - 1})`);
-    look("agent", (id) => run.names.get(id) ?? -1, (id) => `no agent ${id}`);
-    look("clause", (label) => clauses.slice(0, counted).findIndex((clause) => clause.label === label), (label) => `no clause ${label}`);
+    look(
+      "tick",
+      (text) => {
+        const tick = text.trim() === "" ? NaN : Number(text) - first;
+        return Number.isInteger(tick) && tick < run.count ? tick : -1;
+      },
+      (text) => `no tick ${text} (the page has ${first} to ${first + run.count - 1})`,
+    );
+    look(
+      "agent",
+      (id) => run.names.get(id) ?? -1,
+      (id) => `no agent ${id}`,
+    );
+    look(
+      "clause",
+      (label) => clauses.slice(0, counted).findIndex((clause) => clause.label === label),
+      (label) => `no clause ${label}`,
+    );
     this.notify(missing.length ? `Not found: ${missing.join("; ")}.` : "");
   }
 
@@ -331,13 +367,23 @@ async function main() {
   const parts = new Parts();
   let scenery, pair;
   const runs = [];
-  await parts.each("scenery", (part) => { scenery = part; });
+  await parts.each("scenery", (part) => {
+    scenery = part;
+  });
   const atlases = Promise.all(scenery.atlases.map((atlas) => Atlas.of(atlas)));
-  await parts.each("pair", (part) => { pair = part; });
+  await parts.each("pair", (part) => {
+    pair = part;
+  });
   await parts.each("run", (part) => runs.push(new Run(part)));
-  const named = (await atlases).map((atlas, at) => atlas && Object.assign(atlas, { name: ["car", "pedestrian", "building"][at] }));
+  const named = (await atlases).map(
+    (atlas, at) => atlas && Object.assign(atlas, { name: ["car", "pedestrian", "building"][at] }),
+  );
   const [cars, pedestrians, buildings] = named;
-  const page = new Page({ ground: new Ground(scenery.map, buildings), icons: scenery.icons, cars, pedestrians }, runs, pair);
+  const page = new Page(
+    { ground: new Ground(scenery.map, buildings), icons: scenery.icons, cars, pedestrians },
+    runs,
+    pair,
+  );
   await pause();
   performance.mark("first-frame");
   await parts.each("proofs", (part, number) => {

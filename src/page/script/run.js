@@ -63,7 +63,7 @@ class Run {
         if (!shown.rows[predicate].delete(row)) shown.rows[predicate].add(row);
       }
     };
-    while (shown.tick < tick) this.changes[shown.tick += 1].forEach(toggle);
+    while (shown.tick < tick) this.changes[(shown.tick += 1)].forEach(toggle);
     while (shown.tick > tick) this.changes[(shown.tick -= 1) + 1].forEach(toggle);
     return shown.rows;
   }
@@ -105,7 +105,7 @@ class Run {
   /** Returns the names of the actions that were derived before the default. */
   derived(tick, agent) {
     const bits = parseInt(this.data.derived[agent][tick], 16);
-    return this.data.actions.filter((_, index) => bits >> index & 1);
+    return this.data.actions.filter((_, index) => (bits >> index) & 1);
   }
 
   /** Returns the clauses that fired for an agent. */
@@ -140,7 +140,8 @@ class Run {
       const sets = this.data.fired_sets.map((set) => set.includes(clause));
       const found = [];
       for (let tick = 0; tick < this.count; tick += 1) {
-        for (let agent = 0; agent < this.agents; agent += 1) if (sets[this.data.fired[agent][tick]]) found.push([tick, agent]);
+        for (let agent = 0; agent < this.agents; agent += 1)
+          if (sets[this.data.fired[agent][tick]]) found.push([tick, agent]);
       }
       this.firings.set(clause, found);
     }
@@ -151,7 +152,8 @@ class Run {
   progressOf(agent) {
     if (!this.progress.has(agent)) {
       const routes = this.data.routes[agent];
-      let route = -1, gone = 0;
+      let route = -1,
+        gone = 0;
       const steps = Array.from({ length: this.count }, (_, tick) => {
         if (route + 1 < routes.length && routes[route + 1][0] === tick) {
           route += 1;
@@ -193,7 +195,9 @@ class Run {
 
   /** Returns the titles of the clauses that fired for an agent. */
   causes(tick, agent) {
-    return this.fired(tick, agent).map((clause) => this.title(clause)).join("; ");
+    return this.fired(tick, agent)
+      .map((clause) => this.title(clause))
+      .join("; ");
   }
 
   /** Returns the other agents in the proof of the action. */

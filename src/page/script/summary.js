@@ -20,18 +20,24 @@ class Summary {
 
   fillClauses() {
     const { data } = this;
-    if (this.page.difference) this.element("clauses-title").textContent = this.named(`clauses of ${fileName(data.rules)}`);
+    if (this.page.difference)
+      this.element("clauses-title").textContent = this.named(`clauses of ${fileName(data.rules)}`);
     for (let clause = 0; clause < data.counted; clause += 1) {
       const { head, doc, text } = data.clauses[clause];
       const title = (doc || text).split("\n")[0];
       const [all, decides] = data.firings[clause];
       // Beside a shorter run, firings in later ticks do not count.
       const count = decides && this.run.count < data.count ? this.run.firingsOf(clause).length : all;
-      const choose = decides ? () => this.page.choose({ clause: this.isChosen(clause) ? -1 : clause, of: this.number }) : undefined;
-      const row = make("tr", { "data-clause": clause, "data-decides": decides },
+      const choose = decides
+        ? () => this.page.choose({ clause: this.isChosen(clause) ? -1 : clause, of: this.number })
+        : undefined;
+      const row = make(
+        "tr",
+        { "data-clause": clause, "data-decides": decides },
         make("td", {}, String(count)),
         make("td", {}, make("span", { class: "swatch", style: `background:${COLORS[head] ?? "var(--faint)"}` }), head),
-        make("td", {}, decides ? make("button", { type: "button", title: "show all firings" }, title) : title));
+        make("td", {}, decides ? make("button", { type: "button", title: "show all firings" }, title) : title),
+      );
       if (decides) row.addEventListener("click", choose);
       this.element("clauses").append(row);
     }
@@ -52,11 +58,22 @@ class Summary {
       const since = found.since === data.first && data.first > 0 ? `${found.since} or before` : found.since;
       const lasts = found.until + 10 > data.first + run.count;
       const when = lasts ? `deadlock since tick ${since}` : `wait cycle, ticks ${since} to ${found.until}`;
-      const go = () => this.page.choose({ tick: Math.min(Math.max(found.since - data.first, 0), run.count - 1), agent: found.agents[0] });
-      list.append(make("button", { type: "button", onclick: go, title: "go to this tick" }, this.named(`${when}: ${chain} → ${names[0]}`)));
+      const go = () =>
+        this.page.choose({
+          tick: Math.min(Math.max(found.since - data.first, 0), run.count - 1),
+          agent: found.agents[0],
+        });
+      list.append(
+        make(
+          "button",
+          { type: "button", onclick: go, title: "go to this tick" },
+          this.named(`${when}: ${chain} → ${names[0]}`),
+        ),
+      );
     }
     if (!shown.length) list.append(make("span", {}, `${this.named("no deadlock")} `));
-    if (data.deadlock_searches_cut) list.append(` (${data.deadlock_searches_cut} deadlock searches reached their limit)`);
+    if (data.deadlock_searches_cut)
+      list.append(` (${data.deadlock_searches_cut} deadlock searches reached their limit)`);
   }
 
   /** Lists driven agents, and their decisions that violated a clause. */
@@ -68,14 +85,30 @@ class Summary {
     for (const [agent, steps] of Map.groupBy(driven, (step) => step.agent)) {
       const heeded = steps.filter(({ tick, wanted }) => run.act(tick, agent) === wanted).length;
       const go = (tick) => () => this.page.choose({ tick, agent });
-      const broken = steps.filter((step) => step.broken.length).map(({ tick, broken }) => {
-        const labels = broken.map((clause) => run.label(clause)).join(", ");
-        return make("button", { type: "button", title: "go to this tick", onclick: go(tick) }, `tick ${data.first + tick}: violated ${labels}`);
-      });
-      $("driven").append(make("div", {}, this.named(""),
-        make("button", { type: "button", title: "go to this tick", class: "agent-link", onclick: go(steps[0].tick) }, data.agents[agent].id),
-        ` was driven: ${heeded} of ${steps.length} actions agreed with the rules. `,
-        ...(broken.length ? broken : ["No clause was violated."])));
+      const broken = steps
+        .filter((step) => step.broken.length)
+        .map(({ tick, broken }) => {
+          const labels = broken.map((clause) => run.label(clause)).join(", ");
+          return make(
+            "button",
+            { type: "button", title: "go to this tick", onclick: go(tick) },
+            `tick ${data.first + tick}: violated ${labels}`,
+          );
+        });
+      $("driven").append(
+        make(
+          "div",
+          {},
+          this.named(""),
+          make(
+            "button",
+            { type: "button", title: "go to this tick", class: "agent-link", onclick: go(steps[0].tick) },
+            data.agents[agent].id,
+          ),
+          ` was driven: ${heeded} of ${steps.length} actions agreed with the rules. `,
+          ...(broken.length ? broken : ["No clause was violated."]),
+        ),
+      );
     }
   }
 
@@ -83,7 +116,8 @@ class Summary {
   fillFilter() {
     const { clause, tick, agent } = this.now;
     const filter = this.element("filter");
-    for (const row of this.element("clauses").rows) row.setAttribute("aria-selected", this.isChosen(Number(row.dataset.clause)));
+    for (const row of this.element("clauses").rows)
+      row.setAttribute("aria-selected", this.isChosen(Number(row.dataset.clause)));
     filter.hidden = !this.isChosen(clause) || clause < 0;
     if (filter.hidden) return;
     const { label, file, line, text } = this.data.clauses[clause];
@@ -91,13 +125,25 @@ class Summary {
     const at = all.findIndex(([t, a]) => t === tick && a === agent);
     const place = at < 0 ? "" : `${at + 1} of `;
     filter.replaceChildren(
-      make("div", { class: "card-head" },
+      make(
+        "div",
+        { class: "card-head" },
         make("strong", {}, label),
         make("span", {}, `fired ${place}${all.length} times`),
-        make("button", { type: "button", title: "previous (,)", "aria-label": "previous firing", onclick: () => this.page.jump(-1) }, "◀\uFE0E"),
-        make("button", { type: "button", title: "next (.)", "aria-label": "next firing", onclick: () => this.page.jump(1) }, "▶\uFE0E"),
-        make("button", { type: "button", onclick: () => this.page.choose({ clause: -1 }) }, "all clauses")),
+        make(
+          "button",
+          { type: "button", title: "previous (,)", "aria-label": "previous firing", onclick: () => this.page.jump(-1) },
+          "◀\uFE0E",
+        ),
+        make(
+          "button",
+          { type: "button", title: "next (.)", "aria-label": "next firing", onclick: () => this.page.jump(1) },
+          "▶\uFE0E",
+        ),
+        make("button", { type: "button", onclick: () => this.page.choose({ clause: -1 }) }, "all clauses"),
+      ),
       make("pre", {}, text),
-      make("div", { class: "clause" }, `${file}:${line}`));
+      make("div", { class: "clause" }, `${file}:${line}`),
+    );
   }
 }

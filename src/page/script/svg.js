@@ -6,14 +6,22 @@ class SvgPaint {
     const { namespaceURI } = document.querySelector("svg");
     this.create = (name, attributes) => {
       const element = document.createElementNS(namespaceURI, name);
-      for (const [key, value] of Object.entries(attributes)) element.setAttribute(key, typeof value === "number" ? this.short(value) : value);
+      for (const [key, value] of Object.entries(attributes))
+        element.setAttribute(key, typeof value === "number" ? this.short(value) : value);
       return element;
     };
     this.root = this.create("svg", { width, height, viewBox: `0 0 ${width} ${height}` });
     this.parents = [this.root];
     this.sprites = new Map();
     this.ruler = new OffscreenCanvas(1, 1).getContext("2d");
-    Object.assign(this, { fillStyle: "#000", strokeStyle: "#000", lineWidth: 1, globalAlpha: 1, lineJoin: "miter", dash: [] });
+    Object.assign(this, {
+      fillStyle: "#000",
+      strokeStyle: "#000",
+      lineWidth: 1,
+      globalAlpha: 1,
+      lineJoin: "miter",
+      dash: [],
+    });
     Object.assign(this, { font: "10px sans-serif", textAlign: "start", textBaseline: "alphabetic" });
   }
 
@@ -45,7 +53,13 @@ class SvgPaint {
 
   get line() {
     const dash = this.dash.length ? { "stroke-dasharray": this.dash.join(" ") } : {};
-    return { fill: "none", stroke: this.strokeStyle, "stroke-width": this.lineWidth, "stroke-linejoin": this.lineJoin, ...dash };
+    return {
+      fill: "none",
+      stroke: this.strokeStyle,
+      "stroke-width": this.lineWidth,
+      "stroke-linejoin": this.lineJoin,
+      ...dash,
+    };
   }
 
   fillRect(x, y, width, height) {
@@ -93,7 +107,8 @@ class SvgPaint {
     // Baselines by offset: few editors read other values of `dominant-baseline`.
     const down = { middle: 0.35, top: 0.8 }[this.textBaseline] ?? 0;
     const font = { "font-family": family, "font-size": Number(size), "font-weight": weight ?? "400" };
-    this.add("text", { x, y: y + down * size, fill: this.fillStyle, "text-anchor": anchor, ...font }).textContent = text;
+    this.add("text", { x, y: y + down * size, fill: this.fillStyle, "text-anchor": anchor, ...font }).textContent =
+      text;
   }
 
   /** Draws an icon of an atlas. Each icon is stored once. */
@@ -101,12 +116,24 @@ class SvgPaint {
     const key = `icon-${atlas.name}-${icon}`;
     if (!this.sprites.has(key)) {
       const canvas = make("canvas", { width: atlas.side, height: atlas.side });
-      canvas.getContext("2d").drawImage(atlas.picture, ...atlas.corner(icon), atlas.side, atlas.side, 0, 0, atlas.side, atlas.side);
-      const image = { id: key, href: canvas.toDataURL(), width: atlas.side, height: atlas.side, x: -atlas.side / 2, y: -atlas.side / 2 };
+      canvas
+        .getContext("2d")
+        .drawImage(atlas.picture, ...atlas.corner(icon), atlas.side, atlas.side, 0, 0, atlas.side, atlas.side);
+      const image = {
+        id: key,
+        href: canvas.toDataURL(),
+        width: atlas.side,
+        height: atlas.side,
+        x: -atlas.side / 2,
+        y: -atlas.side / 2,
+      };
       this.sprites.set(key, this.create("image", image));
     }
-    const degrees = turn ? ` rotate(${this.short(turn * 180 / Math.PI)})` : "";
-    this.add("use", { href: `#${key}`, transform: `translate(${this.short(x)} ${this.short(y)})${degrees} scale(${(side / atlas.side).toFixed(4)})` });
+    const degrees = turn ? ` rotate(${this.short((turn * 180) / Math.PI)})` : "";
+    this.add("use", {
+      href: `#${key}`,
+      transform: `translate(${this.short(x)} ${this.short(y)})${degrees} scale(${(side / atlas.side).toFixed(4)})`,
+    });
   }
 
   /** Returns the file. */
