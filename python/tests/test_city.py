@@ -237,7 +237,7 @@ def test_explanations_of_actions() -> None:
     assert (why.tick, why.agent, why.action, why.derived) == (5, name, "Stop", ("Stop",))
     assert why.at == tuple(city.last.at[stopped])
     assert str(why).startswith(
-        f"tick 5: {name} at [{why.at[0]}, {why.at[1]}], heading {why.heading}: Stop\n\nStop(\"{name}\")  by S"
+        f'tick 5: {name} at [{why.at[0]}, {why.at[1]}], heading {why.heading}: Stop\n\nStop("{name}")  by S'
     )
     assert why.explanations[0]["nodes"][0]["holds"] == f"Stop({name})"
     other = city.why_not(name, "Fast")
