@@ -265,7 +265,8 @@ fn values_are_those_of_the_reference() {
         (expert.view, expert.ticks, expert.actions.default),
         (25, 300, Action::Normal)
     );
-    assert_eq!(expert.actions.priority, Action::ALL);
+    assert_eq!(expert.actions.priority, Action::SAFEST_FIRST);
+    assert_eq!(load(Path::new("vap-hard")).actions.priority, Action::ALL);
     let Buildings::Fixed(rows) = &expert.map.buildings.value else {
         panic!("the paper's map has fixed buildings")
     };
