@@ -60,7 +60,10 @@ fn the_command_says_which_action_wins() {
     let output = logicity(["diff", rules.to_str().unwrap(), "rules/vocabulary.dl"]);
     let said = String::from_utf8(output.stdout).unwrap();
     assert!(said.contains("Slow(\"e0\"), Stop(\"e0\")"), "{said}");
-    assert!(said.contains("  \"e0\" takes Stop, by the default order of actions"), "{said}");
+    assert!(
+        said.contains("  \"e0\" takes Stop, by the default order of actions"),
+        "{said}"
+    );
 }
 
 #[test]
