@@ -241,12 +241,12 @@ def test_explanations_of_actions() -> None:
     assert (why.tick, why.agent, why.action, why.derived) == (5, name, "Stop", ("Stop",))
     assert why.at == tuple(city.last.at[stopped])
     assert str(why).startswith(
-        f"tick 5: {name} at [{why.at[0]}, {why.at[1]}], heading {why.heading}: Stop\n\nStop({name})  by S"
+        f'tick 5: {name} at [{why.at[0]}, {why.at[1]}], heading {why.heading}: Stop\n\nStop("{name}")  by S'
     )
     assert why.explanations[0]["nodes"][0]["holds"] == f"Stop({name})"
     other = city.why_not(name, "Fast")
     assert other.explanations[0]["action"] == "Fast"
-    assert f"Not(Fast({name}))" in str(other)
+    assert f'Not(Fast("{name}"))' in str(other)
     city.tick({stopped: "Fast"})
     assert "the action came from outside" in str(city.explain(stopped))
     with pytest.raises(KeyError, match="Nobody"):

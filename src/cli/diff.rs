@@ -1,7 +1,9 @@
 //! `logicity diff`: compares two rule sets.
 
+use crate::city::Action;
 use crate::cli::{Failure, load_program, report};
 use crate::datalog::diff::{Cut, Difference, Equivalence, Options, diff};
+use crate::datalog::{BaseType, Rules, quoted};
 use crate::diag::{Code, Diagnostic, Sources};
 use crate::sim::scene_json;
 use serde_json::{Value, json};
@@ -73,7 +75,7 @@ pub fn run(arguments: &Arguments, sources: &mut Sources) -> Result<u8, Failure> 
             if arguments.scene {
                 scene_json(difference).to_string()
             } else {
-                show_difference(difference, &names)
+                show_difference(difference, &names, [left.rules(), right.rules()])
             }
         )?;
     } else if !arguments.scene {
@@ -137,7 +139,7 @@ fn reason(cut: Cut) -> &'static str {
     }
 }
 
-fn show_difference(difference: &Difference, names: &[String; 2]) -> String {
+fn show_difference(difference: &Difference, names: &[String; 2], rules: [&Rules; 2]) -> String {
     let size = if difference.smallest {
         "smallest scene"
     } else {
@@ -150,18 +152,44 @@ fn show_difference(difference: &Difference, names: &[String; 2]) -> String {
     for scope in &difference.everybody_sees {
         text += &format!("`{scope}` holds for all pairs of entities\n");
     }
-    let shown = |(name, row): &(String, Vec<String>)| format!("{name}({})", row.join(", "));
-    for (name, derived) in names.iter().zip(&difference.derived) {
-        let rows: Vec<String> = derived.iter().map(shown).collect();
+    for ((name, derived), rules) in names.iter().zip(&difference.derived).zip(rules) {
+        let rows: Vec<String> = derived.iter().map(|(name, row)| atom(rules, name, row)).collect();
         let rows = if rows.is_empty() {
             "nothing".to_owned()
         } else {
             rows.join(", ")
         };
         text += &format!("{name} derives {rows}\n");
+        for entity in &difference.entities {
+            let holds = |action: &&Action| {
+                derived
+                    .iter()
+                    .any(|(name, row)| name == action.name() && row == &[&**entity])
+            };
+            let actions: Vec<&Action> = Action::SAFEST_FIRST.iter().filter(holds).collect();
+            if let [first, _, ..] = actions.as_slice() {
+                text += &format!(
+                    "  {} takes {}, by the default order of actions\n",
+                    quoted(entity),
+                    first.name()
+                );
+            }
+        }
     }
     text.truncate(text.trim_end().len());
     text
+}
+
+/// Returns a row as an atom in the notation of rules.
+fn atom(rules: &Rules, name: &str, row: &[String]) -> String {
+    let columns = rules.relation(name).map(|id| &rules.relations[id.index()].columns);
+    let values = row.iter().enumerate().map(|(at, text)| {
+        match columns.and_then(|columns| columns.get(at)).map(|column| column.base) {
+            Some(BaseType::Symbol) => quoted(text),
+            _ => text.clone(),
+        }
+    });
+    format!("{name}({})", values.collect::<Vec<_>>().join(", "))
 }
 
 fn to_json(equivalence: &Equivalence) -> Value {

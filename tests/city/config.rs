@@ -449,7 +449,8 @@ fn values_are_those_of_the_reference() {
         (expert.view, expert.ticks, expert.actions.default),
         (25, 300, Action::Normal)
     );
-    assert_eq!(expert.actions.priority, Action::ALL);
+    assert_eq!(expert.actions.priority, Action::SAFEST_FIRST);
+    assert_eq!(load(Path::new("vap-hard")).actions.priority, Action::ALL);
     let Buildings::Fixed(rows) = &expert.map.buildings.value else {
         panic!("the paper's map has fixed buildings")
     };
@@ -916,7 +917,14 @@ fn blocks_of_the_reference_load_or_give_the_faults_they_expect() {
 fn every_message_has_a_section_and_every_configuration_message_a_fixture() {
     let reference = read_text(&Path::new(ROOT).join("configs/README.md")).expect("reference");
     // Their sections are in rules/README.md.
-    let others = [Code::INVALID_TRACE, Code::TRACE_MISMATCH, Code::CANCELLED];
+    let others = [
+        Code::INVALID_TRACE,
+        Code::TRACE_MISMATCH,
+        Code::CANCELLED,
+        Code::ACTION_CONFLICT,
+        Code::NO_COLLISION_CLAUSE,
+        Code::UNQUOTED_AGENT,
+    ];
     let codes = || {
         [diag::CODES, config::CODES, city::CODES, sim::CODES]
             .into_iter()

@@ -42,6 +42,30 @@ fn the_command_prints_its_verdict() {
     assert_eq!(answer["verdict"], "different");
 }
 
+/// Symbols are quoted as in rules, and the winner of two derived actions is named.
+#[test]
+fn the_command_says_which_action_wins() {
+    let conflict = "tests/fixtures/diagnostics/action-conflict.dl";
+    let output = logicity(["diff", conflict, "rules/easy.dl", "--predicates", "Slow"]);
+    let said = String::from_utf8(output.stdout).unwrap();
+    assert!(said.contains("derives Slow(\"e0\")"), "{said}");
+
+    let folder = tempfile::tempdir().unwrap();
+    let rules = folder.path().join("both.dl");
+    std::fs::write(
+        &rules,
+        ".include \"vocabulary.dl\"\nStop(X) :- CollidingClose(X, Y).\nSlow(X) :- CollidingClose(X, Y).\n",
+    )
+    .unwrap();
+    let output = logicity(["diff", rules.to_str().unwrap(), "rules/vocabulary.dl"]);
+    let said = String::from_utf8(output.stdout).unwrap();
+    assert!(said.contains("Slow(\"e0\"), Stop(\"e0\")"), "{said}");
+    assert!(
+        said.contains("  \"e0\" takes Stop, by the default order of actions"),
+        "{said}"
+    );
+}
+
 #[test]
 fn the_command_reports_the_bound() {
     let folder = tempfile::tempdir().unwrap();

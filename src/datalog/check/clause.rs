@@ -271,8 +271,8 @@ fn base(ty: VariableType, names: &Names) -> Option<BaseType> {
     }
 }
 
-/// Warns of equations that are always true, and of other variables that occur once. A guarded variable means "some agent
-/// in view" and needs no second occurrence.
+/// Warns of equations that are always true, and of other variables that occur once. A guarded variable means "some
+/// agent in view" and needs no second occurrence.
 fn lone_variables(
     clause: &ast::Clause,
     body: &[&ast::Literal],

@@ -146,7 +146,8 @@ fn pair(
     fits.then_some((first, second))
 }
 
-/// Returns the predicates of a covering constraint and the type that they cover. They have one column each, of one type.
+/// Returns the predicates of a covering constraint and the type that they cover. They have one column each, of one
+/// type.
 fn cover(
     found: &[Option<RelId>],
     constraint: &ast::ConstraintDecl,

@@ -74,8 +74,8 @@ impl<'a> ExplanationPrinter<'a> {
         ExplanationPrinter { quotes: true, ..self }
     }
 
-    /// Returns the explanation as a tree of lines. The tree expands each node once. All symbols stand in quotes, so that
-    /// readers can copy atoms into rules.
+    /// Returns the explanation as a tree of lines. The tree expands each node once. All symbols stand in quotes, so
+    /// that readers can copy atoms into rules.
     pub fn tree(&self, explanation: &Explanation) -> String {
         let mut out = String::new();
         if !explanation.nodes().is_empty() {

@@ -157,7 +157,8 @@ pub struct DirectiveOption {
 pub struct ConstraintDecl {
     /// The kind of constraint.
     pub kind: ConstraintKind,
-    /// The predicates: exactly two for `.implies`, at least two for `.disjoint` and `.covering`, at least one otherwise.
+    /// The predicates: exactly two for `.implies`, at least two for `.disjoint` and `.covering`, at least one
+    /// otherwise.
     pub names: Vec<Name>,
     /// The whole directive.
     pub place: Place,
