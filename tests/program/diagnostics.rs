@@ -174,9 +174,13 @@ fn scenes_and_facts_fail_as_their_fixtures_expect() {
 
 #[test]
 fn traces_fail_as_their_fixtures_expect() {
-    for code in ["invalid-trace", "trace-mismatch"] {
+    let given: [(&str, &[&str]); 2] = [
+        ("invalid-trace", &[]),
+        ("trace-mismatch", &["--config", "configs/easy.yaml"]),
+    ];
+    for (code, options) in given {
         let path = fixtures().join(code).with_extension("jsonl");
-        let output = logicity(&["explain", path.to_str().unwrap(), "--agent", "Car_1"]);
+        let output = logicity(&[&["explain", path.to_str().unwrap(), "--agent", "Car_1"], options].concat());
         let said = String::from_utf8(output.stderr).unwrap();
         assert_eq!(output.status.code(), Some(1), "{said}");
         assert!(said.contains(&format!("error[{code}]")), "{said}");
