@@ -146,14 +146,11 @@ impl Diagnostic {
 /// Returns the candidate closest to `name` if it is close enough for a typing error. Ties go to the earlier candidate.
 ///
 /// Without a close candidate, returns the only one that begins or ends with `name`, if there is one.
-pub fn did_you_mean<'a, I>(name: &str, candidates: I) -> Option<&'a str>
-where
-    I: IntoIterator<Item = &'a str, IntoIter: Clone>,
-{
-    let candidates = candidates.into_iter();
+pub fn did_you_mean<'a>(name: &str, candidates: impl IntoIterator<Item = &'a str>) -> Option<&'a str> {
+    let candidates: Vec<&str> = candidates.into_iter().collect();
     let lower = name.to_lowercase();
     let mut best: Option<(usize, &str)> = None;
-    for candidate in candidates.clone() {
+    for &candidate in &candidates {
         // The comparison takes time proportional to the product of the lengths, so skip long names.
         if name.len().max(candidate.len()) > 100 {
             continue;
@@ -168,7 +165,7 @@ where
         return Some(candidate);
     }
     // A part of the name, such as `Car` for `IsCar`.
-    let mut longer = candidates.filter(|candidate| {
+    let mut longer = candidates.into_iter().filter(|candidate| {
         let candidate = candidate.to_lowercase();
         lower.len() >= PART_MIN && (candidate.ends_with(&lower) || candidate.starts_with(&lower))
     });

@@ -404,7 +404,7 @@ fn outputs(left: &Rules, right: &Rules, options: &Options) -> Result<Vec<Output>
             let fault = Diagnostic::new(Code::RULE_MISMATCH, message);
             let shared = in_left.keys().copied().filter(|name| in_right.contains_key(name));
             let shared: BTreeSet<&str> = shared.collect();
-            faults.push(match did_you_mean(name, shared.iter().copied()) {
+            faults.push(match did_you_mean(name, shared) {
                 Some(near) => fault.help(format!("did you mean `{near}`?")),
                 None => fault.help("compare only predicates that both sides declare: `--predicates NAME,...`"),
             });
