@@ -61,6 +61,14 @@ enum Requirement {
     Loop { column: usize, of: usize },
 }
 
+/// A covering constraint.
+struct Cover {
+    /// The predicates and columns whose values are the domain.
+    domain: Vec<(usize, usize)>,
+    /// The predicates that cover it.
+    by: Vec<usize>,
+}
+
 /// Both programs with the building blocks of scenes.
 struct Trial<'a> {
     sessions: [Session; 2],
@@ -75,8 +83,7 @@ struct Trial<'a> {
     constants: BTreeSet<(BaseType, String)>,
     /// By base predicate: the facts that the constraints require with each of its facts.
     required: Vec<Vec<Requirement>>,
-    /// The covering constraints: the columns of the domain, and the predicates that cover it.
-    covers: Vec<(Vec<(usize, usize)>, Vec<usize>)>,
+    covers: Vec<Cover>,
     /// Whether entities are interchangeable, because no rule inspects the characters or the order of strings.
     nameless: bool,
     held: BTreeSet<Fact>,
@@ -376,14 +383,14 @@ impl<'a> Trial<'a> {
             }
             let covered =
                 |cover: &[usize], value: &String| cover.iter().any(|&one| all.contains(&(one, vec![value.clone()])));
-            let missing = self.covers.iter().find_map(|(domain, cover)| {
+            let missing = self.covers.iter().find_map(|Cover { domain, by }| {
                 all.iter().find_map(|(predicate, row)| {
                     let values = domain
                         .iter()
                         .filter(|(one, _)| one == predicate)
                         .map(|&(_, column)| &row[column]);
-                    let value = values.into_iter().find(|value| !covered(cover, value))?;
-                    Some((cover[0], vec![value.clone()]))
+                    let value = values.into_iter().find(|value| !covered(by, value))?;
+                    Some((by[0], vec![value.clone()]))
                 })
             });
             let Some(fact) = missing else { return all };
@@ -595,12 +602,7 @@ fn named(rules: &Rules, constants: &mut BTreeSet<(BaseType, String)>) {
 }
 
 /// Adds what the constraints of one side require of facts; see [`Trial`].
-fn requirements(
-    rules: &Rules,
-    base: &[Base],
-    required: &mut [Vec<Requirement>],
-    covers: &mut Vec<(Vec<(usize, usize)>, Vec<usize>)>,
-) {
+fn requirements(rules: &Rules, base: &[Base], required: &mut [Vec<Requirement>], covers: &mut Vec<Cover>) {
     let place = |relation: RelId| {
         let name = &rules.relations[relation.index()].name;
         base.iter().position(|base| base.name == *name)
@@ -626,9 +628,10 @@ fn requirements(
                 }
             }
             Constraint::Covering(ref cover) => {
-                let cover: Vec<usize> = cover.iter().filter_map(|&one| place(one)).collect();
-                if !cover.is_empty() {
-                    covers.push((domain.collect(), cover));
+                let by: Vec<usize> = cover.iter().filter_map(|&one| place(one)).collect();
+                if !by.is_empty() {
+                    let domain = domain.collect();
+                    covers.push(Cover { domain, by });
                 }
             }
             Constraint::Disjoint(..) | Constraint::Irreflexive(_) | Constraint::Asymmetric(_) => {}
