@@ -62,41 +62,6 @@ fn executors_agree_in_every_mode() {
     }
 }
 
-/// Ten beginners are not eleven; to find out takes the dense executor more steps than it may take. The relational one
-/// begins with the agent that is both car and pedestrian.
-#[test]
-fn a_run_falls_back_to_the_relational_executor() {
-    let mut beginners: Vec<String> = (0..11).map(|at| format!("IsTiro(B{at})")).collect();
-    beginners.extend((0..11).flat_map(|at| (0..at).map(move |other| format!("B{at} != B{other}"))));
-    let chain: Vec<String> = (1..12).map(|at| format!("NextTo(P{at}, P{})", at + 1)).collect();
-    let text = format!(
-        ".include \"vocabulary.dl\"\nStop(X) :- IsPedestrian(X), IsInInter(X).\n\
-         Slow(X) :- IsCar(X), IsCar(P1), IsPedestrian(P1), {}, {}.",
-        chain.join(", "),
-        beginners.join(", ")
-    );
-    let world = world("expert", Some(&text), |scenario| multiply(scenario, 5));
-    let mut simulations: Vec<Simulation> = [Executor::Auto, Executor::Relational]
-        .map(|executor| simulation(&world, executor, 1))
-        .into();
-    assert_eq!(simulations[0].executor(), Executor::Dense);
-    simulations[0].tick(&[]).unwrap();
-    simulations[1].tick(&[]).unwrap();
-    assert_eq!(simulations[0].executor(), Executor::Relational);
-    let reason = simulations[0].fallback().unwrap();
-    assert!(reason.starts_with("the dense executor gave up in tick 0: "), "{reason}");
-    assert_eq!(simulations[0].report().agents, simulations[1].report().agents);
-    go_the_same_way(simulations, 3);
-
-    let mut dense = simulation(&world, Executor::Dense, 1);
-    let before: Vec<_> = dense.agents().iter().map(|agent| agent.cell).collect();
-    assert_eq!(dense.tick(&[]).unwrap_err().code, Code::LIMIT_EXCEEDED);
-    assert_eq!(
-        before,
-        dense.agents().iter().map(|agent| agent.cell).collect::<Vec<_>>()
-    );
-}
-
 /// Cancelled at any poll of a tick, the simulation is unchanged, and its next ticks are those of another that was never
 /// cancelled.
 #[test]
