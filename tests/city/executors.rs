@@ -62,44 +62,6 @@ fn executors_agree_in_every_mode() {
     }
 }
 
-/// A cycle of priorities has no solution; to find out takes the dense executor more steps than it may take.
-#[test]
-fn a_run_falls_back_to_the_relational_executor() {
-    let names = ["A", "B", "C", "D", "E", "F", "G", "H"];
-    let mut pairs: Vec<String> = (names.iter().enumerate())
-        .flat_map(|(at, one)| {
-            names[at + 1..]
-                .iter()
-                .map(move |other| format!("HigherPri({one}, {other})"))
-        })
-        .collect();
-    pairs.push("HigherPri(H, A)".to_owned());
-    let text = format!(
-        ".include \"vocabulary.dl\"\nStop(X) :- IsPedestrian(X), IsInInter(X).\nSlow(X) :- IsCar(X), {}.",
-        pairs.join(", ")
-    );
-    let world = world("expert", Some(&text), |scenario| multiply(scenario, 4));
-    let mut simulations: Vec<Simulation> = [Executor::Auto, Executor::Relational]
-        .map(|executor| simulation(&world, executor, 1))
-        .into();
-    assert_eq!(simulations[0].executor(), Executor::Dense);
-    simulations[0].tick(&[]).unwrap();
-    simulations[1].tick(&[]).unwrap();
-    assert_eq!(simulations[0].executor(), Executor::Relational);
-    let reason = simulations[0].fallback().unwrap();
-    assert!(reason.starts_with("the dense executor gave up in tick 0: "), "{reason}");
-    assert_eq!(simulations[0].report().agents, simulations[1].report().agents);
-    go_the_same_way(simulations, 3);
-
-    let mut dense = simulation(&world, Executor::Dense, 1);
-    let before: Vec<_> = dense.agents().iter().map(|agent| agent.cell).collect();
-    assert_eq!(dense.tick(&[]).unwrap_err().code, Code::LIMIT_EXCEEDED);
-    assert_eq!(
-        before,
-        dense.agents().iter().map(|agent| agent.cell).collect::<Vec<_>>()
-    );
-}
-
 /// Cancelled at any poll of a tick, the simulation is unchanged, and its next ticks are those of another that was never
 /// cancelled.
 #[test]
