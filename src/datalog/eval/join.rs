@@ -150,6 +150,9 @@ impl<const W: usize> Output<W> {
     /// few rows, and for a bitmap.
     const FIT_PARTS: usize = 4;
 
+    /// Unused memory at the end of a list is freed from this size on. Freeing less costs more than it saves.
+    const SLACK_BYTES: usize = 1 << 20;
+
     /// Limits a bitmap to 1 GiB, the memory of this number of rows.
     const SEEN_ROWS_MAX: u64 = (1 << 30) / size_of::<Row<W>>() as u64;
 
@@ -425,7 +428,7 @@ impl<const W: usize> Output<W> {
         }
         let mut rows = std::mem::take(&mut self.rows);
         normalize(&mut rows);
-        if rows.capacity() > rows.len() + rows.len() / 8 + Self::SEEN_MIN {
+        if (rows.capacity() - rows.len()) * size_of::<Row<W>>() > Self::SLACK_BYTES {
             rows.shrink_to_fit();
         }
         if self.seen.is_none() {
