@@ -6,7 +6,7 @@
 //! ```
 //!
 //! The record [`RECORD`] in each folder lists the files that the program wrote there, each with its size and its time of
-//! change. A file is the program's own if both still match. A temporary file is locked while its process lives, so a
+//! change. A file is the program's own if both still match. A temporary file is locked while its process lives. So a
 //! second writer of the same file detects the first one, and the leftovers of dead processes are removed.
 
 use serde::{Deserialize, Serialize};
