@@ -5,8 +5,8 @@
 //! finish: lock folder -> rename over the target -> record size and time of the result -> unlock
 //! ```
 //!
-//! The record [`RECORD`] in each folder lists the files that the program wrote there, each with its size and its time of
-//! change. A file is the program's own if both still match. A temporary file is locked while its process lives, so a
+//! The record [`RECORD`] in each folder lists the files that the program wrote there, each with its size and its time
+//! of change. A file is the program's own if both still match. A temporary file is locked while its process lives. So a
 //! second writer of the same file detects the first one, and the leftovers of dead processes are removed.
 
 use serde::{Deserialize, Serialize};

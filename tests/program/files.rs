@@ -217,7 +217,8 @@ fn own_city(folder: &Path) {
         fs::create_dir(folder.join(name)).unwrap();
     }
     let root = folder.display();
-    let rules = "/// W1: the file of another folder\n.include \"../lib/vocabulary.dl\"\n.include \"../lib/more/rules.dl\"\n\
+    let rules = "/// W1: the file of another folder\n.include \"../lib/vocabulary.dl\"\n\
+         .include \"../lib/more/rules.dl\"\n\
          /// S1: stop for somebody\nStop(X) :- IsCar(X), IsClose(X, Y), IsPedestrian(Y).\n";
     fs::write(folder.join("cfg/rules.dl"), rules).unwrap();
     // The name of a built-in file.
