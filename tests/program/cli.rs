@@ -635,7 +635,7 @@ fn check_reports_coverage() {
         2,
         &["no/such.jsonl"],
     );
-    fails(&logicity(["check"]), 2, &["RULES"]);
+    fails(&logicity(["check"]), 2, &["FILES"]);
 }
 
 #[test]

@@ -353,6 +353,8 @@ impl Parser<'_> {
         let is_applied = |after: Token| after.kind != Kind::Colon && self.infix(after).is_none();
         if op != AggregateOp::Count && self.kind() == Kind::LParen && self.after_parenthesis(0).is_some_and(is_applied)
         {
+            // Back to the name, where its arguments are found.
+            self.at -= 1;
             return Err(self.applied_aggregate(word));
         }
         let target = if op == AggregateOp::Count {
