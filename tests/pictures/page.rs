@@ -596,7 +596,7 @@ fn a_page_names_no_folder_of_the_author() {
         .iter()
         .map(|clause| clause["file"].as_str().unwrap())
         .collect();
-    assert!(files.contains("mine.dl") && files.contains("lib/inner.dl"), "{files:?}");
+    assert!(files.contains("mine.dl") && files.contains("inner.dl"), "{files:?}");
     assert_eq!(data["rules"], "mine.dl");
 }
 

@@ -280,7 +280,7 @@ fn explain_shows_why_and_why_not() {
     fails(
         &logicity(["explain", trace, "--agent", "Car_3", "--why-not", "Fly"]),
         2,
-        &["Slow, Normal, Fast or Stop"],
+        &["Slow, Normal, Fast, Stop"],
     );
     fails(
         &logicity(["explain", "no/such.jsonl", "--agent", "Car_3"]),
@@ -1265,7 +1265,9 @@ fn query_takes_threads_and_limits() {
         assert_eq!((code(&output), out(&output)), (0, answer.clone()));
     }
     fails(&logicity(["query", &rules, "--threads", "5000"]), 2, &["--threads"]);
-    for (option, value) in [("--max-rows", "89999"), ("--max-steps", "90000"), ("--max-memory", "0")] {
+    let output = logicity(["query", &rules, "-D", here, "--max-memory", "0"]);
+    fails(&output, 1, &["limit-exceeded", "the inserted rows take", "--max-memory"]);
+    for (option, value) in [("--max-rows", "89999"), ("--max-steps", "90000")] {
         for threads in ["1", "2"] {
             let output = logicity(["query", &rules, "-D", here, option, value, "--threads", threads]);
             fails(

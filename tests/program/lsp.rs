@@ -458,7 +458,7 @@ fn suggestions_are_quick_fixes() {
         .collect();
     assert_eq!(titles, ["replace it with `_`", "rename it to `_y`"]);
 
-    let without = "Stop(X) :- IsCar(X).\n";
+    let without = "Stop(X) :- IsCar(X), CollidingClose(X, Y).\n";
     editor.change("a.dl", without);
     for (title, text) in fixes(&mut editor, "a.dl", without, (0, 12)) {
         assert_eq!(title, "include vocabulary.dl");

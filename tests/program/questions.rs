@@ -501,7 +501,7 @@ fn slow_impossible_requests_are_errors() {
     refused(&["-o", "no/such/folder/q.jsonl", "--count", "4"], 2, &["cannot write"]);
 }
 
-/// The Python tests read this file. `cargo run -- questions --count 8 --shots 4 --output
+/// The Python tests read this file. `cargo run -- questions --count 8 --shots 4 --force --output
 /// tests/fixtures/questions.jsonl` writes it.
 #[test]
 fn the_file_for_the_python_tests_is_up_to_date() {

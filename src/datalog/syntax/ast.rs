@@ -2,7 +2,7 @@
 
 use crate::datalog::syntax::functor::{AggregateOp, Functor};
 use crate::diag::Span;
-use std::net::Ipv4Addr;
+use core::net::Ipv4Addr;
 
 pub use crate::datalog::syntax::functor::BaseType;
 

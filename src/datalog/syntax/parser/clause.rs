@@ -367,7 +367,7 @@ impl Parser<'_> {
         let first = self.ahead(ahead);
         let skipped = usize::from(first.kind == Kind::Bang);
         let (name, next) = (self.ahead(ahead + skipped), self.ahead(ahead + skipped + 1));
-        let is_function = Functor::function(self.slice(name)).is_some() || self.slice(name) == "as";
+        let is_function = Functor::words().any(|word| word == self.slice(name)) || self.slice(name) == "as";
         name.kind == Kind::Ident && next.kind == Kind::LParen && !is_function
     }
 

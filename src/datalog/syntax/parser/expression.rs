@@ -4,7 +4,7 @@ use crate::datalog::syntax::ast::{Aggregate, Literal, Term, TermKind};
 use crate::datalog::syntax::functor::{AggregateOp, Functor};
 use crate::datalog::syntax::lexer::{Kind, Token};
 use crate::diag::{Code, Diagnostic};
-use std::net::Ipv4Addr;
+use core::net::Ipv4Addr;
 
 use crate::datalog::syntax::parser::{Parse, Parser, Reported};
 
