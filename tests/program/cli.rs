@@ -1266,7 +1266,11 @@ fn query_takes_threads_and_limits() {
     }
     fails(&logicity(["query", &rules, "--threads", "5000"]), 2, &["--threads"]);
     let output = logicity(["query", &rules, "-D", here, "--max-memory", "0"]);
-    fails(&output, 1, &["limit-exceeded", "the inserted rows take", "--max-memory"]);
+    fails(
+        &output,
+        1,
+        &["limit-exceeded", "the inserted rows take", "--max-memory"],
+    );
     for (option, value) in [("--max-rows", "89999"), ("--max-steps", "90000")] {
         for threads in ["1", "2"] {
             let output = logicity(["query", &rules, "-D", here, option, value, "--threads", threads]);
