@@ -238,9 +238,9 @@ class Simulation:
         self._args, self._controls = state["args"], dict(state["controls"])
         self._city = _logicity.Simulation(*self._args, state["files"])
         for tick, controls in self._controls.items():
-            self._city.run(tick - self.now, None)
+            self._city.run(tick - self.now, None, False)
             self._city.tick(controls)
-        self._city.run(state["now"] - self.now, None)
+        self._city.run(state["now"] - self.now, None, False)
 
     def __repr__(self) -> str:
         """Show the configuration, the split, the seed and the number of ticks."""

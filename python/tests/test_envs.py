@@ -231,7 +231,10 @@ def test_a_trace_contains_the_overridden_configuration(tmp_path: Path) -> None:
     assert json.loads((tmp_path / "run.jsonl").read_text().splitlines()[0])["config_hash"] == header["config_hash"]
     done = subprocess.run(
         [sys.executable, "-m", "logicity", "explain", "trace.jsonl", "--agent", "Car_1"],
-        **{"cwd": tmp_path, "capture_output": True, "text": True, "check": True},
+        cwd=tmp_path,
+        capture_output=True,
+        text=True,
+        check=True,
     )
     assert "Car_1" in done.stdout
 
