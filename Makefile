@@ -62,7 +62,8 @@ page: $(VENV)/bin/python
 	$(VENV)/bin/ruff format --config python/pyproject.toml --check tests/page_in_browser.py
 	$(VENV)/bin/python tests/page_in_browser.py
 
-# Not part of `make test`. Checks the extension for Visual Studio Code and packages it as target/logicity.vsix. Needs npm.
+# Not part of `make test`. Checks the extension for Visual Studio Code and packages it as target/logicity.vsix. Needs
+# npm.
 VSCODE := editors/vscode
 vscode:
 	cp rules/logicity.tmLanguage.json LICENSE $(VSCODE)

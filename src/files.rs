@@ -1,6 +1,6 @@
-//! File input and output; no other module of the library reads or writes files.
+//! File input and output. Apart from the command line, no other module of the library accesses files.
 //!
-//! Input is read as a whole, is bounded in size, and must be UTF-8. [`Output`] writes files atomically and protects
+//! A text is read as a whole, is bounded in size, and must be UTF-8. [`Output`] writes files atomically and protects
 //! those that the program did not write.
 
 use std::io::{self, Read};

@@ -328,7 +328,7 @@ impl PySimulation {
         })
     }
 
-    /// Runs ticks, and writes their trace to a file if `trace` names one. `overwrite` permits to replace any file.
+    /// Runs ticks, and writes their trace to a file if `trace` names one; with `overwrite`, replaces any file.
     fn run(&self, py: Python<'_>, ticks: u64, trace: Option<PathBuf>, overwrite: bool) -> PyResult<()> {
         let output = (trace.as_deref())
             .map(|path| Output::create(path, overwrite_if(overwrite)).map_err(|error| unwritable(path, &error)))

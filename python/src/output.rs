@@ -39,8 +39,8 @@ struct PyOutput {
 
 #[pymethods]
 impl PyOutput {
-    /// Begins a file. `overwrite` permits to replace any file. Without `record`, the file does not count as written by
-    /// this package; then the caller decides which files to replace.
+    /// Begins a file. With `overwrite`, it replaces any file. Without `record`, it does not count as written by this
+    /// package; then the caller decides which files to replace.
     #[new]
     fn new(path: PathBuf, overwrite: bool, record: bool) -> PyResult<Self> {
         let output = match record {

@@ -139,7 +139,7 @@ impl PyTask {
             .unwrap_or(0))
     }
 
-    /// Replays the actions taken in an episode, and writes the trace to a file. `overwrite` permits to replace any file.
+    /// Replays the actions taken in an episode, and writes the trace to a file; with `overwrite`, replaces any file.
     fn write_trace(
         &self,
         py: Python<'_>,

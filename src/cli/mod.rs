@@ -60,7 +60,7 @@ struct Arguments {
 enum Command {
     /// Run a city and write a trace, an animation and a picture of the last tick
     Run(run::Arguments),
-    /// Create a folder with a rule file, a configuration and a scene to start from
+    /// Create a folder with a rule file, a configuration and scenes to start from
     New(new::Arguments),
     /// Check rule files and configurations, and print diagnostics, strata and conflicts
     Check(check::Arguments),

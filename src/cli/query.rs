@@ -380,7 +380,7 @@ fn read_decompressed(file: File) -> Result<(String, Option<usize>), ReadError> {
 }
 
 /// Loads a file of rows block by block, so that its text is never in memory as a whole. Returns `false` if that is
-/// impossible: only the whole text tells the places of its faults, and only a regular file can be read again for them.
+/// impossible: the places of faults require the whole text, and only a regular file can be read again for them.
 fn load_blocks(path: &Path, session: &mut Session, id: RelId, format: &RowFormat) -> Result<bool, Failure> {
     const BLOCK: u64 = 1 << 20;
     let Ok(mut file) = files::open_regular(path) else {

@@ -6,7 +6,8 @@
 //!
 //! Use [`load_scenario`] to run a city, [`load_map`] for a map alone, [`load_any`] for either, and [`load_tree`] if the
 //! caller interprets the keys. None of them accesses the disk: the caller passes a function that reads files, and the
-//! built-in files serve where it finds none. This module does not know what rules say or whether a map has room for its agents.
+//! built-in files serve where it finds none. This module does not know what rules say or whether a map has room for its
+//! agents.
 
 mod codes;
 mod compose;

@@ -174,7 +174,7 @@ impl ExactSum {
         let Some(top) = words.iter().rposition(|&word| word != 0) else {
             return 0.0;
         };
-        // The 64 most significant bits. The last of them also stands for all lower ones, which only matter for rounding.
+        // The 64 most significant bits. The last one also stands for all lower ones, which only matter for rounding.
         let zeros = words[top].leading_zeros();
         let below = if top > 0 { words[top - 1] } else { 0 };
         let pair = (u128::from(words[top]) << 64 | u128::from(below)) << zeros;

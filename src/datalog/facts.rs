@@ -2,7 +2,8 @@
 //!
 //! Each line is one row. Tabs separate the values unless a [`RowFormat`] sets another delimiter. A symbol stands as it
 //! is, a number in decimal, a float with up to nine significant digits. The only row of a relation without columns is
-//! `()`, which an empty line also stands for. This module converts rows from and to text; the caller reads and writes files.
+//! `()`, which an empty line also stands for. This module converts rows from and to text; the caller reads and writes
+//! files.
 
 use crate::datalog::check::{Column, RelId, Relation, RowFormat};
 use crate::datalog::session::Session;
@@ -145,8 +146,8 @@ struct Record {
 
 /// Finds the row that begins at `start`, and replaces `fields` by the byte ranges of its values.
 ///
-/// With [`RowFormat::quoted`], a value that begins with a double quote extends to its closing quote, over delimiters and
-/// line breaks (RFC 4180).
+/// With [`RowFormat::quoted`], a value that begins with a double quote extends to its closing quote, over delimiters
+/// and line breaks (RFC 4180).
 fn read_record(text: &str, start: usize, format: &RowFormat, fields: &mut Vec<Range<usize>>) -> Record {
     fields.clear();
     let line_end = |from: usize| text[from..].find('\n').map_or(text.len(), |length| from + length);

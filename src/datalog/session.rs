@@ -278,8 +278,8 @@ impl Session {
 
     /// Returns the distinct rows that one clause derives from the current facts, sorted.
     ///
-    /// For a fact of the rule text this is the fact itself. Several clauses may derive the same row. For a relation that
-    /// [is aggregated](Program::is_aggregated) the result is empty.
+    /// For a fact of the rule text this is the fact itself. Several clauses may derive the same row. For a relation
+    /// that [is aggregated](Program::is_aggregated) the result is empty.
     pub fn fired(&self, clause: ClauseId) -> Vec<Vec<Value>> {
         if clause.index() < self.program.rules().clauses.len() {
             self.store.fired(&self.program.0, &self.symbols, clause)

@@ -72,7 +72,7 @@ impl Output {
     ///
     /// # Errors
     /// Errors of the system; `InvalidInput` if `path` exists and is not a regular file; `AlreadyExists` if `overwrite`
-    /// does not permit to replace the existing file; `ResourceBusy` if another process writes the same file.
+    /// does not permit replacing the existing file; `ResourceBusy` if another process writes the same file.
     pub fn create(path: &Path, overwrite: Overwrite) -> io::Result<Output> {
         Output::begin(path, overwrite, true)
     }
@@ -214,7 +214,7 @@ fn existing(path: &Path) -> io::Result<Option<fs::Metadata>> {
 }
 
 /// Locks a folder until the result is dropped. Returns `None` where the file system has no locks, as on some network
-/// file systems: then two processes that begin at the same instant are not told apart.
+/// file systems: then two processes that begin at the same instant do not detect each other.
 fn lock(folder: &Path) -> io::Result<Option<File>> {
     // Only Unix opens folders.
     let Ok(handle) = File::open(folder) else {

@@ -6,7 +6,7 @@ use logicity::datalog::rewrite::{demand, unfold};
 use logicity::datalog::{Program, RelId, Rules, Session, Value, facts, naive};
 use proptest::prelude::*;
 
-/// Bit i of `outputs`, `inline` and `magic` is about predicate i.
+/// Bit i of `outputs`, `inline` and `magic` says whether predicate i has that mark.
 fn check(genome: &Genome, outputs: u32, inline: u32, magic: u32) -> Result<(), TestCaseError> {
     let mut rules = genome.rules();
     let has = |bits: u32, index: usize| bits >> (index % 32) & 1 == 1;

@@ -393,7 +393,7 @@ fn the_header_of_a_trace_is_compact() {
     assert!(header < 24 << 10, "{header}");
 }
 
-/// A pipe that a file names would make the program wait for ever. The user may name one on the command line.
+/// A pipe that a file names could make the program wait forever. A user may name one on the command line.
 #[test]
 fn pipes_are_read_only_where_the_user_names_them() {
     let folder = tempfile::tempdir().unwrap();

@@ -229,7 +229,8 @@ fn every_directive_is_a_keyword() {
     }
 }
 
-/// The extension for Visual Studio Code uses this grammar for the files of the language, and its snippets are valid code.
+/// The extension for Visual Studio Code uses this grammar for the files of the language, and its snippets are valid
+/// code.
 #[test]
 fn the_extension_fits_the_grammar() {
     let folder = root().join("editors/vscode");

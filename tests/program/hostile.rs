@@ -1,8 +1,9 @@
 //! Hostile files and command lines: every command and option with values and files that are wrong, huge or malicious.
 //!
-//! Each case is a shell command line that runs the program (`@`, or in front where there is none) with 2 GB of address
-//! space and 20 seconds. It must end with its exit code and print its words, without a panic, an abort or a hang. No
-//! file that existed before may change: neither its bytes nor its permissions, nor where a link leads.
+//! Each case is a shell command line in which `@` stands for the program; without `@`, it is the arguments of the
+//! program. A case has 2 GB of address space and 20 seconds. It must end with its exit code and print its words,
+//! without a panic, an abort or a hang. No file that existed before may change: neither its bytes nor its permissions,
+//! nor where a link leads.
 
 use sha2::{Digest, Sha256};
 use std::collections::BTreeMap;

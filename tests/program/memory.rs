@@ -158,7 +158,7 @@ fn rows_of_a_file_count() {
     assert!(less.peak - least.peak < 32 << 20, "{}", (less.peak - least.peak) >> 20);
 }
 
-/// Runs the program with an address space of so many KiB.
+/// Runs the program with an address space of `kib` KiB.
 fn in_address_space(kib: u64, arguments: &[&str]) -> (Option<i32>, String) {
     let output = Command::new("sh")
         .args(["-c", "ulimit -v \"$0\" && exec \"$@\"", &kib.to_string()])

@@ -12,7 +12,7 @@ use std::time::Duration;
 const MESSAGE_MAX: u64 = 64 << 20;
 /// The maximum size of the header of a message.
 const HEADER_MAX: u64 = 4096;
-/// The number of unanswered messages above which the server stops to read.
+/// The number of unanswered messages above which the server stops reading.
 const WAITING_MAX: usize = 64;
 
 /// The threads that read and write.

@@ -61,8 +61,8 @@ pub enum Edb {
     Extensible,
 }
 
-/// Checks all items and interns their constants in `symbols`. The rules are `None` if there is an error. Owned items are
-/// dropped as soon as they are checked.
+/// Checks all items and interns their constants in `symbols`. The rules are `None` if there is an error. Owned items
+/// are dropped as soon as they are checked.
 pub(crate) fn check(
     written: Cow<'_, [ast::Item]>,
     complete: bool,

@@ -331,7 +331,7 @@ pub enum Constraint {
     Irreflexive(RelId),
     /// With every row the reversed row holds too.
     Symmetric(RelId),
-    /// With no row the reversed row holds too, so no row relates a value to itself.
+    /// A row and its reversed row never both hold, so no row relates a value to itself.
     Asymmetric(RelId),
 }
 

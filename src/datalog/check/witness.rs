@@ -57,8 +57,8 @@ struct Rewriting {
 impl Rewriting {
     /// Rewrites the body of a clause or of an aggregate.
     ///
-    /// `outside` are the variables of the head, or of the aggregate's target and the witnesses of the aggregate. `taken`
-    /// are the variables of the enclosing bodies that cannot be witnesses here.
+    /// `outside` are the variables of the head, or of the aggregate's target and the witnesses of the aggregate.
+    /// `taken` are the variables of the enclosing bodies that cannot be witnesses here.
     fn body(
         &mut self,
         body: Vec<Literal>,

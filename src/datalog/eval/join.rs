@@ -146,8 +146,8 @@ impl<const W: usize> Output<W> {
     /// The minimum number of rows before the buffer considers a bitmap.
     const SEEN_MIN: usize = 256;
 
-    /// Distinct rows may take 3/4 of the memory. The rest is for repetitions, so that the buffer is not sorted for every
-    /// few rows, and for a bitmap.
+    /// Distinct rows may take 3/4 of the memory. The rest is for a bitmap and for repetitions, so that the buffer is
+    /// not sorted for every few rows.
     const FIT_PARTS: usize = 4;
 
     /// Unused memory at the end of a list is freed from this size on. Freeing less costs more than it saves.

@@ -211,8 +211,8 @@ impl Workers {
     }
 }
 
-/// Merges the results of the threads. `None` if a thread exceeded its share of the rows or of the memory: several threads
-/// may have derived the same rows.
+/// Merges the results of the threads. `None` if a thread exceeded its share of the rows or of the memory: several
+/// threads may have derived the same rows.
 fn join_hands<const W: usize>(
     hands: Vec<Hand<W>>,
     symbols: &Symbols,

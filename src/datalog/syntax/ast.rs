@@ -179,7 +179,7 @@ pub enum ConstraintKind {
     Irreflexive,
     /// `.symmetric`: with every row, the swapped row holds too.
     Symmetric,
-    /// `.asymmetric`: with no row, the swapped row holds too.
+    /// `.asymmetric`: a row and its swapped row never both hold.
     Asymmetric,
 }
 

@@ -122,8 +122,8 @@ impl DatasetWriter {
     }
 
     /// Writes the requested worlds that the folder lacks, then its `README.md` and `manifest.json`. It keeps existing
-    /// worlds. `overwrite` tells whether it may replace a `README.md` or `manifest.json` that no data set with these
-    /// settings has written.
+    /// worlds. Only with `overwrite` does it replace a `README.md` or `manifest.json` that does not come from a
+    /// data set with these settings.
     ///
     /// `progress` receives the numbers of frames made and to make. It is called, and `cancel` is polled, on the calling
     /// thread only. After cancellation the complete worlds stay in the folder, and another call makes the others.
