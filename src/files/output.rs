@@ -95,6 +95,10 @@ impl Output {
         let name = name_of(&target)?;
         let _lock = lock(folder)?;
         remove_leftovers(folder, &name)?;
+        if recorded {
+            // Only a regular file can be replaced by the record.
+            self::existing(&folder.join(RECORD))?;
+        }
         let existing = existing(&target)?;
         check_own(folder, &name, existing.as_ref(), overwrite)?;
         if existing.is_some() {
@@ -135,8 +139,9 @@ impl Output {
     /// Renames the complete file to its path.
     ///
     /// # Errors
-    /// Errors of the system; then an existing file at that path is unchanged. `AlreadyExists` if another program made
-    /// the file in the meantime; then the result is kept under another name, which the message contains.
+    /// Errors of the system; then an existing file at that path is unchanged, unless only the record could not be
+    /// written. `AlreadyExists` if another program made the file in the meantime; then the result is kept under another
+    /// name, which the message contains.
     pub fn finish(mut self) -> io::Result<()> {
         self.file.flush()?;
         let folder = folder_of(&self.target);
@@ -335,7 +340,10 @@ fn record(folder: &Path, name: &str, written: &fs::Metadata) -> io::Result<()> {
     record.written.retain(|name, _| folder.join(name).is_file());
     let text = serde_json::to_string(&record).expect("names and numbers") + "\n";
     let temporary = folder.join(format!("{RECORD}{TEMPORARY}{}-0", std::process::id()));
-    fs::write(&temporary, text)?;
+    // Never write through a link of that name.
+    let _ = fs::remove_file(&temporary);
+    let mut file = OpenOptions::new().write(true).create_new(true).open(&temporary)?;
+    file.write_all(text.as_bytes())?;
     fs::rename(&temporary, folder.join(RECORD))
 }
 
