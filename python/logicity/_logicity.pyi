@@ -12,6 +12,7 @@ __all__ = [
     "REASONS",
     "RandomBaseline",
     "MultiCarEnv",
+    "OutputFile",
     "VectorEnv",
     "BatchEvaluator",
     "ConfigFile",

@@ -347,7 +347,7 @@ def test_errors_of_endpoints_do_not_show_the_key(
     arguments = ["ask", "--questions", str(QUESTIONS), "--url", "http://localhost/v1", "--model", "m"]
     arguments += ["-o", str(tmp_path / "replies.jsonl")]
     monkeypatch.delenv("CITY_KEY", raising=False)
-    assert main([*arguments, "--key-from", "CITY_KEY"]) == 1
+    assert main([*arguments, "--key-from", "CITY_KEY"]) == 2
     assert "`CITY_KEY` is not set" in capsys.readouterr().err
     with pytest.raises(SystemExit):
         main([*arguments, "--settings", "[1]"])

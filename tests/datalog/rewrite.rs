@@ -115,6 +115,28 @@ fn an_inline_product_is_not_computed() {
 }
 
 /// An aggregate keeps its predicate: unfolding would count other rows.
+/// Heads that repeat a variable or have a constant need equalities in the variables of the clause.
+#[test]
+fn a_negated_inline_predicate_with_equal_columns_is_unfolded() {
+    let text = ".decl B(x: number, y: number)
+        B(1, 2). B(3, 3). B(4, 3). B(3, 4).
+        .decl Q(x: number, y: number) inline
+        Q(w, w) :- B(w, w).
+        .decl One(x: number) inline
+        One(1) :- B(1, 2).
+        .decl O(x: number, y: number)
+        .decl P(x: number)
+        .output O, P
+        O(x, y) :- B(x, y), !Q(y, x).
+        P(x) :- B(x, _), !One(x).";
+    let session = evaluated(rewritten(text), |_| ());
+    let rows = |name| facts::print(&session, session.program().relation(name).unwrap());
+    assert_eq!(
+        (rows("O"), rows("P")),
+        ("1\t2\n3\t4\n4\t3\n".to_owned(), "3\n4\n".to_owned())
+    );
+}
+
 #[test]
 fn an_inline_predicate_in_an_aggregate_is_counted_once() {
     let text = ".decl A(x: number, y: number)

@@ -206,12 +206,13 @@ impl Unfolder<'_> {
             if !terms_are_known || atom.terms.contains(&Term::Wildcard) {
                 return None;
             }
-            let mut choices = Vec::new();
-            for literal in equalities.iter().chain(&meant.body) {
+            // The equalities have variables of the clause, the body those of its meaning.
+            let body = meant.body.iter().map(|literal| {
                 let mut literal = literal.clone();
                 literal.terms_mut().for_each(|term| substitute(term, &terms));
-                choices.push(negated(literal)?);
-            }
+                literal
+            });
+            let choices: Vec<Literal> = equalities.into_iter().chain(body).map(negated).collect::<Option<_>>()?;
             if choices.len() * bodies.len() > MAX_CLAUSES {
                 return None;
             }

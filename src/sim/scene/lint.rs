@@ -33,6 +33,14 @@ pub fn conflict_lints(overlaps: &[Overlap], rules: &Rules, precedence: &[Action]
         let span_of = |action| spans[usize::from(action != overlap.actions[0])];
         let [wins, loses] = [winner, loser].map(Action::name);
         let message = format!("the rules can derive {wins} and {loses} for one agent, and {wins} wins");
+        let help = match one == other {
+            true => "split the clause, so that the rules say which action applies".to_owned(),
+            false => format!(
+                "add `Not({}(X))` to the clauses of {}, so that the rules say which action applies",
+                winner.name(),
+                loser.name()
+            ),
+        };
         Diagnostic::new(Code::ACTION_CONFLICT, message)
             .at(span_of(loser), format!("this clause derives {loses}"))
             .also(span_of(winner), format!("this one derives {wins}"))
