@@ -33,21 +33,15 @@ pub fn conflict_lints(overlaps: &[Overlap], rules: &Rules, precedence: &[Action]
         let span_of = |action| spans[usize::from(action != overlap.actions[0])];
         let [wins, loses] = [winner, loser].map(Action::name);
         let message = format!("the rules can derive {wins} and {loses} for one agent, and {wins} wins");
-        let help = match one == other {
-            true => "split the clause, so that the rules say which action applies".to_owned(),
-            false => format!(
-                "add `Not({}(X))` to the clauses of {}, so that the rules say which action applies",
-                winner.name(),
-                loser.name()
-            ),
+        let help = match span_of(winner) == span_of(loser) {
+            true => "derive each action in a clause of its own".to_owned(),
+            false => format!("if {wins} should win, add `Not({wins}(X))` to the clause of {loses}"),
         };
         Diagnostic::new(Code::ACTION_CONFLICT, message)
             .at(span_of(loser), format!("this clause derives {loses}"))
             .also(span_of(winner), format!("this one derives {wins}"))
             .note("`actions.priority` of the configuration is the order of precedence")
-            .help(format!(
-                "if {wins} should win, add `Not({wins}(X))` to the clause of {loses}"
-            ))
+            .help(help)
     };
     together.map(lint).collect()
 }
