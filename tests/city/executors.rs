@@ -233,7 +233,7 @@ fn a_batch_of_large_cities_equals_single_cities() {
 fn slow_crowds_have_a_limit() {
     let fits = world("vap-hard", None, |scenario| {
         multiply(scenario, 100);
-        // There are too few lane cells for so many cars.
+        // Lanes have fewer cells where cars start than curbs.
         scenario.trip_ends = TripEnds::Curb;
     });
     let mut fits = simulation(&fits, Executor::Dense, 1);

@@ -219,7 +219,7 @@ fn own_city(folder: &Path) {
     let root = folder.display();
     let rules = "/// W1: the file of another folder\n.include \"../lib/vocabulary.dl\"\n\
          .include \"../lib/more/rules.dl\"\n\
-         /// S1: stop for somebody\nStop(X) :- IsCar(X), IsClose(X, Y), IsPedestrian(Y).\n";
+         /// S1: stop for a pedestrian\nStop(X) :- IsCar(X), IsClose(X, Y), IsPedestrian(Y).\n";
     fs::write(folder.join("cfg/rules.dl"), rules).unwrap();
     // The name of a built-in file.
     fs::write(folder.join("lib/vocabulary.dl"), ".include \"more/../types.dl\"\n").unwrap();
@@ -227,7 +227,7 @@ fn own_city(folder: &Path) {
     fs::write(folder.join("lib/types.dl"), shipped).unwrap();
     fs::write(
         folder.join("lib/more/rules.dl"),
-        "/// S2: the tired\nSlow(X) :- IsTiro(X).\n",
+        "/// S2: drive slowly as a novice\nSlow(X) :- IsTiro(X).\n",
     )
     .unwrap();
     let config = format!("base: {root}/cfg/base.yaml\nrules: {root}/cfg/rules.dl\nagents: {{base: agents.yaml}}\n");

@@ -138,6 +138,7 @@ impl<const W: usize> BitState<W> {
     /// # Errors
     /// If searches over many variables take more steps than [`Dense::steps_max`]; the results are then meaningless.
     /// Whether they do depends on the program and the facts only.
+    #[inline]
     pub fn run(&mut self, program: &Dense, pairs: &impl BinaryFacts<W>) -> Result<(), TooManySteps> {
         let BitState {
             count,
