@@ -12,7 +12,7 @@ fn check(genome: &Genome, outputs: u32, inline: u32, magic: u32) -> Result<(), T
     let has = |bits: u32, index: usize| bits >> (index % 32) & 1 == 1;
     for (index, relation) in rules.relations.iter_mut().enumerate() {
         relation.output = relation.derived && has(outputs, index);
-        relation.inline = relation.derived && has(inline, index);
+        relation.inline = has(inline, index);
         relation.magic = has(magic, index);
     }
     let mut rows: Vec<(RelId, Vec<Value>)> = Vec::new();

@@ -45,8 +45,9 @@ pub fn would_restrict(rules: &Rules) -> bool {
 fn restrict(rules: &Rules, wanted: impl Fn(RelId) -> bool) -> Option<Rules> {
     let mut full = complete(rules);
     for relation in (0..).map(RelId).take(rules.relations.len()) {
-        let defined = rules.clauses.iter().any(|clause| clause.head.relation == relation);
-        full[relation.index()] |= !defined || !wanted(relation) || is_visible(rules, relation);
+        // Rows can be added to a predicate that only facts define: a copy would lack them.
+        let derived = rules.relations[relation.index()].derived;
+        full[relation.index()] |= !derived || !wanted(relation) || is_visible(rules, relation);
     }
     // Finds out which predicates are needed in full before it makes any clause.
     loop {

@@ -25,8 +25,12 @@ const MAX_LITERALS: usize = 64;
 /// Returns `None` if there is nothing to unfold.
 pub fn unfold(rules: &Rules) -> Option<(Rules, Vec<RelId>)> {
     let relations = (0..).map(RelId).take(rules.relations.len());
+    // Rows can be added to a predicate that only facts define: its clauses are not its meaning.
     let inline: Vec<bool> = relations
-        .map(|relation| rules.relations[relation.index()].inline && !is_visible(rules, relation))
+        .map(|relation| {
+            let declared = &rules.relations[relation.index()];
+            declared.inline && declared.derived && !is_visible(rules, relation)
+        })
         .collect();
     if !inline.contains(&true) {
         return None;
