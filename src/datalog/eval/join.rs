@@ -3,7 +3,7 @@
 use crate::cancel::Cancel;
 use crate::datalog::eval::groups::{self, Groups};
 use crate::datalog::eval::seen_bitmap::{Added, SeenBitmap, raise};
-use crate::datalog::plan::steps::{Fold, List, Plan, Slot, Source, Step};
+use crate::datalog::plan::steps::{List, Plan, Slot, Source, Step};
 use crate::datalog::row::{Batch, Row, difference, gallop, normalize};
 use crate::datalog::syntax::ast::{BaseType, Comparison};
 use crate::datalog::syntax::functor::{AggregateOp, Functor};
@@ -92,7 +92,7 @@ pub(crate) struct Output<const W: usize> {
     fit: usize,
     /// The lesser of `limit` and `fit`.
     most: usize,
-    /// What a plan with a [`Fold`] derives, in place of rows.
+    /// What a plan with a fold derives, in place of rows.
     groups: Option<Box<Groups<W>>>,
 }
 
@@ -655,7 +655,7 @@ impl<const W: usize> Join<'_, W> {
                     let words = self.key(key);
                     match self.plan.fold {
                         None => return self.spread(depth, &words[..key.len()], bind),
-                        Some(fold) if self.counts(fold, bind) => return self.count(depth, &words[..key.len()]),
+                        Some(_) if counts(self.plan, bind) => return self.count(depth, &words[..key.len()]),
                         Some(_) => {}
                     }
                 }
@@ -784,11 +784,6 @@ impl<const W: usize> Join<'_, W> {
         Ok(any)
     }
 
-    /// Whether the rows of the last scan only matter by their number.
-    fn counts(&self, fold: Fold, bind: Columns<'_>) -> bool {
-        fold.op == AggregateOp::Count && !bind.iter().any(|(_, slot)| self.plan.output.contains(slot))
-    }
-
     /// Runs the last scan of a plan that counts: all rows found are in the same group.
     fn count(&mut self, depth: usize, key: &[Value]) -> Result<bool, Abort> {
         self.rows_scanned += 1;
@@ -873,6 +868,12 @@ impl<const W: usize> Join<'_, W> {
         }
         words
     }
+}
+
+/// Whether only the number of rows of the last scan, which binds these columns, matters.
+pub(crate) fn counts(plan: &Plan, bind: Columns<'_>) -> bool {
+    plan.fold.is_some_and(|fold| fold.op == AggregateOp::Count)
+        && !bind.iter().any(|(_, slot)| plan.output.contains(slot))
 }
 
 /// Whether a comparison holds. Numbers compare by value; symbols are equal by id and ordered by text.

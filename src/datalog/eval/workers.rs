@@ -128,9 +128,20 @@ impl Workers {
     /// Splits the rows of the first scan into chunks; returns none if one thread is better. `copied` is the number of
     /// bytes copied to give each thread an output.
     fn split<'a, const W: usize>(&self, plan: &Plan, views: &[RowView<'a, W>], copied: usize) -> Vec<&'a [Row<W>]> {
-        let Some(Step::Scan { key, distinct, .. }) = plan.steps.first() else {
+        let Some(Step::Scan {
+            key,
+            bind,
+            check,
+            distinct,
+            ..
+        }) = plan.steps.first()
+        else {
             return Vec::new();
         };
+        // A scan that only counts its rows visits none of them.
+        if plan.steps.len() == 1 && check.is_empty() && *distinct == 0 && join::counts(plan, bind) {
+            return Vec::new();
+        }
         // If one success is enough, the scan stops early.
         let one_is_enough = plan.enough.first().is_some_and(|&end| end != 0);
         if one_is_enough || expected(plan, views) < (self.threads.split_from.max(copied / 8)) as f64 {
