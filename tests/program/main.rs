@@ -12,6 +12,7 @@ mod layers;
 mod lsp;
 #[cfg(target_os = "linux")]
 mod memory;
+mod prose;
 mod questions;
 mod readme;
 mod repl;
