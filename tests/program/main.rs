@@ -3,6 +3,7 @@
 mod cli;
 mod diagnostics;
 mod diff;
+mod examples;
 #[cfg(unix)]
 mod files;
 mod grammar;
