@@ -35,7 +35,10 @@ fn main() -> Result<(), Box<dyn std::error::Error>> {
             rollouts.push(rollout(&mut env, policy).map_err(|fault| fault.message)?);
         }
         let rate = summarize(&task, &rollouts, None).tsr;
-        println!("{name:13} success rate {:.2} [{:.2}, {:.2}]", rate.value, rate.low, rate.high);
+        println!(
+            "{name:13} success rate {:.2} [{:.2}, {:.2}]",
+            rate.value, rate.low, rate.high
+        );
     }
     Ok(())
 }

@@ -29,7 +29,6 @@ facts = {
     "IsBus": ["bus"],
     "IsPedestrian": ["walker"],
     "IsAtInter": ["me"],
-    "IsInInter": ["bus"],
     "IsClose": [["me", "walker"], ["walker", "me"]],
 }
 

@@ -17,5 +17,6 @@ mod prose;
 mod questions;
 mod readme;
 mod repl;
+mod repository;
 #[path = "../city/shipped_world.rs"]
 mod shipped_world;
