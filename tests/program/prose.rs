@@ -103,7 +103,7 @@ const IDIOMS: &[(&str, &str)] = &[
         "use a common word",
     ),
     (
-        "(?:colour|behaviour|neighbour|favour|honour|labell|travell|modell|centre|metre|catalogue|grey|kerb|learnt)[a-z]*",
+        "(?:colour|behaviour|neighbour|favour|honour|labell|travell|modell|centre|metre|catalogue|grey|kerb)[a-z]*",
         "American spelling",
     ),
     (
