@@ -2,6 +2,28 @@
 //!
 //! Without a file, checks two faulty rules. Needs the engine alone (`--no-default-features`); with the rules of cities,
 //! pass `logicity::builtin::BuiltinFiles` instead of `read_text`, so that files can include `vocabulary.dl`.
+//!
+//! ```text
+//! error[unknown-predicate]: no predicate `egde` is declared
+//!  --> faulty.dl:6:29
+//!   |
+//! 1 | .decl edge(x: number, y: number)
+//!   |       ---- `edge` is declared here
+//! ...
+//! 6 | reach(x, z) :- reach(x, y), egde(y, z).
+//!   |                             ^^^^
+//!   |
+//!   = help: did you mean `edge`?
+//!
+//! error[unbound-variable]: no positive atom binds `w`
+//!  --> faulty.dl:7:10
+//!   |
+//! 7 | reach(x, w) :- reach(x, y).
+//!   |          ^
+//!   |
+//!   = help: add a positive atom that binds `w`, such as `edge(w, _)`
+//! the rules have errors
+//! ```
 
 use logicity::datalog::Program;
 use logicity::diag::{Sources, render};

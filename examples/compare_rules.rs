@@ -1,5 +1,12 @@
 //! Proves two rule sets equivalent, or prints a smallest scene in which they differ: `cargo run --example compare_rules`.
 //! Needs the engine alone (`--no-default-features`).
+//!
+//! ```text
+//! shorter.dl: equivalent in scenes of any size
+//! wrong.dl: differs in the scene [("Bus", [["e0"]]), ("Near", [["e0", "e0"]])]
+//!   original.dl derives [("Stop", ["e0"])]
+//!   wrong.dl derives []
+//! ```
 
 use logicity::datalog::diff::{Equivalence, Options, diff};
 use logicity::datalog::{self, Rules};
@@ -21,7 +28,8 @@ const WRONG: &str = "Stop(x) :- Near(x, y), Bus(y), Car(y).";
 fn main() -> Result<(), Box<dyn std::error::Error>> {
     let original = load("original.dl", ORIGINAL)?;
     for (name, text) in [("shorter.dl", SHORTER), ("wrong.dl", WRONG)] {
-        match diff(&original, &load(name, text)?, &Options::default()).map_err(|fault| fault.message)? {
+        let found = diff(&original, &load(name, text)?, &Options::default());
+        match found.map_err(|faults| faults[0].message.clone())? {
             Equivalence::Equivalent { .. } => println!("{name}: equivalent in scenes of any size"),
             Equivalence::Different(difference) => {
                 println!("{name}: differs in the scene {:?}", difference.facts);

@@ -1,4 +1,10 @@
 //! Measures three policies on the recorded validation episodes of Safe Path Following: `cargo run --example drive`.
+//!
+//! ```text
+//! oracle        success rate 1.00 [0.91, 1.00]
+//! random        success rate 0.20 [0.10, 0.35]
+//! always Normal success rate 0.00 [0.00, 0.09]
+//! ```
 
 use logicity::builtin::BuiltinFiles;
 use logicity::city::{Action, Split};

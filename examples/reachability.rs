@@ -1,5 +1,22 @@
 //! Maintains reachability while edges come and go, and prints what each commit changed:
 //! `cargo run --example reachability`. Needs the engine alone (`--no-default-features`).
+//!
+//! ```text
+//! insert edge(1, 2)
+//!   + path(1, 2)
+//! insert edge(2, 3)
+//!   + path(1, 3)
+//!   + path(2, 3)
+//! insert edge(3, 4)
+//!   + path(1, 4)
+//!   + path(2, 4)
+//!   + path(3, 4)
+//! retract edge(2, 3)
+//!   - path(1, 3)
+//!   - path(1, 4)
+//!   - path(2, 3)
+//!   - path(2, 4)
+//! ```
 
 use logicity::datalog::{Program, RelId, Session, Value};
 use logicity::diag::{Sources, render};

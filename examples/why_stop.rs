@@ -1,11 +1,21 @@
 //! Runs the expert city until a car stops, and prints why: `cargo run --example why_stop`.
+//!
+//! ```text
+//! tick 1: Car_1 at [82, 94], heading Right: Stop
+//!
+//! Stop("Car_1")  by S6: an ambulance waits for the old on its right  [transfer-medium.dl:14]
+//! ├─ IsAmbulance("Car_1")
+//! ├─ RightOf("Pedestrian_6", "Car_1")
+//! ├─ IsOld("Pedestrian_6")
+//! └─ in view: Sees("Car_1", "Pedestrian_6")
+//! ```
 
 use logicity::builtin::BuiltinFiles;
 use logicity::cancel::Cancel;
-use logicity::city::{Action, AgentKind, Split};
+use logicity::city::{Action, Agent, AgentKind, Split};
 use logicity::diag::{Sources, render};
 use logicity::rng::Seed;
-use logicity::sim::{LoadError, LoadedCity, Settings, Simulation};
+use logicity::sim::{AgentTick, LoadError, LoadedCity, Settings, Simulation};
 use std::path::Path;
 use std::sync::Arc;
 
@@ -20,10 +30,9 @@ fn main() -> Result<(), Box<dyn std::error::Error>> {
     let simulation = Simulation::new(Arc::new(world), Split::Test, Seed(4), Settings::default());
     let mut simulation = simulation.map_err(|fault| fault.message)?;
     for _ in 0..100 {
-        let report = simulation.tick(&[]).map_err(|fault| fault.message)?;
-        let actions = report.agents.iter().map(|agent| agent.action);
-        let stopped = (actions.zip(simulation.agents()))
-            .position(|(action, agent)| action == Action::Stop && agent.kind == AgentKind::Car);
+        simulation.tick(&[]).map_err(|fault| fault.message)?;
+        let stops = |(done, agent): (&AgentTick, &Agent)| done.action == Action::Stop && agent.kind == AgentKind::Car;
+        let stopped = (simulation.report().agents.iter().zip(simulation.agents())).position(stops);
         if let Some(agent) = stopped {
             let decision = simulation.decision(agent).map_err(|fault| fault.message)?;
             print!("{}", decision.account(None, &Cancel::never())?.text(&sources));
