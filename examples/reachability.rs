@@ -3,19 +3,13 @@
 //!
 //! ```text
 //! insert edge(1, 2)
-//!   + path(1, 2)
+//!   + [(1, 2)]
 //! insert edge(2, 3)
-//!   + path(1, 3)
-//!   + path(2, 3)
+//!   + [(1, 3), (2, 3)]
 //! insert edge(3, 4)
-//!   + path(1, 4)
-//!   + path(2, 4)
-//!   + path(3, 4)
+//!   + [(1, 4), (2, 4), (3, 4)]
 //! retract edge(2, 3)
-//!   - path(1, 3)
-//!   - path(1, 4)
-//!   - path(2, 3)
-//!   - path(2, 4)
+//!   - [(1, 3), (1, 4), (2, 3), (2, 4)]
 //! ```
 
 use logicity::datalog::{Program, RelId, Session, Value};
@@ -49,15 +43,19 @@ fn main() -> Result<(), Box<dyn std::error::Error>> {
     commit(&mut session, path)
 }
 
-/// Updates everything that the rules derive, and prints the rows that one relation gained and lost.
-fn commit(session: &mut Session, relation: RelId) -> Result<(), Box<dyn std::error::Error>> {
+/// Updates everything that the rules derive, and prints the pairs that `path` gained and lost.
+fn commit(session: &mut Session, path: RelId) -> Result<(), Box<dyn std::error::Error>> {
     let delta = session.commit()?;
-    let Some(change) = delta.of(relation) else {
+    let Some(change) = delta.of(path) else {
         return Ok(());
     };
     for (sign, rows) in [("+", &change.added), ("-", &change.removed)] {
-        for row in rows.iter() {
-            println!("  {sign} path({}, {})", row[0].as_number(), row[1].as_number());
+        let pairs: Vec<_> = rows
+            .iter()
+            .map(|row| (row[0].as_number(), row[1].as_number()))
+            .collect();
+        if !pairs.is_empty() {
+            println!("  {sign} {pairs:?}");
         }
     }
     Ok(())
