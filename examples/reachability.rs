@@ -46,14 +46,10 @@ fn main() -> Result<(), Box<dyn std::error::Error>> {
 /// Updates everything that the rules derive, and prints the pairs that `path` gained and lost.
 fn commit(session: &mut Session, path: RelId) -> Result<(), Box<dyn std::error::Error>> {
     let delta = session.commit()?;
-    let Some(change) = delta.of(path) else {
-        return Ok(());
-    };
+    let change = delta.of(path).ok_or("`path` did not change")?;
     for (sign, rows) in [("+", &change.added), ("-", &change.removed)] {
-        let pairs: Vec<_> = rows
-            .iter()
-            .map(|row| (row[0].as_number(), row[1].as_number()))
-            .collect();
+        let pair = |row: &[Value]| (row[0].as_number(), row[1].as_number());
+        let pairs: Vec<_> = rows.iter().map(pair).collect();
         if !pairs.is_empty() {
             println!("  {sign} {pairs:?}");
         }
