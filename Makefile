@@ -49,25 +49,12 @@ wheel: $(filter $(VENV)/%,$(MATURIN))
 	$(MATURIN) build --quiet --locked --profile $(WHEEL_PROFILE) --manifest-path python/Cargo.toml --out $(WHEELS) \
 	    $(WHEEL_OPTIONS)
 
-# The source distribution of the Python package.
-sdist: $(filter $(VENV)/%,$(MATURIN))
-	$(MATURIN) sdist --quiet --manifest-path python/Cargo.toml --out $(WHEELS)
-
-$(VENV)/bin/maturin: $(VENV)/bin/python
-	$(VENV)/bin/pip install --quiet --disable-pip-version-check 'maturin>=1.10,<2'
-
-# Lints the Python code and checks its format.
-ruff: $(VENV)/bin/ruff
-	$(VENV)/bin/ruff check python
-	$(VENV)/bin/ruff format --check python
-
-$(VENV)/bin/ruff: $(VENV)/bin/python
-	$(VENV)/bin/pip install --quiet --disable-pip-version-check 'ruff>=0.6'
-
 # Installs the wheel into a virtual environment and tests it there; `test_wheel.py` installs it into an empty one.
-python: wheel ruff
+python: wheel
 	$(VENV)/bin/pip install --quiet --disable-pip-version-check --force-reinstall --no-deps $(WHEELS)/*.whl
 	$(VENV)/bin/pip install --quiet --disable-pip-version-check "$$(echo $(WHEELS)/*.whl)[test]"
+	$(VENV)/bin/ruff check python
+	$(VENV)/bin/ruff format --check python
 	$(VENV)/bin/mypy --strict --config-file python/pyproject.toml python/logicity python/tests python/benches python/examples
 	LOGICITY_WHEEL=$$(echo $(WHEELS)/*.whl) $(VENV)/bin/python -m pytest -q python/tests
 
@@ -95,6 +82,21 @@ python-all: wheel $(VENV)-all/bin/python
 
 $(VENV)/bin/python $(VENV)-all/bin/python: %/bin/python:
 	$(PYTHON) -m venv $* || { echo "on Debian: apt-get install python3-venv"; exit 1; }
+
+# Not part of `make test`. The source distribution of the Python package.
+sdist: $(filter $(VENV)/%,$(MATURIN))
+	$(MATURIN) sdist --quiet --manifest-path python/Cargo.toml --out $(WHEELS)
+
+$(VENV)/bin/maturin: $(VENV)/bin/python
+	$(VENV)/bin/pip install --quiet --disable-pip-version-check 'maturin>=1.10,<2'
+
+# Lints the Python code and checks its format, as `make python` does.
+ruff: $(VENV)/bin/ruff
+	$(VENV)/bin/ruff check python
+	$(VENV)/bin/ruff format --check python
+
+$(VENV)/bin/ruff: $(VENV)/bin/python
+	$(VENV)/bin/pip install --quiet --disable-pip-version-check 'ruff>=0.6'
 
 # Not part of `make test`. Checks licenses and sources of all dependencies against deny.toml. Needs
 # `cargo install --locked cargo-deny`.
