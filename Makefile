@@ -98,11 +98,11 @@ ruff: $(VENV)/bin/ruff
 $(VENV)/bin/ruff: $(VENV)/bin/python
 	$(VENV)/bin/pip install --quiet --disable-pip-version-check 'ruff>=0.6'
 
-# Not part of `make test`. Checks licenses and sources of all dependencies against deny.toml. Needs
+# Not part of `make test`. Checks licenses and sources of the dependencies of all workspaces against deny.toml. Needs
 # `cargo install --locked cargo-deny`.
 .PHONY: format ruff sdist deny msrv package publish binary release-check
 deny:
-	for manifest in Cargo.toml tests/fuzz/Cargo.toml benches/peers/Cargo.toml; do \
+	for manifest in $(patsubst %.lock,%.toml,$(wildcard Cargo.lock */*/Cargo.lock)); do \
 	    cargo deny --manifest-path $$manifest --config deny.toml --locked --all-features check licenses bans sources \
 	        || exit 1; \
 	done
