@@ -85,7 +85,7 @@ $(VENV)/bin/python $(VENV)-all/bin/python: %/bin/python:
 
 # Not part of `make test`. The source distribution of the Python package.
 sdist: $(filter $(VENV)/%,$(MATURIN))
-	$(MATURIN) sdist --quiet --manifest-path python/Cargo.toml --out $(WHEELS)
+	$(MATURIN) sdist --manifest-path python/Cargo.toml --out $(WHEELS)
 
 $(VENV)/bin/maturin: $(VENV)/bin/python
 	$(VENV)/bin/pip install --quiet --disable-pip-version-check 'maturin>=1.10,<2'
