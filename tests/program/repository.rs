@@ -49,6 +49,7 @@ fn manifests_agree() {
 
     let oldest = value("Cargo.toml", r#"^rust-version = "(.*)""#);
     assert_eq!(value("python/Cargo.toml", r#"^rust-version = "(.*)""#), oldest);
+    assert!(read("CONTRIBUTING.md").contains(&format!("Rust {oldest} or later")));
     assert_eq!(read("LICENSE"), read("python/LICENSE.txt"));
     let summary = value("Cargo.toml", r#"^description = "(.*)""#);
     assert_eq!(value("python/pyproject.toml", r#"^description = "(.*)""#), summary);
