@@ -16,9 +16,11 @@ quick:
 	cargo fmt --all --check
 	PROPTEST_CASES=32 cargo test --locked --lib --bins --test datalog --test city --test program -- --skip slow_
 
-lint:
+format:
 	cargo fmt --all --check
 	cargo fmt --manifest-path tests/fuzz/Cargo.toml --check
+
+lint: format
 	cargo clippy --workspace --all-targets --locked -- -D warnings
 	cargo clippy --manifest-path tests/fuzz/Cargo.toml --target-dir target --no-default-features --locked -- -D warnings
 
@@ -40,10 +42,12 @@ doc:
 # The wheel of the Python package. `make python WHEEL_PROFILE=dev` builds it faster, but its code is slower.
 WHEELS := target/wheels
 WHEEL_PROFILE := release
-wheel: $(VENV)/bin/python
+WHEEL_OPTIONS :=
+MATURIN := $(VENV)/bin/maturin
+wheel: $(filter $(VENV)/%,$(MATURIN))
 	rm -rf $(WHEELS)
-	$(VENV)/bin/pip install --quiet --disable-pip-version-check 'maturin>=1.10,<2'
-	$(VENV)/bin/maturin build --quiet --locked --profile $(WHEEL_PROFILE) --manifest-path python/Cargo.toml --out $(WHEELS)
+	$(MATURIN) build --quiet --locked --profile $(WHEEL_PROFILE) --manifest-path python/Cargo.toml --out $(WHEELS) \
+	    $(WHEEL_OPTIONS)
 
 # Installs the wheel into a virtual environment and tests it there; `test_wheel.py` installs it into an empty one.
 python: wheel
@@ -78,6 +82,63 @@ python-all: wheel $(VENV)-all/bin/python
 
 $(VENV)/bin/python $(VENV)-all/bin/python: %/bin/python:
 	$(PYTHON) -m venv $* || { echo "on Debian: apt-get install python3-venv"; exit 1; }
+
+# Not part of `make test`. The source distribution of the Python package.
+sdist: $(filter $(VENV)/%,$(MATURIN))
+	$(MATURIN) sdist --manifest-path python/Cargo.toml --out $(WHEELS)
+
+$(VENV)/bin/maturin: $(VENV)/bin/python
+	$(VENV)/bin/pip install --quiet --disable-pip-version-check 'maturin>=1.10,<2'
+
+# Lints the Python code and checks its format, as `make python` does.
+ruff: $(VENV)/bin/ruff
+	$(VENV)/bin/ruff check python
+	$(VENV)/bin/ruff format --check python
+
+$(VENV)/bin/ruff: $(VENV)/bin/python
+	$(VENV)/bin/pip install --quiet --disable-pip-version-check 'ruff>=0.6'
+
+# Not part of `make test`. Checks licenses and sources of the dependencies of all workspaces against deny.toml. Needs
+# `cargo install --locked cargo-deny`.
+.PHONY: format ruff sdist deny msrv package publish binary release-check
+deny:
+	for manifest in $(patsubst %.lock,%.toml,$(wildcard Cargo.lock */*/Cargo.lock)); do \
+	    cargo deny --manifest-path $$manifest --config deny.toml --locked --all-features check licenses bans sources \
+	        || exit 1; \
+	done
+
+# Not part of `make test`. Compiles with the oldest supported compiler, which rustup installs.
+MSRV := $(shell sed -n 's/^rust-version = "\(.*\)"/\1/p' Cargo.toml)
+msrv:
+	rustup toolchain install $(MSRV) --profile minimal
+	cargo +$(MSRV) check --locked --all-features
+
+# Not part of `make test`. Lists the files of the crate and packages it, without building the package.
+package:
+	cargo package --locked --no-verify --list
+	cargo publish --locked --no-verify --dry-run
+
+# Uploads the crate. Needs a token of the registry.
+publish:
+	cargo publish --locked
+
+# Not part of `make test`. The program with its license and documentation as target/dist/logicity-SYSTEM.tar.gz.
+SYSTEM := $(shell rustc -vV | sed -n 's/^host: //p')
+binary:
+	cargo build --release --locked
+	rm -rf target/dist
+	mkdir -p target/dist/logicity-$(SYSTEM)
+	cp target/release/logicity$(if $(filter Windows_NT,$(OS)),.exe) README.md CHANGELOG.md LICENSE \
+	    target/dist/logicity-$(SYSTEM)
+	tar -C target/dist -czf target/dist/logicity-$(SYSTEM).tar.gz logicity-$(SYSTEM)
+
+# Not part of `make test`. Fails unless the repository can be released as VERSION (without `v`): no file contains the
+# placeholder of its owner, and the changelog has a dated section.
+VERSION = $(shell sed -n 's/^version = "\(.*\)"/\1/p' Cargo.toml)
+release-check:
+	! grep -rn "github.com/OWNER/" Cargo.toml CITATION.cff .github python
+	grep -qx 'version = "$(VERSION)"' Cargo.toml
+	grep -qE '^## $(subst .,\.,$(VERSION)) - [0-9]{4}-[0-9]{2}-[0-9]{2}$$' CHANGELOG.md
 
 # Not part of `make test`. Compares logicity with z3 and clingo. SOLVERS_OPTIONS are options of benches/solvers/compare.py.
 solvers: $(SOLVERS)/installed

@@ -249,8 +249,8 @@ def test_explanations_of_actions() -> None:
     assert f'Not(Fast("{name}"))' in str(other)
     city.tick({stopped: "Fast"})
     assert "the action came from outside" in str(city.explain(stopped))
-    with pytest.raises(KeyError, match="Nobody"):
-        city.explain("Nobody")
+    with pytest.raises(KeyError, match="Absent"):
+        city.explain("Absent")
     with pytest.raises(ValueError, match="is not an action"):
         city.why_not(stopped, "Fly")  # type: ignore[arg-type]
 

@@ -151,7 +151,7 @@ def test_an_evaluation_equals_runs_of_single_environments() -> None:
     assert measured.mean_return.value == pytest.approx(np.mean([record.total for record in measured.episodes]))
     # These are the formulas of python/README.md. Here the rules require only Stop.
     asked = [any(record.constrained.values()) for record in measured.episodes]
-    kept = [ever and not record.violations for ever, record in zip(asked, measured.episodes, strict=True)]
+    kept = [required and not record.violations for required, record in zip(asked, measured.episodes, strict=True)]
     assert measured.dsr.value == np.mean(kept)
     assert measured.compliance.value == pytest.approx(sum(kept) / sum(asked))
     assert measured.dsr_by_action["Stop"].value == pytest.approx(sum(kept) / sum(asked))

@@ -22,7 +22,7 @@ use std::path::{Path, PathBuf};
 
 #[derive(clap::Args)]
 pub struct Arguments {
-    /// Rule files, each checked as a program of its own; configurations (.yaml, or names of built-in ones such as
+    /// Rule files, each checked as a separate program; configurations (.yaml, or names of built-in ones such as
     /// `expert`), checked with their rules; maps [default with --coverage: the rules of the run]
     #[arg(required_unless_present = "coverage", value_name = "FILES")]
     rules: Vec<PathBuf>,

@@ -267,7 +267,7 @@ pub fn run_with_python(arguments: &[OsString]) -> Outcome {
     if let Some((words, rest)) = python_command(arguments) {
         return Outcome::Python(words, rest);
     }
-    // Treats `logicity help train` as `logicity train --help`, and likewise `logicity vap help coco`.
+    // Treats `logicity help train` as `logicity train --help`, and `logicity vap help coco` accordingly.
     if let Some(at) = arguments.iter().position(|argument| argument == "help") {
         let without: Vec<OsString> = [&arguments[..at], &arguments[at + 1..]].concat();
         if let Some((words, _)) = python_command(&without).filter(|(words, _)| at < words.len()) {

@@ -4,7 +4,7 @@
 //! ?- Path(x, y), y > 3.    becomes    .decl ?-(x: number, y: number)    ?-(x, y) :- Path(x, y), y > 3.
 //! ```
 //!
-//! `check` treats a query as a program of its own, in which every declared predicate is input. So a query re-checks no
+//! `check` treats a query as a separate program in which every declared predicate is input. So a query re-checks no
 //! clause of the program, and its body may use everything that a clause body may use.
 
 use std::borrow::Cow;

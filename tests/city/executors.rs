@@ -185,10 +185,10 @@ fn controls_of_missing_agents_are_errors() {
     for threads in [1, 3] {
         let cities = (0..4).map(|_| simulation(&world, Executor::Dense, 1)).collect();
         let mut batch = Batch::new(cities, threads).unwrap();
-        let nobody = [[(count + 1, Action::Stop)], [(count + 2, Action::Stop)]];
+        let absent = [[(count + 1, Action::Stop)], [(count + 2, Action::Stop)]];
         let fault = batch.tick(|city| match city {
-            1 => &nobody[0],
-            3 => &nobody[1],
+            1 => &absent[0],
+            3 => &absent[1],
             _ => &[],
         });
         assert!(fault.unwrap_err().message.contains(&format!("agent {}", count + 1)));

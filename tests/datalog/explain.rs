@@ -440,9 +440,9 @@ fn views_are_reported_and_hidden_predicates_are_not() {
 .decl go(x: number)
 .input sees, near, car
 .scope sees
-/// F: nobody in view is near
+/// F: no agent in view is near
 free(X) :- car(X), !near(X, _).
-/// G: somebody in view is free
+/// G: an agent in view is free
 go(X) :- car(X), free(Y).
 ";
     let facts: &[(&str, &[&[i32]])] = &[
@@ -454,9 +454,9 @@ go(X) :- car(X), free(Y).
     assert_eq!(
         explained(text, facts, "go", &[1]),
         "\
-go(1)  by G: somebody in view is free  [rules.dl:12]
+go(1)  by G: an agent in view is free  [rules.dl:12]
 ├─ car(1)
-├─ free(2)  by F: nobody in view is near  [rules.dl:10]
+├─ free(2)  by F: no agent in view is near  [rules.dl:10]
 │  ├─ car(2)
 │  └─ Not(near(2, _) in view)
 │     └─ not in view: sees(2, 3)
@@ -467,7 +467,7 @@ go(1)  by G: somebody in view is free  [rules.dl:12]
         explained(text, facts, "free", &[1]),
         "\
 Not(free(1)): no clause of free holds
-└─ F: nobody in view is near  [rules.dl:10]
+└─ F: no agent in view is near  [rules.dl:10]
    └─ Not(near(1, _) in view) fails
       └─ near(1, _) in view
          ├─ near(1, 2)
@@ -478,7 +478,7 @@ Not(free(1)): no clause of free holds
         explained(text, &[facts[0], facts[1]], "go", &[1]),
         "\
 Not(go(1)): no clause of go holds
-└─ G: somebody in view is free  [rules.dl:12]
+└─ G: an agent in view is free  [rules.dl:12]
    └─ nearest Y = 2: not in view: sees(1, 2)
 "
     );

@@ -327,7 +327,7 @@ fn hostile_traces_are_errors() {
     };
     let drawn = {
         let mut tick: Value = serde_json::from_str(tick).unwrap();
-        tick["given"] = serde_json::json!({ "CollidingClose": [["nobody", "Car_1"]] });
+        tick["given"] = serde_json::json!({ "CollidingClose": [["Car_99", "Car_1"]] });
         format!("{header}\n{tick}\n")
     };
     for (text, words) in [

@@ -1198,7 +1198,7 @@ fn run(folder: &Path, output: &Path, line: &str) -> Result<(ExitStatus, String),
         true => line.replace('@', "\"$0\""),
         false => format!("\"$0\" {line}"),
     };
-    // In a group of its own, so that all of a pipeline can be killed.
+    // In a separate group, so that all of a pipeline can be killed.
     let file = fs::File::create(output).unwrap();
     let mut process = Command::new("sh")
         .arg("-c")

@@ -19,7 +19,7 @@ struct Measured {
 }
 
 /// Runs the program and measures its peak memory. The system reports the largest peak of all child processes, so a
-/// process of its own runs this test program again, for [`measured`] alone.
+/// separate process runs this test program again, for [`measured`] alone.
 fn measure(arguments: &[&str]) -> Measured {
     let output = Command::new(std::env::current_exe().unwrap())
         .args(["--exact", "memory::measured", "--ignored", "--nocapture"])
@@ -39,7 +39,7 @@ fn measure(arguments: &[&str]) -> Measured {
 }
 
 #[test]
-#[ignore = "a part of the other tests, in a process of its own"]
+#[ignore = "a part of the other tests, in a separate process"]
 fn measured() {
     let arguments = std::env::var(ARGUMENTS).expect("another test sets it");
     let status = Command::new(env!("CARGO_BIN_EXE_logicity"))

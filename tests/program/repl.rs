@@ -40,7 +40,7 @@ fn good(input: &str) -> String {
 
 const GRAPH: &str = "
 .decl Edge(x: number, y: number)
-/// Whoever comes from x gets to y.
+/// There is a path from x to y.
 .decl Path(x: number, y: number)
 Path(x, y) :- Edge(x, y).
 Path(x, z) :- Path(x, y),
@@ -218,7 +218,7 @@ fn faults_point_into_the_input_and_change_nothing() {
             "error[invalid-fact]: no such clause",
             "<input 6>:1:9",
         ),
-        (".show Nobody", "error[unknown-predicate]", "<input 6>:1:7"),
+        (".show Absent", "error[unknown-predicate]", "<input 6>:1:7"),
         (".hlep", "error[syntax]: no command `.hlep`", "<input 6>:1:1"),
         (".foo", "the commands are `.load`, `.reload`, `.facts`", "<input 6>:1:1"),
         (".dcl A(x: number)", "error[syntax]: unknown directive", "<input 6>:1:1"),
@@ -372,7 +372,7 @@ fn the_prompt_lists_rules_facts_and_plans() {
     ));
     for words in [
         "   1  Path(x: number, y: number)  derived",
-        "/// Whoever comes from x gets to y.",
+        "/// There is a path from x to y.",
         "Path(x, z) :- Path(x, y), Edge(y, z).    <input 4>:1:1",
         "for the new rows of Path",
         "scan   Path(1, x) by x",

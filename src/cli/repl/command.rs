@@ -67,7 +67,7 @@ const OTHER_WORDS: &[(&str, &str)] = &[
 
 #[derive(Debug)]
 pub enum Command {
-    /// The argument is a text of its own with the name of the input; see `Typed::part`.
+    /// The argument is a separate text with the name of the input; see `Typed::part`.
     Explain(SourceId),
     WhyNot(SourceId),
     Retract(SourceId),

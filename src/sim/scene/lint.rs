@@ -34,7 +34,7 @@ pub fn conflict_lints(overlaps: &[Overlap], rules: &Rules, precedence: &[Action]
         let [wins, loses] = [winner, loser].map(Action::name);
         let message = format!("the rules can derive {wins} and {loses} for one agent, and {wins} wins");
         let help = match span_of(winner) == span_of(loser) {
-            true => "derive each action in a clause of its own".to_owned(),
+            true => "derive each action in a separate clause".to_owned(),
             false => format!("if {wins} should win, add `Not({wins}(X))` to the clause of {loses}"),
         };
         Diagnostic::new(Code::ACTION_CONFLICT, message)

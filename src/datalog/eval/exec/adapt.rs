@@ -26,7 +26,7 @@ impl Basis {
     }
 }
 
-/// Smaller relations count as having this many rows: no order of so few rows costs much.
+/// Smaller relations count as having this many rows: with fewer rows, every order is cheap.
 const ROWS_MIN: usize = 64;
 
 /// Plans stay in use until a relation grows or shrinks by this factor.
