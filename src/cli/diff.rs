@@ -1,7 +1,7 @@
 //! `logicity diff`: compares two rule sets.
 
 use crate::city::Action;
-use crate::cli::{Failure, load_program, report};
+use crate::cli::{Failure, integer, load_program, report};
 use crate::datalog::diff::{Cut, Difference, Equivalence, Options, diff};
 use crate::datalog::{BaseType, Rules, quoted};
 use crate::diag::{Code, Diagnostic, Sources};

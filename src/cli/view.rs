@@ -60,8 +60,10 @@ pub fn run(arguments: &Arguments, sources: &mut Sources) -> Result<(), Failure> 
         let files = [files[0].as_deref(), files[1].as_deref()];
         pages.push(load(trace, range, files, icons, sources)?);
     }
-    // The files that configurations and rules name are known only now.
-    Inputs::of(sources).refuse(output)?;
+    if !arguments.config.is_empty() || !arguments.rules.is_empty() {
+        // The files that these name are known only now.
+        Inputs::of(sources).refuse(output)?;
+    }
     let mut out = messages(&[output]);
     let fail = |error| unwritable(output, &error);
     if let [left, right] = &pages[..] {

@@ -194,3 +194,21 @@ pub fn similar_file<'a>(written: &str, candidates: impl IntoIterator<Item = &'a 
 
 /// The shortest part of a name that suggests the whole, in bytes.
 const PART_MIN: usize = 3;
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn similar_files_have_the_missing_ending_or_a_close_name() {
+        let files = ["city.yaml", "rules.dl", "rules.jsonl", "trace.jsonl"];
+        let near = |written: &str| similar_file(written, files);
+        assert_eq!(near("city"), Some("city.yaml"));
+        assert_eq!(near("rules"), Some("rules.dl"), "the first of several");
+        assert_eq!(near("ruls"), Some("rules.dl"));
+        assert_eq!(near("ruls.jsonl"), Some("rules.jsonl"), "the same ending first");
+        assert_eq!(near("trace.json"), Some("trace.jsonl"));
+        assert_eq!(near("city.yml"), Some("city.yaml"));
+        assert_eq!(near("something-else.dl"), None);
+    }
+}

@@ -22,7 +22,7 @@ pub fn city_lints(rules: &Rules, scenario: Option<&Scenario>) -> Vec<Diagnostic>
     let collisions: Vec<&str> = match scenario {
         Some(scenario) => (scenario.predicates.iter())
             .filter(|predicate| predicate.definition.is_collision())
-            .map(|predicate| predicate.name.as_str())
+            .map(|predicate| predicate.name.value.as_str())
             .collect(),
         None => vec![SHIPPED_COLLISION],
     };

@@ -116,10 +116,9 @@ impl<'c> Check<'_, 'c> {
         let mut computed = vec![false; self.variables.len()];
         mark_computed(pending, &mut computed);
         // In `Car_2 = Y` without quotes, `Y` would be bound if `Car_2` were the constant that it looks like.
-        let constants: Vec<bool> = (self.variables.iter())
-            .map(|variable| reads_as_constant(&variable.name))
-            .collect();
-        self.report_unbound(head, is_fact, |index| constants[index]);
+        let ids = (0..).take(self.variables.len()).map(VarId);
+        let constants: Vec<bool> = ids.map(|id| reads_as_constant(&self.name(id))).collect();
+        self.report_unbound(head, is_fact, |index| constants[index] && !computed[index]);
         self.bind_all(pending);
         self.report_unbound(head, is_fact, |index| !computed[index]);
         self.bind_all(pending);
