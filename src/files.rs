@@ -125,9 +125,10 @@ pub fn open_regular(path: &Path) -> Result<std::fs::File, ReadError> {
 
 fn unreadable(path: &Path, error: &io::Error) -> ReadError {
     match (error.kind(), std::fs::read_link(path)) {
-        (io::ErrorKind::NotFound, Ok(target)) => {
-            ReadError::Io(format!("it is a symbolic link to `{}`, which does not exist", target.display()))
-        }
+        (io::ErrorKind::NotFound, Ok(target)) => ReadError::Io(format!(
+            "it is a symbolic link to `{}`, which does not exist",
+            target.display()
+        )),
         (io::ErrorKind::NotFound, Err(_)) => ReadError::NotFound,
         _ => ReadError::Io(error.to_string()),
     }
@@ -168,7 +169,10 @@ fn descriptor(path: &Path) -> Option<String> {
     let mut target = path.to_owned();
     for _ in 0..LINKS_MAX {
         let folder = folder_of(&target);
-        if ["/dev/fd", "/proc/self/fd"].iter().any(|known| folder == Path::new(known)) {
+        if ["/dev/fd", "/proc/self/fd"]
+            .iter()
+            .any(|known| folder == Path::new(known))
+        {
             return target.file_name()?.to_str().map(str::to_owned);
         }
         target = folder.join(std::fs::read_link(&target).ok()?);

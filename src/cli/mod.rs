@@ -195,7 +195,8 @@ impl ForceOption {
 
     /// Reports now if a file that is written later cannot be written.
     fn check(&self, path: &Path, inputs: &Inputs) -> Result<(), Failure> {
-        self.create(path, inputs).map(drop)
+        inputs.refuse(path)?;
+        Output::check(path, self.overwrite()).map_err(|error| unwritable(path, &error))
     }
 }
 
@@ -210,7 +211,13 @@ impl Inputs {
 
     /// Adds files; `-` means standard input.
     fn with(mut self, paths: impl IntoIterator<Item = PathBuf>) -> Inputs {
-        let named = |path: PathBuf| if path == Path::new("-") { "/dev/stdin".into() } else { path };
+        let named = |path: PathBuf| {
+            if path == Path::new("-") {
+                "/dev/stdin".into()
+            } else {
+                path
+            }
+        };
         self.0.extend(paths.into_iter().map(named));
         self
     }
@@ -731,7 +738,8 @@ where
     N: FromStr + PartialOrd + Display + Clone + Send + Sync + 'static,
 {
     move |text: &str| {
-        let number = text.parse().ok().filter(|number| range.contains(number));
+        let number: Option<N> = text.parse().ok();
+        let number = number.filter(|number| range.contains(number));
         number.ok_or_else(|| format!("expected an integer from {} to {}", range.start(), range.end()))
     }
 }

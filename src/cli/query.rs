@@ -335,7 +335,10 @@ fn input_path(folder: &Path, relation: &str, directive: &Directive) -> Option<Pa
 /// Returns the files of all input relations; `-` for standard input.
 fn input_paths(program: &Program, folder: &Path) -> Vec<PathBuf> {
     let of = |relation: &crate::datalog::Relation| -> Vec<PathBuf> {
-        let inputs = relation.directives.iter().filter(|directive| directive.kind == MarkKind::Input);
+        let inputs = relation
+            .directives
+            .iter()
+            .filter(|directive| directive.kind == MarkKind::Input);
         inputs
             .map(|directive| input_path(folder, &relation.name, directive).unwrap_or_else(|| "-".into()))
             .collect()

@@ -2,7 +2,8 @@
 
 use crate::city::Split;
 use crate::cli::{
-    Failure, ForceOption, Inputs, finish, integer, is_stdout, load_city, messages, one_of, progress, refuse_mixing, unwritable,
+    Failure, ForceOption, Inputs, finish, integer, is_stdout, load_city, messages, one_of, progress, refuse_mixing,
+    unwritable,
 };
 use crate::diag::{Code, Sources};
 use crate::files::Output;

@@ -4,8 +4,8 @@ use crate::cancel::Cancel;
 use crate::city::{Action, AgentKind, Split};
 use crate::cli::icons::IconOptions;
 use crate::cli::{
-    Failure, ForceOption, Inputs, LimitOptions, finish, integer, is_stdout, load_city, one_of, plural, refuse_stdout_as_folder,
-    unwritable,
+    Failure, ForceOption, Inputs, LimitOptions, finish, integer, is_stdout, load_city, one_of, plural,
+    refuse_stdout_as_folder, unwritable,
 };
 use crate::datalog::constraints;
 use crate::datalog::explain::ExplanationPrinter;
@@ -16,8 +16,8 @@ use crate::page::DECISIONS_MAX;
 use crate::render::{Animation, Overview, Sprite, write_png};
 use crate::rng::Seed;
 use crate::sim::{
-    DeadlockReport, Executor, LOOK_TICKS, MAX_ENTITIES, STUCK_TICKS, Settings, Simulation, TICK_LIMITS, TraceWriter, WaitsFor,
-    find_deadlocks, waits,
+    DeadlockReport, Executor, LOOK_TICKS, MAX_ENTITIES, STUCK_TICKS, Settings, Simulation, TICK_LIMITS, TraceWriter,
+    WaitsFor, find_deadlocks, waits,
 };
 use indicatif::{ProgressBar, ProgressStyle};
 use std::collections::{BTreeMap, BTreeSet};

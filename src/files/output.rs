@@ -404,7 +404,11 @@ mod tests {
             assert_eq!(read_text(&path).as_deref(), Ok(text));
         }
         drop(Output::create(&path, Overwrite::Own).expect("its own"));
-        assert_eq!(names(folder.path()), [record::RECORD, "out"], "no temporary file remains");
+        assert_eq!(
+            names(folder.path()),
+            [record::RECORD, "out"],
+            "no temporary file remains"
+        );
 
         fs::write(&path, "edited").expect("writable");
         let refused = write(&path, "third", Overwrite::Own).map_err(|error| error.kind());

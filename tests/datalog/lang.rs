@@ -165,7 +165,10 @@ fn habits_of_other_languages_are_reported_once_with_help() {
         let said = helps(&format!("{HEAD}{written}\n"));
         assert!(said.len() == 1 && said[0].contains(help), "{written}: {said:?}");
     }
-    for (comments, note) in [("% one\n% two\n", "is 1 more such line"), ("% one\n%\n%\n", "are 2 more such lines")] {
+    for (comments, note) in [
+        ("% one\n% two\n", "is 1 more such line"),
+        ("% one\n%\n%\n", "are 2 more such lines"),
+    ] {
         let (_, loaded) = load_text("main.dl", &format!("{HEAD}{comments}B(x) :- A(x).\n"));
         assert_eq!(loaded.diagnostics[0].notes, [format!("there {note}")]);
     }
@@ -323,7 +326,8 @@ fn an_include_may_have_an_absolute_path() {
 /// A name such as `Car_2` is probably a constant without its quotes, on either side of an equation.
 #[test]
 fn a_name_like_a_constant_is_quoted_in_the_help() {
-    const HEAD: &str = ".decl A(x: symbol)\n.decl B(x: symbol)\n.decl C(x: symbol, y: symbol)\n.input A, C\n.output B\n";
+    const HEAD: &str =
+        ".decl A(x: symbol)\n.decl B(x: symbol)\n.decl C(x: symbol, y: symbol)\n.input A, C\n.output B\n";
     for (body, help) in [
         ("A(x), x = Car_2", "`x = \"Car_2\"`"),
         ("A(x), Car_2 = x", "`\"Car_2\" = x`"),
@@ -332,7 +336,10 @@ fn a_name_like_a_constant_is_quoted_in_the_help() {
         ("A(x), Car_2 = y", "the text `Car_2`, write it in quotes: `\"Car_2\"`"),
         ("A(x), y = Car_2", "the text `Car_2`, write it in quotes: `\"Car_2\"`"),
         ("A(x), x != Car_2", "the text `Car_2`, write it in quotes: `\"Car_2\"`"),
-        ("A(x), !C(x, Car_2)", "the text `Car_2`, write it in quotes: `\"Car_2\"`"),
+        (
+            "A(x), !C(x, Car_2)",
+            "the text `Car_2`, write it in quotes: `\"Car_2\"`",
+        ),
     ] {
         let (_, loaded) = load_text("main.dl", &format!("{HEAD}B(x) :- {body}.\n"));
         let said: Vec<String> = loaded.diagnostics.into_iter().flat_map(|fault| fault.help).collect();

@@ -721,11 +721,22 @@ fn a_run_without_ticks_is_not_compared() {
     empty.trace = empty.trace.lines().next().unwrap().to_owned();
     let (whole, empty) = (whole.loaded(), empty.loaded());
     for pages in [[&whole, &empty], [&empty, &whole], [&empty, &empty]] {
-        let fault = Comparison::new(pages, ["a", "b"].map(str::to_owned)).err().expect("no ticks");
-        assert!(fault.message.ends_with("has no ticks") || fault.code == Code::TRACE_MISMATCH, "{}", fault.message);
+        let fault = Comparison::new(pages, ["a", "b"].map(str::to_owned))
+            .err()
+            .expect("no ticks");
+        assert!(
+            fault.message.ends_with("has no ticks") || fault.code == Code::TRACE_MISMATCH,
+            "{}",
+            fault.message
+        );
     }
-    let fault = Comparison::new([&empty, &empty], ["a", "b"].map(str::to_owned)).err().expect("no ticks");
-    assert_eq!((fault.code, fault.message.as_str()), (Code::INVALID_TRACE, "`a` has no ticks"));
+    let fault = Comparison::new([&empty, &empty], ["a", "b"].map(str::to_owned))
+        .err()
+        .expect("no ticks");
+    assert_eq!(
+        (fault.code, fault.message.as_str()),
+        (Code::INVALID_TRACE, "`a` has no ticks")
+    );
 }
 
 #[test]

@@ -782,14 +782,23 @@ fn every_option_says_which_numbers_it_takes() {
         ("questions --seed", "an integer from 0 to 18446744073709551615"),
         ("questions --count", "an integer from 1 to 20000"),
         ("questions --shots", "an integer from 0 to 100"),
-        ("explain trace --agent Car_1 --tick", "an integer from 0 to 18446744073709551615"),
+        (
+            "explain trace --agent Car_1 --tick",
+            "an integer from 0 to 18446744073709551615",
+        ),
         ("view trace --from", "an integer from 0 to 18446744073709551615"),
         ("view trace --ticks", "an integer from 1 to 18446744073709551615"),
         ("episodes show --episode", "an integer from 0 to 18446744073709551615"),
         ("episodes make --count", "an integer from 1 to 100000"),
         ("episodes spread --sets", "an integer from 2 to 100000"),
-        ("vap make --mode easy --split test --out x --worlds", "an integer from 1 to 100000"),
-        ("vap make --mode easy --split test --out x --first-world", "an integer from 0 to 99999"),
+        (
+            "vap make --mode easy --split test --out x --worlds",
+            "an integer from 1 to 100000",
+        ),
+        (
+            "vap make --mode easy --split test --out x --first-world",
+            "an integer from 0 to 99999",
+        ),
         ("bench tick --agents", "an integer from 1 to 1000000"),
         ("bench tick --seconds", "a number from 0.01 to 86400"),
         ("icons sheet --difficulty", "an integer from 0 to 100"),
@@ -828,7 +837,16 @@ fn a_costly_rule_ends_infer_and_run_at_a_limit() {
         let answer: Value = serde_json::from_str(out(&output).trim()).unwrap();
         assert_eq!(answer["error"][0]["code"], "limit-exceeded");
         for command in [
-            vec!["run", "easy", "--ticks", "1", "--out", target.to_str().unwrap(), "--rules", &rules],
+            vec![
+                "run",
+                "easy",
+                "--ticks",
+                "1",
+                "--out",
+                target.to_str().unwrap(),
+                "--rules",
+                &rules,
+            ],
             vec!["bench", "tick", "--config", &config],
         ] {
             let output = run(&[&command[..], &[option, limit]].concat(), b"");
@@ -836,7 +854,18 @@ fn a_costly_rule_ends_infer_and_run_at_a_limit() {
         }
         assert!(fs::read_dir(&target).unwrap().next().is_none(), "no file remains");
     }
-    let enough = with_input(["infer", "--max-rows", "1K", "--max-steps", "10K", "--executor", "relational"], scene);
+    let enough = with_input(
+        [
+            "infer",
+            "--max-rows",
+            "1K",
+            "--max-steps",
+            "10K",
+            "--executor",
+            "relational",
+        ],
+        scene,
+    );
     assert_eq!(code(&enough), 0, "{}", err(&enough));
 }
 

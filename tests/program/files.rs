@@ -111,26 +111,50 @@ fn no_command_replaces_its_input() {
     let write = |name: &str, text: &str| fs::write(folder.path().join(name), text).unwrap();
     inputs(folder.path());
     write("part.dl", ".include \"vocabulary.dl\"\n");
-    write("rules.dl", ".include \"part.dl\"\nStop(X) :- IsCar(X), CollidingClose(X, Y).\n");
+    write(
+        "rules.dl",
+        ".include \"part.dl\"\nStop(X) :- IsCar(X), CollidingClose(X, Y).\n",
+    );
     write("agents.yaml", "test: {cars: [{count: 1, priority: 1}]}\n");
     write("base.yaml", "base: configs/easy.yaml\nagents: agents.yaml\n");
     write("city.yaml", "base: base.yaml\nrules: rules.dl\n");
-    write("rows.dl", ".decl A(x: number)\n.input A\n.output A(filename=\"A.facts\")\n");
+    write(
+        "rows.dl",
+        ".decl A(x: number)\n.input A\n.output A(filename=\"A.facts\")\n",
+    );
     write("own.dl", ".decl A(x: number)\nA(1).\n.output A(filename=\"own.dl\")\n");
     write("A.facts", "1\n");
     fs::create_dir_all(folder.path().join("pack/car")).unwrap();
     let icon = "<svg xmlns=\"http://www.w3.org/2000/svg\" viewBox=\"0 0 9 9\"><rect width=\"9\" height=\"5\"/></svg>";
     write("pack/car/icon.svg", icon);
     let icon = folder.path().join("pack/car/icon.svg");
-    for (link, target) in [("soft.dl", "part.dl"), ("soft.yaml", "agents.yaml"), ("soft.jsonl", "scene.jsonl")] {
+    for (link, target) in [
+        ("soft.dl", "part.dl"),
+        ("soft.yaml", "agents.yaml"),
+        ("soft.jsonl", "scene.jsonl"),
+    ] {
         symlink(target, folder.path().join(link)).unwrap();
     }
     fs::hard_link(folder.path().join("rules.dl"), folder.path().join("hard.dl")).unwrap();
     fs::create_dir(folder.path().join("out")).unwrap();
     symlink("../base.yaml", folder.path().join("out/trace.jsonl")).unwrap();
-    let all = ["part.dl", "rules.dl", "agents.yaml", "base.yaml", "city.yaml", "A.facts", "own.dl", "scene.jsonl"];
+    let all = [
+        "part.dl",
+        "rules.dl",
+        "agents.yaml",
+        "base.yaml",
+        "city.yaml",
+        "A.facts",
+        "own.dl",
+        "scene.jsonl",
+    ];
     let all = all.map(|name| folder.path().join(name));
-    let content = || all.iter().chain([&icon]).map(|path| fs::read(path).unwrap()).collect::<Vec<_>>();
+    let content = || {
+        all.iter()
+            .chain([&icon])
+            .map(|path| fs::read(path).unwrap())
+            .collect::<Vec<_>>()
+    };
     let before = content();
     for line in [
         "infer scene.jsonl --out scene.jsonl",
@@ -199,7 +223,10 @@ fn outputs_may_be_streams() {
             assert!(output.stdout == expected, "{line} {stream}: {}", said(&output));
         }
         let output = logicity(folder.path(), &format!("{line} {option} /dev/stderr"));
-        assert!(output.stderr.starts_with(&expected) || output.stderr.ends_with(&expected), "{line}");
+        assert!(
+            output.stderr.starts_with(&expected) || output.stderr.ends_with(&expected),
+            "{line}"
+        );
         succeeds(folder.path(), &format!("{line} {option} /dev/null"));
         fails(
             folder.path(),
@@ -225,7 +252,10 @@ fn outputs_may_be_streams() {
             "questions --count 8 --shots 0 -o q.jsonl --csv - --demonstrations-csv /dev/stdout",
             "both write to standard output",
         ),
-        ("run easy --ticks 1 --out out --html -", "the summary goes to standard output"),
+        (
+            "run easy --ticks 1 --out out --html -",
+            "the summary goes to standard output",
+        ),
         ("run easy --ticks 1 --out -", "several files"),
         ("vap make --mode easy --split test --worlds 1 --out -", "several files"),
     ] {
@@ -584,7 +614,10 @@ fn pipes_are_read_only_where_the_user_names_them() {
         ("view zero -o page.html", "it is a device"),
         ("explain zero --agent Car_1", "it is a device"),
         ("bench infer --scenes zero", "a device"),
-        ("check dangling.dl", "it is a symbolic link to `nowhere`, which does not exist"),
+        (
+            "check dangling.dl",
+            "it is a symbolic link to `nowhere`, which does not exist",
+        ),
     ] {
         fails(folder.path(), line, 2, &[words]);
         assert!(!said(&logicity(folder.path(), line)).contains("did you mean"), "{line}");

@@ -174,7 +174,11 @@ const QUERY: &[Case] = &[
     ("query good.dl -D taken", 2, "not a regular file"),
     ("query outside.dl -D folder", 2, "good.dl"),
     ("query itself.dl -D . --force", 2, "this command reads it"),
-    ("query rows.dl -F facts/crlf -D facts/crlf --force", 2, "this command reads it"),
+    (
+        "query rows.dl -F facts/crlf -D facts/crlf --force",
+        2,
+        "this command reads it",
+    ),
     ("query zero.dl", 2, "it is a device"),
     ("query good.dl -D - > /dev/full", 2, "standard output"),
     ("query good.dl --explain", 2, "--explain"),
@@ -300,19 +304,43 @@ const INFER: &[Case] = &[
     ("printf '{}' | @ infer --out - > /dev/full", 2, "standard output"),
     ("infer empty.dl --out empty.dl --force", 2, "this command reads it"),
     ("infer --out empty.dl --force < empty.dl", 2, "this command reads it"),
-    ("infer empty.dl --rules city.dl --out city.dl --force", 2, "this command reads it"),
-    ("infer empty.dl --rules city.dl --out linked-city.dl --force", 2, "this command reads it"),
+    (
+        "infer empty.dl --rules city.dl --out city.dl --force",
+        2,
+        "this command reads it",
+    ),
+    (
+        "infer empty.dl --rules city.dl --out linked-city.dl --force",
+        2,
+        "this command reads it",
+    ),
     ("infer empty.dl --out -", 0, ""),
     ("infer empty.dl --out /dev/stdout", 0, ""),
     ("infer empty.dl --out /dev/null", 0, ""),
     ("infer zero.dl", 2, "it is a device"),
     ("infer empty.dl --config zero", 2, "it is a device"),
     ("infer empty.dl --rules zero.dl", 2, "it is a device"),
-    ("infer ego.json --rules runaway.dl --max-rows 10K", 1, "raise the limit with `--max-rows`"),
-    ("infer ego.json --rules runaway.dl --max-steps 100K", 1, "raise the limit with `--max-steps`"),
-    ("infer ego.json --rules runaway.dl --max-memory 1M", 1, "raise the limit with `--max-memory`"),
+    (
+        "infer ego.json --rules runaway.dl --max-rows 10K",
+        1,
+        "raise the limit with `--max-rows`",
+    ),
+    (
+        "infer ego.json --rules runaway.dl --max-steps 100K",
+        1,
+        "raise the limit with `--max-steps`",
+    ),
+    (
+        "infer ego.json --rules runaway.dl --max-memory 1M",
+        1,
+        "raise the limit with `--max-memory`",
+    ),
     ("infer ego.json --max-steps -1", 2, "nonnegative"),
-    ("infer --seed -99999999999999999999", 2, "from 0 to 18446744073709551615"),
+    (
+        "infer --seed -99999999999999999999",
+        2,
+        "from 0 to 18446744073709551615",
+    ),
     ("printf '{}' | @ infer --out loop.dl", 2, "symbolic links"),
     ("printf '{}' | @ infer --out missing/answers.jsonl", 2, "no folder"),
     ("printf '{}' | @ infer --out ''", 2, "a value is required"),
@@ -361,13 +389,29 @@ const RUN: &[Case] = &[
     ("run yaml/crlf.yaml --no-trace --ticks 1", 0, "1 tick"),
     ("run yaml/bom.yaml --no-trace --ticks 1", 0, "1 tick"),
     ("run easy --ticks 0 --no-trace", 2, "from 1 to 1000000000"),
-    ("run easy --rules runaway.dl --no-trace --max-rows 10K", 1, "raise the limit with `--max-rows`"),
-    ("run easy --rules runaway.dl --ticks 2 --out new --max-steps 100K", 1, "raise the limit with `--max-steps`"),
+    (
+        "run easy --rules runaway.dl --no-trace --max-rows 10K",
+        1,
+        "raise the limit with `--max-rows`",
+    ),
+    (
+        "run easy --rules runaway.dl --ticks 2 --out new --max-steps 100K",
+        1,
+        "raise the limit with `--max-steps`",
+    ),
     ("run easy --rules zero.dl --no-trace", 2, "it is a device"),
     ("run zero --no-trace", 2, "it is a device"),
-    ("run yaml/crlf.yaml --ticks 1 --no-pictures --out new --html yaml/crlf.yaml --force", 2, "this command reads it"),
+    (
+        "run yaml/crlf.yaml --ticks 1 --no-pictures --out new --html yaml/crlf.yaml --force",
+        2,
+        "this command reads it",
+    ),
     ("run easy --ticks 1 --no-pictures --out -", 2, "several files"),
-    ("run easy --ticks 1 --no-pictures --out new --html -", 2, "standard output"),
+    (
+        "run easy --ticks 1 --no-pictures --out new --html -",
+        2,
+        "standard output",
+    ),
     ("run easy --ticks -1 --no-trace", 2, "-1"),
     ("run easy --ticks 1e3 --no-trace", 2, "1e3"),
     ("run easy --ticks '' --no-trace", 2, "--ticks"),
@@ -436,7 +480,11 @@ const TRACES: &[Case] = &[
     ("explain trace.jsonl", 2, "--agent"),
     ("explain trace.jsonl --agent ''", 2, "no agent"),
     ("explain trace.jsonl --agent \"$(printf '\\377')\"", 2, "UTF-8"),
-    ("explain trace.jsonl --agent Car_1 --tick -1", 2, "expected an integer from 0"),
+    (
+        "explain trace.jsonl --agent Car_1 --tick -1",
+        2,
+        "expected an integer from 0",
+    ),
     ("explain trace.jsonl --agent Car_1 --tick 99", 2, "no tick 99"),
     (
         "explain trace.jsonl --agent Car_1 --tick 99999999999999999999",
@@ -554,14 +602,26 @@ const TASKS: &[Case] = &[
         2,
         "already writes it",
     ),
-    ("questions --count 8 --shots 0 --csv -", 2, "both write to standard output"),
-    ("questions --count 8 --shots 0 -o /dev/stdout --csv -", 2, "both write to standard output"),
+    (
+        "questions --count 8 --shots 0 --csv -",
+        2,
+        "both write to standard output",
+    ),
+    (
+        "questions --count 8 --shots 0 -o /dev/stdout --csv -",
+        2,
+        "both write to standard output",
+    ),
     ("questions --count 8 --shots 0 > /dev/full", 2, "standard output"),
     ("questions --rules missing.dl", 2, "missing.dl"),
     ("route --from 1,1 --to a,b", 2, "a,b"),
     ("route --from 1 --to 2,2", 2, "--from"),
     ("route --type car --from -1,5 --to 2,2", 2, "[-1, 5] is not on the map"),
-    ("route --type car --from -x --to 2,2", 2, "row and column as two integers"),
+    (
+        "route --type car --from -x --to 2,2",
+        2,
+        "row and column as two integers",
+    ),
     ("route --from 99999999999,1 --to 2,2", 2, "--from"),
     ("route --from NaN,NaN --to 2,2", 2, "NaN"),
     ("route --map missing --type car --from 1,1 --to 2,2", 2, "missing"),
@@ -582,7 +642,11 @@ const PICTURES: &[Case] = &[
     ("icons sheet -o good.dl", 2, "--force"),
     ("icons sheet -o folder", 2, "not a regular file"),
     ("icons sheet -o /dev/full", 2, "No space left"),
-    ("icons sheet -o packs/truncated/car/icon.png --pack packs/truncated --force", 2, "this command reads it"),
+    (
+        "icons sheet -o packs/truncated/car/icon.png --pack packs/truncated --force",
+        2,
+        "this command reads it",
+    ),
     ("icons sheet -o new.png --pack missing", 2, "no such folder"),
     ("icons sheet -o new.png --pack good.dl", 2, "not a folder"),
     ("icons sheet -o new.png --pack folder", 1, "folder"),
@@ -791,9 +855,18 @@ impl Fixtures {
             "runaway.dl",
             city(".decl N(x: number)\nN(0).\nN(X + 1) :- N(X), X < 2000000000.\nStop(X) :- IsCar(X), N(1000000000)."),
         );
-        self.put("ego.json", "{\"entities\": [\"a\"], \"ego\": \"a\", \"facts\": {\"IsCar\": [\"a\"]}}\n");
-        self.put("itself.dl", ".decl A(x: number)\nA(1).\n.output A(filename=\"itself.dl\")\n");
-        self.put("rows.dl", ".decl A(x: number)\n.input A\n.output A(filename=\"A.facts\")\n");
+        self.put(
+            "ego.json",
+            "{\"entities\": [\"a\"], \"ego\": \"a\", \"facts\": {\"IsCar\": [\"a\"]}}\n",
+        );
+        self.put(
+            "itself.dl",
+            ".decl A(x: number)\nA(1).\n.output A(filename=\"itself.dl\")\n",
+        );
+        self.put(
+            "rows.dl",
+            ".decl A(x: number)\n.input A\n.output A(filename=\"A.facts\")\n",
+        );
         self.put("good.dl", format!("{decl}A(1).\n"));
         self.put("latin1.dl", b"// caf\xe9\nA(1).\n");
         self.put(

@@ -300,7 +300,10 @@ fn a_command_ends_an_incomplete_input() {
     for (command, shown) in [(".help\n", ".relations"), ("  .show Edge\n", "1 row"), (".quit\n", "")] {
         for open in ["Path(x, y) :- Edge(\n", "Edge(1,\n2\n", "?- Edge(x, y),\n"] {
             let (out, err, code) = typed(&format!("{facts}{open}{command}"));
-            assert!(err.contains("error[syntax]") && out.contains(shown), "{open}{command}: {out}{err}");
+            assert!(
+                err.contains("error[syntax]") && out.contains(shown),
+                "{open}{command}: {out}{err}"
+            );
             assert!(!err.contains("unknown directive"), "{open}{command}: {err}");
             assert_eq!(code, 1);
         }

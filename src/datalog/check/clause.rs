@@ -344,7 +344,13 @@ fn lone_variables(
         } else {
             name
         };
-        let [one, other] = [one, other].map(|side| if side == text { format!("\"{side}\"") } else { side.clone() });
+        let [one, other] = [one, other].map(|side| {
+            if side == text {
+                format!("\"{side}\"")
+            } else {
+                side.clone()
+            }
+        });
         faults.push(match is_text {
             true => fault.help(format!(
                 "if you mean the text `{text}`, write it in quotes: `{one} = {other}`"

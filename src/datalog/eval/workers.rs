@@ -230,7 +230,11 @@ fn merge<const W: usize>(
     if stopped(Abort::Budget) || state.rows_scanned > state.budget {
         return Some(Err(Abort::Budget));
     }
-    Some(workers.into_iter().try_for_each(|worker| out.absorb(worker.out, symbols)))
+    Some(
+        workers
+            .into_iter()
+            .try_for_each(|worker| out.absorb(worker.out, symbols)),
+    )
 }
 
 /// Estimates the number of rows that the plan scans.

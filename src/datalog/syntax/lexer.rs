@@ -71,13 +71,21 @@ const FOREIGN: &[(&str, Kind, &str)] = &[
     ("~", Kind::Bang, NEGATION),
     ("\u{ac}", Kind::Bang, NEGATION),
     ("\u{2190}", Kind::If, IMPLICATION),
-    ("\u{2200}", Kind::Faulty, "\"for all\" counts the exceptions: `count : { A(y), Not(B(x, y)) } = 0`"),
+    (
+        "\u{2200}",
+        Kind::Faulty,
+        "\"for all\" counts the exceptions: `count : { A(y), Not(B(x, y)) } = 0`",
+    ),
     (
         "\u{2203}",
         Kind::Faulty,
         "write the literals alone: variables that occur only in the body are existential",
     ),
-    ("\u{2204}", Kind::Faulty, "\"none exists\" is `count : { A(y), B(x, y) } = 0`"),
+    (
+        "\u{2204}",
+        Kind::Faulty,
+        "\"none exists\" is `count : { A(y), B(x, y) } = 0`",
+    ),
 ];
 
 /// Preprocessor directives of C. A `#` before any other word begins a comment in other languages.

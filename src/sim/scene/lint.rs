@@ -79,7 +79,11 @@ fn decided_actions(rules: &Rules) -> Vec<RelId> {
 
 /// Warns if no clause for an action depends on a predicate that announces collisions.
 fn no_collision_clause(rules: &Rules, collisions: &[&str], actions: &[RelId]) -> Option<Diagnostic> {
-    let known = |name: &&str| rules.relation(name).is_some_and(|known| rules.relations[known.index()].input);
+    let known = |name: &&str| {
+        rules
+            .relation(name)
+            .is_some_and(|known| rules.relations[known.index()].input)
+    };
     let collision = *collisions.iter().find(|name| known(name))?;
     let mut reads: BTreeMap<RelId, BTreeSet<RelId>> = BTreeMap::new();
     for clause in &rules.clauses {

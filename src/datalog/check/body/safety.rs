@@ -5,8 +5,8 @@ use crate::datalog::syntax::ast;
 use crate::datalog::syntax::ast::{BaseType, Comparison, TermKind};
 use crate::diag::{Code, Diagnostic};
 
-use crate::datalog::check::clauses::reads_as_constant;
 use crate::datalog::check::body::{Check, Operand, OperandKind, Pending, Variable};
+use crate::datalog::check::clauses::reads_as_constant;
 
 impl<'c> Check<'_, 'c> {
     fn is_bound(&self, operand: Operand) -> bool {
@@ -177,7 +177,9 @@ impl<'c> Check<'_, 'c> {
                 if is_constant {
                     fault = fault
                         .note("a name without quotes is a variable")
-                        .help(format!("if you mean the text `{name}`, write it in quotes: `\"{name}\"`"))
+                        .help(format!(
+                            "if you mean the text `{name}`, write it in quotes: `\"{name}\"`"
+                        ))
                         .fix(
                             "write a constant in quotes",
                             [(self.variables[index].first, format!("\"{name}\""))],
@@ -185,9 +187,9 @@ impl<'c> Check<'_, 'c> {
                 }
                 let or = if is_constant { "or " } else { "" };
                 fault = match self.binder(index, head, &name) {
-                    Some(binder) => {
-                        fault.help(format!("{or}add a positive atom that binds `{name}`, such as `{binder}`"))
-                    }
+                    Some(binder) => fault.help(format!(
+                        "{or}add a positive atom that binds `{name}`, such as `{binder}`"
+                    )),
                     None => fault.help(format!("{or}add a positive atom with `{name}` to the body")),
                 };
                 let compared = self.variables[index].compared.map(|ty| self.names.base(ty));
