@@ -89,7 +89,7 @@ pub struct Arguments {
     /// configuration; 1000000 for scale]. infer takes at most 4096 agents, ground 256
     #[arg(
         long,
-        value_parser = integer(1..=1_000_000),
+        value_parser = integer(1..=1_000_000_u32),
         conflicts_with = "scenes"
     )]
     agents: Option<u32>,

@@ -50,7 +50,7 @@ struct Make {
     #[command(flatten)]
     which: Which,
     /// Number of episodes [default: 40 for val, 100 for train and test]
-    #[arg(long, value_parser = integer(1..=100_000))]
+    #[arg(long, value_parser = integer(1..=100_000_u32))]
     count: Option<u32>,
     /// Seed of the episodes
     #[arg(long, value_parser = integer(0..=u64::MAX), default_value_t = 0)]
@@ -79,10 +79,10 @@ struct Spread {
     #[command(flatten)]
     which: Which,
     /// Number of sets, generated with the seeds 1, 2, ...
-    #[arg(long, value_parser = integer(2..=100_000), default_value_t = 40)]
+    #[arg(long, value_parser = integer(2..=100_000_u32), default_value_t = 40)]
     sets: u32,
     /// Episodes per set [default: 40 for val, 100 for train and test]
-    #[arg(long, value_parser = integer(1..=100_000))]
+    #[arg(long, value_parser = integer(1..=100_000_u32))]
     count: Option<u32>,
     /// Print one JSON object
     #[arg(long)]

@@ -39,7 +39,7 @@ pub struct Arguments {
     /// Run configuration
     config: PathBuf,
     /// Number of ticks, 1 to 1000000000 [default: `ticks` of the configuration]
-    #[arg(long, value_parser = integer(1..=1_000_000_000))]
+    #[arg(long, value_parser = integer(1..=1_000_000_000_u64))]
     ticks: Option<u64>,
     /// Seed of the run
     #[arg(long, value_parser = integer(0..=u64::MAX), default_value_t = 0)]

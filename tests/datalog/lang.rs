@@ -169,7 +169,7 @@ fn habits_of_other_languages_are_reported_once_with_help() {
         ("% one\n% two\n", "is 1 more such line"),
         ("% one\n%\n%\n", "are 2 more such lines"),
     ] {
-        let (_, loaded) = load_text("main.dl", &format!("{HEAD}{comments}B(x) :- A(x).\n"));
+        let (_, loaded) = load_text("main.dl", &format!("{comments}{HEAD}B(x) :- A(x).\n"));
         assert_eq!(loaded.diagnostics[0].notes, [format!("there {note}")]);
     }
     // A predicate may have the name of a quantifier.
