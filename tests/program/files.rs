@@ -197,7 +197,7 @@ fn no_command_replaces_its_input() {
 
 /// `-` and the names of open descriptors are streams: no file of that name, no temporary file, no record.
 #[test]
-fn outputs_may_be_streams() {
+fn slow_outputs_may_be_streams() {
     let folder = tempfile::tempdir().unwrap();
     inputs(folder.path());
     fs::write(

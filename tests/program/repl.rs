@@ -545,7 +545,7 @@ mod terminal {
         terminal.press("\"a\").\r");
         let shown = terminal.sees("type-mismatch");
         assert!(shown.contains("\u{1b}["), "without color: {shown:?}");
-        terminal.sees("<input 3>");
+        terminal.sees("<input 5>");
         terminal.sees("> ");
         terminal.press("?- Reachable(x).\r");
         terminal.sees("1 row");
