@@ -105,8 +105,9 @@ pub fn word(text: &str) -> Option<(&'static str, &str)> {
 /// Returns whether a line that follows an incomplete text is a command and not a part of the text: a command with a full
 /// stop, outside of a comment.
 pub fn interrupts(text: &str, line: &str) -> bool {
-    let is_comment_open = text.rfind("/*") > text.rfind("*/");
-    line.trim_start().starts_with('.') && !is_comment_open && (word(line).is_some() || foreign(line).is_some())
+    let is_command = line.trim_start().starts_with('.') && (word(line).is_some() || foreign(line).is_some());
+    // Only a command pays for a search through the text, which may be large.
+    is_command && text.rfind("/*") <= text.rfind("*/")
 }
 
 /// A command as the user typed it.
