@@ -226,7 +226,8 @@ impl Inputs {
     fn refuse(&self, output: &Path) -> Result<(), Failure> {
         match self.0.iter().any(|input| files::is_same_file(input, output)) {
             true => Err(Failure::Usage(format!(
-                "cannot write `{}`: this command reads it\nhelp: choose another path; `--force` does not replace inputs",
+                "cannot write `{}`: this command reads it\n\
+                 help: choose another path; `--force` does not replace inputs",
                 output.display()
             ))),
             false => Ok(()),

@@ -1,7 +1,7 @@
 //! The record of the files that the program wrote in a folder, which shows whether an existing file is its own.
 //!
-//! The record [`RECORD`] lists each file with its size and its time of change. A file is the program's own if both still
-//! match. The caller holds the lock of the folder.
+//! The record [`RECORD`] lists each file with its size and its time of change. A file is the program's own if both
+//! still match. The caller holds the lock of the folder.
 
 use serde::{Deserialize, Serialize};
 use std::collections::BTreeMap;

@@ -102,8 +102,8 @@ pub fn word(text: &str) -> Option<(&'static str, &str)> {
     (!is_atom).then_some((*known, rest))
 }
 
-/// Returns whether a line that follows an incomplete text is a command and not a part of the text: a command with a full
-/// stop, outside of a comment.
+/// Returns whether a line after an incomplete text is a command and not a part of the text: a command with a full stop,
+/// outside of a comment.
 pub fn interrupts(text: &str, line: &str) -> bool {
     let is_command = line.trim_start().starts_with('.') && (word(line).is_some() || foreign(line).is_some());
     // Only a command pays for a search through the text, which may be large.

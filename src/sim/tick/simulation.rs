@@ -372,8 +372,8 @@ impl Simulation {
     ///
     /// # Errors
     /// `invalid-value` for a position outside the list; `limit-exceeded` if an evaluation by the relational executor
-    /// exceeds the [limits](Simulation::set_limits), too many agents are in one place for the dense one, or it needs too many steps and
-    /// the settings demand it; `cancelled` on cancellation. On error the city is unchanged.
+    /// exceeds the [limits](Simulation::set_limits), too many agents are in one place for the dense one, or it needs too
+    /// many steps and the settings demand it; `cancelled` on cancellation. On error the city is unchanged.
     pub fn tick(&mut self, controls: &[(usize, Action)]) -> Result<&TickReport, Diagnostic> {
         self.tick_watched(controls, |_| ())
     }
