@@ -378,11 +378,11 @@ fn a_page_does_not_overwrite_its_trace() {
     let before = fs::read(&trace).unwrap();
     let output = logicity(["view", trace.to_str().unwrap(), "-o", trace.to_str().unwrap()]);
     assert_eq!(code(&output), 2);
-    assert!(err(&output).contains("overwrite its trace"), "{}", err(&output));
+    assert!(err(&output).contains("this command reads it"), "{}", err(&output));
     assert_eq!(fs::read(&trace).unwrap(), before);
     let copy = write(folder.path(), "copy.jsonl", &before);
     let output = logicity(["view", &copy, trace.to_str().unwrap(), "-o", trace.to_str().unwrap()]);
-    fails(&output, 2, &["overwrite its trace"]);
+    fails(&output, 2, &["this command reads it"]);
     assert_eq!(fs::read(&trace).unwrap(), before);
 }
 

@@ -395,7 +395,7 @@ const RUN: &[Case] = &[
         "raise the limit with `--max-rows`",
     ),
     (
-        "run easy --rules runaway.dl --ticks 2 --out new --max-steps 100K",
+        "run easy --rules runaway.dl --no-pictures --out new --max-steps 100K",
         1,
         "raise the limit with `--max-steps`",
     ),
