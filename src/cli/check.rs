@@ -108,9 +108,15 @@ fn examine(arguments: &Arguments, path: &Path, files: &dyn ReadFile, sources: &m
         found: Vec::new(),
         unfinished: Vec::new(),
         overlaps: Vec::new(),
-        precedence: precedence(arguments, sources)?,
+        precedence: Action::SAFEST_FIRST.to_vec(),
         covered: None,
     };
+    let given = arguments.config.as_deref();
+    let given = given.map(|config| load_scenario(sources, config, &BuiltinFiles));
+    let given = given.transpose().map_err(LoadError::Config)?;
+    if let Some(scenario) = &given {
+        report.precedence.clone_from(&scenario.actions.priority);
+    }
     let rules: PathBuf;
     let path = match configuration::open(path, sources)? {
         Opened::Rules => path,
@@ -157,7 +163,8 @@ fn examine(arguments: &Arguments, path: &Path, files: &dyn ReadFile, sources: &m
     if arguments.lints {
         report.unfinished.extend(lints.unfinished);
     }
-    report.found.extend(city_lints(program.rules(), sources));
+    let own = report.configuration.as_ref().and_then(Checked::scenario);
+    report.found.extend(city_lints(program.rules(), given.as_ref().or(own)));
     report.overlaps = conflicts(&program)?;
     let lints = conflict_lints(&report.overlaps, program.rules(), &report.precedence);
     report.found.extend(lints);
@@ -169,17 +176,6 @@ fn examine(arguments: &Arguments, path: &Path, files: &dyn ReadFile, sources: &m
     }
     report.program = Some(program);
     Ok(report)
-}
-
-/// Returns the order in which derived actions take precedence.
-fn precedence(arguments: &Arguments, sources: &mut Sources) -> Result<Vec<Action>, Failure> {
-    match &arguments.config {
-        Some(config) => {
-            let scenario = load_scenario(sources, config, &BuiltinFiles).map_err(LoadError::Config)?;
-            Ok(scenario.actions.priority)
-        }
-        None => Ok(Action::SAFEST_FIRST.to_vec()),
-    }
 }
 
 impl Report {

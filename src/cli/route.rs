@@ -16,10 +16,10 @@ pub struct Arguments {
     #[arg(long = "type", value_parser = one_of(&AgentKind::ALL, traveler))]
     kind: AgentKind,
     /// Cell where the route starts
-    #[arg(long, value_name = "ROW,COL", value_parser = cell)]
+    #[arg(long, value_name = "ROW,COL", value_parser = cell, allow_hyphen_values = true)]
     from: Cell,
     /// Cell where the route ends
-    #[arg(long, value_name = "ROW,COL", value_parser = cell)]
+    #[arg(long, value_name = "ROW,COL", value_parser = cell, allow_hyphen_values = true)]
     to: Cell,
     /// Routing of cars: the shortest weighted path (as in the paper), or the fewest nodes of the road graph (as in the
     /// published program)

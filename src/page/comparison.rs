@@ -34,7 +34,8 @@ impl<'a> Comparison<'a> {
     /// Compares two runs.
     ///
     /// # Errors
-    /// `trace-mismatch`, without a place, if the runs have different maps, agents or first ticks.
+    /// Without a place: `trace-mismatch` if the runs have different maps, agents or first ticks; `invalid-trace` if one
+    /// has no ticks.
     pub fn new(runs: [&'a Page; 2], names: [String; 2]) -> Result<Comparison<'a>, Diagnostic> {
         let [left, right] = runs;
         let [a, b] = &names;
@@ -60,6 +61,10 @@ impl<'a> Comparison<'a> {
             return Err(fault(message).help("choose the first tick with `--from`"));
         }
         let count = left.count.min(right.count);
+        if count == 0 {
+            let name = if left.count == 0 { a } else { b };
+            return Err(Diagnostic::new(Code::INVALID_TRACE, format!("`{name}` has no ticks")));
+        }
         let differences = (0..count).filter_map(|tick| Difference::of(runs, tick)).collect();
         Ok(Comparison {
             runs,

@@ -470,6 +470,11 @@ impl Definition {
         matches!(self, Definition::Static(_))
     }
 
+    /// Returns whether the predicate announces that the first agent runs into the second.
+    pub fn is_collision(&self) -> bool {
+        matches!(self, Definition::Pair(Pair::Colliding(_)))
+    }
+
     /// Returns whether the predicate holds with a probability.
     pub fn is_drawn(&self) -> bool {
         matches!(self, Definition::Pair(pair) if pair.is_drawn())

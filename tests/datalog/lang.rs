@@ -137,6 +137,10 @@ fn habits_of_other_languages_are_reported_once_with_help() {
         ("B(x) :- A(x), forall y: A(y).", "count the exceptions"),
         ("B(x) :- A(x), exists y (A(y)).", "existential"),
         ("B(x) :- A(x), exists y: A(y).", "existential"),
+        ("B(x) :- A(x), \u{2200}Y A(Y).", "\"for all\" counts the exceptions"),
+        ("B(x) :- A(x), \u{2200} y: A(y).", "\"for all\" counts the exceptions"),
+        ("B(x) :- \u{2203}y (A(y)), A(x).", "existential"),
+        ("B(x) :- A(x), \u{2204}y A(y).", "none exists"),
         ("Not(B(x)) :- A(x).", "clauses derive what holds"),
         ("!B(x) :- A(x).", "clauses derive what holds"),
         ("B(x) :- Is(prime)(x), A(x).", "one word"),
@@ -160,6 +164,13 @@ fn habits_of_other_languages_are_reported_once_with_help() {
     ] {
         let said = helps(&format!("{HEAD}{written}\n"));
         assert!(said.len() == 1 && said[0].contains(help), "{written}: {said:?}");
+    }
+    for (comments, note) in [
+        ("% one\n% two\n", "is 1 more such line"),
+        ("% one\n%\n%\n", "are 2 more such lines"),
+    ] {
+        let (_, loaded) = load_text("main.dl", &format!("{comments}{HEAD}B(x) :- A(x).\n"));
+        assert_eq!(loaded.diagnostics[0].notes, [format!("there {note}")]);
     }
     // A predicate may have the name of a quantifier.
     load_clean(
@@ -310,6 +321,37 @@ fn an_include_may_have_an_absolute_path() {
     let missing = &load("/shared/other.dl")[0];
     assert_eq!(missing.code, Code::MISSING_INCLUDE);
     assert_eq!(missing.notes, ["looked for `/shared/other.dl`"]);
+}
+
+/// A name such as `Car_2` is probably a constant without its quotes, on either side of an equation.
+#[test]
+fn a_name_like_a_constant_is_quoted_in_the_help() {
+    const HEAD: &str =
+        ".decl A(x: symbol)\n.decl B(x: symbol)\n.decl C(x: symbol, y: symbol)\n.input A, C\n.output B\n";
+    for (body, help) in [
+        ("A(x), x = Car_2", "`x = \"Car_2\"`"),
+        ("A(x), Car_2 = x", "`\"Car_2\" = x`"),
+        ("A(x), C(x, Car_2), Car_2 = y", "`\"Car_2\" = y`"),
+        ("A(x), C(x, Car_2), y = Car_2", "`y = \"Car_2\"`"),
+        ("A(x), Car_2 = y", "the text `Car_2`, write it in quotes: `\"Car_2\"`"),
+        ("A(x), y = Car_2", "the text `Car_2`, write it in quotes: `\"Car_2\"`"),
+        ("A(x), x != Car_2", "the text `Car_2`, write it in quotes: `\"Car_2\"`"),
+        (
+            "A(x), !C(x, Car_2)",
+            "the text `Car_2`, write it in quotes: `\"Car_2\"`",
+        ),
+    ] {
+        let (_, loaded) = load_text("main.dl", &format!("{HEAD}B(x) :- {body}.\n"));
+        let said: Vec<String> = loaded.diagnostics.into_iter().flat_map(|fault| fault.help).collect();
+        assert!(said[0].contains(help), "{body}: {said:?}");
+        // No advice about the other side.
+        let other = said.iter().any(|help| help.contains("`y`") || help.contains("\"y\""));
+        assert!(!other, "{body}: {said:?}");
+        if !body.contains('y') {
+            let quoted = body.replace("Car_2", "\"Car_2\"");
+            load_clean("main.dl", &format!("{HEAD}B(x) :- {quoted}.\n"));
+        }
+    }
 }
 
 #[test]

@@ -716,6 +716,30 @@ fn runs_of_other_cities_are_not_compared() {
 }
 
 #[test]
+fn a_run_without_ticks_is_not_compared() {
+    let (whole, mut empty) = (run("easy", 2), run("easy", 2));
+    empty.trace = empty.trace.lines().next().unwrap().to_owned();
+    let (whole, empty) = (whole.loaded(), empty.loaded());
+    for pages in [[&whole, &empty], [&empty, &whole], [&empty, &empty]] {
+        let fault = Comparison::new(pages, ["a", "b"].map(str::to_owned))
+            .err()
+            .expect("no ticks");
+        assert!(
+            fault.message.ends_with("has no ticks") || fault.code == Code::TRACE_MISMATCH,
+            "{}",
+            fault.message
+        );
+    }
+    let fault = Comparison::new([&empty, &empty], ["a", "b"].map(str::to_owned))
+        .err()
+        .expect("no ticks");
+    assert_eq!(
+        (fault.code, fault.message.as_str()),
+        (Code::INVALID_TRACE, "`a` has no ticks")
+    );
+}
+
+#[test]
 fn a_page_needs_no_other_file() {
     let page = run("easy", 3).page();
     for outside in ["http:", "https:", " src=", "url(", "import ", "fetch(", "<link"] {

@@ -183,6 +183,30 @@ fn runaways_in_a_small_address_space_end_with_a_message() {
     }
 }
 
+/// An abort that no failed allocation causes keeps its signal.
+#[test]
+fn other_aborts_stay_visible() {
+    use std::os::unix::process::ExitStatusExt;
+    use std::process::Stdio;
+    let mut process = Command::new("sh")
+        .args(["-c", "ulimit -c 0; exec \"$0\" repl"])
+        .arg(env!("CARGO_BIN_EXE_logicity"))
+        .stdin(Stdio::piped())
+        .stdout(Stdio::piped())
+        .spawn()
+        .unwrap();
+    let mut input = process.stdin.take().unwrap();
+    let mut output = process.stdout.take().unwrap();
+    std::io::Write::write_all(&mut input, b".help\n").unwrap();
+    // Its first output shows that it has begun.
+    std::io::Read::read_exact(&mut output, &mut [0]).unwrap();
+    let id = process.id().to_string();
+    assert!(Command::new("kill").args(["-ABRT", &id]).status().unwrap().success());
+    let status = process.wait().unwrap();
+    assert_eq!((status.code(), status.signal()), (None, Some(6)));
+    drop(input);
+}
+
 /// Where no limit applies, a failed allocation ends the process with a message and code 1.
 #[test]
 fn a_failed_allocation_ends_with_a_message() {

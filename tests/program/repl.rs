@@ -295,6 +295,29 @@ fn questions_may_span_lines_and_end_as_soon_as_they_are_complete() {
 }
 
 #[test]
+fn a_command_ends_an_incomplete_input() {
+    let facts = format!("{GRAPH}Edge(1, 2).\n");
+    for (command, shown) in [(".help\n", ".relations"), ("  .show Edge\n", "1 row"), (".quit\n", "")] {
+        for open in ["Path(x, y) :- Edge(\n", "Edge(1,\n2\n", "?- Edge(x, y),\n"] {
+            let (out, err, code) = typed(&format!("{facts}{open}{command}"));
+            assert!(
+                err.contains("error[syntax]") && out.contains(shown),
+                "{open}{command}: {out}{err}"
+            );
+            assert!(!err.contains("unknown directive"), "{open}{command}: {err}");
+            assert_eq!(code, 1);
+        }
+    }
+    // Nothing follows `.quit`.
+    let (out, ..) = typed(&format!("{facts}Edge(\n.quit\n?- Edge(1, 2)\n"));
+    assert!(!out.contains("true"), "{out}");
+    // A comment may contain any line.
+    assert!(good(&format!("{facts}/* not a\n.quit\n*/\n?- Edge(1, 2)\n")).ends_with("true\n"));
+    let (_, err, _) = typed(&format!("{facts}Edge(\n.exit\n"));
+    assert!(err.contains("type `.quit`"), "{err}");
+}
+
+#[test]
 fn words_of_other_prompts_are_reported() {
     for (input, meant) in [
         (".why Path(1, 2)", "explain FACT"),
@@ -510,12 +533,19 @@ mod terminal {
         terminal.sees("| ");
         terminal.press("\u{3}");
         terminal.sees("> ");
+        // So does a command.
+        terminal.press("Reachable(9\r");
+        terminal.sees("| ");
+        terminal.press(".help\r");
+        terminal.sees("error[syntax]");
+        terminal.sees("The prompt `| ` continues an incomplete input");
+        terminal.sees("> ");
         terminal.press("Reachable(\r");
         terminal.sees("| ");
         terminal.press("\"a\").\r");
         let shown = terminal.sees("type-mismatch");
         assert!(shown.contains("\u{1b}["), "without color: {shown:?}");
-        terminal.sees("<input 3>");
+        terminal.sees("<input 5>");
         terminal.sees("> ");
         terminal.press("?- Reachable(x).\r");
         terminal.sees("1 row");

@@ -8,7 +8,7 @@ use crate::symbol::Symbols;
 
 use crate::datalog::check::body;
 use crate::datalog::check::body::Body;
-use crate::datalog::check::clauses::{Checked, Clauses, Known, VariableType};
+use crate::datalog::check::clauses::{Checked, Clauses, Known, VariableType, reads_as_constant};
 use crate::datalog::check::names::Names;
 use crate::datalog::check::rules::{Atom, Clause, Literal, RelId, Relation, Term, VarId};
 use crate::datalog::check::scope;
@@ -109,6 +109,7 @@ fn split_input(id: RelId, names: &mut Names, out: &mut Clauses) {
         head: atom(id),
         body: vec![Literal::Positive(atom(given))],
         variables: hidden.columns.iter().map(|column| column.name.clone()).collect(),
+        variable_spans: vec![span; hidden.columns.len()],
         doc: String::new(),
         span,
     });
@@ -254,6 +255,12 @@ fn alternative(
         clause: Clause {
             head,
             body: literals,
+            variable_spans: {
+                let first = variables.iter().map(|variable| variable.first);
+                // Guards may add variables.
+                let added = std::iter::repeat(clause.place.0);
+                first.chain(added).take(variable_names.len()).collect()
+            },
             variables: variable_names,
             doc: clause.doc.clone(),
             span: clause.place.0,
@@ -320,8 +327,10 @@ fn lone_variables(
             faults.push(fault.at(place.0, "").help("remove it"));
             continue;
         }
-        let mut sides = [(other, right, one), (one, left, other)].into_iter();
-        let Some((name, term, same)) = sides.find(|(name, ..)| explicit(name) && is_lone(name)) else {
+        // Of two that could be meant, the right side.
+        let sides = [(one, left, other), (other, right, one)].into_iter();
+        let lone = sides.filter(|(name, ..)| explicit(name) && is_lone(name));
+        let Some((name, term, same)) = lone.max_by_key(|(name, ..)| reads_as_constant(name)) else {
             continue;
         };
         let known = variables.iter().find(|variable| variable.name == *name);
@@ -329,9 +338,22 @@ fn lone_variables(
         let message = format!("`{one} = {other}` is always true: the variable `{name}` occurs nowhere else");
         let fault =
             Diagnostic::new(Code::VACUOUS_EQUATION, message).at(term.place.0, "a variable, since it has no quotes");
+        // The name that the author may have meant as a text.
+        let text = if reads_as_constant(same) && !reads_as_constant(name) {
+            same
+        } else {
+            name
+        };
+        let [one, other] = [one, other].map(|side| {
+            if side == text {
+                format!("\"{side}\"")
+            } else {
+                side.clone()
+            }
+        });
         faults.push(match is_text {
             true => fault.help(format!(
-                "if you mean the text, write it in quotes: `{same} = \"{name}\"`"
+                "if you mean the text `{text}`, write it in quotes: `{one} = {other}`"
             )),
             false => fault.help("remove the equation"),
         });

@@ -310,6 +310,8 @@ pub struct Clause {
     pub body: Vec<Literal>,
     /// The names of the variables, for messages.
     pub variables: Vec<String>,
+    /// For each variable, the place where it first occurs; the whole clause for one that the checker added.
+    pub variable_spans: Vec<Span>,
     /// The text of the doc comment before the clause, without the slashes.
     pub doc: String,
     /// The place in the source, from the head to the full stop.

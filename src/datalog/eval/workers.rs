@@ -58,8 +58,8 @@ pub(crate) struct Workers {
     threads: Threads,
 }
 
-/// The work of one thread.
-struct Hand<const W: usize> {
+/// The output and state of one thread.
+struct Worker<const W: usize> {
     out: Output<W>,
     state: JoinState,
     result: Result<(), Abort>,
@@ -105,8 +105,8 @@ impl Workers {
         if let Some(pool) = &self.pool {
             let chunks = self.split(plan, views, out.seen_bytes());
             if !chunks.is_empty() && out.can_fork(self.threads.count.get()) {
-                let hands = self.evaluate(pool, (plan, views, &chunks), (symbols, cancel), state, out);
-                if let Some(result) = join_hands(hands, symbols, state, out) {
+                let workers = self.evaluate(pool, (plan, views, &chunks), (symbols, cancel), state, out);
+                if let Some(result) = merge(workers, symbols, state, out) {
                     return result;
                 }
             }
@@ -174,14 +174,14 @@ impl Workers {
         (symbols, cancel): (&Symbols, &Cancel),
         state: &JoinState,
         out: &Output<W>,
-    ) -> Vec<Hand<W>> {
+    ) -> Vec<Worker<W>> {
         let count = self.threads.count.get();
-        let hand = || Hand {
+        let worker = || Worker {
             out: out.fork(count),
             state: JoinState::new(state.budget.saturating_sub(state.rows_scanned)),
             result: Ok(()),
         };
-        let mut hands: Vec<Hand<W>> = (0..count).map(|_| hand()).collect();
+        let mut workers: Vec<Worker<W>> = (0..count).map(|_| worker()).collect();
         let (next, stopped) = (&AtomicUsize::new(0), &AtomicBool::new(false));
         // The callback of `cancel` runs on the calling thread only; the others poll a flag.
         let cancelled = Arc::new(AtomicBool::new(false));
@@ -189,19 +189,19 @@ impl Workers {
         let flagged = &Cancel::when(move || flag.load(Relaxed));
         let (working, done) = mpsc::channel::<()>();
         pool.in_place_scope(|scope| {
-            for hand in &mut hands {
+            for worker in &mut workers {
                 let working = working.clone();
                 scope.spawn(move |_| {
                     let mut views = views.to_vec();
                     while let (Some(chunk), false) = (chunks.get(next.fetch_add(1, Relaxed)), stopped.load(Relaxed)) {
                         views[0] = RowView::of(Batch::plain(chunk));
-                        let (symbols, out) = ((symbols, flagged), &mut hand.out);
-                        hand.result = join::run(plan, &views, symbols, &mut hand.state, out);
-                        if hand.result.is_err() {
+                        let (symbols, out) = ((symbols, flagged), &mut worker.out);
+                        worker.result = join::run(plan, &views, symbols, &mut worker.state, out);
+                        if worker.result.is_err() {
                             stopped.store(true, Relaxed);
                         }
                     }
-                    hand.out.settle();
+                    worker.out.settle();
                     drop(working);
                 });
             }
@@ -216,32 +216,36 @@ impl Workers {
         });
         if cancelled.load(Relaxed) {
             // Even if all threads were done before they polled the flag.
-            hands[0].result = Err(Abort::Cancelled);
+            workers[0].result = Err(Abort::Cancelled);
         }
-        hands
+        workers
     }
 }
 
 /// Merges the results of the threads. `None` if a thread exceeded its share of the rows or of the memory: several
 /// threads may have derived the same rows.
-fn join_hands<const W: usize>(
-    hands: Vec<Hand<W>>,
+fn merge<const W: usize>(
+    workers: Vec<Worker<W>>,
     symbols: &Symbols,
     state: &mut JoinState,
     out: &mut Output<W>,
 ) -> Option<Result<(), Abort>> {
-    let stopped = |with: Abort| hands.iter().any(|hand| hand.result == Err(with));
+    let stopped = |with: Abort| workers.iter().any(|worker| worker.result == Err(with));
     if stopped(Abort::Cancelled) {
         return Some(Err(Abort::Cancelled));
     }
     if stopped(Abort::Overflow) || stopped(Abort::Memory) {
         return None;
     }
-    state.rows_scanned += hands.iter().map(|hand| hand.state.rows_scanned).sum::<u64>();
+    state.rows_scanned += workers.iter().map(|worker| worker.state.rows_scanned).sum::<u64>();
     if stopped(Abort::Budget) || state.rows_scanned > state.budget {
         return Some(Err(Abort::Budget));
     }
-    Some(hands.into_iter().try_for_each(|hand| out.absorb(hand.out, symbols)))
+    Some(
+        workers
+            .into_iter()
+            .try_for_each(|worker| out.absorb(worker.out, symbols)),
+    )
 }
 
 /// Estimates the number of rows that the plan scans.

@@ -281,6 +281,7 @@ fn variable(clause: &mut Clause, name: &str) -> Term {
         name.push('\'');
     }
     clause.variables.push(name);
+    clause.variable_spans.push(clause.span);
     Term::Variable(id)
 }
 

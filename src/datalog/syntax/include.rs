@@ -3,7 +3,7 @@
 use std::collections::HashSet;
 use std::path::{Path, PathBuf};
 
-use crate::diag::{Code, Diagnostic, Faults, SourceId, Sources, Span, did_you_mean};
+use crate::diag::{Code, Diagnostic, Faults, SourceId, Sources, Span, similar_file};
 use crate::files::{BUILTIN_FOLDER, ReadError, ReadFile, normalize};
 
 use crate::datalog::syntax::ast::{File, Include, Item};
@@ -143,16 +143,11 @@ impl Walk<'_> {
     /// Returns a similar name of an existing file: with the usual extension, or a built-in file.
     fn similar(&self, from: SourceId, path: &str) -> Option<String> {
         let folder = Path::new(self.sources.name(from)).parent().unwrap_or(Path::new(""));
-        let is_there = |path: &Path| self.read.read(path).is_ok();
         let ended = format!("{path}.{ENDING}");
-        let builtin = |name: &str| is_there(&Path::new(BUILTIN_FOLDER).join(name));
-        if is_there(&folder.join(&ended)) || builtin(&ended) {
-            return Some(ended);
-        }
+        let beside = self.read.read(&folder.join(&ended)).is_ok().then_some(ended.as_str());
         let known = self.read.builtin_paths();
-        let names = known.iter().filter_map(|known| known.strip_prefix("rules/"));
-        let near = did_you_mean(path, names.clone()).or_else(|| did_you_mean(&ended, names))?;
-        builtin(near).then(|| near.to_owned())
+        let builtin = known.iter().filter_map(|known| known.strip_prefix("rules/"));
+        similar_file(path, beside.into_iter().chain(builtin)).map(str::to_owned)
     }
 
     fn open(&mut self, path: &Path, key: PathBuf, text: String, span: Span) {

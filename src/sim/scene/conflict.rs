@@ -156,6 +156,7 @@ fn with_conflict(rules: &Rules, actions: [RelId; 2]) -> Rules {
         head: atom(relation),
         body: actions.map(|action| Literal::Positive(atom(action))).into(),
         variables: vec!["X".to_owned()],
+        variable_spans: vec![span],
         doc: String::new(),
         span,
     });

@@ -4,7 +4,7 @@ use crate::cancel::Cancel;
 use crate::city::{Action, Split};
 use crate::city::{Agent, Cell, Heading, MoveReason, Moved, Places, Surroundings, advance, place_agents_into};
 use crate::datalog::Session;
-use crate::datalog::{ClauseId, Value};
+use crate::datalog::{ClauseId, Limits, Value};
 use crate::diag::{Code, Diagnostic};
 use crate::predicate::Entity;
 use crate::rng::Seed;
@@ -12,7 +12,7 @@ use crate::sim::tick::chance::Draws;
 use crate::sim::tick::dense_executor::{Decisions, DenseExecutor, Undecided, WHOLE_MAX};
 use crate::sim::tick::executor::{Choice, Executor, given_up};
 use crate::sim::tick::ground::{Facts, MAX_ENTITIES, ground_with};
-use crate::sim::tick::ground_state::GroundState;
+use crate::sim::tick::ground_state::{GroundState, TICK_LIMITS, exceeded};
 use crate::sim::tick::vocabulary::Actions;
 use crate::sim::tick::window::Position;
 use crate::sim::tick::world::World;
@@ -66,6 +66,8 @@ pub struct Simulation {
     /// The session with the facts on which tick `stated` was decided. Created on first use.
     state: Option<GroundState>,
     stated: Option<u64>,
+    /// The limits of each evaluation by the relational executor.
+    limits: Limits,
     report: TickReport,
     /// The clauses whose firings can be counted: all visible ones with a body.
     clauses: Vec<ClauseId>,
@@ -220,6 +222,7 @@ impl Simulation {
             fallback,
             state: None,
             stated: None,
+            limits: TICK_LIMITS,
             report,
             clauses,
             threads: pool,
@@ -269,6 +272,15 @@ impl Simulation {
     /// Returns the cells where agents start and arrive.
     pub fn places(&self) -> &Places {
         &self.places
+    }
+
+    /// Sets the limits of each later evaluation by the relational executor; without this call, they are
+    /// [`TICK_LIMITS`].
+    pub fn set_limits(&mut self, limits: Limits) {
+        self.limits = limits;
+        if let Some(state) = &mut self.state {
+            state.set_limits(limits);
+        }
     }
 
     /// Returns the cancellation request that long work of this simulation polls.
@@ -359,9 +371,9 @@ impl Simulation {
     /// and all later ticks ([`Simulation::fallback`]).
     ///
     /// # Errors
-    /// `invalid-value` for a position outside the list; `limit-exceeded` if the rules derive more rows than the
-    /// relational executor allows, too many agents are in one place for the dense one, or it needs too many steps and
-    /// the settings demand it; `cancelled` on cancellation. On error the city is unchanged.
+    /// `invalid-value` for a position outside the list; `limit-exceeded` if an evaluation by the relational executor
+    /// exceeds the [limits](Simulation::set_limits), too many agents are in one place for the dense one, or it needs too
+    /// many steps and the settings demand it; `cancelled` on cancellation. On error the city is unchanged.
     pub fn tick(&mut self, controls: &[(usize, Action)]) -> Result<&TickReport, Diagnostic> {
         self.tick_watched(controls, |_| ())
     }
@@ -485,10 +497,10 @@ impl Simulation {
         let unread = |index: usize| !vocabulary.is_read(index);
         let facts = ground_with(vocabulary, world.map(), view, &entities, &draws, unread, &self.cancel);
         let facts = facts.ok_or_else(Diagnostic::cancelled)?;
-        let state = (self.state).get_or_insert_with(|| ground_state(&self.world, &self.agents));
+        let state = (self.state).get_or_insert_with(|| ground_state(&self.world, &self.agents, self.limits));
         state
             .set_with(&facts, &self.cancel)
-            .map_err(|error| error.diagnostic(self.world.program.rules()))?;
+            .map_err(|error| exceeded(&error, self.world.program.rules()))?;
         self.stated = Some(draws.time);
         self.decisions.clear();
         for agent in 0..self.agents.len() {
@@ -529,10 +541,10 @@ impl Simulation {
                 return Err(Diagnostic::new(Code::LIMIT_EXCEEDED, message));
             }
             let facts = self.facts_with(|index| self.world.vocabulary.is_read(index), &self.cancel)?;
-            let state = (self.state).get_or_insert_with(|| ground_state(&self.world, &self.agents));
+            let state = (self.state).get_or_insert_with(|| ground_state(&self.world, &self.agents, self.limits));
             state
                 .set_with(&facts, &self.cancel)
-                .map_err(|error| error.diagnostic(self.world.program.rules()))?;
+                .map_err(|error| exceeded(&error, self.world.program.rules()))?;
             self.stated = (self.tick > 0).then_some(tick);
         }
         Ok(Snapshot {
@@ -578,8 +590,8 @@ impl Simulation {
     /// `limit-exceeded` if the rules derive too many rows; `cancelled` on cancellation.
     pub fn evaluate(&mut self, facts: &Facts) -> Result<(), Diagnostic> {
         self.stated = None;
-        let state = (self.state).get_or_insert_with(|| ground_state(&self.world, &self.agents));
-        (state.set_with(facts, &self.cancel)).map_err(|error| error.diagnostic(self.world.program.rules()))
+        let state = (self.state).get_or_insert_with(|| ground_state(&self.world, &self.agents, self.limits));
+        (state.set_with(facts, &self.cancel)).map_err(|error| exceeded(&error, self.world.program.rules()))
     }
 
     /// Computes, as bits, all facts about the present state that the rules may read, and returns their number. `None`
@@ -696,9 +708,11 @@ impl AgentTick {
     }
 }
 
-fn ground_state(world: &World, agents: &[Agent]) -> GroundState {
+fn ground_state(world: &World, agents: &[Agent], limits: Limits) -> GroundState {
     let names: Vec<String> = agents.iter().map(|agent| agent.name().to_string()).collect();
-    GroundState::new(&world.program, &world.vocabulary, names.iter().map(String::as_str))
+    let mut state = GroundState::new(&world.program, &world.vocabulary, names.iter().map(String::as_str));
+    state.set_limits(limits);
+    state
 }
 
 fn entity(agent: &Agent) -> Entity<'_> {

@@ -528,6 +528,7 @@ fn clause(gene: &ClauseGene, rules: &Rules, first: usize, span: Span) -> Clause 
         variables: (0..VARIABLES + FLOATS.len())
             .map(|variable| format!("v{variable}"))
             .collect(),
+        variable_spans: vec![span; VARIABLES + FLOATS.len()],
         doc: String::new(),
         span,
     }

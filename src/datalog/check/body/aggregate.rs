@@ -345,6 +345,7 @@ impl<'c> Check<'_, 'c> {
                 span: head.span,
             },
             body,
+            variable_spans: variables.iter().map(|variable| variable.first).collect(),
             variables: variables.into_iter().map(|variable| variable.name).collect(),
             doc: String::new(),
             span: head.span,

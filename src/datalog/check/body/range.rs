@@ -216,6 +216,7 @@ impl Making<'_> {
         self.hidden.push(Clause {
             head,
             body,
+            variable_spans: variables.iter().map(|variable| variable.first).collect(),
             variables: variables.into_iter().map(|variable| variable.name).collect(),
             doc: String::new(),
             span: self.span,
