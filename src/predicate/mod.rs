@@ -601,7 +601,9 @@ impl PairRelation {
     /// Returns whether the first agent sees the second wherever the predicate holds.
     pub fn is_in_view(&self, views: &Views) -> bool {
         AgentKind::ALL.into_iter().all(|kind| {
-            headings().into_iter().all(|heading| self.reach(views, kind, heading).is_within(views.of(heading)))
+            headings()
+                .into_iter()
+                .all(|heading| self.reach(views, kind, heading).is_within(views.of(heading)))
         })
     }
 }

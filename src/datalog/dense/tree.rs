@@ -17,9 +17,9 @@
 //! variable stay valid for all its values.
 //!
 //! A search that takes more than a few steps is interrupted, to make the domains of the variables arc-consistent
-//! first, for this value of the head's first variable and all later ones. This removes no value that is part of a
-//! solution, so tables stay valid: if the values of a separator are in their domains, so are those of the branches that
-//! they allow.
+//! first: once for all values of the head's first variable, then for the present one. Most searches that fail fail
+//! there, without a step. This removes no value that is part of a solution, so tables stay valid: if the values of a
+//! separator are in their domains, so are those of the branches that they allow.
 
 use crate::datalog::dense::program::{Branch, Dense, Range};
 use crate::datalog::dense::search::{BinaryFacts, Search};
