@@ -433,7 +433,7 @@ struct Scene<'a, const W: usize> {
 impl<const W: usize> BinaryFacts<W> for Scene<'_, W> {
     #[inline]
     fn narrow(&self, list: usize, at: usize, among: Set<W>) -> Set<W> {
-        self.members(&self.plan.lists[list], at, among)
+        self.related(&self.plan.lists[list], at, among)
     }
 
     #[inline]
@@ -448,7 +448,7 @@ impl<const W: usize> BinaryFacts<W> for Scene<'_, W> {
                 if skips && list.is_view {
                     continue;
                 }
-                set = self.members(list, at, set);
+                set = self.related(list, at, set);
                 if is_empty(&set) {
                     break;
                 }
@@ -464,7 +464,7 @@ impl<const W: usize> BinaryFacts<W> for Scene<'_, W> {
 impl<const W: usize> Scene<'_, W> {
     /// Returns the members of `among` that a list relates to entity `at`.
     #[inline(always)]
-    fn members(&self, list: &Requested, at: usize, among: Set<W>) -> Set<W> {
+    fn related(&self, list: &Requested, at: usize, among: Set<W>) -> Set<W> {
         let body = &self.bodies[at];
         let near = match list.reaches[body.kind as usize][body.heading.map_or(0, |heading| heading as usize + 1)] {
             Reach::Nowhere => [0; W],
