@@ -13,7 +13,7 @@ use crate::sim::tick::dense_executor::{Decisions, DenseExecutor, Undecided, WHOL
 use crate::sim::tick::executor::{Choice, Executor, given_up};
 use crate::sim::tick::ground::{Facts, MAX_ENTITIES, ground_with};
 use crate::sim::tick::ground_state::{GroundState, TICK_LIMITS, exceeded};
-use crate::sim::tick::vocabulary::Actions;
+use crate::sim::tick::vocabulary::{Actions, Vocabulary};
 use crate::sim::tick::window::Position;
 use crate::sim::tick::world::World;
 use ndarray::Array3;
@@ -450,24 +450,16 @@ impl Simulation {
         for &(position, action) in controls {
             given[position] = Some(action);
         }
-        let controlled = &*given;
-        let vocabulary = &world.vocabulary;
-        let surroundings = Surroundings {
-            router: &world.router,
-            places: &*places,
-            seed: self.seed,
-            tick: self.tick,
-        };
-        let step = |index: usize, agent: &mut Agent, position: &mut Position, done: &mut AgentTick| {
-            let derived = decisions.derived(index);
-            let action = controlled[index].unwrap_or_else(|| vocabulary.decide(derived));
-            *done = AgentTick {
-                heading: agent.heading,
-                derived: vocabulary.before_default(derived),
-                action,
-                moved: advance(agent, index, action, &surroundings),
-            };
-            *position = Position::of(agent);
+        let moving = Moving {
+            decisions,
+            controlled: given,
+            vocabulary: &world.vocabulary,
+            surroundings: Surroundings {
+                router: &world.router,
+                places: &*places,
+                seed: self.seed,
+                tick: self.tick,
+            },
         };
         match &self.threads {
             Some(pool) => pool.install(|| {
@@ -475,12 +467,12 @@ impl Simulation {
                     .zip(positions)
                     .zip(&mut report.agents)
                     .enumerate()
-                    .for_each(|(index, ((agent, position), done))| step(index, agent, position, done));
+                    .for_each(|(index, ((agent, position), done))| moving.step(index, agent, position, done));
             }),
             None => {
                 let agents = agents.iter_mut().zip(positions).zip(&mut report.agents);
                 for (index, ((agent, position), done)) in agents.enumerate() {
-                    step(index, agent, position, done);
+                    moving.step(index, agent, position, done);
                 }
             }
         }
@@ -688,6 +680,31 @@ impl Batch {
             None => (self.cities.iter_mut().enumerate().filter_map(fault)).min_by_key(|(position, _)| *position),
         };
         faults.map_or(Ok(()), |(_, fault)| Err(fault))
+    }
+}
+
+/// What agents need to move in a tick.
+struct Moving<'a> {
+    decisions: &'a Decisions,
+    controlled: &'a [Option<Action>],
+    vocabulary: &'a Vocabulary,
+    surroundings: Surroundings<'a>,
+}
+
+impl Moving<'_> {
+    /// Moves an agent and records its position and its tick.
+    // A call would take longer than most moves.
+    #[inline(always)]
+    fn step(&self, index: usize, agent: &mut Agent, position: &mut Position, done: &mut AgentTick) {
+        let derived = self.decisions.derived(index);
+        let action = self.controlled[index].unwrap_or_else(|| self.vocabulary.decide(derived));
+        *done = AgentTick {
+            heading: agent.heading,
+            derived: self.vocabulary.before_default(derived),
+            action,
+            moved: advance(agent, index, action, &self.surroundings),
+        };
+        *position = Position::of(agent);
     }
 }
 
