@@ -1,7 +1,7 @@
 //! Runs a plan: a pipelined nested-loop join over sorted rows, without intermediate relations.
 
 use crate::cancel::Cancel;
-use crate::datalog::eval::groups::{self, Groups};
+use crate::datalog::eval::groups::{self, Groups, KeyHasher};
 use crate::datalog::eval::seen_bitmap::{Added, SeenBitmap, raise};
 use crate::datalog::plan::steps::{Fold, List, Plan, Slot, Source, Step};
 use crate::datalog::row::{Batch, Row, difference, gallop, normalize};
@@ -10,6 +10,9 @@ use crate::datalog::syntax::functor::{AggregateOp, Functor};
 use crate::datalog::value::{Patterns, Value};
 use crate::symbol::{Symbol, Symbols};
 use std::cmp::Ordering;
+use std::collections::HashMap;
+use std::collections::hash_map::Entry;
+use std::hash::BuildHasherDefault;
 
 /// The rows that a step reads, as sorted batches. A leapfrog join has one batch for each list.
 #[derive(Clone, Debug)]
@@ -356,6 +359,26 @@ impl<const W: usize> Output<W> {
         Ok(())
     }
 
+    /// The number of words of a set of bits for [`Output::push_set`], and the most words that all sets may take; `None`
+    /// if the buffer takes no sets in this column.
+    fn set_words(&self, column: usize) -> Option<(usize, usize)> {
+        let seen = self.seen.as_ref().filter(|seen| seen.keeps())?;
+        let most = (seen.bytes() / size_of::<u64>()).min(self.fit / 12 * size_of::<Row<W>>() / size_of::<u64>());
+        Some((seen.set_words(column)?, most))
+    }
+
+    /// Pushes copies of `row` in which one word is replaced by each of the `count` elements of a set. Returns whether
+    /// they fit.
+    fn push_set(&mut self, row: Row<W>, word: usize, set: &[u64], count: usize) -> Result<bool, Abort> {
+        let Some(new) = self.seen.as_mut().and_then(|seen| seen.keep_set(row, word, set)) else {
+            return Ok(false);
+        };
+        self.pushed += count as u64;
+        self.kept += new;
+        self.check(self.kept)?;
+        Ok(true)
+    }
+
     /// Replaces the bitmap by a plain list.
     #[cold]
     fn unmark(&mut self) {
@@ -469,6 +492,62 @@ impl<const W: usize> Output<W> {
     }
 }
 
+/// The words that follow a word in the rows of a plan's last scan, as sets of bits.
+///
+/// A recursive clause often finds the same long list of rows for many derived rows. Merging a set into a
+/// [`SeenBitmap`] takes one operation for 64 of them.
+#[derive(Debug, Default)]
+struct WordSets {
+    /// By word: the position of its set in `bits`; `None` if the word occurred once, without a set.
+    places: HashMap<Value, Option<usize>, BuildHasherDefault<KeyHasher>>,
+    bits: Vec<u64>,
+    /// The number of words of a set.
+    width: usize,
+}
+
+impl WordSets {
+    /// Shorter lists take less time than their sets.
+    const ROWS_MIN: usize = 32;
+
+    /// Returns the set of the words in the second column of `found`, which are less than `64 * width`, sorted batch by
+    /// batch, and follow the word `first`. Returns `None` at the first call for a word, or if all sets together would
+    /// have more than `most` words.
+    fn of<'a, const W: usize>(
+        &mut self,
+        first: Value,
+        found: impl Iterator<Item = &'a [Row<W>]>,
+        (width, most): (usize, usize),
+    ) -> Option<&[u64]> {
+        if width != self.width {
+            *self = WordSets::default();
+            self.width = width;
+        }
+        let place = match self.places.entry(first) {
+            Entry::Vacant(entry) => {
+                entry.insert(None);
+                return None;
+            }
+            Entry::Occupied(entry) => entry.into_mut(),
+        };
+        let start = match *place {
+            Some(start) => start,
+            None if self.bits.len() + width > most => return None,
+            None => {
+                let start = self.bits.len();
+                self.bits.resize(start + width, 0);
+                let set = &mut self.bits[start..];
+                for row in found.flatten() {
+                    let word = row.0[1].0;
+                    set[(word / u64::BITS) as usize] |= 1 << (word % u64::BITS);
+                }
+                *place = Some(start);
+                start
+            }
+        };
+        Some(&self.bits[start..start + width])
+    }
+}
+
 /// Evaluates a plan. `views` has one element per step.
 pub(crate) fn run<const W: usize>(
     plan: &Plan,
@@ -491,6 +570,7 @@ pub(crate) fn run<const W: usize>(
         text_bytes: state.text_bytes,
         patterns: None,
         cursors: Vec::new(),
+        sets: WordSets::default(),
         out,
     };
     let result = join.from(0, plan.steps.len());
@@ -520,6 +600,8 @@ struct Join<'a, const W: usize> {
     patterns: Option<Patterns>,
     /// The rest of each list of the active leapfrog joins, and the column of its words.
     cursors: Vec<(&'a [Row<W>], usize)>,
+    /// The rows of the last scan.
+    sets: WordSets,
     out: &'a mut Output<W>,
 }
 
@@ -765,6 +847,11 @@ impl<const W: usize> Join<'_, W> {
             }
         }
         let views = self.views;
+        if let ([(word, 1)], [first]) = (&moves[..count], key)
+            && let Some(any) = self.spread_set(depth, *first, row, *word)?
+        {
+            return Ok(any);
+        }
         let mut any = false;
         for batch in views[depth].batches() {
             let found = batch.range(key);
@@ -782,6 +869,33 @@ impl<const W: usize> Join<'_, W> {
             }
         }
         Ok(any)
+    }
+
+    /// Like `spread` for rows that follow the word `first` and replace one word of `row`, with all of them as one set.
+    /// Does nothing and returns `None` where that is slower or impossible.
+    #[inline]
+    fn spread_set(&mut self, depth: usize, first: Value, row: Row<W>, word: usize) -> Result<Option<bool>, Abort> {
+        let views = self.views;
+        let found = || views[depth].batches().map(|batch| batch.range(&[first]));
+        let count: usize = found().map(<[_]>::len).sum();
+        if count < WordSets::ROWS_MIN {
+            return Ok(None);
+        }
+        let Some((width, most)) = self.out.set_words(word).filter(|(width, _)| count >= width / 2) else {
+            return Ok(None);
+        };
+        let largest = found().filter_map(|rows| rows.last()).map(|row| row.0[1].0).max();
+        if largest.is_none_or(|largest| largest as usize >= width * u64::BITS as usize) {
+            return Ok(None);
+        }
+        let Some(set) = self.sets.of(first, found(), (width, most)) else {
+            return Ok(None);
+        };
+        if !self.out.push_set(row, word, set, count)? {
+            return Ok(None);
+        }
+        self.rows_scanned += count as u64;
+        Ok(Some(true))
     }
 
     /// Whether the rows of the last scan only matter by their number.
