@@ -27,6 +27,7 @@ use crate::datalog::syntax::include;
 use crate::datalog::syntax::include::Gathered;
 use crate::datalog::syntax::lexer;
 use crate::datalog::syntax::lexer::Kind;
+use crate::datalog::syntax::packed::FactRuns;
 use crate::datalog::syntax::parser;
 use crate::datalog::value::Value;
 
@@ -108,25 +109,31 @@ impl Workspace {
     /// Skips files that the workspace already contains.
     pub fn add(&mut self, sources: &mut Sources, entry: SourceId, read: &dyn ReadFile) {
         include::gather(&mut self.gathered, sources, entry, read, &mut self.faults);
+        // The checker replaces inline predicates in syntax trees.
+        if self.uses_inline() {
+            self.gathered.facts.unpack(&mut self.gathered.items);
+        }
     }
 
     /// Checks the program as a whole. `rules` is `None` if any diagnostic is an error.
     pub fn check(&self) -> Loaded {
-        self.checked(Cow::Borrowed(&self.gathered.items), self.faults.clone())
+        let items = Cow::Borrowed(&self.gathered.items[..]);
+        self.checked(items, Cow::Borrowed(&self.gathered.facts), self.faults.clone())
     }
 
     /// Checks the program as [`check`](Workspace::check) does, and frees the syntax trees as early as possible.
     pub fn into_checked(mut self) -> Loaded {
-        let (items, faults) = (
+        let (items, facts, faults) = (
             std::mem::take(&mut self.gathered.items),
+            std::mem::take(&mut self.gathered.facts),
             std::mem::take(&mut self.faults),
         );
-        self.checked(Cow::Owned(items), faults)
+        self.checked(Cow::Owned(items), Cow::Owned(facts), faults)
     }
 
-    fn checked(&self, items: Cow<'_, [Item]>, mut faults: Faults) -> Loaded {
+    fn checked(&self, items: Cow<'_, [Item]>, facts: Cow<'_, FactRuns>, mut faults: Faults) -> Loaded {
         let complete = !self.gathered.incomplete;
-        let (rules, compared) = check(items, complete, self.inputs, Symbols::new(), &mut faults);
+        let (rules, compared) = check((items, facts), complete, self.inputs, Symbols::new(), &mut faults);
         Loaded {
             rules,
             diagnostics: faults.finish(),
@@ -137,18 +144,21 @@ impl Workspace {
     /// Returns the places of the heads of every clause that equals `clause` up to variable names and comments.
     pub fn find(&self, clause: &Clause) -> Vec<Span> {
         let wanted = canonical(clause);
-        let found = self.gathered.items.iter().filter_map(|item| match item {
-            Item::Clause(clause) if canonical(clause) == wanted => Some(clause),
+        let written = self.gathered.items.iter().filter_map(|item| match item {
+            Item::Clause(clause) => Some(Cow::Borrowed(clause)),
             _ => None,
         });
-        found
-            .flat_map(|clause| &clause.heads)
-            .map(|head| head.place.0)
-            .collect()
+        let packed = self.gathered.facts.clauses().map(Cow::Owned);
+        let mut places = Vec::new();
+        for clause in written.chain(packed).filter(|clause| canonical(clause) == wanted) {
+            places.extend(clause.heads.iter().map(|head| head.place.0));
+        }
+        places
     }
 
     /// Removes the heads at these places, and every clause that loses its last head.
     pub fn remove_heads(&mut self, places: &HashSet<Span>) {
+        self.gathered.facts.unpack(&mut self.gathered.items);
         for item in &mut self.gathered.items {
             if let Item::Clause(clause) = item {
                 clause.heads.retain(|head| !places.contains(&head.place.0));
@@ -249,7 +259,13 @@ impl Workspace {
         }
         let mut items = self.declarations(false);
         items.extend(file.items);
-        let (rules, _) = check(Cow::Owned(items), true, self.inputs, Symbols::new(), &mut faults);
+        let (rules, _) = check(
+            (Cow::Owned(items), Cow::Owned(FactRuns::default())),
+            true,
+            self.inputs,
+            Symbols::new(),
+            &mut faults,
+        );
         let Some(rules) = rules else {
             return Err(of(id, faults));
         };
@@ -346,7 +362,13 @@ impl Workspace {
             .collect();
         let items = self.asked(columns, clause);
         let mut faults = Faults::default();
-        let (rules, compared) = check(Cow::Owned(items), true, self.inputs, symbols, &mut faults);
+        let (rules, compared) = check(
+            (Cow::Owned(items), Cow::Owned(FactRuns::default())),
+            true,
+            self.inputs,
+            symbols,
+            &mut faults,
+        );
         Loaded {
             rules,
             diagnostics: of(place.0.source, faults),
@@ -358,7 +380,7 @@ impl Workspace {
     fn bases(&self, clause: &Clause, variables: &[&str], faults: &mut Faults) -> Vec<BaseType> {
         let items = self.asked(Vec::new(), clause.clone());
         let mut known = names::declare(&items, true, self.inputs, faults);
-        let checked = clause::check(&items, &mut known, Symbols::new(), faults);
+        let checked = clause::check((&items, &FactRuns::default()), &mut known, Symbols::new(), faults);
         known.report_unknown(faults);
         let base_of = |name: &&str| {
             checked.clauses.iter().find_map(|checked| {
