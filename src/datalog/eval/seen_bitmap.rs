@@ -34,7 +34,7 @@ impl<const W: usize> SeenBitmap<W> {
     /// The size in bytes that a set may have regardless of the number of rows.
     const BYTES_FREE: u64 = 1 << 13;
 
-    /// From this bound on, the words of the last column fill whole words of bits, so that [`SeenBitmap::keep_set`] can
+    /// From this bound on, the words of the last column fill whole words of bits, so that [`SeenBitmap::add_set`] can
     /// add many rows at once.
     const ALIGNED_MIN: u32 = 512;
 
@@ -177,7 +177,7 @@ impl<const W: usize> SeenBitmap<W> {
         (added, new)
     }
 
-    /// The number of words of a set of bits for [`SeenBitmap::keep_set`]; `None` if rows that differ in this column
+    /// The number of words of a set of bits for [`SeenBitmap::add_set`]; `None` if rows that differ in this column
     /// do not fill whole words of bits.
     pub(crate) fn set_words(&self, column: usize) -> Option<usize> {
         let (bound, stride) = (self.bounds[column], self.strides[column]);
@@ -185,24 +185,39 @@ impl<const W: usize> SeenBitmap<W> {
     }
 
     /// Adds copies of `row` in which the word of `column` is replaced by each element of a set of bits, which has
-    /// [`set_words`](SeenBitmap::set_words) words. The set must keep new rows as bits. Returns the number of new rows,
-    /// or `None` if another word exceeds its bound.
-    pub(crate) fn keep_set(&mut self, mut row: Row<W>, column: usize, set: &[u64]) -> Option<usize> {
+    /// [`set_words`](SeenBitmap::set_words) words. Returns the number of new rows, or `None` if another word exceeds
+    /// its bound. Unless new rows are kept as bits, `new` receives their words in this column.
+    pub(crate) fn add_set(
+        &mut self,
+        mut row: Row<W>,
+        column: usize,
+        set: &[u64],
+        new: &mut Vec<Value>,
+    ) -> Option<usize> {
         row.0[column] = Value(0);
         let (base, _) = self.bit(&row)?;
         let known = &mut self.known[base..base + set.len()];
-        let fresh = &mut self.fresh[base..base + set.len()];
-        let mut new = 0;
-        for ((known, fresh), set) in known.iter_mut().zip(fresh).zip(set) {
-            let come = set & !*known;
+        let mut fresh = self.fresh.get_mut(base..base + set.len());
+        let mut count = 0;
+        for (at, (known, set)) in known.iter_mut().zip(set).enumerate() {
+            let mut come = set & !*known;
             // Rare where rules derive the same rows many times.
-            if come != 0 {
-                *known |= come;
-                *fresh |= come;
-                new += come.count_ones() as usize;
+            if come == 0 {
+                continue;
+            }
+            *known |= come;
+            count += come.count_ones() as usize;
+            match &mut fresh {
+                Some(fresh) => fresh[at] |= come,
+                None => {
+                    while come != 0 {
+                        new.push(Value(at as u32 * u64::BITS + come.trailing_zeros()));
+                        come &= come - 1;
+                    }
+                }
             }
         }
-        Some(new)
+        Some(count)
     }
 
     /// Whether `rows` new rows are better kept as bits than in a list to be sorted.
