@@ -431,7 +431,7 @@ fn points_to_in_rounds_of_many_new_rows() {
 
 #[test]
 fn long_lists_of_derived_rows_are_those_of_a_search() {
-    const NODES: u32 = 700;
+    const NODES: u32 = 600;
     let program = program(
         ".decl Edge(x: number, y: number)
         .decl Skip(x: number, y: number)
@@ -445,31 +445,33 @@ fn long_lists_of_derived_rows_are_those_of_a_search() {
         state = state.wrapping_mul(1_664_525).wrapping_add(1_013_904_223);
         (state >> 8) % below
     };
-    let edges: Vec<[u32; 2]> = (0..1_400).map(|_| [random(NODES), random(NODES)]).collect();
-    let skips: Vec<[u32; 2]> = (0..40).map(|_| [random(NODES), random(NODES)]).collect();
-    let after = |node: u32| -> BTreeSet<u32> {
-        let edges = edges.iter().filter(|edge| edge[0] == node);
-        edges.map(|edge| edge[1]).collect()
-    };
-    let mut expected: Vec<BTreeSet<u32>> = (0..NODES).map(after).collect();
+    let edges: Vec<[u32; 2]> = (0..1_200).map(|_| [random(NODES), random(NODES)]).collect();
+    let skips: Vec<[u32; 2]> = (0..12).map(|_| [random(NODES), random(NODES)]).collect();
+    // By node, the nodes that it reaches, as bits.
+    let mut reached = vec![[0_u64; NODES as usize / 64 + 1]; NODES as usize];
+    for [x, y] in &edges {
+        reached[*x as usize][*y as usize / 64] |= 1 << (y % 64);
+    }
     loop {
-        let mut next = expected.clone();
-        for [x, y] in &edges {
-            next[*x as usize].extend(&expected[*y as usize]);
+        let before = reached.clone();
+        let mut add = |to: u32, from: u32| {
+            let words = reached[to as usize].iter_mut().zip(before[from as usize]);
+            words.for_each(|(word, more)| *word |= more);
+        };
+        edges.iter().for_each(|&[x, y]| add(x, y));
+        for &[x, y] in &skips {
+            let middle = |node: &u32| before[y as usize][*node as usize / 64] >> (node % 64) & 1 == 1;
+            (0..NODES).filter(middle).for_each(|node| add(x, node));
         }
-        for [x, y] in &skips {
-            for middle in &expected[*y as usize] {
-                next[*x as usize].extend(&expected[*middle as usize]);
-            }
-        }
-        if next == expected {
+        if reached == before {
             break;
         }
-        expected = next;
     }
-    let expected: Vec<Vec<Value>> = (0..)
-        .zip(&expected)
-        .flat_map(|(from, reached)| reached.iter().map(move |&to| vec![Value(from), Value(to)]))
+    let reaches = |x: u32, y: u32| reached[x as usize][y as usize / 64] >> (y % 64) & 1 == 1;
+    let pairs = (0..NODES).flat_map(|x| (0..NODES).map(move |y| (x, y)));
+    let expected: Vec<Vec<Value>> = pairs
+        .filter(|&(x, y)| reaches(x, y))
+        .map(|(x, y)| vec![Value(x), Value(y)])
         .collect();
     assert!(expected.len() > 100_000);
     let mut work = Vec::new();
@@ -1228,7 +1230,7 @@ fn loaded_relations_take_the_memory_of_their_own_columns() {
     session.retract(edge, &numbers(&[0, 6])).unwrap();
     assert_eq!(session.commit().unwrap().of(edge).unwrap().removed.len(), 1);
     assert_eq!(session.len(edge), 9_999);
-    assert!(session.bytes() > 9_999 * 20 * 4);
+    assert!(session.bytes() >= 9_999 * 20 * 4);
 }
 
 #[test]
