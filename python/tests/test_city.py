@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import copy
+import itertools
 import json
 import pickle
 import random
@@ -65,6 +66,32 @@ def test_given_atoms_replace_computed_atoms() -> None:
 def test_a_symbolic_scene_skips_grounding() -> None:
     answer = infer({"entities": ["a", "b"], "ego": "a", "facts": {"IsAtInter": ["a"], "IsInInter": ["b"]}}, "easy")
     assert answer["egos"]["a"]["action"] == "Stop"
+
+
+def test_an_answer_says_why_the_dense_executor_gave_up(tmp_path: Path) -> None:
+    people = [f"P{index}" for index in range(1, 10)]
+    chain = [f"NextTo({one}, {other})" for one, other in itertools.pairwise(people)]
+    clique = [f"IsClose({one}, {other})" for one, other in itertools.combinations("ABCDEFGH", 2)]
+    body = ", ".join(["IsCar(X)", "IsCar(P1)", "IsPedestrian(P1)", *chain, *clique])
+    rules = tmp_path / "clique.dl"
+    rules.write_text(f'.include "vocabulary.dl"\nStop(X) :- {body}.\n')
+    entities = [f"e{index}" for index in range(14)]
+    close = [[entities[x], entities[y]] for x in range(14) for y in range(14) if x % 7 != y % 7]
+    crowd: SymbolicScene = {
+        "entities": entities,
+        "ego": "e0",
+        "facts": {
+            "IsCar": ["e0", "e1"],
+            "IsPedestrian": ["e2"],
+            "IsClose": close,
+            "NextTo": [["e0", "e1"], ["e1", "e0"]],
+        },
+    }
+    answer = infer(crowd, rules=rules)
+    assert "gave up" in answer["fallback"] and "steps" in answer["fallback"]
+    relational = infer(crowd, rules=rules, executor="relational")
+    assert "fallback" not in relational
+    assert answer["egos"] == relational["egos"]
 
 
 def test_invalid_scenes_raise_input_errors() -> None:

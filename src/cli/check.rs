@@ -26,9 +26,9 @@ pub struct Arguments {
     /// `expert`), checked with their rules; maps [default with --coverage: the rules of the run]
     #[arg(required_unless_present = "coverage", value_name = "FILES")]
     rules: Vec<PathBuf>,
-    /// Print one JSON object per file, with the keys `file`, `ok`, `strata`, `executors`, `conflicts` and
-    /// `diagnostics`; `configuration` for a configuration; `coverage` with --coverage; `unfinished` lists searches
-    /// that reached a limit
+    /// Print one JSON object per file, with the keys `file`, `ok`, `strata`, `executors`, `costly`, `conflicts` and
+    /// `diagnostics`; `costly` lists the clauses for which the dense executor may give up; `configuration` for a
+    /// configuration; `coverage` with --coverage; `unfinished` lists searches that reached a limit
     #[arg(long)]
     json: bool,
     /// Count how often each clause fires on the states of this trace, and list the literals that never matter there
@@ -194,6 +194,9 @@ impl Report {
             line["configuration"] = configuration.json();
         }
         if let Some(rules) = self.rules() {
+            let printer = ExplanationPrinter::new(rules, &rules.symbols, sources);
+            let costly = costly(rules).into_iter().map(|clause| printer.clause_json(clause));
+            line["costly"] = costly.collect();
             line["conflicts"] = overlaps_json(&self.overlaps, &self.precedence, rules, sources);
             if let Some(covered) = &self.covered {
                 line["coverage"] = coverage_json(covered, rules, sources);
@@ -257,10 +260,19 @@ fn executors(rules: &Rules) -> Vec<(Vec<&str>, Option<String>)> {
 /// The number of agents for which `check` estimates the steps of the dense executor.
 const CROWD: usize = 64;
 
+/// Returns the clauses for which the dense executor may give up; none if it does not evaluate all strata.
+fn costly(rules: &Rules) -> Vec<ClauseId> {
+    let choice = dense::choose(rules);
+    match choice.all_dense() {
+        true => choice.costly(rules, CROWD, CROWD),
+        false => Vec::new(),
+    }
+}
+
 /// Prints the clauses for which the dense executor may give up.
 fn print_costly(out: &mut impl Write, rules: &Rules, sources: &Sources) -> io::Result<()> {
     let printer = ExplanationPrinter::new(rules, &rules.symbols, sources);
-    for clause in dense::choose(rules).costly(rules, CROWD, CROWD) {
+    for clause in costly(rules) {
         let title = printer.title(clause);
         writeln!(
             out,

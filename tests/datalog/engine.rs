@@ -26,6 +26,20 @@ fn check_script(genome: &Genome) -> Result<(), TestCaseError> {
     agrees(&rules, &genome.batches(&rules))
 }
 
+/// Like `check_script` in a program with rows of twelve words, so that base relations have narrow rows until they
+/// change.
+fn check_narrow(genome: &Genome) -> Result<(), TestCaseError> {
+    let mut rules = genome.rules();
+    let script = genome.batches(&rules);
+    if let Some(mut wide) = rules.relations.iter().find(|relation| relation.arity() > 0).cloned() {
+        wide.name = "Wide".to_owned();
+        wide.derived = false;
+        wide.columns = vec![wide.columns[0].clone(); 12];
+        rules.relations.push(wide);
+    }
+    agrees(&rules, &script)
+}
+
 /// Threads that share all work, however small.
 fn eager(count: usize) -> Threads {
     Threads {
@@ -270,6 +284,11 @@ proptest! {
     }
 
     #[test]
+    fn narrow_relations_agree_with_naive(genome in genomes(1..5)) {
+        check_narrow(&genome)?;
+    }
+
+    #[test]
     fn recursive_commits_agree_with_naive(genome in recursive_genomes(1..4)) {
         check_script(&genome)?;
     }
@@ -408,6 +427,67 @@ fn points_to_in_rounds_of_many_new_rows() {
     assert!(session.len(program.relation("PointsTo").unwrap()) > 700);
     let expected = naive::evaluate(program.rules(), session.symbols(), facts);
     assert_eq!(database(&session), expected);
+}
+
+#[test]
+fn long_lists_of_derived_rows_are_those_of_a_search() {
+    const NODES: u32 = 600;
+    let program = program(
+        ".decl Edge(x: number, y: number)
+        .decl Skip(x: number, y: number)
+        .decl Path(x: number, y: number)
+        Path(x, y) :- Edge(x, y).
+        Path(x, z) :- Edge(x, y), Path(y, z).
+        Path(x, z) :- Skip(x, y), Path(y, w), Path(w, z).",
+    );
+    let mut state = 7_u32;
+    let mut random = |below: u32| {
+        state = state.wrapping_mul(1_664_525).wrapping_add(1_013_904_223);
+        (state >> 8) % below
+    };
+    let edges: Vec<[u32; 2]> = (0..1_200).map(|_| [random(NODES), random(NODES)]).collect();
+    let skips: Vec<[u32; 2]> = (0..12).map(|_| [random(NODES), random(NODES)]).collect();
+    // By node, the nodes that it reaches, as bits.
+    let mut reached = vec![[0_u64; NODES as usize / 64 + 1]; NODES as usize];
+    for [x, y] in &edges {
+        reached[*x as usize][*y as usize / 64] |= 1 << (y % 64);
+    }
+    loop {
+        let before = reached.clone();
+        let mut add = |to: u32, from: u32| {
+            let words = reached[to as usize].iter_mut().zip(before[from as usize]);
+            words.for_each(|(word, more)| *word |= more);
+        };
+        edges.iter().for_each(|&[x, y]| add(x, y));
+        for &[x, y] in &skips {
+            let middle = |node: &u32| before[y as usize][*node as usize / 64] >> (node % 64) & 1 == 1;
+            (0..NODES).filter(middle).for_each(|node| add(x, node));
+        }
+        if reached == before {
+            break;
+        }
+    }
+    let reaches = |x: u32, y: u32| reached[x as usize][y as usize / 64] >> (y % 64) & 1 == 1;
+    let pairs = (0..NODES).flat_map(|x| (0..NODES).map(move |y| (x, y)));
+    let expected: Vec<Vec<Value>> = pairs
+        .filter(|&(x, y)| reaches(x, y))
+        .map(|(x, y)| vec![Value(x), Value(y)])
+        .collect();
+    assert!(expected.len() > 100_000);
+    let mut work = Vec::new();
+    for threads in [1, 3] {
+        let mut session = program.session();
+        session.set_threads(eager(threads)).unwrap();
+        for (name, pairs) in [("Edge", &edges), ("Skip", &skips)] {
+            let rows = pairs.iter().map(|pair| pair.map(Value));
+            session.insert_all(program.relation(name).unwrap(), rows).unwrap();
+        }
+        session.commit().unwrap();
+        let found = session.rows(program.relation("Path").unwrap());
+        assert!(found.eq(expected.iter().map(Vec::as_slice)));
+        work.push(session.work().clone());
+    }
+    assert_eq!(work[0], work[1]);
 }
 
 #[test]
@@ -1128,6 +1208,29 @@ fn a_product_that_derives_nothing_reaches_a_limit() {
         Group(x, 0) :- A(x).
         Size(x, n) :- Group(x, g), n = count : { Group(_, g) }.";
     assert!(matches!(stopped(&counted, limits), EvalError::TooManySteps { .. }));
+}
+
+#[test]
+fn loaded_relations_take_the_memory_of_their_own_columns() {
+    let loaded = |more: &str| {
+        let program = program(&format!(".decl Edge(x: number, y: number)\n.input Edge\n{more}"));
+        let edge = program.relation("Edge").unwrap();
+        let mut session = program.session();
+        session
+            .insert_all(edge, (0..10_000).map(|n| numbers(&[n / 7, n])))
+            .unwrap();
+        session.commit().unwrap();
+        (session, edge)
+    };
+    let columns: Vec<String> = (0..20).map(|column| format!("c{column}: number")).collect();
+    let (alone, _) = loaded("");
+    let (mut session, edge) = loaded(&format!(".decl Wide({})\n.input Wide", columns.join(", ")));
+    assert_eq!(session.bytes(), alone.bytes());
+    // A change pads the rows.
+    session.retract(edge, &numbers(&[0, 6])).unwrap();
+    assert_eq!(session.commit().unwrap().of(edge).unwrap().removed.len(), 1);
+    assert_eq!(session.len(edge), 9_999);
+    assert!(session.bytes() >= 9_999 * 20 * 4);
 }
 
 #[test]

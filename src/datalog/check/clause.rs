@@ -1,7 +1,9 @@
 //! From the syntax of clauses to checked clauses. Disjunctions and multiple heads become separate clauses;
 //! [`super::body`] checks each of them.
 
+use std::borrow::Cow;
 use std::collections::{HashMap, HashSet};
+use std::ops::Range;
 
 use crate::diag::{Code, Diagnostic, Faults};
 use crate::symbol::Symbols;
@@ -16,6 +18,8 @@ use crate::datalog::check::scope::Scope;
 use crate::datalog::check::witness;
 use crate::datalog::syntax::ast;
 use crate::datalog::syntax::ast::{BaseType, Comparison, Item, names_in, names_of};
+use crate::datalog::syntax::packed::{Constant, FactRuns, PackedFacts};
+use crate::datalog::value::Value;
 
 /// Maximum number of literals in a body.
 const MAX_LITERALS: usize = 1024;
@@ -23,22 +27,32 @@ const MAX_LITERALS: usize = 1024;
 /// Maximum number of combinations of alternatives and heads of one clause.
 const MAX_ALTERNATIVES: usize = 1024;
 
-/// Checks all clauses and interns their constants in `symbols`.
-pub(crate) fn check(items: &[Item], names: &mut Names, symbols: Symbols, faults: &mut Faults) -> Clauses {
+/// Checks all clauses and packed facts, and interns their constants in `symbols`.
+pub(crate) fn check(
+    (items, facts): (&[Item], &FactRuns),
+    names: &mut Names,
+    symbols: Symbols,
+    faults: &mut Faults,
+) -> Clauses {
     let mut clauses = Clauses {
         symbols,
         ..Clauses::default()
     };
     let mut scopes = scope::Scopes::default();
-    let mut before = None;
-    for item in items {
-        match item {
-            Item::Scope(scope) => scopes.enter(scope, names, faults),
-            Item::Clause(clause) => {
+    let mut before: Option<Cow<'_, ast::Clause>> = None;
+    let mut runs = facts.runs().peekable();
+    for at in 0..=items.len() {
+        while let Some((_, packed, run)) = runs.next_if(|(before, ..)| *before == at) {
+            before = run.clone().last().map(|fact| Cow::Owned(packed.clause(fact)));
+            packed_facts(packed, run, &mut scopes, names, &mut clauses, faults);
+        }
+        match items.get(at) {
+            Some(Item::Scope(scope)) => scopes.enter(scope, names, faults),
+            Some(Item::Clause(clause)) => {
                 one(clause, &mut scopes, names, &mut clauses, faults);
-                before = Some(clause);
+                before = Some(Cow::Borrowed(clause));
             }
-            Item::Plan(plan) => check_plan(plan, before, faults),
+            Some(Item::Plan(plan)) => check_plan(plan, before.as_deref(), faults),
             _ => {}
         }
     }
@@ -53,6 +67,66 @@ pub(crate) fn check(items: &[Item], names: &mut Names, symbols: Symbols, faults:
         }
     }
     clauses
+}
+
+/// Checks packed facts. Those that do not fit their predicates are checked as syntax trees, which reports them.
+fn packed_facts(
+    packed: &PackedFacts,
+    run: Range<usize>,
+    scopes: &mut scope::Scopes,
+    names: &mut Names,
+    out: &mut Clauses,
+    faults: &mut Faults,
+) {
+    let signature = |name: &String| {
+        let relation = names.find(name)?;
+        let columns = names.signatures[relation.index()].columns.as_ref()?;
+        let bases: Option<Vec<BaseType>> = columns.iter().map(|ty| Some(names.base((*ty)?))).collect();
+        Some((relation, bases?))
+    };
+    let signatures: Vec<Option<(RelId, Vec<BaseType>)>> = packed.names().iter().map(signature).collect();
+    out.clauses.reserve(run.len());
+    for fact in run {
+        let constants = packed.constants(fact);
+        let fitting = signatures[packed.name(fact)].as_ref();
+        let fitting = fitting.filter(|(_, bases)| bases.len() == constants.len());
+        let checked = fitting.and_then(|(relation, bases)| {
+            let terms: Option<Vec<Term>> = (bases.iter().zip(constants))
+                .map(|(&base, constant)| constant_of(base, constant, &out.symbols).map(Term::Constant))
+                .collect();
+            Some((*relation, terms?))
+        });
+        match checked {
+            Some((relation, terms)) => out.clauses.push(Checked {
+                clause: Clause {
+                    head: Atom {
+                        relation,
+                        terms,
+                        span: packed.atom_span(fact),
+                    },
+                    body: Vec::new(),
+                    variables: Vec::new(),
+                    doc: String::new(),
+                    span: packed.clause_span(fact),
+                },
+                bases: Vec::new(),
+                sound: true,
+            }),
+            None => one(&packed.clause(fact), scopes, names, out, faults),
+        }
+    }
+}
+
+/// Returns the word of a constant in a column of this base type, if it fits.
+fn constant_of(base: BaseType, constant: Constant<'_>, symbols: &Symbols) -> Option<Value> {
+    match (base, constant) {
+        (BaseType::Symbol, Constant::Text(text)) => Some(Value(symbols.intern(text).0)),
+        (BaseType::Number, Constant::Number(number)) => Some(Value::number(number)),
+        (BaseType::Unsigned, Constant::Number(number)) => u32::try_from(number).ok().map(Value),
+        #[allow(clippy::cast_precision_loss)]
+        (BaseType::Float, Constant::Number(number)) => Some(Value::float(number as f32)),
+        _ => None,
+    }
 }
 
 /// Reports a `.plan` whose orders do not fit the preceding clause, as Soufflé does.
