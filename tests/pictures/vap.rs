@@ -54,10 +54,15 @@ fn stdout_of(arguments: &[&str]) -> String {
     String::from_utf8(output.stdout).unwrap()
 }
 
+/// The data set is faulty.
 fn refused(arguments: &[&str], words: &[&str]) {
+    fails(1, arguments, words);
+}
+
+fn fails(code: i32, arguments: &[&str], words: &[&str]) {
     let output = vap(arguments);
     let said = String::from_utf8(output.stderr).unwrap();
-    assert_eq!(output.status.code(), Some(1), "{said}");
+    assert_eq!(output.status.code(), Some(code), "{said}");
     assert!(!said.contains("panicked"), "{said}");
     for word in words {
         assert!(said.contains(word), "`{word}` is missing in:\n{said}");
@@ -235,19 +240,87 @@ fn parts_equal_the_whole() {
     // The settings must equal those of the folder.
     let again = [&MAKE[..], &["--out", part.to_str().unwrap()]].concat();
     for more in [["--seed", "1"], ["--difficulty", "0"]] {
-        refused(&[&again[..], &more].concat(), &["invalid-data-set", "other settings"]);
+        fails(2, &[&again[..], &more].concat(), &["manifest.json", "other settings"]);
+        fails(
+            2,
+            &[&again[..], &more, &["--force"]].concat(),
+            &["world-00002", "other settings"],
+        );
     }
     let pictures: Vec<&str> = again.iter().copied().filter(|word| *word != "--no-pictures").collect();
-    refused(&pictures, &["invalid-data-set", "other settings"]);
+    fails(2, &pictures, &["manifest.json", "other settings"]);
     let old = fs::read_to_string(part.join("world-00002/world.json")).unwrap();
     fs::write(
         part.join("world-00002/world.json"),
         old.replace("\"version\": 3", "\"version\": 2"),
     )
     .unwrap();
-    refused(&again, &["version 2; this program reads version 3"]);
+    fails(2, &again, &["version 2; this program reads version 3"]);
 
+    foreign_content_is_refused(&whole);
     tampered_sets_are_found_out(&whole);
+}
+
+/// `make` refuses what `check` refuses, and changes nothing, with and without `--force`.
+fn foreign_content_is_refused(folder: &Path) {
+    let expected = contents(folder);
+    let path = folder.to_str().unwrap();
+    let again = [&MAKE[..], &["--out", path, "--worlds", "4"]].concat();
+    let both = |words: &[&str]| {
+        let before = contents(folder);
+        refused(&["check", path], &[&["invalid-data-set"], words].concat());
+        for force in [&[][..], &["--force"]] {
+            fails(
+                2,
+                &[&again[..], force].concat(),
+                &[words, &["move it elsewhere"]].concat(),
+            );
+        }
+        assert!(contents(folder) == before);
+    };
+    let foreign = [
+        ("notes.txt", "it belongs to no data set"),
+        (".logicity.json", "it belongs to no data set"),
+        (".world-notes.partial", "it belongs to no data set"),
+        ("world-3", "it belongs to no data set"),
+        ("world-00003", "it has the name of a world, but is not a folder"),
+        ("world-00001/notes.txt", "it does not belong to the world"),
+    ];
+    for (name, what) in foreign {
+        fs::write(folder.join(name), "foreign").unwrap();
+        both(&[name, what]);
+        fs::remove_file(folder.join(name)).unwrap();
+    }
+    let world = folder.join("world-00003");
+    fs::create_dir(&world).unwrap();
+    both(&["world-00003`: it has the name of a world, but `world.json` in it is wrong: no such file"]);
+    fs::write(world.join("world.json"), "{}").unwrap();
+    both(&["world-00003", "not a file of a data set"]);
+    fs::copy(folder.join("world-00001/world.json"), world.join("world.json")).unwrap();
+    both(&["world-00003", "it holds world 1"]);
+    fs::remove_dir_all(&world).unwrap();
+    let table = folder.join("world-00001/pairs.parquet");
+    fs::remove_file(&table).unwrap();
+    refused(&["check", path], &["world-00001/pairs.parquet", "No such file"]);
+    fails(2, &again, &["world-00001", "its file `pairs.parquet` is missing"]);
+    fs::write(&table, &expected["world-00001/pairs.parquet"]).unwrap();
+
+    // `make` removes what an interrupted `make` has left.
+    let partial = folder.join(".world-00003.partial");
+    fs::create_dir(&partial).unwrap();
+    fs::write(partial.join("pairs.parquet"), "").unwrap();
+    fs::write(folder.join(".manifest.json.logicity-1-2"), "{").unwrap();
+    refused(
+        &["check", path],
+        &[
+            ".world-00003.partial",
+            "it is an incomplete world",
+            "completes the data set",
+        ],
+    );
+    make(folder, &["--worlds", "3"]);
+    assert!(contents(folder) == expected);
+    assert!(stdout_of(&["check", path]).starts_with("worlds: 3, "));
 }
 
 /// The library makes the files of the command. It calls both callbacks on the calling thread.
