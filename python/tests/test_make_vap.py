@@ -131,7 +131,7 @@ def test_folders_with_other_content_are_refused(sets: Path, tmp_path: Path) -> N
     for options in ({"seed": 1}, {"difficulty": 0}):
         with pytest.raises(FileExistsError, match=r"manifest\.json`: it belongs to a data set with other settings"):
             make_random(folder, **options)
-    for name, overwrite, message in [
+    for name, always, message in [
         ("README.md", False, r"logicity did not write it .*; choose another folder, or replace .* `overwrite`$"),
         ("manifest.json", False, "not a file of a data set: .*, or replace the file with `overwrite`$"),
         ("notes.txt", True, "it belongs to no data set; choose another folder, or move it elsewhere$"),
@@ -141,7 +141,7 @@ def test_folders_with_other_content_are_refused(sets: Path, tmp_path: Path) -> N
         with pytest.raises(FileExistsError, match=message):
             make_random(folder)
         assert (folder / name).read_text() == "foreign"
-        if overwrite:
+        if always:
             with pytest.raises(FileExistsError, match=message):
                 make_random(folder, overwrite=True)
             with pytest.raises(InputError, match=name):
