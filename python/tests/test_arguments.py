@@ -6,7 +6,6 @@ from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
-import gymnasium
 import pytest
 from conftest import ROOT, needs
 
@@ -68,7 +67,7 @@ def test_numbers() -> None:
     cases: list[tuple[Callable[[], object], type[Exception], str]] = [
         (lambda: demonstrations("easy", -1), ValueError, "^expected 1 to 100 demonstrations, .*, not -1$"),
         (lambda: demonstrations("easy", "x"), TypeError, "^n: expected an integer, not str$"),  # type: ignore[arg-type]
-        (lambda: measure_baselines(samples, samples, epochs=-1), ValueError, r"^epochs: expected 0 to .*, not -1$"),
+        (lambda: measure_baselines(samples, samples, epochs=0), ValueError, r"^epochs: expected 1 to .*, not 0$"),
         (lambda: measure_baselines(samples, samples, -1), ValueError, r"^seed: expected 0 to 2\*\*64 - 1, not -1$"),
         (lambda: check_dataset(samples, threads=1025), ValueError, "^threads: expected 0 to 1024, not 1025$"),
     ]
@@ -79,4 +78,4 @@ def test_numbers() -> None:
 
 def test_overrides() -> None:
     with pytest.raises(TypeError, match="^overrides: expected a mapping, not int$"):
-        gymnasium.make("logicity/SPF-Easy-v0", overrides=3)
+        logicity.envs.SPFEnv("easy", overrides=3)  # type: ignore[arg-type]

@@ -704,12 +704,10 @@ def test_underivable_labels_are_reported(own: Path, sets: Path, capsys: pytest.C
     manifest = own / "manifest.json"
     manifest.write_text(manifest.read_text().replace('"mode": "hard"', '"mode": "easy"'))
     folder = str(own)
-    assert main(["vap", "baselines", "--train", folder, "--test", folder, "--epochs", "0"]) == 1
+    assert main(["vap", "baselines", "--train", folder, "--test", folder, "--epochs", "1"]) == 1
     assert "labels that the rules do not derive" in capsys.readouterr().err
     assert main(["vap", "baselines", "--train", folder, "--test", str(sets / "hard")]) == 1
     assert "the modes differ" in capsys.readouterr().err
-    assert main(["vap", "baselines", "--train", folder, "--test", folder, "--epochs", "-1"]) == 1
-    assert "not -1" in capsys.readouterr().err
 
 
 class FewCars(VapDataset):

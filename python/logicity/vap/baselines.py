@@ -49,7 +49,7 @@ def measure_baselines(
         train: The folder of the data set to train on.
         test: The folder of the data set to measure on, of the same mode.
         seed: The seed of the network's weights and of the sample order.
-        epochs: The number of epochs, at least 0.
+        epochs: The number of epochs, at least 1.
 
     Returns:
         The results of `majority`, `network` and `rules`.
@@ -57,10 +57,10 @@ def measure_baselines(
     Raises:
         ImportError: If PyTorch is not installed. The extra `vap` installs it: `pip install './python[vap]'`.
         OSError: If a file cannot be read.
-        ValueError: As for `VapDataset`, or if a data set has no cars, the modes differ, or the seed or the number of
-            epochs is negative.
+        ValueError: As for `VapDataset`, or if a data set has no cars, the modes differ, the seed is out of range, or
+            the number of epochs is below 1.
     """
-    seed, epochs = checked_integer("seed", seed), checked_integer("epochs", epochs)
+    seed, epochs = checked_integer("seed", seed), checked_integer("epochs", epochs, 1)
     # Import PyTorch before reading the data sets, to fail early if it is missing.
     from .network import train_network
 
