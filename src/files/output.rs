@@ -12,6 +12,7 @@
 use serde::{Deserialize, Serialize};
 use sha2::{Digest, Sha256};
 use std::collections::BTreeMap;
+use std::ffi::OsStr;
 use std::fs::{self, File, OpenOptions, TryLockError};
 use std::io::{self, Write};
 use std::path::{Path, PathBuf};
@@ -129,6 +130,12 @@ impl Output {
     /// As [`Output::create`].
     pub fn check(path: &Path, overwrite: Overwrite) -> io::Result<()> {
         Output::create(path, overwrite).map(drop)
+    }
+
+    /// Returns whether a file has a name of temporary files.
+    pub fn is_temporary(path: &Path) -> bool {
+        let name = path.file_name().and_then(OsStr::to_str);
+        name.and_then(temporary_of).is_some()
     }
 
     /// Returns the path of the temporary file, for a writer that needs a path.

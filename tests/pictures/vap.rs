@@ -356,14 +356,15 @@ fn make_refuses_what_check_refuses() {
     }
 
     // `make` removes what an interrupted `make` has left.
-    fs::create_dir(folder.join(".world-00001.partial")).unwrap();
-    fs::write(folder.join(".world-00001.partial/pairs.parquet"), "").unwrap();
-    assert!(
-        check()
-            .iter()
-            .any(|fault| fault.contains(".world-00001.partial`: it is an incomplete world"))
-    );
-    fs::write(folder.join(".manifest.json.logicity-1-2"), "{").unwrap();
+    let left = [".world-00001.partial", ".manifest.json.logicity-1-2"];
+    fs::create_dir(folder.join(left[0])).unwrap();
+    fs::write(folder.join(left[0]).join("pairs.parquet"), "").unwrap();
+    fs::write(folder.join(left[1]), "{").unwrap();
+    let found = check();
+    for name in left {
+        let incomplete = format!("{name}`: it is incomplete");
+        assert!(found.iter().any(|fault| fault.contains(&incomplete)), "{found:?}");
+    }
     write(Overwrite::Own).unwrap();
     assert!(contents(folder) == expected && !folder.join(".world-00001.partial").exists());
     assert_eq!(check(), [""; 0]);
@@ -381,7 +382,7 @@ fn make_refuses_what_check_refuses() {
     );
     refused(
         &["check", path],
-        &["notes.txt`: it belongs to no data set", "help: remove it"],
+        &["notes.txt`: it belongs to no data set", "help: move it elsewhere"],
     );
 }
 

@@ -15,6 +15,9 @@ use std::collections::{BTreeMap, BTreeSet};
 use std::num::NonZeroUsize;
 use std::path::{Component, Path, PathBuf};
 
+/// The help for files that do not belong to the data set.
+const MOVE: &str = "move it elsewhere";
+
 /// A data set on disk.
 pub struct Dataset {
     folder: Folder,
@@ -101,13 +104,13 @@ impl Dataset {
         for path in self.folder.entries()? {
             match Entry::of(&path) {
                 Entry::Description => {}
-                Entry::Other => faults.push(wrong(&path, folder::OTHER).help("remove it")),
-                Entry::Partial => {
-                    let fault = wrong(&path, "it is an incomplete world");
+                Entry::Other => faults.push(wrong(&path, folder::OTHER).help(MOVE)),
+                Entry::Partial | Entry::Temporary => {
+                    let fault = wrong(&path, "it is incomplete");
                     faults.push(fault.help("`logicity vap make` completes the data set"));
                 }
                 Entry::World(number) => match folder::read_world(&self.folder, number)? {
-                    Err(reason) => faults.push(wrong(&path, reason).help("remove it")),
+                    Err(reason) => faults.push(wrong(&path, reason).help(MOVE)),
                     Ok(file) if self.lists(&file) => {}
                     Ok(_) => {
                         let fault = wrong(&path, "it differs from its entry in the manifest");
@@ -138,7 +141,7 @@ impl Dataset {
             return Ok(faults);
         }
         for path in folder::unknown_world_entries(&folder, record)? {
-            faults.push(wrong(&path, folder::OTHER_IN_WORLD).help("remove it"));
+            faults.push(wrong(&path, folder::OTHER_IN_WORLD).help(MOVE));
         }
         let read = read_tables(inference, record, tables).and_then(|(entities, samples)| {
             let mut actions = [0; 4];

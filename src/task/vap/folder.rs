@@ -273,11 +273,8 @@ impl Description {
                 }
             }
         }
-        let temporary = [description.card.temporary(), description.manifest.temporary()];
         for path in set.entries()? {
-            if !temporary.iter().any(|own| own.file_name() == path.file_name()) {
-                check_entry(set, &path, settings)?;
-            }
+            check_entry(set, &path, settings)?;
         }
         Ok(description)
     }
@@ -298,7 +295,7 @@ fn check_entry(set: &Folder, path: &Path, settings: &DatasetSettings) -> Result<
         replaceable: false,
     };
     match Entry::of(path) {
-        Entry::Description | Entry::Partial => Ok(()),
+        Entry::Description | Entry::Partial | Entry::Temporary => Ok(()),
         Entry::Other => Err(occupied(path, OTHER.to_owned()).into()),
         Entry::World(number) => {
             let file = read_world(set, number)?.map_err(|reason| occupied(path, reason))?;
@@ -344,6 +341,8 @@ pub(super) enum Entry {
     World(u32),
     /// A world under its temporary name.
     Partial,
+    /// Another file under its temporary name.
+    Temporary,
     /// Not part of a data set.
     Other,
 }
@@ -360,6 +359,7 @@ impl Entry {
             Some(number) => Entry::World(number),
             None if name == CARD || name == MANIFEST => Entry::Description,
             None if whole.and_then(world).is_some() && path.is_dir() => Entry::Partial,
+            None if Output::is_temporary(path) => Entry::Temporary,
             None => Entry::Other,
         }
     }
