@@ -44,7 +44,9 @@ PATHS: list[tuple[str, Callable[[Any], object]]] = [
     ("folder", check_dataset),
     ("folder", VapDataset),
     ("folder", lambda path: to_coco(path, "unused")),
+    ("out", lambda path: to_coco("unused", path)),
     ("folder", lambda path: to_webdataset(path, "unused")),
+    ("out_dir", lambda path: to_webdataset("unused", path)),
 ]
 
 

@@ -132,8 +132,9 @@ def to_coco(
         OSError: If a file cannot be read or written.
         ValueError: As for `VapDataset`.
     """
+    target = checked_path("out", out)
     samples = VapDataset(folder, images)
-    check_writable(out, overwrite=overwrite)
+    check_writable(target, overwrite=overwrite)
     pictures: list[dict[str, Any]] = []
     annotations: list[dict[str, Any]] = []
     kinds: dict[str, str] = {}
@@ -164,7 +165,7 @@ def to_coco(
         "pictures": samples.has_pictures,
     }
     content = {"info": info, "images": pictures, "annotations": annotations, "categories": categories}
-    write_json(out, content, overwrite=overwrite)
+    write_json(target, content, overwrite=overwrite)
 
 
 def _annotations(sample: VapSample) -> Iterator[dict[str, Any]]:
