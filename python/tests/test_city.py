@@ -302,11 +302,13 @@ def test_the_command_line_reads_the_trace(tmp_path: Path) -> None:
 def test_simulation_rejects_invalid_use() -> None:
     with pytest.raises(ValueError, match='"train", "val", "test", not "tset"'):
         Simulation(split="tset")  # type: ignore[arg-type]
-    with pytest.raises(ValueError, match="ticks: expected 0 to .*, not -1"):
+    with pytest.raises(ValueError, match=r"^ticks: expected 0 to 2\*\*64 - 1, not -1$"):
         Simulation().run(-1)
-    for threads in (-1, 1025):
-        with pytest.raises(ValueError, match=f"threads: expected 0 to .*, not {threads}"):
+    for threads in (-1, 1025, 2**64):
+        with pytest.raises(ValueError, match=f"^threads: expected 0 to 1024, not {threads}$"):
             Simulation(threads=threads)
+    with pytest.raises(TypeError, match="^controls: expected a mapping, not list$"):
+        Simulation().tick([(0, 3)])  # type: ignore[arg-type]
 
 
 @pytest.mark.parametrize(

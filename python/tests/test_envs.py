@@ -670,6 +670,9 @@ def test_invalid_use_of_a_vector_environment_raises() -> None:
         for method in (envs.episode, envs.explain):
             with pytest.raises(IndexError, match=f"no environment {at}: expected 0 to 2"):
                 method(at)
+    for seed in (-1, 2**64, 1.5, "1"):
+        with pytest.raises(gymnasium.error.Error, match=r"^seed: expected (0 to 2\*\*64 - 1|an integer), not "):
+            envs.reset(seed=[1, seed, 2])  # type: ignore[list-item]
     for name, value in [("num_envs", 0), ("num_envs", -1), ("num_threads", 0), ("num_threads", 1025)]:
         with pytest.raises(ValueError, match=f"{name}: expected 1 to .*, not {value}"):
             wrong: dict[str, Any] = {name: value}

@@ -4,6 +4,7 @@ import re
 from pathlib import Path
 
 import pytest
+from conftest import needs
 
 ROOT = Path(__file__).parents[2]
 BLOCKS = {
@@ -21,7 +22,7 @@ def test_python_blocks_of_readmes_run(
 ) -> None:
     text = BLOCKS[block]
     if "import torch" in text:
-        pytest.importorskip("torch", reason="needs the extra `vap`: `make python-all` installs it")
+        needs("torch", "vap")
     if "vap-test" in text:
         # A shell command in the README creates this data set.
         (tmp_path / "vap-test").symlink_to(request.getfixturevalue("shown"))

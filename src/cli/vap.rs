@@ -117,6 +117,13 @@ impl From<DatasetError> for Failure {
         match error {
             DatasetError::Faulty(faults) => faults.into(),
             DatasetError::File(error) => error.into(),
+            DatasetError::Occupied(occupied) => {
+                let help = match occupied.replaceable {
+                    true => "choose another folder, or replace the file with `--force`",
+                    false => "choose another folder, or move it elsewhere",
+                };
+                Failure::Usage(format!("{occupied}\nhelp: {help}"))
+            }
         }
     }
 }

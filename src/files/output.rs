@@ -12,6 +12,7 @@
 use crate::files::record::{TEMPORARY, existing};
 use crate::files::{LINKS_MAX, descriptor, folder_of, record};
 use sha2::{Digest, Sha256};
+use std::ffi::OsStr;
 use std::fs::{self, File, OpenOptions, TryLockError};
 use std::io::{self, Write};
 use std::path::{Path, PathBuf};
@@ -136,6 +137,12 @@ impl Output {
     /// As [`Output::create`].
     pub fn check(path: &Path, overwrite: Overwrite) -> io::Result<()> {
         Output::create(path, overwrite).map(drop)
+    }
+
+    /// Returns whether a file has a name of temporary files.
+    pub fn is_temporary(path: &Path) -> bool {
+        let name = path.file_name().and_then(OsStr::to_str);
+        name.and_then(temporary_of).is_some()
     }
 
     /// Returns the path of the temporary file or of the stream, for a writer that needs a path.

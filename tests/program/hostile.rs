@@ -674,11 +674,11 @@ const PICTURES: &[Case] = &[
     ("vap make --mode easy --split test --out /dev/full", 2, "/dev/full"),
     (
         "vap make --mode easy --split test --out foreign",
-        1,
+        2,
         "foreign/manifest.json",
     ),
-    ("vap make --mode easy --split test --out readme", 1, "readme/README.md"),
-    ("vap make --mode easy --split test --out sets/world", 1, "world.json"),
+    ("vap make --mode easy --split test --out readme", 2, "readme/README.md"),
+    ("vap make --mode easy --split test --out sets/world", 2, "world.json"),
     (
         "vap make --mode easy --split test --out sets/pipe",
         2,
