@@ -106,6 +106,7 @@ fn packed_facts(
                     },
                     body: Vec::new(),
                     variables: Vec::new(),
+                    variable_spans: Vec::new(),
                     doc: String::new(),
                     span: packed.clause_span(fact),
                 },
