@@ -2058,7 +2058,10 @@ fn infer_falls_back_to_the_relational_executor() {
     assert!(out(&check).contains("CL: a clique"), "{}", out(&check));
     let check: serde_json::Value = serde_json::from_str(&out(&logicity(["check", "--json", &rules]))).unwrap();
     let costly = check["costly"].as_array().unwrap();
-    assert_eq!((costly.len(), &costly[0]["doc"]), (1, &serde_json::json!("CL: a clique")));
+    assert_eq!(
+        (costly.len(), &costly[0]["doc"]),
+        (1, &serde_json::json!("CL: a clique"))
+    );
     let check: serde_json::Value =
         serde_json::from_str(&out(&logicity(["check", "--json", "rules/expert.dl"]))).unwrap();
     assert_eq!(check["costly"], serde_json::json!([]));
