@@ -36,7 +36,7 @@ fn load(path: &Path) -> Scenario {
 }
 
 /// Loads `main.yaml` of a few files in memory, which may refer to built-in files.
-fn load_memory(files: &[(&str, &str)]) -> (Sources, Result<Scenario, Vec<Diagnostic>>) {
+pub fn load_memory(files: &[(&str, &str)]) -> (Sources, Result<Scenario, Vec<Diagnostic>>) {
     let read = |path: &Path| {
         let found = files.iter().find(|(name, _)| Path::new(name) == path);
         match found {

@@ -12,6 +12,7 @@ mod near_files;
 mod proofs;
 mod properties;
 mod recorded;
+mod schema;
 mod shipped_world;
 mod spf;
 mod vector;

@@ -31,7 +31,7 @@ fn blocks() -> Vec<Block> {
 }
 
 /// Returns the standard output and error of a shell command, with this program first on the path.
-fn shell(command: &str, folder: &Path) -> String {
+pub fn shell(command: &str, folder: &Path) -> String {
     let program = Path::new(env!("CARGO_BIN_EXE_logicity")).parent().unwrap();
     let path = format!("{}:{}", program.display(), std::env::var("PATH").unwrap());
     let output = Command::new("sh")
