@@ -62,6 +62,7 @@ impl Place {
         for (at, step) in self.path.iter().enumerate().rev() {
             let parent = &self.path[..at];
             value = match step {
+                Step::Item if parent.last() == Some(&Step::Key("blocks".into())) => json!([value, 1]),
                 Step::Item => json!([value]),
                 Step::Key(key) => {
                     let mut entries = Map::new();
@@ -73,8 +74,9 @@ impl Place {
                         Some(Step::Item) => {
                             entries.insert("priority".into(), json!(1));
                         }
-                        Some(Step::Key(above)) if above == "buildings" && key == "random" => {
-                            entries.insert("rows".into(), Value::Null);
+                        // Its buildings are random, so that all keys of a map can be changed.
+                        Some(Step::Key(above)) if above == "map" && at == 1 => {
+                            entries.insert("base".into(), json!("random-8x8"));
                         }
                         Some(Step::Key(above)) if above == SAMPLE_PREDICATE && key == "of" => {
                             entries.insert("concept".into(), json!("taxi"));
