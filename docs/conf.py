@@ -29,7 +29,7 @@ release = version = logicity.__version__
 copyright = author  # noqa: A001
 
 extensions = ["myst_parser", "sphinx.ext.autodoc", "sphinx.ext.napoleon"]
-exclude_patterns = ["_build"]
+exclude_patterns = ["playground"]
 templates_path: list[str] = []
 nitpicky = True
 
@@ -43,7 +43,8 @@ autodoc_mock_imports = OPTIONAL
 autodoc_default_options = {"members": True}
 autodoc_member_order = "bysource"
 autodoc_typehints = "signature"
-autodoc_class_signature = "separated"
+autoclass_content = "both"
+napoleon_use_ivar = True
 napoleon_numpy_docstring = False
 python_use_unqualified_type_names = True
 python_maximum_signature_line_length = 100
