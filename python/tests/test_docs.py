@@ -1,7 +1,7 @@
 """Runs the blocks of the documentation site. `docs/how-to/add-a-page.md` describes the kinds of blocks.
 
 The blocks of a page run in order, in a folder of their own. `tests/datalog/lang.rs` loads the blocks of rules without a
-file name, and `tests/city/config.rs` those of configurations.
+file name, `tests/city/config.rs` those of configurations, and `tests/program/diagnostics.rs` scenes.
 """
 
 from __future__ import annotations
@@ -22,8 +22,8 @@ DOCS = Path(__file__).parents[2] / "docs"
 
 #: A block: the language, the words after it, and the text. Blocks of directives, such as ```{toctree}, do not match.
 BLOCK = re.compile(r"^```(\w+)(?: ([^\n]*))?\n(.*?)^```$", re.MULTILINE | re.DOTALL)
-#: The languages of blocks that tests in Rust load, since they have no file name.
-LOADED = ("dl", "yaml")
+#: The languages and words of blocks without a file name, which tests in Rust load.
+LOADED = [("dl", ""), ("yaml", ""), ("json", "scene"), ("json", "answer")]
 
 
 @dataclass(frozen=True)
@@ -80,7 +80,7 @@ class Runner:
             assert self.output is not None, f"{block.place}: no command before this output"
             assert matches(block.text, self.output), f"{block.place}: expected\n{block.text}\nfound\n{self.output}"
         else:
-            assert block.language in LOADED and not block.words, f"{block.place}: an unknown kind of block"
+            assert (block.language, block.words) in LOADED, f"{block.place}: an unknown kind of block"
 
     def shell(self, block: Block) -> None:
         wanted = re.fullmatch(r"(?:exit=(\d+))?", block.words)
@@ -108,7 +108,7 @@ def test_blocks_of_a_page_run(page: Path, tmp_path: Path, monkeypatch: pytest.Mo
 
 
 def test_number_of_blocks(capsys: pytest.CaptureFixture[str]) -> None:
-    run = [block for page in PAGES for block in blocks(page) if block.words or block.language not in LOADED]
+    run = [block for page in PAGES for block in blocks(page) if (block.language, block.words) not in LOADED]
     kinds = {
         language: sum(block.language == language for block in run) for language in ("sh", "python", "text", "json")
     }

@@ -1,5 +1,6 @@
 //! Configurations: the shipped files, every message, the blocks of the reference, and hostile input.
 
+use crate::pages::{blocks, pages_and};
 use logicity::builtin::{self, BuiltinFiles, ReadWith};
 use logicity::city::{Action, AgentConfig, AgentKind, Buildings, Routing, Split, TripEnds};
 use logicity::config::{Scenario, load_map, load_scenario};
@@ -879,10 +880,11 @@ proptest! {
 
 #[test]
 fn blocks_of_the_reference_load_or_give_the_faults_they_expect() {
-    let text = read_text(&Path::new(ROOT).join("configs/README.md")).expect("reference");
-    let mut blocks = 0;
-    for part in text.split("```yaml\n").skip(1) {
-        let block = part.split("```").next().expect("split gives at least one part");
+    let mut count = 0;
+    let pages = pages_and("configs/README.md");
+    let blocks = pages.iter().flat_map(|(_, text)| blocks(text));
+    for block in blocks.filter(|block| block.kind == "yaml") {
+        let block = block.text.as_str();
         let kind = block
             .lines()
             .next()
@@ -908,9 +910,10 @@ fn blocks_of_the_reference_load_or_give_the_faults_they_expect() {
             "{block}\n{}",
             rendered(&sources, &faults)
         );
-        blocks += 1;
+        count += 1;
     }
-    assert!(blocks > 10);
+    assert!(count > 10);
+    println!("{count} blocks of configurations load");
 }
 
 #[test]

@@ -8,6 +8,8 @@ mod explain;
 mod hostile;
 #[path = "../datalog/near_files.rs"]
 mod near_files;
+#[path = "../datalog/pages.rs"]
+mod pages;
 #[path = "../datalog/proofs.rs"]
 mod proofs;
 mod properties;

@@ -3,6 +3,7 @@
 //! `tests/datalog/lang.rs` and `tests/city/config.rs` run the fixtures of rules and configurations. This file runs those
 //! that need a whole city, scenes or facts, and checks that no code lacks a fixture.
 
+use crate::pages::{blocks, pages_and};
 use crate::readme::shell;
 use logicity::builtin::BuiltinFiles;
 use logicity::cancel::Cancel;
@@ -382,37 +383,42 @@ fn the_shipped_rules_pass_without_a_diagnostic() {
 /// Scenes in the reference get answers; those that show faults give diagnostics.
 #[test]
 fn the_scenes_of_the_reference_behave_as_documented() {
-    let text = fs::read_to_string(Path::new(&root()).join("configs/README.md")).unwrap();
-    let mut heading = "";
-    let mut lines = text.lines();
     let mut last = Value::Null;
     let mut count = 0;
-    while let Some(line) = lines.next() {
-        if line.starts_with('#') {
-            heading = line;
+    for (page, text) in pages_and("configs/README.md") {
+        for block in blocks(&text) {
+            // On the pages of the site, `json` alone is the output of a command.
+            let is_site = page.starts_with("docs");
+            match block.kind.as_str() {
+                "json answer" => {
+                    count += 1;
+                    assert_eq!(serde_json::from_str::<Value>(&block.text).unwrap(), last);
+                    continue;
+                }
+                "json scene" if is_site => {}
+                "json" if !is_site => {}
+                _ => continue,
+            }
+            count += 1;
+            let folder = tempfile::tempdir().unwrap();
+            let file = folder.path().join("scene.jsonl");
+            fs::write(&file, &block.text).unwrap();
+            // The documented scenes satisfy the constraints of the rules.
+            let output = logicity(&["infer", "--check-constraints", file.to_str().unwrap()]);
+            let said = String::from_utf8_lossy(&output.stderr);
+            // The last heading above a scene that fails names the code.
+            let above: String = text.lines().take(block.line).map(|line| format!("{line}\n")).collect();
+            let heading = above.lines().rfind(|line| line.starts_with('#')).unwrap();
+            let fails = heading.ends_with("invalid-scene");
+            assert_eq!(
+                output.status.code(),
+                Some(i32::from(fails)),
+                "{}:{}\n{said}",
+                page.display(),
+                block.line
+            );
+            last = serde_json::from_slice(&output.stdout).unwrap();
         }
-        let Some(kind) = line.strip_prefix("```json") else {
-            continue;
-        };
-        let block: String = lines.by_ref().take_while(|line| *line != "```").collect();
-        count += 1;
-        if kind == " answer" {
-            assert_eq!(serde_json::from_str::<Value>(&block).unwrap(), last);
-            continue;
-        }
-        let folder = tempfile::tempdir().unwrap();
-        let file = folder.path().join("scene.jsonl");
-        fs::write(&file, block).unwrap();
-        // The documented scenes satisfy the constraints of the rules.
-        let output = logicity(&["infer", "--check-constraints", file.to_str().unwrap()]);
-        let fails = heading.ends_with("invalid-scene");
-        assert_eq!(
-            output.status.code(),
-            Some(i32::from(fails)),
-            "{}",
-            String::from_utf8_lossy(&output.stderr)
-        );
-        last = serde_json::from_slice(&output.stdout).unwrap();
     }
     assert!(count >= 4);
 }

@@ -12,6 +12,8 @@ mod layers;
 mod lsp;
 #[cfg(target_os = "linux")]
 mod memory;
+#[path = "../datalog/pages.rs"]
+mod pages;
 mod questions;
 mod readme;
 mod repl;

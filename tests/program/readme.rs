@@ -1,33 +1,17 @@
 //! The examples of README: writes its rule files to a folder, runs its commands there, and compares their output with
 //! the quoted one.
 
+use crate::pages::{self, Block};
 use std::fs;
 use std::path::{Path, PathBuf};
 use std::process::Command;
-
-struct Block {
-    kind: String,
-    text: String,
-}
 
 fn root() -> PathBuf {
     PathBuf::from(env!("CARGO_MANIFEST_DIR"))
 }
 
 fn blocks() -> Vec<Block> {
-    let text = fs::read_to_string(root().join("README.md")).unwrap();
-    let mut blocks = Vec::new();
-    let mut lines = text.lines();
-    while let Some(line) = lines.next() {
-        if let Some(kind) = line.strip_prefix("```") {
-            let text: Vec<&str> = lines.by_ref().take_while(|line| *line != "```").collect();
-            blocks.push(Block {
-                kind: kind.to_owned(),
-                text: text.join("\n") + "\n",
-            });
-        }
-    }
-    blocks
+    pages::blocks(&fs::read_to_string(root().join("README.md")).unwrap())
 }
 
 /// Returns the standard output and error of a shell command, with this program first on the path.
