@@ -28,10 +28,15 @@ author = "the authors of LogiCity"
 release = version = logicity.__version__
 copyright = author  # noqa: A001
 
-extensions = ["myst_parser", "sphinx.ext.autodoc", "sphinx.ext.napoleon"]
+extensions = ["myst_nb", "sphinx.ext.autodoc", "sphinx.ext.napoleon"]
 exclude_patterns = ["playground"]
 templates_path: list[str] = []
 nitpicky = True
+
+# Notebooks run when the site is built, and a cell that fails is an error.
+nb_execution_mode = "force"
+nb_execution_raise_on_error = True
+nb_execution_timeout = 120
 
 myst_enable_extensions = ["attrs_block", "attrs_inline", "colon_fence", "deflist"]
 myst_heading_anchors = 4
@@ -43,7 +48,6 @@ autodoc_mock_imports = OPTIONAL
 autodoc_default_options = {"members": True}
 autodoc_member_order = "bysource"
 autodoc_typehints = "signature"
-autoclass_content = "both"
 napoleon_use_ivar = True
 napoleon_numpy_docstring = False
 python_use_unqualified_type_names = True
@@ -64,7 +68,7 @@ html_css_files = ["site.css"]
 html_show_sphinx = False
 html_show_copyright = False
 html_copy_source = False
-html_theme_options = {"top_of_page_buttons": []}
+html_theme_options: dict[str, Any] = {"top_of_page_buttons": []}
 pygments_style = "tango"
 pygments_dark_style = "monokai"
 
@@ -94,7 +98,7 @@ def resolve(app: Sphinx, env: BuildEnvironment, node: pending_xref, content: nod
 
 
 def hide_colons(app: Sphinx, what: str, name: str, value: object, options: object, lines: list[str]) -> None:
-    """Hide colons in the first line of the docstring of a property, where napoleon would read the text before as a type."""
+    """Hide colons in the docstring of a property: napoleon would read the text before the first one as a type."""
     if what in ("attribute", "data", "property") and lines:
         lines[0] = lines[0].replace(":", "\x01")
 

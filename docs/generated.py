@@ -23,7 +23,7 @@ from typing import Any
 import logicity
 from logicity.commands import SUMMARIES, parser_of
 from logicity.describe import describe
-from sphinx.ext.autodoc.mock import mock
+from sphinx.ext.autodoc.mock import mock  # type: ignore[attr-defined]
 
 #: The names of files in examples begin with this comment.
 FILE = re.compile(r"^(?://|#) file: (\S+)$")
@@ -257,6 +257,7 @@ def values_of(schema: dict[str, Any], value: dict[str, Any]) -> str:
 
 
 def value_of(schema: dict[str, Any], value: dict[str, Any]) -> str:
+    """Describe one alternative of the values of a key."""
     if "enum" in value:
         return ", ".join(f"`{word}`" for word in value["enum"] if word is not None)
     kinds = value.get("type", [])

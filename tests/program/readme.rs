@@ -2,6 +2,7 @@
 //! the quoted one.
 
 use crate::pages::{self, Block};
+use serde_json::Value;
 use std::fs;
 use std::path::{Path, PathBuf};
 use std::process::Command;
@@ -95,20 +96,53 @@ fn the_scenes_of_readme_satisfy_the_constraints() {
     assert!(count >= 4, "README shows too few scenes");
 }
 
-#[test]
-fn readme_names_every_command() {
+/// Returns the names of all commands in the help.
+fn commands() -> Vec<String> {
     let help = shell("logicity --help", &root());
-    let commands: Vec<&str> = help
+    let commands: Vec<String> = help
         .lines()
         .skip_while(|line| *line != "Commands:")
         .skip(1)
         .map_while(|line| line.strip_prefix("  "))
         .filter_map(|line| line.split_whitespace().next())
         .filter(|command| *command != "help")
+        .map(str::to_owned)
         .collect();
     assert!(commands.len() >= 6);
+    commands
+}
+
+/// The site is made from the output of this command.
+#[test]
+fn the_reference_has_every_command_and_option() {
+    let reference: Value = serde_json::from_str(&shell("logicity reference", &root())).unwrap();
+    let listed = reference["commands"].as_array().unwrap();
+    let names: Vec<&str> = listed.iter().map(|command| command["name"].as_str().unwrap()).collect();
+    assert_eq!(names, commands());
+    for command in listed {
+        let name = command["name"].as_str().unwrap();
+        let help = shell(&format!("logicity {name} --help"), &root());
+        for argument in command["arguments"].as_array().unwrap() {
+            let form = match argument["long"].as_str() {
+                Some(long) => format!("--{long}"),
+                None => argument["values"][0].as_str().unwrap().to_owned(),
+            };
+            assert!(help.contains(&form), "`{form}` is not in the help of `{name}`");
+            assert!(argument["help"].is_string(), "`{form}` of `{name}` has no help");
+        }
+        let options = help.lines().filter(|line| line.trim_start().starts_with("--")).count();
+        let found = command["arguments"].as_array().unwrap().len();
+        assert!(
+            found + 2 >= options,
+            "`{name}` has {options} options, the reference {found}"
+        );
+    }
+}
+
+#[test]
+fn readme_names_every_command() {
     let text = fs::read_to_string(root().join("README.md")).unwrap();
-    for command in commands {
+    for command in commands() {
         assert!(
             text.contains(&format!("| `{command}")),
             "{command} is not in README's table"
