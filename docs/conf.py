@@ -32,6 +32,8 @@ extensions = ["myst_nb", "sphinx.ext.autodoc", "sphinx.ext.napoleon"]
 exclude_patterns = ["playground"]
 templates_path: list[str] = []
 nitpicky = True
+# Texts contain options such as `--json`.
+smartquotes = False
 
 # Notebooks run when the site is built, and a cell that fails is an error.
 nb_execution_mode = "force"

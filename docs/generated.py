@@ -209,7 +209,11 @@ def mapping(schema: dict[str, Any], definition: dict[str, Any], path: str) -> It
         required = key in definition.get("required", [])
         default = "required" if required else code_or(value.get("default"), "")
         rows.append(f"| `{key}` | {values_of(schema, value)} | {default} | {cell(value['description'])} |")
-        inner += [(f"{path}{key}{suffix}", found) for suffix, found in mappings_of(schema, value)]
+        for suffix, found in mappings_of(schema, value):
+            # The splits have the same keys.
+            name = "SPLIT" if found.get("from") == "split" else key
+            if (f"{path}{name}{suffix}", found) not in inner:
+                inner.append((f"{path}{name}{suffix}", found))
     if rows:
         yield "| key | value | default | meaning |\n|---|---|---|---|\n" + "\n".join(rows) + "\n"
     for name, found in inner:
