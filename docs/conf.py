@@ -79,7 +79,7 @@ GENERATED = re.compile(r"^<!-- generated: ([\w-]+) -->$", re.MULTILINE)
 #: The first line of a block with a file name, such as ```` ```dl my.dl ````.
 NAMED_BLOCK = re.compile(r"^```(\w+) ([\w./-]+\.\w+)$", re.MULTILINE)
 #: The first line of a block with words for the tests.
-MARKED_BLOCK = re.compile(r"^```(\w+) (?:exit=\d+|illustration|scene|answer)$", re.MULTILINE)
+MARKED_BLOCK = re.compile(r"^```(\w+) (?:exit=\d+|cargo|illustration|scene|answer)$", re.MULTILINE)
 
 
 def read_source(app: Sphinx, docname: str, source: list[str]) -> None:

@@ -1,7 +1,8 @@
 """Runs the blocks of the documentation site. `docs/how-to/add-a-page.md` describes the kinds of blocks.
 
-The blocks of a page run in order, in a folder of their own. `tests/datalog/lang.rs` loads the blocks of rules without a
-file name, `tests/city/config.rs` those of configurations, and `tests/program/diagnostics.rs` scenes.
+The blocks of a page run in order, in a folder of their own. Tests in Rust load the blocks of rules and configurations
+that have no file name (`tests/datalog/lang.rs`, `tests/city/config.rs`), decide scenes (`tests/program/diagnostics.rs`)
+and run cargo (`tests/program/readme.rs`).
 """
 
 from __future__ import annotations
@@ -22,8 +23,8 @@ DOCS = Path(__file__).parents[2] / "docs"
 
 #: A block: the language, the words after it, and the text. Blocks of directives, such as ```{toctree}, do not match.
 BLOCK = re.compile(r"^```(\w+)(?: ([^\n]*))?\n(.*?)^```$", re.MULTILINE | re.DOTALL)
-#: The languages and words of blocks without a file name, which tests in Rust load.
-LOADED = [("dl", ""), ("yaml", ""), ("json", "scene"), ("json", "answer")]
+#: The languages and words of blocks without a file name, which tests in Rust load or run.
+LOADED = [("dl", ""), ("yaml", ""), ("json", "scene"), ("json", "answer"), ("sh", "cargo"), ("text", "cargo")]
 
 
 @dataclass(frozen=True)
@@ -69,6 +70,8 @@ class Runner:
             path = self.folder / block.words
             path.parent.mkdir(parents=True, exist_ok=True)
             path.write_text(block.text, encoding="utf-8")
+        elif (block.language, block.words) in LOADED:
+            pass
         elif block.language == "sh":
             self.shell(block)
         elif block.language == "python" and not block.words:
@@ -80,7 +83,7 @@ class Runner:
             assert self.output is not None, f"{block.place}: no command before this output"
             assert matches(block.text, self.output), f"{block.place}: expected\n{block.text}\nfound\n{self.output}"
         else:
-            assert (block.language, block.words) in LOADED, f"{block.place}: an unknown kind of block"
+            raise AssertionError(f"{block.place}: an unknown kind of block")
 
     def shell(self, block: Block) -> None:
         wanted = re.fullmatch(r"(?:exit=(\d+))?", block.words)

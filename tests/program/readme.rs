@@ -96,6 +96,30 @@ fn the_scenes_of_readme_satisfy_the_constraints() {
     assert!(count >= 4, "README shows too few scenes");
 }
 
+/// Runs the commands of the site that need cargo, with the default features, for which everything is built already.
+#[test]
+fn slow_cargo_prints_the_output_in_the_site() {
+    let mut count = 0;
+    for (page, text) in pages::pages_and("README.md") {
+        let mut output = String::new();
+        for block in pages::blocks(&text) {
+            match block.kind.as_str() {
+                "sh cargo" => {
+                    let command = block.text.replace("--no-default-features", "--quiet --locked");
+                    let command = command.replace("cargo ", concat!(env!("CARGO"), " "));
+                    output = shell(&format!("cd '{}' && {command}", root().display()), &root());
+                }
+                "text cargo" => {
+                    assert_eq!(output, block.text, "{}:{}", page.display(), block.line);
+                    count += 1;
+                }
+                _ => {}
+            }
+        }
+    }
+    assert!(count >= 1);
+}
+
 /// Returns the names of all commands in the help.
 fn commands() -> Vec<String> {
     let help = shell("logicity --help", &root());
