@@ -314,7 +314,7 @@ fn collect(value: &Value, path: String, found: &mut Vec<String>) {
     }
 }
 
-/// The places with a default. It stands beside the alternatives, which [`places`] takes apart.
+/// The places with a default. [`places`] omits those of values with alternatives.
 fn all_with_defaults() -> Vec<Place> {
     fn walk_all(root: &Value, path: &[Step], schema: &Value, found: &mut Vec<Place>) {
         if !schema["default"].is_null() {
