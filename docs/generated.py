@@ -81,7 +81,7 @@ def command_sections(command: dict[str, Any], parents: tuple[str, ...]) -> Itera
 def python_command(words: tuple[str, ...], name: str) -> Iterator[str]:
     """Yield the parts of the section of a command that Python implements."""
     parser, _ = parser_of(words)
-    usage = " ".join(parser.format_usage().removeprefix("usage: ").split())
+    usage = " ".join(parser.format_usage().removeprefix("usage: ").replace("[-h] ", "").replace("[-h]", "").split())
     yield f"Needs the Python package.\n\n```text\n{usage}\n```\n"
     yield f"```{{program}} {name}\n```\n"
     for action in parser._actions:
