@@ -191,7 +191,7 @@ def said_about(example: dict[str, str], command: str | None) -> str:
 
 
 def configuration() -> str:
-    """Return a table of keys for each mapping of a configuration."""
+    """Return a section for each mapping of a configuration."""
     schema = json.loads(run("schema"))
     parts = []
     for name in ("run", "map", "agents", "predicates", "task"):
@@ -202,20 +202,23 @@ def configuration() -> str:
 
 
 def mapping(schema: dict[str, Any], definition: dict[str, Any], path: str) -> Iterator[str]:
-    """Yield the table of a mapping, and those of the mappings inside it."""
-    rows = []
+    """Yield the keys of a mapping, and the sections of the mappings inside it."""
+    entries = []
     inner: list[tuple[str, dict[str, Any]]] = []
     for key, value in definition.get("properties", {}).items():
         required = key in definition.get("required", [])
-        default = "required" if required else code_or(value.get("default"), "")
-        rows.append(f"| `{key}` | {values_of(schema, value)} | {default} | {cell(value['description'])} |")
+        values = f"*{values_of(schema, value)}*"
+        if required:
+            values += ", required"
+        elif value.get("default") is not None:
+            values += f", default {code(value['default'])}"
+        entries.append(f"`{key}`\n: {values}. {value['description']}\n")
         for suffix, found in mappings_of(schema, value):
             # The splits have the same keys.
             name = "SPLIT" if found.get("from") == "split" else key
             if (f"{path}{name}{suffix}", found) not in inner:
                 inner.append((f"{path}{name}{suffix}", found))
-    if rows:
-        yield "| key | value | default | meaning |\n|---|---|---|---|\n" + "\n".join(rows) + "\n"
+    yield "\n".join(entries)
     for name, found in inner:
         yield f"\n### `{name}`\n\n{found['description']}\n"
         yield from mapping(schema, found, f"{name}.")
@@ -263,7 +266,7 @@ def values_of(schema: dict[str, Any], value: dict[str, Any]) -> str:
 def value_of(schema: dict[str, Any], value: dict[str, Any]) -> str:
     """Describe one alternative of the values of a key."""
     if "enum" in value:
-        return ", ".join(f"`{word}`" for word in value["enum"] if word is not None)
+        return " or ".join(f"`{word}`" for word in value["enum"] if word is not None)
     kinds = value.get("type", [])
     kind = next((kind for kind in ([kinds] if isinstance(kinds, str) else kinds) if kind != "null"), "")
     if kind in ("integer", "number"):
@@ -277,7 +280,7 @@ def value_of(schema: dict[str, Any], value: dict[str, Any]) -> str:
         if set(value.get("properties", {})) == {"train", "val", "test"} and "base" not in value["properties"]:
             return "one per split: `train`, `val`, `test`"
         return "mapping"
-    return {"string": "text", "boolean": "`true`, `false`"}.get(kind, "")
+    return {"string": "text", "boolean": "`true` or `false`"}.get(kind, "")
 
 
 def number(value: float) -> str:
@@ -285,17 +288,10 @@ def number(value: float) -> str:
     return f"{value:,}" if isinstance(value, int) else f"{value:g}"
 
 
-def code_or(value: Any, otherwise: str) -> str:
+def code(value: Any) -> str:
     """Format a default."""
-    if value is None:
-        return otherwise
     text = json.dumps(value) if not isinstance(value, str) else value
     return f"`{text.replace(chr(34), '')}`"
-
-
-def cell(text: str) -> str:
-    """Format a text for a table."""
-    return text.replace("|", "\\|")
 
 
 # --- environments
