@@ -882,8 +882,11 @@ proptest! {
 fn blocks_of_the_reference_load_or_give_the_faults_they_expect() {
     let mut count = 0;
     let pages = pages_and("configs/README.md");
-    let blocks = pages.iter().flat_map(|(_, text)| blocks(text));
-    for block in blocks.filter(|block| block.kind == "yaml") {
+    let blocks = pages
+        .iter()
+        .flat_map(|(page, text)| blocks(text).into_iter().map(move |block| (page, block)));
+    for (page, block) in blocks.filter(|(_, block)| block.kind == "yaml") {
+        let place = format!("{}:{}", page.display(), block.line);
         let block = block.text.as_str();
         let kind = block
             .lines()
@@ -898,7 +901,7 @@ fn blocks_of_the_reference_load_or_give_the_faults_they_expect() {
                 "predicates.yaml",
                 Some("base: configs/expert.yaml\npredicates: predicates.yaml\n"),
             ),
-            _ => panic!("the first line must name the kind of the block:\n{block}"),
+            _ => panic!("{place}: the first line must name the kind of the block:\n{block}"),
         };
         let mut files = vec![(name, block)];
         files.extend(main.map(|main| ("main.yaml", main)));
@@ -907,7 +910,7 @@ fn blocks_of_the_reference_load_or_give_the_faults_they_expect() {
         assert_eq!(
             found(&sources, &faults),
             expected(block),
-            "{block}\n{}",
+            "{place}:\n{block}\n{}",
             rendered(&sources, &faults)
         );
         count += 1;
