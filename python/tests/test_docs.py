@@ -48,7 +48,8 @@ def blocks(page: Path) -> list[Block]:
     ]
 
 
-PAGES = [page for page in sorted(DOCS.rglob("*.md")) if blocks(page)]
+#: The playground is a program with a README of its own, not a page of the site.
+PAGES = [page for page in sorted(DOCS.rglob("*.md")) if DOCS / "playground" not in page.parents and blocks(page)]
 
 
 def matches(expected: str, found: str) -> bool:

@@ -39,7 +39,10 @@ pub fn pages_and(other: &str) -> Vec<(PathBuf, String)> {
         for entry in fs::read_dir(folder).expect("a readable folder") {
             let path = entry.expect("a readable entry").path();
             if path.is_dir() {
-                folders.push(path);
+                // A program with a README of its own.
+                if !path.ends_with("docs/playground") {
+                    folders.push(path);
+                }
             } else if path.extension().is_some_and(|extension| extension == "md") {
                 paths.push(path);
             }
