@@ -36,9 +36,10 @@ nitpicky = True
 # Texts contain options such as `--json`.
 smartquotes = False
 
-# Notebooks run when the site is built, and a cell that fails is an error.
+# Notebooks run when the site is built. A cell that fails is a warning, and so an error.
+nb_execution_in_temp = True
 nb_execution_mode = "force"
-nb_execution_raise_on_error = True
+nb_execution_show_tb = True
 nb_execution_timeout = 120
 
 myst_enable_extensions = ["attrs_block", "attrs_inline", "colon_fence", "deflist"]
