@@ -7,9 +7,9 @@ SOLVERS := .venv-solvers
 FUZZ_TARGETS := parse check query evaluate config scene rows
 FUZZ_SECONDS := 600
 
-.PHONY: test quick lint features rust doc wheel python python-all page vscode solvers fuzz $(FUZZ_TARGETS:%=fuzz-%)
+.PHONY: test quick lint features rust doc wheel installed python python-all page docs vscode solvers fuzz $(FUZZ_TARGETS:%=fuzz-%)
 
-test: lint features rust doc python page
+test: lint features rust doc python page docs
 
 # Omits Python, pictures and tests whose names begin with slow_, and tries fewer random cases.
 quick:
@@ -49,14 +49,27 @@ wheel: $(filter $(VENV)/%,$(MATURIN))
 	$(MATURIN) build --quiet --locked --profile $(WHEEL_PROFILE) --manifest-path python/Cargo.toml --out $(WHEELS) \
 	    $(WHEEL_OPTIONS)
 
-# Installs the wheel into a virtual environment and tests it there; `test_wheel.py` installs it into an empty one.
-python: wheel
+# Installs the wheel into a virtual environment.
+installed: wheel
 	$(VENV)/bin/pip install --quiet --disable-pip-version-check --force-reinstall --no-deps $(WHEELS)/*.whl
+
+# Tests the installed package, and runs the blocks of the documentation; `test_wheel.py` installs the wheel into an empty
+# environment.
+python: installed
 	$(VENV)/bin/pip install --quiet --disable-pip-version-check "$$(echo $(WHEELS)/*.whl)[test]"
 	$(VENV)/bin/ruff check python
 	$(VENV)/bin/ruff format --check python
 	$(VENV)/bin/mypy --strict --config-file python/pyproject.toml python/logicity python/tests python/benches python/examples
 	LOGICITY_WHEEL=$$(echo $(WHEELS)/*.whl) $(VENV)/bin/python -m pytest -q python/tests
+
+# Builds the site into target/docs; warnings are errors. The build itself reads no network.
+SITE := target/docs
+docs: installed
+	$(VENV)/bin/pip install --quiet --disable-pip-version-check "$$(echo $(WHEELS)/*.whl)[docs]"
+	$(VENV)/bin/ruff check --config python/pyproject.toml docs
+	$(VENV)/bin/ruff format --config python/pyproject.toml --check docs
+	MYPYPATH=docs $(VENV)/bin/mypy --strict --config-file python/pyproject.toml docs/conf.py
+	$(VENV)/bin/sphinx-build --builder html --quiet --fail-on-warning --nitpicky --fresh-env --doctree-dir $(SITE)-cache docs $(SITE)
 
 # Tests the page of a run in headless Chromium. Without a browser, the last line prints what it skips and exits with 0.
 page: $(VENV)/bin/python

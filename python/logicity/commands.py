@@ -22,7 +22,7 @@ if TYPE_CHECKING:
     from .env_config import ObservationKind
     from .evaluation import Evaluation, Policy
 
-__all__ = ["SUMMARIES", "run"]
+__all__ = ["SUMMARIES", "parser_of", "run"]
 
 SUMMARIES = {tuple(words): summary for words, summary in _logicity.python_commands()}
 """The summaries of the commands, keyed by their words: `("vap", "coco")` for `logicity vap coco`."""
@@ -43,9 +43,7 @@ def run(words: tuple[str, ...], arguments: Sequence[str]) -> int:
     Raises:
         SystemExit: If the arguments are invalid or contain `--help`.
     """
-    summary = SUMMARIES[words]
-    parser = argparse.ArgumentParser(prog=" ".join(["logicity", *words]), description=f"{summary}.")
-    command = _COMMANDS[words](parser)
+    parser, command = parser_of(words)
     args = parser.parse_args(arguments)
     try:
         code = command(args)
@@ -89,6 +87,12 @@ class _UsageError(Exception):
 
 #: Runs a command with its parsed arguments.
 _Command = Callable[[argparse.Namespace], int]
+
+
+def parser_of(words: tuple[str, ...]) -> tuple[argparse.ArgumentParser, _Command]:
+    """Return the parser of a command, and the function that runs it. The reference of commands reads the parser."""
+    parser = argparse.ArgumentParser(prog=" ".join(["logicity", *words]), description=f"{SUMMARIES[words]}.")
+    return parser, _COMMANDS[words](parser)
 
 
 def _add_evaluate(parser: argparse.ArgumentParser) -> _Command:

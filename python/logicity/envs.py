@@ -42,6 +42,7 @@ if TYPE_CHECKING:
 __all__ = ["EpisodeAgent", "EpisodeStart", "Observations", "OracleRun", "SPFEnv", "SPFVectorEnv"]
 
 Observations = NDArray[np.float32]
+"""Observations: float32, one row per environment if there are several."""
 
 
 class EpisodeAgent(TypedDict):

@@ -7,6 +7,7 @@
 
 mod bench;
 mod check;
+mod codes;
 mod configuration;
 mod diff;
 mod episodes;
@@ -20,10 +21,12 @@ mod memory;
 mod new;
 mod query;
 mod questions;
+mod reference;
 #[cfg(feature = "repl")]
 mod repl;
 mod route;
 mod run;
+mod schema;
 mod trace;
 mod vap;
 mod view;
@@ -97,6 +100,13 @@ enum Command {
     /// Run a language server over standard input and output
     #[cfg(feature = "lsp")]
     Lsp(lsp::Arguments),
+    /// Explain the codes of messages, with examples
+    Codes(codes::Arguments),
+    /// Print the JSON Schema of configuration files, for editors
+    Schema(schema::Arguments),
+    /// Print all commands with their options as JSON; the documentation is made from it
+    #[command(hide = true)]
+    Reference,
     /// Print a shell completion script
     Completions {
         /// Shell to complete for
@@ -445,6 +455,9 @@ fn run(mut command: clap::Command, arguments: &[OsString]) -> u8 {
         Command::Icons(arguments) => icons::run(&arguments),
         Command::Route(arguments) => route::run(&arguments, &mut sources),
         Command::Bench(arguments) => bench::run(&arguments, &mut sources),
+        Command::Codes(arguments) => codes::run(&arguments),
+        Command::Schema(arguments) => schema::run(&arguments),
+        Command::Reference => reference::run(command),
         Command::Completions { shell } => {
             // `generate` panics if it cannot write, for example to a closed pipe.
             let mut script = Vec::new();

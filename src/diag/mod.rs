@@ -7,11 +7,13 @@
 //! This module does not depend on rules, configurations or cities.
 
 mod code;
+mod explanation;
 mod faults;
 mod render;
 mod source;
 
-pub use code::{CODES, Code};
+pub use code::{CATALOG, CODES, Code};
+pub use explanation::{Catalog, Example, Explanation, explanations};
 pub use faults::{Faults, MAX_FAULTS};
 pub use render::{json_error, render, to_json};
 pub use source::{Located, Position, SourceId, Sources, Span};

@@ -13,7 +13,7 @@ mod tick;
 mod trace;
 
 pub use crate::predicate::Entity;
-pub use codes::CODES;
+pub use codes::{CATALOG, CODES};
 pub use load::{LoadError, LoadedCity};
 pub use observe::{ActionConstraint, OBSERVED_MAX, Observer, Oracle};
 pub use scene::{

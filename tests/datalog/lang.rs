@@ -1,5 +1,6 @@
 //! The rule language: rule files, fixtures, reference, round trip, hostile texts.
 
+use crate::pages::{blocks, pages_and};
 use crate::rule_files::RuleFiles;
 use std::collections::BTreeSet;
 use std::path::{Path, PathBuf};
@@ -1270,36 +1271,20 @@ fn nested_includes_are_bounded() {
 
 // --- the reference
 
-/// The code blocks of a language in a Markdown text, with the number of the line before each.
-fn blocks<'a>(text: &'a str, language: &str) -> Vec<(usize, String)> {
-    let mut found = Vec::new();
-    let mut lines = text.lines().enumerate();
-    while let Some((number, line)) = lines.next() {
-        if let Some(of) = line.strip_prefix("```") {
-            let block: Vec<&'a str> = lines
-                .by_ref()
-                .map(|(_, line)| line)
-                .take_while(|line| *line != "```")
-                .collect();
-            if of == language {
-                found.push((number + 1, block.join("\n")));
-            }
-        }
-    }
-    found
-}
-
 #[test]
 fn every_block_of_the_reference_gives_the_diagnostics_it_expects() {
-    let text = read_text(&root().join("rules/README.md")).expect("the reference exists");
-    let blocks = blocks(&text, "dl");
-    assert!(blocks.len() > 20);
-    let failures: Vec<String> = (blocks.iter())
-        .filter_map(|(line, block)| {
-            check_expectations(&format!("README.md:{line}"), &split_files("main.dl", block)).err()
-        })
-        .collect();
+    let mut count = 0;
+    let mut failures = Vec::new();
+    for (page, text) in pages_and("rules/README.md") {
+        for block in blocks(&text).into_iter().filter(|block| block.kind == "dl") {
+            let place = format!("{}:{}", page.display(), block.line);
+            failures.extend(check_expectations(&place, &split_files("main.dl", &block.text)).err());
+            count += 1;
+        }
+    }
     assert!(failures.is_empty(), "{}", failures.join("\n"));
+    assert!(count > 20);
+    println!("{count} blocks of rules load");
 }
 
 #[test]

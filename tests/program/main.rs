@@ -13,6 +13,8 @@ mod layers;
 mod lsp;
 #[cfg(target_os = "linux")]
 mod memory;
+#[path = "../datalog/pages.rs"]
+mod pages;
 mod prose;
 mod questions;
 mod readme;

@@ -15,7 +15,7 @@ mod stats;
 pub mod table;
 
 pub use check::Dataset;
-pub use codes::CODES;
+pub use codes::{CATALOG, CODES};
 pub use dataset::{DatasetRequest, DatasetSummary, DatasetWriter, WORLDS_MAX};
 pub use error::{DatasetError, Occupied};
 pub use folder::{DatasetSettings, FileRecord, Manifest, WorldRecord};
