@@ -11,9 +11,12 @@
 
 mod comparison;
 mod file;
+mod header;
+mod live;
 mod proofs;
 mod run;
 mod scenery;
 
 pub use comparison::Comparison;
+pub use live::{LIVE_TICKS, Live};
 pub use run::{DECISIONS_MAX, Page};

@@ -52,7 +52,7 @@ class AgentPanel {
     ];
     if (driven) parts.push(make("dl", { class: "facts" }, ...this.steering(driven)));
     parts.push(make("h3", {}, driven ? `Why do the rules want ${data.actions[judged]}?` : `Why ${done}?`));
-    if (tick >= run.explained) {
+    if (!run.isExplained(tick, agent)) {
       parts.push(make("p", { class: "atoms" }, "loading the explanations …"));
     } else {
       if (!driven && !run.fired(tick, agent).length)
