@@ -2,7 +2,7 @@
 
 use crate::city::{Action, Agent};
 use crate::datalog::explain::{Explainer, ExplanationPrinter};
-use crate::diag::{Code, Diagnostic, SourceId, Sources};
+use crate::diag::{Diagnostic, SourceId, Sources};
 use crate::page::header::Header;
 use crate::page::run::{corners, relative_view};
 use crate::page::scenery::Scenery;
@@ -31,7 +31,6 @@ pub struct Live {
     past: VecDeque<Past>,
     /// For each agent, start and goal of the last route in a [`LiveTick`].
     routes: Vec<Option<[[i32; 2]; 2]>>,
-    kept_max: usize,
 }
 
 /// A past tick.
@@ -96,13 +95,7 @@ impl Live {
             replay,
             replayed: None,
             past: VecDeque::new(),
-            kept_max: LIVE_TICKS,
         })
-    }
-
-    /// Sets a number of kept ticks other than [`LIVE_TICKS`].
-    pub fn keep(&mut self, ticks: usize) {
-        self.kept_max = ticks.max(1);
     }
 
     /// Returns the simulation.
@@ -142,7 +135,7 @@ impl Live {
         let tick = TraceTick::read(&line)?;
         let shown = self.show(&tick, &agents)?;
         self.past.push_back(Past { agents, tick });
-        if self.past.len() > self.kept_max {
+        if self.past.len() > LIVE_TICKS {
             self.past.pop_front();
         }
         Ok(shown)
