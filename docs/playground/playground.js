@@ -389,20 +389,13 @@ class Playground extends Viewer {
   /** Begins a run, and shows its first tick. Throws an error if there is none. */
   async begin(mode, rules, seed) {
     const { header, scenery } = await this.change("begin", mode, rules, seed);
-    this.scenery = await sceneryOf(scenery);
-    Object.assign(this.camera, { rows: scenery.map.rows, cols: scenery.map.cols });
+    await this.show(header, await sceneryOf(scenery));
     Object.assign(this, { mode, seed, good: rules, region: undefined });
-    for (const map of this.maps) {
-      map.scenery = this.scenery;
-      map.forgetGround();
-    }
-    if (this.now.agent >= header.agents.length) this.now.agent = -1;
-    await this.show(header);
     this.fit(this.fitsMap);
   }
 
   /** Shows a run from its first tick on. */
-  async show(header) {
+  async show(header, scenery = this.scenery) {
     const run = new LiveRun(header, this.now);
     try {
       await this.fetch(run, 4);
@@ -410,9 +403,14 @@ class Playground extends Viewer {
       this.isChanging = false;
     }
     if (!run.count) return;
+    this.scenery = scenery;
+    const { rows, cols } = scenery.ground.map;
+    Object.assign(this.camera, { rows, cols });
     this.runs = [run];
     this.run = run;
-    for (const part of [...this.panels, ...this.maps]) Object.assign(part, { run, data: run.data });
+    for (const part of [...this.panels, ...this.maps]) Object.assign(part, { run, scenery, data: run.data });
+    for (const map of this.maps) map.forgetGround();
+    if (this.now.agent >= run.agents) this.now.agent = -1;
     Object.assign(this.now, { tick: 0, part: 0 });
     this.reached = 0;
     this.refresh();
