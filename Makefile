@@ -88,7 +88,7 @@ $(PLAYGROUND):
 	test -x $(WASM_BINDGEN)/bin/wasm-bindgen || \
 	    cargo install --quiet wasm-bindgen-cli --version $(WASM_BINDGEN_VERSION) --root $(WASM_BINDGEN)
 	rm -rf $@
-	$(WASM_BINDGEN)/bin/wasm-bindgen --target web --no-typescript --out-dir $@ $(WASM)
+	$(WASM_BINDGEN)/bin/wasm-bindgen --target web --no-typescript --remove-name-section --out-dir $@ $(WASM)
 	cp docs/playground/*.html docs/playground/*.css docs/playground/*.js src/page/page.css $@
 	cat $(VIEWER:%=src/page/script/%.js) > $@/viewer.js
 	echo "$@: $$(for file in $@/*; do gzip -9 -c $$file; done | wc -c) bytes compressed"

@@ -113,7 +113,10 @@ fn load(mode: &str, rules: &str, sources: &mut Sources) -> Result<LoadedCity, Ve
     LoadedCity::load(sources, &config, Some(Path::new(FILE)), &files).map_err(|error| match error {
         LoadError::Config(faults) | LoadError::Rules(faults) => faults,
         LoadError::RuleFile(path, error) => {
-            vec![Diagnostic::new(Code::MISSING_FILE, format!("{}: {error}", path.display()))]
+            vec![Diagnostic::new(
+                Code::MISSING_FILE,
+                format!("{}: {error}", path.display()),
+            )]
         }
     })
 }
@@ -193,8 +196,11 @@ fn run(mode: &str, rules: &str, seed: Seed, before: Option<(&Live, u64)>) -> Out
 /// Says why work was cancelled: only the deadline cancels.
 fn timed(fault: Diagnostic) -> Diagnostic {
     match fault.code == Code::CANCELLED {
-        true => Diagnostic::new(Code::LIMIT_EXCEEDED, format!("the rules take more than {} s", TIME_MAX / 1000.0))
-            .help("use fewer variables or more selective atoms"),
+        true => Diagnostic::new(
+            Code::LIMIT_EXCEEDED,
+            format!("the rules take more than {} s", TIME_MAX / 1000.0),
+        )
+        .help("use fewer variables or more selective atoms"),
         false => fault,
     }
 }

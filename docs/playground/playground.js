@@ -182,12 +182,14 @@ class Editor {
   constructor(edited) {
     this.area = $("text");
     this.marks = [];
+    this.draw();
     this.area.addEventListener("input", () => {
       this.marks = [];
       this.draw();
       edited();
     });
     this.area.addEventListener("scroll", () => this.follow());
+    new ResizeObserver(() => this.keepCaret()).observe(this.area);
     this.area.addEventListener("keydown", (event) => this.indent(event));
     this.area.maxLength = RULES_MAX;
   }
@@ -216,9 +218,16 @@ class Editor {
   }
 
   follow() {
-    const { scrollLeft, scrollTop } = this.area;
-    for (const layer of [$("colors"), $("marks")]) layer.scrollTo(scrollLeft, scrollTop);
-    $("lines").scrollTop = scrollTop;
+    for (const layer of [$("colors"), $("marks")]) layer.scrollTop = this.area.scrollTop;
+  }
+
+  /** Keeps the line of the caret in view when the editor becomes smaller. */
+  keepCaret() {
+    const { area, text } = this;
+    const line = $("colors").children[text.slice(0, area.selectionEnd).split("\n").length - 1];
+    const bottom = line.offsetTop + 2 * line.offsetHeight;
+    if (document.activeElement === area) area.scrollTop = Math.max(area.scrollTop, bottom - area.clientHeight);
+    this.follow();
   }
 
   /** Returns the offset of a line and a column, which count characters from 1. */
@@ -230,12 +239,12 @@ class Editor {
 
   /** Underlines the places of diagnostics. */
   show(diagnostics) {
-    this.marks = diagnostics.flatMap(({ severity, labels, message }) => {
+    this.marks = diagnostics.flatMap(({ severity, labels }) => {
       const label = labels.find(({ file, primary }) => primary && file === "rules.dl");
       if (!label) return [];
       const start = this.offset(label.line, label.column);
       const end = Math.max(this.offset(label.end_line, label.end_column), start + 1);
-      return [{ start, end, severity, line: label.line, message }];
+      return [{ start, end, severity, line: label.line }];
     });
     this.draw();
   }
@@ -244,13 +253,15 @@ class Editor {
   go({ start, end, line }) {
     this.area.focus();
     this.area.setSelectionRange(start, end);
-    const height = parseFloat(getComputedStyle(this.area).lineHeight);
-    this.area.scrollTop = Math.max(0, (line - 4) * height);
+    this.area.scrollTop = Math.max(0, $("colors").children[line - 1].offsetTop - this.area.clientHeight / 3);
   }
 
   draw() {
     const { text, marks } = this;
-    $("colors").replaceChildren(...colored(text), "\n");
+    const lines = colored(text);
+    for (const { line, severity } of marks.toSorted((a, b) => (a.severity === "error") - (b.severity === "error")))
+      lines[line - 1].className = `line ${severity}`;
+    $("colors").replaceChildren(...lines);
     let at = 0;
     const underlined = [];
     for (const { start, end, severity } of marks.toSorted((a, b) => a.start - b.start || b.end - a.end)) {
@@ -264,15 +275,6 @@ class Editor {
       at = end;
     }
     $("marks").replaceChildren(...underlined, text.slice(at), "\n");
-    const worst = new Map();
-    for (const { line, severity, message } of marks)
-      if (worst.get(line)?.severity !== "error") worst.set(line, { severity, message });
-    const numbers = text.split("\n").flatMap((_, index) => {
-      const found = worst.get(index + 1);
-      const name = found && (found.severity === "error" ? "b" : "i");
-      return [found ? make(name, { title: found.message }, String(index + 1)) : String(index + 1), "\n"];
-    });
-    $("lines").replaceChildren(...numbers);
     this.follow();
   }
 }
@@ -290,17 +292,23 @@ const TOKENS = new RegExp(
   "gm",
 );
 
-/** Returns a text as colored spans. */
+/** Returns the lines of a text as elements with colored spans. */
 function colored(text) {
-  const parts = [];
+  const lines = [make("div", { class: "line" })];
+  const add = (part, kind) =>
+    part.split("\n").forEach((piece, at) => {
+      if (at) lines.push(make("div", { class: "line" }));
+      if (piece) lines.at(-1).append(kind ? make("span", { class: kind }, piece) : piece);
+    });
   let at = 0;
   for (const match of text.matchAll(TOKENS)) {
     const [kind] = Object.entries(match.groups).find(([, found]) => found !== undefined);
-    parts.push(text.slice(at, match.index), make("span", { class: kind }, match[0]));
+    add(text.slice(at, match.index));
+    add(match[0], kind);
     at = match.index + match[0].length;
   }
-  parts.push(text.slice(at));
-  return parts;
+  add(text.slice(at));
+  return lines;
 }
 
 /** Compresses a text for a link. */
@@ -575,6 +583,7 @@ class Playground extends Viewer {
       } catch (error) {
         if (!(error instanceof Rejected)) throw error;
         if (edit === this.edit) this.showReport(error.report);
+        return;
       }
       this.check(edit, text);
     });
@@ -643,16 +652,16 @@ class Playground extends Viewer {
     const { edit, mode } = this;
     const { text } = this.editor;
     return this.enqueue(async () => {
+      this.isHalted = false;
       try {
         await this.begin(mode, text, seed);
+        this.check(edit, text);
       } catch (error) {
         if (!(error instanceof Rejected)) throw error;
         this.showReport(error.report);
         await this.begin(mode, text === this.good ? this.original : this.good, seed);
       }
-      this.isHalted = false;
       this.writeAddress();
-      this.check(edit, text);
     });
   }
 

@@ -72,7 +72,15 @@ fn a_resumed_run_continues_the_first_one() {
             threads: 1,
         };
         let start = (of.now(), of.agents().to_vec());
-        Simulation::resume(Arc::clone(world), of.split(), of.seed(), settings, start, &Cancel::never()).unwrap()
+        Simulation::resume(
+            Arc::clone(world),
+            of.split(),
+            of.seed(),
+            settings,
+            start,
+            &Cancel::never(),
+        )
+        .unwrap()
     };
     for mode in MODES {
         let world = world(mode, None, |_| ());

@@ -482,7 +482,11 @@ fn compare_explanations(live: &mut Live, (header, data): (&Value, &Value), tick:
     for (predicate, rows) in list(&explained["rows"]).iter().enumerate() {
         let flat = list(rows).iter().map(whole).flat_map(|row| {
             let is_binary = data["predicates"][predicate]["arity"] == 2;
-            if is_binary { vec![row / agents, row % agents] } else { vec![row] }
+            if is_binary {
+                vec![row / agents, row % agents]
+            } else {
+                vec![row]
+            }
         });
         assert_eq!(json!(flat.collect::<Vec<_>>()), shown["rows"][predicate]);
     }

@@ -17,6 +17,8 @@ class AgentPanel {
       run,
       now: { tick, agent },
     } = this;
+    // A click must begin and end on the same element.
+    if (this.now.playing && panel.matches(":active")) return;
     // Parts that the reader opened stay open from tick to tick.
     const open = new Set([...panel.querySelectorAll("details[open]")].map((details) => details.dataset.part));
     if (agent < 0) {
