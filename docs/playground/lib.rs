@@ -6,7 +6,7 @@
 
 use logicity::builtin::{self, BuiltinFiles, ReadWith};
 use logicity::cancel::Cancel;
-use logicity::city::Split;
+use logicity::city::{Agent, Split};
 use logicity::datalog::optimize;
 use logicity::diag::{Code, Diagnostic, Sources, render, to_json};
 use logicity::files::{BUILTIN_FOLDER, ReadError, ReadFile};
@@ -71,17 +71,20 @@ pub fn modes() -> String {
 
 /// Returns the rules of a mode with the included files in place, apart from the vocabulary.
 fn rules_of(mode: &str) -> String {
-    let mut text = String::from(".include \"vocabulary.dl\"\n");
+    let mut text = String::new();
     append(&mut text, &format!("{mode}.dl"));
     text
 }
 
+/// Appends a file. The first lines of an included file describe another mode, so they are left out.
 fn append(text: &mut String, file: &str) {
+    let is_included = !text.is_empty();
     for line in builtin::text(&format!("rules/{file}")).unwrap_or_default().lines() {
         let included = line.strip_prefix(".include \"").and_then(|rest| rest.strip_suffix('"'));
         match included {
-            Some("vocabulary.dl") => {}
+            Some("vocabulary.dl") => text.push_str(".include \"vocabulary.dl\"\n"),
             Some(file) => append(text, file),
+            None if is_included && line.starts_with("// ") => {}
             None => {
                 text.push_str(line);
                 text.push('\n');
@@ -164,9 +167,9 @@ fn failed(faults: &[Diagnostic], sources: &Sources) -> String {
     report(faults, sources).to_string()
 }
 
-/// Returns a city that begins a run, or continues `before` at a tick. One tick of a copy shows that the rules can be
-/// evaluated in time.
-fn run(mode: &str, rules: &str, seed: Seed, before: Option<(&Live, u64)>) -> Outcome<Live> {
+/// Returns a city that begins a run, or continues one at a tick with these agents. One tick of a copy shows that the
+/// rules can be evaluated in time.
+fn run(mode: &str, rules: &str, seed: Seed, start: Option<(u64, Vec<Agent>)>) -> Outcome<Live> {
     let mut sources = Sources::new();
     let cancel = deadline();
     let city = load(mode, rules, &mut sources).map_err(|faults| failed(&faults, &sources))?;
@@ -177,8 +180,8 @@ fn run(mode: &str, rules: &str, seed: Seed, before: Option<(&Live, u64)>) -> Out
         ..Settings::default()
     };
     let begin = || {
-        let (world, split) = (Arc::clone(&world), Split::Test);
-        let start = match before.and_then(|(live, tick)| Some((tick, live.agents_before(tick)?.to_vec()))) {
+        let split = Split::Test;
+        let start = match start {
             Some(start) => start,
             None => {
                 let first = Simulation::new_with(Arc::clone(&world), split, seed, settings, &cancel)?;
@@ -225,7 +228,11 @@ impl City {
     /// The report of the diagnostics, as JSON.
     pub fn change(&mut self, rules: &str, tick: u32) -> Outcome<()> {
         let seed = self.live.simulation().seed();
-        self.live = run(&self.mode, rules, seed, Some((&self.live, tick.into())))?;
+        let Some(agents) = self.live.agents_before(tick.into()) else {
+            let fault = Diagnostic::new(Code::INVALID_VALUE, format!("tick {tick} is not one of the last"));
+            return Err(self.failed(fault));
+        };
+        self.live = run(&self.mode, rules, seed, Some((tick.into(), agents.to_vec())))?;
         Ok(())
     }
 
