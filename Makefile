@@ -63,14 +63,14 @@ page: $(VENV)/bin/python
 	$(VENV)/bin/ruff format --config python/pyproject.toml --check tests/page_in_browser.py
 	$(VENV)/bin/python tests/page_in_browser.py
 
-# Not part of `make test`. Builds the playground as target/playground, prints its size and tests it in headless Chromium.
-# Needs `rustup target add wasm32-unknown-unknown`.
+# Not part of `make test`. Builds target/playground, prints its size, and tests it in headless Chromium. Needs
+# `rustup target add wasm32-unknown-unknown`.
 PLAYGROUND := target/playground
 PLAYGROUND_BUILD := --manifest-path docs/playground/Cargo.toml --target wasm32-unknown-unknown --locked
 PLAYGROUND_BUILD += --target-dir target/playground-build
 WASM := target/playground-build/wasm32-unknown-unknown/release/logicity_playground.wasm
 # The library and the program must have the same version.
-WASM_BINDGEN_VERSION = $(shell sed -n '/^name = "wasm-bindgen"$$/{n;s/version = "\(.*\)"/\1/p}' docs/playground/Cargo.lock)
+WASM_BINDGEN_VERSION = $(shell sed -n 's/^wasm-bindgen = "=\(.*\)"/\1/p' docs/playground/Cargo.toml)
 WASM_BINDGEN = target/tools/wasm-bindgen-$(WASM_BINDGEN_VERSION)
 VIEWER := elements data run ground map agent viewer
 playground: $(PLAYGROUND) $(VENV)/bin/python
@@ -91,7 +91,7 @@ $(PLAYGROUND):
 	$(WASM_BINDGEN)/bin/wasm-bindgen --target web --no-typescript --remove-name-section --out-dir $@ $(WASM)
 	cp docs/playground/*.html docs/playground/*.css docs/playground/*.js src/page/page.css $@
 	cat $(VIEWER:%=src/page/script/%.js) > $@/viewer.js
-	echo "$@: $$(for file in $@/*; do gzip -9 -c $$file; done | wc -c) bytes compressed"
+	@echo "$@: $$(for file in $@/*; do gzip -9 -c $$file; done | wc -c) bytes compressed"
 
 # Not part of `make test`. Checks the extension for Visual Studio Code and packages it as target/logicity.vsix. Needs
 # npm.

@@ -287,14 +287,24 @@ def test_a_mode_replaces_the_rules_and_brings_them_back(page: Callable[..., WebD
     until(browser, lambda: "not a seed" in text(browser, "notice") or seed.get_property("value") == "0")
 
 
-def test_every_mode_runs(page: Callable[..., WebDriver]) -> None:
+def test_every_mode_is_that_of_the_program(page: Callable[..., WebDriver], tmp_path: pathlib.Path) -> None:
+    """The rules of a mode are merged into one text, and decide as the files do."""
     browser = page()
     modes = [option.text for option in Select(browser.find_element(By.ID, "mode")).options]
     assert len(modes) == 9
     for mode in modes:
+        options = ["--seed", "2", "--ticks", "8", "--no-pictures", "--out", tmp_path / mode]
+        subprocess.run([PROGRAM, "run", mode, *options], cwd=tmp_path, check=True, capture_output=True)
+        header, *ticks = [json.loads(line) for line in (tmp_path / mode / "trace.jsonl").read_text().splitlines()]
         page(f"#mode={mode}&seed=2")
-        until(browser, lambda: tick(browser) > 3)
         assert "bad" not in (browser.find_element(By.ID, "status").get_attribute("class") or "")
+        until(browser, lambda: tick(browser) > 7)
+        pause(browser)
+        for expected in ticks:
+            scrub(browser, expected["tick"])
+            names = [agent["id"] for agent in header["agents"]]
+            wanted = [agent["action"] for agent in expected["agents"]]
+            assert actions(browser) == dict(zip(names, wanted, strict=True)), f"{mode}, tick {expected['tick']}"
 
 
 HOSTILE = {
