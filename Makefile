@@ -7,7 +7,7 @@ SOLVERS := .venv-solvers
 FUZZ_TARGETS := parse check query evaluate config scene rows
 FUZZ_SECONDS := 600
 
-.PHONY: test quick lint features rust doc wheel installed python python-all page docs vscode solvers fuzz $(FUZZ_TARGETS:%=fuzz-%)
+.PHONY: test quick lint features rust doc wheel installed python python-all page docs playground vscode solvers fuzz $(FUZZ_TARGETS:%=fuzz-%)
 
 test: lint features rust doc python page docs
 
@@ -19,6 +19,7 @@ quick:
 format:
 	cargo fmt --all --check
 	cargo fmt --manifest-path tests/fuzz/Cargo.toml --check
+	cargo fmt --manifest-path docs/playground/Cargo.toml --check
 
 lint: format
 	cargo clippy --workspace --all-targets --locked -- -D warnings
@@ -78,6 +79,36 @@ page: $(VENV)/bin/python
 	$(VENV)/bin/ruff check --config python/pyproject.toml tests/page_in_browser.py
 	$(VENV)/bin/ruff format --config python/pyproject.toml --check tests/page_in_browser.py
 	$(VENV)/bin/python tests/page_in_browser.py
+
+# Not part of `make test`. Builds target/playground, prints its size, and tests it in headless Chromium. Needs
+# `rustup target add wasm32-unknown-unknown`.
+PLAYGROUND := target/playground
+PLAYGROUND_BUILD := --manifest-path docs/playground/Cargo.toml --target wasm32-unknown-unknown --locked
+PLAYGROUND_BUILD += --target-dir target/playground-build
+WASM := target/playground-build/wasm32-unknown-unknown/release/logicity_playground.wasm
+# The library and the program must have the same version.
+WASM_BINDGEN_VERSION = $(shell sed -n 's/^wasm-bindgen = "=\(.*\)"/\1/p' docs/playground/Cargo.toml)
+WASM_BINDGEN = target/tools/wasm-bindgen-$(WASM_BINDGEN_VERSION)
+VIEWER := elements data run ground map agent viewer
+playground: $(PLAYGROUND) $(VENV)/bin/python
+	cargo build --locked
+	$(VENV)/bin/pip install --quiet --disable-pip-version-check pytest ruff selenium
+	$(VENV)/bin/ruff check --config python/pyproject.toml tests/playground_in_browser.py
+	$(VENV)/bin/ruff format --config python/pyproject.toml --check tests/playground_in_browser.py
+	$(VENV)/bin/python tests/playground_in_browser.py
+
+# Cargo decides what to compile, so the folder is always made anew.
+.PHONY: $(PLAYGROUND)
+$(PLAYGROUND):
+	cargo clippy $(PLAYGROUND_BUILD) -- -D warnings
+	cargo build $(PLAYGROUND_BUILD) --release
+	test -x $(WASM_BINDGEN)/bin/wasm-bindgen || \
+	    cargo install --quiet wasm-bindgen-cli --version $(WASM_BINDGEN_VERSION) --root $(WASM_BINDGEN)
+	rm -rf $@
+	$(WASM_BINDGEN)/bin/wasm-bindgen --target web --no-typescript --remove-name-section --out-dir $@ $(WASM)
+	cp docs/playground/*.html docs/playground/*.css docs/playground/*.js src/page/page.css $@
+	cat $(VIEWER:%=src/page/script/%.js) > $@/viewer.js
+	@echo "$@: $$(for file in $@/*; do gzip -9 -c $$file; done | wc -c) bytes compressed"
 
 # Not part of `make test`. Checks the extension for Visual Studio Code and packages it as target/logicity.vsix. Needs
 # npm.

@@ -1,8 +1,9 @@
 //! The tick: all agents decide on the same state, then all move.
 
 use crate::cancel::Cancel;
-use crate::city::{Action, Split};
+use crate::city::{Action, AgentSet, Split};
 use crate::city::{Agent, Cell, Heading, MoveReason, Moved, Places, Surroundings, advance, place_agents_into};
+use crate::config::Scenario;
 use crate::datalog::Session;
 use crate::datalog::{ClauseId, Limits, Value};
 use crate::diag::{Code, Diagnostic};
@@ -167,15 +168,44 @@ impl Simulation {
         settings: Settings,
         cancel: &Cancel,
     ) -> Result<Simulation, Diagnostic> {
-        let scenario = &world.scenario;
-        let set = scenario.agent_set(split).ok_or_else(|| {
-            let message = format!("the configuration `{}` has no split `{}`", scenario.name, split.name());
-            let known: Vec<&str> = scenario.splits.iter().map(|(split, _)| split.name()).collect();
-            Diagnostic::new(Code::UNKNOWN_SPLIT, message).help(format!("it has: {}", known.join(", ")))
-        })?;
+        let set = agent_set(&world.scenario, split)?;
         let places = world.places(split, set);
         let mut agents = Vec::with_capacity(set.len());
         place_agents_into(&mut agents, set, &world.router, &places, seed, cancel)?;
+        Simulation::with_agents(world, split, seed, settings, agents, cancel)
+    }
+
+    /// Creates a simulation that continues at tick `tick` with the agents that another simulation of the split had
+    /// before that tick. The map must be the same; the rules may be others.
+    ///
+    /// Under the same rules, the later ticks are equal, too.
+    ///
+    /// # Errors
+    /// As [`Simulation::new_with`].
+    pub fn resume(
+        world: Arc<World>,
+        split: Split,
+        seed: Seed,
+        settings: Settings,
+        (tick, agents): (u64, Vec<Agent>),
+        cancel: &Cancel,
+    ) -> Result<Simulation, Diagnostic> {
+        let mut simulation = Simulation::with_agents(world, split, seed, settings, agents, cancel)?;
+        simulation.tick = tick;
+        Ok(simulation)
+    }
+
+    fn with_agents(
+        world: Arc<World>,
+        split: Split,
+        seed: Seed,
+        settings: Settings,
+        agents: Vec<Agent>,
+        cancel: &Cancel,
+    ) -> Result<Simulation, Diagnostic> {
+        let scenario = &world.scenario;
+        let set = agent_set(scenario, split)?;
+        let places = world.places(split, set);
         let clauses: Vec<ClauseId> = world.clauses().collect();
         let to_count: &[ClauseId] = if settings.count_firings { &clauses } else { &[] };
         // Below this size, one thread is faster than waking a pool.
@@ -723,6 +753,18 @@ impl AgentTick {
             },
         }
     }
+}
+
+/// Returns the agents of a split.
+///
+/// # Errors
+/// `unknown-split`.
+fn agent_set(scenario: &Scenario, split: Split) -> Result<&AgentSet, Diagnostic> {
+    scenario.agent_set(split).ok_or_else(|| {
+        let message = format!("the configuration `{}` has no split `{}`", scenario.name, split.name());
+        let known: Vec<&str> = scenario.splits.iter().map(|(split, _)| split.name()).collect();
+        Diagnostic::new(Code::UNKNOWN_SPLIT, message).help(format!("it has: {}", known.join(", ")))
+    })
 }
 
 fn ground_state(world: &World, agents: &[Agent], limits: Limits) -> GroundState {
