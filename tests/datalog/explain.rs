@@ -45,7 +45,7 @@ fn heights(rules: &Rules, session: &Session, model: &naive::Database) -> Vec<BTr
         known[rel].clone_from(rows);
     }
     for clause in clauses.iter().filter(|clause| clause.body.is_empty()) {
-        for row in naive::consequences(clause, session.symbols(), &known) {
+        for row in naive::consequences(session.program().rules(), clause, session.symbols(), &known) {
             heights[clause.head.relation.index()].insert(row.clone(), 0);
             known[clause.head.relation.index()].insert(row);
         }
@@ -54,7 +54,7 @@ fn heights(rules: &Rules, session: &Session, model: &naive::Database) -> Vec<BTr
         let mut all = known.clone();
         all.extend(model.iter().cloned());
         for clause in &clauses {
-            for row in naive::consequences(clause, session.symbols(), &all) {
+            for row in naive::consequences(session.program().rules(), clause, session.symbols(), &all) {
                 let rel = clause.head.relation.index();
                 if known[rel].insert(row.clone()) {
                     heights[rel].insert(row, round);
@@ -161,7 +161,7 @@ fn check_matters(genome: &Genome) {
             };
             let mut less = clause.clone();
             less.body.remove(literal);
-            let derived = naive::consequences(&less, session.symbols(), &model);
+            let derived = naive::consequences(rules, &less, session.symbols(), &model);
             assert_eq!(matters, !derived.is_subset(&model[clause.head.relation.index()]));
         }
     }

@@ -101,7 +101,7 @@ fn check(rules: &Rules, facts: &BTreeSet<(RelId, Vec<Value>)>, constraints: bool
             prop_assert!(
                 fired
                     .iter()
-                    .eq(&naive::consequences(clause, session.symbols(), &database)),
+                    .eq(&naive::consequences(session.program().rules(), clause, session.symbols(), &database)),
                 "{:?}",
                 options
             );

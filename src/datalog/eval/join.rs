@@ -1,6 +1,7 @@
 //! Runs a plan: a pipelined nested-loop join over sorted rows, without intermediate relations.
 
 use crate::cancel::Cancel;
+use crate::datalog::check::RelId;
 use crate::datalog::eval::groups::{self, Groups};
 use crate::datalog::eval::seen_bitmap::{Added, SeenBitmap, raise};
 use crate::datalog::plan::steps::{Fold, List, Plan, Slot, Source, Step};
@@ -10,8 +11,10 @@ use crate::datalog::syntax::functor::{AggregateOp, Functor};
 use crate::datalog::value::{Patterns, Value};
 use crate::symbol::{Symbol, Symbols};
 use std::cmp::Ordering;
+use std::collections::HashMap;
 
-/// The rows that a step reads, as sorted batches. A leapfrog join has one batch for each list.
+/// The rows that a step reads, as sorted batches. A leapfrog join has one batch for each list, and a correlated
+/// aggregate one for each source of its plans.
 #[derive(Clone, Debug)]
 pub(crate) struct RowView<'a, const W: usize> {
     pub(crate) first: Batch<'a, W>,
@@ -35,11 +38,11 @@ impl<'a, const W: usize> RowView<'a, W> {
 
     /// The view of a step; `batch` returns the rows of a source.
     #[inline]
-    pub(crate) fn for_step(step: &Step, batch: impl Fn(Source) -> Batch<'a, W>) -> Self {
+    pub(crate) fn for_step(step: &Step, mut batch: impl FnMut(Source) -> Batch<'a, W>) -> Self {
         match (step.source(), step) {
             (Some(source), _) => RowView::of(batch(source)),
-            (None, Step::LeapfrogJoin { lists, .. }) => {
-                let mut batches = lists.iter().map(|list| batch(list.source));
+            (None, Step::LeapfrogJoin { .. } | Step::Correlated { .. }) => {
+                let mut batches = step.sources().map(batch);
                 batches.next().map_or(RowView::NONE, |first| RowView {
                     first,
                     rest: batches.collect(),
@@ -121,6 +124,8 @@ pub(crate) struct JoinState {
     next_poll: u64,
     /// The maximum size of all texts, in bytes.
     pub(crate) text_bytes: u64,
+    /// The correlated aggregates evaluated so far.
+    pub(crate) correlated: Values,
 }
 
 impl JoinState {
@@ -135,6 +140,53 @@ impl JoinState {
             budget,
             next_poll: budget.min(Self::POLL_INTERVAL),
             text_bytes: u64::MAX,
+            correlated: Values::default(),
+        }
+    }
+}
+
+/// The values of correlated aggregates, by relation and parameters. What an aggregate reads is complete, so its values
+/// stay valid while a stratum is evaluated.
+#[derive(Debug)]
+pub(crate) struct Values {
+    known: HashMap<RelId, HashMap<Box<[Value]>, Option<Value>>>,
+    /// The approximate memory of `known`.
+    bytes: u64,
+    /// The maximum of `bytes`. The rows of one evaluation may take as much again.
+    pub(crate) bytes_max: u64,
+}
+
+impl Default for Values {
+    /// An empty cache of any size.
+    fn default() -> Self {
+        Values {
+            known: HashMap::new(),
+            bytes: 0,
+            bytes_max: u64::MAX,
+        }
+    }
+}
+
+impl Values {
+    /// The memory of an entry: a table is up to half empty, and has two copies while it grows.
+    const ENTRY_BYTES: u64 = 3 * size_of::<(Box<[Value]>, Option<Value>)>() as u64 + 16;
+
+    /// The value for these parameters if it is known. The inner `None` means that the aggregate has no value.
+    #[allow(clippy::option_option)]
+    fn get(&self, relation: RelId, parameters: &[Value]) -> Option<Option<Value>> {
+        self.known.get(&relation)?.get(parameters).copied()
+    }
+
+    /// Adds a value. If the memory is full, forgets all others first.
+    fn insert(&mut self, relation: RelId, parameters: &[Value], value: Option<Value>) {
+        let bytes = Self::ENTRY_BYTES + size_of_val(parameters) as u64;
+        if self.bytes.saturating_add(bytes) > self.bytes_max {
+            self.known = HashMap::new();
+            self.bytes = 0;
+        }
+        if bytes <= self.bytes_max {
+            self.bytes += bytes;
+            self.known.entry(relation).or_default().insert(parameters.into(), value);
         }
     }
 }
@@ -491,6 +543,7 @@ pub(crate) fn run<const W: usize>(
         text_bytes: state.text_bytes,
         patterns: None,
         cursors: Vec::new(),
+        known: &mut state.correlated,
         out,
     };
     let result = join.from(0, plan.steps.len());
@@ -520,6 +573,8 @@ struct Join<'a, const W: usize> {
     patterns: Option<Patterns>,
     /// The rest of each list of the active leapfrog joins, and the column of its words.
     cursors: Vec<(&'a [Row<W>], usize)>,
+    /// The correlated aggregates evaluated so far.
+    known: &'a mut Values,
     out: &'a mut Output<W>,
 }
 
@@ -595,6 +650,10 @@ impl<const W: usize> Join<'_, W> {
                     // For a relation without columns only the number of rows matters.
                     let values = rows.map(|row| row.0[*column as usize]);
                     let value = op.of(*base, values, self.symbols);
+                    self.fill(*to, *test, value)
+                }
+                step @ Step::Correlated { to, test, .. } => {
+                    let value = self.correlated(step, depth)?;
                     self.fill(*to, *test, value)
                 }
                 Step::Group { key, op, to, test, .. } => {
@@ -800,6 +859,80 @@ impl<const W: usize> Join<'_, W> {
         Ok(found > 0)
     }
 
+    /// Returns the value of a correlated aggregate for its parameters.
+    #[cold]
+    fn correlated(&mut self, step: &Step, depth: usize) -> Result<Option<Value>, Abort> {
+        let Step::Correlated {
+            relation,
+            plans,
+            key,
+            op,
+            base,
+            column,
+            ..
+        } = step
+        else {
+            return Ok(None);
+        };
+        self.rows_scanned += 1;
+        if self.rows_scanned > self.next_poll {
+            self.poll()?;
+        }
+        let words = self.key(key);
+        let parameters = &words[..key.len()];
+        if let Some(value) = self.known.get(*relation, parameters) {
+            return Ok(value);
+        }
+        let mut out = Output::new(usize::MAX);
+        if let [plan] = &plans[..] {
+            out = Output::for_plan(plan, usize::MAX);
+        }
+        out.set_bytes(self.known.bytes_max);
+        let mut batches = self.views[depth].batches();
+        for plan in plans.iter() {
+            let view = |(position, step)| match position {
+                0 => RowView::NONE,
+                _ => RowView::for_step(step, |_| batches.next().map_or(RowView::NONE.first, Batch::clone)),
+            };
+            let views: Vec<RowView<'_, W>> = plan.steps.iter().enumerate().map(view).collect();
+            let mut slots = plan.slots.clone();
+            if !is_bound(plan, &mut slots, parameters) {
+                continue;
+            }
+            let mut join = Join {
+                plan,
+                views: &views,
+                symbols: self.symbols,
+                slots: &mut slots,
+                rows_scanned: self.rows_scanned,
+                budget: self.budget,
+                next_poll: self.next_poll,
+                cancel: self.cancel,
+                text_bytes: self.text_bytes,
+                patterns: self.patterns.take(),
+                cursors: Vec::new(),
+                known: &mut *self.known,
+                out: &mut out,
+            };
+            let result = join.from(1, plan.steps.len());
+            self.patterns = join.patterns.take();
+            (self.rows_scanned, self.next_poll) = (join.rows_scanned, join.next_poll);
+            result?;
+        }
+        let grouped = plans.iter().any(|plan| plan.fold.is_some());
+        let found = out.take();
+        out.check(found.len())?;
+        let value = match grouped {
+            true => groups::lookup(&found, parameters.len(), *op),
+            false => {
+                let values = found.iter().map(|row| column.map_or(Value(0), |column| row.0[column]));
+                op.of(*base, values, self.symbols)
+            }
+        };
+        self.known.insert(*relation, parameters, value);
+        Ok(value)
+    }
+
     /// Stores a value in a slot, or compares it with the slot.
     fn fill(&mut self, to: Slot, test: bool, value: Option<Value>) -> bool {
         let slot = &mut self.slots[to as usize];
@@ -873,6 +1006,19 @@ impl<const W: usize> Join<'_, W> {
         }
         words
     }
+}
+
+/// Puts the parameters of a correlated aggregate into the slots that the first step of its plan binds. Returns whether
+/// they agree with the head of the clause.
+fn is_bound(plan: &Plan, slots: &mut [Value], parameters: &[Value]) -> bool {
+    let Some(Step::Scan { bind, check, .. }) = plan.steps.first() else {
+        return true;
+    };
+    for &(column, slot) in bind {
+        slots[slot as usize] = parameters[column as usize];
+    }
+    let mut checks = check.iter();
+    checks.all(|&(column, slot)| slots[slot as usize] == parameters[column as usize])
 }
 
 /// Whether a comparison holds. Numbers compare by value; symbols are equal by id and ordered by text.

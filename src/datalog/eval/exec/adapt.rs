@@ -57,7 +57,7 @@ impl<const W: usize> State<W> {
             let arity = commit.plans.indexes.arity(*relation);
             sizes[relation.index()] = Some(Size::of(&self.tables[relation.index()].rows, arity));
         }
-        Arc::make_mut(&mut commit.plans).adapt(&stratum.clauses, aim, &sizes);
+        Arc::make_mut(&mut commit.plans).adapt(stratum, aim, &sizes);
         let before = commit
             .changed
             .iter_mut()
