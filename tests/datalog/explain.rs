@@ -235,7 +235,10 @@ fn expressions_and_aggregates_are_leaves_with_their_values() {
         degree(x, n) :- edge(x, _), n = count : { edge(x, _) }.
         next(x, z) :- degree(x, n), z = n + 1.
         far(x, s) :- edge(x, _), s = sum y : { edge(x, y), y > x }.
-        inverse(x) :- edge(x, y), 1 = 1 / y.";
+        inverse(x) :- edge(x, y), 1 = 1 / y.
+        .decl reach(x: number, n: number)
+        reach(1, 0).
+        reach(y, m) :- reach(x, n), edge(x, y), n < 3, c = count : { edge(x, w), w >= n }, m = n + c.";
     let session = session(text, &[("edge", &[&[1, 2], &[1, 3], &[1, 0], &[2, 0]])]);
     let rules = session.program().rules();
     let model = database(&session);
@@ -276,6 +279,11 @@ fn expressions_and_aggregates_are_leaves_with_their_values() {
         };
         assert_eq!(failures[0].kind, FailureKind::Computed { value });
     }
+    // The same for an aggregate that is evaluated in place.
+    assert_eq!(leaves("reach", &[2, 3]), "3 = count : { edge(1, w), w >= 0 }");
+    let reach = session.program().relation("reach").unwrap();
+    let absence = session.explain_absence(reach, &numbers(&[2, 2]).into_iter().map(Some).collect::<Vec<_>>());
+    check(&session, &model, &absence.unwrap().unwrap());
     let inverse = session.program().relation("inverse").unwrap();
     let absence = session.explain_absence(inverse, &[Some(Value::number(2))]);
     check(&session, &model, &absence.unwrap().unwrap());

@@ -577,6 +577,7 @@ impl Names {
                 hidden: false,
                 inline: has("inline") && !has("no_inline"),
                 magic: has("magic") && !has("no_magic"),
+                parameters: 0,
                 directives: Vec::new(),
             });
             self.signatures.push(Signature {

@@ -888,11 +888,12 @@ impl<const W: usize> Join<'_, W> {
             out = Output::for_plan(plan, usize::MAX);
         }
         out.set_bytes(self.known.bytes_max);
-        let mut batches = self.views[depth].batches();
+        let views = self.views;
+        let mut batches = views[depth].batches().copied();
         for plan in plans.iter() {
-            let view = |(position, step)| match position {
+            let view = |(position, step): (usize, &Step)| match position {
                 0 => RowView::NONE,
-                _ => RowView::for_step(step, |_| batches.next().map_or(RowView::NONE.first, Batch::clone)),
+                _ => RowView::for_step(step, |_| batches.next().unwrap_or(Batch::plain(&[]))),
             };
             let views: Vec<RowView<'_, W>> = plan.steps.iter().enumerate().map(view).collect();
             let mut slots = plan.slots.clone();
@@ -1097,6 +1098,24 @@ mod tests {
         }
         // Phases with words that stay dense.
         assert_eq!(known, 4);
+    }
+
+    #[test]
+    fn known_values_are_limited() {
+        let mut values = Values {
+            bytes_max: 10_000,
+            ..Values::default()
+        };
+        let relation = RelId(3);
+        for n in 0..1_000 {
+            values.insert(relation, &[Value(n), Value(1)], Some(Value(n)));
+            assert!(values.bytes <= 10_000);
+            assert_eq!(values.get(relation, &[Value(n), Value(1)]), Some(Some(Value(n))));
+        }
+        assert_eq!(values.get(relation, &[Value(0), Value(1)]), None);
+        values.bytes_max = 0;
+        values.insert(relation, &[Value(0)], None);
+        assert_eq!((values.get(relation, &[Value(0)]), values.bytes), (None, 0));
     }
 
     #[test]

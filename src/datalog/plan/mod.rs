@@ -197,8 +197,9 @@ impl Plans {
                 let order = Order::Sizes(sizes);
                 plan_correlated(clause, *parameters, grouping, indexes, order)
             });
+            let plans: Result<Vec<Plan>, Diagnostic> = plans.collect();
             // Replanning cannot fail, as in `adapt`.
-            if let Ok(plans) = plans.collect() {
+            if let Ok(plans) = plans {
                 indexes.set_correlated(relation, plans);
             }
         }

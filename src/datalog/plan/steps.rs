@@ -285,7 +285,7 @@ impl Step {
             Step::LeapfrogJoin { lists, .. } => lists,
             _ => &[],
         };
-        let inner = match self {
+        let inner: Vec<Source> = match self {
             Step::Correlated { plans, .. } => plans.iter().flat_map(Plan::sources_in_place).collect(),
             _ => Vec::new(),
         };

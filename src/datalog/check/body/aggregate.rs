@@ -170,7 +170,7 @@ impl<'c> Check<'_, 'c> {
         {
             own.insert(id);
         }
-        let outside = |literal: &Literal| !self.is_recursive(literal, finish);
+        let outside = |literal: &Literal| literal.atom().is_none_or(|atom| !self.is_recursive(atom.relation, finish));
         let parameters = match grounding(&shared, &inner, context, &outside) {
             Some(added) => {
                 for literal in added.into_iter().map(|position| &context[position]) {
@@ -312,9 +312,9 @@ impl<'c> Check<'_, 'c> {
             .collect()
     }
 
-    /// Returns whether the literal is an atom over a predicate that depends on the head of the clause.
-    fn is_recursive(&self, literal: &Literal, finish: &Finish<'_>) -> bool {
-        let (mut todo, mut hidden) = (Vec::from_iter(literal.atom().map(|atom| atom.relation)), Vec::new());
+    /// Returns whether a predicate depends on the head of the clause, on which that depends, too.
+    pub fn is_recursive(&self, relation: RelId, finish: &Finish<'_>) -> bool {
+        let (mut todo, mut hidden) = (vec![relation], Vec::new());
         while let Some(relation) = todo.pop() {
             if !self.names.relation(relation).hidden {
                 if self.names.components[relation.index()] == self.names.components[finish.head.index()] {
