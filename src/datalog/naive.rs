@@ -138,13 +138,7 @@ fn learn(to: &Term, found: Option<Value>, known: &mut Binding) {
 }
 
 /// Returns the value of an expression or aggregate; `None` if it has none or an operand is unbound.
-fn result(
-    rules: &Rules,
-    literal: &Literal,
-    known: &Binding,
-    database: &Database,
-    symbols: &Symbols,
-) -> Option<Value> {
+fn result(rules: &Rules, literal: &Literal, known: &Binding, database: &Database, symbols: &Symbols) -> Option<Value> {
     match literal {
         Literal::Compute {
             functor,
@@ -190,7 +184,11 @@ fn correlated_rows(
     database: &Database,
 ) -> BTreeSet<Vec<Value>> {
     let mut rows = BTreeSet::new();
-    for clause in rules.clauses.iter().filter(|clause| clause.head.relation == atom.relation) {
+    for clause in rules
+        .clauses
+        .iter()
+        .filter(|clause| clause.head.relation == atom.relation)
+    {
         // +1(x, y) :- P(y), y < x. with the value of x.
         let mut inner = vec![None; clause.variables.len()];
         let parameters = rules.relations[atom.relation.index()].parameters;

@@ -138,7 +138,12 @@ fn correlated_clause(genes: [u8; 8], atoms: &[[u8; 3]]) -> String {
         let term = |gene: u8| ["x", "n", "y", "a", "a", "b", "b", "_", "1"][gene as usize % 9];
         let terms = [term(gene[1]), term(gene[2])];
         own.extend(terms.into_iter().filter(|term| ["a", "b"].contains(term)));
-        inner.push(format!("{}({}, {})", ["R", "S", "L"][gene[0] as usize % 3], terms[0], terms[1]));
+        inner.push(format!(
+            "{}({}, {})",
+            ["R", "S", "L"][gene[0] as usize % 3],
+            terms[0],
+            terms[1]
+        ));
     }
     let pick = |gene: u8| own.get(gene as usize % own.len().max(1)).copied().unwrap_or("1");
     let one = pick(genes[1]);
@@ -176,9 +181,14 @@ fn a_correlated_aggregate_is_evaluated_once_for_each_binding() {
     assert_eq!(session.len(session.program().relation("A").unwrap()), 50);
     let scanned = session.work().rules().map(|rule| rule.rows_scanned);
     // 50 x 50 rows of R, one look at V for n = 500.
-    assert!((3_500..15_000).contains(&scanned.max().unwrap()), "{:?}", session.work());
+    assert!(
+        (3_500..15_000).contains(&scanned.max().unwrap()),
+        "{:?}",
+        session.work()
+    );
     // An unrelated change evaluates nothing; one of V evaluates the recursion again.
-    let mut session = program(&text.replace("V(v) :-", ".input V .decl W(v: number) .input W W(1). V(1). // ")).session();
+    let mut session =
+        program(&text.replace("V(v) :-", ".input V .decl W(v: number) .input W W(1). V(1). // ")).session();
     session.commit().unwrap();
     let reached = |session: &Session| session.len(session.program().relation("A").unwrap());
     assert_eq!(reached(&session), 1);

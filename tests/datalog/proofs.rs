@@ -15,7 +15,8 @@ pub fn database(session: &Session) -> naive::Database {
     for clause in rules.strata.iter().flat_map(|stratum| &stratum.clauses) {
         let clause = &rules.clauses[clause.index()];
         if session.program().is_aggregated(clause.head.relation) {
-            model[clause.head.relation.index()] = naive::consequences(session.program().rules(), clause, session.symbols(), &model);
+            model[clause.head.relation.index()] =
+                naive::consequences(session.program().rules(), clause, session.symbols(), &model);
         }
     }
     model
@@ -100,7 +101,10 @@ pub fn check(session: &Session, model: &naive::Database, explanation: &Explanati
                             }
                         }
                         assert_eq!(fact.height, highest + 1);
-                        assert!(naive::consequences(session.program().rules(), clause, session.symbols(), &little).contains(&fact.row));
+                        assert!(
+                            naive::consequences(session.program().rules(), clause, session.symbols(), &little)
+                                .contains(&fact.row)
+                        );
                     }
                 }
             }

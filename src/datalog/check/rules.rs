@@ -3,8 +3,8 @@
 //! [`load`](crate::datalog::load) makes a [`Rules`] from source text once every check has passed. It never changes
 //! afterwards. Checking resolves all names, flattens expressions, aggregates and disjunctions, and writes `.scope`
 //! guards as ordinary atoms. Every clause is safe: a positive atom binds each variable, or an expression computes it
-//! from bound ones. In the clause of a hidden predicate a guard may bind variables too, and a correlated aggregate binds
-//! parameters. The predicates are stratified.
+//! from bound ones. In the clause of a hidden predicate a guard may bind variables too, and a correlated aggregate
+//! binds parameters. The predicates are stratified.
 
 use crate::datalog::syntax::ast::{BaseType, Comparison, MarkKind};
 use crate::datalog::value::Value;

@@ -97,7 +97,13 @@ impl Plans {
             }
         }
         let correlated = correlated_relations(rules);
-        for (&relation, Correlated { clauses, parameters, .. }) in &correlated {
+        for (
+            &relation,
+            Correlated {
+                clauses, parameters, ..
+            },
+        ) in &correlated
+        {
             let grouping = groupings[relation.index()].as_ref();
             let clauses = clauses.iter().map(|clause| &rules.clauses[clause.index()]);
             let plans = clauses.map(|clause| {
@@ -190,7 +196,9 @@ impl Plans {
         }
         let indexes = &mut self.indexes;
         for &relation in &stratum.correlated {
-            let Correlated { clauses, parameters, .. } = &self.correlated[&relation];
+            let Correlated {
+                clauses, parameters, ..
+            } = &self.correlated[&relation];
             let grouping = self.groupings[relation.index()].as_ref();
             let clauses = clauses.iter().filter_map(|clause| self.sources.get(clause));
             let plans = clauses.map(|clause| {

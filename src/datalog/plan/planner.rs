@@ -103,8 +103,8 @@ pub(crate) fn plan_clause(
     })
 }
 
-/// Makes the plan of a clause of a correlated relation. It begins with the parameters, which are the first columns of the
-/// head.
+/// Makes the plan of a clause of a correlated relation. It begins with the parameters, which are the first columns of
+/// the head.
 pub(crate) fn plan_correlated(
     clause: &Clause,
     parameters: usize,

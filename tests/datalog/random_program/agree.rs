@@ -148,7 +148,11 @@ fn check_commit(session: &mut Session, before: &naive::Database, after: &naive::
             continue;
         }
         let fired = session.fired(ClauseId(position));
-        prop_assert!(fired.iter().eq(&naive::consequences(program.rules(), clause, session.symbols(), after)));
+        prop_assert!(
+            fired
+                .iter()
+                .eq(&naive::consequences(program.rules(), clause, session.symbols(), after))
+        );
     }
     Ok(())
 }

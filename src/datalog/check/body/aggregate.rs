@@ -170,7 +170,11 @@ impl<'c> Check<'_, 'c> {
         {
             own.insert(id);
         }
-        let outside = |literal: &Literal| literal.atom().is_none_or(|atom| !self.is_recursive(atom.relation, finish));
+        let outside = |literal: &Literal| {
+            literal
+                .atom()
+                .is_none_or(|atom| !self.is_recursive(atom.relation, finish))
+        };
         let parameters = match grounding(&shared, &inner, context, &outside) {
             Some(added) => {
                 for literal in added.into_iter().map(|position| &context[position]) {

@@ -605,7 +605,10 @@ fn makes_texts(plans: &Plans, stratum: &StratumPlan) -> bool {
         let mut steps = plan.steps.iter();
         steps.any(|step| matches!(step, Step::Compute { functor, .. } if functor.makes_text()))
     };
-    let mut inner = stratum.correlated.iter().filter_map(|relation| plans.indexes.correlated(*relation));
+    let mut inner = stratum
+        .correlated
+        .iter()
+        .filter_map(|relation| plans.indexes.correlated(*relation));
     let mut clauses = stratum.clauses.iter();
     clauses.any(|clause| makes(&plans.clauses[clause.index()].complete)) || inner.any(|plans| plans.iter().any(makes))
 }

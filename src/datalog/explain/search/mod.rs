@@ -493,7 +493,8 @@ impl<'s> Search<'s> {
         }
         let (found, rows_scanned) = self.session.correlated(literal, &key.1, self.left.get(), &self.cancel);
         self.left.set(self.left.get().saturating_sub(rows_scanned));
-        self.cancelled.set(self.cancelled.get() || found == Err(Abort::Cancelled));
+        self.cancelled
+            .set(self.cancelled.get() || found == Err(Abort::Cancelled));
         match found {
             Ok(value) => {
                 self.correlated.borrow_mut().insert(key, value);
