@@ -161,7 +161,7 @@ fn check_matters(genome: &Genome) {
             };
             let mut less = clause.clone();
             less.body.remove(literal);
-            let derived = naive::consequences(rules, &less, session.symbols(), &model);
+            let derived = naive::consequences(&rules, &less, session.symbols(), &model);
             assert_eq!(matters, !derived.is_subset(&model[clause.head.relation.index()]));
         }
     }

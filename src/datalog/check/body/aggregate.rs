@@ -316,7 +316,8 @@ impl<'c> Check<'_, 'c> {
             .collect()
     }
 
-    /// Returns whether a predicate depends on the head of the clause, on which that depends, too.
+    /// Returns whether a predicate depends on the head of the clause, on which that depends, too, or on values that only
+    /// such predicates provide.
     pub fn is_recursive(&self, relation: RelId, finish: &Finish<'_>) -> bool {
         let (mut todo, mut hidden) = (vec![relation], Vec::new());
         while let Some(relation) = todo.pop() {
@@ -324,6 +325,9 @@ impl<'c> Check<'_, 'c> {
                 if self.names.components[relation.index()] == self.names.components[finish.head.index()] {
                     return true;
                 }
+            } else if self.names.relation(relation).parameters > 0 {
+                // Only the recursion gives values to the parameters.
+                return true;
             } else if !hidden.contains(&relation) {
                 hidden.push(relation);
                 let clauses = finish.hidden.iter().filter(|clause| clause.head.relation == relation);
@@ -382,14 +386,19 @@ fn grounding(
 ) -> Option<Vec<usize>> {
     let mut body = inner.to_vec();
     let mut taken = Vec::new();
+    // The variables for which a literal was taken; it may need further variables.
+    let mut given = BTreeSet::new();
     loop {
         let bound = bound_by(&body);
-        let missing = |id: &VarId| !bound.contains(id);
-        // An added literal may need further variables.
-        let needed = body.iter().filter_map(|literal| inputs(literal, &bound));
-        let Some(missing) = shared.iter().copied().chain(needed).find(missing) else {
+        let needed = body.iter().flat_map(variables_of);
+        let unbound: BTreeSet<VarId> = (shared.iter().copied().chain(needed))
+            .filter(|id| !bound.contains(id))
+            .collect();
+        if unbound.is_empty() {
             return Some(taken);
-        };
+        }
+        let missing = *unbound.difference(&given).next()?;
+        given.insert(missing);
         let gives = |literal: &Literal| match literal {
             Literal::Positive(atom) | Literal::Guard(atom) => atom.terms.contains(&Term::Variable(missing)),
             Literal::Compare {
@@ -459,10 +468,10 @@ pub(crate) fn bound_by(literals: &[Literal]) -> BTreeSet<VarId> {
     }
 }
 
-/// Returns an unbound variable of the literal.
-fn inputs(literal: &Literal, bound: &BTreeSet<VarId>) -> Option<VarId> {
-    literal.terms().find_map(|term| match term {
-        Term::Variable(id) if !bound.contains(id) => Some(*id),
+/// Returns the variables of the literal.
+fn variables_of(literal: &Literal) -> impl Iterator<Item = VarId> + '_ {
+    literal.terms().filter_map(|term| match term {
+        Term::Variable(id) => Some(*id),
         _ => None,
     })
 }
