@@ -201,7 +201,7 @@ fn expected(
     });
     if value.len() <= NAIVE_MAX {
         let database = naive::evaluate(rules, &rules.symbols, rows);
-        let fired = |clause| naive::consequences(clause, &rules.symbols, &database).len();
+        let fired = |clause| naive::consequences(rules, clause, &rules.symbols, &database).len();
         let fired = rules.clauses.iter().map(fired).collect();
         return Some((database, fired));
     }

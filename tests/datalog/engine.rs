@@ -111,6 +111,113 @@ proptest! {
     }
 }
 
+proptest! {
+    #![proptest_config(ProptestConfig { cases: 128, max_shrink_iters: 20_000, ..ProptestConfig::default() })]
+
+    #[test]
+    fn correlated_aggregates_agree_with_naive(
+        (text, changes) in correlated_programs(),
+        steps in prop_oneof![Just(u64::MAX), 0..2_000_u64],
+        bytes in prop_oneof![Just(u64::MAX), 0..8_000_u64],
+    ) {
+        let program = program(&text);
+        let (rules, script) = (program.rules(), aggregating_script(&program, &changes));
+        agrees(rules, &script)?;
+        check_threads(rules, &script, Limits { rows: usize::MAX, steps, bytes })?;
+    }
+}
+
+/// Programs with aggregates over values that only a recursion provides, and changes of their relations.
+fn correlated_programs() -> impl proptest::strategy::Strategy<Value = (String, Vec<ChangeGenes>)> {
+    use proptest::collection::vec;
+    let clause =
+        (any::<[u8; 8]>(), vec(any::<[u8; 3]>(), 1..3)).prop_map(|(genes, atoms)| correlated_clause(genes, &atoms));
+    let changes = vec(
+        vec((prop::bool::weighted(0.7), any::<u8>(), any::<[u8; 2]>()), 3..25),
+        1..4,
+    );
+    (vec(clause, 1..4), changes).prop_map(|(clauses, changes)| {
+        let recursion = ".decl L(x: number, y: number) L(x, y) :- R(x, z), S(z, y).
+            .decl A, B(x: number, n: number)
+            A(x, 0) :- K(x).
+            B(x, n) :- A(x, n), S(x, _).\n";
+        (String::from(AGGREGATED) + recursion + &clauses.join("\n"), changes)
+    })
+}
+
+/// A recursive clause with an aggregate whose body uses `n`, which only the recursion binds.
+fn correlated_clause(genes: [u8; 8], atoms: &[[u8; 3]]) -> String {
+    let (mut inner, mut own) = (Vec::new(), Vec::new());
+    for gene in atoms {
+        let term = |gene: u8| ["x", "n", "y", "a", "a", "b", "b", "_", "1"][gene as usize % 9];
+        let terms = [term(gene[1]), term(gene[2])];
+        own.extend(terms.into_iter().filter(|term| ["a", "b"].contains(term)));
+        inner.push(format!(
+            "{}({}, {})",
+            ["R", "S", "L"][gene[0] as usize % 3],
+            terms[0],
+            terms[1]
+        ));
+    }
+    let pick = |gene: u8| own.get(gene as usize % own.len().max(1)).copied().unwrap_or("1");
+    let one = pick(genes[1]);
+    inner.push(match genes[0] % 6 {
+        0 | 1 => format!("{one} < n"),
+        2 => format!("!S({one}, n)"),
+        3 => format!("m = {one} + n, S(m, _)"),
+        4 => format!("m = count : {{ S(z, w), {one} + z < n + w }}, m > 0"),
+        _ => "n > 1".to_owned(),
+    });
+    let (op, target) = match (genes[2] % 5, own.is_empty()) {
+        (0, _) | (_, true) => ("count", ""),
+        (kind, _) => (["sum", "min", "max", "mean"][kind as usize - 1], pick(genes[3])),
+    };
+    let aggregate = format!("{op} {target} : {{ {} }}", inner.join(", "));
+    let [head, from] = [genes[4], genes[5]].map(|gene| ["A", "B"][gene as usize % 2]);
+    match (op, genes[6] % 3) {
+        ("mean", _) => format!("{head}(y, n) :- {from}(x, n), R(x, y), {aggregate} >= 1.0."),
+        (_, 0) => format!("{head}(y, n) :- {from}(x, n), R(x, y), S(_, c), c = {aggregate}."),
+        _ => format!("{head}(y, (n + c) band 7) :- {from}(x, n), R(x, y), c = {aggregate}."),
+    }
+}
+
+/// A correlated aggregate is evaluated once for each binding of its parameters.
+#[test]
+fn a_correlated_aggregate_is_evaluated_once_for_each_binding() {
+    let text = ".decl R(x: number, y: number) .decl V(v: number)
+        R(x, y) :- x = range(0, 50), y = range(0, 50).
+        V(v) :- v = range(0, 1000).
+        .decl A(x: number, n: number)
+        A(0, 500).
+        A(y, n) :- A(x, n), R(x, y), c = count : { V(v), v > n }, c > 0.";
+    let mut session = program(text).session();
+    session.commit().unwrap();
+    assert_eq!(session.len(session.program().relation("A").unwrap()), 50);
+    let scanned = session.work().rules().map(|rule| rule.rows_scanned);
+    // 50 x 50 rows of R, one look at V for n = 500.
+    assert!(
+        (3_500..15_000).contains(&scanned.max().unwrap()),
+        "{:?}",
+        session.work()
+    );
+    // An unrelated change evaluates nothing; one of V evaluates the recursion again.
+    let mut session =
+        program(&text.replace("V(v) :-", ".input V .decl W(v: number) .input W W(1). V(1). // ")).session();
+    session.commit().unwrap();
+    let reached = |session: &Session| session.len(session.program().relation("A").unwrap());
+    assert_eq!(reached(&session), 1);
+    insert(&mut session, "W", &[&[2]]);
+    session.commit().unwrap();
+    assert!(session.work().rules().next().is_none());
+    insert(&mut session, "V", &[&[501]]);
+    session.commit().unwrap();
+    assert_eq!(reached(&session), 50);
+    let v = session.program().relation("V").unwrap();
+    session.retract(v, &numbers(&[501])).unwrap();
+    session.commit().unwrap();
+    assert_eq!(reached(&session), 1);
+}
+
 /// A count visits no row of the last scan, and stores no row of the join.
 #[test]
 fn an_aggregate_over_a_join_stores_groups_only() {
@@ -1208,6 +1315,36 @@ fn a_product_that_derives_nothing_reaches_a_limit() {
         Group(x, 0) :- A(x).
         Size(x, n) :- Group(x, g), n = count : { Group(_, g) }.";
     assert!(matches!(stopped(&counted, limits), EvalError::TooManySteps { .. }));
+    // So does one that is evaluated in place, and its rows take memory.
+    let in_place = facts_of("A", 2_000)
+        + ".decl A(x: number)
+        .decl N(n: number)
+        N(0).
+        N(n + 1) :- N(n), n < 2000, c = count : { A(x), x >= n, x != 7 }, c >= 0.";
+    assert!(matches!(stopped(&in_place, limits), EvalError::TooManySteps { .. }));
+}
+
+#[test]
+fn rows_of_an_aggregate_in_place_are_counted_in_bytes() {
+    let limits = Limits {
+        bytes: 1 << 20,
+        ..Limits::default()
+    };
+    // A wildcard of an inline predicate repeats rows, so the aggregate keeps the distinct ones.
+    let text = facts_of("A", 300)
+        + ".decl A(x: number)
+        .decl P(x: number, y: number) inline
+        P(x, y) :- A(x), A(y), A(z), z < 2.
+        .decl N(n: number)
+        N(0).
+        N(n + 1) :- N(n), n < 2, c = count : { P(x, y), x >= n }, c >= 0.";
+    let rules = datalog::rewrite::unfold(program(&text).rules()).expect("P is inline").0;
+    let mut session = Program::new(rules).unwrap().session();
+    session.set_limits(limits);
+    assert!(matches!(session.commit(), Err(EvalError::TooMuchMemory { .. })));
+    session.set_limits(Limits::default());
+    session.commit().unwrap();
+    assert_eq!(session.len(session.program().relation("N").unwrap()), 3);
 }
 
 #[test]

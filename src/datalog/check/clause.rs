@@ -11,10 +11,12 @@ use crate::symbol::Symbols;
 use crate::datalog::check::body;
 use crate::datalog::check::body::Body;
 use crate::datalog::check::clauses::{Checked, Clauses, Known, VariableType, reads_as_constant};
+use crate::datalog::check::inline;
 use crate::datalog::check::names::Names;
 use crate::datalog::check::rules::{Atom, Clause, Literal, RelId, Relation, Term, VarId};
 use crate::datalog::check::scope;
 use crate::datalog::check::scope::Scope;
+use crate::datalog::check::strata;
 use crate::datalog::check::witness;
 use crate::datalog::syntax::ast;
 use crate::datalog::syntax::ast::{BaseType, Comparison, Item, names_in, names_of};
@@ -38,6 +40,7 @@ pub(crate) fn check(
         symbols,
         ..Clauses::default()
     };
+    names.components = components(items, names);
     let mut scopes = scope::Scopes::default();
     let mut before: Option<Cow<'_, ast::Clause>> = None;
     let mut runs = facts.runs().peekable();
@@ -128,6 +131,35 @@ fn constant_of(base: BaseType, constant: Constant<'_>, symbols: &Symbols) -> Opt
         (BaseType::Float, Constant::Number(number)) => Some(Value::float(number as f32)),
         _ => None,
     }
+}
+
+/// Returns the component of each declared predicate: those that depend on each other have the same number.
+fn components(items: &[Item], names: &Names) -> Vec<usize> {
+    let mut successors: Vec<Vec<usize>> = vec![Vec::new(); names.relations.len()];
+    let mut scope = None;
+    for item in items {
+        let clause = match item {
+            Item::Clause(clause) => clause,
+            Item::Scope(entered) => {
+                scope = entered.predicate.as_ref().and_then(|name| names.find(&name.text));
+                continue;
+            }
+            _ => continue,
+        };
+        let mut read: Vec<usize> = Vec::new();
+        let mut note = |_: bool, atom: &ast::Atom| read.extend(names.find(&atom.predicate.text).map(RelId::index));
+        inline::each_atom(&clause.body, &mut note);
+        let terms = clause.heads.iter().flat_map(|head| &head.terms);
+        terms.for_each(|term| inline::each_atom_of(term, &mut note));
+        if !clause.body.is_empty() {
+            read.extend(scope.map(RelId::index));
+        }
+        if !read.is_empty() {
+            let heads = clause.heads.iter().filter_map(|head| names.find(&head.predicate.text));
+            heads.for_each(|head| successors[head.index()].extend(&read));
+        }
+    }
+    strata::components(&successors).0
 }
 
 /// Reports a `.plan` whose orders do not fit the preceding clause, as Soufflé does.

@@ -1,6 +1,7 @@
 //! Runs a plan: a pipelined nested-loop join over sorted rows, without intermediate relations.
 
 use crate::cancel::Cancel;
+use crate::datalog::check::RelId;
 use crate::datalog::eval::groups::{self, Groups, KeyHasher};
 use crate::datalog::eval::seen_bitmap::{Added, SeenBitmap, raise};
 use crate::datalog::plan::steps::{List, Plan, Slot, Source, Step};
@@ -14,7 +15,8 @@ use std::collections::HashMap;
 use std::collections::hash_map::Entry;
 use std::hash::BuildHasherDefault;
 
-/// The rows that a step reads, as sorted batches. A leapfrog join has one batch for each list.
+/// The rows that a step reads, as sorted batches. A leapfrog join has one batch for each list, and a correlated
+/// aggregate one for each source of its plans.
 #[derive(Clone, Debug)]
 pub(crate) struct RowView<'a, const W: usize> {
     pub(crate) first: AnyBatch<'a, W>,
@@ -38,11 +40,11 @@ impl<'a, const W: usize> RowView<'a, W> {
 
     /// The view of a step; `batch` returns the rows of a source.
     #[inline]
-    pub(crate) fn for_step(step: &Step, batch: impl Fn(Source) -> AnyBatch<'a, W>) -> Self {
+    pub(crate) fn for_step(step: &Step, mut batch: impl FnMut(Source) -> AnyBatch<'a, W>) -> Self {
         match (step.source(), step) {
             (Some(source), _) => RowView::of(batch(source)),
-            (None, Step::LeapfrogJoin { lists, .. }) => {
-                let mut batches = lists.iter().map(|list| batch(list.source));
+            (None, Step::LeapfrogJoin { .. } | Step::Correlated { .. }) => {
+                let mut batches = step.sources().map(batch);
                 batches.next().map_or(RowView::NONE, |first| RowView {
                     first,
                     rest: batches.collect(),
@@ -126,6 +128,8 @@ pub(crate) struct JoinState {
     next_poll: u64,
     /// The maximum size of all texts, in bytes.
     pub(crate) text_bytes: u64,
+    /// The correlated aggregates evaluated so far.
+    pub(crate) correlated: Values,
 }
 
 impl JoinState {
@@ -140,6 +144,53 @@ impl JoinState {
             budget,
             next_poll: budget.min(Self::POLL_INTERVAL),
             text_bytes: u64::MAX,
+            correlated: Values::default(),
+        }
+    }
+}
+
+/// The values of correlated aggregates, by relation and parameters. What an aggregate reads is complete, so its values
+/// stay valid while a stratum is evaluated.
+#[derive(Debug)]
+pub(crate) struct Values {
+    known: HashMap<RelId, HashMap<Box<[Value]>, Option<Value>>>,
+    /// The approximate memory of `known`.
+    bytes: u64,
+    /// The maximum of `bytes`. The rows of one evaluation may take as much again.
+    pub(crate) bytes_max: u64,
+}
+
+impl Default for Values {
+    /// An empty cache of any size.
+    fn default() -> Self {
+        Values {
+            known: HashMap::new(),
+            bytes: 0,
+            bytes_max: u64::MAX,
+        }
+    }
+}
+
+impl Values {
+    /// The memory of an entry: a table is up to half empty, and has two copies while it grows.
+    const ENTRY_BYTES: u64 = 3 * size_of::<(Box<[Value]>, Option<Value>)>() as u64 + 16;
+
+    /// The value for these parameters if it is known. The inner `None` means that the aggregate has no value.
+    #[allow(clippy::option_option)]
+    fn get(&self, relation: RelId, parameters: &[Value]) -> Option<Option<Value>> {
+        self.known.get(&relation)?.get(parameters).copied()
+    }
+
+    /// Adds a value. If the memory is full, forgets all others first.
+    fn insert(&mut self, relation: RelId, parameters: &[Value], value: Option<Value>) {
+        let bytes = Self::ENTRY_BYTES + size_of_val(parameters) as u64;
+        if self.bytes.saturating_add(bytes) > self.bytes_max {
+            self.known = HashMap::new();
+            self.bytes = 0;
+        }
+        if bytes <= self.bytes_max {
+            self.bytes += bytes;
+            self.known.entry(relation).or_default().insert(parameters.into(), value);
         }
     }
 }
@@ -594,6 +645,7 @@ pub(crate) fn run<const W: usize>(
         patterns: None,
         cursors: Vec::new(),
         sets: WordSets::default(),
+        known: &mut state.correlated,
         out,
     };
     let result = join.from(0, plan.steps.len());
@@ -625,6 +677,8 @@ struct Join<'a, const W: usize> {
     cursors: Vec<(AnyRows<'a, W>, usize)>,
     /// The rows of the last scan.
     sets: WordSets,
+    /// The correlated aggregates evaluated so far.
+    known: &'a mut Values,
     out: &'a mut Output<W>,
 }
 
@@ -698,6 +752,10 @@ impl<const W: usize> Join<'_, W> {
                     let values =
                         ranges().flat_map(|range| (0..range.len()).map(move |at| range.words(at)[*column as usize]));
                     let value = op.of(*base, values, self.symbols);
+                    self.fill(*to, *test, value)
+                }
+                step @ Step::Correlated { to, test, .. } => {
+                    let value = self.correlated(step, depth)?;
                     self.fill(*to, *test, value)
                 }
                 Step::Group { key, op, to, test, .. } => {
@@ -952,6 +1010,82 @@ impl<const W: usize> Join<'_, W> {
         Ok(found > 0)
     }
 
+    /// Returns the value of a correlated aggregate for its parameters.
+    #[cold]
+    fn correlated(&mut self, step: &Step, depth: usize) -> Result<Option<Value>, Abort> {
+        let Step::Correlated {
+            relation,
+            plans,
+            key,
+            op,
+            base,
+            column,
+            ..
+        } = step
+        else {
+            return Ok(None);
+        };
+        self.rows_scanned += 1;
+        if self.rows_scanned > self.next_poll {
+            self.poll()?;
+        }
+        let words = self.key(key);
+        let parameters = &words[..key.len()];
+        if let Some(value) = self.known.get(*relation, parameters) {
+            return Ok(value);
+        }
+        let mut out = Output::new(usize::MAX);
+        if let [plan] = &plans[..] {
+            out = Output::for_plan(plan, usize::MAX);
+        }
+        out.set_bytes(self.known.bytes_max);
+        let views = self.views;
+        let mut batches = views[depth].batches().copied();
+        for plan in plans.iter() {
+            let view = |(position, step): (usize, &Step)| match position {
+                0 => RowView::NONE,
+                _ => RowView::for_step(step, |_| batches.next().unwrap_or(RowView::NONE.first)),
+            };
+            let views: Vec<RowView<'_, W>> = plan.steps.iter().enumerate().map(view).collect();
+            let mut slots = plan.slots.clone();
+            if !is_bound(plan, &mut slots, parameters) {
+                continue;
+            }
+            let mut join = Join {
+                plan,
+                views: &views,
+                symbols: self.symbols,
+                slots: &mut slots,
+                rows_scanned: self.rows_scanned,
+                budget: self.budget,
+                next_poll: self.next_poll,
+                cancel: self.cancel,
+                text_bytes: self.text_bytes,
+                patterns: self.patterns.take(),
+                cursors: Vec::new(),
+                sets: WordSets::default(),
+                known: &mut *self.known,
+                out: &mut out,
+            };
+            let result = join.from(1, plan.steps.len());
+            self.patterns = join.patterns.take();
+            (self.rows_scanned, self.next_poll) = (join.rows_scanned, join.next_poll);
+            result?;
+        }
+        let grouped = plans.iter().any(|plan| plan.fold.is_some());
+        let found = out.take();
+        out.check(found.len())?;
+        let value = match grouped {
+            true => groups::lookup(&found, parameters.len(), *op),
+            false => {
+                let values = found.iter().map(|row| column.map_or(Value(0), |column| row.0[column]));
+                op.of(*base, values, self.symbols)
+            }
+        };
+        self.known.insert(*relation, parameters, value);
+        Ok(value)
+    }
+
     /// Stores a value in a slot, or compares it with the slot.
     fn fill(&mut self, to: Slot, test: bool, value: Option<Value>) -> bool {
         let slot = &mut self.slots[to as usize];
@@ -1031,6 +1165,19 @@ impl<const W: usize> Join<'_, W> {
 pub(crate) fn counts(plan: &Plan, bind: Columns<'_>) -> bool {
     plan.fold.is_some_and(|fold| fold.op == AggregateOp::Count)
         && !bind.iter().any(|(_, slot)| plan.output.contains(slot))
+}
+
+/// Puts the parameters of a correlated aggregate into the slots that the first step of its plan binds. Returns whether
+/// they agree with the head of the clause.
+fn is_bound(plan: &Plan, slots: &mut [Value], parameters: &[Value]) -> bool {
+    let Some(Step::Scan { bind, check, .. }) = plan.steps.first() else {
+        return true;
+    };
+    for &(column, slot) in bind {
+        slots[slot as usize] = parameters[column as usize];
+    }
+    let mut checks = check.iter();
+    checks.all(|&(column, slot)| slots[slot as usize] == parameters[column as usize])
 }
 
 /// Whether a comparison holds. Numbers compare by value; symbols are equal by id and ordered by text.
@@ -1162,6 +1309,24 @@ mod tests {
             assert!(all[0] == all[1]);
         }
         assert!(pushed.iter().all(|&count| count > 20), "{pushed:?}");
+    }
+
+    #[test]
+    fn known_values_are_limited() {
+        let mut values = Values {
+            bytes_max: 10_000,
+            ..Values::default()
+        };
+        let relation = RelId(3);
+        for n in 0..1_000 {
+            values.insert(relation, &[Value(n), Value(1)], Some(Value(n)));
+            assert!(values.bytes <= 10_000);
+            assert_eq!(values.get(relation, &[Value(n), Value(1)]), Some(Some(Value(n))));
+        }
+        assert_eq!(values.get(relation, &[Value(0), Value(1)]), None);
+        values.bytes_max = 0;
+        values.insert(relation, &[Value(0)], None);
+        assert_eq!((values.get(relation, &[Value(0)]), values.bytes), (None, 0));
     }
 
     #[test]

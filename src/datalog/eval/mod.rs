@@ -13,7 +13,7 @@
 pub mod delta;
 pub(crate) mod exec;
 pub(crate) mod groups;
-mod join;
+pub(crate) mod join;
 pub mod limits;
 mod maintain;
 mod narrow;

@@ -112,6 +112,10 @@ fn follow(steps: &[Step], found: &dyn Fn(Source, usize) -> f64) -> (f64, f64) {
             Step::Group { .. } => cost += flow,
             Step::Exists { source, key } => flow *= found(*source, key.len()).min(1.0),
             Step::AntiJoin { source, key } => flow *= 1.0 - found(*source, key.len()).min(0.9),
+            Step::Correlated { plans, .. } => {
+                let inner = plans.iter().map(|plan| follow(&plan.steps[1..], found).1);
+                cost += flow * inner.sum::<f64>();
+            }
             Step::Copy { .. } | Step::Compute { test: false, .. } => {}
             Step::Aggregate { source, key, .. } => cost += flow * found(*source, key.len()),
             Step::Compare {

@@ -296,6 +296,7 @@ fn declare(rules: &mut Rules, columns: &[bool], span: Span) {
         printsize: false,
         inline: false,
         magic: false,
+        parameters: 0,
         derived: false,
         hidden: false,
         directives: Vec::new(),

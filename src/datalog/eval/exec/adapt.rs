@@ -63,7 +63,7 @@ impl<const W: usize> State<W> {
                 None => Size::of(&self.tables[relation.index()].rows, arity),
             });
         }
-        Arc::make_mut(&mut commit.plans).adapt(&stratum.clauses, aim, &sizes);
+        Arc::make_mut(&mut commit.plans).adapt(stratum, aim, &sizes);
         let before = commit
             .changed
             .iter_mut()

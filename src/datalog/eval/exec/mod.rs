@@ -4,7 +4,7 @@
 mod adapt;
 
 use crate::cancel::Cancel;
-use crate::datalog::check::{Atom, ClauseId, RelId, Term};
+use crate::datalog::check::{Atom, ClauseId, Literal, RelId, Term};
 use crate::datalog::eval::delta::{Delta, Rows};
 use crate::datalog::eval::exec::adapt::Basis;
 use crate::datalog::eval::groups;
@@ -17,7 +17,7 @@ use crate::datalog::eval::stats::{EvalEvent, EvalStats, RuleStats, Strategy, Str
 use crate::datalog::eval::table::{Table, TableDelta};
 use crate::datalog::eval::workers::Workers;
 use crate::datalog::plan::estimate::Shape;
-use crate::datalog::plan::steps::{Aim, IndexId, IndexSpec, Plan, Source, Step, StratumPlan, Version};
+use crate::datalog::plan::steps::{Aim, IndexId, IndexSpec, Plan, Slot, Source, Step, StratumPlan, Version};
 use crate::datalog::plan::{Compiled, Plans};
 use crate::datalog::row::{AnyBatch, Batch, ByWidth, Row, normalize};
 use crate::datalog::syntax::functor::AggregateOp;
@@ -56,6 +56,14 @@ pub(crate) trait Store: Send + Sync {
     fn bytes(&self) -> u64;
     /// The aggregate of the group with this key in a grouped relation.
     fn group(&self, relation: RelId, key: &[Value], op: AggregateOp) -> Option<Value>;
+    /// The value of a correlated aggregate for these parameters, and the number of rows scanned, at most `budget`.
+    fn correlated(
+        &self,
+        aggregate: &Literal,
+        parameters: &[Value],
+        symbols: &Symbols,
+        limits: (u64, &Cancel),
+    ) -> (Result<Option<Value>, Abort>, u64);
     /// The plans in use.
     fn plans(&self) -> &Plans;
     /// The distinct rows that a clause derives.
@@ -476,8 +484,10 @@ impl<const W: usize> State<W> {
         quota: Quota,
     ) -> Result<StratumStats, Failure> {
         let CommitOptions { strategy, workers, .. } = commit.options;
-        // One thread must make all new symbols, since they are numbered in the order of creation.
-        let several = workers.are_several() && !makes_texts(&commit.plans, stratum);
+        // One thread must make all new symbols, since they are numbered in the order of creation. With correlated
+        // aggregates, the number of rows scanned depends on which of them the thread has evaluated before.
+        let correlated = !stratum.correlated.is_empty();
+        let several = workers.are_several() && !correlated && !makes_texts(&commit.plans, stratum);
         let workers = several.then_some(workers);
         let inputs: usize = stratum.inputs.iter().map(|&input| self.len(input)).sum();
         let inputs = inputs as u64;
@@ -535,8 +545,15 @@ impl<const W: usize> State<W> {
         if makes_texts(&commit.plans, stratum) {
             quota.bytes /= 2;
         }
+        let mut values_bytes = u64::MAX;
+        if correlated {
+            // For the known values, and for the rows of the evaluation in progress.
+            values_bytes = quota.bytes / 8;
+            quota.bytes -= 2 * values_bytes;
+        }
         let attempt = |workers| {
             let mut meter = Meter::new(quota.steps, text_bytes, commit.options, workers);
+            meter.state.correlated.bytes_max = values_bytes;
             let result = self.evaluate(commit, stratum, quota, &mut meter);
             result.map(|(results, rounds)| (results, rounds, meter))
         };
@@ -660,9 +677,16 @@ impl<const W: usize> State<W> {
 
 /// Whether a clause of the stratum creates new texts.
 fn makes_texts(plans: &Plans, stratum: &StratumPlan) -> bool {
-    let clauses = stratum.clauses.iter();
-    let mut steps = clauses.flat_map(|clause| &plans.clauses[clause.index()].complete.steps);
-    steps.any(|step| matches!(step, Step::Compute { functor, .. } if functor.makes_text()))
+    let makes = |plan: &Plan| {
+        let mut steps = plan.steps.iter();
+        steps.any(|step| matches!(step, Step::Compute { functor, .. } if functor.makes_text()))
+    };
+    let mut inner = stratum
+        .correlated
+        .iter()
+        .filter_map(|relation| plans.indexes.correlated(*relation));
+    let mut clauses = stratum.clauses.iter();
+    clauses.any(|clause| makes(&plans.clauses[clause.index()].complete)) || inner.any(|plans| plans.iter().any(makes))
 }
 
 /// The index specifications of a relation.
@@ -808,6 +832,49 @@ impl<const W: usize> Store for State<W> {
     fn group(&self, relation: RelId, key: &[Value], op: AggregateOp) -> Option<Value> {
         let rows = Batch::plain(&self.tables[relation.index()].rows);
         groups::lookup(rows.range(key), key.len(), op)
+    }
+
+    fn correlated(
+        &self,
+        aggregate: &Literal,
+        parameters: &[Value],
+        symbols: &Symbols,
+        (budget, cancel): (u64, &Cancel),
+    ) -> (Result<Option<Value>, Abort>, u64) {
+        let Literal::Aggregate {
+            op, base, atom, column, ..
+        } = aggregate
+        else {
+            return (Ok(None), 0);
+        };
+        let Some(plans) = self.plans.indexes.correlated(atom.relation) else {
+            return (Ok(None), 0);
+        };
+        // A plan of one step, which derives the value.
+        let to = parameters.len() as Slot;
+        let plan = Plan {
+            head: atom.relation,
+            output: vec![to],
+            fold: None,
+            steps: vec![Step::Correlated {
+                relation: atom.relation,
+                plans: Arc::clone(plans),
+                key: (0..to).collect(),
+                op: *op,
+                base: *base,
+                column: *column,
+                to,
+                test: false,
+            }],
+            enough: vec![0],
+            slots: parameters.iter().copied().chain([Value(0)]).collect(),
+            fresh: None,
+        };
+        let views: Vec<RowView<'_, W>> = self.complete_views(&self.plans, &plan).collect();
+        let (mut state, mut out) = (JoinState::new(budget), Output::<W>::new(usize::MAX));
+        let result = join::run(&plan, &views, (symbols, cancel), &mut state, &mut out);
+        let value = result.map(|()| out.take().first().map(|row| row.0[0]));
+        (value, state.rows_scanned)
     }
 
     fn plans(&self) -> &Plans {
