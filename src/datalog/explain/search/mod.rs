@@ -34,6 +34,9 @@ struct Table<'s> {
     indexes: RefCell<HashMap<u64, Rc<Index>>>,
 }
 
+/// The value of a correlated aggregate for each binding of its parameters.
+type CorrelatedValues = HashMap<(RelId, Vec<Value>), Option<Value>>;
+
 /// A search over a session that counts its steps.
 pub(super) struct Search<'s> {
     pub(super) session: &'s Session,
@@ -49,7 +52,7 @@ pub(super) struct Search<'s> {
     cancelled: Cell<bool>,
     patterns: RefCell<Patterns>,
     /// The correlated aggregates evaluated so far, by predicate and parameters.
-    correlated: RefCell<HashMap<(RelId, Vec<Value>), Option<Value>>>,
+    correlated: RefCell<CorrelatedValues>,
     heights: Heights,
 }
 
