@@ -6,7 +6,7 @@ use super::Severity;
 ///
 /// The name is part of the public interface and never changes its meaning. Each module with messages declares its codes
 /// with [`diagnostic_codes!`](crate::diagnostic_codes). Each code has a fixture in `tests/fixtures/diagnostics/` and a
-/// section in `rules/README.md` or `configs/README.md`; a test checks that both exist.
+/// section in `docs/reference/language.md` or `docs/reference/configuration.md`; a test checks that both exist.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord, Hash)]
 pub struct Code {
     name: &'static str,

@@ -879,7 +879,7 @@ proptest! {
 
 #[test]
 fn blocks_of_the_reference_load_or_give_the_faults_they_expect() {
-    let text = read_text(&Path::new(ROOT).join("configs/README.md")).expect("reference");
+    let text = read_text(&Path::new(ROOT).join("docs/reference/configuration.md")).expect("reference");
     let mut blocks = 0;
     for part in text.split("```yaml\n").skip(1) {
         let block = part.split("```").next().expect("split gives at least one part");
@@ -915,8 +915,8 @@ fn blocks_of_the_reference_load_or_give_the_faults_they_expect() {
 
 #[test]
 fn every_message_has_a_section_and_every_configuration_message_a_fixture() {
-    let reference = read_text(&Path::new(ROOT).join("configs/README.md")).expect("reference");
-    // Their sections are in rules/README.md.
+    let reference = read_text(&Path::new(ROOT).join("docs/reference/configuration.md")).expect("reference");
+    // Their sections are in docs/reference/language.md.
     let others = [
         Code::INVALID_TRACE,
         Code::TRACE_MISMATCH,
@@ -934,7 +934,7 @@ fn every_message_has_a_section_and_every_configuration_message_a_fixture() {
         let name = code.name();
         assert!(
             reference.contains(&format!("\n### {name}\n")),
-            "`{name}` has no section in configs/README.md"
+            "`{name}` has no section in docs/reference/configuration.md"
         );
     }
     for name in FIXTURES {

@@ -1249,7 +1249,7 @@ fn blocks<'a>(text: &'a str, language: &str) -> Vec<(usize, String)> {
 
 #[test]
 fn every_block_of_the_reference_gives_the_diagnostics_it_expects() {
-    let text = read_text(&root().join("rules/README.md")).expect("the reference exists");
+    let text = read_text(&root().join("docs/reference/language.md")).expect("the reference exists");
     let blocks = blocks(&text, "dl");
     assert!(blocks.len() > 20);
     let failures: Vec<String> = (blocks.iter())
@@ -1262,7 +1262,7 @@ fn every_block_of_the_reference_gives_the_diagnostics_it_expects() {
 
 #[test]
 fn each_code_has_a_section_whose_example_produces_it() {
-    let text = read_text(&root().join("rules/README.md")).expect("the reference exists");
+    let text = read_text(&root().join("docs/reference/language.md")).expect("the reference exists");
     for code in rule_codes() {
         let heading = format!("\n### `{}`\n", code.name());
         let (_, section) = text

@@ -53,7 +53,7 @@ fn every_code_has_a_fixture_and_a_section() {
     assert_eq!(found.iter().map(String::as_str).collect::<BTreeSet<_>>(), names);
 
     let references =
-        ["rules/README.md", "configs/README.md"].map(|path| fs::read_to_string(root().join(path)).unwrap());
+        ["docs/reference/language.md", "docs/reference/configuration.md"].map(|path| fs::read_to_string(root().join(path)).unwrap());
     let is_section = |line: &&str| line.starts_with('#');
     let headings: Vec<&str> = references
         .iter()
@@ -65,7 +65,7 @@ fn every_code_has_a_fixture_and_a_section() {
                 .split(|c: char| !c.is_alphanumeric() && c != '-')
                 .any(|word| word == name)
         };
-        assert!(headings.iter().any(has), "no section about {name} in a README");
+        assert!(headings.iter().any(has), "no section about {name} in the reference");
     }
 }
 
@@ -278,7 +278,8 @@ fn the_shipped_rules_pass_without_a_diagnostic() {
 /// Scenes in the reference get answers; those that show faults give diagnostics.
 #[test]
 fn the_scenes_of_the_reference_behave_as_documented() {
-    let text = fs::read_to_string(Path::new(&root()).join("configs/README.md")).unwrap();
+    let page = |name| fs::read_to_string(Path::new(&root()).join("docs/reference").join(name)).unwrap();
+    let text = page("scenes.md") + &page("configuration.md");
     let mut heading = "";
     let mut lines = text.lines();
     let mut last = Value::Null;
