@@ -7,18 +7,21 @@ SOLVERS := .venv-solvers
 FUZZ_TARGETS := parse check query evaluate config scene rows
 FUZZ_SECONDS := 600
 
-.PHONY: test quick lint features rust doc wheel python python-all page vscode solvers fuzz $(FUZZ_TARGETS:%=fuzz-%)
+.PHONY: test quick lint features rust doc wheel installed python python-all page docs playground vscode solvers fuzz $(FUZZ_TARGETS:%=fuzz-%)
 
-test: lint features rust doc python page
+test: lint features rust doc python page docs
 
 # Omits Python, pictures and tests whose names begin with slow_, and tries fewer random cases.
 quick:
 	cargo fmt --all --check
 	PROPTEST_CASES=32 cargo test --locked --lib --bins --test datalog --test city --test program -- --skip slow_
 
-lint:
+format:
 	cargo fmt --all --check
 	cargo fmt --manifest-path tests/fuzz/Cargo.toml --check
+	cargo fmt --manifest-path docs/playground/Cargo.toml --check
+
+lint: format
 	cargo clippy --workspace --all-targets --locked -- -D warnings
 	cargo clippy --manifest-path tests/fuzz/Cargo.toml --target-dir target --no-default-features --locked -- -D warnings
 
@@ -40,19 +43,34 @@ doc:
 # The wheel of the Python package. `make python WHEEL_PROFILE=dev` builds it faster, but its code is slower.
 WHEELS := target/wheels
 WHEEL_PROFILE := release
-wheel: $(VENV)/bin/python
+WHEEL_OPTIONS :=
+MATURIN := $(VENV)/bin/maturin
+wheel: $(filter $(VENV)/%,$(MATURIN))
 	rm -rf $(WHEELS)
-	$(VENV)/bin/pip install --quiet --disable-pip-version-check 'maturin>=1.10,<2'
-	$(VENV)/bin/maturin build --quiet --locked --profile $(WHEEL_PROFILE) --manifest-path python/Cargo.toml --out $(WHEELS)
+	$(MATURIN) build --quiet --locked --profile $(WHEEL_PROFILE) --manifest-path python/Cargo.toml --out $(WHEELS) \
+	    $(WHEEL_OPTIONS)
 
-# Installs the wheel into a virtual environment and tests it there; `test_wheel.py` installs it into an empty one.
-python: wheel
+# Installs the wheel into a virtual environment.
+installed: wheel
 	$(VENV)/bin/pip install --quiet --disable-pip-version-check --force-reinstall --no-deps $(WHEELS)/*.whl
+
+# Tests the installed package, and runs the blocks of the documentation; `test_wheel.py` installs the wheel into an empty
+# environment.
+python: installed
 	$(VENV)/bin/pip install --quiet --disable-pip-version-check "$$(echo $(WHEELS)/*.whl)[test]"
 	$(VENV)/bin/ruff check python
 	$(VENV)/bin/ruff format --check python
 	$(VENV)/bin/mypy --strict --config-file python/pyproject.toml python/logicity python/tests python/benches python/examples
 	LOGICITY_WHEEL=$$(echo $(WHEELS)/*.whl) $(VENV)/bin/python -m pytest -q python/tests
+
+# Builds the site into target/docs; warnings are errors. The build itself reads no network.
+SITE := target/docs
+docs: installed
+	$(VENV)/bin/pip install --quiet --disable-pip-version-check "$$(echo $(WHEELS)/*.whl)[docs]"
+	$(VENV)/bin/ruff check --config python/pyproject.toml docs
+	$(VENV)/bin/ruff format --config python/pyproject.toml --check docs
+	MYPYPATH=docs $(VENV)/bin/mypy --strict --config-file python/pyproject.toml docs/conf.py
+	$(VENV)/bin/sphinx-build --builder html --quiet --fail-on-warning --nitpicky --fresh-env --doctree-dir $(SITE)-cache docs $(SITE)
 
 # Tests the page of a run in headless Chromium. Without a browser, the last line prints what it skips and exits with 0.
 page: $(VENV)/bin/python
@@ -61,6 +79,36 @@ page: $(VENV)/bin/python
 	$(VENV)/bin/ruff check --config python/pyproject.toml tests/page_in_browser.py
 	$(VENV)/bin/ruff format --config python/pyproject.toml --check tests/page_in_browser.py
 	$(VENV)/bin/python tests/page_in_browser.py
+
+# Not part of `make test`. Builds target/playground, prints its size, and tests it in headless Chromium. Needs
+# `rustup target add wasm32-unknown-unknown`.
+PLAYGROUND := target/playground
+PLAYGROUND_BUILD := --manifest-path docs/playground/Cargo.toml --target wasm32-unknown-unknown --locked
+PLAYGROUND_BUILD += --target-dir target/playground-build
+WASM := target/playground-build/wasm32-unknown-unknown/release/logicity_playground.wasm
+# The library and the program must have the same version.
+WASM_BINDGEN_VERSION = $(shell sed -n 's/^wasm-bindgen = "=\(.*\)"/\1/p' docs/playground/Cargo.toml)
+WASM_BINDGEN = target/tools/wasm-bindgen-$(WASM_BINDGEN_VERSION)
+VIEWER := elements data run ground map agent viewer
+playground: $(PLAYGROUND) $(VENV)/bin/python
+	cargo build --locked
+	$(VENV)/bin/pip install --quiet --disable-pip-version-check pytest ruff selenium
+	$(VENV)/bin/ruff check --config python/pyproject.toml tests/playground_in_browser.py
+	$(VENV)/bin/ruff format --config python/pyproject.toml --check tests/playground_in_browser.py
+	$(VENV)/bin/python tests/playground_in_browser.py
+
+# Cargo decides what to compile, so the folder is always made anew.
+.PHONY: $(PLAYGROUND)
+$(PLAYGROUND):
+	cargo clippy $(PLAYGROUND_BUILD) -- -D warnings
+	cargo build $(PLAYGROUND_BUILD) --release
+	test -x $(WASM_BINDGEN)/bin/wasm-bindgen || \
+	    cargo install --quiet wasm-bindgen-cli --version $(WASM_BINDGEN_VERSION) --root $(WASM_BINDGEN)
+	rm -rf $@
+	$(WASM_BINDGEN)/bin/wasm-bindgen --target web --no-typescript --remove-name-section --out-dir $@ $(WASM)
+	cp docs/playground/*.html docs/playground/*.css docs/playground/*.js src/page/page.css $@
+	cat $(VIEWER:%=src/page/script/%.js) > $@/viewer.js
+	@echo "$@: $$(for file in $@/*; do gzip -9 -c $$file; done | wc -c) bytes compressed"
 
 # Not part of `make test`. Checks the extension for Visual Studio Code and packages it as target/logicity.vsix. Needs
 # npm.
@@ -78,6 +126,63 @@ python-all: wheel $(VENV)-all/bin/python
 
 $(VENV)/bin/python $(VENV)-all/bin/python: %/bin/python:
 	$(PYTHON) -m venv $* || { echo "on Debian: apt-get install python3-venv"; exit 1; }
+
+# Not part of `make test`. The source distribution of the Python package.
+sdist: $(filter $(VENV)/%,$(MATURIN))
+	$(MATURIN) sdist --manifest-path python/Cargo.toml --out $(WHEELS)
+
+$(VENV)/bin/maturin: $(VENV)/bin/python
+	$(VENV)/bin/pip install --quiet --disable-pip-version-check 'maturin>=1.10,<2'
+
+# Lints the Python code and checks its format, as `make python` does.
+ruff: $(VENV)/bin/ruff
+	$(VENV)/bin/ruff check python
+	$(VENV)/bin/ruff format --check python
+
+$(VENV)/bin/ruff: $(VENV)/bin/python
+	$(VENV)/bin/pip install --quiet --disable-pip-version-check 'ruff>=0.6'
+
+# Not part of `make test`. Checks licenses and sources of the dependencies of all workspaces against deny.toml. Needs
+# `cargo install --locked cargo-deny`.
+.PHONY: format ruff sdist deny msrv package publish binary release-check
+deny:
+	for manifest in $(patsubst %.lock,%.toml,$(wildcard Cargo.lock */*/Cargo.lock)); do \
+	    cargo deny --manifest-path $$manifest --config deny.toml --locked --all-features check licenses bans sources \
+	        || exit 1; \
+	done
+
+# Not part of `make test`. Compiles with the oldest supported compiler, which rustup installs.
+MSRV := $(shell sed -n 's/^rust-version = "\(.*\)"/\1/p' Cargo.toml)
+msrv:
+	rustup toolchain install $(MSRV) --profile minimal
+	cargo +$(MSRV) check --locked --all-features
+
+# Not part of `make test`. Lists the files of the crate and packages it, without building the package.
+package:
+	cargo package --locked --no-verify --list
+	cargo publish --locked --no-verify --dry-run
+
+# Uploads the crate. Needs a token of the registry.
+publish:
+	cargo publish --locked
+
+# Not part of `make test`. The program with its license and documentation as target/dist/logicity-SYSTEM.tar.gz.
+SYSTEM := $(shell rustc -vV | sed -n 's/^host: //p')
+binary:
+	cargo build --release --locked
+	rm -rf target/dist
+	mkdir -p target/dist/logicity-$(SYSTEM)
+	cp target/release/logicity$(if $(filter Windows_NT,$(OS)),.exe) README.md CHANGELOG.md LICENSE \
+	    target/dist/logicity-$(SYSTEM)
+	tar -C target/dist -czf target/dist/logicity-$(SYSTEM).tar.gz logicity-$(SYSTEM)
+
+# Not part of `make test`. Fails unless the repository can be released as VERSION (without `v`): no file contains the
+# placeholder of its owner, and the changelog has a dated section.
+VERSION = $(shell sed -n 's/^version = "\(.*\)"/\1/p' Cargo.toml)
+release-check:
+	! grep -rn "github.com/OWNER/" Cargo.toml CITATION.cff .github python
+	grep -qx 'version = "$(VERSION)"' Cargo.toml
+	grep -qE '^## $(subst .,\.,$(VERSION)) - [0-9]{4}-[0-9]{2}-[0-9]{2}$$' CHANGELOG.md
 
 # Not part of `make test`. Compares logicity with z3 and clingo. SOLVERS_OPTIONS are options of benches/solvers/compare.py.
 solvers: $(SOLVERS)/installed

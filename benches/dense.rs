@@ -1,11 +1,14 @@
 //! Compares the executors on random clauses of up to eight variables over entities that are all close to each other.
 //!
 //! `cargo bench --bench dense` prints a table: for each number of entities and variables, the total times of both
-//! executors from facts to answers and the worst ratio of their times on one clause; then the same ratio for evaluation
-//! alone, without loading facts. Where a clause takes the dense executor more steps than [`Dense::steps_max`] allows,
-//! its time includes that of the relational one, which then decides. `cargo bench --bench dense -- CLAUSES SEED` takes
-//! another number of clauses per line (50) and another seed (1). With a third argument it prints each clause that is
-//! slower than the ratio it gives.
+//! executors from facts to answers, and the worst ratio of their times on one clause; then the same ratio for evaluation
+//! alone, without loading facts. Below, it prints the median and the worst ratio of all clauses, how many exceed 2, and
+//! the worst clause. Where a clause takes the dense executor more steps than [`Dense::steps_max`] allows, its time
+//! includes that of the relational one, which then decides. A clause on which the relational executor gives up has no
+//! ratio.
+//!
+//! `cargo bench --bench dense -- CLAUSES SEED` takes another number of clauses per line (50) and another seed (1). With
+//! a third argument it prints each clause with a ratio above that.
 
 #[path = "../tests/datalog/written_program.rs"]
 mod written_program;
@@ -228,7 +231,7 @@ fn main() {
         "fallbacks",
         "gave up"
     );
-    let mut worst_of_all = [0.0_f64; 2];
+    let mut all: [Ratios; 2] = Default::default();
     for entities in [20, 60] {
         for variables in 2..=8 {
             let mut random = generator(seed * 1_000 + variables as u64);
@@ -246,17 +249,15 @@ fn main() {
                     continue;
                 };
                 relational += taken.all();
-                let ratio = |dense: Duration, relational: Duration| dense.as_secs_f64() / relational.as_secs_f64();
-                let ratios = [
-                    ratio(times.dense.all(), taken.all()),
-                    ratio(times.dense.evaluate, taken.evaluate),
-                ];
-                for ((worst, of_all), ratio) in worst.iter_mut().zip(&mut worst_of_all).zip(ratios) {
+                let compared = [(times.dense.all(), taken.all()), (times.dense.evaluate, taken.evaluate)];
+                for ((worst, all), (dense, relational)) in worst.iter_mut().zip(&mut all).zip(compared) {
+                    let ratio = dense.as_secs_f64() / relational.as_secs_f64();
                     *worst = worst.max(ratio);
-                    *of_all = of_all.max(ratio);
-                }
-                if ratios[0] > shown {
-                    println!("{:.2} {:?} {:?} {text}", ratios[0], times.dense.all(), taken.all());
+                    let case = format!("{dense:.2?} against {relational:.2?}, {entities} entities: {text}");
+                    if ratio > shown {
+                        println!("{ratio:.2}: {case}");
+                    }
+                    all.add(ratio, case);
                 }
             }
             let [all, without_load] = worst;
@@ -268,6 +269,36 @@ fn main() {
             );
         }
     }
-    let [all, without_load] = worst_of_all;
-    println!("worst ratio of one clause: {all:.3}; without loading facts: {without_load:.3}");
+    for (what, ratios) in ["from facts to answers", "without loading facts"].iter().zip(all) {
+        ratios.print(what);
+    }
+}
+
+/// The ratios of the times of the two executors.
+#[derive(Default)]
+struct Ratios {
+    ratios: Vec<f64>,
+    /// The worst case in words.
+    worst: String,
+}
+
+impl Ratios {
+    fn add(&mut self, ratio: f64, case: String) {
+        if self.ratios.iter().all(|other| *other < ratio) {
+            self.worst = case;
+        }
+        self.ratios.push(ratio);
+    }
+
+    fn print(mut self, what: &str) {
+        self.ratios.sort_by(f64::total_cmp);
+        let Some(worst) = self.ratios.last() else { return };
+        println!(
+            "{what}: median ratio {:.3}, worst {worst:.3}, {} of {} clauses above 2\n  worst clause: {}",
+            self.ratios[self.ratios.len() / 2],
+            self.ratios.iter().filter(|ratio| **ratio > 2.0).count(),
+            self.ratios.len(),
+            self.worst.replace('\n', " "),
+        );
+    }
 }

@@ -1,28 +1,58 @@
-//! Maintains reachability while edges are added and removed. Needs the engine alone:
-//! `cargo run --no-default-features --example reachability`.
+//! Maintains reachability while edges come and go, and prints what each commit changed:
+//! `cargo run --example reachability`. Needs the engine alone (`--no-default-features`).
+//!
+//! ```text
+//! insert edge(1, 2)
+//!   + [(1, 2)]
+//! insert edge(2, 3)
+//!   + [(1, 3), (2, 3)]
+//! insert edge(3, 4)
+//!   + [(1, 4), (2, 4), (3, 4)]
+//! retract edge(2, 3)
+//!   - [(1, 3), (1, 4), (2, 3), (2, 4)]
+//! ```
 
-use logicity::datalog::{Program, Value};
-use logicity::diag::Sources;
+use logicity::datalog::{Program, RelId, Session, Value};
+use logicity::diag::{Sources, render};
+use logicity::files::read_text;
+
+const RULES: &str = "\
+.decl edge(x: number, y: number)
+.input edge
+.decl path(x: number, y: number)
+path(x, y) :- edge(x, y).
+path(x, z) :- path(x, y), edge(y, z).
+";
 
 fn main() -> Result<(), Box<dyn std::error::Error>> {
     let mut sources = Sources::new();
-    let text = ".decl edge(x: number, y: number)\n.input edge\n.decl path(x: number, y: number)\n\
-                path(x, y) :- edge(x, y).\npath(x, z) :- path(x, y), edge(y, z).";
-    let entry = sources.add("path.dl", text);
-    let (program, faults) = Program::load(&mut sources, entry, &logicity::files::read_text);
-    let program = program.ok_or_else(|| logicity::diag::render(&faults, &sources, false))?;
-    let (edge, path) = (
-        program.relation("edge").ok_or("edge")?,
-        program.relation("path").ok_or("path")?,
-    );
+    let entry = sources.add("path.dl", RULES);
+    let (program, diagnostics) = Program::load(&mut sources, entry, &read_text);
+    let program = program.ok_or_else(|| render(&diagnostics, &sources, false))?;
+    let relation = |name| program.relation(name).ok_or("unknown relation");
+    let (edge, path) = (relation("edge")?, relation("path")?);
+
     let mut session = program.session();
     for (from, to) in [(1, 2), (2, 3), (3, 4)] {
         session.insert(edge, &[Value::number(from), Value::number(to)])?;
-        let delta = session.commit()?;
-        println!(
-            "edge({from}, {to}) adds {} paths",
-            delta.of(path).map_or(0, |change| change.added.len())
-        );
+        println!("insert edge({from}, {to})");
+        commit(&mut session, path)?;
+    }
+    session.retract(edge, &[Value::number(2), Value::number(3)])?;
+    println!("retract edge(2, 3)");
+    commit(&mut session, path)
+}
+
+/// Updates everything that the rules derive, and prints the pairs that `path` gained and lost.
+fn commit(session: &mut Session, path: RelId) -> Result<(), Box<dyn std::error::Error>> {
+    let delta = session.commit()?;
+    let change = delta.of(path).ok_or("`path` did not change")?;
+    for (sign, rows) in [("+", &change.added), ("-", &change.removed)] {
+        let pair = |row: &[Value]| (row[0].as_number(), row[1].as_number());
+        let pairs: Vec<_> = rows.iter().map(pair).collect();
+        if !pairs.is_empty() {
+            println!("  {sign} {pairs:?}");
+        }
     }
     Ok(())
 }

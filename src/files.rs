@@ -10,6 +10,8 @@ use std::path::{Component, Path, PathBuf};
 mod folder;
 #[cfg(feature = "sim")]
 mod output;
+#[cfg(feature = "sim")]
+mod record;
 
 #[cfg(feature = "parquet")]
 pub use folder::{FileError, Folder, make_folder};
@@ -114,31 +116,103 @@ pub fn read_text(path: &Path) -> Result<String, ReadError> {
 /// # Errors
 /// Why the file cannot be read.
 pub fn open_regular(path: &Path) -> Result<std::fs::File, ReadError> {
-    let found = std::fs::metadata(path).map_err(unreadable)?;
-    if !found.is_file() && !found.is_dir() {
-        return Err(ReadError::Io("it is a pipe or a device, not a regular file".into()));
+    let found = std::fs::metadata(path).map_err(|error| unreadable(path, &error))?;
+    match found.is_file() || found.is_dir() {
+        true => open(path),
+        false => Err(ReadError::Io("it is a pipe or a device, not a regular file".into())),
     }
-    open(path)
 }
 
-fn unreadable(error: io::Error) -> ReadError {
-    match error.kind() {
-        io::ErrorKind::NotFound => ReadError::NotFound,
+fn unreadable(path: &Path, error: &io::Error) -> ReadError {
+    match (error.kind(), std::fs::read_link(path)) {
+        (io::ErrorKind::NotFound, Ok(target)) => ReadError::Io(format!(
+            "it is a symbolic link to `{}`, which does not exist",
+            target.display()
+        )),
+        (io::ErrorKind::NotFound, Err(_)) => ReadError::NotFound,
         _ => ReadError::Io(error.to_string()),
     }
 }
 
-/// Opens a file that the user named. Fails if the path is a folder. Waits for the writer of a pipe.
+/// Opens a file that the user named: a regular file, a pipe, or an open descriptor such as `/dev/stdin`. Fails at once
+/// for a folder or a device. Waits for the writer of a pipe.
 ///
 /// # Errors
 /// Why the file cannot be read.
 pub fn open(path: &Path) -> Result<std::fs::File, ReadError> {
-    let fail = unreadable;
-    let file = std::fs::File::open(path).map_err(fail)?;
-    if file.metadata().map_err(fail)?.is_dir() {
+    let found = std::fs::metadata(path).map_err(|error| unreadable(path, &error))?;
+    if found.is_dir() {
         return Err(ReadError::Io("it is a folder, not a file".into()));
     }
-    Ok(file)
+    if !found.is_file() && !is_pipe(&found) && descriptor(path).is_none() {
+        return Err(ReadError::Io("it is a device, not a file".into()));
+    }
+    std::fs::File::open(path).map_err(|error| unreadable(path, &error))
+}
+
+#[cfg(unix)]
+fn is_pipe(found: &std::fs::Metadata) -> bool {
+    use std::os::unix::fs::FileTypeExt;
+    found.file_type().is_fifo()
+}
+
+#[cfg(not(unix))]
+fn is_pipe(_: &std::fs::Metadata) -> bool {
+    false
+}
+
+/// The maximum length of a chain of symbolic links, as in Linux.
+const LINKS_MAX: usize = 40;
+
+/// Returns the number of the open descriptor that a path names, also through links: 1 for `/dev/stdout`.
+fn descriptor(path: &Path) -> Option<String> {
+    let mut target = path.to_owned();
+    for _ in 0..LINKS_MAX {
+        let folder = folder_of(&target);
+        if ["/dev/fd", "/proc/self/fd"]
+            .iter()
+            .any(|known| folder == Path::new(known))
+        {
+            return target.file_name()?.to_str().map(str::to_owned);
+        }
+        target = folder.join(std::fs::read_link(&target).ok()?);
+    }
+    None
+}
+
+/// Returns whether a path leads to standard output, for example `/dev/stdout`.
+pub fn is_stdout(path: &Path) -> bool {
+    descriptor(path).is_some_and(|number| number == "1")
+}
+
+/// Returns the folder that contains a path; `.` for a name alone.
+fn folder_of(path: &Path) -> &Path {
+    match path.parent() {
+        Some(folder) if !folder.as_os_str().is_empty() => folder,
+        _ => Path::new("."),
+    }
+}
+
+/// Returns whether two paths lead to one existing regular file, also through links.
+pub fn is_same_file(one: &Path, other: &Path) -> bool {
+    match (identity(one), identity(other)) {
+        (Some(one), Some(other)) => one == other,
+        _ => false,
+    }
+}
+
+/// Returns device and inode of a regular file.
+#[cfg(unix)]
+fn identity(path: &Path) -> Option<(u64, u64)> {
+    use std::os::unix::fs::MetadataExt;
+    let found = std::fs::metadata(path).ok().filter(std::fs::Metadata::is_file)?;
+    Some((found.dev(), found.ino()))
+}
+
+/// Returns the path of a regular file without links.
+#[cfg(not(unix))]
+fn identity(path: &Path) -> Option<PathBuf> {
+    path.canonicalize().ok().filter(|path| path.is_file())
 }
 
 /// Reads all input as text.

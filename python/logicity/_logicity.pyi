@@ -23,6 +23,7 @@ __all__ = [
     "Simulation",
     "Task",
     "THREADS_MAX",
+    "WORLDS_MAX",
     "__version__",
     "check",
     "check_dataset",
@@ -42,6 +43,7 @@ HEADINGS: list[str]
 PICTURE_SIDE: int
 REASONS: list[str]
 THREADS_MAX: int
+WORLDS_MAX: int
 
 _Path: TypeAlias = str | os.PathLike[str]
 _Tick: TypeAlias = tuple[

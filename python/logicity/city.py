@@ -14,7 +14,7 @@ import numpy as np
 import numpy.typing as npt
 
 from . import _logicity
-from .errors import checked_integer, did_you_mean
+from .errors import checked_integer, checked_path, checked_threads, did_you_mean
 from .rules import rule_file
 from .types import Action, Answer, Executor, Heading, Scene, Split, SymbolicScene
 
@@ -69,7 +69,7 @@ class Inference:
     ) -> None:
         """Load the configuration and the rules."""
         self._args: tuple[str, str | None, int, str]
-        self._args = (os.fspath(config), rule_file(rules), checked_integer("seed", seed), executor)
+        self._args = (checked_path("config", config), rule_file(rules), checked_integer("seed", seed), executor)
         self._inference = _logicity.Inference(*self._args, None)
 
     @classmethod
@@ -223,8 +223,8 @@ class Simulation:
         count_firings: bool = False,
     ) -> None:
         """Place the agents."""
-        seed, threads = checked_integer("seed", seed), checked_integer("threads", threads)
-        self._args = (os.fspath(config), rule_file(rules), split, seed, threads, executor, count_firings)
+        name, seed, threads = checked_path("config", config), checked_integer("seed", seed), checked_threads(threads)
+        self._args = (name, rule_file(rules), split, seed, threads, executor, count_firings)
         self._city = _logicity.Simulation(*self._args, None)
         #: The controls by tick, for ticks that had any.
         self._controls: dict[int, list[tuple[int, int]]] = {}
@@ -316,10 +316,12 @@ class Simulation:
         Raises:
             KeyError: If the agent is unknown.
             LimitError: If the rules derive too many rows, or too many agents are close together. The city is unchanged.
-            TypeError: If an agent or action is neither str nor int.
+            TypeError: If `controls` is not a mapping, or an agent or action is neither str nor int.
             ValueError: If the action is unknown.
         """
         actions: Mapping[Any, _ActionLike] = {} if controls is None else controls
+        if not isinstance(actions, Mapping):
+            raise TypeError(f"controls: expected a mapping, not {type(controls).__name__}")
         numbers = [(self._agent(agent), _action(action)) for agent, action in actions.items()]
         done = Tick(*self._city.tick(numbers))
         if numbers:
@@ -345,7 +347,8 @@ class Simulation:
         """
         if trace is not None and not self._args[-1]:
             raise ValueError("a trace records which clauses fired: make the Simulation with count_firings=True")
-        self._city.run(checked_integer("ticks", ticks), trace, overwrite)
+        file = None if trace is None else checked_path("trace", trace)
+        self._city.run(checked_integer("ticks", ticks), file, overwrite)
 
     def semantic_map(self) -> npt.NDArray[np.float32]:
         """Return the current state as a float32 array of shape (rows, columns, 8 + n) with values 0 and 1.

@@ -22,7 +22,7 @@ if TYPE_CHECKING:
     from .env_config import ObservationKind
     from .evaluation import Evaluation, Policy
 
-__all__ = ["SUMMARIES", "run"]
+__all__ = ["SUMMARIES", "parser_of", "run"]
 
 SUMMARIES = {tuple(words): summary for words, summary in _logicity.python_commands()}
 """The summaries of the commands, keyed by their words: `("vap", "coco")` for `logicity vap coco`."""
@@ -43,9 +43,7 @@ def run(words: tuple[str, ...], arguments: Sequence[str]) -> int:
     Raises:
         SystemExit: If the arguments are invalid or contain `--help`.
     """
-    summary = SUMMARIES[words]
-    parser = argparse.ArgumentParser(prog=" ".join(["logicity", *words]), description=f"{summary}.")
-    command = _COMMANDS[words](parser)
+    parser, command = parser_of(words)
     args = parser.parse_args(arguments)
     try:
         code = command(args)
@@ -91,6 +89,12 @@ class _UsageError(Exception):
 _Command = Callable[[argparse.Namespace], int]
 
 
+def parser_of(words: tuple[str, ...]) -> tuple[argparse.ArgumentParser, _Command]:
+    """Return the parser of a command, and the function that runs it. The reference of commands reads the parser."""
+    parser = argparse.ArgumentParser(prog=" ".join(["logicity", *words]), description=f"{SUMMARIES[words]}.")
+    return parser, _COMMANDS[words](parser)
+
+
 def _add_evaluate(parser: argparse.ArgumentParser) -> _Command:
     parser.add_argument("--policy", required=True, help="oracle, random, or the .zip of a DQN, PPO or A2C model")
     parser.add_argument(
@@ -113,7 +117,7 @@ def _add_evaluate(parser: argparse.ArgumentParser) -> _Command:
         "--traces",
         type=Path,
         metavar="FOLDER",
-        help="write one trace per episode into one folder per mode, which must not contain traces",
+        help="write one trace per episode into one folder per mode",
     )
     return _evaluate
 
@@ -282,23 +286,25 @@ def _object(text: str) -> dict[str, object]:
 
 
 def _evaluate(given: argparse.Namespace) -> int:
-    from .evaluation import Benchmark, check_no_traces, table
+    from .evaluation import Benchmark, table
 
     _check_json(given)
     policy, name = _named_policy(given.policy)
     results: list[Evaluation] = []
     stems = [Path(mode).stem for mode in given.modes]
     if given.traces is not None and len(set(stems)) < len(stems):
-        raise ValueError("modes with the same name would write traces to the same folder: evaluate one at a time")
+        raise _UsageError("modes with the same name would write traces to the same folder: evaluate one at a time")
+    if given.traces is not None and policy == "random":
+        raise _UsageError("the random policy runs every episode ten times and supports no traces")
+    observation = given.observation or _observation_of(policy)
+    benchmarks = [Benchmark(mode, given.split, observation=observation) for mode in given.modes]
     folders = [None if given.traces is None else given.traces / stem for stem in stems]
-    for folder in folders:
+    for benchmark, folder in zip(benchmarks, folders, strict=True):
         # Check all folders before the first mode runs, so that no mode fails late.
         if folder is not None:
-            check_no_traces(folder)
-    observation = given.observation or _observation_of(policy)
-    for mode, folder in zip(given.modes, folders, strict=True):
-        benchmark = Benchmark(mode, given.split, observation=observation)
-        results.append(benchmark.evaluate(policy, name=name, traces=folder))
+            benchmark.check_traces(folder, given.force)
+    for benchmark, folder in zip(benchmarks, folders, strict=True):
+        results.append(benchmark.evaluate(policy, name=name, traces=folder, overwrite=given.force))
     print(table(results))
     if given.json is not None:
         write_json(given.json, [result.to_dict() for result in results], overwrite=given.force)

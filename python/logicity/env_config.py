@@ -12,7 +12,7 @@ from typing import Any, Literal, TypeAlias, TypedDict
 import numpy as np
 
 from . import _logicity
-from .errors import did_you_mean
+from .errors import checked_path, did_you_mean
 from .rules import rule_file
 from .types import Split
 
@@ -44,7 +44,7 @@ class EnvConfig:
         unknown: Unknown options, which raise `TypeError`.
 
     Raises:
-        TypeError: If an option is unknown.
+        TypeError: If an option is unknown, or has a wrong type.
         ValueError: If `rules` is source text instead of a path, or the overrides contain the key `base`.
     """
 
@@ -67,8 +67,10 @@ class EnvConfig:
             # Libraries such as TorchRL look for Python's own words to learn which arguments exist.
             of = f"{env_class.__name__}() " if env_class else ""
             raise TypeError(f"{of}got an unexpected keyword argument '{name}'{did_you_mean(name, known)}")
-        self.config, self.split, self.observation = os.fspath(config), split, observation
+        self.config, self.split, self.observation = checked_path("config", config), split, observation
         self.rules = rule_file(rules)
+        if overrides is not None and not isinstance(overrides, Mapping):
+            raise TypeError(f"overrides: expected a mapping, not {type(overrides).__name__}")
         self.overrides = dict(overrides or {})
         if "base" in self.overrides:
             raise ValueError("`overrides` must not contain `base`: the argument `config` is the base")

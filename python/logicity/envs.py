@@ -21,7 +21,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from . import _logicity
 from .city import ACTIONS
-from .errors import checked_integer, missing_extra
+from .errors import checked_integer, checked_path, missing_extra
 
 try:
     import gymnasium
@@ -42,6 +42,7 @@ if TYPE_CHECKING:
 __all__ = ["EpisodeAgent", "EpisodeStart", "Observations", "OracleRun", "SPFEnv", "SPFVectorEnv"]
 
 Observations = NDArray[np.float32]
+"""Observations: float32, one row per environment if there are several."""
 
 
 class EpisodeAgent(TypedDict):
@@ -80,13 +81,15 @@ def checked_seed(seed: int | None, generator: np.random.Generator) -> int:
     """Return the seed of a sequence of episodes: `seed`, or a number from the generator if `seed` is `None`.
 
     Raises:
-        gymnasium.error.Error: If the seed is out of range.
+        gymnasium.error.Error: If the seed is out of range, or not an integer.
     """
     if seed is None:
         return int(generator.integers(2**53))
-    if not 0 <= seed < 2**64:
-        raise gymnasium.error.Error(f"expected a seed from 0 to 2**64 - 1, not {seed}")
-    return int(seed)
+    try:
+        return checked_integer("seed", seed)
+    except (TypeError, ValueError) as error:
+        # As gymnasium itself does for negative seeds.
+        raise gymnasium.error.Error(str(error)) from None
 
 
 def config_overrides(options: Mapping[str, Any]) -> dict[str, Any]:
@@ -282,6 +285,7 @@ class SPFEnv(gymnasium.Env[Observations, np.int64]):
         Raises:
             FileExistsError: If the file must not be replaced.
             OSError: If the file cannot be written, or another process writes it.
+            TypeError: If the path is not a string or an `os.PathLike[str]`.
             ValueError: If the episode has no steps yet.
             gymnasium.error.ResetNeeded: If no episode has started.
         """
@@ -290,7 +294,7 @@ class SPFEnv(gymnasium.Env[Observations, np.int64]):
         if not taken:
             raise ValueError("the episode has no steps yet: call `step` before `write_trace`")
         task = self._config.task(**self._overrides) if self._overrides else self._core_task
-        task.write_trace(self._config.split, self._core.episode(0), taken, path, overwrite)
+        task.write_trace(self._config.split, self._core.episode(0), taken, checked_path("path", path), overwrite)
 
     def render(self) -> Any:
         """Return a picture of the city, a uint8 array of shape (height, width, 3), or text in the mode `ansi`.

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import operator
+import os
 from collections.abc import Iterable
 from typing import SupportsIndex
 
@@ -51,6 +52,30 @@ def did_you_mean(name: object, known: Iterable[str]) -> str:
     return f"; known: {', '.join(names)}" if len(names) <= 30 else ""
 
 
+def checked_path(name: str, value: str | os.PathLike[str]) -> str:
+    """Check an argument that names a file or folder, and return it as a string.
+
+    Raises:
+        TypeError: If the value is not a path, or a path of bytes.
+    """
+    path = os.fspath(value) if isinstance(value, (str, os.PathLike)) else None
+    if not isinstance(path, str):
+        raise TypeError(f"{name}: expected str or os.PathLike[str], not {type(value).__name__}")
+    return path
+
+
+def as_integer(name: str, value: SupportsIndex) -> int:
+    """Return an integer argument as an int.
+
+    Raises:
+        TypeError: If the value is not an integer.
+    """
+    try:
+        return operator.index(value)
+    except TypeError:
+        raise TypeError(f"{name}: expected an integer, not {type(value).__name__}") from None
+
+
 def checked_integer(name: str, value: SupportsIndex, low: int = 0, high: int = 2**64 - 1) -> int:
     """Check an integer argument and return it as an int.
 
@@ -58,14 +83,16 @@ def checked_integer(name: str, value: SupportsIndex, low: int = 0, high: int = 2
         TypeError: If the value is not an integer.
         ValueError: If the value is less than `low` or greater than `high`.
     """
-    try:
-        number = operator.index(value)
-    except TypeError:
-        raise TypeError(f"{name}: expected an integer, not {type(value).__name__}") from None
+    number = as_integer(name, value)
     if not low <= number <= high:
         largest = f"2**{high.bit_length()} - 1" if high == 2 ** high.bit_length() - 1 > 2**16 else f"{high}"
         raise ValueError(f"{name}: expected {low} to {largest}, not {number}")
     return number
+
+
+def checked_threads(value: SupportsIndex, low: int = 0) -> int:
+    """Variant of `checked_integer` for the argument `threads`."""
+    return checked_integer("threads", value, low, _logicity.THREADS_MAX)
 
 
 def missing_extra(extra: str, error: ImportError) -> ImportError:

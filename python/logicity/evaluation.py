@@ -8,11 +8,9 @@ from __future__ import annotations
 
 import os
 import sys
-import tempfile
 from collections.abc import Callable, Iterator, Mapping
 from contextlib import contextmanager
 from dataclasses import asdict, dataclass
-from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Literal, Protocol, TypeAlias, cast
 
@@ -22,7 +20,8 @@ from numpy.typing import NDArray
 from . import _logicity
 from .city import ACTIONS
 from .env_config import EnvConfig, ObservationKind
-from .errors import InputError
+from .errors import InputError, checked_path
+from .files import check_writable
 from .modes import checked_mode
 from .types import Diagnostic
 
@@ -268,6 +267,7 @@ class Benchmark:
         batched: bool = False,
         name: str | None = None,
         traces: str | os.PathLike[str] | None = None,
+        overwrite: bool = False,
     ) -> Evaluation:
         """Run a policy once on every episode, or the random policy ten times.
 
@@ -278,21 +278,46 @@ class Benchmark:
                 of shape (episodes,).
             name: The name of the policy in the result.
             traces: A folder for one trace per episode, which is created if it does not exist. `episode-7.jsonl` is the
-                trace of episode 7, see `SPFEnv.write_trace`. The folder must not contain traces. The random policy
-                does not support traces.
+                trace of episode 7, see `SPFEnv.write_trace`. They replace traces that this package wrote and that
+                have not changed since. The folder must not have a trace of another episode. The random policy does not
+                support traces.
+            overwrite: Whether to replace any file with the name of a trace.
 
         Raises:
-            FileExistsError: If the folder already has traces.
+            FileExistsError: If a file must not be replaced, or the folder has a trace of another episode. Then no
+                episode runs.
             InputError: If the episodes do not fit the agents, for example because of overrides.
             OSError: If a trace cannot be written.
-            TypeError: If the policy has an unsupported type, or its actions are not integers.
+            TypeError: If the policy has an unsupported type, its actions are not integers, or `traces` is not a path.
             ValueError: If the policy name is unknown, an action is not 0, 1, 2 or 3, the number of actions differs from
                 the number of observations, or `traces` is set for the random policy.
         """
+        folder = None if traces is None else Path(checked_path("traces", traces))
         with episodes_that_fit():
-            return self._evaluate(policy, batched, name, None if traces is None else Path(traces))
+            return self._evaluate(policy, batched, name, folder, overwrite)
 
-    def _evaluate(self, policy: Policy, batched: bool, name: str | None, traces: Path | None) -> Evaluation:
+    def check_traces(self, folder: Path, overwrite: bool = False) -> None:
+        """Check that the traces of all episodes can be written to a folder, if the folder exists.
+
+        Raises:
+            FileExistsError: As for `evaluate`.
+            OSError: If a trace cannot be written.
+        """
+        if not folder.exists():
+            return
+        names = {_trace_name(episode) for episode in range(len(self))}
+        other = min((path.name for path in folder.glob("episode-*.jsonl") if path.name not in names), default=None)
+        if other is not None:
+            raise FileExistsError(
+                f"`{folder / other}` is a trace of another episode than 0 to {len(self) - 1}: remove it, or choose "
+                "another folder"
+            )
+        for name in sorted(names):
+            check_writable(folder / name, overwrite=overwrite)
+
+    def _evaluate(
+        self, policy: Policy, batched: bool, name: str | None, traces: Path | None, overwrite: bool
+    ) -> Evaluation:
         named = name or (policy if isinstance(policy, str) else type(policy).__name__)
         if policy == "random":
             if traces is not None:
@@ -304,33 +329,31 @@ class Benchmark:
         observations = np.zeros((len(evaluator), *self._task.shape(self._observation)), np.float32)
         running = np.ones(len(evaluator), np.bool_)
         act = _actor(policy, batched, evaluator)
-        write_traces = None if traces is None else self._traces_into(traces)
+        if traces is not None:
+            traces.mkdir(parents=True, exist_ok=True)
+            self.check_traces(traces, overwrite)
         taken = [bytearray() for _ in range(len(evaluator))]
         with Progress(f"{self.mode} {self.split}, {named}", len(evaluator)) as progress:
             while running.any():
                 evaluator.observe(observations)
                 actions = _checked(act(observations, running), len(evaluator))
                 evaluator.step(actions)
-                if write_traces is not None:
+                if traces is not None:
                     for at in np.flatnonzero(running):
                         taken[at].append(int(actions[at]))
                 evaluator.running(running)
                 progress.update(len(evaluator) - int(running.sum()))
-        if write_traces is not None:
-            write_traces(evaluator, taken)
+        if traces is not None:
+            self._write_traces(traces, evaluator, taken, overwrite)
         return self._result(named, evaluator.report(self._baseline()))
 
-    def _traces_into(self, folder: Path) -> Callable[[_logicity.BatchEvaluator, list[bytearray]], None]:
-        """Prepare a folder, and return a function that writes the traces from the actions taken."""
-        check_no_traces(folder)
-        _make_writable(folder)
-        return partial(self._write_traces, folder)
-
-    def _write_traces(self, folder: Path, evaluator: _logicity.BatchEvaluator, taken: list[bytearray]) -> None:
+    def _write_traces(
+        self, folder: Path, evaluator: _logicity.BatchEvaluator, taken: list[bytearray], overwrite: bool
+    ) -> None:
         with Progress(f"{self.mode} {self.split}, traces", len(evaluator)) as progress:
             for at, actions in enumerate(taken):
-                path = folder / f"episode-{at}.jsonl"
-                self._task.write_trace(self.split, evaluator.episode(at), bytes(actions), path, False)
+                path = folder / _trace_name(at)
+                self._task.write_trace(self.split, evaluator.episode(at), bytes(actions), path, overwrite)
                 progress.update(at + 1)
 
     def _result(self, policy: str, report: Mapping[str, Any]) -> Evaluation:
@@ -357,31 +380,8 @@ class Benchmark:
         )
 
 
-def check_no_traces(folder: Path) -> None:
-    """Check that a folder has no traces.
-
-    Raises:
-        FileExistsError: If the folder has traces.
-    """
-    earlier = min((path.name for path in folder.glob("episode-*.jsonl")), default=None)
-    if earlier is not None:
-        raise FileExistsError(
-            f"`{folder}` already has traces, for example {earlier}: remove them, or choose another folder"
-        )
-
-
-def _make_writable(folder: Path) -> None:
-    """Create a folder, and check that it is writable.
-
-    Raises:
-        OSError: If the folder cannot be created or is not writable.
-    """
-    folder.mkdir(parents=True, exist_ok=True)
-    try:
-        with tempfile.TemporaryFile(dir=folder):
-            pass
-    except OSError as error:
-        raise OSError(error.errno, error.strerror, str(folder)) from error
+def _trace_name(episode: int) -> str:
+    return f"episode-{episode}.jsonl"
 
 
 def _actor(
@@ -454,6 +454,7 @@ def evaluate(
     overrides: Mapping[str, Any] | None = None,
     observation: ObservationKind = "groundings",
     traces: str | os.PathLike[str] | None = None,
+    overwrite: bool = False,
 ) -> Evaluation:
     """Measure a policy on the recorded episodes of a mode or of a configuration file.
 
@@ -466,6 +467,7 @@ def evaluate(
         overrides: As for `Benchmark`.
         observation: As for `Benchmark`.
         traces: As for `Benchmark.evaluate`.
+        overwrite: As for `Benchmark.evaluate`.
 
     Raises:
         InputError: As for `Benchmark` and `Benchmark.evaluate`.
@@ -474,7 +476,7 @@ def evaluate(
         ValueError: As for `Benchmark` and `Benchmark.evaluate`.
     """
     benchmark = Benchmark(mode, split, rules=rules, overrides=overrides, observation=observation)
-    return benchmark.evaluate(policy, batched=batched, traces=traces)
+    return benchmark.evaluate(policy, batched=batched, traces=traces, overwrite=overwrite)
 
 
 def table(results: list[Evaluation]) -> str:

@@ -9,6 +9,7 @@ from contextlib import contextmanager
 from typing import Any
 
 from . import _logicity
+from .errors import checked_path
 
 __all__ = ["check_writable", "replacing", "reserved", "write_json"]
 
@@ -44,7 +45,7 @@ def reserved(
         overwrite: As for `replacing`.
         record: Whether the file counts as written by this package. If not, any file can be replaced.
     """
-    output = _logicity.OutputFile(path, overwrite, record)
+    output = _logicity.OutputFile(checked_path("path", path), overwrite, record)
     try:
         yield output
     finally:

@@ -30,7 +30,7 @@ SUBJECTS = {
     "tiro": ["a driving school car with a large L plate on its roof"],
     "reckless": ["a sports car with racing stripes and a spoiler"],
     "pedestrian": ["a woman walking", "a man walking", "a man in a coat", "a woman with a bag"],
-    "old": ["an old man with a walking stick", "an old woman with grey hair and a cane"],
+    "old": ["an old man with a walking stick", "an old woman with gray hair and a cane"],
     "young": ["a child with a school bag", "a small girl with a cap", "a small boy with a balloon"],
     "house": ["a family house with a pitched roof and a garden"],
     "office": ["an office tower with many windows"],

@@ -6,7 +6,7 @@ import os
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from .errors import did_you_mean
+from .errors import checked_path, did_you_mean
 
 if TYPE_CHECKING:
     from .parallel import SPFParallelEnv
@@ -32,9 +32,10 @@ def checked_mode(mode: str | os.PathLike[str]) -> str:
     """Check the name of a mode or the path of a configuration file, and return it as a string.
 
     Raises:
+        TypeError: If `mode` is not a string or a path.
         ValueError: If `mode` is neither.
     """
-    name = os.fspath(mode)
+    name = checked_path("mode", mode)
     if name not in ENVIRONMENTS and not Path(name).suffix and not Path(name).exists():
         raise ValueError(f"unknown mode `{name}`, and no file has this name{did_you_mean(name, ENVIRONMENTS)}")
     return name

@@ -22,7 +22,7 @@ from . import _logicity
 from .city import ACTIONS
 from .describe import Atom, atoms_of
 from .env_config import ObservationKind
-from .errors import missing_extra
+from .errors import as_integer, checked_path, missing_extra
 from .evaluation import episodes_that_fit, load_task
 from .files import replacing, reserved
 from .modes import ENVIRONMENTS, checked_mode
@@ -187,6 +187,7 @@ class Demonstrations(Sequence[Trajectory]):
         """
         if not self.atoms:
             raise ValueError('Popper needs atoms: make the demonstrations with `observation="groundings"`')
+        path = Path(checked_path("folder", folder))
         examples = list(self._examples(distinct))
         facts = [line for step, (observation, _) in enumerate(examples) for line in self._facts(step, observation)]
         arities = {name: len(entities) for name, entities in self.atoms}
@@ -206,7 +207,7 @@ class Demonstrations(Sequence[Trajectory]):
                 "exs.pl": [f"{'pos' if positive else 'neg'}({head}(s{step}_e0))." for step, positive in taken],
                 "bias.pl": bias,
             }
-            written.append(_write_folder(Path(folder) / head, files, overwrite))
+            written.append(_write_folder(path / head, files, overwrite))
         return written
 
     def _examples(self, distinct: bool) -> Iterator[tuple[NDArray[np.float32], int]]:
@@ -326,7 +327,7 @@ def demonstrations(
     name = checked_mode(mode)
     task = load_task(mode, options.get("rules"), options.get("overrides"))
     count = task.recorded(split)
-    wanted = count if n is None else n
+    wanted = count if n is None else as_integer("n", n)
     if not 1 <= wanted <= count:
         raise ValueError(f"expected 1 to {count} demonstrations, the number recorded for {name}, {split}, not {wanted}")
     env = _environment(name, split=split, observation=observation, **options)

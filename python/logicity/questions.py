@@ -22,6 +22,7 @@ from pathlib import Path
 from typing import Any
 
 from .city import ACTIONS
+from .errors import checked_path
 from .evaluation import Interval, Progress
 from .files import reserved
 
@@ -65,11 +66,12 @@ class Question:
 
 def _lines(path: str | os.PathLike[str]) -> Iterable[tuple[str, dict[str, Any]]]:
     """Yield the objects of a JSON Lines file, each with its location."""
-    with open(path, encoding="utf-8") as file:
+    name = checked_path("path", path)
+    with open(name, encoding="utf-8") as file:
         for number, line in enumerate(file, 1):
             if not line.strip():
                 continue
-            place = f"{os.fspath(path)}:{number}"
+            place = f"{name}:{number}"
             try:
                 value = json.loads(line)
             except json.JSONDecodeError as error:

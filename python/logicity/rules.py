@@ -10,7 +10,7 @@ from typing import Any, Literal, NoReturn, cast, overload
 import numpy.typing as npt
 
 from . import _logicity
-from .errors import checked_integer
+from .errors import checked_integer, checked_path, checked_threads
 from .types import Clause, Diagnostic, StratumStats
 
 __all__ = ["Change", "Column", "Explanation", "Program", "Relation", "Rows", "Session", "check"]
@@ -36,13 +36,14 @@ def rule_file(rules: str | os.PathLike[str] | None) -> str | None:
     """Check that an argument is the path of a rule file, and return it as a string.
 
     Raises:
+        TypeError: If `rules` is not a string or a path.
         ValueError: If `rules` is source text.
     """
     if isinstance(rules, str) and ("\n" in rules or ":-" in rules):
         raise ValueError(
             "`rules` must be the path of a rule file, not source text: write it to a file (`check` accepts source text)"
         )
-    return None if rules is None else os.fspath(rules)
+    return None if rules is None else checked_path("rules", rules)
 
 
 @dataclass(frozen=True)
@@ -109,7 +110,8 @@ class Program:
             InputError: If the rules are invalid.
             OSError: If a file cannot be read (`FileNotFoundError` if it does not exist).
         """
-        return cls(_logicity.read_file(path), os.fspath(path))
+        name = checked_path("path", path)
+        return cls(_logicity.read_file(name), name)
 
     @classmethod
     def _restore(cls, files: list[tuple[str, str]]) -> Program:
@@ -284,7 +286,7 @@ class Session:
         self._program = program
         limits = {"max_rows": max_rows, "max_steps": max_steps, "max_bytes": max_bytes}
         checked = (None if limit is None else checked_integer(name, limit) for name, limit in limits.items())
-        self._session = _logicity.Session(program._program, checked_integer("threads", threads), *checked)
+        self._session = _logicity.Session(program._program, checked_threads(threads), *checked)
 
     def __reduce__(self) -> NoReturn:
         """Refuse to pickle and to copy."""

@@ -60,6 +60,7 @@ from .sb3 import make_vec_env
 __all__ = ["ALGORITHMS", "FeatureLayers", "TrainConfig", "load_model", "new_model", "train"]
 
 ALGORITHMS: dict[str, type[BaseAlgorithm]] = {"dqn": DQN, "ppo": PPO, "a2c": A2C}
+"""The class of each algorithm in Stable-Baselines3, keyed by its name in configurations."""
 
 
 class FeatureLayers(BaseFeaturesExtractor):

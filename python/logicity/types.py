@@ -116,9 +116,15 @@ class EgoAnswer(TypedDict):
 
 
 class Answer(TypedDict):
-    """The answers by ego."""
+    """The answers by ego.
+
+    Attributes:
+        fallback: Why the relational executor decided after the dense one gave up; missing if it did not. The answers
+            are the same.
+    """
 
     egos: dict[str, EgoAnswer]
+    fallback: NotRequired[str]
 
 
 class Clause(TypedDict):

@@ -149,7 +149,8 @@ impl PyInference {
         })
     }
 
-    /// Applies the rules to a scene in JSON.
+    /// Applies the rules to a scene in JSON. The answer has the key `fallback` only if the relational executor replaced
+    /// the dense one.
     fn answer<'py>(&self, py: Python<'py>, scene: &str) -> PyResult<Bound<'py, PyAny>> {
         let mut sources = Sources::new();
         let source = sources.add("<scene>", scene);
@@ -157,7 +158,13 @@ impl PyInference {
             .inference
             .detached(py, |inference, cancel| inference.answer_with(&sources, source, cancel))?;
         match answer {
-            Ok(answer) => to_python(py, &answer.to_json()),
+            Ok(answer) => {
+                let mut json = answer.to_json();
+                if let Some(fallback) = answer.fallback {
+                    json["fallback"] = fallback.into();
+                }
+                to_python(py, &json)
+            }
             Err(faults) => Err(input_error(py, &faults, &sources)),
         }
     }

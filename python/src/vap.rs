@@ -30,6 +30,7 @@ use std::sync::Arc;
 
 pub fn register(module: &Bound<'_, PyModule>) -> PyResult<()> {
     module.add("PICTURE_SIDE", SIDE)?;
+    module.add("WORLDS_MAX", WORLDS_MAX)?;
     module.add_function(wrap_pyfunction!(read_world, module)?)?;
     module.add_function(wrap_pyfunction!(read_picture, module)?)?;
     module.add_function(wrap_pyfunction!(make_dataset, module)?)?;
@@ -56,6 +57,13 @@ fn raise(py: Python<'_>, error: DatasetError, sources: &Sources) -> PyErr {
     match error {
         DatasetError::File(error) => file_error(&error),
         DatasetError::Faulty(faults) => input_error(py, &faults, sources),
+        DatasetError::Occupied(occupied) => {
+            let help = match occupied.replaceable {
+                true => "choose another folder, or replace the file with `overwrite`",
+                false => "choose another folder, or move it elsewhere",
+            };
+            PyFileExistsError::new_err(format!("{occupied}; {help}"))
+        }
         error => PyRuntimeError::new_err(error.to_string()),
     }
 }
@@ -281,13 +289,13 @@ fn make_dataset(
     mode: &str,
     split: &str,
     agents: &str,
-    worlds: Option<u64>,
-    first_world: u64,
+    worlds: Option<u32>,
+    first_world: u32,
     seed: u64,
     images: bool,
     pack: Option<PathBuf>,
     pack_mode: &str,
-    difficulty: u64,
+    difficulty: u8,
     threads: usize,
     progress: Option<Py<PyAny>>,
     overwrite: bool,
@@ -295,22 +303,14 @@ fn make_dataset(
     let mode = one_of("mode", mode, &Mode::ALL, Mode::name)?;
     let split = one_of("split", split, &Split::ALL, Split::name)?;
     let pack_mode = one_of("pack_mode", pack_mode, &PackMode::ALL, PackMode::name)?;
-    let in_range = |name: &str, given: u64, low: u32, high: u32| {
-        let number = u32::try_from(given).ok().filter(|number| (low..=high).contains(number));
-        number.ok_or_else(|| PyValueError::new_err(format!("{name}: expected {low} to {high}, not {given}")))
-    };
-    let count = worlds
-        .map(|worlds| in_range("worlds", worlds, 1, WORLDS_MAX))
-        .transpose()?;
-    let count = count.unwrap_or(published_worlds(split));
-    let first_world = in_range("first_world", first_world, 0, WORLDS_MAX - 1)?;
-    let percent = u8::try_from(in_range("difficulty", difficulty, 0, 100)?).ok();
-    let difficulty = percent.and_then(Difficulty::percent).expect("in range");
+    let out_of_range = || PyValueError::new_err(format!("difficulty: expected 0 to 100, not {difficulty}"));
+    let difficulty = Difficulty::percent(difficulty).ok_or_else(out_of_range)?;
+    let worlds = worlds.unwrap_or(published_worlds(split));
     let request = DatasetRequest {
         mode,
         agents: one_of("agents", agents, &Agents::ALL, Agents::name)?,
         split,
-        worlds: first_world..first_world + count,
+        worlds: first_world..first_world.saturating_add(worlds),
         seed,
         pictures: images,
         threads: threads_of(threads)?,

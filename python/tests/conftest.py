@@ -9,6 +9,7 @@ import time
 import zlib
 from collections.abc import Callable
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
@@ -41,11 +42,18 @@ Slow(X) :- IsCar(X), n(90000000).
 """
 
 
+def needs(module: str, extra: str) -> Any:
+    """Return a module that an extra of the package installs. Skip the test, or the whole file, if it is missing."""
+    return pytest.importorskip(
+        module, reason=f"needs {module.split('.')[0]}: pip install './python[{extra}]', or `make python-all`"
+    )
+
+
 @pytest.fixture
 def ctrl_c() -> Interrupt:
     """Return a function that runs long work, interrupts it as Ctrl-C does, and checks that it stops promptly."""
     if sys.platform == "win32":
-        pytest.skip("needs POSIX signals")
+        pytest.skip("needs POSIX signals, which Windows does not have")
 
     def interrupt(work: Callable[[], object]) -> None:
         previous = signal.signal(signal.SIGALRM, signal.default_int_handler)

@@ -105,6 +105,11 @@ def test_a_closed_pipe_is_not_an_error(arguments: list[str]) -> None:
         assert (process.stderr.read(), process.wait()) == (b"", 0)
 
 
+def handle_ctrl_c() -> None:
+    """Undo that a shell starts commands in the background with SIGINT ignored."""
+    signal.signal(signal.SIGINT, signal.SIG_DFL)
+
+
 @pytest.mark.skipif(sys.platform == "win32", reason="pipes and signals of POSIX")
 def test_ctrl_c_ends_every_command(tmp_path: Path) -> None:
     (tmp_path / "count.dl").write_text(".decl n(x: number)\n.output n\nn(0).\nn(x + 1) :- n(x), x < 90000000.\n")
@@ -118,10 +123,15 @@ def test_ctrl_c_ends_every_command(tmp_path: Path) -> None:
         (["run", "expert", "--ticks", "100000000", "--no-trace", "--out", out], 130),
         (["evaluate", "--policy", "random", "--modes", str(tmp_path / "slow.yaml")], 130),
     ]:
-        with subprocess.Popen([COMMAND, *arguments], stdout=subprocess.PIPE, stderr=subprocess.PIPE) as process:
+        with subprocess.Popen(
+            [COMMAND, *arguments], stdout=subprocess.PIPE, stderr=subprocess.PIPE, preexec_fn=handle_ctrl_c
+        ) as process:
             time.sleep(2)
             process.send_signal(signal.SIGINT)
-            process.communicate(timeout=30)
+            try:
+                process.communicate(timeout=30)
+            finally:
+                process.kill()
         assert process.returncode == code, arguments
 
 

@@ -306,7 +306,7 @@ def test_overrides_accept_numpy_values(tmp_path: Path) -> None:
     [
         (partial(gymnasium.make, IDS[0]), "observations", "did you mean `observation`"),
         (partial(gymnasium.make, IDS[0]), "episode", "did you mean `episodes`"),
-        (partial(gymnasium.make, IDS[0]), "colour", "known: split, rules, .*, episodes, atoms, render_mode"),
+        (partial(gymnasium.make, IDS[0]), "hue", "known: split, rules, .*, episodes, atoms, render_mode"),
         (partial(gymnasium.make_vec, IDS[0], num_envs=2), "num_thread", "did you mean `num_threads`"),
         (partial(logicity.demonstrations, "easy", 1), "rule", "did you mean `rules`"),
     ],
@@ -542,7 +542,7 @@ def test_invalid_episodes_raise_and_the_environment_stays_usable() -> None:
         (first(id="Car_77"), "no agent `Car_77`(.|\n)*did you mean"),
         (first(start=(1, 2, 3)), "`start` of agent 0"),
         (first(goal=(-1, 10**6)), "cannot go from"),
-        (first(colour="red"), "agent 0 of the episode has an unknown key `colour`"),
+        (first(hue="red"), "agent 0 of the episode has an unknown key `hue`"),
         ({**good, "oracle": {**oracle, "steps": 1.5}}, "`steps` of the oracle's run"),
         ({**good, "oracle": {**oracle, "constrained": {"Stpo": 1}}}, "`Stpo`(.|\n)*did you mean `Stop`"),
     ]
@@ -670,6 +670,9 @@ def test_invalid_use_of_a_vector_environment_raises() -> None:
         for method in (envs.episode, envs.explain):
             with pytest.raises(IndexError, match=f"no environment {at}: expected 0 to 2"):
                 method(at)
+    for seed in (-1, 2**64, 1.5, "1"):
+        with pytest.raises(gymnasium.error.Error, match=r"^seed: expected (0 to 2\*\*64 - 1|an integer), not "):
+            envs.reset(seed=[1, seed, 2])  # type: ignore[list-item]
     for name, value in [("num_envs", 0), ("num_envs", -1), ("num_threads", 0), ("num_threads", 1025)]:
         with pytest.raises(ValueError, match=f"{name}: expected 1 to .*, not {value}"):
             wrong: dict[str, Any] = {name: value}

@@ -22,7 +22,6 @@ from logicity.describe import describe
 from logicity.evaluation import load_task
 from logicity.files import check_writable, reserved, write_json
 
-README = Path(__file__).parents[1] / "README.md"
 
 
 def varied(observation: NDArray[np.float32]) -> int:
@@ -65,7 +64,9 @@ def test_traces_of_all_episodes(tmp_path: Path) -> None:
     command = ["evaluate", "--policy", "oracle", "--split", "val", "--traces", str(tmp_path), "--modes"]
     assert main([*command, "easy"]) == 0
     assert len(list((tmp_path / "easy").glob("episode-*.jsonl"))) == 40
-    assert main([*command, "easy,easy"]) != 0
+    assert main([*command, "easy,easy"]) == 2
+    assert main(["evaluate", "--policy", "random", "--split", "val", "--traces", str(tmp_path / "no")]) == 2
+    assert not (tmp_path / "no").exists()
     changed = tmp_path / "changed"
     evaluate("oracle", "easy", "val", overrides={"task": {"patience": 3}}, traces=changed)
     header = json.loads((changed / "episode-0.jsonl").read_text().splitlines()[0])
@@ -82,15 +83,43 @@ def test_traces_do_not_overwrite_files(own_city: Path, capsys: pytest.CaptureFix
     folder = own.parent
     (folder / "traces").mkdir()
     (folder / "traces" / "episode-77.jsonl").write_text("earlier")
-    with pytest.raises(FileExistsError, match=r"already has traces, for example episode-77\.jsonl"):
-        evaluate(uncalled, own, "val", traces=folder / "traces")
+    for overwrite in (False, True):
+        with pytest.raises(FileExistsError, match=r"episode-77\.jsonl` is a trace of another episode than 0 to 4"):
+            evaluate(uncalled, own, "val", traces=folder / "traces", overwrite=overwrite)
     assert [path.name for path in (folder / "traces").iterdir()] == ["episode-77.jsonl"]
 
     (folder / "hard").mkdir()
-    (folder / "hard" / "episode-0.jsonl").write_text("earlier")
+    foreign = folder / "hard" / "episode-0.jsonl"
+    foreign.write_text("earlier")
     command = ["evaluate", "--policy", "oracle", "--split", "val", "--traces", str(folder), "--modes", "easy,hard"]
-    assert main(command) == 2 and "hard` already has traces" in capsys.readouterr().err
+    assert main(command) == 2 and "hard/episode-0.jsonl`: the file exists" in capsys.readouterr().err
     assert not (folder / "easy").exists(), "the folder of the second mode is checked before the first mode runs"
+    assert foreign.read_text() == "earlier" and main([*command, "--force"]) == 0
+    assert json.loads(foreign.read_text().splitlines()[0])["trace"] == "logicity"
+
+
+def test_traces_replace_earlier_traces(own_city: Path, tmp_path: Path) -> None:
+    folder = tmp_path / "traces"
+    evaluate(varied, own_city, "val", traces=folder)
+    first = {path.name: path.read_text() for path in folder.glob("episode-*.jsonl")}
+    assert len(first) == 5
+    # Traces that this package wrote are replaced; those that have changed since only with `overwrite`.
+    evaluate("oracle", own_city, "val", traces=folder)
+    second = {name: (folder / name).read_text() for name in first}
+    assert all(second[name] != first[name] for name in first)
+    (folder / "episode-3.jsonl").write_text("edited")
+    with pytest.raises(FileExistsError, match=r"episode-3\.jsonl`: the file exists, .*`overwrite` \(`--force`\)"):
+        evaluate(uncalled, own_city, "val", traces=folder)
+    assert (folder / "episode-3.jsonl").read_text() == "edited"
+    evaluate(varied, own_city, "val", traces=folder, overwrite=True)
+    assert {path.name: path.read_text() for path in folder.glob("episode-*.jsonl")} == first
+    command = ["evaluate", "--policy", "oracle", "--modes", str(own_city), "--split", "val", "--traces", str(tmp_path)]
+    for _ in range(2):
+        assert main(command) == 0
+    own = tmp_path / own_city.stem / "episode-0.jsonl"
+    own.write_text("edited")
+    assert main(command) == 2 and own.read_text() == "edited"
+    assert main([*command, "--force"]) == 0 and own.read_text() == second["episode-0.jsonl"]
 
 
 def test_unwritable_trace_folders_are_reported_early(tmp_path: Path) -> None:
@@ -101,7 +130,7 @@ def test_unwritable_trace_folders_are_reported_early(tmp_path: Path) -> None:
     # Not even root can write to /proc/self, while root ignores the permissions of ordinary folders.
     closed = Path("/proc/self")
     if closed.exists():
-        with pytest.raises(OSError, match="/proc/self'$"):
+        with pytest.raises(OSError, match="^cannot write `/proc/self/episode-0.jsonl`: "):
             evaluate(uncalled, "easy", "val", traces=closed)
 
 
@@ -149,9 +178,9 @@ def test_an_evaluation_equals_runs_of_single_environments() -> None:
         assert record.total == pytest.approx(total) and record.violations == tuple(info["violations"])
     assert measured.tsr.value == np.mean([record.success for record in measured.episodes])
     assert measured.mean_return.value == pytest.approx(np.mean([record.total for record in measured.episodes]))
-    # These are the formulas of python/README.md. Here the rules require only Stop.
+    # These are the formulas of docs/how-to/measure-policies.md. Here the rules require only Stop.
     asked = [any(record.constrained.values()) for record in measured.episodes]
-    kept = [ever and not record.violations for ever, record in zip(asked, measured.episodes, strict=True)]
+    kept = [required and not record.violations for required, record in zip(asked, measured.episodes, strict=True)]
     assert measured.dsr.value == np.mean(kept)
     assert measured.compliance.value == pytest.approx(sum(kept) / sum(asked))
     assert measured.dsr_by_action["Stop"].value == pytest.approx(sum(kept) / sum(asked))
@@ -403,8 +432,7 @@ def test_files_of_other_programs_are_protected(tmp_path: Path) -> None:
     assert {path.name for path in tmp_path.iterdir()} == {"file.json", "link.json", ".logicity.json"}
 
 
-def test_the_readme_has_the_output_of_describe(capsys: pytest.CaptureFixture[str]) -> None:
-    assert describe() in README.read_text(encoding="utf-8")
+def test_the_command_prints_the_tables(capsys: pytest.CaptureFixture[str]) -> None:
     assert main(["describe"]) == 0 and capsys.readouterr().out == describe()
 
 

@@ -9,6 +9,7 @@ from typing import Any
 import gymnasium
 import numpy as np
 import pytest
+from conftest import needs
 
 import logicity
 from logicity.envs import SPFEnv
@@ -29,7 +30,7 @@ def foreign_warnings() -> Iterator[None]:
 class TestTorchRL:
     @pytest.fixture(autouse=True)
     def torchrl(self) -> Any:
-        return pytest.importorskip("torchrl.envs", reason="needs torchrl: `make python-all` installs it")
+        return needs("torchrl.envs", "test-all")
 
     @pytest.mark.parametrize("options", [{}, {"observation": "state", "split": "test"}])
     def test_an_environment_by_its_id(self, torchrl: Any, options: dict[str, Any]) -> None:
@@ -75,7 +76,7 @@ class TestTorchRL:
 class TestSuperSuit:
     @pytest.fixture(autouse=True)
     def supersuit(self) -> Any:
-        return pytest.importorskip("supersuit", reason="needs supersuit: `make python-all` installs it")
+        return needs("supersuit", "test-all")
 
     @pytest.mark.parametrize("processes", [0, 2])
     def test_vector_environments(self, supersuit: Any, processes: int) -> None:
@@ -97,7 +98,7 @@ class TestSuperSuit:
             envs.close()
 
     def test_stable_baselines(self, supersuit: Any) -> None:
-        pytest.importorskip("stable_baselines3", reason="needs the extra `train`")
+        needs("stable_baselines3", "train")
         cars = supersuit.black_death_v3(logicity.parallel_env("easy", observation="state", overrides=SHORT))
         single = supersuit.pettingzoo_env_to_vec_env_v1(supersuit.flatten_v0(cars))
         envs = supersuit.concat_vec_envs_v1(single, 2, base_class="stable_baselines3")
@@ -108,7 +109,7 @@ class TestSuperSuit:
 
 
 def test_gymnasium_records_videos(tmp_path: Any) -> None:
-    pytest.importorskip("moviepy", reason="needs the extra `video`: `make python-all` installs it")
+    needs("moviepy", "video")
     from gymnasium.wrappers import RecordVideo
 
     with warnings.catch_warnings():
@@ -123,7 +124,7 @@ def test_gymnasium_records_videos(tmp_path: Any) -> None:
 
 
 def test_gymnasium_shows_a_window(monkeypatch: pytest.MonkeyPatch) -> None:
-    pytest.importorskip("pygame", reason="needs the extra `human`: `make python-all` installs it")
+    needs("pygame", "human")
     monkeypatch.setenv("SDL_VIDEODRIVER", "dummy")
     with warnings.catch_warnings():
         warnings.simplefilter("ignore")

@@ -6,6 +6,7 @@ from typing import Any
 
 import numpy as np
 import pytest
+from conftest import needs
 
 from logicity import icons
 
@@ -27,7 +28,7 @@ def test_prompts_depend_only_on_class_and_seed() -> None:
 
 
 def test_a_background_is_cut_out() -> None:
-    image = pytest.importorskip("PIL.Image")
+    image = needs("PIL.Image", "icons")
     pixels = np.full((20, 30, 3), 250, np.uint8)
     pixels[5:15, 8:20] = [200, 30, 30]
     # This region has the color of the background, but it is not connected to the border.
@@ -45,9 +46,9 @@ def test_a_background_is_cut_out() -> None:
 @pytest.fixture
 def model(tmp_path: Path) -> Path:
     """A tiny diffusion model with random weights."""
-    torch = pytest.importorskip("torch")
-    diffusers = pytest.importorskip("diffusers")
-    transformers = pytest.importorskip("transformers")
+    torch = needs("torch", "icons")
+    diffusers = needs("diffusers", "icons")
+    transformers = needs("transformers", "icons")
     torch.manual_seed(0)
     letters = [chr(code) for code in range(33, 127)]
     words = ["<|startoftext|>", "<|endoftext|>", *letters, *(letter + "</w>" for letter in letters)]
@@ -89,7 +90,7 @@ def model(tmp_path: Path) -> Path:
 
 
 def test_a_model_fills_a_pack(model: Path, tmp_path: Path) -> None:
-    image = pytest.importorskip("PIL.Image")
+    image = needs("PIL.Image", "icons")
     pipeline = icons.load_pipeline(model, device="cpu")
     pack = tmp_path / "pack"
     # An untrained model draws noise, which has no background.

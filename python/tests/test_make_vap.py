@@ -115,18 +115,41 @@ def test_check_returns_the_counts_of_the_command(sets: Path) -> None:
 
 def test_all_errors_of_a_data_set_are_listed(sets: Path, tmp_path: Path) -> None:
     folder = Path(shutil.copytree(sets / "random", tmp_path / "set"))
-    for options in ({"seed": 1}, {"difficulty": 0}):
-        with pytest.raises(InputError, match="other settings") as refused:
-            make_random(folder, **options)
-        assert [fault["code"] for fault in refused.value.diagnostics] == ["invalid-data-set"]
     table = folder / "world-00001" / "pairs.parquet"
     table.write_bytes(table.read_bytes()[:-1])
     (folder / "notes.txt").touch()
     with pytest.raises(InputError) as refused:
         check_dataset(folder)
     messages = [fault["message"] for fault in refused.value.diagnostics]
-    assert len(messages) == 2
+    assert len(messages) == 2 and {fault["code"] for fault in refused.value.diagnostics} == {"invalid-data-set"}
     assert "belongs to no data set" in messages[0] and "has changed since it was made" in messages[1]
+
+
+def test_folders_with_other_content_are_refused(sets: Path, tmp_path: Path) -> None:
+    folder = Path(shutil.copytree(sets / "random", tmp_path / "set"))
+    expected = contents(folder)
+    for options in ({"seed": 1}, {"difficulty": 0}):
+        with pytest.raises(FileExistsError, match=r"manifest\.json`: it belongs to a data set with other settings"):
+            make_random(folder, **options)
+    for name, always, message in [
+        ("README.md", False, r"logicity did not write it .*; choose another folder, or replace .* `overwrite`$"),
+        ("manifest.json", False, "not a file of a data set: .*, or replace the file with `overwrite`$"),
+        ("notes.txt", True, "it belongs to no data set; choose another folder, or move it elsewhere$"),
+        ("world-00007", True, "it has the name of a world, but is not a folder; choose another folder, or move"),
+    ]:
+        (folder / name).write_text("foreign")
+        with pytest.raises(FileExistsError, match=message):
+            make_random(folder)
+        assert (folder / name).read_text() == "foreign"
+        if always:
+            with pytest.raises(FileExistsError, match=message):
+                make_random(folder, overwrite=True)
+            with pytest.raises(InputError, match=name):
+                check_dataset(folder)
+            (folder / name).unlink()
+        else:
+            make_random(folder, overwrite=True)
+        assert contents(folder) == expected
 
 
 @pytest.mark.parametrize(
@@ -141,11 +164,13 @@ def test_all_errors_of_a_data_set_are_listed(sets: Path, tmp_path: Path) -> None
         ({"difficulty": 101}, ValueError, "difficulty: expected 0 to 100, not 101"),
         ({"threads": 1025}, ValueError, "threads: expected 0 to 1024"),
         ({"seed": -1}, ValueError, r"seed: expected 0 to 2\*\*64 - 1, not -1"),
-        ({"worlds": -1}, ValueError, "worlds: expected 0 to .*, not -1"),
+        ({"worlds": -1}, ValueError, "worlds: expected 1 to 100000, not -1"),
         ({"worlds": 2**40}, ValueError, f"worlds: expected 1 to 100000, not {2**40}"),
-        ({"first_world": -1}, ValueError, "first_world: expected 0 to .*, not -1"),
+        ({"first_world": -1}, ValueError, "first_world: expected 0 to 99999, not -1"),
         ({"difficulty": 300}, ValueError, "difficulty: expected 0 to 100, not 300"),
-        ({"threads": -1}, ValueError, "threads: expected 0 to .*, not -1"),
+        ({"difficulty": -1}, ValueError, "difficulty: expected 0 to 100, not -1"),
+        ({"threads": -1}, ValueError, "threads: expected 0 to 1024, not -1"),
+        ({"worlds": 1.5}, TypeError, "worlds: expected an integer, not float"),
         ({"pack": "no/such/folder"}, OSError, "no such folder"),
         ({"folder": __file__}, FileExistsError, "a file has this name"),
     ],

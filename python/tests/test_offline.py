@@ -11,6 +11,7 @@ from typing import Any
 import gymnasium
 import numpy as np
 import pytest
+from conftest import needs
 
 import logicity
 from logicity import ENVIRONMENTS, Demonstrations, demonstrations
@@ -200,7 +201,7 @@ def test_state_observations_cannot_be_exported_to_popper(tmp_path: Path) -> None
 
 @pytest.mark.parametrize("observation", ["groundings", "state"])
 def test_a_table_has_every_step(observation: ObservationKind, tmp_path: Path) -> None:
-    parquet = pytest.importorskip("pyarrow.parquet", reason="needs the extra `offline`: `make python-all` installs it")
+    parquet = needs("pyarrow.parquet", "offline")
     trajectories = demonstrations("easy", 3, "val", observation=observation)
     trajectories.to_parquet(tmp_path / "steps.parquet")
     table = parquet.read_table(tmp_path / "steps.parquet")
@@ -218,7 +219,7 @@ def test_a_table_has_every_step(observation: ObservationKind, tmp_path: Path) ->
 
 @pytest.mark.parametrize("mode", list(ENVIRONMENTS))
 def test_minari_restores_data_and_environment(mode: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    minari = pytest.importorskip("minari", reason="needs the extra `offline`: `make python-all` installs it")
+    minari = needs("minari", "offline")
     monkeypatch.setenv("MINARI_DATASETS_PATH", str(tmp_path))
     trajectories = demonstrations(mode, 2)
     author = {"author": "A", "author_email": "a@example.org", "code_permalink": "https://example.org"}
@@ -238,7 +239,7 @@ def test_minari_restores_data_and_environment(mode: str, tmp_path: Path, monkeyp
 
 
 def test_minari_stores_a_configuration_file(own_city: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    minari = pytest.importorskip("minari", reason="needs the extra `offline`: `make python-all` installs it")
+    minari = needs("minari", "offline")
     monkeypatch.setenv("MINARI_DATASETS_PATH", str(tmp_path))
     trajectories = demonstrations(own_city, split="val")
     trajectories.to_minari(author="A", author_email="a@example.org", code_permalink="https://example.org")

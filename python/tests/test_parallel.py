@@ -8,12 +8,13 @@ from typing import Any
 
 import numpy as np
 import pytest
+from conftest import needs
 from gymnasium.error import InvalidAction, ResetNeeded
 from gymnasium.utils.env_checker import data_equivalence
 
 import logicity
 
-pytest.importorskip("pettingzoo", reason="needs the extra `pettingzoo`")
+needs("pettingzoo", "pettingzoo")
 with warnings.catch_warnings():
     # With pygame installed, the import loads deprecated environments.
     warnings.simplefilter("ignore")

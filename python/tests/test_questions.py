@@ -79,7 +79,7 @@ def test_questions_in_words_are_graded_like_others(tmp_path: Path) -> None:
         ("Answer: D\n\nThis answer is based on the second example.", "D"),
         ("Let me see.\nIt is a bus.\n(C) Fast", "C"),
         ("", None),
-        ("I cannot tell.", None),
+        ("I do not know.", None),
         ("A car ahead stops it.", None),
         ("Answer: A car ahead stops it.", None),
         ("Answer: A stop sign is there.", None),
@@ -149,7 +149,7 @@ def test_a_grade_counts_every_question_once() -> None:
     assert (graded.missing, graded.unread, graded.unknown) == (("3", "5"), ("2",), ("9",))
     assert graded.confusion["B"] == {"A": 0, "B": 0, "C": 1, "D": 0, "unread": 0, "missing": 1}
     assert sum(sum(row.values()) for row in graded.confusion.values()) == 6
-    # The Wilson interval of 2 of 6, computed by hand: its center is (1/3 + z²/12) / (1 + z²/6).
+    # The Wilson interval of 2 of 6, computed independently: its center is (1/3 + z²/12) / (1 + z²/6).
     assert (round(graded.overall.accuracy.low, 4), round(graded.overall.accuracy.high, 4)) == (0.0968, 0.7000)
     assert json.loads(json.dumps(graded.to_dict()))["by_action"]["Slow"]["correct"] == 2
     assert list(grade(questions[:2], {}).by_action) == ["Slow", "Normal"]

@@ -6,11 +6,12 @@ import pickle
 import gymnasium
 import numpy as np
 import pytest
+from conftest import needs
 
 import logicity
 from logicity.envs import SPFEnv, SPFVectorEnv
 
-pytest.importorskip("stable_baselines3", reason="needs the extra `train`: `make python-all` installs it")
+needs("stable_baselines3", "train")
 from stable_baselines3 import DQN  # noqa: E402
 from stable_baselines3.common.env_checker import check_env  # noqa: E402
 from stable_baselines3.common.vec_env import DummyVecEnv, VecMonitor  # noqa: E402

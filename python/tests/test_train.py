@@ -9,11 +9,12 @@ from typing import Any
 
 import numpy as np
 import pytest
+from conftest import needs
 
 from logicity import ENVIRONMENTS, InputError, evaluate
 from logicity.__main__ import main
 
-pytest.importorskip("stable_baselines3", reason="needs the extra `train`: `make python-all` installs it")
+needs("stable_baselines3", "train")
 from logicity import train as training  # noqa: E402
 from logicity.sb3 import SPFVecEnv, make_vec_env  # noqa: E402
 from logicity.train import ALGORITHMS, TrainConfig, load_model, train  # noqa: E402

@@ -1,6 +1,7 @@
 //! Diagnostic codes of maps and routes.
 
 crate::diagnostic_codes! {
+    "codes.md":
     /// The map cannot be generated.
     INVALID_MAP = "invalid-map", Error;
     /// The agents need more start cells than the region has.

@@ -353,7 +353,7 @@ const CELLS_MAX: usize = 1 << 20;
 /// cell enter it in the order up, left, right, down. Unwalkable cells take part in that order, but no path continues
 /// from them.
 pub(super) fn search(map: &CityMap, goal: Cell, way: &mut Way<'_>) -> Result<(), NoRoute> {
-    const NEIGHBOURS: [Heading; 4] = [Heading::Up, Heading::Left, Heading::Right, Heading::Down];
+    const NEIGHBORS: [Heading; 4] = [Heading::Up, Heading::Left, Heading::Right, Heading::Down];
     let start = way.at();
     // By cell: the cost of reaching it, and the cell before it.
     let mut reached = HashMap::from([(start, (0, start))]);
@@ -368,7 +368,7 @@ pub(super) fn search(map: &CityMap, goal: Cell, way: &mut Way<'_>) -> Result<(),
             continue;
         }
         let (cost, _) = reached[&cell];
-        for heading in NEIGHBOURS {
+        for heading in NEIGHBORS {
             let next = cell.ahead(heading, 1);
             if !map.contains(next) {
                 continue;

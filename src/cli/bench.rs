@@ -3,7 +3,7 @@
 use crate::builtin::BuiltinFiles;
 use crate::city::{Action, AgentSet, Building, Buildings, MapConfig, Split};
 use crate::city::{Agent, Cell};
-use crate::cli::{Failure, load_city, one_of, threads, unreadable};
+use crate::cli::{Failure, LimitOptions, integer, load_city, one_of, threads, unreadable};
 use crate::config::Scenario;
 use crate::datalog::dense::{BitFacts, BitState, Dense, TrackFirings};
 use crate::diag::{Code, Diagnostic, Sources};
@@ -11,7 +11,8 @@ use crate::files;
 use crate::render::{Difficulty, Icons, Picture, Renderer, Scale, Sprite, Viewport, read_png, write_png};
 use crate::rng::{Purpose, RngExt, Seed};
 use crate::sim::{
-    Executor, Facts, Inference, LoadedCity, Phase, Settings, Simulation, WHOLE_MAX, WINDOW_MAX, Width, World, in_words,
+    Executor, Facts, Inference, LoadedCity, Phase, Settings, Simulation, TICK_LIMITS, WHOLE_MAX, WINDOW_MAX, Width,
+    World, in_words,
 };
 use crate::task::spf::{ControlMode, Env, SpfTask};
 use serde_json::{Value, json};
@@ -88,8 +89,7 @@ pub struct Arguments {
     /// configuration; 1000000 for scale]. infer takes at most 4096 agents, ground 256
     #[arg(
         long,
-        value_parser = clap::value_parser!(u32).range(1..=1_000_000),
-        allow_negative_numbers = true,
+        value_parser = integer(1..=1_000_000_u32),
         conflicts_with = "scenes"
     )]
     agents: Option<u32>,
@@ -97,13 +97,13 @@ pub struct Arguments {
     #[arg(long, value_parser = one_of(&Executor::ALL, Executor::name), default_value = "auto")]
     executor: Executor,
     /// For tick and scale: number of threads, used for cities of many agents; 0 means one per core [default: 1]
-    #[arg(long, value_parser = threads, allow_negative_numbers = true, conflicts_with = "scenes")]
+    #[arg(long, value_parser = threads, conflicts_with = "scenes")]
     threads: Option<NonZeroUsize>,
     /// Duration of each measurement, in seconds
-    #[arg(long, value_parser = seconds, default_value = "3", allow_negative_numbers = true)]
+    #[arg(long, value_parser = seconds, default_value = "3")]
     seconds: Duration,
     /// Seed of the city
-    #[arg(long, default_value_t = 0, allow_negative_numbers = true)]
+    #[arg(long, value_parser = integer(0..=u64::MAX), default_value_t = 0)]
     seed: u64,
     /// For infer: evaluate the scenes in FILE, one JSON object per line as for `logicity infer`, instead of states of
     /// the city; `-` means standard input. Always uses the dense executor
@@ -115,6 +115,8 @@ pub struct Arguments {
     /// Print one JSON object per line
     #[arg(long)]
     json: bool,
+    #[command(flatten)]
+    limits: LimitOptions,
 }
 
 /// The step that `render` measures for each picture.
@@ -312,12 +314,9 @@ impl<'a> Bench<'a> {
             count_firings: false,
             threads: arguments.threads.map_or(1, NonZeroUsize::get),
         };
-        Ok(Simulation::new(
-            Arc::clone(world),
-            arguments.split,
-            Seed(seed),
-            settings,
-        )?)
+        let mut simulation = Simulation::new(Arc::clone(world), arguments.split, Seed(seed), settings)?;
+        simulation.set_limits(arguments.limits.limits(TICK_LIMITS));
+        Ok(simulation)
     }
 
     fn agents(&self) -> usize {

@@ -22,13 +22,13 @@ use std::path::{Path, PathBuf};
 
 #[derive(clap::Args)]
 pub struct Arguments {
-    /// Rule files, each checked as a program of its own; configurations (.yaml, or names of built-in ones such as
+    /// Rule files, each checked as a separate program; configurations (.yaml, or names of built-in ones such as
     /// `expert`), checked with their rules; maps [default with --coverage: the rules of the run]
     #[arg(required_unless_present = "coverage", value_name = "FILES")]
     rules: Vec<PathBuf>,
-    /// Print one JSON object per file, with the keys `file`, `ok`, `strata`, `executors`, `conflicts` and
-    /// `diagnostics`; `configuration` for a configuration; `coverage` with --coverage; `unfinished` lists searches
-    /// that reached a limit
+    /// Print one JSON object per file, with the keys `file`, `ok`, `strata`, `executors`, `costly`, `conflicts` and
+    /// `diagnostics`; `costly` lists the clauses for which the dense executor may give up; `configuration` for a
+    /// configuration; `coverage` with --coverage; `unfinished` lists searches that reached a limit
     #[arg(long)]
     json: bool,
     /// Count how often each clause fires on the states of this trace, and list the literals that never matter there
@@ -108,9 +108,15 @@ fn examine(arguments: &Arguments, path: &Path, files: &dyn ReadFile, sources: &m
         found: Vec::new(),
         unfinished: Vec::new(),
         overlaps: Vec::new(),
-        precedence: precedence(arguments, sources)?,
+        precedence: Action::SAFEST_FIRST.to_vec(),
         covered: None,
     };
+    let given = arguments.config.as_deref();
+    let given = given.map(|config| load_scenario(sources, config, &BuiltinFiles));
+    let given = given.transpose().map_err(LoadError::Config)?;
+    if let Some(scenario) = &given {
+        report.precedence.clone_from(&scenario.actions.priority);
+    }
     let rules: PathBuf;
     let path = match configuration::open(path, sources)? {
         Opened::Rules => path,
@@ -157,7 +163,8 @@ fn examine(arguments: &Arguments, path: &Path, files: &dyn ReadFile, sources: &m
     if arguments.lints {
         report.unfinished.extend(lints.unfinished);
     }
-    report.found.extend(city_lints(program.rules(), sources));
+    let own = report.configuration.as_ref().and_then(Checked::scenario);
+    report.found.extend(city_lints(program.rules(), given.as_ref().or(own)));
     report.overlaps = conflicts(&program)?;
     let lints = conflict_lints(&report.overlaps, program.rules(), &report.precedence);
     report.found.extend(lints);
@@ -169,17 +176,6 @@ fn examine(arguments: &Arguments, path: &Path, files: &dyn ReadFile, sources: &m
     }
     report.program = Some(program);
     Ok(report)
-}
-
-/// Returns the order in which derived actions take precedence.
-fn precedence(arguments: &Arguments, sources: &mut Sources) -> Result<Vec<Action>, Failure> {
-    match &arguments.config {
-        Some(config) => {
-            let scenario = load_scenario(sources, config, &BuiltinFiles).map_err(LoadError::Config)?;
-            Ok(scenario.actions.priority)
-        }
-        None => Ok(Action::SAFEST_FIRST.to_vec()),
-    }
 }
 
 impl Report {
@@ -198,6 +194,9 @@ impl Report {
             line["configuration"] = configuration.json();
         }
         if let Some(rules) = self.rules() {
+            let printer = ExplanationPrinter::new(rules, &rules.symbols, sources);
+            let costly = costly(rules).into_iter().map(|clause| printer.clause_json(clause));
+            line["costly"] = costly.collect();
             line["conflicts"] = overlaps_json(&self.overlaps, &self.precedence, rules, sources);
             if let Some(covered) = &self.covered {
                 line["coverage"] = coverage_json(covered, rules, sources);
@@ -261,10 +260,19 @@ fn executors(rules: &Rules) -> Vec<(Vec<&str>, Option<String>)> {
 /// The number of agents for which `check` estimates the steps of the dense executor.
 const CROWD: usize = 64;
 
+/// Returns the clauses for which the dense executor may give up; none if it does not evaluate all strata.
+fn costly(rules: &Rules) -> Vec<ClauseId> {
+    let choice = dense::choose(rules);
+    match choice.all_dense() {
+        true => choice.costly(rules, CROWD, CROWD),
+        false => Vec::new(),
+    }
+}
+
 /// Prints the clauses for which the dense executor may give up.
 fn print_costly(out: &mut impl Write, rules: &Rules, sources: &Sources) -> io::Result<()> {
     let printer = ExplanationPrinter::new(rules, &rules.symbols, sources);
-    for clause in dense::choose(rules).costly(rules, CROWD, CROWD) {
+    for clause in costly(rules) {
         let title = printer.title(clause);
         writeln!(
             out,

@@ -73,6 +73,11 @@ impl Checked {
         scenario.map_or(Path::new(""), |scenario| &scenario.rules.value)
     }
 
+    /// Returns the scenario. A map has none.
+    pub fn scenario(&self) -> Option<&Scenario> {
+        self.scenario.as_deref()
+    }
+
     /// Returns the order in which derived actions take precedence. A map has none.
     pub fn precedence(&self) -> &[Action] {
         let scenario = self.scenario.as_ref();

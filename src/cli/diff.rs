@@ -1,7 +1,7 @@
 //! `logicity diff`: compares two rule sets.
 
 use crate::city::Action;
-use crate::cli::{Failure, load_program, report};
+use crate::cli::{Failure, integer, load_program, report};
 use crate::datalog::diff::{Cut, Difference, Equivalence, Options, diff};
 use crate::datalog::{BaseType, Rules, quoted};
 use crate::diag::{Code, Diagnostic, Sources};
@@ -23,13 +23,13 @@ pub struct Arguments {
     #[arg(
         long,
         value_name = "COUNT",
-        value_parser = entities,
+        value_parser = integer(1..=usize::MAX),
         default_value_t = Options::default().entities_max,
-        allow_negative_numbers = true
     )]
     entities: usize,
     /// Stop the search after this many conflicts, or a tenth as many scenes where `diff` evaluates scenes one by one
-    #[arg(long, value_name = "COUNT", default_value_t = Options::default().conflicts_max, allow_negative_numbers = true)]
+    #[arg(long, value_name = "COUNT", value_parser = integer(0..=u64::MAX),
+        default_value_t = Options::default().conflicts_max)]
     effort: u64,
     /// Print only a scene that shows a difference, as input for `logicity infer`
     #[arg(long, conflicts_with = "json")]
@@ -37,11 +37,6 @@ pub struct Arguments {
     /// Print one JSON object
     #[arg(long)]
     json: bool,
-}
-
-fn entities(text: &str) -> Result<usize, String> {
-    let count = text.parse().ok().filter(|&count| count > 0);
-    count.ok_or_else(|| "expected an integer from 1".to_owned())
 }
 
 /// Returns exit code 0 if it finds no difference, 1 if it finds one.

@@ -2,7 +2,7 @@
 
 use crate::builtin::BuiltinFiles;
 use crate::city::Split;
-use crate::cli::{Failure, ForceOption, finish, load_city, one_of, progress, unwritable};
+use crate::cli::{Failure, ForceOption, Inputs, finish, integer, load_city, messages, one_of, progress, unwritable};
 use crate::diag::{Code, Diagnostic, Sources};
 use crate::files;
 use crate::task::spf::{
@@ -50,12 +50,12 @@ struct Make {
     #[command(flatten)]
     which: Which,
     /// Number of episodes [default: 40 for val, 100 for train and test]
-    #[arg(long, value_parser = clap::value_parser!(u32).range(1..=100_000), allow_negative_numbers = true)]
+    #[arg(long, value_parser = integer(1..=100_000_u32))]
     count: Option<u32>,
     /// Seed of the episodes
-    #[arg(long, default_value_t = 0, allow_negative_numbers = true)]
+    #[arg(long, value_parser = integer(0..=u64::MAX), default_value_t = 0)]
     seed: u64,
-    /// Write the episodes to FILE [default: the file that the configuration names]
+    /// Write the episodes to FILE; `-` means standard output [default: the file that the configuration names]
     #[arg(short, long, value_name = "FILE")]
     output: Option<PathBuf>,
     #[command(flatten)]
@@ -67,7 +67,7 @@ struct Show {
     #[command(flatten)]
     which: Which,
     /// Print one episode in full, by its number from 0
-    #[arg(long)]
+    #[arg(long, value_parser = integer(0..=usize::MAX))]
     episode: Option<usize>,
     /// Print one JSON object
     #[arg(long)]
@@ -79,10 +79,10 @@ struct Spread {
     #[command(flatten)]
     which: Which,
     /// Number of sets, generated with the seeds 1, 2, ...
-    #[arg(long, value_parser = clap::value_parser!(u32).range(2..=100_000), allow_negative_numbers = true, default_value_t = 40)]
+    #[arg(long, value_parser = integer(2..=100_000_u32), default_value_t = 40)]
     sets: u32,
     /// Episodes per set [default: 40 for val, 100 for train and test]
-    #[arg(long, value_parser = clap::value_parser!(u32).range(1..=100_000), allow_negative_numbers = true)]
+    #[arg(long, value_parser = integer(1..=100_000_u32))]
     count: Option<u32>,
     /// Print one JSON object
     #[arg(long)]
@@ -189,14 +189,14 @@ impl Make {
                 ));
             }
         };
-        let mut out = self.force.create(&path)?;
+        let mut out = self.force.create(&path, &Inputs::of(sources))?;
         let bar = progress("episode", count as u64);
         let set = make_episodes(&task, split, count, self.seed, |found| bar.set_position(found as u64))?;
         bar.finish_and_clear();
         set.write(&mut out).map_err(|error| unwritable(&path, &error))?;
         finish(out, &path)?;
         writeln!(
-            io::stdout(),
+            messages(&[&path]),
             "wrote {count} episodes to {}: {}",
             path.display(),
             set.hash()

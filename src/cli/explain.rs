@@ -4,7 +4,7 @@ use crate::cancel::Cancel;
 use crate::city::Action;
 use crate::city::Cell;
 use crate::cli::trace::TraceReader;
-use crate::cli::{Failure, one_of};
+use crate::cli::{Failure, integer, one_of};
 use crate::datalog::explain::ExplanationPrinter;
 use crate::diag::{Code, Diagnostic, Sources, did_you_mean};
 use crate::sim::{Decision, Driven, Replay, TraceTick, World};
@@ -17,7 +17,7 @@ pub struct Arguments {
     /// Trace written by `logicity run`
     trace: PathBuf,
     /// Number of the tick [default: the last tick]
-    #[arg(long)]
+    #[arg(long, value_parser = integer(0..=u64::MAX))]
     tick: Option<u64>,
     /// Name of the agent
     #[arg(long)]

@@ -1,6 +1,6 @@
 //! `logicity icons`, and the icon options of other commands.
 
-use crate::cli::{Failure, ForceOption, finish, one_of, unwritable};
+use crate::cli::{Failure, ForceOption, Inputs, finish, integer, one_of, unwritable};
 use crate::files;
 use crate::render::{Class, Difficulty, Icons, Mode, PACK_FILE_MAX, PACK_FILES_MAX, Pack, PackFault, sheet, write_png};
 use crate::rng::Seed;
@@ -18,7 +18,7 @@ pub struct IconOptions {
     #[arg(long, value_parser = one_of(&Mode::ALL, Mode::name), default_value = "extend", requires = "pack")]
     pack_mode: Mode,
     /// Visual variation from 0 (clean) to 100 (noisy), in percent: colors, light, sharpness, markings and clutter
-    #[arg(long, value_name = "PERCENT", value_parser = difficulty, default_value = "0", allow_negative_numbers = true)]
+    #[arg(long, value_name = "PERCENT", value_parser = difficulty, default_value = "0")]
     difficulty: Difficulty,
 }
 
@@ -28,6 +28,15 @@ fn difficulty(text: &str) -> Result<Difficulty, String> {
 }
 
 impl IconOptions {
+    /// Returns the paths of the files in the pack.
+    pub fn files(&self) -> Vec<PathBuf> {
+        // Loading the pack reports what cannot be read.
+        let inside = |folder: &Path| std::fs::read_dir(folder).into_iter().flatten().flatten();
+        let folders = self.pack.iter().flat_map(|pack| inside(pack));
+        let files = folders.flat_map(|folder| inside(&folder.path()));
+        files.map(|file| file.path()).collect()
+    }
+
     /// The icons of a seed. A note on standard error names the classes that a pack lacks.
     pub fn load(&self, seed: Seed) -> Result<Icons, Failure> {
         let icons = Icons::new(seed, self.difficulty);
@@ -80,12 +89,12 @@ struct SheetArguments {
     #[command(flatten)]
     icons: IconOptions,
     /// Seed of the icons
-    #[arg(long, default_value_t = 0, allow_negative_numbers = true)]
+    #[arg(long, value_parser = integer(0..=u64::MAX), default_value_t = 0)]
     seed: u64,
     /// Additional class, for example bus+tiro or car+taxi; can be repeated
     #[arg(long = "class", value_name = "CLASS", value_parser = class)]
     classes: Vec<Class>,
-    /// Write the sheet to FILE
+    /// Write the sheet to FILE; `-` means standard output
     #[arg(short, long, value_name = "FILE", default_value = "sheet.png")]
     output: PathBuf,
     #[command(flatten)]
@@ -104,7 +113,8 @@ fn class(text: &str) -> Result<Class, String> {
 pub fn run(arguments: &Arguments) -> Result<(), Failure> {
     let Command::Sheet(sheet_of) = &arguments.command;
     let path = &sheet_of.output;
-    let mut out = sheet_of.force.create(path)?;
+    let inputs = Inputs(sheet_of.icons.files());
+    let mut out = sheet_of.force.create(path, &inputs)?;
     let icons = sheet_of.icons.load(Seed(sheet_of.seed))?;
     let picture = sheet(&icons, &sheet_of.classes);
     write_png(&picture, &mut out).map_err(|error| unwritable(path, &error))?;

@@ -1,12 +1,14 @@
 //! `logicity infer`: evaluates the rules on scenes.
 
 use crate::builtin::BuiltinFiles;
-use crate::cli::{Failure, ForceOption, finish, load_city, one_of, open, report, unwritable};
+use crate::cli::{
+    Failure, ForceOption, Inputs, LimitOptions, finish, integer, is_stdout, load_city, one_of, open, report, unwritable,
+};
 use crate::diag::{Code, Diagnostic, Sources, to_json};
 use crate::files;
 use crate::files::ReadError;
 use crate::rng::Seed;
-use crate::sim::{Executor, Inference};
+use crate::sim::{Executor, Inference, TICK_LIMITS};
 use serde_json::json;
 use std::io::{self, BufRead, BufReader, BufWriter, Read, Write};
 use std::path::{Path, PathBuf};
@@ -26,7 +28,7 @@ pub struct Arguments {
     #[arg(long)]
     rules: Option<PathBuf>,
     /// Seed for probabilistic predicates that the scene leaves open
-    #[arg(long, default_value_t = 0, allow_negative_numbers = true)]
+    #[arg(long, value_parser = integer(0..=u64::MAX), default_value_t = 0)]
     seed: u64,
     /// Executor that evaluates the rules; the answers do not depend on it
     #[arg(long, value_parser = one_of(&Executor::ALL, Executor::name), default_value = "auto")]
@@ -35,9 +37,11 @@ pub struct Arguments {
     /// relational executor
     #[arg(long)]
     check_constraints: bool,
-    /// Write the answers to FILE [default: standard output]
+    /// Write the answers to FILE; `-` means standard output [default: -]
     #[arg(long, value_name = "FILE")]
     out: Option<PathBuf>,
+    #[command(flatten)]
+    limits: LimitOptions,
     #[command(flatten)]
     force: ForceOption,
 }
@@ -56,6 +60,8 @@ pub fn run(arguments: &Arguments, sources: &mut Sources) -> Result<(), Failure> 
         arguments.executor,
         BuiltinFiles,
     )?;
+    inference.name_clauses(sources);
+    inference.set_limits(arguments.limits.limits(TICK_LIMITS));
     if arguments.check_constraints {
         inference.check_constraints();
     }
@@ -66,7 +72,7 @@ pub fn run(arguments: &Arguments, sources: &mut Sources) -> Result<(), Failure> 
         (Box::new(open(&arguments.file)?), arguments.file.display().to_string())
     };
     let scenes = BufReader::new(input);
-    match &arguments.out {
+    match arguments.out.as_deref().filter(|path| !is_stdout(path)) {
         None => {
             let mut out = BufWriter::new(io::stdout().lock());
             let faulty = answer_all(&mut inference, scenes, &name, &arguments.file, |line| {
@@ -76,7 +82,8 @@ pub fn run(arguments: &Arguments, sources: &mut Sources) -> Result<(), Failure> 
             outcome(faulty)
         }
         Some(path) => {
-            let mut out = arguments.force.create(path)?;
+            let inputs = Inputs::of(sources).with([arguments.file.clone()]);
+            let mut out = arguments.force.create(path, &inputs)?;
             let faulty = answer_all(&mut inference, scenes, &name, &arguments.file, |line| {
                 writeln!(out, "{line}").map_err(|error| unwritable(path, &error))
             })?;

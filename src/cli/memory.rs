@@ -37,14 +37,27 @@ pub fn system_limit() -> Option<SystemLimit> {
 }
 
 /// Makes the process end with code 1 when memory cannot be allocated. Otherwise it aborts, after the same message.
+///
+/// The signal of an abort does not name its cause. Allocations fail only under a limit on the address space, so without
+/// one every abort keeps its signal. After a panic it does, too: a panic during another one aborts.
 pub fn exit_when_exhausted() {
     #[cfg(unix)]
     {
+        use std::panic;
         use std::sync::Arc;
-        use std::sync::atomic::AtomicBool;
-        let always = Arc::new(AtomicBool::new(true));
+        use std::sync::atomic::{AtomicBool, Ordering};
+        if address_space_limit().is_none() {
+            return;
+        }
+        let no_panic = Arc::new(AtomicBool::new(true));
+        let flag = Arc::clone(&no_panic);
+        let print = panic::take_hook();
+        panic::set_hook(Box::new(move |panic| {
+            flag.store(false, Ordering::Relaxed);
+            print(panic);
+        }));
         // If this fails, the process aborts as it would without.
-        let _ = signal_hook::flag::register_conditional_shutdown(signal_hook::consts::SIGABRT, 1, always);
+        let _ = signal_hook::flag::register_conditional_shutdown(signal_hook::consts::SIGABRT, 1, no_panic);
     }
 }
 

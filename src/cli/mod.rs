@@ -7,6 +7,7 @@
 
 mod bench;
 mod check;
+mod codes;
 mod configuration;
 mod diff;
 mod episodes;
@@ -20,10 +21,12 @@ mod memory;
 mod new;
 mod query;
 mod questions;
+mod reference;
 #[cfg(feature = "repl")]
 mod repl;
 mod route;
 mod run;
+mod schema;
 mod trace;
 mod vap;
 mod view;
@@ -34,19 +37,22 @@ use crate::city::MapConfig;
 use crate::config::{load_map, missing_file};
 use crate::datalog::{Edb, Rules, Workspace};
 use crate::datalog::{EvalError, Limits, Program};
-use crate::diag::{Code, Diagnostic, Sources, did_you_mean, render};
+use crate::diag::{Code, Diagnostic, Sources, render, similar_file};
 use crate::files::{self, FileError, Output, Overwrite, ReadError, ReadFile};
 use crate::sim::{LoadError, LoadedCity};
 use clap::builder::{PossibleValue, PossibleValuesParser, TypedValueParser};
 use clap::{CommandFactory, FromArgMatches, Parser, Subcommand};
 use indicatif::{ProgressBar, ProgressStyle};
 use std::ffi::{OsStr, OsString};
+use std::fmt::Display;
 use std::fs::File;
 use std::io::{self, IsTerminal, Write};
 use std::iter;
 use std::num::NonZeroUsize;
-use std::path::Path;
+use std::ops::RangeInclusive;
+use std::path::{Path, PathBuf};
 use std::process::ExitCode;
+use std::str::FromStr;
 
 /// Simulate a city of cars and pedestrians under Datalog rules
 #[derive(Parser)]
@@ -94,6 +100,13 @@ enum Command {
     /// Run a language server over standard input and output
     #[cfg(feature = "lsp")]
     Lsp(lsp::Arguments),
+    /// Explain the codes of messages, with examples
+    Codes(codes::Arguments),
+    /// Print the JSON Schema of configuration files, for editors
+    Schema(schema::Arguments),
+    /// Print all commands with their options as JSON; the documentation is made from it
+    #[command(hide = true)]
+    Reference,
     /// Print a shell completion script
     Completions {
         /// Shell to complete for
@@ -170,7 +183,8 @@ impl Failure {
 /// The option to replace files of other programs.
 #[derive(clap::Args)]
 struct ForceOption {
-    /// Replace output files that logicity did not write, or that have changed since
+    /// Replace output files that logicity did not write, or that have changed since. Files that the command reads are
+    /// never replaced
     #[arg(long)]
     force: bool,
 }
@@ -180,14 +194,90 @@ impl ForceOption {
         if self.force { Overwrite::Any } else { Overwrite::Own }
     }
 
-    /// Begins to write an output file.
-    fn create(&self, path: &Path) -> Result<Output, Failure> {
+    /// Begins to write an output file; `-` means standard output. Fails if the command reads that file.
+    fn create(&self, path: &Path, inputs: &Inputs) -> Result<Output, Failure> {
+        if path == Path::new("-") {
+            return Ok(Output::stdout());
+        }
+        inputs.refuse(path)?;
         Output::create(path, self.overwrite()).map_err(|error| unwritable(path, &error))
     }
 
     /// Reports now if a file that is written later cannot be written.
-    fn check(&self, path: &Path) -> Result<(), Failure> {
+    fn check(&self, path: &Path, inputs: &Inputs) -> Result<(), Failure> {
+        inputs.refuse(path)?;
         Output::check(path, self.overwrite()).map_err(|error| unwritable(path, &error))
+    }
+}
+
+/// The files that a command reads. No output replaces one of them, not even with `--force`.
+struct Inputs(Vec<PathBuf>);
+
+impl Inputs {
+    /// Returns the files of texts: rules with their includes, configurations with their parts.
+    fn of(sources: &Sources) -> Inputs {
+        Inputs(sources.ids().map(|id| PathBuf::from(sources.name(id))).collect())
+    }
+
+    /// Adds files; `-` means standard input.
+    fn with(mut self, paths: impl IntoIterator<Item = PathBuf>) -> Inputs {
+        let named = |path: PathBuf| {
+            if path == Path::new("-") {
+                "/dev/stdin".into()
+            } else {
+                path
+            }
+        };
+        self.0.extend(paths.into_iter().map(named));
+        self
+    }
+
+    /// Fails if an output is one of the files.
+    fn refuse(&self, output: &Path) -> Result<(), Failure> {
+        match self.0.iter().any(|input| files::is_same_file(input, output)) {
+            true => Err(Failure::Usage(format!(
+                "cannot write `{}`: this command reads it\n\
+                 help: choose another path; `--force` does not replace inputs",
+                output.display()
+            ))),
+            false => Ok(()),
+        }
+    }
+}
+
+/// Returns whether an output is standard output: `-`, `/dev/stdout` or a link to it.
+fn is_stdout(path: &Path) -> bool {
+    path == Path::new("-") || files::is_stdout(path)
+}
+
+/// Fails if several outputs, given with their options, are standard output.
+fn refuse_mixing<'a>(outputs: impl IntoIterator<Item = (&'a str, &'a Path)>) -> Result<(), Failure> {
+    let mixed = outputs.into_iter().filter(|(_, path)| is_stdout(path));
+    match mixed.map(|(option, _)| option).collect::<Vec<_>>()[..] {
+        [one, other, ..] => Err(Failure::Usage(format!(
+            "{one} and {other} would both write to standard output; name a file for one of them"
+        ))),
+        _ => Ok(()),
+    }
+}
+
+/// Fails if a folder for results is `-`, which means standard output where a command writes one file.
+fn refuse_stdout_as_folder(folder: &Path) -> Result<(), Failure> {
+    match folder == Path::new("-") {
+        true => Err(Failure::Usage(
+            "this command writes several files, so `-` cannot mean standard output\nhelp: name a folder; `./-` is the \
+             folder with that name"
+                .to_owned(),
+        )),
+        false => Ok(()),
+    }
+}
+
+/// Returns where to print messages about the results: standard error if a result goes to standard output.
+fn messages(results: &[&Path]) -> Box<dyn Write> {
+    match results.iter().any(|path| is_stdout(path)) {
+        true => Box::new(anstream::stderr()),
+        false => Box::new(anstream::stdout()),
     }
 }
 
@@ -198,6 +288,9 @@ fn finish(output: Output, path: &Path) -> Result<(), Failure> {
 
 /// Reports an output file that cannot be written.
 fn unwritable(path: &Path, error: &io::Error) -> Failure {
+    if is_stdout(path) {
+        return io::Error::new(error.kind(), error.to_string()).into();
+    }
     let help = match error.kind() {
         io::ErrorKind::AlreadyExists => "\nhelp: choose another path, or replace it with `--force`",
         _ => "",
@@ -267,7 +360,7 @@ pub fn run_with_python(arguments: &[OsString]) -> Outcome {
     if let Some((words, rest)) = python_command(arguments) {
         return Outcome::Python(words, rest);
     }
-    // Treats `logicity help train` as `logicity train --help`, and likewise `logicity vap help coco`.
+    // Treats `logicity help train` as `logicity train --help`, and `logicity vap help coco` accordingly.
     if let Some(at) = arguments.iter().position(|argument| argument == "help") {
         let without: Vec<OsString> = [&arguments[..at], &arguments[at + 1..]].concat();
         if let Some((words, _)) = python_command(&without).filter(|(words, _)| at < words.len()) {
@@ -308,8 +401,21 @@ fn add_subcommand(command: clap::Command, words: &'static [&'static str], summar
     }
 }
 
+/// Lets every option take a negative number, so that the parser of its value says what it expects.
+fn accept_negative_numbers(command: clap::Command) -> clap::Command {
+    let option = |argument: clap::Arg| {
+        let takes_value = argument.get_long().is_some() && argument.get_action().takes_values();
+        match takes_value {
+            true => argument.allow_negative_numbers(true),
+            false => argument,
+        }
+    };
+    command.mut_args(option).mut_subcommands(accept_negative_numbers)
+}
+
 /// Parses the arguments, runs the command and returns the exit code.
 fn run(mut command: clap::Command, arguments: &[OsString]) -> u8 {
+    command = accept_negative_numbers(command);
     let name = OsString::from("logicity");
     let parsed = command
         .try_get_matches_from_mut(iter::once(&name).chain(arguments))
@@ -349,6 +455,9 @@ fn run(mut command: clap::Command, arguments: &[OsString]) -> u8 {
         Command::Icons(arguments) => icons::run(&arguments),
         Command::Route(arguments) => route::run(&arguments, &mut sources),
         Command::Bench(arguments) => bench::run(&arguments, &mut sources),
+        Command::Codes(arguments) => codes::run(&arguments),
+        Command::Schema(arguments) => schema::run(&arguments),
+        Command::Reference => reference::run(command),
         Command::Completions { shell } => {
             // `generate` panics if it cannot write, for example to a closed pipe.
             let mut script = Vec::new();
@@ -477,50 +586,42 @@ fn unreadable(path: &Path, error: &ReadError) -> Failure {
             .help("save the file as UTF-8")
             .into(),
         error => {
-            let near = (*error == ReadError::NotFound).then(|| similar_file(path)).flatten();
+            let near = (*error == ReadError::NotFound).then(|| near_file(path)).flatten();
             let help = near.map_or_else(String::new, |near| format!("\nhelp: did you mean `{near}`?"));
             Failure::Usage(format!("cannot read `{}`: {error}{help}", path.display()))
         }
     }
 }
 
-/// The most files of a folder among which [`similar_file`] searches.
+/// The most files of a folder among which [`near_file`] searches.
 const SIMILAR_MAX: usize = 10_000;
 
 /// Returns a file with a name like that of a missing one: in the same folder, or built in.
-fn similar_file(path: &Path) -> Option<String> {
+fn near_file(path: &Path) -> Option<String> {
     let written = path.to_str()?;
     let name = path.file_name()?.to_str()?;
-    let ending = path.extension().and_then(OsStr::to_str);
     let folder = path.parent().filter(|folder| !folder.as_os_str().is_empty());
     let entries = std::fs::read_dir(folder.unwrap_or(Path::new(".")))
         .into_iter()
         .flatten();
-    let beside: Vec<String> = entries
+    let mut beside: Vec<String> = entries
         .take(SIMILAR_MAX)
         .filter_map(|entry| entry.ok()?.file_name().into_string().ok())
         .filter(|name| !name.starts_with('.'))
         .collect();
-    // A missing ending, then a typing error.
-    let ended = beside.iter().map(String::as_str).find(|other| {
-        let stem = Path::new(other).file_stem();
-        ending.is_none() && stem == Some(OsStr::new(name))
-    });
-    let same_ending = |other: &&str| ending.is_none() || Path::new(other).extension().and_then(OsStr::to_str) == ending;
-    let mut near: Vec<&str> = beside.iter().map(String::as_str).filter(same_ending).collect();
-    near.sort_unstable();
-    if let Some(near) = ended.or_else(|| did_you_mean(name, near)) {
+    beside.sort_unstable();
+    if let Some(near) = similar_file(name, beside.iter().map(String::as_str)) {
         return Some(folder.map_or(near.to_owned(), |folder| folder.join(near).display().to_string()));
     }
     let known = BuiltinFiles.builtin_paths();
     let rules = || known.iter().map(String::as_str).filter(|known| known.ends_with(".dl"));
     let named = |known: &&str| Path::new(known).file_stem() == path.file_stem();
-    match ending {
+    match path.extension().and_then(OsStr::to_str) {
         None | Some("dl") => rules()
             .find(|known| folder.is_none() && named(known))
-            .or_else(|| did_you_mean(written, rules().collect::<Vec<_>>()))
+            .or_else(|| similar_file(written, rules()))
             .map(str::to_owned),
-        Some("yaml") => did_you_mean(written, known.iter().map(String::as_str)).map(str::to_owned),
+        Some("yaml") => similar_file(written, known.iter().map(String::as_str)).map(str::to_owned),
         Some(_) => None,
     }
 }
@@ -529,15 +630,16 @@ fn similar_file(path: &Path) -> Option<String> {
 #[derive(clap::Args)]
 struct LimitOptions {
     /// Fail if the rules derive more than COUNT rows; suffixes K, M, G and T are powers of 1000 [default: 100M; 1M for
-    /// `repl`]
-    #[arg(long, value_name = "COUNT", value_parser = count_of::<usize>, allow_negative_numbers = true)]
+    /// `repl`; 10M for each scene or tick of `infer`, `run` and `bench`]
+    #[arg(long, value_name = "COUNT", value_parser = count_of::<usize>)]
     max_rows: Option<usize>,
-    /// Fail if the evaluation scans more than COUNT rows, with the same suffixes [default: 100G]
-    #[arg(long, value_name = "COUNT", value_parser = count_of::<u64>, allow_negative_numbers = true)]
+    /// Fail if the evaluation scans more than COUNT rows, with the same suffixes [default: 100G; 1G for each scene or
+    /// tick of `infer`, `run` and `bench`]
+    #[arg(long, value_name = "COUNT", value_parser = count_of::<u64>)]
     max_steps: Option<u64>,
     /// Fail if rows, indexes, symbols and buffers need more than SIZE, in MiB or with a suffix: K, M, G, T or KiB, MiB,
     /// GiB, TiB (powers of 1024). Limits of the system (`ulimit -v`, control groups) lower it [default: 4096]
-    #[arg(long, value_name = "SIZE", value_parser = memory, allow_negative_numbers = true)]
+    #[arg(long, value_name = "SIZE", value_parser = memory)]
     max_memory: Option<u64>,
 }
 
@@ -600,12 +702,7 @@ pub(super) fn too_much(error: &EvalError, rules: &Rules) -> Diagnostic {
     if let Some(limit) = memory::system_limit().filter(|limit| Some(limit.bytes) == bytes) {
         return fault.note(format!("{} leaves no more; raise that limit", limit.origin));
     }
-    let option = match error {
-        EvalError::TooManyRows { .. } => "--max-rows",
-        EvalError::TooManySteps { .. } => "--max-steps",
-        EvalError::TooMuchMemory { .. } | EvalError::TooManyInputs { .. } => "--max-memory",
-        EvalError::Cancelled { .. } => return fault,
-    };
+    let Some(option) = error.option() else { return fault };
     fault.note(format!("raise the limit with `{option}`"))
 }
 
@@ -647,6 +744,18 @@ fn load_city(sources: &mut Sources, config: &Path, rules: Option<&Path>) -> Resu
     let city = LoadedCity::load(sources, config, rules, &BuiltinFiles)?;
     report(&city.warnings, sources);
     Ok(city)
+}
+
+/// Returns a parser of integers in a range, whose message names the range.
+fn integer<N>(range: RangeInclusive<N>) -> impl Fn(&str) -> Result<N, String> + Clone + Send + Sync + 'static
+where
+    N: FromStr + PartialOrd + Display + Clone + Send + Sync + 'static,
+{
+    move |text: &str| {
+        let number: Option<N> = text.parse().ok();
+        let number = number.filter(|number| range.contains(number));
+        number.ok_or_else(|| format!("expected an integer from {} to {}", range.start(), range.end()))
+    }
 }
 
 /// The most threads: each needs memory, and systems refuse to start several thousand.

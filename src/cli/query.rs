@@ -2,7 +2,7 @@
 
 use crate::cli::why;
 use crate::cli::why::Question;
-use crate::cli::{Failure, ForceOption, LimitOptions, finish, load_workspace, report, too_much, unwritable};
+use crate::cli::{Failure, ForceOption, Inputs, LimitOptions, finish, load_workspace, report, too_much, unwritable};
 use crate::datalog::{ClauseId, Directive, Edb, EvalError, MarkKind, RelId, RowFormat, RowPlace, Rules, rewrite};
 use crate::datalog::{Delta, EvalEvent, Limits, Options, Program, RuleStats, Session, Threads, constraints, facts};
 use crate::diag::{Code, Diagnostic, Sources, Span};
@@ -49,7 +49,7 @@ pub struct Arguments {
     #[arg(long)]
     json: bool,
     /// Number of threads; 0 means one per core. The results and their order do not depend on it
-    #[arg(long, value_name = "N", value_parser = super::threads, default_value = "1", allow_negative_numbers = true)]
+    #[arg(long, value_name = "N", value_parser = super::threads, default_value = "1")]
     threads: NonZeroUsize,
     #[command(flatten)]
     limits: LimitOptions,
@@ -103,13 +103,11 @@ pub fn run(arguments: &Arguments, sources: &mut Sources) -> Result<(), Failure> 
     session.set_limits(arguments.limits.limits(Limits::default()));
     (session.set_threads(Threads::new(arguments.threads)))
         .map_err(|error| Failure::Usage(format!("cannot start {} threads: {error}", arguments.threads)))?;
-    load_inputs(
-        arguments.facts.as_deref().unwrap_or(Path::new(".")),
-        &mut session,
-        sources,
-    )?;
+    let facts = arguments.facts.as_deref().unwrap_or(Path::new("."));
+    load_inputs(facts, &mut session, sources)?;
+    let inputs = Inputs::of(sources).with(input_paths(session.program(), facts));
     if question.is_none() && !arguments.plan {
-        check_outputs(session.program(), &arguments.output, &arguments.force)?;
+        check_outputs(session.program(), &arguments.output, &inputs, &arguments.force)?;
     }
     let times = match arguments.profile {
         true => timed_commit(&mut session).map(|(_, times)| Some(times)),
@@ -135,7 +133,7 @@ pub fn run(arguments: &Arguments, sources: &mut Sources) -> Result<(), Failure> 
         let asked = (question, sources.add(format!("<{name}>"), fact));
         return why::explain(&mut out, asked, &workspace, &session, sources, arguments.json);
     }
-    write_results(&mut out, &session, &arguments.output, &arguments.force)?;
+    write_results(&mut out, &session, &arguments.output, (&inputs, &arguments.force))?;
     out.flush()?;
     Ok(())
 }
@@ -154,7 +152,7 @@ fn output_path(folder: &Path, relation: &str, directive: &Directive) -> Option<P
 }
 
 /// Makes the folders of the output relations, and reports files that cannot be written, before the evaluation.
-fn check_outputs(program: &Program, folder: &Path, force: &ForceOption) -> Result<(), Failure> {
+fn check_outputs(program: &Program, folder: &Path, inputs: &Inputs, force: &ForceOption) -> Result<(), Failure> {
     for (_, relation) in relations(program) {
         let outputs = relation
             .directives
@@ -162,7 +160,7 @@ fn check_outputs(program: &Program, folder: &Path, force: &ForceOption) -> Resul
             .filter(|directive| directive.kind == MarkKind::Output);
         for path in outputs.filter_map(|directive| output_path(folder, &relation.name, directive)) {
             make_folder(path.parent().unwrap_or(Path::new(".")))?;
-            force.check(&path)?;
+            force.check(&path, inputs)?;
         }
     }
     Ok(())
@@ -200,7 +198,12 @@ fn exceeded(error: &EvalError, rules: &Rules) -> Diagnostic {
 
 /// Writes every output relation to its file in `folder`, or to `out` if its directive says so or `folder` is `-`.
 /// Writes the sizes of `.printsize` relations to `out`.
-fn write_results(out: &mut dyn Write, session: &Session, folder: &Path, force: &ForceOption) -> Result<(), Failure> {
+fn write_results(
+    out: &mut dyn Write,
+    session: &Session,
+    folder: &Path,
+    place: (&Inputs, &ForceOption),
+) -> Result<(), Failure> {
     let to_terminal = folder == Path::new("-");
     for (id, relation) in relations(session.program()) {
         for directive in &relation.directives {
@@ -213,7 +216,7 @@ fn write_results(out: &mut dyn Write, session: &Session, folder: &Path, force: &
                     let header = facts::header(relation, &format);
                     let rows = |out: &mut dyn Write| facts::write_rows(session, id, &format, out);
                     match output_path(folder, &relation.name, directive) {
-                        Some(path) => write_relation(&path, directive.compress, force, &header, rows)?,
+                        Some(path) => write_relation(&path, directive.compress, place, &header, rows)?,
                         None => print_relation(out, &relation.name, &header, rows)?,
                     }
                 }
@@ -312,6 +315,37 @@ pub(super) fn relations(program: &Program) -> impl Iterator<Item = (RelId, &crat
     })
 }
 
+/// Returns the file of an input relation, or `None` for standard input.
+fn input_path(folder: &Path, relation: &str, directive: &Directive) -> Option<PathBuf> {
+    match &directive.place {
+        RowPlace::Usual => {
+            let plain = folder.join(format!("{relation}.facts"));
+            let compressed = folder.join(format!("{relation}.facts.gz"));
+            Some(if !plain.exists() && compressed.exists() {
+                compressed
+            } else {
+                plain
+            })
+        }
+        RowPlace::File(name) => Some(folder.join(name)),
+        RowPlace::Terminal => None,
+    }
+}
+
+/// Returns the files of all input relations; `-` for standard input.
+fn input_paths(program: &Program, folder: &Path) -> Vec<PathBuf> {
+    let of = |relation: &crate::datalog::Relation| -> Vec<PathBuf> {
+        let inputs = relation
+            .directives
+            .iter()
+            .filter(|directive| directive.kind == MarkKind::Input);
+        inputs
+            .map(|directive| input_path(folder, &relation.name, directive).unwrap_or_else(|| "-".into()))
+            .collect()
+    };
+    relations(program).flat_map(|(_, relation)| of(relation)).collect()
+}
+
 /// Reads the facts of every input relation. Reports the faults of all files at once.
 pub(super) fn load_inputs(folder: &Path, session: &mut Session, sources: &mut Sources) -> Result<(), Failure> {
     if !folder.is_dir() {
@@ -325,19 +359,8 @@ pub(super) fn load_inputs(folder: &Path, session: &mut Session, sources: &mut So
             .iter()
             .filter(|directive| directive.kind == MarkKind::Input)
         {
-            let path = match &directive.place {
-                RowPlace::Usual => {
-                    let plain = folder.join(format!("{}.facts", relation.name));
-                    let compressed = folder.join(format!("{}.facts.gz", relation.name));
-                    if !plain.exists() && compressed.exists() {
-                        compressed
-                    } else {
-                        plain
-                    }
-                }
-                RowPlace::File(name) => folder.join(name),
-                RowPlace::Terminal => PathBuf::from("standard input"),
-            };
+            let path = input_path(folder, &relation.name, directive);
+            let path = path.unwrap_or_else(|| PathBuf::from("standard input"));
             if !matches!(directive.place, RowPlace::Terminal)
                 && !directive.format.quoted
                 && load_blocks(&path, session, id, &directive.format)?
@@ -425,12 +448,12 @@ fn load_blocks(path: &Path, session: &mut Session, id: RelId, format: &RowFormat
 fn write_relation(
     path: &Path,
     compress: bool,
-    force: &ForceOption,
+    (inputs, force): (&Inputs, &ForceOption),
     header: &str,
     rows: impl Fn(&mut dyn Write) -> io::Result<()>,
 ) -> Result<(), Failure> {
     let fail = |error: io::Error| unwritable(path, &error);
-    let mut file = force.create(path)?;
+    let mut file = force.create(path, inputs)?;
     if compress {
         let mut stream = GzEncoder::new(&mut file, Compression::default());
         stream.write_all(header.as_bytes()).map_err(fail)?;

@@ -1,12 +1,15 @@
 //! `logicity questions`: generates language questions.
 
 use crate::city::Split;
-use crate::cli::{Failure, ForceOption, finish, load_city, one_of, progress, unwritable};
+use crate::cli::{
+    Failure, ForceOption, Inputs, finish, integer, is_stdout, load_city, messages, one_of, progress, refuse_mixing,
+    unwritable,
+};
 use crate::diag::{Code, Sources};
 use crate::files::Output;
 use crate::task::questions::{Extent, QUESTIONS_MAX, QuestionSet, Request, RulesFile, SHOTS_MAX, Style, askable};
 use std::io::{self, Write};
-use std::path::PathBuf;
+use std::path::{Path, PathBuf};
 use std::sync::Arc;
 
 /// Size and concepts of the paper's small set.
@@ -21,15 +24,15 @@ pub struct Arguments {
     #[arg(long)]
     rules: Option<PathBuf>,
     /// Number of questions, balanced over the answers as far as possible
-    #[arg(long, value_parser = clap::value_parser!(u32).range(1..=QUESTIONS_MAX as i64), allow_negative_numbers = true,
+    #[arg(long, value_parser = integer(1..=QUESTIONS_MAX),
         default_value_t = 1000)]
     count: u32,
     /// Number of solved examples before each question: 0, or at least one per action that the rules can derive
-    #[arg(long, value_parser = clap::value_parser!(u32).range(0..=SHOTS_MAX as i64), allow_negative_numbers = true,
+    #[arg(long, value_parser = integer(0..=SHOTS_MAX),
         default_value_t = 5)]
     shots: u32,
     /// Seed of the questions
-    #[arg(long, default_value_t = 0, allow_negative_numbers = true)]
+    #[arg(long, value_parser = integer(0..=u64::MAX), default_value_t = 0)]
     seed: u64,
     /// Agent set of the questions
     #[arg(long, value_parser = one_of(&Split::ALL, Split::name), default_value = "test")]
@@ -49,10 +52,11 @@ pub struct Arguments {
     /// Use the size and concepts of the paper's small set: 117 questions about tiro (novice) and reckless cars
     #[arg(long, conflicts_with_all = ["count", "about"])]
     mini: bool,
-    /// Write the questions to FILE, one JSON object per line [default: standard output]
+    /// Write the questions to FILE, one JSON object per line; `-` means standard output [default: -]
     #[arg(short, long, value_name = "FILE")]
     output: Option<PathBuf>,
-    /// Also write the questions to FILE in the CSV format of MMLU, without a header
+    /// Also write the questions to FILE in the CSV format of MMLU, without a header; `-` means standard output, if the
+    /// questions go to a file
     #[arg(long, value_name = "FILE")]
     csv: Option<PathBuf>,
     /// Also write the solved examples to FILE in the same format
@@ -63,6 +67,15 @@ pub struct Arguments {
 }
 
 pub fn run(arguments: &Arguments, sources: &mut Sources) -> Result<(), Failure> {
+    let named: Vec<(&str, &Path)> = [
+        ("--output", Some(arguments.output.as_deref().unwrap_or(Path::new("-")))),
+        ("--csv", arguments.csv.as_deref()),
+        ("--demonstrations-csv", arguments.demonstrations_csv.as_deref()),
+    ]
+    .into_iter()
+    .filter_map(|(option, path)| Some((option, path?)))
+    .collect();
+    refuse_mixing(named.iter().copied())?;
     let city = load_city(sources, &arguments.config, arguments.rules.as_deref())?;
     let (rule_file, hash) = (city.rule_files[0], city.rules_hash.clone());
     let world = Arc::new(city.world()?);
@@ -80,10 +93,12 @@ pub fn run(arguments: &Arguments, sources: &mut Sources) -> Result<(), Failure> 
         about,
         seed: arguments.seed,
     };
-    let begin = |path: &Option<PathBuf>| path.as_deref().map(|path| arguments.force.create(path)).transpose();
-    let table = begin(&arguments.csv)?;
-    let demonstrations = begin(&arguments.demonstrations_csv)?;
-    let questions = begin(&arguments.output)?;
+    let inputs = Inputs::of(sources);
+    let begin = |path: Option<&Path>| path.map(|path| arguments.force.create(path, &inputs)).transpose();
+    let table = begin(arguments.csv.as_deref())?;
+    let demonstrations = begin(arguments.demonstrations_csv.as_deref())?;
+    let output = arguments.output.as_deref().filter(|path| !is_stdout(path));
+    let questions = begin(output)?;
     let bar = progress("question", count as u64);
     let set = QuestionSet::draw(&world, request, |found| bar.set_position(found as u64));
     bar.finish_and_clear();
@@ -98,22 +113,23 @@ pub fn run(arguments: &Arguments, sources: &mut Sources) -> Result<(), Failure> 
         name: sources.name(rule_file),
         hash: &hash,
     };
-    write(table, &arguments.csv, |out| set.write_table(out))?;
-    write(demonstrations, &arguments.demonstrations_csv, |out| {
+    write(table, arguments.csv.as_deref(), |out| set.write_table(out))?;
+    write(demonstrations, arguments.demonstrations_csv.as_deref(), |out| {
         set.write_demonstrations(out)
     })?;
-    let Some(path) = &arguments.output else {
+    let Some(path) = output else {
         set.write_json(&world, rules, &mut io::BufWriter::new(io::stdout().lock()))?;
         return Ok(());
     };
-    write(questions, &arguments.output, |out| set.write_json(&world, rules, out))?;
+    write(questions, output, |out| set.write_json(&world, rules, out))?;
     let answers = set.answers();
     let counts = askable(&world)
         .into_iter()
         .map(|action| format!("{} {}", action.name(), answers[action as usize]));
     let counts: Vec<String> = counts.collect();
+    let paths: Vec<&Path> = named.iter().map(|(_, path)| *path).collect();
     writeln!(
-        io::stdout(),
+        messages(&paths),
         "wrote {count} questions to {}: {}",
         path.display(),
         counts.join(", ")
@@ -124,7 +140,7 @@ pub fn run(arguments: &Arguments, sources: &mut Sources) -> Result<(), Failure> 
 /// Writes a file, if the user named one.
 fn write(
     output: Option<Output>,
-    path: &Option<PathBuf>,
+    path: Option<&Path>,
     what: impl FnOnce(&mut Output) -> io::Result<()>,
 ) -> Result<(), Failure> {
     let (Some(mut output), Some(path)) = (output, path) else {

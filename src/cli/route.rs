@@ -13,13 +13,13 @@ pub struct Arguments {
     #[arg(long, default_value = "square-5x5")]
     map: String,
     /// Type of agent that travels
-    #[arg(long = "type", value_parser = one_of(&AgentKind::ALL, traveller))]
+    #[arg(long = "type", value_parser = one_of(&AgentKind::ALL, traveler))]
     kind: AgentKind,
     /// Cell where the route starts
-    #[arg(long, value_name = "ROW,COL", value_parser = cell)]
+    #[arg(long, value_name = "ROW,COL", value_parser = cell, allow_hyphen_values = true)]
     from: Cell,
     /// Cell where the route ends
-    #[arg(long, value_name = "ROW,COL", value_parser = cell)]
+    #[arg(long, value_name = "ROW,COL", value_parser = cell, allow_hyphen_values = true)]
     to: Cell,
     /// Routing of cars: the shortest weighted path (as in the paper), or the fewest nodes of the road graph (as in the
     /// published program)
@@ -27,7 +27,7 @@ pub struct Arguments {
     routing: Routing,
 }
 
-fn traveller(kind: AgentKind) -> &'static str {
+fn traveler(kind: AgentKind) -> &'static str {
     match kind {
         AgentKind::Car => "car",
         AgentKind::Pedestrian => "pedestrian",
@@ -50,7 +50,7 @@ pub fn run(arguments: &Arguments, sources: &mut Sources) -> Result<(), Failure> 
     let map = router.map();
     let route = router.plan(kind, from, to).map_err(|reason| {
         let place = |cell: Cell| format!("[{}, {}]", cell.row, cell.col);
-        let what = traveller(kind);
+        let what = traveler(kind);
         let outside = |cell: Cell| {
             let bounds = format!("rows 0 to {}, columns 0 to {}", map.rows() - 1, map.cols() - 1);
             (!map.contains(cell)).then(|| format!("{} is not on the map, which has {bounds}", place(cell)))

@@ -3,7 +3,10 @@
 use crate::cancel::Cancel;
 use crate::city::{Action, AgentKind, Split};
 use crate::cli::icons::IconOptions;
-use crate::cli::{Failure, ForceOption, finish, load_city, one_of, plural, unwritable};
+use crate::cli::{
+    Failure, ForceOption, Inputs, LimitOptions, finish, integer, is_stdout, load_city, one_of, plural,
+    refuse_stdout_as_folder, unwritable,
+};
 use crate::datalog::constraints;
 use crate::datalog::explain::ExplanationPrinter;
 use crate::datalog::{Clause, ClauseId};
@@ -13,8 +16,8 @@ use crate::page::DECISIONS_MAX;
 use crate::render::{Animation, Overview, Sprite, write_png};
 use crate::rng::Seed;
 use crate::sim::{
-    DeadlockReport, Executor, LOOK_TICKS, MAX_ENTITIES, STUCK_TICKS, Settings, Simulation, TraceWriter, WaitsFor,
-    find_deadlocks, waits,
+    DeadlockReport, Executor, LOOK_TICKS, MAX_ENTITIES, STUCK_TICKS, Settings, Simulation, TICK_LIMITS, TraceWriter,
+    WaitsFor, find_deadlocks, waits,
 };
 use indicatif::{ProgressBar, ProgressStyle};
 use std::collections::{BTreeMap, BTreeSet};
@@ -36,10 +39,10 @@ pub struct Arguments {
     /// Run configuration
     config: PathBuf,
     /// Number of ticks, 1 to 1000000000 [default: `ticks` of the configuration]
-    #[arg(long, value_parser = clap::value_parser!(u64).range(1..=1_000_000_000), allow_negative_numbers = true)]
+    #[arg(long, value_parser = integer(1..=1_000_000_000_u64))]
     ticks: Option<u64>,
     /// Seed of the run
-    #[arg(long, default_value_t = 0, allow_negative_numbers = true)]
+    #[arg(long, value_parser = integer(0..=u64::MAX), default_value_t = 0)]
     seed: u64,
     /// Agent set of the configuration
     #[arg(long, value_parser = one_of(&Split::ALL, Split::name), default_value = "test")]
@@ -58,7 +61,7 @@ pub struct Arguments {
     #[arg(long, value_parser = one_of(&Executor::ALL, Executor::name), default_value = "auto")]
     executor: Executor,
     /// Number of threads, used for cities of many agents; 0 means one per core. Results do not depend on it
-    #[arg(long, value_parser = super::threads, default_value = "1", allow_negative_numbers = true)]
+    #[arg(long, value_parser = super::threads, default_value = "1")]
     threads: NonZeroUsize,
     /// Also write an interactive HTML page of the run to FILE
     #[arg(long, value_name = "FILE", conflicts_with = "no_trace")]
@@ -71,6 +74,8 @@ pub struct Arguments {
     /// Print the summary but write no files
     #[arg(long)]
     no_trace: bool,
+    #[command(flatten)]
+    limits: LimitOptions,
     #[command(flatten)]
     force: ForceOption,
 }
@@ -93,6 +98,11 @@ struct Tally {
 }
 
 pub fn run(arguments: &Arguments, sources: &mut Sources) -> Result<(), Failure> {
+    refuse_stdout_as_folder(&arguments.out)?;
+    if arguments.html.as_deref().is_some_and(is_stdout) {
+        let message = "the summary goes to standard output, so the page of `--html` cannot";
+        return Err(Failure::Usage(format!("{message}\nhelp: name a file")));
+    }
     let city = load_city(sources, &arguments.config, arguments.rules.as_deref())?;
     let rule_files = city.rule_files.clone();
     let ticks = arguments.ticks.unwrap_or(u64::from(city.scenario.ticks));
@@ -106,6 +116,7 @@ pub fn run(arguments: &Arguments, sources: &mut Sources) -> Result<(), Failure> 
             threads: arguments.threads.get(),
         },
     )?;
+    simulation.set_limits(arguments.limits.limits(TICK_LIMITS));
 
     let cancel = cancel_on_interrupt()?;
     if !arguments.no_trace && simulation.agents().len() > MAX_ENTITIES {
@@ -122,15 +133,16 @@ pub fn run(arguments: &Arguments, sources: &mut Sources) -> Result<(), Failure> 
             .help("omit `--html` and write a page of some ticks: `logicity view TRACE --from N --ticks N`")
             .into());
     }
+    let inputs = Inputs::of(sources).with(arguments.icons.files());
     let mut record = match arguments.no_trace {
         true => None,
-        false => Some(Record::new(arguments, &simulation, sources, &rule_files)?),
+        false => Some(Record::new(arguments, &inputs, &simulation, sources, &rule_files)?),
     };
 
     let page = arguments
         .html
         .as_deref()
-        .map(|page| arguments.force.create(page))
+        .map(|page| arguments.force.create(page, &inputs))
         .transpose()?;
 
     let bar = ProgressBar::new(ticks).with_style(
@@ -209,13 +221,14 @@ struct Pictures {
 impl Record {
     fn new(
         arguments: &Arguments,
+        inputs: &Inputs,
         simulation: &Simulation,
         sources: &Sources,
         rule_files: &[SourceId],
     ) -> Result<Record, Failure> {
         let folder = arguments.out.clone();
         make_folder(&folder)?;
-        let create = |name: &str| arguments.force.create(&folder.join(name));
+        let create = |name: &str| arguments.force.create(&folder.join(name), inputs);
         let trace = TraceWriter::new(create("trace.jsonl")?, simulation, sources, rule_files)
             .map_err(|error| unwritable(&folder.join("trace.jsonl"), &error))?;
         let names: Vec<String> = (simulation.agents().iter().map(|agent| agent.name().to_string())).collect();

@@ -3,7 +3,7 @@
 use crate::cancel::Cancel;
 use crate::city::{Action, Split};
 use crate::cli::icons::IconOptions;
-use crate::cli::{Failure, ForceOption, load_city, one_of, progress, threads};
+use crate::cli::{Failure, ForceOption, integer, load_city, one_of, progress, refuse_stdout_as_folder, threads};
 use crate::diag::Sources;
 use crate::files::Folder;
 use crate::render::{Difficulty, Icons};
@@ -46,18 +46,16 @@ struct WorldOptions {
     #[arg(long, value_parser = one_of(&Split::ALL, Split::name))]
     split: Split,
     /// Number of worlds [default: 100 for train, 20 for val and test]
-    #[arg(long, value_parser = clap::value_parser!(u32).range(1..=i64::from(WORLDS_MAX)),
-        allow_negative_numbers = true)]
+    #[arg(long, value_parser = integer(1..=WORLDS_MAX))]
     worlds: Option<u32>,
     /// Number of the first world, so that several processes can make parts of a data set
-    #[arg(long, value_parser = clap::value_parser!(u32).range(0..i64::from(WORLDS_MAX)), allow_negative_numbers = true,
-        default_value_t = 0)]
+    #[arg(long, value_parser = integer(0..=WORLDS_MAX - 1), default_value_t = 0)]
     first_world: u32,
     /// Seed of the data set
-    #[arg(long, default_value_t = 0, allow_negative_numbers = true)]
+    #[arg(long, value_parser = integer(0..=u64::MAX), default_value_t = 0)]
     seed: u64,
     /// Number of threads; 0 means one per core. The result does not depend on it
-    #[arg(long, value_parser = threads, default_value = "0", allow_negative_numbers = true)]
+    #[arg(long, value_parser = threads, default_value = "0")]
     threads: NonZeroUsize,
 }
 
@@ -90,7 +88,7 @@ struct Check {
     /// Folder of the data set
     folder: PathBuf,
     /// Number of threads; 0 means one per core
-    #[arg(long, value_parser = threads, default_value = "0", allow_negative_numbers = true)]
+    #[arg(long, value_parser = threads, default_value = "0")]
     threads: NonZeroUsize,
     /// Print one JSON object
     #[arg(long)]
@@ -119,6 +117,13 @@ impl From<DatasetError> for Failure {
         match error {
             DatasetError::Faulty(faults) => faults.into(),
             DatasetError::File(error) => error.into(),
+            DatasetError::Occupied(occupied) => {
+                let help = match occupied.replaceable {
+                    true => "choose another folder, or replace the file with `--force`",
+                    false => "choose another folder, or move it elsewhere",
+                };
+                Failure::Usage(format!("{occupied}\nhelp: {help}"))
+            }
         }
     }
 }
@@ -136,6 +141,7 @@ fn with_bar<R>(unit: &str, work: impl FnOnce(&(dyn Fn(u64, u64) + Sync)) -> R) -
 
 impl Make {
     fn run(&self, sources: &mut Sources) -> Result<(), Failure> {
+        refuse_stdout_as_folder(&self.out)?;
         let worlds = &self.worlds;
         let city = load_city(sources, Path::new(worlds.mode.config()), None)?;
         let request = DatasetRequest {

@@ -2,13 +2,13 @@
 
 use crate::cli::icons::IconOptions;
 use crate::cli::trace::TraceReader;
-use crate::cli::{Failure, ForceOption, finish, unwritable};
+use crate::cli::{Failure, ForceOption, Inputs, finish, integer, messages, unwritable};
 use crate::diag::{Code, Diagnostic, Sources};
 use crate::files::Output;
 use crate::page::{Comparison, Page};
 use crate::rng::Seed;
 use indicatif::{ProgressBar, ProgressStyle};
-use std::io::{self, Write};
+use std::io::Write;
 use std::path::{Path, PathBuf};
 
 #[derive(clap::Args)]
@@ -16,14 +16,14 @@ pub struct Arguments {
     /// Trace written by `logicity run`; two traces are shown side by side, with their differences
     #[arg(required = true, num_args = 1..=2, value_name = "TRACE")]
     traces: Vec<PathBuf>,
-    /// Write the page to FILE
+    /// Write the page to FILE; `-` means standard output
     #[arg(short, long, value_name = "FILE", default_value = "city.html")]
     output: PathBuf,
     /// Number of the first tick to show
-    #[arg(long, default_value_t = 0, allow_negative_numbers = true)]
+    #[arg(long, value_parser = integer(0..=u64::MAX), default_value_t = 0)]
     from: u64,
     /// Number of ticks to show [default: all]
-    #[arg(long, value_parser = clap::value_parser!(u64).range(1..), allow_negative_numbers = true)]
+    #[arg(long, value_parser = integer(1..=u64::MAX))]
     ticks: Option<u64>,
     /// Configuration to use instead of the one in the trace; must have the same content. For two traces, one for both
     /// or two
@@ -51,17 +51,20 @@ pub fn run(arguments: &Arguments, sources: &mut Sources) -> Result<(), Failure> 
             return Err(Failure::Usage(message));
         }
     }
-    for trace in traces {
-        refuse_overwriting(trace, output)?;
-    }
-    let mut file_out = arguments.force.create(output)?;
+    let inputs = Inputs(traces.clone()).with(icons.files());
+    let inputs = inputs.with(arguments.config.iter().chain(&arguments.rules).cloned());
+    let mut file_out = arguments.force.create(output, &inputs)?;
     let mut pages = Vec::new();
     for (number, trace) in traces.iter().enumerate() {
         let files = [file(&arguments.config, number), file(&arguments.rules, number)];
         let files = [files[0].as_deref(), files[1].as_deref()];
         pages.push(load(trace, range, files, icons, sources)?);
     }
-    let mut out = io::stdout();
+    if !arguments.config.is_empty() || !arguments.rules.is_empty() {
+        // The files that these name are known only now.
+        Inputs::of(sources).refuse(output)?;
+    }
+    let mut out = messages(&[output]);
     let fail = |error| unwritable(output, &error);
     if let [left, right] = &pages[..] {
         let comparison = Comparison::new([left, right], names([&traces[0], &traces[1]]))?;
@@ -85,16 +88,6 @@ pub fn write(
 ) -> Result<(), Failure> {
     let page = load(trace, (0, u64::MAX), [None; 2], icons, sources)?;
     page.write(out).map_err(|error| unwritable(output, &error))
-}
-
-fn refuse_overwriting(trace: &Path, output: &Path) -> Result<(), Failure> {
-    match (trace.canonicalize(), output.canonicalize()) {
-        (Ok(from), Ok(to)) if from == to => Err(Failure::Usage(format!(
-            "the page would overwrite its trace `{}`; specify another file",
-            trace.display()
-        ))),
-        _ => Ok(()),
-    }
 }
 
 /// Returns the last parts of two paths that differ: `x` and `y` for `x/trace.jsonl` and `y/trace.jsonl`. Without a

@@ -1,6 +1,7 @@
 //! Diagnostic codes of configurations.
 
 crate::diagnostic_codes! {
+    "codes.md":
     /// The text is not YAML.
     YAML_SYNTAX = "yaml-syntax", Error;
     /// The mapping does not have this key.

@@ -15,7 +15,7 @@
 
 use crate::config::yaml;
 use crate::config::yaml::{Node, Value};
-use crate::diag::{Code, Diagnostic, SourceId, Sources, did_you_mean};
+use crate::diag::{Code, Diagnostic, SourceId, Sources, similar_file};
 use crate::files::{BUILTIN_FOLDER, ReadError, ReadFile, normalize};
 use std::collections::HashMap;
 use std::path::{Path, PathBuf};
@@ -149,10 +149,9 @@ impl<'a> Composer<'a> {
         };
         if kind.named(Path::new(written)).is_some() {
             let with_ending = format!("{written}.{}", kind.ending);
-            if self.read.read(&folder.join(&with_ending)).is_ok() {
-                return did_you_mean_this(&with_ending);
-            }
-            if let Some(near) = did_you_mean(written, of(kind)) {
+            let beside = self.read.read(&folder.join(&with_ending)).is_ok();
+            let beside = beside.then_some(with_ending.as_str());
+            if let Some(near) = similar_file(written, beside.into_iter().chain(of(kind))) {
                 return did_you_mean_this(near);
             }
             if let Some((other, key)) = KINDS.iter().find(|(other, _)| of(*other).contains(&written)) {
@@ -168,7 +167,7 @@ impl<'a> Composer<'a> {
         }
         // Paths from another folder differ in their beginning.
         let trimmed = written.trim_start_matches(['.', '/']);
-        did_you_mean(trimmed, known.iter().map(String::as_str)).and_then(did_you_mean_this)
+        similar_file(trimmed, known.iter().map(String::as_str)).and_then(did_you_mean_this)
     }
 
     /// Returns the path of the existing rule file that a value names.

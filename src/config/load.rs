@@ -105,7 +105,7 @@ pub(super) fn finish<T>(value: Option<T>, faults: Vec<Diagnostic>) -> Result<T, 
     }
 }
 
-/// The parts of a run configuration that may be files of their own.
+/// The parts of a run configuration that may be separate files.
 const PARTS_OF_RUN: [(&str, Kind); 4] = [
     ("map", MAP),
     ("agents", AGENTS),

@@ -19,7 +19,7 @@ mod task;
 mod tree;
 pub(crate) mod yaml;
 
-pub use codes::CODES;
+pub use codes::{CATALOG, CODES};
 pub use compose::Read;
 pub use load::{Loaded, load_any, load_map, load_scenario, missing_file};
 pub use model::*;

@@ -1,6 +1,7 @@
 //! Codes of diagnostics about rules and facts.
 
 crate::diagnostic_codes! {
+    "codes.md":
     /// The text does not follow the grammar.
     SYNTAX = "syntax", Error;
     /// A feature of Soufflé that this language does not have.

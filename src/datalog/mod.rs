@@ -119,7 +119,7 @@ pub use check::{
     Atom, Clause, ClauseId, Column, Comparing, Constraint, DeclaredConstraint, Directive, Edb, Literal, RelId,
     Relation, RowFormat, RowPlace, Rules, Stratum, Term, Type, TypeId, VarId,
 };
-pub use codes::CODES;
+pub use codes::{CATALOG, CODES};
 pub use eval::delta::{Delta, RelationChange, Rows};
 pub use eval::limits::{EvalError, Limits};
 pub use eval::stats::{EvalEvent, EvalStats, RuleStats, Strategy, StratumStats, WorkCounts};

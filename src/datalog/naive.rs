@@ -26,7 +26,7 @@ pub fn evaluate(rules: &Rules, symbols: &Symbols, facts: impl IntoIterator<Item 
             let mut changed = false;
             for &clause in &stratum.clauses {
                 let clause = &rules.clauses[clause.index()];
-                for row in consequences(clause, symbols, &database) {
+                for row in consequences(rules, clause, symbols, &database) {
                     changed |= database[clause.head.relation.index()].insert(row);
                 }
             }
@@ -38,9 +38,20 @@ pub fn evaluate(rules: &Rules, symbols: &Symbols, facts: impl IntoIterator<Item 
     database
 }
 
-/// Returns the head rows that a clause derives from the database.
-pub fn consequences(clause: &Clause, symbols: &Symbols, database: &Database) -> BTreeSet<Vec<Value>> {
-    let mut bindings: Vec<Binding> = vec![vec![None; clause.variables.len()]];
+/// Returns the head rows that a clause of the rules derives from the database.
+pub fn consequences(rules: &Rules, clause: &Clause, symbols: &Symbols, database: &Database) -> BTreeSet<Vec<Value>> {
+    derived(rules, clause, vec![None; clause.variables.len()], symbols, database)
+}
+
+/// Returns the head rows that a clause derives if its variables have these values.
+fn derived(
+    rules: &Rules,
+    clause: &Clause,
+    known: Binding,
+    symbols: &Symbols,
+    database: &Database,
+) -> BTreeSet<Vec<Value>> {
+    let mut bindings: Vec<Binding> = vec![known];
 
     // P(x, y): one binding for each row of P that agrees with the bindings so far.
     for literal in &clause.body {
@@ -69,7 +80,7 @@ pub fn consequences(clause: &Clause, symbols: &Symbols, database: &Database) -> 
                         learn(right, value(left, known), known);
                     }
                     Literal::Compute { to, .. } | Literal::Aggregate { to, .. } => {
-                        learn(to, result(literal, known, database, symbols), known);
+                        learn(to, result(rules, literal, known, database, symbols), known);
                     }
                     _ => {}
                 }
@@ -91,7 +102,7 @@ pub fn consequences(clause: &Clause, symbols: &Symbols, database: &Database) -> 
                 _ => false,
             },
             Literal::Compute { to, .. } | Literal::Aggregate { to, .. } => {
-                value(to, known).is_some() && value(to, known) == result(literal, known, database, symbols)
+                value(to, known).is_some() && value(to, known) == result(rules, literal, known, database, symbols)
             }
         })
     });
@@ -127,7 +138,7 @@ fn learn(to: &Term, found: Option<Value>, known: &mut Binding) {
 }
 
 /// Returns the value of an expression or aggregate; `None` if it has none or an operand is unbound.
-fn result(literal: &Literal, known: &Binding, database: &Database, symbols: &Symbols) -> Option<Value> {
+fn result(rules: &Rules, literal: &Literal, known: &Binding, database: &Database, symbols: &Symbols) -> Option<Value> {
     match literal {
         Literal::Compute {
             functor,
@@ -145,8 +156,15 @@ fn result(literal: &Literal, known: &Binding, database: &Database, symbols: &Sym
             if !atom.terms.iter().all(ready) {
                 return None;
             }
-            let rows = database[atom.relation.index()].iter();
-            let rows = rows.filter(|row| unify(atom, row, known).is_some());
+            let correlated;
+            let rows = match rules.is_correlated(atom.relation) {
+                true => {
+                    correlated = correlated_rows(rules, atom, known, symbols, database);
+                    &correlated
+                }
+                false => &database[atom.relation.index()],
+            };
+            let rows = rows.iter().filter(|row| unify(atom, row, known).is_some());
             op.of(
                 *base,
                 rows.map(|row| column.map_or(Value(0), |column| row[column])),
@@ -155,6 +173,31 @@ fn result(literal: &Literal, known: &Binding, database: &Database, symbols: &Sym
         }
         _ => None,
     }
+}
+
+/// Returns the rows of a predicate with parameters for the parameters that the binding gives an atom of it.
+fn correlated_rows(
+    rules: &Rules,
+    atom: &Atom,
+    known: &Binding,
+    symbols: &Symbols,
+    database: &Database,
+) -> BTreeSet<Vec<Value>> {
+    let mut rows = BTreeSet::new();
+    for clause in rules
+        .clauses
+        .iter()
+        .filter(|clause| clause.head.relation == atom.relation)
+    {
+        // +1(x, y) :- P(y), y < x. with the value of x.
+        let mut inner = vec![None; clause.variables.len()];
+        let parameters = rules.relations[atom.relation.index()].parameters;
+        for (term, actual) in clause.head.terms.iter().zip(&atom.terms).take(parameters) {
+            learn(term, value(actual, known), &mut inner);
+        }
+        rows.extend(derived(rules, clause, inner, symbols, database));
+    }
+    rows
 }
 
 fn value(term: &Term, known: &Binding) -> Option<Value> {

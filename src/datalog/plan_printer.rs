@@ -156,6 +156,7 @@ impl Shown<'_> {
                     *out += &format!("      one match of the next {steps} is enough\n");
                 }
             }
+            let mut inner = String::new();
             let line = match step {
                 Step::Scan {
                     source,
@@ -166,7 +167,11 @@ impl Shown<'_> {
                 } => {
                     let found = key.iter().zip(0_u16..).map(|(&slot, column)| (column, slot));
                     let terms: Vec<(u16, Slot)> = found.chain(bind.iter().chain(check).copied()).collect();
-                    format!("scan   {}", self.show_lookup(*source, &terms, key.len(), &value))
+                    let lookup = self.show_lookup(*source, &terms, key.len(), &value);
+                    match self.plans.indexes.correlated(self.plans.indexes[source.index].relation) {
+                        Some(_) => format!("given  {}", lookup.trim_end_matches(", new")),
+                        None => format!("scan   {lookup}"),
+                    }
                 }
                 Step::Exists { source, key } | Step::AntiJoin { source, key } => {
                     let terms: Vec<(u16, Slot)> =
@@ -253,8 +258,31 @@ impl Shown<'_> {
                     let (to, op, name) = (value(*to, *base), op.name(), &relation.name);
                     format!("{what}   {to} = {op} : {{ {name}({}) }}, by group", terms.join(", "))
                 }
+                Step::Correlated {
+                    relation,
+                    plans,
+                    key,
+                    op,
+                    base,
+                    to,
+                    test,
+                    ..
+                } => {
+                    for (plan, clause) in plans.iter().zip(self.plans.correlated_clauses(*relation)) {
+                        self.show_steps(&mut inner, &self.compiled.rules.clauses[clause.index()], plan);
+                    }
+                    let relation = &self.compiled.rules.relations[relation.index()];
+                    let terms: Vec<String> = (relation.columns.iter().zip(key))
+                        .map(|(column, &slot)| value(slot, column.base))
+                        .chain(std::iter::repeat_n("_".to_owned(), relation.arity() - key.len()))
+                        .collect();
+                    let what = if *test { "test" } else { "let " };
+                    let (to, op, name) = (value(*to, *base), op.name(), &relation.name);
+                    format!("{what}   {to} = {op} : {{ {name}({}) }}, in place", terms.join(", "))
+                }
             };
             *out += &format!("      {line}\n");
+            inner.lines().for_each(|line| *out += &format!("  {line}\n"));
         }
         let relation = &self.compiled.rules.relations[plan.head.index()];
         let terms = relation.columns.iter().zip(&plan.output);

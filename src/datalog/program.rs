@@ -100,7 +100,8 @@ impl Program {
     ///
     /// Such a predicate is the hidden one for the body of an aggregate. A session returns no rows of it and no changes.
     pub fn is_aggregated(&self, rel: RelId) -> bool {
-        self.0.plans.groupings.get(rel.index()).is_some_and(Option::is_some)
+        let plans = &self.0.plans;
+        plans.indexes.correlated(rel).is_some() || plans.groupings.get(rel.index()).is_some_and(Option::is_some)
     }
 
     /// Returns the predicate with that name, if the program declares it.

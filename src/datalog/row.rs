@@ -2,7 +2,8 @@
 //!
 //! A program learns the arities of its predicates at run time, but fast sorting, merging and searching need them at
 //! compile time. So all code on rows is generic over one width `W`: the program's largest arity, rounded up to one of
-//! [`WIDTHS`]. Zeros pad narrower rows. A set of rows is a sorted slice without duplicates.
+//! [`WIDTHS`]. Zeros pad narrower rows; only loaded relations have rows of their own width ([`ByWidth`]). A set of rows
+//! is a sorted slice without duplicates.
 
 use crate::datalog::value::Value;
 use std::cmp::Ordering;
@@ -190,6 +191,106 @@ impl<'a, const W: usize> Batch<'a, W> {
             Some(&[start, end]) => &self.rows[start as usize..end as usize],
             _ => &[],
         }
+    }
+}
+
+/// A value for rows of the program's width, or of a narrower one.
+///
+/// Relations that no clause derives may have few columns in a program with wide relations. Their rows are as narrow as
+/// these columns allow; see [`NARROW`].
+#[derive(Clone, Copy, Debug)]
+pub(crate) enum ByWidth<Own, Two, Four, Eight> {
+    /// The program's width.
+    Own(Own),
+    /// Two words.
+    Two(Two),
+    /// Four words.
+    Four(Four),
+    /// Eight words.
+    Eight(Eight),
+}
+
+/// The widths of narrow rows.
+pub(crate) const NARROW: [usize; 3] = [2, 4, 8];
+
+/// Evaluates an expression for the value of a [`ByWidth`], whatever its width.
+macro_rules! each_width {
+    ($value:expr, $name:ident => $result:expr) => {
+        match $value {
+            $crate::datalog::row::ByWidth::Own($name) => $result,
+            $crate::datalog::row::ByWidth::Two($name) => $result,
+            $crate::datalog::row::ByWidth::Four($name) => $result,
+            $crate::datalog::row::ByWidth::Eight($name) => $result,
+        }
+    };
+}
+
+/// Like `each_width`, with a [`ByWidth`] of the results.
+macro_rules! map_width {
+    ($value:expr, $name:ident => $result:expr) => {
+        match $value {
+            $crate::datalog::row::ByWidth::Own($name) => $crate::datalog::row::ByWidth::Own($result),
+            $crate::datalog::row::ByWidth::Two($name) => $crate::datalog::row::ByWidth::Two($result),
+            $crate::datalog::row::ByWidth::Four($name) => $crate::datalog::row::ByWidth::Four($result),
+            $crate::datalog::row::ByWidth::Eight($name) => $crate::datalog::row::ByWidth::Eight($result),
+        }
+    };
+}
+pub(crate) use {each_width, map_width};
+
+/// Sorted rows of some width.
+pub(crate) type AnyRows<'a, const W: usize> = ByWidth<&'a [Row<W>], &'a [Row<2>], &'a [Row<4>], &'a [Row<8>]>;
+
+/// A batch of rows of some width.
+pub(crate) type AnyBatch<'a, const W: usize> = ByWidth<Batch<'a, W>, Batch<'a, 2>, Batch<'a, 4>, Batch<'a, 8>>;
+
+impl<'a, const W: usize> AnyRows<'a, W> {
+    /// Returns the number of rows.
+    #[inline]
+    pub(crate) fn len(&self) -> usize {
+        each_width!(self, rows => rows.len())
+    }
+
+    /// Returns the words of a row.
+    #[inline]
+    pub(crate) fn words(&self, position: usize) -> &'a [Value] {
+        each_width!(self, rows => &rows[position].0)
+    }
+
+    /// Splits the rows at a position.
+    pub(crate) fn split_at(&self, position: usize) -> (Self, Self) {
+        match self {
+            ByWidth::Own(rows) => {
+                let (front, back) = rows.split_at(position);
+                (ByWidth::Own(front), ByWidth::Own(back))
+            }
+            ByWidth::Two(rows) => {
+                let (front, back) = rows.split_at(position);
+                (ByWidth::Two(front), ByWidth::Two(back))
+            }
+            ByWidth::Four(rows) => {
+                let (front, back) = rows.split_at(position);
+                (ByWidth::Four(front), ByWidth::Four(back))
+            }
+            ByWidth::Eight(rows) => {
+                let (front, back) = rows.split_at(position);
+                (ByWidth::Eight(front), ByWidth::Eight(back))
+            }
+        }
+    }
+}
+
+impl<'a, const W: usize> AnyBatch<'a, W> {
+    /// Returns the rows that begin with `key`.
+    #[inline]
+    pub(crate) fn range(&self, key: &[Value]) -> AnyRows<'a, W> {
+        map_width!(self, batch => batch.range(key))
+    }
+
+    /// Returns whether a row begins with `key`.
+    #[inline]
+    pub(crate) fn holds(&self, key: &[Value]) -> bool {
+        each_width!(self, batch => batch.holds(key))
     }
 }
 

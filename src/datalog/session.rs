@@ -3,9 +3,10 @@
 use std::fmt;
 
 use crate::cancel::Cancel;
-use crate::datalog::check::{ClauseId, RelId, Relation};
+use crate::datalog::check::{ClauseId, Literal, RelId, Relation};
 use crate::datalog::eval::delta::Delta;
 use crate::datalog::eval::exec::{self, CommitOptions, Store};
+use crate::datalog::eval::join::Abort;
 use crate::datalog::eval::limits::{EvalError, Limits};
 use crate::datalog::eval::stats::{EvalEvent, EvalStats, Strategy};
 use crate::datalog::eval::workers::{Threads, Workers};
@@ -246,6 +247,18 @@ impl Session {
     /// aggregated](Program::is_aggregated).
     pub(crate) fn group(&self, rel: RelId, key: &[Value], op: AggregateOp) -> Option<Value> {
         self.store.group(rel, key, op)
+    }
+
+    /// Returns the value of a correlated aggregate for these parameters, and the number of rows scanned. It stops after
+    /// about `budget` rows.
+    pub(crate) fn correlated(
+        &self,
+        aggregate: &Literal,
+        parameters: &[Value],
+        budget: u64,
+        cancel: &Cancel,
+    ) -> (Result<Option<Value>, Abort>, u64) {
+        (self.store).correlated(aggregate, parameters, &self.symbols, (budget, cancel))
     }
 
     /// Returns the rows that hold, in the order of their words. For symbols this is the order of interning. A relation

@@ -4,7 +4,7 @@
 //! ?- Path(x, y), y > 3.    becomes    .decl ?-(x: number, y: number)    ?-(x, y) :- Path(x, y), y > 3.
 //! ```
 //!
-//! `check` treats a query as a program of its own, in which every declared predicate is input. So a query re-checks no
+//! `check` treats a query as a separate program in which every declared predicate is input. So a query re-checks no
 //! clause of the program, and its body may use everything that a clause body may use.
 
 use std::borrow::Cow;
@@ -27,6 +27,7 @@ use crate::datalog::syntax::include;
 use crate::datalog::syntax::include::Gathered;
 use crate::datalog::syntax::lexer;
 use crate::datalog::syntax::lexer::Kind;
+use crate::datalog::syntax::packed::FactRuns;
 use crate::datalog::syntax::parser;
 use crate::datalog::value::Value;
 
@@ -108,25 +109,31 @@ impl Workspace {
     /// Skips files that the workspace already contains.
     pub fn add(&mut self, sources: &mut Sources, entry: SourceId, read: &dyn ReadFile) {
         include::gather(&mut self.gathered, sources, entry, read, &mut self.faults);
+        // The checker replaces inline predicates in syntax trees.
+        if self.uses_inline() {
+            self.gathered.facts.unpack(&mut self.gathered.items);
+        }
     }
 
     /// Checks the program as a whole. `rules` is `None` if any diagnostic is an error.
     pub fn check(&self) -> Loaded {
-        self.checked(Cow::Borrowed(&self.gathered.items), self.faults.clone())
+        let items = Cow::Borrowed(&self.gathered.items[..]);
+        self.checked(items, Cow::Borrowed(&self.gathered.facts), self.faults.clone())
     }
 
     /// Checks the program as [`check`](Workspace::check) does, and frees the syntax trees as early as possible.
     pub fn into_checked(mut self) -> Loaded {
-        let (items, faults) = (
+        let (items, facts, faults) = (
             std::mem::take(&mut self.gathered.items),
+            std::mem::take(&mut self.gathered.facts),
             std::mem::take(&mut self.faults),
         );
-        self.checked(Cow::Owned(items), faults)
+        self.checked(Cow::Owned(items), Cow::Owned(facts), faults)
     }
 
-    fn checked(&self, items: Cow<'_, [Item]>, mut faults: Faults) -> Loaded {
+    fn checked(&self, items: Cow<'_, [Item]>, facts: Cow<'_, FactRuns>, mut faults: Faults) -> Loaded {
         let complete = !self.gathered.incomplete;
-        let (rules, compared) = check(items, complete, self.inputs, Symbols::new(), &mut faults);
+        let (rules, compared) = check((items, facts), complete, self.inputs, Symbols::new(), &mut faults);
         Loaded {
             rules,
             diagnostics: faults.finish(),
@@ -137,18 +144,21 @@ impl Workspace {
     /// Returns the places of the heads of every clause that equals `clause` up to variable names and comments.
     pub fn find(&self, clause: &Clause) -> Vec<Span> {
         let wanted = canonical(clause);
-        let found = self.gathered.items.iter().filter_map(|item| match item {
-            Item::Clause(clause) if canonical(clause) == wanted => Some(clause),
+        let written = self.gathered.items.iter().filter_map(|item| match item {
+            Item::Clause(clause) => Some(Cow::Borrowed(clause)),
             _ => None,
         });
-        found
-            .flat_map(|clause| &clause.heads)
-            .map(|head| head.place.0)
-            .collect()
+        let packed = self.gathered.facts.clauses().map(Cow::Owned);
+        let mut places = Vec::new();
+        for clause in written.chain(packed).filter(|clause| canonical(clause) == wanted) {
+            places.extend(clause.heads.iter().map(|head| head.place.0));
+        }
+        places
     }
 
     /// Removes the heads at these places, and every clause that loses its last head.
     pub fn remove_heads(&mut self, places: &HashSet<Span>) {
+        self.gathered.facts.unpack(&mut self.gathered.items);
         for item in &mut self.gathered.items {
             if let Item::Clause(clause) = item {
                 clause.heads.retain(|head| !places.contains(&head.place.0));
@@ -249,7 +259,13 @@ impl Workspace {
         }
         let mut items = self.declarations(false);
         items.extend(file.items);
-        let (rules, _) = check(Cow::Owned(items), true, self.inputs, Symbols::new(), &mut faults);
+        let (rules, _) = check(
+            (Cow::Owned(items), Cow::Owned(FactRuns::default())),
+            true,
+            self.inputs,
+            Symbols::new(),
+            &mut faults,
+        );
         let Some(rules) = rules else {
             return Err(of(id, faults));
         };
@@ -346,7 +362,13 @@ impl Workspace {
             .collect();
         let items = self.asked(columns, clause);
         let mut faults = Faults::default();
-        let (rules, compared) = check(Cow::Owned(items), true, self.inputs, symbols, &mut faults);
+        let (rules, compared) = check(
+            (Cow::Owned(items), Cow::Owned(FactRuns::default())),
+            true,
+            self.inputs,
+            symbols,
+            &mut faults,
+        );
         Loaded {
             rules,
             diagnostics: of(place.0.source, faults),
@@ -358,7 +380,7 @@ impl Workspace {
     fn bases(&self, clause: &Clause, variables: &[&str], faults: &mut Faults) -> Vec<BaseType> {
         let items = self.asked(Vec::new(), clause.clone());
         let mut known = names::declare(&items, true, self.inputs, faults);
-        let checked = clause::check(&items, &mut known, Symbols::new(), faults);
+        let checked = clause::check((&items, &FactRuns::default()), &mut known, Symbols::new(), faults);
         known.report_unknown(faults);
         let base_of = |name: &&str| {
             checked.clauses.iter().find_map(|checked| {
@@ -528,7 +550,125 @@ fn has_open_comment(text: &str, lexed: &lexer::Lexed) -> bool {
 
 #[cfg(test)]
 mod tests {
-    use crate::datalog::workspace::is_complete;
+    use crate::datalog::check::Edb;
+    use crate::datalog::syntax::ast::Item;
+    use crate::datalog::workspace::{Workspace, is_complete};
+    use crate::diag::Sources;
+    use crate::files::ReadError;
+    use std::path::Path;
+
+    /// A random program, mostly of facts, some of them faulty.
+    fn facts_among_items(state: &mut u32) -> String {
+        const DECLARATIONS: &str = ".decl A(n: number, s: symbol)
+            .decl C(n: number)
+            .decl D(u: unsigned, f: float)
+            .decl E(s: symbol, t: symbol)
+            .decl None()\n";
+        const CONSTANTS: [&str; 18] = [
+            "1",
+            "2",
+            "-7",
+            "0x1f",
+            "2147483647",
+            "4294967295",
+            "99999999999",
+            "1u",
+            "2.5",
+            "10.0.0.1",
+            "\"a\"",
+            "\"b c\"",
+            "\"\\n\\\"\"",
+            "\"\"",
+            "\"é\"",
+            "1 + 2",
+            "x",
+            "_",
+        ];
+        const ITEMS: [&str; 10] = [
+            "C(x) :- A(x, _).",
+            ".plan 0:(1)",
+            "/// said",
+            ".scope E",
+            ".scope",
+            "A(1, \"a\"), C(1).",
+            ".output C",
+            "C(x) :- A(x, \"a\"), ! None().",
+            ".include \"other.dl\"",
+            "// a comment",
+        ];
+        let mut random = |below: usize| {
+            *state = state.wrapping_mul(1_664_525).wrapping_add(1_013_904_223);
+            (*state >> 8) as usize % below
+        };
+        let mut text = DECLARATIONS.to_owned();
+        // A third of the programs have no faults.
+        let faults = random(3) > 0;
+        for _ in 0..random(40) {
+            if random(6) == 0 {
+                text += ITEMS[random(if faults { 10 } else { 5 })];
+                text += "\n";
+                continue;
+            }
+            let (name, terms) = [
+                ("A", &["1", "\"a\""][..]),
+                ("C", &["3"]),
+                ("D", &["4", "5"]),
+                ("E", &["\"a\"", "\"b\""]),
+                ("None", &[]),
+                ("Unknown", &["1"]),
+            ][random(if faults { 6 } else { 5 })];
+            let mut terms = terms.to_vec();
+            for term in &mut terms {
+                if faults && random(4) == 0 {
+                    *term = CONSTANTS[random(CONSTANTS.len())];
+                }
+            }
+            if faults && random(12) == 0 {
+                terms.push("6");
+            }
+            let space = ["", " ", "\n  "][random(3)];
+            let end = if faults && random(30) == 0 { "\n" } else { ".\n" };
+            let terms = terms.join([",", ", "][random(2)]);
+            text += &format!("{name}({space}{terms}{space}){space}{end}");
+        }
+        text
+    }
+
+    #[test]
+    fn packed_facts_are_checked_as_syntax_trees_are() {
+        let mut state = 1;
+        let (mut packed, mut sound) = (0, 0);
+        for _ in 0..300 {
+            let mut sources = Sources::new();
+            let other = facts_among_items(&mut state);
+            let entry = sources.add("main.dl", facts_among_items(&mut state));
+            let read = |path: &Path| match path == Path::new("other.dl") {
+                true => Ok(other.clone()),
+                false => Err(ReadError::NotFound),
+            };
+            let mut workspace = Workspace::new(Edb::Fixed);
+            workspace.add(&mut sources, entry, &read);
+            let mut trees = workspace.clone();
+            trees.gathered.facts.unpack(&mut trees.gathered.items);
+            packed += trees.gathered.items.len() - workspace.gathered.items.len();
+            let found = format!("{:?}", workspace.check());
+            assert_eq!(found, format!("{:?}", trees.check()), "{}", sources.text(entry));
+            for item in &trees.gathered.items {
+                if let Item::Clause(clause) = item {
+                    let places = |workspace: &Workspace| {
+                        let mut places = workspace.find(clause);
+                        places.sort();
+                        places
+                    };
+                    assert!(places(&workspace) == places(&trees) && !places(&trees).is_empty());
+                }
+            }
+            let loaded = workspace.into_checked();
+            sound += usize::from(loaded.rules.is_some());
+            assert_eq!(found, format!("{loaded:?}"));
+        }
+        assert!(packed > 2_000 && sound > 30, "{packed} {sound}");
+    }
 
     #[test]
     fn a_text_is_complete_at_the_full_stop_and_at_the_end_of_a_directive() {

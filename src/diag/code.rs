@@ -6,7 +6,7 @@ use super::Severity;
 ///
 /// The name is part of the public interface and never changes its meaning. Each module with messages declares its codes
 /// with [`diagnostic_codes!`](crate::diagnostic_codes). Each code has a fixture in `tests/fixtures/diagnostics/` and a
-/// section in `docs/reference/language.md` or `docs/reference/configuration.md`; a test checks that both exist.
+/// section in the Markdown file beside its declaration; a test checks that both exist.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord, Hash)]
 pub struct Code {
     name: &'static str,
@@ -30,22 +30,30 @@ impl Code {
     }
 }
 
-/// Declares the codes of a module as constants of [`Code`](crate::diag::Code), and their list as `CODES`.
+/// Declares the codes of a module as constants of [`Code`](crate::diag::Code), their list as `CODES`, and their
+/// explanations in the named Markdown file as `CATALOG`.
 #[macro_export]
 #[doc(hidden)]
 macro_rules! diagnostic_codes {
-    ($($(#[$doc:meta])* $constant:ident = $name:literal, $severity:ident;)*) => {
+    ($file:literal: $($(#[doc = $doc:literal])* $constant:ident = $name:literal, $severity:ident;)*) => {
         impl $crate::diag::Code {
-            $($(#[$doc])* pub const $constant: $crate::diag::Code =
+            $($(#[doc = $doc])* pub const $constant: $crate::diag::Code =
                 $crate::diag::Code::new($name, $crate::diag::Severity::$severity);)*
         }
 
         /// The codes of this module's messages.
         pub const CODES: &[$crate::diag::Code] = &[$($crate::diag::Code::$constant,)*];
+
+        /// The explanations of these codes.
+        pub const CATALOG: $crate::diag::Catalog = $crate::diag::Catalog {
+            summaries: &[$(($crate::diag::Code::$constant, concat!($($doc),*)),)*],
+            text: include_str!($file),
+        };
     };
 }
 
 crate::diagnostic_codes! {
+    "code.md":
     /// The bytes of a file are not UTF-8 text.
     NOT_TEXT = "not-text", Error;
     /// A size or count in the input exceeds a limit of the program.
@@ -53,3 +61,8 @@ crate::diagnostic_codes! {
     /// The caller cancelled the work before it was done.
     CANCELLED = "cancelled", Error;
 }
+
+/// The examples in Rust, which are tested like those of the documentation.
+#[cfg(doctest)]
+#[doc = include_str!("code.md")]
+pub struct Examples;

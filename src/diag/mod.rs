@@ -7,14 +7,17 @@
 //! This module does not depend on rules, configurations or cities.
 
 mod code;
+mod explanation;
 mod faults;
 mod render;
 mod source;
 
-pub use code::{CODES, Code};
+pub use code::{CATALOG, CODES, Code};
+pub use explanation::{Catalog, Example, Explanation, explanations};
 pub use faults::{Faults, MAX_FAULTS};
 pub use render::{json_error, render, to_json};
 pub use source::{Located, Position, SourceId, Sources, Span};
+use std::path::Path;
 
 /// The severity of a [`Diagnostic`].
 #[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord, Hash)]
@@ -173,5 +176,41 @@ pub fn did_you_mean<'a>(name: &str, candidates: impl IntoIterator<Item = &'a str
     longer.all(|other| other == first).then_some(first)
 }
 
+/// Returns the candidate that the name of a missing file most likely means: the name with a missing ending, else the
+/// closest one, preferably with the same ending.
+pub fn similar_file<'a>(written: &str, candidates: impl IntoIterator<Item = &'a str>) -> Option<&'a str> {
+    let candidates: Vec<&'a str> = candidates.into_iter().collect();
+    let candidates = || candidates.iter().copied();
+    if let Some(ending) = Path::new(written).extension() {
+        let same = candidates().filter(|candidate| Path::new(candidate).extension() == Some(ending));
+        return did_you_mean(written, same).or_else(|| did_you_mean(written, candidates()));
+    }
+    let stem = |name: &'a str| match Path::new(name).extension() {
+        Some(ending) => &name[..name.len() - ending.len() - 1],
+        None => name,
+    };
+    let near = candidates().map(stem).find(|stem| *stem == written);
+    let near = near.or_else(|| did_you_mean(written, candidates().map(stem)))?;
+    candidates().find(|candidate| stem(candidate) == near)
+}
+
 /// The shortest part of a name that suggests the whole, in bytes.
 const PART_MIN: usize = 3;
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn similar_files_have_the_missing_ending_or_a_close_name() {
+        let files = ["city.yaml", "rules.dl", "rules.jsonl", "trace.jsonl"];
+        let near = |written: &str| similar_file(written, files);
+        assert_eq!(near("city"), Some("city.yaml"));
+        assert_eq!(near("rules"), Some("rules.dl"), "the first of several");
+        assert_eq!(near("ruls"), Some("rules.dl"));
+        assert_eq!(near("ruls.jsonl"), Some("rules.jsonl"), "the same ending first");
+        assert_eq!(near("trace.json"), Some("trace.jsonl"));
+        assert_eq!(near("city.yml"), Some("city.yaml"));
+        assert_eq!(near("something-else.dl"), None);
+    }
+}

@@ -48,7 +48,7 @@ pub fn make_folder(path: &Path) -> Result<(), FileError> {
     (fs::create_dir_all(path).map_err(reason)).map_err(FileError::new("make the folder", path.to_owned()))
 }
 
-/// A folder that callers pass to a module without I/O of its own. The module reads and writes files in it by name.
+/// A folder that callers pass to a module that does no I/O. The module reads and writes files in it by name.
 #[derive(Clone, Debug)]
 pub struct Folder {
     path: PathBuf,

@@ -2,30 +2,22 @@
 //!
 //! ```text
 //! create: lock folder -> remove leftovers -> refuse foreign file -> temporary file, locked for the life of the process
-//! finish: lock folder -> rename over the target -> record size and time of the result -> unlock
+//! finish: lock folder -> rename over the target -> record the result as own -> unlock
 //! ```
 //!
-//! The record [`RECORD`] in each folder lists the files that the program wrote there, each with its size and its time
-//! of change. A file is the program's own if both still match. A temporary file is locked while its process lives. So a
-//! second writer of the same file detects the first one, and the leftovers of dead processes are removed.
+//! A temporary file is locked while its process lives. So a second writer of the same file detects the first one, and
+//! the leftovers of dead processes are removed. Standard output, other open descriptors and character devices are
+//! written directly.
 
-use serde::{Deserialize, Serialize};
+use crate::files::record::{TEMPORARY, existing};
+use crate::files::{LINKS_MAX, descriptor, folder_of, record};
 use sha2::{Digest, Sha256};
-use std::collections::BTreeMap;
+use std::ffi::OsStr;
 use std::fs::{self, File, OpenOptions, TryLockError};
 use std::io::{self, Write};
 use std::path::{Path, PathBuf};
 use std::thread;
 use std::time::{Duration, SystemTime, UNIX_EPOCH};
-
-/// The name of the record of the files that the program wrote in a folder.
-const RECORD: &str = ".logicity.json";
-
-/// The middle of the names of temporary files: `.NAME.logicity-PID-SECONDS`.
-const TEMPORARY: &str = ".logicity-";
-
-/// The maximum length of a chain of symbolic links, as in Linux.
-const LINKS_MAX: usize = 40;
 
 /// How long to wait for another process that holds the lock of a folder, in steps of [`LOCK_STEP`].
 const LOCK_TRIES: u32 = 250;
@@ -42,39 +34,52 @@ pub enum Overwrite {
 
 /// A file that is written under a temporary name. [`Output::finish`] renames it; dropping it earlier removes it.
 ///
-/// A symbolic link is followed. An existing file keeps its permissions and, if the system allows, its owner.
+/// A symbolic link is followed. An existing file keeps its permissions and, if the system allows, its owner. A stream
+/// ([`Output::stdout`], a character device, an open descriptor such as `/dev/stderr`) has no temporary file and no
+/// record.
 pub struct Output {
-    file: io::BufWriter<File>,
-    temporary: PathBuf,
+    writer: io::BufWriter<Box<dyn Write + Send>>,
+    /// The path to write to: that of the temporary file, or of the stream.
+    path: PathBuf,
+    /// What to do when the file is complete; `None` for a stream.
+    replacement: Option<Replacement>,
+}
+
+/// How a complete temporary file becomes the output.
+struct Replacement {
     target: PathBuf,
     overwrite: Overwrite,
     /// Whether to record the result as the program's own.
     recorded: bool,
-}
-
-/// The record of a folder.
-#[derive(Default, Serialize, Deserialize)]
-struct Record {
-    /// The files that the program wrote, by name.
-    written: BTreeMap<String, Stamp>,
-}
-
-/// Identifies the content of a file without reading it.
-#[derive(Clone, Copy, PartialEq, Eq, Serialize, Deserialize)]
-struct Stamp {
-    bytes: u64,
-    /// The time of change in nanoseconds since 1970.
-    changed: u64,
+    /// Holds the lock of the temporary file.
+    _lock: File,
 }
 
 impl Output {
-    /// Begins to write the file at `path`, whose folder must exist.
+    /// Begins to write the file at `path`, whose folder must exist, or the stream with this path.
     ///
     /// # Errors
-    /// Errors of the system; `InvalidInput` if `path` exists and is not a regular file; `AlreadyExists` if `overwrite`
-    /// does not permit replacing the existing file; `ResourceBusy` if another process writes the same file.
+    /// Errors of the system; `InvalidInput` if `path` exists and is neither a regular file nor a stream;
+    /// `AlreadyExists` if `overwrite` does not permit replacing the existing file; `ResourceBusy` if another process
+    /// writes the same file.
     pub fn create(path: &Path, overwrite: Overwrite) -> io::Result<Output> {
-        Output::begin(path, overwrite, true)
+        match stream(path)? {
+            Some(writer) => Ok(Output::streaming(writer, path)),
+            None => Output::begin(path, overwrite, true),
+        }
+    }
+
+    /// Returns an output that writes to standard output.
+    pub fn stdout() -> Output {
+        Output::streaming(Box::new(io::stdout()), Path::new("/dev/stdout"))
+    }
+
+    fn streaming(writer: Box<dyn Write + Send>, path: &Path) -> Output {
+        Output {
+            writer: io::BufWriter::new(writer),
+            path: path.to_owned(),
+            replacement: None,
+        }
     }
 
     /// Begins to edit a file of the user in place. Replaces any regular file, and leaves no record.
@@ -97,7 +102,7 @@ impl Output {
         remove_leftovers(folder, &name)?;
         if recorded {
             // Only a regular file can be replaced by the record.
-            self::existing(&folder.join(RECORD))?;
+            record::check(folder)?;
         }
         let existing = existing(&target)?;
         check_own(folder, &name, existing.as_ref(), overwrite)?;
@@ -115,11 +120,14 @@ impl Output {
             Err(TryLockError::WouldBlock) => return Err(io::ErrorKind::ResourceBusy.into()),
         }
         Ok(Output {
-            file: io::BufWriter::new(file),
-            temporary,
-            target,
-            overwrite,
-            recorded,
+            writer: io::BufWriter::new(Box::new(file.try_clone()?)),
+            path: temporary,
+            replacement: Some(Replacement {
+                target,
+                overwrite,
+                recorded,
+                _lock: file,
+            }),
         })
     }
 
@@ -131,19 +139,39 @@ impl Output {
         Output::create(path, overwrite).map(drop)
     }
 
-    /// Returns the path of the temporary file, for a writer that needs a path.
-    pub fn temporary(&self) -> &Path {
-        &self.temporary
+    /// Returns whether a file has a name of temporary files.
+    pub fn is_temporary(path: &Path) -> bool {
+        let name = path.file_name().and_then(OsStr::to_str);
+        name.and_then(temporary_of).is_some()
     }
 
-    /// Renames the complete file to its path.
+    /// Returns the path of the temporary file or of the stream, for a writer that needs a path.
+    pub fn temporary(&self) -> &Path {
+        &self.path
+    }
+
+    /// Renames the complete file to its path. Flushes a stream.
     ///
     /// # Errors
     /// Errors of the system; then an existing file at that path is unchanged, unless only the record could not be
     /// written. `AlreadyExists` if another program made the file in the meantime; then the result is kept under another
     /// name, which the message contains.
     pub fn finish(mut self) -> io::Result<()> {
-        self.file.flush()?;
+        self.writer.flush()?;
+        let Some(replacement) = self.replacement.take() else {
+            return Ok(());
+        };
+        let replaced = replacement.replace(&self.path);
+        if replaced.is_err() {
+            // If the rename failed, the file still has its temporary name.
+            let _ = fs::remove_file(&self.path);
+        }
+        replaced
+    }
+}
+
+impl Replacement {
+    fn replace(&self, temporary: &Path) -> io::Result<()> {
         let folder = folder_of(&self.target);
         let name = name_of(&self.target)?;
         let _lock = lock(folder)?;
@@ -152,13 +180,13 @@ impl Output {
             let free = (1..).map(|number| folder.join(format!("{name}.{number}")));
             let free = free.into_iter().find(|path| fs::symlink_metadata(path).is_err());
             let free = free.expect("finitely many names are taken");
-            fs::rename(&self.temporary, &free)?;
+            fs::rename(temporary, &free)?;
             let message = format!("{error}; the result is in `{}`", free.display());
             return Err(io::Error::new(error.kind(), message));
         }
-        fs::rename(&self.temporary, &self.target)?;
+        fs::rename(temporary, &self.target)?;
         if self.recorded {
-            record(folder, &name, &fs::metadata(&self.target)?)?;
+            record::add(folder, &name, &fs::metadata(&self.target)?)?;
         }
         Ok(())
     }
@@ -166,19 +194,42 @@ impl Output {
 
 impl Drop for Output {
     fn drop(&mut self) {
-        // After `finish` the file no longer has this name.
-        let _ = fs::remove_file(&self.temporary);
+        if self.replacement.is_some() {
+            let _ = fs::remove_file(&self.path);
+        }
     }
 }
 
 impl Write for Output {
     fn write(&mut self, bytes: &[u8]) -> io::Result<usize> {
-        self.file.write(bytes)
+        self.writer.write(bytes)
     }
 
     fn flush(&mut self) -> io::Result<()> {
-        self.file.flush()
+        self.writer.flush()
     }
+}
+
+/// Returns the writer of a stream: of an open descriptor or a character device. `None` for any other path.
+fn stream(path: &Path) -> io::Result<Option<Box<dyn Write + Send>>> {
+    let number = descriptor(path);
+    Ok(match number.as_deref() {
+        Some("1") => Some(Box::new(io::stdout())),
+        Some("2") => Some(Box::new(io::stderr())),
+        None if !is_character_device(path) => None,
+        _ => Some(Box::new(OpenOptions::new().write(true).open(path)?)),
+    })
+}
+
+#[cfg(unix)]
+fn is_character_device(path: &Path) -> bool {
+    use std::os::unix::fs::FileTypeExt;
+    fs::metadata(path).is_ok_and(|found| found.file_type().is_char_device())
+}
+
+#[cfg(not(unix))]
+fn is_character_device(_: &Path) -> bool {
+    false
 }
 
 /// Returns the file that a path of symbolic links leads to. That file need not exist.
@@ -196,26 +247,9 @@ fn follow_links(path: &Path) -> io::Result<PathBuf> {
     ))
 }
 
-fn folder_of(path: &Path) -> &Path {
-    match path.parent() {
-        Some(folder) if !folder.as_os_str().is_empty() => folder,
-        _ => Path::new("."),
-    }
-}
-
 fn name_of(path: &Path) -> io::Result<String> {
     let name = path.file_name().map(|name| name.to_string_lossy().into_owned());
     name.ok_or_else(|| io::Error::new(io::ErrorKind::InvalidInput, "it is not the name of a file"))
-}
-
-/// Returns the metadata of a file, if it exists. Fails for anything but a regular file.
-fn existing(path: &Path) -> io::Result<Option<fs::Metadata>> {
-    match fs::metadata(path) {
-        Ok(found) if found.is_file() => Ok(Some(found)),
-        Ok(_) => Err(io::Error::new(io::ErrorKind::InvalidInput, "it is not a regular file")),
-        Err(error) if error.kind() == io::ErrorKind::NotFound => Ok(None),
-        Err(error) => Err(error),
-    }
 }
 
 /// Locks a folder until the result is dropped. Returns `None` where the file system has no locks, as on some network
@@ -304,47 +338,13 @@ fn create_temporary(path: &Path, existing: Option<&fs::Metadata>) -> io::Result<
 /// Fails if an existing file is not the program's own and must not be replaced.
 fn check_own(folder: &Path, name: &str, existing: Option<&fs::Metadata>, overwrite: Overwrite) -> io::Result<()> {
     let Some(existing) = existing else { return Ok(()) };
-    if overwrite == Overwrite::Any || read_record(folder)?.written.get(name) == Some(&stamp(existing)) {
+    if overwrite == Overwrite::Any || record::is_own(folder, name, existing)? {
         return Ok(());
     }
     Err(io::Error::new(
         io::ErrorKind::AlreadyExists,
         "the file exists, and logicity did not write it or it has changed since",
     ))
-}
-
-fn stamp(found: &fs::Metadata) -> Stamp {
-    let changed = found
-        .modified()
-        .ok()
-        .and_then(|time| time.duration_since(UNIX_EPOCH).ok());
-    Stamp {
-        bytes: found.len(),
-        changed: changed.map_or(0, |time| u64::try_from(time.as_nanos()).unwrap_or(u64::MAX)),
-    }
-}
-
-/// Reads the record of a folder. A file of that name with other content lists no files.
-fn read_record(folder: &Path) -> io::Result<Record> {
-    let path = folder.join(RECORD);
-    match existing(&path)? {
-        None => Ok(Record::default()),
-        Some(_) => Ok(serde_json::from_slice(&fs::read(path)?).unwrap_or_default()),
-    }
-}
-
-/// Records a file as the program's own. The caller holds the lock of the folder.
-fn record(folder: &Path, name: &str, written: &fs::Metadata) -> io::Result<()> {
-    let mut record = read_record(folder)?;
-    record.written.insert(name.to_owned(), stamp(written));
-    record.written.retain(|name, _| folder.join(name).is_file());
-    let text = serde_json::to_string(&record).expect("names and numbers") + "\n";
-    let temporary = folder.join(format!("{RECORD}{TEMPORARY}{}-0", std::process::id()));
-    // Never write through a link of that name.
-    let _ = fs::remove_file(&temporary);
-    let mut file = OpenOptions::new().write(true).create_new(true).open(&temporary)?;
-    file.write_all(text.as_bytes())?;
-    fs::rename(&temporary, folder.join(RECORD))
 }
 
 /// Formats a time in seconds since 1970 as `YYYY-MM-DD HH:MM:SS`.
@@ -385,7 +385,7 @@ fn date(seconds: u64) -> String {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::files::read_text;
+    use crate::files::{is_stdout, read_text};
 
     fn write(path: &Path, text: &str, overwrite: Overwrite) -> io::Result<()> {
         let mut output = Output::create(path, overwrite)?;
@@ -411,7 +411,11 @@ mod tests {
             assert_eq!(read_text(&path).as_deref(), Ok(text));
         }
         drop(Output::create(&path, Overwrite::Own).expect("its own"));
-        assert_eq!(names(folder.path()), [RECORD, "out"], "no temporary file remains");
+        assert_eq!(
+            names(folder.path()),
+            [record::RECORD, "out"],
+            "no temporary file remains"
+        );
 
         fs::write(&path, "edited").expect("writable");
         let refused = write(&path, "third", Overwrite::Own).map_err(|error| error.kind());
@@ -465,9 +469,31 @@ mod tests {
             fs::write(folder.path().join(name), "left").expect("writable");
         }
         write(&folder.path().join("out"), "", Overwrite::Own).expect("new");
-        let mut expected = [&kept[..], &[RECORD, "out"]].concat();
+        let mut expected = [&kept[..], &[record::RECORD, "out"]].concat();
         expected.sort_unstable();
         assert_eq!(names(folder.path()), expected);
+    }
+
+    #[cfg(unix)]
+    #[test]
+    fn streams_have_no_temporary_file_and_no_record() {
+        let folder = tempfile::tempdir().expect("a folder");
+        let link = folder.path().join("link");
+        std::os::unix::fs::symlink("/dev/null", &link).expect("new");
+        write(&link, "nothing", Overwrite::Own).expect("a character device");
+        assert_eq!(names(folder.path()), ["link"]);
+        let full = write(Path::new("/dev/full"), "more", Overwrite::Own).expect_err("it is full");
+        assert_eq!(full.kind(), io::ErrorKind::StorageFull);
+        for (path, number) in [("/dev/stdout", "1"), ("/dev/fd/2", "2"), ("/proc/self/fd/7", "7")] {
+            assert_eq!(descriptor(Path::new(path)).as_deref(), Some(number));
+        }
+        assert!(is_stdout(Path::new("/dev/stdout")) && !is_stdout(&link) && descriptor(folder.path()).is_none());
+        // Opening a pipe would wait for its reader.
+        let pipe = folder.path().join("pipe");
+        let made = std::process::Command::new("mkfifo").arg(&pipe).status();
+        assert!(made.expect("it runs").success());
+        let refused = Output::check(&pipe, Overwrite::Any).map_err(|error| error.kind());
+        assert_eq!(refused, Err(io::ErrorKind::InvalidInput));
     }
 
     #[cfg(unix)]

@@ -34,7 +34,8 @@ impl<'a> Comparison<'a> {
     /// Compares two runs.
     ///
     /// # Errors
-    /// `trace-mismatch`, without a place, if the runs have different maps, agents or first ticks.
+    /// Without a place: `trace-mismatch` if the runs have different maps, agents or first ticks; `invalid-trace` if one
+    /// has no ticks.
     pub fn new(runs: [&'a Page; 2], names: [String; 2]) -> Result<Comparison<'a>, Diagnostic> {
         let [left, right] = runs;
         let [a, b] = &names;
@@ -44,10 +45,10 @@ impl<'a> Comparison<'a> {
             let message = format!("the runs have different maps: `{one}` in `{a}`, `{other}` in `{b}`");
             return Err(fault(message).help("compare runs of one configuration, with different rules or policies"));
         }
-        if let Some(position) = (0..left.agents.len().max(right.agents.len()))
-            .find(|&position| left.agents.get(position) != right.agents.get(position))
+        if let Some(position) = (0..left.header.agents.len().max(right.header.agents.len()))
+            .find(|&position| left.header.agents.get(position) != right.header.agents.get(position))
         {
-            let [one, other] = runs.map(|run| match run.agents.get(position) {
+            let [one, other] = runs.map(|run| match run.header.agents.get(position) {
                 None => "no more agents".to_owned(),
                 Some(agent) => agent.to_string(),
             });
@@ -60,6 +61,10 @@ impl<'a> Comparison<'a> {
             return Err(fault(message).help("choose the first tick with `--from`"));
         }
         let count = left.count.min(right.count);
+        if count == 0 {
+            let name = if left.count == 0 { a } else { b };
+            return Err(Diagnostic::new(Code::INVALID_TRACE, format!("`{name}` has no ticks")));
+        }
         let differences = (0..count).filter_map(|tick| Difference::of(runs, tick)).collect();
         Ok(Comparison {
             runs,
@@ -72,7 +77,7 @@ impl<'a> Comparison<'a> {
     /// Returns the summary: the number of different decisions, the first difference, and which run ends earlier.
     pub fn summary(&self) -> String {
         let [left, right] = self.runs;
-        let agents = left.agents.len();
+        let agents = left.header.agents.len();
         let last = left.first + self.count as u64 - 1;
         let different: usize = self.differences.iter().map(|difference| difference.acts.len()).sum();
         let mut text = match self.differences.first() {
@@ -82,9 +87,9 @@ impl<'a> Comparison<'a> {
                 let place = match (first.acts.first(), first.apart.first()) {
                     (Some(&agent), _) => {
                         let [one, other] = self.runs.map(|run| run.action(first.tick, agent).name());
-                        format!("{} acts {one} and {other}", left.agents[agent].id)
+                        format!("{} acts {one} and {other}", left.header.agents[agent].id)
                     }
-                    (None, Some(&agent)) => format!("{} is in different cells", left.agents[agent].id),
+                    (None, Some(&agent)) => format!("{} is in different cells", left.header.agents[agent].id),
                     (None, None) => unreachable!("a difference has an agent"),
                 };
                 let total = self.count * agents;
@@ -123,7 +128,7 @@ impl<'a> Comparison<'a> {
 impl Difference {
     /// Returns how the runs differ in a tick; `None` if they do not.
     fn of([left, right]: [&Page; 2], tick: usize) -> Option<Difference> {
-        let agents = 0..left.agents.len();
+        let agents = 0..left.header.agents.len();
         let acts: Vec<usize> = (agents.clone())
             .filter(|&agent| left.action(tick, agent) != right.action(tick, agent))
             .collect();

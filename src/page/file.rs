@@ -17,6 +17,7 @@ const SCRIPT: &str = concat!(
     include_str!("script/elements.js"),
     include_str!("script/data.js"),
     include_str!("script/run.js"),
+    include_str!("script/recorded.js"),
     include_str!("script/svg.js"),
     include_str!("script/ground.js"),
     include_str!("script/map.js"),
@@ -25,6 +26,7 @@ const SCRIPT: &str = concat!(
     include_str!("script/summary.js"),
     include_str!("script/difference.js"),
     include_str!("script/figure.js"),
+    include_str!("script/viewer.js"),
     include_str!("script/page.js"),
 );
 

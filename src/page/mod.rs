@@ -4,6 +4,7 @@
 //! ```text
 //! trace --Replay--> state of a tick --Page::push--> columns, explanations --Page::write--> HTML with everything in it
 //!                                     two pages --Comparison--> where they differ --Comparison::write--> HTML
+//! simulation --Live--> ticks and explanations as JSON, for a viewer of a running city
 //! ```
 //!
 //! The engine computes all data; the script in the page only shows them and evaluates no rules. Explanations share
@@ -11,9 +12,12 @@
 
 mod comparison;
 mod file;
+mod header;
+mod live;
 mod proofs;
 mod run;
 mod scenery;
 
 pub use comparison::Comparison;
+pub use live::{LIVE_TICKS, Live};
 pub use run::{DECISIONS_MAX, Page};

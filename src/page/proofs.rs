@@ -42,6 +42,13 @@ impl Proofs {
         self.nodes.clear();
     }
 
+    /// Removes the nodes and returns them. The next one has number 0.
+    pub fn take(&mut self) -> Vec<Value> {
+        self.known_nodes.clear();
+        self.forgotten = 0;
+        std::mem::take(&mut self.nodes)
+    }
+
     /// Returns the position of a clause, and adds it if it is new.
     pub fn clause(&mut self, printer: &ExplanationPrinter<'_>, clause: ClauseId) -> usize {
         let next = self.clauses.len();

@@ -1,20 +1,17 @@
 //! The page of one run: its decisions in columns, and their explanations.
 
 use crate::city::Action;
-use crate::city::{Cell, Heading, Route, field_of_view};
+use crate::city::{Cell, CityMap, Heading, field_of_view};
 use crate::datalog::explain::{Explainer, ExplanationPrinter};
-use crate::datalog::{ClauseId, Value};
 use crate::diag::{Code, Diagnostic, Sources};
-use crate::files::portable_name;
 use crate::page::file::{packed, write_parts};
-use crate::page::proofs::Proofs;
+use crate::page::header::{Header, derive_actions};
 use crate::page::scenery::Scenery;
 use crate::render::Icons;
 use crate::sim::{
     LOOK_TICKS, Replay, STUCK_TICKS, TraceHeader, TraceState, TraceTick, WaitsFor, find_deadlocks, waits,
 };
 use serde::Serialize;
-use std::fmt;
 use std::io::{self, Write};
 
 /// The most decisions in a page; more make it slow to open.
@@ -34,26 +31,12 @@ const PART_TICKS: usize = 100;
 /// A page under construction.
 #[derive(Serialize)]
 pub struct Page {
-    title: String,
-    config: String,
-    rules: String,
-    split: String,
-    /// As text, since JavaScript rounds large integers.
-    seed: String,
-    hash: String,
+    #[serde(flatten)]
+    pub(super) header: Header,
     #[serde(skip)]
     pub(super) scenery: Scenery,
-    pub(super) agents: Vec<Agent>,
-    actions: [&'static str; 4],
-    headings: [&'static str; 4],
-    predicates: Vec<Predicate>,
-    /// Number of clauses whose firings the trace records: the first ones in [`Proofs::clauses`], in the order of the
-    /// trace.
-    counted: usize,
-    /// For each of these clauses, the number of rows it derived in all ticks, and whether it derives an action.
+    /// For each counted clause, the number of rows it derived in all ticks, and whether it derives an action.
     firings: Vec<(u64, bool)>,
-    #[serde(flatten)]
-    proofs: Proofs,
     /// Number of the first tick.
     pub(super) first: u64,
     /// Number of ticks.
@@ -97,30 +80,6 @@ pub struct Page {
 
 /// Cell and goal of an agent before a tick.
 type Place = ([i32; 2], [i32; 2]);
-
-#[derive(Serialize, PartialEq, Eq)]
-pub(super) struct Agent {
-    pub(super) id: String,
-    kind: &'static str,
-    concepts: Vec<String>,
-    priority: i32,
-}
-
-impl fmt::Display for Agent {
-    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
-        write!(f, "{} ({}", self.id, self.kind)?;
-        for concept in &self.concepts {
-            write!(f, ", {concept}")?;
-        }
-        write!(f, ", priority {})", self.priority)
-    }
-}
-
-#[derive(Serialize)]
-struct Predicate {
-    name: String,
-    arity: usize,
-}
 
 /// The states of all agents before the decisions, and the decisions. The fields without a remark have an entry per
 /// agent.
@@ -204,48 +163,11 @@ impl Page {
             let message = format!("a page of a map of {cells} cells would be slow to open; the limit is {CELLS_MAX}");
             return Err(Diagnostic::new(Code::LIMIT_EXCEEDED, message).help("run the rules on a smaller map"));
         }
-        let printer = ExplanationPrinter::new(world.program.rules(), replay.session().symbols(), sources);
-        let mut proofs = Proofs::default();
-        let counted = world.clauses().map(|clause| proofs.clause(&printer, clause)).count();
-        for index in 0..world.program.rules().clauses.len() {
-            let index = u32::try_from(index).expect("fewer than 2^32 clauses");
-            proofs.clause(&printer, ClauseId(index));
-        }
-        let agents: Vec<Agent> = (header.agents.iter().zip(replay.kinds()))
-            .map(|(agent, &kind)| Agent {
-                id: agent.id.clone(),
-                kind: kind.name(),
-                concepts: agent.concepts.clone(),
-                priority: agent.priority,
-            })
-            .collect();
-        let predicates = (world.vocabulary.predicates.iter()).map(|predicate| Predicate {
-            name: predicate.name.clone(),
-            arity: predicate.arity,
-        });
-        let count = agents.len();
+        let count = header.agents.len();
         Ok(Page {
-            title: format!("{} ({}), seed {}", header.config, header.split, header.seed),
-            config: header.config.clone(),
-            rules: portable_name(&header.rules),
-            split: header.split.clone(),
-            seed: header.seed.to_string(),
-            hash: header.rules_hash.clone(),
             scenery: Scenery::new(world.map(), icons, &header.agents, replay.kinds()),
-            actions: Action::ALL.map(Action::name),
-            headings: Heading::ALL.map(Heading::name),
-            predicates: predicates.collect(),
-            counted,
-            firings: (world.clauses())
-                .map(|clause| {
-                    let head = world.program.rules().clauses[clause.index()].head.relation;
-                    let is_action = Action::ALL
-                        .map(|action| world.vocabulary.action(action))
-                        .contains(&Some(head));
-                    (0, is_action)
-                })
-                .collect(),
-            proofs,
+            header: Header::new(replay, header, sources),
+            firings: derive_actions(world).map(|is_action| (0, is_action)).collect(),
             first: 0,
             count: 0,
             columns: Columns::new(count),
@@ -262,7 +184,6 @@ impl Page {
             why: vec![[0; 4]; count],
             parts: Vec::new(),
             unpacked: Unpacked::default(),
-            agents,
         })
     }
 
@@ -277,7 +198,7 @@ impl Page {
     /// `invalid-trace`, without a place, for an inconsistent tick; `limit-exceeded` for more decisions than the limit,
     /// or an explanation that takes too many steps.
     pub fn push(&mut self, replay: &Replay, tick: &TraceTick, sources: &Sources) -> Result<(), Diagnostic> {
-        if (self.count + 1) * self.agents.len() > self.most {
+        if (self.count + 1) * self.header.agents.len() > self.most {
             let message = format!("a page of more than {} decisions would be slow to open", self.most);
             return Err(Diagnostic::new(Code::LIMIT_EXCEEDED, message).help("choose ticks with `--from` and `--ticks`"));
         }
@@ -315,14 +236,7 @@ impl Page {
             }
             let heading = agent.heading()?;
             let action = agent.action()?;
-            let seen = field_of_view(cell(agent.at), heading, view, world.map());
-            let [row, col] = agent.at;
-            let view = [
-                seen.first.row - row,
-                seen.first.col - col,
-                seen.last.row - row,
-                seen.last.col - col,
-            ];
+            let view = relative_view(agent.at, heading, view, world.map());
             let derived = (replay.derived(position).iter()).fold(0, |bits, action| bits | 1 << action as u32);
             self.columns
                 .push(position, self.places.get(position), agent, self.count);
@@ -349,11 +263,11 @@ impl Page {
         if (tick.tick + 1).is_multiple_of(LOOK_TICKS) {
             self.look_for_deadlocks(replay, tick.tick);
         }
-        if self.proofs.nodes.len() >= PART_NODES || self.unpacked.why.len() >= PART_TICKS {
+        if self.header.proofs.nodes.len() >= PART_NODES || self.unpacked.why.len() >= PART_TICKS {
             let part = self.part().expect("writing to a vector cannot fail");
             self.parts.push(part);
             self.unpacked = Unpacked::default();
-            self.proofs.forget();
+            self.header.proofs.forget();
         }
         Ok(())
     }
@@ -365,7 +279,7 @@ impl Page {
     pub fn write(&self, out: &mut impl Write) -> io::Result<()> {
         let mut parts = vec![("scenery", 0, packed(&self.scenery)?), ("run", 0, packed(self)?)];
         parts.extend(self.proof_parts()?.into_iter().map(|part| ("proofs", 0, part)));
-        write_parts(&self.title, &parts, out)
+        write_parts(&self.header.title, &parts, out)
     }
 
     /// Returns the packed explanations and facts.
@@ -380,7 +294,7 @@ impl Page {
     /// Packs the explanations and facts that are not packed yet.
     fn part(&self) -> io::Result<String> {
         packed(&ProofPart {
-            nodes: &self.proofs.nodes,
+            nodes: &self.header.proofs.nodes,
             rest: &self.unpacked,
         })
     }
@@ -396,10 +310,10 @@ impl Page {
     }
 
     fn check_clauses(&self, clauses: &[usize]) -> Result<(), Diagnostic> {
-        let Some(clause) = clauses.iter().find(|clause| **clause >= self.counted) else {
+        let Some(clause) = clauses.iter().find(|clause| **clause >= self.header.counted) else {
             return Ok(());
         };
-        let message = format!("no clause {clause}: the rules have {}", self.counted);
+        let message = format!("no clause {clause}: the rules have {}", self.header.counted);
         Err(Diagnostic::new(Code::INVALID_TRACE, message))
     }
 
@@ -408,18 +322,9 @@ impl Page {
         let session = replay.session();
         let printer = ExplanationPrinter::new(session.program().rules(), session.symbols(), sources);
         let mut explainer = Explainer::new(session);
-        let mut changes = Vec::with_capacity(4 * self.agents.len());
-        for position in 0..self.agents.len() {
-            let mut nodes = [-1; 4];
-            for (node, action) in nodes.iter_mut().zip(Action::ALL) {
-                let Some(relation) = replay.world().vocabulary.action(action) else {
-                    continue;
-                };
-                let asked: [Option<Value>; 1] = [Some(replay.value(position))];
-                if let (_, Some(explanation)) = explainer.explain_either(relation, &asked)? {
-                    *node = i64::from(self.proofs.add(&printer, &explanation));
-                }
-            }
+        let mut changes = Vec::with_capacity(4 * self.header.agents.len());
+        for position in 0..self.header.agents.len() {
+            let nodes = (self.header).explain(replay, (&mut explainer, &printer), position)?;
             changes.extend(
                 nodes
                     .iter()
@@ -434,15 +339,8 @@ impl Page {
 
     /// Adds the rows of predicates that appear or disappear in a tick.
     fn note_facts(&mut self, replay: &Replay) {
-        let agents = self.agents.len() as u64;
         let mut changes = Vec::new();
-        for (index, (rows, old)) in replay.facts().rows.iter().zip(&mut self.rows).enumerate() {
-            let number = |row: &[u32; 2]| match self.predicates[index].arity {
-                2 => u64::from(row[0]) * agents + u64::from(row[1]),
-                _ => u64::from(row[0]),
-            };
-            let mut now: Vec<u64> = rows.iter().map(number).collect();
-            now.sort_unstable();
+        for (index, (now, old)) in self.header.rows(replay).zip(&mut self.rows).enumerate() {
             let (mut list, mut before) = (vec![index as u64], 0);
             for row in one_sided(old, &now) {
                 list.push(row - before);
@@ -469,13 +367,13 @@ impl Page {
                 _ => (now, agent.at),
             };
             let route = router.plan(replay.kinds()[position], cell(start), cell(agent.goal));
-            let corners = route.map_or_else(|_| Vec::new(), |route| corners(&route));
+            let corners = route.map_or_else(|_| Vec::new(), |route| corners(route.cells()));
             self.routes[position].push((since, corners));
         }
     }
 
     fn look_for_deadlocks(&mut self, replay: &Replay, now: u64) {
-        let stuck: Vec<usize> = (0..self.agents.len())
+        let stuck: Vec<usize> = (0..self.header.agents.len())
             .filter(|&agent| now + 1 - self.still_since[agent] >= STUCK_TICKS)
             .collect();
         if stuck.is_empty() {
@@ -578,14 +476,26 @@ fn one_sided(left: &[u64], right: &[u64]) -> Vec<u64> {
     }
 }
 
+/// Returns first and last cell of a field of view, relative to the agent.
+pub fn relative_view(at: [i32; 2], heading: Option<Heading>, view: u32, map: &CityMap) -> [i32; 4] {
+    let seen = field_of_view(cell(at), heading, view, map);
+    let [row, col] = at;
+    [
+        seen.first.row - row,
+        seen.first.col - col,
+        seen.last.row - row,
+        seen.last.col - col,
+    ]
+}
+
 fn cell([row, col]: [i32; 2]) -> Cell {
     Cell { row, col }
 }
 
-/// Returns start and goal of a route, and the cells between them where it turns.
-fn corners(route: &Route) -> Vec<[i32; 2]> {
+/// Returns the first and last of these cells of a route, and the cells between them where it turns.
+pub fn corners(cells: impl Iterator<Item = Cell>) -> Vec<[i32; 2]> {
     let mut corners: Vec<[i32; 2]> = Vec::new();
-    for cell in route.cells() {
+    for cell in cells {
         let now = [cell.row, cell.col];
         if let [.., a, b] = corners[..]
             && (a[0] == b[0] && b[0] == now[0] || a[1] == b[1] && b[1] == now[1])

@@ -470,6 +470,11 @@ impl Definition {
         matches!(self, Definition::Static(_))
     }
 
+    /// Returns whether the predicate announces that the first agent runs into the second.
+    pub fn is_collision(&self) -> bool {
+        matches!(self, Definition::Pair(Pair::Colliding(_)))
+    }
+
     /// Returns whether the predicate holds with a probability.
     pub fn is_drawn(&self) -> bool {
         matches!(self, Definition::Pair(pair) if pair.is_drawn())
@@ -573,13 +578,38 @@ fn tagged<S: Serializer, K: Serialize>(serializer: S, name: &'static str, kind: 
     }
 }
 
+/// Returns all headings of an agent: none, then each.
+pub(crate) fn headings() -> [Option<Heading>; 5] {
+    let [left, right, up, down] = Heading::ALL.map(Some);
+    [None, left, right, up, down]
+}
+
 impl PairRelation {
+    /// Returns [`Relation::reach`].
+    pub fn reach(&self, views: &Views, kind: AgentKind, heading: Option<Heading>) -> Reach {
+        with_relation!(self, relation => relation.reach(views, kind, heading))
+    }
+
+    /// Returns [`Relation::reach_back`].
+    pub fn reach_back(&self) -> Reach {
+        with_relation!(self, relation => relation.reach_back())
+    }
+
+    /// Returns [`Relation::FILLS_REACH`].
+    pub fn fills_reach(&self) -> bool {
+        fn of<R: Relation>(_: &R) -> bool {
+            R::FILLS_REACH
+        }
+        with_relation!(self, relation => of(relation))
+    }
+
     /// Returns whether the first agent sees the second wherever the predicate holds.
     pub fn is_in_view(&self, views: &Views) -> bool {
-        let headings = || Heading::ALL.into_iter().map(Some).chain([None]);
-        with_relation!(self, relation => AgentKind::ALL.into_iter().all(|kind| {
-            headings().all(|heading| relation.reach(views, kind, heading).is_within(views.of(heading)))
-        }))
+        AgentKind::ALL.into_iter().all(|kind| {
+            headings()
+                .into_iter()
+                .all(|heading| self.reach(views, kind, heading).is_within(views.of(heading)))
+        })
     }
 }
 

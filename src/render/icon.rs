@@ -16,7 +16,7 @@ impl Purpose {
     pub const ICON: Purpose = Purpose::new(10);
 }
 
-/// The difficulty of telling icons apart, in percent: 0 is clean. Higher values vary colors, light, sharpness and
+/// The difficulty of distinguishing icons, in percent: 0 is clean. Higher values vary colors, light, sharpness and
 /// markings more, and add clutter.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, PartialOrd, Ord)]
 pub struct Difficulty(u8);

@@ -190,8 +190,8 @@ fn picture(bytes: &[u8]) -> Result<Pixmap, String> {
         .take((width * height) as usize)
         .flat_map(|pixel| {
             let [r, g, b, alpha] = match *pixel {
-                [grey] => [grey, grey, grey, 255],
-                [grey, alpha] => [grey, grey, grey, alpha],
+                [gray] => [gray, gray, gray, 255],
+                [gray, alpha] => [gray, gray, gray, alpha],
                 [r, g, b] => [r, g, b, 255],
                 [r, g, b, alpha] => [r, g, b, alpha],
                 _ => [0; 4],

@@ -164,7 +164,7 @@ impl Renderer {
         Renderer::with_look(map, Placement::new(map, icons, view), look)
     }
 
-    /// Draws a ground of its own: `seed` determines the textures and the instance of each building.
+    /// Draws a separate ground: `seed` determines the textures and the instance of each building.
     pub fn with_ground(map: &CityMap, placement: Placement, seed: Seed) -> Renderer {
         Renderer::with_look(map, placement, Look::drawn(seed))
     }

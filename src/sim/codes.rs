@@ -1,6 +1,7 @@
 //! Diagnostic codes for scenes, traces, and rules that do not fit a configuration.
 
 crate::diagnostic_codes! {
+    "codes.md":
     /// The dense executor was requested, but it cannot evaluate these rules or this number of agents.
     DENSE_UNSUPPORTED = "dense-unsupported", Error;
     /// Two actions that the rules can derive for one agent.

@@ -13,7 +13,7 @@ mod tick;
 mod trace;
 
 pub use crate::predicate::Entity;
-pub use codes::CODES;
+pub use codes::{CATALOG, CODES};
 pub use load::{LoadError, LoadedCity};
 pub use observe::{ActionConstraint, OBSERVED_MAX, Observer, Oracle};
 pub use scene::{
@@ -23,6 +23,7 @@ pub use scene::{
 pub use tick::chance::Chance;
 pub use tick::executor::Executor;
 pub use tick::ground::{Facts, MAX_ENTITIES, ground};
+pub use tick::ground_state::TICK_LIMITS;
 pub use tick::simulation::{AgentTick, Batch, Phase, Settings, Simulation, Snapshot, TickReport};
 pub(crate) use tick::simulation::{run_polled, start_threads};
 pub use tick::vocabulary::{Actions, Predicate, Vocabulary};

@@ -2,7 +2,7 @@
 
 use crate::shipped_world::{MODES, world};
 use logicity::cancel::Cancel;
-use logicity::city::{Action, Building, Buildings, Split, TripEnds};
+use logicity::city::{Action, AgentKind, Building, Buildings, Split, TripEnds};
 use logicity::config::Scenario;
 use logicity::diag::Code;
 use logicity::rng::Seed;
@@ -59,6 +59,49 @@ fn executors_agree_in_every_mode() {
         let dense = simulation(&world, Executor::Dense, 1);
         assert_eq!(dense.executor(), Executor::Dense);
         go_the_same_way(vec![dense, simulation(&world, Executor::Relational, 1)], ticks());
+    }
+}
+
+/// A city that continues with the agents of another one goes on as that one does; under other rules, these decide.
+#[test]
+fn a_resumed_run_continues_the_first_one() {
+    let resume = |world: &Arc<World>, executor, of: &Simulation| {
+        let settings = Settings {
+            executor,
+            count_firings: true,
+            threads: 1,
+        };
+        let start = (of.now(), of.agents().to_vec());
+        Simulation::resume(
+            Arc::clone(world),
+            of.split(),
+            of.seed(),
+            settings,
+            start,
+            &Cancel::never(),
+        )
+        .unwrap()
+    };
+    for mode in MODES {
+        let world = world(mode, None, |_| ());
+        let mut first = simulation(&world, Executor::Auto, 1);
+        for _ in 0..17 {
+            first.tick(&[]).unwrap();
+        }
+        let others = [Executor::Dense, Executor::Relational].map(|executor| resume(&world, executor, &first));
+        go_the_same_way([first].into_iter().chain(others).collect(), ticks() / 4);
+    }
+    let mut first = simulation(&world("expert", None, |_| ()), Executor::Auto, 1);
+    for _ in 0..17 {
+        first.tick(&[]).unwrap();
+    }
+    let halt = Some(".include \"vocabulary.dl\"\nStop(X) :- IsCar(X).");
+    let mut halted = resume(&world("expert", halt, |_| ()), Executor::Auto, &first);
+    let report = halted.tick(&[]).unwrap();
+    assert_eq!(report.tick, 17);
+    for (done, agent) in report.agents.iter().zip(first.agents()) {
+        assert_eq!(done.moved.from, agent.cell);
+        assert_eq!(done.action == Action::Stop, agent.kind == AgentKind::Car);
     }
 }
 
@@ -185,10 +228,10 @@ fn controls_of_missing_agents_are_errors() {
     for threads in [1, 3] {
         let cities = (0..4).map(|_| simulation(&world, Executor::Dense, 1)).collect();
         let mut batch = Batch::new(cities, threads).unwrap();
-        let nobody = [[(count + 1, Action::Stop)], [(count + 2, Action::Stop)]];
+        let absent = [[(count + 1, Action::Stop)], [(count + 2, Action::Stop)]];
         let fault = batch.tick(|city| match city {
-            1 => &nobody[0],
-            3 => &nobody[1],
+            1 => &absent[0],
+            3 => &absent[1],
             _ => &[],
         });
         assert!(fault.unwrap_err().message.contains(&format!("agent {}", count + 1)));

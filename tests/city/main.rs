@@ -8,10 +8,13 @@ mod explain;
 mod hostile;
 #[path = "../datalog/near_files.rs"]
 mod near_files;
+#[path = "../datalog/pages.rs"]
+mod pages;
 #[path = "../datalog/proofs.rs"]
 mod proofs;
 mod properties;
 mod recorded;
+mod schema;
 mod shipped_world;
 mod spf;
 mod vector;

@@ -157,7 +157,7 @@ fn incomparable_programs_are_errors() {
     );
     assert!(diff(&left, &right, &Options::default()).is_err());
     let options = Options {
-        predicates: vec!["Nobody".into()],
+        predicates: vec!["Absent".into()],
         ..Options::default()
     };
     assert!(diff(&left, &left, &options).is_err());

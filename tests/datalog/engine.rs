@@ -26,6 +26,20 @@ fn check_script(genome: &Genome) -> Result<(), TestCaseError> {
     agrees(&rules, &genome.batches(&rules))
 }
 
+/// Like `check_script` in a program with rows of twelve words, so that base relations have narrow rows until they
+/// change.
+fn check_narrow(genome: &Genome) -> Result<(), TestCaseError> {
+    let mut rules = genome.rules();
+    let script = genome.batches(&rules);
+    if let Some(mut wide) = rules.relations.iter().find(|relation| relation.arity() > 0).cloned() {
+        wide.name = "Wide".to_owned();
+        wide.derived = false;
+        wide.columns = vec![wide.columns[0].clone(); 12];
+        rules.relations.push(wide);
+    }
+    agrees(&rules, &script)
+}
+
 /// Threads that share all work, however small.
 fn eager(count: usize) -> Threads {
     Threads {
@@ -95,6 +109,113 @@ proptest! {
         agrees(rules, &script)?;
         check_threads(rules, &script, Limits::default())?;
     }
+}
+
+proptest! {
+    #![proptest_config(ProptestConfig { cases: 128, max_shrink_iters: 20_000, ..ProptestConfig::default() })]
+
+    #[test]
+    fn correlated_aggregates_agree_with_naive(
+        (text, changes) in correlated_programs(),
+        steps in prop_oneof![Just(u64::MAX), 0..2_000_u64],
+        bytes in prop_oneof![Just(u64::MAX), 0..8_000_u64],
+    ) {
+        let program = program(&text);
+        let (rules, script) = (program.rules(), aggregating_script(&program, &changes));
+        agrees(rules, &script)?;
+        check_threads(rules, &script, Limits { rows: usize::MAX, steps, bytes })?;
+    }
+}
+
+/// Programs with aggregates over values that only a recursion provides, and changes of their relations.
+fn correlated_programs() -> impl proptest::strategy::Strategy<Value = (String, Vec<ChangeGenes>)> {
+    use proptest::collection::vec;
+    let clause =
+        (any::<[u8; 8]>(), vec(any::<[u8; 3]>(), 1..3)).prop_map(|(genes, atoms)| correlated_clause(genes, &atoms));
+    let changes = vec(
+        vec((prop::bool::weighted(0.7), any::<u8>(), any::<[u8; 2]>()), 3..25),
+        1..4,
+    );
+    (vec(clause, 1..4), changes).prop_map(|(clauses, changes)| {
+        let recursion = ".decl L(x: number, y: number) L(x, y) :- R(x, z), S(z, y).
+            .decl A, B(x: number, n: number)
+            A(x, 0) :- K(x).
+            B(x, n) :- A(x, n), S(x, _).\n";
+        (String::from(AGGREGATED) + recursion + &clauses.join("\n"), changes)
+    })
+}
+
+/// A recursive clause with an aggregate whose body uses `n`, which only the recursion binds.
+fn correlated_clause(genes: [u8; 8], atoms: &[[u8; 3]]) -> String {
+    let (mut inner, mut own) = (Vec::new(), Vec::new());
+    for gene in atoms {
+        let term = |gene: u8| ["x", "n", "y", "a", "a", "b", "b", "_", "1"][gene as usize % 9];
+        let terms = [term(gene[1]), term(gene[2])];
+        own.extend(terms.into_iter().filter(|term| ["a", "b"].contains(term)));
+        inner.push(format!(
+            "{}({}, {})",
+            ["R", "S", "L"][gene[0] as usize % 3],
+            terms[0],
+            terms[1]
+        ));
+    }
+    let pick = |gene: u8| own.get(gene as usize % own.len().max(1)).copied().unwrap_or("1");
+    let one = pick(genes[1]);
+    inner.push(match genes[0] % 6 {
+        0 | 1 => format!("{one} < n"),
+        2 => format!("!S({one}, n)"),
+        3 => format!("m = {one} + n, S(m, _)"),
+        4 => format!("m = count : {{ S(z, w), {one} + z < n + w }}, m > 0"),
+        _ => "n > 1".to_owned(),
+    });
+    let (op, target) = match (genes[2] % 5, own.is_empty()) {
+        (0, _) | (_, true) => ("count", ""),
+        (kind, _) => (["sum", "min", "max", "mean"][kind as usize - 1], pick(genes[3])),
+    };
+    let aggregate = format!("{op} {target} : {{ {} }}", inner.join(", "));
+    let [head, from] = [genes[4], genes[5]].map(|gene| ["A", "B"][gene as usize % 2]);
+    match (op, genes[6] % 3) {
+        ("mean", _) => format!("{head}(y, n) :- {from}(x, n), R(x, y), {aggregate} >= 1.0."),
+        (_, 0) => format!("{head}(y, n) :- {from}(x, n), R(x, y), S(_, c), c = {aggregate}."),
+        _ => format!("{head}(y, (n + c) band 7) :- {from}(x, n), R(x, y), c = {aggregate}."),
+    }
+}
+
+/// A correlated aggregate is evaluated once for each binding of its parameters.
+#[test]
+fn a_correlated_aggregate_is_evaluated_once_for_each_binding() {
+    let text = ".decl R(x: number, y: number) .decl V(v: number)
+        R(x, y) :- x = range(0, 50), y = range(0, 50).
+        V(v) :- v = range(0, 1000).
+        .decl A(x: number, n: number)
+        A(0, 500).
+        A(y, n) :- A(x, n), R(x, y), c = count : { V(v), v > n }, c > 0.";
+    let mut session = program(text).session();
+    session.commit().unwrap();
+    assert_eq!(session.len(session.program().relation("A").unwrap()), 50);
+    let scanned = session.work().rules().map(|rule| rule.rows_scanned);
+    // 50 x 50 rows of R, one look at V for n = 500.
+    assert!(
+        (3_500..15_000).contains(&scanned.max().unwrap()),
+        "{:?}",
+        session.work()
+    );
+    // An unrelated change evaluates nothing; one of V evaluates the recursion again.
+    let mut session =
+        program(&text.replace("V(v) :-", ".input V .decl W(v: number) .input W W(1). V(1). // ")).session();
+    session.commit().unwrap();
+    let reached = |session: &Session| session.len(session.program().relation("A").unwrap());
+    assert_eq!(reached(&session), 1);
+    insert(&mut session, "W", &[&[2]]);
+    session.commit().unwrap();
+    assert!(session.work().rules().next().is_none());
+    insert(&mut session, "V", &[&[501]]);
+    session.commit().unwrap();
+    assert_eq!(reached(&session), 50);
+    let v = session.program().relation("V").unwrap();
+    session.retract(v, &numbers(&[501])).unwrap();
+    session.commit().unwrap();
+    assert_eq!(reached(&session), 1);
 }
 
 /// A count visits no row of the last scan, and stores no row of the join.
@@ -270,6 +391,11 @@ proptest! {
     }
 
     #[test]
+    fn narrow_relations_agree_with_naive(genome in genomes(1..5)) {
+        check_narrow(&genome)?;
+    }
+
+    #[test]
     fn recursive_commits_agree_with_naive(genome in recursive_genomes(1..4)) {
         check_script(&genome)?;
     }
@@ -408,6 +534,67 @@ fn points_to_in_rounds_of_many_new_rows() {
     assert!(session.len(program.relation("PointsTo").unwrap()) > 700);
     let expected = naive::evaluate(program.rules(), session.symbols(), facts);
     assert_eq!(database(&session), expected);
+}
+
+#[test]
+fn long_lists_of_derived_rows_are_those_of_a_search() {
+    const NODES: u32 = 600;
+    let program = program(
+        ".decl Edge(x: number, y: number)
+        .decl Skip(x: number, y: number)
+        .decl Path(x: number, y: number)
+        Path(x, y) :- Edge(x, y).
+        Path(x, z) :- Edge(x, y), Path(y, z).
+        Path(x, z) :- Skip(x, y), Path(y, w), Path(w, z).",
+    );
+    let mut state = 7_u32;
+    let mut random = |below: u32| {
+        state = state.wrapping_mul(1_664_525).wrapping_add(1_013_904_223);
+        (state >> 8) % below
+    };
+    let edges: Vec<[u32; 2]> = (0..1_200).map(|_| [random(NODES), random(NODES)]).collect();
+    let skips: Vec<[u32; 2]> = (0..12).map(|_| [random(NODES), random(NODES)]).collect();
+    // By node, the nodes that it reaches, as bits.
+    let mut reached = vec![[0_u64; NODES as usize / 64 + 1]; NODES as usize];
+    for [x, y] in &edges {
+        reached[*x as usize][*y as usize / 64] |= 1 << (y % 64);
+    }
+    loop {
+        let before = reached.clone();
+        let mut add = |to: u32, from: u32| {
+            let words = reached[to as usize].iter_mut().zip(before[from as usize]);
+            words.for_each(|(word, more)| *word |= more);
+        };
+        edges.iter().for_each(|&[x, y]| add(x, y));
+        for &[x, y] in &skips {
+            let middle = |node: &u32| before[y as usize][*node as usize / 64] >> (node % 64) & 1 == 1;
+            (0..NODES).filter(middle).for_each(|node| add(x, node));
+        }
+        if reached == before {
+            break;
+        }
+    }
+    let reaches = |x: u32, y: u32| reached[x as usize][y as usize / 64] >> (y % 64) & 1 == 1;
+    let pairs = (0..NODES).flat_map(|x| (0..NODES).map(move |y| (x, y)));
+    let expected: Vec<Vec<Value>> = pairs
+        .filter(|&(x, y)| reaches(x, y))
+        .map(|(x, y)| vec![Value(x), Value(y)])
+        .collect();
+    assert!(expected.len() > 100_000);
+    let mut work = Vec::new();
+    for threads in [1, 3] {
+        let mut session = program.session();
+        session.set_threads(eager(threads)).unwrap();
+        for (name, pairs) in [("Edge", &edges), ("Skip", &skips)] {
+            let rows = pairs.iter().map(|pair| pair.map(Value));
+            session.insert_all(program.relation(name).unwrap(), rows).unwrap();
+        }
+        session.commit().unwrap();
+        let found = session.rows(program.relation("Path").unwrap());
+        assert!(found.eq(expected.iter().map(Vec::as_slice)));
+        work.push(session.work().clone());
+    }
+    assert_eq!(work[0], work[1]);
 }
 
 #[test]
@@ -1128,6 +1315,59 @@ fn a_product_that_derives_nothing_reaches_a_limit() {
         Group(x, 0) :- A(x).
         Size(x, n) :- Group(x, g), n = count : { Group(_, g) }.";
     assert!(matches!(stopped(&counted, limits), EvalError::TooManySteps { .. }));
+    // So does one that is evaluated in place, and its rows take memory.
+    let in_place = facts_of("A", 2_000)
+        + ".decl A(x: number)
+        .decl N(n: number)
+        N(0).
+        N(n + 1) :- N(n), n < 2000, c = count : { A(x), x >= n, x != 7 }, c >= 0.";
+    assert!(matches!(stopped(&in_place, limits), EvalError::TooManySteps { .. }));
+}
+
+#[test]
+fn rows_of_an_aggregate_in_place_are_counted_in_bytes() {
+    let limits = Limits {
+        bytes: 1 << 20,
+        ..Limits::default()
+    };
+    // A wildcard of an inline predicate repeats rows, so the aggregate keeps the distinct ones.
+    let text = facts_of("A", 300)
+        + ".decl A(x: number)
+        .decl P(x: number, y: number) inline
+        P(x, y) :- A(x), A(y), A(z), z < 2.
+        .decl N(n: number)
+        N(0).
+        N(n + 1) :- N(n), n < 2, c = count : { P(x, y), x >= n }, c >= 0.";
+    let rules = datalog::rewrite::unfold(program(&text).rules()).expect("P is inline").0;
+    let mut session = Program::new(rules).unwrap().session();
+    session.set_limits(limits);
+    assert!(matches!(session.commit(), Err(EvalError::TooMuchMemory { .. })));
+    session.set_limits(Limits::default());
+    session.commit().unwrap();
+    assert_eq!(session.len(session.program().relation("N").unwrap()), 3);
+}
+
+#[test]
+fn loaded_relations_take_the_memory_of_their_own_columns() {
+    let loaded = |more: &str| {
+        let program = program(&format!(".decl Edge(x: number, y: number)\n.input Edge\n{more}"));
+        let edge = program.relation("Edge").unwrap();
+        let mut session = program.session();
+        session
+            .insert_all(edge, (0..10_000).map(|n| numbers(&[n / 7, n])))
+            .unwrap();
+        session.commit().unwrap();
+        (session, edge)
+    };
+    let columns: Vec<String> = (0..20).map(|column| format!("c{column}: number")).collect();
+    let (alone, _) = loaded("");
+    let (mut session, edge) = loaded(&format!(".decl Wide({})\n.input Wide", columns.join(", ")));
+    assert_eq!(session.bytes(), alone.bytes());
+    // A change pads the rows.
+    session.retract(edge, &numbers(&[0, 6])).unwrap();
+    assert_eq!(session.commit().unwrap().of(edge).unwrap().removed.len(), 1);
+    assert_eq!(session.len(edge), 9_999);
+    assert!(session.bytes() >= 9_999 * 20 * 4);
 }
 
 #[test]

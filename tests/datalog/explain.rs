@@ -45,7 +45,7 @@ fn heights(rules: &Rules, session: &Session, model: &naive::Database) -> Vec<BTr
         known[rel].clone_from(rows);
     }
     for clause in clauses.iter().filter(|clause| clause.body.is_empty()) {
-        for row in naive::consequences(clause, session.symbols(), &known) {
+        for row in naive::consequences(session.program().rules(), clause, session.symbols(), &known) {
             heights[clause.head.relation.index()].insert(row.clone(), 0);
             known[clause.head.relation.index()].insert(row);
         }
@@ -54,7 +54,7 @@ fn heights(rules: &Rules, session: &Session, model: &naive::Database) -> Vec<BTr
         let mut all = known.clone();
         all.extend(model.iter().cloned());
         for clause in &clauses {
-            for row in naive::consequences(clause, session.symbols(), &all) {
+            for row in naive::consequences(session.program().rules(), clause, session.symbols(), &all) {
                 let rel = clause.head.relation.index();
                 if known[rel].insert(row.clone()) {
                     heights[rel].insert(row, round);
@@ -161,7 +161,7 @@ fn check_matters(genome: &Genome) {
             };
             let mut less = clause.clone();
             less.body.remove(literal);
-            let derived = naive::consequences(&less, session.symbols(), &model);
+            let derived = naive::consequences(&rules, &less, session.symbols(), &model);
             assert_eq!(matters, !derived.is_subset(&model[clause.head.relation.index()]));
         }
     }
@@ -235,7 +235,10 @@ fn expressions_and_aggregates_are_leaves_with_their_values() {
         degree(x, n) :- edge(x, _), n = count : { edge(x, _) }.
         next(x, z) :- degree(x, n), z = n + 1.
         far(x, s) :- edge(x, _), s = sum y : { edge(x, y), y > x }.
-        inverse(x) :- edge(x, y), 1 = 1 / y.";
+        inverse(x) :- edge(x, y), 1 = 1 / y.
+        .decl reach(x: number, n: number)
+        reach(1, 0).
+        reach(y, m) :- reach(x, n), edge(x, y), n < 3, c = count : { edge(x, w), w >= n }, m = n + c.";
     let session = session(text, &[("edge", &[&[1, 2], &[1, 3], &[1, 0], &[2, 0]])]);
     let rules = session.program().rules();
     let model = database(&session);
@@ -276,6 +279,11 @@ fn expressions_and_aggregates_are_leaves_with_their_values() {
         };
         assert_eq!(failures[0].kind, FailureKind::Computed { value });
     }
+    // The same for an aggregate that is evaluated in place.
+    assert_eq!(leaves("reach", &[2, 3]), "3 = count : { edge(1, w), w >= 0 }");
+    let reach = session.program().relation("reach").unwrap();
+    let absence = session.explain_absence(reach, &numbers(&[2, 2]).into_iter().map(Some).collect::<Vec<_>>());
+    check(&session, &model, &absence.unwrap().unwrap());
     let inverse = session.program().relation("inverse").unwrap();
     let absence = session.explain_absence(inverse, &[Some(Value::number(2))]);
     check(&session, &model, &absence.unwrap().unwrap());
@@ -440,9 +448,9 @@ fn views_are_reported_and_hidden_predicates_are_not() {
 .decl go(x: number)
 .input sees, near, car
 .scope sees
-/// F: nobody in view is near
+/// F: no agent in view is near
 free(X) :- car(X), !near(X, _).
-/// G: somebody in view is free
+/// G: an agent in view is free
 go(X) :- car(X), free(Y).
 ";
     let facts: &[(&str, &[&[i32]])] = &[
@@ -454,9 +462,9 @@ go(X) :- car(X), free(Y).
     assert_eq!(
         explained(text, facts, "go", &[1]),
         "\
-go(1)  by G: somebody in view is free  [rules.dl:12]
+go(1)  by G: an agent in view is free  [rules.dl:12]
 ├─ car(1)
-├─ free(2)  by F: nobody in view is near  [rules.dl:10]
+├─ free(2)  by F: no agent in view is near  [rules.dl:10]
 │  ├─ car(2)
 │  └─ Not(near(2, _) in view)
 │     └─ not in view: sees(2, 3)
@@ -467,7 +475,7 @@ go(1)  by G: somebody in view is free  [rules.dl:12]
         explained(text, facts, "free", &[1]),
         "\
 Not(free(1)): no clause of free holds
-└─ F: nobody in view is near  [rules.dl:10]
+└─ F: no agent in view is near  [rules.dl:10]
    └─ Not(near(1, _) in view) fails
       └─ near(1, _) in view
          ├─ near(1, 2)
@@ -478,7 +486,7 @@ Not(free(1)): no clause of free holds
         explained(text, &[facts[0], facts[1]], "go", &[1]),
         "\
 Not(go(1)): no clause of go holds
-└─ G: somebody in view is free  [rules.dl:12]
+└─ G: an agent in view is free  [rules.dl:12]
    └─ nearest Y = 2: not in view: sees(1, 2)
 "
     );

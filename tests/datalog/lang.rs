@@ -1,5 +1,6 @@
 //! The rule language: rule files, fixtures, reference, round trip, hostile texts.
 
+use crate::pages::{blocks, pages};
 use crate::rule_files::RuleFiles;
 use std::collections::BTreeSet;
 use std::path::{Path, PathBuf};
@@ -137,6 +138,10 @@ fn habits_of_other_languages_are_reported_once_with_help() {
         ("B(x) :- A(x), forall y: A(y).", "count the exceptions"),
         ("B(x) :- A(x), exists y (A(y)).", "existential"),
         ("B(x) :- A(x), exists y: A(y).", "existential"),
+        ("B(x) :- A(x), \u{2200}Y A(Y).", "\"for all\" counts the exceptions"),
+        ("B(x) :- A(x), \u{2200} y: A(y).", "\"for all\" counts the exceptions"),
+        ("B(x) :- \u{2203}y (A(y)), A(x).", "existential"),
+        ("B(x) :- A(x), \u{2204}y A(y).", "none exists"),
         ("Not(B(x)) :- A(x).", "clauses derive what holds"),
         ("!B(x) :- A(x).", "clauses derive what holds"),
         ("B(x) :- Is(prime)(x), A(x).", "one word"),
@@ -160,6 +165,13 @@ fn habits_of_other_languages_are_reported_once_with_help() {
     ] {
         let said = helps(&format!("{HEAD}{written}\n"));
         assert!(said.len() == 1 && said[0].contains(help), "{written}: {said:?}");
+    }
+    for (comments, note) in [
+        ("% one\n% two\n", "is 1 more such line"),
+        ("% one\n%\n%\n", "are 2 more such lines"),
+    ] {
+        let (_, loaded) = load_text("main.dl", &format!("{comments}{HEAD}B(x) :- A(x).\n"));
+        assert_eq!(loaded.diagnostics[0].notes, [format!("there {note}")]);
     }
     // A predicate may have the name of a quantifier.
     load_clean(
@@ -310,6 +322,37 @@ fn an_include_may_have_an_absolute_path() {
     let missing = &load("/shared/other.dl")[0];
     assert_eq!(missing.code, Code::MISSING_INCLUDE);
     assert_eq!(missing.notes, ["looked for `/shared/other.dl`"]);
+}
+
+/// A name such as `Car_2` is probably a constant without its quotes, on either side of an equation.
+#[test]
+fn a_name_like_a_constant_is_quoted_in_the_help() {
+    const HEAD: &str =
+        ".decl A(x: symbol)\n.decl B(x: symbol)\n.decl C(x: symbol, y: symbol)\n.input A, C\n.output B\n";
+    for (body, help) in [
+        ("A(x), x = Car_2", "`x = \"Car_2\"`"),
+        ("A(x), Car_2 = x", "`\"Car_2\" = x`"),
+        ("A(x), C(x, Car_2), Car_2 = y", "`\"Car_2\" = y`"),
+        ("A(x), C(x, Car_2), y = Car_2", "`y = \"Car_2\"`"),
+        ("A(x), Car_2 = y", "the text `Car_2`, write it in quotes: `\"Car_2\"`"),
+        ("A(x), y = Car_2", "the text `Car_2`, write it in quotes: `\"Car_2\"`"),
+        ("A(x), x != Car_2", "the text `Car_2`, write it in quotes: `\"Car_2\"`"),
+        (
+            "A(x), !C(x, Car_2)",
+            "the text `Car_2`, write it in quotes: `\"Car_2\"`",
+        ),
+    ] {
+        let (_, loaded) = load_text("main.dl", &format!("{HEAD}B(x) :- {body}.\n"));
+        let said: Vec<String> = loaded.diagnostics.into_iter().flat_map(|fault| fault.help).collect();
+        assert!(said[0].contains(help), "{body}: {said:?}");
+        // No advice about the other side.
+        let other = said.iter().any(|help| help.contains("`y`") || help.contains("\"y\""));
+        assert!(!other, "{body}: {said:?}");
+        if !body.contains('y') {
+            let quoted = body.replace("Car_2", "\"Car_2\"");
+            load_clean("main.dl", &format!("{HEAD}B(x) :- {quoted}.\n"));
+        }
+    }
 }
 
 #[test]
@@ -1228,56 +1271,20 @@ fn nested_includes_are_bounded() {
 
 // --- the reference
 
-/// The code blocks of a language in a Markdown text, with the number of the line before each.
-fn blocks<'a>(text: &'a str, language: &str) -> Vec<(usize, String)> {
-    let mut found = Vec::new();
-    let mut lines = text.lines().enumerate();
-    while let Some((number, line)) = lines.next() {
-        if let Some(of) = line.strip_prefix("```") {
-            let block: Vec<&'a str> = lines
-                .by_ref()
-                .map(|(_, line)| line)
-                .take_while(|line| *line != "```")
-                .collect();
-            if of == language {
-                found.push((number + 1, block.join("\n")));
-            }
-        }
-    }
-    found
-}
-
 #[test]
 fn every_block_of_the_reference_gives_the_diagnostics_it_expects() {
-    let text = read_text(&root().join("docs/reference/language.md")).expect("the reference exists");
-    let blocks = blocks(&text, "dl");
-    assert!(blocks.len() > 20);
-    let failures: Vec<String> = (blocks.iter())
-        .filter_map(|(line, block)| {
-            check_expectations(&format!("README.md:{line}"), &split_files("main.dl", block)).err()
-        })
-        .collect();
-    assert!(failures.is_empty(), "{}", failures.join("\n"));
-}
-
-#[test]
-fn each_code_has_a_section_whose_example_produces_it() {
-    let text = read_text(&root().join("docs/reference/language.md")).expect("the reference exists");
-    for code in rule_codes() {
-        let heading = format!("\n### `{}`\n", code.name());
-        let (_, section) = text
-            .split_once(&heading)
-            .unwrap_or_else(|| panic!("no section for {}", code.name()));
-        let section = section.split("\n### ").next().unwrap_or(section);
-        // An example cannot contain text that is not UTF-8.
-        if code != Code::NOT_TEXT {
-            assert!(
-                section.contains(&format!("[{}]", code.name())),
-                "no example of {}",
-                code.name()
-            );
+    let mut count = 0;
+    let mut failures = Vec::new();
+    for (page, text) in pages() {
+        for block in blocks(&text).into_iter().filter(|block| block.kind == "dl") {
+            let place = format!("{}:{}", page.display(), block.line);
+            failures.extend(check_expectations(&place, &split_files("main.dl", &block.text)).err());
+            count += 1;
         }
     }
+    assert!(failures.is_empty(), "{}", failures.join("\n"));
+    assert!(count > 20);
+    println!("{count} blocks of rules load");
 }
 
 // --- redundant clauses

@@ -12,6 +12,7 @@ mod lang;
 mod near_files;
 #[cfg(feature = "optimizer")]
 mod optimize;
+mod pages;
 mod proofs;
 mod random_program;
 mod rewrite;

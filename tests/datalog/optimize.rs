@@ -99,9 +99,12 @@ fn check(rules: &Rules, facts: &BTreeSet<(RelId, Vec<Value>)>, constraints: bool
         prop_assert_eq!(&rows, &database, "{:?}", options);
         for (clause, fired) in rules.clauses.iter().zip(&fired) {
             prop_assert!(
-                fired
-                    .iter()
-                    .eq(&naive::consequences(clause, session.symbols(), &database)),
+                fired.iter().eq(&naive::consequences(
+                    session.program().rules(),
+                    clause,
+                    session.symbols(),
+                    &database
+                )),
                 "{:?}",
                 options
             );

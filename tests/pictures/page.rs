@@ -6,7 +6,7 @@ use logicity::cancel::Cancel;
 use logicity::city::{Action, Cell, Split, field_of_view};
 use logicity::datalog::explain::{Explainer, ExplanationPrinter};
 use logicity::diag::{Code, Sources};
-use logicity::page::{Comparison, Page};
+use logicity::page::{Comparison, LIVE_TICKS, Live, Page};
 use logicity::render::{Class, Icons, Renderer, Scale, Viewport};
 use logicity::rng::Seed;
 use logicity::sim::{Replay, Settings, Simulation, TraceHeader, TraceTick, TraceWriter, World};
@@ -403,6 +403,106 @@ fn a_page_shows_the_decisions_of_the_trace_and_why() {
     assert_eq!(data["ticks"].as_array().unwrap().len(), 25);
 }
 
+/// A running city shows the decisions and the explanations that the page of its run shows.
+#[test]
+fn a_live_city_equals_the_page_of_its_run() {
+    let run = run("expert", 60);
+    let data = unpack(&run.page());
+    let mut live = live("expert");
+    let header = json!(live.header());
+    for key in ["agents", "predicates", "clauses", "actions", "headings", "counted"] {
+        assert_eq!(header[key], data[key], "{key}");
+    }
+    let mut compared = 0;
+    for number in 0..60 {
+        let (tick, shown) = (json!(live.tick().unwrap()), &data["ticks"][number]);
+        assert_eq!(tick["tick"], number);
+        for key in ["at", "goal", "action", "derived", "fired"] {
+            assert_eq!(tick[key], shown[key], "{key} in tick {number}");
+        }
+        for agent in 0..list(&tick["at"]).len() {
+            let heading = tick["heading"][agent].as_i64().unwrap_or(-1);
+            assert_eq!(json!(heading), shown["heading"][agent]);
+            let [row, col] = [0, 1].map(|axis| at_i64(&tick["at"][agent], axis));
+            let from = |at: usize| at_i64(&tick["view"][agent], at);
+            let view = json!([row + from(0), col + from(1), row + from(2), col + from(3)]);
+            assert_eq!(view, shown["view"][agent]);
+            if let Some(next) = data["ticks"].get(number + 1) {
+                assert_eq!(tick["next"][agent], next["at"][agent]);
+            }
+            // The first route begins in the first tick; another one is new if start or goal differ.
+            let way = |tick: usize| &run.ways[tick][agent];
+            let is_new = number == 0 || way(number) != way(number - 1);
+            assert_eq!(tick["ways"][agent].is_array(), is_new, "agent {agent} in tick {number}");
+            if is_new {
+                // An agent that set out in the tick before has left the start.
+                let (corners, goal) = (list(&tick["ways"][agent]), way(number).last().unwrap());
+                assert_eq!(corners.first(), Some(&tick["at"][agent]));
+                assert_eq!(corners.last(), Some(&json!([goal.row, goal.col])));
+            }
+            compared += compare_explanations(&mut live, (&header, &data), number, agent);
+        }
+    }
+    // The last ticks can be explained in any order.
+    for number in [59, 0, 31] {
+        compared += compare_explanations(&mut live, (&header, &data), number, 3);
+    }
+    assert!(compared > 4000, "{compared}");
+    assert!(live.explain(60, 0).unwrap().is_none() && live.explain(3, 99).unwrap().is_none());
+    let cells = |tick| -> Option<Value> {
+        let agents = live.agents_before(tick)?.iter();
+        Some(agents.map(|agent| json!([agent.cell.row, agent.cell.col])).collect())
+    };
+    assert_eq!(cells(31).unwrap(), data["ticks"][31]["at"]);
+    assert!(cells(60).is_some() && cells(61).is_none());
+}
+
+fn live(config: &str) -> Live {
+    let (world, sources) = with_sources(config, None);
+    let settings = Settings {
+        count_firings: true,
+        ..Settings::default()
+    };
+    let city = Simulation::new(world, Split::Test, Seed(0), settings).unwrap();
+    let rules = sources.ids().next().unwrap();
+    Live::new(city, sources, &[rules]).unwrap()
+}
+
+/// Compares the explanations and the rows of a tick with those of a page, and returns the number of explanations.
+fn compare_explanations(live: &mut Live, (header, data): (&Value, &Value), tick: usize, agent: usize) -> usize {
+    let explained = json!(live.explain(tick as u64, agent).unwrap().unwrap());
+    let shown = &data["ticks"][tick];
+    assert_eq!((&explained["tick"], &explained["agent"]), (&json!(tick), &json!(agent)));
+    let own = json!({"nodes": explained["nodes"], "clauses": header["clauses"]});
+    for (node, known) in list(&explained["why"]).iter().zip(list(&shown["why"][agent])) {
+        let [tree, known] = [(&own, node), (data, known)].map(|(of, node)| page_tree(of, node.as_i64().unwrap()));
+        assert_eq!(tree, known, "agent {agent} in tick {tick}");
+    }
+    let agents = list(&data["agents"]).len();
+    for (predicate, rows) in list(&explained["rows"]).iter().enumerate() {
+        let flat = list(rows).iter().map(whole).flat_map(|row| {
+            let is_binary = data["predicates"][predicate]["arity"] == 2;
+            if is_binary {
+                vec![row / agents, row % agents]
+            } else {
+                vec![row]
+            }
+        });
+        assert_eq!(json!(flat.collect::<Vec<_>>()), shown["rows"][predicate]);
+    }
+    list(&explained["why"]).len()
+}
+
+#[test]
+fn a_live_city_keeps_its_last_ticks() {
+    let mut live = live("easy");
+    for _ in 0..LIVE_TICKS + 3 {
+        live.tick().unwrap();
+    }
+    assert!(live.explain(2, 0).unwrap().is_none() && live.agents_before(2).is_none());
+    assert!(live.explain(3, 0).unwrap().is_some() && live.agents_before(3).is_some());
+}
+
 /// The corners that the page replans from start and goal equal those of the agent's route.
 #[test]
 fn routes_equal_the_driven_ones() {
@@ -712,6 +812,30 @@ fn runs_of_other_cities_are_not_compared() {
     assert_eq!(
         fault(&expert, &late),
         "the runs begin with different ticks: 0 in `a`, 1 in `b`"
+    );
+}
+
+#[test]
+fn a_run_without_ticks_is_not_compared() {
+    let (whole, mut empty) = (run("easy", 2), run("easy", 2));
+    empty.trace = empty.trace.lines().next().unwrap().to_owned();
+    let (whole, empty) = (whole.loaded(), empty.loaded());
+    for pages in [[&whole, &empty], [&empty, &whole], [&empty, &empty]] {
+        let fault = Comparison::new(pages, ["a", "b"].map(str::to_owned))
+            .err()
+            .expect("no ticks");
+        assert!(
+            fault.message.ends_with("has no ticks") || fault.code == Code::TRACE_MISMATCH,
+            "{}",
+            fault.message
+        );
+    }
+    let fault = Comparison::new([&empty, &empty], ["a", "b"].map(str::to_owned))
+        .err()
+        .expect("no ticks");
+    assert_eq!(
+        (fault.code, fault.message.as_str()),
+        (Code::INVALID_TRACE, "`a` has no ticks")
     );
 }
 

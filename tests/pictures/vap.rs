@@ -54,10 +54,15 @@ fn stdout_of(arguments: &[&str]) -> String {
     String::from_utf8(output.stdout).unwrap()
 }
 
+/// The data set is faulty.
 fn refused(arguments: &[&str], words: &[&str]) {
+    fails(1, arguments, words);
+}
+
+fn fails(code: i32, arguments: &[&str], words: &[&str]) {
     let output = vap(arguments);
     let said = String::from_utf8(output.stderr).unwrap();
-    assert_eq!(output.status.code(), Some(1), "{said}");
+    assert_eq!(output.status.code(), Some(code), "{said}");
     assert!(!said.contains("panicked"), "{said}");
     for word in words {
         assert!(said.contains(word), "`{word}` is missing in:\n{said}");
@@ -235,19 +240,150 @@ fn parts_equal_the_whole() {
     // The settings must equal those of the folder.
     let again = [&MAKE[..], &["--out", part.to_str().unwrap()]].concat();
     for more in [["--seed", "1"], ["--difficulty", "0"]] {
-        refused(&[&again[..], &more].concat(), &["invalid-data-set", "other settings"]);
+        fails(2, &[&again[..], &more].concat(), &["manifest.json", "other settings"]);
+        fails(
+            2,
+            &[&again[..], &more, &["--force"]].concat(),
+            &["world-00002", "other settings"],
+        );
     }
     let pictures: Vec<&str> = again.iter().copied().filter(|word| *word != "--no-pictures").collect();
-    refused(&pictures, &["invalid-data-set", "other settings"]);
+    fails(2, &pictures, &["manifest.json", "other settings"]);
     let old = fs::read_to_string(part.join("world-00002/world.json")).unwrap();
     fs::write(
         part.join("world-00002/world.json"),
         old.replace("\"version\": 3", "\"version\": 2"),
     )
     .unwrap();
-    refused(&again, &["version 2; this program reads version 3"]);
+    fails(2, &again, &["version 2; this program reads version 3"]);
 
     tampered_sets_are_found_out(&whole);
+}
+
+/// Returns the writer of the first worlds of a data set that [`MAKE`] requests.
+fn writer(worlds: u32, threads: usize) -> DatasetWriter {
+    let request = DatasetRequest {
+        worlds: 0..worlds,
+        pictures: false,
+        threads: NonZeroUsize::new(threads).unwrap(),
+        ..DatasetRequest::new(Mode::Hard, Split::Test)
+    };
+    let icons = Icons::new(request.icon_seed(), Difficulty::percent(50).unwrap());
+    DatasetWriter::new(request, hard_mode(), icons).unwrap()
+}
+
+/// A folder that `make` completes is one that `check` accepts: `make` refuses other content, with and without
+/// `--force`, and changes nothing.
+#[test]
+fn make_refuses_what_check_refuses() {
+    let folder = tempfile::tempdir().unwrap();
+    let out = Folder::new(folder.path());
+    let folder = folder.path();
+    let writer = writer(1, 1);
+    let write = |overwrite| writer.write(&out, overwrite, &|_, _| (), &Cancel::never());
+    let check = || {
+        let set = Dataset::open(out.clone()).unwrap();
+        match set.check(hard_mode(), NonZeroUsize::MIN, &|_, _| (), &Cancel::never()) {
+            Ok(()) => Vec::new(),
+            Err(DatasetError::Faulty(faults)) => faults.into_iter().map(|fault| fault.message).collect(),
+            Err(error) => panic!("{error}"),
+        }
+    };
+    write(Overwrite::Own).unwrap();
+    assert_eq!(check(), [""; 0]);
+    let expected = contents(folder);
+    let refuses = |path: &str, reason: &str| {
+        let before = contents(folder);
+        let found = check();
+        let named = found.iter().find(|fault| fault.contains(&format!("{path}`: ")));
+        assert!(named.is_some_and(|fault| fault.contains(reason)), "{path}: {found:?}");
+        for overwrite in [Overwrite::Own, Overwrite::Any] {
+            let Err(DatasetError::Occupied(occupied)) = write(overwrite) else {
+                panic!("{path}: not refused")
+            };
+            assert!(occupied.path.ends_with(path) && !occupied.replaceable, "{occupied}");
+            assert!(occupied.reason.contains(reason), "{occupied}");
+        }
+        assert!(contents(folder) == before, "{path}");
+    };
+    for (name, reason) in [
+        ("notes.txt", "it belongs to no data set"),
+        (".logicity.json", "it belongs to no data set"),
+        (".world-notes.partial", "it belongs to no data set"),
+        (".world-00001.partial", "it belongs to no data set"),
+        ("world-1", "it belongs to no data set"),
+        ("world-00001", "it has the name of a world, but is not a folder"),
+        ("world-00000/notes.txt", "it does not belong to the world"),
+    ] {
+        fs::write(folder.join(name), "foreign").unwrap();
+        refuses(name, reason);
+        fs::remove_file(folder.join(name)).unwrap();
+    }
+    let world = folder.join("world-00001");
+    fs::create_dir(&world).unwrap();
+    refuses("world-00001", "`world.json` in it is wrong: no such file");
+    for (text, reason) in [
+        (&b"{}"[..], "not a file of a data set"),
+        (b"\xff", "not UTF-8"),
+        (&expected["world-00000/world.json"], "it holds world 0"),
+    ] {
+        fs::write(world.join("world.json"), text).unwrap();
+        refuses("world-00001", reason);
+    }
+    fs::remove_dir_all(&world).unwrap();
+    fs::remove_file(folder.join("world-00000/pairs.parquet")).unwrap();
+    assert!(check().iter().any(|fault| fault.contains("world-00000/pairs.parquet")));
+    let said = write(Overwrite::Own).unwrap_err().to_string();
+    assert!(
+        said.contains("world-00000`: its file `pairs.parquet` is missing"),
+        "{said}"
+    );
+    let table = "world-00000/pairs.parquet";
+    fs::write(folder.join(table), &expected[table]).unwrap();
+
+    // The two files that `make` itself replaces, if it may.
+    for name in ["README.md", "manifest.json"] {
+        for foreign in [&b"foreign"[..], b"\xff"] {
+            fs::write(folder.join(name), foreign).unwrap();
+            let Err(DatasetError::Occupied(occupied)) = write(Overwrite::Own) else {
+                panic!("{name}: not refused")
+            };
+            assert!(occupied.path.ends_with(name) && occupied.replaceable, "{occupied}");
+            assert_eq!(fs::read(folder.join(name)).unwrap(), foreign);
+            write(Overwrite::Any).unwrap();
+            assert!(contents(folder) == expected);
+        }
+    }
+
+    // `make` removes what an interrupted `make` has left.
+    let left = [".world-00001.partial", ".manifest.json.logicity-1-2"];
+    fs::create_dir(folder.join(left[0])).unwrap();
+    fs::write(folder.join(left[0]).join("pairs.parquet"), "").unwrap();
+    fs::write(folder.join(left[1]), "{").unwrap();
+    let found = check();
+    for name in left {
+        let incomplete = format!("{name}`: it is incomplete");
+        assert!(found.iter().any(|fault| fault.contains(&incomplete)), "{found:?}");
+    }
+    write(Overwrite::Own).unwrap();
+    assert!(contents(folder) == expected && !folder.join(".world-00001.partial").exists());
+    assert_eq!(check(), [""; 0]);
+
+    // The command line.
+    fs::write(folder.join("notes.txt"), "foreign").unwrap();
+    let path = folder.to_str().unwrap();
+    fails(
+        2,
+        &[&MAKE[..], &["--out", path, "--worlds", "1"]].concat(),
+        &[
+            "notes.txt`: it belongs to no data set",
+            "help: choose another folder, or move it elsewhere",
+        ],
+    );
+    refused(
+        &["check", path],
+        &["notes.txt`: it belongs to no data set", "help: move it elsewhere"],
+    );
 }
 
 /// The library makes the files of the command. It calls both callbacks on the calling thread.
@@ -258,22 +394,12 @@ fn a_cancelled_data_set_is_resumed() {
     make(&by_command, &["--worlds", "2", "--threads", "1"]);
     let expected = contents(&by_command);
 
-    let writer = |threads: usize| {
-        let request = DatasetRequest {
-            worlds: 0..2,
-            pictures: false,
-            threads: NonZeroUsize::new(threads).unwrap(),
-            ..DatasetRequest::new(Mode::Hard, Split::Test)
-        };
-        let icons = Icons::new(request.icon_seed(), Difficulty::percent(50).unwrap());
-        DatasetWriter::new(request, hard_mode(), icons).unwrap()
-    };
     let here = thread::current().id();
     let is_cancelled = |error: DatasetError| match error {
         DatasetError::Faulty(faults) => assert_eq!(faults[0].code, Code::CANCELLED),
         error => panic!("{error}"),
     };
-    let writers = [1, 2].map(writer);
+    let writers = [1, 2].map(|threads| writer(2, threads));
     for (index, writer) in writers.iter().enumerate() {
         let out = Folder::make(&folder.path().join(format!("library-{index}"))).unwrap();
         // Before the first world.

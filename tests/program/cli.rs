@@ -327,7 +327,7 @@ fn hostile_traces_are_errors() {
     };
     let drawn = {
         let mut tick: Value = serde_json::from_str(tick).unwrap();
-        tick["given"] = serde_json::json!({ "CollidingClose": [["nobody", "Car_1"]] });
+        tick["given"] = serde_json::json!({ "CollidingClose": [["Car_99", "Car_1"]] });
         format!("{header}\n{tick}\n")
     };
     for (text, words) in [
@@ -378,11 +378,11 @@ fn a_page_does_not_overwrite_its_trace() {
     let before = fs::read(&trace).unwrap();
     let output = logicity(["view", trace.to_str().unwrap(), "-o", trace.to_str().unwrap()]);
     assert_eq!(code(&output), 2);
-    assert!(err(&output).contains("overwrite its trace"), "{}", err(&output));
+    assert!(err(&output).contains("this command reads it"), "{}", err(&output));
     assert_eq!(fs::read(&trace).unwrap(), before);
     let copy = write(folder.path(), "copy.jsonl", &before);
     let output = logicity(["view", &copy, trace.to_str().unwrap(), "-o", trace.to_str().unwrap()]);
-    fails(&output, 2, &["overwrite its trace"]);
+    fails(&output, 2, &["this command reads it"]);
     assert_eq!(fs::read(&trace).unwrap(), before);
 }
 
@@ -769,9 +769,104 @@ fn wrong_usage_exits_with_2() {
         fails(
             &logicity(["run", "expert", "--ticks", ticks, "--out", &inside]),
             2,
-            &["--ticks"],
+            &["--ticks", "expected an integer from 1 to 1000000000"],
         );
     }
+}
+
+#[test]
+fn every_option_says_which_numbers_it_takes() {
+    for (line, expected) in [
+        ("run easy --seed", "an integer from 0 to 18446744073709551615"),
+        ("infer --seed", "an integer from 0 to 18446744073709551615"),
+        ("questions --seed", "an integer from 0 to 18446744073709551615"),
+        ("questions --count", "an integer from 1 to 20000"),
+        ("questions --shots", "an integer from 0 to 100"),
+        (
+            "explain trace --agent Car_1 --tick",
+            "an integer from 0 to 18446744073709551615",
+        ),
+        ("view trace --from", "an integer from 0 to 18446744073709551615"),
+        ("view trace --ticks", "an integer from 1 to 18446744073709551615"),
+        ("episodes show --episode", "an integer from 0 to 18446744073709551615"),
+        ("episodes make --count", "an integer from 1 to 100000"),
+        ("episodes spread --sets", "an integer from 2 to 100000"),
+        (
+            "vap make --mode easy --split test --out x --worlds",
+            "an integer from 1 to 100000",
+        ),
+        (
+            "vap make --mode easy --split test --out x --first-world",
+            "an integer from 0 to 99999",
+        ),
+        ("bench tick --agents", "an integer from 1 to 1000000"),
+        ("bench tick --seconds", "a number from 0.01 to 86400"),
+        ("icons sheet --difficulty", "an integer from 0 to 100"),
+        ("diff a b --effort", "an integer from 0 to 18446744073709551615"),
+        ("route --type car --to 1,1 --from", "row and column as two integers"),
+    ] {
+        let arguments: Vec<&str> = line.split(' ').chain(["-1"]).collect();
+        fails(&run(&arguments, b""), 2, &[&format!("expected {expected}")]);
+    }
+    // The coordinates of a cell may be negative, but no such cell is on a map.
+    let outside = logicity(["route", "--type", "car", "--from", "-1,5", "--to", "2,2"]);
+    fails(&outside, 2, &["[-1, 5] is not on the map"]);
+}
+
+/// A rule that counts up to a billion.
+const RUNAWAY: &str = ".include \"vocabulary.dl\"\n.decl N(x: number)\nN(0).\nN(X + 1) :- N(X), X < 1000000000.\n\
+                       Stop(X) :- IsCar(X), CollidingClose(X, Y), N(500000000).\n";
+
+#[test]
+fn a_costly_rule_ends_infer_and_run_at_a_limit() {
+    let folder = tempfile::tempdir().unwrap();
+    let rules = write(folder.path(), "rules.dl", RUNAWAY);
+    let config = write(folder.path(), "own.yaml", "base: configs/easy.yaml\nrules: rules.dl\n");
+    let target = folder.path().join("out");
+    let scene = b"{\"entities\": [\"a\"], \"ego\": \"a\", \"facts\": {\"IsCar\": [\"a\"]}}\n";
+    for (option, limit, message) in [
+        ("--max-rows", "20K", "the rules derive more than 20000 rows"),
+        ("--max-steps", "20K", "the rules scan more than 20000 rows"),
+        ("--max-memory", "1", "rows, indexes and texts take more than 1 MiB"),
+    ] {
+        let raise = format!("raise the limit with `{option}`");
+        let output = with_input(["infer", "--rules", &rules, option, limit], scene);
+        let clause = format!("in the evaluation of N(X + 1) :- N(X), X < 1000000000.    {rules}:4:1");
+        fails(&output, 1, &["error[limit-exceeded]", message, &clause, &raise]);
+        // Answers stay aligned with scenes.
+        let answer: Value = serde_json::from_str(out(&output).trim()).unwrap();
+        assert_eq!(answer["error"][0]["code"], "limit-exceeded");
+        for command in [
+            vec![
+                "run",
+                "easy",
+                "--ticks",
+                "1",
+                "--out",
+                target.to_str().unwrap(),
+                "--rules",
+                &rules,
+            ],
+            vec!["bench", "tick", "--config", &config],
+        ] {
+            let output = run(&[&command[..], &[option, limit]].concat(), b"");
+            fails(&output, 1, &["error[limit-exceeded]", message, "rules.dl:4:1", &raise]);
+        }
+        assert!(fs::read_dir(&target).unwrap().next().is_none(), "no file remains");
+    }
+    let enough = with_input(
+        [
+            "infer",
+            "--max-rows",
+            "1K",
+            "--max-steps",
+            "10K",
+            "--executor",
+            "relational",
+        ],
+        scene,
+    );
+    assert_eq!(code(&enough), 0, "{}", err(&enough));
 }
 
 #[test]
@@ -1959,6 +2054,15 @@ fn infer_falls_back_to_the_relational_executor() {
         out(&check)
     );
     assert!(out(&check).contains("CL: a clique"), "{}", out(&check));
+    let check: serde_json::Value = serde_json::from_str(&out(&logicity(["check", "--json", &rules]))).unwrap();
+    let costly = check["costly"].as_array().unwrap();
+    assert_eq!(
+        (costly.len(), &costly[0]["doc"]),
+        (1, &serde_json::json!("CL: a clique"))
+    );
+    let check: serde_json::Value =
+        serde_json::from_str(&out(&logicity(["check", "--json", "rules/expert.dl"]))).unwrap();
+    assert_eq!(check["costly"], serde_json::json!([]));
 }
 
 #[test]

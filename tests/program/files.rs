@@ -78,8 +78,7 @@ fn slow_no_command_replaces_a_file_of_another_program() {
         for file in files {
             fs::create_dir(&new).unwrap();
             fs::write(new.join(file), "foreign").unwrap();
-            let code = if line.starts_with("vap") { 1 } else { 2 };
-            fails(folder.path(), line, code, &[file, "--force"]);
+            fails(folder.path(), line, 2, &[file, "--force"]);
             assert_eq!(fs::read(new.join(file)).unwrap(), b"foreign", "{line}");
             let names = fs::read_dir(&new).unwrap().count();
             assert_eq!(names, 1, "{line}: no file is written before the refusal");
@@ -97,11 +96,170 @@ fn slow_no_command_replaces_a_file_of_another_program() {
         succeeds(folder.path(), line);
         // Not after an edit.
         fs::write(new.join(files[0]), "edited").unwrap();
-        let code = if line.starts_with("vap") { 1 } else { 2 };
-        fails(folder.path(), line, code, &[files[0], "--force"]);
+        fails(folder.path(), line, 2, &[files[0], "--force"]);
         assert_eq!(fs::read(new.join(files[0])).unwrap(), b"edited", "{line}");
         fs::remove_dir_all(&new).unwrap();
     }
+}
+
+/// A command replaces no file that it reads, under no name and not with `--force`.
+#[test]
+fn no_command_replaces_its_input() {
+    let folder = tempfile::tempdir().unwrap();
+    let write = |name: &str, text: &str| fs::write(folder.path().join(name), text).unwrap();
+    inputs(folder.path());
+    write("part.dl", ".include \"vocabulary.dl\"\n");
+    write(
+        "rules.dl",
+        ".include \"part.dl\"\nStop(X) :- IsCar(X), CollidingClose(X, Y).\n",
+    );
+    write("agents.yaml", "test: {cars: [{count: 1, priority: 1}]}\n");
+    write("base.yaml", "base: configs/easy.yaml\nagents: agents.yaml\n");
+    write("city.yaml", "base: base.yaml\nrules: rules.dl\n");
+    write(
+        "rows.dl",
+        ".decl A(x: number)\n.input A\n.output A(filename=\"A.facts\")\n",
+    );
+    write("own.dl", ".decl A(x: number)\nA(1).\n.output A(filename=\"own.dl\")\n");
+    write("A.facts", "1\n");
+    fs::create_dir_all(folder.path().join("pack/car")).unwrap();
+    let icon = "<svg xmlns=\"http://www.w3.org/2000/svg\" viewBox=\"0 0 9 9\"><rect width=\"9\" height=\"5\"/></svg>";
+    write("pack/car/icon.svg", icon);
+    let icon = folder.path().join("pack/car/icon.svg");
+    for (link, target) in [
+        ("soft.dl", "part.dl"),
+        ("soft.yaml", "agents.yaml"),
+        ("soft.jsonl", "scene.jsonl"),
+    ] {
+        symlink(target, folder.path().join(link)).unwrap();
+    }
+    fs::hard_link(folder.path().join("rules.dl"), folder.path().join("hard.dl")).unwrap();
+    fs::create_dir(folder.path().join("out")).unwrap();
+    symlink("../base.yaml", folder.path().join("out/trace.jsonl")).unwrap();
+    let all = [
+        "part.dl",
+        "rules.dl",
+        "agents.yaml",
+        "base.yaml",
+        "city.yaml",
+        "A.facts",
+        "own.dl",
+        "scene.jsonl",
+    ];
+    let all = all.map(|name| folder.path().join(name));
+    let content = || {
+        all.iter()
+            .chain([&icon])
+            .map(|path| fs::read(path).unwrap())
+            .collect::<Vec<_>>()
+    };
+    let before = content();
+    for line in [
+        "infer scene.jsonl --out scene.jsonl",
+        "infer scene.jsonl --out soft.jsonl",
+        "infer scene.jsonl --rules rules.dl --out soft.dl",
+        "infer scene.jsonl --rules rules.dl --out hard.dl",
+        "infer scene.jsonl --config city.yaml --out rules.dl",
+        "infer scene.jsonl --config city.yaml --out soft.yaml",
+        "run city.yaml --ticks 1 --no-pictures --out out",
+        "run city.yaml --ticks 1 --no-pictures --out new --html city.yaml",
+        "run city.yaml --ticks 1 --out new --pack pack --html pack/car/icon.svg",
+        "questions city.yaml --count 8 --shots 0 -o rules.dl",
+        "questions city.yaml --count 8 --shots 0 --csv agents.yaml",
+        "icons sheet --pack pack -o pack/car/icon.svg",
+        "view in/trace.jsonl -o in/trace.jsonl",
+        "query rows.dl -F . -D .",
+        "query own.dl -D .",
+    ] {
+        fails(folder.path(), &format!("{line} --force"), 2, &["this command reads it"]);
+        assert!(content() == before, "{line}");
+    }
+    let episodes = "base: configs/easy.yaml\nrules: rules.dl\n";
+    write("task.yaml", episodes);
+    fails(
+        folder.path(),
+        "episodes make task.yaml --count 1 -o task.yaml --force",
+        2,
+        &["this command reads it"],
+    );
+    assert_eq!(fs::read_to_string(folder.path().join("task.yaml")).unwrap(), episodes);
+    // Also through standard input.
+    let output = Command::new("sh")
+        .args(["-c", "\"$0\" infer --out scene.jsonl --force < scene.jsonl"])
+        .arg(env!("CARGO_BIN_EXE_logicity"))
+        .current_dir(folder.path())
+        .output()
+        .unwrap();
+    assert!(said(&output).contains("this command reads it"), "{}", said(&output));
+}
+
+/// `-` and the names of open descriptors are streams: no file of that name, no temporary file, no record.
+#[test]
+fn slow_outputs_may_be_streams() {
+    let folder = tempfile::tempdir().unwrap();
+    inputs(folder.path());
+    fs::write(
+        folder.path().join("scene.jsonl"),
+        "{\"entities\": [\"a\"], \"ego\": \"a\", \"facts\": {\"IsCar\": [\"a\"]}}\n",
+    )
+    .unwrap();
+    let count = || fs::read_dir(folder.path()).unwrap().count();
+    for (line, option) in [
+        ("infer scene.jsonl", "--out"),
+        ("questions --count 8 --shots 0", "--output"),
+        ("questions --count 8 --shots 0 -o q.jsonl", "--csv"),
+        ("episodes make easy --count 1", "--output"),
+        ("icons sheet", "--output"),
+        ("view in/trace.jsonl", "--output"),
+    ] {
+        succeeds(folder.path(), &format!("{line} {option} file"));
+        let expected = fs::read(folder.path().join("file")).unwrap();
+        let before = count();
+        for stream in ["-", "/dev/stdout", "/dev/fd/1"] {
+            let output = logicity(folder.path(), &format!("{line} {option} {stream}"));
+            assert_eq!(output.status.code(), Some(0), "{line}: {}", said(&output));
+            assert!(output.stdout == expected, "{line} {stream}: {}", said(&output));
+        }
+        let output = logicity(folder.path(), &format!("{line} {option} /dev/stderr"));
+        assert!(
+            output.stderr.starts_with(&expected) || output.stderr.ends_with(&expected),
+            "{line}"
+        );
+        succeeds(folder.path(), &format!("{line} {option} /dev/null"));
+        fails(
+            folder.path(),
+            &format!("{line} {option} /dev/full"),
+            2,
+            &["cannot write `/dev/full`", "No space left"],
+        );
+        assert_eq!(count(), before, "{line}");
+        // The reader may close the stream.
+        let closed = Command::new("bash")
+            .args(["-c", "set -o pipefail; \"$0\" $1 | true"])
+            .arg(env!("CARGO_BIN_EXE_logicity"))
+            .arg(format!("{line} {option} -"))
+            .current_dir(folder.path())
+            .output()
+            .unwrap();
+        assert_eq!(closed.status.code(), Some(0), "{line}: {}", said(&closed));
+        fs::remove_file(folder.path().join("file")).unwrap();
+    }
+    for (line, words) in [
+        ("questions --count 8 --shots 0 --csv -", "both write to standard output"),
+        (
+            "questions --count 8 --shots 0 -o q.jsonl --csv - --demonstrations-csv /dev/stdout",
+            "both write to standard output",
+        ),
+        (
+            "run easy --ticks 1 --out out --html -",
+            "the summary goes to standard output",
+        ),
+        ("run easy --ticks 1 --out -", "several files"),
+        ("vap make --mode easy --split test --worlds 1 --out -", "several files"),
+    ] {
+        fails(folder.path(), line, 2, &[words]);
+    }
+    assert!(!folder.path().join("-").exists());
 }
 
 #[test]
@@ -118,7 +276,6 @@ fn paths_that_cannot_be_written_are_reported_before_the_work() {
         ("run expert --ticks 20000 --no-pictures --html dir", "dir"),
         ("run expert --ticks 1000000 --out in.dl", "in.dl"),
         ("episodes make expert --count 100000 -o no/e.jsonl", "no/e.jsonl"),
-        ("episodes make expert --count 100000 -o /dev/full", "/dev/full"),
         ("questions --count 20000 --csv no/q.csv", "no/q.csv"),
         ("questions --count 20000 -o dir", "dir"),
         ("infer scene.jsonl --out no/a.jsonl", "no/a.jsonl"),
@@ -442,6 +599,26 @@ fn pipes_are_read_only_where_the_user_names_them() {
         fails(folder.path(), line, 2, &["not a regular file"]);
         let _ = writer.kill();
         writer.wait().unwrap();
+    }
+    // Not a device, which may never end, and not a link to no file.
+    symlink("nowhere", folder.path().join("dangling.dl")).unwrap();
+    for (line, words) in [
+        ("check zero", "it is a device"),
+        ("fmt zero", "it is a device"),
+        ("infer zero", "it is a device"),
+        ("infer --config zero", "it is a device"),
+        ("infer --rules zero", "it is a device"),
+        ("query zero", "it is a device"),
+        ("view zero -o page.html", "it is a device"),
+        ("explain zero --agent Car_1", "it is a device"),
+        ("bench infer --scenes zero", "a device"),
+        (
+            "check dangling.dl",
+            "it is a symbolic link to `nowhere`, which does not exist",
+        ),
+    ] {
+        fails(folder.path(), line, 2, &[words]);
+        assert!(!said(&logicity(folder.path(), line)).contains("did you mean"), "{line}");
     }
     // Process substitution, as in `check <(command)`.
     let output = Command::new("bash")

@@ -39,7 +39,10 @@ const CHECK: &[Case] = &[
     ("check folder", 2, "folder"),
     ("check good.dl/inside.dl", 2, "good.dl/inside.dl"),
     ("check loop.dl", 2, "loop.dl"),
-    ("check dangling.dl", 2, "dangling.dl"),
+    ("check dangling.dl", 2, "a symbolic link to `nowhere/nothing.dl`"),
+    ("check zero.dl", 2, "it is a device"),
+    ("check all.dl", 1, "\"for all\" counts the exceptions"),
+    ("check equation.dl", 1, "write it in quotes: `\"Car_2\"`"),
     ("check latin1.dl", 1, "not-text"),
     ("check utf16.dl", 1, "U+0000"),
     ("check nul.dl", 1, "nul.dl:1"),
@@ -94,7 +97,8 @@ const FORMAT: &[Case] = &[
     ("fmt missing.dl", 2, "missing.dl"),
     ("fmt folder", 2, "folder"),
     ("fmt loop.dl", 2, "loop.dl"),
-    ("fmt dangling.dl", 2, "dangling.dl"),
+    ("fmt dangling.dl", 2, "a symbolic link to `nowhere/nothing.dl`"),
+    ("fmt zero.dl", 2, "it is a device"),
     ("fmt latin1.dl", 1, "not-text"),
     ("fmt nul.dl", 1, "nul.dl"),
     ("fmt faults.dl", 1, "errors"),
@@ -169,6 +173,13 @@ const QUERY: &[Case] = &[
     ("query good.dl -D linked", 2, "linked/A.csv"),
     ("query good.dl -D taken", 2, "not a regular file"),
     ("query outside.dl -D folder", 2, "good.dl"),
+    ("query itself.dl -D . --force", 2, "this command reads it"),
+    (
+        "query rows.dl -F facts/crlf -D facts/crlf --force",
+        2,
+        "this command reads it",
+    ),
+    ("query zero.dl", 2, "it is a device"),
     ("query good.dl -D - > /dev/full", 2, "standard output"),
     ("query good.dl --explain", 2, "--explain"),
     ("query good.dl --explain ''", 1, "error"),
@@ -239,6 +250,8 @@ const REPL: &[Case] = &[
     ),
     ("repl --max-rows -1 < empty.dl", 2, "nonnegative"),
     ("printf '.help\\n' | @ repl > /dev/full", 1, ""),
+    ("printf 'A(1) :- B(\\n.help\\n.quit\\n' | @ repl", 1, ".relations"),
+    ("printf '/* .quit\\n.quit\\n' | @ repl", 1, "error"),
 ];
 
 const INFER: &[Case] = &[
@@ -286,7 +299,48 @@ const INFER: &[Case] = &[
     ),
     ("printf '{}' | @ infer --out folder", 2, "not a regular file"),
     ("printf '{}' | @ infer --out good.dl", 2, "--force"),
-    ("printf '{}' | @ infer --out /dev/full", 2, "not a regular file"),
+    ("printf '{}' | @ infer --out /dev/full", 2, "No space left"),
+    ("printf '{}' | @ infer --out pipe", 2, "not a regular file"),
+    ("printf '{}' | @ infer --out - > /dev/full", 2, "standard output"),
+    ("infer empty.dl --out empty.dl --force", 2, "this command reads it"),
+    ("infer --out empty.dl --force < empty.dl", 2, "this command reads it"),
+    (
+        "infer empty.dl --rules city.dl --out city.dl --force",
+        2,
+        "this command reads it",
+    ),
+    (
+        "infer empty.dl --rules city.dl --out linked-city.dl --force",
+        2,
+        "this command reads it",
+    ),
+    ("infer empty.dl --out -", 0, ""),
+    ("infer empty.dl --out /dev/stdout", 0, ""),
+    ("infer empty.dl --out /dev/null", 0, ""),
+    ("infer zero.dl", 2, "it is a device"),
+    ("infer empty.dl --config zero", 2, "it is a device"),
+    ("infer empty.dl --rules zero.dl", 2, "it is a device"),
+    (
+        "infer ego.json --rules runaway.dl --max-rows 10K",
+        1,
+        "raise the limit with `--max-rows`",
+    ),
+    (
+        "infer ego.json --rules runaway.dl --max-steps 100K",
+        1,
+        "raise the limit with `--max-steps`",
+    ),
+    (
+        "infer ego.json --rules runaway.dl --max-memory 1M",
+        1,
+        "raise the limit with `--max-memory`",
+    ),
+    ("infer ego.json --max-steps -1", 2, "nonnegative"),
+    (
+        "infer --seed -99999999999999999999",
+        2,
+        "from 0 to 18446744073709551615",
+    ),
     ("printf '{}' | @ infer --out loop.dl", 2, "symbolic links"),
     ("printf '{}' | @ infer --out missing/answers.jsonl", 2, "no folder"),
     ("printf '{}' | @ infer --out ''", 2, "a value is required"),
@@ -334,7 +388,30 @@ const RUN: &[Case] = &[
     ("run yaml/map-narrow.yaml --no-trace", 1, "invalid"),
     ("run yaml/crlf.yaml --no-trace --ticks 1", 0, "1 tick"),
     ("run yaml/bom.yaml --no-trace --ticks 1", 0, "1 tick"),
-    ("run easy --ticks 0 --no-trace", 2, "--ticks"),
+    ("run easy --ticks 0 --no-trace", 2, "from 1 to 1000000000"),
+    (
+        "run easy --rules runaway.dl --no-trace --max-rows 10K",
+        1,
+        "raise the limit with `--max-rows`",
+    ),
+    (
+        "run easy --rules runaway.dl --no-pictures --out new --max-steps 100K",
+        1,
+        "raise the limit with `--max-steps`",
+    ),
+    ("run easy --rules zero.dl --no-trace", 2, "it is a device"),
+    ("run zero --no-trace", 2, "it is a device"),
+    (
+        "run yaml/crlf.yaml --ticks 1 --no-pictures --out new --html yaml/crlf.yaml --force",
+        2,
+        "this command reads it",
+    ),
+    ("run easy --ticks 1 --no-pictures --out -", 2, "several files"),
+    (
+        "run easy --ticks 1 --no-pictures --out new --html -",
+        2,
+        "standard output",
+    ),
     ("run easy --ticks -1 --no-trace", 2, "-1"),
     ("run easy --ticks 1e3 --no-trace", 2, "1e3"),
     ("run easy --ticks '' --no-trace", 2, "--ticks"),
@@ -403,7 +480,11 @@ const TRACES: &[Case] = &[
     ("explain trace.jsonl", 2, "--agent"),
     ("explain trace.jsonl --agent ''", 2, "no agent"),
     ("explain trace.jsonl --agent \"$(printf '\\377')\"", 2, "UTF-8"),
-    ("explain trace.jsonl --agent Car_1 --tick -1", 2, "-1"),
+    (
+        "explain trace.jsonl --agent Car_1 --tick -1",
+        2,
+        "expected an integer from 0",
+    ),
     ("explain trace.jsonl --agent Car_1 --tick 99", 2, "no tick 99"),
     (
         "explain trace.jsonl --agent Car_1 --tick 99999999999999999999",
@@ -448,12 +529,15 @@ const TRACES: &[Case] = &[
     ("view missing.jsonl", 2, "missing.jsonl"),
     ("view folder -o new.html", 2, "folder"),
     ("view deep.json -o new.html", 1, "not the header"),
-    ("view trace.jsonl -o trace.jsonl", 2, "overwrite its trace"),
-    ("view trace.jsonl -o trace.jsonl --force", 2, "overwrite its trace"),
+    ("view trace.jsonl -o trace.jsonl", 2, "this command reads it"),
+    ("view trace.jsonl -o trace.jsonl --force", 2, "this command reads it"),
+    ("view trace.jsonl -o - > /dev/full", 2, "standard output"),
+    ("view zero.dl -o new.html", 2, "it is a device"),
+    ("explain zero.dl --agent Car_1", 2, "it is a device"),
     ("view trace.jsonl -o good.dl", 2, "--force"),
     ("view trace.jsonl -o folder", 2, "not a regular file"),
     ("view trace.jsonl -o pipe", 2, "not a regular file"),
-    ("view trace.jsonl -o /dev/full", 2, "not a regular file"),
+    ("view trace.jsonl -o /dev/full", 2, "No space left"),
     ("view trace.jsonl -o missing/new.html", 2, "no folder"),
     ("view trace.jsonl -o dangling.dl", 2, "no folder"),
     ("view trace.jsonl -o new.html --from 99", 2, "before tick 99"),
@@ -485,7 +569,7 @@ const TASKS: &[Case] = &[
     ("episodes check episodes/pipe.yaml", 1, "pipe or a device"),
     ("episodes check episodes/numbers.yaml", 1, "invalid-episode"),
     ("episodes show easy --episode 99999", 2, "no episode"),
-    ("episodes show easy --episode -1", 2, "-1"),
+    ("episodes show easy --episode -1", 2, "expected an integer from 0"),
     ("episodes show easy --split nonsense", 2, "nonsense"),
     ("episodes make easy --count 0 -o new.jsonl", 2, "--count"),
     ("episodes make easy --count -5 -o new.jsonl", 2, "-5"),
@@ -494,7 +578,8 @@ const TASKS: &[Case] = &[
     ("episodes make easy", 2, "--output"),
     ("episodes make easy --count 1 -o good.dl", 2, "--force"),
     ("episodes make easy --count 1 -o folder", 2, "not a regular file"),
-    ("episodes make easy --count 1 -o /dev/full", 2, "not a regular file"),
+    ("episodes make easy --count 1 -o /dev/full", 2, "No space left"),
+    ("episodes make easy --count 1 -o - > /dev/full", 2, "standard output"),
     ("episodes make vap-easy --count 1 -o new.jsonl", 1, "task"),
     ("episodes spread easy --sets 1", 2, "--sets"),
     ("episodes spread easy --sets NaN", 2, "NaN"),
@@ -517,11 +602,26 @@ const TASKS: &[Case] = &[
         2,
         "already writes it",
     ),
+    (
+        "questions --count 8 --shots 0 --csv -",
+        2,
+        "both write to standard output",
+    ),
+    (
+        "questions --count 8 --shots 0 -o /dev/stdout --csv -",
+        2,
+        "both write to standard output",
+    ),
     ("questions --count 8 --shots 0 > /dev/full", 2, "standard output"),
     ("questions --rules missing.dl", 2, "missing.dl"),
     ("route --from 1,1 --to a,b", 2, "a,b"),
     ("route --from 1 --to 2,2", 2, "--from"),
-    ("route --from -1,5 --to 2,2", 2, "-1"),
+    ("route --type car --from -1,5 --to 2,2", 2, "[-1, 5] is not on the map"),
+    (
+        "route --type car --from -x --to 2,2",
+        2,
+        "row and column as two integers",
+    ),
     ("route --from 99999999999,1 --to 2,2", 2, "--from"),
     ("route --from NaN,NaN --to 2,2", 2, "NaN"),
     ("route --map missing --type car --from 1,1 --to 2,2", 2, "missing"),
@@ -541,7 +641,12 @@ const PICTURES: &[Case] = &[
     ("icons sheet --pack-mode replace", 2, "--pack"),
     ("icons sheet -o good.dl", 2, "--force"),
     ("icons sheet -o folder", 2, "not a regular file"),
-    ("icons sheet -o /dev/full", 2, "not a regular file"),
+    ("icons sheet -o /dev/full", 2, "No space left"),
+    (
+        "icons sheet -o packs/truncated/car/icon.png --pack packs/truncated --force",
+        2,
+        "this command reads it",
+    ),
     ("icons sheet -o new.png --pack missing", 2, "no such folder"),
     ("icons sheet -o new.png --pack good.dl", 2, "not a folder"),
     ("icons sheet -o new.png --pack folder", 1, "folder"),
@@ -569,11 +674,11 @@ const PICTURES: &[Case] = &[
     ("vap make --mode easy --split test --out /dev/full", 2, "/dev/full"),
     (
         "vap make --mode easy --split test --out foreign",
-        1,
+        2,
         "foreign/manifest.json",
     ),
-    ("vap make --mode easy --split test --out readme", 1, "readme/README.md"),
-    ("vap make --mode easy --split test --out sets/world", 1, "world.json"),
+    ("vap make --mode easy --split test --out readme", 2, "readme/README.md"),
+    ("vap make --mode easy --split test --out sets/world", 2, "world.json"),
     (
         "vap make --mode easy --split test --out sets/pipe",
         2,
@@ -739,6 +844,29 @@ impl Fixtures {
         self.pipe("pipe");
         self.link("loop.dl", "loop.dl");
         self.link("dangling.dl", "nowhere/nothing.dl");
+        self.link("zero.dl", "/dev/zero");
+        self.link("zero", "/dev/zero");
+        self.link("linked-city.dl", "city.dl");
+        let city = |rules: &str| format!(".include \"vocabulary.dl\"\n{rules}\n");
+        self.put("city.dl", city("Stop(X) :- CollidingClose(X, Y)."));
+        self.put("all.dl", city("Stop(X) :- IsCar(X), \u{2200}Y IsClose(X, Y)."));
+        self.put("equation.dl", city("Stop(X) :- IsCar(X), Car_2 = Y."));
+        self.put(
+            "runaway.dl",
+            city(".decl N(x: number)\nN(0).\nN(X + 1) :- N(X), X < 2000000000.\nStop(X) :- IsCar(X), N(1000000000)."),
+        );
+        self.put(
+            "ego.json",
+            "{\"entities\": [\"a\"], \"ego\": \"a\", \"facts\": {\"IsCar\": [\"a\"]}}\n",
+        );
+        self.put(
+            "itself.dl",
+            ".decl A(x: number)\nA(1).\n.output A(filename=\"itself.dl\")\n",
+        );
+        self.put(
+            "rows.dl",
+            ".decl A(x: number)\n.input A\n.output A(filename=\"A.facts\")\n",
+        );
         self.put("good.dl", format!("{decl}A(1).\n"));
         self.put("latin1.dl", b"// caf\xe9\nA(1).\n");
         self.put(
@@ -1198,7 +1326,7 @@ fn run(folder: &Path, output: &Path, line: &str) -> Result<(ExitStatus, String),
         true => line.replace('@', "\"$0\""),
         false => format!("\"$0\" {line}"),
     };
-    // In a group of its own, so that all of a pipeline can be killed.
+    // In a separate group, so that all of a pipeline can be killed.
     let file = fs::File::create(output).unwrap();
     let mut process = Command::new("sh")
         .arg("-c")

@@ -4,7 +4,7 @@ use std::collections::{BTreeMap, BTreeSet};
 use std::fs;
 use std::path::{Path, PathBuf};
 
-/// Rooms that do no input or output of their own and read no clock, with all rooms inside them.
+/// Rooms that do no input or output and read no clock, with all rooms inside them.
 const PURE: &[&str] = &[
     "datalog",
     "config",
@@ -178,7 +178,7 @@ fn rooms_import_only_lower_rooms() {
     assert!(faults.is_empty(), "{}", faults.join("\n"));
 }
 
-/// Checks that rooms use the constants `{kind}::{NAME}` only of their own and of lower rooms.
+/// Checks that a room uses the constants `{kind}::{NAME}` only of itself and of lower rooms.
 fn constants_come_from_below(kind: &str, declares: impl Fn(&str) -> Vec<String>) {
     let levels = levels();
     let sources = sources();

@@ -3,6 +3,7 @@
 mod cli;
 mod diagnostics;
 mod diff;
+mod examples;
 #[cfg(unix)]
 mod files;
 mod grammar;
@@ -12,8 +13,12 @@ mod layers;
 mod lsp;
 #[cfg(target_os = "linux")]
 mod memory;
+#[path = "../datalog/pages.rs"]
+mod pages;
+mod prose;
 mod questions;
 mod readme;
 mod repl;
+mod repository;
 #[path = "../city/shipped_world.rs"]
 mod shipped_world;

@@ -19,7 +19,7 @@ struct Measured {
 }
 
 /// Runs the program and measures its peak memory. The system reports the largest peak of all child processes, so a
-/// process of its own runs this test program again, for [`measured`] alone.
+/// separate process runs this test program again, for [`measured`] alone.
 fn measure(arguments: &[&str]) -> Measured {
     let output = Command::new(std::env::current_exe().unwrap())
         .args(["--exact", "memory::measured", "--ignored", "--nocapture"])
@@ -39,7 +39,7 @@ fn measure(arguments: &[&str]) -> Measured {
 }
 
 #[test]
-#[ignore = "a part of the other tests, in a process of its own"]
+#[ignore = "a part of the other tests, in a separate process"]
 fn measured() {
     let arguments = std::env::var(ARGUMENTS).expect("another test sets it");
     let status = Command::new(env!("CARGO_BIN_EXE_logicity"))
@@ -181,6 +181,30 @@ fn runaways_in_a_small_address_space_end_with_a_message() {
         assert_eq!(code, Some(1), "{name}: {error}");
         assert!(error.contains("`ulimit -v`"), "{name}: {error}");
     }
+}
+
+/// An abort that no failed allocation causes keeps its signal.
+#[test]
+fn other_aborts_stay_visible() {
+    use std::os::unix::process::ExitStatusExt;
+    use std::process::Stdio;
+    let mut process = Command::new("sh")
+        .args(["-c", "ulimit -c 0; exec \"$0\" repl"])
+        .arg(env!("CARGO_BIN_EXE_logicity"))
+        .stdin(Stdio::piped())
+        .stdout(Stdio::piped())
+        .spawn()
+        .unwrap();
+    let mut input = process.stdin.take().unwrap();
+    let mut output = process.stdout.take().unwrap();
+    std::io::Write::write_all(&mut input, b".help\n").unwrap();
+    // Its first output shows that it has begun.
+    std::io::Read::read_exact(&mut output, &mut [0]).unwrap();
+    let id = process.id().to_string();
+    assert!(Command::new("kill").args(["-ABRT", &id]).status().unwrap().success());
+    let status = process.wait().unwrap();
+    assert_eq!((status.code(), status.signal()), (None, Some(6)));
+    drop(input);
 }
 
 /// Where no limit applies, a failed allocation ends the process with a message and code 1.

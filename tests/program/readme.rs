@@ -1,37 +1,22 @@
 //! The examples of README: writes its rule files to a folder, runs its commands there, and compares their output with
 //! the quoted one.
 
+use crate::pages::{self, Block};
+use serde_json::Value;
 use std::fs;
 use std::path::{Path, PathBuf};
 use std::process::Command;
-
-struct Block {
-    kind: String,
-    text: String,
-}
 
 fn root() -> PathBuf {
     PathBuf::from(env!("CARGO_MANIFEST_DIR"))
 }
 
 fn blocks() -> Vec<Block> {
-    let text = fs::read_to_string(root().join("README.md")).unwrap();
-    let mut blocks = Vec::new();
-    let mut lines = text.lines();
-    while let Some(line) = lines.next() {
-        if let Some(kind) = line.strip_prefix("```") {
-            let text: Vec<&str> = lines.by_ref().take_while(|line| *line != "```").collect();
-            blocks.push(Block {
-                kind: kind.to_owned(),
-                text: text.join("\n") + "\n",
-            });
-        }
-    }
-    blocks
+    pages::blocks(&fs::read_to_string(root().join("README.md")).unwrap())
 }
 
 /// Returns the standard output and error of a shell command, with this program first on the path.
-fn shell(command: &str, folder: &Path) -> String {
+pub fn shell(command: &str, folder: &Path) -> String {
     let program = Path::new(env!("CARGO_BIN_EXE_logicity")).parent().unwrap();
     let path = format!("{}:{}", program.display(), std::env::var("PATH").unwrap());
     let output = Command::new("sh")
@@ -73,13 +58,13 @@ fn slow_commands_print_the_output_in_readme() {
             _ => {}
         }
     }
-    assert!(compared >= 4, "README has too few examples");
+    assert!(compared >= 1, "README has too few examples");
 }
 
-/// The scenes that README shows satisfy the constraints of the rules: those that it pipes to `infer`, and those that
+/// The scenes that the site shows satisfy the constraints of the rules: those that it pipes to `infer`, and those that
 /// `check` and `diff` print.
 #[test]
-fn the_scenes_of_readme_satisfy_the_constraints() {
+fn the_scenes_of_the_site_satisfy_the_constraints() {
     let folder = tempfile::tempdir().unwrap();
     let mut count = 0;
     let mut infer = |command: &str| {
@@ -90,7 +75,7 @@ fn the_scenes_of_readme_satisfy_the_constraints() {
         );
         count += 1;
     };
-    for block in blocks() {
+    for block in pages::pages().iter().flat_map(|(_, text)| pages::blocks(text)) {
         if block.kind == "sh" && block.text.contains("| logicity infer") || block.text.contains("|\n  logicity infer") {
             infer(
                 &block
@@ -108,26 +93,72 @@ fn the_scenes_of_readme_satisfy_the_constraints() {
             ));
         }
     }
-    assert!(count >= 4, "README shows too few scenes");
+    assert!(count >= 3, "the site shows too few scenes");
 }
 
+/// Runs the commands of the site that need cargo, with the default features, for which everything is built already.
 #[test]
-fn readme_names_every_command() {
+fn slow_cargo_prints_the_output_in_the_site() {
+    let mut count = 0;
+    for (page, text) in pages::pages() {
+        let mut output = String::new();
+        for block in pages::blocks(&text) {
+            match block.kind.as_str() {
+                "sh cargo" => {
+                    let command = block.text.replace("--no-default-features", "--quiet --locked");
+                    let command = command.replace("cargo ", concat!(env!("CARGO"), " "));
+                    output = shell(&format!("cd '{}' && {command}", root().display()), &root());
+                }
+                "text cargo" => {
+                    assert_eq!(output, block.text, "{}:{}", page.display(), block.line);
+                    count += 1;
+                }
+                _ => {}
+            }
+        }
+    }
+    assert!(count >= 1);
+}
+
+/// Returns the names of all commands in the help.
+fn commands() -> Vec<String> {
     let help = shell("logicity --help", &root());
-    let commands: Vec<&str> = help
+    let commands: Vec<String> = help
         .lines()
         .skip_while(|line| *line != "Commands:")
         .skip(1)
         .map_while(|line| line.strip_prefix("  "))
         .filter_map(|line| line.split_whitespace().next())
         .filter(|command| *command != "help")
+        .map(str::to_owned)
         .collect();
     assert!(commands.len() >= 6);
-    let text = fs::read_to_string(root().join("README.md")).unwrap();
-    for command in commands {
+    commands
+}
+
+/// The site is made from the output of this command.
+#[test]
+fn the_reference_has_every_command_and_option() {
+    let reference: Value = serde_json::from_str(&shell("logicity reference", &root())).unwrap();
+    let listed = reference["commands"].as_array().unwrap();
+    let names: Vec<&str> = listed.iter().map(|command| command["name"].as_str().unwrap()).collect();
+    assert_eq!(names, commands());
+    for command in listed {
+        let name = command["name"].as_str().unwrap();
+        let help = shell(&format!("logicity {name} --help"), &root());
+        for argument in command["arguments"].as_array().unwrap() {
+            let form = match argument["long"].as_str() {
+                Some(long) => format!("--{long}"),
+                None => argument["values"][0].as_str().unwrap().to_owned(),
+            };
+            assert!(help.contains(&form), "`{form}` is not in the help of `{name}`");
+            assert!(argument["help"].is_string(), "`{form}` of `{name}` has no help");
+        }
+        let options = help.lines().filter(|line| line.trim_start().starts_with("--")).count();
+        let found = command["arguments"].as_array().unwrap().len();
         assert!(
-            text.contains(&format!("| `{command}")),
-            "{command} is not in README's table"
+            found + 2 >= options,
+            "`{name}` has {options} options, the reference {found}"
         );
     }
 }

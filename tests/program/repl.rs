@@ -40,7 +40,7 @@ fn good(input: &str) -> String {
 
 const GRAPH: &str = "
 .decl Edge(x: number, y: number)
-/// Whoever comes from x gets to y.
+/// There is a path from x to y.
 .decl Path(x: number, y: number)
 Path(x, y) :- Edge(x, y).
 Path(x, z) :- Path(x, y),
@@ -218,7 +218,7 @@ fn faults_point_into_the_input_and_change_nothing() {
             "error[invalid-fact]: no such clause",
             "<input 6>:1:9",
         ),
-        (".show Nobody", "error[unknown-predicate]", "<input 6>:1:7"),
+        (".show Absent", "error[unknown-predicate]", "<input 6>:1:7"),
         (".hlep", "error[syntax]: no command `.hlep`", "<input 6>:1:1"),
         (".foo", "the commands are `.load`, `.reload`, `.facts`", "<input 6>:1:1"),
         (".dcl A(x: number)", "error[syntax]: unknown directive", "<input 6>:1:1"),
@@ -292,6 +292,29 @@ fn questions_may_span_lines_and_end_as_soon_as_they_are_complete() {
             "{question}"
         );
     }
+}
+
+#[test]
+fn a_command_ends_an_incomplete_input() {
+    let facts = format!("{GRAPH}Edge(1, 2).\n");
+    for (command, shown) in [(".help\n", ".relations"), ("  .show Edge\n", "1 row"), (".quit\n", "")] {
+        for open in ["Path(x, y) :- Edge(\n", "Edge(1,\n2\n", "?- Edge(x, y),\n"] {
+            let (out, err, code) = typed(&format!("{facts}{open}{command}"));
+            assert!(
+                err.contains("error[syntax]") && out.contains(shown),
+                "{open}{command}: {out}{err}"
+            );
+            assert!(!err.contains("unknown directive"), "{open}{command}: {err}");
+            assert_eq!(code, 1);
+        }
+    }
+    // Nothing follows `.quit`.
+    let (out, ..) = typed(&format!("{facts}Edge(\n.quit\n?- Edge(1, 2)\n"));
+    assert!(!out.contains("true"), "{out}");
+    // A comment may contain any line.
+    assert!(good(&format!("{facts}/* not a\n.quit\n*/\n?- Edge(1, 2)\n")).ends_with("true\n"));
+    let (_, err, _) = typed(&format!("{facts}Edge(\n.exit\n"));
+    assert!(err.contains("type `.quit`"), "{err}");
 }
 
 #[test]
@@ -372,7 +395,7 @@ fn the_prompt_lists_rules_facts_and_plans() {
     ));
     for words in [
         "   1  Path(x: number, y: number)  derived",
-        "/// Whoever comes from x gets to y.",
+        "/// There is a path from x to y.",
         "Path(x, z) :- Path(x, y), Edge(y, z).    <input 4>:1:1",
         "for the new rows of Path",
         "scan   Path(1, x) by x",
@@ -510,12 +533,19 @@ mod terminal {
         terminal.sees("| ");
         terminal.press("\u{3}");
         terminal.sees("> ");
+        // So does a command.
+        terminal.press("Reachable(9\r");
+        terminal.sees("| ");
+        terminal.press(".help\r");
+        terminal.sees("error[syntax]");
+        terminal.sees("The prompt `| ` continues an incomplete input");
+        terminal.sees("> ");
         terminal.press("Reachable(\r");
         terminal.sees("| ");
         terminal.press("\"a\").\r");
         let shown = terminal.sees("type-mismatch");
         assert!(shown.contains("\u{1b}["), "without color: {shown:?}");
-        terminal.sees("<input 3>");
+        terminal.sees("<input 5>");
         terminal.sees("> ");
         terminal.press("?- Reachable(x).\r");
         terminal.sees("1 row");

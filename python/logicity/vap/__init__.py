@@ -56,7 +56,7 @@ def torch_dataset(
         folder: As for `VapDataset`.
         images: As for `VapDataset`.
         cached_worlds: As for `VapDataset`.
-        threads: The number of threads per process that decode the pictures of a batch, at least 1.
+        threads: The number of threads per process that decode the pictures of a batch, from 1 to 1024.
 
     Raises:
         ImportError: If PyTorch is not installed. The extra `vap` installs it: `pip install './python[vap]'`.

@@ -11,6 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ..city import ACTIONS, Inference
+from ..errors import checked_integer
 from ..evaluation import Progress
 from ..types import SymbolicScene
 from .data import BINARY, UNARY, VapDataset, VapSample
@@ -48,7 +49,7 @@ def measure_baselines(
         train: The folder of the data set to train on.
         test: The folder of the data set to measure on, of the same mode.
         seed: The seed of the network's weights and of the sample order.
-        epochs: The number of epochs, at least 0.
+        epochs: The number of epochs, at least 1.
 
     Returns:
         The results of `majority`, `network` and `rules`.
@@ -56,9 +57,10 @@ def measure_baselines(
     Raises:
         ImportError: If PyTorch is not installed. The extra `vap` installs it: `pip install './python[vap]'`.
         OSError: If a file cannot be read.
-        ValueError: As for `VapDataset`, or if a data set has no cars, the modes differ, or the number of epochs is
-            negative.
+        ValueError: As for `VapDataset`, or if a data set has no cars, the modes differ, the seed is out of range, or
+            the number of epochs is below 1.
     """
+    seed, epochs = checked_integer("seed", seed), checked_integer("epochs", epochs, 1)
     # Import PyTorch before reading the data sets, to fail early if it is missing.
     from .network import train_network
 
@@ -67,8 +69,6 @@ def measure_baselines(
         raise ValueError(
             f"the modes differ: `{train_set.folder}` is {train_set.mode}, `{test_set.folder}` is {test_set.mode}"
         )
-    if epochs < 0:
-        raise ValueError(f"expected at least 0 epochs, not {epochs}")
     train_labels, labels = _labels(train_set), _labels(test_set)
     frames = np.repeat(np.arange(len(test_set)), [int(sample.mask.sum()) for sample in test_set])
     majority = np.bincount(train_labels, minlength=len(ACTIONS)).argmax()

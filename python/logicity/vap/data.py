@@ -17,7 +17,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from .. import _logicity
-from ..errors import checked_integer
+from ..errors import as_integer, checked_integer, checked_path
 from ..types import Split
 
 __all__ = ["BINARY", "PICTURE_SIDE", "UNARY", "VapDataset", "VapSample"]
@@ -128,7 +128,9 @@ class VapDataset(Sequence[VapSample]):
 
     Raises:
         OSError: If a file cannot be read.
-        ValueError: If the folder is not a data set of this version, or `images=True` and the data set has no pictures.
+        TypeError: If the folder is not a path, or the number of worlds not an integer.
+        ValueError: If the folder is not a data set of this version, `images=True` and the data set has no pictures, or
+            the number of cached worlds is negative.
         InputError: On access to a sample whose table or picture is invalid.
     """
 
@@ -136,7 +138,7 @@ class VapDataset(Sequence[VapSample]):
 
     def __init__(self, folder: str | os.PathLike[str], images: bool = True, *, cached_worlds: int = 128) -> None:
         """Read the manifest."""
-        self.folder, self.images = Path(folder), images
+        self.folder, self.images = Path(checked_path("folder", folder)), images
         settings, counts = _read_manifest(self.folder)
         self.has_pictures: bool = settings["pictures"]
         if images and not self.has_pictures:
@@ -144,10 +146,10 @@ class VapDataset(Sequence[VapSample]):
         self.mode: str = settings["mode"]
         self.agents: str = settings["agents"]
         self.split = cast(Split, settings["split"])
-        self._cached_worlds = cached_worlds
+        self._cached_worlds = checked_integer("cached_worlds", cached_worlds, 0, 2**63 - 1)
         self._worlds = list(counts)
         self._ends = list(accumulate(counts.values()))
-        self._tables = lru_cache(maxsize=cached_worlds)(self._read_tables)
+        self._tables = lru_cache(maxsize=self._cached_worlds)(self._read_tables)
 
     def __reduce__(self) -> tuple[Any, ...]:
         """Pickle the folder."""
@@ -227,9 +229,13 @@ class VapDataset(Sequence[VapSample]):
                 n - 1 partition the samples.
 
         Raises:
+            TypeError: If the seed is not an integer, or the shard not a pair of integers.
             ValueError: If the seed is negative, or the shard index is not from 0 to n - 1.
         """
-        part, parts = shard
+        try:
+            part, parts = (as_integer("shard", number) for number in shard)
+        except (TypeError, ValueError):
+            raise TypeError(f"shard: expected a pair of integers, not {shard!r}") from None
         if not 0 <= part < parts:
             raise ValueError(f"`shard` must be a pair (i, n) with 0 <= i < n, not ({part}, {parts})")
         random = np.random.default_rng(checked_integer("seed", seed))

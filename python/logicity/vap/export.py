@@ -17,6 +17,7 @@ from typing import Any
 import numpy as np
 
 from ..city import ACTIONS
+from ..errors import checked_integer, checked_path
 from ..evaluation import Progress
 from ..files import check_writable, write_json
 from .data import BINARY, PICTURE_SIDE, UNARY, VapDataset, VapSample
@@ -53,16 +54,16 @@ def to_webdataset(
         OSError: If a file cannot be read or written.
         ValueError: As for `VapDataset`, or if `shard_size` is below 1.
     """
-    if shard_size < 1:
-        raise ValueError(f"expected a shard of at least one sample, not {shard_size}")
+    shard_size = checked_integer("shard_size", shard_size, 1)
+    target = Path(checked_path("out_dir", out_dir))
     samples = VapDataset(folder, images)
-    with _new_folder(Path(out_dir)) as partial, Progress("sample", len(samples)) as progress:
+    with _new_folder(target) as partial, Progress("sample", len(samples)) as progress:
         for first in range(0, len(samples), shard_size):
             with tarfile.open(partial / f"shard-{first // shard_size:06}.tar", "w") as tar:
                 for index in range(first, min(first + shard_size, len(samples))):
                     _add_sample(tar, samples, index)
                     progress.update(index + 1)
-    return sorted(Path(out_dir).iterdir())
+    return sorted(target.iterdir())
 
 
 def _add_sample(tar: tarfile.TarFile, samples: VapDataset, index: int) -> None:
@@ -131,8 +132,9 @@ def to_coco(
         OSError: If a file cannot be read or written.
         ValueError: As for `VapDataset`.
     """
+    target = checked_path("out", out)
     samples = VapDataset(folder, images)
-    check_writable(out, overwrite=overwrite)
+    check_writable(target, overwrite=overwrite)
     pictures: list[dict[str, Any]] = []
     annotations: list[dict[str, Any]] = []
     kinds: dict[str, str] = {}
@@ -163,7 +165,7 @@ def to_coco(
         "pictures": samples.has_pictures,
     }
     content = {"info": info, "images": pictures, "annotations": annotations, "categories": categories}
-    write_json(out, content, overwrite=overwrite)
+    write_json(target, content, overwrite=overwrite)
 
 
 def _annotations(sample: VapSample) -> Iterator[dict[str, Any]]:

@@ -8,7 +8,7 @@ from concurrent.futures import ThreadPoolExecutor
 from dataclasses import fields
 from typing import Any
 
-from ..errors import missing_extra
+from ..errors import checked_threads, missing_extra
 from .data import PICTURE_SIDE, VapDataset, VapSample
 
 try:
@@ -43,11 +43,9 @@ class TorchVapDataset(torch.utils.data.Dataset[dict[str, Any]]):
             threads: The number of threads that decode the pictures of a batch.
 
         Raises:
-            ValueError: If the number of threads is below 1.
+            ValueError: If the number of threads is not from 1 to 1024.
         """
-        if threads < 1:
-            raise ValueError(f"expected at least 1 thread, not {threads}")
-        self.samples, self.threads = samples, threads
+        self.samples, self.threads = samples, checked_threads(threads, 1)
 
     def __len__(self) -> int:
         """Return the number of samples."""

@@ -8,7 +8,7 @@ from dataclasses import dataclass
 from typing import Literal
 
 from .. import _logicity
-from ..errors import checked_integer
+from ..errors import checked_integer, checked_path, checked_threads
 from ..types import Action, Split
 from .data import VapDataset
 
@@ -79,14 +79,17 @@ def make_dataset(
         threads: The number of threads, up to 1024; 0 means one per core. It does not affect the files.
         progress: A function that receives the number of finished frames and the total, on the calling thread.
         overwrite: Whether to replace a `README.md` or `manifest.json` that is not of a data set with these arguments.
+            Other files and other worlds are never replaced.
 
     Returns:
         The data set with all worlds in the folder.
 
     Raises:
-        InputError: If the folder has worlds with other settings, rules or pictures, or files that must not be replaced.
+        FileExistsError: If the folder has worlds with other settings, rules or pictures, files that must not be
+            replaced, or files that belong to no data set. Then nothing changes.
         KeyboardInterrupt: On Ctrl-C.
         OSError: If a file cannot be read or written.
+        TypeError: If an argument has a wrong type.
         ValueError: If a name is unknown, a number is out of range, or an icon is invalid.
 
     Example:
@@ -95,18 +98,18 @@ def make_dataset(
         <VapDataset hard, fixed agents, test: 178 samples>
     """
     _logicity.make_dataset(
-        folder,
+        checked_path("folder", folder),
         mode,
         split,
         agents,
-        None if worlds is None else checked_integer("worlds", worlds),
-        checked_integer("first_world", first_world),
+        None if worlds is None else checked_integer("worlds", worlds, 1, _logicity.WORLDS_MAX),
+        checked_integer("first_world", first_world, 0, _logicity.WORLDS_MAX - 1),
         checked_integer("seed", seed),
         images,
-        pack,
+        None if pack is None else checked_path("pack", pack),
         pack_mode,
-        checked_integer("difficulty", difficulty),
-        checked_integer("threads", threads),
+        checked_integer("difficulty", difficulty, 0, 100),
+        checked_threads(threads),
         progress,
         overwrite,
     )
@@ -133,6 +136,6 @@ def check_dataset(
         InputError: If the data set has errors. `diagnostics` lists all of them.
         KeyboardInterrupt: On Ctrl-C.
         OSError: If the folder or its manifest cannot be read.
-        ValueError: If the number of threads is negative, or there are too many.
+        ValueError: If the number of threads is not from 0 to 1024.
     """
-    return VapCounts(**_logicity.check_dataset(folder, checked_integer("threads", threads), progress))
+    return VapCounts(**_logicity.check_dataset(checked_path("folder", folder), checked_threads(threads), progress))

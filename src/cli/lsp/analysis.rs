@@ -59,7 +59,7 @@ impl Analysis {
                     _ => hints.push(lint),
                 }
             }
-            diagnostics.extend(city_lints(&rules, &sources));
+            diagnostics.extend(city_lints(&rules, None));
             diagnostics.extend(Program::new(rules).err());
         }
         let files: Vec<(SourceId, ast::File)> = (sources.ids())

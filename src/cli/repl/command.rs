@@ -12,6 +12,8 @@ Type facts, clauses, declarations and directives as in a file; they may span sev
 Ask questions as the body of a clause; each variable is a column unless it begins with `_`:
   ?- Edge(x, y), !Edge(y, _), n = count : { Edge(_, y) }.
 The full stop is optional where the line is complete without it.
+The prompt `| ` continues an incomplete input: end it with a full stop, or discard it with Ctrl-C. A command that begins
+with a full stop ends it, too.
 Commands take one line; a full stop at the end is optional:
   explain FACT       explain why it holds, with a shortest proof
   why-not FACT       explain why it does not hold; `_` matches any value
@@ -67,7 +69,7 @@ const OTHER_WORDS: &[(&str, &str)] = &[
 
 #[derive(Debug)]
 pub enum Command {
-    /// The argument is a text of its own with the name of the input; see `Typed::part`.
+    /// The argument is a separate text with the name of the input; see `Typed::part`.
     Explain(SourceId),
     WhyNot(SourceId),
     Retract(SourceId),
@@ -98,6 +100,14 @@ pub fn word(text: &str) -> Option<(&'static str, &str)> {
     // A predicate may have the name of a command.
     let is_atom = !dotted && !rest.starts_with(char::is_whitespace);
     (!is_atom).then_some((*known, rest))
+}
+
+/// Returns whether a line after an incomplete text is a command and not a part of the text: a command with a full stop,
+/// outside of a comment.
+pub fn interrupts(text: &str, line: &str) -> bool {
+    let is_command = line.trim_start().starts_with('.') && (word(line).is_some() || foreign(line).is_some());
+    // Only a command pays for a search through the text, which may be large.
+    is_command && text.rfind("/*") <= text.rfind("*/")
 }
 
 /// A command as the user typed it.

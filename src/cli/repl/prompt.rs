@@ -32,7 +32,13 @@ pub enum Line {
 }
 
 /// A source of inputs.
-pub enum Lines {
+pub struct Lines {
+    source: Source,
+    /// A command that interrupted the last input.
+    command: Option<String>,
+}
+
+enum Source {
     Editor(Box<Terminal>),
     Plain,
 }
@@ -46,8 +52,39 @@ pub struct Terminal {
 impl Lines {
     /// Opens standard input: with an editor if it is a terminal.
     pub fn open() -> Lines {
+        Lines {
+            source: Source::open(),
+            command: None,
+        }
+    }
+
+    /// Returns whether the input is interactive.
+    pub fn is_interactive(&self) -> bool {
+        matches!(self.source, Source::Editor(_))
+    }
+
+    /// Returns the next input that is not blank. A command after an incomplete text is an input of its own.
+    pub fn next(&mut self, bench: &Workbench<'_>) -> Result<Line, Failure> {
+        if let Some(command) = self.command.take() {
+            return Ok(Line::Text(command));
+        }
+        loop {
+            let line = match &mut self.source {
+                Source::Editor(terminal) => terminal.next(bench, &mut self.command)?,
+                Source::Plain => plain(&mut self.command)?,
+            };
+            match line {
+                Line::Text(text) if text.trim().is_empty() => {}
+                line => return Ok(line),
+            }
+        }
+    }
+}
+
+impl Source {
+    fn open() -> Source {
         if !io::stdin().is_terminal() {
-            return Lines::Plain;
+            return Source::Plain;
         }
         let config = Config::builder()
             .completion_type(CompletionType::List)
@@ -63,42 +100,25 @@ impl Lines {
                     // The file does not exist before the first use.
                     let _ = editor.load_history(path);
                 }
-                Lines::Editor(Box::new(Terminal { editor, history }))
+                Source::Editor(Box::new(Terminal { editor, history }))
             }
             Err(error) => {
                 let _ = writeln!(io::stderr(), "cannot use the line editor: {error}");
-                Lines::Plain
-            }
-        }
-    }
-
-    /// Returns whether the input is interactive.
-    pub fn is_interactive(&self) -> bool {
-        matches!(self, Lines::Editor(_))
-    }
-
-    /// Returns the next input that is not blank.
-    pub fn next(&mut self, bench: &Workbench<'_>) -> Result<Line, Failure> {
-        loop {
-            let line = match self {
-                Lines::Editor(terminal) => terminal.next(bench)?,
-                Lines::Plain => plain()?,
-            };
-            match line {
-                Line::Text(text) if text.trim().is_empty() => {}
-                line => return Ok(line),
+                Source::Plain
             }
         }
     }
 }
 
-fn plain() -> Result<Line, Failure> {
+/// Returns the next input of standard input. `command` gets a command that interrupts it.
+fn plain(command: &mut Option<String>) -> Result<Line, Failure> {
     /// The size up to which every line may end an input. Checking a text takes time in proportion to its size.
     const SHORT: usize = 4096;
     let mut input = io::stdin().lock();
     let mut bytes = Vec::new();
     let mut checked = 0;
     loop {
+        let before = bytes.len();
         let read = input.read_until(b'\n', &mut bytes);
         let read = read.map_err(|error| Failure::Usage(format!("cannot read standard input: {error}")))?;
         let Ok(text) = std::str::from_utf8(&bytes) else {
@@ -106,6 +126,11 @@ fn plain() -> Result<Line, Failure> {
         };
         if read == 0 && text.trim().is_empty() {
             return Ok(Line::End);
+        }
+        let (whole, line) = text.split_at(before);
+        if !whole.trim().is_empty() && command::interrupts(whole, line) {
+            *command = Some(line.to_owned());
+            return Ok(Line::Text(whole.to_owned()));
         }
         // At the end of the input, an incomplete text is final.
         let may_end = text.len() < SHORT || text.trim_end().ends_with('.') && text.len() > checked + checked / 8;
@@ -119,7 +144,8 @@ fn plain() -> Result<Line, Failure> {
 }
 
 impl Terminal {
-    fn next(&mut self, bench: &Workbench<'_>) -> Result<Line, Failure> {
+    /// Returns the next input. `command` gets a command that interrupts it.
+    fn next(&mut self, bench: &Workbench<'_>, command: &mut Option<String>) -> Result<Line, Failure> {
         if let Some(words) = self.editor.helper_mut() {
             let shown = query::relations(bench.session.program()).filter(|(_, relation)| !relation.hidden);
             words.relations = shown.map(|(_, relation)| relation.name.clone()).collect();
@@ -128,6 +154,12 @@ impl Terminal {
         loop {
             let prompt = if text.is_empty() { PROMPT } else { CONTINUATION };
             match self.editor.readline(prompt) {
+                Ok(line) if !text.trim().is_empty() && command::interrupts(&text, &line) => {
+                    self.save(&text);
+                    self.save(&line);
+                    *command = Some(line);
+                    return Ok(Line::Text(text));
+                }
                 Ok(line) => {
                     text.push_str(&line);
                     if super::is_whole(&text) {

@@ -1,21 +1,27 @@
 //! From the syntax of clauses to checked clauses. Disjunctions and multiple heads become separate clauses;
 //! [`super::body`] checks each of them.
 
+use std::borrow::Cow;
 use std::collections::{HashMap, HashSet};
+use std::ops::Range;
 
 use crate::diag::{Code, Diagnostic, Faults};
 use crate::symbol::Symbols;
 
 use crate::datalog::check::body;
 use crate::datalog::check::body::Body;
-use crate::datalog::check::clauses::{Checked, Clauses, Known, VariableType};
+use crate::datalog::check::clauses::{Checked, Clauses, Known, VariableType, reads_as_constant};
+use crate::datalog::check::inline;
 use crate::datalog::check::names::Names;
 use crate::datalog::check::rules::{Atom, Clause, Literal, RelId, Relation, Term, VarId};
 use crate::datalog::check::scope;
 use crate::datalog::check::scope::Scope;
+use crate::datalog::check::strata;
 use crate::datalog::check::witness;
 use crate::datalog::syntax::ast;
 use crate::datalog::syntax::ast::{BaseType, Comparison, Item, names_in, names_of};
+use crate::datalog::syntax::packed::{Constant, FactRuns, PackedFacts};
+use crate::datalog::value::Value;
 
 /// Maximum number of literals in a body.
 const MAX_LITERALS: usize = 1024;
@@ -23,22 +29,33 @@ const MAX_LITERALS: usize = 1024;
 /// Maximum number of combinations of alternatives and heads of one clause.
 const MAX_ALTERNATIVES: usize = 1024;
 
-/// Checks all clauses and interns their constants in `symbols`.
-pub(crate) fn check(items: &[Item], names: &mut Names, symbols: Symbols, faults: &mut Faults) -> Clauses {
+/// Checks all clauses and packed facts, and interns their constants in `symbols`.
+pub(crate) fn check(
+    (items, facts): (&[Item], &FactRuns),
+    names: &mut Names,
+    symbols: Symbols,
+    faults: &mut Faults,
+) -> Clauses {
     let mut clauses = Clauses {
         symbols,
         ..Clauses::default()
     };
+    names.components = components(items, names);
     let mut scopes = scope::Scopes::default();
-    let mut before = None;
-    for item in items {
-        match item {
-            Item::Scope(scope) => scopes.enter(scope, names, faults),
-            Item::Clause(clause) => {
+    let mut before: Option<Cow<'_, ast::Clause>> = None;
+    let mut runs = facts.runs().peekable();
+    for at in 0..=items.len() {
+        while let Some((_, packed, run)) = runs.next_if(|(before, ..)| *before == at) {
+            before = run.clone().last().map(|fact| Cow::Owned(packed.clause(fact)));
+            packed_facts(packed, run, &mut scopes, names, &mut clauses, faults);
+        }
+        match items.get(at) {
+            Some(Item::Scope(scope)) => scopes.enter(scope, names, faults),
+            Some(Item::Clause(clause)) => {
                 one(clause, &mut scopes, names, &mut clauses, faults);
-                before = Some(clause);
+                before = Some(Cow::Borrowed(clause));
             }
-            Item::Plan(plan) => check_plan(plan, before, faults),
+            Some(Item::Plan(plan)) => check_plan(plan, before.as_deref(), faults),
             _ => {}
         }
     }
@@ -53,6 +70,96 @@ pub(crate) fn check(items: &[Item], names: &mut Names, symbols: Symbols, faults:
         }
     }
     clauses
+}
+
+/// Checks packed facts. Those that do not fit their predicates are checked as syntax trees, which reports them.
+fn packed_facts(
+    packed: &PackedFacts,
+    run: Range<usize>,
+    scopes: &mut scope::Scopes,
+    names: &mut Names,
+    out: &mut Clauses,
+    faults: &mut Faults,
+) {
+    let signature = |name: &String| {
+        let relation = names.find(name)?;
+        let columns = names.signatures[relation.index()].columns.as_ref()?;
+        let bases: Option<Vec<BaseType>> = columns.iter().map(|ty| Some(names.base((*ty)?))).collect();
+        Some((relation, bases?))
+    };
+    let signatures: Vec<Option<(RelId, Vec<BaseType>)>> = packed.names().iter().map(signature).collect();
+    out.clauses.reserve(run.len());
+    for fact in run {
+        let constants = packed.constants(fact);
+        let fitting = signatures[packed.name(fact)].as_ref();
+        let fitting = fitting.filter(|(_, bases)| bases.len() == constants.len());
+        let checked = fitting.and_then(|(relation, bases)| {
+            let terms: Option<Vec<Term>> = (bases.iter().zip(constants))
+                .map(|(&base, constant)| constant_of(base, constant, &out.symbols).map(Term::Constant))
+                .collect();
+            Some((*relation, terms?))
+        });
+        match checked {
+            Some((relation, terms)) => out.clauses.push(Checked {
+                clause: Clause {
+                    head: Atom {
+                        relation,
+                        terms,
+                        span: packed.atom_span(fact),
+                    },
+                    body: Vec::new(),
+                    variables: Vec::new(),
+                    variable_spans: Vec::new(),
+                    doc: String::new(),
+                    span: packed.clause_span(fact),
+                },
+                bases: Vec::new(),
+                sound: true,
+            }),
+            None => one(&packed.clause(fact), scopes, names, out, faults),
+        }
+    }
+}
+
+/// Returns the word of a constant in a column of this base type, if it fits.
+fn constant_of(base: BaseType, constant: Constant<'_>, symbols: &Symbols) -> Option<Value> {
+    match (base, constant) {
+        (BaseType::Symbol, Constant::Text(text)) => Some(Value(symbols.intern(text).0)),
+        (BaseType::Number, Constant::Number(number)) => Some(Value::number(number)),
+        (BaseType::Unsigned, Constant::Number(number)) => u32::try_from(number).ok().map(Value),
+        #[allow(clippy::cast_precision_loss)]
+        (BaseType::Float, Constant::Number(number)) => Some(Value::float(number as f32)),
+        _ => None,
+    }
+}
+
+/// Returns the component of each declared predicate: those that depend on each other have the same number.
+fn components(items: &[Item], names: &Names) -> Vec<usize> {
+    let mut successors: Vec<Vec<usize>> = vec![Vec::new(); names.relations.len()];
+    let mut scope = None;
+    for item in items {
+        let clause = match item {
+            Item::Clause(clause) => clause,
+            Item::Scope(entered) => {
+                scope = entered.predicate.as_ref().and_then(|name| names.find(&name.text));
+                continue;
+            }
+            _ => continue,
+        };
+        let mut read: Vec<usize> = Vec::new();
+        let mut note = |_: bool, atom: &ast::Atom| read.extend(names.find(&atom.predicate.text).map(RelId::index));
+        inline::each_atom(&clause.body, &mut note);
+        let terms = clause.heads.iter().flat_map(|head| &head.terms);
+        terms.for_each(|term| inline::each_atom_of(term, &mut note));
+        if !clause.body.is_empty() {
+            read.extend(scope.map(RelId::index));
+        }
+        if !read.is_empty() {
+            let heads = clause.heads.iter().filter_map(|head| names.find(&head.predicate.text));
+            heads.for_each(|head| successors[head.index()].extend(&read));
+        }
+    }
+    strata::components(&successors).0
 }
 
 /// Reports a `.plan` whose orders do not fit the preceding clause, as Soufflé does.
@@ -109,6 +216,7 @@ fn split_input(id: RelId, names: &mut Names, out: &mut Clauses) {
         head: atom(id),
         body: vec![Literal::Positive(atom(given))],
         variables: hidden.columns.iter().map(|column| column.name.clone()).collect(),
+        variable_spans: vec![span; hidden.columns.len()],
         doc: String::new(),
         span,
     });
@@ -254,6 +362,12 @@ fn alternative(
         clause: Clause {
             head,
             body: literals,
+            variable_spans: {
+                let first = variables.iter().map(|variable| variable.first);
+                // Guards may add variables.
+                let added = std::iter::repeat(clause.place.0);
+                first.chain(added).take(variable_names.len()).collect()
+            },
             variables: variable_names,
             doc: clause.doc.clone(),
             span: clause.place.0,
@@ -320,8 +434,10 @@ fn lone_variables(
             faults.push(fault.at(place.0, "").help("remove it"));
             continue;
         }
-        let mut sides = [(other, right, one), (one, left, other)].into_iter();
-        let Some((name, term, same)) = sides.find(|(name, ..)| explicit(name) && is_lone(name)) else {
+        // Of two that could be meant, the right side.
+        let sides = [(one, left, other), (other, right, one)].into_iter();
+        let lone = sides.filter(|(name, ..)| explicit(name) && is_lone(name));
+        let Some((name, term, same)) = lone.max_by_key(|(name, ..)| reads_as_constant(name)) else {
             continue;
         };
         let known = variables.iter().find(|variable| variable.name == *name);
@@ -329,9 +445,22 @@ fn lone_variables(
         let message = format!("`{one} = {other}` is always true: the variable `{name}` occurs nowhere else");
         let fault =
             Diagnostic::new(Code::VACUOUS_EQUATION, message).at(term.place.0, "a variable, since it has no quotes");
+        // The name that the author may have meant as a text.
+        let text = if reads_as_constant(same) && !reads_as_constant(name) {
+            same
+        } else {
+            name
+        };
+        let [one, other] = [one, other].map(|side| {
+            if side == text {
+                format!("\"{side}\"")
+            } else {
+                side.clone()
+            }
+        });
         faults.push(match is_text {
             true => fault.help(format!(
-                "if you mean the text, write it in quotes: `{same} = \"{name}\"`"
+                "if you mean the text `{text}`, write it in quotes: `{one} = {other}`"
             )),
             false => fault.help("remove the equation"),
         });

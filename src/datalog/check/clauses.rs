@@ -58,6 +58,17 @@ pub(crate) struct Known {
     pub hidden: bool,
 }
 
+/// Returns whether a name looks like a constant without its quotes, for example `Car_2`: a word with a capital letter
+/// and, after an underscore, a number.
+pub(crate) fn reads_as_constant(name: &str) -> bool {
+    name.rsplit_once('_').is_some_and(|(word, number)| {
+        word.starts_with(|c: char| c.is_ascii_uppercase())
+            && word.len() > 1
+            && !number.is_empty()
+            && number.bytes().all(|byte| byte.is_ascii_digit())
+    })
+}
+
 /// The type of a variable as far as known.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(crate) enum VariableType {

@@ -210,7 +210,7 @@ fn refuse_negated(items: &[Item], meanings: &Meanings<'_>, open: &HashSet<&str>,
 }
 
 /// Calls `each` with every atom, also those in aggregates, and whether it is negated.
-fn each_atom<'c>(literals: &'c [Literal], each: &mut dyn FnMut(bool, &'c Atom)) {
+pub(crate) fn each_atom<'c>(literals: &'c [Literal], each: &mut dyn FnMut(bool, &'c Atom)) {
     for literal in literals {
         match literal {
             Literal::Atom { negated, atom } => {
@@ -226,7 +226,8 @@ fn each_atom<'c>(literals: &'c [Literal], each: &mut dyn FnMut(bool, &'c Atom)) 
     }
 }
 
-fn each_atom_of<'c>(term: &'c Term, each: &mut dyn FnMut(bool, &'c Atom)) {
+/// Calls `each` as [`each_atom`] does with the atoms in the aggregates of a term.
+pub(crate) fn each_atom_of<'c>(term: &'c Term, each: &mut dyn FnMut(bool, &'c Atom)) {
     match &term.kind {
         TermKind::Functor(_, arguments) => arguments.iter().for_each(|argument| each_atom_of(argument, each)),
         TermKind::Cast(inner, _) => each_atom_of(inner, each),

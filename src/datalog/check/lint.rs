@@ -1,6 +1,6 @@
 //! Warnings that need all clauses: clauses that never fire, and clauses that derive nothing new.
 
-use std::collections::HashMap;
+use std::hash::{BuildHasher, RandomState};
 
 use crate::diag::{Code, Diagnostic, Faults, Span};
 
@@ -130,24 +130,21 @@ const MAX_STEPS: usize = 10_000_000;
 
 /// Warns of clauses that duplicate another one, or that another one subsumes.
 pub(crate) fn redundant(clauses: &[Checked], faults: &mut Faults) -> Comparing {
-    // A map finds duplicate facts, because there may be many. Lookup only, never iterated.
-    let mut facts: HashMap<(RelId, &[Term]), Span> = HashMap::new();
-    for Checked { clause, sound, .. } in clauses {
-        if *sound && clause.body.is_empty() {
-            let row = (clause.head.relation, clause.head.terms.as_slice());
-            if let Some(&first) = facts.get(&row) {
-                report(Code::DUPLICATE_CLAUSE, clause.span, first, faults);
-            } else {
-                facts.insert(row, clause.span);
-            }
-        }
+    let facts = Facts::new(clauses);
+    for (fact, first) in facts.repeated() {
+        report(
+            Code::DUPLICATE_CLAUSE,
+            clauses[fact].clause.span,
+            clauses[first].clause.span,
+            faults,
+        );
     }
     let mut by_head: indexmap::IndexMap<RelId, Vec<&Clause>> = indexmap::IndexMap::new();
     for Checked { clause, sound, .. } in clauses {
         let aggregates = (clause.body.iter()).any(|literal| matches!(literal, Literal::Aggregate { .. }));
         if *sound && !aggregates && !clause.body.is_empty() {
-            if let Some(&fact) = facts.get(&(clause.head.relation, clause.head.terms.as_slice())) {
-                report(Code::SUBSUMED_CLAUSE, clause.span, fact, faults);
+            if let Some(fact) = facts.find(&clause.head) {
+                report(Code::SUBSUMED_CLAUSE, clause.span, clauses[fact].clause.span, faults);
             } else {
                 by_head.entry(clause.head.relation).or_default().push(clause);
             }
@@ -169,6 +166,65 @@ pub(crate) fn redundant(clauses: &[Checked], faults: &mut Faults) -> Comparing {
         }
     }
     budget.spent()
+}
+
+/// The sound facts of a program, sorted by a hash of their rows. There may be millions, so each takes few bytes.
+struct Facts<'c> {
+    clauses: &'c [Checked],
+    hasher: RandomState,
+    /// The hash and the position of each fact.
+    sorted: Vec<(u64, usize)>,
+}
+
+impl<'c> Facts<'c> {
+    fn new(clauses: &'c [Checked]) -> Self {
+        let hasher = RandomState::new();
+        let is_fact = |checked: &&(usize, &Checked)| checked.1.sound && checked.1.clause.body.is_empty();
+        let facts = clauses.iter().enumerate();
+        let mut sorted: Vec<(u64, usize)> = facts
+            .filter(|one| is_fact(&one))
+            .map(|(at, checked)| (hasher.hash_one(row(&checked.clause.head)), at))
+            .collect();
+        sorted.sort_unstable();
+        Facts {
+            clauses,
+            hasher,
+            sorted,
+        }
+    }
+
+    /// Returns the facts that repeat an earlier one, in source order, each with the first such fact.
+    fn repeated(&self) -> Vec<(usize, usize)> {
+        let mut repeated = Vec::new();
+        for group in self.sorted.chunk_by(|one, other| one.0 == other.0) {
+            let mut firsts: Vec<usize> = Vec::new();
+            for &(_, fact) in group.iter().filter(|_| group.len() > 1) {
+                let is_same = |first: &&usize| self.row(**first) == self.row(fact);
+                match firsts.iter().find(is_same) {
+                    Some(&first) => repeated.push((fact, first)),
+                    None => firsts.push(fact),
+                }
+            }
+        }
+        repeated.sort_unstable();
+        repeated
+    }
+
+    /// Returns the first fact with the row of this head.
+    fn find(&self, head: &Atom) -> Option<usize> {
+        let hash = self.hasher.hash_one(row(head));
+        let start = self.sorted.partition_point(|&(other, _)| other < hash);
+        let group = self.sorted[start..].iter().take_while(|&&(other, _)| other == hash);
+        group.map(|&(_, fact)| fact).find(|&fact| self.row(fact) == row(head))
+    }
+
+    fn row(&self, fact: usize) -> (RelId, &[Term]) {
+        row(&self.clauses[fact].clause.head)
+    }
+}
+
+fn row(head: &Atom) -> (RelId, &[Term]) {
+    (head.relation, &head.terms)
 }
 
 fn report(code: Code, span: Span, other: Span, faults: &mut Faults) {

@@ -31,6 +31,7 @@ pub(crate) mod subsumption;
 pub(crate) mod witness;
 
 use crate::datalog::syntax::ast;
+use crate::datalog::syntax::packed::FactRuns;
 use crate::diag::Faults;
 use crate::symbol::Symbols;
 use std::borrow::Cow;
@@ -62,9 +63,9 @@ pub enum Edb {
 }
 
 /// Checks all items and interns their constants in `symbols`. The rules are `None` if there is an error. Owned items
-/// are dropped as soon as they are checked.
+/// and facts are dropped as soon as they are checked. If a predicate is inline, there must be no packed facts.
 pub(crate) fn check(
-    written: Cow<'_, [ast::Item]>,
+    (written, facts): (Cow<'_, [ast::Item]>, Cow<'_, FactRuns>),
     complete: bool,
     inputs: Edb,
     symbols: Symbols,
@@ -74,9 +75,9 @@ pub(crate) fn check(
     let syntax_is_good = !faults.failed();
     let items = replaced.as_deref().unwrap_or(&written);
     let mut names = names::declare(items, complete, inputs, faults);
-    let checked = clause::check(items, &mut names, symbols, faults);
+    let checked = clause::check((items, &facts), &mut names, symbols, faults);
     let constraints = constraints::check(items, &mut names, faults);
-    drop((replaced, written));
+    drop((replaced, written, facts));
     names.report_unknown(faults);
     strata::check(&checked.edges, &names, faults);
     let mut compared = Comparing::default();

@@ -53,6 +53,8 @@ pub(crate) struct Names {
     complete: bool,
     /// Whether rules may derive `.input` predicates.
     pub inputs: Edb,
+    /// By [`RelId`]: the component of each declared predicate. Predicates of one component depend on each other.
+    pub components: Vec<usize>,
 }
 
 /// Unknown names with their uses, in the order of first use.
@@ -76,6 +78,7 @@ pub(crate) fn declare(items: &[Item], complete: bool, inputs: Edb, faults: &mut 
         unknown: Unknown::default(),
         complete,
         inputs,
+        components: Vec::new(),
     };
     names.declare_types(items, faults);
     for item in items {
@@ -574,6 +577,7 @@ impl Names {
                 hidden: false,
                 inline: has("inline") && !has("no_inline"),
                 magic: has("magic") && !has("no_magic"),
+                parameters: 0,
                 directives: Vec::new(),
             });
             self.signatures.push(Signature {

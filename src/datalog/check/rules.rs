@@ -3,7 +3,8 @@
 //! [`load`](crate::datalog::load) makes a [`Rules`] from source text once every check has passed. It never changes
 //! afterwards. Checking resolves all names, flattens expressions, aggregates and disjunctions, and writes `.scope`
 //! guards as ordinary atoms. Every clause is safe: a positive atom binds each variable, or an expression computes it
-//! from bound ones. In the clause of a hidden predicate a guard may bind variables too. The predicates are stratified.
+//! from bound ones. In the clause of a hidden predicate a guard may bind variables too, and a correlated aggregate
+//! binds parameters. The predicates are stratified.
 
 use crate::datalog::syntax::ast::{BaseType, Comparison, MarkKind};
 use crate::datalog::value::Value;
@@ -83,6 +84,10 @@ pub struct Relation {
     pub inline: bool,
     /// Whether `magic` or `.pragma "magic-transform"` names it, and no `no_magic` does.
     pub magic: bool,
+    /// For the hidden predicate of a correlated aggregate: the number of leading columns that its clauses do not bind.
+    /// The literals that aggregate it bind them. Such a predicate has no rows of its own and is in no stratum; each of
+    /// these literals evaluates its clauses in place. 0 for any other predicate.
+    pub parameters: usize,
     /// Its `.input`, `.output` and `.printsize` directives with their options.
     pub directives: Vec<Directive>,
 }
@@ -152,6 +157,7 @@ impl Relation {
             hidden: true,
             inline: false,
             magic: false,
+            parameters: 0,
             directives: Vec::new(),
         }
     }
@@ -310,6 +316,8 @@ pub struct Clause {
     pub body: Vec<Literal>,
     /// The names of the variables, for messages.
     pub variables: Vec<String>,
+    /// For each variable, the place where it first occurs; the whole clause for one that the checker added.
+    pub variable_spans: Vec<Span>,
     /// The text of the doc comment before the clause, without the slashes.
     pub doc: String,
     /// The place in the source, from the head to the full stop.
@@ -367,7 +375,8 @@ pub struct Rules {
     pub relations: Vec<Relation>,
     /// The clauses in source order, those of hidden predicates last.
     pub clauses: Vec<Clause>,
-    /// The strata: strongly connected components of the predicates with clauses, in topological order.
+    /// The strata: strongly connected components of the predicates with clauses, in topological order. Predicates with
+    /// [parameters](Relation::parameters) are in none.
     pub strata: Vec<Stratum>,
     /// The declared integrity constraints, in source order.
     pub constraints: Vec<DeclaredConstraint>,
@@ -380,6 +389,39 @@ impl Rules {
     pub fn relation(&self, name: &str) -> Option<RelId> {
         let index = self.relations.iter().position(|relation| relation.name == name)?;
         Some(RelId(u32::try_from(index).expect("fewer than 2^32 predicates")))
+    }
+
+    /// Returns whether the predicate has [parameters](Relation::parameters).
+    pub(crate) fn is_correlated(&self, relation: RelId) -> bool {
+        let relation = self.relations.get(relation.index());
+        relation.is_some_and(|relation| relation.parameters > 0)
+    }
+
+    /// Returns the predicates that the bodies of clauses read, with repetitions, and the
+    /// [correlated](Rules::is_correlated) ones, sorted. The former include what the clauses of the latter read.
+    pub(crate) fn read_by(&self, clauses: impl IntoIterator<Item = ClauseId>) -> (Vec<RelId>, Vec<RelId>) {
+        let atoms = |clause: &Clause| {
+            let atoms = clause.body.iter().filter_map(Literal::atom);
+            atoms.map(|atom| atom.relation).collect::<Vec<_>>()
+        };
+        let clauses = clauses.into_iter().map(|id| &self.clauses[id.index()]);
+        let mut read: Vec<RelId> = clauses.flat_map(atoms).collect();
+        let mut correlated = Vec::new();
+        let mut position = 0;
+        while let Some(&relation) = read.get(position) {
+            if !self.is_correlated(relation) {
+                position += 1;
+                continue;
+            }
+            read.remove(position);
+            if !correlated.contains(&relation) {
+                correlated.push(relation);
+                let clauses = self.clauses.iter().filter(|clause| clause.head.relation == relation);
+                read.extend(clauses.flat_map(atoms));
+            }
+        }
+        correlated.sort_unstable();
+        (read, correlated)
     }
 
     /// Returns whether the clause is a fact that is a row from the start: no clause with a body derives its predicate.

@@ -312,6 +312,7 @@ impl Scopes {
                 span,
             },
             body,
+            variable_spans: vec![span; variables.len()],
             variables,
             doc: String::new(),
             span,

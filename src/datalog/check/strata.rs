@@ -178,13 +178,15 @@ pub(crate) fn components(successors: &[Vec<usize>]) -> (Vec<usize>, usize) {
 }
 
 /// Returns the strata of the predicates with clauses, in topological order. Ties go to the predicate that is declared
-/// first.
+/// first. A predicate with parameters has no stratum: those of its readers evaluate it.
 pub(crate) fn order(relations: &[Relation], clauses: &[Clause]) -> Vec<Stratum> {
     let mut successors: Vec<Vec<usize>> = vec![Vec::new(); relations.len()];
     let mut defining: Vec<Vec<ClauseId>> = vec![Vec::new(); relations.len()];
     for (index, clause) in clauses.iter().enumerate() {
         let head = clause.head.relation.index();
-        defining[head].push(ClauseId(u32::try_from(index).expect("fewer than 2^32 clauses")));
+        if relations[head].parameters == 0 {
+            defining[head].push(ClauseId(u32::try_from(index).expect("fewer than 2^32 clauses")));
+        }
         for literal in &clause.body {
             if let Some(atom) = literal.atom() {
                 successors[head].push(atom.relation.index());

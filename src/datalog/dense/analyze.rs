@@ -135,13 +135,11 @@ pub fn choose(rules: &Rules) -> Choice {
         if relational[position].is_none() {
             continue;
         }
-        let clauses = rules.strata[position].clauses.iter();
-        let bodies = clauses.flat_map(|clause| &rules.clauses[clause.index()].body);
-        for atom in bodies.filter_map(Literal::atom) {
-            if let Some(read) = home[atom.relation.index()]
+        for relation in rules.read_by(rules.strata[position].clauses.iter().copied()).0 {
+            if let Some(read) = home[relation.index()]
                 && read != position
             {
-                relational[read].get_or_insert(Unsupported::ReadBy(atom.relation));
+                relational[read].get_or_insert(Unsupported::ReadBy(relation));
             }
         }
     }

@@ -25,6 +25,16 @@ pub(super) enum Lit {
     Same(Var, Var, bool),
 }
 
+impl Lit {
+    fn negated(self) -> Lit {
+        match self {
+            Lit::Is(property, of, holds) => Lit::Is(property, of, !holds),
+            Lit::Pair(relation, left, right, holds) => Lit::Pair(relation, left, right, !holds),
+            Lit::Same(left, right, holds) => Lit::Same(left, right, !holds),
+        }
+    }
+}
+
 /// A body over numbered variables.
 pub(super) struct Body {
     /// The number of variables, the head's first.
@@ -85,7 +95,7 @@ impl Body {
                     match (left == right, holds) {
                         (true, true) => {}
                         (true, false) => return None,
-                        (false, _) => literals.push(Lit::Same(left, right, holds)),
+                        (false, _) => literals.push(Lit::Same(left.min(right), left.max(right), holds)),
                     }
                 }
                 Literal::Compute { .. } | Literal::Aggregate { .. } => {
@@ -95,6 +105,10 @@ impl Body {
         }
         literals.sort_unstable();
         literals.dedup();
+        let contradicts = |literal: &Lit| literals.binary_search(&literal.negated()).is_ok();
+        if literals.iter().any(contradicts) {
+            return None;
+        }
         Some(Body {
             variables,
             literals,

@@ -343,7 +343,8 @@ impl<'a> Compiler<'a> {
             let mut others = branch.separator;
             others.pop();
             let tests = self.out.tests(step.tests).iter().copied();
-            let (to_head, to_others): (Vec<Test>, Vec<Test>) = tests.partition(|test| test.to == 0);
+            let (to_head, mut to_others): (Vec<Test>, Vec<Test>) = tests.partition(|test| test.to == 0);
+            to_others.sort_by_key(|test| test.to);
             Branch {
                 among: step.among,
                 to_head: Range::extend(&mut self.out.tests, to_head),

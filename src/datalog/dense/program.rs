@@ -40,11 +40,6 @@ impl Range {
         Range { start, end: end(list) }
     }
 
-    /// Returns the range of each item alone.
-    pub fn each(self) -> impl Iterator<Item = Range> {
-        (self.start..self.end).map(|at| Range { start: at, end: at + 1 })
-    }
-
     #[inline]
     fn cut<T>(self, list: &[T]) -> &[T] {
         &list[self.start as usize..self.end as usize]
@@ -136,7 +131,7 @@ pub(super) struct Branch {
     pub among: Reg,
     /// The conditions that relate it to the head's first variable.
     pub to_head: Range,
-    /// The conditions that relate it to variables of other branches.
+    /// The conditions that relate it to variables of other branches, sorted by these.
     pub to_others: Range,
     /// The positions of the children in the tree, in [`Dense::numbers`].
     pub children: Range,

@@ -1,6 +1,6 @@
 //! Binary facts, and searches for values of one or two variables.
 
-use crate::datalog::dense::program::{Argument, Dense, Place, Range, SearchStep};
+use crate::datalog::dense::program::{Argument, Dense, Place, Range, SearchStep, Test};
 use crate::datalog::dense::sets::{Set, and, has, is_empty, members, only, without};
 
 /// A source of binary facts, which it may compute lazily.
@@ -103,13 +103,13 @@ impl<const W: usize, P: BinaryFacts<W>> Search<'_, W, P> {
     /// Returns the values that a step allows, given the bound values.
     #[inline]
     pub fn narrow(&self, step: &SearchStep, bound: &[usize]) -> Set<W> {
-        self.pass(step.tests, self.sets[step.among.index()], bound)
+        self.pass(self.program.tests(step.tests), self.sets[step.among.index()], bound)
     }
 
     /// Returns the members of a set that pass tests, given the bound values.
     #[inline]
-    pub fn pass(&self, tests: Range, mut set: Set<W>, bound: &[usize]) -> Set<W> {
-        for test in self.program.tests(tests) {
+    pub fn pass(&self, tests: &[Test], mut set: Set<W>, bound: &[usize]) -> Set<W> {
+        for test in tests {
             let at = bound[test.to];
             let fitting = match test.list {
                 Place::Input(list) => self.pairs.narrow(list, at, set),

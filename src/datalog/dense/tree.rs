@@ -17,9 +17,9 @@
 //! variable stay valid for all its values.
 //!
 //! A search that takes more than a few steps is interrupted, to make the domains of the variables arc-consistent
-//! first, for this value of the head's first variable and all later ones. This removes no value that is part of a
-//! solution, so tables stay valid: if the values of a separator are in their domains, so are those of the branches that
-//! they allow.
+//! first: once for all values of the head's first variable, then for the present one. Most searches that fail fail
+//! there, without a step. This removes no value that is part of a solution, so tables stay valid: if the values of a
+//! separator are in their domains, so are those of the branches that they allow.
 
 use crate::datalog::dense::program::{Branch, Dense, Range};
 use crate::datalog::dense::search::{BinaryFacts, Search};
@@ -62,6 +62,8 @@ pub(super) struct Tables<const W: usize> {
     rows: Vec<Row<W>>,
     /// The values of each branch that satisfy the conditions on the variable alone and on it and the head's first one.
     domains: Vec<Set<W>>,
+    /// The values of each branch that may be part of a solution for some value of the head's first variable.
+    reduced: Vec<Set<W>>,
     /// The first row of each branch; `None` without a table.
     starts: Vec<Option<usize>>,
     generation: u64,
@@ -74,6 +76,7 @@ impl<const W: usize> Tables<W> {
         Tables {
             rows: Vec::new(),
             domains: Vec::new(),
+            reduced: Vec::new(),
             starts: Vec::new(),
             generation: 0,
             steps: 0,
@@ -136,8 +139,10 @@ pub(super) struct TreeSearch<'a, const W: usize, P> {
     bound: [usize; Dense::VARIABLES_MAX + 1],
     /// The number of steps at which the search is interrupted.
     interrupt: u64,
-    /// Whether the search was interrupted.
-    is_hard: bool,
+    /// Whether a search was interrupted, so that `tables` holds reduced sets of values.
+    is_reduced: bool,
+    /// Whether the search fails for all values of the head's first variable.
+    fails: bool,
     stopped: bool,
 }
 
@@ -151,7 +156,8 @@ impl<'a, const W: usize, P: BinaryFacts<W>> TreeSearch<'a, W, P> {
             tables,
             bound: [0; Dense::VARIABLES_MAX + 1],
             interrupt: u64::MAX,
-            is_hard: false,
+            is_reduced: false,
+            fails: false,
             stopped: false,
             search,
         }
@@ -169,13 +175,17 @@ impl<'a, const W: usize, P: BinaryFacts<W>> TreeSearch<'a, W, P> {
             if succeeds {
                 found[ego / 64] |= 1 << (ego % 64);
             }
+            if self.fails {
+                break;
+            }
         }
         found
     }
 
     /// Returns the values of the root for which the other branches have values.
     pub fn values(&mut self, ego: usize) -> Set<W> {
-        if !self.begin(ego) || !self.make_consistent() {
+        self.reduce();
+        if self.fails || !self.begin(ego) || !self.make_consistent() {
             return [0; W];
         }
         let mut set = self.tables.domains[0];
@@ -191,20 +201,22 @@ impl<'a, const W: usize, P: BinaryFacts<W>> TreeSearch<'a, W, P> {
     fn begin(&mut self, ego: usize) -> bool {
         self.bound[0] = ego;
         self.tables.generation += 1;
-        self.tables.domains.clear();
-        self.branches.iter().all(|branch| {
-            let among = self.search.sets[branch.among.index()];
-            let domain = self.search.pass(branch.to_head, among, &self.bound);
-            self.tables.domains.push(domain);
+        let Tables { domains, reduced, .. } = &mut *self.tables;
+        domains.clear();
+        self.branches.iter().enumerate().all(|(place, branch)| {
+            let among = match self.is_reduced {
+                true => reduced[place],
+                false => self.search.sets[branch.among.index()],
+            };
+            let to_head = self.search.program.tests(branch.to_head);
+            let domain = self.search.pass(to_head, among, &self.bound);
+            domains.push(domain);
             !is_empty(&domain)
         })
     }
 
     /// Whether all branches have values.
     fn succeeds(&mut self) -> bool {
-        if self.is_hard {
-            return self.make_consistent() && self.has_values(0);
-        }
         // Some of the steps that consistency takes.
         let tests: usize = self
             .branches
@@ -213,29 +225,57 @@ impl<'a, const W: usize, P: BinaryFacts<W>> TreeSearch<'a, W, P> {
             .sum();
         self.interrupt = self.tables.steps + (tests * self.search.count / 16) as u64;
         let found = self.has_values(0);
-        self.is_hard = self.tables.steps > self.interrupt;
+        let is_hard = self.tables.steps > self.interrupt;
         self.interrupt = u64::MAX;
-        if !self.is_hard || self.is_over() {
+        if !is_hard || self.is_over() {
             return found;
         }
         self.stopped = false;
-        self.make_consistent() && self.has_values(0)
+        self.reduce();
+        !self.fails && self.make_consistent() && self.has_values(0)
     }
 
-    /// Makes the domains arc-consistent, or nearly so: removes values that fit no value of some other variable. Returns
-    /// false if some domain becomes empty.
+    /// Reduces the values of all branches to those that are arc-consistent whatever the head's first variable is.
+    fn reduce(&mut self) {
+        if self.is_reduced {
+            return;
+        }
+        self.is_reduced = true;
+        let sets = self.search.sets;
+        let mut reduced = std::mem::take(&mut self.tables.reduced);
+        reduced.clear();
+        reduced.extend(self.branches.iter().map(|branch| sets[branch.among.index()]));
+        self.fails = !self.revise(&mut reduced);
+        for (domain, reduced) in self.tables.domains.iter_mut().zip(&reduced) {
+            *domain = and(*domain, reduced);
+        }
+        self.tables.reduced = reduced;
+    }
+
+    /// Makes the domains arc-consistent, or nearly so. Returns false if some domain becomes empty.
     fn make_consistent(&mut self) -> bool {
+        let mut domains = std::mem::take(&mut self.tables.domains);
+        let consistent = self.revise(&mut domains);
+        self.tables.domains = domains;
+        consistent
+    }
+
+    /// Removes values that fit no value of some other variable, in a few rounds. Returns false if some domain becomes
+    /// empty.
+    fn revise(&mut self, domains: &mut [Set<W>]) -> bool {
         const ROUNDS: usize = 2;
         for _ in 0..ROUNDS {
             let mut changed = false;
-            for (branch, Branch { to_others, .. }) in self.branches.iter().enumerate() {
-                for test in to_others.each() {
-                    let to = self.search.program.tests(test)[0].to;
-                    let (domain, others) = (self.tables.domains[branch], self.tables.domains[to - 1]);
+            for (place, branch) in self.branches.iter().enumerate() {
+                let tests = self.search.program.tests(branch.to_others);
+                // All conditions on the same two variables at once: `R(a, b), R(b, a)` fails if `R` is an order.
+                for tests in tests.chunk_by(|one, other| one.to == other.to) {
+                    let to = tests[0].to;
+                    let (domain, others) = (domains[place], domains[to - 1]);
                     let (mut fitting, mut fitted) = ([0; W], [0; W]);
                     for value in members(&others) {
                         self.bound[to] = value;
-                        let values = self.search.pass(test, domain, &self.bound);
+                        let values = self.search.pass(tests, domain, &self.bound);
                         if !is_empty(&values) {
                             fitting = or(fitting, &values);
                             fitted[value / 64] |= 1 << (value % 64);
@@ -245,7 +285,7 @@ impl<'a, const W: usize, P: BinaryFacts<W>> TreeSearch<'a, W, P> {
                         return false;
                     }
                     changed |= fitting != domain || fitted != others;
-                    (self.tables.domains[branch], self.tables.domains[to - 1]) = (fitting, fitted);
+                    (domains[place], domains[to - 1]) = (fitting, fitted);
                 }
             }
             if !changed || self.search.pairs.cancelled() {
@@ -278,7 +318,8 @@ impl<'a, const W: usize, P: BinaryFacts<W>> TreeSearch<'a, W, P> {
         let Branch {
             to_others, children, ..
         } = self.branches[branch];
-        let set = self.search.pass(to_others, self.tables.domains[branch], &self.bound);
+        let tests = self.search.program.tests(to_others);
+        let set = self.search.pass(tests, self.tables.domains[branch], &self.bound);
         let (mut open, mut sure) = (set, set);
         for &child in self.search.program.numbers(children) {
             match self.row(child) {

@@ -126,7 +126,7 @@ pub(crate) fn lookup<const W: usize>(found: &[Row<W>], keys: usize, op: Aggregat
 
 /// A fast hash of words. It is not seen outside, since groups are sorted.
 #[derive(Default)]
-struct KeyHasher(u64);
+pub(crate) struct KeyHasher(u64);
 
 impl Hasher for KeyHasher {
     fn write(&mut self, bytes: &[u8]) {

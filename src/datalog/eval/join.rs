@@ -1,32 +1,37 @@
 //! Runs a plan: a pipelined nested-loop join over sorted rows, without intermediate relations.
 
 use crate::cancel::Cancel;
-use crate::datalog::eval::groups::{self, Groups};
+use crate::datalog::check::RelId;
+use crate::datalog::eval::groups::{self, Groups, KeyHasher};
 use crate::datalog::eval::seen_bitmap::{Added, SeenBitmap, raise};
 use crate::datalog::plan::steps::{List, Plan, Slot, Source, Step};
-use crate::datalog::row::{Batch, Row, difference, gallop, normalize};
+use crate::datalog::row::{AnyBatch, AnyRows, Batch, ByWidth, Row, difference, each_width, gallop, normalize};
 use crate::datalog::syntax::ast::{BaseType, Comparison};
 use crate::datalog::syntax::functor::{AggregateOp, Functor};
 use crate::datalog::value::{Patterns, Value};
 use crate::symbol::{Symbol, Symbols};
 use std::cmp::Ordering;
+use std::collections::HashMap;
+use std::collections::hash_map::Entry;
+use std::hash::BuildHasherDefault;
 
-/// The rows that a step reads, as sorted batches. A leapfrog join has one batch for each list.
+/// The rows that a step reads, as sorted batches. A leapfrog join has one batch for each list, and a correlated
+/// aggregate one for each source of its plans.
 #[derive(Clone, Debug)]
 pub(crate) struct RowView<'a, const W: usize> {
-    pub(crate) first: Batch<'a, W>,
-    pub(crate) rest: Vec<Batch<'a, W>>,
+    pub(crate) first: AnyBatch<'a, W>,
+    pub(crate) rest: Vec<AnyBatch<'a, W>>,
 }
 
 impl<'a, const W: usize> RowView<'a, W> {
     /// The view of a step that reads no rows.
     pub(crate) const NONE: Self = RowView {
-        first: Batch { rows: &[], starts: &[] },
+        first: ByWidth::Own(Batch { rows: &[], starts: &[] }),
         rest: Vec::new(),
     };
 
     /// A view of one batch.
-    pub(crate) fn of(first: Batch<'a, W>) -> Self {
+    pub(crate) fn of(first: AnyBatch<'a, W>) -> Self {
         RowView {
             first,
             rest: Vec::new(),
@@ -35,11 +40,11 @@ impl<'a, const W: usize> RowView<'a, W> {
 
     /// The view of a step; `batch` returns the rows of a source.
     #[inline]
-    pub(crate) fn for_step(step: &Step, batch: impl Fn(Source) -> Batch<'a, W>) -> Self {
+    pub(crate) fn for_step(step: &Step, mut batch: impl FnMut(Source) -> AnyBatch<'a, W>) -> Self {
         match (step.source(), step) {
             (Some(source), _) => RowView::of(batch(source)),
-            (None, Step::LeapfrogJoin { lists, .. }) => {
-                let mut batches = lists.iter().map(|list| batch(list.source));
+            (None, Step::LeapfrogJoin { .. } | Step::Correlated { .. }) => {
+                let mut batches = step.sources().map(batch);
                 batches.next().map_or(RowView::NONE, |first| RowView {
                     first,
                     rest: batches.collect(),
@@ -49,7 +54,7 @@ impl<'a, const W: usize> RowView<'a, W> {
         }
     }
 
-    pub(crate) fn batches(&self) -> impl Iterator<Item = &Batch<'a, W>> {
+    pub(crate) fn batches(&self) -> impl Iterator<Item = &AnyBatch<'a, W>> {
         std::iter::once(&self.first).chain(&self.rest)
     }
 
@@ -94,6 +99,8 @@ pub(crate) struct Output<const W: usize> {
     most: usize,
     /// What a plan with a fold derives, in place of rows.
     groups: Option<Box<Groups<W>>>,
+    /// Scratch memory of [`Output::push_set`].
+    values: Vec<Value>,
 }
 
 /// The reason why an evaluation was abandoned.
@@ -121,6 +128,8 @@ pub(crate) struct JoinState {
     next_poll: u64,
     /// The maximum size of all texts, in bytes.
     pub(crate) text_bytes: u64,
+    /// The correlated aggregates evaluated so far.
+    pub(crate) correlated: Values,
 }
 
 impl JoinState {
@@ -135,6 +144,53 @@ impl JoinState {
             budget,
             next_poll: budget.min(Self::POLL_INTERVAL),
             text_bytes: u64::MAX,
+            correlated: Values::default(),
+        }
+    }
+}
+
+/// The values of correlated aggregates, by relation and parameters. What an aggregate reads is complete, so its values
+/// stay valid while a stratum is evaluated.
+#[derive(Debug)]
+pub(crate) struct Values {
+    known: HashMap<RelId, HashMap<Box<[Value]>, Option<Value>>>,
+    /// The approximate memory of `known`.
+    bytes: u64,
+    /// The maximum of `bytes`. The rows of one evaluation may take as much again.
+    pub(crate) bytes_max: u64,
+}
+
+impl Default for Values {
+    /// An empty cache of any size.
+    fn default() -> Self {
+        Values {
+            known: HashMap::new(),
+            bytes: 0,
+            bytes_max: u64::MAX,
+        }
+    }
+}
+
+impl Values {
+    /// The memory of an entry: a table is up to half empty, and has two copies while it grows.
+    const ENTRY_BYTES: u64 = 3 * size_of::<(Box<[Value]>, Option<Value>)>() as u64 + 16;
+
+    /// The value for these parameters if it is known. The inner `None` means that the aggregate has no value.
+    #[allow(clippy::option_option)]
+    fn get(&self, relation: RelId, parameters: &[Value]) -> Option<Option<Value>> {
+        self.known.get(&relation)?.get(parameters).copied()
+    }
+
+    /// Adds a value. If the memory is full, forgets all others first.
+    fn insert(&mut self, relation: RelId, parameters: &[Value], value: Option<Value>) {
+        let bytes = Self::ENTRY_BYTES + size_of_val(parameters) as u64;
+        if self.bytes.saturating_add(bytes) > self.bytes_max {
+            self.known = HashMap::new();
+            self.bytes = 0;
+        }
+        if bytes <= self.bytes_max {
+            self.bytes += bytes;
+            self.known.entry(relation).or_default().insert(parameters.into(), value);
         }
     }
 }
@@ -176,6 +232,7 @@ impl<const W: usize> Output<W> {
             fit: usize::MAX,
             most: limit,
             groups: None,
+            values: Vec::new(),
         }
     }
 
@@ -340,7 +397,13 @@ impl<const W: usize> Output<W> {
 
     /// Pushes copies of `row` in which one word is replaced by a column of the rows found.
     #[inline]
-    fn push_along(&mut self, mut row: Row<W>, word: usize, found: &[Row<W>], column: usize) -> Result<(), Abort> {
+    fn push_along<const V: usize>(
+        &mut self,
+        mut row: Row<W>,
+        word: usize,
+        found: &[Row<V>],
+        column: usize,
+    ) -> Result<(), Abort> {
         let mut rest = found;
         if let Some(seen) = self.seen.as_mut().filter(|seen| seen.keeps()) {
             let (added, new) = seen.keep_along(row, word, found.iter().map(|other| other.0[column]));
@@ -354,6 +417,38 @@ impl<const W: usize> Output<W> {
             self.push(row)?;
         }
         Ok(())
+    }
+
+    /// The number of words of a set of bits for [`Output::push_set`], and the most words that all sets may take; `None`
+    /// if the buffer takes no sets in this column.
+    fn set_words(&self, column: usize) -> Option<(usize, usize)> {
+        let seen = self.seen.as_ref()?;
+        let most = (seen.bytes() / size_of::<u64>()).min(self.fit / 12 * size_of::<Row<W>>() / size_of::<u64>());
+        Some((seen.set_words(column)?, most))
+    }
+
+    /// Pushes copies of `row` in which one word is replaced by each of the `count` elements of a set. Returns whether
+    /// they fit.
+    fn push_set(&mut self, mut row: Row<W>, word: usize, set: &[u64], count: usize) -> Result<bool, Abort> {
+        let Some(seen) = &mut self.seen else { return Ok(false) };
+        let Some(new) = seen.add_set(row, word, set, &mut self.values) else {
+            return Ok(false);
+        };
+        self.pushed += count as u64;
+        if self.values.is_empty() {
+            self.kept += new;
+            self.check(self.kept)?;
+            return Ok(true);
+        }
+        self.rows.try_reserve(new).map_err(|_| Abort::Memory)?;
+        self.rows.extend(self.values.drain(..).map(|value| {
+            row.0[word] = value;
+            row
+        }));
+        if self.rows.len() >= self.act_at {
+            self.act()?;
+        }
+        Ok(true)
     }
 
     /// Replaces the bitmap by a plain list.
@@ -469,6 +564,64 @@ impl<const W: usize> Output<W> {
     }
 }
 
+/// The words that follow a word in the rows of a plan's last scan, as sets of bits.
+///
+/// A recursive clause often finds the same long list of rows for many derived rows. Merging a set into a
+/// [`SeenBitmap`] takes one operation for 64 of them.
+#[derive(Debug, Default)]
+struct WordSets {
+    /// By word: the position of its set in `bits`; `None` if the word occurred once, without a set.
+    places: HashMap<Value, Option<usize>, BuildHasherDefault<KeyHasher>>,
+    bits: Vec<u64>,
+    /// The number of words of a set.
+    width: usize,
+}
+
+impl WordSets {
+    /// Shorter lists take less time than their sets.
+    const ROWS_MIN: usize = 32;
+
+    /// Returns the set of the words in the second column of `found`, which are less than `64 * width`, sorted batch by
+    /// batch, and follow the word `first`. Returns `None` at the first call for a word, or if all sets together would
+    /// have more than `most` words.
+    fn of<'a, const W: usize>(
+        &mut self,
+        first: Value,
+        found: impl Iterator<Item = AnyRows<'a, W>>,
+        (width, most): (usize, usize),
+    ) -> Option<&[u64]> {
+        if width != self.width {
+            *self = WordSets::default();
+            self.width = width;
+        }
+        let place = match self.places.entry(first) {
+            Entry::Vacant(entry) => {
+                entry.insert(None);
+                return None;
+            }
+            Entry::Occupied(entry) => entry.into_mut(),
+        };
+        let start = match *place {
+            Some(start) => start,
+            None if self.bits.len() + width > most => return None,
+            None => {
+                let start = self.bits.len();
+                self.bits.resize(start + width, 0);
+                let set = &mut self.bits[start..];
+                for rows in found {
+                    each_width!(rows, rows => rows.iter().for_each(|row| {
+                        let word = row.0[1].0;
+                        set[(word / u64::BITS) as usize] |= 1 << (word % u64::BITS);
+                    }));
+                }
+                *place = Some(start);
+                start
+            }
+        };
+        Some(&self.bits[start..start + width])
+    }
+}
+
 /// Evaluates a plan. `views` has one element per step.
 pub(crate) fn run<const W: usize>(
     plan: &Plan,
@@ -491,6 +644,8 @@ pub(crate) fn run<const W: usize>(
         text_bytes: state.text_bytes,
         patterns: None,
         cursors: Vec::new(),
+        sets: WordSets::default(),
+        known: &mut state.correlated,
         out,
     };
     let result = join.from(0, plan.steps.len());
@@ -519,7 +674,11 @@ struct Join<'a, const W: usize> {
     /// Created on first use.
     patterns: Option<Patterns>,
     /// The rest of each list of the active leapfrog joins, and the column of its words.
-    cursors: Vec<(&'a [Row<W>], usize)>,
+    cursors: Vec<(AnyRows<'a, W>, usize)>,
+    /// The rows of the last scan.
+    sets: WordSets,
+    /// The correlated aggregates evaluated so far.
+    known: &'a mut Values,
     out: &'a mut Output<W>,
 }
 
@@ -584,24 +743,26 @@ impl<const W: usize> Join<'_, W> {
                 } => {
                     let words = self.key(key);
                     let views = self.views;
-                    let ranges = views[depth].batches().map(|batch| batch.range(&words[..key.len()]));
-                    self.rows_scanned += ranges.map(|range| range.len() as u64).sum::<u64>();
+                    let ranges = || views[depth].batches().map(|batch| batch.range(&words[..key.len()]));
+                    self.rows_scanned += ranges().map(|range| range.len() as u64).sum::<u64>();
                     if self.rows_scanned > self.next_poll {
                         self.poll()?;
                     }
-                    let rows = views[depth]
-                        .batches()
-                        .flat_map(|batch| batch.range(&words[..key.len()]));
                     // For a relation without columns only the number of rows matters.
-                    let values = rows.map(|row| row.0[*column as usize]);
+                    let values =
+                        ranges().flat_map(|range| (0..range.len()).map(move |at| range.words(at)[*column as usize]));
                     let value = op.of(*base, values, self.symbols);
+                    self.fill(*to, *test, value)
+                }
+                step @ Step::Correlated { to, test, .. } => {
+                    let value = self.correlated(step, depth)?;
                     self.fill(*to, *test, value)
                 }
                 Step::Group { key, op, to, test, .. } => {
                     self.rows_scanned += 1;
                     let words = self.key(key);
                     let found = self.views[depth].first.range(&words[..key.len()]);
-                    let value = groups::lookup(found, key.len(), *op);
+                    let value = each_width!(found, found => groups::lookup(found, key.len(), *op));
                     self.fill(*to, *test, value)
                 }
             };
@@ -680,30 +841,47 @@ impl<const W: usize> Join<'_, W> {
     ) -> Result<bool, Abort> {
         let views = self.views;
         let words = self.key(key);
-        let last = depth + 1 == self.plan.steps.len();
         let mut any = false;
         for batch in views[depth].batches() {
-            let mut rest = batch.range(&words[..key.len()]);
-            while let Some((row, others)) = rest.split_first() {
-                rest = others;
-                if distinct > 0 {
-                    rest = &rest[gallop(rest, |other| other.0[..distinct] == row.0[..distinct])..];
-                }
-                self.rows_scanned += 1;
-                for &(column, slot) in bind {
-                    self.slots[slot as usize] = row.0[column as usize];
-                }
-                if check
-                    .iter()
-                    .any(|&(column, slot)| self.slots[slot as usize] != row.0[column as usize])
-                {
-                    continue;
-                }
-                if if last { self.emit()? } else { self.from(depth + 1, end)? } {
-                    any = true;
-                    if once {
-                        return Ok(true);
-                    }
+            any |= each_width!(batch.range(&words[..key.len()]), rows => {
+                self.scan_rows((depth, end, once), rows, (bind, check), distinct)?
+            });
+            if any && once {
+                return Ok(true);
+            }
+        }
+        Ok(any)
+    }
+
+    fn scan_rows<const V: usize>(
+        &mut self,
+        (depth, end, once): (usize, usize, bool),
+        rows: &[Row<V>],
+        (bind, check): (Columns<'_>, Columns<'_>),
+        distinct: usize,
+    ) -> Result<bool, Abort> {
+        let last = depth + 1 == self.plan.steps.len();
+        let mut any = false;
+        let mut rest = rows;
+        while let Some((row, others)) = rest.split_first() {
+            rest = others;
+            if distinct > 0 {
+                rest = &rest[gallop(rest, |other| other.0[..distinct] == row.0[..distinct])..];
+            }
+            self.rows_scanned += 1;
+            for &(column, slot) in bind {
+                self.slots[slot as usize] = row.0[column as usize];
+            }
+            if check
+                .iter()
+                .any(|&(column, slot)| self.slots[slot as usize] != row.0[column as usize])
+            {
+                continue;
+            }
+            if if last { self.emit()? } else { self.from(depth + 1, end)? } {
+                any = true;
+                if once {
+                    return Ok(true);
                 }
             }
         }
@@ -729,9 +907,11 @@ impl<const W: usize> Join<'_, W> {
         loop {
             self.rows_scanned += 1;
             let (rows, column) = &mut self.cursors[base + at];
-            *rows = &rows[gallop(rows, |row| row.0[*column] < word)..];
-            let Some(row) = rows.first() else { return Ok(any) };
-            let found = row.0[*column];
+            let found = each_width!(rows, rows => {
+                *rows = &rows[gallop(rows, |row| row.0[*column] < word)..];
+                rows.first().map(|row| row.0[*column])
+            });
+            let Some(found) = found else { return Ok(any) };
             agreeing = if found == word { agreeing + 1 } else { 1 };
             word = found;
             at = (at + 1) % lists.len();
@@ -765,23 +945,58 @@ impl<const W: usize> Join<'_, W> {
             }
         }
         let views = self.views;
+        if let ([(word, 1)], [first]) = (&moves[..count], key)
+            && let Some(any) = self.spread_set(depth, *first, row, *word)?
+        {
+            return Ok(any);
+        }
         let mut any = false;
         for batch in views[depth].batches() {
             let found = batch.range(key);
-            any |= !found.is_empty();
+            any |= found.len() > 0;
             self.rows_scanned += found.len() as u64;
-            if let [(word, column)] = moves[..count] {
-                self.out.push_along(row, word, found, column)?;
-            } else {
-                for other in found {
-                    for &(word, column) in &moves[..count] {
-                        row.0[word] = other.0[column];
+            each_width!(found, found => match moves[..count] {
+                [(word, column)] => self.out.push_along(row, word, found, column)?,
+                _ => {
+                    for other in found {
+                        for &(word, column) in &moves[..count] {
+                            row.0[word] = other.0[column];
+                        }
+                        self.out.push(row)?;
                     }
-                    self.out.push(row)?;
                 }
-            }
+            });
         }
         Ok(any)
+    }
+
+    /// Like `spread` for rows that follow the word `first` and replace one word of `row`, with all of them as one set.
+    /// Does nothing and returns `None` where that is slower or impossible.
+    #[inline]
+    fn spread_set(&mut self, depth: usize, first: Value, row: Row<W>, word: usize) -> Result<Option<bool>, Abort> {
+        let views = self.views;
+        let found = || views[depth].batches().map(|batch| batch.range(&[first]));
+        let count: usize = found().map(|rows| rows.len()).sum();
+        if count < WordSets::ROWS_MIN {
+            return Ok(None);
+        }
+        let Some((width, most)) = self.out.set_words(word).filter(|(width, _)| count >= width / 2) else {
+            return Ok(None);
+        };
+        let largest = found()
+            .filter_map(|rows| each_width!(rows, rows => rows.last().map(|row| row.0[1].0)))
+            .max();
+        if largest.is_none_or(|largest| largest as usize >= width * u64::BITS as usize) {
+            return Ok(None);
+        }
+        let Some(set) = self.sets.of(first, found(), (width, most)) else {
+            return Ok(None);
+        };
+        if !self.out.push_set(row, word, set, count)? {
+            return Ok(None);
+        }
+        self.rows_scanned += count as u64;
+        Ok(Some(true))
     }
 
     /// Runs the last scan of a plan that counts: all rows found are in the same group.
@@ -793,6 +1008,82 @@ impl<const W: usize> Join<'_, W> {
             self.out.fold(row, None, found as u64, self.symbols)?;
         }
         Ok(found > 0)
+    }
+
+    /// Returns the value of a correlated aggregate for its parameters.
+    #[cold]
+    fn correlated(&mut self, step: &Step, depth: usize) -> Result<Option<Value>, Abort> {
+        let Step::Correlated {
+            relation,
+            plans,
+            key,
+            op,
+            base,
+            column,
+            ..
+        } = step
+        else {
+            return Ok(None);
+        };
+        self.rows_scanned += 1;
+        if self.rows_scanned > self.next_poll {
+            self.poll()?;
+        }
+        let words = self.key(key);
+        let parameters = &words[..key.len()];
+        if let Some(value) = self.known.get(*relation, parameters) {
+            return Ok(value);
+        }
+        let mut out = Output::new(usize::MAX);
+        if let [plan] = &plans[..] {
+            out = Output::for_plan(plan, usize::MAX);
+        }
+        out.set_bytes(self.known.bytes_max);
+        let views = self.views;
+        let mut batches = views[depth].batches().copied();
+        for plan in plans.iter() {
+            let view = |(position, step): (usize, &Step)| match position {
+                0 => RowView::NONE,
+                _ => RowView::for_step(step, |_| batches.next().unwrap_or(RowView::NONE.first)),
+            };
+            let views: Vec<RowView<'_, W>> = plan.steps.iter().enumerate().map(view).collect();
+            let mut slots = plan.slots.clone();
+            if !is_bound(plan, &mut slots, parameters) {
+                continue;
+            }
+            let mut join = Join {
+                plan,
+                views: &views,
+                symbols: self.symbols,
+                slots: &mut slots,
+                rows_scanned: self.rows_scanned,
+                budget: self.budget,
+                next_poll: self.next_poll,
+                cancel: self.cancel,
+                text_bytes: self.text_bytes,
+                patterns: self.patterns.take(),
+                cursors: Vec::new(),
+                sets: WordSets::default(),
+                known: &mut *self.known,
+                out: &mut out,
+            };
+            let result = join.from(1, plan.steps.len());
+            self.patterns = join.patterns.take();
+            (self.rows_scanned, self.next_poll) = (join.rows_scanned, join.next_poll);
+            result?;
+        }
+        let grouped = plans.iter().any(|plan| plan.fold.is_some());
+        let found = out.take();
+        out.check(found.len())?;
+        let value = match grouped {
+            true => groups::lookup(&found, parameters.len(), *op),
+            false => {
+                let values = found.iter().map(|row| column.map_or(Value(0), |column| row.0[column]));
+                op.of(*base, values, self.symbols)
+            }
+        };
+        self.known.insert(*relation, parameters, value);
+        Ok(value)
     }
 
     /// Stores a value in a slot, or compares it with the slot.
@@ -876,6 +1167,19 @@ pub(crate) fn counts(plan: &Plan, bind: Columns<'_>) -> bool {
         && !bind.iter().any(|(_, slot)| plan.output.contains(slot))
 }
 
+/// Puts the parameters of a correlated aggregate into the slots that the first step of its plan binds. Returns whether
+/// they agree with the head of the clause.
+fn is_bound(plan: &Plan, slots: &mut [Value], parameters: &[Value]) -> bool {
+    let Some(Step::Scan { bind, check, .. }) = plan.steps.first() else {
+        return true;
+    };
+    for &(column, slot) in bind {
+        slots[slot as usize] = parameters[column as usize];
+    }
+    let mut checks = check.iter();
+    checks.all(|&(column, slot)| slots[slot as usize] == parameters[column as usize])
+}
+
 /// Whether a comparison holds. Numbers compare by value; symbols are equal by id and ordered by text.
 fn compare(symbols: &Symbols, op: Comparison, left: Value, right: Value, base: BaseType) -> bool {
     let text = |value: Value| symbols.text(Symbol(value.0)).unwrap_or_default();
@@ -952,6 +1256,77 @@ mod tests {
         }
         // Phases with words that stay dense.
         assert_eq!(known, 4);
+    }
+
+    #[test]
+    fn sets_of_words_equal_their_rows() {
+        let mut state = 9_u32;
+        let mut random = move |below: u32| {
+            state = state.wrapping_mul(1_664_525).wrapping_add(1_013_904_223);
+            (state >> 8) % below
+        };
+        // The last column is padding.
+        let (mut sets, mut plain) = (Output::<3>::new(usize::MAX), Output::<3>::new(usize::MAX));
+        let mut pushed = [0; 2];
+        let mut all: [BTreeSet<Row<3>>; 2] = Default::default();
+        // Many new rows, then few, then words beyond the bounds.
+        for (times, words) in [
+            (300, 2_000),
+            (300, 2_000),
+            (3_000, 2_000),
+            (50, 2_000),
+            (3, 100_000),
+            (50, 2_000),
+        ] {
+            for _ in 0..times {
+                let row = Row([Value(random(40)), Value(9), Value(0)]);
+                let found: BTreeSet<u32> = (0..random(600)).map(|_| random(words)).collect();
+                let found: Vec<Row<3>> = (found.iter())
+                    .map(|&word| Row([Value(5), Value(word), Value(0)]))
+                    .collect();
+                plain.push_along(row, 1, &found, 1).unwrap();
+                let width = sets.set_words(1).map_or(0, |(width, _)| width);
+                let fits = found.last().is_some_and(|last| (last.0[1].0 as usize) < width * 64);
+                let mut done = false;
+                if fits && random(4) > 0 {
+                    let mut bits = vec![0_u64; width];
+                    for row in &found {
+                        bits[row.0[1].0 as usize / 64] |= 1 << (row.0[1].0 % 64);
+                    }
+                    let keeps = sets.seen.as_ref().is_some_and(SeenBitmap::keeps);
+                    // The first word may exceed its bound.
+                    done = sets.push_set(row, 1, &bits, found.len()).unwrap();
+                    pushed[usize::from(keeps)] += usize::from(done);
+                }
+                if !done {
+                    sets.push_along(row, 1, &found, 1).unwrap();
+                }
+            }
+            assert_eq!(sets.pushed, plain.pushed);
+            // An output may repeat rows that were taken before.
+            all[0].extend(sets.take());
+            all[1].extend(plain.take());
+            assert!(all[0] == all[1]);
+        }
+        assert!(pushed.iter().all(|&count| count > 20), "{pushed:?}");
+    }
+
+    #[test]
+    fn known_values_are_limited() {
+        let mut values = Values {
+            bytes_max: 10_000,
+            ..Values::default()
+        };
+        let relation = RelId(3);
+        for n in 0..1_000 {
+            values.insert(relation, &[Value(n), Value(1)], Some(Value(n)));
+            assert!(values.bytes <= 10_000);
+            assert_eq!(values.get(relation, &[Value(n), Value(1)]), Some(Some(Value(n))));
+        }
+        assert_eq!(values.get(relation, &[Value(0), Value(1)]), None);
+        values.bytes_max = 0;
+        values.insert(relation, &[Value(0)], None);
+        assert_eq!((values.get(relation, &[Value(0)]), values.bytes), (None, 0));
     }
 
     #[test]

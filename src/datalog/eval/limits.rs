@@ -79,6 +79,16 @@ impl EvalError {
         }
     }
 
+    /// Returns the option of the command line that raises the exceeded limit. `None` for a cancelled evaluation.
+    pub fn option(&self) -> Option<&'static str> {
+        match self {
+            EvalError::TooManyRows { .. } => Some("--max-rows"),
+            EvalError::TooManySteps { .. } => Some("--max-steps"),
+            EvalError::TooMuchMemory { .. } | EvalError::TooManyInputs { .. } => Some("--max-memory"),
+            EvalError::Cancelled { .. } => None,
+        }
+    }
+
     /// Returns a diagnostic at the clause that also points at an atom that makes its join a product. `rules` are those
     /// of the session.
     pub fn diagnostic(&self, rules: &Rules) -> Diagnostic {

@@ -17,8 +17,8 @@ use crate::datalog::eval::exec::{Commit, Failure, Meter, Quota, State, specs};
 use crate::datalog::eval::join::{Output, RowView};
 use crate::datalog::eval::recursion::{Iteration, Relation, Variable};
 use crate::datalog::eval::table::{Table, TableDelta};
-use crate::datalog::plan::steps::{ChangePlan, Plan, Source, Step, StratumPlan, Version};
-use crate::datalog::row::{Batch, Row, difference, merge};
+use crate::datalog::plan::steps::{ChangePlan, IndexSpec, Plan, Source, Step, StratumPlan, Version};
+use crate::datalog::row::{AnyBatch, Batch, ByWidth, Row, difference, merge};
 use std::sync::Arc;
 
 /// Rows, by member of a stratum.
@@ -94,9 +94,9 @@ impl<const W: usize> State<W> {
         meter: &mut Meter<'_>,
     ) -> Result<(ByMember<W>, usize), Failure> {
         let plans = &commit.plans;
-        let before = |relation: RelId| match &commit.changed[relation.index()] {
-            Some((_, table)) => table,
-            None => &self.tables[relation.index()],
+        let before = |spec: &IndexSpec| match &commit.changed[spec.relation.index()] {
+            Some((_, table)) => ByWidth::Own(table.batch(spec)),
+            None => self.batch(spec),
         };
         // Lost rows existed before, so they need no limit.
         let mut outputs: Vec<Output<W>> = stratum.members.iter().map(|_| Output::new(usize::MAX)).collect();
@@ -174,7 +174,7 @@ impl<const W: usize> State<W> {
         meter: &mut Meter<'_>,
     ) -> Result<ByMember<W>, Failure> {
         let plans = &commit.plans;
-        let now = |relation| self.now(stratum, base, relation);
+        let now = |spec: &IndexSpec| self.now(stratum, base, spec);
         let mut gone = lost.clone();
         for &clause in &stratum.clauses {
             let plans = &plans.clauses[clause.index()];
@@ -202,7 +202,7 @@ impl<const W: usize> State<W> {
         meter: &mut Meter<'_>,
     ) -> Result<ByMember<W>, Failure> {
         let plans = &commit.plans;
-        let now = |relation| self.now(stratum, base, relation);
+        let now = |spec: &IndexSpec| self.now(stratum, base, spec);
         let mut outputs: Vec<Output<W>> = stratum.members.iter().map(|_| Output::new(quota.rows)).collect();
         let share = quota.bytes / 2 / outputs.len().max(1) as u64;
         outputs.iter_mut().for_each(|output| output.set_bytes(share));
@@ -229,31 +229,31 @@ impl<const W: usize> State<W> {
         Ok(outputs.iter_mut().map(Output::take).collect())
     }
 
-    /// The current table of a relation; for a member, the one in `base`.
-    fn now<'a>(&'a self, stratum: &StratumPlan, base: &[&'a Table<W>], relation: RelId) -> &'a Table<W> {
-        let member = stratum.members.iter().position(|&member| member == relation);
-        member.map_or(&self.tables[relation.index()], |member| base[member])
+    /// The current rows of a relation in the order of an index; for a member, those in `base`.
+    fn now<'a>(&'a self, stratum: &StratumPlan, base: &[&'a Table<W>], spec: &IndexSpec) -> AnyBatch<'a, W> {
+        let member = stratum.members.iter().position(|&member| member == spec.relation);
+        member.map_or_else(|| self.batch(spec), |member| ByWidth::Own(base[member].batch(spec)))
     }
 }
 
 /// Returns the view of each step of a plan. The first step reads `rows`, the test for known heads reads `known`, and
-/// the others read what `table` returns.
+/// the others read what `complete` returns.
 fn views<'a, 'b: 'a, const W: usize>(
     commit: &'a Commit<'_, W>,
     plan: &'a Plan,
     rows: &'a [Row<W>],
     known: Option<&'a Table<W>>,
-    table: &'a impl Fn(RelId) -> &'b Table<W>,
+    complete: &'a impl Fn(&IndexSpec) -> AnyBatch<'b, W>,
 ) -> impl Iterator<Item = RowView<'a, W>> {
     let indexes = &commit.plans.indexes;
     let view = move |(position, step): (usize, &Step)| {
         let batch = |source: Source| {
             let spec = &indexes[source.index];
             match known {
-                _ if source.version == Version::New => Batch::plain(rows),
-                None if plan.fresh == Some(position) => Batch::plain(&[]),
-                Some(known) if plan.fresh == Some(position) => known.batch(spec),
-                _ => table(spec.relation).batch(spec),
+                _ if source.version == Version::New => ByWidth::Own(Batch::plain(rows)),
+                None if plan.fresh == Some(position) => ByWidth::Own(Batch::plain(&[])),
+                Some(known) if plan.fresh == Some(position) => ByWidth::Own(known.batch(spec)),
+                _ => complete(spec),
             }
         };
         RowView::for_step(step, batch)

@@ -5,6 +5,7 @@
 //! - `adapt` replans clauses when the sizes of relations have changed.
 //! - `table` holds a relation and its indexes, `pending` the changes of the next commit, and `seen_bitmap` marks
 //!   derived rows.
+//! - `narrow` holds loaded relations whose rows are narrower than the program's.
 //! - `groups` aggregates what a plan derives.
 //! - `workers` holds the threads, and `limits` bounds the resources of a commit.
 //! - `delta` and `stats` report what a commit changed and did.
@@ -12,9 +13,10 @@
 pub mod delta;
 pub(crate) mod exec;
 pub(crate) mod groups;
-mod join;
+pub(crate) mod join;
 pub mod limits;
 mod maintain;
+mod narrow;
 mod pending;
 mod recursion;
 mod seen_bitmap;

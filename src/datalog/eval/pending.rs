@@ -97,6 +97,19 @@ impl<const W: usize> PendingChanges<W> {
         (!rows.is_empty()).then(|| (TableDelta::between(&[], &rows), rows))
     }
 
+    /// Returns the same changes with wider rows.
+    pub(crate) fn widened<const V: usize>(self) -> PendingChanges<V> {
+        let wide = |row: &Row<W>| Row::new(&row.0);
+        PendingChanges {
+            coming: self.coming.iter().map(wide).collect(),
+            changes: self
+                .changes
+                .iter()
+                .map(|(row, present)| (wide(row), *present))
+                .collect(),
+        }
+    }
+
     /// Restores the rows that [`PendingChanges::apply`] took.
     pub(crate) fn put_back(&mut self, rows: Arc<Vec<Row<W>>>) {
         self.coming = Arc::unwrap_or_clone(rows);

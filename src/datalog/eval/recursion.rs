@@ -13,7 +13,7 @@ use crate::datalog::plan::Plans;
 use crate::datalog::plan::estimate;
 use crate::datalog::plan::estimate::Shape;
 use crate::datalog::plan::steps::{ClausePlans, IndexId, Plan, Source, Step, StratumPlan, Version};
-use crate::datalog::row::{Batch, Row, difference, merge};
+use crate::datalog::row::{Batch, ByWidth, Row, difference, merge};
 pub(crate) use datafrog::{Iteration, Relation, Variable};
 use std::cell::Ref;
 use std::collections::BTreeSet;
@@ -98,7 +98,7 @@ impl<const W: usize> State<W> {
             let relation = plans.indexes[source.index].relation;
             match plans.member[relation.index()] {
                 Some(member) if source.version != Version::Complete => recursion.shape(&held, member, source.version),
-                _ => Shape::of(&self.tables[relation.index()].rows),
+                _ => self.shape(relation),
             }
         };
         let mut chosen = Vec::new();
@@ -296,7 +296,10 @@ impl<'b, const W: usize> Recursion<'b, W> {
             batches.extend(with_new.then(|| Batch::plain(new)));
         }
         match batches.pop() {
-            Some(first) => RowView { first, rest: batches },
+            Some(first) => RowView {
+                first: ByWidth::Own(first),
+                rest: batches.into_iter().map(ByWidth::Own).collect(),
+            },
             None => RowView::NONE,
         }
     }

@@ -34,6 +34,10 @@ impl<const W: usize> SeenBitmap<W> {
     /// The size in bytes that a set may have regardless of the number of rows.
     const BYTES_FREE: u64 = 1 << 13;
 
+    /// From this bound on, the words of the last column fill whole words of bits, so that [`SeenBitmap::add_set`] can
+    /// add many rows at once.
+    const ALIGNED_MIN: u32 = 512;
+
     /// Makes a set of these rows. Its bounds leave room above the words of `rows` and `largest`. Returns `None` if it
     /// would take more memory than `count` rows.
     pub(crate) fn over(rows: &[Row<W>], mut largest: [u32; W], count: u64) -> Option<Self> {
@@ -46,6 +50,9 @@ impl<const W: usize> SeenBitmap<W> {
             // A column of zeros is probably padding.
             if largest[column] > 0 {
                 bounds[column] = largest[column].checked_add(largest[column] / 4 + 1)?;
+            }
+            if bits == 1 && bounds[column] >= Self::ALIGNED_MIN {
+                bounds[column] = bounds[column].checked_next_multiple_of(u64::BITS)?;
             }
             bits = bits.checked_mul(u64::from(bounds[column]))?;
         }
@@ -168,6 +175,49 @@ impl<const W: usize> SeenBitmap<W> {
             added += 1;
         }
         (added, new)
+    }
+
+    /// The number of words of a set of bits for [`SeenBitmap::add_set`]; `None` if rows that differ in this column
+    /// do not fill whole words of bits.
+    pub(crate) fn set_words(&self, column: usize) -> Option<usize> {
+        let (bound, stride) = (self.bounds[column], self.strides[column]);
+        (stride == 1 && bound % u64::BITS == 0).then_some((bound / u64::BITS) as usize)
+    }
+
+    /// Adds copies of `row` in which the word of `column` is replaced by each element of a set of bits, which has
+    /// [`set_words`](SeenBitmap::set_words) words. Returns the number of new rows, or `None` if another word exceeds
+    /// its bound. Unless new rows are kept as bits, `new` receives their words in this column.
+    pub(crate) fn add_set(
+        &mut self,
+        mut row: Row<W>,
+        column: usize,
+        set: &[u64],
+        new: &mut Vec<Value>,
+    ) -> Option<usize> {
+        row.0[column] = Value(0);
+        let (base, _) = self.bit(&row)?;
+        let known = &mut self.known[base..base + set.len()];
+        let mut fresh = self.fresh.get_mut(base..base + set.len());
+        let mut count = 0;
+        for (at, (known, set)) in known.iter_mut().zip(set).enumerate() {
+            let mut come = set & !*known;
+            // Rare where rules derive the same rows many times.
+            if come == 0 {
+                continue;
+            }
+            *known |= come;
+            count += come.count_ones() as usize;
+            match &mut fresh {
+                Some(fresh) => fresh[at] |= come,
+                None => {
+                    while come != 0 {
+                        new.push(Value(at as u32 * u64::BITS + come.trailing_zeros()));
+                        come &= come - 1;
+                    }
+                }
+            }
+        }
+        Some(count)
     }
 
     /// Whether `rows` new rows are better kept as bits than in a list to be sorted.

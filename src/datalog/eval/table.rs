@@ -57,6 +57,14 @@ impl<const W: usize> Table<W> {
         self.indexes.resize_with(indexes.max(self.indexes.len()), OnceLock::new);
     }
 
+    /// A table of these rows with as many indexes, none built yet.
+    pub(crate) fn reloaded(&self, rows: Arc<Vec<Row<W>>>) -> Self {
+        Table {
+            rows,
+            indexes: self.indexes.iter().map(|_| OnceLock::new()).collect(),
+        }
+    }
+
     /// The rows in the order of an index, which is built if necessary.
     pub(crate) fn batch(&self, spec: &IndexSpec) -> Batch<'_, W> {
         let own = spec.position == 0;

@@ -9,7 +9,7 @@ use crate::datalog::eval::join;
 use crate::datalog::eval::join::{Abort, JoinState, Output, RowView};
 use crate::datalog::plan::estimate::Shape;
 use crate::datalog::plan::steps::{Plan, Slot, Step};
-use crate::datalog::row::{Batch, Row, gallop, normalize};
+use crate::datalog::row::{AnyBatch, AnyRows, Batch, Row, each_width, gallop, map_width, normalize};
 use crate::symbol::Symbols;
 use rayon::slice::ParallelSliceMut;
 use std::num::NonZeroUsize;
@@ -58,8 +58,8 @@ pub(crate) struct Workers {
     threads: Threads,
 }
 
-/// The work of one thread.
-struct Hand<const W: usize> {
+/// The output and state of one thread.
+struct Worker<const W: usize> {
     out: Output<W>,
     state: JoinState,
     result: Result<(), Abort>,
@@ -105,8 +105,8 @@ impl Workers {
         if let Some(pool) = &self.pool {
             let chunks = self.split(plan, views, out.seen_bytes());
             if !chunks.is_empty() && out.can_fork(self.threads.count.get()) {
-                let hands = self.evaluate(pool, (plan, views, &chunks), (symbols, cancel), state, out);
-                if let Some(result) = join_hands(hands, symbols, state, out) {
+                let workers = self.evaluate(pool, (plan, views, &chunks), (symbols, cancel), state, out);
+                if let Some(result) = merge(workers, symbols, state, out) {
                     return result;
                 }
             }
@@ -127,7 +127,7 @@ impl Workers {
 
     /// Splits the rows of the first scan into chunks; returns none if one thread is better. `copied` is the number of
     /// bytes copied to give each thread an output.
-    fn split<'a, const W: usize>(&self, plan: &Plan, views: &[RowView<'a, W>], copied: usize) -> Vec<&'a [Row<W>]> {
+    fn split<'a, const W: usize>(&self, plan: &Plan, views: &[RowView<'a, W>], copied: usize) -> Vec<AnyRows<'a, W>> {
         let Some(Step::Scan {
             key,
             bind,
@@ -149,15 +149,18 @@ impl Workers {
         }
         let words: Vec<_> = key.iter().map(|&slot| plan.slots[slot as usize]).collect();
         let ranges = || views[0].batches().map(|batch| batch.range(&words));
-        let count: usize = ranges().map(<[_]>::len).sum();
+        let count: usize = ranges().map(|rows| rows.len()).sum();
         let size = count.div_ceil(self.threads.count.get() * Self::CHUNKS).max(1);
         let mut chunks = Vec::new();
         for mut rest in ranges() {
-            while let Some(last) = rest.get(..size).unwrap_or(rest).last() {
+            while rest.len() > 0 {
                 let mut end = size.min(rest.len());
                 // The scan visits one of the rows that agree in the first columns, so they stay together.
                 if let Some(columns @ 1..) = Some(*distinct as usize) {
-                    end += gallop(&rest[end..], |row| row.0[..columns] == last.0[..columns]);
+                    end += each_width!(rest, rows => {
+                        let last = &rows[end - 1];
+                        gallop(&rows[end..], |row| row.0[..columns] == last.0[..columns])
+                    });
                 }
                 let (chunk, others) = rest.split_at(end);
                 chunks.push(chunk);
@@ -170,18 +173,18 @@ impl Workers {
     fn evaluate<const W: usize>(
         &self,
         pool: &rayon::ThreadPool,
-        (plan, views, chunks): (&Plan, &[RowView<'_, W>], &[&[Row<W>]]),
+        (plan, views, chunks): (&Plan, &[RowView<'_, W>], &[AnyRows<'_, W>]),
         (symbols, cancel): (&Symbols, &Cancel),
         state: &JoinState,
         out: &Output<W>,
-    ) -> Vec<Hand<W>> {
+    ) -> Vec<Worker<W>> {
         let count = self.threads.count.get();
-        let hand = || Hand {
+        let worker = || Worker {
             out: out.fork(count),
             state: JoinState::new(state.budget.saturating_sub(state.rows_scanned)),
             result: Ok(()),
         };
-        let mut hands: Vec<Hand<W>> = (0..count).map(|_| hand()).collect();
+        let mut workers: Vec<Worker<W>> = (0..count).map(|_| worker()).collect();
         let (next, stopped) = (&AtomicUsize::new(0), &AtomicBool::new(false));
         // The callback of `cancel` runs on the calling thread only; the others poll a flag.
         let cancelled = Arc::new(AtomicBool::new(false));
@@ -189,19 +192,19 @@ impl Workers {
         let flagged = &Cancel::when(move || flag.load(Relaxed));
         let (working, done) = mpsc::channel::<()>();
         pool.in_place_scope(|scope| {
-            for hand in &mut hands {
+            for worker in &mut workers {
                 let working = working.clone();
                 scope.spawn(move |_| {
                     let mut views = views.to_vec();
                     while let (Some(chunk), false) = (chunks.get(next.fetch_add(1, Relaxed)), stopped.load(Relaxed)) {
-                        views[0] = RowView::of(Batch::plain(chunk));
-                        let (symbols, out) = ((symbols, flagged), &mut hand.out);
-                        hand.result = join::run(plan, &views, symbols, &mut hand.state, out);
-                        if hand.result.is_err() {
+                        views[0] = RowView::of(map_width!(*chunk, rows => Batch::plain(rows)));
+                        let (symbols, out) = ((symbols, flagged), &mut worker.out);
+                        worker.result = join::run(plan, &views, symbols, &mut worker.state, out);
+                        if worker.result.is_err() {
                             stopped.store(true, Relaxed);
                         }
                     }
-                    hand.out.settle();
+                    worker.out.settle();
                     drop(working);
                 });
             }
@@ -216,40 +219,44 @@ impl Workers {
         });
         if cancelled.load(Relaxed) {
             // Even if all threads were done before they polled the flag.
-            hands[0].result = Err(Abort::Cancelled);
+            workers[0].result = Err(Abort::Cancelled);
         }
-        hands
+        workers
     }
 }
 
 /// Merges the results of the threads. `None` if a thread exceeded its share of the rows or of the memory: several
 /// threads may have derived the same rows.
-fn join_hands<const W: usize>(
-    hands: Vec<Hand<W>>,
+fn merge<const W: usize>(
+    workers: Vec<Worker<W>>,
     symbols: &Symbols,
     state: &mut JoinState,
     out: &mut Output<W>,
 ) -> Option<Result<(), Abort>> {
-    let stopped = |with: Abort| hands.iter().any(|hand| hand.result == Err(with));
+    let stopped = |with: Abort| workers.iter().any(|worker| worker.result == Err(with));
     if stopped(Abort::Cancelled) {
         return Some(Err(Abort::Cancelled));
     }
     if stopped(Abort::Overflow) || stopped(Abort::Memory) {
         return None;
     }
-    state.rows_scanned += hands.iter().map(|hand| hand.state.rows_scanned).sum::<u64>();
+    state.rows_scanned += workers.iter().map(|worker| worker.state.rows_scanned).sum::<u64>();
     if stopped(Abort::Budget) || state.rows_scanned > state.budget {
         return Some(Err(Abort::Budget));
     }
-    Some(hands.into_iter().try_for_each(|hand| out.absorb(hand.out, symbols)))
+    Some(
+        workers
+            .into_iter()
+            .try_for_each(|worker| out.absorb(worker.out, symbols)),
+    )
 }
 
 /// Estimates the number of rows that the plan scans.
 fn expected<const W: usize>(plan: &Plan, views: &[RowView<'_, W>]) -> f64 {
     let (mut flow, mut rows_scanned) = (1.0, 0.0);
-    let in_batch = |batch: &Batch<'_, W>, key: &[Slot]| {
+    let in_batch = |batch: &AnyBatch<'_, W>, key: &[Slot]| {
         let columns: Vec<u16> = (0..key.len() as u16).collect();
-        Shape::of(batch.rows).found(&columns)
+        each_width!(batch, batch => Shape::<W>::of(batch.rows).found(&columns))
     };
     for (step, view) in plan.steps.iter().zip(views) {
         match step {
@@ -281,6 +288,7 @@ mod tests {
     use crate::datalog::eval::table::Table;
     use crate::datalog::plan::steps::Source;
     use crate::datalog::program::Program;
+    use crate::datalog::row::ByWidth;
     use crate::datalog::value::Value;
     use crate::diag::Sources;
     use crate::files::ReadError;
@@ -317,7 +325,7 @@ mod tests {
                 let batch = |source: Source| {
                     let spec = &plans.indexes[source.index];
                     assert_eq!(spec.relation, RelId(0));
-                    tables[0].batch(spec)
+                    ByWidth::Own(tables[0].batch(spec))
                 };
                 let view = |step: &Step| RowView::for_step(step, batch);
                 let views: Vec<RowView<'_, 2>> = plan.steps.iter().map(view).collect();

@@ -33,15 +33,15 @@ impl<const W: usize> Shape<W> {
     /// The maximum number of rows sampled.
     const SAMPLE: usize = 64;
 
-    /// The shape of these rows.
-    pub(crate) fn of(rows: &[Row<W>]) -> Self {
+    /// The shape of these rows, which may be narrower.
+    pub(crate) fn of<const V: usize>(rows: &[Row<V>]) -> Self {
         let mut shape = Shape {
             rows: rows.len(),
             ..Self::default()
         };
         let step = rows.len().div_ceil(Self::SAMPLE).max(1);
         for row in rows.iter().step_by(step).chain(rows.last()) {
-            for column in 0..W {
+            for column in 0..V.min(W) {
                 shape.least[column] = shape.least[column].min(row.0[column].0);
                 shape.most[column] = shape.most[column].max(row.0[column].0);
             }
@@ -112,6 +112,10 @@ fn follow(steps: &[Step], found: &dyn Fn(Source, usize) -> f64) -> (f64, f64) {
             Step::Group { .. } => cost += flow,
             Step::Exists { source, key } => flow *= found(*source, key.len()).min(1.0),
             Step::AntiJoin { source, key } => flow *= 1.0 - found(*source, key.len()).min(0.9),
+            Step::Correlated { plans, .. } => {
+                let inner = plans.iter().map(|plan| follow(&plan.steps[1..], found).1);
+                cost += flow * inner.sum::<f64>();
+            }
             Step::Copy { .. } | Step::Compute { test: false, .. } => {}
             Step::Aggregate { source, key, .. } => cost += flow * found(*source, key.len()),
             Step::Compare {
@@ -427,12 +431,12 @@ mod tests {
         let rows: Vec<Row<2>> = (0..1000)
             .map(|word| Row([Value(word / 10), Value(5 + word % 10)]))
             .collect();
-        let shape = Shape::of(&rows);
+        let shape = Shape::<2>::of(&rows);
         assert_eq!((shape.rows, shape.least[0], shape.most[0]), (1000, 0, 99));
         assert_eq!(shape.found(&[0]), 10.0);
         let (front, back) = rows.split_at(300);
-        let both = Shape::of(front).with(Shape::of(back)).with(Shape::default());
+        let both = Shape::<2>::of(front).with(Shape::of(back)).with(Shape::default());
         assert_eq!((both.rows, both.least[0], both.most[0]), (1000, 0, 99));
-        assert_eq!(Shape::<2>::of(&[]).found(&[0]), 0.0);
+        assert_eq!(Shape::<2>::of::<2>(&[]).found(&[0]), 0.0);
     }
 }

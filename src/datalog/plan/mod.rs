@@ -13,13 +13,15 @@ pub(crate) mod steps;
 use std::collections::BTreeMap;
 use std::sync::Arc;
 
-use crate::datalog::check::{Clause, ClauseId, RelId, Relation, Rules, Stratum};
+use crate::datalog::check::{Clause, ClauseId, Literal, RelId, Relation, Rules, Stratum};
 use crate::datalog::row::WIDTHS;
 use crate::diag::{Code, Diagnostic};
 use estimate::Size;
 use grouping::groupings;
-use planner::{Order, is_maintainable, plan_changes, plan_clause, plan_complete};
-use steps::{Aim, ClausePlans, Grouping, Indexes, StratumPlan};
+use planner::{
+    CLAUSE_MAX, Order, is_maintainable, plan_changes, plan_clause, plan_complete, plan_correlated, too_large,
+};
+use steps::{Aim, ClausePlans, Grouping, Indexes, Plan, Step, StratumPlan};
 
 /// A program with its plans.
 #[derive(Debug)]
@@ -37,6 +39,8 @@ pub(crate) struct Plans {
     sources: Arc<BTreeMap<ClauseId, Clause>>,
     /// By [`ClauseId`]. All facts without plans share one entry, which is never evaluated.
     pub(crate) clauses: Vec<Arc<ClausePlans>>,
+    /// The correlated relations.
+    correlated: Arc<BTreeMap<RelId, Correlated>>,
     pub(crate) indexes: Indexes,
     /// By [`RelId`]: how a hidden relation is aggregated instead of stored; see [`grouping`].
     pub(crate) groupings: Vec<Option<Grouping>>,
@@ -46,6 +50,16 @@ pub(crate) struct Plans {
     pub(crate) member: Vec<Option<usize>>,
     /// The number of words in a stored row, one of [`WIDTHS`].
     pub(crate) width: usize,
+}
+
+/// A correlated relation: the body of an aggregate that is evaluated in place.
+#[derive(Clone, Debug)]
+struct Correlated {
+    clauses: Vec<ClauseId>,
+    /// The number of its parameters.
+    parameters: usize,
+    /// The number of literals in its clauses and in those of the correlated relations that they need.
+    literals: usize,
 }
 
 impl Plans {
@@ -82,6 +96,23 @@ impl Plans {
                 computed_with[clause.index()] = &stratum.members;
             }
         }
+        let correlated = correlated_relations(rules);
+        for (
+            &relation,
+            Correlated {
+                clauses, parameters, ..
+            },
+        ) in &correlated
+        {
+            let grouping = groupings[relation.index()].as_ref();
+            let clauses = clauses.iter().map(|clause| &rules.clauses[clause.index()]);
+            let plans = clauses.map(|clause| {
+                let order = Order::Text { large: &[] };
+                plan_correlated(clause, *parameters, grouping, &mut indexes, order)
+            });
+            let plans = plans.collect::<Result<Vec<Plan>, Diagnostic>>()?;
+            indexes.set_correlated(relation, plans);
+        }
         let mut clauses = Vec::with_capacity(rules.clauses.len());
         let mut sources = BTreeMap::new();
         let mut fact: Option<Arc<ClausePlans>> = None;
@@ -92,7 +123,17 @@ impl Plans {
                 clauses.push(Arc::clone(fact));
                 continue;
             }
-            let plans = Arc::new(plan_clause(clause, stratum, grouping, &mut indexes)?);
+            let literals = literals(clause, &correlated);
+            if literals > CLAUSE_MAX {
+                return Err(too_large(clause, "literals", literals));
+            }
+            let plans = Arc::new(match correlated.get(&clause.head.relation) {
+                Some(Correlated { parameters, .. }) => {
+                    let order = Order::Text { large: &[] };
+                    ClausePlans::of(plan_correlated(clause, *parameters, grouping, &mut indexes, order)?)
+                }
+                None => plan_clause(clause, stratum, grouping, &mut indexes)?,
+            });
             if planned {
                 sources.insert(id, clause.clone());
             } else {
@@ -103,6 +144,7 @@ impl Plans {
         Ok(Plans {
             sources: sources.into(),
             clauses,
+            correlated: correlated.into(),
             strata,
             member,
             indexes,
@@ -111,13 +153,19 @@ impl Plans {
         })
     }
 
+    /// The clauses of a correlated relation, one for each of its plans.
+    pub(crate) fn correlated_clauses(&self, relation: RelId) -> &[ClauseId] {
+        self.correlated.get(&relation).map_or(&[], |known| &known.clauses)
+    }
+
     /// Replans clauses for relations of these sizes.
     ///
     /// [`Aim::Recompute`] replans the non-recursive evaluation from scratch, [`Aim::Maintain`] the maintenance plans.
     /// Replanning may add indexes; existing indexes stay as they are.
-    pub(crate) fn adapt(&mut self, clauses: &[ClauseId], aim: Aim, sizes: &[Option<Size>]) {
+    pub(crate) fn adapt(&mut self, stratum: &StratumPlan, aim: Aim, sizes: &[Option<Size>]) {
+        self.adapt_correlated(stratum, sizes);
         let indexes = &mut self.indexes;
-        for &id in clauses {
+        for &id in &stratum.clauses {
             let Some(clause) = self.sources.get(&id) else { continue };
             let plans = Arc::make_mut(&mut self.clauses[id.index()]);
             let grouping = &self.groupings[clause.head.relation.index()];
@@ -140,6 +188,76 @@ impl Plans {
             }
         }
     }
+
+    /// Replans the correlated relations of a stratum, and puts the new plans into those of its clauses.
+    fn adapt_correlated(&mut self, stratum: &StratumPlan, sizes: &[Option<Size>]) {
+        if stratum.correlated.is_empty() {
+            return;
+        }
+        let indexes = &mut self.indexes;
+        for &relation in &stratum.correlated {
+            let Correlated {
+                clauses, parameters, ..
+            } = &self.correlated[&relation];
+            let grouping = self.groupings[relation.index()].as_ref();
+            let clauses = clauses.iter().filter_map(|clause| self.sources.get(clause));
+            let plans = clauses.map(|clause| {
+                let order = Order::Sizes(sizes);
+                plan_correlated(clause, *parameters, grouping, indexes, order)
+            });
+            let plans: Result<Vec<Plan>, Diagnostic> = plans.collect();
+            // Replanning cannot fail, as in `adapt`.
+            if let Ok(plans) = plans {
+                indexes.set_correlated(relation, plans);
+            }
+        }
+        for &clause in &stratum.clauses {
+            let ClausePlans {
+                complete,
+                deltas,
+                alternatives,
+                ..
+            } = Arc::make_mut(&mut self.clauses[clause.index()]);
+            let deltas = deltas.iter_mut().map(|(_, plan)| plan);
+            let plans = deltas.chain(alternatives.iter_mut().flatten()).chain([complete]);
+            for step in plans.flat_map(|plan| &mut plan.steps) {
+                if let Step::Correlated { relation, plans, .. } = step
+                    && let Some(new) = indexes.correlated(*relation)
+                {
+                    *plans = Arc::clone(new);
+                }
+            }
+        }
+    }
+}
+
+/// Returns the correlated relations in an order in which each comes after those that it needs.
+fn correlated_relations(rules: &Rules) -> BTreeMap<RelId, Correlated> {
+    let mut correlated: BTreeMap<RelId, Correlated> = BTreeMap::new();
+    // The checker defines the predicate of an inner aggregate before that of the outer one.
+    for (relation, id) in rules.relations.iter().zip((0..).map(RelId)) {
+        if relation.parameters > 0 {
+            let clauses = rules.clauses.iter().zip((0..).map(ClauseId));
+            let clauses: Vec<(&Clause, ClauseId)> = clauses.filter(|(clause, _)| clause.head.relation == id).collect();
+            let each = clauses.iter().map(|(clause, _)| literals(clause, &correlated));
+            let literals = each.fold(0, usize::saturating_add);
+            let known = Correlated {
+                clauses: clauses.into_iter().map(|(_, clause)| clause).collect(),
+                parameters: relation.parameters,
+                literals,
+            };
+            correlated.insert(id, known);
+        }
+    }
+    correlated
+}
+
+/// Returns the number of literals in a clause and in the correlated relations that it needs. Evaluation recurses once
+/// per literal.
+fn literals(clause: &Clause, correlated: &BTreeMap<RelId, Correlated>) -> usize {
+    let atoms = clause.body.iter().filter_map(Literal::atom);
+    let inner = atoms.filter_map(|atom| Some(correlated.get(&atom.relation)?.literals));
+    inner.fold(clause.body.len(), usize::saturating_add)
 }
 
 fn plan_stratum(rules: &Rules, stratum: &Stratum, groupings: &[Option<Grouping>]) -> StratumPlan {
@@ -152,8 +270,7 @@ fn plan_stratum(rules: &Rules, stratum: &Stratum, groupings: &[Option<Grouping>]
         .copied()
         .filter(|clause| derived(&head(clause)))
         .collect();
-    let bodies = clauses.iter().flat_map(|clause| &rules.clauses[clause.index()].body);
-    let mut inputs: Vec<RelId> = bodies.filter_map(|literal| Some(literal.atom()?.relation)).collect();
+    let (mut inputs, correlated) = rules.read_by(clauses.iter().copied());
     inputs.sort_unstable();
     let recursive = inputs.iter().any(|relation| members.contains(relation));
     inputs.retain(|relation| !members.contains(relation));
@@ -166,5 +283,6 @@ fn plan_stratum(rules: &Rules, stratum: &Stratum, groupings: &[Option<Grouping>]
         members,
         inputs,
         clauses,
+        correlated,
     }
 }

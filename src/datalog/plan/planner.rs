@@ -13,6 +13,7 @@ use crate::datalog::plan::steps::{
 use crate::datalog::syntax::ast::{BaseType, Comparison};
 use crate::datalog::value::Value;
 use crate::diag::{Code, Diagnostic};
+use std::sync::Arc;
 
 /// The maximum number of literals in a body and of variables in a clause. Evaluation recurses once per atom, and
 /// planning takes cubic time.
@@ -45,12 +46,7 @@ pub(crate) fn plan_clause(
     grouping: Option<&Grouping>,
     indexes: &mut Indexes,
 ) -> Result<ClausePlans, Diagnostic> {
-    for (what, count) in [("literals", clause.body.len()), ("variables", clause.variables.len())] {
-        if count > CLAUSE_MAX {
-            let message = format!("the clause has {count} {what}; the maximum is {CLAUSE_MAX}");
-            return Err(Diagnostic::new(Code::LIMIT_EXCEEDED, message).at(clause.span, ""));
-        }
-    }
+    check_size(clause)?;
     let recursive: Vec<usize> = (0..clause.body.len())
         .filter(|&position| match &clause.body[position] {
             Literal::Positive(atom) | Literal::Guard(atom) => stratum.contains(&atom.relation),
@@ -105,6 +101,41 @@ pub(crate) fn plan_clause(
         changes,
         check,
     })
+}
+
+/// Makes the plan of a clause of a correlated relation. It begins with the parameters, which are the first columns of
+/// the head.
+pub(crate) fn plan_correlated(
+    clause: &Clause,
+    parameters: usize,
+    grouping: Option<&Grouping>,
+    indexes: &mut Indexes,
+    order: Order<'_>,
+) -> Result<Plan, Diagnostic> {
+    check_size(clause)?;
+    let first = First::Parameters(parameters);
+    let plan = Planner::new(clause, indexes, order).plan(first, &|_| Version::Complete)?;
+    Ok(match grouping {
+        Some(grouping) => plan.grouped(grouping),
+        None => plan,
+    })
+}
+
+/// Fails if the clause has too many literals or variables.
+fn check_size(clause: &Clause) -> Result<(), Diagnostic> {
+    let counts = [("literals", clause.body.len()), ("variables", clause.variables.len())];
+    let large = counts.into_iter().find(|(_, count)| *count > CLAUSE_MAX);
+    large.map_or(Ok(()), |(what, count)| Err(too_large(clause, what, count)))
+}
+
+/// The diagnostic for a clause that is too large.
+pub(crate) fn too_large(clause: &Clause, what: &str, count: usize) -> Diagnostic {
+    let message = format!("the clause has {count} {what}; the maximum is {CLAUSE_MAX}");
+    let fault = Diagnostic::new(Code::LIMIT_EXCEEDED, message).at(clause.span, "");
+    match what {
+        "literals" if count > clause.body.len() => fault.note("those of the aggregates evaluated in place count, too"),
+        _ => fault,
+    }
 }
 
 /// Makes the maintenance plans.
@@ -170,6 +201,8 @@ enum First {
     Change(usize),
     /// Head rows.
     Head,
+    /// The values of this number of parameters: the first columns of the head.
+    Parameters(usize),
 }
 
 /// The criterion that orders atoms.
@@ -250,10 +283,16 @@ impl<'a> Planner<'a> {
         let mut fresh = None;
         let mut next = match first {
             First::Literal(position) | First::Change(position) => Some(Next::Scan(position)),
-            First::Any | First::Head => None,
+            First::Any | First::Head | First::Parameters(_) => None,
         };
         if first == First::Head {
             self.scan(head, Version::New);
+        } else if let First::Parameters(count) = first {
+            let terms = head.terms[..count].to_vec();
+            // The body need not use a parameter that is aggregated itself.
+            let parameters = terms.iter().filter_map(variable_of);
+            parameters.for_each(|variable| self.uses[variable.index()] += 1);
+            self.scan(&Atom { terms, ..head.clone() }, Version::New);
         }
         loop {
             match next {
@@ -400,6 +439,23 @@ impl<'a> Planner<'a> {
                     atom,
                     column,
                 } => {
+                    if let Some(plans) = self.indexes.correlated(atom.relation) {
+                        let plans = Arc::clone(plans);
+                        let known = atom.terms.iter().filter_map(|term| self.slot(term));
+                        let key = known.collect();
+                        let Some((to, test)) = self.result(to) else { continue };
+                        self.push(Step::Correlated {
+                            relation: atom.relation,
+                            plans,
+                            key,
+                            op: *op,
+                            base: *base,
+                            column: *column,
+                            to,
+                            test,
+                        });
+                        continue;
+                    }
                     let (source, key) = self.rows(atom);
                     let columns = &self.indexes[source.index].columns;
                     let place = column.and_then(|column| columns.iter().position(|other| *other as usize == column));

@@ -15,6 +15,8 @@ use crate::datalog::check::{ClauseId, RelId};
 use crate::datalog::syntax::ast::{BaseType, Comparison};
 use crate::datalog::syntax::functor::{AggregateOp, Functor};
 use crate::datalog::value::Value;
+use std::collections::BTreeMap;
+use std::sync::Arc;
 
 /// The position of a value during evaluation: variables come first, then constants.
 pub(crate) type Slot = u16;
@@ -47,6 +49,8 @@ pub(crate) struct Indexes {
     of: Vec<Vec<IndexId>>,
     /// By [`RelId`]: whether the rows of the relation are groups, each a key and its aggregate.
     grouped: Vec<bool>,
+    /// The plans of correlated relations, which other plans contain.
+    correlated: BTreeMap<RelId, Arc<[Plan]>>,
 }
 
 impl std::ops::Index<IndexId> for Indexes {
@@ -68,7 +72,18 @@ impl Indexes {
             of: (0..specs.len() as u32).map(|index| vec![IndexId(index)]).collect(),
             specs,
             grouped: groupings.iter().map(Option::is_some).collect(),
+            correlated: BTreeMap::new(),
         }
+    }
+
+    /// The plans of a correlated relation; `None` for any other relation.
+    pub(crate) fn correlated(&self, relation: RelId) -> Option<&Arc<[Plan]>> {
+        self.correlated.get(&relation)
+    }
+
+    /// Sets the plans of a correlated relation.
+    pub(crate) fn set_correlated(&mut self, relation: RelId, plans: Vec<Plan>) {
+        self.correlated.insert(relation, plans.into());
     }
 
     /// Whether the rows of the relation are groups.
@@ -222,6 +237,19 @@ pub(crate) enum Step {
         to: Slot,
         test: bool,
     },
+    /// Evaluate a correlated aggregate for the parameters in the key, with `test` as in [`Step::Compute`].
+    Correlated {
+        relation: RelId,
+        /// One plan for each clause of the relation. Its first step scans the parameters.
+        plans: Arc<[Plan]>,
+        key: Vec<Slot>,
+        op: AggregateOp,
+        base: BaseType,
+        /// The column of the relation that holds the aggregated values; `None` for `count`.
+        column: Option<usize>,
+        to: Slot,
+        test: bool,
+    },
     /// Look up the aggregate of the group with this key, with `test` as in [`Step::Compute`].
     Group {
         source: Source,
@@ -243,7 +271,11 @@ impl Step {
             | Step::AntiJoin { source, .. }
             | Step::Aggregate { source, .. }
             | Step::Group { source, .. } => Some(*source),
-            Step::LeapfrogJoin { .. } | Step::Copy { .. } | Step::Compare { .. } | Step::Compute { .. } => None,
+            Step::LeapfrogJoin { .. }
+            | Step::Copy { .. }
+            | Step::Compare { .. }
+            | Step::Compute { .. }
+            | Step::Correlated { .. } => None,
         }
     }
 
@@ -253,7 +285,12 @@ impl Step {
             Step::LeapfrogJoin { lists, .. } => lists,
             _ => &[],
         };
-        self.source().into_iter().chain(lists.iter().map(|list| list.source))
+        let inner: Vec<Source> = match self {
+            Step::Correlated { plans, .. } => plans.iter().flat_map(Plan::sources_in_place).collect(),
+            _ => Vec::new(),
+        };
+        let own = self.source().into_iter().chain(lists.iter().map(|list| list.source));
+        own.chain(inner)
     }
 
     /// The slots that the step fills.
@@ -263,6 +300,7 @@ impl Step {
             Step::LeapfrogJoin { to, .. } | Step::Copy { to, .. } => vec![*to],
             Step::Compute { to, test: false, .. }
             | Step::Aggregate { to, test: false, .. }
+            | Step::Correlated { to, test: false, .. }
             | Step::Group { to, test: false, .. } => vec![*to],
             _ => Vec::new(),
         }
@@ -279,9 +317,9 @@ impl Step {
             Step::Compute {
                 arguments, to, test, ..
             } => arguments.contains(&slot) || (*test && *to == slot),
-            Step::Aggregate { key, to, test, .. } | Step::Group { key, to, test, .. } => {
-                key.contains(&slot) || (*test && *to == slot)
-            }
+            Step::Aggregate { key, to, test, .. }
+            | Step::Correlated { key, to, test, .. }
+            | Step::Group { key, to, test, .. } => key.contains(&slot) || (*test && *to == slot),
         }
     }
 
@@ -341,6 +379,11 @@ impl Plan {
         self
     }
 
+    /// The sources of a plan that a [`Step::Correlated`] evaluates: all but the parameters.
+    pub(crate) fn sources_in_place(&self) -> Vec<Source> {
+        self.steps[1..].iter().flat_map(Step::sources).collect()
+    }
+
     /// Whether a step scans all new rows without a key.
     pub(crate) fn searches_new(&self) -> bool {
         self.steps.iter().any(
@@ -367,6 +410,19 @@ pub(crate) struct ClausePlans {
     pub(crate) check: Option<Plan>,
 }
 
+impl ClausePlans {
+    /// The plans of a clause that only ever runs as a whole.
+    pub(crate) fn of(complete: Plan) -> Self {
+        ClausePlans {
+            complete,
+            deltas: Vec::new(),
+            alternatives: Vec::new(),
+            changes: Vec::new(),
+            check: None,
+        }
+    }
+}
+
 /// A plan that evaluates a clause for changed rows of one atom.
 #[derive(Clone, Debug)]
 pub(crate) struct ChangePlan {
@@ -382,7 +438,7 @@ pub(crate) struct ChangePlan {
 pub(crate) struct StratumPlan {
     /// The derived relations. Relations that have only facts are not evaluated.
     pub(crate) members: Vec<RelId>,
-    /// The other relations that occur in bodies, by id.
+    /// The other relations that occur in bodies, by id, also those in bodies of correlated relations.
     pub(crate) inputs: Vec<RelId>,
     /// The clauses of the members.
     pub(crate) clauses: Vec<ClauseId>,
@@ -390,6 +446,8 @@ pub(crate) struct StratumPlan {
     pub(crate) recursive: bool,
     /// Whether all clauses have maintenance plans. If not, any change recomputes the stratum.
     pub(crate) maintainable: bool,
+    /// The correlated relations that the clauses evaluate in place, each after those that it needs.
+    pub(crate) correlated: Vec<RelId>,
 }
 
 /// The purpose of a plan.

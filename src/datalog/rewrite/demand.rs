@@ -196,6 +196,7 @@ impl<'a> Transformer<'a> {
                             head,
                             body: before.clone(),
                             variables: clause.variables.clone(),
+                            variable_spans: clause.variable_spans.clone(),
                             doc: String::new(),
                             span: clause.span,
                         });

@@ -197,7 +197,7 @@ impl Unfolder<'_> {
     }
 
     /// Returns the alternatives for a negated atom: for each clause of the meaning, some literal does not hold. `None`
-    /// if a clause has variables of its own or literals that cannot be negated.
+    /// if a clause has variables that its head lacks or literals that cannot be negated.
     fn replace_negative(&self, clause: &Clause, at: usize, atom: &Atom, meaning: &[Clause]) -> Option<Vec<Clause>> {
         let mut bodies: Vec<Vec<Literal>> = vec![Vec::new()];
         for meant in meaning {
@@ -281,6 +281,7 @@ fn variable(clause: &mut Clause, name: &str) -> Term {
         name.push('\'');
     }
     clause.variables.push(name);
+    clause.variable_spans.push(clause.span);
     Term::Variable(id)
 }
 

@@ -7,7 +7,7 @@
 //! - At most one blank line separates items.
 //! - A clause that fits stands on one line. A longer clause continues below its `:-`, indented. There the formatter
 //!   keeps the author's line breaks between literals and adds breaks where a line would be too long.
-//! - A comment behind code stays there, in the same column if there is room. A comment on a line of its own keeps that
+//! - A comment behind code stays there, in the same column if there is room. A comment on a separate line keeps that
 //!   line.
 
 use crate::diag::{Diagnostic, Faults, SourceId, Sources};

@@ -3,10 +3,11 @@
 use std::collections::HashSet;
 use std::path::{Path, PathBuf};
 
-use crate::diag::{Code, Diagnostic, Faults, SourceId, Sources, Span, did_you_mean};
+use crate::diag::{Code, Diagnostic, Faults, SourceId, Sources, Span, similar_file};
 use crate::files::{BUILTIN_FOLDER, ReadError, ReadFile, normalize};
 
 use crate::datalog::syntax::ast::{File, Include, Item};
+use crate::datalog::syntax::packed::FactRuns;
 use crate::datalog::syntax::parser;
 
 /// Maximum size of a rule file in bytes.
@@ -21,8 +22,10 @@ const MAX_DEPTH: usize = 64;
 /// The items of all files of a program.
 #[derive(Clone, Debug, Default)]
 pub(crate) struct Gathered {
-    /// The items, without any [`Item::Include`].
+    /// The items, without any [`Item::Include`] and without the facts below.
     pub items: Vec<Item>,
+    /// The facts of plain constants.
+    pub facts: FactRuns,
     /// Whether an included file was missing. If so, its declarations may explain unknown names.
     pub incomplete: bool,
     /// The normalized paths of all files so far. Only for lookup, never iterated.
@@ -51,6 +54,14 @@ pub(crate) fn gather(
 }
 
 pub(crate) fn parse_one(sources: &Sources, id: SourceId, faults: &mut Faults) -> File {
+    match small_text(sources, id, faults) {
+        Some(text) => parser::parse(id, text, faults),
+        None => File::default(),
+    }
+}
+
+/// Returns the text of a rule file, or reports that it is too large.
+fn small_text<'s>(sources: &'s Sources, id: SourceId, faults: &mut Faults) -> Option<&'s str> {
     let text = sources.text(id);
     if text.len() > MAX_TEXT_BYTES {
         let fault = Diagnostic::new(Code::LIMIT_EXCEEDED, "rule file too large")
@@ -60,9 +71,9 @@ pub(crate) fn parse_one(sources: &Sources, id: SourceId, faults: &mut Faults) ->
                 MAX_TEXT_BYTES >> 20
             ));
         faults.push(fault);
-        return File::default();
+        return None;
     }
-    parser::parse(id, text, faults)
+    Some(text)
 }
 
 struct Walk<'a> {
@@ -76,10 +87,24 @@ struct Walk<'a> {
 
 impl Walk<'_> {
     fn text(&mut self, id: SourceId) {
-        for item in parse_one(self.sources, id, self.faults).items {
-            match item {
-                Item::Include(include) => self.include(id, &include),
-                other => self.gathered.items.push(other),
+        let Some(text) = small_text(self.sources, id, self.faults) else {
+            return;
+        };
+        let (file, mut packed) = parser::parse_packed(id, text, self.faults);
+        let mut runs = std::mem::take(&mut packed.runs).into_iter().peekable();
+        let to = self.gathered.facts.add_file(packed);
+        let mut items = file.items.into_iter().enumerate();
+        loop {
+            let next = items.next();
+            let at = next.as_ref().map_or(usize::MAX, |(at, _)| *at);
+            while let Some((_, facts)) = runs.next_if(|(before, _)| *before <= at) {
+                let before = self.gathered.items.len();
+                self.gathered.facts.add_run(before, to, facts);
+            }
+            match next {
+                None => break,
+                Some((_, Item::Include(include))) => self.include(id, &include),
+                Some((_, other)) => self.gathered.items.push(other),
             }
         }
     }
@@ -143,16 +168,11 @@ impl Walk<'_> {
     /// Returns a similar name of an existing file: with the usual extension, or a built-in file.
     fn similar(&self, from: SourceId, path: &str) -> Option<String> {
         let folder = Path::new(self.sources.name(from)).parent().unwrap_or(Path::new(""));
-        let is_there = |path: &Path| self.read.read(path).is_ok();
         let ended = format!("{path}.{ENDING}");
-        let builtin = |name: &str| is_there(&Path::new(BUILTIN_FOLDER).join(name));
-        if is_there(&folder.join(&ended)) || builtin(&ended) {
-            return Some(ended);
-        }
+        let beside = self.read.read(&folder.join(&ended)).is_ok().then_some(ended.as_str());
         let known = self.read.builtin_paths();
-        let names = known.iter().filter_map(|known| known.strip_prefix("rules/"));
-        let near = did_you_mean(path, names.clone()).or_else(|| did_you_mean(&ended, names))?;
-        builtin(near).then(|| near.to_owned())
+        let builtin = known.iter().filter_map(|known| known.strip_prefix("rules/"));
+        similar_file(path, beside.into_iter().chain(builtin)).map(str::to_owned)
     }
 
     fn open(&mut self, path: &Path, key: PathBuf, text: String, span: Span) {

@@ -71,6 +71,21 @@ const FOREIGN: &[(&str, Kind, &str)] = &[
     ("~", Kind::Bang, NEGATION),
     ("\u{ac}", Kind::Bang, NEGATION),
     ("\u{2190}", Kind::If, IMPLICATION),
+    (
+        "\u{2200}",
+        Kind::Faulty,
+        "\"for all\" counts the exceptions: `count : { A(y), Not(B(x, y)) } = 0`",
+    ),
+    (
+        "\u{2203}",
+        Kind::Faulty,
+        "write the literals alone: variables that occur only in the body are existential",
+    ),
+    (
+        "\u{2204}",
+        Kind::Faulty,
+        "\"none exists\" is `count : { A(y), B(x, y) } = 0`",
+    ),
 ];
 
 /// Preprocessor directives of C. A `#` before any other word begins a comment in other languages.
@@ -445,7 +460,10 @@ impl Lexer<'_> {
             .at(first, "")
             .help(COMMENT);
         if !others.is_empty() {
-            fault = fault.note(format!("there are {} more such lines", others.len()));
+            fault = fault.note(match others.len() {
+                1 => "there is 1 more such line".to_owned(),
+                count => format!("there are {count} more such lines"),
+            });
         }
         self.faults.push(fault);
     }

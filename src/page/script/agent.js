@@ -17,6 +17,8 @@ class AgentPanel {
       run,
       now: { tick, agent },
     } = this;
+    // A click must begin and end on the same element.
+    if (this.now.playing && panel.matches(":active")) return;
     // Parts that the reader opened stay open from tick to tick.
     const open = new Set([...panel.querySelectorAll("details[open]")].map((details) => details.dataset.part));
     if (agent < 0) {
@@ -52,7 +54,7 @@ class AgentPanel {
     ];
     if (driven) parts.push(make("dl", { class: "facts" }, ...this.steering(driven)));
     parts.push(make("h3", {}, driven ? `Why do the rules want ${data.actions[judged]}?` : `Why ${done}?`));
-    if (tick >= run.explained) {
+    if (!run.isExplained(tick, agent)) {
       parts.push(make("p", { class: "atoms" }, "loading the explanations …"));
     } else {
       if (!driven && !run.fired(tick, agent).length)

@@ -47,3 +47,17 @@ function addSecondPane() {
     element.after(copy);
   }
 }
+
+/** Throws an error if the browser lacks what the page needs. */
+function requireBrowser() {
+  if (!("DecompressionStream" in window) || !CSS.supports("color", "light-dark(#000, #fff)"))
+    throw new Error("the browser is too old; it requires Chromium 123, Firefox 120, Safari 17.5 or later");
+}
+
+/** Reports an error that prevents the page from working. */
+function showFault(error) {
+  $("loading").hidden = true;
+  $("fault").hidden = false;
+  $("fault").textContent = `Cannot show this page: ${error.message}`;
+  throw error;
+}

@@ -91,3 +91,13 @@ class Ground {
       paint.fillRect(x, down(row), across(left + cols) - x, 1);
   }
 }
+
+/** Returns what maps draw: the ground, and the icons of the agents. */
+async function sceneryOf({ map, icons, atlases }) {
+  const named = ["car", "pedestrian", "building"].map(async (name, at) => {
+    const atlas = await Atlas.of(atlases[at]);
+    return atlas && Object.assign(atlas, { name });
+  });
+  const [cars, pedestrians, buildings] = await Promise.all(named);
+  return { ground: new Ground(map, buildings), icons, cars, pedestrians };
+}

@@ -156,6 +156,7 @@ fn with_conflict(rules: &Rules, actions: [RelId; 2]) -> Rules {
         head: atom(relation),
         body: actions.map(|action| Literal::Positive(atom(action))).into(),
         variables: vec!["X".to_owned()],
+        variable_spans: vec![span],
         doc: String::new(),
         span,
     });
@@ -193,7 +194,7 @@ fn firing(rules: &Rules, actions: [RelId; 2], scene: &Difference) -> [ClauseId; 
     let agent = scene.entities.iter().map(|name| Value(symbols.intern(name).0)).take(1);
     let row: Vec<Value> = agent.collect();
     actions.map(|action| {
-        let fires = |(_, clause): &(_, &Clause)| naive::consequences(clause, &symbols, &database).contains(&row);
+        let fires = |(_, clause): &(_, &Clause)| naive::consequences(rules, clause, &symbols, &database).contains(&row);
         let first = clauses(rules, action).find(fires);
         first.expect("`diff` evaluated the scene").0
     })

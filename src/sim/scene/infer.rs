@@ -5,7 +5,7 @@ use crate::city::Action;
 use crate::city::CityMap;
 use crate::config::{Scenario, load_map};
 use crate::datalog::dense::{BinaryFacts, BitFacts, BitState, Dense, Set, TooManySteps, TrackFirings, has};
-use crate::datalog::{Program, constraints};
+use crate::datalog::{EvalError, Limits, Program, constraints};
 use crate::diag::{Code, Diagnostic, SourceId, Sources, Span};
 use crate::files::ReadFile;
 use crate::predicate::Entity;
@@ -14,7 +14,7 @@ use crate::sim::scene::format::{GeometricScene, GivenPredicate, Scene, SymbolicS
 use crate::sim::tick::chance::Draws;
 use crate::sim::tick::executor::{Choice, Executor, compile, given_up};
 use crate::sim::tick::ground::{Facts, MAX_ENTITIES, ground_with};
-use crate::sim::tick::ground_state::GroundState;
+use crate::sim::tick::ground_state::{GroundState, TICK_LIMITS, exceeded};
 use crate::sim::tick::vocabulary::{Actions, Vocabulary};
 use crate::sim::tick::width::{Width, in_words};
 use serde_json::{Map, json};
@@ -36,6 +36,10 @@ pub struct Inference {
     seed: Seed,
     executor: Executor,
     check_constraints: bool,
+    /// The limits of each evaluation by the relational executor.
+    limits: Limits,
+    /// The texts of the rules, for messages; see [`Inference::name_clauses`].
+    rule_sources: Option<Sources>,
     /// The dense program; `None` if a session decides.
     dense: Option<Dense>,
 }
@@ -137,6 +141,8 @@ impl Inference {
             seed,
             executor,
             check_constraints: false,
+            limits: TICK_LIMITS,
+            rule_sources: None,
         })
     }
 
@@ -160,14 +166,38 @@ impl Inference {
         self.check_constraints = true;
     }
 
+    /// Sets the limits of each later evaluation by the relational executor; without this call, they are
+    /// [`TICK_LIMITS`].
+    pub fn set_limits(&mut self, limits: Limits) {
+        self.limits = limits;
+    }
+
+    /// Makes later errors of evaluation quote their clause with its place. `sources` are the texts from which the rules
+    /// were loaded; the texts of scenes are others.
+    pub fn name_clauses(&mut self, sources: &Sources) {
+        self.rule_sources = Some(sources.clone());
+    }
+
+    /// Returns the diagnostic of an evaluation that failed.
+    fn exceeded(&self, error: &EvalError) -> Diagnostic {
+        let mut fault = exceeded(error, self.program.rules());
+        // Its places are in the rules, which are not in the caller's sources.
+        (fault.primary, fault.secondary) = (None, Vec::new());
+        if let (Some(clause), Some(sources)) = (error.clause(), &self.rule_sources) {
+            let clause = self.program.show_clause(clause, sources);
+            fault.notes.insert(0, format!("in the evaluation of {clause}"));
+        }
+        fault
+    }
+
     /// Evaluates the scene in `source`.
     ///
     /// Equal scenes have equal answers. Predicates that hold with a probability, unless the scene states them, are
     /// drawn from the seed, the scene's `tick` and the list positions of the two agents.
     ///
     /// # Errors
-    /// All errors of the scene: `invalid-scene`; `limit-exceeded` if it is too large or the rules derive too many rows
-    /// from it; `constraint-violation` after [`Inference::check_constraints`].
+    /// All errors of the scene: `invalid-scene`; `limit-exceeded` if it is too large or its evaluation exceeds the
+    /// [limits](Inference::set_limits); `constraint-violation` after [`Inference::check_constraints`].
     pub fn answer(&mut self, sources: &Sources, source: SourceId) -> Result<Answer, Vec<Diagnostic>> {
         self.answer_with(sources, source, &Cancel::never())
     }
@@ -356,7 +386,10 @@ impl Inference {
             }
         }
         let mut state = GroundState::new(&self.program, &self.vocabulary, names.iter().copied());
-        state.set_with(&scene.facts, cancel)?;
+        state.set_limits(self.limits);
+        state
+            .set_with(&scene.facts, cancel)
+            .map_err(|error| self.exceeded(&error))?;
         if self.check_constraints {
             // The rules are not in the caller's sources, so the diagnostic does not point to the declaration.
             let known = |relation| self.vocabulary.defines(&self.program, relation);

@@ -1,23 +1,33 @@
 //! Warnings of rules that mean something else in the city than they seem to.
 
-use crate::city::Action;
+use crate::city::{Action, AgentKind};
+use crate::config::Scenario;
 use crate::datalog::{Atom, Clause, ClauseId, Literal, RelId, Rules, Term, VarId};
-use crate::diag::{Code, Diagnostic, Sources, Span};
+use crate::diag::{Code, Diagnostic, Span};
 use crate::sim::scene::conflict::{Finding, Overlap};
 use std::collections::{BTreeMap, BTreeSet};
 
-/// The predicate that announces collisions.
-const COLLISION: &str = "CollidingClose";
+/// The predicate of the shipped vocabulary that announces collisions.
+const SHIPPED_COLLISION: &str = "CollidingClose";
 
 /// Returns warnings of rules that decide actions: variables with the names of agents, and missing clauses against
 /// collisions. Rules without a clause for an action have no warning.
-pub fn city_lints(rules: &Rules, sources: &Sources) -> Vec<Diagnostic> {
+///
+/// `scenario` defines the predicates that announce collisions; without one, it is that of the shipped vocabulary.
+pub fn city_lints(rules: &Rules, scenario: Option<&Scenario>) -> Vec<Diagnostic> {
     let actions = decided_actions(rules);
     if actions.is_empty() {
         return Vec::new();
     }
-    let mut found = unquoted_agents(rules, sources);
-    found.extend(no_collision_clause(rules, &actions));
+    let collisions: Vec<&str> = match scenario {
+        Some(scenario) => (scenario.predicates.iter())
+            .filter(|predicate| predicate.definition.is_collision())
+            .map(|predicate| predicate.name.value.as_str())
+            .collect(),
+        None => vec![SHIPPED_COLLISION],
+    };
+    let mut found = unquoted_agents(rules);
+    found.extend(no_collision_clause(rules, &collisions, &actions));
     found
 }
 
@@ -34,7 +44,7 @@ pub fn conflict_lints(overlaps: &[Overlap], rules: &Rules, precedence: &[Action]
         let [wins, loses] = [winner, loser].map(Action::name);
         let message = format!("the rules can derive {wins} and {loses} for one agent, and {wins} wins");
         let help = match span_of(winner) == span_of(loser) {
-            true => "derive each action in a clause of its own".to_owned(),
+            true => "derive each action in a separate clause".to_owned(),
             false => format!("if {wins} should win, add `Not({wins}(X))` to the clause of {loses}"),
         };
         Diagnostic::new(Code::ACTION_CONFLICT, message)
@@ -67,12 +77,14 @@ fn decided_actions(rules: &Rules) -> Vec<RelId> {
     actions.iter().copied().filter(decided).collect()
 }
 
-/// Warns if no clause for an action depends on the predicate that announces collisions.
-fn no_collision_clause(rules: &Rules, actions: &[RelId]) -> Option<Diagnostic> {
-    let collision = rules.relation(COLLISION)?;
-    if !rules.relations[collision.index()].input {
-        return None;
-    }
+/// Warns if no clause for an action depends on a predicate that announces collisions.
+fn no_collision_clause(rules: &Rules, collisions: &[&str], actions: &[RelId]) -> Option<Diagnostic> {
+    let known = |name: &&str| {
+        rules
+            .relation(name)
+            .is_some_and(|known| rules.relations[known.index()].input)
+    };
+    let collision = *collisions.iter().find(|name| known(name))?;
     let mut reads: BTreeMap<RelId, BTreeSet<RelId>> = BTreeMap::new();
     for clause in &rules.clauses {
         let atoms = clause.body.iter().filter_map(Literal::atom);
@@ -85,21 +97,23 @@ fn no_collision_clause(rules: &Rules, actions: &[RelId]) -> Option<Diagnostic> {
             open.extend(reads.get(&relation).into_iter().flatten());
         }
     }
-    if seen.contains(&collision) {
+    let is_read = |name: &&str| rules.relation(name).is_some_and(|relation| seen.contains(&relation));
+    if collisions.iter().any(is_read) {
         return None;
     }
     let mut clauses = rules.clauses.iter();
     let first = clauses.find(|clause| actions.contains(&clause.head.relation))?;
-    let message = format!("no clause for an action reads `{COLLISION}`, so cars drive through others");
+    let message = format!("no clause for an action reads `{collision}`, so cars drive through others");
     let fault = Diagnostic::new(Code::NO_COLLISION_CLAUSE, message).at(first.head.span, "these rules decide actions");
-    Some(fault.help(format!("add `Stop(X) :- {COLLISION}(X, Y).`")))
+    Some(fault.help(format!("add `Stop(X) :- {collision}(X, Y).`")))
 }
 
 /// Warns of variables whose names are those of agents: `Car_2` without quotes.
-fn unquoted_agents(rules: &Rules, sources: &Sources) -> Vec<Diagnostic> {
+fn unquoted_agents(rules: &Rules) -> Vec<Diagnostic> {
     let mut found: BTreeMap<Span, Diagnostic> = BTreeMap::new();
     for clause in &rules.clauses {
-        for (name, id) in clause.variables.iter().zip((0..).map(VarId)) {
+        let variables = clause.variables.iter().zip(&clause.variable_spans);
+        for ((name, &span), id) in variables.zip((0..).map(VarId)) {
             let uses = |literal: &&Literal| {
                 !matches!(literal, Literal::Guard(_)) && literal.terms().any(|term| *term == Term::Variable(id))
             };
@@ -112,9 +126,6 @@ fn unquoted_agents(rules: &Rules, sources: &Sources) -> Vec<Diagnostic> {
             if matches!(literals.as_slice(), [Literal::Compare { .. }]) && !in_head {
                 continue;
             }
-            let Some(span) = occurrence(clause, name, sources) else {
-                continue;
-            };
             let message = format!("`{name}` is a variable, not the agent of that name");
             let fault = Diagnostic::new(Code::UNQUOTED_AGENT, message)
                 .at(span, "stands for any agent")
@@ -129,19 +140,6 @@ fn unquoted_agents(rules: &Rules, sources: &Sources) -> Vec<Diagnostic> {
 
 /// Returns whether a name is that of an agent: `Car_1`, `Pedestrian_12`.
 fn is_agent(name: &str) -> bool {
-    let number = ["Car_", "Pedestrian_"].iter().find_map(|kind| name.strip_prefix(kind));
+    let number = (AgentKind::ALL.iter()).find_map(|kind| name.strip_prefix(kind.name())?.strip_prefix('_'));
     number.is_some_and(|number| !number.is_empty() && number.bytes().all(|byte| byte.is_ascii_digit()))
-}
-
-/// Returns the first place of a name in the text of a clause, outside of quotes.
-fn occurrence(clause: &Clause, name: &str, sources: &Sources) -> Option<Span> {
-    let text = sources.slice(clause.span);
-    let word = |c: char| c.is_alphanumeric() || c == '_' || c == '?';
-    let places = text.match_indices(name).filter(|(at, _)| {
-        let (before, after) = (&text[..*at], &text[at + name.len()..]);
-        !before.ends_with(|c: char| word(c) || c == '"') && !after.starts_with(word)
-    });
-    let (at, _) = places.into_iter().next()?;
-    let start = clause.span.start as usize + at;
-    Some(Span::new(clause.span.source, start..start + name.len()))
 }

@@ -2,10 +2,28 @@
 
 use crate::cancel::Cancel;
 use crate::city::Action;
-use crate::datalog::{EvalError, Limits, Program, RelId, Session, Value};
+use crate::datalog::{EvalError, Limits, Program, RelId, Rules, Session, Value};
+use crate::diag::{Code, Diagnostic};
 use crate::sim::tick::ground::Facts;
 use crate::sim::tick::vocabulary::{Actions, Vocabulary};
 use std::collections::HashMap;
+
+/// The default limits of an evaluation of one tick or scene by the relational executor. A city needs far less; the
+/// defaults of a session would let a costly rule run for minutes.
+pub const TICK_LIMITS: Limits = Limits {
+    rows: 10_000_000,
+    steps: 1_000_000_000,
+    bytes: 4 << 30,
+};
+
+/// Returns the diagnostic of an evaluation that failed, at its clause and with the option that raises the limit.
+pub(crate) fn exceeded(error: &EvalError, rules: &Rules) -> Diagnostic {
+    let fault = error.diagnostic(rules);
+    match (fault.code == Code::LIMIT_EXCEEDED, error.option()) {
+        (true, Some(option)) => fault.note(format!("raise the limit with `{option}`")),
+        _ => fault,
+    }
+}
 
 /// A session that holds grounded facts.
 pub struct GroundState {
@@ -31,6 +49,7 @@ impl GroundState {
         names: impl Iterator<Item = &'n str>,
     ) -> Self {
         let mut session = program.session();
+        session.set_limits(TICK_LIMITS);
         let entities: Vec<Value> = names.map(|name| session.intern(name)).collect();
         GroundState {
             session,
@@ -47,7 +66,7 @@ impl GroundState {
         }
     }
 
-    /// Bounds the rows and steps of every evaluation.
+    /// Sets the limits of later evaluations; without this call, they are [`TICK_LIMITS`].
     pub(crate) fn set_limits(&mut self, limits: Limits) {
         self.session.set_limits(limits);
     }

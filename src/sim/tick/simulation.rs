@@ -1,10 +1,11 @@
 //! The tick: all agents decide on the same state, then all move.
 
 use crate::cancel::Cancel;
-use crate::city::{Action, Split};
+use crate::city::{Action, AgentSet, Split};
 use crate::city::{Agent, Cell, Heading, MoveReason, Moved, Places, Surroundings, advance, place_agents_into};
+use crate::config::Scenario;
 use crate::datalog::Session;
-use crate::datalog::{ClauseId, Value};
+use crate::datalog::{ClauseId, Limits, Value};
 use crate::diag::{Code, Diagnostic};
 use crate::predicate::Entity;
 use crate::rng::Seed;
@@ -12,8 +13,8 @@ use crate::sim::tick::chance::Draws;
 use crate::sim::tick::dense_executor::{Decisions, DenseExecutor, Undecided, WHOLE_MAX};
 use crate::sim::tick::executor::{Choice, Executor, given_up};
 use crate::sim::tick::ground::{Facts, MAX_ENTITIES, ground_with};
-use crate::sim::tick::ground_state::GroundState;
-use crate::sim::tick::vocabulary::Actions;
+use crate::sim::tick::ground_state::{GroundState, TICK_LIMITS, exceeded};
+use crate::sim::tick::vocabulary::{Actions, Vocabulary};
 use crate::sim::tick::window::Position;
 use crate::sim::tick::world::World;
 use ndarray::Array3;
@@ -66,6 +67,8 @@ pub struct Simulation {
     /// The session with the facts on which tick `stated` was decided. Created on first use.
     state: Option<GroundState>,
     stated: Option<u64>,
+    /// The limits of each evaluation by the relational executor.
+    limits: Limits,
     report: TickReport,
     /// The clauses whose firings can be counted: all visible ones with a body.
     clauses: Vec<ClauseId>,
@@ -165,15 +168,44 @@ impl Simulation {
         settings: Settings,
         cancel: &Cancel,
     ) -> Result<Simulation, Diagnostic> {
-        let scenario = &world.scenario;
-        let set = scenario.agent_set(split).ok_or_else(|| {
-            let message = format!("the configuration `{}` has no split `{}`", scenario.name, split.name());
-            let known: Vec<&str> = scenario.splits.iter().map(|(split, _)| split.name()).collect();
-            Diagnostic::new(Code::UNKNOWN_SPLIT, message).help(format!("it has: {}", known.join(", ")))
-        })?;
+        let set = agent_set(&world.scenario, split)?;
         let places = world.places(split, set);
         let mut agents = Vec::with_capacity(set.len());
         place_agents_into(&mut agents, set, &world.router, &places, seed, cancel)?;
+        Simulation::with_agents(world, split, seed, settings, agents, cancel)
+    }
+
+    /// Creates a simulation that continues at tick `tick` with the agents that another simulation of the split had
+    /// before that tick. The map must be the same; the rules may be others.
+    ///
+    /// Under the same rules, the later ticks are equal, too.
+    ///
+    /// # Errors
+    /// As [`Simulation::new_with`].
+    pub fn resume(
+        world: Arc<World>,
+        split: Split,
+        seed: Seed,
+        settings: Settings,
+        (tick, agents): (u64, Vec<Agent>),
+        cancel: &Cancel,
+    ) -> Result<Simulation, Diagnostic> {
+        let mut simulation = Simulation::with_agents(world, split, seed, settings, agents, cancel)?;
+        simulation.tick = tick;
+        Ok(simulation)
+    }
+
+    fn with_agents(
+        world: Arc<World>,
+        split: Split,
+        seed: Seed,
+        settings: Settings,
+        agents: Vec<Agent>,
+        cancel: &Cancel,
+    ) -> Result<Simulation, Diagnostic> {
+        let scenario = &world.scenario;
+        let set = agent_set(scenario, split)?;
+        let places = world.places(split, set);
         let clauses: Vec<ClauseId> = world.clauses().collect();
         let to_count: &[ClauseId] = if settings.count_firings { &clauses } else { &[] };
         // Below this size, one thread is faster than waking a pool.
@@ -220,6 +252,7 @@ impl Simulation {
             fallback,
             state: None,
             stated: None,
+            limits: TICK_LIMITS,
             report,
             clauses,
             threads: pool,
@@ -269,6 +302,15 @@ impl Simulation {
     /// Returns the cells where agents start and arrive.
     pub fn places(&self) -> &Places {
         &self.places
+    }
+
+    /// Sets the limits of each later evaluation by the relational executor; without this call, they are
+    /// [`TICK_LIMITS`].
+    pub fn set_limits(&mut self, limits: Limits) {
+        self.limits = limits;
+        if let Some(state) = &mut self.state {
+            state.set_limits(limits);
+        }
     }
 
     /// Returns the cancellation request that long work of this simulation polls.
@@ -359,9 +401,9 @@ impl Simulation {
     /// and all later ticks ([`Simulation::fallback`]).
     ///
     /// # Errors
-    /// `invalid-value` for a position outside the list; `limit-exceeded` if the rules derive more rows than the
-    /// relational executor allows, too many agents are in one place for the dense one, or it needs too many steps and
-    /// the settings demand it; `cancelled` on cancellation. On error the city is unchanged.
+    /// `invalid-value` for a position outside the list; `limit-exceeded` if an evaluation by the relational executor
+    /// exceeds the [limits](Simulation::set_limits), too many agents are in one place for the dense one, or it needs too
+    /// many steps and the settings demand it; `cancelled` on cancellation. On error the city is unchanged.
     pub fn tick(&mut self, controls: &[(usize, Action)]) -> Result<&TickReport, Diagnostic> {
         self.tick_watched(controls, |_| ())
     }
@@ -438,24 +480,16 @@ impl Simulation {
         for &(position, action) in controls {
             given[position] = Some(action);
         }
-        let controlled = &*given;
-        let vocabulary = &world.vocabulary;
-        let surroundings = Surroundings {
-            router: &world.router,
-            places: &*places,
-            seed: self.seed,
-            tick: self.tick,
-        };
-        let step = |index: usize, agent: &mut Agent, position: &mut Position, done: &mut AgentTick| {
-            let derived = decisions.derived(index);
-            let action = controlled[index].unwrap_or_else(|| vocabulary.decide(derived));
-            *done = AgentTick {
-                heading: agent.heading,
-                derived: vocabulary.before_default(derived),
-                action,
-                moved: advance(agent, index, action, &surroundings),
-            };
-            *position = Position::of(agent);
+        let moving = Moving {
+            decisions,
+            controlled: given,
+            vocabulary: &world.vocabulary,
+            surroundings: Surroundings {
+                router: &world.router,
+                places: &*places,
+                seed: self.seed,
+                tick: self.tick,
+            },
         };
         match &self.threads {
             Some(pool) => pool.install(|| {
@@ -463,12 +497,12 @@ impl Simulation {
                     .zip(positions)
                     .zip(&mut report.agents)
                     .enumerate()
-                    .for_each(|(index, ((agent, position), done))| step(index, agent, position, done));
+                    .for_each(|(index, ((agent, position), done))| moving.step(index, agent, position, done));
             }),
             None => {
                 let agents = agents.iter_mut().zip(positions).zip(&mut report.agents);
                 for (index, ((agent, position), done)) in agents.enumerate() {
-                    step(index, agent, position, done);
+                    moving.step(index, agent, position, done);
                 }
             }
         }
@@ -485,10 +519,10 @@ impl Simulation {
         let unread = |index: usize| !vocabulary.is_read(index);
         let facts = ground_with(vocabulary, world.map(), view, &entities, &draws, unread, &self.cancel);
         let facts = facts.ok_or_else(Diagnostic::cancelled)?;
-        let state = (self.state).get_or_insert_with(|| ground_state(&self.world, &self.agents));
+        let state = (self.state).get_or_insert_with(|| ground_state(&self.world, &self.agents, self.limits));
         state
             .set_with(&facts, &self.cancel)
-            .map_err(|error| error.diagnostic(self.world.program.rules()))?;
+            .map_err(|error| exceeded(&error, self.world.program.rules()))?;
         self.stated = Some(draws.time);
         self.decisions.clear();
         for agent in 0..self.agents.len() {
@@ -529,10 +563,10 @@ impl Simulation {
                 return Err(Diagnostic::new(Code::LIMIT_EXCEEDED, message));
             }
             let facts = self.facts_with(|index| self.world.vocabulary.is_read(index), &self.cancel)?;
-            let state = (self.state).get_or_insert_with(|| ground_state(&self.world, &self.agents));
+            let state = (self.state).get_or_insert_with(|| ground_state(&self.world, &self.agents, self.limits));
             state
                 .set_with(&facts, &self.cancel)
-                .map_err(|error| error.diagnostic(self.world.program.rules()))?;
+                .map_err(|error| exceeded(&error, self.world.program.rules()))?;
             self.stated = (self.tick > 0).then_some(tick);
         }
         Ok(Snapshot {
@@ -578,8 +612,8 @@ impl Simulation {
     /// `limit-exceeded` if the rules derive too many rows; `cancelled` on cancellation.
     pub fn evaluate(&mut self, facts: &Facts) -> Result<(), Diagnostic> {
         self.stated = None;
-        let state = (self.state).get_or_insert_with(|| ground_state(&self.world, &self.agents));
-        (state.set_with(facts, &self.cancel)).map_err(|error| error.diagnostic(self.world.program.rules()))
+        let state = (self.state).get_or_insert_with(|| ground_state(&self.world, &self.agents, self.limits));
+        (state.set_with(facts, &self.cancel)).map_err(|error| exceeded(&error, self.world.program.rules()))
     }
 
     /// Computes, as bits, all facts about the present state that the rules may read, and returns their number. `None`
@@ -679,6 +713,31 @@ impl Batch {
     }
 }
 
+/// What agents need to move in a tick.
+struct Moving<'a> {
+    decisions: &'a Decisions,
+    controlled: &'a [Option<Action>],
+    vocabulary: &'a Vocabulary,
+    surroundings: Surroundings<'a>,
+}
+
+impl Moving<'_> {
+    /// Moves an agent and records its position and its tick.
+    // A call would take longer than most moves.
+    #[inline(always)]
+    fn step(&self, index: usize, agent: &mut Agent, position: &mut Position, done: &mut AgentTick) {
+        let derived = self.decisions.derived(index);
+        let action = self.controlled[index].unwrap_or_else(|| self.vocabulary.decide(derived));
+        *done = AgentTick {
+            heading: agent.heading,
+            derived: self.vocabulary.before_default(derived),
+            action,
+            moved: advance(agent, index, action, &self.surroundings),
+        };
+        *position = Position::of(agent);
+    }
+}
+
 impl AgentTick {
     /// The report of an agent before the first tick.
     fn resting(agent: &Agent) -> AgentTick {
@@ -696,9 +755,23 @@ impl AgentTick {
     }
 }
 
-fn ground_state(world: &World, agents: &[Agent]) -> GroundState {
+/// Returns the agents of a split.
+///
+/// # Errors
+/// `unknown-split`.
+fn agent_set(scenario: &Scenario, split: Split) -> Result<&AgentSet, Diagnostic> {
+    scenario.agent_set(split).ok_or_else(|| {
+        let message = format!("the configuration `{}` has no split `{}`", scenario.name, split.name());
+        let known: Vec<&str> = scenario.splits.iter().map(|(split, _)| split.name()).collect();
+        Diagnostic::new(Code::UNKNOWN_SPLIT, message).help(format!("it has: {}", known.join(", ")))
+    })
+}
+
+fn ground_state(world: &World, agents: &[Agent], limits: Limits) -> GroundState {
     let names: Vec<String> = agents.iter().map(|agent| agent.name().to_string()).collect();
-    GroundState::new(&world.program, &world.vocabulary, names.iter().map(String::as_str))
+    let mut state = GroundState::new(&world.program, &world.vocabulary, names.iter().map(String::as_str));
+    state.set_limits(limits);
+    state
 }
 
 fn entity(agent: &Agent) -> Entity<'_> {

@@ -9,7 +9,7 @@ use crate::datalog::dense::{
     Argument, BinaryFacts, BitState, Dense, Input, List, Set, TooManySteps, and, first, is_empty, members, without,
 };
 use crate::predicate::{
-    CellTable, Definition, Pair, PairRelation, Reach, Relation, Static, Subject, Views, with_relation,
+    CellTable, Definition, Pair, PairRelation, Reach, Relation, Static, Subject, Views, headings, with_relation,
 };
 use crate::sim::tick::chance::{Chance, Draws};
 use crate::sim::tick::vocabulary::Vocabulary;
@@ -90,6 +90,10 @@ struct Requested {
     /// holds.
     predicate: Option<(usize, PairRelation)>,
     axis: Argument,
+    /// Where members can be, relative to an entity of each kind: without a heading, and with each heading.
+    reaches: [[Reach; 5]; 2],
+    /// Whether all entities in reach are members.
+    fills_reach: bool,
     /// Whether the list is the field of view of its first argument.
     is_view: bool,
     /// Whether the list contains only entities in the field of view of its first argument.
@@ -161,8 +165,17 @@ impl Plan {
                 let forward = axis == Argument::Second;
                 let is_view = forward && matches!(predicate, Some((_, Pair::Sees(_))));
                 let predicate = predicate.map(|(position, pair)| (position, pair.relation()));
+                let relation = predicate.as_ref().map(|(_, relation)| relation);
                 let in_view = |(_, relation): &(_, PairRelation)| relation.is_in_view(&views);
                 Requested {
+                    reaches: AgentKind::ALL.map(|kind| {
+                        headings().map(|heading| match (relation, axis) {
+                            (None, _) => Reach::Nowhere,
+                            (Some(relation), Argument::Second) => relation.reach(&views, kind, heading),
+                            (Some(relation), Argument::First) => relation.reach_back(),
+                        })
+                    }),
+                    fills_reach: forward && relation.is_some_and(PairRelation::fills_reach),
                     in_view: forward && !is_view && predicate.as_ref().is_none_or(in_view),
                     is_view,
                     predicate,
@@ -278,8 +291,13 @@ impl<const W: usize> Place<W> {
                 set[entity / 64] ^= 1 << (entity % 64);
             }
         };
-        flip(&mut self.rows, from.row - first.row, to.row - first.row);
-        flip(&mut self.cols, from.col - first.col, to.col - first.col);
+        // Moves are straight.
+        if from.row != to.row {
+            flip(&mut self.rows, from.row - first.row, to.row - first.row);
+        }
+        if from.col != to.col {
+            flip(&mut self.cols, from.col - first.col, to.col - first.col);
+        }
     }
 }
 
@@ -355,11 +373,15 @@ impl<const W: usize> Window<W> {
     /// Applies a move.
     pub fn shift(&mut self, grounder: &Grounder, map: &CityMap, entity: usize, to: Position) {
         let body = &mut self.bodies[entity];
-        let from = body.at;
+        let (from, junction) = (body.at, body.junction);
         body.shift(map, to);
         if from != to.cell {
+            // Most moves enter or leave no intersection.
+            let looks = body.junction != junction;
             self.place.shift(entity, from, to.cell);
-            self.look(grounder, entity);
+            if looks {
+                self.look(grounder, entity);
+            }
         }
     }
 
@@ -369,7 +391,7 @@ impl<const W: usize> Window<W> {
         let size = [lines(&self.place.rows), lines(&self.place.cols)];
         self.fill(grounder, self.place.first, size);
         let scene = Scene {
-            grounder,
+            plan: grounder,
             bodies: &self.bodies,
             place: &self.place,
             draws,
@@ -391,7 +413,7 @@ impl<const W: usize> Window<W> {
             self.bit_state.set_input(&grounder.dense, input, *set);
         }
         let scene = Scene {
-            grounder,
+            plan: grounder,
             bodies: &self.bodies,
             place: &self.place,
             draws,
@@ -402,7 +424,7 @@ impl<const W: usize> Window<W> {
 
 /// Computes binary facts for the executor.
 struct Scene<'a, const W: usize> {
-    grounder: &'a Grounder,
+    plan: &'a Plan,
     bodies: &'a [Body],
     place: &'a Place<W>,
     draws: Draws,
@@ -411,29 +433,22 @@ struct Scene<'a, const W: usize> {
 impl<const W: usize> BinaryFacts<W> for Scene<'_, W> {
     #[inline]
     fn narrow(&self, list: usize, at: usize, among: Set<W>) -> Set<W> {
-        let requested = &self.grounder.lists[list];
-        let Some((predicate, relation)) = &requested.predicate else {
-            return [0; W];
-        };
-        with_relation!(relation, relation => match requested.axis {
-            Argument::Second => self.seconds(*predicate, relation, at, among),
-            Argument::First => self.firsts(*predicate, relation, at, among),
-        })
+        self.related(&self.plan.lists[list], at, among)
     }
 
     #[inline]
     fn any<const N: usize>(&self, lists: [usize; N], demand: Set<W>, among: Set<W>) -> Set<W> {
-        let requested = |list: usize| &self.grounder.lists[list];
+        let lists = lists.map(|list| &self.plan.lists[list]);
         // The field of view is redundant if another list contains only entities in it.
-        let skips = lists.iter().any(|&list| requested(list).in_view);
+        let skips = lists.iter().any(|list| list.in_view);
         let mut found = [0; W];
         for at in members(&demand) {
             let mut set = among;
             for list in lists {
-                if skips && requested(list).is_view {
+                if skips && list.is_view {
                     continue;
                 }
-                set = self.narrow(list, at, set);
+                set = self.related(list, at, set);
                 if is_empty(&set) {
                     break;
                 }
@@ -447,14 +462,38 @@ impl<const W: usize> BinaryFacts<W> for Scene<'_, W> {
 }
 
 impl<const W: usize> Scene<'_, W> {
-    /// Returns the `y` in `among` for which the relation holds of (`at`, `y`).
+    /// Returns the members of `among` that a list relates to entity `at`.
     #[inline(always)]
-    fn seconds<R: Relation>(&self, predicate: usize, relation: &R, at: usize, among: Set<W>) -> Set<W> {
-        let x = &self.bodies[at];
-        let near = self.reached(x.at, relation.reach(&self.grounder.views, x.kind, x.heading), among);
-        if R::FILLS_REACH {
-            return near;
+    fn related(&self, list: &Requested, at: usize, among: Set<W>) -> Set<W> {
+        let body = &self.bodies[at];
+        let near = match list.reaches[body.kind as usize][body.heading.map_or(0, |heading| heading as usize + 1)] {
+            Reach::Nowhere => [0; W],
+            Reach::Within(cells) => and(among, &self.place.around(body.at, cells)),
+            Reach::Anywhere => among,
+        };
+        match list.fills_reach || is_empty(&near) {
+            true => near,
+            false => self.refine(list, at, near),
         }
+    }
+
+    /// Returns the members of `near` that a list relates to entity `at`, given that they are in reach.
+    // Not inlined, because in most cases no entity is in reach.
+    #[inline(never)]
+    fn refine(&self, list: &Requested, at: usize, near: Set<W>) -> Set<W> {
+        let Some((predicate, relation)) = &list.predicate else {
+            return [0; W];
+        };
+        with_relation!(relation, relation => match list.axis {
+            Argument::Second => self.seconds(*predicate, relation, at, near),
+            Argument::First => self.firsts(*predicate, relation, at, near),
+        })
+    }
+
+    /// Returns the `y` in `near` for which the relation holds of (`at`, `y`).
+    #[inline(always)]
+    fn seconds<R: Relation>(&self, predicate: usize, relation: &R, at: usize, near: Set<W>) -> Set<W> {
+        let x = &self.bodies[at];
         keep(near, |other| {
             let y = &self.bodies[other];
             let draw = |probability| self.decides(predicate, x, y, probability);
@@ -465,27 +504,18 @@ impl<const W: usize> Scene<'_, W> {
         })
     }
 
-    /// Returns the `x` in `among` for which the relation holds of (`x`, `at`).
+    /// Returns the `x` in `near` for which the relation holds of (`x`, `at`).
     #[inline(always)]
-    fn firsts<R: Relation>(&self, predicate: usize, relation: &R, at: usize, among: Set<W>) -> Set<W> {
+    fn firsts<R: Relation>(&self, predicate: usize, relation: &R, at: usize, near: Set<W>) -> Set<W> {
         let y = &self.bodies[at];
-        keep(self.reached(y.at, relation.reach_back(), among), |other| {
+        keep(near, |other| {
             let x = &self.bodies[other];
             let draw = |probability| self.decides(predicate, x, y, probability);
             match other == at {
                 true => R::REFLEXIVE,
-                false => relation.holds(&self.grounder.views, &x.subject(), &y.subject(), draw),
+                false => relation.holds(&self.plan.views, &x.subject(), &y.subject(), draw),
             }
         })
-    }
-
-    #[inline(always)]
-    fn reached(&self, from: Cell, reach: Reach, among: Set<W>) -> Set<W> {
-        match reach {
-            Reach::Nowhere => [0; W],
-            Reach::Within(cells) => and(among, &self.place.around(from, cells)),
-            Reach::Anywhere => among,
-        }
     }
 
     fn decides(&self, predicate: usize, x: &Body, y: &Body, probability: f64) -> bool {
@@ -497,11 +527,9 @@ impl<const W: usize> Scene<'_, W> {
 #[inline]
 fn keep<const W: usize>(set: Set<W>, holds: impl Fn(usize) -> bool) -> Set<W> {
     let mut kept = set;
-    if !is_empty(&set) {
-        for member in members(&set) {
-            if !holds(member) {
-                kept[member / 64] &= !(1 << (member % 64));
-            }
+    for member in members(&set) {
+        if !holds(member) {
+            kept[member / 64] &= !(1 << (member % 64));
         }
     }
     kept

@@ -293,6 +293,11 @@ impl Replay {
         }
     }
 
+    /// Returns the agents, in the order of the header.
+    pub fn agents(&self) -> &[TraceAgent] {
+        &self.agents
+    }
+
     /// Returns the kinds of the agents, in the order of the header.
     pub fn kinds(&self) -> &[AgentKind] {
         &self.kinds

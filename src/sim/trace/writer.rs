@@ -153,6 +153,11 @@ impl<W: Write> TraceWriter<W> {
         )
     }
 
+    /// Returns the output for changes.
+    pub fn get_mut(&mut self) -> &mut W {
+        &mut self.out
+    }
+
     /// Returns the output.
     pub fn into_inner(self) -> W {
         self.out

@@ -4,7 +4,7 @@ use crate::cancel::Cancel;
 use crate::city::Action;
 use crate::diag::Diagnostic;
 use crate::rng::{Purpose, RngExt, Seed};
-use crate::task::spf::metrics::{mean_return, summarise_runs};
+use crate::task::spf::metrics::{mean_return, summarize_runs};
 use crate::task::spf::{ControlMode, Env, Episode, EpisodeSet, Policy, Rollout, SpfTask, Summary, rollout};
 use std::sync::Arc;
 
@@ -48,7 +48,7 @@ impl Baseline {
 
     /// Returns the summary of the random policy. Its score against itself is 0, without an interval.
     pub fn summary(&self, task: &SpfTask) -> Summary {
-        summarise_runs(task, &self.rollouts, RANDOM_RUNS.into(), Some(&self.returns))
+        summarize_runs(task, &self.rollouts, RANDOM_RUNS.into(), Some(&self.returns))
     }
 }
 

@@ -132,12 +132,12 @@ pub struct Summary {
 /// # Panics
 /// If the lengths of `rollouts` and `random` differ.
 pub fn summarize(task: &SpfTask, rollouts: &[Rollout], random: Option<&[f64]>) -> Summary {
-    summarise_runs(task, rollouts, 1, random)
+    summarize_runs(task, rollouts, 1, random)
 }
 
 /// Summarizes `runs` adjacent rollouts of each episode. `random` has a mean return for each episode.
 #[allow(clippy::cast_precision_loss)] // fewer than 2^53 runs and steps
-pub(super) fn summarise_runs(task: &SpfTask, rollouts: &[Rollout], runs: usize, random: Option<&[f64]>) -> Summary {
+pub(super) fn summarize_runs(task: &SpfTask, rollouts: &[Rollout], runs: usize, random: Option<&[f64]>) -> Summary {
     assert!(
         rollouts.len().is_multiple_of(runs),
         "the same number of rollouts of each episode"

@@ -26,7 +26,7 @@ mod record;
 mod rollout;
 mod vector;
 
-pub use codes::CODES;
+pub use codes::{CATALOG, CODES};
 pub use env::{ControlMode, ControlledCar, Env, Transition};
 pub use episode::{Episode, EpisodeAgent, EpisodeSet, OracleRun};
 pub use evaluate::{Baseline, BatchEvaluator, RANDOM_RUNS};

@@ -8,12 +8,15 @@ use crate::render::read_png;
 use crate::rng::Seed;
 use crate::sim::{Executor, Inference, LoadedCity, SceneFacts};
 use crate::task::vap::dataset::{Monitor, Step};
-use crate::task::vap::folder::{ENTITIES, MANIFEST, PAIRS, add, file_record, wrong};
+use crate::task::vap::folder::{ENTITIES, Entry, MANIFEST, PAIRS, WorldFile, add, file_record, wrong};
 use crate::task::vap::table::{Sample, Table, boxes, count_concepts, samples, visible};
 use crate::task::vap::{DatasetError, Manifest, Mode, SIDE, WorldRecord, count_atoms, folder};
 use std::collections::{BTreeMap, BTreeSet};
 use std::num::NonZeroUsize;
 use std::path::{Component, Path, PathBuf};
+
+/// The help for files that do not belong to the data set.
+const MOVE: &str = "move it elsewhere";
 
 /// A data set on disk.
 pub struct Dataset {
@@ -98,16 +101,29 @@ impl Dataset {
     /// Reports files and worlds that the manifest does not list.
     fn unlisted(&self) -> Result<Vec<Diagnostic>, DatasetError> {
         let mut faults = Vec::new();
-        for path in folder::unknown_entries(&self.folder)? {
-            faults.push(wrong(&path, "belongs to no data set"));
-        }
-        for (path, file) in folder::worlds(&self.folder)? {
-            if !self.manifest.worlds.contains(&file.record) || file.settings != self.manifest.settings {
-                let fault = wrong(&path, "differs from its entry in the manifest");
-                faults.push(fault.help("`logicity vap make` updates the manifest"));
+        for path in self.folder.entries()? {
+            match Entry::of(&path) {
+                Entry::Description => {}
+                Entry::Other => faults.push(wrong(&path, folder::OTHER).help(MOVE)),
+                Entry::Partial | Entry::Temporary => {
+                    let fault = wrong(&path, "it is incomplete");
+                    faults.push(fault.help("`logicity vap make` completes the data set"));
+                }
+                Entry::World(number) => match folder::read_world(&self.folder, number)? {
+                    Err(reason) => faults.push(wrong(&path, reason).help(MOVE)),
+                    Ok(file) if self.lists(&file) => {}
+                    Ok(_) => {
+                        let fault = wrong(&path, "it differs from its entry in the manifest");
+                        faults.push(fault.help("`logicity vap make` updates the manifest"));
+                    }
+                },
             }
         }
         Ok(faults)
+    }
+
+    fn lists(&self, file: &WorldFile) -> bool {
+        self.manifest.worlds.contains(&file.record) && file.settings == self.manifest.settings
     }
 
     /// Returns the errors of a world.
@@ -125,7 +141,7 @@ impl Dataset {
             return Ok(faults);
         }
         for path in folder::unknown_world_entries(&folder, record)? {
-            faults.push(wrong(&path, "does not belong to the world"));
+            faults.push(wrong(&path, folder::OTHER_IN_WORLD).help(MOVE));
         }
         let read = read_tables(inference, record, tables).and_then(|(entities, samples)| {
             let mut actions = [0; 4];

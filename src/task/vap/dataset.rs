@@ -123,15 +123,17 @@ impl DatasetWriter {
 
     /// Writes the requested worlds that the folder lacks, then its `README.md` and `manifest.json`. It keeps existing
     /// worlds. Only with `overwrite` does it replace a `README.md` or `manifest.json` that does not come from a
-    /// data set with these settings.
+    /// data set with these settings. The folder must not hold other files, which [`Dataset::check`] refuses.
     ///
     /// `progress` receives the numbers of frames made and to make. It is called, and `cancel` is polled, on the calling
     /// thread only. After cancellation the complete worlds stay in the folder, and another call makes the others.
     ///
     /// # Errors
-    /// `invalid-data-set` if the folder has worlds with other settings, or files that it must not replace; those of
-    /// [`Worlds::frames`]; `cancelled`; files that cannot be read or written; another process that makes worlds in the
-    /// folder.
+    /// [`DatasetError::Occupied`] if the folder has worlds with other settings, files that it must not replace, or
+    /// files that belong to no data set; those of [`Worlds::frames`]; `cancelled`; files that cannot be read or
+    /// written; another process that makes worlds in the folder.
+    ///
+    /// [`Dataset::check`]: crate::task::vap::Dataset::check
     pub fn write(
         &self,
         folder: &Folder,
@@ -139,11 +141,6 @@ impl DatasetWriter {
         progress: &(dyn Fn(u64, u64) + Sync),
         cancel: &Cancel,
     ) -> Result<DatasetSummary, DatasetError> {
-        for (path, file) in folder::worlds(folder)? {
-            if file.settings != self.settings {
-                return Err(folder::other_settings(&path).into());
-            }
-        }
         let description = Description::begin(folder, &self.settings, overwrite)?;
         folder::remove_partials(folder)?;
         let numbers = self.request.worlds.clone();
@@ -154,8 +151,7 @@ impl DatasetWriter {
         monitor.run(self.request.threads, &missing, |&number, step| {
             self.write_world(folder, number, step)
         })?;
-        let records = folder::worlds(folder)?.into_iter().map(|(_, file)| file.record);
-        let manifest = Manifest::new(self.settings.clone(), records.collect());
+        let manifest = Manifest::new(self.settings.clone(), folder::records(folder)?);
         let card = card::card(self.request.mode, &manifest, &self.worlds);
         description.finish(folder, &card, &manifest)?;
         Ok(DatasetSummary {

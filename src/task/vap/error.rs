@@ -3,6 +3,7 @@
 use crate::diag::Diagnostic;
 use crate::files::FileError;
 use std::fmt;
+use std::path::PathBuf;
 
 /// The reason why a data set was not made or checked.
 #[derive(Debug)]
@@ -12,6 +13,25 @@ pub enum DatasetError {
     Faulty(Vec<Diagnostic>),
     /// A file that cannot be read or written.
     File(FileError),
+    /// A file or folder that keeps a data set from being made in its folder.
+    Occupied(Occupied),
+}
+
+/// A file or folder that is not part of the data set to make.
+#[derive(Debug)]
+pub struct Occupied {
+    /// The file or folder.
+    pub path: PathBuf,
+    /// What it is.
+    pub reason: String,
+    /// Whether [`Overwrite::Any`](crate::files::Overwrite::Any) replaces it.
+    pub replaceable: bool,
+}
+
+impl fmt::Display for Occupied {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        write!(f, "cannot write `{}`: {}", self.path.display(), self.reason)
+    }
 }
 
 impl From<Diagnostic> for DatasetError {
@@ -23,6 +43,12 @@ impl From<Diagnostic> for DatasetError {
 impl From<Vec<Diagnostic>> for DatasetError {
     fn from(faults: Vec<Diagnostic>) -> Self {
         DatasetError::Faulty(faults)
+    }
+}
+
+impl From<Occupied> for DatasetError {
+    fn from(occupied: Occupied) -> Self {
+        DatasetError::Occupied(occupied)
     }
 }
 
@@ -40,6 +66,7 @@ impl fmt::Display for DatasetError {
                 f.write_str(&messages.join("\n"))
             }
             DatasetError::File(error) => error.fmt(f),
+            DatasetError::Occupied(occupied) => occupied.fmt(f),
         }
     }
 }

@@ -6,11 +6,12 @@
 
 use crate::diag::{Code, Diagnostic, json_error};
 use crate::files::{FileError, Folder, Output, Overwrite};
-use crate::task::vap::error::DatasetError;
+use crate::task::vap::error::{DatasetError, Occupied};
 use serde::{Deserialize, Serialize};
 use sha2::{Digest, Sha256};
 use std::collections::BTreeMap;
 use std::ffi::OsStr;
+use std::io::ErrorKind;
 use std::path::{Path, PathBuf};
 
 /// The value of [`DatasetSettings::data`].
@@ -240,8 +241,8 @@ pub(super) struct Description {
 }
 
 impl Description {
-    /// Reserves both files, so that a second command on the same folder fails. Unless `overwrite` permits it, existing
-    /// files must come from a data set with the same settings.
+    /// Reserves both files, so that a second command on the same folder fails, and checks that the folder holds nothing
+    /// but a data set with these settings. `overwrite` applies to the two files only.
     pub(super) fn begin(
         set: &Folder,
         settings: &DatasetSettings,
@@ -252,26 +253,28 @@ impl Description {
             manifest: set.replace(MANIFEST)?,
         };
         if overwrite == Overwrite::Own {
-            let help = "choose another folder (`--out` on the command line), or replace the file with `--force`";
+            let wrong = |name: &str, reason| Occupied {
+                path: set.path().join(name),
+                reason,
+                replaceable: true,
+            };
             if set.has(MANIFEST) {
-                let helped = |error| match error {
-                    DatasetError::Faulty(faults) => {
-                        let helped = faults.into_iter().map(|fault| fault.help(help));
-                        DatasetError::Faulty(helped.collect())
-                    }
-                    file => file,
-                };
-                if read_manifest(set).map_err(helped)?.settings != *settings {
-                    return Err(other_settings(&set.path().join(MANIFEST)).into());
+                let read = understood(read_json::<Manifest>(set, MANIFEST))?;
+                match read.map_err(|reason| wrong(MANIFEST, reason))?.settings == *settings {
+                    true => {}
+                    false => return Err(wrong(MANIFEST, OTHER_SETTINGS.to_owned()).into()),
                 }
             }
-            if set.has(CARD) && !is_sealed(&set.read_text(CARD)?) {
-                let fault = wrong(
-                    &set.path().join(CARD),
-                    "logicity did not write it, or it has changed since",
-                );
-                return Err(fault.help(help).into());
+            if set.has(CARD) {
+                let foreign = "the file exists, and logicity did not write it or it has changed since";
+                match understood(set.read_text(CARD).map(Ok))? {
+                    Ok(text) if is_sealed(&text) => {}
+                    _ => return Err(wrong(CARD, foreign.to_owned()).into()),
+                }
             }
+        }
+        for path in set.entries()? {
+            check_entry(set, &path, settings)?;
         }
         Ok(description)
     }
@@ -283,11 +286,38 @@ impl Description {
     }
 }
 
-/// Returns the fault of a file or world that belongs to another data set.
-pub(super) fn other_settings(path: &Path) -> Diagnostic {
-    let message = "belongs to a data set with other settings, configuration, rules or pictures";
-    wrong(path, message).help("choose another folder (`--out` on the command line)")
+/// Checks that a file or folder belongs to a data set with these settings. Compares the names of the files of a world,
+/// but not their content.
+fn check_entry(set: &Folder, path: &Path, settings: &DatasetSettings) -> Result<(), DatasetError> {
+    let occupied = |path: &Path, reason: String| Occupied {
+        path: path.to_owned(),
+        reason,
+        replaceable: false,
+    };
+    match Entry::of(path) {
+        Entry::Description | Entry::Partial | Entry::Temporary => Ok(()),
+        Entry::Other => Err(occupied(path, OTHER.to_owned()).into()),
+        Entry::World(number) => {
+            let file = read_world(set, number)?.map_err(|reason| occupied(path, reason))?;
+            if file.settings != *settings {
+                return Err(occupied(path, OTHER_SETTINGS.to_owned()).into());
+            }
+            let folder = Folder::new(path);
+            if let Some(other) = unknown_world_entries(&folder, &file.record)?.first() {
+                return Err(occupied(other, OTHER_IN_WORLD.to_owned()).into());
+            }
+            match file.record.files.keys().find(|name| !folder.has(name)) {
+                Some(name) => Err(occupied(path, format!("its file `{name}` is missing")).into()),
+                None => Ok(()),
+            }
+        }
+    }
 }
+
+/// The reasons why a file or folder is not part of a data set.
+pub(super) const OTHER: &str = "it belongs to no data set";
+pub(super) const OTHER_IN_WORLD: &str = "it does not belong to the world";
+const OTHER_SETTINGS: &str = "it belongs to a data set with other settings, configuration, rules or pictures";
 
 const SEAL: [&str; 2] = ["\n<!-- logicity vap: SHA-256 of the text above: ", " -->\n"];
 
@@ -302,46 +332,76 @@ fn is_sealed(text: &str) -> bool {
     parts.is_some_and(|(text, found)| found == hash(text.as_bytes()))
 }
 
+/// What a file or folder in the folder of a data set is, by its name.
+#[derive(Clone, Copy, PartialEq, Eq)]
+pub(super) enum Entry {
+    /// `README.md` or `manifest.json`.
+    Description,
+    /// The world with this number.
+    World(u32),
+    /// A world under its temporary name.
+    Partial,
+    /// Another file under its temporary name.
+    Temporary,
+    /// Not part of a data set.
+    Other,
+}
+
+impl Entry {
+    pub(super) fn of(path: &Path) -> Entry {
+        let world = |name: &str| {
+            let number = name.strip_prefix("world-")?.parse().ok()?;
+            (name == world_name(number)).then_some(number)
+        };
+        let name = path.file_name().and_then(OsStr::to_str).unwrap_or_default();
+        let whole = name.strip_prefix('.').and_then(|name| name.strip_suffix(PARTIAL));
+        match world(name) {
+            Some(number) => Entry::World(number),
+            None if name == CARD || name == MANIFEST => Entry::Description,
+            None if whole.and_then(world).is_some() && path.is_dir() => Entry::Partial,
+            None if Output::is_temporary(path) => Entry::Temporary,
+            None => Entry::Other,
+        }
+    }
+}
+
 /// Removes worlds with temporary names. The caller holds the [`Description`] of the folder.
 pub(super) fn remove_partials(set: &Folder) -> Result<(), FileError> {
     for path in set.entries()? {
-        let Some(name) = path.file_name().and_then(OsStr::to_str) else {
-            continue;
-        };
-        let whole = name.strip_prefix('.').and_then(|name| name.strip_suffix(PARTIAL));
-        if whole.is_some_and(|whole| is_world(Path::new(whole))) {
+        if let (Entry::Partial, Some(name)) = (Entry::of(&path), path.file_name().and_then(OsStr::to_str)) {
             set.remove(name)?;
         }
     }
     Ok(())
 }
 
-/// Returns the worlds in a folder by number, each with the path of its folder.
-pub(super) fn worlds(set: &Folder) -> Result<Vec<(PathBuf, WorldFile)>, DatasetError> {
-    let mut worlds = Vec::new();
-    for path in set.entries()?.into_iter().filter(|path| is_world(path)) {
-        let file: WorldFile = read_json(&Folder::new(&path), RECORD)?;
-        if path
-            .file_name()
-            .is_none_or(|name| *name != *world_name(file.record.world))
-        {
-            return Err(wrong(&path, format!("holds world {}", file.record.world)).into());
+/// Returns the records of the worlds in a folder by number. The caller holds the [`Description`] of the folder.
+pub(super) fn records(set: &Folder) -> Result<Vec<WorldRecord>, DatasetError> {
+    let mut records = Vec::new();
+    for path in set.entries()? {
+        if let Entry::World(number) = Entry::of(&path) {
+            let file = read_world(set, number)?;
+            records.push(file.map_err(|reason| wrong(&path, reason))?.record);
         }
-        worlds.push((path, file));
     }
-    worlds.sort_by_key(|(_, file)| file.record.world);
-    Ok(worlds)
+    records.sort_by_key(|record| record.world);
+    Ok(records)
 }
 
-fn is_world(path: &Path) -> bool {
-    let name = path.file_name().and_then(OsStr::to_str);
-    name.is_some_and(|name| name.starts_with("world-"))
-}
-
-/// Returns the files and folders in the folder of a data set that are not part of it.
-pub(super) fn unknown_entries(set: &Folder) -> Result<Vec<PathBuf>, FileError> {
-    let known = |path: &PathBuf| is_world(path) || [CARD, MANIFEST].iter().any(|name| path.ends_with(name));
-    Ok(set.entries()?.into_iter().filter(|path| !known(path)).collect())
+/// Reads the record of a world. The inner error is the reason why the folder does not hold this world.
+pub(super) fn read_world(set: &Folder, number: u32) -> Result<Result<WorldFile, String>, FileError> {
+    let folder = set.folder(&world_name(number));
+    if !folder.path().is_dir() {
+        return Ok(Err("it has the name of a world, but is not a folder".to_owned()));
+    }
+    let read = understood(read_json::<WorldFile>(&folder, RECORD))?;
+    Ok(match read {
+        Ok(file) if file.record.world != number => Err(format!("it holds world {}", file.record.world)),
+        Ok(file) => Ok(file),
+        Err(reason) => Err(format!(
+            "it has the name of a world, but `{RECORD}` in it is wrong: {reason}"
+        )),
+    })
 }
 
 /// Returns the files and folders in the folder of a world that its record does not list.
@@ -355,11 +415,22 @@ pub(super) fn unknown_world_entries(folder: &Folder, record: &WorldRecord) -> Re
 
 /// Reads the manifest of a data set. Rejects other versions.
 pub(super) fn read_manifest(set: &Folder) -> Result<Manifest, DatasetError> {
-    read_json(set, MANIFEST)
+    let read = read_json(set, MANIFEST)?;
+    Ok(read.map_err(|reason| wrong(&set.path().join(MANIFEST), reason))?)
 }
 
-/// Reads a manifest or the file of a world.
-fn read_json<T: for<'de> Deserialize<'de>>(folder: &Folder, name: &str) -> Result<T, DatasetError> {
+/// Turns the absence of a file, and text that is not UTF-8, into reasons why the file is not part of a data set.
+fn understood<T>(read: Result<Result<T, String>, FileError>) -> Result<Result<T, String>, FileError> {
+    match read {
+        Err(failed) if matches!(failed.error.kind(), ErrorKind::NotFound | ErrorKind::InvalidData) => {
+            Ok(Err(failed.error.to_string()))
+        }
+        read => read,
+    }
+}
+
+/// Reads a manifest or the file of a world. The inner error is the reason why it is neither.
+fn read_json<T: for<'de> Deserialize<'de>>(folder: &Folder, name: &str) -> Result<Result<T, String>, FileError> {
     /// The fields that all versions of both files have.
     #[derive(Deserialize)]
     struct Versioned {
@@ -370,19 +441,19 @@ fn read_json<T: for<'de> Deserialize<'de>>(folder: &Folder, name: &str) -> Resul
         data: String,
         version: u32,
     }
-    let path = folder.path().join(name);
-    let text = folder.read_text(name)?;
     let fail = |error: serde_json::Error| {
         let place = format!("line {}, column {}", error.line(), error.column());
-        wrong(
-            &path,
-            format!("not a file of a data set: {}, in {place}", json_error(&error)),
-        )
+        format!("not a file of a data set: {}, in {place}", json_error(&error))
     };
-    let Version { data, version } = serde_json::from_str::<Versioned>(&text).map_err(fail)?.settings;
-    if data != DATA || version != VERSION {
-        let message = format!("a data set `{data}`, version {version}; this program reads version {VERSION}");
-        return Err(wrong(&path, message).into());
-    }
-    Ok(serde_json::from_str(&text).map_err(fail)?)
+    let text = folder.read_text(name)?;
+    let parse = || {
+        let Version { data, version } = serde_json::from_str::<Versioned>(&text).map_err(fail)?.settings;
+        match data == DATA && version == VERSION {
+            true => serde_json::from_str(&text).map_err(fail),
+            false => Err(format!(
+                "a data set `{data}`, version {version}; this program reads version {VERSION}"
+            )),
+        }
+    };
+    Ok(parse())
 }

@@ -15,9 +15,9 @@ mod stats;
 pub mod table;
 
 pub use check::Dataset;
-pub use codes::CODES;
+pub use codes::{CATALOG, CODES};
 pub use dataset::{DatasetRequest, DatasetSummary, DatasetWriter, WORLDS_MAX};
-pub use error::DatasetError;
+pub use error::{DatasetError, Occupied};
 pub use folder::{DatasetSettings, FileRecord, Manifest, WorldRecord};
 pub use stats::{Estimate, Statistics, WorldCounts};
 

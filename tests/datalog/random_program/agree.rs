@@ -148,7 +148,11 @@ fn check_commit(session: &mut Session, before: &naive::Database, after: &naive::
             continue;
         }
         let fired = session.fired(ClauseId(position));
-        prop_assert!(fired.iter().eq(&naive::consequences(clause, session.symbols(), after)));
+        prop_assert!(
+            fired
+                .iter()
+                .eq(&naive::consequences(program.rules(), clause, session.symbols(), after))
+        );
     }
     Ok(())
 }
@@ -210,12 +214,15 @@ fn input_changed(
     before: &naive::Database,
     after: &naive::Database,
 ) -> bool {
-    rules.clauses[clause.index()]
-        .body
-        .iter()
-        .filter_map(Literal::atom)
-        .any(|atom| {
-            let own = own.contains(&atom.relation) && rules.relations[atom.relation.index()].derived;
-            !own && before[atom.relation.index()] != after[atom.relation.index()]
-        })
+    let mut atoms = rules.clauses[clause.index()].body.iter().filter_map(Literal::atom);
+    atoms.any(|atom| {
+        // An aggregate in place reads what the clauses of its hidden predicate read.
+        if rules.relations[atom.relation.index()].parameters > 0 {
+            let ids = (0..).map(ClauseId).zip(&rules.clauses);
+            let mut inner = ids.filter(|(_, clause)| clause.head.relation == atom.relation);
+            return inner.any(|(inner, _)| input_changed(rules, inner, own, before, after));
+        }
+        let own = own.contains(&atom.relation) && rules.relations[atom.relation.index()].derived;
+        !own && before[atom.relation.index()] != after[atom.relation.index()]
+    })
 }

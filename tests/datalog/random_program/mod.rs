@@ -296,6 +296,7 @@ fn declare(rules: &mut Rules, columns: &[bool], span: Span) {
         printsize: false,
         inline: false,
         magic: false,
+        parameters: 0,
         derived: false,
         hidden: false,
         directives: Vec::new(),
@@ -528,6 +529,7 @@ fn clause(gene: &ClauseGene, rules: &Rules, first: usize, span: Span) -> Clause 
         variables: (0..VARIABLES + FLOATS.len())
             .map(|variable| format!("v{variable}"))
             .collect(),
+        variable_spans: vec![span; VARIABLES + FLOATS.len()],
         doc: String::new(),
         span,
     }

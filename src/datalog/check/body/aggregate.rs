@@ -10,6 +10,15 @@
 //! A body other than one simple atom becomes a hidden predicate. Its columns are the variables it shares with the rest
 //! of the clause, and the values of its own atoms, because each solution of the body counts once. For a shared variable
 //! that the body does not bind, the hidden clause copies the literals that bind it outside.
+//!
+//! Where only the recursion of the clause binds a shared variable, a copy would make the aggregate depend on its own
+//! result. There the shared variables are parameters of the hidden predicate, and the aggregate is *correlated*: it is
+//! evaluated in place for each binding of them.
+//!
+//! ```text
+//! A(k + 1) :- A(k), c = count : { B(v), v < k }, c > 0.     c is the number of v in +1(k, v), given k
+//!                                                     with  +1(k, v) :- B(v), v < k.
+//! ```
 
 use std::collections::BTreeSet;
 
@@ -161,10 +170,31 @@ impl<'c> Check<'_, 'c> {
         {
             own.insert(id);
         }
-        self.ground(&shared, &mut inner, context)?;
+        let outside = |literal: &Literal| {
+            literal
+                .atom()
+                .is_none_or(|atom| !self.is_recursive(atom.relation, finish))
+        };
+        let parameters = match grounding(&shared, &inner, context, &outside) {
+            Some(added) => {
+                for literal in added.into_iter().map(|position| &context[position]) {
+                    if let Some(atom) = literal.atom()
+                        && !self.names.relation(atom.relation).hidden
+                    {
+                        self.edge(atom.relation, EdgeKind::Aggregates, atom.span);
+                    }
+                    inner.push(literal.clone());
+                }
+                0
+            }
+            None => {
+                grounding(&shared, &inner, context, &|_| true)?;
+                shared.len()
+            }
+        };
 
         let columns: Vec<VarId> = shared.iter().chain(&own).copied().collect();
-        let relation = self.define(&columns, inner, head, finish);
+        let relation = self.define(&columns, parameters, inner, head, finish);
         let term = |id: &VarId| {
             if shared.contains(id) {
                 Term::Variable(*id)
@@ -286,45 +316,37 @@ impl<'c> Check<'_, 'c> {
             .collect()
     }
 
-    /// Adds context literals until the shared variables are bound. `None` if that is impossible.
-    fn ground(&mut self, shared: &BTreeSet<VarId>, inner: &mut Vec<Literal>, context: &[Literal]) -> Option<()> {
-        let mut taken = BTreeSet::new();
-        loop {
-            let bound = bound_by(inner);
-            let missing = |id: &VarId| !bound.contains(id);
-            // An added literal may need further variables.
-            let needed = inner.iter().filter_map(|literal| inputs(literal, &bound));
-            let Some(missing) = shared.iter().copied().chain(needed).find(missing) else {
-                return Some(());
-            };
-            let gives = |literal: &Literal| match literal {
-                Literal::Positive(atom) | Literal::Guard(atom) => Some(atom.terms.contains(&Term::Variable(missing))),
-                Literal::Compare {
-                    op: Comparison::Equal,
-                    left,
-                    right,
-                    ..
-                } => Some([left, right].contains(&&Term::Variable(missing))),
-                Literal::Compute { to, .. } | Literal::Aggregate { to, .. } => Some(*to == Term::Variable(missing)),
-                _ => None,
-            };
-            let atoms_first = |position: &usize| (!matches!(context[*position], Literal::Positive(_)), *position);
-            let candidates = (0..context.len()).filter(|position| !taken.contains(position));
-            let best = candidates
-                .filter(|&position| gives(&context[position]) == Some(true))
-                .min_by_key(atoms_first)?;
-            taken.insert(best);
-            if let Some(atom) = context[best].atom()
-                && !self.names.relation(atom.relation).hidden
-            {
-                self.edge(atom.relation, EdgeKind::Aggregates, atom.span);
+    /// Returns whether a predicate depends on the head of the clause, on which that depends, too, or on values that only
+    /// such predicates provide.
+    pub fn is_recursive(&self, relation: RelId, finish: &Finish<'_>) -> bool {
+        let (mut todo, mut hidden) = (vec![relation], Vec::new());
+        while let Some(relation) = todo.pop() {
+            if !self.names.relation(relation).hidden {
+                if self.names.components[relation.index()] == self.names.components[finish.head.index()] {
+                    return true;
+                }
+            } else if self.names.relation(relation).parameters > 0 {
+                // Only the recursion gives values to the parameters.
+                return true;
+            } else if !hidden.contains(&relation) {
+                hidden.push(relation);
+                let clauses = finish.hidden.iter().filter(|clause| clause.head.relation == relation);
+                let atoms = clauses.flat_map(|clause| &clause.body).filter_map(Literal::atom);
+                todo.extend(atoms.map(|atom| atom.relation));
             }
-            inner.push(context[best].clone());
         }
+        false
     }
 
-    /// Defines a hidden predicate with these columns.
-    fn define(&mut self, columns: &[VarId], mut body: Vec<Literal>, head: Head, finish: &mut Finish<'_>) -> RelId {
+    /// Defines a hidden predicate with these columns, of which the first are parameters.
+    fn define(
+        &mut self,
+        columns: &[VarId],
+        parameters: usize,
+        mut body: Vec<Literal>,
+        head: Head,
+        finish: &mut Finish<'_>,
+    ) -> RelId {
         let column = |id: &VarId| {
             let Known { name, ty, .. } = &finish.variables[id.index()];
             let ty = match ty {
@@ -336,6 +358,7 @@ impl<'c> Check<'_, 'c> {
         };
         let doc = format!("the rows of `{}`", head.op.name());
         let relation = self.names.hide(columns.iter().map(column).collect(), doc, head.span);
+        self.names.relations[relation.index()].parameters = parameters;
         let mut terms: Vec<Term> = columns.iter().map(|id| Term::Variable(*id)).collect();
         let variables = renumber(finish.variables.clone(), std::iter::once(&mut terms), &mut body);
         finish.hidden.push(Clause {
@@ -345,11 +368,56 @@ impl<'c> Check<'_, 'c> {
                 span: head.span,
             },
             body,
+            variable_spans: variables.iter().map(|variable| variable.first).collect(),
             variables: variables.into_iter().map(|variable| variable.name).collect(),
             doc: String::new(),
             span: head.span,
         });
         relation
+    }
+}
+
+/// Returns the positions of the context literals that together with `inner` bind the shared variables. `None` if the
+/// `usable` ones cannot.
+fn grounding(
+    shared: &BTreeSet<VarId>,
+    inner: &[Literal],
+    context: &[Literal],
+    usable: &dyn Fn(&Literal) -> bool,
+) -> Option<Vec<usize>> {
+    let mut body = inner.to_vec();
+    let mut taken = Vec::new();
+    // The variables for which a literal was taken; it may need further variables.
+    let mut given = BTreeSet::new();
+    loop {
+        let bound = bound_by(&body);
+        let needed = body.iter().flat_map(variables_of);
+        let unbound: BTreeSet<VarId> = (shared.iter().copied().chain(needed))
+            .filter(|id| !bound.contains(id))
+            .collect();
+        if unbound.is_empty() {
+            return Some(taken);
+        }
+        let missing = *unbound.difference(&given).next()?;
+        given.insert(missing);
+        let gives = |literal: &Literal| match literal {
+            Literal::Positive(atom) | Literal::Guard(atom) => atom.terms.contains(&Term::Variable(missing)),
+            Literal::Compare {
+                op: Comparison::Equal,
+                left,
+                right,
+                ..
+            } => [left, right].contains(&&Term::Variable(missing)),
+            Literal::Compute { to, .. } | Literal::Aggregate { to, .. } => *to == Term::Variable(missing),
+            _ => false,
+        };
+        let atoms_first = |position: &usize| (!matches!(context[*position], Literal::Positive(_)), *position);
+        let candidates = (0..context.len()).filter(|position| !taken.contains(position));
+        let best = candidates
+            .filter(|&position| gives(&context[position]) && usable(&context[position]))
+            .min_by_key(atoms_first)?;
+        taken.push(best);
+        body.push(context[best].clone());
     }
 }
 
@@ -401,10 +469,10 @@ pub(crate) fn bound_by(literals: &[Literal]) -> BTreeSet<VarId> {
     }
 }
 
-/// Returns an unbound variable of the literal.
-fn inputs(literal: &Literal, bound: &BTreeSet<VarId>) -> Option<VarId> {
-    literal.terms().find_map(|term| match term {
-        Term::Variable(id) if !bound.contains(id) => Some(*id),
+/// Returns the variables of the literal.
+fn variables_of(literal: &Literal) -> impl Iterator<Item = VarId> + '_ {
+    literal.terms().filter_map(|term| match term {
+        Term::Variable(id) => Some(*id),
         _ => None,
     })
 }

@@ -42,6 +42,8 @@ pub(crate) struct Body {
 
 /// The state for finishing the literals of a clause.
 pub(crate) struct Finish<'f> {
+    /// The predicate of the head.
+    pub head: RelId,
     /// The scope in force, with the first argument of the head.
     pub scope: Option<(Guard, Option<Term>)>,
     /// The variables of the whole clause; finishing adds more.
@@ -102,9 +104,10 @@ pub(crate) fn check(
     let mut variables: Vec<Known> = (0..check.variables.len()).map(|index| check.known(index)).collect();
     let mut hidden = Vec::new();
     let mut literals = Vec::with_capacity(pending.len());
-    if check.sound && !check.lost {
-        let ego = lowered.as_ref().and_then(|head| head.terms.first().copied());
+    if let (Some(head), true, false) = (&lowered, check.sound, check.lost) {
+        let ego = head.terms.first().copied();
         let mut finish = Finish {
+            head: head.relation,
             scope: guard.map(|guard| (guard, ego)),
             variables: &mut variables,
             hidden: &mut hidden,

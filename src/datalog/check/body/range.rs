@@ -66,6 +66,8 @@ impl<'c> Check<'_, 'c> {
         for atom in context.iter().filter_map(Literal::atom) {
             if !self.names.relation(atom.relation).hidden {
                 self.edge(atom.relation, EdgeKind::Aggregates, atom.span);
+            } else if self.is_recursive(atom.relation, finish) {
+                self.edge(finish.head, EdgeKind::Aggregates, atom.span);
             }
         }
         let mut making = Making {
@@ -216,6 +218,7 @@ impl Making<'_> {
         self.hidden.push(Clause {
             head,
             body,
+            variable_spans: variables.iter().map(|variable| variable.first).collect(),
             variables: variables.into_iter().map(|variable| variable.name).collect(),
             doc: String::new(),
             span: self.span,

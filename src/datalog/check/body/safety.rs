@@ -6,6 +6,7 @@ use crate::datalog::syntax::ast::{BaseType, Comparison, TermKind};
 use crate::diag::{Code, Diagnostic};
 
 use crate::datalog::check::body::{Check, Operand, OperandKind, Pending, Variable};
+use crate::datalog::check::clauses::reads_as_constant;
 
 impl<'c> Check<'_, 'c> {
     fn is_bound(&self, operand: Operand) -> bool {
@@ -114,6 +115,11 @@ impl<'c> Check<'_, 'c> {
         // Report the causes first, not the values computed from them.
         let mut computed = vec![false; self.variables.len()];
         mark_computed(pending, &mut computed);
+        // In `Car_2 = Y` without quotes, `Y` would be bound if `Car_2` were the constant that it looks like.
+        let ids = (0..).take(self.variables.len()).map(VarId);
+        let constants: Vec<bool> = ids.map(|id| reads_as_constant(&self.name(id))).collect();
+        self.report_unbound(head, is_fact, |index| constants[index] && !computed[index]);
+        self.bind_all(pending);
         self.report_unbound(head, is_fact, |index| !computed[index]);
         self.bind_all(pending);
         self.report_unbound(head, is_fact, |_| true);
@@ -167,12 +173,27 @@ impl<'c> Check<'_, 'c> {
                 if let Some(span) = self.variables[index].further_in {
                     fault = fault.also(span, "an aggregate binds nothing outside of it");
                 }
+                let is_constant = reads_as_constant(&name);
+                if is_constant {
+                    fault = fault
+                        .note("a name without quotes is a variable")
+                        .help(format!(
+                            "if you mean the text `{name}`, write it in quotes: `\"{name}\"`"
+                        ))
+                        .fix(
+                            "write a constant in quotes",
+                            [(self.variables[index].first, format!("\"{name}\""))],
+                        );
+                }
+                let or = if is_constant { "or " } else { "" };
                 fault = match self.binder(index, head, &name) {
-                    Some(binder) => fault.help(format!("add a positive atom that binds `{name}`, such as `{binder}`")),
-                    None => fault.help(format!("add a positive atom with `{name}` to the body")),
+                    Some(binder) => fault.help(format!(
+                        "{or}add a positive atom that binds `{name}`, such as `{binder}`"
+                    )),
+                    None => fault.help(format!("{or}add a positive atom with `{name}` to the body")),
                 };
                 let compared = self.variables[index].compared.map(|ty| self.names.base(ty));
-                if compared == Some(BaseType::Symbol) && self.variables[index].negated.is_none() {
+                if !is_constant && compared == Some(BaseType::Symbol) && self.variables[index].negated.is_none() {
                     fault = fault.help(format!("or, if you mean the text, write it in quotes: `\"{name}\"`"));
                 }
             }

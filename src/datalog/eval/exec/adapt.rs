@@ -26,7 +26,7 @@ impl Basis {
     }
 }
 
-/// Smaller relations count as having this many rows: no order of so few rows costs much.
+/// Smaller relations count as having this many rows: with fewer rows, every order is cheap.
 const ROWS_MIN: usize = 64;
 
 /// Plans stay in use until a relation grows or shrinks by this factor.
@@ -44,7 +44,10 @@ impl<const W: usize> State<W> {
         // The sizes of the members are unknown before a computation from scratch.
         let members: &[RelId] = if aim == Aim::Maintain { &stratum.members } else { &[] };
         let relations = || stratum.inputs.iter().chain(members);
-        let rows = |relation: &RelId| self.tables[relation.index()].rows.len();
+        let rows = |relation: &RelId| match &self.narrow[relation.index()] {
+            Some(narrow) => narrow.len(),
+            None => self.tables[relation.index()].rows.len(),
+        };
         let basis = self.bases[number].of(aim);
         let mut planned = basis.iter().copied().chain(std::iter::repeat(0));
         if relations().all(|relation| is_good(planned.next().unwrap_or(0), rows(relation))) {
@@ -55,9 +58,12 @@ impl<const W: usize> State<W> {
         let mut sizes: Vec<Option<Size>> = vec![None; self.tables.len()];
         for relation in relations() {
             let arity = commit.plans.indexes.arity(*relation);
-            sizes[relation.index()] = Some(Size::of(&self.tables[relation.index()].rows, arity));
+            sizes[relation.index()] = Some(match &self.narrow[relation.index()] {
+                Some(narrow) => narrow.size(arity),
+                None => Size::of(&self.tables[relation.index()].rows, arity),
+            });
         }
-        Arc::make_mut(&mut commit.plans).adapt(&stratum.clauses, aim, &sizes);
+        Arc::make_mut(&mut commit.plans).adapt(stratum, aim, &sizes);
         let before = commit
             .changed
             .iter_mut()
@@ -69,6 +75,9 @@ impl<const W: usize> State<W> {
                 before.widen(indexes);
             }
             self.copies_max = self.copies_max.max(indexes + 1);
+        }
+        for (narrow, indexes) in self.narrow.iter_mut().zip(commit.plans.indexes.counts()) {
+            narrow.iter_mut().for_each(|narrow| narrow.widen(indexes));
         }
     }
 }

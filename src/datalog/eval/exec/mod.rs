@@ -4,20 +4,22 @@
 mod adapt;
 
 use crate::cancel::Cancel;
-use crate::datalog::check::{ClauseId, RelId, Term};
+use crate::datalog::check::{Atom, ClauseId, Literal, RelId, Term};
 use crate::datalog::eval::delta::{Delta, Rows};
 use crate::datalog::eval::exec::adapt::Basis;
 use crate::datalog::eval::groups;
 use crate::datalog::eval::join;
 use crate::datalog::eval::join::{Abort, JoinState, Output, RowView};
 use crate::datalog::eval::limits::{EvalError, Limits};
+use crate::datalog::eval::narrow::NarrowTable;
 use crate::datalog::eval::pending::PendingChanges;
 use crate::datalog::eval::stats::{EvalEvent, EvalStats, RuleStats, Strategy, StratumStats, WorkCounts};
 use crate::datalog::eval::table::{Table, TableDelta};
 use crate::datalog::eval::workers::Workers;
-use crate::datalog::plan::steps::{Aim, IndexId, IndexSpec, Plan, Source, Step, StratumPlan, Version};
+use crate::datalog::plan::estimate::Shape;
+use crate::datalog::plan::steps::{Aim, IndexId, IndexSpec, Plan, Slot, Source, Step, StratumPlan, Version};
 use crate::datalog::plan::{Compiled, Plans};
-use crate::datalog::row::{Batch, Row, normalize};
+use crate::datalog::row::{AnyBatch, Batch, ByWidth, Row, normalize};
 use crate::datalog::syntax::functor::AggregateOp;
 use crate::datalog::value::Value;
 use crate::symbol::Symbols;
@@ -54,6 +56,14 @@ pub(crate) trait Store: Send + Sync {
     fn bytes(&self) -> u64;
     /// The aggregate of the group with this key in a grouped relation.
     fn group(&self, relation: RelId, key: &[Value], op: AggregateOp) -> Option<Value>;
+    /// The value of a correlated aggregate for these parameters, and the number of rows scanned, at most `budget`.
+    fn correlated(
+        &self,
+        aggregate: &Literal,
+        parameters: &[Value],
+        symbols: &Symbols,
+        limits: (u64, &Cancel),
+    ) -> (Result<Option<Value>, Abort>, u64);
     /// The plans in use.
     fn plans(&self) -> &Plans;
     /// The distinct rows that a clause derives.
@@ -115,6 +125,8 @@ pub(crate) fn store(compiled: &Compiled) -> Box<dyn Store> {
 pub(crate) struct State<const W: usize> {
     /// By [`RelId`]: the rows as of the last commit.
     pub(crate) tables: Vec<Table<W>>,
+    /// By [`RelId`]: a loaded relation with narrow rows. It has nothing in `tables`, `text_facts` and `pending`.
+    narrow: Vec<Option<NarrowTable>>,
     /// By [`RelId`]: the facts in the program text, for relations that no clause with a body derives. They cannot be
     /// retracted.
     text_facts: Vec<Vec<Row<W>>>,
@@ -151,6 +163,8 @@ pub(crate) struct Commit<'a, const W: usize> {
     options: CommitOptions<'a>,
     /// By [`RelId`]: the change of the relation so far, and its table before the commit.
     pub(crate) changed: Vec<Option<(TableDelta<W>, Table<W>)>>,
+    /// By [`RelId`]: the rows that the first commit loads into a narrow table.
+    loaded: Vec<Option<Rows>>,
     /// The bytes of pending changes and, at most, of `changed`.
     kept: u64,
 }
@@ -161,7 +175,10 @@ impl<const W: usize> Commit<'_, W> {
         let mut delta = Delta::default();
         // Skip relations that the optimizer added.
         let relations = self.compiled.rules.relations.iter().zip((0..).map(RelId));
-        for (changed, (relation, id)) in self.changed.into_iter().zip(relations) {
+        for ((changed, loaded), (relation, id)) in self.changed.into_iter().zip(self.loaded).zip(relations) {
+            if let Some(rows) = loaded {
+                delta.push(id, rows, Rows::default());
+            }
             let Some((change, _)) = changed else { continue };
             if self.plans.indexes.is_grouped(id) {
                 continue;
@@ -277,16 +294,26 @@ impl<'a> Meter<'a> {
 impl<const W: usize> State<W> {
     fn new(compiled: &Compiled) -> Self {
         let rules = &compiled.rules;
+        let indexes = || compiled.plans.indexes.counts();
+        let narrow = |(count, id): (usize, RelId)| match compiled.plans.member[id.index()] {
+            None => NarrowTable::new(compiled.plans.indexes.arity(id), W, count),
+            Some(_) => None,
+        };
+        let mut narrow: Vec<Option<NarrowTable>> = indexes().zip((0..).map(RelId)).map(narrow).collect();
         let mut text_facts = vec![Vec::new(); rules.relations.len()];
-        for clause in &rules.clauses {
-            if rules.is_row(clause) {
-                text_facts[clause.head.relation.index()].push(constants(&clause.head.terms));
+        for clause in rules.clauses.iter().filter(|clause| rules.is_row(clause)) {
+            let Atom { relation, terms, .. } = &clause.head;
+            let row: Row<W> = constants(terms);
+            match &mut narrow[relation.index()] {
+                Some(narrow) => narrow.add_text_fact(&row.0[..terms.len()]),
+                None => text_facts[relation.index()].push(row),
             }
         }
         text_facts.iter_mut().for_each(normalize);
-        let indexes = || compiled.plans.indexes.counts();
+        narrow.iter_mut().flatten().for_each(NarrowTable::insert_text_facts);
         State {
             tables: indexes().map(|count| Table::new(Vec::new(), count)).collect(),
+            narrow,
             rows: 0,
             copies_max: indexes().max().unwrap_or(0) + 1,
             costs: vec![Cost::default(); compiled.plans.strata.len()],
@@ -303,6 +330,7 @@ impl<const W: usize> State<W> {
         let limits = commit.options.limits;
         let Compiled { rules, plans, .. } = commit.compiled;
         for relation in (0..rules.relations.len() as u32).map(RelId) {
+            self.load_narrow(commit, relation)?;
             let pending = &mut self.pending[relation.index()];
             if pending.is_empty() {
                 continue;
@@ -311,7 +339,7 @@ impl<const W: usize> State<W> {
             // A changed table is copied, with its indexes.
             let copied = if table.rows.is_empty() { 0 } else { 2 * table.bytes() };
             if copied + pending.bytes() > limits.bytes / 16 {
-                let tables = self.tables.iter().map(Table::bytes).sum::<u64>();
+                let tables = Self::bytes_of(&self.tables, &self.narrow);
                 if tables + commit.kept + copied + pending.bytes() + commit.symbols.bytes() > limits.bytes {
                     return Err(EvalError::TooManyInputs { limit: limits.bytes });
                 }
@@ -366,7 +394,7 @@ impl<const W: usize> State<W> {
         // Use an upper bound where it suffices: adding up the tables takes longer than many commits.
         let tight = most > limits.bytes / 16;
         let held = match tight {
-            true => self.tables.iter().map(Table::bytes).sum::<u64>() + commit.kept,
+            true => Self::bytes_of(&self.tables, &self.narrow) + commit.kept,
             false => most,
         };
         Quota {
@@ -375,6 +403,47 @@ impl<const W: usize> State<W> {
             bytes: limits.bytes.saturating_sub(held + commit.symbols.bytes()),
             tight,
         }
+    }
+
+    /// Loads the pending rows of a narrow table in the first commit.
+    fn load_narrow(&mut self, commit: &mut Commit<'_, W>, relation: RelId) -> Result<(), EvalError> {
+        let limit = commit.options.limits.bytes;
+        let pending = (self.narrow[relation.index()].as_ref()).map_or(0, NarrowTable::pending_bytes);
+        if pending > limit / 16 {
+            let tables = Self::bytes_of(&self.tables, &self.narrow);
+            if tables + commit.kept + pending + commit.symbols.bytes() > limit {
+                return Err(EvalError::TooManyInputs { limit });
+            }
+        }
+        let arity = commit.plans.indexes.arity(relation);
+        let Some(narrow) = self.narrow[relation.index()]
+            .as_mut()
+            .filter(|narrow| narrow.pending() > 0)
+        else {
+            return Ok(());
+        };
+        commit.loaded[relation.index()] = narrow.load(arity);
+        self.rows += narrow.len();
+        commit.kept += narrow.pending_bytes();
+        Ok(())
+    }
+
+    /// Gives a narrow table that changes after the first commit the program's width.
+    fn widen(&mut self, relation: RelId) {
+        if self.committed
+            && let Some(narrow) = self.narrow[relation.index()].take()
+        {
+            let (rows, pending, text_facts) = narrow.widened();
+            self.tables[relation.index()] = self.tables[relation.index()].reloaded(rows.into());
+            self.pending[relation.index()] = pending;
+            self.text_facts[relation.index()] = text_facts;
+        }
+    }
+
+    /// The bytes of all tables.
+    fn bytes_of(tables: &[Table<W>], narrow: &[Option<NarrowTable>]) -> u64 {
+        let narrow = narrow.iter().flatten().map(NarrowTable::bytes);
+        tables.iter().map(Table::bytes).chain(narrow).sum()
     }
 
     /// The bytes of the members' tables, with their indexes.
@@ -399,7 +468,10 @@ impl<const W: usize> State<W> {
         missing.dedup();
         let specs = missing.into_iter().map(|index| &plans.indexes[index]);
         specs
-            .map(|spec| self.tables[spec.relation.index()].missing_bytes(spec))
+            .map(|spec| match &self.narrow[spec.relation.index()] {
+                Some(narrow) => narrow.missing_bytes(spec),
+                None => self.tables[spec.relation.index()].missing_bytes(spec),
+            })
             .sum()
     }
 
@@ -412,8 +484,10 @@ impl<const W: usize> State<W> {
         quota: Quota,
     ) -> Result<StratumStats, Failure> {
         let CommitOptions { strategy, workers, .. } = commit.options;
-        // One thread must make all new symbols, since they are numbered in the order of creation.
-        let several = workers.are_several() && !makes_texts(&commit.plans, stratum);
+        // One thread must make all new symbols, since they are numbered in the order of creation. With correlated
+        // aggregates, the number of rows scanned depends on which of them the thread has evaluated before.
+        let correlated = !stratum.correlated.is_empty();
+        let several = workers.are_several() && !correlated && !makes_texts(&commit.plans, stratum);
         let workers = several.then_some(workers);
         let inputs: usize = stratum.inputs.iter().map(|&input| self.len(input)).sum();
         let inputs = inputs as u64;
@@ -471,8 +545,15 @@ impl<const W: usize> State<W> {
         if makes_texts(&commit.plans, stratum) {
             quota.bytes /= 2;
         }
+        let mut values_bytes = u64::MAX;
+        if correlated {
+            // For the known values, and for the rows of the evaluation in progress.
+            values_bytes = quota.bytes / 8;
+            quota.bytes -= 2 * values_bytes;
+        }
         let attempt = |workers| {
             let mut meter = Meter::new(quota.steps, text_bytes, commit.options, workers);
+            meter.state.correlated.bytes_max = values_bytes;
             let result = self.evaluate(commit, stratum, quota, &mut meter);
             result.map(|(results, rounds)| (results, rounds, meter))
         };
@@ -574,19 +655,38 @@ impl<const W: usize> State<W> {
     }
 
     pub(crate) fn complete_view(&self, plans: &Plans, step: &Step) -> RowView<'_, W> {
-        let batch = |source: Source| {
-            let spec = &plans.indexes[source.index];
-            self.tables[spec.relation.index()].batch(spec)
-        };
-        RowView::for_step(step, batch)
+        RowView::for_step(step, |source: Source| self.batch(&plans.indexes[source.index]))
+    }
+
+    /// The rows of a relation in the order of an index.
+    pub(crate) fn batch(&self, spec: &IndexSpec) -> AnyBatch<'_, W> {
+        match &self.narrow[spec.relation.index()] {
+            Some(narrow) => narrow.batch(spec),
+            None => ByWidth::Own(self.tables[spec.relation.index()].batch(spec)),
+        }
+    }
+
+    /// The shape of the rows of a relation.
+    pub(crate) fn shape(&self, relation: RelId) -> Shape<W> {
+        match &self.narrow[relation.index()] {
+            Some(narrow) => narrow.shape(),
+            None => Shape::of(&self.tables[relation.index()].rows),
+        }
     }
 }
 
 /// Whether a clause of the stratum creates new texts.
 fn makes_texts(plans: &Plans, stratum: &StratumPlan) -> bool {
-    let clauses = stratum.clauses.iter();
-    let mut steps = clauses.flat_map(|clause| &plans.clauses[clause.index()].complete.steps);
-    steps.any(|step| matches!(step, Step::Compute { functor, .. } if functor.makes_text()))
+    let makes = |plan: &Plan| {
+        let mut steps = plan.steps.iter();
+        steps.any(|step| matches!(step, Step::Compute { functor, .. } if functor.makes_text()))
+    };
+    let mut inner = stratum
+        .correlated
+        .iter()
+        .filter_map(|relation| plans.indexes.correlated(*relation));
+    let mut clauses = stratum.clauses.iter();
+    clauses.any(|clause| makes(&plans.clauses[clause.index()].complete)) || inner.any(|plans| plans.iter().any(makes))
 }
 
 /// The index specifications of a relation.
@@ -596,6 +696,10 @@ pub(crate) fn specs(plans: &Plans, relation: RelId) -> Vec<&IndexSpec> {
 
 impl<const W: usize> Store for State<W> {
     fn change(&mut self, relation: RelId, row: &[Value], present: bool) {
+        self.widen(relation);
+        if let Some(narrow) = &mut self.narrow[relation.index()] {
+            return narrow.change(row, present);
+        }
         let row = Row::new(row);
         if present || self.text_facts[relation.index()].binary_search(&row).is_err() {
             self.pending[relation.index()].push(row, present);
@@ -603,19 +707,33 @@ impl<const W: usize> Store for State<W> {
     }
 
     fn insert_all(&mut self, relation: RelId, words: &[Value], arity: usize) {
-        self.pending[relation.index()].extend(words, arity);
+        self.widen(relation);
+        match &mut self.narrow[relation.index()] {
+            Some(narrow) => narrow.insert_all(words, arity),
+            None => self.pending[relation.index()].extend(words, arity),
+        }
     }
 
     fn reserve(&mut self, relation: RelId, rows: usize) {
-        self.pending[relation.index()].reserve(rows);
+        self.widen(relation);
+        match &mut self.narrow[relation.index()] {
+            Some(narrow) => narrow.reserve(rows),
+            None => self.pending[relation.index()].reserve(rows),
+        }
     }
 
     fn pending(&self, relation: RelId) -> usize {
-        self.pending[relation.index()].len()
+        match &self.narrow[relation.index()] {
+            Some(narrow) => narrow.pending(),
+            None => self.pending[relation.index()].len(),
+        }
     }
 
     fn forget(&mut self, relation: RelId, len: usize) {
-        self.pending[relation.index()].truncate(len);
+        match &mut self.narrow[relation.index()] {
+            Some(narrow) => narrow.forget(len),
+            None => self.pending[relation.index()].truncate(len),
+        }
     }
 
     fn rollback(&mut self) {
@@ -624,6 +742,12 @@ impl<const W: usize> Store for State<W> {
             if !self.committed {
                 *pending = PendingChanges::of(facts.clone());
             }
+        }
+        if !self.committed {
+            self.narrow
+                .iter_mut()
+                .flatten()
+                .for_each(NarrowTable::insert_text_facts);
         }
     }
 
@@ -640,6 +764,7 @@ impl<const W: usize> Store for State<W> {
             symbols,
             options,
             changed: self.tables.iter().map(|_| None).collect(),
+            loaded: self.tables.iter().map(|_| None).collect(),
             kept: 0,
         };
         let result = self.try_commit(&mut commit);
@@ -647,11 +772,19 @@ impl<const W: usize> Store for State<W> {
         match result {
             Ok((log, costs)) => {
                 self.pending.iter_mut().for_each(PendingChanges::clear);
+                self.narrow.iter_mut().flatten().for_each(NarrowTable::clear_pending);
                 self.costs = costs;
                 self.committed = true;
                 Ok((commit.into_delta(), log))
             }
             Err(error) => {
+                for (loaded, narrow) in commit.loaded.into_iter().zip(&mut self.narrow) {
+                    if let (Some(loaded), Some(narrow)) = (loaded, narrow) {
+                        drop(loaded);
+                        self.rows -= narrow.len();
+                        narrow.unload();
+                    }
+                }
                 for (position, changed) in commit.changed.into_iter().enumerate() {
                     let Some((delta, old)) = changed else { continue };
                     drop(delta);
@@ -670,26 +803,78 @@ impl<const W: usize> Store for State<W> {
     }
 
     fn contains(&self, relation: RelId, row: &[Value]) -> bool {
-        let rows = &self.tables[relation.index()].rows;
-        rows.binary_search(&Row::new(row)).is_ok()
+        match &self.narrow[relation.index()] {
+            Some(narrow) => narrow.contains(row),
+            None => self.tables[relation.index()].rows.binary_search(&Row::new(row)).is_ok(),
+        }
     }
 
     fn row(&self, relation: RelId, position: usize) -> &[Value] {
-        &self.tables[relation.index()].rows[position].0
+        match &self.narrow[relation.index()] {
+            Some(narrow) => narrow.row(position),
+            None => &self.tables[relation.index()].rows[position].0,
+        }
     }
 
     fn len(&self, relation: RelId) -> usize {
-        self.tables[relation.index()].rows.len()
+        match &self.narrow[relation.index()] {
+            Some(narrow) => narrow.len(),
+            None => self.tables[relation.index()].rows.len(),
+        }
     }
 
     fn bytes(&self) -> u64 {
-        let tables = self.tables.iter().map(Table::bytes);
-        tables.chain(self.pending.iter().map(PendingChanges::bytes)).sum()
+        let narrow = self.narrow.iter().flatten().map(NarrowTable::pending_bytes);
+        let pending = self.pending.iter().map(PendingChanges::bytes).chain(narrow);
+        Self::bytes_of(&self.tables, &self.narrow) + pending.sum::<u64>()
     }
 
     fn group(&self, relation: RelId, key: &[Value], op: AggregateOp) -> Option<Value> {
         let rows = Batch::plain(&self.tables[relation.index()].rows);
         groups::lookup(rows.range(key), key.len(), op)
+    }
+
+    fn correlated(
+        &self,
+        aggregate: &Literal,
+        parameters: &[Value],
+        symbols: &Symbols,
+        (budget, cancel): (u64, &Cancel),
+    ) -> (Result<Option<Value>, Abort>, u64) {
+        let Literal::Aggregate {
+            op, base, atom, column, ..
+        } = aggregate
+        else {
+            return (Ok(None), 0);
+        };
+        let Some(plans) = self.plans.indexes.correlated(atom.relation) else {
+            return (Ok(None), 0);
+        };
+        // A plan of one step, which derives the value.
+        let to = parameters.len() as Slot;
+        let plan = Plan {
+            head: atom.relation,
+            output: vec![to],
+            fold: None,
+            steps: vec![Step::Correlated {
+                relation: atom.relation,
+                plans: Arc::clone(plans),
+                key: (0..to).collect(),
+                op: *op,
+                base: *base,
+                column: *column,
+                to,
+                test: false,
+            }],
+            enough: vec![0],
+            slots: parameters.iter().copied().chain([Value(0)]).collect(),
+            fresh: None,
+        };
+        let views: Vec<RowView<'_, W>> = self.complete_views(&self.plans, &plan).collect();
+        let (mut state, mut out) = (JoinState::new(budget), Output::<W>::new(usize::MAX));
+        let result = join::run(&plan, &views, (symbols, cancel), &mut state, &mut out);
+        let value = result.map(|()| out.take().first().map(|row| row.0[0]));
+        (value, state.rows_scanned)
     }
 
     fn plans(&self) -> &Plans {

@@ -5,6 +5,7 @@ pub(super) mod heights;
 
 use crate::cancel::Cancel;
 use crate::datalog::check::{Atom, Clause, ClauseId, Literal, RelId, Rules, Term};
+use crate::datalog::eval::join::Abort;
 use crate::datalog::explain::search::heights::Heights;
 use crate::datalog::explain::{ExplainError, Pattern};
 use crate::datalog::session::Session;
@@ -47,6 +48,8 @@ pub(super) struct Search<'s> {
     /// Whether a poll of the current query returned true.
     cancelled: Cell<bool>,
     patterns: RefCell<Patterns>,
+    /// The correlated aggregates evaluated so far, by predicate and parameters.
+    correlated: RefCell<HashMap<(RelId, Vec<Value>), Option<Value>>>,
     heights: Heights,
 }
 
@@ -140,6 +143,7 @@ impl<'s> Search<'s> {
             cancel: cancel.clone(),
             cancelled: Cell::new(false),
             patterns: RefCell::default(),
+            correlated: RefCell::default(),
             heights: Heights::new(rules),
         }
     }
@@ -454,6 +458,9 @@ impl<'s> Search<'s> {
             Literal::Aggregate {
                 op, base, atom, column, ..
             } if determined(atom, binding) => {
+                if self.rules().is_correlated(atom.relation) {
+                    return self.correlated(literal, atom, binding).map(Some);
+                }
                 if self.session.program().is_aggregated(atom.relation) {
                     self.step()?;
                     let key: Vec<Value> = atom.terms.iter().map_while(|term| value(term, binding)).collect();
@@ -468,6 +475,36 @@ impl<'s> Search<'s> {
                 Ok(Some(op.of(*base, values, self.session.symbols())))
             }
             _ => Ok(None),
+        }
+    }
+
+    /// Returns the value of a correlated aggregate whose parameters are bound.
+    fn correlated(
+        &self,
+        literal: &Literal,
+        atom: &Atom,
+        binding: &[Option<Value>],
+    ) -> Result<Option<Value>, ExplainError> {
+        self.step()?;
+        let parameters: Vec<Value> = atom.terms.iter().map_while(|term| value(term, binding)).collect();
+        let key = (atom.relation, parameters);
+        if let Some(&known) = self.correlated.borrow().get(&key) {
+            return Ok(known);
+        }
+        let (found, rows_scanned) = self.session.correlated(literal, &key.1, self.left.get(), &self.cancel);
+        self.left.set(self.left.get().saturating_sub(rows_scanned));
+        self.cancelled
+            .set(self.cancelled.get() || found == Err(Abort::Cancelled));
+        match found {
+            Ok(value) => {
+                self.correlated.borrow_mut().insert(key, value);
+                Ok(value)
+            }
+            Err(_) => {
+                // No steps are left, or the caller cancelled the search.
+                self.left.set(0);
+                self.step().and(Ok(None))
+            }
         }
     }
 

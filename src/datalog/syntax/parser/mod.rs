@@ -13,6 +13,7 @@ use crate::datalog::syntax::lexer;
 use crate::datalog::syntax::lexer::{
     COMMENT, CONJUNCTION, DISJUNCTION, DocLine, IMPLICATION, Kind, Lexed, NEGATION, Token,
 };
+use crate::datalog::syntax::packed::PackedFacts;
 
 mod clause;
 mod directive;
@@ -68,6 +69,15 @@ pub(crate) fn parse(source: SourceId, text: &str, faults: &mut Faults) -> File {
     parse_tokens(source, text, &lexed, faults).0
 }
 
+/// Parses one source. Facts of plain constants are apart from the other items.
+pub(crate) fn parse_packed(source: SourceId, text: &str, faults: &mut Faults) -> (File, PackedFacts) {
+    let lexed = lexer::lex(source, text, faults);
+    let mut parser = Parser::new(source, text, &lexed, faults);
+    parser.packed = Some(PackedFacts::new(source));
+    let file = parser.file();
+    (file, parser.packed.unwrap_or_else(|| PackedFacts::new(source)))
+}
+
 /// Parses a lexed source. Returns the tree and, for each item, the index of its first token.
 pub(crate) fn parse_tokens(source: SourceId, text: &str, lexed: &Lexed, faults: &mut Faults) -> (File, Vec<usize>) {
     let mut parser = Parser::new(source, text, lexed, faults);
@@ -94,7 +104,7 @@ struct Parser<'a> {
     docs: &'a [DocLine],
     next_doc: usize,
     at: usize,
-    /// The index of the first token of each item.
+    /// The index of the first token of each item; empty while facts are packed.
     starts: Vec<usize>,
     /// The number of parentheses, braces and negations around the current token.
     nesting: usize,
@@ -102,6 +112,8 @@ struct Parser<'a> {
     negations: Vec<&'static str>,
     /// The marks that the qualifiers of the last declaration imply.
     marks: Vec<Item>,
+    /// Takes the facts of plain constants, if present.
+    packed: Option<PackedFacts>,
     faults: &'a mut Faults,
 }
 
@@ -134,6 +146,7 @@ impl<'a> Parser<'a> {
             nesting: 0,
             negations: negations(text, &lexed.tokens),
             marks: Vec::new(),
+            packed: None,
             faults,
         }
     }
@@ -357,11 +370,14 @@ impl<'a> Parser<'a> {
         let mut file = File::default();
         while self.kind() != Kind::End && !self.faults.full() {
             let start = self.at;
-            self.starts.push(start);
+            if self.packed.is_none() {
+                self.starts.push(start);
+            }
             self.nesting = 0;
             match self.item() {
                 Ok(item) => {
-                    file.items.extend(item);
+                    let before = file.items.len();
+                    file.items.extend(item.and_then(|item| self.unpacked(before, item)));
                     file.items.append(&mut self.marks);
                 }
                 Err(Reported) => self.recover(start),
@@ -369,6 +385,14 @@ impl<'a> Parser<'a> {
             debug_assert!(self.at > start || self.kind() == Kind::End, "every item reads a token");
         }
         file
+    }
+
+    /// Packs a fact of plain constants, if the caller wants that. Returns any other item.
+    fn unpacked(&mut self, before: usize, item: Item) -> Option<Item> {
+        match (&mut self.packed, item) {
+            (Some(packed), Item::Clause(clause)) => packed.push(before, clause).err().map(Item::Clause),
+            (_, item) => Some(item),
+        }
     }
 
     /// Skips to the probable start of the next item.

@@ -1,0 +1,154 @@
+"""Configuration of Sphinx. `make docs` builds the site offline into target/docs.
+
+The pages are Markdown (MyST). A line `<!-- generated: NAME -->` stands for text that `generated.py` makes from the
+installed package when the site is built.
+"""
+
+from __future__ import annotations
+
+import re
+import sys
+from pathlib import Path
+from typing import Any
+
+from docutils import nodes
+from docutils.parsers.rst import Directive, directives
+from sphinx.addnodes import pending_xref
+from sphinx.application import Sphinx
+from sphinx.environment import BuildEnvironment
+
+sys.path.insert(0, str(Path(__file__).parent))
+
+import logicity
+from generated import GENERATORS, OPTIONAL, public_names
+from lexer import RuleLexer
+
+project = "LogiCity"
+author = "the authors of LogiCity"
+release = version = logicity.__version__
+copyright = author  # noqa: A001
+
+extensions = ["myst_nb", "sphinx.ext.autodoc", "sphinx.ext.napoleon"]
+# A program with a README of its own.
+exclude_patterns = ["playground"]
+templates_path: list[str] = []
+nitpicky = True
+# Texts contain options such as `--json`.
+smartquotes = False
+
+# Notebooks run when the site is built. A cell that fails is a warning, and so an error.
+nb_execution_in_temp = True
+nb_execution_mode = "force"
+nb_execution_show_tb = True
+nb_execution_timeout = 120
+
+myst_enable_extensions = ["attrs_block", "attrs_inline", "colon_fence", "deflist"]
+myst_heading_anchors = 4
+myst_links_external_new_tab = False
+
+# Docstrings write code in single backquotes.
+default_role = "code"
+autodoc_mock_imports = OPTIONAL
+autodoc_default_options = {"members": True}
+autodoc_member_order = "bysource"
+autodoc_typehints = "signature"
+napoleon_use_ivar = True
+napoleon_numpy_docstring = False
+python_use_unqualified_type_names = True
+python_maximum_signature_line_length = 100
+add_module_names = False
+# Types of other packages, whose documentation is elsewhere: the build reads no network. And types that annotations name
+# and that the package does not export.
+nitpick_ignore_regex = [
+    (r"py:.*", r"(.*\.)?(AutoresetMode|MinariDataset)"),
+    (r"py:.*", r"(.*\.)?(_AgentKey|Atom|EnvOptions|Predictor|TorchVapDataset)"),
+    (r"py:.*", r"(collections|gymnasium|gym|np|numpy|os|pathlib|pydantic|stable_baselines3|torch|typing)\..*"),
+]
+
+html_theme = "furo"
+html_title = "LogiCity"
+html_static_path = ["_static"]
+html_css_files = ["site.css"]
+html_show_sphinx = False
+html_show_copyright = False
+html_copy_source = False
+html_theme_options: dict[str, Any] = {"top_of_page_buttons": []}
+pygments_style = "tango"
+pygments_dark_style = "monokai"
+
+#: A line that stands for generated text.
+GENERATED = re.compile(r"^<!-- generated: ([\w-]+) -->$", re.MULTILINE)
+#: The first line of a block with a file name, such as ```` ```dl my.dl ````.
+NAMED_BLOCK = re.compile(r"^```(\w+) ([\w./-]+\.\w+)$", re.MULTILINE)
+#: The first line of a block with words for the tests.
+MARKED_BLOCK = re.compile(r"^```(\w+) (?:exit=\d+|cargo|illustration|scene|answer)$", re.MULTILINE)
+
+
+def read_source(app: Sphinx, docname: str, source: list[str]) -> None:
+    """Insert generated text, and show file names as captions."""
+    text = GENERATED.sub(lambda match: GENERATORS[match[1]](), source[0])
+    text = NAMED_BLOCK.sub(r"```{code-block} \1\n:caption: \2\n", text)
+    source[0] = MARKED_BLOCK.sub(r"```\1", text)
+
+
+def resolve(app: Sphinx, env: BuildEnvironment, node: pending_xref, content: nodes.TextElement) -> nodes.Element | None:
+    """Resolve the name of a public class or type that an annotation or a docstring writes without its module."""
+    last = node["reftarget"].rpartition(".")[2]
+    for name in (name for names in public_names().values() for name in names):
+        if name.rpartition(".")[2] == last and name != node["reftarget"]:
+            domain = env.domains.python_domain
+            return domain.resolve_xref(env, node["refdoc"], app.builder, "obj", name, node, content)
+    return None
+
+
+def hide_colons(app: Sphinx, what: str, name: str, value: object, options: object, lines: list[str]) -> None:
+    """Hide colons in the docstring of a property: napoleon would read the text before the first one as a type."""
+    if what in ("attribute", "data", "property") and lines:
+        lines[0] = lines[0].replace(":", "\x01")
+
+
+def show_colons(app: Sphinx, what: str, name: str, value: object, options: object, lines: list[str]) -> None:
+    """Show the hidden colons again."""
+    lines[:] = [line.replace("\x01", ":") for line in lines]
+
+
+class Drawing(Directive):
+    """Insert an SVG file into the page, where it has the colors of the theme."""
+
+    required_arguments = 1
+    option_spec = {"alt": directives.unchanged_required}  # noqa: RUF012
+
+    def run(self) -> list[nodes.Node]:
+        """Return the text of the file, with the alternative text for readers who do not see it."""
+        environment = self.state.document.settings.env
+        name, path = environment.relfn2path(self.arguments[0])
+        environment.note_dependency(name)
+        label = self.options["alt"].replace('"', "&quot;")
+        svg = Path(path).read_text(encoding="utf-8").replace("<svg ", f'<svg role="img" aria-label="{label}" ', 1)
+        return [nodes.raw("", f'<div class="drawing">{svg}</div>', format="html")]
+
+
+def list_external_links(app: Sphinx, error: Exception | None) -> None:
+    """Write the links to other sites to `external-links.txt`; checking them needs a network."""
+    if error is not None or app.builder.name != "html":
+        return
+    links: set[str] = set()
+    for docname in sorted(app.env.found_docs):
+        for reference in app.env.get_doctree(docname).findall(nodes.reference):
+            target = reference.get("refuri", "")
+            if target.startswith(("http:", "https:")):
+                links.add(f"{target}  {docname}")
+    (Path(app.outdir) / "external-links.txt").write_text("".join(f"{link}\n" for link in sorted(links)))
+    print(f"{len(app.env.found_docs)} pages, {len(links)} links to other sites")
+
+
+def setup(app: Sphinx) -> dict[str, Any]:
+    """Register the parts above."""
+    app.add_lexer("dl", RuleLexer)
+    app.add_directive("drawing", Drawing)
+    app.connect("source-read", read_source)
+    app.connect("missing-reference", resolve)
+    app.connect("autodoc-process-docstring", hide_colons, priority=400)
+    app.connect("autodoc-process-docstring", show_colons, priority=600)
+    app.connect("build-finished", list_external_links)
+    return {"parallel_read_safe": True}

@@ -1,0 +1,148 @@
+"""Runs the blocks of the documentation site. `docs/how-to/add-a-page.md` describes the kinds of blocks.
+
+The blocks of a page run in order, in a folder of their own. Tests in Rust load the blocks of rules and configurations
+that have no file name (`tests/datalog/lang.rs`, `tests/city/config.rs`), decide scenes (`tests/program/diagnostics.rs`)
+and run cargo (`tests/program/readme.rs`).
+"""
+
+from __future__ import annotations
+
+import contextlib
+import io
+import os
+import re
+import subprocess
+import sys
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+DOCS = Path(__file__).parents[2] / "docs"
+
+#: A block: the language, the words after it, and the text. Blocks of directives, such as ```{toctree}, do not match.
+BLOCK = re.compile(r"^```(\w+)(?: ([^\n]*))?\n(.*?)^```$", re.MULTILINE | re.DOTALL)
+#: The languages and words of blocks without a file name, which tests in Rust load or run.
+LOADED = [("dl", ""), ("yaml", ""), ("json", "scene"), ("json", "answer"), ("sh", "cargo"), ("text", "cargo")]
+
+
+@dataclass(frozen=True)
+class Block:
+    """A block of a page."""
+
+    place: str
+    language: str
+    words: str
+    text: str
+
+
+def blocks(page: Path) -> list[Block]:
+    text = page.read_text(encoding="utf-8")
+    return [
+        Block(
+            f"{page.relative_to(DOCS)}:{text.count(chr(10), 0, match.start()) + 1}", match[1], match[2] or "", match[3]
+        )
+        for match in BLOCK.finditer(text)
+        if match[2] != "illustration"
+    ]
+
+
+#: The playground is a program with a README of its own, not a page of the site.
+PAGES = [page for page in sorted(DOCS.rglob("*.md")) if DOCS / "playground" not in page.parents and blocks(page)]
+
+
+def matches(expected: str, found: str) -> bool:
+    """Return whether a text is as expected, where `...` stands for any text."""
+    pattern = ".*".join(re.escape(part) for part in expected.rstrip().split("..."))
+    return re.fullmatch(pattern, found.rstrip(), re.DOTALL) is not None
+
+
+class Runner:
+    """Runs the blocks of a page."""
+
+    def __init__(self, folder: Path) -> None:
+        self.folder = folder
+        self.names: dict[str, Any] = {"__name__": "page"}
+        self.output: str | None = None
+
+    def run(self, block: Block) -> None:
+        if re.fullmatch(r"[\w./-]+\.\w+", block.words):
+            path = self.folder / block.words
+            path.parent.mkdir(parents=True, exist_ok=True)
+            path.write_text(block.text, encoding="utf-8")
+        elif (block.language, block.words) in LOADED:
+            pass
+        elif block.language == "sh":
+            self.shell(block)
+        elif block.language == "python" and not block.words:
+            written = io.StringIO()
+            with contextlib.redirect_stdout(written):
+                exec(compile(block.text, block.place, "exec"), self.names)
+            self.output = written.getvalue()
+        elif block.language in ("text", "json") and not block.words:
+            assert self.output is not None, f"{block.place}: no command before this output"
+            assert matches(block.text, self.output), f"{block.place}: expected\n{block.text}\nfound\n{self.output}"
+        else:
+            raise AssertionError(f"{block.place}: an unknown kind of block")
+
+    def shell(self, block: Block) -> None:
+        wanted = re.fullmatch(r"(?:exit=(\d+))?", block.words)
+        assert wanted is not None, f"{block.place}: `sh` with `{block.words}`"
+        path = os.pathsep.join([str(Path(sys.executable).parent), os.environ["PATH"]])
+        done = subprocess.run(
+            ["sh", "-e", "-c", block.text],
+            cwd=self.folder,
+            env={**os.environ, "PATH": path},
+            stdout=subprocess.PIPE,
+            stderr=subprocess.STDOUT,
+            encoding="utf-8",
+            check=False,
+        )
+        self.output = done.stdout
+        assert done.returncode == int(wanted[1] or 0), f"{block.place}: exit code {done.returncode}\n{done.stdout}"
+
+
+@pytest.mark.parametrize("page", PAGES, ids=[str(page.relative_to(DOCS)) for page in PAGES])
+def test_blocks_of_a_page_run(page: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.chdir(tmp_path)
+    runner = Runner(tmp_path)
+    for block in blocks(page):
+        runner.run(block)
+
+
+def test_number_of_blocks(capsys: pytest.CaptureFixture[str]) -> None:
+    run = [block for page in PAGES for block in blocks(page) if (block.language, block.words) not in LOADED]
+    kinds = {
+        language: sum(block.language == language for block in run) for language in ("sh", "python", "text", "json")
+    }
+    assert kinds["sh"] >= 10 and kinds["python"] >= 4 and kinds["text"] >= 10
+    with capsys.disabled():
+        pages = len({block.place.partition(":")[0] for block in run})
+        counts = ", ".join(f"{count} {language}" for language, count in kinds.items())
+        print(f"\ndocumentation: {len(run)} blocks of {pages} pages run ({counts})")
+
+
+@pytest.mark.parametrize(
+    ("expected", "found", "same"),
+    [("a\n", "a\n", True), ("a...c", "a\nb\nc", True), ("a...c", "a\nb", False), ("a.c", "abc", False)],
+)
+def test_dots_stand_for_any_text(expected: str, found: str, same: bool) -> None:
+    assert matches(expected, found) is same
+
+
+def test_a_wrong_block_fails(tmp_path: Path) -> None:
+    wrong = [
+        [Block("page:1", "sh", "", "exit 3\n")],
+        [Block("page:1", "sh", "", "echo a\n"), Block("page:2", "text", "", "b\n")],
+        [Block("page:1", "text", "", "b\n")],
+        [Block("page:1", "python", "", "assert False\n")],
+        [Block("page:1", "python", "later", "pass\n")],
+        [Block("page:1", "haskell", "", "main\n")],
+    ]
+    for page in wrong:
+        runner = Runner(tmp_path)
+        for block in page[:-1]:
+            runner.run(block)
+        with pytest.raises(AssertionError):
+            runner.run(page[-1])

@@ -1,0 +1,143 @@
+//! What a page shows of a run besides its ticks: names, agents, predicates and clauses.
+
+use crate::city::{Action, Heading};
+use crate::datalog::explain::{Explainer, ExplanationPrinter};
+use crate::datalog::{ClauseId, Value};
+use crate::diag::{Diagnostic, Sources};
+use crate::files::portable_name;
+use crate::page::proofs::Proofs;
+use crate::sim::{Replay, TraceHeader, World};
+use serde::Serialize;
+use std::fmt;
+
+/// The constant part of a run. The positions in its lists identify agents, actions, predicates and clauses.
+#[derive(Serialize)]
+pub struct Header {
+    pub title: String,
+    config: String,
+    rules: String,
+    split: String,
+    /// As text, since JavaScript rounds large integers.
+    seed: String,
+    hash: String,
+    pub agents: Vec<Agent>,
+    actions: [&'static str; 4],
+    headings: [&'static str; 4],
+    predicates: Vec<Predicate>,
+    /// Number of clauses whose firings the trace records: the first ones in [`Proofs::clauses`], in the order of the
+    /// trace.
+    pub counted: usize,
+    #[serde(flatten)]
+    pub proofs: Proofs,
+}
+
+/// An agent, as the trace names it.
+#[derive(Serialize, PartialEq, Eq)]
+pub struct Agent {
+    pub id: String,
+    kind: &'static str,
+    concepts: Vec<String>,
+    priority: i32,
+}
+
+impl fmt::Display for Agent {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        write!(f, "{} ({}", self.id, self.kind)?;
+        for concept in &self.concepts {
+            write!(f, ", {concept}")?;
+        }
+        write!(f, ", priority {})", self.priority)
+    }
+}
+
+#[derive(Serialize)]
+struct Predicate {
+    name: String,
+    arity: usize,
+}
+
+impl Header {
+    pub fn new(replay: &Replay, header: &TraceHeader, sources: &Sources) -> Header {
+        let world = replay.world();
+        let printer = ExplanationPrinter::new(world.program.rules(), replay.session().symbols(), sources);
+        let mut proofs = Proofs::default();
+        let counted = world.clauses().map(|clause| proofs.clause(&printer, clause)).count();
+        for index in 0..world.program.rules().clauses.len() {
+            let index = u32::try_from(index).expect("fewer than 2^32 clauses");
+            proofs.clause(&printer, ClauseId(index));
+        }
+        let agents = (header.agents.iter().zip(replay.kinds())).map(|(agent, &kind)| Agent {
+            id: agent.id.clone(),
+            kind: kind.name(),
+            concepts: agent.concepts.clone(),
+            priority: agent.priority,
+        });
+        let predicates = (world.vocabulary.predicates.iter()).map(|predicate| Predicate {
+            name: predicate.name.clone(),
+            arity: predicate.arity,
+        });
+        Header {
+            title: format!("{} ({}), seed {}", header.config, header.split, header.seed),
+            config: header.config.clone(),
+            rules: portable_name(&header.rules),
+            split: header.split.clone(),
+            seed: header.seed.to_string(),
+            hash: header.rules_hash.clone(),
+            agents: agents.collect(),
+            actions: Action::ALL.map(Action::name),
+            headings: Heading::ALL.map(Heading::name),
+            predicates: predicates.collect(),
+            counted,
+            proofs,
+        }
+    }
+
+    /// Explains why an agent did or did not take each action in the state of `replay`. Returns the numbers of the
+    /// nodes, or -1 for an action that no rule has.
+    ///
+    /// # Errors
+    /// `limit-exceeded` if an explanation takes too many steps.
+    pub fn explain(
+        &mut self,
+        replay: &Replay,
+        (explainer, printer): (&mut Explainer<'_>, &ExplanationPrinter<'_>),
+        agent: usize,
+    ) -> Result<[i64; 4], Diagnostic> {
+        let mut nodes = [-1; 4];
+        for (node, action) in nodes.iter_mut().zip(Action::ALL) {
+            let Some(relation) = replay.world().vocabulary.action(action) else {
+                continue;
+            };
+            let asked: [Option<Value>; 1] = [Some(replay.value(agent))];
+            if let (_, Some(explanation)) = explainer.explain_either(relation, &asked)? {
+                *node = i64::from(self.proofs.add(printer, &explanation));
+            }
+        }
+        Ok(nodes)
+    }
+
+    /// Returns for each predicate its rows in the state of `replay`, as numbers in ascending order. A row (x, y) is x
+    /// times the number of agents plus y.
+    pub fn rows(&self, replay: &Replay) -> impl Iterator<Item = Vec<u64>> {
+        let agents = self.agents.len() as u64;
+        let predicates = self.predicates.iter().zip(&replay.facts().rows);
+        predicates.map(move |(predicate, rows)| {
+            let number = |row: &[u32; 2]| match predicate.arity {
+                2 => u64::from(row[0]) * agents + u64::from(row[1]),
+                _ => u64::from(row[0]),
+            };
+            let mut numbers: Vec<u64> = rows.iter().map(number).collect();
+            numbers.sort_unstable();
+            numbers
+        })
+    }
+}
+
+/// Returns whether each clause of [`World::clauses`] derives an action.
+pub fn derive_actions(world: &World) -> impl Iterator<Item = bool> {
+    let actions = Action::ALL.map(|action| world.vocabulary.action(action));
+    world.clauses().map(move |clause| {
+        let head = world.program.rules().clauses[clause.index()].head.relation;
+        actions.contains(&Some(head))
+    })
+}

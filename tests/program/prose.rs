@@ -1,0 +1,243 @@
+//! The prose of the repository is plain English: no file contains the idioms in [`IDIOMS`] or British spellings.
+
+use std::fs;
+use std::path::{Path, PathBuf};
+
+use regex::Regex;
+
+/// Files and folders to read, from the root of the repository.
+const PLACES: &[&str] = &[
+    ".ci",
+    ".github",
+    ".pre-commit-config.yaml",
+    "ARCHITECTURE.md",
+    "CHANGELOG.md",
+    "CITATION.cff",
+    "CODE_OF_CONDUCT.md",
+    "CONTRIBUTING.md",
+    "Cargo.toml",
+    "Makefile",
+    "README.md",
+    "SECURITY.md",
+    "benches",
+    "configs",
+    "deny.toml",
+    "docs",
+    "editors",
+    "examples",
+    "python",
+    "rules",
+    "src",
+    "tests",
+];
+
+/// Endings of the files to read. Names without an ending (`Makefile`, `.ci/run`) are read, too.
+const ENDINGS: &[&str] = &[
+    "cff", "css", "dict", "dl", "html", "ipynb", "js", "md", "mjs", "py", "pyi", "rs", "rst", "sh", "toml", "ts",
+    "yaml", "yml",
+];
+
+/// Folders that are not part of the repository, or contain only data.
+const SKIPPED: &[&str] = &[
+    "__pycache__",
+    "_build",
+    "artifacts",
+    "corpus-found",
+    "node_modules",
+    "recorded",
+    "snapshots",
+    "target",
+    "www",
+];
+
+/// Each line is a regular expression for whole words, and what to write instead. A space also matches a line break
+/// inside a comment.
+const IDIOMS: &[(&str, &str)] = &[
+    (
+        "tells?|telling|told",
+        "name the actor and a plain verb: prints, reports, shows, distinguishes",
+    ),
+    ("so many", "give the number, or write `as many`, `that many`"),
+    ("such as (?:have|are|do)", "those that"),
+    ("who(?:so)?ever|whom(?:so)?ever|whom", "name the actor"),
+    (
+        "somebody|nobody|everybody|anybody",
+        "name the actor: a caller, an agent, no agent",
+    ),
+    (
+        "and the like|or the like|the likes? of",
+        "list the cases, or write `similar`",
+    ),
+    ("what there (?:is|are|was|were)", "name the thing"),
+    (
+        "(?:is|are|was|were|be|been|being) asked(?: of| for| about| whether| again)",
+        "name the actor, or write `on request`",
+    ),
+    ("asks? of|asked of", "requires, needs"),
+    ("com(?:es?|ing) to|came to", "equals, costs, reaches, becomes"),
+    ("(?:stands?|stood|standing) beside", "is next to, accompanies"),
+    ("for ever", "forever, without end"),
+    ("by hand", "hand-written, manually"),
+    ("strangers?", "unknown, another user"),
+    ("(?:of )?(?:one|thing)'s own", "separate, another, your own"),
+    ("(?:goes|go|went|going) on", "continues"),
+    ("as well as they come", "drop it"),
+    ("(?:is|are|was|were|be|been) looked (?:at|up as)", "scans, visits"),
+    (
+        "(?:is|are|was|were|be|been) (?:said|spoken|thought) of",
+        "name the actor",
+    ),
+    ("(?:is|are|was|were|be|been) given up", "cancels, stops"),
+    (
+        "(?:what|which)(?: [a-z]+){1,4} (?:is|are|was|were) about",
+        "name the subject",
+    ),
+    (
+        "likewise|lest|whence|thence|thereof|hitherto|heretofore|notwithstanding|albeit",
+        "use a common word",
+    ),
+    (
+        "(?:colour|behaviour|neighbour|favour|honour|labell|travell|modell|centre|metre|catalogue|grey|kerb)[a-z]*",
+        "American spelling",
+    ),
+    (
+        "(?:categoris|optimis|initialis|recognis|normalis|generalis|minimis|maximis|vectoris|visualis|serialis|\
+         organis|summaris|parametris|randomis|synchronis|tokenis|finalis|emphasis|materialis)(?:e|ed|es|ing|ation|ations|er|ers)",
+        "American spelling",
+    ),
+];
+
+/// Hits that are right: the end of a path, and text of the line. At most ten.
+const ALLOWED: &[(&str, &str)] = &[];
+
+fn root() -> PathBuf {
+    PathBuf::from(env!("CARGO_MANIFEST_DIR"))
+}
+
+/// The patterns of [`IDIOMS`].
+struct Patterns {
+    /// Matches where any of the others does. Most files contain none, so each is read once.
+    any: Regex,
+    /// Each pattern with what to write instead.
+    each: Vec<(Regex, &'static str)>,
+}
+
+impl Patterns {
+    fn new() -> Patterns {
+        let all: Vec<&str> = IDIOMS.iter().map(|(idiom, _)| *idiom).collect();
+        Patterns {
+            any: pattern(&all.join("|")),
+            each: IDIOMS.iter().map(|(idiom, advice)| (pattern(idiom), *advice)).collect(),
+        }
+    }
+
+    /// Returns each hit in a text: its line, the words, and what to write instead.
+    fn hits<'a>(&self, text: &'a str) -> Vec<(usize, &'a str, &'static str)> {
+        if !self.any.is_match(text) {
+            return Vec::new();
+        }
+        let mut found: Vec<(usize, &str, &str)> = Vec::new();
+        for (pattern, advice) in &self.each {
+            found.extend(pattern.find_iter(text).map(|hit| (hit.start(), hit.as_str(), *advice)));
+        }
+        found.sort();
+        for hit in &mut found {
+            hit.0 = text[..hit.0].matches('\n').count() + 1;
+        }
+        found
+    }
+}
+
+/// Turns a line of [`IDIOMS`] into a pattern of whole words. Between two words may be a line break, with the sign of a
+/// comment at the start of the next line. The boundaries of words are those of ASCII, which match much faster.
+fn pattern(idiom: &str) -> Regex {
+    let gap = r#"(?:[ \t]+|[ \t]*\\?\r?\n[ \t]*(?:(?://[/!]?|#:?|\*|>|"|')[ \t]*)*)"#;
+    Regex::new(&format!(r"(?i-u)\b(?:{})\b", idiom.replace(' ', gap))).unwrap()
+}
+
+/// Adds the files below a place to `found`, in the order of their names.
+fn collect(place: &Path, found: &mut Vec<PathBuf>) {
+    let name = place.file_name().unwrap().to_str().unwrap();
+    if place.is_dir() && !place.is_symlink() {
+        if SKIPPED.contains(&name) || (name.starts_with('.') && ![".ci", ".github"].contains(&name)) {
+            return;
+        }
+        let mut inside: Vec<_> = fs::read_dir(place)
+            .unwrap()
+            .map(|entry| entry.unwrap().path())
+            .collect();
+        inside.sort();
+        for path in inside {
+            collect(&path, found);
+        }
+    } else if place.is_file() {
+        let ending = place.extension().map(|ending| ending.to_str().unwrap());
+        if ending.is_none_or(|ending| ENDINGS.contains(&ending)) && name != "prose.rs" {
+            found.push(place.to_owned());
+        }
+    }
+}
+
+#[test]
+fn prose_has_no_idioms_that_readers_cannot_search_for() {
+    assert!(ALLOWED.len() <= 10, "at most ten exceptions");
+    let mut files = Vec::new();
+    for place in PLACES {
+        collect(&root().join(place), &mut files);
+    }
+    assert!(files.len() > 300, "only {} files read", files.len());
+    let patterns = Patterns::new();
+    let mut used = vec![false; ALLOWED.len()];
+    let mut faults = Vec::new();
+    for path in &files {
+        // Some fixtures are not UTF-8 on purpose.
+        let text = String::from_utf8_lossy(&fs::read(path).unwrap()).into_owned();
+        let shown = path.strip_prefix(root()).unwrap().display().to_string();
+        for (line, words, advice) in patterns.hits(&text) {
+            let content = text.lines().nth(line - 1).unwrap_or_default();
+            let allowed = (ALLOWED.iter()).position(|(end, part)| shown.ends_with(end) && content.contains(part));
+            match allowed {
+                Some(at) => used[at] = true,
+                None => faults.push(format!("{shown}:{line}: `{}`: {advice}", words.replace('\n', " "))),
+            }
+        }
+    }
+    for ((end, part), used) in ALLOWED.iter().zip(used) {
+        if !used {
+            faults.push(format!("the exception ({end:?}, {part:?}) fits no hit: remove it"));
+        }
+    }
+    assert!(faults.is_empty(), "{} hits\n{}", faults.len(), faults.join("\n"));
+}
+
+#[test]
+fn idioms_are_found_across_lines_and_similar_words_are_not() {
+    let patterns = Patterns::new();
+    let found = |text| -> Vec<(usize, &str)> {
+        patterns
+            .hits(text)
+            .into_iter()
+            .map(|(line, words, _)| (line, words))
+            .collect()
+    };
+    assert_eq!(found("a\n/// Told\n"), [(2, "Told")]);
+    assert_eq!(found("// there are so\n    // many rows"), [(1, "so\n    // many")]);
+    assert_eq!(found("\"it goes \\\n on\""), [(1, "goes \\\n on")]);
+    assert_eq!(found("# what the search is about"), [(1, "what the search is about")]);
+    assert_eq!(found("It is asked for."), [(1, "is asked for")]);
+    assert_eq!(found("The colours of a grey car"), [(1, "colours"), (1, "grey")]);
+    for fine in [
+        "it is about 20 cells long",
+        "x is about to run into y",
+        "told_of, retold, storyteller, intelligent",
+        "the user is asked to confirm",
+        "like the others",
+        "whose rows",
+        "own rows, and a stranglehold",
+        "behavior, color, gray, analysis",
+        "income to spend",
+        "forever",
+    ] {
+        assert_eq!(found(fine), [], "{fine}");
+    }
+}
