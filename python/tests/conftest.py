@@ -1,6 +1,5 @@
 from __future__ import annotations
 
-import shutil
 import signal
 import struct
 import subprocess
@@ -14,8 +13,6 @@ from typing import Any
 import numpy as np
 import pytest
 from numpy.typing import NDArray
-
-from logicity.vap import VapDataset
 
 ROOT = Path(__file__).parents[2]
 

@@ -23,7 +23,6 @@ from logicity.evaluation import load_task
 from logicity.files import check_writable, reserved, write_json
 
 
-
 def varied(observation: NDArray[np.float32]) -> int:
     """Return an action that varies with the observation and depends on nothing else."""
     return int(observation.sum() * 7) % 4
