@@ -149,7 +149,7 @@ def test_a_rule_is_edited(page: Callable[..., WebDriver], tmp_path: pathlib.Path
     heights = "return ['text', 'colors', 'marks'].map((id) => document.getElementById(id).scrollHeight)"
     assert len({round(height / 10) for height in browser.execute_script(heights)}) == 1
     photograph(browser, "playground-fault.png")
-    # The last good rules go on.
+    # The last good rules still run.
     now = tick(browser)
     until(browser, lambda: tick(browser) > now)
     # A click on the message leads to its place.

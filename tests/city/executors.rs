@@ -62,7 +62,7 @@ fn executors_agree_in_every_mode() {
     }
 }
 
-/// A city that continues with the agents of another one goes on as that one does; under other rules, these decide.
+/// A city that continues with the agents of another one equals that one; under other rules, these decide.
 #[test]
 fn a_resumed_run_continues_the_first_one() {
     let resume = |world: &Arc<World>, executor, of: &Simulation| {

@@ -471,7 +471,7 @@ fn slow_impossible_requests_are_errors() {
         }
     };
     refused(&["nowhere"], 2, &["nowhere"]);
-    refused(&["--count", "0"], 2, &["1..=20000"]);
+    refused(&["--count", "0"], 2, &["an integer from 1 to 20000"]);
     refused(&["--mini", "--count", "3"], 2, &["--mini"]);
     refused(&["--shots", "3"], 2, &["invalid-value", "Slow, Normal, Fast, Stop"]);
     refused(&["--split", "train"], 2, &["invalid-value", "the same agents"]);
