@@ -4,7 +4,6 @@ import re
 from pathlib import Path
 
 import pytest
-from conftest import needs
 
 ROOT = Path(__file__).parents[2]
 BLOCKS = {
@@ -17,17 +16,9 @@ BLOCKS = {
 
 
 @pytest.mark.parametrize("block", BLOCKS)
-def test_python_blocks_of_readmes_run(
-    block: str, request: pytest.FixtureRequest, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    text = BLOCKS[block]
-    if "import torch" in text:
-        needs("torch", "vap")
-    if "vap-test" in text:
-        # A shell command in the README creates this data set.
-        (tmp_path / "vap-test").symlink_to(request.getfixturevalue("shown"))
+def test_python_blocks_of_readmes_run(block: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.chdir(tmp_path)
-    exec(compile(text, block, "exec"), {})
+    exec(compile(BLOCKS[block], block, "exec"), {})
 
 
 def test_both_readmes_have_python_blocks() -> None:

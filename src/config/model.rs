@@ -1,4 +1,4 @@
-//! The typed form of all configuration files. `configs/README.md` documents them for users.
+//! The typed form of all configuration files. `docs/reference/configuration.md` documents them for users.
 //!
 //! The serialized form omits file names and places. [`Scenario::hash`] is its hash.
 

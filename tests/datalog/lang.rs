@@ -1,6 +1,6 @@
 //! The rule language: rule files, fixtures, reference, round trip, hostile texts.
 
-use crate::pages::{blocks, pages_and};
+use crate::pages::{blocks, pages};
 use crate::rule_files::RuleFiles;
 use std::collections::BTreeSet;
 use std::path::{Path, PathBuf};
@@ -1275,7 +1275,7 @@ fn nested_includes_are_bounded() {
 fn every_block_of_the_reference_gives_the_diagnostics_it_expects() {
     let mut count = 0;
     let mut failures = Vec::new();
-    for (page, text) in pages_and("rules/README.md") {
+    for (page, text) in pages() {
         for block in blocks(&text).into_iter().filter(|block| block.kind == "dl") {
             let place = format!("{}:{}", page.display(), block.line);
             failures.extend(check_expectations(&place, &split_files("main.dl", &block.text)).err());
@@ -1285,26 +1285,6 @@ fn every_block_of_the_reference_gives_the_diagnostics_it_expects() {
     assert!(failures.is_empty(), "{}", failures.join("\n"));
     assert!(count > 20);
     println!("{count} blocks of rules load");
-}
-
-#[test]
-fn each_code_has_a_section_whose_example_produces_it() {
-    let text = read_text(&root().join("rules/README.md")).expect("the reference exists");
-    for code in rule_codes() {
-        let heading = format!("\n### `{}`\n", code.name());
-        let (_, section) = text
-            .split_once(&heading)
-            .unwrap_or_else(|| panic!("no section for {}", code.name()));
-        let section = section.split("\n### ").next().unwrap_or(section);
-        // An example cannot contain text that is not UTF-8.
-        if code != Code::NOT_TEXT {
-            assert!(
-                section.contains(&format!("[{}]", code.name())),
-                "no example of {}",
-                code.name()
-            );
-        }
-    }
 }
 
 // --- redundant clauses

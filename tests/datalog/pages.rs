@@ -30,10 +30,10 @@ pub fn blocks(text: &str) -> Vec<Block> {
     found
 }
 
-/// Returns the path from the root of the repository and the text of each page of the site, and of one other page.
-pub fn pages_and(other: &str) -> Vec<(PathBuf, String)> {
+/// Returns the path from the root of the repository and the text of each page of the site.
+pub fn pages() -> Vec<(PathBuf, String)> {
     let root = Path::new(env!("CARGO_MANIFEST_DIR"));
-    let mut paths = vec![root.join(other)];
+    let mut paths = Vec::new();
     let mut folders = vec![root.join("docs")];
     while let Some(folder) = folders.pop() {
         for entry in fs::read_dir(folder).expect("a readable folder") {

@@ -1824,19 +1824,17 @@ fn query_reads_the_requested_columns() {
     );
 }
 
-/// Parses a measurement, by key. README must explain each key.
+/// Parses a measurement, by key. The documents must explain each key.
 fn measured(output: &Output) -> Value {
     assert_eq!(code(output), 0, "{}", err(output));
     let printed: Value = serde_json::from_str(&out(output)).unwrap();
-    let readme = fs::read_to_string(Path::new(env!("CARGO_MANIFEST_DIR")).join("README.md")).unwrap();
-    let (_, keys) = readme
-        .split_once("### What `bench` prints")
-        .expect("README lists the keys");
-    let (keys, _) = keys.split_once("\n## ").expect("a section after the keys");
+    let page = Path::new(env!("CARGO_MANIFEST_DIR")).join("docs/how-to/measure-speed.md");
+    let page = fs::read_to_string(page).unwrap();
+    let (_, keys) = page.split_once("## Keys of `bench --json`").expect("a list of the keys");
     for key in printed.as_object().unwrap().keys() {
         let unit = key.trim_end_matches("_per_cpu_s").trim_end_matches("_per_s");
         let known = |name: &str| keys.contains(&format!("`{name}`"));
-        assert!(known(key) || known(unit), "README does not explain `{key}`");
+        assert!(known(key) || known(unit), "docs/how-to/measure-speed.md does not explain `{key}`");
     }
     printed
 }

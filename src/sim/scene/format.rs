@@ -1,4 +1,4 @@
-//! The scene format: one state of a city, or of abstract entities, as a line of JSON. `configs/README.md` documents it.
+//! The scene format: one state of a city, or of abstract entities, as a line of JSON. `docs/reference/scenes.md` documents it.
 
 use crate::city::AgentKind;
 use crate::city::{Cell, CityMap, Heading};
@@ -448,7 +448,7 @@ impl<'a> Reader<'a> {
 }
 
 const FORMS: &str = "expected {\"map\": .., \"agents\": [..]} or {\"entities\": [..], \"ego\": .., \"facts\": {..}}";
-const HELP: &str = "configs/README.md describes the two forms of a scene";
+const HELP: &str = "docs/reference/scenes.md describes the two forms of a scene";
 
 impl GeometricScene {
     /// Checks that every agent is on the map.

@@ -17,7 +17,7 @@ use serde::Deserialize;
 use std::collections::{BTreeMap, HashMap};
 use std::sync::Arc;
 
-/// The header of a trace. README describes the format.
+/// The header of a trace. docs/reference/traces.md describes the format.
 #[derive(Clone, Debug, Deserialize)]
 pub struct TraceHeader {
     trace: String,

@@ -21,7 +21,7 @@ pub fn letter(action: Action) -> char {
 }
 
 impl QuestionSet {
-    /// Writes one JSON object per line; README documents the keys.
+    /// Writes one JSON object per line; docs/how-to/ask-language-models.md documents the keys.
     ///
     /// # Errors
     /// Errors of `out`.
