@@ -4,7 +4,7 @@ use crate::pages::{blocks, pages};
 use logicity::builtin::{self, BuiltinFiles, ReadWith};
 use logicity::city::{Action, AgentConfig, AgentKind, Buildings, Routing, Split, TripEnds};
 use logicity::config::{Scenario, load_map, load_scenario};
-use logicity::diag::{Code, Diagnostic, MAX_FAULTS, Sources, render, to_json};
+use logicity::diag::{Diagnostic, MAX_FAULTS, Sources, render, to_json};
 use logicity::files::{BUILTIN_FOLDER, ReadError, ReadFile, read_text};
 use logicity::predicate::{Colliding, Distance};
 use logicity::{city, config, diag, sim};

@@ -1830,11 +1830,16 @@ fn measured(output: &Output) -> Value {
     let printed: Value = serde_json::from_str(&out(output)).unwrap();
     let page = Path::new(env!("CARGO_MANIFEST_DIR")).join("docs/how-to/measure-speed.md");
     let page = fs::read_to_string(page).unwrap();
-    let (_, keys) = page.split_once("## Keys of `bench --json`").expect("a list of the keys");
+    let (_, keys) = page
+        .split_once("## Keys of `bench --json`")
+        .expect("a list of the keys");
     for key in printed.as_object().unwrap().keys() {
         let unit = key.trim_end_matches("_per_cpu_s").trim_end_matches("_per_s");
         let known = |name: &str| keys.contains(&format!("`{name}`"));
-        assert!(known(key) || known(unit), "docs/how-to/measure-speed.md does not explain `{key}`");
+        assert!(
+            known(key) || known(unit),
+            "docs/how-to/measure-speed.md does not explain `{key}`"
+        );
     }
     printed
 }
