@@ -134,8 +134,8 @@ fn unreadable(path: &Path, error: &io::Error) -> ReadError {
     }
 }
 
-/// Opens a file that the user named: a regular file, a pipe, or an open descriptor such as `/dev/stdin`. Fails at once
-/// for a folder or a device. Waits for the writer of a pipe.
+/// Opens a file that the user named: a regular file, a pipe, `/dev/null`, or an open descriptor such as `/dev/stdin`.
+/// Fails at once for a folder or another device. Waits for the writer of a pipe.
 ///
 /// # Errors
 /// Why the file cannot be read.
@@ -144,7 +144,8 @@ pub fn open(path: &Path) -> Result<std::fs::File, ReadError> {
     if found.is_dir() {
         return Err(ReadError::Io("it is a folder, not a file".into()));
     }
-    if !found.is_file() && !is_pipe(&found) && descriptor(path).is_none() {
+    let is_empty = path == Path::new("/dev/null");
+    if !found.is_file() && !is_pipe(&found) && !is_empty && descriptor(path).is_none() {
         return Err(ReadError::Io("it is a device, not a file".into()));
     }
     std::fs::File::open(path).map_err(|error| unreadable(path, &error))

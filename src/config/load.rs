@@ -1,7 +1,7 @@
 //! Reads typed configurations from composed trees: the meaning and the range of each key.
 //!
-//! `docs/reference/configuration.md` documents the keys for users. The city checks whether the values are consistent, for example
-//! whether a street has room for its lanes.
+//! `docs/reference/configuration.md` documents the keys for users. The city checks whether the values are consistent,
+//! for example whether a street has room for its lanes.
 
 use crate::city::{Action, AgentGroup, AgentKind, AgentSet, Building, Buildings, MapConfig, Routing, Split};
 use crate::city::{TripEnds, Widths};

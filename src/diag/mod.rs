@@ -160,7 +160,9 @@ pub fn did_you_mean<'a>(name: &str, candidates: impl IntoIterator<Item = &'a str
         }
         let distance = strsim::damerau_levenshtein(&lower, &candidate.to_lowercase());
         let allowed = (name.chars().count().max(candidate.chars().count()) / 3).max(1);
-        if distance <= allowed && best.is_none_or(|(nearest, _)| distance < nearest) {
+        // A suggestion shares at least one character with the name.
+        let is_close = distance <= allowed && distance < name.chars().count();
+        if is_close && best.is_none_or(|(nearest, _)| distance < nearest) {
             best = Some((distance, candidate));
         }
     }

@@ -1287,6 +1287,22 @@ fn every_block_of_the_reference_gives_the_diagnostics_it_expects() {
     println!("{count} blocks of rules load");
 }
 
+/// An aggregate's variable may be bound by a chain of equations in any order.
+#[test]
+fn an_aggregate_follows_equations_in_any_order() {
+    let rules = [
+        "R(x, n) :- x = y, x = c, A(c), n = count : { B(v), v < x }.",
+        "R(x, n) :- A(c), x = y, x = c + 1, n = count : { B(v), v < x, v < y }.",
+        "R(x, n) :- A(c), x = c + 1, x = y, n = count : { B(v), v < x, v < y }.",
+    ];
+    for rule in rules {
+        let text = format!(".decl A, B(x: number) .input A, B .decl R(x: number, n: number) .output R {rule}");
+        let (sources, loaded) = load_text("main.dl", &text);
+        let said = render(&loaded.diagnostics, &sources, false);
+        assert!(loaded.rules.is_some() && !said.contains("error"), "{said}");
+    }
+}
+
 // --- redundant clauses
 
 /// A small database: the rows of each relation.

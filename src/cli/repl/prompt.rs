@@ -63,7 +63,7 @@ impl Lines {
         matches!(self.source, Source::Editor(_))
     }
 
-    /// Returns the next input that is not blank. A command after an incomplete text is an input of its own.
+    /// Returns the next input that is not blank. A command after an incomplete text is a separate input.
     pub fn next(&mut self, bench: &Workbench<'_>) -> Result<Line, Failure> {
         if let Some(command) = self.command.take() {
             return Ok(Line::Text(command));

@@ -443,14 +443,18 @@ fn lone_variables(
         let known = variables.iter().find(|variable| variable.name == *name);
         let is_text = known.is_some_and(|variable| base(variable.ty, names) == Some(BaseType::Symbol));
         let message = format!("`{one} = {other}` is always true: the variable `{name}` occurs nowhere else");
-        let fault =
-            Diagnostic::new(Code::VACUOUS_EQUATION, message).at(term.place.0, "a variable, since it has no quotes");
         // The name that the author may have meant as a text.
         let text = if reads_as_constant(same) && !reads_as_constant(name) {
             same
         } else {
             name
         };
+        let label = if text == name {
+            "a variable, since it has no quotes"
+        } else {
+            ""
+        };
+        let fault = Diagnostic::new(Code::VACUOUS_EQUATION, message).at(term.place.0, label);
         let [one, other] = [one, other].map(|side| {
             if side == text {
                 format!("\"{side}\"")

@@ -85,7 +85,7 @@ pub struct Relation {
     /// Whether `magic` or `.pragma "magic-transform"` names it, and no `no_magic` does.
     pub magic: bool,
     /// For the hidden predicate of a correlated aggregate: the number of leading columns that its clauses do not bind.
-    /// The literals that aggregate it bind them. Such a predicate has no rows of its own and is in no stratum; each of
+    /// The literals that aggregate it bind them. Such a predicate stores no rows and is in no stratum; each of
     /// these literals evaluates its clauses in place. 0 for any other predicate.
     pub parameters: usize,
     /// Its `.input`, `.output` and `.printsize` directives with their options.

@@ -423,7 +423,8 @@ impl<const W: usize> Output<W> {
     /// if the buffer takes no sets in this column.
     fn set_words(&self, column: usize) -> Option<(usize, usize)> {
         let seen = self.seen.as_ref()?;
-        let most = (seen.bytes() / size_of::<u64>()).min(self.fit / 12 * size_of::<Row<W>>() / size_of::<u64>());
+        let fit = (self.fit / 12).saturating_mul(size_of::<Row<W>>());
+        let most = seen.bytes().min(fit) / size_of::<u64>();
         Some((seen.set_words(column)?, most))
     }
 

@@ -1,8 +1,8 @@
 //! Syntax: from text to syntax tree and back.
 //!
 //! Each stage has a file or folder: `lexer` (text to tokens), `parser` (tokens to [`ast`]) and `include` (the files of
-//! a program to one list of items; `packed` keeps plain facts compactly). [`print`](fn@print) writes a tree as text. [`format`](fn@format) changes the layout
-//! of a text and keeps its comments.
+//! a program to one list of items; `packed` keeps plain facts compactly). [`print`](fn@print) writes a tree as text.
+//! [`format`](fn@format) changes the layout of a text and keeps its comments.
 //!
 //! This module resolves no names and reads no files: the caller passes a function that reads.
 

@@ -1,4 +1,5 @@
-//! The scene format: one state of a city, or of abstract entities, as a line of JSON. `docs/reference/scenes.md` documents it.
+//! The scene format: one state of a city, or of abstract entities, as a line of JSON.
+//! `docs/reference/scenes.md` documents it.
 
 use crate::city::AgentKind;
 use crate::city::{Cell, CityMap, Heading};

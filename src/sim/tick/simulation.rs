@@ -192,6 +192,7 @@ impl Simulation {
     ) -> Result<Simulation, Diagnostic> {
         let mut simulation = Simulation::with_agents(world, split, seed, settings, agents, cancel)?;
         simulation.tick = tick;
+        simulation.report.tick = tick;
         Ok(simulation)
     }
 

@@ -195,8 +195,11 @@ impl Replay {
             }
         }
         let names = header.agents.iter().map(|agent| agent.id.as_str());
+        let mut state = GroundState::new(&world.program, &world.vocabulary, names);
+        // The run may have had higher limits than the default ones of a tick.
+        state.set_limits(Limits::default());
         Ok(Replay {
-            state: GroundState::new(&world.program, &world.vocabulary, names),
+            state,
             agents: header.agents.clone(),
             kinds,
             positions,
@@ -270,7 +273,7 @@ impl Replay {
             facts.rows[index].dedup();
         }
         self.state.set(&facts).map_err(|error| {
-            let fault = Diagnostic::from(error);
+            let fault = error.diagnostic(self.world.program.rules());
             match self.is_bounded {
                 true => fault.help("rules in a trace are bounded; specify the rules with `--rules` if you trust them"),
                 false => fault,

@@ -1,4 +1,5 @@
-//! Writes the trace of a run as JSON lines: a header, then one line per tick. docs/reference/traces.md documents the format.
+//! Writes the trace of a run as JSON lines: a header, then one line per tick.
+//! `docs/reference/traces.md` documents the format.
 
 use crate::city::Action;
 use crate::city::{Heading, Moved};

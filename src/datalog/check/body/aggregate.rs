@@ -316,8 +316,8 @@ impl<'c> Check<'_, 'c> {
             .collect()
     }
 
-    /// Returns whether a predicate depends on the head of the clause, on which that depends, too, or on values that only
-    /// such predicates provide.
+    /// Returns whether a predicate is mutually recursive with the head of the clause, or reads values that only such
+    /// predicates bind.
     pub fn is_recursive(&self, relation: RelId, finish: &Finish<'_>) -> bool {
         let (mut todo, mut hidden) = (vec![relation], Vec::new());
         while let Some(relation) = todo.pop() {
@@ -398,26 +398,31 @@ fn grounding(
         if unbound.is_empty() {
             return Some(taken);
         }
-        let missing = *unbound.difference(&given).next()?;
-        given.insert(missing);
-        let gives = |literal: &Literal| match literal {
-            Literal::Positive(atom) | Literal::Guard(atom) => atom.terms.contains(&Term::Variable(missing)),
+        let gives = |literal: &Literal, id: VarId| match literal {
+            Literal::Positive(atom) | Literal::Guard(atom) => atom.terms.contains(&Term::Variable(id)),
             Literal::Compare {
                 op: Comparison::Equal,
                 left,
                 right,
                 ..
-            } => [left, right].contains(&&Term::Variable(missing)),
-            Literal::Compute { to, .. } | Literal::Aggregate { to, .. } => *to == Term::Variable(missing),
+            } => [left, right].contains(&&Term::Variable(id)),
+            Literal::Compute { to, .. } | Literal::Aggregate { to, .. } => *to == Term::Variable(id),
             _ => false,
         };
         let atoms_first = |position: &usize| (!matches!(context[*position], Literal::Positive(_)), *position);
-        let candidates = (0..context.len()).filter(|position| !taken.contains(position));
-        let best = candidates
-            .filter(|&position| gives(&context[position]) && usable(&context[position]))
-            .min_by_key(atoms_first)?;
-        taken.push(best);
-        body.push(context[best].clone());
+        let best = |id: VarId| {
+            (0..context.len())
+                .filter(|position| !taken.contains(position))
+                .filter(|&position| gives(&context[position], id) && usable(&context[position]))
+                .min_by_key(atoms_first)
+                .map(|position| (id, position))
+        };
+        // A variable that has a literal already may need another one, for example `x = c` besides `x = y`.
+        let mut order = unbound.difference(&given).chain(unbound.intersection(&given));
+        let (id, position) = order.find_map(|id| best(*id))?;
+        given.insert(id);
+        taken.push(position);
+        body.push(context[position].clone());
     }
 }
 
