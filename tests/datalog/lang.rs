@@ -1283,7 +1283,7 @@ fn every_block_of_the_reference_gives_the_diagnostics_it_expects() {
         }
     }
     assert!(failures.is_empty(), "{}", failures.join("\n"));
-    assert!(count > 20);
+    assert!(count >= 15);
     println!("{count} blocks of rules load");
 }
 
