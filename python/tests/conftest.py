@@ -1,5 +1,6 @@
 from __future__ import annotations
 
+import shutil
 import signal
 import struct
 import subprocess
@@ -13,6 +14,8 @@ from typing import Any
 import numpy as np
 import pytest
 from numpy.typing import NDArray
+
+from logicity.vap import VapDataset
 
 ROOT = Path(__file__).parents[2]
 
@@ -120,3 +123,15 @@ def picture(world: int, tick: int) -> NDArray[np.uint8]:
     """Return the picture of a sample in these tests: squares of 64 pixels with colors that are unique to the sample."""
     colors = np.random.default_rng([world, tick]).integers(0, 256, (16, 16, 3), np.uint8)
     return np.repeat(np.repeat(colors, 64, 0), 64, 1)
+
+
+@pytest.fixture(scope="session")
+def shown(sets: Path, tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """The data set `random` with pictures."""
+    folder = Path(shutil.copytree(sets / "random", tmp_path_factory.mktemp("shown") / "set"))
+    manifest = folder / "manifest.json"
+    manifest.write_text(manifest.read_text().replace('"pictures": false', '"pictures": true'))
+    samples = VapDataset(folder, images=False)
+    for index, sample in enumerate(samples):
+        samples.picture_path(index).write_bytes(png(picture(sample.world, sample.tick)))
+    return folder
