@@ -372,7 +372,7 @@ def test_ctrl_c_ends_a_tick(tmp_path: Path, ctrl_c: Interrupt) -> None:
 def test_ctrl_c_ends_an_answer(tmp_path: Path, ctrl_c: Interrupt) -> None:
     (tmp_path / "counting.dl").write_text(COUNTING)
     (tmp_path / "circle.dl").write_text(CIRCLE)
-    names = [f"e{number}" for number in range(1000)]
+    names = [f"e{number}" for number in range(1600)]
     above = [[one, other] for at, one in enumerate(names) for other in names[at + 1 :]]
     dense = Inference("easy", tmp_path / "circle.dl", executor="dense")
     ctrl_c(lambda: dense.answer({"entities": names, "ego": names[0], "facts": {"HigherPri": above}}))
