@@ -1,19 +1,17 @@
 //! Runs a plan: a pipelined nested-loop join over sorted rows, without intermediate relations.
 
 use crate::cancel::Cancel;
-use crate::datalog::check::RelId;
-use crate::datalog::eval::groups::{self, Groups, KeyHasher};
-use crate::datalog::eval::seen_bitmap::{Added, SeenBitmap, raise};
+use crate::datalog::eval::correlated::CorrelatedValues;
+use crate::datalog::eval::groups;
+use crate::datalog::eval::output::{Abort, Output};
+use crate::datalog::eval::word_sets::WordSets;
 use crate::datalog::plan::steps::{List, Plan, Slot, Source, Step};
-use crate::datalog::row::{AnyBatch, AnyRows, Batch, ByWidth, Row, difference, each_width, gallop, normalize};
+use crate::datalog::row::{AnyBatch, AnyRows, Batch, ByWidth, Row, each_width, gallop};
 use crate::datalog::syntax::ast::{BaseType, Comparison};
 use crate::datalog::syntax::functor::{AggregateOp, Functor};
 use crate::datalog::value::{Patterns, Value};
 use crate::symbol::{Symbol, Symbols};
 use std::cmp::Ordering;
-use std::collections::HashMap;
-use std::collections::hash_map::Entry;
-use std::hash::BuildHasherDefault;
 
 /// The rows that a step reads, as sorted batches. A leapfrog join has one batch for each list, and a correlated
 /// aggregate one for each source of its plans.
@@ -64,58 +62,6 @@ impl<'a, const W: usize> RowView<'a, W> {
     }
 }
 
-/// A buffer for derived rows. It may hold repetitions.
-///
-/// Its memory is bounded. Where words are dense, a [`SeenBitmap`] marks rows and filters repetitions. Elsewhere, the
-/// buffer sorts its rows when there are many and drops repetitions.
-#[derive(Debug)]
-pub(crate) struct Output<const W: usize> {
-    rows: Vec<Row<W>>,
-    /// The number of rows ever pushed.
-    pub(crate) pushed: u64,
-    /// If present, contains everything in `rows`.
-    seen: Option<SeenBitmap<W>>,
-    /// Whether `seen`, if present, holds all rows ever pushed.
-    whole: bool,
-    /// Whether rows have been taken.
-    took: bool,
-    /// By column: the largest word of the rows taken.
-    largest: [u32; W],
-    /// Whether `seen` lacks only rows that were taken. [`Output::learn`] can add these.
-    may_learn: bool,
-    /// Whether `seen` is the only record of the rows taken; see [`Output::remember`].
-    remembers: bool,
-    /// If so, and `seen` was dropped: the rows taken before.
-    taken: Vec<Row<W>>,
-    /// The number of new rows that `seen` holds in place of `rows`.
-    kept: usize,
-    /// The number of rows at which `act` reorganizes the buffer.
-    act_at: usize,
-    compact_at: usize,
-    limit: usize,
-    /// The maximum number of distinct rows that memory allows.
-    fit: usize,
-    /// The lesser of `limit` and `fit`.
-    most: usize,
-    /// What a plan with a fold derives, in place of rows.
-    groups: Option<Box<Groups<W>>>,
-    /// Scratch memory of [`Output::push_set`].
-    values: Vec<Value>,
-}
-
-/// The reason why an evaluation was abandoned.
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub(crate) enum Abort {
-    /// The clauses derived more distinct rows than allowed.
-    Overflow,
-    /// The plans scanned more rows than allowed.
-    Budget,
-    /// Rows, indexes or texts take more memory than allowed.
-    Memory,
-    /// The caller cancelled it.
-    Cancelled,
-}
-
 /// The scratch memory, counters and limits of evaluations.
 #[derive(Debug)]
 pub(crate) struct JoinState {
@@ -129,7 +75,7 @@ pub(crate) struct JoinState {
     /// The maximum size of all texts, in bytes.
     pub(crate) text_bytes: u64,
     /// The correlated aggregates evaluated so far.
-    pub(crate) correlated: Values,
+    pub(crate) correlated: CorrelatedValues,
 }
 
 impl JoinState {
@@ -144,482 +90,8 @@ impl JoinState {
             budget,
             next_poll: budget.min(Self::POLL_INTERVAL),
             text_bytes: u64::MAX,
-            correlated: Values::default(),
+            correlated: CorrelatedValues::default(),
         }
-    }
-}
-
-/// The values of correlated aggregates, by relation and parameters. What an aggregate reads is complete, so its values
-/// stay valid while a stratum is evaluated.
-#[derive(Debug)]
-pub(crate) struct Values {
-    known: HashMap<RelId, HashMap<Box<[Value]>, Option<Value>>>,
-    /// The approximate memory of `known`.
-    bytes: u64,
-    /// The maximum of `bytes`. The rows of one evaluation may take as much again.
-    pub(crate) bytes_max: u64,
-}
-
-impl Default for Values {
-    /// An empty cache of any size.
-    fn default() -> Self {
-        Values {
-            known: HashMap::new(),
-            bytes: 0,
-            bytes_max: u64::MAX,
-        }
-    }
-}
-
-impl Values {
-    /// The memory of an entry: a table is up to half empty, and has two copies while it grows.
-    const ENTRY_BYTES: u64 = 3 * size_of::<(Box<[Value]>, Option<Value>)>() as u64 + 16;
-
-    /// The value for these parameters if it is known. The inner `None` means that the aggregate has no value.
-    #[allow(clippy::option_option)]
-    fn get(&self, relation: RelId, parameters: &[Value]) -> Option<Option<Value>> {
-        self.known.get(&relation)?.get(parameters).copied()
-    }
-
-    /// Adds a value. If the memory is full, forgets all others first.
-    fn insert(&mut self, relation: RelId, parameters: &[Value], value: Option<Value>) {
-        let bytes = Self::ENTRY_BYTES + size_of_val(parameters) as u64;
-        if self.bytes.saturating_add(bytes) > self.bytes_max {
-            self.known = HashMap::new();
-            self.bytes = 0;
-        }
-        if bytes <= self.bytes_max {
-            self.bytes += bytes;
-            self.known.entry(relation).or_default().insert(parameters.into(), value);
-        }
-    }
-}
-
-impl<const W: usize> Output<W> {
-    /// The number of buffered words (128 MiB) at which the buffer removes repetitions.
-    const COMPACT_WORDS: usize = 1 << 25;
-
-    /// The minimum number of rows before the buffer considers a bitmap.
-    const SEEN_MIN: usize = 256;
-
-    /// Distinct rows may take 3/4 of the memory. The rest is for a bitmap and for repetitions, so that the buffer is
-    /// not sorted for every few rows.
-    const FIT_PARTS: usize = 4;
-
-    /// Unused memory at the end of a list is freed from this size on. Freeing less costs more than it saves.
-    const SLACK_BYTES: usize = 1 << 20;
-
-    /// Limits a bitmap to 1 GiB, the memory of this number of rows.
-    const SEEN_ROWS_MAX: u64 = (1 << 30) / size_of::<Row<W>>() as u64;
-
-    /// An empty buffer that accepts at most `limit` distinct rows.
-    pub(crate) fn new(limit: usize) -> Self {
-        let compact_at = (Self::COMPACT_WORDS / W).min(limit.saturating_add(1));
-        Output {
-            rows: Vec::new(),
-            pushed: 0,
-            seen: None,
-            whole: true,
-            took: false,
-            largest: [0; W],
-            may_learn: false,
-            remembers: false,
-            taken: Vec::new(),
-            kept: 0,
-            act_at: compact_at.min(Self::SEEN_MIN),
-            compact_at,
-            limit,
-            fit: usize::MAX,
-            most: limit,
-            groups: None,
-            values: Vec::new(),
-        }
-    }
-
-    /// Limits the memory of the buffer.
-    pub(crate) fn set_bytes(&mut self, bytes: u64) {
-        let rows = usize::try_from(bytes / size_of::<Row<W>>() as u64).unwrap_or(usize::MAX);
-        self.set_fit(rows / Self::FIT_PARTS * (Self::FIT_PARTS - 1));
-    }
-
-    fn set_fit(&mut self, fit: usize) {
-        self.fit = fit;
-        self.most = fit.min(self.limit);
-        self.compact_at = self.compact_at.min(self.buffer_max());
-        self.act_at = self.act_at.min(self.compact_at);
-    }
-
-    /// The maximum number of rows in the list, repetitions included.
-    fn buffer_max(&self) -> usize {
-        let repeated = self.most / (Self::FIT_PARTS - 1);
-        self.most.saturating_add(repeated).saturating_add(1)
-    }
-
-    /// Fails if there are too many distinct rows.
-    #[inline]
-    pub(crate) fn check(&self, rows: usize) -> Result<(), Abort> {
-        if rows <= self.most {
-            return Ok(());
-        }
-        Err(if rows > self.limit {
-            Abort::Overflow
-        } else {
-            Abort::Memory
-        })
-    }
-
-    /// An empty buffer for the output of a plan; it accepts at most `limit` distinct rows.
-    pub(crate) fn for_plan(plan: &Plan, limit: usize) -> Self {
-        let groups = |fold| Box::new(Groups::new(fold, plan.output.len()));
-        Output {
-            groups: plan.fold.map(groups),
-            ..Self::new(limit)
-        }
-    }
-
-    /// A buffer that holds these distinct rows.
-    pub(crate) fn of(rows: Vec<Row<W>>, limit: usize) -> Self {
-        Output {
-            rows,
-            ..Self::new(limit)
-        }
-    }
-
-    /// Makes an empty buffer for one of `count` parts of the rows. It filters rows that this one knows. Together, the
-    /// parts need no more memory than this buffer has left for them and for its own copy of their rows.
-    pub(crate) fn fork(&self, count: usize) -> Self {
-        let mut fork = Output {
-            seen: self.seen.as_ref().map(SeenBitmap::fork),
-            groups: self.groups.as_ref().map(|groups| Box::new(groups.fork())),
-            ..Self::new(self.limit / count)
-        };
-        if self.fit < usize::MAX {
-            fork.set_fit(self.fit.saturating_sub(self.rows.len()) / (2 * count));
-        }
-        fork
-    }
-
-    /// Whether the bitmaps of `count` forks fit into memory.
-    pub(crate) fn can_fork(&self, count: usize) -> bool {
-        self.seen_bytes() / size_of::<Row<W>>() * 2 * count <= self.fit / 4
-    }
-
-    /// The bytes of the bitmap of known rows.
-    pub(crate) fn seen_bytes(&self) -> usize {
-        self.seen.as_ref().map_or(0, SeenBitmap::bytes)
-    }
-
-    /// Adds the rows of a fork.
-    pub(crate) fn absorb(&mut self, mut fork: Self, symbols: &Symbols) -> Result<(), Abort> {
-        let pushed = self.pushed + fork.pushed;
-        self.pushed = pushed;
-        if let (Some(groups), Some(other)) = (&mut self.groups, fork.groups.take()) {
-            groups.merge(*other, symbols);
-            let rows = groups.rows();
-            return self.check(rows);
-        }
-        if let (Some(seen), Some(other)) = (&mut self.seen, &fork.seen)
-            && other.keeps()
-            && seen.is_like(other)
-        {
-            if !seen.keeps() {
-                seen.keep(&self.rows);
-                self.kept = std::mem::take(&mut self.rows).len();
-            }
-            self.kept += seen.absorb(other);
-            return self.check(self.kept);
-        }
-        let rows = fork.take();
-        if self.seen.is_none() {
-            self.rows.try_reserve_exact(rows.len()).map_err(|_| Abort::Memory)?;
-            self.rows.extend_from_slice(&rows);
-            drop(rows);
-            // A stable sort merges sorted runs, such as those of several forks, in linear time.
-            self.rows.sort();
-            self.rows.dedup();
-            return if self.rows.len() >= self.act_at {
-                self.act()
-            } else {
-                Ok(())
-            };
-        }
-        for row in rows {
-            self.push(row)?;
-        }
-        self.pushed = pushed;
-        Ok(())
-    }
-
-    /// Sorts the rows if they are in a list.
-    pub(crate) fn settle(&mut self) {
-        normalize(&mut self.rows);
-    }
-
-    /// Whether the buffer is empty.
-    pub(crate) fn is_empty(&self) -> bool {
-        self.rows.is_empty() && self.kept == 0 && self.groups.as_ref().is_none_or(|groups| groups.len() == 0)
-    }
-
-    /// Adds `times` matches with this key and value; `times` is 1 unless the aggregate is a count.
-    #[inline]
-    fn fold(&mut self, key: Row<W>, value: Option<Value>, times: u64, symbols: &Symbols) -> Result<(), Abort> {
-        self.pushed += times;
-        let Some(groups) = &mut self.groups else { return Ok(()) };
-        match value {
-            Some(value) => groups.add(key, value, symbols),
-            None => groups.count(key, times),
-        }
-        let rows = groups.rows();
-        self.check(rows)
-    }
-
-    #[inline]
-    fn push(&mut self, row: Row<W>) -> Result<(), Abort> {
-        self.pushed += 1;
-        if let Some(seen) = &mut self.seen {
-            match seen.add(&row) {
-                Added::Known => return Ok(()),
-                Added::New if seen.keeps() => {
-                    self.kept += 1;
-                    return self.check(self.kept);
-                }
-                Added::New => {}
-                Added::Beyond => self.unmark(),
-            }
-        }
-        self.rows.push(row);
-        if self.rows.len() >= self.act_at {
-            self.act()
-        } else {
-            Ok(())
-        }
-    }
-
-    /// Pushes copies of `row` in which one word is replaced by a column of the rows found.
-    #[inline]
-    fn push_along<const V: usize>(
-        &mut self,
-        mut row: Row<W>,
-        word: usize,
-        found: &[Row<V>],
-        column: usize,
-    ) -> Result<(), Abort> {
-        let mut rest = found;
-        if let Some(seen) = self.seen.as_mut().filter(|seen| seen.keeps()) {
-            let (added, new) = seen.keep_along(row, word, found.iter().map(|other| other.0[column]));
-            self.pushed += added as u64;
-            self.kept += new;
-            self.check(self.kept)?;
-            rest = &found[added..];
-        }
-        for other in rest {
-            row.0[word] = other.0[column];
-            self.push(row)?;
-        }
-        Ok(())
-    }
-
-    /// The number of words of a set of bits for [`Output::push_set`], and the most words that all sets may take; `None`
-    /// if the buffer takes no sets in this column.
-    fn set_words(&self, column: usize) -> Option<(usize, usize)> {
-        let seen = self.seen.as_ref()?;
-        let fit = (self.fit / 12).saturating_mul(size_of::<Row<W>>());
-        let most = seen.bytes().min(fit) / size_of::<u64>();
-        Some((seen.set_words(column)?, most))
-    }
-
-    /// Pushes copies of `row` in which one word is replaced by each of the `count` elements of a set. Returns whether
-    /// they fit.
-    fn push_set(&mut self, mut row: Row<W>, word: usize, set: &[u64], count: usize) -> Result<bool, Abort> {
-        let Some(seen) = &mut self.seen else { return Ok(false) };
-        let Some(new) = seen.add_set(row, word, set, &mut self.values) else {
-            return Ok(false);
-        };
-        self.pushed += count as u64;
-        if self.values.is_empty() {
-            self.kept += new;
-            self.check(self.kept)?;
-            return Ok(true);
-        }
-        self.rows.try_reserve(new).map_err(|_| Abort::Memory)?;
-        self.rows.extend(self.values.drain(..).map(|value| {
-            row.0[word] = value;
-            row
-        }));
-        if self.rows.len() >= self.act_at {
-            self.act()?;
-        }
-        Ok(true)
-    }
-
-    /// Replaces the bitmap by a plain list.
-    #[cold]
-    fn unmark(&mut self) {
-        if let Some(mut seen) = self.seen.take() {
-            self.largest = seen.largest();
-            let all = if self.remembers { seen.all() } else { Vec::new() };
-            if seen.keeps() {
-                self.rows = seen.drain(std::mem::take(&mut self.kept));
-            } else if self.remembers {
-                normalize(&mut self.rows);
-            }
-            self.taken = difference(&all, &self.rows);
-        }
-        self.remembers = false;
-        // Reconsider a bitmap only after more rows.
-        self.act_at = (self.rows.len() + Self::SEEN_MIN).min(self.compact_at);
-    }
-
-    /// Chooses the better representation of the rows.
-    #[cold]
-    fn act(&mut self) -> Result<(), Abort> {
-        if self.seen.is_none() {
-            let rows = self.pushed.min(Self::SEEN_ROWS_MAX).min(self.fit as u64 / 6);
-            self.seen = SeenBitmap::over(&self.rows, self.largest, rows);
-            if self.seen.is_some() {
-                self.whole = !self.took;
-                self.may_learn = self.took;
-                normalize(&mut self.rows);
-            }
-        }
-        if let Some(seen) = self.seen.as_mut().filter(|seen| seen.prefers_bits(self.rows.len())) {
-            seen.keep(&self.rows);
-            self.kept = self.rows.len();
-            self.rows = Vec::new();
-        }
-        // Without a bitmap, the list may hold repetitions until it is compacted.
-        let mut distinct = self.seen.is_some();
-        if self.rows.len() >= self.compact_at {
-            normalize(&mut self.rows);
-            distinct = true;
-            self.compact_at = self.compact_at.max(self.rows.len().saturating_mul(2));
-            self.compact_at = self.compact_at.min(self.buffer_max());
-        }
-        self.check(if distinct { self.rows.len() } else { 0 }.max(self.kept))?;
-        self.act_at = self
-            .rows
-            .len()
-            .saturating_mul(2)
-            .max(Self::SEEN_MIN)
-            .min(self.compact_at);
-        let more = self.act_at.saturating_sub(self.rows.len());
-        self.rows.try_reserve_exact(more).map_err(|_| Abort::Memory)
-    }
-
-    /// Takes the distinct rows, in order. Afterwards the buffer is empty, but it may filter these rows when they are
-    /// derived again.
-    pub(crate) fn take(&mut self) -> Vec<Row<W>> {
-        self.take_by(normalize)
-    }
-
-    /// Like `take`, with another function to sort rows and remove repetitions.
-    pub(crate) fn take_by(&mut self, normalize: impl FnOnce(&mut Vec<Row<W>>)) -> Vec<Row<W>> {
-        self.took |= !self.is_empty();
-        if let Some(groups) = &mut self.groups {
-            return groups.take();
-        }
-        self.act_at = self.compact_at.min(Self::SEEN_MIN);
-        if let Some(seen) = self.seen.as_mut().filter(|seen| seen.keeps()) {
-            return seen.drain(std::mem::take(&mut self.kept));
-        }
-        let mut rows = std::mem::take(&mut self.rows);
-        normalize(&mut rows);
-        if (rows.capacity() - rows.len()) * size_of::<Row<W>>() > Self::SLACK_BYTES {
-            rows.shrink_to_fit();
-        }
-        if self.seen.is_none() {
-            raise(&mut self.largest, &rows);
-        }
-        rows
-    }
-
-    /// Adds the rows taken before there was a bitmap, so that the buffer [is whole](Output::is_whole). If a row does
-    /// not fit, the buffer is not whole until it has another bitmap.
-    pub(crate) fn learn<'a>(&mut self, taken: impl Iterator<Item = &'a [Row<W>]>) {
-        if let Some(seen) = self.seen.as_mut().filter(|_| self.may_learn) {
-            self.may_learn = false;
-            let mut rows = taken.flatten();
-            self.whole = rows.all(|row| seen.note(row));
-        }
-    }
-
-    /// Makes the bitmap the only record of the rows taken. The buffer must [be whole](Output::is_whole). If it drops
-    /// the bitmap later, [`Output::forgotten`] returns these rows.
-    pub(crate) fn remember(&mut self) {
-        self.remembers = true;
-    }
-
-    /// Takes the rows that the buffer remembered before it dropped the bitmap, in order.
-    pub(crate) fn forgotten(&mut self) -> Vec<Row<W>> {
-        std::mem::take(&mut self.taken)
-    }
-
-    /// Whether the bitmap holds all rows ever pushed.
-    pub(crate) fn is_whole(&self) -> bool {
-        self.whole && self.seen.is_some()
-    }
-
-    /// The rows in the bitmap, in order: all rows ever pushed if the buffer [is whole](Output::is_whole).
-    pub(crate) fn all(&self) -> Vec<Row<W>> {
-        self.seen.as_ref().map(SeenBitmap::all).unwrap_or_default()
-    }
-}
-
-/// The words that follow a word in the rows of a plan's last scan, as sets of bits.
-///
-/// A recursive clause often finds the same long list of rows for many derived rows. Merging a set into a
-/// [`SeenBitmap`] takes one operation for 64 of them.
-#[derive(Debug, Default)]
-struct WordSets {
-    /// By word: the position of its set in `bits`; `None` if the word occurred once, without a set.
-    places: HashMap<Value, Option<usize>, BuildHasherDefault<KeyHasher>>,
-    bits: Vec<u64>,
-    /// The number of words of a set.
-    width: usize,
-}
-
-impl WordSets {
-    /// Shorter lists take less time than their sets.
-    const ROWS_MIN: usize = 32;
-
-    /// Returns the set of the words in the second column of `found`, which are less than `64 * width`, sorted batch by
-    /// batch, and follow the word `first`. Returns `None` at the first call for a word, or if all sets together would
-    /// have more than `most` words.
-    fn of<'a, const W: usize>(
-        &mut self,
-        first: Value,
-        found: impl Iterator<Item = AnyRows<'a, W>>,
-        (width, most): (usize, usize),
-    ) -> Option<&[u64]> {
-        if width != self.width {
-            *self = WordSets::default();
-            self.width = width;
-        }
-        let place = match self.places.entry(first) {
-            Entry::Vacant(entry) => {
-                entry.insert(None);
-                return None;
-            }
-            Entry::Occupied(entry) => entry.into_mut(),
-        };
-        let start = match *place {
-            Some(start) => start,
-            None if self.bits.len() + width > most => return None,
-            None => {
-                let start = self.bits.len();
-                self.bits.resize(start + width, 0);
-                let set = &mut self.bits[start..];
-                for rows in found {
-                    each_width!(rows, rows => rows.iter().for_each(|row| {
-                        let word = row.0[1].0;
-                        set[(word / u64::BITS) as usize] |= 1 << (word % u64::BITS);
-                    }));
-                }
-                *place = Some(start);
-                start
-            }
-        };
-        Some(&self.bits[start..start + width])
     }
 }
 
@@ -679,7 +151,7 @@ struct Join<'a, const W: usize> {
     /// The rows of the last scan.
     sets: WordSets,
     /// The correlated aggregates evaluated so far.
-    known: &'a mut Values,
+    known: &'a mut CorrelatedValues,
     out: &'a mut Output<W>,
 }
 
@@ -835,18 +307,21 @@ impl<const W: usize> Join<'_, W> {
 
     fn scan(
         &mut self,
-        (depth, end, once): (usize, usize, bool),
+        place: (usize, usize, bool),
         key: &[Slot],
-        (bind, check): (Columns<'_>, Columns<'_>),
+        columns: (Columns<'_>, Columns<'_>),
         distinct: usize,
     ) -> Result<bool, Abort> {
         let views = self.views;
+        let (depth, _, once) = place;
         let words = self.key(key);
+        let words = &words[..key.len()];
         let mut any = false;
         for batch in views[depth].batches() {
-            any |= each_width!(batch.range(&words[..key.len()]), rows => {
-                self.scan_rows((depth, end, once), rows, (bind, check), distinct)?
-            });
+            any |= match batch {
+                ByWidth::Own(batch) => self.scan_rows(place, batch.range(words), columns, distinct)?,
+                narrow => self.scan_narrow(place, narrow.range(words), columns, distinct)?,
+            };
             if any && once {
                 return Ok(true);
             }
@@ -854,6 +329,19 @@ impl<const W: usize> Join<'_, W> {
         Ok(any)
     }
 
+    /// Like `scan_rows`, apart from it to keep that small.
+    #[inline(never)]
+    fn scan_narrow(
+        &mut self,
+        place: (usize, usize, bool),
+        rows: AnyRows<'_, W>,
+        columns: (Columns<'_>, Columns<'_>),
+        distinct: usize,
+    ) -> Result<bool, Abort> {
+        each_width!(rows, rows => self.scan_rows(place, rows, columns, distinct))
+    }
+
+    #[inline(always)]
     fn scan_rows<const V: usize>(
         &mut self,
         (depth, end, once): (usize, usize, bool),
@@ -935,7 +423,7 @@ impl<const W: usize> Join<'_, W> {
 
     /// Runs the last scan of a plan: every row found derives a row.
     fn spread(&mut self, depth: usize, key: &[Value], bind: &[(u16, Slot)]) -> Result<bool, Abort> {
-        let mut row = Row(self.key(&self.plan.output));
+        let row = Row(self.key(&self.plan.output));
         // (word of the derived row, column of the index)
         let mut moves = [(0, 0); W];
         let mut count = 0;
@@ -946,58 +434,76 @@ impl<const W: usize> Join<'_, W> {
             }
         }
         let views = self.views;
-        if let ([(word, 1)], [first]) = (&moves[..count], key)
-            && let Some(any) = self.spread_set(depth, *first, row, *word)?
-        {
-            return Ok(any);
-        }
+        let derived = (row, &moves[..count]);
         let mut any = false;
-        for batch in views[depth].batches() {
-            let found = batch.range(key);
-            any |= found.len() > 0;
-            self.rows_scanned += found.len() as u64;
-            each_width!(found, found => match moves[..count] {
-                [(word, column)] => self.out.push_along(row, word, found, column)?,
-                _ => {
-                    for other in found {
-                        for &(word, column) in &moves[..count] {
-                            row.0[word] = other.0[column];
-                        }
-                        self.out.push(row)?;
-                    }
-                }
-            });
+        for (position, batch) in (0..).zip(views[depth].batches()) {
+            any |= match batch {
+                ByWidth::Own(batch) => self.spread_rows(position, key, batch.range(key), derived)?,
+                narrow => self.spread_narrow(position, key, narrow.range(key), derived)?,
+            };
         }
         Ok(any)
     }
 
-    /// Like `spread` for rows that follow the word `first` and replace one word of `row`, with all of them as one set.
-    /// Does nothing and returns `None` where that is slower or impossible.
-    #[inline]
-    fn spread_set(&mut self, depth: usize, first: Value, row: Row<W>, word: usize) -> Result<Option<bool>, Abort> {
-        let views = self.views;
-        let found = || views[depth].batches().map(|batch| batch.range(&[first]));
-        let count: usize = found().map(|rows| rows.len()).sum();
-        if count < WordSets::ROWS_MIN {
-            return Ok(None);
+    /// Like `spread_rows`, apart from it to keep that small.
+    #[inline(never)]
+    fn spread_narrow(
+        &mut self,
+        batch: u32,
+        key: &[Value],
+        found: AnyRows<'_, W>,
+        derived: (Row<W>, &[(usize, usize)]),
+    ) -> Result<bool, Abort> {
+        each_width!(found, found => self.spread_rows(batch, key, found, derived))
+    }
+
+    /// Derives a row from each row of a batch that begins with `key`: copies of a row in which some words are replaced
+    /// by columns.
+    #[inline(always)]
+    fn spread_rows<const V: usize>(
+        &mut self,
+        batch: u32,
+        key: &[Value],
+        found: &[Row<V>],
+        (mut row, moves): (Row<W>, &[(usize, usize)]),
+    ) -> Result<bool, Abort> {
+        self.rows_scanned += found.len() as u64;
+        if let [(word, column)] = *moves {
+            let is_long = column == 1 && key.len() == 1 && found.len() >= WordSets::ROWS_MIN;
+            if !is_long || !self.spread_set((batch, key[0]), found, row, word)? {
+                self.out.push_along(row, word, found, column)?;
+            }
+        } else {
+            for other in found {
+                for &(word, column) in moves {
+                    row.0[word] = other.0[column];
+                }
+                self.out.push(row)?;
+            }
         }
-        let Some((width, most)) = self.out.set_words(word).filter(|(width, _)| count >= width / 2) else {
-            return Ok(None);
+        Ok(!found.is_empty())
+    }
+
+    /// Derives rows in which one word is replaced by the second column of `found`, with all of them as one set. Does
+    /// nothing and returns false where that is slower or impossible. `place` is the batch and the first word of `found`.
+    fn spread_set<const V: usize>(
+        &mut self,
+        place: (u32, Value),
+        found: &[Row<V>],
+        row: Row<W>,
+        word: usize,
+    ) -> Result<bool, Abort> {
+        let sizes = self.out.set_words(word).filter(|(width, _)| found.len() >= width / 2);
+        let (Some(sizes), Some(largest)) = (sizes, found.last().map(|row| row.0[1].0)) else {
+            return Ok(false);
         };
-        let largest = found()
-            .filter_map(|rows| each_width!(rows, rows => rows.last().map(|row| row.0[1].0)))
-            .max();
-        if largest.is_none_or(|largest| largest as usize >= width * u64::BITS as usize) {
-            return Ok(None);
+        if largest as usize >= sizes.0 * u64::BITS as usize {
+            return Ok(false);
         }
-        let Some(set) = self.sets.of(first, found(), (width, most)) else {
-            return Ok(None);
-        };
-        if !self.out.push_set(row, word, set, count)? {
-            return Ok(None);
+        match self.sets.of(place, found, sizes) {
+            Some(set) => self.out.push_set(row, word, set, found.len()),
+            None => Ok(false),
         }
-        self.rows_scanned += count as u64;
-        Ok(Some(true))
     }
 
     /// Runs the last scan of a plan that counts: all rows found are in the same group.
@@ -1202,151 +708,5 @@ fn compare(symbols: &Symbols, op: Comparison, left: Value, right: Value, base: B
         Comparison::NotContains => !text(right).contains(text(left)),
         Comparison::Match => Patterns::default().matches(left, text(right), symbols),
         Comparison::NotMatch => !Patterns::default().matches(left, text(right), symbols),
-    }
-}
-
-#[cfg(test)]
-mod tests {
-    use super::*;
-    use std::collections::BTreeSet;
-
-    #[test]
-    fn an_output_holds_what_was_pushed() {
-        let mut state = 5_u32;
-        let mut random = move |below: u32| {
-            state = state.wrapping_mul(1_664_525).wrapping_add(1_013_904_223);
-            (state >> 4) % below
-        };
-        let mut known = 0;
-        // Dense words, then larger ones, then some that do not fit a bitmap.
-        for phases in [
-            &[40, 40, 300, 300, 2_000][..],
-            &[3_000, 20, 100_000_000, 20, 20],
-            &[1, 1],
-        ] {
-            let mut out = Output::<2>::new(usize::MAX);
-            assert!(!out.is_whole());
-            let mut before: BTreeSet<Row<2>> = BTreeSet::new();
-            for &words in phases {
-                let mut pushed: BTreeSet<Row<2>> = BTreeSet::new();
-                for _ in 0..20_000 {
-                    if random(10) == 0 {
-                        let first = Value(random(words));
-                        let found: Vec<Row<2>> =
-                            (0..random(50)).map(|_| Row([Value(0), Value(random(words))])).collect();
-                        pushed.extend(found.iter().map(|row| Row([first, row.0[1]])));
-                        out.push_along(Row([first, Value(9)]), 1, &found, 1).unwrap();
-                    } else {
-                        let row = Row([Value(random(words)), Value(random(words))]);
-                        pushed.insert(row);
-                        out.push(row).unwrap();
-                    }
-                }
-                let taken = out.take();
-                assert!(out.is_empty());
-                assert!(taken.is_sorted_by(|a, b| a < b));
-                assert!(taken.iter().all(|row| pushed.contains(row)));
-                let taken: BTreeSet<Row<2>> = taken.into_iter().collect();
-                assert!(pushed.iter().all(|row| taken.contains(row) || before.contains(row)));
-                before.extend(pushed);
-                if out.is_whole() {
-                    assert!(out.all().iter().eq(&before));
-                    known += 1;
-                }
-            }
-        }
-        // Phases with words that stay dense.
-        assert_eq!(known, 4);
-    }
-
-    #[test]
-    fn sets_of_words_equal_their_rows() {
-        let mut state = 9_u32;
-        let mut random = move |below: u32| {
-            state = state.wrapping_mul(1_664_525).wrapping_add(1_013_904_223);
-            (state >> 8) % below
-        };
-        // The last column is padding.
-        let (mut sets, mut plain) = (Output::<3>::new(usize::MAX), Output::<3>::new(usize::MAX));
-        let mut pushed = [0; 2];
-        let mut all: [BTreeSet<Row<3>>; 2] = Default::default();
-        // Many new rows, then few, then words beyond the bounds.
-        for (times, words) in [
-            (300, 2_000),
-            (300, 2_000),
-            (3_000, 2_000),
-            (50, 2_000),
-            (3, 100_000),
-            (50, 2_000),
-        ] {
-            for _ in 0..times {
-                let row = Row([Value(random(40)), Value(9), Value(0)]);
-                let found: BTreeSet<u32> = (0..random(600)).map(|_| random(words)).collect();
-                let found: Vec<Row<3>> = (found.iter())
-                    .map(|&word| Row([Value(5), Value(word), Value(0)]))
-                    .collect();
-                plain.push_along(row, 1, &found, 1).unwrap();
-                let width = sets.set_words(1).map_or(0, |(width, _)| width);
-                let fits = found.last().is_some_and(|last| (last.0[1].0 as usize) < width * 64);
-                let mut done = false;
-                if fits && random(4) > 0 {
-                    let mut bits = vec![0_u64; width];
-                    for row in &found {
-                        bits[row.0[1].0 as usize / 64] |= 1 << (row.0[1].0 % 64);
-                    }
-                    let keeps = sets.seen.as_ref().is_some_and(SeenBitmap::keeps);
-                    // The first word may exceed its bound.
-                    done = sets.push_set(row, 1, &bits, found.len()).unwrap();
-                    pushed[usize::from(keeps)] += usize::from(done);
-                }
-                if !done {
-                    sets.push_along(row, 1, &found, 1).unwrap();
-                }
-            }
-            assert_eq!(sets.pushed, plain.pushed);
-            // An output may repeat rows that were taken before.
-            all[0].extend(sets.take());
-            all[1].extend(plain.take());
-            assert!(all[0] == all[1]);
-        }
-        assert!(pushed.iter().all(|&count| count > 20), "{pushed:?}");
-    }
-
-    #[test]
-    fn known_values_are_limited() {
-        let mut values = Values {
-            bytes_max: 10_000,
-            ..Values::default()
-        };
-        let relation = RelId(3);
-        for n in 0..1_000 {
-            values.insert(relation, &[Value(n), Value(1)], Some(Value(n)));
-            assert!(values.bytes <= 10_000);
-            assert_eq!(values.get(relation, &[Value(n), Value(1)]), Some(Some(Value(n))));
-        }
-        assert_eq!(values.get(relation, &[Value(0), Value(1)]), None);
-        values.bytes_max = 0;
-        values.insert(relation, &[Value(0)], None);
-        assert_eq!((values.get(relation, &[Value(0)]), values.bytes), (None, 0));
-    }
-
-    #[test]
-    fn an_output_is_limited() {
-        for words in [1_000, 1_000_000_000] {
-            let mut out = Output::<2>::new(10_000);
-            let mut pushed = 0;
-            while pushed < 100_000
-                && out
-                    .push(Row([Value(pushed / 100 * (words / 1_000)), Value(pushed % 100)]))
-                    .is_ok()
-            {
-                pushed += 1;
-            }
-            assert!((10_000..20_000).contains(&pushed), "{pushed}");
-            let mut out = Output::<2>::new(10_000);
-            let again = (0..100_000_u32).map(|n| Row([Value(n % 10_000 * (words / 10_000).max(1)), Value(7)]));
-            assert!(again.map(|row| out.push(row)).all(|result| result.is_ok()));
-            assert!(out.take().len() <= 10_000);
-        }
     }
 }

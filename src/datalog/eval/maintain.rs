@@ -14,7 +14,8 @@
 
 use crate::datalog::check::RelId;
 use crate::datalog::eval::exec::{Commit, Failure, Meter, Quota, State, specs};
-use crate::datalog::eval::join::{Output, RowView};
+use crate::datalog::eval::join::RowView;
+use crate::datalog::eval::output::Output;
 use crate::datalog::eval::recursion::{Iteration, Relation, Variable};
 use crate::datalog::eval::table::{Table, TableDelta};
 use crate::datalog::plan::steps::{ChangePlan, IndexSpec, Plan, Source, Step, StratumPlan, Version};

@@ -1,6 +1,7 @@
 //! The relational executor: commits, joins, recursion and maintenance.
 //!
-//! - `exec` makes a commit, and `join` runs a plan.
+//! - `exec` makes a commit, `join` runs a plan, and `output` receives the rows that it derives.
+//! - `word_sets` and `correlated` keep what a plan would compute again: lists of rows as bits, values of aggregates.
 //! - `recursion` evaluates a recursive stratum to its fixpoint, and `maintain` updates a stratum incrementally.
 //! - `adapt` replans clauses when the sizes of relations have changed.
 //! - `table` holds a relation and its indexes, `pending` the changes of the next commit, and `seen_bitmap` marks
@@ -10,6 +11,7 @@
 //! - `workers` holds the threads, and `limits` bounds the resources of a commit.
 //! - `delta` and `stats` report what a commit changed and did.
 
+mod correlated;
 pub mod delta;
 pub(crate) mod exec;
 pub(crate) mod groups;
@@ -17,9 +19,11 @@ pub(crate) mod join;
 pub mod limits;
 mod maintain;
 mod narrow;
+pub(crate) mod output;
 mod pending;
 mod recursion;
 mod seen_bitmap;
 pub mod stats;
 mod table;
+mod word_sets;
 pub(crate) mod workers;

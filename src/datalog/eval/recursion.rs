@@ -6,7 +6,8 @@
 
 use crate::datalog::check::{ClauseId, RelId};
 use crate::datalog::eval::exec::{Commit, Failure, Meter, Quota, State};
-use crate::datalog::eval::join::{Output, RowView};
+use crate::datalog::eval::join::RowView;
+use crate::datalog::eval::output::Output;
 use crate::datalog::eval::table::{Table, project};
 use crate::datalog::plan::Compiled;
 use crate::datalog::plan::Plans;

@@ -6,7 +6,8 @@
 
 use crate::cancel::Cancel;
 use crate::datalog::eval::join;
-use crate::datalog::eval::join::{Abort, JoinState, Output, RowView};
+use crate::datalog::eval::join::{JoinState, RowView};
+use crate::datalog::eval::output::{Abort, Output};
 use crate::datalog::plan::estimate::Shape;
 use crate::datalog::plan::steps::{Plan, Slot, Step};
 use crate::datalog::row::{AnyBatch, AnyRows, Batch, Row, each_width, gallop, map_width, normalize};

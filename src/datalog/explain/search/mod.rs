@@ -5,7 +5,7 @@ pub(super) mod heights;
 
 use crate::cancel::Cancel;
 use crate::datalog::check::{Atom, Clause, ClauseId, Literal, RelId, Rules, Term};
-use crate::datalog::eval::join::Abort;
+use crate::datalog::eval::output::Abort;
 use crate::datalog::explain::search::heights::Heights;
 use crate::datalog::explain::{ExplainError, Pattern};
 use crate::datalog::session::Session;

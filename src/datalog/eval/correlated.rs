@@ -1,0 +1,74 @@
+//! The values of correlated aggregates that an evaluation keeps.
+
+use crate::datalog::check::RelId;
+use crate::datalog::value::Value;
+use std::collections::HashMap;
+
+/// The values of correlated aggregates, by relation and parameters. What an aggregate reads is complete, so its values
+/// stay valid while a stratum is evaluated.
+#[derive(Debug)]
+pub(crate) struct CorrelatedValues {
+    known: HashMap<RelId, HashMap<Box<[Value]>, Option<Value>>>,
+    /// The approximate memory of `known`.
+    bytes: u64,
+    /// The maximum of `bytes`. The rows of one evaluation may take as much again.
+    pub(crate) bytes_max: u64,
+}
+
+impl Default for CorrelatedValues {
+    /// An empty cache of any size.
+    fn default() -> Self {
+        CorrelatedValues {
+            known: HashMap::new(),
+            bytes: 0,
+            bytes_max: u64::MAX,
+        }
+    }
+}
+
+impl CorrelatedValues {
+    /// The memory of an entry: a table is up to half empty, and has two copies while it grows.
+    const ENTRY_BYTES: u64 = 3 * size_of::<(Box<[Value]>, Option<Value>)>() as u64 + 16;
+
+    /// The value for these parameters if it is known. The inner `None` means that the aggregate has no value.
+    #[allow(clippy::option_option)]
+    pub(super) fn get(&self, relation: RelId, parameters: &[Value]) -> Option<Option<Value>> {
+        self.known.get(&relation)?.get(parameters).copied()
+    }
+
+    /// Adds a value. If the memory is full, forgets all others first.
+    pub(super) fn insert(&mut self, relation: RelId, parameters: &[Value], value: Option<Value>) {
+        let bytes = Self::ENTRY_BYTES + size_of_val(parameters) as u64;
+        if self.bytes.saturating_add(bytes) > self.bytes_max {
+            self.known = HashMap::new();
+            self.bytes = 0;
+        }
+        if bytes <= self.bytes_max {
+            self.bytes += bytes;
+            self.known.entry(relation).or_default().insert(parameters.into(), value);
+        }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn known_values_are_limited() {
+        let mut values = CorrelatedValues {
+            bytes_max: 10_000,
+            ..CorrelatedValues::default()
+        };
+        let relation = RelId(3);
+        for n in 0..1_000 {
+            values.insert(relation, &[Value(n), Value(1)], Some(Value(n)));
+            assert!(values.bytes <= 10_000);
+            assert_eq!(values.get(relation, &[Value(n), Value(1)]), Some(Some(Value(n))));
+        }
+        assert_eq!(values.get(relation, &[Value(0), Value(1)]), None);
+        values.bytes_max = 0;
+        values.insert(relation, &[Value(0)], None);
+        assert_eq!((values.get(relation, &[Value(0)]), values.bytes), (None, 0));
+    }
+}
