@@ -69,6 +69,7 @@ pub mod cancel;
 pub mod datalog;
 pub mod diag;
 pub mod files;
+pub mod induce;
 pub mod rng;
 pub mod symbol;
 

@@ -266,7 +266,7 @@ impl<const W: usize> Output<W> {
     }
 
     /// Pushes copies of `row` in which one word is replaced by a column of the rows found.
-    #[inline]
+    #[inline(always)]
     pub(super) fn push_along<const V: usize>(
         &mut self,
         mut row: Row<W>,

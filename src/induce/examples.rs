@@ -1,0 +1,225 @@
+//! Labeled states: what an ego sees, and the action it takes.
+
+use crate::induce::bits::{self, Bits};
+use crate::induce::vocabulary::Vocabulary;
+use indexmap::IndexMap;
+use indexmap::map::Entry;
+
+/// The most entities of a state.
+pub const ENTITIES_MAX: usize = 64;
+
+/// A state: facts about entities, the egos first.
+#[derive(Clone, Debug, PartialEq, Eq, Hash, PartialOrd, Ord)]
+pub struct State {
+    entities: u8,
+    /// A bit for each possible fact.
+    facts: Bits,
+}
+
+impl State {
+    /// Returns a state without facts.
+    ///
+    /// # Panics
+    /// If there are fewer entities than egos or more than [`ENTITIES_MAX`].
+    pub fn new(vocabulary: &Vocabulary, entities: usize) -> State {
+        assert!(
+            (vocabulary.egos()..=ENTITIES_MAX).contains(&entities),
+            "{entities} entities"
+        );
+        State {
+            entities: entities as u8,
+            facts: bits::empty(vocabulary.facts(entities)),
+        }
+    }
+
+    /// Returns the number of entities.
+    pub fn entities(&self) -> usize {
+        self.entities.into()
+    }
+
+    /// Adds a fact.
+    ///
+    /// # Panics
+    /// If the arguments do not fit the predicate or the entities.
+    pub fn insert(&mut self, vocabulary: &Vocabulary, predicate: usize, arguments: &[usize]) {
+        assert_eq!(
+            arguments.len(),
+            vocabulary.predicates()[predicate].arity,
+            "number of arguments"
+        );
+        assert!(arguments.iter().all(|&entity| entity < self.entities()), "entities");
+        let fact = vocabulary.fact(self.entities(), predicate, arguments);
+        bits::insert(&mut self.facts, fact);
+    }
+
+    /// Returns whether a fact holds. A fact about an entity that the state lacks does not.
+    pub fn holds(&self, vocabulary: &Vocabulary, predicate: usize, arguments: &[usize]) -> bool {
+        arguments.iter().all(|&entity| entity < self.entities())
+            && bits::has(&self.facts, vocabulary.fact(self.entities(), predicate, arguments))
+    }
+
+    /// Returns the numbers of the facts that hold, as [`Vocabulary::fact`] counts them, in ascending order.
+    pub fn facts(&self) -> impl Iterator<Item = usize> + '_ {
+        bits::elements(&self.facts)
+    }
+
+    /// Returns the state with its entities other than the egos in an order that depends on their facts only. Many
+    /// states that differ in the order of entities become equal.
+    pub fn sorted(self, vocabulary: &Vocabulary) -> State {
+        let (entities, egos) = (self.entities(), vocabulary.egos());
+        if entities <= egos + 1 {
+            return self;
+        }
+        let signature = |entity: usize| -> Vec<bool> {
+            let mut signature = Vec::new();
+            for (index, predicate) in vocabulary.predicates().iter().enumerate() {
+                match predicate.arity {
+                    1 => signature.push(self.holds(vocabulary, index, &[entity])),
+                    2 => {
+                        for ego in 0..egos {
+                            signature.push(self.holds(vocabulary, index, &[ego, entity]));
+                            signature.push(self.holds(vocabulary, index, &[entity, ego]));
+                        }
+                    }
+                    _ => {}
+                }
+            }
+            signature
+        };
+        let mut order: Vec<usize> = (0..entities).collect();
+        order[egos..].sort_by_cached_key(|&entity| std::cmp::Reverse(signature(entity)));
+        if order.is_sorted() {
+            return self;
+        }
+        let mut sorted = State::new(vocabulary, entities);
+        for (index, predicate) in vocabulary.predicates().iter().enumerate() {
+            for number in 0..entities.pow(predicate.arity as u32) {
+                let mut arguments = [0; crate::induce::vocabulary::ARITY_MAX];
+                let mut rest = number;
+                for argument in arguments[..predicate.arity].iter_mut().rev() {
+                    (*argument, rest) = (rest % entities, rest / entities);
+                }
+                let arguments = &arguments[..predicate.arity];
+                let before = arguments
+                    .iter()
+                    .fold(0, |index, &argument| index * entities + order[argument]);
+                let first = vocabulary.fact(entities, index, &[0; 3][..predicate.arity]);
+                if bits::has(&self.facts, first + before) {
+                    sorted.insert(vocabulary, index, arguments);
+                }
+            }
+        }
+        sorted
+    }
+}
+
+/// Examples of a behavior: states with the action taken in each.
+#[derive(Clone, Debug)]
+pub struct Examples {
+    vocabulary: Vocabulary,
+    actions: Vec<String>,
+    /// The distinct states with their examples for each action.
+    states: IndexMap<State, Box<[Tally]>>,
+    count: u64,
+}
+
+/// The examples of one state and one action.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+pub struct Tally {
+    /// Number of examples.
+    pub count: u32,
+    /// The number of the first one, counted from 0 over all examples.
+    pub first: u64,
+}
+
+/// Two examples of one state with different actions.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub struct Contradiction {
+    /// The numbers of the examples.
+    pub examples: [u64; 2],
+    /// The positions of their actions.
+    pub actions: [usize; 2],
+}
+
+impl Examples {
+    /// Returns a set without examples. `actions` are the actions, the one with the highest precedence first. The last
+    /// one is the default: clauses are learned for all others.
+    ///
+    /// # Panics
+    /// If there is no action.
+    pub fn new(vocabulary: Vocabulary, actions: Vec<String>) -> Examples {
+        assert!(!actions.is_empty(), "no action");
+        Examples {
+            vocabulary,
+            actions,
+            states: IndexMap::new(),
+            count: 0,
+        }
+    }
+
+    /// Returns the predicates.
+    pub fn vocabulary(&self) -> &Vocabulary {
+        &self.vocabulary
+    }
+
+    /// Returns the actions, the one with the highest precedence first and the default last.
+    pub fn actions(&self) -> &[String] {
+        &self.actions
+    }
+
+    /// Adds an example. Returns the position of its state.
+    ///
+    /// # Panics
+    /// If there is no such action.
+    pub fn push(&mut self, state: State, action: usize) -> usize {
+        assert!(action < self.actions.len(), "action");
+        let entry = self.states.entry(state.sorted(&self.vocabulary));
+        let index = entry.index();
+        let tallies = match entry {
+            Entry::Occupied(entry) => entry.into_mut(),
+            Entry::Vacant(entry) => entry.insert(vec![Tally::default(); self.actions.len()].into()),
+        };
+        let tally = &mut tallies[action];
+        if tally.count == 0 {
+            tally.first = self.count;
+        }
+        tally.count += 1;
+        self.count += 1;
+        index
+    }
+
+    /// Returns the distinct states with the examples for each action.
+    pub fn states(&self) -> impl ExactSizeIterator<Item = (&State, &[Tally])> + Clone {
+        self.states.iter().map(|(state, tallies)| (state, &**tallies))
+    }
+
+    /// Returns a state by its position.
+    pub fn state(&self, index: usize) -> Option<(&State, &[Tally])> {
+        self.states.get_index(index).map(|(state, tallies)| (state, &**tallies))
+    }
+
+    /// Returns the number of examples, repetitions included.
+    pub fn count(&self) -> u64 {
+        self.count
+    }
+
+    /// Returns the states that occur with several actions, with two examples of each.
+    pub fn contradictions(&self) -> impl Iterator<Item = Contradiction> + '_ {
+        self.states.values().filter_map(|tallies| {
+            let mut taken = (0..tallies.len()).filter(|&action| tallies[action].count > 0);
+            let actions = [taken.next()?, taken.next()?];
+            let mut examples = actions.map(|action| (tallies[action].first, action));
+            examples.sort_unstable();
+            Some(Contradiction {
+                examples: examples.map(|(first, _)| first),
+                actions: examples.map(|(_, action)| action),
+            })
+        })
+    }
+}
+
+/// Returns the most frequent action, of several the one with the highest precedence.
+pub(crate) fn majority(tallies: &[Tally]) -> usize {
+    let most = tallies.iter().map(|tally| tally.count).max().unwrap_or(0);
+    tallies.iter().position(|tally| tally.count == most).unwrap_or(0)
+}

@@ -1,0 +1,302 @@
+//! The best clause that explains a given example: a best-first search.
+//!
+//! A clause for an example is a subset of the literals that are true in it, under one assignment of its entities. It
+//! must be false in every row of the negative examples. So for each negative row it needs one of the literals that are
+//! false there: the clause is a hitting set. The search extends clauses literal by literal and takes the most promising
+//! first. Literals only remove rows and add cost, so the score of a partial clause bounds those of its extensions.
+//!
+//! The negative rows are many, and few of them matter. So the search begins with a sample. It compares a clause that is
+//! false in the whole sample with all negative rows, and adds to the sample some of those in which it holds.
+
+use crate::induce::bits::{self, Bits};
+use crate::induce::problem::{Problem, Rows};
+use crate::induce::vocabulary::{Body, Literal, NEGATIVE_COST, POSITIVE_COST};
+use std::cmp::{Ordering, Reverse};
+use std::collections::BinaryHeap;
+use std::rc::Rc;
+
+/// Negative rows that are compared with the example at the beginning, and those kept of them: the nearest ones.
+const SAMPLE: (usize, usize) = (256, 64);
+/// Negative rows that are compared with the example when a clause holds in some, and those kept of them.
+const REFUTATIONS: (usize, usize) = (64, 8);
+
+/// A clause that a search found.
+#[derive(Clone, Debug)]
+pub struct Found {
+    /// The body.
+    pub body: Body,
+    /// The positive states that the clause covers.
+    pub covered: Vec<u64>,
+    /// Newly covered states minus half the cost of the clause, in eighths.
+    pub score: i64,
+    /// Whether no clause for this example and assignment has a higher score. False if the search was cut.
+    pub is_best: bool,
+}
+
+struct Node {
+    /// An upper bound of the score of each extension.
+    bound: i64,
+    /// Position in the order of creation, to break ties.
+    number: u32,
+    chosen: Bits,
+    banned: Bits,
+    cost: u32,
+    rows: Rc<Rows>,
+    /// The exclusions that no chosen literal meets, of the first `compared` ones.
+    open: Vec<u32>,
+    compared: usize,
+}
+
+impl PartialEq for Node {
+    fn eq(&self, other: &Self) -> bool {
+        self.cmp(other) == Ordering::Equal
+    }
+}
+
+impl Eq for Node {}
+
+impl PartialOrd for Node {
+    fn partial_cmp(&self, other: &Self) -> Option<Ordering> {
+        Some(self.cmp(other))
+    }
+}
+
+impl Ord for Node {
+    fn cmp(&self, other: &Self) -> Ordering {
+        self.bound.cmp(&other.bound).then(other.number.cmp(&self.number))
+    }
+}
+
+/// The search for the clauses of one example and one assignment.
+pub struct Search<'a> {
+    problem: &'a Problem<'a>,
+    /// The true atoms of the example.
+    seed: &'a Bits,
+    /// The positive states that count.
+    open: &'a [u64],
+    /// For each negative row of the sample, the literals of the seed that are false there.
+    exclusions: Vec<Bits>,
+}
+
+impl<'a> Search<'a> {
+    /// Prepares a search. `open` is the set of positive states that count.
+    pub fn new(problem: &'a Problem<'a>, seed: &'a Bits, open: &'a [u64]) -> Search<'a> {
+        Search {
+            problem,
+            seed,
+            open,
+            exclusions: Vec::new(),
+        }
+    }
+
+    /// Finds the clause with the highest score among those that hold in the example and in no negative row. `None` if
+    /// there is none. Stops after `nodes` nodes and completes a clause greedily.
+    pub fn best(mut self, nodes: u32) -> Option<Found> {
+        let everything = self.problem.all(self.problem.negative);
+        self.exclude(&everything, SAMPLE)?;
+        let mut heap = BinaryHeap::new();
+        heap.push(Node {
+            bound: i64::MAX,
+            number: 0,
+            chosen: bits::empty(self.problem.atoms.len()),
+            banned: bits::empty(self.problem.atoms.len()),
+            cost: 0,
+            rows: Rc::new(self.problem.all(self.problem.positive)),
+            open: Vec::new(),
+            compared: 0,
+        });
+        let mut number = 0;
+        while let Some(mut node) = heap.pop() {
+            self.compare(&mut node);
+            if node.open.is_empty() {
+                let refuting = self.problem.holds(self.problem.negative, &node.chosen, self.seed);
+                if refuting.is_empty() {
+                    match self.unbound(&node.chosen) {
+                        None => return Some(self.finish(&node, true)),
+                        Some(variable) => {
+                            let choices = self.binders(variable, &node.banned);
+                            self.branch(&mut heap, node, &choices, &mut number);
+                            continue;
+                        }
+                    }
+                }
+                self.exclude(&refuting, REFUTATIONS)?;
+                self.compare(&mut node);
+            }
+            if number > nodes {
+                return self.complete(node);
+            }
+            let choices = |at: u32| -> Bits {
+                let exclusion = &self.exclusions[at as usize];
+                exclusion
+                    .iter()
+                    .zip(&node.banned)
+                    .map(|(exclusion, banned)| exclusion & !banned)
+                    .collect()
+            };
+            let hardest = node
+                .open
+                .iter()
+                .map(|&at| choices(at))
+                .min_by_key(|choices| bits::count(choices));
+            if let Some(choices) = hardest {
+                self.branch(&mut heap, node, &choices, &mut number);
+            }
+        }
+        None
+    }
+
+    /// Adds to the exclusions those of the rows that differ least from the example. `None` if one does not differ.
+    fn exclude(&mut self, rows: &Rows, (sample, kept): (usize, usize)) -> Option<()> {
+        let mut differ: Vec<(u32, Bits)> = (self.problem.sample(self.problem.negative, rows, sample).into_iter())
+            .map(|row| {
+                let differ: Bits = row.iter().zip(self.seed).map(|(row, seed)| row ^ seed).collect();
+                (bits::count(&differ), differ)
+            })
+            .collect();
+        differ.sort_unstable();
+        differ.dedup();
+        let begin = self.exclusions.len();
+        for (count, differ) in differ {
+            if count == 0 {
+                return None;
+            }
+            let includes = |small: &Bits| small.iter().zip(&differ).all(|(small, differ)| small & !differ == 0);
+            if self.exclusions.len() < begin + kept && !self.exclusions[begin..].iter().any(includes) {
+                self.exclusions.push(differ);
+            }
+        }
+        Some(())
+    }
+
+    /// Finds the exclusions since the last comparison that no chosen literal meets.
+    fn compare(&self, node: &mut Node) {
+        for (at, exclusion) in self.exclusions.iter().enumerate().skip(node.compared) {
+            if !bits::meet(exclusion, &node.chosen) {
+                node.open.push(at as u32);
+            }
+        }
+        node.compared = self.exclusions.len();
+    }
+
+    /// Adds a node for each of the literals. Each bans those before it.
+    fn branch(&self, heap: &mut BinaryHeap<Node>, node: Node, choices: &Bits, number: &mut u32) {
+        let mut banned = node.banned;
+        for literal in bits::elements(choices) {
+            *number += 1;
+            let is_true = bits::has(self.seed, literal);
+            let mut chosen = node.chosen.clone();
+            bits::insert(&mut chosen, literal);
+            let cost = node.cost + if is_true { POSITIVE_COST } else { NEGATIVE_COST };
+            let rows = self
+                .problem
+                .restrict(self.problem.positive, &node.rows, literal, is_true);
+            let open: Vec<u32> = (node.open.iter().copied())
+                .filter(|&at| !bits::has(&self.exclusions[at as usize], literal))
+                .collect();
+            // A clause that excludes a further row has at least one further literal.
+            let further = if open.is_empty() { 0 } else { POSITIVE_COST };
+            heap.push(Node {
+                bound: self.score(&rows, cost + further),
+                number: *number,
+                chosen,
+                banned: banned.clone(),
+                cost,
+                rows: Rc::new(rows),
+                open,
+                compared: node.compared,
+            });
+            bits::insert(&mut banned, literal);
+        }
+    }
+
+    /// Returns a variable that no positive literal binds although it must be bound.
+    fn unbound(&self, chosen: &Bits) -> Option<u8> {
+        if self.problem.vocabulary.guard().is_some() {
+            return None;
+        }
+        let (mut used, mut bound) = ((1_u64 << self.problem.vocabulary.egos()) - 1, 0_u64);
+        for literal in bits::elements(chosen) {
+            for variable in &self.problem.atoms[literal].arguments {
+                used |= 1 << variable;
+                if bits::has(self.seed, literal) {
+                    bound |= 1 << variable;
+                }
+            }
+        }
+        let unbound = used & !bound;
+        (unbound != 0).then(|| unbound.trailing_zeros() as u8)
+    }
+
+    /// Returns the positive literals that bind a variable.
+    fn binders(&self, variable: u8, banned: &Bits) -> Bits {
+        let mut binders = bits::empty(self.problem.atoms.len());
+        for literal in bits::elements(self.seed) {
+            if self.problem.atoms[literal].arguments.contains(&variable) && !bits::has(banned, literal) {
+                bits::insert(&mut binders, literal);
+            }
+        }
+        binders
+    }
+
+    /// Newly covered states minus half the cost, in eighths.
+    fn score(&self, rows: &Rows, cost: u32) -> i64 {
+        let covered = rows.states(self.problem.positive.words);
+        i64::from(bits::common(&covered, self.open)) * 8 - i64::from(cost)
+    }
+
+    /// Completes a clause greedily: the literal that excludes the most rows comes first.
+    fn complete(mut self, mut node: Node) -> Option<Found> {
+        loop {
+            while !node.open.is_empty() {
+                let mut gains = vec![0_u32; self.problem.atoms.len()];
+                for &at in &node.open {
+                    bits::elements(&self.exclusions[at as usize]).for_each(|literal| gains[literal] += 1);
+                }
+                let best = (0..gains.len()).max_by_key(|&literal| (gains[literal], Reverse(literal)))?;
+                bits::insert(&mut node.chosen, best);
+                node.open.retain(|&at| !bits::has(&self.exclusions[at as usize], best));
+            }
+            let refuting = self.problem.holds(self.problem.negative, &node.chosen, self.seed);
+            if !refuting.is_empty() {
+                self.exclude(&refuting, REFUTATIONS)?;
+                self.compare(&mut node);
+            } else if let Some(variable) = self.unbound(&node.chosen) {
+                let binder = bits::elements(&self.binders(variable, &bits::empty(self.problem.atoms.len()))).next()?;
+                bits::insert(&mut node.chosen, binder);
+            } else {
+                return Some(self.finish(&node, false));
+            }
+        }
+    }
+
+    /// Drops the literals that the clause does not need, negative ones first.
+    fn finish(&self, node: &Node, is_best: bool) -> Found {
+        let mut chosen = node.chosen.clone();
+        let mut order: Vec<usize> = bits::elements(&chosen).collect();
+        order.sort_by_key(|&literal| (bits::has(self.seed, literal), literal));
+        for literal in order {
+            let mut less = chosen.clone();
+            bits::remove(&mut less, literal);
+            let is_false = self.exclusions.iter().all(|exclusion| bits::meet(exclusion, &less));
+            if is_false
+                && self.unbound(&less).is_none()
+                && self.problem.holds(self.problem.negative, &less, self.seed).is_empty()
+            {
+                chosen = less;
+            }
+        }
+        let rows = self.problem.holds(self.problem.positive, &chosen, self.seed);
+        let literals = bits::elements(&chosen).map(|literal| Literal {
+            is_negated: !bits::has(self.seed, literal),
+            atom: self.problem.atoms[literal].clone(),
+        });
+        let body = Body::normalized(literals.collect(), self.problem.vocabulary);
+        Found {
+            score: self.score(&rows, body.cost()),
+            covered: rows.states(self.problem.positive.words),
+            body,
+            is_best,
+        }
+    }
+}

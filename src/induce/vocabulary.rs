@@ -1,0 +1,256 @@
+//! The predicates of a learning task, and the atoms that clauses are made of.
+
+use smallvec::SmallVec;
+
+/// The most arguments of a predicate.
+pub const ARITY_MAX: usize = 3;
+
+/// The most variables of a clause.
+pub const VARIABLES_MAX: usize = 6;
+
+/// The names of the variables of clauses, those of the head first.
+pub const VARIABLE_NAMES: [&str; VARIABLES_MAX] = ["X", "Y", "Z", "V", "W", "U"];
+
+/// A predicate that states and clauses use.
+#[derive(Clone, Debug, PartialEq, Eq, Hash)]
+pub struct Predicate {
+    /// The name.
+    pub name: String,
+    /// Number of arguments, 1 to [`ARITY_MAX`].
+    pub arity: usize,
+    /// Whether it is binary and holds in both directions or in none.
+    pub is_symmetric: bool,
+}
+
+/// The predicates of a learning task.
+#[derive(Clone, Debug, PartialEq, Eq)]
+pub struct Vocabulary {
+    predicates: Vec<Predicate>,
+    /// For each predicate and arity, the number of predicates before it that have this arity.
+    before: Vec<[usize; ARITY_MAX]>,
+    /// By arity, the number of predicates.
+    total: [usize; ARITY_MAX],
+    egos: usize,
+    guard: Option<String>,
+}
+
+impl Vocabulary {
+    /// Creates a vocabulary. Clauses have `egos` variables in their head: the first entities of a state. `guard` is a
+    /// predicate that holds between the ego and every entity of a state. It binds variables that no other positive
+    /// literal binds; without it, the learner finds only clauses whose positive literals bind every variable.
+    ///
+    /// # Panics
+    /// If an arity is 0 or exceeds [`ARITY_MAX`], or there is no ego, or more than [`VARIABLES_MAX`].
+    pub fn new(predicates: Vec<Predicate>, egos: usize, guard: Option<String>) -> Vocabulary {
+        assert!((1..=VARIABLES_MAX).contains(&egos), "{egos} variables in the head");
+        let mut total = [0; ARITY_MAX];
+        let before = (predicates.iter())
+            .map(|predicate| {
+                let before = total;
+                assert!(
+                    (1..=ARITY_MAX).contains(&predicate.arity),
+                    "arity of {}",
+                    predicate.name
+                );
+                total[predicate.arity - 1] += 1;
+                before
+            })
+            .collect();
+        Vocabulary {
+            predicates,
+            before,
+            total,
+            egos,
+            guard,
+        }
+    }
+
+    /// Returns the predicates.
+    pub fn predicates(&self) -> &[Predicate] {
+        &self.predicates
+    }
+
+    /// Returns the number of variables in the head of a clause.
+    pub fn egos(&self) -> usize {
+        self.egos
+    }
+
+    /// Returns the predicate that holds between the ego and every entity.
+    pub fn guard(&self) -> Option<&str> {
+        self.guard.as_deref()
+    }
+
+    /// Returns the number of possible facts about `entities` entities.
+    pub fn facts(&self, entities: usize) -> usize {
+        Self::sum(&self.total, entities)
+    }
+
+    /// Returns the number of a fact among all possible facts about `entities` entities: predicate by predicate, the
+    /// last argument changes fastest.
+    #[inline]
+    pub fn fact(&self, entities: usize, predicate: usize, arguments: &[usize]) -> usize {
+        let index = arguments.iter().fold(0, |index, argument| index * entities + argument);
+        Self::sum(&self.before[predicate], entities) + index
+    }
+
+    fn sum(counts: &[usize; ARITY_MAX], entities: usize) -> usize {
+        counts.iter().rev().fold(0, |sum, count| (sum + count) * entities)
+    }
+
+    /// Returns all atoms over variables, each with distinct variables. An atom of a symmetric predicate occurs once.
+    pub fn atoms(&self, variables: usize) -> Vec<Atom> {
+        let mut atoms = Vec::new();
+        for (index, predicate) in self.predicates.iter().enumerate() {
+            for number in 0..variables.pow(predicate.arity as u32) {
+                let mut rest = number;
+                let mut arguments: SmallVec<[u8; ARITY_MAX]> = SmallVec::new();
+                for _ in 0..predicate.arity {
+                    arguments.insert(0, (rest % variables) as u8);
+                    rest /= variables;
+                }
+                let is_distinct = (1..arguments.len()).all(|at| !arguments[..at].contains(&arguments[at]));
+                let is_mirrored = predicate.is_symmetric && arguments.len() == 2 && arguments[0] > arguments[1];
+                if is_distinct && !is_mirrored {
+                    atoms.push(Atom {
+                        predicate: index,
+                        arguments,
+                    });
+                }
+            }
+        }
+        atoms
+    }
+}
+
+/// A predicate applied to variables. The variables of the head come first.
+#[derive(Clone, Debug, PartialEq, Eq, PartialOrd, Ord, Hash)]
+pub struct Atom {
+    /// Position of the predicate in the vocabulary.
+    pub predicate: usize,
+    /// The variables.
+    pub arguments: SmallVec<[u8; ARITY_MAX]>,
+}
+
+/// An atom or its negation.
+#[derive(Clone, Debug, PartialEq, Eq, PartialOrd, Ord, Hash)]
+pub struct Literal {
+    /// Whether the atom is negated. Positive literals come first in the order.
+    pub is_negated: bool,
+    /// The atom.
+    pub atom: Atom,
+}
+
+/// The cost of a positive literal. It equals that of a clause.
+pub const POSITIVE_COST: u32 = 4;
+/// The cost of a negative literal.
+pub const NEGATIVE_COST: u32 = 5;
+
+/// A conjunction of literals.
+#[derive(Clone, Debug, Default, PartialEq, Eq, PartialOrd, Ord, Hash)]
+pub struct Body(pub Vec<Literal>);
+
+impl Body {
+    /// Creates a body from literals in any order. Renames the variables that are not in the head so that clauses that
+    /// differ in their names become equal, and leaves out the numbers of those that do not occur.
+    pub fn normalized(literals: Vec<Literal>, vocabulary: &Vocabulary) -> Body {
+        let egos = vocabulary.egos() as u8;
+        let mut used: Vec<u8> = (literals.iter().flat_map(|literal| &literal.atom.arguments).copied())
+            .filter(|&variable| variable >= egos)
+            .collect();
+        used.sort_unstable();
+        used.dedup();
+        let named = |names: &[u8]| {
+            let mut body: Vec<Literal> = literals.clone();
+            for argument in body.iter_mut().flat_map(|literal| &mut literal.atom.arguments) {
+                if let Some(at) = names.iter().position(|name| name == argument) {
+                    *argument = egos + at as u8;
+                }
+            }
+            for literal in &mut body {
+                let predicate = &vocabulary.predicates[literal.atom.predicate];
+                if predicate.is_symmetric && predicate.arity == 2 {
+                    literal.atom.arguments.sort_unstable();
+                }
+            }
+            body.sort_unstable();
+            Body(body)
+        };
+        permutations(&used)
+            .iter()
+            .map(|names| named(names))
+            .min()
+            .unwrap_or_default()
+    }
+
+    /// Returns the sum of the costs of the literals.
+    pub fn cost(&self) -> u32 {
+        let cost = |literal: &Literal| {
+            if literal.is_negated {
+                NEGATIVE_COST
+            } else {
+                POSITIVE_COST
+            }
+        };
+        self.0.iter().map(cost).sum()
+    }
+
+    /// Returns the number of variables: one more than the largest that occurs, at least the number in the head.
+    pub fn variables(&self, vocabulary: &Vocabulary) -> usize {
+        let used = self.0.iter().flat_map(|literal| &literal.atom.arguments).copied().max();
+        used.map_or(0, |variable| variable as usize + 1).max(vocabulary.egos)
+    }
+
+    /// Returns the literals as text, with the guards of variables that no positive literal binds.
+    pub fn texts(&self, vocabulary: &Vocabulary) -> Vec<String> {
+        let mut texts: Vec<String> = self.0.iter().map(|literal| literal.text(vocabulary)).collect();
+        if let Some(guard) = &vocabulary.guard {
+            let free = (0..self.variables(vocabulary)).filter(|&variable| !self.binds(variable));
+            let used = free.filter(|&variable| variable < vocabulary.egos || self.uses(variable));
+            let positive = self.0.iter().filter(|literal| !literal.is_negated).count();
+            let guards = used.map(|variable| format!("{guard}({}, {})", VARIABLE_NAMES[0], VARIABLE_NAMES[variable]));
+            texts.splice(positive..positive, guards.collect::<Vec<_>>());
+        }
+        texts
+    }
+
+    /// Returns whether a positive literal contains a variable.
+    pub fn binds(&self, variable: usize) -> bool {
+        (self.0.iter()).any(|literal| !literal.is_negated && literal.atom.arguments.contains(&(variable as u8)))
+    }
+
+    fn uses(&self, variable: usize) -> bool {
+        (self.0.iter()).any(|literal| literal.atom.arguments.contains(&(variable as u8)))
+    }
+}
+
+impl Literal {
+    /// Returns the literal as text.
+    pub fn text(&self, vocabulary: &Vocabulary) -> String {
+        let predicate = &vocabulary.predicates[self.atom.predicate];
+        let arguments: Vec<&str> = self
+            .atom
+            .arguments
+            .iter()
+            .map(|&variable| VARIABLE_NAMES[variable as usize])
+            .collect();
+        let atom = format!("{}({})", predicate.name, arguments.join(", "));
+        if self.is_negated { format!("Not({atom})") } else { atom }
+    }
+}
+
+/// Returns all orders of some variables.
+fn permutations(variables: &[u8]) -> Vec<Vec<u8>> {
+    let mut all = vec![Vec::new()];
+    for &variable in variables {
+        all = (all.iter())
+            .flat_map(|order: &Vec<u8>| {
+                (0..=order.len()).map(move |at| {
+                    let mut longer = order.clone();
+                    longer.insert(at, variable);
+                    longer
+                })
+            })
+            .collect();
+    }
+    all
+}
