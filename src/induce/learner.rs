@@ -7,7 +7,7 @@ use crate::induce::cover::cheapest_cover;
 use crate::induce::examples::{Examples, State, majority};
 use crate::induce::problem::{Problem, Split};
 use crate::induce::search::{Found, Search};
-use crate::induce::vocabulary::{Body, POSITIVE_COST};
+use crate::induce::vocabulary::{Body, POSITIVE_COST, Vocabulary};
 use crate::rng::{Purpose, RngExt, Seed};
 use rayon::prelude::*;
 use std::collections::BTreeMap;
@@ -30,6 +30,8 @@ pub struct Settings {
     pub enough: u32,
     /// Nodes of one search.
     pub nodes: u32,
+    /// The number of distinct states from which clauses are learned at first. All other states confirm or refute them.
+    pub working_states: usize,
 }
 
 impl Default for Settings {
@@ -40,16 +42,26 @@ impl Default for Settings {
             tries: 3,
             enough: 10,
             nodes: 20_000,
+            working_states: 20_000,
         }
     }
+}
+
+/// Learned rules.
+#[derive(Clone, Debug)]
+pub struct Learned {
+    /// The rules of each action but the default one, the one with the highest precedence first.
+    pub actions: Vec<ActionRules>,
+    /// Whether the learner finished. After cancellation, examples may be left without a clause.
+    pub is_complete: bool,
+    /// Number of distinct states from which the clauses were learned. The others confirm them.
+    pub working_states: usize,
 }
 
 /// The clauses of one action.
 #[derive(Clone, Debug)]
 pub struct ActionRules {
-    /// The position of the action.
-    pub action: usize,
-    /// The clauses, the one that covers the most states first.
+    /// The bodies of the clauses, the one that covers the most states first.
     pub clauses: Vec<LearnedClause>,
     /// Whether no cheaper set of the clauses found covers the examples.
     pub is_cheapest: bool,
@@ -57,49 +69,164 @@ pub struct ActionRules {
     pub uncovered: usize,
 }
 
-/// A clause with its support.
+/// A clause of learned rules.
 #[derive(Clone, Debug)]
 pub struct LearnedClause {
     /// The body.
     pub body: Body,
-    /// Number of positive states that it covers.
-    pub covers: u32,
-    /// Number of positive states that no other clause of the action covers.
-    pub alone: u32,
-    /// Whether the search for the clause was complete.
+    /// Whether the search for the clause was complete: no clause for its example has a higher score.
     pub is_best: bool,
 }
 
-/// Learns clauses for all actions except the default one.
-pub fn learn(examples: &Examples, settings: &Settings, cancel: &Cancel) -> Vec<ActionRules> {
-    let states: Vec<(&State, usize)> = examples
-        .states()
-        .map(|(state, tallies)| (state, majority(tallies)))
-        .collect();
-    (0..examples.actions().len() - 1)
-        .map(|action| {
-            let of = |keep: &dyn Fn(usize) -> bool| -> Vec<&State> {
-                states
-                    .iter()
-                    .filter(|(_, label)| keep(*label))
-                    .map(|(state, _)| *state)
-                    .collect()
-            };
-            let (positive, negative) = (of(&|label| label == action), of(&|label| label > action));
-            learn_action(examples, action, &positive, &negative, settings, cancel)
+/// The state of the learner, for progress reports.
+#[derive(Clone, Copy, Debug)]
+pub struct Progress {
+    /// The position of the action.
+    pub action: usize,
+    /// Number of its states.
+    pub states: usize,
+    /// Number of them that a clause covers.
+    pub covered: usize,
+    /// Number of distinct clauses found.
+    pub clauses: usize,
+}
+
+impl Learned {
+    /// Returns the position of the action that the rules choose in each of some states.
+    pub fn decide(&self, vocabulary: &Vocabulary, states: &[&State]) -> Vec<usize> {
+        let mut chosen = vec![self.actions.len(); states.len()];
+        for (begin, holds) in clauses_hold(vocabulary, &self.bodies(), states) {
+            for (action, clauses) in self.actions.iter().enumerate().rev() {
+                let first: usize = self.actions[..action].iter().map(|rules| rules.clauses.len()).sum();
+                for holds in &holds[first..first + clauses.clauses.len()] {
+                    bits::elements(holds).for_each(|state| chosen[begin + state] = action);
+                }
+            }
+        }
+        chosen
+    }
+
+    /// Returns the bodies of all clauses, action by action.
+    pub fn bodies(&self) -> Vec<&Body> {
+        let clauses = self.actions.iter().flat_map(|rules| &rules.clauses);
+        clauses.map(|clause| &clause.body).collect()
+    }
+}
+
+/// Returns, for chunks of states that begin at a position, the states in which each body holds.
+pub(crate) fn clauses_hold<'a>(
+    vocabulary: &'a Vocabulary,
+    bodies: &'a [&'a Body],
+    states: &'a [&'a State],
+) -> impl Iterator<Item = (usize, Vec<Vec<u64>>)> + 'a {
+    (0..states.len()).step_by(CHUNK).map(move |begin| {
+        let split = Split::new(vocabulary, &states[begin..states.len().min(begin + CHUNK)], &[]);
+        let holds = bodies.iter().map(|body| {
+            let problem = split.problem(vocabulary, body.variables(vocabulary));
+            problem
+                .satisfying(problem.positive, body)
+                .states(problem.positive.words)
+        });
+        (begin, holds.collect())
+    })
+}
+
+/// Number of states that are evaluated together.
+const CHUNK: usize = 1 << 14;
+
+/// Learns clauses for all actions except the default one. Each state counts once, with its most frequent action.
+///
+/// If there are more states than [`Settings::working_states`], the learner begins with a sample. It adds states that the
+/// learned rules get wrong and learns again, until the rules are right in all states that any clauses can separate.
+pub fn learn(examples: &Examples, settings: &Settings, cancel: &Cancel) -> Learned {
+    learn_with(examples, settings, &|_| (), cancel)
+}
+
+/// Variant of [`learn`] that reports its progress.
+pub fn learn_with(
+    examples: &Examples,
+    settings: &Settings,
+    progress: &(dyn Fn(Progress) + Sync),
+    cancel: &Cancel,
+) -> Learned {
+    let states: Vec<&State> = examples.states().map(|(state, _)| state).collect();
+    let labels: Vec<usize> = examples.states().map(|(_, tallies)| majority(tallies)).collect();
+    let mut works: Vec<bool> = sample(&labels, examples.actions().len(), settings.working_states);
+    loop {
+        let working: Vec<usize> = (0..states.len()).filter(|&state| works[state]).collect();
+        let actions: Vec<ActionRules> = (0..examples.actions().len() - 1)
+            .map(|action| {
+                let of = |keep: &dyn Fn(usize) -> bool| -> Vec<&State> {
+                    let kept = working.iter().filter(|&&state| keep(labels[state]));
+                    kept.map(|&state| states[state]).collect()
+                };
+                let (positive, negative) = (of(&|label| label == action), of(&|label| label > action));
+                learn_action(
+                    examples.vocabulary(),
+                    action,
+                    &positive,
+                    &negative,
+                    settings,
+                    progress,
+                    cancel,
+                )
+            })
+            .collect();
+        let learned = Learned {
+            actions,
+            is_complete: !cancel.requested(),
+            working_states: working.len(),
+        };
+        if working.len() == states.len() || !learned.is_complete {
+            return learned;
+        }
+        let decided = learned.decide(examples.vocabulary(), &states);
+        let wrong: Vec<usize> = (0..states.len())
+            .filter(|&state| !works[state] && decided[state] != labels[state])
+            .collect();
+        if wrong.is_empty() {
+            return learned;
+        }
+        let of_wrong: Vec<usize> = wrong.iter().map(|&state| labels[state]).collect();
+        let added = sample(&of_wrong, examples.actions().len(), settings.working_states.div_ceil(4));
+        for (state, _) in wrong.iter().zip(added).filter(|(_, is_added)| *is_added) {
+            works[*state] = true;
+        }
+    }
+}
+
+/// Chooses at most about `most` of the states: as many of each action, evenly spread, and all of rare ones.
+fn sample(labels: &[usize], actions: usize, most: usize) -> Vec<bool> {
+    let mut counts = vec![0; actions];
+    labels.iter().for_each(|&label| counts[label] += 1);
+    let mut ascending = counts.clone();
+    ascending.sort_unstable();
+    let (mut left, mut share) = (most, most);
+    for (index, count) in ascending.iter().enumerate() {
+        share = left / (actions - index);
+        left -= (*count).min(share);
+    }
+    let mut before = vec![0; actions];
+    labels
+        .iter()
+        .map(|&label| {
+            let (rank, count) = (before[label], counts[label]);
+            before[label] += 1;
+            // The states whose share of the sample grows by one.
+            count <= share || (rank + 1) * share / count > rank * share / count
         })
         .collect()
 }
 
 fn learn_action(
-    examples: &Examples,
+    vocabulary: &Vocabulary,
     action: usize,
     positive: &[&State],
     negative: &[&State],
     settings: &Settings,
+    progress: &(dyn Fn(Progress) + Sync),
     cancel: &Cancel,
 ) -> ActionRules {
-    let vocabulary = examples.vocabulary();
     let split = Split::new(vocabulary, positive, negative);
     let fewest = (vocabulary.egos() + 1).min(settings.variables);
     let mut problems: Vec<Problem<'_>> = Vec::new();
@@ -113,6 +240,12 @@ fn learn_action(
         if left.is_empty() {
             break;
         }
+        progress(Progress {
+            action,
+            states: positive.len(),
+            covered: positive.len() - left.len(),
+            clauses: pool.len(),
+        });
         let tries: Vec<usize> = (0..settings.tries)
             .map(|_| left[random.random_range(0..left.len())])
             .collect();
@@ -160,24 +293,14 @@ fn learn_action(
         .map(|found| (found.covered.clone(), found.body.cost() + POSITIVE_COST))
         .collect();
     let cover = cheapest_cover(&columns);
-    let chosen: Vec<&Found> = cover.columns.iter().map(|&column| &pool[column]).collect();
-    let mut times = vec![0_u32; positive.len()];
-    for found in &chosen {
-        bits::elements(&found.covered).for_each(|state| times[state] += 1);
-    }
+    let mut chosen: Vec<&Found> = cover.columns.iter().map(|&column| &pool[column]).collect();
+    chosen.sort_by_key(|found| std::cmp::Reverse(bits::count(&found.covered)));
     let clauses = chosen.iter().map(|found| LearnedClause {
         body: found.body.clone(),
-        covers: bits::count(&found.covered),
-        alone: bits::elements(&found.covered)
-            .filter(|&state| times[state] == 1)
-            .count() as u32,
         is_best: found.is_best,
     });
-    let mut clauses: Vec<LearnedClause> = clauses.collect();
-    clauses.sort_by(|a, b| b.covers.cmp(&a.covers).then(a.body.cmp(&b.body)));
     ActionRules {
-        action,
-        clauses,
+        clauses: clauses.collect(),
         is_cheapest: cover.is_cheapest,
         uncovered,
     }

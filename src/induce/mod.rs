@@ -13,5 +13,5 @@ mod search;
 mod vocabulary;
 
 pub use examples::{Contradiction, ENTITIES_MAX, Examples, State, Tally};
-pub use learner::{ActionRules, LearnedClause, Settings, learn};
+pub use learner::{ActionRules, Learned, LearnedClause, Progress, Settings, learn, learn_with};
 pub use vocabulary::{ARITY_MAX, Atom, Body, Literal, Predicate, VARIABLE_NAMES, VARIABLES_MAX, Vocabulary};

@@ -6,7 +6,7 @@
 
 use crate::induce::bits::{self, Bits};
 use crate::induce::examples::State;
-use crate::induce::vocabulary::{ARITY_MAX, Atom, VARIABLES_MAX, Vocabulary};
+use crate::induce::vocabulary::{ARITY_MAX, Atom, Body, VARIABLES_MAX, Vocabulary};
 use smallvec::SmallVec;
 
 /// The facts of a list of states, transposed.
@@ -170,7 +170,7 @@ impl Problem<'_> {
     }
 
     /// Returns the rows in which an atom is true, or false.
-    pub fn restrict(&self, columns: &Columns, rows: &Rows, atom: usize, is_true: bool) -> Rows {
+    pub fn restrict(&self, columns: &Columns, rows: &Rows, atom: &Atom, is_true: bool) -> Rows {
         let words = columns.words;
         let mut left = Rows {
             assignments: Vec::with_capacity(rows.assignments.len()),
@@ -195,11 +195,24 @@ impl Problem<'_> {
         left
     }
 
-    /// Returns the rows in which a conjunction holds.
+    /// Returns the rows in which a conjunction holds. `seed` has those of its atoms that are not negated.
     pub fn holds(&self, columns: &Columns, chosen: &[u64], seed: &[u64]) -> Rows {
+        let literals = bits::elements(chosen).map(|literal| (&self.atoms[literal], bits::has(seed, literal)));
+        self.conjunction(columns, literals)
+    }
+
+    /// Returns the rows in which a body holds.
+    pub fn satisfying(&self, columns: &Columns, body: &Body) -> Rows {
+        self.conjunction(
+            columns,
+            body.0.iter().map(|literal| (&literal.atom, !literal.is_negated)),
+        )
+    }
+
+    fn conjunction<'b>(&self, columns: &Columns, literals: impl Iterator<Item = (&'b Atom, bool)>) -> Rows {
         let mut rows = self.all(columns);
-        for literal in bits::elements(chosen) {
-            rows = self.restrict(columns, &rows, literal, bits::has(seed, literal));
+        for (atom, is_true) in literals {
+            rows = self.restrict(columns, &rows, atom, is_true);
         }
         rows
     }
@@ -236,9 +249,9 @@ impl Problem<'_> {
     /// Returns the true atoms of a state under an assignment.
     fn row(&self, columns: &Columns, state: usize, assignment: u32) -> Bits {
         let mut row = bits::empty(self.atoms.len());
-        for atom in 0..self.atoms.len() {
+        for (index, atom) in self.atoms.iter().enumerate() {
             if bits::has(&columns.facts[self.fact(atom, assignment) * columns.words..], state) {
-                bits::insert(&mut row, atom);
+                bits::insert(&mut row, index);
             }
         }
         row
@@ -268,8 +281,8 @@ impl Problem<'_> {
 
     /// Returns the number of the fact that an atom is under an assignment.
     #[inline]
-    fn fact(&self, atom: usize, assignment: u32) -> usize {
-        let (atom, assignment) = (&self.atoms[atom], &self.assignments[assignment as usize]);
+    fn fact(&self, atom: &Atom, assignment: u32) -> usize {
+        let assignment = &self.assignments[assignment as usize];
         let arguments: SmallVec<[usize; ARITY_MAX]> = atom
             .arguments
             .iter()

@@ -188,9 +188,8 @@ impl<'a> Search<'a> {
             let mut chosen = node.chosen.clone();
             bits::insert(&mut chosen, literal);
             let cost = node.cost + if is_true { POSITIVE_COST } else { NEGATIVE_COST };
-            let rows = self
-                .problem
-                .restrict(self.problem.positive, &node.rows, literal, is_true);
+            let atom = &self.problem.atoms[literal];
+            let rows = (self.problem).restrict(self.problem.positive, &node.rows, atom, is_true);
             let open: Vec<u32> = (node.open.iter().copied())
                 .filter(|&at| !bits::has(&self.exclusions[at as usize], literal))
                 .collect();
