@@ -146,7 +146,7 @@ impl<const W: usize> SeenBitmap<W> {
 
     /// Adds copies of `row` in which one word is replaced; the set must keep new rows as bits. Stops at the first word
     /// beyond its bound. Returns the number of rows added and how many of them are new.
-    #[inline]
+    #[inline(always)]
     pub(crate) fn keep_along(
         &mut self,
         mut row: Row<W>,
