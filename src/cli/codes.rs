@@ -7,13 +7,14 @@ use serde_json::{Value, json};
 use std::io::Write;
 
 /// The catalogs of all modules, with what their messages concern.
-const CATALOGS: [(&str, Catalog); 7] = [
+const CATALOGS: [(&str, Catalog); 8] = [
     ("rules and facts", datalog::CATALOG),
     ("configurations", config::CATALOG),
     ("maps and routes", city::CATALOG),
     ("cities, scenes and traces", sim::CATALOG),
     ("recorded episodes", task::spf::CATALOG),
     ("data sets", task::vap::CATALOG),
+    ("examples of learning", task::induction::CATALOG),
     ("any input", diag::CATALOG),
 ];
 

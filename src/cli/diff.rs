@@ -1,14 +1,17 @@
 //! `logicity diff`: compares two rule sets.
 
+use crate::builtin::BuiltinFiles;
 use crate::city::Action;
-use crate::cli::{Failure, integer, load_program, report};
+use crate::cli::{Failure, compile, integer, load_program, load_workspace_from, report};
 use crate::datalog::diff::{Cut, Difference, Equivalence, Options, diff};
-use crate::datalog::{BaseType, Rules, quoted};
+use crate::datalog::{BaseType, Edb, Program, Rules, quoted};
 use crate::diag::{Code, Diagnostic, Sources};
+use crate::files::{ReadError, ReadFile};
 use crate::sim::scene_json;
 use serde_json::{Value, json};
+use std::collections::BTreeSet;
 use std::io::Write;
-use std::path::PathBuf;
+use std::path::{Path, PathBuf};
 
 #[derive(clap::Args)]
 pub struct Arguments {
@@ -19,6 +22,10 @@ pub struct Arguments {
     /// Predicates to compare, separated by commas [default: all outputs]
     #[arg(long, value_delimiter = ',', value_name = "NAMES")]
     predicates: Vec<String>,
+    /// Compare only rows for which a condition holds, for example 'IsCar(X)'. X, Y, Z, ... are the columns of the
+    /// compared predicates
+    #[arg(long, value_name = "BODY")]
+    given: Option<String>,
     /// Compare scenes of at most this many entities
     #[arg(
         long,
@@ -41,23 +48,38 @@ pub struct Arguments {
 
 /// Returns exit code 0 if it finds no difference, 1 if it finds one.
 pub fn run(arguments: &Arguments, sources: &mut Sources) -> Result<u8, Failure> {
-    let (left, mut warnings) = load_program(sources, &arguments.left)?;
-    let (right, more) = load_program(sources, &arguments.right)?;
+    let (mut left, mut warnings) = load_program(sources, &arguments.left)?;
+    let (mut right, more) = load_program(sources, &arguments.right)?;
     warnings.extend(more);
     report(&warnings, sources);
+    let mut predicates = arguments.predicates.clone();
+    if let Some(condition) = &arguments.given {
+        let compared = compared(&predicates, [left.rules(), right.rules()]);
+        left = restricted(sources, &arguments.left, left.rules(), &compared, condition)?;
+        right = restricted(sources, &arguments.right, right.rules(), &compared, condition)?;
+        predicates = compared.iter().map(|name| name.clone() + GIVEN).collect();
+    }
     let options = Options {
-        predicates: arguments.predicates.clone(),
+        predicates,
         entities_max: arguments.entities,
         conflicts_max: arguments.effort,
         ..Options::default()
     };
-    let equivalence = diff(left.rules(), right.rules(), &options).map_err(|faults| {
+    let mut equivalence = diff(left.rules(), right.rules(), &options).map_err(|faults| {
         let is_option = |fault: &Diagnostic| fault.code == Code::RULE_MISMATCH && !arguments.predicates.is_empty();
         match faults.iter().all(is_option) {
             true => Failure::option(faults),
             false => Failure::Input(faults),
         }
     })?;
+
+    if let Equivalence::Different(difference) = &mut equivalence {
+        for (name, _) in difference.derived.iter_mut().flatten() {
+            if let Some(original) = name.strip_suffix(GIVEN) {
+                *name = original.to_owned();
+            }
+        }
+    }
 
     let mut out = anstream::stdout();
     let names = [&arguments.left, &arguments.right].map(|path| path.display().to_string());
@@ -80,6 +102,91 @@ pub fn run(arguments: &Arguments, sources: &mut Sources) -> Result<u8, Failure> 
         Equivalence::Different(_) => 1,
         _ => 0,
     })
+}
+
+/// The end of the names of predicates with the rows for which the condition of `--given` holds.
+const GIVEN: &str = "_given";
+
+/// The names of the columns in the condition of `--given`.
+const COLUMNS: [&str; 6] = ["X", "Y", "Z", "V", "W", "U"];
+
+/// Returns the predicates to compare: the given ones, or the outputs of either side.
+fn compared(predicates: &[String], sides: [&Rules; 2]) -> Vec<String> {
+    if !predicates.is_empty() {
+        return predicates.to_vec();
+    }
+    let outputs = sides
+        .into_iter()
+        .flat_map(|rules| rules.relations.iter().filter(|relation| relation.output));
+    let names: BTreeSet<&String> = outputs.map(|relation| &relation.name).collect();
+    names.into_iter().cloned().collect()
+}
+
+/// Returns the program with, for each of the predicates, one more predicate: its rows for which a condition holds.
+fn restricted(
+    sources: &mut Sources,
+    path: &Path,
+    rules: &Rules,
+    predicates: &[String],
+    condition: &str,
+) -> Result<Program, Failure> {
+    let file = path
+        .file_name()
+        .map_or_else(String::new, |name| name.to_string_lossy().into_owned());
+    let mut text = format!(".include {}\n.scope\n", quoted(&file));
+    for name in predicates {
+        // `diff` reports a predicate that one side lacks.
+        let Some(relation) = rules.relation(name).map(|id| &rules.relations[id.index()]) else {
+            continue;
+        };
+        if relation.columns.len() > COLUMNS.len() {
+            let message = format!("--given: `{name}` has more than {} columns", COLUMNS.len());
+            return Err(Failure::Usage(message));
+        }
+        let types = relation
+            .columns
+            .iter()
+            .map(|column| &rules.types[column.ty.0 as usize].name);
+        let columns: Vec<String> = COLUMNS
+            .iter()
+            .zip(types)
+            .map(|(name, ty)| format!("{name}: {ty}"))
+            .collect();
+        let row = COLUMNS[..relation.columns.len()].join(", ");
+        text += &format!(
+            ".decl {name}{GIVEN}({})\n.output {name}{GIVEN}\n{name}{GIVEN}({row}) :- {name}({row}), {condition}.\n",
+            columns.join(", ")
+        );
+    }
+    let folder = path.parent().unwrap_or(Path::new(""));
+    let overlay = Overlay {
+        path: folder.join("--given"),
+        text,
+    };
+    let workspace = load_workspace_from(sources, &overlay.path, Edb::Fixed, &overlay)?;
+    Ok(compile(&workspace)?.0)
+}
+
+/// One more file beside those on disk and the built-in ones.
+struct Overlay {
+    path: PathBuf,
+    text: String,
+}
+
+impl ReadFile for Overlay {
+    fn read(&self, path: &Path) -> Result<String, ReadError> {
+        if path == self.path {
+            return Ok(self.text.clone());
+        }
+        match BuiltinFiles.read(path) {
+            Err(ReadError::NotFound) => BuiltinFiles.read_or_builtin(path),
+            read => read,
+        }
+    }
+
+    fn builtin_paths(&self) -> Vec<String> {
+        BuiltinFiles.builtin_paths()
+    }
 }
 
 fn entities_of(count: usize) -> String {

@@ -14,6 +14,7 @@ mod episodes;
 mod explain;
 mod fmt;
 mod icons;
+mod induce;
 mod infer;
 #[cfg(feature = "lsp")]
 mod lsp;
@@ -33,6 +34,7 @@ mod view;
 mod why;
 
 use crate::builtin::BuiltinFiles;
+use crate::cancel::Cancel;
 use crate::city::MapConfig;
 use crate::config::{load_map, missing_file};
 use crate::datalog::{Edb, Rules, Workspace};
@@ -53,6 +55,8 @@ use std::ops::RangeInclusive;
 use std::path::{Path, PathBuf};
 use std::process::ExitCode;
 use std::str::FromStr;
+use std::sync::Arc;
+use std::sync::atomic::{AtomicBool, Ordering};
 
 /// Simulate a city of cars and pedestrians under Datalog rules
 #[derive(Parser)]
@@ -81,6 +85,8 @@ enum Command {
     Repl(repl::Arguments),
     /// Evaluate the rules on scenes: one JSON scene per line in, one JSON answer per line out
     Infer(infer::Arguments),
+    /// Learn rules from recorded episodes, traces or labeled scenes
+    Induce(induce::Arguments),
     /// Explain why an agent acted as it did in a run, or why it did not act otherwise
     Explain(explain::Arguments),
     /// Write an interactive HTML page of a run that explains every decision
@@ -444,6 +450,7 @@ fn run(mut command: clap::Command, arguments: &[OsString]) -> u8 {
         Command::Query(arguments) => query::run(&arguments, &mut sources),
         #[cfg(feature = "repl")]
         Command::Repl(arguments) => repl::run(&arguments, &mut sources),
+        Command::Induce(arguments) => induce::run(&arguments, &mut sources),
         Command::Infer(arguments) => infer::run(&arguments, &mut sources),
         Command::Explain(arguments) => explain::run(&arguments, &mut sources),
         Command::View(arguments) => view::run(&arguments, &mut sources),
@@ -783,6 +790,20 @@ fn missing_is_usage(faults: Vec<Diagnostic>) -> Failure {
         }
         None => faults.into(),
     }
+}
+
+/// Returns a request that arrives when the user interrupts the command (Ctrl-C) or the system asks it to end. The command
+/// then writes its results and exits. A second interrupt ends the process at once.
+fn cancel_on_interrupt() -> Result<Cancel, Failure> {
+    let interrupted = Arc::new(AtomicBool::new(false));
+    let flag = Arc::clone(&interrupted);
+    ctrlc::set_handler(move || {
+        if interrupted.swap(true, Ordering::Relaxed) {
+            std::process::exit(130);
+        }
+    })
+    .map_err(|error| Failure::Usage(format!("cannot listen for interrupts: {error}")))?;
+    Ok(Cancel::when(move || flag.load(Ordering::Relaxed)))
 }
 
 /// Returns a progress bar.

@@ -1,11 +1,10 @@
 //! `logicity run`: runs a city.
 
-use crate::cancel::Cancel;
 use crate::city::{Action, AgentKind, Split};
 use crate::cli::icons::IconOptions;
 use crate::cli::{
-    Failure, ForceOption, Inputs, LimitOptions, finish, integer, is_stdout, load_city, one_of, plural,
-    refuse_stdout_as_folder, unwritable,
+    Failure, ForceOption, Inputs, LimitOptions, cancel_on_interrupt, finish, integer, is_stdout, load_city, one_of,
+    plural, refuse_stdout_as_folder, unwritable,
 };
 use crate::datalog::constraints;
 use crate::datalog::explain::ExplanationPrinter;
@@ -26,7 +25,6 @@ use std::io::{self, Write as _};
 use std::num::NonZeroUsize;
 use std::path::{Path, PathBuf};
 use std::sync::Arc;
-use std::sync::atomic::{AtomicBool, Ordering};
 use std::time::{Duration, Instant};
 
 /// The most ticks in the animation, which keeps it small enough for viewers.
@@ -297,20 +295,6 @@ impl Record {
         }
         Ok(written)
     }
-}
-
-/// Returns a flag that becomes true when the user interrupts the run (Ctrl-C) or the system asks it to end. The command
-/// then writes its results and exits. A second interrupt ends the process at once.
-fn cancel_on_interrupt() -> Result<Cancel, Failure> {
-    let interrupted = Arc::new(AtomicBool::new(false));
-    let flag = Arc::clone(&interrupted);
-    ctrlc::set_handler(move || {
-        if interrupted.swap(true, Ordering::Relaxed) {
-            std::process::exit(130);
-        }
-    })
-    .map_err(|error| Failure::Usage(format!("cannot listen for interrupts: {error}")))?;
-    Ok(Cancel::when(move || flag.load(Ordering::Relaxed)))
 }
 
 /// Returns the agents as sprites, with their actions in the last tick if there was one. `names` are the agents' names.

@@ -10,8 +10,10 @@ mod examples;
 mod learner;
 mod problem;
 mod search;
+mod support;
 mod vocabulary;
 
 pub use examples::{Contradiction, ENTITIES_MAX, Examples, State, Tally};
 pub use learner::{ActionRules, Learned, LearnedClause, Progress, Settings, learn, learn_with};
+pub use support::{ClauseSupport, Support, support};
 pub use vocabulary::{ARITY_MAX, Atom, Body, Literal, Predicate, VARIABLE_NAMES, VARIABLES_MAX, Vocabulary};

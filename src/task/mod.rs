@@ -3,6 +3,7 @@
 //! [`spf`] is Safe Path Following: drive to a goal without violating a rule. [`questions`] poses decisions as text.
 //! [`vap`] is Visual Action Prediction: frames of many worlds, with their facts and the actions that the rules want.
 
+pub mod induction;
 pub mod questions;
 pub mod spf;
 #[cfg(feature = "parquet")]

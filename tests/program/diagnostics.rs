@@ -45,6 +45,7 @@ fn every_code_has_a_fixture() {
         sim::CODES,
         task::spf::CODES,
         task::vap::CODES,
+        task::induction::CODES,
     ]
     .into_iter()
     .flatten()
@@ -68,6 +69,7 @@ fn examples_of_codes_yield_exactly_their_code() {
         sim::CATALOG,
         task::spf::CATALOG,
         task::vap::CATALOG,
+        task::induction::CATALOG,
     ];
     let mut examples = Vec::new();
     for catalog in catalogs {

@@ -9,6 +9,7 @@ mod files;
 mod grammar;
 #[cfg(unix)]
 mod hostile;
+mod induce;
 mod layers;
 mod lsp;
 #[cfg(target_os = "linux")]

@@ -1,7 +1,7 @@
 //! The scene format: one state of a city, or of abstract entities, as a line of JSON.
 //! `docs/reference/scenes.md` documents it.
 
-use crate::city::AgentKind;
+use crate::city::{Action, AgentKind};
 use crate::city::{Cell, CityMap, Heading};
 use crate::diag::{Code, Diagnostic, Faults, SourceId, Sources, Span, did_you_mean, json_error};
 use crate::sim::tick::ground::MAX_ENTITIES;
@@ -36,6 +36,8 @@ pub struct GeometricScene {
     pub tick: u64,
     /// Predicates whose rows the scene states, so that they are not computed.
     pub given: Vec<GivenPredicate>,
+    /// The actions that agents took, by their positions in `agents`: labels for learning.
+    pub actions: Vec<(usize, Action)>,
 }
 
 /// An agent of a scene.
@@ -75,6 +77,8 @@ pub struct SymbolicScene {
     pub ego: usize,
     /// The true facts.
     pub facts: Vec<GivenPredicate>,
+    /// The actions that entities took, by their positions in `entities`: labels for learning.
+    pub actions: Vec<(usize, Action)>,
 }
 
 #[derive(Deserialize)]
@@ -90,6 +94,8 @@ struct RawGeometric<'a> {
     given: Entries<'a>,
     #[serde(default)]
     tick: u64,
+    #[serde(borrow, default)]
+    actions: Entries<'a>,
 }
 
 #[derive(Deserialize)]
@@ -117,6 +123,8 @@ struct RawSymbolic<'a> {
     ego: &'a RawValue,
     #[serde(borrow, default)]
     facts: Entries<'a>,
+    #[serde(borrow, default)]
+    actions: Entries<'a>,
 }
 
 /// A JSON object in source order with unparsed values.
@@ -231,14 +239,16 @@ impl<'a> Reader<'a> {
             ),
         };
         let given = keep(&mut faults, self.rows(raw.given, &names, "agent"));
-        match (egos, given) {
-            (Some(egos), Some(given)) => Ok(GeometricScene {
+        let actions = keep(&mut faults, self.actions(raw.actions, &names, "agent"));
+        match (egos, given, actions) {
+            (Some(egos), Some(given), Some(actions)) => Ok(GeometricScene {
                 map,
                 map_span: self.span(raw.map),
                 tick: raw.tick,
                 agents,
                 egos,
                 given,
+                actions,
             }),
             _ => Err(faults),
         }
@@ -327,8 +337,14 @@ impl<'a> Reader<'a> {
         let mut faults = Vec::new();
         let ego = keep(&mut faults, self.named(raw.ego, &names, "entity"));
         let facts = keep(&mut faults, self.rows(raw.facts, &names, "entity"));
-        match (ego, facts) {
-            (Some(ego), Some(facts)) => Ok(SymbolicScene { entities, ego, facts }),
+        let actions = keep(&mut faults, self.actions(raw.actions, &names, "entity"));
+        match (ego, facts, actions) {
+            (Some(ego), Some(facts), Some(actions)) => Ok(SymbolicScene {
+                entities,
+                ego,
+                facts,
+                actions,
+            }),
             _ => Err(faults),
         }
     }
@@ -364,6 +380,34 @@ impl<'a> Reader<'a> {
         let name: String = self.value(raw)?;
         let position = names.get(&name).copied();
         position.ok_or_else(|| vec![self.fault(raw, format!("the scene has no {what} `{name}`"), "unknown name")])
+    }
+
+    /// Parses labels: the name of an action for each agent or entity (`what`).
+    fn actions(
+        &self,
+        Entries(entries): Entries<'a>,
+        names: &HashMap<String, usize>,
+        what: &str,
+    ) -> Read<Vec<(usize, Action)>> {
+        all(entries.into_iter().map(|(name, raw)| {
+            let position = names.get(&name).copied().ok_or_else(|| {
+                let fault = Diagnostic::new(Code::INVALID_SCENE, format!("the scene has no {what} `{name}`"));
+                vec![fault.at(self.key_span(raw), "unknown name")]
+            })?;
+            let named: String = self.value(raw)?;
+            let action = Action::ALL
+                .into_iter()
+                .find(|action| action.name().eq_ignore_ascii_case(&named));
+            let action = action.ok_or_else(|| {
+                let names: Vec<&str> = Action::ALL.iter().map(|action| action.name()).collect();
+                vec![self.fault(
+                    raw,
+                    format!("`{named}` is not an action"),
+                    &format!("expected one of {}", names.join(", ")),
+                )]
+            })?;
+            Ok((position, action))
+        }))
     }
 
     fn rows(

@@ -53,6 +53,8 @@ pub struct SceneFacts {
     pub egos: Vec<usize>,
     /// The base facts.
     pub facts: Facts,
+    /// The actions that entities took, by position, if the scene states them. Inference ignores them.
+    pub actions: Vec<(usize, Action)>,
 }
 
 /// The decisions of the rules for the egos of a scene.
@@ -284,6 +286,7 @@ impl Inference {
             names: scene.agents.into_iter().map(|agent| agent.id).collect(),
             egos: scene.egos,
             facts,
+            actions: scene.actions,
         })
     }
 
@@ -332,6 +335,7 @@ impl Inference {
             names: scene.entities,
             egos: vec![scene.ego],
             facts,
+            actions: scene.actions,
         }
     }
 
@@ -350,7 +354,7 @@ impl Inference {
     }
 
     fn decide(&self, scene: &SceneFacts, cancel: &Cancel) -> Result<Answer, Diagnostic> {
-        let SceneFacts { names, egos, facts } = scene;
+        let SceneFacts { names, egos, facts, .. } = scene;
         let names: Vec<&str> = names.iter().map(String::as_str).collect();
         let (derived, fallback) = self.derive(scene, &names, cancel)?;
         let egos = egos.iter().zip(derived).map(|(&ego, derived)| {

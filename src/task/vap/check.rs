@@ -282,6 +282,7 @@ fn check_sample(inference: &Inference, sample: &Sample) -> Result<[u64; 4], Diag
         names: sample.names.clone(),
         egos: cars.clone(),
         facts: sample.facts.clone(),
+        actions: Vec::new(),
     };
     let mut actions = [0; 4];
     for (car, answer) in cars.into_iter().zip(inference.answer_facts(&scene)?.egos) {

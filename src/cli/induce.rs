@@ -1,0 +1,348 @@
+//! `logicity induce`: learns rules from examples.
+
+use crate::builtin::BuiltinFiles;
+use crate::cancel::Cancel;
+use crate::city::Split;
+use crate::cli::trace::TraceReader;
+use crate::cli::{
+    Failure, ForceOption, Inputs, cancel_on_interrupt, finish, integer, is_stdout, load_city, messages, one_of, open,
+    unwritable,
+};
+use crate::diag::{Code, Diagnostic, Sources};
+use crate::files::{self, MAX_BYTES};
+use crate::induce::{Examples, Progress, Settings, VARIABLES_MAX, learn_with, support};
+use crate::rng::Seed;
+use crate::sim::{Executor, Inference, LoadedCity};
+use crate::task::induction::{InductionTask, Origin, report_json, rule_file};
+use crate::task::spf::{ControlMode, Env, EpisodeSet, SpfTask};
+use indicatif::{ProgressBar, ProgressStyle};
+use std::io::{BufRead, BufReader, Read, Write};
+use std::num::NonZeroUsize;
+use std::path::{Path, PathBuf};
+use std::sync::Arc;
+
+#[derive(clap::Args)]
+pub struct Arguments {
+    /// Examples: traces of `logicity run`, or scenes with `actions`, one JSON object per line [default: the recorded
+    /// episodes of the configuration, driven by its rules]
+    data: Vec<PathBuf>,
+    /// Configuration that defines the predicates. The learner does not read its clauses of actions
+    #[arg(long, default_value = "configs/expert.yaml")]
+    config: PathBuf,
+    /// Rule file to use instead of the configuration's, for its declarations
+    #[arg(long)]
+    rules: Option<PathBuf>,
+    /// Recorded episodes to learn from
+    #[arg(long, value_parser = one_of(&Split::ALL, Split::name), default_value = "train", conflicts_with = "data")]
+    split: Split,
+    /// Number of recorded episodes, from the first on [default: all]
+    #[arg(long, value_name = "COUNT", value_parser = integer(1..=1_000_000_usize), conflicts_with = "data")]
+    episodes: Option<usize>,
+    /// Write the rules to FILE; `-` means standard output
+    #[arg(short, long, value_name = "FILE", default_value = "-")]
+    output: PathBuf,
+    /// Write the clauses with their support as JSON to FILE; `-` means standard output
+    #[arg(long, value_name = "FILE")]
+    report: Option<PathBuf>,
+    /// The most variables of a clause
+    #[arg(long, value_name = "COUNT", value_parser = integer(2..=VARIABLES_MAX),
+        default_value_t = Settings::default().variables)]
+    variables: usize,
+    /// The most steps of the search for one clause
+    #[arg(long, value_name = "COUNT", value_parser = integer(1..=u32::MAX), default_value_t = Settings::default().nodes)]
+    effort: u32,
+    /// Seed of the order in which the learner tries examples
+    #[arg(long, value_parser = integer(0..=u64::MAX), default_value_t = 0)]
+    seed: u64,
+    /// Number of threads; the rules do not depend on it [default: all cores]
+    #[arg(long, value_name = "COUNT")]
+    threads: Option<NonZeroUsize>,
+    #[command(flatten)]
+    force: ForceOption,
+}
+
+pub fn run(arguments: &Arguments, sources: &mut Sources) -> Result<(), Failure> {
+    let mut outputs = vec![("--output", arguments.output.as_path())];
+    outputs.extend(arguments.report.as_deref().map(|path| ("--report", path)));
+    crate::cli::refuse_mixing(outputs)?;
+    let city = load_city(sources, &arguments.config, arguments.rules.as_deref())?;
+    let inputs = Inputs::of(sources).with(arguments.data.clone());
+    // A file that cannot be written is reported before the work.
+    let mut rules_out = arguments.force.create(&arguments.output, &inputs)?;
+    let report_out = (arguments.report.as_deref())
+        .map(|path| arguments.force.create(path, &inputs).map(|out| (out, path)))
+        .transpose()?;
+    let rule_files = city.rule_files.clone();
+    let mut origin = Origin::default();
+    origin.lines.push(format!(
+        "Rules learned by logicity {} from {}.",
+        env!("CARGO_PKG_VERSION"),
+        described(arguments, &city)
+    ));
+    origin.lines.push(format!(
+        "Configuration {} {}; at most {} variables, {} steps a search, seed {}.",
+        city.scenario.name,
+        city.scenario.hash.chars().take(12).collect::<String>(),
+        arguments.variables,
+        arguments.effort,
+        arguments.seed
+    ));
+    let cancel = cancel_on_interrupt()?;
+    let (task, examples) = collect(arguments, city, sources, &mut origin, &cancel)?;
+    refuse_unusable(&task, &examples, &origin)?;
+
+    let settings = Settings {
+        variables: arguments.variables,
+        nodes: arguments.effort,
+        seed: arguments.seed,
+        ..Settings::default()
+    };
+    let pool = rayon::ThreadPoolBuilder::new().num_threads(arguments.threads.map_or(0, NonZeroUsize::get));
+    let pool = pool
+        .build()
+        .map_err(|error| Failure::Usage(format!("cannot start threads: {error}")))?;
+    let bar = ProgressBar::new(1);
+    let template = "{bar:30} {msg} {pos} of {len} states";
+    bar.set_style(ProgressStyle::with_template(template).expect("a valid template"));
+    let names: Vec<&str> = task.actions().iter().map(|action| action.name()).collect();
+    let progress = |progress: Progress| {
+        bar.set_length(progress.states as u64);
+        bar.set_position(progress.covered as u64);
+        bar.set_message(format!(
+            "{}: {} clauses found,",
+            names[progress.action], progress.clauses
+        ));
+    };
+    let (learned, support) = pool.install(|| {
+        let learned = learn_with(&examples, &settings, &progress, &cancel);
+        let support = support(&examples, &learned);
+        (learned, support)
+    });
+    bar.finish_and_clear();
+
+    let text = rule_file(&task, &learned, &support, &origin, (sources, &rule_files));
+    let path = &arguments.output;
+    write!(rules_out, "{text}").map_err(|error| unwritable(path, &error))?;
+    finish(rules_out, path)?;
+    if let Some((mut out, path)) = report_out {
+        let json = report_json(&task, &learned, &support, &origin);
+        writeln!(out, "{json:#}").map_err(|error| unwritable(path, &error))?;
+        finish(out, path)?;
+    }
+    if !is_stdout(path) {
+        let mut out = messages(&[path]);
+        let clauses = support.clauses.len();
+        writeln!(out, "wrote {clauses} clauses to {}", path.display())?;
+    }
+    if learned.is_complete {
+        Ok(())
+    } else {
+        Err(Failure::Interrupted)
+    }
+}
+
+/// Returns the source of the examples in words.
+fn described(arguments: &Arguments, city: &LoadedCity) -> String {
+    if arguments.data.is_empty() {
+        let count = arguments.episodes.map_or("the".to_owned(), |count| format!("{count}"));
+        return format!(
+            "{count} recorded episodes of {} ({})",
+            city.scenario.name,
+            arguments.split.name()
+        );
+    }
+    let names: Vec<String> = arguments
+        .data
+        .iter()
+        .map(|path| files::portable_name(&path.display().to_string()))
+        .collect();
+    names.join(", ")
+}
+
+/// Collects the examples of all sources.
+fn collect(
+    arguments: &Arguments,
+    city: LoadedCity,
+    sources: &mut Sources,
+    origin: &mut Origin,
+    cancel: &Cancel,
+) -> Result<(InductionTask, Examples), Failure> {
+    if !arguments.data.is_empty() {
+        let scenes = Inference::new(
+            city.scenario.clone(),
+            city.program.clone(),
+            Seed(arguments.seed),
+            Executor::Relational,
+            BuiltinFiles,
+        )?;
+        let task = InductionTask::new(Arc::new(city.world()?));
+        let mut examples = task.examples();
+        let mut scenes = scenes;
+        for path in &arguments.data {
+            add_file(&task, &mut scenes, path, &mut examples, origin, cancel)?;
+        }
+        return Ok((task, examples));
+    }
+    let world = Arc::new(city.world()?);
+    let task = InductionTask::new(world.clone());
+    let mut examples = task.examples();
+    let path_task = Arc::new(SpfTask::new(world, sources)?);
+    let set = EpisodeSet::load(&path_task, arguments.split, sources, &BuiltinFiles)?;
+    let available = set.episodes.len();
+    let wanted = arguments.episodes.unwrap_or(available);
+    if wanted > available {
+        return Err(Failure::Usage(format!(
+            "--episodes {wanted}: the configuration has {available} recorded episodes"
+        )));
+    }
+    let mut env = Env::new_with(path_task, arguments.split, ControlMode::First, cancel)?;
+    for (number, episode) in set.episodes.iter().take(wanted).enumerate() {
+        origin.push_episode(examples.count(), format!("episode {number}"));
+        task.add_episode(&mut env, episode, &mut examples)?;
+    }
+    origin.lines.push(format!("Episodes {}.", set.hash()));
+    Ok((task, examples))
+}
+
+/// Adds the examples of a file: a trace or labeled scenes.
+fn add_file(
+    task: &InductionTask,
+    scenes: &mut Inference,
+    path: &Path,
+    examples: &mut Examples,
+    origin: &mut Origin,
+    cancel: &Cancel,
+) -> Result<(), Failure> {
+    let name = files::portable_name(&path.display().to_string());
+    let mut lines = BufReader::new(open(path)?);
+    let mut first = Vec::new();
+    let unreadable = |error| Failure::file("read", path, error);
+    lines
+        .by_ref()
+        .take(MAX_BYTES)
+        .read_until(b'\n', &mut first)
+        .map_err(unreadable)?;
+    let is_trace =
+        serde_json::from_slice::<serde_json::Value>(&first).is_ok_and(|header| header.get("trace").is_some());
+    drop(lines);
+    if is_trace {
+        add_trace(task, path, &name, examples, origin, cancel)
+    } else {
+        add_scenes(task, scenes, path, &name, examples, origin, cancel)
+    }
+}
+
+/// Adds every decision of every agent in a trace.
+fn add_trace(
+    task: &InductionTask,
+    path: &Path,
+    name: &str,
+    examples: &mut Examples,
+    origin: &mut Origin,
+    cancel: &Cancel,
+) -> Result<(), Failure> {
+    let mut trace = TraceReader::open(path)?;
+    let mut replay = trace.replay(&mut Sources::new(), None, None, false)?;
+    let vocabulary = replay.world().vocabulary.clone();
+    let translator = task.translator(&vocabulary).map_err(|fault| trace.placed(fault))?;
+    while let Some(tick) = trace.tick()? {
+        if cancel.requested() {
+            return Err(Failure::Interrupted);
+        }
+        replay.set(&tick).map_err(|fault| trace.placed(fault))?;
+        for (agent, state) in tick.agents.iter().enumerate() {
+            let action = state.action().and_then(|action| task.action(action));
+            let action = action.map_err(|fault| trace.placed(fault))?;
+            let state = translator
+                .state(replay.facts(), agent)
+                .map_err(|fault| trace.placed(fault))?;
+            origin.push(
+                examples.count(),
+                format!("{name}, {} in tick {}", replay.agents()[agent].id, tick.tick),
+            );
+            examples.push(state, action);
+        }
+    }
+    Ok(())
+}
+
+/// Adds the labeled egos of scenes, one scene per line.
+fn add_scenes(
+    task: &InductionTask,
+    inference: &mut Inference,
+    path: &Path,
+    name: &str,
+    examples: &mut Examples,
+    origin: &mut Origin,
+    cancel: &Cancel,
+) -> Result<(), Failure> {
+    let vocabulary = inference.vocabulary().clone();
+    let translator = task.translator(&vocabulary)?;
+    let before = examples.count();
+    let mut lines = BufReader::new(open(path)?);
+    for number in 1.. {
+        if cancel.requested() {
+            return Err(Failure::Interrupted);
+        }
+        let mut bytes = Vec::new();
+        let read = lines.by_ref().take(MAX_BYTES).read_until(b'\n', &mut bytes);
+        if read.map_err(|error| Failure::file("read", path, error))? == 0 {
+            break;
+        }
+        let text = String::from_utf8(bytes).map_err(|_| {
+            Diagnostic::new(
+                Code::NOT_TEXT,
+                format!("line {number} of `{}` is not UTF-8 text", path.display()),
+            )
+        })?;
+        if text.trim().is_empty() {
+            continue;
+        }
+        let mut sources = Sources::new();
+        let source = sources.add_from(path.display().to_string(), text.trim_end(), number);
+        let scene = inference
+            .ground(&sources, source)
+            .map_err(|faults| reported(&faults, &sources))?;
+        if scene.actions.is_empty() {
+            let message = format!("the scene in line {number} of `{}` has no actions", path.display());
+            return Err(Diagnostic::new(Code::INVALID_SCENE, message)
+                .help("add the action that each ego took, for example \"actions\": {\"Car_1\": \"Stop\"}")
+                .into());
+        }
+        for (ego, action) in scene.actions {
+            let state = translator.state(&scene.facts, ego)?;
+            origin.push(examples.count(), format!("{name}, line {number}, {}", scene.names[ego]));
+            examples.push(state, task.action(action)?);
+        }
+    }
+    if examples.count() == before {
+        let message = format!("`{}` has no examples", path.display());
+        return Err(Diagnostic::new(Code::INVALID_SCENE, message).into());
+    }
+    Ok(())
+}
+
+/// Prints diagnostics of a source that only this function knows.
+fn reported(faults: &[Diagnostic], sources: &Sources) -> Failure {
+    crate::cli::report(faults, sources);
+    Failure::Reported
+}
+
+/// Fails if there is nothing to learn, or two examples contradict each other.
+fn refuse_unusable(task: &InductionTask, examples: &Examples, origin: &Origin) -> Result<(), Failure> {
+    let mut contradictions = examples.contradictions();
+    let Some(contradiction) = contradictions.next() else {
+        return Ok(());
+    };
+    let more = contradictions.count();
+    let [one, other] = contradiction.examples.map(|example| origin.describe(example));
+    let [first, second] = contradiction.actions.map(|action| task.actions()[action].name());
+    let message = format!("two examples have the same facts but the actions {first} and {second}: {one}; {other}");
+    let fault = Diagnostic::new(Code::CONTRADICTING_EXAMPLES, message);
+    Err(match more {
+        0 => fault,
+        more => fault.note(format!("{more} other states have several actions, too")),
+    }
+    .help("correct the labels, or add predicates that distinguish the states")
+    .into())
+}

@@ -1,0 +1,195 @@
+//! What the examples say about learned clauses: how many they explain, and which literals the examples cannot decide.
+
+use crate::induce::bits;
+use crate::induce::examples::{Examples, State, majority};
+use crate::induce::learner::{Learned, clauses_hold};
+use crate::induce::problem::{Problem, Split};
+use crate::induce::vocabulary::{Body, Literal, Vocabulary};
+
+/// The most states of lower precedence that [`support`] compares alternatives with.
+const NEGATIVE_MAX: usize = 100_000;
+
+/// What the examples say about learned rules.
+#[derive(Clone, Debug)]
+pub struct Support {
+    /// The clauses in the order of [`Learned::bodies`].
+    pub clauses: Vec<ClauseSupport>,
+    /// Number of distinct states.
+    pub states: usize,
+    /// Number of examples.
+    pub examples: u64,
+    /// Number of examples whose action is not the one that the rules choose.
+    pub wrong: u64,
+    /// The numbers of the first of these examples, at most 10.
+    pub wrong_first: Vec<u64>,
+    /// By action, the number of examples.
+    pub by_action: Vec<u64>,
+}
+
+/// What the examples say about a clause.
+#[derive(Clone, Debug, Default)]
+pub struct ClauseSupport {
+    /// The position of its action.
+    pub action: usize,
+    /// Number of examples of its action in which it holds.
+    pub examples: u64,
+    /// Number of distinct states of these examples.
+    pub states: u64,
+    /// Number of examples of its action in which no other clause of this action holds.
+    pub alone: u64,
+    /// Number of distinct states of these examples.
+    pub alone_states: u64,
+    /// Number of examples of an action with higher precedence in which it holds.
+    pub outranked: u64,
+    /// Number of examples of an action with lower precedence in which it holds.
+    pub against: u64,
+    /// The number of the first example that it alone explains.
+    pub first: Option<u64>,
+    /// Literals that also hold in every state that it alone explains: with such a literal the clause fits as well.
+    pub undecided: Vec<Literal>,
+    /// Pairs of a literal of the clause and another one that fits as well in its place.
+    pub alternatives: Vec<(Literal, Literal)>,
+}
+
+/// Counts the examples that each clause explains, and finds the literals that the examples cannot decide.
+pub fn support(examples: &Examples, learned: &Learned) -> Support {
+    let vocabulary = examples.vocabulary();
+    let states: Vec<&State> = examples.states().map(|(state, _)| state).collect();
+    let bodies = learned.bodies();
+    let action_of: Vec<usize> = (learned.actions.iter().enumerate())
+        .flat_map(|(action, rules)| rules.clauses.iter().map(move |_| action))
+        .collect();
+    let mut clauses: Vec<ClauseSupport> = (action_of.iter())
+        .map(|&action| ClauseSupport {
+            action,
+            ..ClauseSupport::default()
+        })
+        .collect();
+    let mut alone: Vec<Vec<usize>> = vec![Vec::new(); bodies.len()];
+    let (mut wrong, mut wrong_first) = (0, Vec::new());
+    for (begin, holds) in clauses_hold(vocabulary, &bodies, &states) {
+        let end = states
+            .len()
+            .min(begin + holds.first().map_or(states.len(), |set| set.len() * 64));
+        for state in begin..end {
+            let (_, tallies) = examples.state(state).expect("a position below their number");
+            let held: Vec<usize> = (0..bodies.len())
+                .filter(|&clause| bits::has(&holds[clause], state - begin))
+                .collect();
+            let chosen = held.first().map_or(learned.actions.len(), |&clause| action_of[clause]);
+            for (action, tally) in tallies.iter().enumerate().filter(|(_, tally)| tally.count > 0) {
+                let count = u64::from(tally.count);
+                if action != chosen {
+                    wrong += count;
+                    wrong_first.push(tally.first);
+                }
+                let of_action: Vec<usize> = held
+                    .iter()
+                    .copied()
+                    .filter(|&clause| action_of[clause] == action)
+                    .collect();
+                for &clause in &held {
+                    let clause_support = &mut clauses[clause];
+                    match action_of[clause].cmp(&action) {
+                        std::cmp::Ordering::Equal => {
+                            clause_support.examples += count;
+                            clause_support.states += 1;
+                        }
+                        std::cmp::Ordering::Greater => clause_support.outranked += count,
+                        std::cmp::Ordering::Less => clause_support.against += count,
+                    }
+                }
+                if let [only] = of_action[..] {
+                    let clause = &mut clauses[only];
+                    clause.alone += count;
+                    clause.alone_states += 1;
+                    clause.first = Some(clause.first.map_or(tally.first, |first| first.min(tally.first)));
+                    alone[only].push(state);
+                }
+            }
+        }
+    }
+    wrong_first.sort_unstable();
+    wrong_first.truncate(10);
+    let labels: Vec<usize> = examples.states().map(|(_, tallies)| majority(tallies)).collect();
+    for ((clause, alone), body) in clauses.iter_mut().zip(&alone).zip(&bodies) {
+        let lower: Vec<usize> = (0..states.len())
+            .filter(|&state| labels[state] > clause.action)
+            .collect();
+        let step = lower.len().div_ceil(NEGATIVE_MAX).max(1);
+        let lower: Vec<&State> = lower.into_iter().step_by(step).map(|state| states[state]).collect();
+        let alone: Vec<&State> = alone.iter().map(|&state| states[state]).collect();
+        if !alone.is_empty() && clause.against == 0 {
+            (clause.undecided, clause.alternatives) = undecided(vocabulary, body, &alone, &lower);
+        }
+    }
+    let by_action = (0..examples.actions().len())
+        .map(|action| {
+            examples
+                .states()
+                .map(|(_, tallies)| u64::from(tallies[action].count))
+                .sum()
+        })
+        .collect();
+    Support {
+        clauses,
+        states: states.len(),
+        examples: examples.count(),
+        wrong,
+        wrong_first,
+        by_action,
+    }
+}
+
+/// Returns the literals that can be added to a clause, and those that can replace one of it, so that it still holds in
+/// all `alone` states and in no `lower` one.
+fn undecided(
+    vocabulary: &Vocabulary,
+    body: &Body,
+    alone: &[&State],
+    lower: &[&State],
+) -> (Vec<Literal>, Vec<(Literal, Literal)>) {
+    let split = Split::new(vocabulary, alone, lower);
+    let problem = split.problem(vocabulary, body.variables(vocabulary));
+    let others = || {
+        let signs = problem
+            .atoms
+            .iter()
+            .flat_map(|atom| [false, true].map(|is_negated| (atom, is_negated)));
+        let literals = signs.map(|(atom, is_negated)| Literal {
+            is_negated,
+            atom: atom.clone(),
+        });
+        literals.filter(|literal| !body.0.iter().any(|own| own.atom == literal.atom))
+    };
+    let covers = |problem: &Problem<'_>, body: &Body| {
+        let rows = problem.satisfying(problem.positive, body);
+        bits::count(&rows.states(problem.positive.words)) as usize == alone.len()
+    };
+    let with = |without: Option<usize>, literal: &Literal| {
+        let kept = body
+            .0
+            .iter()
+            .enumerate()
+            .filter(|(at, _)| Some(*at) != without)
+            .map(|(_, own)| own.clone());
+        Body(kept.chain([literal.clone()]).collect())
+    };
+    let added = others()
+        .filter(|literal| covers(&problem, &with(None, literal)))
+        .collect();
+    let mut alternatives = Vec::new();
+    for (at, own) in body.0.iter().enumerate() {
+        for literal in others() {
+            let other = with(Some(at), &literal);
+            if covers(&problem, &other)
+                && problem.satisfying(problem.negative, &other).is_empty()
+                && (vocabulary.guard().is_some()
+                    || (0..body.variables(vocabulary)).all(|variable| other.binds(variable)))
+            {
+                alternatives.push((own.clone(), literal));
+            }
+        }
+    }
+    (added, alternatives)
+}

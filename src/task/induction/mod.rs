@@ -1,0 +1,211 @@
+//! Learning rules for a city: examples from episodes, traces and scenes, and learned rules as a rule file.
+//!
+//! The room [`induce`](crate::induce) learns; this module translates between it and the city.
+
+mod codes;
+mod text;
+
+pub use codes::{CATALOG, CODES};
+pub use text::{Origin, report_json, rule_file};
+
+use crate::city::Action;
+use crate::datalog::Constraint;
+use crate::diag::{Code, Diagnostic};
+use crate::induce::{ENTITIES_MAX, Examples, Predicate, State, Vocabulary};
+use crate::sim::{self, Facts, World};
+use crate::task::spf::{Env, Episode};
+use std::sync::Arc;
+
+/// What rules for a city are learned from: its predicates and actions.
+#[derive(Clone, Debug)]
+pub struct InductionTask {
+    world: Arc<World>,
+    vocabulary: Vocabulary,
+    actions: Vec<Action>,
+}
+
+impl InductionTask {
+    /// Creates the task of learning rules for a world. Clauses may use every base predicate that its rules declare.
+    ///
+    /// The actions with rules are those that the rules declare. The default action comes last, whatever its precedence.
+    pub fn new(world: Arc<World>) -> InductionTask {
+        let known = &world.vocabulary;
+        let symmetric = |predicate: &sim::Predicate| {
+            (world.program.rules().constraints.iter()).any(|declared| match declared.constraint {
+                Constraint::Symmetric(relation) => Some(relation) == predicate.relation,
+                _ => false,
+            })
+        };
+        let predicates = observed(known).map(|(_, predicate)| Predicate {
+            name: predicate.name.clone(),
+            arity: predicate.arity,
+            is_symmetric: symmetric(predicate),
+        });
+        let guard = known.predicates[known.sees].name.clone();
+        let default = known.default_action();
+        let declared = |action: &Action| *action != default && known.action(*action).is_some();
+        let ordered = world.scenario.actions.priority.iter().copied().filter(declared);
+        InductionTask {
+            vocabulary: Vocabulary::new(predicates.collect(), 1, Some(guard)),
+            actions: ordered.chain([default]).collect(),
+            world,
+        }
+    }
+
+    /// Returns the world.
+    pub fn world(&self) -> &Arc<World> {
+        &self.world
+    }
+
+    /// Returns the predicates of clauses.
+    pub fn vocabulary(&self) -> &Vocabulary {
+        &self.vocabulary
+    }
+
+    /// Returns the actions, the one with the highest precedence first and the default last.
+    pub fn actions(&self) -> &[Action] {
+        &self.actions
+    }
+
+    /// Returns a set without examples.
+    pub fn examples(&self) -> Examples {
+        let names = self.actions.iter().map(|action| action.name().to_owned());
+        Examples::new(self.vocabulary.clone(), names.collect())
+    }
+
+    /// Returns the position of an action in [`InductionTask::actions`].
+    ///
+    /// # Errors
+    /// `rule-mismatch` if the rules do not declare it.
+    pub fn action(&self, action: Action) -> Result<usize, Diagnostic> {
+        let position = self.actions.iter().position(|known| *known == action);
+        position.ok_or_else(|| {
+            let names: Vec<&str> = self.actions.iter().map(|action| action.name()).collect();
+            let message = format!(
+                "an example has the action `{}`, which the rules do not declare",
+                action.name()
+            );
+            Diagnostic::new(Code::RULE_MISMATCH, message).note(format!("they declare {}", names.join(", ")))
+        })
+    }
+
+    /// Returns a translator of facts whose predicates are in the order of `known`.
+    ///
+    /// # Errors
+    /// `rule-mismatch` if `known` lacks a predicate of the task.
+    pub fn translator(&self, known: &sim::Vocabulary) -> Result<Translator<'_>, Diagnostic> {
+        let columns = self.vocabulary.predicates().iter().map(|predicate| {
+            let named = |of: &sim::Predicate| of.name == predicate.name && of.arity == predicate.arity;
+            known.predicates.iter().position(named).ok_or_else(|| {
+                let message = format!("the examples have no facts of the predicate `{}`", predicate.name);
+                Diagnostic::new(Code::RULE_MISMATCH, message)
+                    .help("learn with the configuration that the examples come from")
+            })
+        });
+        Ok(Translator {
+            vocabulary: &self.vocabulary,
+            columns: columns.collect::<Result<_, _>>()?,
+            sees: known.sees,
+        })
+    }
+
+    /// Drives an episode with the rules of the world, and adds what the ego observes and does in each step.
+    ///
+    /// # Errors
+    /// As [`Env::reset_to`] and [`Env::step`].
+    pub fn add_episode(&self, env: &mut Env, episode: &Episode, examples: &mut Examples) -> Result<(), Diagnostic> {
+        let n = env.task().oracle().entities();
+        let mut observation = vec![0.0; env.task().observation_width()];
+        env.reset_to(episode)?;
+        while env.controlled_cars()[0].is_running() {
+            let observer = env.controlled_cars()[0].observer();
+            observer.write(&mut observation);
+            let action = env.oracle_action(0);
+            let state = self.observed_state(&observation, n, observer.entities().len());
+            examples.push(state, self.action(action)?);
+            env.step(&[action])?;
+        }
+        Ok(())
+    }
+
+    /// Returns the state in an observation of `width` entities, of which `present` exist. The layout is that of
+    /// [`Observer::write`](sim::Observer::write).
+    ///
+    /// # Panics
+    /// If the observation is shorter than the layout.
+    pub fn observed_state(&self, observation: &[f32], width: usize, present: usize) -> State {
+        let mut state = State::new(&self.vocabulary, present);
+        let mut rest = observation;
+        let mut learned = 0;
+        let known = &self.world.vocabulary;
+        for (position, predicate) in known.predicates.iter().enumerate().filter(|(at, _)| *at != known.sees) {
+            let (values, after) = rest.split_at(width.pow(predicate.arity as u32));
+            rest = after;
+            let is_observed = observed(known).any(|(observed, _)| observed == position);
+            if !is_observed {
+                continue;
+            }
+            for (at, _) in values.iter().enumerate().filter(|(_, value)| **value > 0.5) {
+                match predicate.arity {
+                    1 => state.insert(&self.vocabulary, learned, &[at]),
+                    _ => state.insert(&self.vocabulary, learned, &[at / width, at % width]),
+                }
+            }
+            learned += 1;
+        }
+        state
+    }
+}
+
+/// Returns the predicates that clauses may use, with their positions: those that the rules declare, except `Sees`.
+fn observed(known: &sim::Vocabulary) -> impl Iterator<Item = (usize, &sim::Predicate)> {
+    let declared =
+        |(position, predicate): &(usize, &sim::Predicate)| *position != known.sees && predicate.relation.is_some();
+    known.predicates.iter().enumerate().filter(declared)
+}
+
+/// Translates facts of a city into states.
+#[derive(Clone, Debug)]
+pub struct Translator<'a> {
+    vocabulary: &'a Vocabulary,
+    /// For each predicate of the vocabulary, its position in the facts.
+    columns: Vec<usize>,
+    sees: usize,
+}
+
+impl Translator<'_> {
+    /// Returns what an entity observes: the facts about itself and the entities that it sees.
+    ///
+    /// # Errors
+    /// `limit-exceeded` if these are more than [`ENTITIES_MAX`].
+    pub fn state(&self, facts: &Facts, ego: usize) -> Result<State, Diagnostic> {
+        let seen = rows_of(&facts.rows[self.sees], ego);
+        let mut entities = vec![ego];
+        entities.extend(seen.iter().map(|row| row[1] as usize).filter(|entity| *entity != ego));
+        if entities.len() > ENTITIES_MAX {
+            let message = format!("an ego sees {} entities; the limit is {ENTITIES_MAX}", entities.len());
+            return Err(Diagnostic::new(Code::LIMIT_EXCEEDED, message));
+        }
+        let mut state = State::new(self.vocabulary, entities.len());
+        for (index, (predicate, &column)) in self.vocabulary.predicates().iter().zip(&self.columns).enumerate() {
+            let rows = &facts.rows[column];
+            for (first, &entity) in entities.iter().enumerate() {
+                for row in rows_of(rows, entity) {
+                    if predicate.arity == 1 {
+                        state.insert(self.vocabulary, index, &[first]);
+                    } else if let Some(second) = entities.iter().position(|entity| *entity == row[1] as usize) {
+                        state.insert(self.vocabulary, index, &[first, second]);
+                    }
+                }
+            }
+        }
+        Ok(state)
+    }
+}
+
+/// Returns the rows that begin with an entity. The rows are sorted.
+fn rows_of(rows: &[[u32; 2]], entity: usize) -> &[[u32; 2]] {
+    let begin = rows.partition_point(|row| (row[0] as usize) < entity);
+    let count = rows[begin..].partition_point(|row| row[0] as usize == entity);
+    &rows[begin..begin + count]
+}

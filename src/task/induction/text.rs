@@ -1,0 +1,347 @@
+//! Learned rules as a rule file and as JSON.
+
+use crate::builtin;
+use crate::datalog::{self, ast};
+use crate::diag::{SourceId, Sources};
+use crate::files::BUILTIN_FOLDER;
+use crate::induce::{ClauseSupport, Learned, Literal, Support, Vocabulary};
+use crate::task::induction::InductionTask;
+use serde_json::{Value, json};
+use std::collections::BTreeMap;
+use std::fmt::Write;
+
+/// The most literals that a comment of a rule file lists.
+const LISTED_MAX: usize = 8;
+/// The number of examples below which a comment warns.
+const FEW: u64 = 5;
+
+/// Where examples come from.
+#[derive(Clone, Debug, Default)]
+pub struct Origin {
+    /// The number of the first example of each part, in ascending order, its name, and whether it has steps.
+    parts: Vec<(u64, String, bool)>,
+    /// Lines about the source, the seed and the settings.
+    pub lines: Vec<String>,
+}
+
+impl Origin {
+    /// Notes that the example `begin` has the name `name`.
+    pub fn push(&mut self, begin: u64, name: impl Into<String>) {
+        self.parts.push((begin, name.into(), false));
+    }
+
+    /// Notes that the examples from `begin` on are the steps of the episode `name`.
+    pub fn push_episode(&mut self, begin: u64, name: impl Into<String>) {
+        self.parts.push((begin, name.into(), true));
+    }
+
+    /// Returns the place of an example as text.
+    pub fn describe(&self, example: u64) -> String {
+        let after = self.parts.partition_point(|(begin, ..)| *begin <= example);
+        match after.checked_sub(1).map(|at| &self.parts[at]) {
+            Some((begin, name, true)) => format!("{name}, step {}", example - begin),
+            Some((_, name, false)) => name.clone(),
+            None => format!("example {example}"),
+        }
+    }
+}
+
+/// Returns learned rules as the text of a rule file.
+///
+/// The file begins with the declarations of the rules of the world: it includes the built-in files that have neither a
+/// clause of a learned action nor an include, and repeats the declarations of all other files. `rule_files` are these
+/// files in `sources`.
+pub fn rule_file(
+    task: &InductionTask,
+    learned: &Learned,
+    support: &Support,
+    origin: &Origin,
+    (sources, rule_files): (&Sources, &[SourceId]),
+) -> String {
+    let mut text = String::new();
+    for line in &origin.lines {
+        comment(&mut text, "// ", line);
+    }
+    for line in summary(task, learned, support, origin) {
+        comment(&mut text, "// ", &line);
+    }
+    let names: Vec<&str> = task.actions().iter().map(|action| action.name()).collect();
+    let (default, learned_actions) = names.split_last().expect("at least the default");
+    text.push('\n');
+    text.push_str(&declarations(sources, rule_files, learned_actions));
+    let mut clauses = support.clauses.iter();
+    for (action, rules) in learned.actions.iter().enumerate() {
+        let _ = writeln!(text, "\n// --- {}", names[action]);
+        if rules.clauses.is_empty() {
+            let count = support.by_action[action];
+            let _ = writeln!(text, "\n// No clause: {}.", plural(count, "example", "examples"));
+        }
+        for (number, (clause, support)) in rules.clauses.iter().zip(clauses.by_ref()).enumerate() {
+            text.push('\n');
+            comment(
+                &mut text,
+                "/// ",
+                &format!("{}{}: {}", names[action], number + 1, explains(support, origin)),
+            );
+            let mut literals: Vec<String> = names[..action].iter().map(|name| format!("Not({name}(X))")).collect();
+            literals.extend(clause.body.texts(task.vocabulary()));
+            if clause.body.0.is_empty() && task.vocabulary().guard().is_none() {
+                literals.push("true".to_owned());
+            }
+            let _ = writeln!(text, "{}(X) :- {}.", names[action], literals.join(", "));
+            for line in doubts(support, task.vocabulary()) {
+                comment(&mut text, "// ", &line);
+            }
+        }
+    }
+    let _ = writeln!(text, "\n// --- {default}: where no clause above holds");
+    text
+}
+
+/// Adds a comment, wrapped at 100 columns.
+fn comment(text: &mut String, prefix: &str, line: &str) {
+    let mut column = 0;
+    for (index, word) in line.split(' ').enumerate() {
+        if index > 0 && column + 1 + word.len() <= 100 {
+            text.push(' ');
+            column += 1;
+        } else {
+            if index > 0 {
+                text.push('\n');
+            }
+            text.push_str(prefix);
+            column = prefix.len();
+        }
+        text.push_str(word);
+        column += word.len();
+    }
+    text.push('\n');
+}
+
+fn plural(count: u64, one: &str, many: &str) -> String {
+    format!("{count} {}", if count == 1 { one } else { many })
+}
+
+/// Returns sentences about the whole result.
+fn summary(task: &InductionTask, learned: &Learned, support: &Support, origin: &Origin) -> Vec<String> {
+    let mut lines = Vec::new();
+    let names: Vec<&str> = task.actions().iter().map(|action| action.name()).collect();
+    let counts: Vec<String> = names
+        .iter()
+        .zip(&support.by_action)
+        .map(|(name, count)| format!("{name} {count}"))
+        .collect();
+    let states = plural(support.states as u64, "distinct state", "distinct states");
+    lines.push(format!(
+        "{} in {states}: {}.",
+        plural(support.examples, "example", "examples"),
+        counts.join(", ")
+    ));
+    if support.wrong == 0 {
+        lines.push("The rules choose the action of every example.".to_owned());
+    } else {
+        let places: Vec<String> = support
+            .wrong_first
+            .iter()
+            .take(3)
+            .map(|&example| origin.describe(example))
+            .collect();
+        lines.push(format!(
+            "The rules choose another action in {}, first in {}.",
+            plural(support.wrong, "example", "examples"),
+            places.join("; ")
+        ));
+    }
+    if !learned.is_complete {
+        lines.push("The learner was interrupted: some examples may have no clause yet.".to_owned());
+    }
+    for (name, rules) in names.iter().zip(&learned.actions) {
+        if rules.uncovered > 0 {
+            lines.push(format!(
+                "{name}: no clause with this number of variables separates {} from those of other actions.",
+                plural(rules.uncovered as u64, "state", "states")
+            ));
+        }
+        if rules.clauses.is_empty() {
+            continue;
+        }
+        let is_best = rules.clauses.iter().all(|clause| clause.is_best);
+        lines.push(match (rules.is_cheapest, is_best) {
+            (true, true) => format!("{name}: no cheaper set of the clauses found covers the examples."),
+            (true, false) => format!(
+                "{name}: no cheaper set of the clauses found covers the examples, but the search for some clauses was cut."
+            ),
+            (false, _) => format!("{name}: the search for a cheaper set of clauses was cut."),
+        });
+    }
+    lines
+}
+
+/// Returns the declarations of rule files: everything except clauses of the given actions.
+fn declarations(sources: &Sources, rule_files: &[SourceId], actions: &[&str]) -> String {
+    let is_learned = |item: &ast::Item| match item {
+        ast::Item::Clause(clause) => clause
+            .heads
+            .iter()
+            .any(|head| actions.contains(&head.predicate.text.as_str())),
+        _ => false,
+    };
+    let mut text = String::new();
+    // An included file comes before the text that includes it.
+    for &file in rule_files.iter().rev() {
+        let tree = datalog::parse(sources, file).file;
+        let builtin = builtin_name(sources.name(file), sources.text(file));
+        match builtin {
+            Some(name)
+                if !tree
+                    .items
+                    .iter()
+                    .any(|item| is_learned(item) || matches!(item, ast::Item::Include(_))) =>
+            {
+                let _ = writeln!(text, ".include {}", datalog::quoted(name));
+            }
+            _ => {
+                let is_kept = |item: &ast::Item| !is_learned(item) && !matches!(item, ast::Item::Include(_));
+                let items: Vec<ast::Item> = tree.items.into_iter().filter(is_kept).collect();
+                if !items.is_empty() {
+                    text.push_str(&datalog::print(&ast::File { items }));
+                }
+            }
+        }
+    }
+    text
+}
+
+/// Returns the name by which any rule file can include a file: it is built in, or has the text of a built-in one.
+fn builtin_name<'a>(name: &'a str, text: &str) -> Option<&'a str> {
+    let inside = name.strip_prefix(BUILTIN_FOLDER).unwrap_or(name);
+    let last = inside.rsplit(['/', '\\']).next()?;
+    (builtin::text(&format!("rules/{last}")) == Some(text)).then_some(last)
+}
+
+/// Returns how many examples a clause explains.
+fn explains(support: &ClauseSupport, origin: &Origin) -> String {
+    let mut text = format!("explains {}", plural(support.examples, "example", "examples"));
+    match support.first {
+        Some(first) => {
+            let _ = write!(
+                text,
+                ", {} alone; the first is {}",
+                support.alone,
+                origin.describe(first)
+            );
+        }
+        None => text.push_str(", none alone"),
+    }
+    text
+}
+
+/// Returns sentences about what the examples do not show of a clause.
+fn doubts(support: &ClauseSupport, vocabulary: &Vocabulary) -> Vec<String> {
+    let mut lines = Vec::new();
+    if support.alone < FEW {
+        lines.push(format!("Few examples: it alone explains {}.", support.alone));
+    }
+    if support.against > 0 {
+        lines.push(format!(
+            "Noise: it also holds in {} of other actions.",
+            plural(support.against, "example", "examples")
+        ));
+    }
+    for (own, others) in grouped(support) {
+        let others: Vec<String> = others.iter().map(|literal| literal.text(vocabulary)).collect();
+        lines.push(format!(
+            "{} could also be {}.",
+            own.text(vocabulary),
+            listed(&others, "or")
+        ));
+    }
+    let undecided: Vec<String> = support
+        .undecided
+        .iter()
+        .map(|literal| literal.text(vocabulary))
+        .collect();
+    if !undecided.is_empty() {
+        lines.push(format!("Never seen without {}.", listed(&undecided, "and")));
+    }
+    lines
+}
+
+fn grouped(support: &ClauseSupport) -> BTreeMap<&Literal, Vec<&Literal>> {
+    let mut groups: BTreeMap<&Literal, Vec<&Literal>> = BTreeMap::new();
+    for (own, other) in &support.alternatives {
+        groups.entry(own).or_default().push(other);
+    }
+    groups
+}
+
+/// Joins texts with commas and a last word; leaves out those after the first few.
+fn listed(texts: &[String], word: &str) -> String {
+    let more = texts.len().saturating_sub(LISTED_MAX);
+    let mut shown: Vec<&str> = texts.iter().take(LISTED_MAX).map(String::as_str).collect();
+    let rest = format!("{more} more");
+    if more > 0 {
+        shown.push(&rest);
+    }
+    match shown.split_last() {
+        Some((last, [])) => (*last).to_owned(),
+        Some((last, before)) => format!("{} {word} {last}", before.join(", ")),
+        None => String::new(),
+    }
+}
+
+/// Returns learned rules and their support as JSON.
+pub fn report_json(task: &InductionTask, learned: &Learned, support: &Support, origin: &Origin) -> Value {
+    let vocabulary = task.vocabulary();
+    let names: Vec<&str> = task.actions().iter().map(|action| action.name()).collect();
+    let texts = |literals: &[Literal]| {
+        literals
+            .iter()
+            .map(|literal| literal.text(vocabulary))
+            .collect::<Vec<_>>()
+    };
+    let clauses = learned
+        .actions
+        .iter()
+        .flat_map(|rules| &rules.clauses)
+        .zip(&support.clauses)
+        .map(|(clause, support)| {
+            let alternatives: Vec<Value> = (support.alternatives.iter())
+                .map(|(own, other)| json!([own.text(vocabulary), other.text(vocabulary)]))
+                .collect();
+            json!({
+                "action": names[support.action],
+                "body": clause.body.texts(vocabulary),
+                "examples": support.examples,
+                "states": support.states,
+                "alone": support.alone,
+                "alone_states": support.alone_states,
+                "outranked": support.outranked,
+                "against": support.against,
+                "first": support.first.map(|first| origin.describe(first)),
+                "is_best": clause.is_best,
+                "undecided": texts(&support.undecided),
+                "alternatives": alternatives,
+            })
+        });
+    let actions = learned.actions.iter().enumerate().map(|(action, rules)| {
+        json!({
+            "action": names[action],
+            "examples": support.by_action[action],
+            "clauses": rules.clauses.len(),
+            "is_cheapest": rules.is_cheapest,
+            "uncovered": rules.uncovered,
+        })
+    });
+    json!({
+        "origin": origin.lines,
+        "examples": support.examples,
+        "states": support.states,
+        "default": names.last(),
+        "complete": learned.is_complete,
+        "wrong": support.wrong,
+        "wrong_first": support.wrong_first.iter().map(|&example| origin.describe(example)).collect::<Vec<_>>(),
+        "actions": actions.collect::<Vec<_>>(),
+        "clauses": clauses.collect::<Vec<_>>(),
+    })
+}

@@ -1,0 +1,232 @@
+//! `logicity induce`: rules learned from episodes, traces and scenes.
+
+use super::cli::logicity;
+use std::fs;
+use std::path::Path;
+use std::process::Output;
+
+fn text(bytes: &[u8]) -> String {
+    String::from_utf8(bytes.to_owned()).unwrap()
+}
+
+fn succeeds(output: &Output) -> String {
+    assert_eq!(output.status.code(), Some(0), "{}", text(&output.stderr));
+    text(&output.stdout)
+}
+
+/// Asserts that a command fails with an exit code and a message that contains each of some texts.
+fn fails(output: &Output, code: i32, parts: &[&str]) {
+    let said = text(&output.stderr);
+    assert_eq!(output.status.code(), Some(code), "{said}");
+    for part in parts {
+        assert!(said.contains(part), "`{part}` is missing in:\n{said}");
+    }
+}
+
+/// Asserts that rules decide like those of a mode for every ego that is a car.
+fn equal_for_cars(learned: &Path, mode: &str) {
+    let rules = format!("rules/{mode}.dl");
+    let said = succeeds(&logicity([
+        "diff",
+        learned.to_str().unwrap(),
+        &rules,
+        "--given",
+        "IsCar(X)",
+    ]));
+    assert!(said.starts_with("equivalent: proved"), "{said}");
+}
+
+#[test]
+fn episodes_yield_rules_that_are_equal_for_cars() {
+    for mode in ["easy", "hard", "expert", "transfer-medium"] {
+        let folder = tempfile::tempdir().unwrap();
+        let learned = folder.path().join("learned.dl");
+        let said = succeeds(&logicity(["induce", "--config", mode, "-o", learned.to_str().unwrap()]));
+        assert!(said.starts_with("wrote "), "{said}");
+        equal_for_cars(&learned, mode);
+        // Warnings would go to standard error.
+        let checked = logicity(["check", learned.to_str().unwrap()]);
+        succeeds(&checked);
+        assert_eq!(text(&checked.stderr), "");
+    }
+}
+
+#[test]
+fn a_city_runs_with_learned_rules() {
+    let folder = tempfile::tempdir().unwrap();
+    let learned = folder.path().join("learned.dl");
+    let (learned, out) = (learned.to_str().unwrap(), folder.path().to_str().unwrap());
+    succeeds(&logicity(["induce", "--config", "medium", "-o", learned]));
+    let options = ["--ticks", "5", "--no-pictures", "--out", out];
+    let [a, b, c, d, e] = options;
+    succeeds(&logicity(["run", "medium", "--rules", learned, a, b, c, d, e]));
+}
+
+#[test]
+fn threads_and_repetition_do_not_change_the_rules() {
+    let rules = |threads| succeeds(&logicity(["induce", "--config", "hard", "--threads", threads]));
+    let one = rules("1");
+    assert_eq!(rules("3"), one);
+    assert_ne!(succeeds(&logicity(["induce", "--config", "hard", "--seed", "1"])), "");
+}
+
+#[test]
+fn fewer_episodes_leave_more_open() {
+    let report = |episodes| -> serde_json::Value {
+        let said = succeeds(&logicity([
+            "induce",
+            "--config",
+            "hard",
+            "--episodes",
+            episodes,
+            "-o",
+            "/dev/null",
+            "--report",
+            "-",
+        ]));
+        serde_json::from_str(&said).unwrap()
+    };
+    let (few, all) = (report("5"), report("100"));
+    assert!(few["examples"].as_u64() < all["examples"].as_u64());
+    for report in [&few, &all] {
+        assert_eq!(report["wrong"], 0);
+        assert_eq!(report["complete"], true);
+        let clauses = report["clauses"].as_array().unwrap();
+        let counted: u64 = report["actions"]
+            .as_array()
+            .unwrap()
+            .iter()
+            .map(|action| action["clauses"].as_u64().unwrap())
+            .sum();
+        assert_eq!(clauses.len() as u64, counted);
+        for clause in clauses {
+            assert!(clause["alone"].as_u64() <= clause["examples"].as_u64());
+            assert_eq!(clause["against"], 0);
+        }
+    }
+    assert_eq!(all["clauses"].as_array().unwrap().len(), 7);
+    fails(
+        &logicity(["induce", "--config", "hard", "--episodes", "101"]),
+        2,
+        &["100 recorded episodes"],
+    );
+}
+
+#[test]
+fn traces_teach_the_decisions_of_all_agents() {
+    let folder = tempfile::tempdir().unwrap();
+    let out = folder.path().to_str().unwrap();
+    succeeds(&logicity([
+        "run",
+        "easy",
+        "--ticks",
+        "300",
+        "--no-pictures",
+        "--out",
+        out,
+    ]));
+    let (trace, learned) = (folder.path().join("trace.jsonl"), folder.path().join("learned.dl"));
+    succeeds(&logicity([
+        "induce",
+        trace.to_str().unwrap(),
+        "--config",
+        "easy",
+        "-o",
+        learned.to_str().unwrap(),
+    ]));
+    let learned = fs::read_to_string(&learned).unwrap();
+    assert!(learned.contains("Stop(X) :- CollidingClose(X, Y)."), "{learned}");
+    assert!(learned.contains("in tick "), "{learned}");
+    assert!(
+        learned.contains("The rules choose the action of every example."),
+        "{learned}"
+    );
+}
+
+#[test]
+fn scenes_teach_their_actions() {
+    let folder = tempfile::tempdir().unwrap();
+    let scenes = folder.path().join("scenes.jsonl");
+    let scene = |facts: &str, action: &str| {
+        format!(
+            "{{\"entities\": [\"a\", \"b\"], \"ego\": \"a\", \"facts\": {{{facts}}}, \"actions\": {{\"a\": \"{action}\"}}}}\n"
+        )
+    };
+    let car = "\"IsCar\": [\"a\", \"b\"]";
+    let lines = [
+        scene(car, "Normal"),
+        scene(&format!("{car}, \"IsBus\": [\"a\"]"), "fast"),
+        scene(&format!("{car}, \"IsBus\": [\"b\"]"), "Normal"),
+        scene(&format!("{car}, \"IsBus\": [\"a\"], \"IsPolice\": [\"b\"]"), "Slow"),
+        scene(&format!("{car}, \"IsPolice\": [\"b\"]"), "Slow"),
+    ];
+    fs::write(&scenes, lines.concat()).unwrap();
+    let learned = succeeds(&logicity(["induce", scenes.to_str().unwrap()]));
+    assert!(
+        learned.contains("\nSlow(X) :- Not(Stop(X)), IsPolice(Y), Sees(X, X).\n"),
+        "{learned}"
+    );
+    assert!(
+        learned.contains("\nFast(X) :- Not(Stop(X)), Not(Slow(X)), IsBus(X).\n"),
+        "{learned}"
+    );
+    assert!(learned.contains("// No clause: 0 examples."), "{learned}");
+    assert!(learned.contains("the first is scenes.jsonl, line 4, a\n"), "{learned}");
+}
+
+#[test]
+fn bad_examples_are_refused() {
+    let folder = tempfile::tempdir().unwrap();
+    let file = folder.path().join("scenes.jsonl");
+    let refuses = |content: &str, code: i32, parts: &[&str]| {
+        fs::write(&file, content).unwrap();
+        fails(
+            &logicity(["induce", file.to_str().unwrap(), "--config", "easy"]),
+            code,
+            parts,
+        );
+    };
+    let car = "{\"entities\": [\"a\"], \"ego\": \"a\", \"facts\": {\"IsCar\": [\"a\"]}";
+    refuses("", 1, &["has no examples"]);
+    refuses(&format!("{car}}}\n"), 1, &["line 1", "has no actions", "\"actions\":"]);
+    refuses(
+        &format!("{car}, \"actions\": {{\"a\": \"Jump\"}}}}\n"),
+        1,
+        &["scenes.jsonl:1:", "not an action", "Stop"],
+    );
+    refuses(
+        &format!("{car}, \"actions\": {{\"z\": \"Stop\"}}}}\n"),
+        1,
+        &["scenes.jsonl:1:", "no entity `z`"],
+    );
+    refuses("{\"trace\": 1}\n", 1, &["scenes.jsonl:1"]);
+    refuses("nonsense\n", 1, &["scenes.jsonl:1:"]);
+    let two = format!("{car}, \"actions\": {{\"a\": \"Stop\"}}}}\n\n{car}, \"actions\": {{\"a\": \"Normal\"}}}}\n");
+    refuses(
+        &two,
+        1,
+        &["contradicting-examples", "line 1, a", "line 3, a", "Stop", "Normal"],
+    );
+    fails(&logicity(["induce", "no such file"]), 2, &["no such file"]);
+    fails(&logicity(["induce", "--config", "metropolis"]), 1, &[]);
+}
+
+#[test]
+fn declarations_outside_the_built_in_files_are_kept() {
+    let folder = tempfile::tempdir().unwrap();
+    let rules = folder.path().join("own.dl");
+    let own = ".include \"vocabulary.dl\"\n\n/// Near an intersection.\n.decl NearInter(x: agent)\n\
+               NearInter(X) :- IsAtInter(X).\nNearInter(X) :- IsInInter(X).\n\
+               Stop(X) :- CollidingClose(X, Y).\n";
+    fs::write(&rules, own).unwrap();
+    let learned = succeeds(&logicity([
+        "induce",
+        "--config",
+        "easy",
+        "--rules",
+        rules.to_str().unwrap(),
+    ]));
+    assert!(learned.contains("/// Near an intersection."), "{learned}");
+    assert!(learned.contains("NearInter(X) :- IsInInter(X)."), "{learned}");
+    assert_eq!(learned.matches("Stop(X) :-").count(), 1, "{learned}");
+}
