@@ -9,7 +9,8 @@ Where to start:
 - `gymnasium.make("logicity/SPF-Expert-v0")` makes an environment with one controlled car, see `logicity.envs`.
   `parallel_env` makes an environment that controls every car.
 - `observation_names` names the numbers of an observation.
-- `evaluate` measures one policy, `Benchmark` several. `demonstrations` returns trajectories of the oracle.
+- `evaluate` measures one policy, `Benchmark` several. `demonstrations` returns trajectories of the oracle, and
+  `induce` learns rules from them.
 - `logicity.questions` sends multiple-choice questions to a language model and grades the replies.
 - `logicity.vap` makes and reads data sets of Visual Action Prediction.
 
@@ -39,6 +40,7 @@ if TYPE_CHECKING:
     from .describe import observation_names
     from .errors import InputError, LimitError, UnsupportedError
     from .evaluation import Benchmark, EpisodeRecord, Evaluation, Interval, Policy, evaluate
+    from .induction import InducedClause, InducedRules, induce
     from .modes import ENVIRONMENTS, MODES, parallel_env
     from .offline import Demonstrations, Trajectory, demonstrations
     from .rules import Change, Column, Explanation, Program, Relation, Rows, Session, check
@@ -65,6 +67,7 @@ _NAMES = {
     "describe": ["observation_names"],
     "errors": ["InputError", "LimitError", "UnsupportedError"],
     "evaluation": ["Benchmark", "EpisodeRecord", "Evaluation", "Interval", "Policy", "evaluate"],
+    "induction": ["InducedClause", "InducedRules", "induce"],
     "modes": ["ENVIRONMENTS", "MODES", "parallel_env"],
     "offline": ["Demonstrations", "Trajectory", "demonstrations"],
     "rules": ["Change", "Column", "Explanation", "Program", "Relation", "Rows", "Session", "check"],
@@ -97,6 +100,8 @@ __all__ = [
     "Explanation",
     "HEADINGS",
     "Heading",
+    "InducedClause",
+    "InducedRules",
     "Inference",
     "InputError",
     "Interval",
@@ -122,6 +127,7 @@ __all__ = [
     "check",
     "demonstrations",
     "evaluate",
+    "induce",
     "infer",
     "observation_names",
     "parallel_env",

@@ -6,35 +6,38 @@ import numpy as np
 import numpy.typing as npt
 
 __all__ = [
+    "__version__",
     "ACTIONS",
+    "BatchEvaluator",
+    "check",
+    "check_dataset",
+    "ConfigFile",
+    "describe",
+    "did_you_mean",
     "HEADINGS",
-    "PICTURE_SIDE",
-    "REASONS",
-    "RandomBaseline",
+    "induce",
+    "Inference",
+    "LearnedRules",
+    "make_dataset",
     "MultiCarEnv",
     "OutputFile",
-    "VectorEnv",
-    "BatchEvaluator",
-    "ConfigFile",
-    "Inference",
+    "PICTURE_SIDE",
     "Program",
+    "python_commands",
+    "RandomBaseline",
+    "read_file",
+    "read_picture",
+    "read_world",
+    "REASONS",
     "Rows",
+    "run_command_line",
     "Session",
     "Simulation",
     "Task",
     "THREADS_MAX",
+    "VARIABLES_MAX",
+    "VectorEnv",
     "WORLDS_MAX",
-    "__version__",
-    "check",
-    "check_dataset",
-    "describe",
-    "did_you_mean",
-    "make_dataset",
-    "python_commands",
-    "read_file",
-    "read_picture",
-    "read_world",
-    "run_command_line",
 ]
 
 __version__: str
@@ -43,6 +46,7 @@ HEADINGS: list[str]
 PICTURE_SIDE: int
 REASONS: list[str]
 THREADS_MAX: int
+VARIABLES_MAX: int
 WORLDS_MAX: int
 
 _Path: TypeAlias = str | os.PathLike[str]
@@ -233,6 +237,24 @@ class BatchEvaluator:
     def step(self, actions: npt.NDArray[np.int64]) -> None: ...
     def report(self, baseline: RandomBaseline) -> dict[str, Any]: ...
 
+@final
+class LearnedRules:
+    @property
+    def text(self) -> str: ...
+    def report(self) -> dict[str, Any]: ...
+    def decide(self, observations: npt.NDArray[np.float32]) -> npt.NDArray[np.int64]: ...
+
+def induce(
+    task: Task,
+    observations: npt.NDArray[np.float32],
+    actions: npt.NDArray[np.int64],
+    parts: list[tuple[int, str]],
+    lines: list[str],
+    variables: int,
+    effort: int,
+    seed: int,
+    threads: int,
+) -> LearnedRules: ...
 def describe(task: Task) -> dict[str, Any]: ...
 def read_world(
     folder: _Path, number: int, unary: list[str], binary: list[str]

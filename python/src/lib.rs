@@ -7,6 +7,7 @@
 //! - `city`: scenes and simulations; `config`: configuration files that Python interprets;
 //! - `task`: the task of environments; `episode`: the start of an episode; `env`: environments with one controlled car;
 //!   `multi_car`: an environment that controls every car; `evaluate`: metrics of policies;
+//! - `induce`: rules learned from demonstrations;
 //! - `vap`: data sets of Visual Action Prediction.
 
 mod city;
@@ -16,6 +17,7 @@ mod engine;
 mod env;
 mod episode;
 mod evaluate;
+mod induce;
 mod multi_car;
 mod output;
 mod task;
@@ -365,6 +367,7 @@ fn _logicity(module: &Bound<'_, PyModule>) -> PyResult<()> {
     env::register(module)?;
     multi_car::register(module)?;
     evaluate::register(module)?;
+    induce::register(module)?;
     vap::register(module)
 }
 

@@ -186,6 +186,11 @@ impl PyTask {
         input_error(py, &[fault], &self.sources())
     }
 
+    /// Returns the sources, and the rule files among them.
+    pub fn rule_texts(&self) -> (Sources, &[SourceId]) {
+        (self.sources(), &self.rule_files)
+    }
+
     /// Returns a copy of the sources, because holding the lock while Python runs may deadlock.
     fn sources(&self) -> Sources {
         locked(&self.sources).clone()

@@ -79,28 +79,18 @@ pub fn run(arguments: &Arguments, sources: &mut Sources) -> Result<(), Failure> 
         env!("CARGO_PKG_VERSION"),
         described(arguments, &city)
     ));
-    origin.lines.push(format!(
-        "Configuration {} {}; at most {} variables, {} steps a search, seed {}.",
-        city.scenario.name,
-        city.scenario.hash.chars().take(12).collect::<String>(),
-        arguments.variables,
-        arguments.effort,
-        arguments.seed
-    ));
-    let cancel = cancel_on_interrupt()?;
-    let (task, examples) = collect(arguments, city, sources, &mut origin, &cancel)?;
-    refuse_unusable(&task, &examples, &origin)?;
-
     let settings = Settings {
         variables: arguments.variables,
         nodes: arguments.effort,
         seed: arguments.seed,
+        threads: arguments.threads,
         ..Settings::default()
     };
-    let pool = rayon::ThreadPoolBuilder::new().num_threads(arguments.threads.map_or(0, NonZeroUsize::get));
-    let pool = pool
-        .build()
-        .map_err(|error| Failure::Usage(format!("cannot start threads: {error}")))?;
+    let cancel = cancel_on_interrupt()?;
+    let (task, examples) = collect(arguments, city, sources, &mut origin, &cancel)?;
+    task.check(&examples, &origin)?;
+    origin.lines.push(task.describe(&settings));
+
     let bar = ProgressBar::new(1);
     let template = "{bar:30} {msg} {pos} of {len} states";
     bar.set_style(ProgressStyle::with_template(template).expect("a valid template"));
@@ -113,11 +103,8 @@ pub fn run(arguments: &Arguments, sources: &mut Sources) -> Result<(), Failure> 
             names[progress.action], progress.clauses
         ));
     };
-    let (learned, support) = pool.install(|| {
-        let learned = learn_with(&examples, &settings, &progress, &cancel);
-        let support = support(&examples, &learned);
-        (learned, support)
-    });
+    let learned = learn_with(&examples, &settings, &progress, &cancel);
+    let support = support(&examples, &learned);
     bar.finish_and_clear();
 
     let text = rule_file(&task, &learned, &support, &origin, (sources, &rule_files));
@@ -130,7 +117,9 @@ pub fn run(arguments: &Arguments, sources: &mut Sources) -> Result<(), Failure> 
         finish(out, path)?;
     }
     if !is_stdout(path) {
-        let mut out = messages(&[path]);
+        let mut written = vec![path.as_path()];
+        written.extend(arguments.report.as_deref());
+        let mut out = messages(&written);
         let clauses = support.clauses.len();
         writeln!(out, "wrote {clauses} clauses to {}", path.display())?;
     }
@@ -326,23 +315,4 @@ fn add_scenes(
 fn reported(faults: &[Diagnostic], sources: &Sources) -> Failure {
     crate::cli::report(faults, sources);
     Failure::Reported
-}
-
-/// Fails if there is nothing to learn, or two examples contradict each other.
-fn refuse_unusable(task: &InductionTask, examples: &Examples, origin: &Origin) -> Result<(), Failure> {
-    let mut contradictions = examples.contradictions();
-    let Some(contradiction) = contradictions.next() else {
-        return Ok(());
-    };
-    let more = contradictions.count();
-    let [one, other] = contradiction.examples.map(|example| origin.describe(example));
-    let [first, second] = contradiction.actions.map(|action| task.actions()[action].name());
-    let message = format!("two examples have the same facts but the actions {first} and {second}: {one}; {other}");
-    let fault = Diagnostic::new(Code::CONTRADICTING_EXAMPLES, message);
-    Err(match more {
-        0 => fault,
-        more => fault.note(format!("{more} other states have several actions, too")),
-    }
-    .help("correct the labels, or add predicates that distinguish the states")
-    .into())
 }

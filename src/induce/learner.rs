@@ -9,8 +9,10 @@ use crate::induce::problem::{Problem, Split};
 use crate::induce::search::{Found, Search};
 use crate::induce::vocabulary::{Body, POSITIVE_COST, Vocabulary};
 use crate::rng::{Purpose, RngExt, Seed};
+use rayon::ThreadPool;
 use rayon::prelude::*;
 use std::collections::BTreeMap;
+use std::num::NonZeroUsize;
 
 impl Purpose {
     /// The order in which the learner tries uncovered examples; the index is the position of the action.
@@ -24,6 +26,8 @@ pub struct Settings {
     pub variables: usize,
     /// The seed of the order in which examples are tried.
     pub seed: u64,
+    /// Number of threads, `None` for one per core. The rules do not depend on it.
+    pub threads: Option<NonZeroUsize>,
     /// Uncovered examples that are tried before a clause is chosen.
     pub tries: usize,
     /// A further variable is tried if the best clause newly covers fewer examples than this.
@@ -39,6 +43,7 @@ impl Default for Settings {
         Settings {
             variables: 3,
             seed: 0,
+            threads: None,
             tries: 3,
             enough: 10,
             nodes: 20_000,
@@ -143,12 +148,10 @@ pub fn learn(examples: &Examples, settings: &Settings, cancel: &Cancel) -> Learn
 }
 
 /// Variant of [`learn`] that reports its progress.
-pub fn learn_with(
-    examples: &Examples,
-    settings: &Settings,
-    progress: &(dyn Fn(Progress) + Sync),
-    cancel: &Cancel,
-) -> Learned {
+pub fn learn_with(examples: &Examples, settings: &Settings, progress: &dyn Fn(Progress), cancel: &Cancel) -> Learned {
+    let threads = settings.threads.map_or(0, NonZeroUsize::get);
+    // Without threads of its own, the learner uses those of the caller.
+    let pool = rayon::ThreadPoolBuilder::new().num_threads(threads).build().ok();
     let states: Vec<&State> = examples.states().map(|(state, _)| state).collect();
     let labels: Vec<usize> = examples.states().map(|(_, tallies)| majority(tallies)).collect();
     let mut works: Vec<bool> = sample(&labels, examples.actions().len(), settings.working_states);
@@ -167,8 +170,7 @@ pub fn learn_with(
                     &positive,
                     &negative,
                     settings,
-                    progress,
-                    cancel,
+                    (pool.as_ref(), progress, cancel),
                 )
             })
             .collect();
@@ -224,8 +226,7 @@ fn learn_action(
     positive: &[&State],
     negative: &[&State],
     settings: &Settings,
-    progress: &(dyn Fn(Progress) + Sync),
-    cancel: &Cancel,
+    (threads, progress, cancel): (Option<&ThreadPool>, &dyn Fn(Progress), &Cancel),
 ) -> ActionRules {
     let split = Split::new(vocabulary, positive, negative);
     let fewest = (vocabulary.egos() + 1).min(settings.variables);
@@ -259,7 +260,12 @@ fn learn_action(
             seeds.sort_unstable();
             seeds.dedup();
             let search = |seed| Search::new(problem, seed, &open).best(settings.nodes);
-            let found: Vec<Found> = seeds.par_iter().filter_map(search).collect();
+            let search_all = || -> Vec<Found> { seeds.par_iter().filter_map(search).collect() };
+            // Only the searches leave this thread: `cancel` may poll for it alone.
+            let found = match threads {
+                Some(threads) => threads.install(search_all),
+                None => search_all(),
+            };
             for found in found {
                 if best.as_ref().is_none_or(|best| found.score > best.score) {
                     best = Some(found.clone());

@@ -11,7 +11,7 @@ pub use text::{Origin, report_json, rule_file};
 use crate::city::Action;
 use crate::datalog::Constraint;
 use crate::diag::{Code, Diagnostic};
-use crate::induce::{ENTITIES_MAX, Examples, Predicate, State, Vocabulary};
+use crate::induce::{ENTITIES_MAX, Examples, Predicate, Settings, State, Vocabulary};
 use crate::sim::{self, Facts, World};
 use crate::task::spf::{Env, Episode};
 use std::sync::Arc;
@@ -89,6 +89,37 @@ impl InductionTask {
         })
     }
 
+    /// Returns a sentence that names the configuration and the settings of a search.
+    pub fn describe(&self, settings: &Settings) -> String {
+        let scenario = &self.world.scenario;
+        let hash: String = scenario.hash.chars().take(12).collect();
+        format!(
+            "Configuration {} {hash}; at most {} variables, {} steps a search, seed {}.",
+            scenario.name, settings.variables, settings.nodes, settings.seed
+        )
+    }
+
+    /// Checks that no two examples have the same facts and different actions.
+    ///
+    /// # Errors
+    /// `contradicting-examples`
+    pub fn check(&self, examples: &Examples, origin: &Origin) -> Result<(), Diagnostic> {
+        let mut contradictions = examples.contradictions();
+        let Some(contradiction) = contradictions.next() else {
+            return Ok(());
+        };
+        let more = contradictions.count();
+        let [one, other] = contradiction.examples.map(|example| origin.describe(example));
+        let [first, second] = contradiction.actions.map(|action| self.actions[action].name());
+        let message = format!("two examples have the same facts but the actions {first} and {second}: {one}; {other}");
+        let fault = Diagnostic::new(Code::CONTRADICTING_EXAMPLES, message);
+        Err(match more {
+            0 => fault,
+            more => fault.note(format!("{more} other states have several actions, too")),
+        }
+        .help("correct the labels, or add predicates that distinguish the states"))
+    }
+
     /// Returns a translator of facts whose predicates are in the order of `known`.
     ///
     /// # Errors
@@ -121,37 +152,38 @@ impl InductionTask {
             let observer = env.controlled_cars()[0].observer();
             observer.write(&mut observation);
             let action = env.oracle_action(0);
-            let state = self.observed_state(&observation, n, observer.entities().len());
+            let state = self.observed_state(&observation, n, Some(observer.entities().len()));
             examples.push(state, self.action(action)?);
             env.step(&[action])?;
         }
         Ok(())
     }
 
-    /// Returns the state in an observation of `width` entities, of which `present` exist. The layout is that of
-    /// [`Observer::write`](sim::Observer::write).
+    /// Returns the state in an observation of `entities` entities, of which `present` exist; by default, those with a
+    /// fact and those before them. The layout is that of [`Observer::write`](sim::Observer::write).
     ///
     /// # Panics
     /// If the observation is shorter than the layout.
-    pub fn observed_state(&self, observation: &[f32], width: usize, present: usize) -> State {
-        let mut state = State::new(&self.vocabulary, present);
-        let mut rest = observation;
-        let mut learned = 0;
+    pub fn observed_state(&self, observation: &[f32], entities: usize, present: Option<usize>) -> State {
         let known = &self.world.vocabulary;
+        let mut facts: Vec<(usize, [usize; 2])> = Vec::new();
+        let (mut rest, mut learned) = (observation, 0);
         for (position, predicate) in known.predicates.iter().enumerate().filter(|(at, _)| *at != known.sees) {
-            let (values, after) = rest.split_at(width.pow(predicate.arity as u32));
+            let (values, after) = rest.split_at(entities.pow(predicate.arity as u32));
             rest = after;
-            let is_observed = observed(known).any(|(observed, _)| observed == position);
-            if !is_observed {
+            if observed(known).all(|(observed, _)| observed != position) {
                 continue;
             }
             for (at, _) in values.iter().enumerate().filter(|(_, value)| **value > 0.5) {
-                match predicate.arity {
-                    1 => state.insert(&self.vocabulary, learned, &[at]),
-                    _ => state.insert(&self.vocabulary, learned, &[at / width, at % width]),
-                }
+                facts.push((learned, [at / entities, at % entities]));
             }
             learned += 1;
+        }
+        let last = facts.iter().flat_map(|(_, row)| row).max().copied().unwrap_or(0);
+        let mut state = State::new(&self.vocabulary, present.unwrap_or(last + 1));
+        for (predicate, row) in facts {
+            let skipped = 2 - self.vocabulary.predicates()[predicate].arity;
+            state.insert(&self.vocabulary, predicate, &row[skipped..]);
         }
         state
     }

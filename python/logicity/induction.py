@@ -1,0 +1,252 @@
+"""Rules learned from demonstrations. Needs the extra `gym` for `demonstrations`.
+
+`induce` finds clauses that explain the action of every demonstrated step. The result is a rule file, a policy, and a
+report about what the demonstrations show and what they leave open.
+"""
+
+from __future__ import annotations
+
+import os
+from collections.abc import Iterable, Mapping
+from dataclasses import dataclass
+from typing import Any, Protocol, SupportsIndex, runtime_checkable
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from . import _logicity
+from .city import ACTIONS
+from .errors import checked_integer
+from .evaluation import load_task
+from .files import replacing
+from .modes import checked_mode
+from .offline import Demonstrations
+from .rules import Program
+
+__all__ = ["Episode", "InducedClause", "InducedRules", "induce"]
+
+
+@runtime_checkable
+class Episode(Protocol):
+    """A demonstrated episode of T steps: a `Trajectory`, or an episode of a Minari dataset.
+
+    Attributes:
+        observations: Numbers of shape (T, width) or (T + 1, width): the observations of the kind `groundings` before
+            each step, and possibly one more after the last step.
+        actions: Integers of shape (T,): 0 Slow, 1 Normal, 2 Fast, 3 Stop.
+    """
+
+    @property
+    def observations(self) -> Any:
+        """Return the observations."""
+        ...
+
+    @property
+    def actions(self) -> Any:
+        """Return the actions."""
+        ...
+
+
+@dataclass(frozen=True)
+class InducedClause:
+    """A learned clause.
+
+    Attributes:
+        action: The action.
+        body: The literals of the body, without those that give precedence to other actions.
+        examples: The number of steps with this action in which the body holds.
+        alone: The number of these steps in which no other clause of the action holds.
+        undecided: Literals that also hold in all steps that this clause alone explains. With such a literal, the clause
+            fits as well.
+        alternatives: Pairs of a literal of the body and another literal that fits as well in its place.
+    """
+
+    action: str
+    body: tuple[str, ...]
+    examples: int
+    alone: int
+    undecided: tuple[str, ...]
+    alternatives: tuple[tuple[str, str], ...]
+
+    def __str__(self) -> str:
+        """Format the clause without the literals that give precedence to other actions."""
+        return f"{self.action}(X) :- {', '.join(self.body)}."
+
+
+class InducedRules:
+    """Learned rules. Calling them with a batch of observations returns actions, so they are a policy.
+
+    Attributes:
+        text: The rules as the text of a rule file, with comments about their support.
+        clauses: The clauses, by action in the order of precedence.
+        report: All figures, as `logicity induce --report` writes them.
+    """
+
+    def __init__(self, rules: _logicity.LearnedRules) -> None:
+        """Store the rules."""
+        self._rules = rules
+        self.text = rules.text
+        self.report: Mapping[str, Any] = rules.report()
+        self.clauses = tuple(
+            InducedClause(
+                clause["action"],
+                tuple(clause["body"]),
+                clause["examples"],
+                clause["alone"],
+                tuple(clause["undecided"]),
+                tuple((own, other) for own, other in clause["alternatives"]),
+            )
+            for clause in self.report["clauses"]
+        )
+
+    def __repr__(self) -> str:
+        """Show the numbers of clauses and examples."""
+        return f"<InducedRules: {len(self.clauses)} clauses from {self.report['examples']} examples>"
+
+    def __call__(self, observations: ArrayLike) -> NDArray[np.int64]:
+        """Return the actions that the rules choose.
+
+        An entity without facts counts as absent.
+
+        Args:
+            observations: Numbers of shape (N, width), of the kind `groundings`.
+
+        Returns:
+            int64 (N,): 0 Slow, 1 Normal, 2 Fast, 3 Stop.
+
+        Raises:
+            ValueError: If the shape is wrong.
+        """
+        array = np.ascontiguousarray(observations, np.float32)
+        if array.ndim != 2:
+            raise ValueError(f"expected a batch of observations (N, width), not an array of shape {array.shape}")
+        return self._rules.decide(array)
+
+    def policy(self) -> InducedRules:
+        """Return the rules as a policy for `evaluate(..., batched=True)`."""
+        return self
+
+    def program(self) -> Program:
+        """Return the rules as a program of the engine."""
+        return Program(self.text, "learned.dl")
+
+    def save(self, path: str | os.PathLike[str], *, overwrite: bool = False) -> None:
+        """Write the rule file, atomically.
+
+        Args:
+            path: The file to write.
+            overwrite: Whether to replace a file that this package did not write, or that has changed since.
+
+        Raises:
+            FileExistsError: If the file must not be replaced.
+            OSError: If the file cannot be written.
+        """
+        with replacing(path, overwrite=overwrite) as temporary, open(temporary, "w", encoding="utf-8") as file:
+            file.write(self.text)
+
+
+def induce(
+    demonstrations: Demonstrations | Iterable[Episode],
+    mode: str | os.PathLike[str] | None = None,
+    *,
+    variables: SupportsIndex = 3,
+    effort: SupportsIndex = 20_000,
+    seed: SupportsIndex = 0,
+    threads: SupportsIndex = 0,
+    rules: str | os.PathLike[str] | None = None,
+    overrides: Mapping[str, Any] | None = None,
+) -> InducedRules:
+    """Learn rules from demonstrations.
+
+    The learner sees the observations and the actions, but no clause of the rules. The same arguments give the same
+    rules on any number of threads.
+
+    Args:
+        demonstrations: `Demonstrations`, episodes of a Minari dataset, or other objects with `observations` of the
+            kind `groundings` and `actions`.
+        mode: One of `logicity.ENVIRONMENTS` or the path of a configuration file, which names the predicates and the
+            precedence of actions. The default is the mode of `Demonstrations`.
+        variables: The largest number of variables of a clause, from 2 on.
+        effort: The largest number of steps of the search for one clause.
+        seed: The seed of the order in which the learner tries examples.
+        threads: The number of threads, 0 for one per core.
+        rules: A rule file to use instead of the configuration's, for its declarations.
+        overrides: Changes of the configuration, as in `gymnasium.make`.
+
+    Returns:
+        The rules.
+
+    Raises:
+        InputError: If the configuration or an option is invalid, or two examples have the same facts and different
+            actions.
+        OSError: If a file cannot be read.
+        TypeError: If an argument has a wrong type.
+        ValueError: If an argument is out of range, there are no demonstrations, or their shapes do not fit.
+    """
+    limits = {
+        "variables": (2, _logicity.VARIABLES_MAX),
+        "effort": (1, 2**32 - 1),
+        "threads": (0, _logicity.THREADS_MAX),
+    }
+    given = {"variables": variables, "effort": effort, "threads": threads}
+    checked = {name: checked_integer(name, value, *limits[name]) for name, value in given.items()}
+    checked_seed = checked_integer("seed", seed)
+    lines = []
+    if isinstance(demonstrations, Demonstrations):
+        mode = demonstrations.mode if mode is None else mode
+        if not demonstrations.atoms:
+            raise ValueError("expected observations of the kind `groundings`, not `state`")
+        lines.append(
+            f"Rules learned by logicity {_logicity.__version__} from {len(demonstrations)} episodes of "
+            f"{demonstrations.mode} ({demonstrations.split})."
+        )
+        lines.append(f"Episodes {demonstrations.episodes_hash}.")
+    if mode is None:
+        raise TypeError("mode: expected the mode or the configuration file of the demonstrations")
+    name = checked_mode(mode)
+    observations, actions, parts = _stacked(demonstrations)
+    if not lines:
+        lines.append(f"Rules learned by logicity {_logicity.__version__} from {len(parts)} episodes for {name}.")
+    return InducedRules(
+        _logicity.induce(
+            load_task(mode, rules, overrides),
+            observations,
+            actions,
+            parts,
+            lines,
+            checked["variables"],
+            checked["effort"],
+            checked_seed,
+            checked["threads"],
+        )
+    )
+
+
+def _stacked(episodes: Iterable[Episode]) -> tuple[NDArray[np.float32], NDArray[np.int64], list[tuple[int, str]]]:
+    """Return the steps of all episodes in one array, and the first step of each."""
+    observations: list[NDArray[np.float32]] = []
+    actions: list[NDArray[np.int64]] = []
+    parts: list[tuple[int, str]] = []
+    count = 0
+    for number, episode in enumerate(episodes):
+        if not isinstance(episode, Episode):
+            raise TypeError(f"expected episodes with `observations` and `actions`, not {type(episode).__name__}")
+        taken = np.asarray(episode.actions)
+        seen = np.asarray(episode.observations, np.float32)
+        if taken.ndim != 1 or seen.ndim != 2 or len(seen) not in (len(taken), len(taken) + 1):
+            raise ValueError(
+                f"episode {number}: observations of shape {seen.shape} do not fit actions of shape {taken.shape}"
+            )
+        if not np.issubdtype(taken.dtype, np.integer):
+            raise TypeError(f"episode {number}: expected integer actions, not {taken.dtype}")
+        if len(taken) and not 0 <= taken.min() <= taken.max() < len(ACTIONS):
+            raise ValueError(f"episode {number}: expected actions from 0 to {len(ACTIONS) - 1}")
+        parts.append((count, f"episode {number}"))
+        observations.append(seen[: len(taken)])
+        actions.append(taken.astype(np.int64))
+        count += len(taken)
+    if count == 0:
+        raise ValueError("no demonstrations: expected at least one step")
+    if len({array.shape[1] for array in observations}) > 1:
+        raise ValueError("the observations of the episodes have different lengths")
+    return np.concatenate(observations), np.concatenate(actions), parts

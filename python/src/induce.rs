@@ -1,0 +1,134 @@
+//! Rules learned from demonstrations.
+
+use crate::task::PyTask;
+use crate::{Signals, threads_of, to_python};
+use logicity::city::Action;
+use logicity::induce::{Examples, Learned, Settings, State, VARIABLES_MAX, learn_with, support};
+use logicity::task::induction::{InductionTask, Origin, report_json, rule_file};
+use numpy::{IntoPyArray, PyArray1, PyReadonlyArray1, PyReadonlyArray2};
+use pyo3::exceptions::PyValueError;
+use pyo3::prelude::*;
+use std::sync::Arc;
+
+pub fn register(module: &Bound<'_, PyModule>) -> PyResult<()> {
+    module.add("VARIABLES_MAX", VARIABLES_MAX)?;
+    module.add_class::<PyLearnedRules>()?;
+    module.add_function(wrap_pyfunction!(induce, module)?)
+}
+
+/// Learned rules. They decide on observations without an engine.
+#[pyclass(name = "LearnedRules", module = "logicity._logicity", frozen)]
+struct PyLearnedRules {
+    task: Arc<InductionTask>,
+    learned: Learned,
+    /// Number of entities in an observation, and its length.
+    shape: [usize; 2],
+    #[pyo3(get)]
+    text: String,
+    report: serde_json::Value,
+}
+
+#[pymethods]
+impl PyLearnedRules {
+    /// Returns the report as Python values.
+    fn report<'py>(&self, py: Python<'py>) -> PyResult<Bound<'py, PyAny>> {
+        to_python(py, &self.report)
+    }
+
+    /// Returns the action for each observation of a batch.
+    fn decide<'py>(
+        &self,
+        py: Python<'py>,
+        observations: PyReadonlyArray2<'py, f32>,
+    ) -> PyResult<Bound<'py, PyArray1<i64>>> {
+        let states = states(&self.task, self.shape, &observations)?;
+        let decided = py.detach(|| {
+            let states: Vec<&State> = states.iter().collect();
+            let chosen = self.learned.decide(self.task.vocabulary(), &states);
+            chosen
+                .into_iter()
+                .map(|action| self.task.actions()[action] as i64)
+                .collect::<Vec<_>>()
+        });
+        Ok(decided.into_pyarray(py))
+    }
+}
+
+/// Returns the states in observations. An entity without facts is absent.
+fn states(
+    task: &InductionTask,
+    [entities, width]: [usize; 2],
+    observations: &PyReadonlyArray2<'_, f32>,
+) -> PyResult<Vec<State>> {
+    let array = observations.as_array();
+    if array.ncols() != width {
+        let message = format!("expected observations of {width} numbers, not {}", array.ncols());
+        return Err(PyValueError::new_err(message));
+    }
+    let row = |row: numpy::ndarray::ArrayView1<'_, f32>| match row.as_slice() {
+        Some(row) => task.observed_state(row, entities, None),
+        None => task.observed_state(&row.to_vec(), entities, None),
+    };
+    Ok(array.rows().into_iter().map(row).collect())
+}
+
+/// Learns rules from observations and actions. `parts` are the numbers of the first examples of each episode, with its
+/// name; `lines` are sentences about the source.
+#[pyfunction]
+#[pyo3(signature = (task, observations, actions, parts, lines, variables, effort, seed, threads))]
+#[allow(clippy::too_many_arguments)]
+fn induce(
+    py: Python<'_>,
+    task: &Bound<'_, PyTask>,
+    observations: PyReadonlyArray2<'_, f32>,
+    actions: PyReadonlyArray1<'_, i64>,
+    parts: Vec<(u64, String)>,
+    lines: Vec<String>,
+    variables: usize,
+    effort: u32,
+    seed: u64,
+    threads: usize,
+) -> PyResult<PyLearnedRules> {
+    let shared = task.get();
+    let shape = [shared.task.oracle().entities(), shared.task.observation_width()];
+    let learning = Arc::new(InductionTask::new(Arc::clone(shared.task.world())));
+    let states = states(&learning, shape, &observations)?;
+    let mut origin = Origin::default();
+    origin.lines = lines;
+    for (begin, name) in parts {
+        origin.push_episode(begin, name);
+    }
+    let mut examples: Examples = learning.examples();
+    for (state, &action) in states.into_iter().zip(actions.as_array()) {
+        let known = usize::try_from(action).ok().and_then(|action| Action::ALL.get(action));
+        let known = known.ok_or_else(|| PyValueError::new_err(format!("{action} is not an action")))?;
+        let position = learning.action(*known).map_err(|fault| shared.error(py, fault))?;
+        examples.push(state, position);
+    }
+    learning
+        .check(&examples, &origin)
+        .map_err(|fault| shared.error(py, fault))?;
+    let settings = Settings {
+        variables,
+        nodes: effort,
+        seed,
+        threads: Some(threads_of(threads)?),
+        ..Settings::default()
+    };
+    origin.lines.push(learning.describe(&settings));
+    let signals = Signals::new();
+    let cancel = signals.cancel();
+    let (learned, support) = signals.detach(py, || {
+        let learned = learn_with(&examples, &settings, &|_| (), &cancel);
+        let support = support(&examples, &learned);
+        (learned, support)
+    })?;
+    let (sources, rule_files) = shared.rule_texts();
+    Ok(PyLearnedRules {
+        text: rule_file(&learning, &learned, &support, &origin, (&sources, rule_files)),
+        report: report_json(&learning, &learned, &support, &origin),
+        learned,
+        task: learning,
+        shape,
+    })
+}

@@ -1,0 +1,99 @@
+"""Rules learned from demonstrations."""
+
+from pathlib import Path
+from types import SimpleNamespace
+from typing import Any
+
+import numpy as np
+import pytest
+
+import logicity
+
+pytest.importorskip("gymnasium")
+
+
+@pytest.fixture(scope="module")
+def demonstrations() -> logicity.Demonstrations:
+    return logicity.demonstrations("hard")
+
+
+def test_rules_from_demonstrations_solve_the_test_episodes(
+    demonstrations: logicity.Demonstrations, tmp_path: Path
+) -> None:
+    rules = logicity.induce(demonstrations)
+    assert len(rules.clauses) == 7
+    assert {clause.action for clause in rules.clauses} == {"Stop"}
+    assert "Stop(X) :- IsAmbulance(X), IsOld(Y), RightOf(Y, X)." in map(str, rules.clauses)
+    result = logicity.evaluate(rules.policy(), "hard", batched=True)
+    assert (result.tsr.value, result.compliance.value) == (1.0, 1.0)
+    # The saved rules give the environment the same oracle.
+    path = tmp_path / "learned.dl"
+    rules.save(path)
+    assert path.read_text() == rules.text
+    oracle = logicity.evaluate("oracle", "hard", rules=path)
+    assert oracle.tsr.value == 1.0
+    assert "Stop" in {relation.name for relation in rules.program().relations}
+
+
+def test_rules_choose_the_action_of_every_example(demonstrations: logicity.Demonstrations) -> None:
+    rules = logicity.induce(demonstrations[:10], "hard", threads=1)
+    assert repr(rules).startswith("<InducedRules: ")
+    for trajectory in demonstrations[:10]:
+        np.testing.assert_array_equal(rules(trajectory.observations[:-1]), trajectory.actions)
+    again = logicity.induce(demonstrations[:10], "hard", threads=3)
+    assert again.text == rules.text
+
+
+def test_literals_that_the_examples_leave_open_are_reported(demonstrations: logicity.Demonstrations) -> None:
+    rules = logicity.induce(demonstrations)
+    # The ego is always a car, so the examples cannot show this condition of the rules.
+    stop = next(clause for clause in rules.clauses if clause.body[:2] == ("IsAtInter(X)", "IsInInter(Y)"))
+    assert "Not(IsOld(X))" in stop.undecided
+    assert rules.report["wrong"] == 0
+    assert rules.report["complete"] is True
+
+
+def test_other_objects_are_episodes() -> None:
+    width = len(logicity.observation_names("easy"))
+    seen = np.zeros((3, width), np.float32)
+    names = logicity.observation_names("easy")
+    seen[:, names.index("IsCar(0)")] = 1
+    seen[1, names.index("IsAmbulance(0)")] = 1
+    rules = logicity.induce([SimpleNamespace(observations=seen, actions=np.array([1, 3, 1]))], "easy")
+    assert [str(clause) for clause in rules.clauses] == ["Stop(X) :- IsAmbulance(X)."]
+    assert rules(seen).tolist() == [1, 3, 1]
+
+
+@pytest.mark.parametrize(
+    ("arguments", "options", "error", "message"),
+    [
+        (([],), {}, TypeError, "mode"),
+        (([], "easy"), {}, ValueError, "no demonstrations"),
+        (([3], "easy"), {}, TypeError, "observations"),
+        (([SimpleNamespace(observations=np.zeros((2, 85)), actions=[1, 1, 1])], "easy"), {}, ValueError, "shape"),
+        (([SimpleNamespace(observations=np.zeros((1, 85)), actions=[1.5])], "easy"), {}, TypeError, "integer"),
+        (([SimpleNamespace(observations=np.zeros((1, 85)), actions=[4])], "easy"), {}, ValueError, "from 0 to 3"),
+        (([SimpleNamespace(observations=np.zeros((1, 84)), actions=[1])], "easy"), {}, ValueError, "85 numbers"),
+        (([SimpleNamespace(observations=np.zeros((1, 85)), actions=[1])], "esay"), {}, Exception, "esay"),
+        (([SimpleNamespace(observations=np.zeros((1, 85)), actions=[1])], "easy"), {"variables": 1}, ValueError, "2"),
+        (([SimpleNamespace(observations=np.zeros((1, 85)), actions=[1])], "easy"), {"effort": 0}, ValueError, "1"),
+        (([SimpleNamespace(observations=np.zeros((1, 85)), actions=[1])], "easy"), {"seed": "a"}, TypeError, "seed"),
+        (
+            ([SimpleNamespace(observations=np.zeros((2, 85)), actions=[1, 3])], "easy"),
+            {},
+            logicity.InputError,
+            "same facts",
+        ),
+    ],
+)
+def test_bad_arguments(arguments: Any, options: Any, error: type[Exception], message: str) -> None:
+    with pytest.raises(error, match=message):
+        logicity.induce(*arguments, **options)
+
+
+def test_a_batch_has_two_dimensions(demonstrations: logicity.Demonstrations) -> None:
+    rules = logicity.induce(demonstrations[:1], "hard")
+    with pytest.raises(ValueError, match="batch"):
+        rules(demonstrations[0].observations[0])
+    with pytest.raises(ValueError, match="numbers"):
+        rules(np.zeros((1, 3)))
