@@ -312,6 +312,7 @@ MODULES = {
     "logicity.evaluation": "Measures of policies",
     "logicity.describe": "Observations",
     "logicity.offline": "Demonstrations",
+    "logicity.induction": "Learned rules",
     "logicity.envs": "Environments",
     "logicity.parallel": "Several controlled cars",
     "logicity.sb3": "Stable-Baselines3",

@@ -250,6 +250,7 @@ def induce(
     actions: npt.NDArray[np.int64],
     parts: list[tuple[int, str]],
     lines: list[str],
+    order: list[str],
     variables: int,
     effort: int,
     seed: int,

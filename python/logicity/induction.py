@@ -7,7 +7,7 @@ report about what the demonstrations show and what they leave open.
 from __future__ import annotations
 
 import os
-from collections.abc import Iterable, Mapping
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any, Protocol, SupportsIndex, runtime_checkable
 
@@ -149,6 +149,7 @@ def induce(
     demonstrations: Demonstrations | Iterable[Episode],
     mode: str | os.PathLike[str] | None = None,
     *,
+    order: Sequence[str] = ("Stop", "Slow", "Fast"),
     variables: SupportsIndex = 3,
     effort: SupportsIndex = 20_000,
     seed: SupportsIndex = 0,
@@ -164,8 +165,10 @@ def induce(
     Args:
         demonstrations: `Demonstrations`, episodes of a Minari dataset, or other objects with `observations` of the
             kind `groundings` and `actions`.
-        mode: One of `logicity.ENVIRONMENTS` or the path of a configuration file, which names the predicates and the
-            precedence of actions. The default is the mode of `Demonstrations`.
+        mode: One of `logicity.ENVIRONMENTS` or the path of a configuration file, which names the predicates
+            and the default action. The default is the mode of `Demonstrations`.
+        order: The actions in the order in which the learned rules try them. The default action of the configuration
+            comes last.
         variables: The largest number of variables of a clause, from 2 on.
         effort: The largest number of steps of the search for one clause.
         seed: The seed of the order in which the learner tries examples.
@@ -214,6 +217,7 @@ def induce(
             actions,
             parts,
             lines,
+            list(order),
             checked["variables"],
             checked["effort"],
             checked_seed,

@@ -1,5 +1,6 @@
 //! Rules learned from demonstrations.
 
+use crate::city::one_of;
 use crate::task::PyTask;
 use crate::{Signals, threads_of, to_python};
 use logicity::city::Action;
@@ -75,7 +76,7 @@ fn states(
 /// Learns rules from observations and actions. `parts` are the numbers of the first examples of each episode, with its
 /// name; `lines` are sentences about the source.
 #[pyfunction]
-#[pyo3(signature = (task, observations, actions, parts, lines, variables, effort, seed, threads))]
+#[pyo3(signature = (task, observations, actions, parts, lines, order, variables, effort, seed, threads))]
 #[allow(clippy::too_many_arguments)]
 fn induce(
     py: Python<'_>,
@@ -84,6 +85,7 @@ fn induce(
     actions: PyReadonlyArray1<'_, i64>,
     parts: Vec<(u64, String)>,
     lines: Vec<String>,
+    order: Vec<String>,
     variables: usize,
     effort: u32,
     seed: u64,
@@ -91,7 +93,10 @@ fn induce(
 ) -> PyResult<PyLearnedRules> {
     let shared = task.get();
     let shape = [shared.task.oracle().entities(), shared.task.observation_width()];
-    let learning = Arc::new(InductionTask::new(Arc::clone(shared.task.world())));
+    let order: Vec<Action> = (order.iter())
+        .map(|name| one_of("order", name, &Action::ALL, Action::name))
+        .collect::<PyResult<_>>()?;
+    let learning = Arc::new(InductionTask::new(Arc::clone(shared.task.world()), &order));
     let states = states(&learning, shape, &observations)?;
     let mut origin = Origin::default();
     origin.lines = lines;

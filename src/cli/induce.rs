@@ -2,19 +2,20 @@
 
 use crate::builtin::BuiltinFiles;
 use crate::cancel::Cancel;
-use crate::city::Split;
+use crate::city::{Action, Split};
 use crate::cli::trace::TraceReader;
 use crate::cli::{
     Failure, ForceOption, Inputs, cancel_on_interrupt, finish, integer, is_stdout, load_city, messages, one_of, open,
     unwritable,
 };
 use crate::diag::{Code, Diagnostic, Sources};
-use crate::files::{self, MAX_BYTES};
+use crate::files::{self, Folder, MAX_BYTES};
 use crate::induce::{Examples, Progress, Settings, VARIABLES_MAX, learn_with, support};
 use crate::rng::Seed;
 use crate::sim::{Executor, Inference, LoadedCity};
 use crate::task::induction::{InductionTask, Origin, report_json, rule_file};
 use crate::task::spf::{ControlMode, Env, EpisodeSet, SpfTask};
+use crate::task::vap::Dataset;
 use indicatif::{ProgressBar, ProgressStyle};
 use std::io::{BufRead, BufReader, Read, Write};
 use std::num::NonZeroUsize;
@@ -23,8 +24,8 @@ use std::sync::Arc;
 
 #[derive(clap::Args)]
 pub struct Arguments {
-    /// Examples: traces of `logicity run`, or scenes with `actions`, one JSON object per line [default: the recorded
-    /// episodes of the configuration, driven by its rules]
+    /// Examples: traces of `logicity run`, scenes with `actions` (one JSON object per line), or data sets of `logicity
+    /// vap make` [default: the recorded episodes of the configuration, driven by its rules]
     data: Vec<PathBuf>,
     /// Configuration that defines the predicates. The learner does not read its clauses of actions
     #[arg(long, default_value = "configs/expert.yaml")]
@@ -44,6 +45,10 @@ pub struct Arguments {
     /// Write the clauses with their support as JSON to FILE; `-` means standard output
     #[arg(long, value_name = "FILE")]
     report: Option<PathBuf>,
+    /// Actions in the order in which the learned rules try them, separated by commas. The default action of the
+    /// configuration comes last [default: Stop,Slow,Fast]
+    #[arg(long, value_name = "ACTIONS", value_delimiter = ',', value_parser = one_of(&Action::ALL, Action::name))]
+    order: Vec<Action>,
     /// The most variables of a clause
     #[arg(long, value_name = "COUNT", value_parser = integer(2..=VARIABLES_MAX),
         default_value_t = Settings::default().variables)]
@@ -164,7 +169,7 @@ fn collect(
             Executor::Relational,
             BuiltinFiles,
         )?;
-        let task = InductionTask::new(Arc::new(city.world()?));
+        let task = InductionTask::new(Arc::new(city.world()?), &arguments.order);
         let mut examples = task.examples();
         let mut scenes = scenes;
         for path in &arguments.data {
@@ -173,7 +178,7 @@ fn collect(
         return Ok((task, examples));
     }
     let world = Arc::new(city.world()?);
-    let task = InductionTask::new(world.clone());
+    let task = InductionTask::new(world.clone(), &arguments.order);
     let mut examples = task.examples();
     let path_task = Arc::new(SpfTask::new(world, sources)?);
     let set = EpisodeSet::load(&path_task, arguments.split, sources, &BuiltinFiles)?;
@@ -203,6 +208,9 @@ fn add_file(
     cancel: &Cancel,
 ) -> Result<(), Failure> {
     let name = files::portable_name(&path.display().to_string());
+    if path.is_dir() {
+        return add_data_set(task, path, &name, examples, origin, cancel);
+    }
     let mut lines = BufReader::new(open(path)?);
     let mut first = Vec::new();
     let unreadable = |error| Failure::file("read", path, error);
@@ -219,6 +227,37 @@ fn add_file(
     } else {
         add_scenes(task, scenes, path, &name, examples, origin, cancel)
     }
+}
+
+/// Adds the labeled cars of a data set of Visual Action Prediction.
+fn add_data_set(
+    task: &InductionTask,
+    path: &Path,
+    name: &str,
+    examples: &mut Examples,
+    origin: &mut Origin,
+    cancel: &Cancel,
+) -> Result<(), Failure> {
+    let data = Dataset::open(Folder::new(path))?;
+    let vocabulary = &task.world().vocabulary;
+    let translator = task.translator(vocabulary)?;
+    for world in &data.manifest().worlds {
+        for sample in data.samples(vocabulary, world)? {
+            if cancel.requested() {
+                return Err(Failure::Interrupted);
+            }
+            for (car, label) in sample.labels.iter().enumerate() {
+                let Some(action) = label else { continue };
+                let place = format!(
+                    "{name}, world {}, tick {}, {}",
+                    world.world, sample.tick, sample.names[car]
+                );
+                origin.push(examples.count(), place);
+                examples.push(translator.state(&sample.facts, car)?, task.action(*action)?);
+            }
+        }
+    }
+    Ok(())
 }
 
 /// Adds every decision of every agent in a trace.

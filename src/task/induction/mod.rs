@@ -27,8 +27,10 @@ pub struct InductionTask {
 impl InductionTask {
     /// Creates the task of learning rules for a world. Clauses may use every base predicate that its rules declare.
     ///
-    /// The actions with rules are those that the rules declare. The default action comes last, whatever its precedence.
-    pub fn new(world: Arc<World>) -> InductionTask {
+    /// Clauses are learned for the actions that the rules declare, except the default one. In learned rules the first of
+    /// `order` has precedence over the others; actions that it lacks follow in the order of [`Action::SAFEST_FIRST`].
+    /// Learned rules derive at most one action, so the precedence of the configuration does not matter.
+    pub fn new(world: Arc<World>, order: &[Action]) -> InductionTask {
         let known = &world.vocabulary;
         let symmetric = |predicate: &sim::Predicate| {
             (world.program.rules().constraints.iter()).any(|declared| match declared.constraint {
@@ -44,10 +46,16 @@ impl InductionTask {
         let guard = known.predicates[known.sees].name.clone();
         let default = known.default_action();
         let declared = |action: &Action| *action != default && known.action(*action).is_some();
-        let ordered = world.scenario.actions.priority.iter().copied().filter(declared);
+        let mut ordered: Vec<Action> = Vec::new();
+        for action in order.iter().copied().chain(Action::SAFEST_FIRST).filter(declared) {
+            if !ordered.contains(&action) {
+                ordered.push(action);
+            }
+        }
+        ordered.push(default);
         InductionTask {
             vocabulary: Vocabulary::new(predicates.collect(), 1, Some(guard)),
-            actions: ordered.chain([default]).collect(),
+            actions: ordered,
             world,
         }
     }

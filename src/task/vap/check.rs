@@ -6,7 +6,7 @@ use crate::diag::{Code, Diagnostic};
 use crate::files::{Folder, ReadError};
 use crate::render::read_png;
 use crate::rng::Seed;
-use crate::sim::{Executor, Inference, LoadedCity, SceneFacts};
+use crate::sim::{Executor, Inference, LoadedCity, SceneFacts, Vocabulary};
 use crate::task::vap::dataset::{Monitor, Step};
 use crate::task::vap::folder::{ENTITIES, Entry, MANIFEST, PAIRS, WorldFile, add, file_record, wrong};
 use crate::task::vap::table::{Sample, Table, boxes, count_concepts, samples, visible};
@@ -50,6 +50,29 @@ impl Dataset {
     /// Returns the manifest.
     pub fn manifest(&self) -> &Manifest {
         &self.manifest
+    }
+
+    /// Reads the samples of a world, without its pictures. The facts are in the order of `vocabulary`.
+    ///
+    /// # Errors
+    /// `invalid-data-set` if a table is missing, has changed or is faulty.
+    pub fn samples(&self, vocabulary: &Vocabulary, record: &WorldRecord) -> Result<Vec<Sample>, DatasetError> {
+        let folder = self.folder.folder(&folder::world_name(record.world));
+        let table = |name: &str| {
+            let path = folder.path().join(name);
+            let expected = record
+                .files
+                .get(name)
+                .ok_or_else(|| wrong(&path, "is not in the manifest"))?;
+            match folder.read_of_length(name, expected.bytes as u64) {
+                Err(error) => Err(wrong(&path, error)),
+                Ok(Some(bytes)) if file_record(&bytes) == *expected => Table::read(bytes),
+                Ok(_) => Err(wrong(&path, "has changed since it was made")),
+            }
+        };
+        let (entities, pairs) = (table(ENTITIES)?, table(PAIRS)?);
+        let samples = samples(vocabulary, record.world, &entities, &pairs);
+        Ok(samples.map_err(|fault| fault.note(format!("in `{}`", folder.path().display())))?)
     }
 
     fn manifest_path(&self) -> PathBuf {
