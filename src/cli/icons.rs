@@ -22,6 +22,16 @@ pub struct IconOptions {
     difficulty: Difficulty,
 }
 
+impl Default for IconOptions {
+    fn default() -> IconOptions {
+        IconOptions {
+            pack: None,
+            pack_mode: Mode::Extend,
+            difficulty: Difficulty::default(),
+        }
+    }
+}
+
 fn difficulty(text: &str) -> Result<Difficulty, String> {
     let percent = text.parse().ok().and_then(Difficulty::percent);
     percent.ok_or_else(|| "expected an integer from 0 to 100".to_owned())

@@ -4,6 +4,7 @@ use crate::builtin::BuiltinFiles;
 use crate::cancel::Cancel;
 use crate::city::{Action, Split};
 use crate::cli::trace::TraceReader;
+use crate::cli::view;
 use crate::cli::{
     Failure, ForceOption, Inputs, cancel_on_interrupt, finish, integer, is_stdout, load_city, messages, one_of, open,
     unwritable,
@@ -45,6 +46,10 @@ pub struct Arguments {
     /// Write the clauses with their support as JSON to FILE; `-` means standard output
     #[arg(long, value_name = "FILE")]
     report: Option<PathBuf>,
+    /// Write an HTML page of the trace to FILE that shows which clause decides each moment; needs one trace, and
+    /// `--output` with a file
+    #[arg(long, value_name = "FILE")]
+    page: Option<PathBuf>,
     /// Actions in the order in which the learned rules try them, separated by commas. The default action of the
     /// configuration comes last [default: Stop,Slow,Fast]
     #[arg(long, value_name = "ACTIONS", value_delimiter = ',', value_parser = one_of(&Action::ALL, Action::name))]
@@ -69,12 +74,20 @@ pub struct Arguments {
 pub fn run(arguments: &Arguments, sources: &mut Sources) -> Result<(), Failure> {
     let mut outputs = vec![("--output", arguments.output.as_path())];
     outputs.extend(arguments.report.as_deref().map(|path| ("--report", path)));
+    outputs.extend(arguments.page.as_deref().map(|path| ("--page", path)));
     crate::cli::refuse_mixing(outputs)?;
+    if arguments.page.is_some() && (arguments.data.len() != 1 || is_stdout(&arguments.output)) {
+        let message = "--page needs one trace, as `logicity run` writes it, and --output with a file for the rules";
+        return Err(Failure::Usage(message.to_owned()));
+    }
     let city = load_city(sources, &arguments.config, arguments.rules.as_deref())?;
     let inputs = Inputs::of(sources).with(arguments.data.clone());
     // A file that cannot be written is reported before the work.
     let mut rules_out = arguments.force.create(&arguments.output, &inputs)?;
     let report_out = (arguments.report.as_deref())
+        .map(|path| arguments.force.create(path, &inputs).map(|out| (out, path)))
+        .transpose()?;
+    let page_out = (arguments.page.as_deref())
         .map(|path| arguments.force.create(path, &inputs).map(|out| (out, path)))
         .transpose()?;
     let rule_files = city.rule_files.clone();
@@ -121,9 +134,14 @@ pub fn run(arguments: &Arguments, sources: &mut Sources) -> Result<(), Failure> 
         writeln!(out, "{json:#}").map_err(|error| unwritable(path, &error))?;
         finish(out, path)?;
     }
+    if let Some((mut out, page)) = page_out {
+        view::write_with(&arguments.data[0], path, &mut out, page)?;
+        finish(out, page)?;
+    }
     if !is_stdout(path) {
         let mut written = vec![path.as_path()];
         written.extend(arguments.report.as_deref());
+        written.extend(arguments.page.as_deref());
         let mut out = messages(&written);
         let clauses = support.clauses.len();
         writeln!(out, "wrote {clauses} clauses to {}", path.display())?;

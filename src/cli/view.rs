@@ -58,7 +58,7 @@ pub fn run(arguments: &Arguments, sources: &mut Sources) -> Result<(), Failure> 
     for (number, trace) in traces.iter().enumerate() {
         let files = [file(&arguments.config, number), file(&arguments.rules, number)];
         let files = [files[0].as_deref(), files[1].as_deref()];
-        pages.push(load(trace, range, files, icons, sources)?);
+        pages.push(load(trace, range, files, Explain::Recorded, icons, sources)?);
     }
     if !arguments.config.is_empty() || !arguments.rules.is_empty() {
         // The files that these name are known only now.
@@ -86,8 +86,24 @@ pub fn write(
     icons: &IconOptions,
     sources: &mut Sources,
 ) -> Result<(), Failure> {
-    let page = load(trace, (0, u64::MAX), [None; 2], icons, sources)?;
+    let page = load(trace, (0, u64::MAX), [None; 2], Explain::Recorded, icons, sources)?;
     page.write(out).map_err(|error| unwritable(output, &error))
+}
+
+/// Writes a page of a whole trace that explains its states with other rules.
+pub fn write_with(trace: &Path, rules: &Path, out: &mut Output, output: &Path) -> Result<(), Failure> {
+    let (icons, files) = (IconOptions::default(), [None, Some(rules)]);
+    let page = load(trace, (0, u64::MAX), files, Explain::Other, &icons, &mut Sources::new())?;
+    page.write(out).map_err(|error| unwritable(output, &error))
+}
+
+/// The rules that a page explains.
+#[derive(Clone, Copy, PartialEq, Eq)]
+enum Explain {
+    /// Those of the run.
+    Recorded,
+    /// Others, whose firings are derived again.
+    Other,
 }
 
 /// Returns the last parts of two paths that differ: `x` and `y` for `x/trace.jsonl` and `y/trace.jsonl`. Without a
@@ -110,11 +126,12 @@ fn load(
     trace: &Path,
     (from, most): (u64, u64),
     [config, rules]: [Option<&Path>; 2],
+    explain: Explain,
     icons: &IconOptions,
     sources: &mut Sources,
 ) -> Result<Page, Failure> {
     let mut reader = TraceReader::open(trace)?;
-    let mut replay = reader.replay(sources, config, rules, true)?;
+    let mut replay = reader.replay(sources, config, rules, explain == Explain::Recorded)?;
     let icons = icons.load(Seed(reader.header.seed))?;
     let mut page = Page::new(&replay, &reader.header, &icons, sources)?;
     // The number of ticks is unknown before the end of the file, but its size is known.
@@ -124,11 +141,16 @@ fn load(
     );
     let (mut shown, mut last) = (0, None);
     while shown < most
-        && let Some(tick) = reader.tick()?
+        && let Some(mut tick) = reader.tick()?
     {
         if tick.tick >= from {
-            (replay.set(&tick))
-                .and_then(|()| page.push(&replay, &tick, sources))
+            let set = replay.set(&tick);
+            if explain == Explain::Other && set.is_ok() {
+                for (agent, fired) in tick.agents.iter_mut().zip(replay.fired()) {
+                    agent.clauses = fired;
+                }
+            }
+            set.and_then(|()| page.push(&replay, &tick, sources))
                 .map_err(|fault| reader.placed(fault))?;
             shown += 1;
         }

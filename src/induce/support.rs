@@ -4,7 +4,7 @@ use crate::induce::bits;
 use crate::induce::examples::{Examples, State, majority};
 use crate::induce::learner::{Learned, clauses_hold};
 use crate::induce::problem::{Problem, Split};
-use crate::induce::vocabulary::{Body, Literal, Vocabulary};
+use crate::induce::vocabulary::{ARITY_MAX, Atom, Body, Literal, Vocabulary};
 
 /// The most states of lower precedence that [`support`] compares alternatives with.
 const NEGATIVE_MAX: usize = 100_000;
@@ -24,6 +24,8 @@ pub struct Support {
     pub wrong_first: Vec<u64>,
     /// By action, the number of examples.
     pub by_action: Vec<u64>,
+    /// Atoms over the variables of the head that hold in no example, and atoms of predicates that never hold at all.
+    pub unseen: Vec<Atom>,
 }
 
 /// What the examples say about a clause.
@@ -138,7 +140,32 @@ pub fn support(examples: &Examples, learned: &Learned) -> Support {
         wrong,
         wrong_first,
         by_action,
+        unseen: unseen(vocabulary, &states),
     }
+}
+
+/// Returns the atoms over the variables of the head that hold in no state, and one atom of each predicate that holds for
+/// no entities at all.
+fn unseen(vocabulary: &Vocabulary, states: &[&State]) -> Vec<Atom> {
+    let egos = vocabulary.egos();
+    let mut head: Vec<Atom> = vocabulary.atoms(egos);
+    let mut anywhere: Vec<bool> = vec![false; vocabulary.predicates().len()];
+    for state in states {
+        head.retain(|atom| {
+            let arguments: Vec<usize> = atom.arguments.iter().map(|&variable| variable.into()).collect();
+            !state.holds(vocabulary, atom.predicate, &arguments)
+        });
+        for (predicate, any) in anywhere.iter_mut().enumerate().filter(|(_, any)| !**any) {
+            let arity = vocabulary.predicates()[predicate].arity;
+            let first = vocabulary.fact(state.entities(), predicate, &[0; ARITY_MAX][..arity]);
+            let end = first + state.entities().pow(arity as u32);
+            *any = state.facts().any(|fact| (first..end).contains(&fact));
+        }
+    }
+    let never = |atom: &Atom| !anywhere[atom.predicate] && !head.iter().any(|known| known.predicate == atom.predicate);
+    let mut others: Vec<Atom> = vocabulary.atoms(egos + 1).into_iter().filter(never).collect();
+    others.dedup_by_key(|atom| atom.predicate);
+    head.into_iter().chain(others).collect()
 }
 
 /// Returns the literals that can be added to a clause, and those that can replace one of it, so that it still holds in

@@ -326,6 +326,26 @@ impl Replay {
         self.state.value(position)
     }
 
+    /// Returns, for each agent, the clauses that derive an action for it: positions in [`World::clauses`].
+    pub fn fired(&self) -> Vec<Vec<usize>> {
+        let mut fired = vec![Vec::new(); self.agents.len()];
+        let actions = Action::ALL.map(|action| self.world.vocabulary.action(action));
+        for (position, clause) in self.world.clauses().enumerate() {
+            let head = self.world.program.rules().clauses[clause.index()].head.relation;
+            if !actions.contains(&Some(head)) {
+                continue;
+            }
+            for row in self.state.session().fired(clause) {
+                if let Some(agent) = row.first().and_then(|value| self.state.entity(*value))
+                    && fired[agent].last() != Some(&position)
+                {
+                    fired[agent].push(position);
+                }
+            }
+        }
+        fired
+    }
+
     /// Returns the derived actions of an agent, without the default.
     pub fn derived(&self, position: usize) -> Actions {
         let vocabulary = &self.world.vocabulary;

@@ -4,7 +4,7 @@ use crate::builtin;
 use crate::datalog::{self, ast};
 use crate::diag::{SourceId, Sources};
 use crate::files::BUILTIN_FOLDER;
-use crate::induce::{ClauseSupport, Learned, Literal, Support, Vocabulary};
+use crate::induce::{Atom, ClauseSupport, Learned, Literal, Support, Vocabulary};
 use crate::task::induction::InductionTask;
 use serde_json::{Value, json};
 use std::collections::BTreeMap;
@@ -155,6 +155,10 @@ fn summary(task: &InductionTask, learned: &Learned, support: &Support, origin: &
     if !learned.is_complete {
         lines.push("The learner was interrupted: some examples may have no clause yet.".to_owned());
     }
+    let unseen = atom_texts(&support.unseen, task.vocabulary());
+    if !unseen.is_empty() {
+        lines.push(format!("Never true in any example: {}.", unseen.join(", ")));
+    }
     for (name, rules) in names.iter().zip(&learned.actions) {
         if rules.uncovered > 0 {
             lines.push(format!(
@@ -175,6 +179,14 @@ fn summary(task: &InductionTask, learned: &Learned, support: &Support, origin: &
         });
     }
     lines
+}
+
+fn atom_texts(atoms: &[Atom], vocabulary: &Vocabulary) -> Vec<String> {
+    let positive = |atom: &Atom| Literal {
+        is_negated: false,
+        atom: atom.clone(),
+    };
+    atoms.iter().map(|atom| positive(atom).text(vocabulary)).collect()
 }
 
 /// Returns the declarations of rule files: everything except clauses of the given actions.
@@ -339,6 +351,7 @@ pub fn report_json(task: &InductionTask, learned: &Learned, support: &Support, o
         "states": support.states,
         "default": names.last(),
         "complete": learned.is_complete,
+        "unseen": atom_texts(&support.unseen, vocabulary),
         "wrong": support.wrong,
         "wrong_first": support.wrong_first.iter().map(|&example| origin.describe(example)).collect::<Vec<_>>(),
         "actions": actions.collect::<Vec<_>>(),
