@@ -63,14 +63,16 @@ python: installed
 	$(VENV)/bin/mypy --strict --config-file python/pyproject.toml python/logicity python/tests python/benches python/examples
 	LOGICITY_WHEEL=$$(echo $(WHEELS)/*.whl) $(VENV)/bin/python -m pytest -q python/tests
 
-# Builds the site into target/docs; warnings are errors. The build itself reads no network.
+# Builds the site into target/docs; warnings and broken links are errors. The build itself reads no network. The site
+# contains the playground and the documentation of the crate if `make playground` and `make doc` have built them.
 SITE := target/docs
 docs: installed
 	$(VENV)/bin/pip install --quiet --disable-pip-version-check "$$(echo $(WHEELS)/*.whl)[docs]"
 	$(VENV)/bin/ruff check --config python/pyproject.toml docs
 	$(VENV)/bin/ruff format --config python/pyproject.toml --check docs
-	MYPYPATH=docs $(VENV)/bin/mypy --strict --config-file python/pyproject.toml docs/conf.py
+	MYPYPATH=docs $(VENV)/bin/mypy --strict --config-file python/pyproject.toml docs/conf.py docs/links.py
 	$(VENV)/bin/sphinx-build --builder html --quiet --fail-on-warning --nitpicky --fresh-env --doctree-dir $(SITE)-cache docs $(SITE)
+	$(VENV)/bin/python docs/links.py $(SITE)
 
 # Tests the page of a run in headless Chromium. Without a browser, the last line prints what it skips and exits with 0.
 page: $(VENV)/bin/python
