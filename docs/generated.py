@@ -303,6 +303,42 @@ def code(value: Any) -> str:
     return f"`{text.replace(chr(34), '')}`"
 
 
+# --- training files
+
+
+def training() -> str:
+    """Return the keys of training files, and a section with the settings of each algorithm."""
+    schema = json.loads(run("schema", "training"))
+    entries = []
+    for key, value in schema["properties"].items():
+        default = f", default {code(value['default'])}" if value.get("default") not in (None, {}) else ""
+        entries.append(f"`{key}`\n: *{kinds(value)}*{default}. {value['description']}\n")
+    parts = ["## Keys\n\n" + "\n".join(entries)]
+    for definition in schema["$defs"].values():
+        parts.append(f"## {definition['title']}\n\n| setting | values | default |\n|---|---|---|")
+        for key, value in definition["properties"].items():
+            default = code(value["default"]) if "default" in value else ""
+            parts[-1] += f"\n| `{key}` | {kinds(value)} | {default} |"
+        parts[-1] += "\n"
+    return "\n".join(parts)
+
+
+def kinds(value: dict[str, Any]) -> str:
+    """Describe the values that a part of the schema of training files accepts."""
+    if "anyOf" in value:
+        return " or ".join(dict.fromkeys(kinds(one) for one in value["anyOf"]))
+    if "enum" in value:
+        return " or ".join(f"`{word}`" for word in value["enum"])
+    if value["type"] in ("integer", "number"):
+        lowest = f" from {value['minimum']:,}" if "minimum" in value else ""
+        highest = f" below {value['exclusiveMaximum']:,}" if "exclusiveMaximum" in value else ""
+        return value["type"] + lowest + highest
+    if value["type"] == "array":
+        items = value.get("prefixItems") or [value["items"]]
+        return "list of " + ", ".join(kinds(item) for item in items)
+    return {"string": "text", "boolean": "`true` or `false`", "object": "mapping", "null": "`~`"}[value["type"]]
+
+
 # --- environments
 
 
@@ -354,8 +390,8 @@ def rust() -> str:
     """Return a link to the documentation of the crate, or the command that builds it."""
     if ADDED["rust"].is_dir():
         return (
-            '```{raw} html\n<p>The <a href="../rust/logicity/index.html">documentation of the crate</a> describes every '
-            "module, type and function.</p>\n```\n"
+            '```{raw} html\n<p>The <a href="../rust/logicity/index.html">documentation of the crate</a> describes '
+            "every module, type and function.</p>\n```\n"
         )
     return "`make doc` builds the documentation of the crate, `target/doc/logicity/index.html`.\n"
 
@@ -433,6 +469,7 @@ GENERATORS: dict[str, Callable[[], str]] = {
     "errors": lambda: messages("error"),
     "warnings": lambda: messages("warning"),
     "configuration": configuration,
+    "training": training,
     "environments": environments,
     "python": python,
     "playground": playground,
