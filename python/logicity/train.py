@@ -139,13 +139,13 @@ class TrainConfig(BaseModel):
     @classmethod
     def json_schema(cls) -> dict[str, Any]:
         """Return the JSON Schema of YAML files. No key is required, since the file that `base` names may contain it."""
-        keys = {key: _without_title(value) for key, value in cls.model_json_schema()["properties"].items()}
+        keys = {key: _tidy(value) for key, value in cls.model_json_schema()["properties"].items()}
         keys["algorithm"] = {"enum": list(ALGORITHMS), "description": keys["algorithm"]["description"]}
         models = {name: _settings_model(name) for name in ALGORITHMS}
         definitions = {}
         for name, model in models.items():
             schema = model.model_json_schema()
-            values = {key: _without_title(value) for key, value in schema["properties"].items()}
+            values = {key: _tidy(value) for key, value in schema["properties"].items()}
             definitions[name] = {**schema, "title": f"Settings of {name.upper()}", "properties": values}
         return {
             "$schema": "https://json-schema.org/draft/2020-12/schema",
@@ -221,11 +221,13 @@ def _mode_file(file: _logicity.ConfigFile, mode: str, folder: Path) -> str:
 _BUILTIN_MODES = {f"configs/{name}.yaml" for name in ENVIRONMENTS}
 
 
-def _without_title(schema: Any) -> Any:
-    """Return a part of a schema without the titles that pydantic makes from names."""
+def _tidy(schema: Any) -> Any:
+    """Return a part of a schema without the titles that pydantic makes from names and without line breaks."""
     if isinstance(schema, dict):
-        return {key: _without_title(value) for key, value in schema.items() if key != "title"}
-    return [_without_title(value) for value in schema] if isinstance(schema, list) else schema
+        return {key: _tidy(value) for key, value in schema.items() if key != "title"}
+    if isinstance(schema, str):
+        return " ".join(schema.split())
+    return [_tidy(value) for value in schema] if isinstance(schema, list) else schema
 
 
 def _known(what: str, name: str, known: Iterable[str]) -> str:
@@ -246,7 +248,7 @@ def _settings_model(algorithm: str) -> type[BaseModel]:
     fields: dict[str, Any] = {}
     for each in parameters:
         hint = _expressible(each.annotation)
-        if hint is not None and each.name not in set_elsewhere and not each.name.startswith("_"):
+        if hint not in (None, NoneType) and each.name not in set_elsewhere and not each.name.startswith("_"):
             # Only the schema shows the default: a setting that is not given keeps that of the class.
             fields[each.name] = (hint, each.default)
     config = ConfigDict(extra="forbid", strict=True, allow_inf_nan=False)
