@@ -25,11 +25,11 @@ lint: format
 	cargo clippy --workspace --all-targets --locked -- -D warnings
 	cargo clippy --manifest-path tests/fuzz/Cargo.toml --target-dir target --no-default-features --locked -- -D warnings
 
-# Lints and tests the engine alone, then lints each feature alone.
+# Lints and tests the engine alone, then lints each feature alone. `make rust` tries the other random cases.
 FEATURES := $(filter-out default,$(shell sed -n '/^\[features\]/,/^\[dep/s/^\([a-z]*\) = .*/\1/p' Cargo.toml))
 features:
 	cargo clippy --locked --no-default-features --all-targets -- -D warnings
-	cargo test --locked --no-default-features --test datalog -- --skip slow_
+	PROPTEST_CASES=32 cargo test --locked --no-default-features --test datalog -- --skip slow_
 	for feature in $(FEATURES); do \
 	    cargo clippy --locked --no-default-features --features $$feature --lib --bins --examples -- -D warnings || exit 1; \
 	done
