@@ -34,8 +34,9 @@ features:
 	    cargo clippy --locked --no-default-features --features $$feature --lib --bins --examples -- -D warnings || exit 1; \
 	done
 
+# `cargo test` tries twice as many random cases, and the nightly workflow eight times as many.
 rust:
-	cargo test --locked
+	PROPTEST_CASES=$${PROPTEST_CASES:-128} cargo test --locked
 
 doc:
 	RUSTDOCFLAGS="-D warnings" cargo doc --no-deps --locked

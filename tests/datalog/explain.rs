@@ -1,6 +1,7 @@
 //! Compares explanations with the specification: every proof replays and has the least height, and every literal that
 //! an explanation calls false is false.
 
+use crate::cases::cases;
 use crate::proofs::{check, database};
 use crate::random_program::{Genome, NUMBERS, TEXTS, computing_genomes, genomes, recursive_genomes};
 use crate::rule_files::RuleFiles;
@@ -168,7 +169,7 @@ fn check_matters(genome: &Genome) {
 }
 
 proptest! {
-    #![proptest_config(ProptestConfig { max_shrink_iters: 2_000, ..ProptestConfig::with_cases(96) })]
+    #![proptest_config(ProptestConfig { max_shrink_iters: 2_000, ..ProptestConfig::with_cases(cases(96)) })]
 
     #[test]
     fn random_programs_are_explained(genome in genomes(1..3)) {
