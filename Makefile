@@ -24,6 +24,7 @@ format:
 lint: format
 	cargo clippy --workspace --all-targets --locked -- -D warnings
 	cargo clippy --manifest-path tests/fuzz/Cargo.toml --target-dir target --no-default-features --locked -- -D warnings
+	cargo clippy --manifest-path docs/playground/Cargo.toml --target-dir target --locked -- -D warnings
 
 # Lints and tests the engine alone, then lints each feature alone. `make rust` tries the other random cases.
 FEATURES := $(filter-out default,$(shell sed -n '/^\[features\]/,/^\[dep/s/^\([a-z]*\) = .*/\1/p' Cargo.toml))
