@@ -332,11 +332,12 @@ def kinds(value: dict[str, Any]) -> str:
     if value["type"] in ("integer", "number"):
         lowest = f" from {value['minimum']:,}" if "minimum" in value else ""
         highest = f" below {value['exclusiveMaximum']:,}" if "exclusiveMaximum" in value else ""
-        return value["type"] + lowest + highest
+        return f"{value['type']}{lowest}{highest}"
     if value["type"] == "array":
         items = value.get("prefixItems") or [value["items"]]
         return "list of " + ", ".join(kinds(item) for item in items)
-    return {"string": "text", "boolean": "`true` or `false`", "object": "mapping", "null": "`~`"}[value["type"]]
+    words = {"string": "text", "boolean": "`true` or `false`", "object": "mapping", "null": "`~`"}
+    return words[value["type"]]
 
 
 # --- environments
