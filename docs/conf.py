@@ -62,7 +62,10 @@ add_module_names = False
 # and that the package does not export.
 nitpick_ignore_regex = [
     (r"py:.*", r"(.*\.)?(AutoresetMode|MinariDataset)"),
-    (r"py:.*", r"(.*\.)?(_AgentKey|Atom|Count|EnvOptions|Predictor|TorchVapDataset)"),
+    (
+        r"py:.*",
+        r"(.*\.)?(_AgentKey|Annotated\[.*|Atom|Count|EnvOptions|Field|ObservationKind|Predictor|TorchVapDataset)",
+    ),
     (r"py:.*", r"(collections|gymnasium|gym|np|numpy|os|pathlib|pydantic|stable_baselines3|torch|typing)\..*"),
 ]
 
