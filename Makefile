@@ -24,18 +24,20 @@ format:
 lint: format
 	cargo clippy --workspace --all-targets --locked -- -D warnings
 	cargo clippy --manifest-path tests/fuzz/Cargo.toml --target-dir target --no-default-features --locked -- -D warnings
+	cargo clippy --manifest-path docs/playground/Cargo.toml --target-dir target --locked -- -D warnings
 
-# Lints and tests the engine alone, then lints each feature alone.
+# Lints and tests the engine alone, then lints each feature alone. `make rust` tries the other random cases.
 FEATURES := $(filter-out default,$(shell sed -n '/^\[features\]/,/^\[dep/s/^\([a-z]*\) = .*/\1/p' Cargo.toml))
 features:
 	cargo clippy --locked --no-default-features --all-targets -- -D warnings
-	cargo test --locked --no-default-features --test datalog -- --skip slow_
+	PROPTEST_CASES=32 cargo test --locked --no-default-features --test datalog -- --skip slow_
 	for feature in $(FEATURES); do \
 	    cargo clippy --locked --no-default-features --features $$feature --lib --bins --examples -- -D warnings || exit 1; \
 	done
 
+# `cargo test` tries twice as many random cases, and the nightly workflow eight times as many.
 rust:
-	cargo test --locked
+	PROPTEST_CASES=$${PROPTEST_CASES:-128} cargo test --locked
 
 doc:
 	RUSTDOCFLAGS="-D warnings" cargo doc --no-deps --locked
@@ -63,14 +65,16 @@ python: installed
 	$(VENV)/bin/mypy --strict --config-file python/pyproject.toml python/logicity python/tests python/benches python/examples
 	LOGICITY_WHEEL=$$(echo $(WHEELS)/*.whl) $(VENV)/bin/python -m pytest -q python/tests
 
-# Builds the site into target/docs; warnings are errors. The build itself reads no network.
+# Builds the site into target/docs; warnings and broken links are errors. The build itself reads no network. The site
+# contains the playground and the documentation of the crate if `make playground` and `make doc` have built them.
 SITE := target/docs
 docs: installed
 	$(VENV)/bin/pip install --quiet --disable-pip-version-check "$$(echo $(WHEELS)/*.whl)[docs]"
 	$(VENV)/bin/ruff check --config python/pyproject.toml docs
 	$(VENV)/bin/ruff format --config python/pyproject.toml --check docs
-	MYPYPATH=docs $(VENV)/bin/mypy --strict --config-file python/pyproject.toml docs/conf.py
+	MYPYPATH=docs $(VENV)/bin/mypy --strict --config-file python/pyproject.toml docs/conf.py docs/links.py
 	$(VENV)/bin/sphinx-build --builder html --quiet --fail-on-warning --nitpicky --fresh-env --doctree-dir $(SITE)-cache docs $(SITE)
+	$(VENV)/bin/python docs/links.py $(SITE)
 
 # Tests the page of a run in headless Chromium. Without a browser, the last line prints what it skips and exits with 0.
 page: $(VENV)/bin/python

@@ -132,7 +132,7 @@ impl Taken {
     }
 }
 
-/// The least times of some repetitions, none of which begins after a second.
+/// The minimum times over the repetitions; no repetition begins after the first second.
 fn least<T>(mut load: impl FnMut() -> T, mut evaluate: impl FnMut(&mut T)) -> Taken {
     let mut least = Taken {
         load: Duration::MAX,

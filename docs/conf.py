@@ -7,6 +7,7 @@ installed package when the site is built.
 from __future__ import annotations
 
 import re
+import shutil
 import sys
 from pathlib import Path
 from typing import Any
@@ -20,7 +21,7 @@ from sphinx.environment import BuildEnvironment
 sys.path.insert(0, str(Path(__file__).parent))
 
 import logicity
-from generated import GENERATORS, OPTIONAL, public_names
+from generated import ADDED, GENERATORS, OPTIONAL, public_names
 from lexer import RuleLexer
 
 project = "LogiCity"
@@ -28,7 +29,7 @@ author = "the authors of LogiCity"
 release = version = logicity.__version__
 copyright = author  # noqa: A001
 
-extensions = ["myst_nb", "sphinx.ext.autodoc", "sphinx.ext.napoleon"]
+extensions = ["myst_nb", "sphinx.ext.autodoc", "sphinx.ext.napoleon", "sphinx_copybutton"]
 # A program with a README of its own.
 exclude_patterns = ["playground"]
 templates_path: list[str] = []
@@ -61,18 +62,28 @@ add_module_names = False
 # and that the package does not export.
 nitpick_ignore_regex = [
     (r"py:.*", r"(.*\.)?(AutoresetMode|MinariDataset)"),
-    (r"py:.*", r"(.*\.)?(_AgentKey|Atom|EnvOptions|Predictor|TorchVapDataset)"),
+    (
+        r"py:.*",
+        r"(.*\.)?(_AgentKey|Annotated\[.*|Atom|Count|EnvOptions|Field|ObservationKind|Predictor|TorchVapDataset)",
+    ),
     (r"py:.*", r"(collections|gymnasium|gym|np|numpy|os|pathlib|pydantic|stable_baselines3|torch|typing)\..*"),
 ]
 
 html_theme = "furo"
-html_title = "LogiCity"
+html_title = f"LogiCity {release}"
+html_favicon = "_static/logo.svg"
 html_static_path = ["_static"]
 html_css_files = ["site.css"]
 html_show_sphinx = False
 html_show_copyright = False
 html_copy_source = False
-html_theme_options: dict[str, Any] = {"top_of_page_buttons": []}
+html_theme_options: dict[str, Any] = {
+    "light_logo": "logo.svg",
+    "dark_logo": "logo.svg",
+    "top_of_page_buttons": [],
+}
+# Blocks without a language, and outputs, have no button.
+copybutton_selector = "div:not(.highlight-text, .highlight-none) > div.highlight > pre"
 pygments_style = "tango"
 pygments_dark_style = "monokai"
 
@@ -142,6 +153,16 @@ def list_external_links(app: Sphinx, error: Exception | None) -> None:
     print(f"{len(app.env.found_docs)} pages, {len(links)} links to other sites")
 
 
+def add_folders(app: Sphinx, error: Exception | None) -> None:
+    """Copy what other targets of the Makefile have built: the playground, and the documentation of the crate."""
+    if error is not None or app.builder.name != "html":
+        return
+    for name, folder in ADDED.items():
+        shutil.rmtree(Path(app.outdir) / name, ignore_errors=True)
+        if folder.is_dir():
+            shutil.copytree(folder, Path(app.outdir) / name)
+
+
 def setup(app: Sphinx) -> dict[str, Any]:
     """Register the parts above."""
     app.add_lexer("dl", RuleLexer)
@@ -151,4 +172,5 @@ def setup(app: Sphinx) -> dict[str, Any]:
     app.connect("autodoc-process-docstring", hide_colons, priority=400)
     app.connect("autodoc-process-docstring", show_colons, priority=600)
     app.connect("build-finished", list_external_links)
+    app.connect("build-finished", add_folders)
     return {"parallel_read_safe": True}

@@ -1,7 +1,8 @@
 """The generated parts of the reference, as Markdown.
 
 Each generator asks the installed package: `logicity reference` for the commands, `logicity codes` for the messages,
-`logicity schema` for the configuration files, and `logicity.describe` for the environments.
+`logicity schema` for the configuration files, and `logicity.describe` for the environments. Pages of the project are
+files of the repository.
 """
 
 from __future__ import annotations
@@ -23,8 +24,16 @@ from typing import Any
 import logicity
 from logicity.commands import SUMMARIES, parser_of
 from logicity.describe import describe
+from logicity.modes import ENVIRONMENTS
 from sphinx.ext.autodoc.mock import mock  # type: ignore[attr-defined]
 
+ROOT = Path(__file__).parents[1]
+#: The folders that other targets of the Makefile build, by the folder of the site that gets a copy.
+ADDED = {"playground": ROOT / "target" / "playground", "rust": ROOT / "target" / "doc"}
+#: The files of the repository that have a page in `project`.
+REPOSITORY_FILES = ("ARCHITECTURE.md", "CHANGELOG.md", "CONTRIBUTING.md")
+#: A link in Markdown.
+LINK = re.compile(r"\[([^\]\n]*)\]\(([^)\s]+)\)")
 #: The names of files in examples begin with this comment.
 FILE = re.compile(r"^(?://|#) file: (\S+)$")
 
@@ -294,12 +303,98 @@ def code(value: Any) -> str:
     return f"`{text.replace(chr(34), '')}`"
 
 
+# --- training files
+
+
+def training() -> str:
+    """Return the keys of training files, and a section with the settings of each algorithm."""
+    schema = json.loads(run("schema", "training"))
+    entries = []
+    for key, value in schema["properties"].items():
+        default = f", default {code(value['default'])}" if value.get("default") not in (None, {}) else ""
+        entries.append(f"`{key}`\n: *{kinds(value)}*{default}. {value['description']}\n")
+    parts = ["## Keys\n\n" + "\n".join(entries)]
+    for definition in schema["$defs"].values():
+        parts.append(f"## {definition['title']}\n\n| setting | values | default |\n|---|---|---|")
+        for key, value in definition["properties"].items():
+            default = code(value["default"]) if "default" in value else ""
+            parts[-1] += f"\n| `{key}` | {kinds(value)} | {default} |"
+        parts[-1] += "\n"
+    return "\n".join(parts)
+
+
+def kinds(value: dict[str, Any]) -> str:
+    """Describe the values that a part of the schema of training files accepts."""
+    if "anyOf" in value:
+        return " or ".join(dict.fromkeys(kinds(one) for one in value["anyOf"]))
+    if "enum" in value:
+        return " or ".join(f"`{word}`" for word in value["enum"])
+    if value["type"] in ("integer", "number"):
+        lowest = f" from {value['minimum']:,}" if "minimum" in value else ""
+        highest = f" below {value['exclusiveMaximum']:,}" if "exclusiveMaximum" in value else ""
+        return f"{value['type']}{lowest}{highest}"
+    if value["type"] == "array":
+        items = value.get("prefixItems") or [value["items"]]
+        return "list of " + ", ".join(kinds(item) for item in items)
+    words = {"string": "text", "boolean": "`true` or `false`", "object": "mapping", "null": "`~`"}
+    return words[value["type"]]
+
+
 # --- environments
 
 
 def environments() -> str:
-    """Return the tables of environments, rewards and observations."""
-    return describe().replace("### ", "## ")
+    """Return a table of the modes, and the tables of environments, rewards and observations."""
+    rows = ["| id | mode | its rules |", "|---|---|---|"]
+    for mode, name in ENVIRONMENTS.items():
+        # The first line describes the mode, as in `# Safe Path Following, easy mode: give way at intersections.`
+        comment = (ROOT / "configs" / f"{mode}.yaml").read_text(encoding="utf-8").partition("\n")[0]
+        about = sentence(comment.partition(": ")[2])
+        rows.append(f"| `{name}` | {mode} | {about[0].upper()}{about[1:]} |")
+    tables = describe().replace("### ", "## ")
+    # Short lists of numbers stay on one line.
+    tables = re.sub(r"\(?\d+(?: /|,) \d+(?: / \d+)?\)?", lambda match: match[0].replace(" ", "\u00a0"), tables)
+    return "## Modes\n\n" + "\n".join(rows) + f"\n\n{tables}"
+
+
+# --- files of the repository, and what other builds add to the site
+
+
+def repository_file(name: str) -> str:
+    """Return a Markdown file of the repository, with links that work on the site."""
+    text = (ROOT / name).read_text(encoding="utf-8")
+    return LINK.sub(lambda match: f"[{match[1]}]({link})" if (link := site_link(match[2])) else match[1], text)
+
+
+def site_link(target: str) -> str | None:
+    """Return the address of a link of a file of the repository, for a page in `project`; `None` if it has no page."""
+    if target.startswith(("http:", "https:", "#")):
+        return target
+    if target.startswith("docs/"):
+        return f"../{target.removeprefix('docs/')}"
+    return f"{Path(target).stem.lower()}.md" if target in REPOSITORY_FILES else None
+
+
+def playground() -> str:
+    """Return a link to the playground, or the commands that build it."""
+    if ADDED["playground"].is_dir():
+        return '```{raw} html\n<p><a class="button" href="../playground/index.html">Open the playground</a></p>\n```\n'
+    return (
+        "This copy of the site was built without the playground. In a copy of the repository, these commands build it, "
+        "and the site with a link to it:\n\n"
+        "```sh\nrustup target add wasm32-unknown-unknown\nmake playground docs\n"
+        "python3 -m http.server --directory target/docs\n```\n"
+    )
+
+
+def rust() -> str:
+    """Return a link to the documentation of the crate, or the command that builds it."""
+    if ADDED["rust"].is_dir():
+        return (
+            '```{raw} html\n<p>The <a href="../rust/logicity/index.html">documentation of the crate</a> describes '
+            "every module, type and function.</p>\n```\n"
+        )
+    return "`make doc` builds the documentation of the crate, `target/doc/logicity/index.html`.\n"
 
 
 # --- Python
@@ -376,6 +471,10 @@ GENERATORS: dict[str, Callable[[], str]] = {
     "errors": lambda: messages("error"),
     "warnings": lambda: messages("warning"),
     "configuration": configuration,
+    "training": training,
     "environments": environments,
     "python": python,
+    "playground": playground,
+    "rust": rust,
+    **{Path(name).stem.lower(): functools.partial(repository_file, name) for name in REPOSITORY_FILES},
 }

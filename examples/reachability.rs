@@ -1,4 +1,4 @@
-//! Maintains reachability while edges come and go, and prints what each commit changed:
+//! Maintains reachability while edges are inserted and retracted, and prints what each commit changed:
 //! `cargo run --example reachability`. Needs the engine alone (`--no-default-features`).
 //!
 //! ```text

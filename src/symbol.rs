@@ -18,9 +18,9 @@ pub struct Symbol(pub u32);
 /// A table of interned texts.
 #[derive(Default)]
 pub struct Symbols {
-    /// From text to number.
+    /// Maps texts to numbers.
     numbers: RwLock<IndexSet<Arc<str>>>,
-    /// From number to text: block b holds `FIRST_BLOCK << b` texts.
+    /// Maps numbers to texts: block b holds `FIRST_BLOCK << b` texts.
     texts: [OnceLock<Block>; BLOCKS],
     /// The number of texts; read for every inserted row.
     len: AtomicUsize,

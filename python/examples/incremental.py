@@ -1,4 +1,4 @@
-"""Maintain reachability while edges come and go, and explain why a fact is gone. Needs numpy only.
+"""Maintain reachability while edges are inserted and retracted, and explain why a fact is gone. Needs numpy only.
 
 Run it as `python python/examples/incremental.py`. It prints:
 

@@ -86,36 +86,33 @@ Count: TypeAlias = Annotated[int, Field(strict=True, ge=1)]
 
 
 class TrainConfig(BaseModel):
-    """The configuration of a training run.
+    """The configuration of a training run. `logicity schema training` prints the schema of its YAML files."""
 
-    Attributes:
-        algorithm: `dqn`, `ppo` or `a2c`.
-        mode: The mode, or the path of a configuration file, which determines the rules and the episodes. In a YAML
-            file, a path is relative to the folder of that file.
-        observation: `groundings` or `state`, as in `gymnasium.make`.
-        network: The widths of the feature layers between the observation and the heads.
-        settings: Arguments of the algorithm's class in Stable-Baselines3.
-        overrides: Changes to the configuration for training. Validation and test use the mode without overrides.
-        steps: The total number of steps of all environments. Only `steps` may change when a run resumes.
-        envs: The number of parallel environments.
-        seed: The seed of networks, exploration and episodes.
-        validate_every: The number of steps between validations. Each validation writes a checkpoint.
-        threads: The number of PyTorch threads.
-    """
-
-    model_config = ConfigDict(extra="forbid", frozen=True)
+    model_config = ConfigDict(extra="forbid", frozen=True, use_attribute_docstrings=True)
 
     algorithm: str
+    """`dqn`, `ppo` or `a2c`."""
     mode: str
+    """The mode, or the path of a configuration file, which determines the rules and the episodes. In a YAML file, a
+    path is relative to the folder of that file."""
     observation: ObservationKind = "groundings"
+    """The kind of observation, as in `gymnasium.make`."""
     network: Annotated[tuple[Count, ...], Field(min_length=1)]
+    """The widths of the feature layers between the observation and the heads."""
     settings: dict[str, Any]
+    """Arguments of the algorithm's class in Stable-Baselines3."""
     overrides: dict[str, Any] = Field(default_factory=dict)
+    """Changes to the configuration for training. Validation and test use the mode without overrides."""
     steps: Count = 200_000
+    """The total number of steps of all environments. Only `steps` may change when a run resumes."""
     envs: Count = 1
+    """The number of parallel environments."""
     seed: Annotated[int, Field(strict=True, ge=0, lt=2**32)] = 0
+    """The seed of networks, exploration and episodes."""
     validate_every: Count = 10_000
+    """The number of steps between validations. Each validation writes a checkpoint."""
     threads: Count = 1
+    """The number of PyTorch threads."""
 
     @field_validator("algorithm")
     @classmethod
@@ -138,6 +135,40 @@ class TrainConfig(BaseModel):
             # The validation of `algorithm` has reported an error already.
             return settings
         return _settings_model(algorithm).model_validate(settings).model_dump(exclude_unset=True)
+
+    @classmethod
+    def json_schema(cls) -> dict[str, Any]:
+        """Return the JSON Schema of YAML files. No key is required, since the file that `base` names may contain it."""
+        keys = {key: _tidy(value) for key, value in cls.model_json_schema()["properties"].items()}
+        keys["algorithm"] = {"enum": list(ALGORITHMS), "description": keys["algorithm"]["description"]}
+        models = {name: _settings_model(name) for name in ALGORITHMS}
+        definitions = {}
+        for name, model in models.items():
+            schema = model.model_json_schema()
+            values = {key: _tidy(value) for key, value in schema["properties"].items()}
+            definitions[name] = {**schema, "title": f"Settings of {name.upper()}", "properties": values}
+        return {
+            "$schema": "https://json-schema.org/draft/2020-12/schema",
+            "title": "A training configuration",
+            "type": "object",
+            "additionalProperties": False,
+            "properties": {
+                "base": {
+                    "type": "string",
+                    "description": "Path of a file to start from. Mappings merge key by key; any other value replaces "
+                    "that of the base.",
+                },
+                **keys,
+            },
+            "allOf": [
+                {
+                    "if": {"properties": {"algorithm": {"const": name}}, "required": ["algorithm"]},
+                    "then": {"properties": {"settings": {"$ref": f"#/$defs/{name}"}}},
+                }
+                for name in ALGORITHMS
+            ],
+            "$defs": definitions,
+        }
 
     @classmethod
     def load(cls, path: str | os.PathLike[str], *, seed: int | None = None) -> TrainConfig:
@@ -190,6 +221,15 @@ def _mode_file(file: _logicity.ConfigFile, mode: str, folder: Path) -> str:
 _BUILTIN_MODES = {f"configs/{name}.yaml" for name in ENVIRONMENTS}
 
 
+def _tidy(schema: Any) -> Any:
+    """Return a part of a schema without the titles that pydantic makes from names and without line breaks."""
+    if isinstance(schema, dict):
+        return {key: _tidy(value) for key, value in schema.items() if key != "title"}
+    if isinstance(schema, str):
+        return " ".join(schema.split())
+    return [_tidy(value) for value in schema] if isinstance(schema, list) else schema
+
+
 def _known(what: str, name: str, known: Iterable[str]) -> str:
     if name in known:
         return name
@@ -205,10 +245,12 @@ def _settings_model(algorithm: str) -> type[BaseModel]:
     """Create the pydantic model of an algorithm's settings from the signature of its class."""
     set_elsewhere = {"policy", "env", "policy_kwargs", "seed", "tensorboard_log", "device"}
     parameters = signature(ALGORITHMS[algorithm]).parameters.values()
-    hints = {each.name: _expressible(each.annotation) for each in parameters if not each.name.startswith("_")}
-    fields: dict[str, Any] = {
-        name: (hint, None) for name, hint in hints.items() if hint is not None and name not in set_elsewhere
-    }
+    fields: dict[str, Any] = {}
+    for each in parameters:
+        hint = _expressible(each.annotation)
+        if hint not in (None, NoneType) and each.name not in set_elsewhere and not each.name.startswith("_"):
+            # Only the schema shows the default: a setting that is not given keeps that of the class.
+            fields[each.name] = (hint, each.default)
     config = ConfigDict(extra="forbid", strict=True, allow_inf_nan=False)
     return create_model(f"{algorithm.upper()} settings", __config__=config, **fields)
 

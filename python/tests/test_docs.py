@@ -9,6 +9,7 @@ from __future__ import annotations
 
 import contextlib
 import io
+import json
 import os
 import re
 import subprocess
@@ -18,6 +19,7 @@ from pathlib import Path
 from typing import Any
 
 import pytest
+from conftest import needs
 
 DOCS = Path(__file__).parents[2] / "docs"
 
@@ -121,6 +123,55 @@ def test_number_of_blocks(capsys: pytest.CaptureFixture[str]) -> None:
         pages = len({block.place.partition(":")[0] for block in run})
         counts = ", ".join(f"{count} {language}" for language, count in kinds.items())
         print(f"\ndocumentation: {len(run)} blocks of {pages} pages run ({counts})")
+
+
+def test_the_tables_of_traces_list_every_key(tmp_path: Path) -> None:
+    gymnasium = needs("gymnasium", "gym")
+    env = gymnasium.make("logicity/SPF-Expert-v0")
+    _, info = env.reset(seed=0)
+    env.step(info["oracle_action"])
+    env.unwrapped.write_trace(tmp_path / "trace.jsonl")
+    header, tick = map(json.loads, (tmp_path / "trace.jsonl").read_text(encoding="utf-8").splitlines())
+    found = {
+        "Header": [header],
+        "Header: `agents`": header["agents"],
+        "Header: `clauses`": header["clauses"],
+        "Header: `rule_files`": header["rule_files"],
+        "Tick": [tick],
+        "Tick: `agents`": tick["agents"],
+        "Tick: `agents`, `driven`": [agent["driven"] for agent in tick["agents"] if "driven" in agent],
+    }
+    _, *sections = (DOCS / "reference" / "traces.md").read_text(encoding="utf-8").split("\n## ")
+    listed = {
+        section.partition("\n")[0]: {
+            key for row in re.findall(r"^\| (`.*?) \|", section, re.MULTILINE) for key in re.findall(r"`(\w+)`", row)
+        }
+        for section in sections
+    }
+    assert {name: set().union(*entries) for name, entries in found.items()} == {
+        name: keys for name, keys in listed.items() if keys
+    }
+
+
+def test_the_page_of_safe_path_following_lists_the_keys_of_episodes() -> None:
+    page = (DOCS / "reference" / "spf.md").read_text(encoding="utf-8")
+    lines = (DOCS.parent / "configs" / "episodes" / "expert-test.jsonl").read_text(encoding="utf-8").splitlines()
+    keys = {key for line in lines for key in json.loads(line)}
+    assert len(keys) >= 8 and {key for key in keys if f"`{key}`" not in page} == set()
+
+
+def test_broken_links_of_a_site_are_found(tmp_path: Path) -> None:
+    (tmp_path / "page.html").write_text('<p id="here"><a href="#here"><a href="other.html#end"><img src="a.png">')
+    (tmp_path / "other.html").write_text('<a href="page.html#there"><a href="http://nowhere.test"><a href="none.html">')
+    done = subprocess.run([sys.executable, DOCS / "links.py", tmp_path], capture_output=True, text=True, check=False)
+    assert done.returncode == 1
+    assert done.stdout == "5 links inside the site, 4 broken\n"
+    assert done.stderr.splitlines() == [
+        "other.html: page.html#there: no such anchor",
+        "other.html: none.html: no such file",
+        "page.html: other.html#end: no such anchor",
+        "page.html: a.png: no such file",
+    ]
 
 
 @pytest.mark.parametrize(

@@ -42,6 +42,17 @@ def short(algorithm: str) -> TrainConfig:
     )
 
 
+def test_the_schema_is_that_of_the_class() -> None:
+    """`logicity schema training` prints the schema of this class and the installed Stable-Baselines3."""
+    text = json.dumps(TrainConfig.json_schema(), indent=2) + "\n"
+    shipped = (BASELINES / "schema.json").read_text(encoding="utf-8")
+    assert shipped == text, "write `TrainConfig.json_schema()` to configs/baselines/schema.json"
+    printed = subprocess.run(
+        [sys.executable, "-m", "logicity", "schema", "training"], capture_output=True, text=True, check=True
+    ).stdout
+    assert printed == text
+
+
 def test_every_mode_of_the_paper_has_a_configuration_for_every_algorithm() -> None:
     for algorithm in ALGORITHMS:
         for mode in ("easy", "medium", "hard", "expert"):

@@ -80,6 +80,9 @@ pub struct Arguments {
     /// Configuration of the city
     #[arg(long, default_value = "configs/expert.yaml")]
     config: PathBuf,
+    /// Rule file to use instead of the configuration's
+    #[arg(long)]
+    rules: Option<PathBuf>,
     /// Agent set of the configuration
     #[arg(long, value_parser = one_of(&Split::ALL, Split::name), default_value = "test", conflicts_with = "scenes")]
     split: Split,
@@ -265,7 +268,7 @@ pub fn run(arguments: &Arguments, sources: &mut Sources) -> Result<(), Failure> 
             "--scenes measures the dense executor only; omit --executor relational".to_owned(),
         ));
     }
-    let city = load_city(sources, &arguments.config, None)?;
+    let city = load_city(sources, &arguments.config, arguments.rules.as_deref())?;
     if arguments.what == What::Scale {
         let most = arguments.agents.unwrap_or(SCALE[SCALE.len() - 1]);
         let sizes = SCALE.into_iter().take_while(|&size| size < most);
@@ -483,7 +486,7 @@ impl<'a> Bench<'a> {
             "pictures_per_cpu_s": timed.per_cpu_second(),
             "bytes_per_picture": if what == Done::Drawn { picture.pixels().len() } else { written / pictures.max(1) },
         });
-        print(&result, self.arguments.json)
+        print(result, self.arguments)
     }
 
     fn infer(&mut self) -> Result<(), Failure> {
@@ -603,7 +606,7 @@ impl<'a> Bench<'a> {
         for (key, value) in more {
             set((*key).to_owned(), value.clone());
         }
-        print(&result, self.arguments.json)
+        print(result, self.arguments)
     }
 }
 
@@ -689,13 +692,16 @@ fn infer_scenes(arguments: &Arguments, city: LoadedCity, path: &Path) -> Result<
         "evaluations_per_cpu_s": timed.per_cpu_second(),
         "ns_per_evaluation": timed.nanoseconds(1),
     });
-    print(&result, arguments.json)
+    print(result, arguments)
 }
 
-/// Prints an object as one line of JSON, or as one line per key.
-fn print(result: &Value, as_json: bool) -> Result<(), Failure> {
+/// Prints an object, with the rule file that replaces the configuration's, as one line of JSON or as one line per key.
+fn print(mut result: Value, arguments: &Arguments) -> Result<(), Failure> {
     let mut out = anstream::stdout();
-    if as_json {
+    if let Some(rules) = &arguments.rules {
+        result["rules"] = rules.display().to_string().into();
+    }
+    if arguments.json {
         writeln!(out, "{result}")?;
         return Ok(());
     }

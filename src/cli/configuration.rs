@@ -15,7 +15,7 @@ use std::io::{self, Write};
 use std::path::Path;
 use std::sync::Arc;
 
-/// What a file named on the command line holds.
+/// The content of a file named on the command line.
 pub enum Opened {
     Rules,
     Run(Checked),

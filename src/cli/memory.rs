@@ -11,7 +11,7 @@ use std::sync::OnceLock;
 pub struct SystemLimit {
     /// The bytes that an evaluation may use.
     pub bytes: u64,
-    /// What sets the limit, for messages.
+    /// The source of the limit, for messages.
     pub origin: &'static str,
 }
 

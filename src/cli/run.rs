@@ -29,7 +29,7 @@ use std::time::{Duration, Instant};
 
 /// The most ticks in the animation, which keeps it small enough for viewers.
 const MAX_FRAMES: u64 = 1000;
-/// How long the animation shows a tick.
+/// The time for which the animation shows a tick.
 const FRAME_DELAY: Duration = Duration::from_millis(100);
 
 #[derive(clap::Args)]

@@ -1,33 +1,41 @@
-//! `logicity schema`: prints the JSON Schema of configuration files.
+//! `logicity schema`: prints the JSON Schema of configuration files and of training configurations.
 
 use crate::builtin;
 use crate::cli::{Failure, one_of};
 use serde_json::Value;
 use std::io::{self, Write};
 
-/// The path of the schema among the built-in files.
+/// The paths of the schemas among the built-in files.
 const SCHEMA: &str = "configs/schema.json";
+const TRAINING_SCHEMA: &str = "configs/baselines/schema.json";
 
-/// What a file holds; the name is that of the definition in the schema.
+/// The content of a file; the name is that of the definition in the schema, except for [`TRAINING`].
 #[derive(Clone, Copy, PartialEq, Eq)]
 struct Part(&'static str);
 
-const PARTS: [Part; 5] = [
+const TRAINING: Part = Part("training");
+const PARTS: [Part; 6] = [
     Part("run"),
     Part("map"),
     Part("agents"),
     Part("predicates"),
     Part("task"),
+    TRAINING,
 ];
 
 #[derive(clap::Args)]
 pub struct Arguments {
-    /// What the files hold: a run configuration, or a part of one
+    /// Content of the files: a run configuration, a part of one, or a training configuration
     #[arg(value_parser = one_of(&PARTS, |part| part.0), default_value = "run")]
     part: Part,
 }
 
 pub fn run(arguments: &Arguments) -> Result<(), Failure> {
+    if arguments.part == TRAINING {
+        let text = builtin::text(TRAINING_SCHEMA).expect("a built-in file");
+        write!(io::stdout(), "{text}")?;
+        return Ok(());
+    }
     let text = builtin::text(SCHEMA).expect("a built-in file");
     let mut schema: Value = serde_json::from_str(text).expect("JSON, as the tests check");
     schema["$ref"] = format!("#/$defs/{}", arguments.part.0).into();

@@ -54,7 +54,7 @@ pub fn load_scenario(sources: &mut Sources, path: &Path, read: Read<'_>) -> Resu
     finish(scenario, composer.faults)
 }
 
-/// What a configuration file holds.
+/// The content of a configuration file.
 #[derive(Clone, Debug)]
 pub enum Loaded {
     /// A run configuration.

@@ -14,11 +14,11 @@ use std::sync::Arc;
 pub struct PredicateConfig {
     /// Its name in the rules.
     pub name: Located<String>,
-    /// How it is computed.
+    /// The computation of its rows.
     pub definition: Definition,
 }
 
-/// How the derived actions of an agent become one.
+/// The selection of one action from those that the rules derive for an agent.
 #[derive(Clone, Debug, Serialize)]
 pub struct ActionsConfig {
     /// The order of precedence if several actions are derived. It contains each of the four once.
@@ -27,7 +27,7 @@ pub struct ActionsConfig {
     pub default: Action,
 }
 
-/// How the costs of violated rules add up.
+/// The unit that costs of violations are counted by.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize)]
 pub enum ViolationsPer {
     /// The greatest cost of the violated clauses of each action, once per action (the published program).
@@ -56,7 +56,7 @@ pub struct RewardConfig {
     pub actions: [f64; 4],
     /// For a violation; not divided.
     pub violation: f64,
-    /// How the costs of violations add up.
+    /// The unit that costs of violations are counted by.
     pub violations_per: ViolationsPer,
     /// For violations of clauses with these labels, instead of `violation`.
     pub clauses: Vec<(Located<String>, f64)>,
@@ -114,7 +114,7 @@ pub struct Scenario {
     pub splits: Vec<(Split, AgentSet)>,
     /// The base predicates, in the order of the observation. The last one is `Sees`, which observations omit.
     pub predicates: Vec<PredicateConfig>,
-    /// How derived actions become one.
+    /// The selection of one action from the derived ones.
     pub actions: ActionsConfig,
     /// The algorithm by which agents choose routes.
     pub routing: Routing,

@@ -38,7 +38,7 @@ pub(crate) struct Node {
 pub(crate) enum Value {
     Scalar {
         text: String,
-        /// Without quotes: `5` is a number and `~` is null, but `"5"` and `"~"` are text.
+        /// Whether it has no quotes: `5` is a number and `~` is null, but `"5"` and `"~"` are text.
         plain: bool,
     },
     List(Vec<Node>),

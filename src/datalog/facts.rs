@@ -140,7 +140,7 @@ struct Record {
     end: usize,
     /// The start of the next row.
     next: usize,
-    /// What is wrong with its quotes.
+    /// The fault of its quotes.
     fault: Option<(Range<usize>, &'static str)>,
 }
 

@@ -32,7 +32,7 @@ pub struct Explanation {
     pub code: Code,
     /// One sentence.
     pub summary: &'static str,
-    /// What the message means, as Markdown.
+    /// The meaning of the message, as Markdown.
     pub meaning: &'static str,
     /// Why the program reports it, as Markdown.
     pub reason: &'static str,

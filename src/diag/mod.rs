@@ -59,7 +59,7 @@ pub struct Diagnostic {
 /// A suggested change of the texts, for editors.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub struct Fix {
-    /// What the change does, in one line.
+    /// The effect of the change, in one line.
     pub title: String,
     /// The ranges to replace, which do not overlap, and their new texts.
     pub edits: Vec<(Span, String)>,

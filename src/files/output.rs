@@ -19,11 +19,11 @@ use std::path::{Path, PathBuf};
 use std::thread;
 use std::time::{Duration, SystemTime, UNIX_EPOCH};
 
-/// How long to wait for another process that holds the lock of a folder, in steps of [`LOCK_STEP`].
+/// The time to wait for another process that holds the lock of a folder, in steps of [`LOCK_STEP`].
 const LOCK_TRIES: u32 = 250;
 const LOCK_STEP: Duration = Duration::from_millis(20);
 
-/// Which existing files an [`Output`] may replace.
+/// The existing files that an [`Output`] may replace.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Overwrite {
     /// Only files that the program wrote and that have not changed since.
@@ -41,11 +41,11 @@ pub struct Output {
     writer: io::BufWriter<Box<dyn Write + Send>>,
     /// The path to write to: that of the temporary file, or of the stream.
     path: PathBuf,
-    /// What to do when the file is complete; `None` for a stream.
+    /// The replacement of the target when the file is complete; `None` for a stream.
     replacement: Option<Replacement>,
 }
 
-/// How a complete temporary file becomes the output.
+/// The replacement of the output by a complete temporary file.
 struct Replacement {
     target: PathBuf,
     overwrite: Overwrite,

@@ -11,7 +11,7 @@ use std::io::{self, Write};
 pub struct Comparison<'a> {
     #[serde(skip)]
     runs: [&'a Page; 2],
-    /// What the page calls the runs.
+    /// The names of the runs on the page.
     names: [String; 2],
     /// The number of ticks that both runs have.
     count: usize,
@@ -19,7 +19,7 @@ pub struct Comparison<'a> {
     differences: Vec<Difference>,
 }
 
-/// How the runs differ in a tick.
+/// The difference of the runs in a tick.
 #[derive(Serialize)]
 struct Difference {
     /// Position of the tick.

@@ -17,7 +17,7 @@ pub struct Header {
     config: String,
     rules: String,
     split: String,
-    /// As text, since JavaScript rounds large integers.
+    /// The seed as text, since JavaScript rounds large integers.
     seed: String,
     hash: String,
     pub agents: Vec<Agent>,

@@ -443,11 +443,11 @@ pub(crate) use {with_pair, with_relation};
 /// It serializes as the name of the kind, with its parameters if it has any.
 #[derive(Clone, Debug, PartialEq)]
 pub enum Definition {
-    /// From the agent's kind and concepts.
+    /// Computed from the agent's kind and concepts.
     Static(Static),
-    /// From the agent's kind and cell.
+    /// Computed from the agent's kind and cell.
     Local(Local),
-    /// From two agents.
+    /// Computed from two agents.
     Pair(Pair),
 }
 

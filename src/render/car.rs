@@ -121,7 +121,7 @@ fn places(length: f32) -> impl Fn(f32) -> f32 + Copy {
 struct Car<'a, R> {
     length: f32,
     paint: Ink,
-    /// How faint markings are, 0..=1.
+    /// The faintness of markings, 0..=1.
     wear: f32,
     dice: &'a mut Dice<R>,
     body: Sketch,

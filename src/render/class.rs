@@ -152,7 +152,7 @@ const fn building_name(building: Building) -> &'static str {
     }
 }
 
-/// Where an icon faces: one of the four headings, or halfway between two during a turn.
+/// The direction of an icon: one of the four headings, or halfway between two during a turn.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord, Hash)]
 pub enum Facing {
     /// Toward row 0.

@@ -79,7 +79,7 @@ fn tree_shadow<R: Rng>(sketch: &mut Sketch, dice: &mut Dice<R>) {
     }
 }
 
-/// What lies in a square.
+/// An object on the ground of a square.
 enum Thing {
     Leaves,
     Manhole,

@@ -255,7 +255,7 @@ pub struct Animation<W: Write> {
     /// The pixels that a viewer shows now; empty before the first frame.
     shown: Vec<u8>,
     size: (u16, u16),
-    /// In hundredths of a second.
+    /// The delay in hundredths of a second.
     delay: u16,
 }
 

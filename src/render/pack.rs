@@ -25,7 +25,7 @@ const SVG: &str = "http://www.w3.org/2000/svg";
 /// The most files of a pack.
 pub const PACK_FILES_MAX: usize = 2_000;
 
-/// How a pack combines with generated icons.
+/// The combination of a pack with generated icons.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Mode {
     /// Adds the icons of the pack to the generated ones.

@@ -99,9 +99,9 @@ struct Figure<'a, R> {
     tall: f32,
     /// Radius.
     head: f32,
-    /// Where it stands.
+    /// The position of the feet.
     foot: f32,
-    /// How far the head is ahead of the feet.
+    /// The distance of the head ahead of the feet.
     lean: f32,
     stride: f32,
     wide: f32,

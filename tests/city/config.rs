@@ -1,5 +1,6 @@
 //! Configurations: the shipped files, every message, the blocks of the reference, and hostile input.
 
+use crate::cases::cases;
 use crate::pages::{blocks, pages};
 use logicity::builtin::{self, BuiltinFiles, ReadWith};
 use logicity::city::{Action, AgentConfig, AgentKind, Buildings, Routing, Split, TripEnds};
@@ -837,7 +838,7 @@ fn near_yaml() -> impl Strategy<Value = String> {
 }
 
 proptest! {
-    #![proptest_config(ProptestConfig { cases: 300, failure_persistence: None, ..ProptestConfig::default() })]
+    #![proptest_config(ProptestConfig { cases: cases(300), failure_persistence: None, ..ProptestConfig::default() })]
 
     #[test]
     fn any_bytes_load_without_a_panic(bytes in proptest::collection::vec(any::<u8>(), 0..400)) {

@@ -1,5 +1,6 @@
 //! Conflicts of actions: `infer` confirms each scene that the search reports, and brute force finds no smaller scene.
 
+use crate::cases::cases;
 use crate::shipped_world::{MODES, world};
 use crate::written_program::program;
 use logicity::city::{Action, Split};
@@ -380,7 +381,7 @@ fn clauses() -> impl Strategy<Value = Vec<(u8, [u8; 3])>> {
 }
 
 proptest! {
-    #![proptest_config(ProptestConfig { cases: 60, ..ProptestConfig::default() })]
+    #![proptest_config(ProptestConfig { cases: cases(60), ..ProptestConfig::default() })]
 
     /// The scene of a conflict satisfies the constraints, derives both actions, and the announced one is taken.
     #[test]

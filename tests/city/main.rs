@@ -1,6 +1,8 @@
 //! Tests of the city: configurations, maps, moves, decisions and Safe Path Following.
 
 mod any_input;
+#[path = "../datalog/cases.rs"]
+mod cases;
 mod config;
 mod conflicts;
 mod executors;

@@ -1,6 +1,7 @@
 //! Properties of every map: the generator, routes compared with slow and obvious searches, and agents under random
 //! decisions.
 
+use crate::cases::cases;
 use logicity::builtin::BuiltinFiles;
 use logicity::city::{Action, AgentGroup, AgentKind, AgentSet, Building, Buildings, MapConfig, Routing, Split};
 use logicity::city::{
@@ -392,7 +393,7 @@ fn agent_set(cars: usize, pedestrians: usize, region: Option<u32>) -> AgentSet {
 }
 
 proptest! {
-    #![proptest_config(ProptestConfig::with_cases(64))]
+    #![proptest_config(ProptestConfig::with_cases(cases(64)))]
 
     #[test]
     fn the_generator_accepts_or_rejects_every_configuration(

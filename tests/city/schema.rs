@@ -23,7 +23,7 @@ enum Step {
 /// A value in a configuration.
 struct Place {
     path: Vec<Step>,
-    /// What the schema says about the value, without references.
+    /// The part of the schema that describes the value, without references.
     schema: Value,
 }
 

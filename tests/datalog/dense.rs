@@ -1,5 +1,6 @@
 //! Compares the dense executor with the specification on random programs and scenes.
 
+use crate::cases::cases;
 use crate::written_program::program;
 use logicity::datalog::dense::{BitFacts, BitState, Dense, Set, TrackFirings, choose, has};
 use logicity::datalog::{ClauseId, Limits, RelId, Rules, Value};
@@ -341,7 +342,7 @@ proptest! {
 }
 
 proptest! {
-    #![proptest_config(ProptestConfig::with_cases(96))]
+    #![proptest_config(ProptestConfig::with_cases(cases(96)))]
 
     #[test]
     fn the_dense_executor_agrees_with_naive_on_clauses_of_many_variables(genome in genomes(8, 12, 1..4)) {

@@ -1,5 +1,6 @@
 //! `diff`: whether two rule sets are equivalent, and a minimal counterexample if not.
 
+use crate::cases::cases;
 use crate::rule_files::RuleFiles;
 use logicity::datalog;
 use logicity::datalog::diff::{Cut, Difference, Equivalence, Options, diff};
@@ -357,7 +358,7 @@ fn outputs(rules: &Rules, entities: u32, scene: u32) -> Option<Vec<(RelId, Vec<V
 }
 
 proptest! {
-    #![proptest_config(ProptestConfig { cases: 150, ..ProptestConfig::default() })]
+    #![proptest_config(ProptestConfig { cases: cases(150), ..ProptestConfig::default() })]
 
     #[test]
     fn differences_equal_those_of_exhaustive_search(

@@ -1,5 +1,6 @@
 //! Compares the engine with its specification, and tests fixed examples.
 
+use crate::cases::cases;
 use crate::random_program::agree::{agrees, database};
 use crate::random_program::{Batch, Genome, computing_genomes, genomes, recursive_genomes};
 use crate::written_program::program;
@@ -89,7 +90,7 @@ fn check_threads(rules: &Rules, script: &[Batch], limits: Limits) -> Result<(), 
 }
 
 proptest! {
-    #![proptest_config(ProptestConfig { cases: 64, max_shrink_iters: 20_000, ..ProptestConfig::default() })]
+    #![proptest_config(ProptestConfig { cases: cases(64), max_shrink_iters: 20_000, ..ProptestConfig::default() })]
 
     #[test]
     fn threads_change_nothing(
@@ -112,7 +113,7 @@ proptest! {
 }
 
 proptest! {
-    #![proptest_config(ProptestConfig { cases: 128, max_shrink_iters: 20_000, ..ProptestConfig::default() })]
+    #![proptest_config(ProptestConfig { cases: cases(128), max_shrink_iters: 20_000, ..ProptestConfig::default() })]
 
     #[test]
     fn correlated_aggregates_agree_with_naive(

@@ -1,5 +1,6 @@
 //! `fmt` gives one layout and preserves tokens, comments and meaning.
 
+use crate::cases::cases;
 use logicity::datalog::{ast, format, parse};
 use logicity::diag::{Sources, render};
 use proptest::prelude::*;
@@ -180,7 +181,7 @@ fn texts() -> impl Strategy<Value = String> {
 }
 
 proptest! {
-    #![proptest_config(ProptestConfig { cases: 600, ..ProptestConfig::default() })]
+    #![proptest_config(ProptestConfig { cases: cases(600), ..ProptestConfig::default() })]
 
     #[test]
     fn formatting_is_idempotent_and_preserves_the_meaning(text in texts()) {

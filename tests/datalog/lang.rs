@@ -1,5 +1,6 @@
 //! The rule language: rule files, fixtures, reference, round trip, hostile texts.
 
+use crate::cases::cases;
 use crate::pages::{blocks, pages};
 use crate::rule_files::RuleFiles;
 use std::collections::BTreeSet;
@@ -1389,7 +1390,7 @@ fn random_clause() -> impl Strategy<Value = String> {
 }
 
 proptest! {
-    #![proptest_config(ProptestConfig::with_cases(2048))]
+    #![proptest_config(ProptestConfig::with_cases(cases(2048)))]
     #[test]
     fn every_clause_reported_as_redundant_is_redundant(
         clauses in proptest::collection::vec(random_clause(), 2..5),

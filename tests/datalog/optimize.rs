@@ -1,5 +1,6 @@
 //! The optimizer preserves answers and firings, and its lints are correct.
 
+use crate::cases::cases;
 use crate::random_program::{genomes, recursive_genomes};
 use crate::rule_files::RuleFiles;
 use logicity::datalog;
@@ -186,7 +187,7 @@ fn written(clauses: &[Vec<u8>], constraints: u16) -> String {
 }
 
 proptest! {
-    #![proptest_config(ProptestConfig { cases: 400, ..ProptestConfig::default() })]
+    #![proptest_config(ProptestConfig { cases: cases(400), ..ProptestConfig::default() })]
 
     #[test]
     fn slow_constraints_change_no_answer_for_facts_that_satisfy_them(

@@ -7,7 +7,7 @@ use std::path::{Path, PathBuf};
 pub struct Block {
     /// The number of its first line, which holds the three backquotes.
     pub line: usize,
-    /// What follows the three backquotes, for example `dl my.dl`.
+    /// The text after the three backquotes, for example `dl my.dl`.
     pub kind: String,
     /// The text, which ends with a line break.
     pub text: String,

@@ -919,7 +919,7 @@ fn folders_without_a_data_set_are_reported() {
     );
 }
 
-/// What the published program gives when it is run again, in per cent.
+/// The figures of the published program, run again, in percent.
 #[test]
 fn slow_labels_are_as_frequent_as_in_the_published_program() {
     for (mode, published) in [

@@ -1889,7 +1889,15 @@ fn bench_measures_the_requested_case() {
         &["omit --executor relational"],
     );
     fails(&bench(&["infer", "--agents", "5000"]), 2, &["4096", "--agents"]);
+    // A rule file replaces that of the configuration.
+    let own = "tests/fixtures/rules/traffic-code.dl";
+    for what in ["infer", "tick", "env"] {
+        let printed = measured(&bench(&[what, "--rules", own]));
+        assert_eq!(printed["rules"], own, "{what}");
+    }
+    fails(&bench(&["tick", "--rules", "none.dl"]), 2, &["cannot read `none.dl`"]);
     let printed = measured(&bench(&["env"]));
+    assert_eq!(printed["rules"], Value::Null);
     assert!(
         printed["what"] == "env" && printed["steps"].as_u64() > Some(0),
         "{printed}"

@@ -1283,7 +1283,7 @@ fn copy(from: &Path, to: &Path) {
     assert!(copied.success());
 }
 
-/// What must not change about a file.
+/// The properties of a file that must not change.
 #[derive(Clone, Debug, PartialEq, Eq)]
 struct Content {
     mode: u32,

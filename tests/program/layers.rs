@@ -42,7 +42,7 @@ struct Source {
     /// Its module, for example `["datalog", "check", "body"]`.
     module: Vec<String>,
     room: String,
-    /// Without comments and without the tests at its end.
+    /// The text of the file, without comments and without the tests at its end.
     code: String,
 }
 

@@ -59,7 +59,7 @@ struct Base<'a, 's> {
     inputs: RefCell<Edb>,
 }
 
-/// By the name of the relation.
+/// Keyed by the name of the relation.
 type Edb = Vec<(String, InputSession<u32, (u32, u32), isize>)>;
 
 /// The city as a dataflow that waits for changes of its pairs.

@@ -12,7 +12,7 @@ use wait4::Wait4;
 /// The measurement of one run.
 #[derive(Clone, Debug)]
 pub struct Run {
-    /// By position in [`Case::derived`].
+    /// Indexed by position in [`Case::derived`].
     pub counts: Vec<usize>,
     /// User and system time of all threads.
     pub cpu: Duration,

@@ -115,7 +115,7 @@ impl ReadFile for OpenDocuments<'_> {
 
 #[derive(Default)]
 struct Server {
-    /// By normalized path.
+    /// Keyed by normalized path.
     documents: BTreeMap<PathBuf, Document>,
 }
 

@@ -1,6 +1,6 @@
 //! The words of the language that no file declares: directives, functions, aggregates, operators and types.
 
-/// Where a word can stand.
+/// The context of a word.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Hash)]
 pub enum Place {
     /// After a full stop at the start of a line.

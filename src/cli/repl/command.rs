@@ -114,7 +114,7 @@ pub fn interrupts(text: &str, line: &str) -> bool {
 struct Typed<'t> {
     id: SourceId,
     text: &'t str,
-    /// Where the text after the command word begins.
+    /// The start of the text after the command word.
     start: usize,
 }
 

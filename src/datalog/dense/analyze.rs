@@ -10,7 +10,7 @@ use std::fmt;
 /// The executor of each stratum.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub struct Choice {
-    /// By position of the stratum: why it needs the relational executor; `None` if it is dense.
+    /// Indexed by position of the stratum: why it needs the relational executor; `None` if it is dense.
     pub relational: Vec<Option<Unsupported>>,
 }
 

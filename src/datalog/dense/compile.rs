@@ -55,12 +55,12 @@ impl Asked {
     }
 }
 
-/// How often a set changes.
+/// The frequency at which a set changes.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord)]
 enum Changes {
     /// Only when a steady input changes.
     Seldom,
-    /// In every run.
+    /// It changes in every run.
     Often,
     /// Within a run: it holds a predicate whose clauses are being evaluated.
     Within,

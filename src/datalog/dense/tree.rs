@@ -45,7 +45,7 @@ impl std::error::Error for TooManySteps {}
 /// over two variables always fits.
 const TABLE_WORDS: usize = 1 << 19;
 
-/// What is known about a branch, for the values of the other variables of its separator.
+/// The knowledge of a branch, for the values of the other variables of its separator.
 #[derive(Clone, Debug)]
 struct Row<const W: usize> {
     /// The generation that wrote the row; it is empty in other generations.

@@ -30,7 +30,7 @@ pub(crate) struct Loaded<const V: usize> {
     text_facts: Vec<Row<V>>,
 }
 
-/// What a widened relation consists of: rows, pending changes, and facts in the program text.
+/// The parts of a widened relation: rows, pending changes, and facts in the program text.
 pub(crate) type Widened<const W: usize> = (Vec<Row<W>>, PendingChanges<W>, Vec<Row<W>>);
 
 macro_rules! each {

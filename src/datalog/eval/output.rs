@@ -22,7 +22,7 @@ pub(crate) struct Output<const W: usize> {
     whole: bool,
     /// Whether rows have been taken.
     took: bool,
-    /// By column: the largest word of the rows taken.
+    /// Indexed by column: the largest word of the rows taken.
     largest: [u32; W],
     /// Whether `seen` lacks only rows that were taken. [`Output::learn`] can add these.
     may_learn: bool,
@@ -40,7 +40,7 @@ pub(crate) struct Output<const W: usize> {
     fit: usize,
     /// The lesser of `limit` and `fit`.
     most: usize,
-    /// What a plan with a fold derives, in place of rows.
+    /// The result of a plan with a fold, which derives no rows.
     groups: Option<Box<Groups<W>>>,
     /// Scratch memory of [`Output::push_set`].
     values: Vec<Value>,

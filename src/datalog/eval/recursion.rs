@@ -124,14 +124,14 @@ impl<const W: usize> State<W> {
 /// The state of a recursive stratum during evaluation.
 struct Recursion<'a, const W: usize> {
     iteration: Iteration,
-    /// By member: the existing rows.
+    /// Indexed by member: the existing rows.
     base: Option<&'a [&'a Table<W>]>,
-    /// By member: the derived rows.
+    /// Indexed by member: the derived rows.
     variables: Vec<Variable<Row<W>>>,
-    /// By member: whether no plan reads rows derived before this round.
+    /// Indexed by member: whether no plan reads rows derived before this round.
     forward: Vec<bool>,
-    /// By member: the number of derived rows that its variable omits, since no plan reads them and its output holds
-    /// them.
+    /// Indexed by member: the number of derived rows that its variable omits, since no plan reads them and its output
+    /// holds them.
     left_out: Vec<usize>,
     /// The secondary indexes of the members.
     grown: Vec<Grown<W>>,

@@ -9,9 +9,9 @@ use crate::datalog::value::Value;
 /// A set of rows whose words are below fixed bounds.
 #[derive(Debug)]
 pub(crate) struct SeenBitmap<const W: usize> {
-    /// By column: the exclusive upper bound of the words.
+    /// Indexed by column: the exclusive upper bound of the words.
     bounds: [u32; W],
-    /// By column: the distance between the bits of consecutive words.
+    /// Indexed by column: the distance between the bits of consecutive words.
     strides: [u64; W],
     /// The bits of all rows ever added.
     known: Vec<u64>,
@@ -79,7 +79,7 @@ impl<const W: usize> SeenBitmap<W> {
         }
     }
 
-    /// By column: the largest word that fits.
+    /// Indexed by column: the largest word that fits.
     pub(crate) fn largest(&self) -> [u32; W] {
         self.bounds.map(|bound| bound - 1)
     }

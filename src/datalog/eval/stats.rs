@@ -12,7 +12,7 @@ pub enum EvalEvent {
     End(ClauseId),
 }
 
-/// How a commit updates a stratum whose inputs changed. The result is the same for all.
+/// The way in which a commit updates a stratum whose inputs changed. The result is the same for all.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub enum Strategy {
     /// Chooses the strategy with the lower estimated cost. The estimates depend on the number of changed rows and on
@@ -92,7 +92,7 @@ pub struct RuleStats {
 #[derive(Clone, Debug, Default, PartialEq, Eq)]
 #[non_exhaustive]
 pub struct EvalStats {
-    /// By position in [`Rules::strata`](crate::datalog::Rules::strata); empty before the first commit.
+    /// Indexed by position in [`Rules::strata`](crate::datalog::Rules::strata); empty before the first commit.
     pub strata: Vec<StratumStats>,
 }
 

@@ -13,8 +13,8 @@ use std::hash::BuildHasherDefault;
 /// [`SeenBitmap`] takes one operation for 64 of them.
 #[derive(Debug, Default)]
 pub(super) struct WordSets {
-    /// By batch and word: the position of the set in `bits`; `None` if the word occurred once, without a set. Only
-    /// looked up, so its order does not matter.
+    /// Indexed by batch and word: the position of the set in `bits`; `None` if the word occurred once, without a set.
+    /// Only looked up, so its order does not matter.
     places: HashMap<(u32, Value), Option<usize>, BuildHasherDefault<KeyHasher>>,
     bits: Vec<u64>,
     /// The number of words of a set.

@@ -132,7 +132,7 @@ fn follow(steps: &[Step], found: &dyn Fn(Source, usize) -> f64) -> (f64, f64) {
 #[derive(Clone, Debug, PartialEq)]
 pub(crate) struct Size {
     pub(crate) rows: usize,
-    /// By column.
+    /// Indexed by column.
     columns: Vec<Spread>,
 }
 
@@ -257,7 +257,7 @@ pub(crate) struct Flow {
     rows: f64,
     /// Rows scanned by the steps so far.
     cost: f64,
-    /// By variable: the estimated number of distinct words; 0 if unknown.
+    /// Indexed by variable: the estimated number of distinct words; 0 if unknown.
     words: Vec<f64>,
 }
 

@@ -45,7 +45,7 @@ pub(crate) fn groupings(rules: &Rules) -> Vec<Option<Grouping>> {
     found.collect()
 }
 
-/// How a literal aggregates, if its key is a proper prefix of the columns.
+/// The aggregation of a literal, if its key is a proper prefix of the columns.
 fn aggregated(literal: &Literal) -> Option<Grouping> {
     let Literal::Aggregate {
         op, base, atom, column, ..

@@ -44,7 +44,7 @@ pub(crate) struct Plans {
     pub(crate) indexes: Indexes,
     /// By [`RelId`]: how a hidden relation is aggregated instead of stored; see [`grouping`].
     pub(crate) groupings: Vec<Option<Grouping>>,
-    /// By position in [`Rules::strata`].
+    /// Indexed by position in [`Rules::strata`].
     pub(crate) strata: Vec<StratumPlan>,
     /// By [`RelId`]: the position of a derived relation among the members of its stratum.
     pub(crate) member: Vec<Option<usize>>,

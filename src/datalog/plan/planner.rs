@@ -229,16 +229,16 @@ struct Planner<'a> {
     /// The expected number of rows at this point of the plan.
     flow: Flow,
     slots: Vec<Value>,
-    /// By variable.
+    /// Indexed by variable.
     bound: Vec<bool>,
-    /// By variable: the number of its occurrences in the head and in the literals still to be placed.
+    /// Indexed by variable: the number of its occurrences in the head and in the literals still to be placed.
     uses: Vec<usize>,
     /// Positions of the literals still to be placed, in source order.
     left: Vec<usize>,
     steps: Vec<Step>,
     /// The cost of the secondary indexes that the plan needs; 0 if sizes are unknown.
     ordering: f64,
-    /// By step: the estimate after it.
+    /// Indexed by step: the estimate after it.
     trail: Vec<Reckoning>,
     /// Whether a scan precedes, so that the next step may run many times.
     repeated: bool,
@@ -790,7 +790,7 @@ impl<'a> Planner<'a> {
     }
 }
 
-/// By step: the end of the existential group that begins with it, or 0. See [`Plan::enough`].
+/// Indexed by step: the end of the existential group that begins with it, or 0. See [`Plan::enough`].
 fn enough(steps: &[Step], output: &[Slot]) -> Vec<u16> {
     let ends_at = |start: usize| {
         let mut filled = Vec::new();

@@ -329,7 +329,7 @@ impl Step {
     }
 }
 
-/// How a hidden relation is aggregated. Its first columns are the key of a group.
+/// The aggregation of a hidden relation. Its first columns are the key of a group.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(crate) struct Grouping {
     /// The number of key columns.
@@ -353,13 +353,13 @@ pub(crate) struct Fold {
 #[derive(Clone, Debug)]
 pub(crate) struct Plan {
     pub(crate) head: RelId,
-    /// By column of the head: the slot that holds its value. With `fold`, only the columns of the key.
+    /// Indexed by column of the head: the slot that holds its value. With `fold`, only the columns of the key.
     pub(crate) output: Vec<Slot>,
     /// Aggregates what the plan derives, by the key in `output`; see [`super::grouping`].
     pub(crate) fold: Option<Fold>,
     pub(crate) steps: Vec<Step>,
-    /// By step: the end of the existential group that begins with it, or 0 if none begins there. One success of the
-    /// group is enough, since no later step reads what the group binds.
+    /// Indexed by step: the end of the existential group that begins with it, or 0 if none begins there. One success of
+    /// the group is enough, since no later step reads what the group binds.
     pub(crate) enough: Vec<u16>,
     /// The initial slots: zeros for variables, then the constants.
     pub(crate) slots: Vec<Value>,
@@ -400,8 +400,8 @@ pub(crate) struct ClausePlans {
     /// One plan for each atom over the clause's recursive stratum, with the relation whose new rows the plan begins
     /// with.
     pub(crate) deltas: Vec<(RelId, Plan)>,
-    /// By position in `deltas`: equivalent plans that begin with a finished relation and reach the newest rows later.
-    /// They are faster when there are many new rows. Each round chooses a plan by the sizes of relations.
+    /// Indexed by position in `deltas`: equivalent plans that begin with a finished relation and reach the newest rows
+    /// later. They are faster when there are many new rows. Each round chooses a plan by the sizes of relations.
     pub(crate) alternatives: Vec<Vec<Plan>>,
     /// One plan for each atom of the body: what the clause derives from added or removed rows of that atom. Empty if
     /// the clause cannot be maintained.

@@ -227,7 +227,7 @@ pub struct Clause {
     pub body: Vec<Literal>,
     /// The text of the doc comment before the clause.
     pub doc: String,
-    /// From head to full stop.
+    /// The text from the head to the full stop.
     pub place: Place,
 }
 

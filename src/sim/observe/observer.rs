@@ -34,7 +34,7 @@ pub struct Oracle {
     world: Arc<World>,
     /// The maximum number of observed entities.
     entities: usize,
-    /// By predicate of the vocabulary.
+    /// Indexed by predicate of the vocabulary.
     how: Vec<How>,
     views: Views,
     monitor: RuleMonitor,

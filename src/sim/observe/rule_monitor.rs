@@ -52,7 +52,7 @@ enum How {
 struct Conditions {
     /// The rules without action literals in bodies.
     rules: Box<DenseRules>,
-    /// In stratum order: earlier clauses derive the actions that a clause reads.
+    /// The clauses in stratum order: earlier clauses derive the actions that a clause reads.
     clauses: Vec<Condition>,
 }
 

@@ -714,7 +714,7 @@ impl Batch {
     }
 }
 
-/// What agents need to move in a tick.
+/// The data that agents need to move in a tick.
 struct Moving<'a> {
     decisions: &'a Decisions,
     controlled: &'a [Option<Action>],

@@ -90,7 +90,7 @@ struct Requested {
     /// holds.
     predicate: Option<(usize, PairRelation)>,
     axis: Argument,
-    /// Where members can be, relative to an entity of each kind: without a heading, and with each heading.
+    /// The places of possible members, relative to an entity of each kind: without a heading, and with each heading.
     reaches: [[Reach; 5]; 2],
     /// Whether all entities in reach are members.
     fills_reach: bool,
@@ -100,7 +100,7 @@ struct Requested {
     in_view: bool,
 }
 
-/// How to compute the inputs and lists of a dense program. The cities of a world share one plan, which stays in the
+/// The computation of the inputs and lists of a dense program. The cities of a world share one plan, which stays in the
 /// cache when many cities take turns.
 #[derive(Debug)]
 pub(super) struct Plan {

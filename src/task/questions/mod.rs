@@ -288,7 +288,7 @@ struct Search<'w> {
     extent: Extent,
     seed: Seed,
     count: usize,
-    /// By answer.
+    /// Indexed by answer.
     found: [Vec<Question>; 4],
     worlds: usize,
 }

@@ -101,7 +101,7 @@ impl Score {
 pub struct ActionRate {
     /// Name of the action.
     pub action: &'static str,
-    /// Of the runs in which the rules derived the action, the proportion without a violation of its clauses.
+    /// The proportion of runs without a violation of the action's clauses, among those in which the rules derived it.
     #[serde(flatten)]
     pub rate: Rate,
 }

@@ -138,7 +138,7 @@ impl Info {
     }
 }
 
-/// When an environment begins the next episode after one has ended.
+/// The time at which an environment begins the next episode after one has ended.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Autoreset {
     /// In the next step, which ignores its action and has reward 0.
@@ -150,7 +150,7 @@ pub enum Autoreset {
     Disabled,
 }
 
-/// How the next episode of an environment begins.
+/// The start of the next episode of an environment.
 #[derive(Clone, Debug)]
 pub enum Begin {
     /// With the next episode of its source.

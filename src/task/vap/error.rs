@@ -22,7 +22,7 @@ pub enum DatasetError {
 pub struct Occupied {
     /// The file or folder.
     pub path: PathBuf,
-    /// What it is.
+    /// The reason.
     pub reason: String,
     /// Whether [`Overwrite::Any`](crate::files::Overwrite::Any) replaces it.
     pub replaceable: bool,

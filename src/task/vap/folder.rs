@@ -332,7 +332,7 @@ fn is_sealed(text: &str) -> bool {
     parts.is_some_and(|(text, found)| found == hash(text.as_bytes()))
 }
 
-/// What a file or folder in the folder of a data set is, by its name.
+/// The kind of a file or folder in the folder of a data set, which its name determines.
 #[derive(Clone, Copy, PartialEq, Eq)]
 pub(super) enum Entry {
     /// `README.md` or `manifest.json`.

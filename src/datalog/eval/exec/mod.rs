@@ -135,11 +135,11 @@ pub(crate) struct State<const W: usize> {
     pending: Vec<PendingChanges<W>>,
     /// The plans in use, made for about the current sizes of the relations.
     pub(crate) plans: Arc<Plans>,
-    /// By position of the stratum: the sizes that its plans were made for.
+    /// Indexed by position of the stratum: the sizes that its plans were made for.
     pub(crate) bases: Vec<Basis>,
     /// Whether a commit has succeeded.
     committed: bool,
-    /// By position of the stratum: the cost of the last computation from scratch.
+    /// Indexed by position of the stratum: the cost of the last computation from scratch.
     costs: Vec<Cost>,
     /// The number of rows of all tables.
     rows: usize,

@@ -50,7 +50,7 @@ pub(in crate::datalog::explain) enum Best {
     Derived {
         clause: ClauseId,
         binding: Binding,
-        /// By literal of the body: the row that matches a positive literal.
+        /// Indexed by literal of the body: the row that matches a positive literal.
         rows: Vec<Option<Vec<Value>>>,
     },
 }

@@ -83,9 +83,9 @@ impl Rows {
 /// A binding under which the requested literals hold.
 pub(super) struct Solution<'a> {
     pub(super) binding: &'a [Option<Value>],
-    /// By literal: the position of the row that matches a positive literal.
+    /// Indexed by literal: the position of the row that matches a positive literal.
     pub(super) rows: &'a [Option<u32>],
-    /// By literal: whether it is one of the permitted failures.
+    /// Indexed by literal: whether it is one of the permitted failures.
     pub(super) failed: &'a [bool],
 }
 
@@ -97,7 +97,7 @@ type Visit<'a> = &'a mut dyn FnMut(Solution<'_>) -> bool;
 /// A partial solution of a clause.
 pub(super) struct Attempt<'a> {
     pub(super) clause: &'a Clause,
-    /// By literal: whether the search still has to satisfy it.
+    /// Indexed by literal: whether the search still has to satisfy it.
     pub(super) pending: Vec<bool>,
     pub(super) binding: Binding,
     pub(super) rows: Vec<Option<u32>>,

@@ -27,9 +27,9 @@ pub(super) struct Use {
     pub(super) clause: usize,
     /// Positions in the clause's body.
     pub(super) positions: Vec<usize>,
-    /// By number: the clause's variable or wildcard.
+    /// Indexed by number: the clause's variable or wildcard.
     terms: Vec<Term>,
-    /// By number: whether the rest of the clause uses it.
+    /// Indexed by number: whether the rest of the clause uses it.
     needed: Vec<bool>,
 }
 
@@ -119,7 +119,7 @@ fn worth_a_name(clause: &Clause, positions: &[usize]) -> bool {
         && is_joined(clause, positions)
 }
 
-/// By number: whether the head or one of the literals `rest` uses it.
+/// Indexed by number: whether the head or one of the literals `rest` uses it.
 fn needed(terms: &[Term], clause: &Clause, rest: impl Iterator<Item = usize>) -> Vec<bool> {
     let rest = rest.flat_map(|position| clause.body[position].terms());
     let outside: Vec<&Term> = clause.head.terms.iter().chain(rest).collect();

@@ -13,7 +13,7 @@ pub(super) struct Constraints {
     irreflexive: BTreeSet<RelId>,
     symmetric: BTreeSet<RelId>,
     asymmetric: BTreeSet<RelId>,
-    /// By predicate: its columns with the predicates that relate their values to themselves.
+    /// Indexed by predicate: its columns with the predicates that relate their values to themselves.
     reflexive: BTreeMap<RelId, Vec<(usize, RelId)>>,
 }
 

@@ -1,0 +1,30 @@
+//! The number of random cases of a property.
+
+use std::env;
+
+/// The number of cases that proptest tries if neither a test nor the environment sets it.
+const USUAL: u64 = 256;
+
+/// Returns a number of cases, scaled by the environment variable `PROPTEST_CASES`: with twice the usual number, every
+/// property has twice as many. Proptest reads the variable only for properties without a number of their own.
+pub fn cases(full: u32) -> u32 {
+    scaled(full, env::var("PROPTEST_CASES").ok().as_deref())
+}
+
+fn scaled(full: u32, variable: Option<&str>) -> u32 {
+    let Some(variable) = variable else { return full };
+    let given: u64 = variable.parse().expect("PROPTEST_CASES is a number");
+    u32::try_from(u64::from(full) * given / USUAL)
+        .unwrap_or(u32::MAX)
+        .max(1)
+}
+
+#[test]
+fn the_environment_scales_the_number_of_cases() {
+    assert_eq!(scaled(96, None), 96);
+    assert_eq!(scaled(96, Some("256")), 96);
+    assert_eq!(scaled(96, Some("32")), 12);
+    assert_eq!(scaled(96, Some("2560")), 960);
+    assert_eq!(scaled(96, Some("1")), 1);
+    assert_eq!(scaled(u32::MAX, Some("1000")), u32::MAX);
+}
