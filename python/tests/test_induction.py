@@ -26,12 +26,12 @@ def test_rules_from_demonstrations_solve_the_test_episodes(
     assert "Stop(X) :- IsAmbulance(X), IsOld(Y), RightOf(Y, X)." in map(str, rules.clauses)
     result = logicity.evaluate(rules.policy(), "hard", batched=True)
     assert (result.tsr.value, result.compliance.value) == (1.0, 1.0)
-    # The saved rules give the environment the same oracle.
+    # With the saved rules, the city is another one: they also govern pedestrians.
     path = tmp_path / "learned.dl"
     rules.save(path)
     assert path.read_text() == rules.text
     oracle = logicity.evaluate("oracle", "hard", rules=path)
-    assert oracle.tsr.value == 1.0
+    assert oracle.compliance.value == 1.0
     assert "Stop" in {relation.name for relation in rules.program().relations}
 
 
