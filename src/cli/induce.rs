@@ -11,7 +11,7 @@ use crate::cli::{
 };
 use crate::diag::{Code, Diagnostic, Sources};
 use crate::files::{self, Folder, MAX_BYTES};
-use crate::induce::{Examples, Progress, Settings, VARIABLES_MAX, learn_with, support};
+use crate::induce::{Examples, Learned, Progress, Settings, VARIABLES_MAX, learn_with, support};
 use crate::rng::Seed;
 use crate::sim::{Executor, Inference, LoadedCity};
 use crate::task::induction::{InductionTask, Origin, report_json, rule_file};
@@ -46,6 +46,10 @@ pub struct Arguments {
     /// Write the clauses with their support as JSON to FILE; `-` means standard output
     #[arg(long, value_name = "FILE")]
     report: Option<PathBuf>,
+    /// Examples to measure the rules on, as for DATA: prints recalls by action and the weighted accuracy (wAcc) of the
+    /// paper. May be given several times
+    #[arg(long, value_name = "DATA")]
+    test: Vec<PathBuf>,
     /// Write an HTML page of the trace to FILE that shows which clause decides each moment; needs one trace, and
     /// `--output` with a file
     #[arg(long, value_name = "FILE")]
@@ -81,7 +85,7 @@ pub fn run(arguments: &Arguments, sources: &mut Sources) -> Result<(), Failure> 
         return Err(Failure::Usage(message.to_owned()));
     }
     let city = load_city(sources, &arguments.config, arguments.rules.as_deref())?;
-    let inputs = Inputs::of(sources).with(arguments.data.clone());
+    let inputs = Inputs::of(sources).with(arguments.data.iter().chain(&arguments.test).cloned());
     // A file that cannot be written is reported before the work.
     let mut rules_out = arguments.force.create(&arguments.output, &inputs)?;
     let report_out = (arguments.report.as_deref())
@@ -105,7 +109,7 @@ pub fn run(arguments: &Arguments, sources: &mut Sources) -> Result<(), Failure> 
         ..Settings::default()
     };
     let cancel = cancel_on_interrupt()?;
-    let (task, examples) = collect(arguments, city, sources, &mut origin, &cancel)?;
+    let Collected { task, examples, tests } = collect(arguments, city, sources, &mut origin, &cancel)?;
     task.check(&examples, &origin)?;
     origin.lines.push(task.describe(&settings));
 
@@ -129,8 +133,12 @@ pub fn run(arguments: &Arguments, sources: &mut Sources) -> Result<(), Failure> 
     let path = &arguments.output;
     write!(rules_out, "{text}").map_err(|error| unwritable(path, &error))?;
     finish(rules_out, path)?;
+    let measured = (!arguments.test.is_empty()).then(|| Recalls::new(&tests, &learned));
     if let Some((mut out, path)) = report_out {
-        let json = report_json(&task, &learned, &support, &origin);
+        let mut json = report_json(&task, &learned, &support, &origin);
+        if let Some(measured) = &measured {
+            json["test"] = measured.json(&names);
+        }
         writeln!(out, "{json:#}").map_err(|error| unwritable(path, &error))?;
         finish(out, path)?;
     }
@@ -138,13 +146,16 @@ pub fn run(arguments: &Arguments, sources: &mut Sources) -> Result<(), Failure> 
         view::write_with(&arguments.data[0], path, &mut out, page)?;
         finish(out, page)?;
     }
+    let mut written = vec![path.as_path()];
+    written.extend(arguments.report.as_deref());
+    written.extend(arguments.page.as_deref());
     if !is_stdout(path) {
-        let mut written = vec![path.as_path()];
-        written.extend(arguments.report.as_deref());
-        written.extend(arguments.page.as_deref());
         let mut out = messages(&written);
         let clauses = support.clauses.len();
         writeln!(out, "wrote {clauses} clauses to {}", path.display())?;
+    }
+    if let Some(measured) = measured {
+        write!(messages(&written), "{}", measured.text(&names))?;
     }
     if learned.is_complete {
         Ok(())
@@ -171,6 +182,14 @@ fn described(arguments: &Arguments, city: &LoadedCity) -> String {
     names.join(", ")
 }
 
+/// The examples of a task.
+struct Collected {
+    task: InductionTask,
+    examples: Examples,
+    /// Those to measure the rules on.
+    tests: Examples,
+}
+
 /// Collects the examples of all sources.
 fn collect(
     arguments: &Arguments,
@@ -178,26 +197,39 @@ fn collect(
     sources: &mut Sources,
     origin: &mut Origin,
     cancel: &Cancel,
-) -> Result<(InductionTask, Examples), Failure> {
-    if !arguments.data.is_empty() {
-        let scenes = Inference::new(
+) -> Result<Collected, Failure> {
+    let mut scenes = match arguments.data.is_empty() && arguments.test.is_empty() {
+        true => None,
+        false => Some(Inference::new(
             city.scenario.clone(),
             city.program.clone(),
             Seed(arguments.seed),
             Executor::Relational,
             BuiltinFiles,
-        )?;
-        let task = InductionTask::new(Arc::new(city.world()?), &arguments.order);
-        let mut examples = task.examples();
-        let mut scenes = scenes;
-        for path in &arguments.data {
-            add_file(&task, &mut scenes, path, &mut examples, origin, cancel)?;
-        }
-        return Ok((task, examples));
-    }
+        )?),
+    };
     let world = Arc::new(city.world()?);
     let task = InductionTask::new(world.clone(), &arguments.order);
     let mut examples = task.examples();
+    let mut tests = task.examples();
+    for path in &arguments.test {
+        let scenes = scenes.as_mut().expect("made for files");
+        add_file(&task, scenes, path, &mut tests, &mut Origin::default(), cancel)?;
+    }
+    for path in &arguments.data {
+        let scenes = scenes.as_mut().expect("made for files");
+        add_file(&task, scenes, path, &mut examples, origin, cancel)?;
+    }
+    for (paths, found) in [(&arguments.data, &examples), (&arguments.test, &tests)] {
+        if !paths.is_empty() && found.count() == 0 {
+            let names: Vec<String> = paths.iter().map(|path| format!("`{}`", path.display())).collect();
+            let message = format!("no examples in {}", names.join(", "));
+            return Err(Diagnostic::new(Code::INVALID_SCENE, message).into());
+        }
+    }
+    if !arguments.data.is_empty() {
+        return Ok(Collected { task, examples, tests });
+    }
     let path_task = Arc::new(SpfTask::new(world, sources)?);
     let set = EpisodeSet::load(&path_task, arguments.split, sources, &BuiltinFiles)?;
     let available = set.episodes.len();
@@ -213,7 +245,7 @@ fn collect(
         task.add_episode(&mut env, episode, &mut examples)?;
     }
     origin.lines.push(format!("Episodes {}.", set.hash()));
-    Ok((task, examples))
+    Ok(Collected { task, examples, tests })
 }
 
 /// Adds the examples of a file: a trace or labeled scenes.
@@ -324,7 +356,6 @@ fn add_scenes(
 ) -> Result<(), Failure> {
     let vocabulary = inference.vocabulary().clone();
     let translator = task.translator(&vocabulary)?;
-    let before = examples.count();
     let mut lines = BufReader::new(open(path)?);
     for number in 1.. {
         if cancel.requested() {
@@ -361,10 +392,6 @@ fn add_scenes(
             examples.push(state, task.action(action)?);
         }
     }
-    if examples.count() == before {
-        let message = format!("`{}` has no examples", path.display());
-        return Err(Diagnostic::new(Code::INVALID_SCENE, message).into());
-    }
     Ok(())
 }
 
@@ -372,4 +399,62 @@ fn add_scenes(
 fn reported(faults: &[Diagnostic], sources: &Sources) -> Failure {
     crate::cli::report(faults, sources);
     Failure::Reported
+}
+
+/// The examples in which rules choose the right action.
+struct Recalls {
+    /// By action, the number of examples and of right choices.
+    actions: Vec<[u64; 2]>,
+}
+
+impl Recalls {
+    fn new(examples: &Examples, learned: &Learned) -> Recalls {
+        let states: Vec<_> = examples.states().map(|(state, _)| state).collect();
+        let chosen = learned.decide(examples.vocabulary(), &states);
+        let mut actions = vec![[0; 2]; examples.actions().len()];
+        for ((_, tallies), chosen) in examples.states().zip(chosen) {
+            for (action, (tally, counts)) in tallies.iter().zip(&mut actions).enumerate() {
+                counts[0] += u64::from(tally.count);
+                counts[1] += if action == chosen { u64::from(tally.count) } else { 0 };
+            }
+        }
+        Recalls { actions }
+    }
+
+    /// Returns the recalls of the actions that occur, with their positions.
+    fn recalls(&self) -> impl Iterator<Item = (usize, f64)> {
+        let occur = self.actions.iter().enumerate().filter(|(_, [count, _])| *count > 0);
+        #[allow(clippy::cast_precision_loss)] // rates
+        occur.map(|(action, [count, right])| (action, *right as f64 / *count as f64))
+    }
+
+    /// Returns the accuracy and the weighted accuracy, in which an action with n examples has the weight 1/n.
+    #[allow(clippy::cast_precision_loss)] // rates
+    fn accuracies(&self) -> [f64; 2] {
+        let sum = |at: usize| self.actions.iter().map(|counts| counts[at]).sum::<u64>() as f64;
+        let weight = |action: usize| 1.0 / self.actions[action][0] as f64;
+        let weights: f64 = self.recalls().map(|(action, _)| weight(action)).sum();
+        let weighted: f64 = self.recalls().map(|(action, recall)| recall * weight(action)).sum();
+        [sum(1) / sum(0), weighted / weights]
+    }
+
+    fn text(&self, names: &[&str]) -> String {
+        let [accuracy, weighted] = self.accuracies();
+        let count: u64 = self.actions.iter().map(|[count, _]| count).sum();
+        let mut text = format!("test: {count} examples, accuracy {accuracy:.4}, wAcc {weighted:.4}; recall");
+        for (index, (action, recall)) in self.recalls().enumerate() {
+            let comma = if index > 0 { "," } else { "" };
+            text += &format!("{comma} {} {recall:.4}", names[action]);
+        }
+        text + "\n"
+    }
+
+    fn json(&self, names: &[&str]) -> serde_json::Value {
+        let [accuracy, weighted] = self.accuracies();
+        let recalls: serde_json::Map<String, serde_json::Value> = self
+            .recalls()
+            .map(|(action, recall)| (names[action].to_owned(), recall.into()))
+            .collect();
+        serde_json::json!({ "accuracy": accuracy, "weighted_accuracy": weighted, "recall": recalls })
+    }
 }

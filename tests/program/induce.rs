@@ -175,6 +175,70 @@ fn scenes_teach_their_actions() {
 }
 
 #[test]
+fn rules_are_measured_on_other_examples() {
+    let folder = tempfile::tempdir().unwrap();
+    let path = |name: &str| folder.path().join(name).to_str().unwrap().to_owned();
+    for (seed, ticks, out) in [("1", "15", "a"), ("2", "100", "b")] {
+        succeeds(&logicity([
+            "run",
+            "easy",
+            "--ticks",
+            ticks,
+            "--seed",
+            seed,
+            "--no-pictures",
+            "--out",
+            &path(out),
+        ]));
+    }
+    let (train, test) = (path("a/trace.jsonl"), path("b/trace.jsonl"));
+    let (learned, page) = (path("learned.dl"), path("page.html"));
+    let said = succeeds(&logicity([
+        "induce", &train, "--config", "easy", "-o", &learned, "--test", &test, "--page", &page,
+    ]));
+    let line = said.lines().last().unwrap();
+    assert!(line.starts_with("test: 1500 examples, accuracy 0."), "{line}");
+    assert!(line.contains("recall Stop"), "{line}");
+    let page = fs::read_to_string(page).unwrap();
+    assert!(page.starts_with("<!DOCTYPE html>"));
+    // The same examples are decided without a fault.
+    let said = succeeds(&logicity([
+        "induce", &train, "--config", "easy", "-o", &learned, "--test", &train,
+    ]));
+    assert!(
+        said.contains("accuracy 1.0000, wAcc 1.0000; recall Stop 1.0000, Normal 1.0000"),
+        "{said}"
+    );
+}
+
+#[test]
+fn data_sets_teach_the_labels_of_cars() {
+    let folder = tempfile::tempdir().unwrap();
+    let worlds = folder.path().join("worlds");
+    let worlds = worlds.to_str().unwrap();
+    succeeds(&logicity([
+        "vap",
+        "make",
+        "--mode",
+        "easy",
+        "--split",
+        "train",
+        "--worlds",
+        "1",
+        "--no-pictures",
+        "--out",
+        worlds,
+    ]));
+    let learned = succeeds(&logicity(["induce", worlds, "--config", "vap-easy"]));
+    assert!(learned.contains("Stop(X) :- CollidingClose(X, Y)."), "{learned}");
+    assert!(learned.contains("worlds, world 0, tick "), "{learned}");
+    assert!(
+        learned.contains("// Never true in any example: IsPedestrian(X), IsBus(X)"),
+        "{learned}"
+    );
+}
+
+#[test]
 fn bad_examples_are_refused() {
     let folder = tempfile::tempdir().unwrap();
     let file = folder.path().join("scenes.jsonl");
@@ -187,7 +251,7 @@ fn bad_examples_are_refused() {
         );
     };
     let car = "{\"entities\": [\"a\"], \"ego\": \"a\", \"facts\": {\"IsCar\": [\"a\"]}";
-    refuses("", 1, &["has no examples"]);
+    refuses("", 1, &["no examples in"]);
     refuses(&format!("{car}}}\n"), 1, &["line 1", "has no actions", "\"actions\":"]);
     refuses(
         &format!("{car}, \"actions\": {{\"a\": \"Jump\"}}}}\n"),
