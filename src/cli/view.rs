@@ -3,10 +3,11 @@
 use crate::cli::icons::IconOptions;
 use crate::cli::trace::TraceReader;
 use crate::cli::{Failure, ForceOption, Inputs, finish, integer, messages, unwritable};
-use crate::diag::{Code, Diagnostic, Sources};
+use crate::diag::{Code, Diagnostic, SourceId, Sources};
 use crate::files::Output;
 use crate::page::{Comparison, Page};
 use crate::rng::Seed;
+use crate::sim::hash_sources;
 use indicatif::{ProgressBar, ProgressStyle};
 use std::io::Write;
 use std::path::{Path, PathBuf};
@@ -132,6 +133,12 @@ fn load(
 ) -> Result<Page, Failure> {
     let mut reader = TraceReader::open(trace)?;
     let mut replay = reader.replay(sources, config, rules, explain == Explain::Recorded)?;
+    if let (Explain::Other, Some(rules)) = (explain, rules) {
+        let is_rules = |id: &SourceId| sources.name(*id).ends_with(".dl");
+        let files: Vec<SourceId> = sources.ids().filter(is_rules).collect();
+        reader.header.rules = rules.display().to_string();
+        reader.header.rules_hash = hash_sources(sources, &files);
+    }
     let icons = icons.load(Seed(reader.header.seed))?;
     let mut page = Page::new(&replay, &reader.header, &icons, sources)?;
     // The number of ticks is unknown before the end of the file, but its size is known.
