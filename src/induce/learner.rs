@@ -30,6 +30,8 @@ pub struct Settings {
     pub enough: u32,
     /// Nodes of one search.
     pub nodes: u32,
+    /// Whether clauses may contain negative literals.
+    pub negation: bool,
 }
 
 impl Default for Settings {
@@ -40,6 +42,7 @@ impl Default for Settings {
             tries: 3,
             enough: 10,
             nodes: 20_000,
+            negation: true,
         }
     }
 }
@@ -119,13 +122,17 @@ fn learn_action(
         let mut best: Option<Found> = None;
         for variables in fewest..=settings.variables {
             if problems.len() <= variables - fewest {
-                problems.push(split.problem(vocabulary, variables));
+                // There are too many assignments for more variables.
+                let Some(problem) = split.problem(vocabulary, variables, settings.negation) else {
+                    break;
+                };
+                problems.push(problem);
             }
             let problem = &problems[variables - fewest];
             let mut seeds: Vec<_> = tries.iter().flat_map(|&state| problem.seeds(state)).collect();
             seeds.sort_unstable();
             seeds.dedup();
-            let search = |seed| Search::new(problem, seed, &open).best(settings.nodes);
+            let search = |seed| Search::new(problem, seed, &open).best(settings.nodes, cancel);
             let found: Vec<Found> = seeds.par_iter().filter_map(search).collect();
             for found in found {
                 if best.as_ref().is_none_or(|best| found.score > best.score) {

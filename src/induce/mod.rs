@@ -8,10 +8,11 @@ mod bits;
 mod cover;
 mod examples;
 mod learner;
+pub mod popper;
 mod problem;
 mod search;
 mod vocabulary;
 
 pub use examples::{Contradiction, ENTITIES_MAX, Examples, State, Tally};
 pub use learner::{ActionRules, LearnedClause, Settings, learn};
-pub use vocabulary::{ARITY_MAX, Atom, Body, Literal, Predicate, VARIABLE_NAMES, VARIABLES_MAX, Vocabulary};
+pub use vocabulary::{ARITY_MAX, Atom, Body, Link, Literal, Predicate, VARIABLE_NAMES, VARIABLES_MAX, Vocabulary};

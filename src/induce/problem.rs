@@ -6,7 +6,7 @@
 
 use crate::induce::bits::{self, Bits};
 use crate::induce::examples::State;
-use crate::induce::vocabulary::{ARITY_MAX, Atom, VARIABLES_MAX, Vocabulary};
+use crate::induce::vocabulary::{ARITY_MAX, Atom, Link, VARIABLES_MAX, Vocabulary};
 use smallvec::SmallVec;
 
 /// The facts of a list of states, transposed.
@@ -96,9 +96,17 @@ pub struct Problem<'a> {
     pub positive: &'a Columns,
     /// The states in which an action of lower precedence is taken.
     pub negative: &'a Columns,
+    /// Whether clauses may contain negative literals.
+    pub negation: bool,
     entities: usize,
     assignments: Vec<Assignment>,
+    /// With links, the rows of the positive and of the negative states whose true atoms link all variables. No clause
+    /// holds in another row.
+    linked: Option<[Rows; 2]>,
 }
+
+/// The most assignments of a problem.
+const ASSIGNMENTS_MAX: usize = 1 << 18;
 
 /// The columns of the positive and the negative states of an action.
 pub struct Split {
@@ -119,10 +127,12 @@ impl Split {
         }
     }
 
-    /// Returns the problem of finding clauses over a number of variables.
-    pub fn problem<'a>(&'a self, vocabulary: &'a Vocabulary, variables: usize) -> Problem<'a> {
+    /// Returns the problem of finding clauses over a number of variables. `None` if there are too many assignments of
+    /// entities to variables.
+    pub fn problem<'a>(&'a self, vocabulary: &'a Vocabulary, variables: usize, negation: bool) -> Option<Problem<'a>> {
         let free = (variables - vocabulary.egos()) as u32;
-        let assignments = (0..self.entities.pow(free)).map(|number| {
+        let count = (self.entities.checked_pow(free)).filter(|count| *count <= ASSIGNMENTS_MAX)?;
+        let assignments = (0..count).map(|number| {
             let mut rest = number;
             let mut assignment: Assignment = (0..vocabulary.egos() as u8).collect();
             for _ in 0..free {
@@ -131,20 +141,89 @@ impl Split {
             }
             assignment
         });
-        Problem {
+        let mut problem = Problem {
             atoms: vocabulary.atoms(variables),
             vocabulary,
             positive: &self.positive,
             negative: &self.negative,
+            negation,
             entities: self.entities,
             assignments: assignments.collect(),
+            linked: None,
+        };
+        if vocabulary.links().is_some() {
+            problem.linked = Some([&self.positive, &self.negative].map(|columns| problem.link(columns)));
         }
+        Some(problem)
     }
 }
 
 impl Problem<'_> {
-    /// Returns all rows of a list of states: the assignments whose entities exist.
+    /// Returns all rows of a list of states in which clauses can hold: the assignments whose entities exist and, with
+    /// links, are linked to those of the head.
     pub fn all(&self, columns: &Columns) -> Rows {
+        match &self.linked {
+            Some([positive, _]) if std::ptr::eq(columns, self.positive) => positive.clone(),
+            Some([_, negative]) => negative.clone(),
+            None => self.existing(columns),
+        }
+    }
+
+    /// Returns the rows in which the true atoms link all variables to those of the head.
+    fn link(&self, columns: &Columns) -> Rows {
+        let existing = self.existing(columns);
+        let (words, links) = (columns.words, self.vocabulary.links().unwrap_or_default());
+        let mut rows = Rows::default();
+        // For each variable, the states in which it is bound.
+        let mut bound: Vec<Vec<u64>> = vec![Vec::new(); self.assignments[0].len()];
+        for (&assignment, states) in existing
+            .assignments
+            .iter()
+            .zip(existing.states.chunks_exact(words.max(1)))
+        {
+            for (variable, bound) in bound.iter_mut().enumerate() {
+                bound.clear();
+                bound.extend(
+                    states
+                        .iter()
+                        .map(|word| if variable < self.vocabulary.egos() { *word } else { 0 }),
+                );
+            }
+            let mut changed = true;
+            while std::mem::take(&mut changed) {
+                for (index, atom) in self.atoms.iter().enumerate() {
+                    let column = &columns.facts[self.fact(index, assignment) * words..][..words];
+                    for word in 0..words {
+                        let of = |variable: &u8| bound[usize::from(*variable)][word];
+                        let inputs = match links[atom.predicate] {
+                            Link::Any => atom.arguments.iter().map(of).fold(0, |any, word| any | word),
+                            Link::Inputs(inputs) => (atom.arguments.iter().enumerate())
+                                .filter(|(at, _)| inputs >> at & 1 == 1)
+                                .fold(states[word], |all, (_, variable)| all & of(variable)),
+                        };
+                        let binds = inputs & column[word];
+                        for &variable in &atom.arguments {
+                            let bound = &mut bound[usize::from(variable)][word];
+                            changed |= binds & !*bound != 0;
+                            *bound |= binds;
+                        }
+                    }
+                }
+            }
+            let begin = rows.states.len();
+            rows.states
+                .extend((0..words).map(|word| bound.iter().fold(u64::MAX, |all, bound| all & bound[word])));
+            if rows.states[begin..].iter().any(|word| *word != 0) {
+                rows.assignments.push(assignment);
+            } else {
+                rows.states.truncate(begin);
+            }
+        }
+        rows
+    }
+
+    /// Returns the rows of the assignments whose entities exist.
+    fn existing(&self, columns: &Columns) -> Rows {
         let mut rows = Rows::default();
         for (index, assignment) in self.assignments.iter().enumerate() {
             let begin = rows.states.len();
@@ -258,7 +337,12 @@ impl Problem<'_> {
         for (index, assignment) in self.assignments.iter().enumerate() {
             if assignment.iter().all(exists) && assignment[egos..].is_sorted_by(|a, b| a < b) {
                 let row = self.row(self.positive, state, index as u32);
-                if !seeds.contains(&row) {
+                let is_linked = self.vocabulary.links().is_none() || {
+                    let atoms: Vec<&Atom> = bits::elements(&row).map(|atom| &self.atoms[atom]).collect();
+                    let bound = self.vocabulary.bound(atoms.iter().copied());
+                    bound.count_ones() as usize == assignment.len()
+                };
+                if is_linked && !seeds.contains(&row) {
                     seeds.push(row);
                 }
             }
