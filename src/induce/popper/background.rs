@@ -55,10 +55,19 @@ impl Background {
             let [Literal::Atom { atom, .. }] = clause.body.as_slice() else {
                 return Ok(());
             };
-            return match &atom.kind {
-                Kind::Constant(name) if HARMLESS.contains(&name.as_str()) => Ok(()),
-                _ => Err(unsupported(atom.span, "this directive").help("write the facts that it would add")),
-            };
+            let (name, predicates) = predicate(atom)?;
+            if !HARMLESS.contains(&name) {
+                return Err(unsupported(atom.span, "this directive").help("write the facts that it would add"));
+            }
+            for term in predicates.iter().filter(|_| name == "dynamic") {
+                if let Kind::Tuple(parts) = &term.kind
+                    && let [Kind::Constant(name), Kind::Constant(arity)] = [&parts[0].kind, &parts[1].kind]
+                    && let Ok(arity) = arity.parse()
+                {
+                    self.rows.entry((name.clone(), arity)).or_default();
+                }
+            }
+            return Ok(());
         };
         let (name, terms) = predicate(head)?;
         let key = (name.to_owned(), terms.len());

@@ -200,19 +200,37 @@ impl Parser {
         Ok(clause)
     }
 
-    /// Reads the goal of a directive. Its arguments, as in `:- dynamic f/1, g/2.`, do not matter.
+    /// Reads the goal of a directive. Of its arguments, it keeps the predicates, as in `:- dynamic f/1, g/2.`
     fn directive(&mut self) -> Result<Vec<Literal>, Diagnostic> {
         let span = self.span();
         let Some(Token::Name(name, _)) = self.peek() else {
             return Err(self.unexpected("a goal"));
         };
-        let kind = Kind::Constant(name.clone());
+        let (name, mut predicates) = (name.clone(), Vec::new());
         while self.at < self.tokens.len() && self.peek() != Some(&Token::End) {
             if let Some(Token::Fault(_)) = self.peek() {
                 return Err(self.unexpected("a goal"));
             }
             self.at += 1;
+            if let [
+                (Token::Name(name, _), start),
+                (Token::Name(slash, false), _),
+                (Token::Number(arity), end),
+                ..,
+            ] = &self.tokens[self.at..]
+                && slash == "/"
+            {
+                let term = |text: String| Term {
+                    kind: Kind::Constant(text),
+                    span: start.to(*end),
+                };
+                predicates.push(Term {
+                    kind: Kind::Tuple(vec![term(print_atom(name)), term(arity.clone())]),
+                    span: start.to(*end),
+                });
+            }
         }
+        let kind = Kind::Compound(name, predicates);
         let atom = Term { kind, span };
         Ok(vec![Literal::Atom {
             is_negated: false,
