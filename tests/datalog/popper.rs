@@ -127,8 +127,7 @@ fn learned_clauses_explain_random_tasks() {
         {
             let task = task(texts);
             for negation in [false, true] {
-                // The smallest search that can find the hidden rule without negations.
-                let variables = if seed == 2 { 3 } else { 4 - usize::from(negation) };
+                let variables = if seed == 2 { 3 } else { 4 };
                 let settings = Settings {
                     variables,
                     negation,
@@ -183,24 +182,18 @@ fn clauses_are_linked_as_directions_say() {
 #[test]
 fn equal_constants_of_different_types_are_different_entities() {
     let mut texts = fixture("trains");
-    assert!(
-        task(&texts).cases[1]
-            .entities
-            .iter()
-            .all(|entity| !entity.starts_with("c1"))
-    );
-    // Without types, train 2 is the number of wheels of cars of other trains.
-    texts[2] = texts[2]
-        .lines()
-        .filter(|line| !line.starts_with("type"))
-        .map(|line| format!("{line}\n"))
-        .collect();
-    assert!(
-        task(&texts).cases[1]
-            .entities
-            .iter()
-            .any(|entity| entity.starts_with("c1"))
-    );
+    texts[2] += "direction(has_car,(in,out)). direction(wheels,(in,out)).";
+    let cars = |texts: &Texts| {
+        let entities = task(texts).cases.swap_remove(0).entities;
+        entities
+            .into_iter()
+            .filter(|entity| entity.starts_with('c'))
+            .collect::<Vec<_>>()
+    };
+    assert_eq!(cars(&texts), ["c11", "c12", "c13"]);
+    // Without types, the number of wheels of a car is a train.
+    texts[2] = texts[2].replace("type(", "untyped(");
+    assert!(cars(&texts).contains(&"c21".to_owned()), "{:?}", cars(&texts));
 }
 
 #[test]
@@ -248,7 +241,6 @@ const BIAS: &str = "head_pred(f,1). body_pred(p,2). body_pred(q,1).";
 
 #[test]
 fn faults_have_places() {
-    let many: String = (0..70).map(|index| format!("p(a,x{index}).")).collect();
     // The file, its text, and the first message with its place.
     let cases: &[(usize, &str, &str)] = &[
         (0, "p(a,b)\nq(b).", "bk.pl:2:1 syntax: expected `.`"),
@@ -308,7 +300,6 @@ fn faults_have_places() {
             "bk.pl:1:11 unknown-predicate: the background knowledge has no facts and no rules of `r/1`",
         ),
         (0, "p(X,X) :- q(X), \\+ p(X,X). q(b).", "bk.pl:1:1 cyclic-negation: "),
-        (0, &many, "exs.pl:1:1 unknown-predicate: "),
         (
             1,
             "pos(g(a)). neg(f(b)).",
@@ -385,16 +376,15 @@ fn faults_have_places() {
         let mut texts = [BACKGROUND, EXAMPLES, BIAS];
         texts[*file] = text;
         let (task, diagnostics, sources) = parse(&texts, &Options::default());
-        if text == &many {
-            let fault = &diagnostics[0];
-            assert!(task.is_none());
-            assert_eq!(fault.code.name(), "unknown-predicate");
-            continue;
-        }
         assert!(task.is_none(), "{text}");
-        let fault = diagnostics.iter().find(|fault| fault.is_error()).unwrap();
-        let place = sources.locate(fault.primary.as_ref().unwrap().span);
-        let found = format!("{place} {}: {}", fault.code.name(), fault.message);
+        let shown = |fault: &Diagnostic| {
+            let place = sources.locate(fault.primary.as_ref().unwrap().span);
+            format!("{place} {}: {}", fault.code.name(), fault.message)
+        };
+        // A fault of the bias can have others in the examples as a consequence.
+        let name = &expected[..expected.find(':').unwrap()];
+        let mut found = diagnostics.iter().filter(|fault| fault.is_error()).map(shown);
+        let found = found.find(|found| found.starts_with(name)).unwrap_or_default();
         assert!(
             found.starts_with(expected),
             "{text}\nexpected {expected}\nfound    {found}"

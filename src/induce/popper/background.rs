@@ -214,7 +214,7 @@ impl Translation {
                 }
             }
         }
-        let mut print = |background: &mut Background, term: &Term, is_negated: bool| match &term.kind {
+        let print = |background: &mut Background, term: &Term, is_negated: bool| match &term.kind {
             Kind::Variable(name) if name == "_" || is_negated && variables[name.as_str()] == 1 => Ok("_".to_owned()),
             Kind::Variable(name) => Ok(format!("v{}", variables.get_index_of(name.as_str()).unwrap_or(0))),
             Kind::Constant(text) => {
@@ -223,7 +223,7 @@ impl Translation {
             }
             _ => Err(unsupported(term.span, "a function term")),
         };
-        let mut atom = |background: &mut Background, atom: &Term, is_negated: bool| -> Result<String, Diagnostic> {
+        let atom = |background: &mut Background, atom: &Term, is_negated: bool| -> Result<String, Diagnostic> {
             let (name, terms) = predicate(atom)?;
             let terms: Result<Vec<String>, _> =
                 (terms.iter()).map(|term| print(background, term, is_negated)).collect();

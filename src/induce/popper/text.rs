@@ -260,6 +260,9 @@ impl Parser {
                 false => Ok(Literal::Comparison { left, operator, right }),
             };
         }
+        if let Some(Token::Name(..)) = self.peek() {
+            return Err(self.unexpected("`,` or `.`"));
+        }
         match left.kind {
             Kind::Compound(name, mut terms) if name == "not" && terms.len() == 1 && !is_negated => {
                 let atom = terms.remove(0);
