@@ -2,7 +2,7 @@
 //!
 //! It learns an action at a time, and a clause at a time. A clause starts empty. Each step extends every clause of the
 //! beam by every literal and keeps the clauses with the largest information gain (Quinlan 1990, over examples rather
-//! than bindings). The first step with a clause that covers no negative example ends the search.
+//! than bindings). The clause without negative examples that covers the most positive ones is the result.
 
 use logicity::induce::{Atom, Body, Examples, Literal, State, Tally};
 use std::collections::BTreeSet;
@@ -85,8 +85,10 @@ impl Foil {
         clauses
     }
 
+    /// Returns the clause without negative examples that covers the most positive ones, of those that the search meets.
     fn clause(self, table: &Table, open: &[u64], negative: &[u64]) -> Option<Candidate> {
         let mut beam = vec![table.candidate(BTreeSet::new(), table.present.clone(), None, open, negative)];
+        let mut best: Option<Candidate> = None;
         for _ in 0..LITERALS_MAX {
             let mut next: Vec<Candidate> = Vec::new();
             let mut seen: BTreeSet<BTreeSet<usize>> = BTreeSet::new();
@@ -96,41 +98,33 @@ impl Foil {
                     if !literals.insert(literal) || !seen.insert(literals.clone()) {
                         continue;
                     }
-                    let rows = parent
-                        .rows
-                        .iter()
+                    let rows = (parent.rows.iter())
                         .zip(&table.rows[literal])
                         .map(|(row, own)| row & own)
                         .collect();
                     let candidate = table.candidate(literals, rows, Some(parent), open, negative);
-                    if candidate.positive > 0
-                        && (candidate.negative < parent.negative || candidate.positive == parent.positive)
-                    {
-                        next.push(candidate);
+                    let most = best.as_ref().map_or(0, |best| best.positive);
+                    if candidate.positive <= most || candidate.negative == parent.negative {
+                        continue;
+                    }
+                    match candidate.negative {
+                        0 => best = Some(candidate),
+                        _ => next.push(candidate),
                     }
                 }
                 keep(&mut next, self.width);
             }
-            keep(&mut next, self.width);
-            let complete = next
-                .iter()
-                .filter(|candidate| candidate.negative == 0)
-                .max_by_key(|candidate| candidate.positive);
-            if let Some(best) = complete {
-                return Some(best.clone());
-            }
-            if next.is_empty() {
-                return None;
-            }
             beam = next;
         }
-        None
+        best
     }
 }
 
 /// Keeps the candidates with the largest gain.
 fn keep(candidates: &mut Vec<Candidate>, width: usize) {
     candidates.sort_by(|a, b| b.gain.total_cmp(&a.gain).then(a.literals.cmp(&b.literals)));
+    // Clauses that hold in the same rows are one.
+    candidates.dedup_by(|a, b| a.gain == b.gain && a.rows == b.rows);
     candidates.truncate(width);
 }
 

@@ -8,6 +8,7 @@ use crate::induce::bits::{self, Bits};
 use crate::induce::examples::State;
 use crate::induce::vocabulary::{ARITY_MAX, Atom, Link, VARIABLES_MAX, Vocabulary};
 use smallvec::SmallVec;
+use std::borrow::Cow;
 
 /// The facts of a list of states, transposed.
 pub struct Columns {
@@ -105,8 +106,9 @@ pub struct Problem<'a> {
     linked: Option<[Rows; 2]>,
 }
 
-/// The most assignments of a problem.
+/// The most assignments of a problem, and the most words of its rows.
 const ASSIGNMENTS_MAX: usize = 1 << 18;
+const WORDS_MAX: usize = 1 << 25;
 
 /// The columns of the positive and the negative states of an action.
 pub struct Split {
@@ -128,10 +130,13 @@ impl Split {
     }
 
     /// Returns the problem of finding clauses over a number of variables. `None` if there are too many assignments of
-    /// entities to variables.
+    /// entities to variables for the memory.
     pub fn problem<'a>(&'a self, vocabulary: &'a Vocabulary, variables: usize, negation: bool) -> Option<Problem<'a>> {
         let free = (variables - vocabulary.egos()) as u32;
-        let count = (self.entities.checked_pow(free)).filter(|count| *count <= ASSIGNMENTS_MAX)?;
+        let count = self.entities.checked_pow(free)?;
+        if count > ASSIGNMENTS_MAX || count * (self.positive.words + self.negative.words) > WORDS_MAX {
+            return None;
+        }
         let assignments = (0..count).map(|number| {
             let mut rest = number;
             let mut assignment: Assignment = (0..vocabulary.egos() as u8).collect();
@@ -161,11 +166,11 @@ impl Split {
 impl Problem<'_> {
     /// Returns all rows of a list of states in which clauses can hold: the assignments whose entities exist and, with
     /// links, are linked to those of the head.
-    pub fn all(&self, columns: &Columns) -> Rows {
+    pub fn all(&self, columns: &Columns) -> Cow<'_, Rows> {
         match &self.linked {
-            Some([positive, _]) if std::ptr::eq(columns, self.positive) => positive.clone(),
-            Some([_, negative]) => negative.clone(),
-            None => self.existing(columns),
+            Some([positive, _]) if std::ptr::eq(columns, self.positive) => Cow::Borrowed(positive),
+            Some([_, negative]) => Cow::Borrowed(negative),
+            None => Cow::Owned(self.existing(columns)),
         }
     }
 
@@ -278,9 +283,9 @@ impl Problem<'_> {
     pub fn holds(&self, columns: &Columns, chosen: &[u64], seed: &[u64]) -> Rows {
         let mut rows = self.all(columns);
         for literal in bits::elements(chosen) {
-            rows = self.restrict(columns, &rows, literal, bits::has(seed, literal));
+            rows = Cow::Owned(self.restrict(columns, &rows, literal, bits::has(seed, literal)));
         }
-        rows
+        rows.into_owned()
     }
 
     /// Returns the true atoms of up to `most` of the rows, spread over all.

@@ -102,7 +102,7 @@ impl<'a> Search<'a> {
             chosen: bits::empty(self.problem.atoms.len()),
             banned: bits::empty(self.problem.atoms.len()),
             cost: 0,
-            rows: Rc::new(self.problem.all(self.problem.positive)),
+            rows: Rc::new(self.problem.all(self.problem.positive).into_owned()),
             open: Vec::new(),
             compared: 0,
         });
