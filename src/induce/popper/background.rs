@@ -111,13 +111,14 @@ impl Background {
         let entry = sources.add("rules", text);
         let nothing = |_: &Path| Err(ReadError::NotFound);
         let (program, diagnostics) = Program::load(&mut sources, entry, &nothing);
-        let place = |span: Span| rules.get(sources.position(span).line - 1).map(|rule| rule.span);
         let mut report = |fault: Diagnostic| {
-            let mut mapped = Diagnostic::new(fault.code, translation.names(self, &fault.message));
-            if let Some(span) = fault.primary.and_then(|label| place(label.span)) {
-                mapped = mapped.at(span, "in this rule");
-            }
-            faults.push(mapped);
+            let line = fault.primary.map(|label| sources.position(label.span).line - 1);
+            let line = line.filter(|line| *line < rules.len());
+            let mapped = Diagnostic::new(fault.code, translation.names(self, line, &fault.message));
+            faults.push(match line {
+                Some(line) => mapped.at(rules[line].span, "in this rule"),
+                None => mapped,
+            });
         };
         let Some(program) = program else {
             diagnostics.into_iter().filter(Diagnostic::is_error).for_each(report);
@@ -190,6 +191,8 @@ fn ranks(constants: &IndexSet<String>) -> Vec<(usize, i32)> {
 #[derive(Default)]
 struct Translation {
     lines: Vec<String>,
+    /// For each line, the names of its variables.
+    variables: Vec<Vec<String>>,
 }
 
 impl Translation {
@@ -276,6 +279,8 @@ impl Translation {
             }
         }
         self.lines.push(format!("{head} :- {}.", body.join(", ")));
+        self.variables
+            .push(variables.keys().map(|&name| name.to_owned()).collect());
         Ok(())
     }
 
@@ -295,13 +300,17 @@ impl Translation {
         text
     }
 
-    /// Replaces the names of the program in a message by those of the task.
-    fn names(&self, background: &Background, message: &str) -> String {
+    /// Replaces the names of the program in a message about a line by those of the task.
+    fn names(&self, background: &Background, line: Option<usize>, message: &str) -> String {
         let mut parts: Vec<String> = message.split('`').map(str::to_owned).collect();
         for part in parts.iter_mut().skip(1).step_by(2) {
-            let index = part.strip_prefix('p').and_then(|index| index.parse().ok());
-            if let Some(((name, arity), _)) = index.and_then(|index| background.rows.get_index(index)) {
-                *part = format!("{name}/{arity}");
+            let index = |kind| part.strip_prefix(kind)?.parse::<usize>().ok();
+            let predicate = index('p').and_then(|index| background.rows.get_index(index));
+            let variable = index('v').and_then(|index| self.variables[line?].get(index));
+            match (predicate, variable) {
+                (Some(((name, arity), _)), _) => *part = format!("{name}/{arity}"),
+                (_, Some(name)) => part.clone_from(name),
+                _ => {}
             }
         }
         parts.join("`")
@@ -315,6 +324,7 @@ fn print_side(
     variables: &IndexMap<&str, usize>,
 ) -> Result<String, Diagnostic> {
     match &term.kind {
+        Kind::Variable(name) if name == "_" => Err(unsupported(term.span, "an anonymous variable in a comparison")),
         Kind::Variable(name) => Ok(format!("v{}", variables.get_index_of(name.as_str()).unwrap_or(0))),
         Kind::Constant(text) => {
             background.constants.insert(text.clone());
