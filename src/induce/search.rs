@@ -215,8 +215,8 @@ impl<'a> Search<'a> {
         }
     }
 
-    /// Returns `None` if positive literals bind all variables that must be bound. Otherwise returns the literals that bind
-    /// a further one, of which every extension of the clause without a banned literal has one.
+    /// Returns `None` if positive literals bind all variables that must be bound. Otherwise returns the literals that
+    /// bind a further one, of which every extension of the clause without a banned literal has one.
     fn binders(&self, chosen: &Bits, banned: &Bits) -> Option<Bits> {
         let vocabulary = self.problem.vocabulary;
         if vocabulary.guard().is_some() {

@@ -77,8 +77,8 @@ impl Vocabulary {
         }
     }
 
-    /// Requires that positive literals link every variable of a clause to its head: the variables of the head are bound,
-    /// and literals bind further ones as their predicates' links say.
+    /// Requires that positive literals link every variable of a clause to its head: the variables of the head are
+    /// bound, and literals bind further ones as their predicates' links say.
     ///
     /// # Panics
     /// If there is not one link per predicate, or the vocabulary has a guard.
@@ -106,8 +106,8 @@ impl Vocabulary {
         }
     }
 
-    /// Returns the set of variables that a conjunction of positive literals binds. With links, the variables of the head
-    /// are part of it.
+    /// Returns the set of variables that a conjunction of positive literals binds. With links, the variables of the
+    /// head are part of it.
     pub(crate) fn bound<'a>(&self, positive: impl Iterator<Item = &'a Atom> + Clone) -> u64 {
         let mut bound = if self.links.is_some() { (1 << self.egos) - 1 } else { 0 };
         loop {

@@ -294,7 +294,8 @@ impl Translation {
             let (columns, names) = (columns.join(", "), names.join(", "));
             let _ = writeln!(
                 text,
-                ".decl f{index}({columns})\n.input f{index}\n.decl p{index}({columns})\np{index}({names}) :- f{index}({names})."
+                ".decl f{index}({columns})\n.input f{index}\n.decl p{index}({columns})\n\
+                 p{index}({names}) :- f{index}({names})."
             );
         }
         text
