@@ -5,9 +5,10 @@
 //! with beams of 20 and 200 clauses and for the learner. `python/benches/induce_baselines.py` does so for FOLD-RM.
 //!
 //! `cargo bench --bench induce_baselines -- popper [FOLDER]` learns random tasks of `tests/datalog/popper_tasks.rs`,
-//! and those in the subfolders of a folder, each with `bk.pl`, `exs.pl` and `bias.pl`: `examples` of Popper, or the folder
-//! that `Demonstrations.to_popper` writes. It prints the accuracy on the examples, the accuracy on the last fifth of
-//! the examples of each label learned from the others, the seconds and the clauses. A task has at most 60 seconds.
+//! and those in the subfolders of a folder, each with `bk.pl`, `exs.pl` and `bias.pl`: `examples` of Popper, or the
+//! folder that `Demonstrations.to_popper` writes. It prints the accuracy on the examples, the accuracy on the last
+//! fifth of the examples of each label learned from the others, the seconds and the clauses. A task has at most 60
+//! seconds.
 
 mod foil;
 #[path = "../../tests/datalog/popper_tasks.rs"]

@@ -3,9 +3,8 @@
 //! A task has one target predicate, function-free background knowledge and no recursion. The reader evaluates rules of
 //! the background knowledge with the Datalog engine. Each example becomes a [`State`]: its entities are the constants
 //! that a clause about the example can refer to, first those of the example itself, then those that facts link to them.
-//! The number of steps is at most `max_vars` minus the number of arguments. `direction` declarations restrict the links:
-//! a fact leads from its inputs to its outputs. Positive examples have the target as their action, negative ones the
-//! default.
+//! The number of steps is at most `max_vars` minus the number of arguments. With `direction` declarations, a fact leads
+//! from its inputs to its outputs. Positive examples have the target as their action, negative ones the default.
 //!
 //! If all predicates have `type` declarations, equal constants of different types are different entities.
 //!
