@@ -9,7 +9,7 @@ use logicity::datalog::Program;
 use logicity::diag::{Diagnostic, Sources, render};
 use logicity::files::read_text;
 use logicity::induce::popper::{Files, Options, Task, read, solve};
-use logicity::induce::{Settings, VARIABLE_NAMES};
+use logicity::induce::{Atom, Link, Settings, VARIABLE_NAMES};
 use std::collections::BTreeSet;
 use std::fmt::Write;
 use std::fs;
@@ -177,6 +177,78 @@ fn clauses_are_linked_as_directions_say() {
         }
         assert!(left.is_empty(), "{clause}: {left:?}");
     }
+}
+
+/// Returns the least cost of a linked clause without negations that explains all examples of a task alone, by trying all
+/// clauses of up to four literals over three variables.
+fn exhaustive(task: &Task) -> Option<u32> {
+    let vocabulary = &task.vocabulary;
+    let atoms = vocabulary.atoms(3);
+    // For each example, the sets of true atoms under each assignment of entities to the variables.
+    let rows: Vec<(bool, Vec<u64>)> = (task.cases.iter())
+        .map(|case| {
+            let entities = case.state.entities();
+            let row = |number: usize| {
+                let binding = [0, number % entities, number / entities];
+                let is_true = |atom: &Atom| {
+                    let arguments: Vec<usize> = atom.arguments.iter().map(|&at| binding[usize::from(at)]).collect();
+                    case.state.holds(vocabulary, atom.predicate, &arguments)
+                };
+                (atoms.iter().enumerate()).fold(0, |row, (at, atom)| row | u64::from(is_true(atom)) << at)
+            };
+            (case.is_positive, (0..entities * entities).map(row).collect())
+        })
+        .collect();
+    let inputs = |atom: &Atom| match vocabulary.links().unwrap()[atom.predicate] {
+        Link::Any => panic!("the tasks have directions"),
+        Link::Inputs(inputs) => (0..atom.arguments.len()).filter(move |at| inputs >> at & 1 == 1),
+    };
+    let is_linked = |chosen: &[usize]| {
+        let mut bound = BTreeSet::from([0]);
+        let mut left: Vec<&Atom> = chosen.iter().map(|&at| &atoms[at]).collect();
+        while let Some(at) = (left.iter()).position(|atom| inputs(atom).all(|at| bound.contains(&atom.arguments[at]))) {
+            bound.extend(left.remove(at).arguments.iter().copied());
+        }
+        left.is_empty() && chosen.iter().any(|&at| atoms[at].arguments.contains(&0))
+    };
+    let explains = |chosen: &[usize]| {
+        let clause = chosen.iter().fold(0, |clause, &at| clause | 1_u64 << at);
+        (rows.iter()).all(|(is_positive, rows)| rows.iter().any(|row| row & clause == clause) == *is_positive)
+    };
+    let mut level: Vec<Vec<usize>> = vec![Vec::new()];
+    for literals in 1..=4 {
+        let longer = |chosen: Vec<usize>| {
+            let first = chosen.last().map_or(0, |last| last + 1);
+            (first..atoms.len()).map(move |at| [chosen.as_slice(), &[at]].concat())
+        };
+        level = level.into_iter().flat_map(longer).collect();
+        if level.iter().any(|chosen| is_linked(chosen) && explains(chosen)) {
+            return Some(literals * 4);
+        }
+    }
+    None
+}
+
+#[test]
+fn no_single_clause_is_cheaper() {
+    let mut found = 0;
+    for seed in 0..5 {
+        for texts in [trains(seed, 2, 30), pieces(seed, 2, 30)] {
+            let task = task(&texts);
+            let solution = solve(
+                &task.vocabulary,
+                &task.examples(|_| true),
+                &task.settings(),
+                &Cancel::never(),
+            );
+            let cost: u32 = solution.rules.clauses.iter().map(|clause| clause.body.cost() + 4).sum();
+            if let Some(least) = exhaustive(&task) {
+                found += 1;
+                assert!(cost <= least + 4, "{:?}", task.clauses(&solution.rules));
+            }
+        }
+    }
+    assert!(found > 4, "{found} tasks have a solution of one clause");
 }
 
 #[test]
