@@ -8,7 +8,7 @@
 //! and those in the subfolders of a folder, each with `bk.pl`, `exs.pl` and `bias.pl`: `examples` of Popper, or the
 //! folder that `Demonstrations.to_popper` writes. It prints the accuracy on the examples, the accuracy on the last
 //! fifth of the examples of each label learned from the others, the seconds and the clauses. A task has at most 60
-//! seconds.
+//! seconds. `popper FOLDER VARIABLES` learns clauses with at most that many variables; without it, `max_vars` decides.
 
 mod foil;
 #[path = "../../tests/datalog/popper_tasks.rs"]
@@ -22,7 +22,7 @@ use logicity::cancel::Cancel;
 use logicity::city::{Action, Split};
 use logicity::diag::{Sources, render};
 use logicity::induce::popper::{self, Files, Options, Task, read, solve};
-use logicity::induce::{Body, Examples, Predicate, Settings, State, Vocabulary, learn};
+use logicity::induce::{Body, Examples, Predicate, Settings, State, VARIABLES_MAX, Vocabulary, learn};
 use logicity::task::spf::{ControlMode, Env, EpisodeSet};
 use popper_tasks::{TARGETS, Texts, family, pieces, trains};
 use std::fs;
@@ -41,8 +41,10 @@ fn main() {
     let rest = arguments.get(1..).unwrap_or_default();
     match arguments.first().map(String::as_str) {
         Some("demonstrations") => demonstrations(rest),
-        Some("popper") => tasks(rest.first()),
-        _ => eprintln!("usage: cargo bench --bench induce_baselines -- demonstrations [MODE...] | popper [FOLDER]"),
+        Some("popper") => tasks(rest),
+        _ => eprintln!(
+            "usage: cargo bench --bench induce_baselines -- demonstrations [MODE...] | popper [FOLDER [VARIABLES]]"
+        ),
     }
 }
 
@@ -199,7 +201,8 @@ fn extend(vocabulary: &Vocabulary, body: &Body, state: &State, variables: usize,
         })
 }
 
-fn tasks(folder: Option<&String>) {
+fn tasks(arguments: &[String]) {
+    let most = (arguments.get(1)).map_or(VARIABLES_MAX, |most| most.parse().expect("a number of variables"));
     println!("| task | examples | variables | accuracy | held out | seconds | clauses | literals |");
     println!("|---|---|---|---|---|---|---|---|");
     for target in 0..TARGETS {
@@ -208,10 +211,10 @@ fn tasks(folder: Option<&String>) {
             ("pieces", pieces(1, target, 200)),
             ("family", family(1, target, 100)),
         ] {
-            measure(&format!("{name}{}", target + 1), &texts);
+            measure(&format!("{name}{}", target + 1), &texts, most);
         }
     }
-    let Some(folder) = folder else { return };
+    let Some(folder) = arguments.first() else { return };
     let mut folders = vec![Path::new(folder).to_owned()];
     while let Some(folder) = folders.pop() {
         let mut inside: Vec<_> = fs::read_dir(&folder)
@@ -223,13 +226,13 @@ fn tasks(folder: Option<&String>) {
         folders.extend(inside);
         let texts = ["bk.pl", "exs.pl", "bias.pl"].map(|file| fs::read_to_string(folder.join(file)));
         if let [Ok(background), Ok(examples), Ok(bias)] = texts {
-            measure(&folder.display().to_string(), &[background, examples, bias]);
+            measure(&folder.display().to_string(), &[background, examples, bias], most);
         }
     }
 }
 
 /// Learns a task and prints a line.
-fn measure(name: &str, [background, examples, bias]: &Texts) {
+fn measure(name: &str, [background, examples, bias]: &Texts, most: usize) {
     let mut sources = Sources::new();
     let files = Files {
         background: sources.add("bk.pl", background.as_str()),
@@ -245,7 +248,7 @@ fn measure(name: &str, [background, examples, bias]: &Texts) {
         println!("| {name} | {} |", shown.lines().next().unwrap_or_default());
         return;
     };
-    let solution = learned(&task, |_| true);
+    let solution = learned(&task, most, |_| true);
     let seconds = begin.elapsed().as_secs_f64();
     // The last fifth of the examples of each label.
     let mut held_out = vec![false; task.cases.len()];
@@ -262,7 +265,8 @@ fn measure(name: &str, [background, examples, bias]: &Texts) {
         0..4 => "-".to_owned(),
         _ => format!(
             "{:.3}",
-            accuracy(&task, &learned(&task, |case| !held_out[case]), |case| held_out[case])
+            accuracy(&task, &learned(&task, most, |case| !held_out[case]), |case| held_out
+                [case])
         ),
     };
     let clauses = &solution.rules.clauses;
@@ -282,10 +286,14 @@ fn measure(name: &str, [background, examples, bias]: &Texts) {
     }
 }
 
-fn learned(task: &Task, keep: impl Fn(usize) -> bool) -> popper::Solution {
+fn learned(task: &Task, most: usize, keep: impl Fn(usize) -> bool) -> popper::Solution {
     let deadline = Instant::now() + LIMIT;
     let cancel = Cancel::when(move || Instant::now() > deadline);
-    solve(&task.vocabulary, &task.examples(keep), &task.settings(), &cancel)
+    let settings = Settings {
+        variables: task.variables.min(most),
+        ..task.settings()
+    };
+    solve(&task.vocabulary, &task.examples(keep), &settings, &cancel)
 }
 
 /// The share of the selected examples that the clauses decide as labeled, by naive evaluation.
