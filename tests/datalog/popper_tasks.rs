@@ -157,7 +157,7 @@ pub fn family(seed: u64, target: usize, count: usize) -> Texts {
     let holds = |one: usize, other: usize| match target {
         0 => (0..people).any(|middle| parent(one, middle) && parent(middle, other)),
         1 => one != other && parents[one].is_some() && parents[one] == parents[other],
-        2 => one % 2 == 0 && parent(one, other),
+        2 => one.is_multiple_of(2) && parent(one, other),
         _ => (0..people).any(|child| one != other && parent(one, child) && parent(other, child)),
     };
     for _ in 0..count {
