@@ -95,6 +95,9 @@ fn steps(mode: &str, split: Split) -> (Vocabulary, Vec<(State, usize)>) {
     (vocabulary, steps)
 }
 
+/// Returns the clauses of each action but the last.
+type Learner<'a> = dyn Fn(&Examples) -> Vec<Vec<Body>> + 'a;
+
 fn demonstrations(modes: &[String]) {
     let modes: Vec<&str> = match modes {
         [] => shipped_world::SPF_MODES.to_vec(),
@@ -107,9 +110,9 @@ fn demonstrations(modes: &[String]) {
         let (_, test) = steps(mode, Split::Test);
         let actions = ACTIONS.iter().map(|action| format!("{action:?}")).collect();
         let mut examples = Examples::new(vocabulary, actions);
-        training
-            .into_iter()
-            .for_each(|(state, label)| drop(examples.push(state, label)));
+        for (state, label) in training {
+            examples.push(state, label);
+        }
         let foil = |width| move |examples: &Examples| Foil { width, variables: 3 }.learn(examples);
         let own = |examples: &Examples| -> Vec<Vec<Body>> {
             let rules = learn(examples, &Settings::default(), &Cancel::never());
@@ -118,7 +121,7 @@ fn demonstrations(modes: &[String]) {
                 .map(|rules| rules.clauses.into_iter().map(|clause| clause.body).collect());
             bodies.collect()
         };
-        let learners: [(&str, &dyn Fn(&Examples) -> Vec<Vec<Body>>); 3] = [
+        let learners: [(&str, &Learner<'_>); 3] = [
             ("FOIL, width 20", &foil(20)),
             ("FOIL, width 200", &foil(200)),
             ("logicity", &own),
