@@ -4,7 +4,7 @@ crate::diagnostic_codes! {
     "codes.md":
     /// The text does not follow the grammar.
     SYNTAX = "syntax", Error;
-    /// A feature of Soufflé that this language does not have.
+    /// A feature of Soufflé that this language does not have, or one of Prolog that the reader of tasks does not have.
     UNSUPPORTED = "unsupported", Error;
     /// A predicate that is not declared.
     UNKNOWN_PREDICATE = "unknown-predicate", Error;
@@ -46,7 +46,7 @@ crate::diagnostic_codes! {
     DUPLICATE_CLAUSE = "duplicate-clause", Warning;
     /// A clause that never fires, because a predicate it needs is always empty.
     DEAD_CLAUSE = "dead-clause", Warning;
-    /// A feature of Soufflé that the checker accepts and that has no effect here.
+    /// A feature of Soufflé, or a declaration of a task, that is accepted and has no effect here.
     IGNORED = "ignored", Warning;
     /// A type declaration in the notation of older Soufflé versions.
     OLD_FORM = "old-form", Warning;
@@ -56,7 +56,7 @@ crate::diagnostic_codes! {
     REDUNDANT_LITERAL = "redundant-literal", Warning;
     /// A group of literals that several clauses repeat.
     REPEATED_BODY = "repeated-body", Warning;
-    /// A row of a facts file that does not fit its predicate's declaration.
+    /// A row of a facts file, or an example of a task, that does not fit its predicate's declaration.
     INVALID_FACT = "invalid-fact", Error;
     /// Facts that violate a constraint.
     CONSTRAINT_VIOLATION = "constraint-violation", Error;

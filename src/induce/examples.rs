@@ -1,9 +1,10 @@
 //! Labeled states: what an ego sees, and the action it takes.
 
 use crate::induce::bits::{self, Bits};
-use crate::induce::vocabulary::Vocabulary;
+use crate::induce::vocabulary::{ARITY_MAX, Body, Literal, Vocabulary};
 use indexmap::IndexMap;
 use indexmap::map::Entry;
+use smallvec::SmallVec;
 
 /// The most entities of a state.
 pub const ENTITIES_MAX: usize = 64;
@@ -110,6 +111,40 @@ impl State {
             }
         }
         sorted
+    }
+}
+
+impl Body {
+    /// Returns whether the body holds in a state for some entities.
+    pub fn holds(&self, vocabulary: &Vocabulary, state: &State) -> bool {
+        let mut entities: Vec<usize> = (0..vocabulary.egos()).collect();
+        self.extends(vocabulary, state, &mut entities, self.variables(vocabulary))
+    }
+
+    /// Returns whether the entities of the first variables can be completed so that all literals hold.
+    fn extends(&self, vocabulary: &Vocabulary, state: &State, entities: &mut Vec<usize>, variables: usize) -> bool {
+        let is_false = |literal: &Literal| {
+            let variables = literal.atom.arguments.iter().map(|&variable| usize::from(variable));
+            let last = variables.clone().max().unwrap_or(0);
+            // Literals of fewer variables were checked before.
+            let is_new = last + 1 == entities.len() || (entities.len() == vocabulary.egos() && last < entities.len());
+            is_new && {
+                let arguments: SmallVec<[usize; ARITY_MAX]> = variables.map(|variable| entities[variable]).collect();
+                state.holds(vocabulary, literal.atom.predicate, &arguments) == literal.is_negated
+            }
+        };
+        if self.0.iter().any(is_false) {
+            return false;
+        }
+        if entities.len() == variables {
+            return true;
+        }
+        (0..state.entities()).any(|entity| {
+            entities.push(entity);
+            let holds = self.extends(vocabulary, state, entities, variables);
+            entities.pop();
+            holds
+        })
     }
 }
 

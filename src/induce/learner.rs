@@ -36,6 +36,8 @@ pub struct Settings {
     pub nodes: u32,
     /// The number of distinct states from which clauses are learned at first. All other states confirm or refute them.
     pub working_states: usize,
+    /// Whether clauses may contain negative literals.
+    pub negation: bool,
 }
 
 impl Default for Settings {
@@ -48,6 +50,7 @@ impl Default for Settings {
             enough: 10,
             nodes: 20_000,
             working_states: 20_000,
+            negation: true,
         }
     }
 }
@@ -126,11 +129,20 @@ pub(crate) fn clauses_hold<'a>(
 ) -> impl Iterator<Item = (usize, Vec<Vec<u64>>)> + 'a {
     (0..states.len()).step_by(CHUNK).map(move |begin| {
         let split = Split::new(vocabulary, &states[begin..states.len().min(begin + CHUNK)], &[]);
+        let chunk = &states[begin..states.len().min(begin + CHUNK)];
         let holds = bodies.iter().map(|body| {
-            let problem = split.problem(vocabulary, body.variables(vocabulary));
-            problem
-                .satisfying(problem.positive, body)
-                .states(problem.positive.words)
+            match split.problem(vocabulary, body.variables(vocabulary), true) {
+                Some(problem) => problem
+                    .satisfying(problem.positive, body)
+                    .states(problem.positive.words),
+                // Too many assignments for sets of bits.
+                None => {
+                    let mut holds = vec![0; chunk.len().div_ceil(64)];
+                    let held = (0..chunk.len()).filter(|&state| body.holds(vocabulary, chunk[state]));
+                    held.for_each(|state| bits::insert(&mut holds, state));
+                    holds
+                }
+            }
         });
         (begin, holds.collect())
     })
@@ -253,13 +265,17 @@ fn learn_action(
         let mut best: Option<Found> = None;
         for variables in fewest..=settings.variables {
             if problems.len() <= variables - fewest {
-                problems.push(split.problem(vocabulary, variables));
+                // There are too many assignments for more variables.
+                let Some(problem) = split.problem(vocabulary, variables, settings.negation) else {
+                    break;
+                };
+                problems.push(problem);
             }
             let problem = &problems[variables - fewest];
             let mut seeds: Vec<_> = tries.iter().flat_map(|&state| problem.seeds(state)).collect();
             seeds.sort_unstable();
             seeds.dedup();
-            let search = |seed| Search::new(problem, seed, &open).best(settings.nodes);
+            let search = |seed| Search::new(problem, seed, &open).best(settings.nodes, cancel);
             let search_all = || -> Vec<Found> { seeds.par_iter().filter_map(search).collect() };
             // Only the searches leave this thread: `cancel` may poll for it alone.
             let found = match threads {

@@ -6,8 +6,9 @@
 
 use crate::induce::bits::{self, Bits};
 use crate::induce::examples::State;
-use crate::induce::vocabulary::{ARITY_MAX, Atom, Body, VARIABLES_MAX, Vocabulary};
+use crate::induce::vocabulary::{ARITY_MAX, Atom, Body, Link, VARIABLES_MAX, Vocabulary};
 use smallvec::SmallVec;
+use std::borrow::Cow;
 
 /// The facts of a list of states, transposed.
 pub struct Columns {
@@ -96,9 +97,18 @@ pub struct Problem<'a> {
     pub positive: &'a Columns,
     /// The states in which an action of lower precedence is taken.
     pub negative: &'a Columns,
+    /// Whether clauses may contain negative literals.
+    pub negation: bool,
     entities: usize,
     assignments: Vec<Assignment>,
+    /// With links, the rows of the positive and of the negative states whose true atoms link all variables. No clause
+    /// holds in another row.
+    linked: Option<[Rows; 2]>,
 }
+
+/// The most assignments of a problem, and the most words of its rows.
+const ASSIGNMENTS_MAX: usize = 1 << 18;
+const WORDS_MAX: usize = 1 << 25;
 
 /// The columns of the positive and the negative states of an action.
 pub struct Split {
@@ -119,10 +129,15 @@ impl Split {
         }
     }
 
-    /// Returns the problem of finding clauses over a number of variables.
-    pub fn problem<'a>(&'a self, vocabulary: &'a Vocabulary, variables: usize) -> Problem<'a> {
+    /// Returns the problem of finding clauses over a number of variables. `None` if there are too many assignments of
+    /// entities to variables for the memory.
+    pub fn problem<'a>(&'a self, vocabulary: &'a Vocabulary, variables: usize, negation: bool) -> Option<Problem<'a>> {
         let free = (variables - vocabulary.egos()) as u32;
-        let assignments = (0..self.entities.pow(free)).map(|number| {
+        let count = self.entities.checked_pow(free)?;
+        if count > ASSIGNMENTS_MAX || count * (self.positive.words + self.negative.words) > WORDS_MAX {
+            return None;
+        }
+        let assignments = (0..count).map(|number| {
             let mut rest = number;
             let mut assignment: Assignment = (0..vocabulary.egos() as u8).collect();
             for _ in 0..free {
@@ -131,20 +146,89 @@ impl Split {
             }
             assignment
         });
-        Problem {
+        let mut problem = Problem {
             atoms: vocabulary.atoms(variables),
             vocabulary,
             positive: &self.positive,
             negative: &self.negative,
+            negation,
             entities: self.entities,
             assignments: assignments.collect(),
+            linked: None,
+        };
+        if vocabulary.links().is_some() {
+            problem.linked = Some([&self.positive, &self.negative].map(|columns| problem.link(columns)));
         }
+        Some(problem)
     }
 }
 
 impl Problem<'_> {
-    /// Returns all rows of a list of states: the assignments whose entities exist.
-    pub fn all(&self, columns: &Columns) -> Rows {
+    /// Returns all rows of a list of states in which clauses can hold: the assignments whose entities exist and, with
+    /// links, are linked to those of the head.
+    pub fn all(&self, columns: &Columns) -> Cow<'_, Rows> {
+        match &self.linked {
+            Some([positive, _]) if std::ptr::eq(columns, self.positive) => Cow::Borrowed(positive),
+            Some([_, negative]) => Cow::Borrowed(negative),
+            None => Cow::Owned(self.existing(columns)),
+        }
+    }
+
+    /// Returns the rows in which the true atoms link all variables to those of the head.
+    fn link(&self, columns: &Columns) -> Rows {
+        let existing = self.existing(columns);
+        let (words, links) = (columns.words, self.vocabulary.links().unwrap_or_default());
+        let mut rows = Rows::default();
+        // For each variable, the states in which it is bound.
+        let mut bound: Vec<Vec<u64>> = vec![Vec::new(); self.assignments[0].len()];
+        for (&assignment, states) in existing
+            .assignments
+            .iter()
+            .zip(existing.states.chunks_exact(words.max(1)))
+        {
+            for (variable, bound) in bound.iter_mut().enumerate() {
+                bound.clear();
+                bound.extend(
+                    states
+                        .iter()
+                        .map(|word| if variable < self.vocabulary.egos() { *word } else { 0 }),
+                );
+            }
+            let mut changed = true;
+            while std::mem::take(&mut changed) {
+                for atom in &self.atoms {
+                    let column = &columns.facts[self.fact(atom, assignment) * words..][..words];
+                    for word in 0..words {
+                        let of = |variable: &u8| bound[usize::from(*variable)][word];
+                        let inputs = match links[atom.predicate] {
+                            Link::Any => atom.arguments.iter().map(of).fold(0, |any, word| any | word),
+                            Link::Inputs(inputs) => (atom.arguments.iter().enumerate())
+                                .filter(|(at, _)| inputs >> at & 1 == 1)
+                                .fold(states[word], |all, (_, variable)| all & of(variable)),
+                        };
+                        let binds = inputs & column[word];
+                        for &variable in &atom.arguments {
+                            let bound = &mut bound[usize::from(variable)][word];
+                            changed |= binds & !*bound != 0;
+                            *bound |= binds;
+                        }
+                    }
+                }
+            }
+            let begin = rows.states.len();
+            rows.states
+                .extend((0..words).map(|word| bound.iter().fold(u64::MAX, |all, bound| all & bound[word])));
+            if rows.states[begin..].iter().any(|word| *word != 0) {
+                rows.assignments.push(assignment);
+            } else {
+                rows.states.truncate(begin);
+            }
+        }
+        rows
+    }
+
+    /// Returns the rows of the assignments whose entities exist.
+    fn existing(&self, columns: &Columns) -> Rows {
         let mut rows = Rows::default();
         for (index, assignment) in self.assignments.iter().enumerate() {
             let begin = rows.states.len();
@@ -212,9 +296,9 @@ impl Problem<'_> {
     fn conjunction<'b>(&self, columns: &Columns, literals: impl Iterator<Item = (&'b Atom, bool)>) -> Rows {
         let mut rows = self.all(columns);
         for (atom, is_true) in literals {
-            rows = self.restrict(columns, &rows, atom, is_true);
+            rows = Cow::Owned(self.restrict(columns, &rows, atom, is_true));
         }
-        rows
+        rows.into_owned()
     }
 
     /// Returns the true atoms of up to `most` of the rows, spread over all.
@@ -271,7 +355,12 @@ impl Problem<'_> {
         for (index, assignment) in self.assignments.iter().enumerate() {
             if assignment.iter().all(exists) && assignment[egos..].is_sorted_by(|a, b| a < b) {
                 let row = self.row(self.positive, state, index as u32);
-                if !seeds.contains(&row) {
+                let is_linked = self.vocabulary.links().is_none() || {
+                    let atoms: Vec<&Atom> = bits::elements(&row).map(|atom| &self.atoms[atom]).collect();
+                    let bound = self.vocabulary.bound(atoms.iter().copied());
+                    bound.count_ones() as usize == assignment.len()
+                };
+                if is_linked && !seeds.contains(&row) {
                     seeds.push(row);
                 }
             }

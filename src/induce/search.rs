@@ -8,9 +8,10 @@
 //! The negative rows are many, and few of them matter. So the search begins with a sample. It compares a clause that is
 //! false in the whole sample with all negative rows, and adds to the sample some of those in which it holds.
 
+use crate::cancel::Cancel;
 use crate::induce::bits::{self, Bits};
 use crate::induce::problem::{Problem, Rows};
-use crate::induce::vocabulary::{Body, Literal, NEGATIVE_COST, POSITIVE_COST};
+use crate::induce::vocabulary::{Atom, Body, Literal, NEGATIVE_COST, POSITIVE_COST};
 use std::cmp::{Ordering, Reverse};
 use std::collections::BinaryHeap;
 use std::rc::Rc;
@@ -90,8 +91,8 @@ impl<'a> Search<'a> {
     }
 
     /// Finds the clause with the highest score among those that hold in the example and in no negative row. `None` if
-    /// there is none. Stops after `nodes` nodes and completes a clause greedily.
-    pub fn best(mut self, nodes: u32) -> Option<Found> {
+    /// there is none, or on cancellation. Stops after `nodes` nodes and completes a clause greedily.
+    pub fn best(mut self, nodes: u32, cancel: &Cancel) -> Option<Found> {
         let everything = self.problem.all(self.problem.negative);
         self.exclude(&everything, SAMPLE)?;
         let mut heap = BinaryHeap::new();
@@ -101,20 +102,22 @@ impl<'a> Search<'a> {
             chosen: bits::empty(self.problem.atoms.len()),
             banned: bits::empty(self.problem.atoms.len()),
             cost: 0,
-            rows: Rc::new(self.problem.all(self.problem.positive)),
+            rows: Rc::new(self.problem.all(self.problem.positive).into_owned()),
             open: Vec::new(),
             compared: 0,
         });
         let mut number = 0;
         while let Some(mut node) = heap.pop() {
+            if cancel.requested() {
+                return None;
+            }
             self.compare(&mut node);
             if node.open.is_empty() {
                 let refuting = self.problem.holds(self.problem.negative, &node.chosen, self.seed);
                 if refuting.is_empty() {
-                    match self.unbound(&node.chosen) {
+                    match self.binders(&node.chosen, &node.banned) {
                         None => return Some(self.finish(&node, true)),
-                        Some(variable) => {
-                            let choices = self.binders(variable, &node.banned);
+                        Some(choices) => {
                             self.branch(&mut heap, node, &choices, &mut number);
                             continue;
                         }
@@ -148,9 +151,11 @@ impl<'a> Search<'a> {
 
     /// Adds to the exclusions those of the rows that differ least from the example. `None` if one does not differ.
     fn exclude(&mut self, rows: &Rows, (sample, kept): (usize, usize)) -> Option<()> {
+        let negations = if self.problem.negation { u64::MAX } else { 0 };
         let mut differ: Vec<(u32, Bits)> = (self.problem.sample(self.problem.negative, rows, sample).into_iter())
             .map(|row| {
-                let differ: Bits = row.iter().zip(self.seed).map(|(row, seed)| row ^ seed).collect();
+                let exclude = |(row, seed): (&u64, &u64)| (row ^ seed) & (seed | negations);
+                let differ: Bits = row.iter().zip(self.seed).map(exclude).collect();
                 (bits::count(&differ), differ)
             })
             .collect();
@@ -209,33 +214,40 @@ impl<'a> Search<'a> {
         }
     }
 
-    /// Returns a variable that no positive literal binds although it must be bound.
-    fn unbound(&self, chosen: &Bits) -> Option<u8> {
-        if self.problem.vocabulary.guard().is_some() {
+    /// Returns `None` if positive literals bind all variables that must be bound. Otherwise returns the literals that
+    /// bind a further one, of which every extension of the clause without a banned literal has one.
+    fn binders(&self, chosen: &Bits, banned: &Bits) -> Option<Bits> {
+        let vocabulary = self.problem.vocabulary;
+        if vocabulary.guard().is_some() {
             return None;
         }
-        let (mut used, mut bound) = ((1_u64 << self.problem.vocabulary.egos()) - 1, 0_u64);
-        for literal in bits::elements(chosen) {
-            for variable in &self.problem.atoms[literal].arguments {
-                used |= 1 << variable;
-                if bits::has(self.seed, literal) {
-                    bound |= 1 << variable;
-                }
-            }
-        }
+        let atoms = &self.problem.atoms;
+        let positive = bits::elements(chosen).filter(|&literal| bits::has(self.seed, literal));
+        let positive: Vec<&Atom> = positive.map(|literal| &atoms[literal]).collect();
+        let set = |atom: &Atom| atom.arguments.iter().fold(0_u64, |set, variable| set | 1 << variable);
+        let heads = (1_u64 << vocabulary.egos()) - 1;
+        let occurring = positive.iter().fold(0, |occurring, atom| occurring | set(atom));
+        let used = bits::elements(chosen).fold(heads, |used, literal| used | set(&atoms[literal]));
+        let bound = vocabulary.bound(positive.iter().copied());
+        // A variable of the head is bound, but the clause is safe only if it occurs in the body.
+        let missing = heads & !occurring;
         let unbound = used & !bound;
-        (unbound != 0).then(|| unbound.trailing_zeros() as u8)
-    }
-
-    /// Returns the positive literals that bind a variable.
-    fn binders(&self, variable: u8, banned: &Bits) -> Bits {
-        let mut binders = bits::empty(self.problem.atoms.len());
+        let wanted = if missing != 0 { missing } else { unbound };
+        if wanted == 0 {
+            return None;
+        }
+        let first = wanted & wanted.wrapping_neg();
+        let serves = |atom: &Atom| match vocabulary.links() {
+            Some(_) if missing == 0 => set(atom) & !bound != 0 && vocabulary.binds(atom, bound),
+            _ => set(atom) & first != 0,
+        };
+        let mut binders = bits::empty(atoms.len());
         for literal in bits::elements(self.seed) {
-            if self.problem.atoms[literal].arguments.contains(&variable) && !bits::has(banned, literal) {
+            if !bits::has(banned, literal) && serves(&atoms[literal]) {
                 bits::insert(&mut binders, literal);
             }
         }
-        binders
+        Some(binders)
     }
 
     /// Newly covered states minus half the cost, in eighths.
@@ -260,9 +272,8 @@ impl<'a> Search<'a> {
             if !refuting.is_empty() {
                 self.exclude(&refuting, REFUTATIONS)?;
                 self.compare(&mut node);
-            } else if let Some(variable) = self.unbound(&node.chosen) {
-                let binder = bits::elements(&self.binders(variable, &bits::empty(self.problem.atoms.len()))).next()?;
-                bits::insert(&mut node.chosen, binder);
+            } else if let Some(binders) = self.binders(&node.chosen, &bits::empty(self.problem.atoms.len())) {
+                bits::insert(&mut node.chosen, bits::elements(&binders).next()?);
             } else {
                 return Some(self.finish(&node, false));
             }
@@ -279,7 +290,7 @@ impl<'a> Search<'a> {
             bits::remove(&mut less, literal);
             let is_false = self.exclusions.iter().all(|exclusion| bits::meet(exclusion, &less));
             if is_false
-                && self.unbound(&less).is_none()
+                && self.binders(&less, &bits::empty(less.len() * 64)).is_none()
                 && self.problem.holds(self.problem.negative, &less, self.seed).is_empty()
             {
                 chosen = less;

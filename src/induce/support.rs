@@ -177,7 +177,9 @@ fn undecided(
     lower: &[&State],
 ) -> (Vec<Literal>, Vec<(Literal, Literal)>) {
     let split = Split::new(vocabulary, alone, lower);
-    let problem = split.problem(vocabulary, body.variables(vocabulary));
+    let Some(problem) = split.problem(vocabulary, body.variables(vocabulary), true) else {
+        return (Vec::new(), Vec::new());
+    };
     let others = || {
         let signs = problem
             .atoms

@@ -22,6 +22,16 @@ pub struct Predicate {
     pub is_symmetric: bool,
 }
 
+/// How a positive literal of a predicate binds the variables of a clause, in a vocabulary with links.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Link {
+    /// As soon as one of its variables is bound, it binds the others.
+    Any,
+    /// It binds its variables as soon as those in these argument positions are bound. The lowest bit stands for the
+    /// first argument.
+    Inputs(u8),
+}
+
 /// The predicates of a learning task.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub struct Vocabulary {
@@ -32,6 +42,7 @@ pub struct Vocabulary {
     total: [usize; ARITY_MAX],
     egos: usize,
     guard: Option<String>,
+    links: Option<Vec<Link>>,
 }
 
 impl Vocabulary {
@@ -62,6 +73,52 @@ impl Vocabulary {
             total,
             egos,
             guard,
+            links: None,
+        }
+    }
+
+    /// Requires that positive literals link every variable of a clause to its head: the variables of the head are
+    /// bound, and literals bind further ones as their predicates' links say.
+    ///
+    /// # Panics
+    /// If there is not one link per predicate, or the vocabulary has a guard.
+    pub fn linked(mut self, links: Vec<Link>) -> Vocabulary {
+        assert_eq!(links.len(), self.predicates.len(), "links");
+        assert!(self.guard.is_none(), "a guard binds every variable");
+        self.links = Some(links);
+        self
+    }
+
+    /// Returns how literals bind variables, for each predicate.
+    pub fn links(&self) -> Option<&[Link]> {
+        self.links.as_deref()
+    }
+
+    /// Returns whether a literal binds its variables if those in the set `bound` are bound.
+    pub(crate) fn binds(&self, atom: &Atom, bound: u64) -> bool {
+        let is_bound = |variable: &u8| bound >> variable & 1 == 1;
+        match self.links.as_ref().map(|links| links[atom.predicate]) {
+            None => true,
+            Some(Link::Any) => atom.arguments.iter().any(is_bound),
+            Some(Link::Inputs(inputs)) => {
+                (atom.arguments.iter().enumerate()).all(|(at, variable)| inputs >> at & 1 == 0 || is_bound(variable))
+            }
+        }
+    }
+
+    /// Returns the set of variables that a conjunction of positive literals binds. With links, the variables of the
+    /// head are part of it.
+    pub(crate) fn bound<'a>(&self, positive: impl Iterator<Item = &'a Atom> + Clone) -> u64 {
+        let mut bound = if self.links.is_some() { (1 << self.egos) - 1 } else { 0 };
+        loop {
+            let mut more = bound;
+            for atom in positive.clone().filter(|atom| self.binds(atom, bound)) {
+                atom.arguments.iter().for_each(|variable| more |= 1 << variable);
+            }
+            if more == bound {
+                return bound;
+            }
+            bound = more;
         }
     }
 

@@ -17,6 +17,19 @@ static ROWS: LazyLock<Vec<Vec<u8>>> = LazyLock::new(|| {
     ]
 });
 
+/// The tasks of the fixtures, as `any_input::popper` reads them.
+static TASKS: LazyLock<Vec<Vec<u8>>> = LazyLock::new(|| {
+    let files = files(&["tests/fixtures/popper"]);
+    let task = |files: &[Vec<u8>]| {
+        // In order of their names, the bias comes first.
+        let [bias, background, examples] = files else {
+            panic!("a task has three files");
+        };
+        [background.as_slice(), examples, bias].join(&1)
+    };
+    files.chunks(3).map(task).collect()
+});
+
 #[test]
 fn every_rule_file_evaluates_or_gives_diagnostics() {
     for bytes in RULES.iter() {
@@ -45,6 +58,11 @@ proptest! {
     #[test]
     fn any_program_agrees_with_naive(bytes in prop::collection::vec(any::<u8>(), 0..1_000)) {
         any_input::evaluate(&bytes);
+    }
+
+    #[test]
+    fn any_task_of_popper_is_learned_or_gives_diagnostics(bytes in prop_oneof![4 => near(&TASKS), 1 => any_bytes()]) {
+        any_input::popper(&bytes);
     }
 
     #[test]

@@ -14,6 +14,8 @@ mod near_files;
 #[cfg(feature = "optimizer")]
 mod optimize;
 mod pages;
+mod popper;
+mod popper_tasks;
 mod proofs;
 mod random_program;
 mod rewrite;

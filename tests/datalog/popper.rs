@@ -1,0 +1,531 @@
+//! The reader of Popper's tasks, and clauses learned from them.
+//!
+//! An independent evaluation checks what the learner says: the Datalog engine derives the target from all facts of the
+//! task and the learned clauses.
+
+use crate::popper_tasks::{TARGETS, Texts, family, pieces, trains};
+use logicity::cancel::Cancel;
+use logicity::datalog::Program;
+use logicity::diag::{Diagnostic, Sources, render};
+use logicity::files::read_text;
+use logicity::induce::popper::{Files, Options, Task, read, solve};
+use logicity::induce::{Atom, Link, Settings, VARIABLE_NAMES};
+use std::collections::BTreeSet;
+use std::fmt::Write;
+use std::fs;
+use std::path::Path;
+
+fn parse(texts: &[impl AsRef<str>; 3], options: &Options) -> (Option<Task>, Vec<Diagnostic>, Sources) {
+    let mut sources = Sources::new();
+    let [background, examples, bias] = ["bk.pl", "exs.pl", "bias.pl"]
+        .iter()
+        .zip(texts)
+        .map(|(name, text)| sources.add(*name, text.as_ref()))
+        .collect::<Vec<_>>()
+        .try_into()
+        .unwrap();
+    let files = Files {
+        background,
+        examples,
+        bias,
+    };
+    let (task, diagnostics) = read(&sources, &files, options);
+    (task, diagnostics, sources)
+}
+
+/// Reads a task without errors.
+fn task(texts: &[impl AsRef<str>; 3]) -> Task {
+    let (task, diagnostics, sources) = parse(texts, &Options::default());
+    task.unwrap_or_else(|| panic!("{}", render(&diagnostics, &sources, false)))
+}
+
+/// A task of the fixtures.
+fn fixture(name: &str) -> Texts {
+    let folder = Path::new(env!("CARGO_MANIFEST_DIR"))
+        .join("tests/fixtures/popper")
+        .join(name);
+    ["bk.pl", "exs.pl", "bias.pl"].map(|file| fs::read_to_string(folder.join(file)).unwrap())
+}
+
+fn learned(task: &Task, settings: &Settings) -> Vec<String> {
+    let solution = solve(&task.vocabulary, &task.examples(|_| true), settings, &Cancel::never());
+    assert_eq!(solution.rules.uncovered, 0, "{:?}", task.clauses(&solution.rules));
+    assert!(!solution.is_cut);
+    task.clauses(&solution.rules)
+}
+
+/// Returns the rows of the target that follow from the facts of a task and some clauses.
+fn derived(task: &Task, clauses: &[String]) -> BTreeSet<Vec<String>> {
+    let columns = |arity: usize| -> String {
+        let columns: Vec<String> = (0..arity).map(|at| format!("a{at}: symbol")).collect();
+        columns.join(", ")
+    };
+    let mut text = format!(".decl {}({})\n", task.target, columns(task.vocabulary.egos()));
+    for predicate in task.vocabulary.predicates() {
+        let _ = writeln!(
+            text,
+            ".decl {}({})\n.input {0}",
+            predicate.name,
+            columns(predicate.arity)
+        );
+    }
+    text += &clauses.join("\n");
+    let mut sources = Sources::new();
+    let entry = sources.add("learned.dl", text);
+    let (program, diagnostics) = Program::load(&mut sources, entry, &read_text);
+    let program = program.unwrap_or_else(|| panic!("{}", render(&diagnostics, &sources, false)));
+    let mut session = program.session();
+    for (predicate, rows) in task.vocabulary.predicates().iter().zip(&task.facts) {
+        let relation = program.relation(&predicate.name).unwrap();
+        for row in rows {
+            let row: Vec<_> = row.iter().map(|constant| session.intern(constant)).collect();
+            session.insert(relation, &row).unwrap();
+        }
+    }
+    session.commit().unwrap();
+    let target = program.relation(&task.target).unwrap();
+    let names = session.symbols();
+    let text = |value: &logicity::datalog::Value| names.text(logicity::symbol::Symbol(value.0)).unwrap().to_owned();
+    session.rows(target).map(|row| row.iter().map(text).collect()).collect()
+}
+
+/// Asserts that clauses derive the target for exactly the positive examples among all examples.
+fn explain_the_examples(task: &Task, clauses: &[String]) {
+    let derived = derived(task, clauses);
+    for case in &task.cases {
+        let found = derived.contains(&case.arguments);
+        assert_eq!(found, case.is_positive, "{:?}\n{clauses:#?}", case.arguments);
+    }
+}
+
+#[test]
+fn the_fixtures_have_these_solutions() {
+    for (name, expected) in [
+        (
+            "family",
+            &[
+                "grandmother(X, Y) :- mother(X, Z), mother(Z, Y).",
+                "grandmother(X, Y) :- mother(X, Z), father(Z, Y).",
+            ][..],
+        ),
+        ("roads", &["served(X) :- reach(X, Y), station(Y), large(X)."]),
+        ("trains", &["east(X) :- has_car(X, Y), closed(Y), short(Y)."]),
+    ] {
+        let task = task(&fixture(name));
+        let clauses = learned(&task, &task.settings());
+        assert_eq!(clauses, expected, "{name}");
+        explain_the_examples(&task, &clauses);
+    }
+}
+
+#[test]
+fn learned_clauses_explain_random_tasks() {
+    for target in 0..TARGETS {
+        for (seed, texts) in [trains(1, target, 40), pieces(2, target, 40), family(3, target, 40)]
+            .iter()
+            .enumerate()
+        {
+            let task = task(texts);
+            for negation in [false, true] {
+                let variables = if seed == 2 { 3 } else { 4 };
+                // With negations, a short search for each clause keeps the test fast.
+                let nodes = if negation { 200 } else { task.settings().nodes };
+                let settings = Settings {
+                    variables,
+                    negation,
+                    nodes,
+                    ..task.settings()
+                };
+                let clauses = learned(&task, &settings);
+                assert!(
+                    negation || clauses.iter().all(|clause| !clause.contains("Not(")),
+                    "{clauses:?}"
+                );
+                explain_the_examples(&task, &clauses);
+            }
+        }
+    }
+}
+
+/// Checks on the text that literals bind each variable of a clause from those of its head.
+#[test]
+fn clauses_are_linked_as_directions_say() {
+    let texts = pieces(4, 0, 40);
+    let task = task(&texts);
+    for clause in learned(
+        &task,
+        &Settings {
+            negation: true,
+            nodes: 200,
+            ..task.settings()
+        },
+    ) {
+        let body = clause.trim_end_matches('.').split_once(" :- ").unwrap().1;
+        let literals: Vec<&str> = body
+            .split_inclusive(')')
+            .map(|literal| literal.trim_matches([',', ' ']))
+            .collect();
+        let mut bound = BTreeSet::from([VARIABLE_NAMES[0]]);
+        let mut left: Vec<(bool, Vec<&str>)> = (literals.iter().filter(|literal| !literal.is_empty()))
+            .map(|literal| {
+                let (name, arguments) = literal.rsplit_once('(').unwrap();
+                let arguments = arguments.trim_end_matches(')').split(", ").collect();
+                (name.starts_with("Not("), arguments)
+            })
+            .collect();
+        while let Some(at) = left.iter().position(|(is_negated, arguments)| match is_negated {
+            true => arguments.iter().all(|variable| bound.contains(variable)),
+            false => bound.contains(arguments[0]),
+        }) {
+            bound.extend(left.remove(at).1);
+        }
+        assert!(left.is_empty(), "{clause}: {left:?}");
+    }
+}
+
+/// Returns the least cost of a linked clause without negations that explains all examples of a task alone, by trying all
+/// clauses of up to four literals over three variables.
+fn exhaustive(task: &Task) -> Option<u32> {
+    let vocabulary = &task.vocabulary;
+    let atoms = vocabulary.atoms(3);
+    // For each example, the sets of true atoms under each assignment of entities to the variables.
+    let rows: Vec<(bool, Vec<u64>)> = (task.cases.iter())
+        .map(|case| {
+            let entities = case.state.entities();
+            let row = |number: usize| {
+                let binding = [0, number % entities, number / entities];
+                let is_true = |atom: &Atom| {
+                    let arguments: Vec<usize> = atom.arguments.iter().map(|&at| binding[usize::from(at)]).collect();
+                    case.state.holds(vocabulary, atom.predicate, &arguments)
+                };
+                (atoms.iter().enumerate()).fold(0, |row, (at, atom)| row | u64::from(is_true(atom)) << at)
+            };
+            (case.is_positive, (0..entities * entities).map(row).collect())
+        })
+        .collect();
+    let inputs = |atom: &Atom| match vocabulary.links().unwrap()[atom.predicate] {
+        Link::Any => panic!("the tasks have directions"),
+        Link::Inputs(inputs) => (0..atom.arguments.len()).filter(move |at| inputs >> at & 1 == 1),
+    };
+    let is_linked = |chosen: &[usize]| {
+        let mut bound = BTreeSet::from([0]);
+        let mut left: Vec<&Atom> = chosen.iter().map(|&at| &atoms[at]).collect();
+        while let Some(at) = (left.iter()).position(|atom| inputs(atom).all(|at| bound.contains(&atom.arguments[at]))) {
+            bound.extend(left.remove(at).arguments.iter().copied());
+        }
+        left.is_empty() && chosen.iter().any(|&at| atoms[at].arguments.contains(&0))
+    };
+    let explains = |chosen: &[usize]| {
+        let clause = chosen.iter().fold(0, |clause, &at| clause | 1_u64 << at);
+        (rows.iter()).all(|(is_positive, rows)| rows.iter().any(|row| row & clause == clause) == *is_positive)
+    };
+    let mut level: Vec<Vec<usize>> = vec![Vec::new()];
+    for literals in 1..=4 {
+        let longer = |chosen: Vec<usize>| {
+            let first = chosen.last().map_or(0, |last| last + 1);
+            (first..atoms.len()).map(move |at| [chosen.as_slice(), &[at]].concat())
+        };
+        level = level.into_iter().flat_map(longer).collect();
+        if level.iter().any(|chosen| is_linked(chosen) && explains(chosen)) {
+            return Some(literals * 4);
+        }
+    }
+    None
+}
+
+#[test]
+fn no_single_clause_is_cheaper() {
+    let mut found = 0;
+    for seed in 0..5 {
+        for texts in [trains(seed, 2, 30), pieces(seed, 2, 30)] {
+            let task = task(&texts);
+            let solution = solve(
+                &task.vocabulary,
+                &task.examples(|_| true),
+                &task.settings(),
+                &Cancel::never(),
+            );
+            let cost: u32 = solution.rules.clauses.iter().map(|clause| clause.body.cost() + 4).sum();
+            if let Some(least) = exhaustive(&task) {
+                found += 1;
+                assert!(cost <= least + 4, "{:?}", task.clauses(&solution.rules));
+            }
+        }
+    }
+    assert!(found > 4, "{found} tasks have a solution of one clause");
+}
+
+#[test]
+fn equal_constants_of_different_types_are_different_entities() {
+    let mut texts = fixture("trains");
+    texts[2] += "direction(has_car,(in,out)). direction(wheels,(in,out)).";
+    let cars = |texts: &Texts| {
+        let entities = task(texts).cases.swap_remove(0).entities;
+        entities
+            .into_iter()
+            .filter(|entity| entity.starts_with('c'))
+            .collect::<Vec<_>>()
+    };
+    assert_eq!(cars(&texts), ["c11", "c12", "c13"]);
+    // Without types, the number of wheels of a car is a train.
+    texts[2] = texts[2].replace("type(", "untyped(");
+    assert!(cars(&texts).contains(&"c21".to_owned()), "{:?}", cars(&texts));
+}
+
+#[test]
+fn an_argument_that_occurs_twice_is_two_entities() {
+    let task = task(&[
+        "p(a,a). p(a,b). p(b,b).",
+        "pos(f(a,a)). neg(f(b,a)).",
+        "head_pred(f,2). body_pred(p,2). max_vars(2).",
+    ]);
+    assert_eq!(task.cases[0].entities, ["a", "a"]);
+    assert_eq!(task.cases[0].state.facts().count(), 4);
+    explain_the_examples(&task, &learned(&task, &task.settings()));
+}
+
+#[test]
+fn the_closed_world_makes_negative_examples() {
+    let texts = [
+        "p(a,1). p(b,2). q(1). q(c).",
+        "pos(f(a)).",
+        "head_pred(f,1). body_pred(p,2). body_pred(q,1).",
+    ];
+    let open = parse(&texts, &Options::default());
+    assert!(
+        open.0.is_none() && open.1[0].message.contains("no negative example"),
+        "{:?}",
+        open.1
+    );
+    let closed = Options { closed_world: true };
+    let arguments = |texts: &[&str; 3]| -> Vec<String> {
+        let task = parse(texts, &closed).0.unwrap();
+        task.cases
+            .into_iter()
+            .filter(|case| !case.is_positive)
+            .map(|case| case.arguments.concat())
+            .collect()
+    };
+    assert_eq!(arguments(&texts), ["1", "b", "2", "c"]);
+    let typed = format!("{} type(f,(t,)). type(p,(t,n)). type(q,(n,)).", texts[2]);
+    assert_eq!(arguments(&[texts[0], texts[1], &typed]), ["b"]);
+}
+
+const BACKGROUND: &str = "p(a,b). q(b).";
+const EXAMPLES: &str = "pos(f(a)). neg(f(b)).";
+const BIAS: &str = "head_pred(f,1). body_pred(p,2). body_pred(q,1).";
+
+#[test]
+fn faults_have_places() {
+    // The file, its text, and the first message with its place.
+    let cases: &[(usize, &str, &str)] = &[
+        (0, "p(a,b)\nq(b).", "bk.pl:2:1 syntax: expected `.`"),
+        (
+            0,
+            "p(a,b).\n  q(b",
+            "bk.pl:2:6 syntax: expected `,` or `)`, found the end of the text",
+        ),
+        (
+            0,
+            "p(a,'b).\nq(b).",
+            "bk.pl:1:5 syntax: this quote is not closed on its line",
+        ),
+        (0, "p(a,b). /* q(b).", "bk.pl:1:9 syntax: this comment is never closed"),
+        (0, "p(a,0x1F). q(b).", "bk.pl:1:5 syntax: not a decimal number"),
+        (0, "X :- q(b).", "bk.pl:1:1 syntax: a clause begins with a predicate"),
+        (0, "p(a,[b]). q(b).", "bk.pl:1:5 unsupported: a list is not supported"),
+        (
+            0,
+            "p(a,s(b)). q(b).",
+            "bk.pl:1:5 unsupported: a function term is not supported",
+        ),
+        (
+            0,
+            "p(a,Y). q(b).",
+            "bk.pl:1:5 unbound-variable: a fact with the variable `Y`",
+        ),
+        (
+            0,
+            "p(X,Y) :- q(X), Y is X+1. q(1).",
+            "bk.pl:1:19 unsupported: arithmetic is not supported",
+        ),
+        (
+            0,
+            "p(X,Y) :- q(X), q(Y), X < Y+1. q(1).",
+            "bk.pl:1:28 unsupported: arithmetic is not supported",
+        ),
+        (
+            0,
+            "p(X,X) :- q(X) ; q(X). q(b).",
+            "bk.pl:1:16 unsupported: a disjunction is not supported",
+        ),
+        (
+            0,
+            "p(X,X) :- q(X), !. q(b).",
+            "bk.pl:1:17 unsupported: a cut is not supported",
+        ),
+        (
+            0,
+            ":- consult(more). p(a,b). q(b).",
+            "bk.pl:1:4 unsupported: this directive is not supported",
+        ),
+        (
+            0,
+            "p(X,Y) :- q(X). q(b).",
+            "bk.pl:1:1 unbound-variable: no positive atom binds `Y`",
+        ),
+        (
+            0,
+            "p(X,X) :- r(X). q(b).",
+            "bk.pl:1:11 unknown-predicate: the background knowledge has no facts and no rules of `r/1`",
+        ),
+        (
+            0,
+            "p(X,X) :- q(X), \\+ p(X,X). q(b).",
+            "bk.pl:1:1 cyclic-negation: `p/2` depends on its own negation",
+        ),
+        (
+            1,
+            "pos(g(a)). neg(f(b)).",
+            "exs.pl:1:1 invalid-fact: expected an example of `f/1`",
+        ),
+        (
+            1,
+            "pos(f(a)). neg(f(b,b)).",
+            "exs.pl:1:12 invalid-fact: expected an example of `f/1`",
+        ),
+        (
+            1,
+            "pos(f(a)) :- q(b). neg(f(b)).",
+            "exs.pl:1:1 invalid-fact: expected an example of `f/1`",
+        ),
+        (
+            1,
+            "pos(f(a)).",
+            "exs.pl:1:11 invalid-fact: there is no negative example",
+        ),
+        (
+            1,
+            "pos(f([a])). neg(f(b)).",
+            "exs.pl:1:7 unsupported: a list is not supported",
+        ),
+        (
+            2,
+            "body_pred(p,2).",
+            "bias.pl:1:16 syntax: the bias names no predicate to learn",
+        ),
+        (
+            2,
+            "head_pred(f,1). head_pred(g,1).",
+            "bias.pl:1:17 unsupported: a second target is not supported",
+        ),
+        (
+            2,
+            "head_pred(f,1). body_pred(f,1).",
+            "bias.pl:1:17 unsupported: recursive clauses are not supported",
+        ),
+        (
+            2,
+            "head_pred(f,1). enable_recursion.",
+            "bias.pl:1:17 unsupported: recursive clauses are not supported",
+        ),
+        (
+            2,
+            "head_pred(f,1). body_pred(p,4).",
+            "bias.pl:1:17 unsupported: `p/4` is not supported",
+        ),
+        (
+            2,
+            "head_pred(f,0).",
+            "bias.pl:1:1 unsupported: a target with 0 arguments is not supported",
+        ),
+        (2, "head_pred(f,x).", "bias.pl:1:13 syntax: expected a number"),
+        (
+            2,
+            "head_pred(f).",
+            "bias.pl:1:1 arity-mismatch: `head_pred` with 1 arguments",
+        ),
+        (
+            2,
+            "head_pred(f,1). direction(p,(in,up)).",
+            "bias.pl:1:29 syntax: a direction is `in` or `out`",
+        ),
+        (
+            2,
+            "head_pred(f,1). body_pred(qq,1).",
+            "bias.pl:1:17 unknown-predicate: ",
+        ),
+    ];
+    for (file, text, expected) in cases {
+        let mut texts = [BACKGROUND, EXAMPLES, BIAS];
+        texts[*file] = text;
+        let (task, diagnostics, sources) = parse(&texts, &Options::default());
+        assert!(task.is_none(), "{text}");
+        let shown = |fault: &Diagnostic| {
+            let place = sources.locate(fault.primary.as_ref().unwrap().span);
+            format!("{place} {}: {}", fault.code.name(), fault.message)
+        };
+        // A fault of the bias can have others in the examples as a consequence.
+        let name = &expected[..expected.find(':').unwrap()];
+        let mut found = diagnostics.iter().filter(|fault| fault.is_error()).map(shown);
+        let found = found.find(|found| found.starts_with(name)).unwrap_or_default();
+        assert!(
+            found.starts_with(expected),
+            "{text}\nexpected {expected}\nfound    {found}"
+        );
+    }
+}
+
+#[test]
+fn too_many_linked_constants_are_a_fault_with_their_number() {
+    let many: String = (0..70).map(|index| format!("p(a,x{index}). ")).collect();
+    let background = format!("{many} q(b).");
+    let (task, diagnostics, sources) = parse(&[background.as_str(), EXAMPLES, BIAS], &Options::default());
+    assert!(task.is_none());
+    let found = render(&diagnostics, &sources, false);
+    assert!(
+        found.contains("links 71 constants to this example, more than 64"),
+        "{found}"
+    );
+    assert!(found.contains("exs.pl:1:1"), "{found}");
+    // A direction ends the links.
+    let bias = format!("{BIAS} direction(p,(out,in)).");
+    assert_eq!(task_of(&background, &bias).cases[0].entities, ["a"]);
+}
+
+fn task_of(background: &str, bias: &str) -> Task {
+    task(&[background, EXAMPLES, bias])
+}
+
+#[test]
+fn declarations_without_effect_are_warnings() {
+    let bias = format!("{BIAS} max_body(3). enable_pi. prop(x,y). :- clause(C), #count{{V : v(C,V)}} != 1.");
+    let (task, diagnostics, _) = parse(&[BACKGROUND, EXAMPLES, &bias], &Options::default());
+    assert!(task.is_some());
+    let found: Vec<&str> = diagnostics.iter().map(|fault| fault.message.as_str()).collect();
+    assert_eq!(
+        found,
+        [
+            "`max_body` has no effect",
+            "`enable_pi` has no effect",
+            "`prop` has no effect",
+            "a constraint on clauses has no effect",
+        ]
+    );
+    assert!(
+        diagnostics
+            .iter()
+            .all(|fault| fault.code.name() == "ignored" && !fault.is_error())
+    );
+}
+
+#[test]
+fn constants_are_equal_if_prolog_prints_them_alike() {
+    let background = "p('a', 07). p(\"a\", 7.50). p('A b', -3). p('it''s', '7'). q(a). q(+) .";
+    let (task, diagnostics, sources) = parse(&[background, EXAMPLES, BIAS], &Options::default());
+    assert!(task.is_none(), "an operator is no constant");
+    assert!(render(&diagnostics, &sources, false).contains("bk.pl:1:"));
+    let task = task_of(&background.replace("q(+) .", ""), BIAS);
+    let rows: Vec<String> = task.facts[0].iter().map(|row| row.join(" ")).collect();
+    assert_eq!(rows, ["a 7", "\"a\" 7.5", "'A b' -3", "'it\\'s' '7'"]);
+}
