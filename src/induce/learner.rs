@@ -32,6 +32,19 @@ pub struct Settings {
     pub nodes: u32,
     /// The number of distinct states from which clauses are learned at first. All other states confirm or refute them.
     pub working_states: usize,
+    /// Whether some examples may have a wrong action.
+    pub noise: Noise,
+}
+
+/// The share of examples that have a wrong action.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub enum Noise {
+    /// None: the rules must be right in every example that any clauses can separate.
+    None,
+    /// A known share, between 0 and 1.
+    Rate(f64),
+    /// A share that cross-validation estimates.
+    Auto,
 }
 
 impl Default for Settings {
@@ -43,6 +56,7 @@ impl Default for Settings {
             enough: 10,
             nodes: 20_000,
             working_states: 20_000,
+            noise: Noise::None,
         }
     }
 }
@@ -149,6 +163,9 @@ pub fn learn_with(
     progress: &(dyn Fn(Progress) + Sync),
     cancel: &Cancel,
 ) -> Learned {
+    if let Noise::Rate(rate) = settings.noise {
+        return crate::induce::noise::learn_tolerant(examples, settings, rate, progress, cancel);
+    }
     let states: Vec<&State> = examples.states().map(|(state, _)| state).collect();
     let labels: Vec<usize> = examples.states().map(|(_, tallies)| majority(tallies)).collect();
     let mut works: Vec<bool> = sample(&labels, examples.actions().len(), settings.working_states);

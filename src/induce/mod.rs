@@ -4,14 +4,17 @@
 //! learner finds clauses that hold in every example of the action and in no example of an action of lower precedence.
 //! The result is a set of clauses of least cost among those found.
 
+mod beam;
 mod bits;
 mod cover;
 mod examples;
 mod learner;
+mod noise;
 mod problem;
 mod search;
 mod vocabulary;
+mod weights;
 
 pub use examples::{Contradiction, ENTITIES_MAX, Examples, State, Tally};
-pub use learner::{ActionRules, Learned, LearnedClause, Progress, Settings, learn, learn_with};
+pub use learner::{ActionRules, Learned, LearnedClause, Noise, Progress, Settings, learn, learn_with};
 pub use vocabulary::{ARITY_MAX, Atom, Body, Literal, Predicate, VARIABLE_NAMES, VARIABLES_MAX, Vocabulary};

@@ -80,6 +80,11 @@ impl Rows {
         states
     }
 
+    /// Returns their number.
+    pub fn count(&self) -> u64 {
+        bits::count(&self.states).into()
+    }
+
     /// Returns whether there are none.
     pub fn is_empty(&self) -> bool {
         self.assignments.is_empty()
@@ -193,6 +198,46 @@ impl Problem<'_> {
             }
         }
         left
+    }
+
+    /// Writes the states of the rows in which an atom is true, or false. Returns the number of rows.
+    pub fn states_with(&self, columns: &Columns, rows: &Rows, atom: &Atom, is_true: bool, out: &mut [u64]) -> u64 {
+        out.fill(0);
+        let flip = if is_true { 0 } else { u64::MAX };
+        let mut count = 0;
+        for (&assignment, states) in rows.assignments.iter().zip(rows.states.chunks_exact(columns.words.max(1))) {
+            let column = &columns.facts[self.fact(atom, assignment) * columns.words..];
+            for ((out, state), column) in out.iter_mut().zip(states).zip(column) {
+                let word = state & (column ^ flip);
+                count += u64::from(word.count_ones());
+                *out |= word;
+            }
+        }
+        count
+    }
+
+    /// Returns whether the positive literals of a conjunction, or a guard, bind all its variables. `seed` has those of
+    /// its atoms that are not negated.
+    pub fn binds_all(&self, chosen: &[u64], seed: &[u64]) -> bool {
+        self.unbound(chosen, seed).is_none()
+    }
+
+    /// Returns a variable that no positive literal of a conjunction binds although it must be bound.
+    pub fn unbound(&self, chosen: &[u64], seed: &[u64]) -> Option<u8> {
+        if self.vocabulary.guard().is_some() {
+            return None;
+        }
+        let (mut used, mut bound) = ((1_u64 << self.vocabulary.egos()) - 1, 0_u64);
+        for literal in bits::elements(chosen) {
+            for variable in &self.atoms[literal].arguments {
+                used |= 1 << variable;
+                if bits::has(seed, literal) {
+                    bound |= 1 << variable;
+                }
+            }
+        }
+        let unbound = used & !bound;
+        (unbound != 0).then(|| unbound.trailing_zeros() as u8)
     }
 
     /// Returns the rows in which a conjunction holds. `seed` has those of its atoms that are not negated.

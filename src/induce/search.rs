@@ -111,7 +111,7 @@ impl<'a> Search<'a> {
             if node.open.is_empty() {
                 let refuting = self.problem.holds(self.problem.negative, &node.chosen, self.seed);
                 if refuting.is_empty() {
-                    match self.unbound(&node.chosen) {
+                    match self.problem.unbound(&node.chosen, self.seed) {
                         None => return Some(self.finish(&node, true)),
                         Some(variable) => {
                             let choices = self.binders(variable, &node.banned);
@@ -209,24 +209,6 @@ impl<'a> Search<'a> {
         }
     }
 
-    /// Returns a variable that no positive literal binds although it must be bound.
-    fn unbound(&self, chosen: &Bits) -> Option<u8> {
-        if self.problem.vocabulary.guard().is_some() {
-            return None;
-        }
-        let (mut used, mut bound) = ((1_u64 << self.problem.vocabulary.egos()) - 1, 0_u64);
-        for literal in bits::elements(chosen) {
-            for variable in &self.problem.atoms[literal].arguments {
-                used |= 1 << variable;
-                if bits::has(self.seed, literal) {
-                    bound |= 1 << variable;
-                }
-            }
-        }
-        let unbound = used & !bound;
-        (unbound != 0).then(|| unbound.trailing_zeros() as u8)
-    }
-
     /// Returns the positive literals that bind a variable.
     fn binders(&self, variable: u8, banned: &Bits) -> Bits {
         let mut binders = bits::empty(self.problem.atoms.len());
@@ -260,7 +242,7 @@ impl<'a> Search<'a> {
             if !refuting.is_empty() {
                 self.exclude(&refuting, REFUTATIONS)?;
                 self.compare(&mut node);
-            } else if let Some(variable) = self.unbound(&node.chosen) {
+            } else if let Some(variable) = self.problem.unbound(&node.chosen, self.seed) {
                 let binder = bits::elements(&self.binders(variable, &bits::empty(self.problem.atoms.len()))).next()?;
                 bits::insert(&mut node.chosen, binder);
             } else {
@@ -279,7 +261,7 @@ impl<'a> Search<'a> {
             bits::remove(&mut less, literal);
             let is_false = self.exclusions.iter().all(|exclusion| bits::meet(exclusion, &less));
             if is_false
-                && self.unbound(&less).is_none()
+                && self.problem.binds_all(&less, self.seed)
                 && self.problem.holds(self.problem.negative, &less, self.seed).is_empty()
             {
                 chosen = less;
