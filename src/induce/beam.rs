@@ -6,7 +6,7 @@
 //! exceptions which it makes superfluous, plus that of the exceptions which it causes.
 
 use crate::induce::bits::{self, Bits};
-use crate::induce::problem::{Problem, Rows};
+use crate::induce::problem::{Columns, Problem, Rows};
 use crate::induce::vocabulary::{Body, Literal, NEGATIVE_COST, POSITIVE_COST};
 use crate::induce::weights::Weights;
 use std::collections::BTreeSet;
@@ -30,12 +30,20 @@ pub struct Stratum<'a> {
 }
 
 impl Stratum<'_> {
-    /// Returns how much shorter the description becomes by a clause that newly covers these weights of positive and
-    /// negative states. Negative states beyond those that noise explains count [`DOUBT`] times.
-    pub fn score(&self, gain: i64, loss: i64, cost: u32) -> i64 {
-        let expected = (gain + loss) as f64 * self.rate;
-        let doubtful = (loss - (expected + 2.0 * expected.sqrt()).ceil() as i64).max(0);
-        self.exception * (gain - loss - DOUBT * doubtful) - SCALE * i64::from(cost)
+    /// Returns how much shorter the description becomes by a clause that holds in some positive and negative states.
+    /// `open` are the states that no other clause covers. The negative states beyond those that noise explains count
+    /// [`DOUBT`] times.
+    pub fn score(&self, states: &[Vec<u64>; 2], open: &[Vec<u64>; 2], cost: u32) -> i64 {
+        let gain = self.positive.sum_common(&states[0], &open[0]);
+        let loss = self.negative.sum_common(&states[1], &open[1]);
+        self.exception * (gain - loss - DOUBT * self.doubtful(states)) - SCALE * i64::from(cost)
+    }
+
+    /// Returns how many of the negative states in which a clause holds noise does not explain.
+    fn doubtful(&self, states: &[Vec<u64>; 2]) -> i64 {
+        let negative = self.negative.sum(&states[1]);
+        let expected = (self.positive.sum(&states[0]) + negative) as f64 * self.rate;
+        (negative - (expected + 2.0 * expected.sqrt()).ceil() as i64).max(0)
     }
 }
 
@@ -50,27 +58,23 @@ pub const SCALE: i64 = 8;
 pub struct Candidate {
     /// The body.
     pub body: Body,
-    /// The positive states in which it holds.
-    pub positive: Vec<u64>,
-    /// The negative states in which it holds.
-    pub negative: Vec<u64>,
+    /// The positive and the negative states in which it holds.
+    pub states: [Vec<u64>; 2],
 }
 
 impl Candidate {
     /// Returns the candidate of a body.
     pub fn new(problem: &Problem<'_>, body: Body) -> Candidate {
+        let states = |columns: &Columns| problem.satisfying(columns, &body).states(columns.words);
         Candidate {
-            positive: problem.satisfying(problem.positive, &body).states(problem.positive.words),
-            negative: problem.satisfying(problem.negative, &body).states(problem.negative.words),
+            states: [states(problem.positive), states(problem.negative)],
             body,
         }
     }
 
     /// Returns how much shorter the description becomes if the clause joins others that leave these states.
     pub fn score(&self, stratum: &Stratum<'_>, open: &[Vec<u64>; 2]) -> i64 {
-        let gain = stratum.positive.sum_common(&self.positive, &open[0]);
-        let loss = stratum.negative.sum_common(&self.negative, &open[1]);
-        stratum.score(gain, loss, self.body.cost() + POSITIVE_COST)
+        stratum.score(&self.states, open, self.body.cost() + POSITIVE_COST)
     }
 }
 
@@ -130,7 +134,7 @@ pub fn beam(problem: &Problem<'_>, seed: &Bits, stratum: &Stratum<'_>, open: &[V
                     continue;
                 }
                 let loss = stratum.negative.sum_common(&states[1], &open[1]);
-                let score = stratum.score(gain, loss, cost);
+                let score = stratum.score(&states, open, cost);
                 if score > best_score && problem.binds_all(&chosen, seed) {
                     (best, best_score) = (Some(chosen.clone()), score);
                 }

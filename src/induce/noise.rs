@@ -6,10 +6,14 @@ use crate::induce::bits;
 use crate::induce::examples::{Examples, State};
 use crate::induce::learner::{ActionRules, Learned, LearnedClause, Progress, Settings, clauses_hold};
 use crate::induce::problem::{Problem, Split};
-use crate::induce::vocabulary::{Body, Literal, Vocabulary};
+use crate::induce::vocabulary::{Body, Literal, POSITIVE_COST, Vocabulary};
 use crate::induce::weights::Weights;
 use crate::rng::{Purpose, RngExt, Seed};
 use rayon::prelude::*;
+use std::collections::BTreeMap;
+
+/// The most rounds of adding and revising clauses.
+const ROUNDS_MAX: usize = 5;
 
 /// Bits of a description per unit of the cost of a literal.
 const BITS: f64 = 1.5;
@@ -107,30 +111,67 @@ impl Level<'_> {
             all
         });
         for clause in clauses.iter().enumerate().filter(|(index, _)| *index != except).map(|(_, clause)| clause) {
-            subtract(&mut open[0], &clause.positive);
-            subtract(&mut open[1], &clause.negative);
+            subtract(&mut open[0], &clause.states[0]);
+            subtract(&mut open[1], &clause.states[1]);
         }
         open
     }
 
     fn learn(&self, progress: &(dyn Fn(Progress) + Sync), cancel: &Cancel) -> Vec<Candidate> {
-        let mut clauses = self.cover(progress, cancel);
-        if std::env::var("SHOW").is_ok() { self.show("greedy", &clauses); }
-        for _ in 0..10 {
-            let before = self.total(&clauses);
+        let (mut clauses, mut pool) = (Vec::new(), BTreeMap::new());
+        let mut best = 0;
+        for _ in 0..ROUNDS_MAX {
+            self.cover(&mut clauses, &mut pool, progress, cancel);
+            if std::env::var("SHOW").is_ok() { self.show("greedy", &clauses); }
             self.revise(&mut clauses);
-            if self.total(&clauses) <= before {
+            if std::env::var("SHOW").is_ok() { self.show("revised", &clauses); }
+            self.exchange(&mut clauses, &pool);
+            if std::env::var("SHOW").is_ok() { self.show("exchanged", &clauses); }
+            self.revise(&mut clauses);
+            let total = self.total(&clauses);
+            if total <= best || cancel.requested() {
                 break;
             }
+            best = total;
         }
-        if std::env::var("SHOW").is_ok() { self.show("revised", &clauses); }
+        clauses.sort_by_key(|clause| std::cmp::Reverse(bits::count(&clause.states[0])));
         clauses
+    }
+
+    /// Adds clauses of a pool, and drops those that they make superfluous, while that shortens the description.
+    fn exchange(&self, clauses: &mut Vec<Candidate>, pool: &BTreeMap<Body, Candidate>) {
+        let mut best = self.total(clauses);
+        loop {
+            let other = |added: &Candidate| {
+                let mut others = clauses.clone();
+                others.push(added.clone());
+                self.prune(&mut others);
+                (self.total(&others), others)
+            };
+            let trials: Vec<_> = pool.par_iter().map(|(_, added)| other(added)).collect();
+            let found = trials.into_iter().reduce(|best, other| if other.0 > best.0 { other } else { best });
+            match found {
+                Some((total, others)) if total > best => (best, *clauses) = (total, others),
+                _ => break,
+            }
+        }
+    }
+
+    /// Drops clauses that do not shorten the description, the least useful one first.
+    fn prune(&self, clauses: &mut Vec<Candidate>) {
+        loop {
+            let scores = (0..clauses.len()).map(|index| (clauses[index].score(&self.stratum, &self.open(clauses, index)), index));
+            match scores.min() {
+                Some((score, index)) if score <= 0 => clauses.remove(index),
+                _ => break,
+            };
+        }
     }
 
     fn show(&self, title: &str, clauses: &[Candidate]) {
         eprintln!("{title} {} total {}", self.action, self.total(clauses));
         for (i, c) in clauses.iter().enumerate() {
-            eprintln!("   {} +{} -{} gain {}", c.body.texts(self.vocabulary).join(", "), self.stratum.positive.sum(&c.positive), self.stratum.negative.sum(&c.negative), c.score(&self.stratum, &self.open(clauses, i)));
+            eprintln!("   {} +{} -{} gain {}", c.body.texts(self.vocabulary).join(", "), self.stratum.positive.sum(&c.states[0]), self.stratum.negative.sum(&c.states[1]), c.score(&self.stratum, &self.open(clauses, i)));
         }
     }
 
@@ -140,17 +181,22 @@ impl Level<'_> {
         let mut total = 0;
         for clause in clauses {
             total += clause.score(&self.stratum, &open);
-            subtract(&mut open[0], &clause.positive);
-            subtract(&mut open[1], &clause.negative);
+            subtract(&mut open[0], &clause.states[0]);
+            subtract(&mut open[1], &clause.states[1]);
         }
         total
     }
 
     /// Adds the best clause for some uncovered examples while that shortens the description.
-    fn cover(&self, progress: &(dyn Fn(Progress) + Sync), cancel: &Cancel) -> Vec<Candidate> {
+    fn cover(
+        &self,
+        clauses: &mut Vec<Candidate>,
+        pool: &mut BTreeMap<Body, Candidate>,
+        progress: &(dyn Fn(Progress) + Sync),
+        cancel: &Cancel,
+    ) {
         let mut random = Seed(self.settings.seed).stream(Purpose::INDUCE, self.action as u64, 1);
-        let mut clauses: Vec<Candidate> = Vec::new();
-        let mut open = self.open(&[], 0);
+        let mut open = self.open(clauses, usize::MAX);
         // The positive states that are worth a try.
         let mut hopeful = open[0].clone();
         let fewest = (self.vocabulary.egos() + 1).min(self.settings.variables);
@@ -176,26 +222,26 @@ impl Level<'_> {
                 let found: Vec<_> =
                     seeds.par_iter().filter_map(|seed| beam(problem, seed, &self.stratum, &open)).collect();
                 for found in found {
+                    pool.insert(found.1.body.clone(), found.1.clone());
                     if best.as_ref().is_none_or(|best| found.0 > best.0) {
                         best = Some(found);
                     }
                 }
                 let enough = self.settings.enough.into();
-                if (best.as_ref()).is_some_and(|(_, best)| self.stratum.positive.sum_common(&best.positive, &open[0]) >= enough) {
+                if (best.as_ref()).is_some_and(|(_, best)| self.stratum.positive.sum_common(&best.states[0], &open[0]) >= enough) {
                     break;
                 }
             }
             match best {
                 Some((_, best)) => {
-                    subtract(&mut open[0], &best.positive);
-                    subtract(&mut hopeful, &best.positive);
-                    subtract(&mut open[1], &best.negative);
+                    subtract(&mut open[0], &best.states[0]);
+                    subtract(&mut hopeful, &best.states[0]);
+                    subtract(&mut open[1], &best.states[1]);
                     clauses.push(best);
                 }
                 None => tries.iter().for_each(|&state| bits::remove(&mut hopeful, state)),
             }
         }
-        clauses
     }
 
     /// Drops, replaces and adds literals of each clause while that shortens the description, and drops clauses.
@@ -204,12 +250,9 @@ impl Level<'_> {
         while index < clauses.len() {
             let open = self.open(clauses, index);
             let score = clauses[index].score(&self.stratum, &open);
-            if score <= 0 {
-                clauses.remove(index);
-                continue;
-            }
-            match self.best_neighbor(&clauses[index], score, &open) {
+            match self.best_neighbor(&clauses[index], score.max(0), &open) {
                 Some(better) => clauses[index] = better,
+                None if score <= 0 => drop(clauses.remove(index)),
                 None => index += 1,
             }
         }
@@ -235,9 +278,7 @@ impl Level<'_> {
                 let mut best: Option<(i64, Vec<Literal>)> = None;
                 let mut consider = |literals: Vec<Literal>, states: &[Vec<u64>; 2]| {
                     let body = Body(literals);
-                    let gain = self.stratum.positive.sum_common(&states[0], &open[0]);
-                    let loss = self.stratum.negative.sum_common(&states[1], &open[1]);
-                    let own = self.stratum.score(gain, loss, body.cost() + crate::induce::vocabulary::POSITIVE_COST);
+                    let own = self.stratum.score(states, open, body.cost() + POSITIVE_COST);
                     let is_safe = self.vocabulary.guard().is_some()
                         || (0..body.variables(self.vocabulary)).all(|variable| body.binds(variable));
                     if own > score && is_safe && best.as_ref().is_none_or(|best| own > best.0) {
