@@ -5,6 +5,7 @@
 //! ones of each length, and remembers the one whose description is shortest: that of the clause, minus that of the
 //! exceptions which it makes superfluous, plus that of the exceptions which it causes.
 
+use crate::cancel::Cancel;
 use crate::induce::bits::{self, Bits};
 use crate::induce::problem::{Columns, Problem, Rows};
 use crate::induce::vocabulary::{Body, Literal, NEGATIVE_COST, POSITIVE_COST};
@@ -96,7 +97,7 @@ struct Extension {
 
 /// Finds a clause that holds in the example and shortens the description most. `open` are the positive and the negative
 /// states that no other clause covers. `None` if no clause of the beam shortens it.
-pub fn beam(problem: &Problem<'_>, seed: &Bits, stratum: &Stratum<'_>, open: &[Vec<u64>; 2]) -> Option<(i64, Candidate)> {
+pub fn beam(problem: &Problem<'_>, seed: &Bits, stratum: &Stratum<'_>, open: &[Vec<u64>; 2], cancel: &Cancel) -> Option<(i64, Candidate)> {
     let root = Node {
         chosen: bits::empty(problem.atoms.len()),
         cost: POSITIVE_COST,
@@ -163,7 +164,7 @@ pub fn beam(problem: &Problem<'_>, seed: &Bits, stratum: &Stratum<'_>, open: &[V
                 }
             })
             .collect();
-        if nodes.is_empty() {
+        if nodes.is_empty() || cancel.requested() {
             break;
         }
     }

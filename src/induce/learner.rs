@@ -5,6 +5,7 @@ use crate::cancel::Cancel;
 use crate::induce::bits;
 use crate::induce::cover::cheapest_cover;
 use crate::induce::examples::{Examples, State, majority};
+use crate::induce::noise;
 use crate::induce::problem::{Problem, Split};
 use crate::induce::search::{Found, Search};
 use crate::induce::vocabulary::{Body, POSITIVE_COST, Vocabulary};
@@ -70,6 +71,8 @@ pub struct Learned {
     pub is_complete: bool,
     /// Number of distinct states from which the clauses were learned. The others confirm them.
     pub working_states: usize,
+    /// The share of wrong actions that the learner assumed: 0 if it took all examples as right.
+    pub rate: f64,
 }
 
 /// The clauses of one action.
@@ -79,7 +82,7 @@ pub struct ActionRules {
     pub clauses: Vec<LearnedClause>,
     /// Whether no cheaper set of the clauses found covers the examples.
     pub is_cheapest: bool,
-    /// Positive states that no clause covers, since none separates them from the negative ones.
+    /// Positive states that no clause covers: none separates them from the negative ones, or noise explains them.
     pub uncovered: usize,
 }
 
@@ -163,8 +166,13 @@ pub fn learn_with(
     progress: &(dyn Fn(Progress) + Sync),
     cancel: &Cancel,
 ) -> Learned {
-    if let Noise::Rate(rate) = settings.noise {
-        return crate::induce::noise::learn_tolerant(examples, settings, rate, progress, cancel);
+    let rate = match settings.noise {
+        Noise::None => None,
+        Noise::Rate(rate) => (rate > 0.0).then_some(rate),
+        Noise::Auto => noise::estimate(examples, settings, progress, cancel),
+    };
+    if let Some(rate) = rate {
+        return noise::learn_tolerant(examples, settings, rate, progress, cancel);
     }
     let states: Vec<&State> = examples.states().map(|(state, _)| state).collect();
     let labels: Vec<usize> = examples.states().map(|(_, tallies)| majority(tallies)).collect();
@@ -193,6 +201,7 @@ pub fn learn_with(
             actions,
             is_complete: !cancel.requested(),
             working_states: working.len(),
+            rate: 0.0,
         };
         if working.len() == states.len() || !learned.is_complete {
             return learned;
@@ -251,7 +260,6 @@ fn learn_action(
     let mut pool: BTreeMap<Body, Found> = BTreeMap::new();
     let mut open = bits::empty(positive.len());
     (0..positive.len()).for_each(|state| bits::insert(&mut open, state));
-    let mut uncovered = 0;
     while !cancel.requested() {
         let left: Vec<usize> = bits::elements(&open).collect();
         if left.is_empty() {
@@ -275,7 +283,7 @@ fn learn_action(
             let mut seeds: Vec<_> = tries.iter().flat_map(|&state| problem.seeds(state)).collect();
             seeds.sort_unstable();
             seeds.dedup();
-            let search = |seed| Search::new(problem, seed, &open).best(settings.nodes);
+            let search = |seed| Search::new(problem, seed, &open).best(settings.nodes, cancel);
             let found: Vec<Found> = seeds.par_iter().filter_map(search).collect();
             for found in found {
                 if best.as_ref().is_none_or(|best| found.score > best.score) {
@@ -296,12 +304,7 @@ fn learn_action(
                 .zip(&best.covered)
                 .for_each(|(open, covered)| *open &= !covered),
             // No clause separates these examples from the negative ones.
-            None => {
-                for state in tries {
-                    uncovered += usize::from(bits::has(&open, state));
-                    bits::remove(&mut open, state);
-                }
-            }
+            None => tries.iter().for_each(|&state| bits::remove(&mut open, state)),
         }
     }
     let pool: Vec<Found> = pool.into_values().collect();
@@ -312,6 +315,10 @@ fn learn_action(
     let cover = cheapest_cover(&columns);
     let mut chosen: Vec<&Found> = cover.columns.iter().map(|&column| &pool[column]).collect();
     chosen.sort_by_key(|found| std::cmp::Reverse(bits::count(&found.covered)));
+    let mut covered = vec![0; positive.len().div_ceil(64)];
+    for found in &chosen {
+        covered.iter_mut().zip(&found.covered).for_each(|(all, covered)| *all |= covered);
+    }
     let clauses = chosen.iter().map(|found| LearnedClause {
         body: found.body.clone(),
         is_best: found.is_best,
@@ -319,6 +326,6 @@ fn learn_action(
     ActionRules {
         clauses: clauses.collect(),
         is_cheapest: cover.is_cheapest,
-        uncovered,
+        uncovered: positive.len() - bits::count(&covered) as usize,
     }
 }

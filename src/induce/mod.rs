@@ -12,6 +12,8 @@ mod learner;
 mod noise;
 mod problem;
 mod search;
+#[cfg(test)]
+mod tests;
 mod vocabulary;
 mod weights;
 

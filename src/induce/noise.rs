@@ -3,7 +3,7 @@
 use crate::cancel::Cancel;
 use crate::induce::beam::{Candidate, SCALE, Stratum, beam};
 use crate::induce::bits;
-use crate::induce::examples::{Examples, State};
+use crate::induce::examples::{Examples, State, Tally};
 use crate::induce::learner::{ActionRules, Learned, LearnedClause, Progress, Settings, clauses_hold};
 use crate::induce::problem::{Problem, Split};
 use crate::induce::vocabulary::{Body, Literal, POSITIVE_COST, Vocabulary};
@@ -20,8 +20,62 @@ const BITS: f64 = 1.5;
 
 /// Returns the description length of a wrong action, in the unit of costs times [`SCALE`].
 fn exception(rate: f64, actions: usize) -> i64 {
+    let rate = rate.clamp(f64::MIN_POSITIVE, RATE_MAX);
     let bits = ((1.0 - rate) * (actions.max(2) - 1) as f64 / rate).log2();
     ((bits / BITS * SCALE as f64).round() as i64).max(1)
+}
+
+/// The rates that cross-validation compares.
+const CANDIDATES: [f64; 3] = [0.001, 0.01, 0.05];
+/// The parts of cross-validation.
+const FOLDS: usize = 2;
+
+/// The highest rate that the learner assumes.
+const RATE_MAX: f64 = 0.4;
+
+/// Estimates the share of wrong actions: the share of examples that rules learned from other examples get wrong.
+/// `None` if the learner finds rules that are right in all examples although it may leave exceptions.
+pub(crate) fn estimate(
+    examples: &Examples,
+    settings: &Settings,
+    progress: &(dyn Fn(Progress) + Sync),
+    cancel: &Cancel,
+) -> Option<f64> {
+    let least = 0.5 / examples.count().max(1) as f64;
+    if examples.contradictions().next().is_none() {
+        let rules = learn_tolerant(examples, settings, least, progress, cancel);
+        if wrong(&rules, examples) == 0 {
+            return None;
+        }
+    }
+    let mut random = Seed(settings.seed).stream(Purpose::INDUCE, u64::MAX, 0);
+    let folds: Vec<usize> = examples.states().map(|_| random.random_range(0..FOLDS)).collect();
+    let part = |keep: &dyn Fn(usize) -> bool| {
+        let mut part = Examples::new(examples.vocabulary().clone(), examples.actions().to_vec());
+        for ((state, tallies), _) in examples.states().zip(&folds).filter(|(_, fold)| keep(**fold)) {
+            part.merge(state, tallies);
+        }
+        part
+    };
+    let parts: Vec<_> = (0..FOLDS).map(|fold| (part(&|other| other != fold), part(&|other| other == fold))).collect();
+    let errors = |rate: f64| -> u64 {
+        let error = |(train, test): &(Examples, Examples)| wrong(&learn_tolerant(train, settings, rate, progress, cancel), test);
+        parts.iter().map(error).sum()
+    };
+    let errors: Vec<u64> = CANDIDATES.iter().map(|&rate| errors(rate)).collect();
+    let fewest = errors.into_iter().min().unwrap_or(0);
+    Some((fewest as f64 / examples.count() as f64).clamp(least, RATE_MAX))
+}
+
+/// Returns the number of examples in which rules choose another action.
+fn wrong(rules: &Learned, examples: &Examples) -> u64 {
+    let states: Vec<&State> = examples.states().map(|(state, _)| state).collect();
+    let decided = rules.decide(examples.vocabulary(), &states);
+    let others = |((_, tallies), action): ((&State, &[Tally]), &usize)| -> u64 {
+        let all: u64 = tallies.iter().map(|tally| u64::from(tally.count)).sum();
+        all - u64::from(tallies[*action].count)
+    };
+    examples.states().zip(&decided).map(others).sum()
 }
 
 /// Learns rules that may be wrong in a share `rate` of the examples.
@@ -83,6 +137,7 @@ pub(crate) fn learn_tolerant(
         actions: learned,
         is_complete: !cancel.requested(),
         working_states: states.len(),
+        rate,
     }
 }
 
@@ -122,12 +177,9 @@ impl Level<'_> {
         let mut best = 0;
         for _ in 0..ROUNDS_MAX {
             self.cover(&mut clauses, &mut pool, progress, cancel);
-            if std::env::var("SHOW").is_ok() { self.show("greedy", &clauses); }
-            self.revise(&mut clauses);
-            if std::env::var("SHOW").is_ok() { self.show("revised", &clauses); }
-            self.exchange(&mut clauses, &pool);
-            if std::env::var("SHOW").is_ok() { self.show("exchanged", &clauses); }
-            self.revise(&mut clauses);
+            self.revise(&mut clauses, cancel);
+            self.exchange(&mut clauses, &pool, cancel);
+            self.revise(&mut clauses, cancel);
             let total = self.total(&clauses);
             if total <= best || cancel.requested() {
                 break;
@@ -139,9 +191,9 @@ impl Level<'_> {
     }
 
     /// Adds clauses of a pool, and drops those that they make superfluous, while that shortens the description.
-    fn exchange(&self, clauses: &mut Vec<Candidate>, pool: &BTreeMap<Body, Candidate>) {
+    fn exchange(&self, clauses: &mut Vec<Candidate>, pool: &BTreeMap<Body, Candidate>, cancel: &Cancel) {
         let mut best = self.total(clauses);
-        loop {
+        while !cancel.requested() {
             let other = |added: &Candidate| {
                 let mut others = clauses.clone();
                 others.push(added.clone());
@@ -165,13 +217,6 @@ impl Level<'_> {
                 Some((score, index)) if score <= 0 => clauses.remove(index),
                 _ => break,
             };
-        }
-    }
-
-    fn show(&self, title: &str, clauses: &[Candidate]) {
-        eprintln!("{title} {} total {}", self.action, self.total(clauses));
-        for (i, c) in clauses.iter().enumerate() {
-            eprintln!("   {} +{} -{} gain {}", c.body.texts(self.vocabulary).join(", "), self.stratum.positive.sum(&c.states[0]), self.stratum.negative.sum(&c.states[1]), c.score(&self.stratum, &self.open(clauses, i)));
         }
     }
 
@@ -220,7 +265,7 @@ impl Level<'_> {
                 seeds.sort_unstable();
                 seeds.dedup();
                 let found: Vec<_> =
-                    seeds.par_iter().filter_map(|seed| beam(problem, seed, &self.stratum, &open)).collect();
+                    seeds.par_iter().filter_map(|seed| beam(problem, seed, &self.stratum, &open, cancel)).collect();
                 for found in found {
                     pool.insert(found.1.body.clone(), found.1.clone());
                     if best.as_ref().is_none_or(|best| found.0 > best.0) {
@@ -245,9 +290,9 @@ impl Level<'_> {
     }
 
     /// Drops, replaces and adds literals of each clause while that shortens the description, and drops clauses.
-    fn revise(&self, clauses: &mut Vec<Candidate>) {
+    fn revise(&self, clauses: &mut Vec<Candidate>, cancel: &Cancel) {
         let mut index = 0;
-        while index < clauses.len() {
+        while index < clauses.len() && !cancel.requested() {
             let open = self.open(clauses, index);
             let score = clauses[index].score(&self.stratum, &open);
             match self.best_neighbor(&clauses[index], score.max(0), &open) {

@@ -8,6 +8,7 @@
 //! The negative rows are many, and few of them matter. So the search begins with a sample. It compares a clause that is
 //! false in the whole sample with all negative rows, and adds to the sample some of those in which it holds.
 
+use crate::cancel::Cancel;
 use crate::induce::bits::{self, Bits};
 use crate::induce::problem::{Problem, Rows};
 use crate::induce::vocabulary::{Body, Literal, NEGATIVE_COST, POSITIVE_COST};
@@ -19,6 +20,9 @@ use std::rc::Rc;
 const SAMPLE: (usize, usize) = (256, 64);
 /// Negative rows that are compared with the example when a clause holds in some, and those kept of them.
 const REFUTATIONS: (usize, usize) = (64, 8);
+
+/// Nodes between two polls for cancellation.
+const POLL_NODES: u32 = 64;
 
 /// A clause that a search found.
 #[derive(Clone, Debug)]
@@ -90,8 +94,8 @@ impl<'a> Search<'a> {
     }
 
     /// Finds the clause with the highest score among those that hold in the example and in no negative row. `None` if
-    /// there is none. Stops after `nodes` nodes and completes a clause greedily.
-    pub fn best(mut self, nodes: u32) -> Option<Found> {
+    /// there is none, or after cancellation. Stops after `nodes` nodes and completes a clause greedily.
+    pub fn best(mut self, nodes: u32, cancel: &Cancel) -> Option<Found> {
         let everything = self.problem.all(self.problem.negative);
         self.exclude(&everything, SAMPLE)?;
         let mut heap = BinaryHeap::new();
@@ -105,8 +109,12 @@ impl<'a> Search<'a> {
             open: Vec::new(),
             compared: 0,
         });
-        let mut number = 0;
+        let (mut number, mut polls) = (0, 0_u32);
         while let Some(mut node) = heap.pop() {
+            polls += 1;
+            if polls % POLL_NODES == 0 && cancel.requested() {
+                return None;
+            }
             self.compare(&mut node);
             if node.open.is_empty() {
                 let refuting = self.problem.holds(self.problem.negative, &node.chosen, self.seed);
