@@ -8,7 +8,7 @@
 use crate::cancel::Cancel;
 use crate::induce::bits::{self, Bits};
 use crate::induce::problem::{Columns, Problem, Rows};
-use crate::induce::vocabulary::{Body, Literal, NEGATIVE_COST, POSITIVE_COST};
+use crate::induce::vocabulary::{Body, LITERAL_COST, Literal};
 use crate::induce::weights::Weights;
 use std::collections::BTreeSet;
 use std::rc::Rc;
@@ -52,13 +52,15 @@ impl Stratum<'_> {
 const DOUBT: i64 = 10;
 
 /// The factor of the costs of literals in scores.
-pub const SCALE: i64 = 8;
+pub const SCALE: i64 = 2;
 
 /// A clause and what it changes.
 #[derive(Clone, Debug)]
 pub struct Candidate {
     /// The body.
     pub body: Body,
+    /// The cost of the clause.
+    cost: u32,
     /// The positive and the negative states in which it holds.
     pub states: [Vec<u64>; 2],
 }
@@ -68,6 +70,7 @@ impl Candidate {
     pub fn new(problem: &Problem<'_>, body: Body) -> Candidate {
         let states = |columns: &Columns| problem.satisfying(columns, &body).states(columns.words);
         Candidate {
+            cost: body.cost(problem.vocabulary) + LITERAL_COST,
             states: [states(problem.positive), states(problem.negative)],
             body,
         }
@@ -75,13 +78,12 @@ impl Candidate {
 
     /// Returns how much shorter the description becomes if the clause joins others that leave these states.
     pub fn score(&self, stratum: &Stratum<'_>, open: &[Vec<u64>; 2]) -> i64 {
-        stratum.score(&self.states, open, self.body.cost() + POSITIVE_COST)
+        stratum.score(&self.states, open, self.cost)
     }
 }
 
 struct Node {
     chosen: Bits,
-    cost: u32,
     positive: Rc<Rows>,
     negative: Rc<Rows>,
     /// The negative rows, assignments counted apart.
@@ -100,7 +102,6 @@ struct Extension {
 pub fn beam(problem: &Problem<'_>, seed: &Bits, stratum: &Stratum<'_>, open: &[Vec<u64>; 2], cancel: &Cancel) -> Option<(i64, Candidate)> {
     let root = Node {
         chosen: bits::empty(problem.atoms.len()),
-        cost: POSITIVE_COST,
         positive: Rc::new(problem.all(problem.positive)),
         negative: Rc::new(problem.all(problem.negative)),
         negative_rows: u64::MAX,
@@ -119,12 +120,12 @@ pub fn beam(problem: &Problem<'_>, seed: &Bits, stratum: &Stratum<'_>, open: &[V
             for literal in (0..problem.atoms.len()).filter(|&literal| !bits::has(&node.chosen, literal)) {
                 let is_true = bits::has(seed, literal);
                 let atom = &problem.atoms[literal];
-                let cost = node.cost + if is_true { POSITIVE_COST } else { NEGATIVE_COST };
                 let mut chosen = node.chosen.clone();
                 bits::insert(&mut chosen, literal);
                 if !seen.insert(chosen.clone()) {
                     continue;
                 }
+                let cost = problem.cost(&chosen, seed) + LITERAL_COST;
                 problem.states_with(problem.positive, &node.positive, atom, is_true, &mut states[0]);
                 let gain = stratum.positive.sum_common(&states[0], &open[0]);
                 if stratum.exception * gain - SCALE * i64::from(cost) <= best_score {
@@ -156,7 +157,6 @@ pub fn beam(problem: &Problem<'_>, seed: &Bits, stratum: &Stratum<'_>, open: &[V
                 let is_true = bits::has(seed, extension.literal);
                 let negative = problem.restrict(problem.negative, &parent.negative, atom, is_true);
                 Node {
-                    cost: parent.cost + if is_true { POSITIVE_COST } else { NEGATIVE_COST },
                     positive: Rc::new(problem.restrict(problem.positive, &parent.positive, atom, is_true)),
                     negative_rows: negative.count(),
                     negative: Rc::new(negative),

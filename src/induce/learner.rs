@@ -8,7 +8,7 @@ use crate::induce::examples::{Examples, State, majority};
 use crate::induce::noise;
 use crate::induce::problem::{Problem, Split};
 use crate::induce::search::{Found, Search};
-use crate::induce::vocabulary::{Body, POSITIVE_COST, Vocabulary};
+use crate::induce::vocabulary::{Body, LITERAL_COST, Vocabulary};
 use crate::rng::{Purpose, RngExt, Seed};
 use rayon::prelude::*;
 use std::collections::BTreeMap;
@@ -54,7 +54,7 @@ impl Default for Settings {
             variables: 3,
             seed: 0,
             tries: 3,
-            enough: 10,
+            enough: 4,
             nodes: 20_000,
             working_states: 20_000,
             noise: Noise::None,
@@ -310,7 +310,7 @@ fn learn_action(
     let pool: Vec<Found> = pool.into_values().collect();
     let columns: Vec<(Vec<u64>, u32)> = pool
         .iter()
-        .map(|found| (found.covered.clone(), found.body.cost() + POSITIVE_COST))
+        .map(|found| (found.covered.clone(), found.body.cost(vocabulary) + LITERAL_COST))
         .collect();
     let cover = cheapest_cover(&columns);
     let mut chosen: Vec<&Found> = cover.columns.iter().map(|&column| &pool[column]).collect();

@@ -6,7 +6,7 @@ use crate::induce::bits;
 use crate::induce::examples::{Examples, State, Tally};
 use crate::induce::learner::{ActionRules, Learned, LearnedClause, Progress, Settings, clauses_hold};
 use crate::induce::problem::{Problem, Split};
-use crate::induce::vocabulary::{Body, Literal, POSITIVE_COST, Vocabulary};
+use crate::induce::vocabulary::{Body, LITERAL_COST, Literal, Vocabulary};
 use crate::induce::weights::Weights;
 use crate::rng::{Purpose, RngExt, Seed};
 use rayon::prelude::*;
@@ -16,7 +16,7 @@ use std::collections::BTreeMap;
 const ROUNDS_MAX: usize = 5;
 
 /// Bits of a description per unit of the cost of a literal.
-const BITS: f64 = 1.5;
+const BITS: f64 = 0.375;
 
 /// Returns the description length of a wrong action, in the unit of costs times [`SCALE`].
 fn exception(rate: f64, actions: usize) -> i64 {
@@ -323,7 +323,7 @@ impl Level<'_> {
                 let mut best: Option<(i64, Vec<Literal>)> = None;
                 let mut consider = |literals: Vec<Literal>, states: &[Vec<u64>; 2]| {
                     let body = Body(literals);
-                    let own = self.stratum.score(states, open, body.cost() + POSITIVE_COST);
+                    let own = self.stratum.score(states, open, body.cost(self.vocabulary) + LITERAL_COST);
                     let is_safe = self.vocabulary.guard().is_some()
                         || (0..body.variables(self.vocabulary)).all(|variable| body.binds(variable));
                     if own > score && is_safe && best.as_ref().is_none_or(|best| own > best.0) {

@@ -11,7 +11,7 @@
 use crate::cancel::Cancel;
 use crate::induce::bits::{self, Bits};
 use crate::induce::problem::{Problem, Rows};
-use crate::induce::vocabulary::{Body, Literal, NEGATIVE_COST, POSITIVE_COST};
+use crate::induce::vocabulary::{Body, LITERAL_COST, Literal};
 use std::cmp::{Ordering, Reverse};
 use std::collections::BinaryHeap;
 use std::rc::Rc;
@@ -20,6 +20,9 @@ use std::rc::Rc;
 const SAMPLE: (usize, usize) = (256, 64);
 /// Negative rows that are compared with the example when a clause holds in some, and those kept of them.
 const REFUTATIONS: (usize, usize) = (64, 8);
+
+/// What a newly covered state counts in scores, in the unit of costs.
+pub const EXAMPLE: i64 = 2 * LITERAL_COST as i64;
 
 /// Nodes between two polls for cancellation.
 const POLL_NODES: u32 = 64;
@@ -31,7 +34,7 @@ pub struct Found {
     pub body: Body,
     /// The positive states that the clause covers.
     pub covered: Vec<u64>,
-    /// Newly covered states minus half the cost of the clause, in eighths.
+    /// [`EXAMPLE`] for each newly covered state, minus the cost of the clause.
     pub score: i64,
     /// Whether no clause for this example and assignment has a higher score. False if the search was cut.
     pub is_best: bool,
@@ -44,7 +47,6 @@ struct Node {
     number: u32,
     chosen: Bits,
     banned: Bits,
-    cost: u32,
     rows: Rc<Rows>,
     /// The exclusions that no chosen literal meets, of the first `compared` ones.
     open: Vec<u32>,
@@ -104,7 +106,6 @@ impl<'a> Search<'a> {
             number: 0,
             chosen: bits::empty(self.problem.atoms.len()),
             banned: bits::empty(self.problem.atoms.len()),
-            cost: 0,
             rows: Rc::new(self.problem.all(self.problem.positive)),
             open: Vec::new(),
             compared: 0,
@@ -195,20 +196,19 @@ impl<'a> Search<'a> {
             let is_true = bits::has(self.seed, literal);
             let mut chosen = node.chosen.clone();
             bits::insert(&mut chosen, literal);
-            let cost = node.cost + if is_true { POSITIVE_COST } else { NEGATIVE_COST };
+            let cost = self.problem.cost(&chosen, self.seed);
             let atom = &self.problem.atoms[literal];
             let rows = (self.problem).restrict(self.problem.positive, &node.rows, atom, is_true);
             let open: Vec<u32> = (node.open.iter().copied())
                 .filter(|&at| !bits::has(&self.exclusions[at as usize], literal))
                 .collect();
             // A clause that excludes a further row has at least one further literal.
-            let further = if open.is_empty() { 0 } else { POSITIVE_COST };
+            let further = if open.is_empty() { 0 } else { LITERAL_COST };
             heap.push(Node {
                 bound: self.score(&rows, cost + further),
                 number: *number,
                 chosen,
                 banned: banned.clone(),
-                cost,
                 rows: Rc::new(rows),
                 open,
                 compared: node.compared,
@@ -228,10 +228,10 @@ impl<'a> Search<'a> {
         binders
     }
 
-    /// Newly covered states minus half the cost, in eighths.
+    /// Returns the score of a clause.
     fn score(&self, rows: &Rows, cost: u32) -> i64 {
         let covered = rows.states(self.problem.positive.words);
-        i64::from(bits::common(&covered, self.open)) * 8 - i64::from(cost)
+        i64::from(bits::common(&covered, self.open)) * EXAMPLE - i64::from(cost)
     }
 
     /// Completes a clause greedily: the literal that excludes the most rows comes first.
@@ -282,7 +282,7 @@ impl<'a> Search<'a> {
         });
         let body = Body::normalized(literals.collect(), self.problem.vocabulary);
         Found {
-            score: self.score(&rows, body.cost()),
+            score: self.score(&rows, body.cost(self.problem.vocabulary)),
             covered: rows.states(self.problem.positive.words),
             body,
             is_best,

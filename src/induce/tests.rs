@@ -2,8 +2,7 @@ use crate::cancel::Cancel;
 use crate::induce::bits::{self, Bits};
 use crate::induce::cover::cheapest_cover;
 use crate::induce::problem::Split;
-use crate::induce::search::Search;
-use crate::induce::vocabulary::{NEGATIVE_COST, POSITIVE_COST};
+use crate::induce::search::{EXAMPLE, Search};
 use crate::induce::{Body, Examples, Learned, Literal, Noise, Predicate, Settings, State, Vocabulary, learn};
 use crate::rng::{Purpose, Rng, RngExt, Seed};
 use proptest::prelude::*;
@@ -140,10 +139,8 @@ proptest! {
                 let excludes = problem.holds(problem.negative, &chosen, &example).is_empty();
                 if excludes && problem.binds_all(&chosen, &example) {
                     let covered = problem.holds(problem.positive, &chosen, &example).states(problem.positive.words);
-                    let cost: u32 = bits::elements(&chosen)
-                        .map(|literal| if bits::has(&example, literal) { POSITIVE_COST } else { NEGATIVE_COST })
-                        .sum();
-                    best = best.max(Some(i64::from(bits::common(&covered, &open)) * 8 - i64::from(cost)));
+                    let cost = problem.cost(&chosen, &example);
+                    best = best.max(Some(i64::from(bits::common(&covered, &open)) * EXAMPLE - i64::from(cost)));
                 }
             }
             let found = Search::new(&problem, &example, &open).best(u32::MAX, &Cancel::never());

@@ -141,9 +141,17 @@ pub struct Literal {
 }
 
 /// The cost of a positive literal. It equals that of a clause.
-pub const POSITIVE_COST: u32 = 4;
-/// The cost of a negative literal.
-pub const NEGATIVE_COST: u32 = 5;
+pub const LITERAL_COST: u32 = 16;
+/// What a negation costs more than that.
+pub const NEGATION_COST: u32 = 1;
+/// The cost of each variable of a clause that is not in its head, except the first one.
+pub const VARIABLE_COST: u32 = 32;
+
+/// Returns the cost of the variables of some atoms. Those below `egos` are in the head.
+pub fn variables_cost<'a>(atoms: impl Iterator<Item = &'a Atom>, egos: usize) -> u32 {
+    let used = atoms.flat_map(|atom| &atom.arguments).fold(0_u32, |used, &variable| used | 1 << variable);
+    (used >> egos).count_ones().saturating_sub(1) * VARIABLE_COST
+}
 
 /// A conjunction of literals.
 #[derive(Clone, Debug, Default, PartialEq, Eq, PartialOrd, Ord, Hash)]
@@ -182,16 +190,11 @@ impl Body {
             .unwrap_or_default()
     }
 
-    /// Returns the sum of the costs of the literals.
-    pub fn cost(&self) -> u32 {
-        let cost = |literal: &Literal| {
-            if literal.is_negated {
-                NEGATIVE_COST
-            } else {
-                POSITIVE_COST
-            }
-        };
-        self.0.iter().map(cost).sum()
+    /// Returns the cost of the literals and variables.
+    pub fn cost(&self, vocabulary: &Vocabulary) -> u32 {
+        let atoms = self.0.iter().map(|literal| &literal.atom);
+        let negated = self.0.iter().filter(|literal| literal.is_negated).count() as u32;
+        self.0.len() as u32 * LITERAL_COST + negated * NEGATION_COST + variables_cost(atoms, vocabulary.egos)
     }
 
     /// Returns the number of variables: one more than the largest that occurs, at least the number in the head.
