@@ -6,7 +6,7 @@
 
 use crate::induce::bits::{self, Bits};
 use crate::induce::examples::State;
-use crate::induce::vocabulary::{ARITY_MAX, Atom, Body, LITERAL_COST, NEGATION_COST, VARIABLES_MAX, Vocabulary, variables_cost};
+use crate::induce::vocabulary::{ARITY_MAX, Atom, Body, VARIABLES_MAX, Vocabulary, cost};
 use smallvec::SmallVec;
 
 /// The facts of a list of states, transposed.
@@ -218,10 +218,8 @@ impl Problem<'_> {
 
     /// Returns the cost of a conjunction. `seed` has those of its atoms that are not negated.
     pub fn cost(&self, chosen: &[u64], seed: &[u64]) -> u32 {
-        let atoms = bits::elements(chosen).map(|literal| &self.atoms[literal]);
-        let literals = bits::count(chosen);
-        let negated = literals - bits::common(chosen, seed);
-        literals * LITERAL_COST + negated * NEGATION_COST + variables_cost(atoms, self.vocabulary.egos())
+        let literals = bits::elements(chosen).map(|literal| (&self.atoms[literal], !bits::has(seed, literal)));
+        cost(literals, self.vocabulary.egos())
     }
 
     /// Returns whether the positive literals of a conjunction, or a guard, bind all its variables. `seed` has those of

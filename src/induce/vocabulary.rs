@@ -140,17 +140,24 @@ pub struct Literal {
     pub atom: Atom,
 }
 
-/// The cost of a positive literal. It equals that of a clause.
+/// The cost of a positive literal with one variable. It equals that of a clause.
 pub const LITERAL_COST: u32 = 16;
-/// What a negation costs more than that.
+/// What each further variable of a literal costs.
+pub const ARGUMENT_COST: u32 = 2;
+/// What a negation costs.
 pub const NEGATION_COST: u32 = 1;
 /// The cost of each variable of a clause that is not in its head, except the first one.
 pub const VARIABLE_COST: u32 = 32;
 
-/// Returns the cost of the variables of some atoms. Those below `egos` are in the head.
-pub fn variables_cost<'a>(atoms: impl Iterator<Item = &'a Atom>, egos: usize) -> u32 {
-    let used = atoms.flat_map(|atom| &atom.arguments).fold(0_u32, |used, &variable| used | 1 << variable);
-    (used >> egos).count_ones().saturating_sub(1) * VARIABLE_COST
+/// Returns the cost of a conjunction: atoms, and whether they are negated. The variables below `egos` are in the head.
+pub fn cost<'a>(literals: impl Iterator<Item = (&'a Atom, bool)>, egos: usize) -> u32 {
+    let (mut used, mut cost) = (0_u32, 0);
+    for (atom, is_negated) in literals {
+        cost += LITERAL_COST + (atom.arguments.len() as u32 - 1) * ARGUMENT_COST;
+        cost += u32::from(is_negated) * NEGATION_COST;
+        atom.arguments.iter().for_each(|variable| used |= 1 << variable);
+    }
+    cost + (used >> egos).count_ones().saturating_sub(1) * VARIABLE_COST
 }
 
 /// A conjunction of literals.
@@ -192,9 +199,7 @@ impl Body {
 
     /// Returns the cost of the literals and variables.
     pub fn cost(&self, vocabulary: &Vocabulary) -> u32 {
-        let atoms = self.0.iter().map(|literal| &literal.atom);
-        let negated = self.0.iter().filter(|literal| literal.is_negated).count() as u32;
-        self.0.len() as u32 * LITERAL_COST + negated * NEGATION_COST + variables_cost(atoms, vocabulary.egos)
+        cost(self.0.iter().map(|literal| (&literal.atom, literal.is_negated)), vocabulary.egos)
     }
 
     /// Returns the number of variables: one more than the largest that occurs, at least the number in the head.
