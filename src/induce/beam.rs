@@ -99,7 +99,13 @@ struct Extension {
 
 /// Finds a clause that holds in the example and shortens the description most. `open` are the positive and the negative
 /// states that no other clause covers. `None` if no clause of the beam shortens it.
-pub fn beam(problem: &Problem<'_>, seed: &Bits, stratum: &Stratum<'_>, open: &[Vec<u64>; 2], cancel: &Cancel) -> Option<(i64, Candidate)> {
+pub fn beam(
+    problem: &Problem<'_>,
+    seed: &Bits,
+    stratum: &Stratum<'_>,
+    open: &[Vec<u64>; 2],
+    cancel: &Cancel,
+) -> Option<(i64, Candidate)> {
     let root = Node {
         chosen: bits::empty(problem.atoms.len()),
         positive: Rc::new(problem.all(problem.positive)),
@@ -149,7 +155,12 @@ pub fn beam(problem: &Problem<'_>, seed: &Bits, stratum: &Stratum<'_>, open: &[V
                 });
             }
         }
-        extensions.sort_by(|one, other| other.value.total_cmp(&one.value).then_with(|| one.chosen.cmp(&other.chosen)));
+        extensions.sort_by(|one, other| {
+            other
+                .value
+                .total_cmp(&one.value)
+                .then_with(|| one.chosen.cmp(&other.chosen))
+        });
         extensions.truncate(WIDTH);
         nodes = (extensions.into_iter())
             .map(|extension| {

@@ -317,7 +317,10 @@ fn learn_action(
     chosen.sort_by_key(|found| std::cmp::Reverse(bits::count(&found.covered)));
     let mut covered = vec![0; positive.len().div_ceil(64)];
     for found in &chosen {
-        covered.iter_mut().zip(&found.covered).for_each(|(all, covered)| *all |= covered);
+        covered
+            .iter_mut()
+            .zip(&found.covered)
+            .for_each(|(all, covered)| *all |= covered);
     }
     let clauses = chosen.iter().map(|found| LearnedClause {
         body: found.body.clone(),

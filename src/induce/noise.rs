@@ -57,9 +57,13 @@ pub(crate) fn estimate(
         }
         part
     };
-    let parts: Vec<_> = (0..FOLDS).map(|fold| (part(&|other| other != fold), part(&|other| other == fold))).collect();
+    let parts: Vec<_> = (0..FOLDS)
+        .map(|fold| (part(&|other| other != fold), part(&|other| other == fold)))
+        .collect();
     let errors = |rate: f64| -> u64 {
-        let error = |(train, test): &(Examples, Examples)| wrong(&learn_tolerant(train, settings, rate, progress, cancel), test);
+        let error = |(train, test): &(Examples, Examples)| {
+            wrong(&learn_tolerant(train, settings, rate, progress, cancel), test)
+        };
         parts.iter().map(error).sum()
     };
     let errors: Vec<u64> = CANDIDATES.iter().map(|&rate| errors(rate)).collect();
@@ -97,12 +101,17 @@ pub(crate) fn learn_tolerant(
             .zip(&decided)
             .map(|((_, tallies), is_decided)| {
                 let lower = tallies[action + 1..].iter().map(|tally| tally.count).max().unwrap_or(0);
-                if *is_decided { 0 } else { i64::from(tallies[action].count) - i64::from(lower) }
+                if *is_decided {
+                    0
+                } else {
+                    i64::from(tallies[action].count) - i64::from(lower)
+                }
             })
             .collect();
         let of = |sign: i64| -> (Vec<&State>, Vec<u32>) {
             let kept = states.iter().zip(&excess).filter(|(_, excess)| *excess * sign > 0);
-            kept.map(|(state, excess)| (*state, excess.unsigned_abs() as u32)).unzip()
+            kept.map(|(state, excess)| (*state, excess.unsigned_abs() as u32))
+                .unzip()
         };
         let ((positive, gains), (negative, losses)) = (of(1), of(-1));
         let split = Split::new(vocabulary, &positive, &negative);
@@ -110,7 +119,9 @@ pub(crate) fn learn_tolerant(
             vocabulary,
             action,
             settings,
-            problems: (vocabulary.egos()..=settings.variables).map(|variables| split.problem(vocabulary, variables)).collect(),
+            problems: (vocabulary.egos()..=settings.variables)
+                .map(|variables| split.problem(vocabulary, variables))
+                .collect(),
             stratum: Stratum {
                 positive: &Weights::new(&gains),
                 negative: &Weights::new(&losses),
@@ -129,7 +140,13 @@ pub(crate) fn learn_tolerant(
         let open = level.open(&clauses, usize::MAX);
         learned.push(ActionRules {
             uncovered: bits::count(&open[0]) as usize,
-            clauses: clauses.into_iter().map(|clause| LearnedClause { body: clause.body, is_best: false }).collect(),
+            clauses: clauses
+                .into_iter()
+                .map(|clause| LearnedClause {
+                    body: clause.body,
+                    is_best: false,
+                })
+                .collect(),
             is_cheapest: false,
         });
     }
@@ -165,7 +182,12 @@ impl Level<'_> {
             (0..count).for_each(|state| bits::insert(&mut all, state));
             all
         });
-        for clause in clauses.iter().enumerate().filter(|(index, _)| *index != except).map(|(_, clause)| clause) {
+        for clause in clauses
+            .iter()
+            .enumerate()
+            .filter(|(index, _)| *index != except)
+            .map(|(_, clause)| clause)
+        {
             subtract(&mut open[0], &clause.states[0]);
             subtract(&mut open[1], &clause.states[1]);
         }
@@ -201,7 +223,9 @@ impl Level<'_> {
                 (self.total(&others), others)
             };
             let trials: Vec<_> = pool.par_iter().map(|(_, added)| other(added)).collect();
-            let found = trials.into_iter().reduce(|best, other| if other.0 > best.0 { other } else { best });
+            let found = trials
+                .into_iter()
+                .reduce(|best, other| if other.0 > best.0 { other } else { best });
             match found {
                 Some((total, others)) if total > best => (best, *clauses) = (total, others),
                 _ => break,
@@ -212,7 +236,8 @@ impl Level<'_> {
     /// Drops clauses that do not shorten the description, the least useful one first.
     fn prune(&self, clauses: &mut Vec<Candidate>) {
         loop {
-            let scores = (0..clauses.len()).map(|index| (clauses[index].score(&self.stratum, &self.open(clauses, index)), index));
+            let scores = (0..clauses.len())
+                .map(|index| (clauses[index].score(&self.stratum, &self.open(clauses, index)), index));
             match scores.min() {
                 Some((score, index)) if score <= 0 => clauses.remove(index),
                 _ => break,
@@ -256,16 +281,19 @@ impl Level<'_> {
                 covered: self.states[0] - left.len(),
                 clauses: clauses.len(),
             });
-            let tries: Vec<usize> =
-                (0..self.settings.tries).map(|_| left[random.random_range(0..left.len())]).collect();
+            let tries: Vec<usize> = (0..self.settings.tries)
+                .map(|_| left[random.random_range(0..left.len())])
+                .collect();
             let mut best: Option<(i64, Candidate)> = None;
             for variables in fewest..=self.settings.variables {
                 let problem = self.problem(variables);
                 let mut seeds: Vec<_> = tries.iter().flat_map(|&state| problem.seeds(state)).collect();
                 seeds.sort_unstable();
                 seeds.dedup();
-                let found: Vec<_> =
-                    seeds.par_iter().filter_map(|seed| beam(problem, seed, &self.stratum, &open, cancel)).collect();
+                let found: Vec<_> = seeds
+                    .par_iter()
+                    .filter_map(|seed| beam(problem, seed, &self.stratum, &open, cancel))
+                    .collect();
                 for found in found {
                     pool.insert(found.1.body.clone(), found.1.clone());
                     if best.as_ref().is_none_or(|best| found.0 > best.0) {
@@ -273,7 +301,9 @@ impl Level<'_> {
                     }
                 }
                 let enough = self.settings.enough.into();
-                if (best.as_ref()).is_some_and(|(_, best)| self.stratum.positive.sum_common(&best.states[0], &open[0]) >= enough) {
+                if (best.as_ref())
+                    .is_some_and(|(_, best)| self.stratum.positive.sum_common(&best.states[0], &open[0]) >= enough)
+                {
                     break;
                 }
             }
@@ -323,7 +353,9 @@ impl Level<'_> {
                 let mut best: Option<(i64, Vec<Literal>)> = None;
                 let mut consider = |literals: Vec<Literal>, states: &[Vec<u64>; 2]| {
                     let body = Body(literals);
-                    let own = self.stratum.score(states, open, body.cost(self.vocabulary) + LITERAL_COST);
+                    let own = self
+                        .stratum
+                        .score(states, open, body.cost(self.vocabulary) + LITERAL_COST);
                     let is_safe = self.vocabulary.guard().is_some()
                         || (0..body.variables(self.vocabulary)).all(|variable| body.binds(variable));
                     if own > score && is_safe && best.as_ref().is_none_or(|best| own > best.0) {
@@ -333,7 +365,10 @@ impl Level<'_> {
                 if dropped < literals.len() {
                     consider(
                         kept.0.clone(),
-                        &[positive.states(problem.positive.words), negative.states(problem.negative.words)],
+                        &[
+                            positive.states(problem.positive.words),
+                            negative.states(problem.negative.words),
+                        ],
                     );
                 }
                 for atom in &problem.atoms {
@@ -341,7 +376,10 @@ impl Level<'_> {
                         problem.states_with(problem.positive, &positive, atom, !is_negated, &mut states[0]);
                         problem.states_with(problem.negative, &negative, atom, !is_negated, &mut states[1]);
                         let mut literals = kept.0.clone();
-                        literals.push(Literal { is_negated, atom: atom.clone() });
+                        literals.push(Literal {
+                            is_negated,
+                            atom: atom.clone(),
+                        });
                         consider(literals, &states);
                     }
                 }

@@ -205,7 +205,11 @@ impl Problem<'_> {
         out.fill(0);
         let flip = if is_true { 0 } else { u64::MAX };
         let mut count = 0;
-        for (&assignment, states) in rows.assignments.iter().zip(rows.states.chunks_exact(columns.words.max(1))) {
+        for (&assignment, states) in rows
+            .assignments
+            .iter()
+            .zip(rows.states.chunks_exact(columns.words.max(1)))
+        {
             let column = &columns.facts[self.fact(atom, assignment) * columns.words..];
             for ((out, state), column) in out.iter_mut().zip(states).zip(column) {
                 let word = state & (column ^ flip);

@@ -18,7 +18,11 @@ fn vocabulary(unary: usize, binary: usize, has_guard: bool) -> Vocabulary {
         arity: if index < unary { 1 } else { 2 },
         is_symmetric: index == unary,
     };
-    Vocabulary::new((0..unary + binary).map(predicate).collect(), 1, has_guard.then(|| "Sees".into()))
+    Vocabulary::new(
+        (0..unary + binary).map(predicate).collect(),
+        1,
+        has_guard.then(|| "Sees".into()),
+    )
 }
 
 /// A state with random facts. Binary ones are irreflexive.
@@ -84,8 +88,12 @@ fn holds(vocabulary: &Vocabulary, body: &Body, state: &State) -> bool {
             rest /= state.entities();
         }
         body.0.iter().all(|literal| {
-            let arguments: Vec<usize> =
-                literal.atom.arguments.iter().map(|&variable| entities[variable as usize]).collect();
+            let arguments: Vec<usize> = literal
+                .atom
+                .arguments
+                .iter()
+                .map(|&variable| entities[variable as usize])
+                .collect();
             state.holds(vocabulary, literal.atom.predicate, &arguments) != literal.is_negated
         })
     })
@@ -110,7 +118,8 @@ fn wrong(learned: &Learned, examples: &Examples) -> usize {
         .map(|rules| rules.clauses.iter().map(|clause| clause.body.clone()).collect())
         .collect();
     let vocabulary = examples.vocabulary();
-    let is_wrong = |(state, tallies): &(&State, &[super::Tally])| tallies[decide(vocabulary, &bodies, state)].count == 0;
+    let is_wrong =
+        |(state, tallies): &(&State, &[super::Tally])| tallies[decide(vocabulary, &bodies, state)].count == 0;
     examples.states().filter(is_wrong).count()
 }
 
@@ -232,13 +241,24 @@ fn rules_are_the_same_on_any_number_of_threads() {
     let vocabulary = vocabulary(3, 2, true);
     for seed in 0..8 {
         let rules = rules(&vocabulary, 3, seed);
-        let labeled = states(&vocabulary, 200, seed).into_iter().map(|state| (state.clone(), decide(&vocabulary, &rules, &state)));
+        let labeled = states(&vocabulary, 200, seed)
+            .into_iter()
+            .map(|state| (state.clone(), decide(&vocabulary, &rules, &state)));
         let examples = examples(&vocabulary, 3, labeled);
         for noise in [Noise::None, Noise::Rate(0.01)] {
-            let settings = Settings { noise, ..Settings::default() };
+            let settings = Settings {
+                noise,
+                ..Settings::default()
+            };
             let [one, four] = [1, 4].map(|threads| {
-                let pool = rayon::ThreadPoolBuilder::new().num_threads(threads).build().expect("a pool");
-                texts(&pool.install(|| learn(&examples, &settings, &Cancel::never())), &vocabulary)
+                let pool = rayon::ThreadPoolBuilder::new()
+                    .num_threads(threads)
+                    .build()
+                    .expect("a pool");
+                texts(
+                    &pool.install(|| learn(&examples, &settings, &Cancel::never())),
+                    &vocabulary,
+                )
             });
             assert_eq!(one, four);
         }
@@ -250,12 +270,19 @@ fn noisy(rate: f64) -> (Examples, Vec<(State, usize)>) {
     let vocabulary = vocabulary(4, 2, true);
     let literal = |predicate: usize, arguments: &[u8], is_negated: bool| Literal {
         is_negated,
-        atom: super::Atom { predicate, arguments: arguments.iter().copied().collect() },
+        atom: super::Atom {
+            predicate,
+            arguments: arguments.iter().copied().collect(),
+        },
     };
     let rules = [
         vec![
             Body(vec![literal(0, &[0], false), literal(5, &[0, 1], false)]),
-            Body(vec![literal(1, &[0], false), literal(2, &[1], false), literal(4, &[0, 1], true)]),
+            Body(vec![
+                literal(1, &[0], false),
+                literal(2, &[1], false),
+                literal(4, &[0, 1], true),
+            ]),
         ],
         vec![Body(vec![literal(3, &[0], false), literal(1, &[0], true)])],
     ];
@@ -268,19 +295,43 @@ fn noisy(rate: f64) -> (Examples, Vec<(State, usize)>) {
             (state, action)
         })
         .collect();
-    let mut flip = |action: usize| if random.random_bool(rate) { (action + random.random_range(1..3)) % 3 } else { action };
-    let flipped: Vec<_> = labeled.iter().map(|(state, action)| (state.clone(), flip(*action))).collect();
+    let mut flip = |action: usize| {
+        if random.random_bool(rate) {
+            (action + random.random_range(1..3)) % 3
+        } else {
+            action
+        }
+    };
+    let flipped: Vec<_> = labeled
+        .iter()
+        .map(|(state, action)| (state.clone(), flip(*action)))
+        .collect();
     (examples(&vocabulary, 3, flipped.into_iter()), labeled)
 }
 
 #[test]
 fn noise_does_not_change_the_rules() {
-    for (rate, noise) in [(0.02, Noise::Rate(0.02)), (0.02, Noise::Auto), (0.05, Noise::Rate(0.05)), (0.05, Noise::Auto)] {
+    for (rate, noise) in [
+        (0.02, Noise::Rate(0.02)),
+        (0.02, Noise::Auto),
+        (0.05, Noise::Rate(0.05)),
+        (0.05, Noise::Auto),
+    ] {
         let (examples, labeled) = noisy(rate);
-        assert!(examples.contradictions().next().is_some(), "some states have several actions");
-        let settings = Settings { noise, ..Settings::default() };
+        assert!(
+            examples.contradictions().next().is_some(),
+            "some states have several actions"
+        );
+        let settings = Settings {
+            noise,
+            ..Settings::default()
+        };
         let learned = learn(&examples, &settings, &Cancel::never());
-        assert!((rate / 2.0..rate * 2.0).contains(&learned.rate), "{rate} {}", learned.rate);
+        assert!(
+            (rate / 2.0..rate * 2.0).contains(&learned.rate),
+            "{rate} {}",
+            learned.rate
+        );
         let states: Vec<&State> = labeled.iter().map(|(state, _)| state).collect();
         let decided = learned.decide(examples.vocabulary(), &states);
         let right: Vec<usize> = labeled.iter().map(|(_, action)| *action).collect();
@@ -292,7 +343,14 @@ fn noise_does_not_change_the_rules() {
 fn estimated_noise_of_consistent_examples_is_none() {
     let (examples, _) = noisy(0.0);
     let rules = |noise| {
-        let learned = learn(&examples, &Settings { noise, ..Settings::default() }, &Cancel::never());
+        let learned = learn(
+            &examples,
+            &Settings {
+                noise,
+                ..Settings::default()
+            },
+            &Cancel::never(),
+        );
         (learned.rate, texts(&learned, examples.vocabulary()))
     };
     assert_eq!(rules(Noise::Auto), rules(Noise::None));

@@ -199,7 +199,10 @@ impl Body {
 
     /// Returns the cost of the literals and variables.
     pub fn cost(&self, vocabulary: &Vocabulary) -> u32 {
-        cost(self.0.iter().map(|literal| (&literal.atom, literal.is_negated)), vocabulary.egos)
+        cost(
+            self.0.iter().map(|literal| (&literal.atom, literal.is_negated)),
+            vocabulary.egos,
+        )
     }
 
     /// Returns the number of variables: one more than the largest that occurs, at least the number in the head.
