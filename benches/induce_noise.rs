@@ -100,7 +100,9 @@ impl Mode {
     fn examples<'a>(&self, steps: impl Iterator<Item = &'a (State, usize)>) -> Examples {
         let names = ORDER.iter().map(|action| action.name().to_owned()).collect();
         let mut examples = Examples::new(self.vocabulary.clone(), names);
-        steps.for_each(|(state, action)| drop(examples.push(state.clone(), *action)));
+        for (state, action) in steps {
+            examples.push(state.clone(), *action);
+        }
         examples
     }
 

@@ -108,7 +108,9 @@ fn decide(vocabulary: &Vocabulary, rules: &[Vec<Body>], state: &State) -> usize 
 fn examples(vocabulary: &Vocabulary, actions: usize, labeled: impl Iterator<Item = (State, usize)>) -> Examples {
     let names = (0..actions).map(|action| format!("Action{action}")).collect();
     let mut examples = Examples::new(vocabulary.clone(), names);
-    labeled.for_each(|(state, action)| drop(examples.push(state, action)));
+    for (state, action) in labeled {
+        examples.push(state, action);
+    }
     examples
 }
 
