@@ -29,16 +29,10 @@ impl Mode {
     fn load(mode: &str) -> Mode {
         let mut sources = Sources::new();
         let path = format!("configs/{mode}.yaml");
-        let city = LoadedCity::load(&mut sources, Path::new(&path), None, &BuiltinFiles)
-            .ok()
-            .expect("a mode");
-        let world = Arc::new(city.world().ok().expect("a world"));
-        let task = Arc::new(SpfTask::new(Arc::clone(&world), &sources).ok().expect("a task"));
-        let mut load = |split| {
-            EpisodeSet::load(&task, split, &mut sources, &BuiltinFiles)
-                .ok()
-                .expect("episodes")
-        };
+        let city = LoadedCity::load(&mut sources, Path::new(&path), None, &BuiltinFiles).expect("a mode");
+        let world = Arc::new(city.world().expect("a world"));
+        let task = Arc::new(SpfTask::new(Arc::clone(&world), &sources).expect("a task"));
+        let mut load = |split| EpisodeSet::load(&task, split, &mut sources, &BuiltinFiles).expect("episodes");
         let (train, test) = (load(Split::Train), load(Split::Test));
         let predicates = (task.oracle().columns())
             .map(|(position, _)| {
@@ -79,18 +73,16 @@ impl Mode {
 
     /// Returns the states and actions of each demonstration.
     fn demonstrations(&self) -> Vec<Vec<(State, usize)>> {
-        let mut env = Env::new(Arc::clone(&self.task), Split::Train, ControlMode::First)
-            .ok()
-            .expect("an environment");
+        let mut env = Env::new(Arc::clone(&self.task), Split::Train, ControlMode::First).expect("an environment");
         let mut all = Vec::new();
         for episode in &self.train.episodes {
-            env.reset_to(episode).ok().expect("an episode");
+            env.reset_to(episode).expect("an episode");
             let mut steps = Vec::new();
             while env.controlled_cars()[0].is_running() {
                 let action = env.oracle_action(0);
                 let index = ORDER.iter().position(|other| *other == action).expect("an action");
                 steps.push((self.state(&env.controlled_cars()[0]), index));
-                env.step(&[action]).ok().expect("within limits");
+                env.step(&[action]).expect("within limits");
             }
             all.push(steps);
         }
@@ -108,17 +100,15 @@ impl Mode {
 
     /// Returns the share of test episodes in which a car that follows the rules reaches the goal without a violation.
     fn success(&self, rules: &Learned) -> f64 {
-        let mut env = Env::new(Arc::clone(&self.task), Split::Test, ControlMode::First)
-            .ok()
-            .expect("an environment");
+        let mut env = Env::new(Arc::clone(&self.task), Split::Test, ControlMode::First).expect("an environment");
         let mut successes = 0;
         for episode in &self.test.episodes {
-            env.reset_to(episode).ok().expect("an episode");
+            env.reset_to(episode).expect("an episode");
             env.set_horizon(episode.horizon(self.task.config()));
             while env.controlled_cars()[0].is_running() {
                 let state = self.state(&env.controlled_cars()[0]);
                 let action = ORDER[rules.decide(&self.vocabulary, &[&state])[0]];
-                env.step(&[action]).ok().expect("within limits");
+                env.step(&[action]).expect("within limits");
             }
             successes += usize::from(env.controlled_cars()[0].last().success);
         }
