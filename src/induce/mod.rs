@@ -2,7 +2,8 @@
 //!
 //! An example is a state, what an ego sees, with the action taken in it. For each action in the order of precedence, the
 //! learner finds clauses that hold in every example of the action and in no example of an action of lower precedence.
-//! The result is a set of clauses of least cost among those found.
+//! The result is a set of clauses of least cost among those found. If some examples may have a wrong action, clauses may
+//! hold in a few negative examples and leave a few positive ones: see [`Noise`].
 
 mod beam;
 mod bits;
