@@ -223,6 +223,12 @@ impl Examples {
         index
     }
 
+    /// Adds the examples of a state that is in sorted order. Their numbers stay.
+    pub(crate) fn merge(&mut self, state: &State, tallies: &[Tally]) {
+        self.states.insert(state.clone(), tallies.into());
+        self.count += tallies.iter().map(|tally| u64::from(tally.count)).sum::<u64>();
+    }
+
     /// Returns the distinct states with the examples for each action.
     pub fn states(&self) -> impl ExactSizeIterator<Item = (&State, &[Tally])> + Clone {
         self.states.iter().map(|(state, tallies)| (state, &**tallies))

@@ -5,14 +5,20 @@ use crate::cancel::Cancel;
 use crate::induce::bits;
 use crate::induce::cover::cheapest_cover;
 use crate::induce::examples::{Examples, State, majority};
+use crate::induce::noise;
 use crate::induce::problem::{Problem, Split};
 use crate::induce::search::{Found, Search};
-use crate::induce::vocabulary::{Body, POSITIVE_COST, Vocabulary};
+use crate::induce::vocabulary::{Body, LITERAL_COST, Vocabulary};
 use crate::rng::{Purpose, RngExt, Seed};
-use rayon::ThreadPool;
 use rayon::prelude::*;
 use std::collections::BTreeMap;
 use std::num::NonZeroUsize;
+use std::panic::{AssertUnwindSafe, catch_unwind, resume_unwind};
+use std::sync::Arc;
+use std::sync::atomic::{AtomicBool, Ordering};
+use std::sync::mpsc::{self, RecvTimeoutError};
+use std::thread;
+use std::time::Duration;
 
 impl Purpose {
     /// The order in which the learner tries uncovered examples; the index is the position of the action.
@@ -38,6 +44,19 @@ pub struct Settings {
     pub working_states: usize,
     /// Whether clauses may contain negative literals.
     pub negation: bool,
+    /// Whether some examples may have a wrong action.
+    pub noise: Noise,
+}
+
+/// The share of examples that have a wrong action.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub enum Noise {
+    /// None: the rules must be right in every example that any clauses can separate.
+    None,
+    /// A known share, between 0 and 1.
+    Rate(f64),
+    /// A share that cross-validation estimates.
+    Auto,
 }
 
 impl Default for Settings {
@@ -47,10 +66,11 @@ impl Default for Settings {
             seed: 0,
             threads: None,
             tries: 3,
-            enough: 10,
+            enough: 4,
             nodes: 20_000,
             working_states: 20_000,
             negation: true,
+            noise: Noise::None,
         }
     }
 }
@@ -64,6 +84,8 @@ pub struct Learned {
     pub is_complete: bool,
     /// Number of distinct states from which the clauses were learned. The others confirm them.
     pub working_states: usize,
+    /// The share of wrong actions that the learner assumed: 0 if it took all examples as right.
+    pub rate: f64,
 }
 
 /// The clauses of one action.
@@ -73,7 +95,7 @@ pub struct ActionRules {
     pub clauses: Vec<LearnedClause>,
     /// Whether no cheaper set of the clauses found covers the examples.
     pub is_cheapest: bool,
-    /// Positive states that no clause covers, since none separates them from the negative ones.
+    /// Positive states that no clause covers: none separates them from the negative ones, or noise explains them.
     pub uncovered: usize,
 }
 
@@ -160,10 +182,53 @@ pub fn learn(examples: &Examples, settings: &Settings, cancel: &Cancel) -> Learn
 }
 
 /// Variant of [`learn`] that reports its progress.
-pub fn learn_with(examples: &Examples, settings: &Settings, progress: &dyn Fn(Progress), cancel: &Cancel) -> Learned {
+pub fn learn_with(
+    examples: &Examples,
+    settings: &Settings,
+    progress: &(dyn Fn(Progress) + Sync),
+    cancel: &Cancel,
+) -> Learned {
     let threads = settings.threads.map_or(0, NonZeroUsize::get);
-    // Without threads of its own, the learner uses those of the caller.
-    let pool = rayon::ThreadPoolBuilder::new().num_threads(threads).build().ok();
+    let Ok(pool) = rayon::ThreadPoolBuilder::new().num_threads(threads).build() else {
+        // Without threads of its own, the learner uses those of the caller.
+        return learn_here(examples, settings, progress, cancel);
+    };
+    // `cancel` may have an effect on this thread only, so this one polls it, and the threads of the pool poll a flag.
+    let requested = Arc::new(AtomicBool::new(cancel.requested()));
+    let flag = Arc::clone(&requested);
+    let forwarded = Cancel::when(move || flag.load(Ordering::Relaxed));
+    let (done, finished) = mpsc::channel();
+    thread::scope(|scope| {
+        let work = || pool.install(|| learn_here(examples, settings, progress, &forwarded));
+        scope.spawn(move || done.send(catch_unwind(AssertUnwindSafe(work))));
+        let learned = loop {
+            match finished.recv_timeout(POLL_INTERVAL) {
+                Err(RecvTimeoutError::Timeout) => requested.store(cancel.requested(), Ordering::Relaxed),
+                received => break received.expect("the thread sends a result"),
+            }
+        };
+        learned.unwrap_or_else(|panic| resume_unwind(panic))
+    })
+}
+
+/// The interval in which [`learn_with`] polls for cancellation.
+const POLL_INTERVAL: Duration = Duration::from_millis(20);
+
+/// Learns on the threads of the caller.
+pub(crate) fn learn_here(
+    examples: &Examples,
+    settings: &Settings,
+    progress: &(dyn Fn(Progress) + Sync),
+    cancel: &Cancel,
+) -> Learned {
+    let rate = match settings.noise {
+        Noise::None => None,
+        Noise::Rate(rate) => (rate > 0.0).then_some(rate),
+        Noise::Auto => noise::estimate(examples, settings, progress, cancel),
+    };
+    if let Some(rate) = rate {
+        return noise::learn_tolerant(examples, settings, rate, progress, cancel);
+    }
     let states: Vec<&State> = examples.states().map(|(state, _)| state).collect();
     let labels: Vec<usize> = examples.states().map(|(_, tallies)| majority(tallies)).collect();
     let mut works: Vec<bool> = sample(&labels, examples.actions().len(), settings.working_states);
@@ -182,7 +247,7 @@ pub fn learn_with(examples: &Examples, settings: &Settings, progress: &dyn Fn(Pr
                     &positive,
                     &negative,
                     settings,
-                    (pool.as_ref(), progress, cancel),
+                    (progress, cancel),
                 )
             })
             .collect();
@@ -190,6 +255,7 @@ pub fn learn_with(examples: &Examples, settings: &Settings, progress: &dyn Fn(Pr
             actions,
             is_complete: !cancel.requested(),
             working_states: working.len(),
+            rate: 0.0,
         };
         if working.len() == states.len() || !learned.is_complete {
             return learned;
@@ -238,7 +304,7 @@ fn learn_action(
     positive: &[&State],
     negative: &[&State],
     settings: &Settings,
-    (threads, progress, cancel): (Option<&ThreadPool>, &dyn Fn(Progress), &Cancel),
+    (progress, cancel): (&(dyn Fn(Progress) + Sync), &Cancel),
 ) -> ActionRules {
     let split = Split::new(vocabulary, positive, negative);
     let fewest = (vocabulary.egos() + 1).min(settings.variables);
@@ -247,7 +313,6 @@ fn learn_action(
     let mut pool: BTreeMap<Body, Found> = BTreeMap::new();
     let mut open = bits::empty(positive.len());
     (0..positive.len()).for_each(|state| bits::insert(&mut open, state));
-    let mut uncovered = 0;
     while !cancel.requested() {
         let left: Vec<usize> = bits::elements(&open).collect();
         if left.is_empty() {
@@ -276,12 +341,7 @@ fn learn_action(
             seeds.sort_unstable();
             seeds.dedup();
             let search = |seed| Search::new(problem, seed, &open).best(settings.nodes, cancel);
-            let search_all = || -> Vec<Found> { seeds.par_iter().filter_map(search).collect() };
-            // Only the searches leave this thread: `cancel` may poll for it alone.
-            let found = match threads {
-                Some(threads) => threads.install(search_all),
-                None => search_all(),
-            };
+            let found: Vec<Found> = seeds.par_iter().filter_map(search).collect();
             for found in found {
                 if best.as_ref().is_none_or(|best| found.score > best.score) {
                     best = Some(found.clone());
@@ -301,22 +361,24 @@ fn learn_action(
                 .zip(&best.covered)
                 .for_each(|(open, covered)| *open &= !covered),
             // No clause separates these examples from the negative ones.
-            None => {
-                for state in tries {
-                    uncovered += usize::from(bits::has(&open, state));
-                    bits::remove(&mut open, state);
-                }
-            }
+            None => tries.iter().for_each(|&state| bits::remove(&mut open, state)),
         }
     }
     let pool: Vec<Found> = pool.into_values().collect();
     let columns: Vec<(Vec<u64>, u32)> = pool
         .iter()
-        .map(|found| (found.covered.clone(), found.body.cost() + POSITIVE_COST))
+        .map(|found| (found.covered.clone(), found.body.cost(vocabulary) + LITERAL_COST))
         .collect();
     let cover = cheapest_cover(&columns);
     let mut chosen: Vec<&Found> = cover.columns.iter().map(|&column| &pool[column]).collect();
     chosen.sort_by_key(|found| std::cmp::Reverse(bits::count(&found.covered)));
+    let mut covered = vec![0; positive.len().div_ceil(64)];
+    for found in &chosen {
+        covered
+            .iter_mut()
+            .zip(&found.covered)
+            .for_each(|(all, covered)| *all |= covered);
+    }
     let clauses = chosen.iter().map(|found| LearnedClause {
         body: found.body.clone(),
         is_best: found.is_best,
@@ -324,6 +386,6 @@ fn learn_action(
     ActionRules {
         clauses: clauses.collect(),
         is_cheapest: cover.is_cheapest,
-        uncovered,
+        uncovered: positive.len() - bits::count(&covered) as usize,
     }
 }

@@ -2,19 +2,25 @@
 //!
 //! An example is a state, what an ego sees, with the action taken in it. For each action in the order of precedence, the
 //! learner finds clauses that hold in every example of the action and in no example of an action of lower precedence.
-//! The result is a set of clauses of least cost among those found.
+//! The result is a set of clauses of least cost among those found. If some examples may have a wrong action, clauses may
+//! hold in a few negative examples and leave a few positive ones: see [`Noise`].
 
+mod beam;
 mod bits;
 mod cover;
 mod examples;
 mod learner;
+mod noise;
 pub mod popper;
 mod problem;
 mod search;
 mod support;
+#[cfg(test)]
+mod tests;
 mod vocabulary;
+mod weights;
 
 pub use examples::{Contradiction, ENTITIES_MAX, Examples, State, Tally};
-pub use learner::{ActionRules, Learned, LearnedClause, Progress, Settings, learn, learn_with};
+pub use learner::{ActionRules, Learned, LearnedClause, Noise, Progress, Settings, learn, learn_with};
 pub use support::{ClauseSupport, Support, support};
 pub use vocabulary::{ARITY_MAX, Atom, Body, Link, Literal, Predicate, VARIABLE_NAMES, VARIABLES_MAX, Vocabulary};

@@ -6,7 +6,7 @@
 
 use crate::induce::bits::{self, Bits};
 use crate::induce::examples::State;
-use crate::induce::vocabulary::{ARITY_MAX, Atom, Body, Link, VARIABLES_MAX, Vocabulary};
+use crate::induce::vocabulary::{ARITY_MAX, Atom, Body, Link, VARIABLES_MAX, Vocabulary, cost};
 use smallvec::SmallVec;
 use std::borrow::Cow;
 
@@ -79,6 +79,11 @@ impl Rows {
             states.iter_mut().zip(chunk).for_each(|(state, word)| *state |= word);
         }
         states
+    }
+
+    /// Returns their number.
+    pub fn count(&self) -> u64 {
+        bits::count(&self.states).into()
     }
 
     /// Returns whether there are none.
@@ -277,6 +282,73 @@ impl Problem<'_> {
             }
         }
         left
+    }
+
+    /// Writes the states of the rows in which an atom is true, or false. Returns the number of rows.
+    pub fn states_with(&self, columns: &Columns, rows: &Rows, atom: &Atom, is_true: bool, out: &mut [u64]) -> u64 {
+        out.fill(0);
+        let flip = if is_true { 0 } else { u64::MAX };
+        let mut count = 0;
+        for (&assignment, states) in rows
+            .assignments
+            .iter()
+            .zip(rows.states.chunks_exact(columns.words.max(1)))
+        {
+            let column = &columns.facts[self.fact(atom, assignment) * columns.words..];
+            for ((out, state), column) in out.iter_mut().zip(states).zip(column) {
+                let word = state & (column ^ flip);
+                count += u64::from(word.count_ones());
+                *out |= word;
+            }
+        }
+        count
+    }
+
+    /// Returns the cost of a conjunction. `seed` has those of its atoms that are not negated.
+    pub fn cost(&self, chosen: &[u64], seed: &[u64]) -> u32 {
+        let literals = bits::elements(chosen).map(|literal| (&self.atoms[literal], !bits::has(seed, literal)));
+        cost(literals, self.vocabulary.egos())
+    }
+
+    /// Returns whether the positive literals of a conjunction, or a guard, bind all its variables. `seed` has those of
+    /// its atoms that are not negated.
+    pub fn binds_all(&self, chosen: &[u64], seed: &[u64]) -> bool {
+        self.binders(chosen, &bits::empty(self.atoms.len()), seed).is_none()
+    }
+
+    /// Returns `None` if positive literals bind all variables that must be bound. Otherwise returns the literals that
+    /// bind a further one, of which every extension of the clause without a banned literal has one.
+    pub fn binders(&self, chosen: &[u64], banned: &[u64], seed: &[u64]) -> Option<Bits> {
+        if self.vocabulary.guard().is_some() {
+            return None;
+        }
+        let (atoms, vocabulary) = (&self.atoms, self.vocabulary);
+        let positive = bits::elements(chosen).filter(|&literal| bits::has(seed, literal));
+        let positive: Vec<&Atom> = positive.map(|literal| &atoms[literal]).collect();
+        let set = |atom: &Atom| atom.arguments.iter().fold(0_u64, |set, variable| set | 1 << variable);
+        let heads = (1_u64 << vocabulary.egos()) - 1;
+        let occurring = positive.iter().fold(0, |occurring, atom| occurring | set(atom));
+        let used = bits::elements(chosen).fold(heads, |used, literal| used | set(&atoms[literal]));
+        let bound = vocabulary.bound(positive.iter().copied());
+        // A variable of the head is bound, but the clause is safe only if it occurs in the body.
+        let missing = heads & !occurring;
+        let unbound = used & !bound;
+        let wanted = if missing != 0 { missing } else { unbound };
+        if wanted == 0 {
+            return None;
+        }
+        let first = wanted & wanted.wrapping_neg();
+        let serves = |atom: &Atom| match vocabulary.links() {
+            Some(_) if missing == 0 => set(atom) & !bound != 0 && vocabulary.binds(atom, bound),
+            _ => set(atom) & first != 0,
+        };
+        let mut binders = bits::empty(atoms.len());
+        for literal in bits::elements(seed) {
+            if !bits::has(banned, literal) && serves(&atoms[literal]) {
+                bits::insert(&mut binders, literal);
+            }
+        }
+        Some(binders)
     }
 
     /// Returns the rows in which a conjunction holds. `seed` has those of its atoms that are not negated.

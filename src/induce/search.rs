@@ -11,7 +11,7 @@
 use crate::cancel::Cancel;
 use crate::induce::bits::{self, Bits};
 use crate::induce::problem::{Problem, Rows};
-use crate::induce::vocabulary::{Atom, Body, Literal, NEGATIVE_COST, POSITIVE_COST};
+use crate::induce::vocabulary::{Body, LITERAL_COST, Literal};
 use std::cmp::{Ordering, Reverse};
 use std::collections::BinaryHeap;
 use std::rc::Rc;
@@ -21,6 +21,12 @@ const SAMPLE: (usize, usize) = (256, 64);
 /// Negative rows that are compared with the example when a clause holds in some, and those kept of them.
 const REFUTATIONS: (usize, usize) = (64, 8);
 
+/// What a newly covered state counts in scores, in the unit of costs.
+pub const EXAMPLE: i64 = 2 * LITERAL_COST as i64;
+
+/// Nodes between two polls for cancellation.
+const POLL_NODES: u32 = 64;
+
 /// A clause that a search found.
 #[derive(Clone, Debug)]
 pub struct Found {
@@ -28,7 +34,7 @@ pub struct Found {
     pub body: Body,
     /// The positive states that the clause covers.
     pub covered: Vec<u64>,
-    /// Newly covered states minus half the cost of the clause, in eighths.
+    /// [`EXAMPLE`] for each newly covered state, minus the cost of the clause.
     pub score: i64,
     /// Whether no clause for this example and assignment has a higher score. False if the search was cut.
     pub is_best: bool,
@@ -41,7 +47,6 @@ struct Node {
     number: u32,
     chosen: Bits,
     banned: Bits,
-    cost: u32,
     rows: Rc<Rows>,
     /// The exclusions that no chosen literal meets, of the first `compared` ones.
     open: Vec<u32>,
@@ -101,21 +106,21 @@ impl<'a> Search<'a> {
             number: 0,
             chosen: bits::empty(self.problem.atoms.len()),
             banned: bits::empty(self.problem.atoms.len()),
-            cost: 0,
             rows: Rc::new(self.problem.all(self.problem.positive).into_owned()),
             open: Vec::new(),
             compared: 0,
         });
-        let mut number = 0;
+        let (mut number, mut polls) = (0, 0_u32);
         while let Some(mut node) = heap.pop() {
-            if cancel.requested() {
+            polls += 1;
+            if polls % POLL_NODES == 0 && cancel.requested() {
                 return None;
             }
             self.compare(&mut node);
             if node.open.is_empty() {
                 let refuting = self.problem.holds(self.problem.negative, &node.chosen, self.seed);
                 if refuting.is_empty() {
-                    match self.binders(&node.chosen, &node.banned) {
+                    match self.problem.binders(&node.chosen, &node.banned, self.seed) {
                         None => return Some(self.finish(&node, true)),
                         Some(choices) => {
                             self.branch(&mut heap, node, &choices, &mut number);
@@ -192,20 +197,19 @@ impl<'a> Search<'a> {
             let is_true = bits::has(self.seed, literal);
             let mut chosen = node.chosen.clone();
             bits::insert(&mut chosen, literal);
-            let cost = node.cost + if is_true { POSITIVE_COST } else { NEGATIVE_COST };
+            let cost = self.problem.cost(&chosen, self.seed);
             let atom = &self.problem.atoms[literal];
             let rows = (self.problem).restrict(self.problem.positive, &node.rows, atom, is_true);
             let open: Vec<u32> = (node.open.iter().copied())
                 .filter(|&at| !bits::has(&self.exclusions[at as usize], literal))
                 .collect();
             // A clause that excludes a further row has at least one further literal.
-            let further = if open.is_empty() { 0 } else { POSITIVE_COST };
+            let further = if open.is_empty() { 0 } else { LITERAL_COST };
             heap.push(Node {
                 bound: self.score(&rows, cost + further),
                 number: *number,
                 chosen,
                 banned: banned.clone(),
-                cost,
                 rows: Rc::new(rows),
                 open,
                 compared: node.compared,
@@ -214,46 +218,10 @@ impl<'a> Search<'a> {
         }
     }
 
-    /// Returns `None` if positive literals bind all variables that must be bound. Otherwise returns the literals that
-    /// bind a further one, of which every extension of the clause without a banned literal has one.
-    fn binders(&self, chosen: &Bits, banned: &Bits) -> Option<Bits> {
-        let vocabulary = self.problem.vocabulary;
-        if vocabulary.guard().is_some() {
-            return None;
-        }
-        let atoms = &self.problem.atoms;
-        let positive = bits::elements(chosen).filter(|&literal| bits::has(self.seed, literal));
-        let positive: Vec<&Atom> = positive.map(|literal| &atoms[literal]).collect();
-        let set = |atom: &Atom| atom.arguments.iter().fold(0_u64, |set, variable| set | 1 << variable);
-        let heads = (1_u64 << vocabulary.egos()) - 1;
-        let occurring = positive.iter().fold(0, |occurring, atom| occurring | set(atom));
-        let used = bits::elements(chosen).fold(heads, |used, literal| used | set(&atoms[literal]));
-        let bound = vocabulary.bound(positive.iter().copied());
-        // A variable of the head is bound, but the clause is safe only if it occurs in the body.
-        let missing = heads & !occurring;
-        let unbound = used & !bound;
-        let wanted = if missing != 0 { missing } else { unbound };
-        if wanted == 0 {
-            return None;
-        }
-        let first = wanted & wanted.wrapping_neg();
-        let serves = |atom: &Atom| match vocabulary.links() {
-            Some(_) if missing == 0 => set(atom) & !bound != 0 && vocabulary.binds(atom, bound),
-            _ => set(atom) & first != 0,
-        };
-        let mut binders = bits::empty(atoms.len());
-        for literal in bits::elements(self.seed) {
-            if !bits::has(banned, literal) && serves(&atoms[literal]) {
-                bits::insert(&mut binders, literal);
-            }
-        }
-        Some(binders)
-    }
-
-    /// Newly covered states minus half the cost, in eighths.
+    /// Returns the score of a clause.
     fn score(&self, rows: &Rows, cost: u32) -> i64 {
         let covered = rows.states(self.problem.positive.words);
-        i64::from(bits::common(&covered, self.open)) * 8 - i64::from(cost)
+        i64::from(bits::common(&covered, self.open)) * EXAMPLE - i64::from(cost)
     }
 
     /// Completes a clause greedily: the literal that excludes the most rows comes first.
@@ -272,7 +240,10 @@ impl<'a> Search<'a> {
             if !refuting.is_empty() {
                 self.exclude(&refuting, REFUTATIONS)?;
                 self.compare(&mut node);
-            } else if let Some(binders) = self.binders(&node.chosen, &bits::empty(self.problem.atoms.len())) {
+            } else if let Some(binders) =
+                self.problem
+                    .binders(&node.chosen, &bits::empty(self.problem.atoms.len()), self.seed)
+            {
                 bits::insert(&mut node.chosen, bits::elements(&binders).next()?);
             } else {
                 return Some(self.finish(&node, false));
@@ -290,7 +261,7 @@ impl<'a> Search<'a> {
             bits::remove(&mut less, literal);
             let is_false = self.exclusions.iter().all(|exclusion| bits::meet(exclusion, &less));
             if is_false
-                && self.binders(&less, &bits::empty(less.len() * 64)).is_none()
+                && self.problem.binds_all(&less, self.seed)
                 && self.problem.holds(self.problem.negative, &less, self.seed).is_empty()
             {
                 chosen = less;
@@ -303,7 +274,7 @@ impl<'a> Search<'a> {
         });
         let body = Body::normalized(literals.collect(), self.problem.vocabulary);
         Found {
-            score: self.score(&rows, body.cost()),
+            score: self.score(&rows, body.cost(self.problem.vocabulary)),
             covered: rows.states(self.problem.positive.words),
             body,
             is_best,

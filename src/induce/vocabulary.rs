@@ -197,10 +197,25 @@ pub struct Literal {
     pub atom: Atom,
 }
 
-/// The cost of a positive literal. It equals that of a clause.
-pub const POSITIVE_COST: u32 = 4;
-/// The cost of a negative literal.
-pub const NEGATIVE_COST: u32 = 5;
+/// The cost of a positive literal with one variable. It equals that of a clause.
+pub const LITERAL_COST: u32 = 16;
+/// What each further variable of a literal costs.
+pub const ARGUMENT_COST: u32 = 2;
+/// What a negation costs.
+pub const NEGATION_COST: u32 = 1;
+/// The cost of each variable of a clause that is not in its head, except the first one.
+pub const VARIABLE_COST: u32 = 32;
+
+/// Returns the cost of a conjunction: atoms, and whether they are negated. The variables below `egos` are in the head.
+pub fn cost<'a>(literals: impl Iterator<Item = (&'a Atom, bool)>, egos: usize) -> u32 {
+    let (mut used, mut cost) = (0_u32, 0);
+    for (atom, is_negated) in literals {
+        cost += LITERAL_COST + (atom.arguments.len() as u32 - 1) * ARGUMENT_COST;
+        cost += u32::from(is_negated) * NEGATION_COST;
+        atom.arguments.iter().for_each(|variable| used |= 1 << variable);
+    }
+    cost + (used >> egos).count_ones().saturating_sub(1) * VARIABLE_COST
+}
 
 /// A conjunction of literals.
 #[derive(Clone, Debug, Default, PartialEq, Eq, PartialOrd, Ord, Hash)]
@@ -239,16 +254,12 @@ impl Body {
             .unwrap_or_default()
     }
 
-    /// Returns the sum of the costs of the literals.
-    pub fn cost(&self) -> u32 {
-        let cost = |literal: &Literal| {
-            if literal.is_negated {
-                NEGATIVE_COST
-            } else {
-                POSITIVE_COST
-            }
-        };
-        self.0.iter().map(cost).sum()
+    /// Returns the cost of the literals and variables.
+    pub fn cost(&self, vocabulary: &Vocabulary) -> u32 {
+        cost(
+            self.0.iter().map(|literal| (&literal.atom, literal.is_negated)),
+            vocabulary.egos,
+        )
     }
 
     /// Returns the number of variables: one more than the largest that occurs, at least the number in the head.

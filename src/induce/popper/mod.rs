@@ -36,7 +36,7 @@ use crate::cancel::Cancel;
 use crate::diag::{Code, Diagnostic, Faults, SourceId, Sources, Span};
 use crate::induce::examples::{Examples, State};
 use crate::induce::learner::{ActionRules, Settings, learn};
-use crate::induce::vocabulary::{POSITIVE_COST, Predicate, VARIABLE_NAMES, VARIABLES_MAX, Vocabulary};
+use crate::induce::vocabulary::{LITERAL_COST, Predicate, VARIABLE_NAMES, VARIABLES_MAX, Vocabulary};
 use background::{Background, Key, unknown};
 use bias::Bias;
 use indexmap::IndexSet;
@@ -341,7 +341,10 @@ pub struct Solution {
 /// rounds that leave the fewest examples uncovered. A single clause ends the search.
 pub fn solve(vocabulary: &Vocabulary, examples: &Examples, settings: &Settings, cancel: &Cancel) -> Solution {
     let rank = |rules: &ActionRules| {
-        let costs = rules.clauses.iter().map(|clause| clause.body.cost() + POSITIVE_COST);
+        let costs = rules
+            .clauses
+            .iter()
+            .map(|clause| clause.body.cost(vocabulary) + LITERAL_COST);
         (rules.uncovered, costs.sum::<u32>())
     };
     let mut best: Option<Solution> = None;
