@@ -3,20 +3,26 @@
 use crate::induce::ask::hypothesis::{Instance, firing};
 use crate::induce::ask::session::{End, Reason, Session};
 use crate::induce::ask::shrink::{resolve, shuffle};
-use crate::induce::ask::space::Space;
+use crate::induce::ask::probe::Probes;
+use crate::induce::ask::space::{Fact, Space, subtract};
 use crate::induce::ask::verify::verify;
 use crate::induce::bits::{self, Bits};
 use crate::induce::examples::State;
 use crate::rng::{Rng, RngExt};
+use std::collections::BTreeMap;
 
-/// Scenes that are drawn before one counts as known.
-const TRIES: usize = 64;
+/// Scenes that are drawn for one question.
+const DRAWN: usize = 48;
+
+/// Changes of a scene that are tried.
+const CHANGES: usize = 200;
 
 /// Asks random scenes until the rules agree in a number of consecutive ones. Asks about the clauses whenever they change.
 pub fn explore(session: &mut Session<'_>) -> Result<(), End> {
     let mut agreements = 0;
+    let mut probes = Probes::new(session);
     while agreements < session.asking.agreements {
-        let Some(state) = scene(session) else {
+        let Some(state) = best_scene(session, &mut probes) else {
             // All scenes that could be drawn are known.
             return Ok(());
         };
@@ -32,27 +38,74 @@ pub fn explore(session: &mut Session<'_>) -> Result<(), End> {
     Ok(())
 }
 
-/// Draws an unknown scene.
-fn scene(session: &mut Session<'_>) -> Option<State> {
+/// Draws unknown scenes and returns the one in which the most unrefuted clauses hold.
+fn best_scene(session: &mut Session<'_>, probes: &mut Probes) -> Option<State> {
     let mut random = session.random(4);
+    let mut others = session.random(5);
+    probes.update(session, &mut random, &mut |session| draw(session, &mut others));
+    let mut best: Option<(usize, State)> = None;
+    for _ in 0..DRAWN {
+        let Some(state) = draw(session, &mut random) else { continue };
+        let predicted = session.hypothesis.action(&state);
+        let count = probes.count(&state, predicted);
+        if best.as_ref().is_none_or(|(most, _)| count > *most) && !session.is_known(&state) {
+            best = Some((count, state));
+        }
+    }
+    let (count, state) = best?;
+    Some(climb(session, probes, count, state, &mut random))
+}
+
+/// Adds and removes facts at random as long as the prediction stays the same and no fewer unrefuted clauses hold.
+fn climb(
+    session: &mut Session<'_>,
+    probes: &Probes,
+    mut count: usize,
+    mut state: State,
+    random: &mut impl Rng,
+) -> State {
+    let space = session.space(state.entities());
+    let predicted = session.hypothesis.action(&state);
+    for _ in 0..CHANGES {
+        let fact = random.random_range(0..space.facts.len());
+        let mut scene = state.fact_set().clone();
+        if bits::has(&scene, fact) {
+            subtract(&mut scene, &space.implying[fact]);
+        } else if !bits::has(&space.excluded[fact], fact) {
+            for other in bits::elements(&space.excluded[fact]) {
+                if bits::has(&scene, other) {
+                    subtract(&mut scene, &space.implying[other]);
+                }
+            }
+            space.add(&mut scene, fact);
+        }
+        if !space.is_complete(&scene) {
+            continue;
+        }
+        let changed = space.state(&scene);
+        let more = probes.count(&changed, predicted);
+        if more >= count && session.hypothesis.action(&changed) == predicted && !session.is_known(&changed) {
+            (count, state) = (more, changed);
+        }
+    }
+    state
+}
+
+/// Draws a scene.
+fn draw(session: &mut Session<'_>, random: &mut impl Rng) -> Option<State> {
     let egos = session.examples.vocabulary().egos();
     let most = session.asking.entities.max(egos);
     let default = session.hypothesis.default;
-    for _ in 0..TRIES {
-        let least = if random.random_bool(0.1) { egos } else { (egos + 1).min(most) };
-        let entities = random.random_range(least..=most);
-        let level = if random.random_bool(0.75) { default } else { random.random_range(0..=default) };
-        let space = session.space(entities);
-        let instances = session.hypothesis.instances(entities);
-        if let Some(scene) = quiet(&space, &instances, level, &mut random) {
-            let state = space.state(&scene);
-            if !session.is_known(&state) {
-                return Some(state);
-            }
-        }
-    }
-    None
+    let least = if random.random_bool(0.1) { egos } else { (egos + 1).min(most) };
+    let entities = random.random_range(least..=most);
+    let level = if random.random_bool(0.75) { default } else { random.random_range(0..=default) };
+    let space = session.space(entities);
+    let instances = session.hypothesis.instances(entities);
+    quiet(&space, &instances, level, random).map(|scene| space.state(&scene))
 }
+
+/// The shares of the possible facts that hold in a random scene.
+const DENSITIES: [f64; 5] = [0.0, 0.25, 0.5, 1.0, 1.0];
 
 /// Draws a scene with many facts in which no clause of an action before `level` holds.
 fn quiet(space: &Space, instances: &[Instance], level: usize, random: &mut impl Rng) -> Option<Bits> {
@@ -64,11 +117,17 @@ fn quiet(space: &Space, instances: &[Instance], level: usize, random: &mut impl 
         }
         space.add(&mut scene, choices[random.random_range(0..choices.len())]);
     }
-    let density = 0.2 + 0.8 * random.random::<f64>();
+    // A density for each predicate, of the egos and of others: so scenes differ in what they lack.
+    let mut densities: BTreeMap<(usize, bool), f64> = BTreeMap::new();
     let mut facts: Vec<usize> = (0..space.facts.len()).collect();
     shuffle(&mut facts, random);
     let mut before = loud(&scene);
     for fact in facts {
+        let Fact { predicate, arguments } = &space.facts[fact];
+        let is_about_ego = arguments.iter().any(|&entity| entity < space.egos);
+        let density = *densities
+            .entry((*predicate, is_about_ego))
+            .or_insert_with(|| DENSITIES[random.random_range(0..DENSITIES.len())]);
         if random.random_bool(density) && !bits::has(&scene, fact) && space.fits(&scene, fact) {
             let mut larger = scene.clone();
             space.add(&mut larger, fact);

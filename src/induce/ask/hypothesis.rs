@@ -4,7 +4,7 @@ use crate::induce::ask::space::{Fact, Space};
 use crate::induce::bits::{self, Bits};
 use crate::induce::examples::State;
 use crate::induce::learner::ActionRules;
-use crate::induce::vocabulary::{ARITY_MAX, Body, VARIABLES_MAX, Vocabulary};
+use crate::induce::vocabulary::{ARITY_MAX, Body, Literal, VARIABLES_MAX, Vocabulary};
 use smallvec::SmallVec;
 use std::collections::HashMap;
 use std::rc::Rc;
@@ -91,15 +91,7 @@ impl Hypothesis {
 
     fn instance(&self, index: usize, assignment: &[u8], entities: usize) -> Instance {
         let clause = &self.clauses[index];
-        let empty = bits::empty(self.vocabulary.facts(entities));
-        let (mut positive, mut negative) = (empty.clone(), empty);
-        for literal in &clause.body.0 {
-            let arguments: SmallVec<[usize; ARITY_MAX]> = (literal.atom.arguments.iter())
-                .map(|&variable| assignment[variable as usize].into())
-                .collect();
-            let fact = self.vocabulary.fact(entities, literal.atom.predicate, &arguments);
-            bits::insert(if literal.is_negated { &mut negative } else { &mut positive }, fact);
-        }
+        let (positive, negative) = ground(&self.vocabulary, &clause.body.0, assignment, entities);
         Instance {
             clause: index,
             action: clause.action,
@@ -122,23 +114,45 @@ impl Hypothesis {
 
     /// Returns up to `most` assignments under which a clause holds.
     pub fn witnesses(&self, clause: &Clause, state: &State, most: usize) -> Vec<Assignment> {
-        let mut found = Vec::new();
-        let mut assignment: Assignment = (0..self.vocabulary.egos() as u8).collect();
-        self.extend(clause, state, &mut assignment, most, &mut found);
-        found
+        Self::witnesses_of(&self.vocabulary, &clause.body.0, clause.variables, state, most)
     }
 
-    fn extend(
-        &self,
-        clause: &Clause,
+    /// Returns up to `most` assignments under which a conjunction holds.
+    pub fn witnesses_of(
+        vocabulary: &Vocabulary,
+        literals: &[Literal],
+        variables: usize,
         state: &State,
-        assignment: &mut Assignment,
         most: usize,
-        found: &mut Vec<Assignment>,
-    ) {
+    ) -> Vec<Assignment> {
+        let mut search = Witnesses {
+            vocabulary,
+            literals,
+            variables,
+            state,
+            most,
+            found: Vec::new(),
+        };
+        search.extend(&mut (0..vocabulary.egos() as u8).collect());
+        search.found
+    }
+}
+
+struct Witnesses<'a> {
+    vocabulary: &'a Vocabulary,
+    literals: &'a [Literal],
+    variables: usize,
+    state: &'a State,
+    most: usize,
+    found: Vec<Assignment>,
+}
+
+impl Witnesses<'_> {
+    /// Assigns the remaining variables. Evaluates each literal as soon as its variables are assigned.
+    fn extend(&mut self, assignment: &mut Assignment) {
         let assigned = assignment.len();
         let last = if assigned == self.vocabulary.egos() { 0 } else { assigned - 1 };
-        let agrees = clause.body.0.iter().all(|literal| {
+        let agrees = self.literals.iter().all(|literal| {
             let variables = &literal.atom.arguments;
             let newest = variables.iter().copied().max().unwrap_or(0) as usize;
             if newest >= assigned || newest < last {
@@ -146,24 +160,38 @@ impl Hypothesis {
             }
             let arguments: SmallVec<[usize; ARITY_MAX]> =
                 variables.iter().map(|&variable| assignment[variable as usize].into()).collect();
-            state.holds(&self.vocabulary, literal.atom.predicate, &arguments) != literal.is_negated
+            self.state.holds(self.vocabulary, literal.atom.predicate, &arguments) != literal.is_negated
         });
         if !agrees {
             return;
         }
-        if assigned == clause.variables {
-            found.push(assignment.clone());
+        if assigned == self.variables {
+            self.found.push(assignment.clone());
             return;
         }
-        for entity in 0..state.entities() as u8 {
+        for entity in 0..self.state.entities() as u8 {
             assignment.push(entity);
-            self.extend(clause, state, assignment, most, found);
+            self.extend(assignment);
             assignment.pop();
-            if found.len() >= most {
+            if self.found.len() >= self.most {
                 return;
             }
         }
     }
+}
+
+/// Returns the facts of a conjunction under an assignment: those that must hold, and those that must not.
+pub fn ground(vocabulary: &Vocabulary, literals: &[Literal], assignment: &[u8], entities: usize) -> (Bits, Bits) {
+    let empty = bits::empty(vocabulary.facts(entities));
+    let (mut positive, mut negative) = (empty.clone(), empty);
+    for literal in literals {
+        let arguments: SmallVec<[usize; ARITY_MAX]> = (literal.atom.arguments.iter())
+            .map(|&variable| assignment[variable as usize].into())
+            .collect();
+        let fact = vocabulary.fact(entities, literal.atom.predicate, &arguments);
+        bits::insert(if literal.is_negated { &mut negative } else { &mut positive }, fact);
+    }
+    (positive, negative)
 }
 
 /// Returns all assignments of entities to variables. The variables of the head have fixed entities.

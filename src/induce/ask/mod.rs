@@ -10,6 +10,7 @@
 
 mod explore;
 mod hypothesis;
+mod probe;
 mod refine;
 mod session;
 mod shrink;

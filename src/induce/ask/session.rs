@@ -238,6 +238,11 @@ impl<'a> Session<'a> {
         Seed(self.asking.seed).stream(Purpose::ASK, self.log.len() as u64, purpose)
     }
 
+    /// Returns the most variables of a clause.
+    pub fn variables(&self) -> usize {
+        self.learning.variables
+    }
+
     /// Returns whether the action for a state is known.
     pub fn is_known(&self, state: &State) -> bool {
         self.known.contains_key(&canonical(self.examples.vocabulary(), state))

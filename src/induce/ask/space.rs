@@ -151,6 +151,12 @@ impl Space {
         Some(bits::elements(cover).filter(|&fact| self.fits(scene, fact)).collect())
     }
 
+    /// Returns whether a closed set without facts that exclude each other has the facts that every scene has.
+    pub fn is_complete(&self, scene: &[u64]) -> bool {
+        self.always.iter().zip(scene).all(|(always, scene)| always & !scene == 0)
+            && self.covers.iter().all(|cover| bits::meet(cover, scene))
+    }
+
     /// Returns a set as a state.
     pub fn state(&self, scene: &[u64]) -> State {
         State::from_facts(self.entities, Bits::from_slice(scene))

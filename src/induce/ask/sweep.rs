@@ -168,7 +168,7 @@ impl<B> Sweep<'_, B> {
     }
 
     fn finish(&mut self, scene: &Bits) -> ControlFlow<B> {
-        if self.space.covers.iter().any(|cover| !bits::meet(cover, scene)) {
+        if !self.space.is_complete(scene) {
             return ControlFlow::Continue(());
         }
         let state = self.space.state(scene);

@@ -74,6 +74,9 @@ fn question(session: &mut Session<'_>, index: usize) -> Option<(State, Reason)> 
             }
         }
     }
+    if let Some(state) = collapsed(session, index, &mut random) {
+        return Some((state, Reason::Smallest(body)));
+    }
     if bits::count(&all) + bits::count(&none) == 0 {
         return None;
     }
@@ -141,6 +144,47 @@ fn smallest(
     let mut scene = subject.positive.clone();
     cover(space, subject, &mut scene, all, random)?;
     (disturbing(instances, subject, &scene) == 0).then_some(scene)
+}
+
+/// Returns the smallest scene in which a clause holds with one entity for several of its variables.
+fn collapsed(session: &mut Session<'_>, index: usize, random: &mut impl Rng) -> Option<State> {
+    let (variables, action) = {
+        let clause = &session.hypothesis.clauses[index];
+        (clause.variables, clause.action)
+    };
+    for entities in session.examples.vocabulary().egos()..variables {
+        let space = session.space(entities);
+        let instances = session.hypothesis.instances(entities);
+        for instance in instances.iter().filter(|instance| instance.clause == index) {
+            if !(0..entities as u8).all(|entity| instance.assignment.contains(&entity)) {
+                continue;
+            }
+            let mut scene = space.start();
+            let fits = bits::elements(&instance.positive).all(|fact| {
+                let fits = bits::has(&scene, fact) || space.fits(&scene, fact);
+                space.add(&mut scene, fact);
+                fits
+            });
+            while let Some(mut choices) = space.uncovered(&scene) {
+                choices.retain(|&fact| !bits::meet(&space.implied[fact], &instance.negative));
+                if choices.is_empty() {
+                    break;
+                }
+                space.add(&mut scene, choices[random.random_range(0..choices.len())]);
+            }
+            let decides = |other: &Instance| other.action > action || other.clause == index || !other.fires(&scene);
+            let state = space.state(&scene);
+            if fits
+                && space.is_complete(&scene)
+                && instance.fires(&scene)
+                && instances.iter().all(decides)
+                && !session.is_known(&state)
+            {
+                return Some(state);
+            }
+        }
+    }
+    None
 }
 
 /// Returns a scene of a clause with as many of the facts in `none` as fit and are unlikely to change the answer.
