@@ -93,7 +93,7 @@ fn random(root: &Path, count: u64) {
     println!("set  clauses  accuracy  exact  questions  exact after  exact after sweep  end  seconds");
     let (mut sums, mut worst) = ([0; 3], 1.0_f64);
     for index in 0..count {
-        let truth = random_rules(&task, &mut Seed(0).stream(RULES, index, 0));
+        let truth = random_rules(&task, 3..=15, 2..=5, &mut Seed(0).stream(RULES, index, 0));
         let mut scenes = Seed(0).stream(SCENES, index, 0);
         let mut draw = || {
             let state = random_state(&task, scenes.random_range(1..=5), &mut scenes);
@@ -151,6 +151,6 @@ fn main() {
         from_nothing(root);
     }
     if wants("questions") || wants("random") {
-        random(root, 50);
+        random(root, arguments.get(1).and_then(|count| count.parse().ok()).unwrap_or(50));
     }
 }

@@ -3,6 +3,7 @@
 use logicity::induce::{ActionRules, Atom, Body, Constraints, Literal, Predicate, State, Vocabulary};
 use logicity::rng::{Rng, RngExt};
 use std::fs;
+use std::ops::RangeInclusive;
 use std::path::Path;
 
 /// The actions, the one with the highest precedence first.
@@ -175,16 +176,29 @@ pub fn random_state(task: &Task, entities: usize, random: &mut impl Rng) -> Stat
     state
 }
 
-/// Draws a rule set of 3 to 15 clauses with 2 to 5 literals over up to 3 variables. Each clause decides some state.
-pub fn random_rules(task: &Task, random: &mut impl Rng) -> Vec<Clause> {
+/// Clauses that are drawn for a rule set before fewer are enough.
+const ATTEMPTS: usize = 1000;
+
+/// Draws a rule set with numbers of clauses, and of literals of each, over up to 3 variables. Each clause decides some
+/// state.
+pub fn random_rules(
+    task: &Task,
+    clauses: RangeInclusive<usize>,
+    literals: RangeInclusive<usize>,
+    random: &mut impl Rng,
+) -> Vec<Clause> {
+    let sizes = literals;
     let atoms: Vec<Vec<Atom>> = (1..=3).map(|variables| task.vocabulary.atoms(variables)).collect();
+    let count = random.random_range(clauses);
     let mut clauses: Vec<Clause> = Vec::new();
-    let count = random.random_range(3..=15);
-    while clauses.len() < count {
+    for _ in 0..ATTEMPTS {
+        if clauses.len() == count {
+            break;
+        }
         let variables = random.random_range(1..=3);
         let atoms = &atoms[variables - 1];
         let mut literals: Vec<Literal> = Vec::new();
-        for _ in 0..random.random_range(2..=5) {
+        for _ in 0..random.random_range(sizes.clone()) {
             let atom = atoms[random.random_range(0..atoms.len())].clone();
             if literals.iter().all(|literal| literal.atom != atom) {
                 literals.push(Literal {

@@ -4,7 +4,7 @@ use crate::induce::ask::hypothesis::{Instance, firing};
 use crate::induce::ask::session::{End, Reason, Session};
 use crate::induce::ask::shrink::{resolve, shuffle};
 use crate::induce::ask::probe::Probes;
-use crate::induce::ask::space::{Fact, Space, subtract};
+use crate::induce::ask::space::{Fact, Space, subtract, union};
 use crate::induce::ask::verify::verify;
 use crate::induce::bits::{self, Bits};
 use crate::induce::examples::State;
@@ -15,7 +15,7 @@ use std::collections::BTreeMap;
 const DRAWN: usize = 48;
 
 /// Changes of a scene that are tried.
-const CHANGES: usize = 200;
+const CHANGES: usize = 100;
 
 /// Asks random scenes until the rules agree in a number of consecutive ones. Asks about the clauses whenever they change.
 pub fn explore(session: &mut Session<'_>) -> Result<(), End> {
@@ -38,16 +38,34 @@ pub fn explore(session: &mut Session<'_>) -> Result<(), End> {
     Ok(())
 }
 
-/// Draws unknown scenes and returns the one in which the most unrefuted clauses hold.
+/// Returns the random scene that is asked next.
 fn best_scene(session: &mut Session<'_>, probes: &mut Probes) -> Option<State> {
     let mut random = session.random(4);
-    let mut others = session.random(5);
-    probes.update(session, &mut random, &mut |session| draw(session, &mut others));
+    let default = session.hypothesis.default;
+    // The actions that the rules may take: a clause of higher precedence can be unknown only where they do.
+    let mut levels: Vec<usize> = session.hypothesis.clauses.iter().map(|clause| clause.action).collect();
+    levels.dedup();
+    levels.retain(|level| *level > 0);
+    if !levels.is_empty() && !random.random_bool(DEFAULT) {
+        let level = levels[random.random_range(0..levels.len())];
+        let best = best_scene_of(session, probes, level);
+        if best.is_some() {
+            return best;
+        }
+    }
+    best_scene_of(session, probes, default)
+}
+
+/// Draws unknown scenes in which the rules take the action `level` and returns the one in which the most unrefuted
+/// clauses hold.
+fn best_scene_of(session: &mut Session<'_>, probes: &mut Probes, level: usize) -> Option<State> {
+    let mut random = session.random(5);
+    let mut others = session.random(6);
+    probes.update(session, level, &mut random, &mut |session| draw(session, level, &mut others));
     let mut best: Option<(usize, State)> = None;
     for _ in 0..DRAWN {
-        let Some(state) = draw(session, &mut random) else { continue };
-        let predicted = session.hypothesis.action(&state);
-        let count = probes.count(&state, predicted);
+        let Some(state) = draw(session, level, &mut random) else { continue };
+        let count = probes.count(&state, level);
         if best.as_ref().is_none_or(|(most, _)| count > *most) && !session.is_known(&state) {
             best = Some((count, state));
         }
@@ -91,33 +109,66 @@ fn climb(
     state
 }
 
-/// Draws a scene.
-fn draw(session: &mut Session<'_>, random: &mut impl Rng) -> Option<State> {
+/// Draws a scene in which the rules take an action.
+fn draw(session: &mut Session<'_>, action: usize, random: &mut impl Rng) -> Option<State> {
     let egos = session.examples.vocabulary().egos();
     let most = session.asking.entities.max(egos);
-    let default = session.hypothesis.default;
     let least = if random.random_bool(0.1) { egos } else { (egos + 1).min(most) };
     let entities = random.random_range(least..=most);
-    let level = if random.random_bool(0.75) { default } else { random.random_range(0..=default) };
     let space = session.space(entities);
     let instances = session.hypothesis.instances(entities);
-    quiet(&space, &instances, level, random).map(|scene| space.state(&scene))
+    let of_action: Vec<&Instance> = instances.iter().filter(|instance| instance.action == action).collect();
+    let planted = match of_action.len() {
+        0 => None,
+        count => Some(of_action[random.random_range(0..count)]),
+    };
+    let scene = quiet(&space, &instances, action, planted, random)?;
+    let decision = firing(&instances, &scene, action).next();
+    let is_taken = decision.map_or(session.hypothesis.default, |instance| instance.action) == action;
+    is_taken.then(|| space.state(&scene))
 }
+
+/// The share of random questions about scenes in which the rules take the default action.
+const DEFAULT: f64 = 0.6;
 
 /// The shares of the possible facts that hold in a random scene.
 const DENSITIES: [f64; 5] = [0.0, 0.25, 0.5, 1.0, 1.0];
 
-/// Draws a scene with many facts in which no clause of an action before `level` holds.
-fn quiet(space: &Space, instances: &[Instance], level: usize, random: &mut impl Rng) -> Option<Bits> {
+/// The share of random scenes in which few unary facts about the egos hold.
+const SPARSE: f64 = 0.5;
+
+/// Draws a scene with many facts in which no clause of an action before `level` holds, and the planted one does.
+fn quiet(
+    space: &Space,
+    instances: &[Instance],
+    level: usize,
+    planted: Option<&Instance>,
+    random: &mut impl Rng,
+) -> Option<Bits> {
     let loud = |scene: &Bits| level.checked_sub(1).map_or(0, |level| firing(instances, scene, level).count());
     let mut scene = space.start();
-    while let Some(choices) = space.uncovered(&scene) {
+    let mut unwanted = bits::empty(space.facts.len());
+    if let Some(planted) = planted {
+        for fact in bits::elements(&planted.positive) {
+            if !bits::has(&scene, fact) && !space.fits(&scene, fact) {
+                return None;
+            }
+            space.add(&mut scene, fact);
+        }
+        for fact in bits::elements(&planted.negative) {
+            union(&mut unwanted, &space.implying[fact]);
+        }
+    }
+    while let Some(mut choices) = space.uncovered(&scene) {
+        choices.retain(|&fact| !bits::has(&unwanted, fact));
         if choices.is_empty() {
             return None;
         }
         space.add(&mut scene, choices[random.random_range(0..choices.len())]);
     }
-    // A density for each predicate, of the egos and of others: so scenes differ in what they lack.
+    // A density for each predicate, of the egos and of others: so scenes differ in what they lack. Egos of which little is
+    // true show clauses with negated literals.
+    let is_sparse = random.random_bool(SPARSE);
     let mut densities: BTreeMap<(usize, bool), f64> = BTreeMap::new();
     let mut facts: Vec<usize> = (0..space.facts.len()).collect();
     shuffle(&mut facts, random);
@@ -125,10 +176,13 @@ fn quiet(space: &Space, instances: &[Instance], level: usize, random: &mut impl 
     for fact in facts {
         let Fact { predicate, arguments } = &space.facts[fact];
         let is_about_ego = arguments.iter().any(|&entity| entity < space.egos);
-        let density = *densities
-            .entry((*predicate, is_about_ego))
-            .or_insert_with(|| DENSITIES[random.random_range(0..DENSITIES.len())]);
-        if random.random_bool(density) && !bits::has(&scene, fact) && space.fits(&scene, fact) {
+        let density = *densities.entry((*predicate, is_about_ego)).or_insert_with(|| {
+            let is_sparse = is_sparse && is_about_ego && arguments.len() == 1;
+            let densities: &[f64] = if is_sparse { &[0.0, 0.2] } else { &DENSITIES };
+            densities[random.random_range(0..densities.len())]
+        });
+        let is_wanted = random.random_bool(density) && !bits::has(&unwanted, fact);
+        if is_wanted && !bits::has(&scene, fact) && space.fits(&scene, fact) {
             let mut larger = scene.clone();
             space.add(&mut larger, fact);
             let after = loud(&larger);

@@ -16,7 +16,7 @@ const REPLACED: usize = 20;
 /// The literals with which a probe begins, and the most that it may have.
 const LITERALS: (usize, usize) = (4, 10);
 /// The share of negated literals.
-const NEGATED: f64 = 0.35;
+const NEGATED: f64 = 0.5;
 /// The most states of the examples that refute probes.
 const REFUTING_MAX: usize = 1000;
 
@@ -63,10 +63,12 @@ impl Probes {
         }
     }
 
-    /// Specializes the probes that new answers refute, and replaces some. `draw` returns a random scene.
+    /// Specializes the probes that new answers refute, and replaces some by clauses of actions before `level`. `draw`
+    /// returns a random scene.
     pub fn update(
         &mut self,
         session: &mut Session<'_>,
+        level: usize,
         random: &mut impl Rng,
         draw: &mut dyn FnMut(&mut Session<'_>) -> Option<State>,
     ) {
@@ -92,11 +94,10 @@ impl Probes {
         if self.probes.len() == PROBES {
             self.probes.drain(..REPLACED);
         }
-        let actions = session.examples.actions().len();
         for _ in 0..2 * (PROBES - self.probes.len()) {
             let Some(source) = draw(session) else { continue };
             let most = session.variables().min(source.entities()).max(self.vocabulary.egos());
-            let mut probe = drawing.probe(source, most, actions, random);
+            let mut probe = drawing.probe(source, most, level, random);
             let mut excludes = |(state, action): &(State, usize)| drawing.exclude(&mut probe, state, *action, random);
             if self.states.iter().all(&mut excludes) {
                 self.probes.push(probe);
@@ -126,8 +127,8 @@ struct Drawing<'a> {
 }
 
 impl Drawing<'_> {
-    /// Draws literals that are true in a scene.
-    fn probe(&self, source: State, most: usize, actions: usize, random: &mut impl Rng) -> Probe {
+    /// Draws a clause of an action before `level` that holds in a scene.
+    fn probe(&self, source: State, most: usize, level: usize, random: &mut impl Rng) -> Probe {
         let egos = self.vocabulary.egos();
         let variables = if most > egos + 1 && random.random_bool(0.75) {
             egos + 1
@@ -135,7 +136,7 @@ impl Drawing<'_> {
             random.random_range(egos..=most)
         };
         let mut probe = Probe {
-            action: random.random_range(0..actions.max(2) - 1),
+            action: random.random_range(0..level.max(1)),
             literals: Vec::new(),
             variables,
             source,
