@@ -9,7 +9,7 @@ mod target;
 
 use logicity::cancel::Cancel;
 use logicity::induce::ask::{AskSettings, Bound, End, Event, Failure, Refined, Refinement};
-use logicity::induce::{ActionRules, Examples, Settings, State, learn};
+use logicity::induce::{ActionRules, Examples, Settings, State};
 use logicity::rng::{Purpose, RngExt, Seed};
 use std::path::Path;
 use std::time::Instant;
@@ -87,10 +87,10 @@ fn print_counts(mode: &str, counts: &[Option<usize>], begin: Instant) {
     println!("{mode:7} {:64} {worst:>6} {:>8.2}", texts.join(" "), begin.elapsed().as_secs_f64());
 }
 
-/// Prints how exactly random rule sets are learned.
+/// Prints how exactly random rule sets are learned, from scenes and then with questions and a sweep.
 fn random(root: &Path, count: u64) {
     let (task, _) = city(&root.join("rules/hard.dl"), &names("hard"));
-    println!("set  clauses  accuracy  exact  questions  exact after  exact after sweep  end  seconds");
+    println!("set  clauses  accuracy  exact from scenes  with questions  and sweep  questions  end          seconds");
     let (mut sums, mut worst) = ([0; 3], 1.0_f64);
     for index in 0..count {
         let truth = random_rules(&task, 3..=15, 2..=5, &mut Seed(0).stream(RULES, index, 0));
@@ -100,41 +100,56 @@ fn random(root: &Path, count: u64) {
             let action = action(&task.vocabulary, &truth, &state);
             (state, action)
         };
-        let begin = Instant::now();
         let mut examples = no_examples(&task);
         for _ in 0..10_000 {
             let (state, action) = draw();
             examples.push(state, action);
         }
-        let learned = clauses_of(&learn(&examples, &Settings::default(), &Cancel::never()));
+        let begin = Instant::now();
+        let refinement = Refinement {
+            examples,
+            constraints: task.constraints.clone(),
+            learning: Settings::default(),
+            asking: AskSettings {
+                sweep: Some(Bound { facts: 3, entities: 3 }),
+                ..AskSettings::default()
+            },
+            log: Vec::new(),
+        };
+        let mut oracle = |state: &State| -> Result<usize, Failure> { Ok(action(&task.vocabulary, &truth, state)) };
+        let is_exact = |rules: &[Clause]| difference(&task, rules, &truth).is_none();
+        let (mut first, mut latest, mut asked, mut before_sweep) = (None, Vec::new(), 0, None);
+        let mut observe = |event: Event<'_>| match event {
+            Event::Answered { .. } => asked += usize::from(before_sweep.is_none()),
+            Event::Learned(rules) => {
+                latest = clauses_of(rules);
+                first.get_or_insert_with(|| latest.clone());
+            }
+            Event::Sweep(..) => before_sweep = Some(latest.clone()),
+        };
+        let refined = refinement.run(&mut oracle, &mut observe, &Cancel::never());
+        let (first, before_sweep) = (first.unwrap_or_default(), before_sweep.unwrap_or_default());
         let right = (0..10_000)
             .filter(|_| {
                 let (state, taken) = draw();
-                action(&task.vocabulary, &learned, &state) == taken
+                action(&task.vocabulary, &first, &state) == taken
             })
             .count();
         let accuracy = right as f64 / 10_000.0;
-        let is_exact = difference(&task, &learned, &truth).is_none();
-        let asked = refine(&task, &truth, examples.clone(), AskSettings::default());
-        let bound = Bound { facts: 3, entities: 3 };
-        let swept = refine(&task, &truth, examples, AskSettings {
-            sweep: Some(bound),
-            ..AskSettings::default()
-        });
-        let end = match swept.0.end {
+        let exact = [first, before_sweep, clauses_of(&refined.rules)].map(|rules| is_exact(&rules));
+        let end = match refined.end {
             End::Certified(_, scenes) => format!("{scenes} scenes"),
             end => format!("{end:?}"),
         };
         println!(
-            "{index:3} {:8} {accuracy:9.4} {is_exact:6} {:10} {:12} {:18}  {end}  {:.1}",
+            "{index:3} {:8} {accuracy:9.4} {:18} {:15} {:10} {asked:10}  {end} {:8.1}",
             truth.len(),
-            asked.0.log.len(),
-            asked.1.is_some(),
-            swept.1.is_some(),
+            exact[0],
+            exact[1],
+            exact[2],
             begin.elapsed().as_secs_f64()
         );
         worst = worst.min(accuracy);
-        let exact = [is_exact, asked.1.is_some(), swept.1.is_some()];
         sums.iter_mut().zip(exact).for_each(|(sum, exact)| *sum += u64::from(exact));
     }
     println!(

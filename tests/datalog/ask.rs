@@ -335,7 +335,10 @@ fn examples_that_the_oracle_denies_are_reported_by_the_sweep() {
     assert_eq!(action(&task.vocabulary, &truth, &state), 3);
     refinement.examples.push(state.clone(), 0);
     let refined = refinement.run(&mut follow(&task, &truth, &Cell::new(0)), &mut |_| {}, &Cancel::never());
-    assert!(!matches!(refined.end, End::Certified(..) | End::Agreed), "{:?}", refined.end);
+    let End::DeniedExample { state: denied, actions } = refined.end else {
+        panic!("{:?}", refined.end)
+    };
+    assert_eq!((denied, actions), (state, [0, 3]));
 }
 
 #[test]

@@ -122,6 +122,13 @@ pub enum End {
         /// The positions of the actions, in the order of the answers.
         actions: [usize; 2],
     },
+    /// The oracle takes another action than an example of the beginning.
+    DeniedExample {
+        /// The state.
+        state: State,
+        /// The positions of the actions: that of the example and that of the oracle.
+        actions: [usize; 2],
+    },
     /// No rules within the settings agree with all answers. An answer that the rules get wrong.
     Inseparable {
         /// The state.
@@ -175,8 +182,8 @@ pub struct Session<'a> {
     observe: Observer<'a>,
     /// Answers of an earlier run that this run did not ask for yet.
     earlier: HashMap<State, VecDeque<usize>>,
-    /// Actions of all examples and answers, by the canonical form of the state.
-    known: HashMap<State, usize>,
+    /// Actions of all examples and answers, by the canonical form of the state, with whether the oracle was asked.
+    known: HashMap<State, (usize, bool)>,
     /// By position in the log, whether the answer is among the examples.
     is_example: Vec<bool>,
     spaces: Vec<Option<Rc<Space>>>,
@@ -200,7 +207,7 @@ impl<'a> Session<'a> {
         }
         let vocabulary = examples.vocabulary();
         let known = (examples.states())
-            .map(|(state, tallies)| (canonical(vocabulary, state), majority(tallies)))
+            .map(|(state, tallies)| (canonical(vocabulary, state), (majority(tallies), false)))
             .collect();
         let hypothesis = Hypothesis::new(vocabulary, &[], examples.actions().len() - 1);
         Session {
@@ -248,23 +255,32 @@ impl<'a> Session<'a> {
         self.known.contains_key(&canonical(self.examples.vocabulary(), state))
     }
 
-    /// Returns the action for a state: the known one, or the answer to a question.
+    /// Returns the action for a state: the known one, or the answer to a question. The sweep also asks about states of
+    /// examples, since a certificate rests on answers alone.
     pub fn ask(&mut self, state: &State, reason: Reason) -> Result<usize, End> {
         let state = canonical(self.examples.vocabulary(), state);
-        if let Some(&action) = self.known.get(&state) {
-            return Ok(action);
+        let is_sweep = reason == Reason::Sweep;
+        let known = self.known.get(&state).copied();
+        match known {
+            Some((action, is_asked)) if is_asked || !is_sweep => return Ok(action),
+            _ => {}
         }
         let is_repeat_due = self.asking.repeat_after > 0
-            && reason != Reason::Sweep
+            && !is_sweep
             && !self.log.is_empty()
             && self.log.len().is_multiple_of(self.asking.repeat_after);
         if is_repeat_due {
             let at = self.random(0).random_range(0..self.log.len());
             self.repeat(at)?;
         }
-        let is_sweep = reason == Reason::Sweep;
         let action = self.answer(state.clone(), reason)?;
-        self.known.insert(state.clone(), action);
+        if let Some((example, _)) = known.filter(|(example, _)| *example != action) {
+            return Err(End::DeniedExample {
+                state,
+                actions: [example, action],
+            });
+        }
+        self.known.insert(state.clone(), (action, true));
         let is_surprise = self.hypothesis.action(&state) != action;
         let is_example = !is_sweep || is_surprise;
         *self.is_example.last_mut().expect("the answer was logged") = is_example;
