@@ -16,7 +16,14 @@ use std::time::Instant;
 use target::{ACTIONS, Clause, Task, action, city, clauses_of, difference, random_rules, random_state};
 
 const COMMON: [&str; 8] = [
-    "IsPedestrian", "IsCar", "IsAmbulance", "IsOld", "IsTiro", "IsAtInter", "IsInInter", "HigherPri",
+    "IsPedestrian",
+    "IsCar",
+    "IsAmbulance",
+    "IsOld",
+    "IsTiro",
+    "IsAtInter",
+    "IsInInter",
+    "HigherPri",
 ];
 const MEDIUM: [&str; 4] = ["CollidingClose", "IsBus", "NextTo", "RightOf"];
 const HARD: [&str; 5] = ["IsPolice", "IsReckless", "IsYoung", "IsClose", "LeftOf"];
@@ -52,7 +59,13 @@ fn refine(task: &Task, truth: &[Clause], examples: Examples, asking: AskSettings
     let is_equal = |rules: &[ActionRules]| difference(task, &clauses_of(rules), truth).is_none();
     let mut observe = |event: Event<'_>| match event {
         Event::Answered { .. } => asked += 1,
-        Event::Learned(rules) => equal_since = if is_equal(rules) { equal_since.or(Some(asked)) } else { None },
+        Event::Learned(rules) => {
+            equal_since = if is_equal(rules) {
+                equal_since.or(Some(asked))
+            } else {
+                None
+            }
+        }
         Event::Sweep(..) => {}
     };
     let refined = refinement.run(&mut oracle, &mut observe, &Cancel::never());
@@ -82,9 +95,17 @@ fn print_counts(mode: &str, counts: &[Option<usize>], begin: Instant) {
     let texts: Vec<String> = (counts.iter())
         .map(|count| count.map_or("never".to_owned(), |count| count.to_string()))
         .collect();
-    let worst = counts.iter().copied().collect::<Option<Vec<_>>>().and_then(|counts| counts.into_iter().max());
+    let worst = counts
+        .iter()
+        .copied()
+        .collect::<Option<Vec<_>>>()
+        .and_then(|counts| counts.into_iter().max());
     let worst = worst.map_or("never".to_owned(), |worst| worst.to_string());
-    println!("{mode:7} {:64} {worst:>6} {:>8.2}", texts.join(" "), begin.elapsed().as_secs_f64());
+    println!(
+        "{mode:7} {:64} {worst:>6} {:>8.2}",
+        texts.join(" "),
+        begin.elapsed().as_secs_f64()
+    );
 }
 
 /// Prints how exactly random rule sets are learned, from scenes and then with questions and a sweep.
@@ -150,7 +171,9 @@ fn random(root: &Path, count: u64) {
             begin.elapsed().as_secs_f64()
         );
         worst = worst.min(accuracy);
-        sums.iter_mut().zip(exact).for_each(|(sum, exact)| *sum += u64::from(exact));
+        sums.iter_mut()
+            .zip(exact)
+            .for_each(|(sum, exact)| *sum += u64::from(exact));
     }
     println!(
         "least accuracy {worst:.4}; exact from scenes {} of {count}, with questions {}, with questions and sweep {}",
@@ -160,12 +183,18 @@ fn random(root: &Path, count: u64) {
 
 fn main() {
     let root = Path::new(option_env!("LOGICITY_ROOT").unwrap_or(env!("CARGO_MANIFEST_DIR")));
-    let arguments: Vec<String> = std::env::args().skip(1).filter(|argument| !argument.starts_with("--")).collect();
+    let arguments: Vec<String> = std::env::args()
+        .skip(1)
+        .filter(|argument| !argument.starts_with("--"))
+        .collect();
     let wants = |name: &str| arguments.is_empty() || arguments.iter().any(|argument| argument == name);
     if wants("questions") || wants("nothing") {
         from_nothing(root);
     }
     if wants("questions") || wants("random") {
-        random(root, arguments.get(1).and_then(|count| count.parse().ok()).unwrap_or(50));
+        random(
+            root,
+            arguments.get(1).and_then(|count| count.parse().ok()).unwrap_or(50),
+        );
     }
 }

@@ -38,7 +38,9 @@ fn read(path: &Path) -> String {
 pub fn city(rules: &Path, names: &[&str]) -> (Task, Vec<Clause>) {
     let text = read(rules);
     let lines_of = |kind: &str| -> Vec<Vec<usize>> {
-        let lines = text.lines().filter_map(|line| line.strip_prefix(kind)?.strip_prefix(' '));
+        let lines = text
+            .lines()
+            .filter_map(|line| line.strip_prefix(kind)?.strip_prefix(' '));
         let known = |name: &str| names.iter().position(|known| *known == name.trim());
         lines.map(|line| line.split(',').filter_map(known).collect()).collect()
     };
@@ -73,7 +75,9 @@ pub fn city(rules: &Path, names: &[&str]) -> (Task, Vec<Clause>) {
     let clauses = one_line.split_terminator('.').filter_map(|clause| {
         let (head, body) = clause.split_once(":-")?;
         let action = ACTIONS.iter().position(|action| head.trim().starts_with(action))?;
-        let literals = body.split_inclusive(')').map(|literal| literal.trim_start_matches([',', ' ', ')']));
+        let literals = body
+            .split_inclusive(')')
+            .map(|literal| literal.trim_start_matches([',', ' ', ')']));
         let literals = literals.filter(|literal| literal.contains('(')).filter_map(|literal| {
             let (is_negated, atom) = match literal.strip_prefix("Not(") {
                 Some(atom) => (true, atom),
@@ -97,7 +101,13 @@ pub fn city(rules: &Path, names: &[&str]) -> (Task, Vec<Clause>) {
         (action + 1 < ACTIONS.len()).then(|| (action, Body::normalized(literals.collect(), &vocabulary)))
     });
     let clauses = clauses.collect();
-    (Task { vocabulary, constraints }, clauses)
+    (
+        Task {
+            vocabulary,
+            constraints,
+        },
+        clauses,
+    )
 }
 
 /// Returns the clauses of learned rules.
@@ -110,15 +120,24 @@ pub fn clauses_of(rules: &[ActionRules]) -> Vec<Clause> {
 /// Returns the action that clauses take in a state: the slow, obvious evaluation.
 pub fn action(vocabulary: &Vocabulary, clauses: &[Clause], state: &State) -> usize {
     let holds = |body: &Body| {
-        assignments(body.variables(vocabulary), state.entities()).into_iter().any(|assignment| {
-            body.0.iter().all(|literal| {
-                let arguments: Vec<usize> =
-                    literal.atom.arguments.iter().map(|&variable| assignment[variable as usize]).collect();
-                state.holds(vocabulary, literal.atom.predicate, &arguments) != literal.is_negated
+        assignments(body.variables(vocabulary), state.entities())
+            .into_iter()
+            .any(|assignment| {
+                body.0.iter().all(|literal| {
+                    let arguments: Vec<usize> = literal
+                        .atom
+                        .arguments
+                        .iter()
+                        .map(|&variable| assignment[variable as usize])
+                        .collect();
+                    state.holds(vocabulary, literal.atom.predicate, &arguments) != literal.is_negated
+                })
             })
-        })
     };
-    let taken = clauses.iter().filter(|(_, body)| holds(body)).map(|(action, _)| *action);
+    let taken = clauses
+        .iter()
+        .filter(|(_, body)| holds(body))
+        .map(|(action, _)| *action);
     taken.min().unwrap_or(ACTIONS.len() - 1)
 }
 
@@ -135,7 +154,10 @@ fn assignments(variables: usize, entities: usize) -> Vec<Vec<usize>> {
 
 /// Draws a state that satisfies the constraints.
 pub fn random_state(task: &Task, entities: usize, random: &mut impl Rng) -> State {
-    let Task { vocabulary, constraints } = task;
+    let Task {
+        vocabulary,
+        constraints,
+    } = task;
     let mut state = State::new(vocabulary, entities);
     constraints.close(vocabulary, &mut state);
     let without_covering = Constraints {
@@ -243,7 +265,8 @@ fn decides(task: &Task, (action, body): &Clause, others: &[Clause]) -> Option<St
             let is_onto = (0..entities).all(|entity| assignment.contains(&entity));
             let mut values = vec![0; vocabulary.facts(entities) + 1];
             let mut open = formula.literals(vocabulary, body, &assignment);
-            let is_found = is_onto && open.drain(..).all(|literal| set(&mut values, literal)) && formula.solve(&mut values);
+            let is_found =
+                is_onto && open.drain(..).all(|literal| set(&mut values, literal)) && formula.solve(&mut values);
             is_found.then(|| formula.state(vocabulary, &values))
         })
     })
@@ -266,13 +289,19 @@ struct Formula {
 
 impl Formula {
     fn new(task: &Task, entities: usize) -> Formula {
-        let Task { vocabulary, constraints } = task;
+        let Task {
+            vocabulary,
+            constraints,
+        } = task;
         let mut clauses: Vec<Vec<i32>> = Vec::new();
-        let variable = |predicate: usize, arguments: &[usize]| vocabulary.fact(entities, predicate, arguments) as i32 + 1;
+        let variable =
+            |predicate: usize, arguments: &[usize]| vocabulary.fact(entities, predicate, arguments) as i32 + 1;
         let tuples = |predicate: usize| -> Vec<Vec<usize>> {
             match vocabulary.predicates()[predicate].arity {
                 1 => (0..entities).map(|entity| vec![entity]).collect(),
-                _ => (0..entities).flat_map(|one| (0..entities).map(move |other| vec![one, other])).collect(),
+                _ => (0..entities)
+                    .flat_map(|one| (0..entities).map(move |other| vec![one, other]))
+                    .collect(),
             }
         };
         for &(premise, conclusion) in &constraints.implies {
@@ -291,20 +320,38 @@ impl Formula {
         }
         for predicates in &constraints.covering {
             for entity in 0..entities {
-                clauses.push(predicates.iter().map(|&predicate| variable(predicate, &[entity])).collect());
+                clauses.push(
+                    predicates
+                        .iter()
+                        .map(|&predicate| variable(predicate, &[entity]))
+                        .collect(),
+                );
             }
         }
         for (predicates, is_symmetric) in [(&constraints.symmetric, true), (&constraints.asymmetric, false)] {
             for &predicate in predicates {
                 for tuple in tuples(predicate) {
                     let mirrored = variable(predicate, &[tuple[1], tuple[0]]);
-                    clauses.push(vec![-variable(predicate, &tuple), if is_symmetric { mirrored } else { -mirrored }]);
+                    clauses.push(vec![
+                        -variable(predicate, &tuple),
+                        if is_symmetric { mirrored } else { -mirrored },
+                    ]);
                 }
             }
         }
         for entity in 0..entities {
-            clauses.extend(constraints.irreflexive.iter().map(|&predicate| vec![-variable(predicate, &[entity, entity])]));
-            clauses.extend(constraints.reflexive.iter().map(|&predicate| vec![variable(predicate, &[entity, entity])]));
+            clauses.extend(
+                constraints
+                    .irreflexive
+                    .iter()
+                    .map(|&predicate| vec![-variable(predicate, &[entity, entity])]),
+            );
+            clauses.extend(
+                constraints
+                    .reflexive
+                    .iter()
+                    .map(|&predicate| vec![variable(predicate, &[entity, entity])]),
+            );
         }
         Formula { entities, clauses }
     }
@@ -312,8 +359,12 @@ impl Formula {
     fn literals(&self, vocabulary: &Vocabulary, body: &Body, assignment: &[usize]) -> Vec<i32> {
         (body.0.iter())
             .map(|literal| {
-                let arguments: Vec<usize> =
-                    literal.atom.arguments.iter().map(|&variable| assignment[variable as usize]).collect();
+                let arguments: Vec<usize> = literal
+                    .atom
+                    .arguments
+                    .iter()
+                    .map(|&variable| assignment[variable as usize])
+                    .collect();
                 let variable = vocabulary.fact(self.entities, literal.atom.predicate, &arguments) as i32 + 1;
                 if literal.is_negated { -variable } else { variable }
             })

@@ -27,7 +27,11 @@ fn small_task(number: u64) -> Task {
     };
     let is_symmetric = number % 3 == 1;
     let vocabulary = Vocabulary::new(
-        vec![predicate("P", 1, false), predicate("Q", 1, false), predicate("R", 2, is_symmetric)],
+        vec![
+            predicate("P", 1, false),
+            predicate("Q", 1, false),
+            predicate("R", 2, is_symmetric),
+        ],
         1,
         Some("Sees".to_owned()),
     );
@@ -41,7 +45,10 @@ fn small_task(number: u64) -> Task {
         irreflexive: when(number % 5 != 4, 2),
         reflexive: when(number % 5 == 4 && number % 3 != 2, 2),
     };
-    Task { vocabulary, constraints }
+    Task {
+        vocabulary,
+        constraints,
+    }
 }
 
 /// All states of up to `entities` entities that satisfy the constraints, without any shortcut.
@@ -117,7 +124,14 @@ fn follow<'a>(
 
 fn easy() -> (Task, Vec<Clause>) {
     let names = [
-        "IsPedestrian", "IsCar", "IsAmbulance", "IsOld", "IsTiro", "IsAtInter", "IsInInter", "HigherPri",
+        "IsPedestrian",
+        "IsCar",
+        "IsAmbulance",
+        "IsOld",
+        "IsTiro",
+        "IsAtInter",
+        "IsInInter",
+        "HigherPri",
         "CollidingClose",
     ];
     city(&Path::new(env!("CARGO_MANIFEST_DIR")).join("rules/easy.dl"), &names)
@@ -206,7 +220,11 @@ fn random_states_and_the_exact_comparison_agree() {
         let witness = difference(&task, &one, &other);
         let differs = |state: &State| action(&task.vocabulary, &one, state) != action(&task.vocabulary, &other, state);
         assert_eq!(witness.is_some(), all_states(&task, 3).iter().any(differs), "{number}");
-        assert!(witness.iter().all(|state| task.constraints.violated(&task.vocabulary, state).is_none() && differs(state)));
+        assert!(
+            witness
+                .iter()
+                .all(|state| task.constraints.violated(&task.vocabulary, state).is_none() && differs(state))
+        );
         let state = random_state(&task, 3, &mut random);
         assert_eq!(task.constraints.violated(&task.vocabulary, &state), None);
         different += usize::from(witness.is_some());
@@ -228,7 +246,11 @@ fn the_rules_of_easy_are_learned_from_questions_alone() {
         let mut observe = |event: Event<'_>| {
             if let Event::Learned(rules) = event {
                 let is_equal = difference(&task, &clauses_of(rules), &truth).is_none();
-                equal_after.set(if is_equal { equal_after.get().or(Some(asked.get())) } else { None });
+                equal_after.set(if is_equal {
+                    equal_after.get().or(Some(asked.get()))
+                } else {
+                    None
+                });
             }
         };
         let mut oracle = follow(&task, &truth, &asked);
@@ -250,7 +272,14 @@ fn an_interrupted_run_continues_where_it_stopped() {
     };
     let asked = Cell::new(0);
     let whole = run(&task, asking.clone(), Vec::new(), &mut follow(&task, &truth, &asked));
-    assert!(whole.log.iter().filter(|answer| answer.reason == Reason::Repeat).count() > 3);
+    assert!(
+        whole
+            .log
+            .iter()
+            .filter(|answer| answer.reason == Reason::Repeat)
+            .count()
+            > 3
+    );
     assert_eq!(asked.get(), whole.log.len());
     for cut in [0, 1, whole.log.len() / 3, whole.log.len() - 1, whole.log.len()] {
         let limited = AskSettings {
@@ -259,7 +288,12 @@ fn an_interrupted_run_continues_where_it_stopped() {
         };
         let first = run(&task, limited, Vec::new(), &mut follow(&task, &truth, &asked));
         assert_eq!(first.log, whole.log[..cut], "{cut}");
-        assert_eq!(matches!(first.end, End::Limit), cut < whole.log.len(), "{:?}", first.end);
+        assert_eq!(
+            matches!(first.end, End::Limit),
+            cut < whole.log.len(),
+            "{:?}",
+            first.end
+        );
         asked.set(0);
         let second = run(&task, asking.clone(), first.log, &mut follow(&task, &truth, &asked));
         assert_eq!(asked.get(), whole.log.len() - cut);
@@ -301,8 +335,12 @@ fn an_oracle_that_contradicts_itself_is_reported() {
         panic!("{:?}", refined.end)
     };
     assert_ne!(actions[0], actions[1]);
-    let of_state: Vec<usize> =
-        refined.log.iter().filter(|answer| answer.state == state).map(|answer| answer.action).collect();
+    let of_state: Vec<usize> = refined
+        .log
+        .iter()
+        .filter(|answer| answer.state == state)
+        .map(|answer| answer.action)
+        .collect();
     assert_eq!(of_state, actions);
 }
 
@@ -370,10 +408,16 @@ fn an_oracle_without_an_answer_ends_the_questions() {
     let asked = Cell::new(0);
     let mut right = follow(&task, &truth, &asked);
     let mut fails = |state: &State| {
-        if asked.get() == 25 { Err("the oracle is gone".into()) } else { right(state) }
+        if asked.get() == 25 {
+            Err("the oracle is gone".into())
+        } else {
+            right(state)
+        }
     };
     let refined = run(&task, AskSettings::default(), Vec::new(), &mut fails);
-    let End::Failed(failure) = refined.end else { panic!("{:?}", refined.end) };
+    let End::Failed(failure) = refined.end else {
+        panic!("{:?}", refined.end)
+    };
     assert_eq!(failure.to_string(), "the oracle is gone");
     assert_eq!(refined.log.len(), 25);
     let mut unknown = |_: &State| -> Result<usize, Failure> { Ok(4) };

@@ -1,9 +1,9 @@
 //! Random scenes in which unknown clauses may hold.
 
 use crate::induce::ask::hypothesis::{Instance, firing};
+use crate::induce::ask::probe::Probes;
 use crate::induce::ask::session::{End, Reason, Session};
 use crate::induce::ask::shrink::{resolve, shuffle};
-use crate::induce::ask::probe::Probes;
 use crate::induce::ask::space::{Fact, Space, subtract, union};
 use crate::induce::ask::verify::verify;
 use crate::induce::bits::{self, Bits};
@@ -61,10 +61,14 @@ fn best_scene(session: &mut Session<'_>, probes: &mut Probes) -> Option<State> {
 fn best_scene_of(session: &mut Session<'_>, probes: &mut Probes, level: usize) -> Option<State> {
     let mut random = session.random(5);
     let mut others = session.random(6);
-    probes.update(session, level, &mut random, &mut |session| draw(session, level, &mut others));
+    probes.update(session, level, &mut random, &mut |session| {
+        draw(session, level, &mut others)
+    });
     let mut best: Option<(usize, State)> = None;
     for _ in 0..DRAWN {
-        let Some(state) = draw(session, level, &mut random) else { continue };
+        let Some(state) = draw(session, level, &mut random) else {
+            continue;
+        };
         let count = probes.count(&state, level);
         if best.as_ref().is_none_or(|(most, _)| count > *most) && !session.is_known(&state) {
             best = Some((count, state));
@@ -113,7 +117,11 @@ fn climb(
 fn draw(session: &mut Session<'_>, action: usize, random: &mut impl Rng) -> Option<State> {
     let egos = session.examples.vocabulary().egos();
     let most = session.asking.entities.max(egos);
-    let least = if random.random_bool(0.1) { egos } else { (egos + 1).min(most) };
+    let least = if random.random_bool(0.1) {
+        egos
+    } else {
+        (egos + 1).min(most)
+    };
     let entities = random.random_range(least..=most);
     let space = session.space(entities);
     let instances = session.hypothesis.instances(entities);
@@ -145,7 +153,11 @@ fn quiet(
     planted: Option<&Instance>,
     random: &mut impl Rng,
 ) -> Option<Bits> {
-    let loud = |scene: &Bits| level.checked_sub(1).map_or(0, |level| firing(instances, scene, level).count());
+    let loud = |scene: &Bits| {
+        level
+            .checked_sub(1)
+            .map_or(0, |level| firing(instances, scene, level).count())
+    };
     let mut scene = space.start();
     let mut unwanted = bits::empty(space.facts.len());
     if let Some(planted) = planted {

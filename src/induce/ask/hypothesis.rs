@@ -106,10 +106,16 @@ impl Hypothesis {
         if state.entities() <= GROUNDED_MAX {
             let instances = self.instances(state.entities());
             let fires = |instance: &&Instance| instance.fires(state.fact_set());
-            return instances.iter().find(fires).map_or(self.default, |instance| instance.action);
+            return instances
+                .iter()
+                .find(fires)
+                .map_or(self.default, |instance| instance.action);
         }
         let holds = |clause: &&Clause| !self.witnesses(clause, state, 1).is_empty();
-        self.clauses.iter().find(holds).map_or(self.default, |clause| clause.action)
+        self.clauses
+            .iter()
+            .find(holds)
+            .map_or(self.default, |clause| clause.action)
     }
 
     /// Returns up to `most` assignments under which a clause holds.
@@ -151,15 +157,21 @@ impl Witnesses<'_> {
     /// Assigns the remaining variables. Evaluates each literal as soon as its variables are assigned.
     fn extend(&mut self, assignment: &mut Assignment) {
         let assigned = assignment.len();
-        let last = if assigned == self.vocabulary.egos() { 0 } else { assigned - 1 };
+        let last = if assigned == self.vocabulary.egos() {
+            0
+        } else {
+            assigned - 1
+        };
         let agrees = self.literals.iter().all(|literal| {
             let variables = &literal.atom.arguments;
             let newest = variables.iter().copied().max().unwrap_or(0) as usize;
             if newest >= assigned || newest < last {
                 return true;
             }
-            let arguments: SmallVec<[usize; ARITY_MAX]> =
-                variables.iter().map(|&variable| assignment[variable as usize].into()).collect();
+            let arguments: SmallVec<[usize; ARITY_MAX]> = variables
+                .iter()
+                .map(|&variable| assignment[variable as usize].into())
+                .collect();
             self.state.holds(self.vocabulary, literal.atom.predicate, &arguments) != literal.is_negated
         });
         if !agrees {
@@ -189,7 +201,14 @@ pub fn ground(vocabulary: &Vocabulary, literals: &[Literal], assignment: &[u8], 
             .map(|&variable| assignment[variable as usize].into())
             .collect();
         let fact = vocabulary.fact(entities, literal.atom.predicate, &arguments);
-        bits::insert(if literal.is_negated { &mut negative } else { &mut positive }, fact);
+        bits::insert(
+            if literal.is_negated {
+                &mut negative
+            } else {
+                &mut positive
+            },
+            fact,
+        );
     }
     (positive, negative)
 }
@@ -244,7 +263,12 @@ impl Suspicions {
         for literal in hypothesis.clauses.iter().flat_map(|clause| &clause.body.0) {
             if literal.is_negated {
                 negated += 1;
-                let role = literal.atom.arguments.iter().map(|&variable| (variable as usize) < egos).collect();
+                let role = literal
+                    .atom
+                    .arguments
+                    .iter()
+                    .map(|&variable| (variable as usize) < egos)
+                    .collect();
                 *roles.entry((literal.atom.predicate, role)).or_insert(0) += 1;
             }
         }

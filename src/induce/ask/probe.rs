@@ -78,7 +78,11 @@ impl Probes {
             let arguments: Vec<usize> = atom.arguments.iter().map(|&variable| variable.into()).collect();
             suspicions.probability(&space, self.vocabulary.fact(space.entities, atom.predicate, &arguments))
         };
-        let weights: Vec<Vec<f64>> = self.atoms.iter().map(|atoms| atoms.iter().map(weigh).collect()).collect();
+        let weights: Vec<Vec<f64>> = self
+            .atoms
+            .iter()
+            .map(|atoms| atoms.iter().map(weigh).collect())
+            .collect();
         let drawing = Drawing {
             vocabulary: &self.vocabulary,
             atoms: &self.atoms,
@@ -87,7 +91,8 @@ impl Probes {
         };
         for answer in &session.log[self.seen..] {
             let (state, action) = (&answer.state, answer.action);
-            self.probes.retain_mut(|probe| drawing.exclude(probe, state, action, random));
+            self.probes
+                .retain_mut(|probe| drawing.exclude(probe, state, action, random));
             self.states.push((state.clone(), action));
         }
         self.seen = session.log.len();
@@ -173,8 +178,11 @@ impl Drawing<'_> {
             let own: SmallVec<[usize; ARITY_MAX]> = atom.arguments.iter().map(|&variable| variable.into()).collect();
             let is_true = probe.source.holds(self.vocabulary, atom.predicate, &own);
             let differs = refuting.is_none_or(|(state, witness)| {
-                let arguments: SmallVec<[usize; ARITY_MAX]> =
-                    atom.arguments.iter().map(|&variable| witness[variable as usize].into()).collect();
+                let arguments: SmallVec<[usize; ARITY_MAX]> = atom
+                    .arguments
+                    .iter()
+                    .map(|&variable| witness[variable as usize].into())
+                    .collect();
                 state.holds(self.vocabulary, atom.predicate, &arguments) != is_true
             });
             if differs {
@@ -212,7 +220,8 @@ impl Drawing<'_> {
                 return Vec::new();
             }
             let all = assignments(egos, probe.variables, entities);
-            all.map(|assignment| ground(self.vocabulary, &probe.literals, &assignment, entities)).collect()
+            all.map(|assignment| ground(self.vocabulary, &probe.literals, &assignment, entities))
+                .collect()
         });
         probe.instances = sizes.collect();
     }

@@ -235,8 +235,7 @@ impl<'a> Session<'a> {
             self.spaces.resize(entities + 1, None);
         }
         let (vocabulary, constraints) = (self.examples.vocabulary(), self.constraints);
-        let space =
-            self.spaces[entities].get_or_insert_with(|| Rc::new(Space::new(vocabulary, constraints, entities)));
+        let space = self.spaces[entities].get_or_insert_with(|| Rc::new(Space::new(vocabulary, constraints, entities)));
         Rc::clone(space)
     }
 
@@ -288,7 +287,13 @@ impl<'a> Session<'a> {
             self.examples.push(state.clone(), action);
         }
         if !is_surprise {
-            support::add(&mut self.supports, &self.hypothesis, self.examples.vocabulary(), &state, action);
+            support::add(
+                &mut self.supports,
+                &self.hypothesis,
+                self.examples.vocabulary(),
+                &state,
+                action,
+            );
         }
         Ok(action)
     }
@@ -378,7 +383,9 @@ impl<'a> Session<'a> {
     /// Finds out whether the oracle contradicts itself, since no rules agree with the answer at a position of the log.
     fn recheck(&mut self, at: usize) -> End {
         let latest = self.log.len().saturating_sub(RECHECKED)..self.log.len();
-        let latest = latest.rev().filter(|&other| other != at && self.log[other].reason != Reason::Repeat);
+        let latest = latest
+            .rev()
+            .filter(|&other| other != at && self.log[other].reason != Reason::Repeat);
         let checked: Vec<usize> = std::iter::once(at).chain(latest).collect();
         for other in checked {
             if let Err(end) = self.repeat(other) {

@@ -131,8 +131,8 @@ fn restrict(session: &mut Session<'_>, state: &State, instance: &Instance) -> Re
 fn units(space: &Space, whole: &Bits, part: &Bits) -> Vec<usize> {
     let is_unit = |&fact: &usize| {
         let is_covering = space.covers.iter().any(|cover| bits::has(cover, fact));
-        let is_first = bits::elements(&space.implied[fact])
-            .all(|other| other >= fact || !bits::has(&space.implied[other], fact));
+        let is_first =
+            bits::elements(&space.implied[fact]).all(|other| other >= fact || !bits::has(&space.implied[other], fact));
         !bits::has(part, fact) && !is_covering && is_first
     };
     bits::elements(whole).filter(is_unit).collect()

@@ -48,7 +48,10 @@ impl Space {
         }
         let symmetric: Vec<usize> = constraints.symmetric(vocabulary).collect();
         let follow = |fact: &Fact| -> Vec<usize> {
-            let conclusions = constraints.implies.iter().filter(|(premise, _)| *premise == fact.predicate);
+            let conclusions = constraints
+                .implies
+                .iter()
+                .filter(|(premise, _)| *premise == fact.predicate);
             let mut next: Vec<usize> = conclusions
                 .map(|(_, conclusion)| number(*conclusion, &fact.arguments))
                 .collect();
@@ -106,9 +109,9 @@ impl Space {
             excluded
         });
         let mut excluded: Vec<Bits> = excluded.collect();
-        for fact in 0..count {
-            if bits::has(&excluded[fact], fact) || bits::meet(&excluded[fact], &always) {
-                bits::insert(&mut excluded[fact], fact);
+        for (fact, excluded) in excluded.iter_mut().enumerate() {
+            if bits::meet(excluded, &always) {
+                bits::insert(excluded, fact);
             }
         }
         let covers = constraints.covering.iter().flat_map(|predicates| {
@@ -153,7 +156,10 @@ impl Space {
 
     /// Returns whether a closed set without facts that exclude each other has the facts that every scene has.
     pub fn is_complete(&self, scene: &[u64]) -> bool {
-        self.always.iter().zip(scene).all(|(always, scene)| always & !scene == 0)
+        self.always
+            .iter()
+            .zip(scene)
+            .all(|(always, scene)| always & !scene == 0)
             && self.covers.iter().all(|cover| bits::meet(cover, scene))
     }
 

@@ -77,19 +77,19 @@ pub fn consequences(space: &Space, true_: &mut Bits, false_: &mut Bits) {
 pub fn of_all(hypothesis: &Hypothesis, examples: &Examples) -> Vec<Support> {
     let mut supports = vec![Support::default(); hypothesis.clauses.len()];
     for (state, tallies) in examples.states() {
-        add(&mut supports, hypothesis, examples.vocabulary(), state, majority(tallies));
+        add(
+            &mut supports,
+            hypothesis,
+            examples.vocabulary(),
+            state,
+            majority(tallies),
+        );
     }
     supports
 }
 
 /// Adds an example to the support of the clause that explains it, if only one does.
-pub fn add(
-    supports: &mut [Support],
-    hypothesis: &Hypothesis,
-    vocabulary: &Vocabulary,
-    state: &State,
-    action: usize,
-) {
+pub fn add(supports: &mut [Support], hypothesis: &Hypothesis, vocabulary: &Vocabulary, state: &State, action: usize) {
     let mut only: Option<(usize, Vec<Assignment>)> = None;
     for (index, clause) in hypothesis.clauses.iter().enumerate() {
         if clause.action != action {
@@ -115,7 +115,9 @@ pub fn add(
         return;
     }
     let variables = hypothesis.clauses[index].variables;
-    let rows = witnesses.into_iter().map(|witness| (row(vocabulary, variables, state, &witness), witness));
+    let rows = witnesses
+        .into_iter()
+        .map(|witness| (row(vocabulary, variables, state, &witness), witness));
     let support = &mut supports[index];
     let merged = rows.map(|((all, none), witness)| match &support.literals {
         None => (all, none, witness),
@@ -125,12 +127,14 @@ pub fn add(
             witness,
         ),
     });
-    let Some((all, none, witness)) = merged.max_by_key(|(all, none, _)| bits::count(all) + bits::count(none))
-    else {
+    let Some((all, none, witness)) = merged.max_by_key(|(all, none, _)| bits::count(all) + bits::count(none)) else {
         return;
     };
     support.literals = Some((all, none));
-    support.is_alone |= first.iter().enumerate().all(|(at, entity)| !first[..at].contains(entity))
+    support.is_alone |= first
+        .iter()
+        .enumerate()
+        .all(|(at, entity)| !first[..at].contains(entity))
         && state.entities() == variables;
     let is_smaller = |(old, _): &(State, Assignment)| {
         (state.entities(), state.facts().count()) < (old.entities(), old.facts().count())

@@ -41,16 +41,11 @@ pub fn sweep(session: &mut Session<'_>, bound: Bound) -> Result<u64, End> {
 
 /// Returns the number of scenes of a sweep up to the names of entities. Takes about as long as the sweep without the
 /// answers. `None` if cancelled.
-pub fn count_scenes(
-    vocabulary: &Vocabulary,
-    constraints: &Constraints,
-    bound: Bound,
-    cancel: &Cancel,
-) -> Option<u64> {
+pub fn count_scenes(vocabulary: &Vocabulary, constraints: &Constraints, bound: Bound, cancel: &Cancel) -> Option<u64> {
     let mut count = 0_u64;
     let flow = each_scene(vocabulary, constraints, bound, &mut |_| {
         count += 1;
-        if count % 1024 == 0 && cancel.requested() {
+        if count.is_multiple_of(1024) && cancel.requested() {
             return ControlFlow::Break(());
         }
         ControlFlow::Continue(())
@@ -84,12 +79,14 @@ pub fn count_at_most(vocabulary: &Vocabulary, constraints: &Constraints, bound: 
 /// first is included.
 fn roles(space: &Space) -> (Vec<usize>, Vec<usize>) {
     let is_possible = |&fact: &usize| {
-        let is_first = bits::elements(&space.implied[fact])
-            .all(|other| other >= fact || !bits::has(&space.implied[other], fact));
+        let is_first =
+            bits::elements(&space.implied[fact]).all(|other| other >= fact || !bits::has(&space.implied[other], fact));
         is_first && !bits::has(&space.excluded[fact], fact) && !bits::has(&space.always, fact)
     };
     let is_covering = |fact: &usize| space.covers.iter().any(|cover| bits::has(cover, *fact));
-    (0..space.facts.len()).filter(is_possible).partition(|fact| !is_covering(fact))
+    (0..space.facts.len())
+        .filter(is_possible)
+        .partition(|fact| !is_covering(fact))
 }
 
 /// Calls `visit` with all scenes up to a size, smaller ones first.

@@ -82,7 +82,9 @@ fn question(session: &mut Session<'_>, index: usize) -> Option<(State, Reason)> 
     }
     let weights: Vec<f64> = {
         let suspicions = Suspicions::new(&session.hypothesis);
-        (0..space.facts.len()).map(|fact| suspicions.probability(&space, fact)).collect()
+        (0..space.facts.len())
+            .map(|fact| suspicions.probability(&space, fact))
+            .collect()
     };
     let mut best: Option<(u32, State)> = None;
     for _ in 0..TRIES {
@@ -202,8 +204,7 @@ fn extended(
     let mut disturbances = disturbing(instances, subject, &scene);
     let mut risk = 0.0;
     for fact in facts {
-        if bits::has(&scene, fact) || !space.fits(&scene, fact) || bits::meet(&space.implied[fact], &subject.closed.1)
-        {
+        if bits::has(&scene, fact) || !space.fits(&scene, fact) || bits::meet(&space.implied[fact], &subject.closed.1) {
             continue;
         }
         if risk > 0.0 && risk + weights[fact] > RISK_MAX {
@@ -236,7 +237,10 @@ fn without(
     let body = session.hypothesis.clauses[subject.clause].body.clone();
     for literal in &body.0 {
         let arguments: Vec<usize> = literal.atom.arguments.iter().map(|&variable| variable.into()).collect();
-        let fact = session.examples.vocabulary().fact(space.entities, literal.atom.predicate, &arguments);
+        let fact = session
+            .examples
+            .vocabulary()
+            .fact(space.entities, literal.atom.predicate, &arguments);
         let mut scene = space.start();
         let mut excluded = none.clone();
         if literal.is_negated {
@@ -251,14 +255,19 @@ fn without(
             }
         }
         while let Some(choices) = space.uncovered(&scene) {
-            let Some(&choice) = choices.iter().find(|&&other| other != fact) else { break };
+            let Some(&choice) = choices.iter().find(|&&other| other != fact) else {
+                break;
+            };
             subtract(&mut excluded, &space.implied[choice]);
             space.add(&mut scene, choice);
         }
         let is_literal = bits::has(&scene, fact) == literal.is_negated;
         let others = body.0.iter().filter(|other| *other != literal).all(|other| {
             let arguments: Vec<usize> = other.atom.arguments.iter().map(|&variable| variable.into()).collect();
-            let fact = session.examples.vocabulary().fact(space.entities, other.atom.predicate, &arguments);
+            let fact = session
+                .examples
+                .vocabulary()
+                .fact(space.entities, other.atom.predicate, &arguments);
             bits::has(&scene, fact) != other.is_negated
         });
         let is_covered = space.uncovered(&scene).is_none();
@@ -281,16 +290,17 @@ fn is_refuted(session: &Session<'_>, space: &Space, subject: &Subject, scene: &B
     let vocabulary = session.examples.vocabulary();
     session.examples.states().any(|(state, tallies)| {
         majority(tallies) > subject.action
-            && assignments(vocabulary.egos(), space.entities, state.entities()).any(
-                |assignment| {
-                    let holds = |fact: usize| {
-                        let fact = &space.facts[fact];
-                        let arguments: Vec<usize> =
-                            fact.arguments.iter().map(|&variable| assignment[variable].into()).collect();
-                        state.holds(vocabulary, fact.predicate, &arguments)
-                    };
-                    bits::elements(scene).all(holds) && !bits::elements(false_).any(holds)
-                },
-            )
+            && assignments(vocabulary.egos(), space.entities, state.entities()).any(|assignment| {
+                let holds = |fact: usize| {
+                    let fact = &space.facts[fact];
+                    let arguments: Vec<usize> = fact
+                        .arguments
+                        .iter()
+                        .map(|&variable| assignment[variable].into())
+                        .collect();
+                    state.holds(vocabulary, fact.predicate, &arguments)
+                };
+                bits::elements(scene).all(holds) && !bits::elements(false_).any(holds)
+            })
     })
 }
