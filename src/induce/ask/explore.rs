@@ -46,14 +46,12 @@ fn best_scene(session: &mut Session<'_>, probes: &mut Probes) -> Option<State> {
     let mut levels: Vec<usize> = session.hypothesis.clauses.iter().map(|clause| clause.action).collect();
     levels.dedup();
     levels.retain(|level| *level > 0);
-    if !levels.is_empty() && !random.random_bool(DEFAULT) {
-        let level = levels[random.random_range(0..levels.len())];
-        let best = best_scene_of(session, probes, level);
-        if best.is_some() {
-            return best;
-        }
-    }
-    best_scene_of(session, probes, default)
+    shuffle(&mut levels, &mut random);
+    let at = if random.random_bool(DEFAULT) { 0 } else { levels.len() };
+    levels.insert(at, default);
+    levels
+        .into_iter()
+        .find_map(|level| best_scene_of(session, probes, level))
 }
 
 /// Draws unknown scenes in which the rules take the action `level` and returns the one in which the most unrefuted

@@ -103,21 +103,45 @@ fn question(session: &mut Session<'_>, index: usize) -> Option<(State, Reason)> 
     without(session, &space, &subject, &instances)
 }
 
-/// Returns how many instances hold that take the decision from the clause, or make it ambiguous.
-fn disturbing(instances: &[Instance], subject: &Subject, scene: &[u64]) -> usize {
-    let count = |instance: &&Instance| {
-        let is_own = instance.clause == subject.clause && {
+/// Returns the instances that hold and take the decision from the clause, or make it ambiguous.
+fn disturbing<'a>(
+    instances: &'a [Instance],
+    subject: &Subject,
+    scene: &'a [u64],
+) -> impl Iterator<Item = &'a Instance> + use<'a> {
+    let (clause, action) = (subject.clause, subject.action);
+    let is_own = move |instance: &Instance| {
+        instance.clause == clause && {
             let mut entities = instance.assignment.clone();
             entities.sort_unstable();
             entities.dedup();
             entities.len() == instance.assignment.len()
-        };
-        !is_own && instance.fires(scene)
+        }
     };
     (instances.iter())
-        .take_while(|instance| instance.action <= subject.action)
-        .filter(count)
-        .count()
+        .take_while(move |instance| instance.action <= action)
+        .filter(move |instance| !is_own(instance) && instance.fires(scene))
+}
+
+/// Adds facts until no other clause decides a scene. `None` if none of those that were tried helps.
+fn silence(
+    space: &Space,
+    subject: &Subject,
+    instances: &[Instance],
+    scene: &mut Bits,
+    random: &mut impl Rng,
+) -> Option<()> {
+    loop {
+        let Some(instance) = disturbing(instances, subject, scene).next() else {
+            return Some(());
+        };
+        let helps = |&fact: &usize| space.fits(scene, fact) && !bits::meet(&space.implied[fact], &subject.closed.1);
+        let choices: Vec<usize> = bits::elements(&instance.negative).filter(helps).collect();
+        if choices.is_empty() {
+            return None;
+        }
+        space.add(scene, choices[random.random_range(0..choices.len())]);
+    }
 }
 
 /// Chooses covering facts. Prefers those of a set.
@@ -135,7 +159,7 @@ fn cover(space: &Space, subject: &Subject, scene: &mut Bits, preferred: &Bits, r
     Some(())
 }
 
-/// Returns the smallest scene of a clause. `None` if another clause decides it.
+/// Returns the smallest scene of a clause that no other clause decides.
 fn smallest(
     space: &Space,
     subject: &Subject,
@@ -145,7 +169,8 @@ fn smallest(
 ) -> Option<Bits> {
     let mut scene = subject.positive.clone();
     cover(space, subject, &mut scene, all, random)?;
-    (disturbing(instances, subject, &scene) == 0).then_some(scene)
+    silence(space, subject, instances, &mut scene, random)?;
+    Some(scene)
 }
 
 /// Returns the smallest scene in which a clause holds with one entity for several of its variables.
@@ -201,7 +226,10 @@ fn extended(
     let mut facts: Vec<usize> = bits::elements(none).collect();
     shuffle(&mut facts, random);
     let mut scene = subject.positive.clone();
-    let mut disturbances = disturbing(instances, subject, &scene);
+    if random.random_bool(0.5) {
+        silence(space, subject, instances, &mut scene, random)?;
+    }
+    let mut disturbances = disturbing(instances, subject, &scene).count();
     let mut risk = 0.0;
     for fact in facts {
         if bits::has(&scene, fact) || !space.fits(&scene, fact) || bits::meet(&space.implied[fact], &subject.closed.1) {
@@ -212,7 +240,7 @@ fn extended(
         }
         let mut larger = scene.clone();
         space.add(&mut larger, fact);
-        let more = disturbing(instances, subject, &larger);
+        let more = disturbing(instances, subject, &larger).count();
         if more <= disturbances {
             (scene, disturbances) = (larger, more);
             risk += weights[fact];
@@ -220,7 +248,8 @@ fn extended(
     }
     let nothing = bits::empty(space.facts.len());
     cover(space, subject, &mut scene, &nothing, random)?;
-    (disturbing(instances, subject, &scene) == 0).then_some(scene)
+    silence(space, subject, instances, &mut scene, random)?;
+    Some(scene)
 }
 
 /// The largest sum of the probabilities with which the facts of a question change its answer.
