@@ -33,6 +33,19 @@ impl State {
         }
     }
 
+    /// Returns the state with these facts.
+    pub(crate) fn from_facts(entities: usize, facts: Bits) -> State {
+        State {
+            entities: entities as u8,
+            facts,
+        }
+    }
+
+    /// Returns the facts as a set of their numbers.
+    pub(crate) fn fact_set(&self) -> &Bits {
+        &self.facts
+    }
+
     /// Returns the number of entities.
     pub fn entities(&self) -> usize {
         self.entities.into()

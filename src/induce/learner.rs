@@ -76,7 +76,7 @@ impl Default for Settings {
 }
 
 /// Learned rules.
-#[derive(Clone, Debug)]
+#[derive(Clone, Debug, Default)]
 pub struct Learned {
     /// The rules of each action but the default one, the one with the highest precedence first.
     pub actions: Vec<ActionRules>,

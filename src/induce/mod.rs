@@ -5,8 +5,10 @@
 //! The result is a set of clauses of least cost among those found. If some examples may have a wrong action, clauses may
 //! hold in a few negative examples and leave a few positive ones: see [`Noise`].
 
+pub mod ask;
 mod beam;
 mod bits;
+mod constraints;
 mod cover;
 mod examples;
 mod learner;
@@ -20,7 +22,10 @@ mod tests;
 mod vocabulary;
 mod weights;
 
+pub use constraints::{Constraints, Violation};
 pub use examples::{Contradiction, ENTITIES_MAX, Examples, State, Tally};
 pub use learner::{ActionRules, Learned, LearnedClause, Noise, Progress, Settings, learn, learn_with};
 pub use support::{ClauseSupport, Support, support};
-pub use vocabulary::{ARITY_MAX, Atom, Body, Link, Literal, Predicate, VARIABLE_NAMES, VARIABLES_MAX, Vocabulary};
+pub use vocabulary::{
+    ARITY_MAX, Atom, Body, LITERAL_COST, Link, Literal, Predicate, VARIABLE_NAMES, VARIABLES_MAX, Vocabulary,
+};

@@ -1,6 +1,7 @@
 //! Tests of the rule language and the engine alone, without a city, a configuration or the binary.
 
 mod any_input;
+mod ask;
 mod cases;
 mod corpus;
 mod dense;

@@ -1,0 +1,295 @@
+//! Learned rules that decide states.
+
+use crate::induce::ask::space::{Fact, Space};
+use crate::induce::bits::{self, Bits};
+use crate::induce::examples::State;
+use crate::induce::learner::ActionRules;
+use crate::induce::vocabulary::{ARITY_MAX, Body, Literal, VARIABLES_MAX, Vocabulary};
+use smallvec::SmallVec;
+use std::collections::HashMap;
+use std::rc::Rc;
+
+/// An assignment of entities to the variables of a clause.
+pub type Assignment = SmallVec<[u8; VARIABLES_MAX]>;
+
+/// A clause of a rule set.
+pub struct Clause {
+    /// The position of the action.
+    pub action: usize,
+    pub body: Body,
+    /// Number of variables.
+    pub variables: usize,
+}
+
+/// A clause under an assignment.
+pub struct Instance {
+    pub clause: usize,
+    pub action: usize,
+    pub assignment: Assignment,
+    /// The facts that must hold.
+    pub positive: Bits,
+    /// The facts that must not hold.
+    pub negative: Bits,
+}
+
+impl Instance {
+    pub fn fires(&self, scene: &[u64]) -> bool {
+        let holds = self.positive.iter().zip(scene).all(|(fact, scene)| fact & !scene == 0);
+        holds && !bits::meet(&self.negative, scene)
+    }
+}
+
+/// The most entities for which the instances of clauses are kept.
+const GROUNDED_MAX: usize = 6;
+
+/// A rule set: the first action with a clause that holds is taken.
+pub struct Hypothesis {
+    vocabulary: Vocabulary,
+    pub clauses: Vec<Clause>,
+    /// The action that is taken if no clause holds.
+    pub default: usize,
+    /// By number of entities, the instances in the order of the actions.
+    grounded: Vec<Option<Rc<Vec<Instance>>>>,
+}
+
+impl Hypothesis {
+    pub fn new(vocabulary: &Vocabulary, rules: &[ActionRules], default: usize) -> Hypothesis {
+        let clauses = rules.iter().enumerate().flat_map(|(action, of)| {
+            of.clauses.iter().map(move |clause| Clause {
+                action,
+                variables: clause.body.variables(vocabulary),
+                body: clause.body.clone(),
+            })
+        });
+        let mut clauses: Vec<Clause> = clauses.collect();
+        clauses.sort_by_key(|clause| clause.action);
+        Hypothesis {
+            vocabulary: vocabulary.clone(),
+            clauses,
+            default,
+            grounded: vec![None; GROUNDED_MAX + 1],
+        }
+    }
+
+    /// Returns the instances of all clauses for a number of entities, those of the first action first.
+    pub fn instances(&mut self, entities: usize) -> Rc<Vec<Instance>> {
+        if let Some(Some(instances)) = self.grounded.get(entities) {
+            return Rc::clone(instances);
+        }
+        let mut instances = Vec::new();
+        for (index, clause) in self.clauses.iter().enumerate() {
+            for assignment in assignments(self.vocabulary.egos(), clause.variables, entities) {
+                instances.push(self.instance(index, &assignment, entities));
+            }
+        }
+        let instances = Rc::new(instances);
+        if let Some(place) = self.grounded.get_mut(entities) {
+            *place = Some(Rc::clone(&instances));
+        }
+        instances
+    }
+
+    fn instance(&self, index: usize, assignment: &[u8], entities: usize) -> Instance {
+        let clause = &self.clauses[index];
+        let (positive, negative) = ground(&self.vocabulary, &clause.body.0, assignment, entities);
+        Instance {
+            clause: index,
+            action: clause.action,
+            assignment: assignment.into(),
+            positive,
+            negative,
+        }
+    }
+
+    /// Returns the action that the rules take.
+    pub fn action(&mut self, state: &State) -> usize {
+        if state.entities() <= GROUNDED_MAX {
+            let instances = self.instances(state.entities());
+            let fires = |instance: &&Instance| instance.fires(state.fact_set());
+            return instances
+                .iter()
+                .find(fires)
+                .map_or(self.default, |instance| instance.action);
+        }
+        let holds = |clause: &&Clause| !self.witnesses(clause, state, 1).is_empty();
+        self.clauses
+            .iter()
+            .find(holds)
+            .map_or(self.default, |clause| clause.action)
+    }
+
+    /// Returns up to `most` assignments under which a clause holds.
+    pub fn witnesses(&self, clause: &Clause, state: &State, most: usize) -> Vec<Assignment> {
+        Self::witnesses_of(&self.vocabulary, &clause.body.0, clause.variables, state, most)
+    }
+
+    /// Returns up to `most` assignments under which a conjunction holds.
+    pub fn witnesses_of(
+        vocabulary: &Vocabulary,
+        literals: &[Literal],
+        variables: usize,
+        state: &State,
+        most: usize,
+    ) -> Vec<Assignment> {
+        let mut search = Witnesses {
+            vocabulary,
+            literals,
+            variables,
+            state,
+            most,
+            found: Vec::new(),
+        };
+        search.extend(&mut (0..vocabulary.egos() as u8).collect());
+        search.found
+    }
+}
+
+struct Witnesses<'a> {
+    vocabulary: &'a Vocabulary,
+    literals: &'a [Literal],
+    variables: usize,
+    state: &'a State,
+    most: usize,
+    found: Vec<Assignment>,
+}
+
+impl Witnesses<'_> {
+    /// Assigns the remaining variables. Evaluates each literal as soon as its variables are assigned.
+    fn extend(&mut self, assignment: &mut Assignment) {
+        let assigned = assignment.len();
+        let last = if assigned == self.vocabulary.egos() {
+            0
+        } else {
+            assigned - 1
+        };
+        let agrees = self.literals.iter().all(|literal| {
+            let variables = &literal.atom.arguments;
+            let newest = variables.iter().copied().max().unwrap_or(0) as usize;
+            if newest >= assigned || newest < last {
+                return true;
+            }
+            let arguments: SmallVec<[usize; ARITY_MAX]> = variables
+                .iter()
+                .map(|&variable| assignment[variable as usize].into())
+                .collect();
+            self.state.holds(self.vocabulary, literal.atom.predicate, &arguments) != literal.is_negated
+        });
+        if !agrees {
+            return;
+        }
+        if assigned == self.variables {
+            self.found.push(assignment.clone());
+            return;
+        }
+        for entity in 0..self.state.entities() as u8 {
+            assignment.push(entity);
+            self.extend(assignment);
+            assignment.pop();
+            if self.found.len() >= self.most {
+                return;
+            }
+        }
+    }
+}
+
+/// Returns the facts of a conjunction under an assignment: those that must hold, and those that must not.
+pub fn ground(vocabulary: &Vocabulary, literals: &[Literal], assignment: &[u8], entities: usize) -> (Bits, Bits) {
+    let empty = bits::empty(vocabulary.facts(entities));
+    let (mut positive, mut negative) = (empty.clone(), empty);
+    for literal in literals {
+        let arguments: SmallVec<[usize; ARITY_MAX]> = (literal.atom.arguments.iter())
+            .map(|&variable| assignment[variable as usize].into())
+            .collect();
+        let fact = vocabulary.fact(entities, literal.atom.predicate, &arguments);
+        bits::insert(
+            if literal.is_negated {
+                &mut negative
+            } else {
+                &mut positive
+            },
+            fact,
+        );
+    }
+    (positive, negative)
+}
+
+/// Returns all assignments of entities to variables. The variables of the head have fixed entities.
+pub fn assignments(egos: usize, variables: usize, entities: usize) -> impl Iterator<Item = Assignment> {
+    let free = (variables - egos) as u32;
+    (0..entities.pow(free)).map(move |number| {
+        let mut rest = number;
+        let mut assignment: Assignment = (0..egos as u8).collect();
+        for _ in 0..free {
+            assignment.push((rest % entities) as u8);
+            rest /= entities;
+        }
+        assignment
+    })
+}
+
+/// Returns the instances that hold in a scene and whose action is at most `level`.
+pub fn firing<'a>(instances: &'a [Instance], scene: &'a [u64], level: usize) -> impl Iterator<Item = &'a Instance> {
+    (instances.iter())
+        .take_while(move |instance| instance.action <= level)
+        .filter(move |instance| instance.fires(scene))
+}
+
+/// Returns the facts of a clause in a space with an entity for each variable: those that must hold with what follows
+/// from them, and those that must not.
+pub fn own_instance(hypothesis: &Hypothesis, clause: usize, space: &Space) -> (Bits, Bits) {
+    let names: Assignment = (0..hypothesis.clauses[clause].variables as u8).collect();
+    let instance = hypothesis.instance(clause, &names, space.entities);
+    let mut positive = space.start();
+    for fact in bits::elements(&instance.positive) {
+        space.add(&mut positive, fact);
+    }
+    (positive, instance.negative)
+}
+
+/// How likely a fact keeps a clause from holding, judged by the negated literals of the learned clauses.
+pub struct Suspicions {
+    egos: usize,
+    clauses: usize,
+    negated: usize,
+    /// The predicates of negated literals, with whether each argument is a variable of the head.
+    roles: HashMap<(usize, SmallVec<[bool; ARITY_MAX]>), usize>,
+}
+
+impl Suspicions {
+    pub fn new(hypothesis: &Hypothesis) -> Suspicions {
+        let egos = hypothesis.vocabulary.egos();
+        let mut roles = HashMap::new();
+        let mut negated = 0;
+        for literal in hypothesis.clauses.iter().flat_map(|clause| &clause.body.0) {
+            if literal.is_negated {
+                negated += 1;
+                let role = literal
+                    .atom
+                    .arguments
+                    .iter()
+                    .map(|&variable| (variable as usize) < egos)
+                    .collect();
+                *roles.entry((literal.atom.predicate, role)).or_insert(0) += 1;
+            }
+        }
+        Suspicions {
+            egos,
+            clauses: hypothesis.clauses.len(),
+            negated,
+            roles,
+        }
+    }
+
+    /// Returns the estimated probability that a clause has the negation of a fact about its variables.
+    pub fn probability(&self, space: &Space, fact: usize) -> f64 {
+        let Fact { predicate, arguments } = &space.facts[fact];
+        let role = arguments.iter().map(|&entity| entity < self.egos).collect();
+        let count = self.roles.get(&(*predicate, role)).copied().unwrap_or(0) as f64;
+        let clauses = self.clauses as f64;
+        let base = (self.negated as f64 + 1.0) / ((clauses + 1.0) * space.facts.len() as f64);
+        (count + PRIOR * base) / (clauses + PRIOR)
+    }
+}
+
+/// The number of clauses that the general rate of negated literals counts as.
+const PRIOR: f64 = 3.0;

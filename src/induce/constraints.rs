@@ -1,0 +1,151 @@
+//! What is true of all states.
+
+use crate::induce::examples::State;
+use crate::induce::vocabulary::{ARITY_MAX, Vocabulary};
+use smallvec::SmallVec;
+
+/// What is true of all states of a learning task. Predicates are positions in the [`Vocabulary`].
+#[derive(Clone, Debug, Default, PartialEq, Eq)]
+pub struct Constraints {
+    /// Each fact of the first predicate implies that of the second one with the same arguments.
+    pub implies: Vec<(usize, usize)>,
+    /// At most one of these predicates of equal arity holds for the same arguments.
+    pub disjoint: Vec<Vec<usize>>,
+    /// At least one of these unary predicates holds for every entity.
+    pub covering: Vec<Vec<usize>>,
+    /// These binary predicates hold in both directions or in none.
+    pub symmetric: Vec<usize>,
+    /// These binary predicates hold in at most one direction, and never between an entity and itself.
+    pub asymmetric: Vec<usize>,
+    /// These binary predicates never hold between an entity and itself.
+    pub irreflexive: Vec<usize>,
+    /// These binary predicates hold between every entity and itself.
+    pub reflexive: Vec<usize>,
+}
+
+/// A constraint that a state violates.
+#[derive(Clone, Debug, PartialEq, Eq)]
+pub enum Violation {
+    /// The first predicate holds for these arguments, the second one does not.
+    Implies(usize, usize, Vec<usize>),
+    /// Both predicates hold for these arguments.
+    Disjoint(usize, usize, Vec<usize>),
+    /// None of the predicates of this covering constraint, counted from 0, holds for this entity.
+    Covering(usize, usize),
+    /// The predicate holds for these arguments and not in the other direction.
+    Symmetric(usize, [usize; 2]),
+    /// The predicate holds in both directions.
+    Asymmetric(usize, [usize; 2]),
+    /// The predicate holds between this entity and itself.
+    Irreflexive(usize, usize),
+    /// The predicate does not hold between this entity and itself.
+    Reflexive(usize, usize),
+}
+
+impl Constraints {
+    /// Adds the facts that follow from those of a state: by implication, symmetry and reflexivity. A covering
+    /// constraint adds nothing, since it leaves a choice.
+    pub fn close(&self, vocabulary: &Vocabulary, state: &mut State) {
+        let entities = state.entities();
+        for &predicate in &self.reflexive {
+            (0..entities).for_each(|entity| state.insert(vocabulary, predicate, &[entity, entity]));
+        }
+        let symmetric: Vec<usize> = self.symmetric(vocabulary).collect();
+        let mut facts = 0;
+        while facts < state.facts().count() {
+            facts = state.facts().count();
+            for &(premise, conclusion) in &self.implies {
+                for arguments in tuples(vocabulary.predicates()[premise].arity, entities) {
+                    if state.holds(vocabulary, premise, &arguments) {
+                        state.insert(vocabulary, conclusion, &arguments);
+                    }
+                }
+            }
+            for &predicate in &symmetric {
+                for arguments in tuples(2, entities) {
+                    if state.holds(vocabulary, predicate, &arguments) {
+                        state.insert(vocabulary, predicate, &[arguments[1], arguments[0]]);
+                    }
+                }
+            }
+        }
+    }
+
+    /// Returns a constraint that a state violates, if there is one.
+    pub fn violated(&self, vocabulary: &Vocabulary, state: &State) -> Option<Violation> {
+        let entities = state.entities();
+        let arity = |predicate: usize| vocabulary.predicates()[predicate].arity;
+        let holds = |predicate: usize, arguments: &[usize]| state.holds(vocabulary, predicate, arguments);
+        for &(premise, conclusion) in &self.implies {
+            for arguments in tuples(arity(premise), entities) {
+                if holds(premise, &arguments) && !holds(conclusion, &arguments) {
+                    return Some(Violation::Implies(premise, conclusion, arguments.to_vec()));
+                }
+            }
+        }
+        for (one, other) in self.disjoint_pairs() {
+            for arguments in tuples(arity(one), entities) {
+                if holds(one, &arguments) && holds(other, &arguments) {
+                    return Some(Violation::Disjoint(one, other, arguments.to_vec()));
+                }
+            }
+        }
+        for (index, predicates) in self.covering.iter().enumerate() {
+            let is_bare = |entity: &usize| predicates.iter().all(|&predicate| !holds(predicate, &[*entity]));
+            if let Some(entity) = (0..entities).find(is_bare) {
+                return Some(Violation::Covering(index, entity));
+            }
+        }
+        for arguments in tuples(2, entities) {
+            let (pair, mirrored) = ([arguments[0], arguments[1]], [arguments[1], arguments[0]]);
+            for predicate in self.symmetric(vocabulary) {
+                if holds(predicate, &pair) && !holds(predicate, &mirrored) {
+                    return Some(Violation::Symmetric(predicate, pair));
+                }
+            }
+            for &predicate in &self.asymmetric {
+                if holds(predicate, &pair) && holds(predicate, &mirrored) {
+                    return Some(Violation::Asymmetric(predicate, pair));
+                }
+            }
+        }
+        for entity in 0..entities {
+            let itself = |predicate: &&usize| holds(**predicate, &[entity, entity]);
+            if let Some(&predicate) = self.irreflexive.iter().find(itself) {
+                return Some(Violation::Irreflexive(predicate, entity));
+            }
+            if let Some(&predicate) = self.reflexive.iter().find(|predicate| !itself(predicate)) {
+                return Some(Violation::Reflexive(predicate, entity));
+            }
+        }
+        None
+    }
+
+    /// Returns the predicates that hold in both directions, those that the vocabulary knows included.
+    pub(crate) fn symmetric<'a>(&'a self, vocabulary: &'a Vocabulary) -> impl Iterator<Item = usize> + 'a {
+        (0..vocabulary.predicates().len()).filter(move |predicate| {
+            let known = &vocabulary.predicates()[*predicate];
+            self.symmetric.contains(predicate) || (known.is_symmetric && known.arity == 2)
+        })
+    }
+
+    /// Returns the pairs of disjoint predicates.
+    pub(crate) fn disjoint_pairs(&self) -> impl Iterator<Item = (usize, usize)> + '_ {
+        self.disjoint.iter().flat_map(|predicates| {
+            let pairs = (0..predicates.len()).flat_map(|at| (0..at).map(move |before| (before, at)));
+            pairs.map(|(one, other)| (predicates[one], predicates[other]))
+        })
+    }
+}
+
+/// Returns all lists of `arity` entities; the last one changes fastest.
+pub(crate) fn tuples(arity: usize, entities: usize) -> impl Iterator<Item = SmallVec<[usize; ARITY_MAX]>> {
+    (0..entities.pow(arity as u32)).map(move |number| {
+        let mut tuple: SmallVec<[usize; ARITY_MAX]> = SmallVec::from_elem(0, arity);
+        let mut rest = number;
+        for entity in tuple.iter_mut().rev() {
+            (*entity, rest) = (rest % entities, rest / entities);
+        }
+        tuple
+    })
+}
