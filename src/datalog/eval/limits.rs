@@ -2,7 +2,7 @@
 
 use crate::datalog::check::{Clause, ClauseId, Literal, Rules, Term};
 use crate::datalog::syntax::ast::Comparison;
-use crate::diag::{Code, Diagnostic, Span};
+use crate::diag::{Code, Diagnostic, Limit, Span};
 use std::collections::BTreeSet;
 use std::fmt;
 
@@ -79,12 +79,12 @@ impl EvalError {
         }
     }
 
-    /// Returns the option of the command line that raises the exceeded limit. `None` for a cancelled evaluation.
-    pub fn option(&self) -> Option<&'static str> {
-        match self {
-            EvalError::TooManyRows { .. } => Some("--max-rows"),
-            EvalError::TooManySteps { .. } => Some("--max-steps"),
-            EvalError::TooMuchMemory { .. } | EvalError::TooManyInputs { .. } => Some("--max-memory"),
+    /// Returns the exceeded limit. `None` for a cancelled evaluation.
+    pub fn limit(&self) -> Option<Limit> {
+        match *self {
+            EvalError::TooManyRows { .. } => Some(Limit::Rows),
+            EvalError::TooManySteps { .. } => Some(Limit::Steps),
+            EvalError::TooMuchMemory { limit, .. } | EvalError::TooManyInputs { limit } => Some(Limit::Memory(limit)),
             EvalError::Cancelled { .. } => None,
         }
     }
@@ -135,14 +135,10 @@ impl std::error::Error for EvalError {}
 /// A diagnostic without a place, for callers that do not have the source texts.
 impl From<EvalError> for Diagnostic {
     fn from(error: EvalError) -> Self {
-        let code = match error {
-            EvalError::Cancelled { .. } => Code::CANCELLED,
-            EvalError::TooManyInputs { .. }
-            | EvalError::TooManyRows { .. }
-            | EvalError::TooManySteps { .. }
-            | EvalError::TooMuchMemory { .. } => Code::LIMIT_EXCEEDED,
-        };
-        Diagnostic::new(code, error.to_string())
+        match error.limit() {
+            Some(limit) => Diagnostic::new(Code::LIMIT_EXCEEDED, error.to_string()).exceeds(limit),
+            None => Diagnostic::new(Code::CANCELLED, error.to_string()),
+        }
     }
 }
 
