@@ -545,7 +545,7 @@ impl<const W: usize> Join<'_, W> {
         if let [plan] = &plans[..] {
             out = Output::for_plan(plan, usize::MAX);
         }
-        out.set_bytes(self.known.bytes_max);
+        out.set_bytes(self.known.rows_bytes_max);
         let views = self.views;
         let mut batches = views[depth].batches().copied();
         for plan in plans.iter() {

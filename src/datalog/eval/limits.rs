@@ -15,7 +15,8 @@ pub struct Limits {
     /// Maximum number of rows that scans and tests visit. Default: 10^11, which takes some minutes.
     pub steps: u64,
     /// Maximum memory of a commit, in bytes. Default: 4 GiB. It counts the session's rows, indexes and texts, copies of
-    /// the rows that change, and buffers for derived rows. Memory that does not grow with the data is not counted.
+    /// the rows that change, buffers for derived rows, and kept values of aggregates. Memory that does not grow with the
+    /// data is not counted. A search for an explanation counts the aggregates that it evaluates.
     pub bytes: u64,
 }
 
@@ -123,7 +124,7 @@ impl fmt::Display for EvalError {
 }
 
 /// Formats a number of bytes in the largest unit that divides it.
-fn size(bytes: u64) -> String {
+pub(crate) fn size(bytes: u64) -> String {
     let units = [(20, "MiB"), (10, "KiB"), (0, "bytes")].into_iter();
     let mut fitting = units.filter(|(scale, _)| bytes >> scale << scale == bytes);
     let (scale, unit) = fitting.next().unwrap_or((0, "bytes"));

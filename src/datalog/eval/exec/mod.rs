@@ -5,6 +5,7 @@ mod adapt;
 
 use crate::cancel::Cancel;
 use crate::datalog::check::{Atom, ClauseId, Literal, RelId, Term};
+use crate::datalog::eval::correlated::CorrelatedValues;
 use crate::datalog::eval::delta::{Delta, Rows};
 use crate::datalog::eval::exec::adapt::Basis;
 use crate::datalog::eval::groups;
@@ -57,18 +58,19 @@ pub(crate) trait Store: Send + Sync {
     fn bytes(&self) -> u64;
     /// The aggregate of the group with this key in a grouped relation.
     fn group(&self, relation: RelId, key: &[Value], op: AggregateOp) -> Option<Value>;
-    /// The value of a correlated aggregate for these parameters, and the number of rows scanned, at most `budget`.
+    /// The value of a correlated aggregate for these parameters, and the number of rows scanned. It stops after about
+    /// `budget` rows, or if the evaluation takes more than `bytes`.
     fn correlated(
         &self,
         aggregate: &Literal,
         parameters: &[Value],
         symbols: &Symbols,
-        limits: (u64, &Cancel),
+        limits: (u64, u64, &Cancel),
     ) -> (Result<Option<Value>, Abort>, u64);
     /// The plans in use.
     fn plans(&self) -> &Plans;
-    /// The distinct rows that a clause derives.
-    fn fired(&self, compiled: &Compiled, symbols: &Symbols, clause: ClauseId) -> Vec<Vec<Value>>;
+    /// The distinct rows that a clause derives. The cache of correlated values takes at most about `bytes`.
+    fn fired(&self, compiled: &Compiled, symbols: &Symbols, clause: ClauseId, bytes: u64) -> Vec<Vec<Value>>;
 }
 
 /// The options of a commit.
@@ -546,15 +548,11 @@ impl<const W: usize> State<W> {
         if makes_texts(&commit.plans, stratum) {
             quota.bytes /= 2;
         }
-        let mut values_bytes = u64::MAX;
-        if correlated {
-            // For the known values, and for the rows of the evaluation in progress.
-            values_bytes = quota.bytes / 8;
-            quota.bytes -= 2 * values_bytes;
-        }
+        let values_bytes = if correlated { quota.bytes / 4 } else { 0 };
+        quota.bytes -= values_bytes;
         let attempt = |workers| {
             let mut meter = Meter::new(quota.steps, text_bytes, commit.options, workers);
-            meter.state.correlated.bytes_max = values_bytes;
+            meter.state.correlated = CorrelatedValues::within(values_bytes, stratum.correlated.len());
             let result = self.evaluate(commit, stratum, quota, &mut meter);
             result.map(|(results, rounds)| (results, rounds, meter))
         };
@@ -840,7 +838,7 @@ impl<const W: usize> Store for State<W> {
         aggregate: &Literal,
         parameters: &[Value],
         symbols: &Symbols,
-        (budget, cancel): (u64, &Cancel),
+        (budget, bytes, cancel): (u64, u64, &Cancel),
     ) -> (Result<Option<Value>, Abort>, u64) {
         let Literal::Aggregate {
             op, base, atom, column, ..
@@ -873,6 +871,7 @@ impl<const W: usize> Store for State<W> {
         };
         let views: Vec<RowView<'_, W>> = self.complete_views(&self.plans, &plan).collect();
         let (mut state, mut out) = (JoinState::new(budget), Output::<W>::new(usize::MAX));
+        state.correlated = CorrelatedValues::within(bytes, self.plans.indexes.correlated_len());
         let result = join::run(&plan, &views, (symbols, cancel), &mut state, &mut out);
         let value = result.map(|()| out.take().first().map(|row| row.0[0]));
         (value, state.rows_scanned)
@@ -882,7 +881,7 @@ impl<const W: usize> Store for State<W> {
         &self.plans
     }
 
-    fn fired(&self, compiled: &Compiled, symbols: &Symbols, clause: ClauseId) -> Vec<Vec<Value>> {
+    fn fired(&self, compiled: &Compiled, symbols: &Symbols, clause: ClauseId, bytes: u64) -> Vec<Vec<Value>> {
         let plan = &self.plans.clauses[clause.index()].complete;
         let mut out = Output::new(usize::MAX);
         let source = &compiled.rules.clauses[clause.index()];
@@ -892,14 +891,10 @@ impl<const W: usize> Store for State<W> {
         }
         if self.committed && plan.fold.is_none() {
             let views: Vec<RowView<'_, W>> = self.complete_views(&self.plans, plan).collect();
+            let mut state = JoinState::new(u64::MAX);
+            state.correlated = CorrelatedValues::caching(bytes);
             // This cannot overflow: what a clause derives is in its head's relation, which is within the limit.
-            let _ = join::run(
-                plan,
-                &views,
-                (symbols, &Cancel::never()),
-                &mut JoinState::new(u64::MAX),
-                &mut out,
-            );
+            let _ = join::run(plan, &views, (symbols, &Cancel::never()), &mut state, &mut out);
         }
         let arity = compiled.rules.relations[plan.head.index()].arity();
         out.take().iter().map(|row| row.0[..arity].to_vec()).collect()
