@@ -1,7 +1,7 @@
 //! Programs and sessions.
 
 use crate::columns;
-use crate::{Shared, Signals, input_error, threads_of, to_python};
+use crate::{LimitArguments, Shared, Signals, input_error, limits_of, threads_of, to_python};
 use logicity::builtin::BuiltinFiles;
 use logicity::datalog;
 use logicity::datalog::explain::{Explainer, ExplanationPrinter};
@@ -184,20 +184,9 @@ fn row_error(error: &RowError) -> PyErr {
 #[pymethods]
 impl PySession {
     #[new]
-    fn new(
-        program: &PyProgram,
-        threads: usize,
-        max_rows: Option<usize>,
-        max_steps: Option<u64>,
-        max_bytes: Option<u64>,
-    ) -> PyResult<Self> {
+    fn new(program: &PyProgram, threads: usize, limits: LimitArguments) -> PyResult<Self> {
         let mut session = program.0.program.session();
-        let usual = Limits::default();
-        session.set_limits(Limits {
-            rows: max_rows.unwrap_or(usual.rows),
-            steps: max_steps.unwrap_or(usual.steps),
-            bytes: max_bytes.unwrap_or(usual.bytes),
-        });
+        session.set_limits(limits_of(limits, Limits::default()));
         let threads = Threads::new(threads_of(threads)?);
         (session.set_threads(threads))
             .map_err(|error| PyRuntimeError::new_err(format!("cannot start {} threads: {error}", threads.count)))?;
