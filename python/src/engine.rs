@@ -120,7 +120,8 @@ impl PyProgram {
         let relations = self.0.relations().map(|(_, relation)| {
             let columns = relation.columns.iter();
             let columns = columns.map(|column| {
-                json!({ "name": column.name, "type": rules.types[column.ty.0 as usize].name, "base": column.base.name() })
+                let named = &rules.types[column.ty.0 as usize].name;
+                json!({ "name": column.name, "type": named, "base": column.base.name() })
             });
             let position = sources.position(relation.span);
             json!({

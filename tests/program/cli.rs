@@ -2123,7 +2123,12 @@ fn infer_falls_back_to_the_relational_executor() {
         .filter(|(x, y)| x % 7 != y % 7)
         .map(|(x, y)| [&entities[x], &entities[y]])
         .collect();
-    let facts = serde_json::json!({ "IsCar": ["e0", "e1"], "IsPedestrian": ["e2"], "IsClose": close, "NextTo": [["e0", "e1"], ["e1", "e0"]] });
+    let facts = serde_json::json!({
+        "IsCar": ["e0", "e1"],
+        "IsPedestrian": ["e2"],
+        "IsClose": close,
+        "NextTo": [["e0", "e1"], ["e1", "e0"]],
+    });
     let scene = serde_json::json!({ "entities": entities, "ego": "e0", "facts": facts }).to_string();
     let infer = |executor: &str| with_input(["infer", "--rules", &rules, "--executor", executor], scene.as_bytes());
 

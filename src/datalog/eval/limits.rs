@@ -15,8 +15,8 @@ pub struct Limits {
     /// Maximum number of rows that scans and tests visit. Default: 10^11, which takes some minutes.
     pub steps: u64,
     /// Maximum memory of a commit, in bytes. Default: 4 GiB. It counts the session's rows, indexes and texts, copies of
-    /// the rows that change, buffers for derived rows, and kept values of aggregates. Memory that does not grow with the
-    /// data is not counted. A search for an explanation counts the aggregates that it evaluates.
+    /// the rows that change, buffers for derived rows, and kept values of aggregates. Memory that does not grow with
+    /// the data is not counted. A search for an explanation counts the aggregates that it evaluates.
     pub bytes: u64,
 }
 

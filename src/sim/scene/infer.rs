@@ -173,8 +173,8 @@ impl Inference {
         self.limits = limits;
     }
 
-    /// Makes later errors of evaluation quote their clause with its place. `sources` must contain the rules; the sources
-    /// that [`Inference::answer`] takes contain only scenes.
+    /// Makes later errors of evaluation quote their clause with its place. `sources` must contain the rules; the
+    /// sources that [`Inference::answer`] takes contain only scenes.
     pub fn name_clauses(&mut self, sources: &Sources) {
         self.rule_sources = Some(sources.clone());
     }
