@@ -129,13 +129,13 @@ fn load(mode: &str, rules: &str, sources: &mut Sources) -> Result<LoadedCity, Ve
 pub fn check(mode: &str, rules: &str) -> String {
     let mut sources = Sources::new();
     let found = match load(mode, rules, &mut sources) {
-        Ok(city) => examine(city, &sources),
+        Ok(city) => examine(city),
         Err(faults) => faults,
     };
     report(&found, &sources).to_string()
 }
 
-fn examine(city: LoadedCity, sources: &Sources) -> Vec<Diagnostic> {
+fn examine(city: LoadedCity) -> Vec<Diagnostic> {
     let LoadedCity {
         scenario,
         program,
@@ -144,7 +144,7 @@ fn examine(city: LoadedCity, sources: &Sources) -> Vec<Diagnostic> {
     } = city;
     let lints = optimize::lints(program.rules()).diagnostics;
     found.extend(lints.into_iter().filter(|lint| lint.code == Code::CONTRADICTORY_BODY));
-    found.extend(city_lints(program.rules(), sources));
+    found.extend(city_lints(program.rules(), Some(&scenario)));
     match conflicts(&program) {
         Ok(overlaps) => found.extend(conflict_lints(&overlaps, program.rules(), &scenario.actions.priority)),
         Err(faults) => found.extend(faults),
