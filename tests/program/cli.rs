@@ -886,7 +886,7 @@ fn counting(most: u32) -> String {
 #[test]
 fn every_command_that_reads_a_trace_takes_limits() {
     let folder = tempfile::tempdir().unwrap();
-    let rules = write(folder.path(), "rules.dl", counting(30_000));
+    let rules = write(folder.path(), "rules.dl", counting(3_000));
     let made = folder.path().join("run");
     let made = made.to_str().unwrap();
     let page = folder.path().join("page.html");
@@ -910,8 +910,8 @@ fn every_command_that_reads_a_trace_takes_limits() {
     for command in [&explain[..], &view, &coverage] {
         succeeds(&run(command, b""));
         for (option, limit, message) in [
-            ("--max-rows", "20K", "the rules derive more than 20000 rows"),
-            ("--max-steps", "20K", "the rules scan more than 20000 rows"),
+            ("--max-rows", "2K", "the rules derive more than 2000 rows"),
+            ("--max-steps", "2K", "the rules scan more than 2000 rows"),
             ("--max-memory", "0", "take more than 0 MiB"),
         ] {
             let raise = format!("raise the limit with `{option}`");
