@@ -1666,3 +1666,20 @@ fn consecutive_signs_keep_their_depth_when_printed() {
         logicity::datalog::print(&parsed.file)
     );
 }
+
+/// The first argument of a function may be an aggregate, whose value may be in parentheses.
+#[test]
+fn an_aggregate_is_an_argument_of_a_function() {
+    let text = ".decl A(x: number)\nA(3). A(4).\n.decl P(n: number)\n.output P\n";
+    for value in [
+        "min(sum (x) : { A(x) }, 9)",
+        "min(sum x : { A(x) }, 9)",
+        "max(count : { A(_) }, 7)",
+    ] {
+        let (_, loaded) = load_text("argument.dl", &format!("{text}P(n) :- n = {value}.\n"));
+        assert!(loaded.rules.is_some(), "{value}: {:?}", loaded.diagnostics);
+    }
+    // Function notation stays an error.
+    let (_, loaded) = load_text("argument.dl", &format!("{text}P(n) :- n = min(A(x)).\n"));
+    assert!(loaded.rules.is_none());
+}
