@@ -90,7 +90,8 @@ PLAYGROUND := target/playground
 PLAYGROUND_BUILD := --manifest-path docs/playground/Cargo.toml --target wasm32-unknown-unknown --locked
 PLAYGROUND_BUILD += --target-dir target/playground-build
 WASM := target/playground-build/wasm32-unknown-unknown/release/logicity_playground.wasm
-# The library and the program must have the same version.
+# The library and the program must have the same version. The program is installed without `--locked`: the lock file in
+# its package may name versions that the registry has withdrawn.
 WASM_BINDGEN_VERSION = $(shell sed -n 's/^wasm-bindgen = "=\(.*\)"/\1/p' docs/playground/Cargo.toml)
 WASM_BINDGEN = target/tools/wasm-bindgen-$(WASM_BINDGEN_VERSION)
 VIEWER := elements data run ground map agent viewer
@@ -107,7 +108,7 @@ $(PLAYGROUND):
 	cargo clippy $(PLAYGROUND_BUILD) -- -D warnings
 	cargo build $(PLAYGROUND_BUILD) --release
 	test -x $(WASM_BINDGEN)/bin/wasm-bindgen || \
-	    cargo install --quiet wasm-bindgen-cli --version $(WASM_BINDGEN_VERSION) --root $(WASM_BINDGEN)
+	    cargo install --quiet wasm-bindgen-cli --version =$(WASM_BINDGEN_VERSION) --root $(WASM_BINDGEN)
 	rm -rf $@
 	$(WASM_BINDGEN)/bin/wasm-bindgen --target web --no-typescript --remove-name-section --out-dir $@ $(WASM)
 	cp docs/playground/*.html docs/playground/*.css docs/playground/*.js src/page/page.css $@

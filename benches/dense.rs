@@ -1,11 +1,11 @@
 //! Compares the executors on random clauses of up to eight variables over entities that are all close to each other.
 //!
 //! `cargo bench --bench dense` prints a table: for each number of entities and variables, the total times of both
-//! executors from facts to answers, and the worst ratio of their times on one clause; then the same ratio for evaluation
-//! alone, without loading facts. Below, it prints the median and the worst ratio of all clauses, how many exceed 2, and
-//! the worst clause. Where a clause takes the dense executor more steps than [`Dense::steps_max`] allows, its time
-//! includes that of the relational one, which then decides. A clause on which the relational executor gives up has no
-//! ratio.
+//! executors from facts to answers, and the worst ratio of their times on one clause; then the same ratio for
+//! evaluation alone, without loading facts. Below, it prints the median and the worst ratio of all clauses, how many
+//! exceed 2, and the worst clause. Where a clause takes the dense executor more steps than [`Dense::steps_max`] allows,
+//! its time includes that of the relational one, which then decides. A clause on which the relational executor gives up
+//! has no ratio.
 //!
 //! `cargo bench --bench dense -- CLAUSES SEED` takes another number of clauses per line (50) and another seed (1). With
 //! a third argument it prints each clause with a ratio above that.

@@ -30,7 +30,7 @@ release = version = logicity.__version__
 copyright = author  # noqa: A001
 
 extensions = ["myst_nb", "sphinx.ext.autodoc", "sphinx.ext.napoleon", "sphinx_copybutton"]
-# A program with a README of its own.
+# A separate program with its README.
 exclude_patterns = ["playground"]
 templates_path: list[str] = []
 nitpicky = True

@@ -117,6 +117,7 @@ fn demonstrations(modes: &[String]) {
         let own = |examples: &Examples| -> Vec<Vec<Body>> {
             let rules = learn(examples, &Settings::default(), &Cancel::never());
             let bodies = rules
+                .actions
                 .into_iter()
                 .map(|rules| rules.clauses.into_iter().map(|clause| clause.body).collect());
             bodies.collect()

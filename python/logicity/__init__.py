@@ -54,6 +54,7 @@ if TYPE_CHECKING:
         Executor,
         Heading,
         Label,
+        Limits,
         RuleStats,
         Scene,
         Split,
@@ -73,7 +74,7 @@ _NAMES = {
     "rules": ["Change", "Column", "Explanation", "Program", "Relation", "Rows", "Session", "check"],
     "types": [
         *["Action", "Agent", "Answer", "Clause", "Diagnostic", "EgoAnswer", "Executor", "Heading"],
-        *["Label", "RuleStats", "Scene", "Split", "StratumStats", "SymbolicScene"],
+        *["Label", "Limits", "RuleStats", "Scene", "Split", "StratumStats", "SymbolicScene"],
     ],
 }
 _HOMES = {name: module for module, names in _NAMES.items() for name in names}
@@ -107,6 +108,7 @@ __all__ = [
     "Interval",
     "Label",
     "LimitError",
+    "Limits",
     "MODES",
     "Policy",
     "Program",

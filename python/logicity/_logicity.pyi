@@ -50,6 +50,7 @@ VARIABLES_MAX: int
 WORLDS_MAX: int
 
 _Path: TypeAlias = str | os.PathLike[str]
+_Limits: TypeAlias = tuple[int | None, int | None, int | None]
 _Tick: TypeAlias = tuple[
     int,
     npt.NDArray[np.int32],
@@ -89,9 +90,7 @@ class Program:
 
 @final
 class Session:
-    def __new__(
-        cls, program: Program, threads: int, max_rows: int | None, max_steps: int | None, max_bytes: int | None
-    ) -> Session: ...
+    def __new__(cls, program: Program, threads: int, limits: _Limits) -> Session: ...
     def insert(self, relation: str, rows: Any) -> int: ...
     def retract(self, relation: str, rows: Any) -> int: ...
     def rollback(self) -> None: ...
@@ -113,7 +112,13 @@ class Rows:
 @final
 class Inference:
     def __new__(
-        cls, config: _Path, rules: _Path | None, seed: int, executor: str, files: dict[Any, str] | None
+        cls,
+        config: _Path,
+        rules: _Path | None,
+        seed: int,
+        executor: str,
+        limits: _Limits,
+        files: dict[Any, str] | None,
     ) -> Inference: ...
     def answer(self, scene: str) -> dict[str, Any]: ...
     def files(self) -> dict[Any, str]: ...
@@ -129,6 +134,7 @@ class Simulation:
         threads: int,
         executor: str,
         count_firings: bool,
+        limits: _Limits,
         files: dict[Any, str] | None,
     ) -> Simulation: ...
     def files(self) -> dict[Any, str]: ...
@@ -158,7 +164,12 @@ class OutputFile:
 @final
 class Task:
     def __new__(
-        cls, config: _Path, rules: _Path | None, overrides: str | None, files: dict[Any, str] | None = None
+        cls,
+        config: _Path,
+        rules: _Path | None,
+        overrides: str | None,
+        limits: _Limits,
+        files: dict[Any, str] | None = None,
     ) -> Task: ...
     def __deepcopy__(self, _memo: Any) -> Task: ...
     def shape(self, observation: str) -> list[int]: ...

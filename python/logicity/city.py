@@ -14,9 +14,9 @@ import numpy as np
 import numpy.typing as npt
 
 from . import _logicity
-from .errors import checked_integer, checked_path, checked_threads, did_you_mean
+from .errors import LimitArguments, checked_integer, checked_limits, checked_path, checked_threads, did_you_mean
 from .rules import rule_file
-from .types import Action, Answer, Executor, Heading, Scene, Split, SymbolicScene
+from .types import Action, Answer, Executor, Heading, Limits, Scene, Split, SymbolicScene
 
 __all__ = ["ACTIONS", "HEADINGS", "REASONS", "AgentInfo", "Decision", "Inference", "Simulation", "Tick", "infer"]
 
@@ -52,12 +52,13 @@ class Inference:
         rules: A rule file that replaces the configuration's.
         seed: The seed of probabilistic predicates that a scene does not specify, from 0 to 2**64 - 1.
         executor: The executor of the rules. It does not affect the answers.
+        limits: The limits of the evaluation of each scene.
 
     Raises:
         InputError: If the configuration or rule file is invalid.
         UnsupportedError: If `executor="dense"` cannot evaluate the rules.
         OSError: If a file cannot be read.
-        ValueError: If the executor is unknown, or the seed is out of range.
+        ValueError: If the executor or a limit is unknown, or a number is out of range.
     """
 
     def __init__(
@@ -66,14 +67,17 @@ class Inference:
         rules: str | os.PathLike[str] | None = None,
         seed: int = 0,
         executor: Executor = "auto",
+        *,
+        limits: Limits | None = None,
     ) -> None:
         """Load the configuration and the rules."""
-        self._args: tuple[str, str | None, int, str]
-        self._args = (checked_path("config", config), rule_file(rules), checked_integer("seed", seed), executor)
+        self._args: tuple[str, str | None, int, str, LimitArguments]
+        name, seed = checked_path("config", config), checked_integer("seed", seed)
+        self._args = (name, rule_file(rules), seed, executor, checked_limits(limits))
         self._inference = _logicity.Inference(*self._args, None)
 
     @classmethod
-    def _restore(cls, args: tuple[str, str | None, int, str], files: dict[Any, str]) -> Inference:
+    def _restore(cls, args: tuple[str, str | None, int, str, LimitArguments], files: dict[Any, str]) -> Inference:
         inference = cls.__new__(cls)
         inference._args = args
         inference._inference = _logicity.Inference(*args, files)
@@ -91,7 +95,7 @@ class Inference:
 
         Raises:
             InputError: If the scene is invalid.
-            LimitError: If the scene is too large, or the rules derive too many rows from it.
+            LimitError: If the scene is too large, or its evaluation exceeds a limit.
             TypeError: If the scene holds a value that JSON cannot represent.
         """
         return cast(Answer, self._inference.answer(json.dumps(scene)))
@@ -103,6 +107,8 @@ def infer(
     rules: str | os.PathLike[str] | None = None,
     seed: int = 0,
     executor: Executor = "auto",
+    *,
+    limits: Limits | None = None,
 ) -> Answer:
     """Return the actions that the rules derive in one scene.
 
@@ -114,6 +120,7 @@ def infer(
         rules: As for `Inference`.
         seed: As for `Inference`.
         executor: As for `Inference`.
+        limits: As for `Inference`.
 
     Raises:
         InputError: As for `Inference` and `Inference.answer`.
@@ -121,7 +128,7 @@ def infer(
         TypeError: As for `Inference.answer`.
         ValueError: As for `Inference`.
     """
-    return Inference(config, rules, seed, executor).answer(scene)
+    return Inference(config, rules, seed, executor, limits=limits).answer(scene)
 
 
 @dataclass(frozen=True)
@@ -201,6 +208,7 @@ class Simulation:
             ticks.
         executor: The executor of the rules. It does not affect the ticks.
         count_firings: Whether to count the firings of clauses, for `firings` and for traces of `run`.
+        limits: The limits of the evaluation of each tick.
 
     Raises:
         InputError: If the configuration or rule file is invalid, the configuration lacks the split, or the agents do
@@ -208,7 +216,8 @@ class Simulation:
         LimitError: If there are too many agents.
         UnsupportedError: If `executor="dense"` cannot evaluate the rules.
         OSError: If a file cannot be read.
-        ValueError: If the split or executor is unknown, the seed is out of range, or there are more than 1024 threads.
+        ValueError: If the split, the executor or a limit is unknown, a number is out of range, or there are more than
+            1024 threads.
     """
 
     def __init__(
@@ -221,10 +230,11 @@ class Simulation:
         executor: Executor = "auto",
         *,
         count_firings: bool = False,
+        limits: Limits | None = None,
     ) -> None:
         """Place the agents."""
         name, seed, threads = checked_path("config", config), checked_integer("seed", seed), checked_threads(threads)
-        self._args = (name, rule_file(rules), split, seed, threads, executor, count_firings)
+        self._args = (name, rule_file(rules), split, seed, threads, executor, count_firings, checked_limits(limits))
         self._city = _logicity.Simulation(*self._args, None)
         #: The controls by tick, for ticks that had any.
         self._controls: dict[int, list[tuple[int, int]]] = {}
@@ -315,7 +325,7 @@ class Simulation:
 
         Raises:
             KeyError: If the agent is unknown.
-            LimitError: If the rules derive too many rows, or too many agents are close together. The city is unchanged.
+            LimitError: If the evaluation exceeds a limit, or too many agents are close together. The city is unchanged.
             TypeError: If `controls` is not a mapping, or an agent or action is neither str nor int.
             ValueError: If the action is unknown.
         """
@@ -345,7 +355,7 @@ class Simulation:
             OSError: If the trace cannot be written, or another process writes it. Then no tick runs.
             ValueError: If the number of ticks is negative, or `trace` is set without `count_firings`.
         """
-        if trace is not None and not self._args[-1]:
+        if trace is not None and not self._args[6]:
             raise ValueError("a trace records which clauses fired: make the Simulation with count_firings=True")
         file = None if trace is None else checked_path("trace", trace)
         self._city.run(checked_integer("ticks", ticks), file, overwrite)

@@ -12,9 +12,9 @@ from typing import Any, Literal, TypeAlias, TypedDict
 import numpy as np
 
 from . import _logicity
-from .errors import checked_path, did_you_mean
+from .errors import checked_limits, checked_path, did_you_mean
 from .rules import rule_file
-from .types import Split
+from .types import Limits, Split
 
 __all__ = ["EnvConfig", "EnvOptions", "ObservationKind"]
 
@@ -29,6 +29,7 @@ class EnvOptions(TypedDict, total=False):
     rules: str | os.PathLike[str] | None
     overrides: Mapping[str, Any] | None
     observation: ObservationKind
+    limits: Limits | None
 
 
 class EnvConfig:
@@ -41,11 +42,13 @@ class EnvConfig:
         rules: A rule file that replaces the configuration's.
         overrides: A mapping that is merged into the configuration and takes precedence.
         observation: The kind of observation.
+        limits: The limits of each evaluation of the rules.
         unknown: Unknown options, which raise `TypeError`.
 
     Raises:
         TypeError: If an option is unknown, or has a wrong type.
-        ValueError: If `rules` is source text instead of a path, or the overrides contain the key `base`.
+        ValueError: If `rules` is source text instead of a path, the overrides contain the key `base`, or a limit is
+            unknown or out of range.
     """
 
     def __init__(
@@ -57,6 +60,7 @@ class EnvConfig:
         rules: str | os.PathLike[str] | None = None,
         overrides: Mapping[str, Any] | None = None,
         observation: ObservationKind = "groundings",
+        limits: Limits | None = None,
         **unknown: Any,
     ) -> None:
         """Check and store the arguments."""
@@ -68,7 +72,7 @@ class EnvConfig:
             of = f"{env_class.__name__}() " if env_class else ""
             raise TypeError(f"{of}got an unexpected keyword argument '{name}'{did_you_mean(name, known)}")
         self.config, self.split, self.observation = checked_path("config", config), split, observation
-        self.rules = rule_file(rules)
+        self.rules, self.limits = rule_file(rules), checked_limits(limits)
         if overrides is not None and not isinstance(overrides, Mapping):
             raise TypeError(f"overrides: expected a mapping, not {type(overrides).__name__}")
         self.overrides = dict(overrides or {})
@@ -82,7 +86,7 @@ class EnvConfig:
             InputError: If the configuration, the rule file or an override is invalid.
             OSError: If a file cannot be read.
         """
-        return _logicity.Task(self.config, self.rules, self._as_json(more))
+        return _logicity.Task(self.config, self.rules, self._as_json(more), self.limits)
 
     def _as_json(self, more: Mapping[str, Any]) -> str | None:
         """Return the configuration with its overrides as JSON, or `None` without overrides."""

@@ -149,8 +149,9 @@ class SPFEnv(gymnasium.Env[Observations, np.int64]):
         atoms: Whether `info` has the key `true_atoms`, a tuple of strings such as `IsTiro(Car_1)`.
         render_mode: `"rgb_array"` or `"ansi"`.
         options: `split`, the set of agents; `rules`, a rule file that replaces the configuration's; `overrides`, a
-            mapping that is merged into the configuration, such as `{"task": {"reward": {"overtime": -6}}}`; and
-            `observation`, see above.
+            mapping that is merged into the configuration, such as `{"task": {"reward": {"overtime": -6}}}`;
+            `observation`, see above; and `limits`, the limits of each evaluation of the rules, such as
+            `{"max_rows": 50_000_000}`.
 
     Raises:
         InputError: If the configuration, the rule file or an episode is invalid.

@@ -4,13 +4,19 @@ from __future__ import annotations
 
 import operator
 import os
-from collections.abc import Iterable
-from typing import SupportsIndex
+from collections.abc import Iterable, Mapping
+from typing import Any, SupportsIndex, TypeAlias
 
 from . import _logicity
 from .types import Diagnostic
 
 __all__ = ["InputError", "LimitError", "UnsupportedError"]
+
+#: The keys of `Limits`.
+_LIMITS = ("max_rows", "max_steps", "max_bytes")
+
+#: The values of `Limits`, in the order of its keys.
+LimitArguments: TypeAlias = tuple[int | None, int | None, int | None]
 
 
 class InputError(ValueError):
@@ -93,6 +99,24 @@ def checked_integer(name: str, value: SupportsIndex, low: int = 0, high: int = 2
 def checked_threads(value: SupportsIndex, low: int = 0) -> int:
     """Variant of `checked_integer` for the argument `threads`."""
     return checked_integer("threads", value, low, _logicity.THREADS_MAX)
+
+
+def checked_limits(limits: Mapping[str, Any] | None) -> LimitArguments:
+    """Check the limits of an evaluation and return them in the order of `_LIMITS`; `None` for the default.
+
+    Raises:
+        TypeError: If the argument is not a mapping, or a value is not an integer.
+        ValueError: If a key is unknown, or a value is out of range.
+    """
+    if limits is None:
+        return None, None, None
+    if not isinstance(limits, Mapping):
+        raise TypeError(f"limits: expected a mapping, not {type(limits).__name__}")
+    for name in limits:
+        if name not in _LIMITS:
+            raise ValueError(f"limits: unknown key {name!r}; known: {', '.join(_LIMITS)}")
+    rows, steps, size = (None if limits.get(name) is None else checked_integer(name, limits[name]) for name in _LIMITS)
+    return rows, steps, size
 
 
 def missing_extra(extra: str, error: ImportError) -> ImportError:

@@ -23,7 +23,7 @@ from .env_config import EnvConfig, ObservationKind
 from .errors import InputError, checked_path
 from .files import check_writable
 from .modes import checked_mode
-from .types import Diagnostic
+from .types import Diagnostic, Limits
 
 if TYPE_CHECKING:
     from types import TracebackType
@@ -207,6 +207,7 @@ class Benchmark:
             the goal.
         overrides: Changes to the configuration, as in `gymnasium.make`.
         observation: `"groundings"` or `"state"`, as in `gymnasium.make`.
+        limits: The limits of each evaluation of the rules, as in `gymnasium.make`.
 
     Raises:
         InputError: If the configuration, the rule file or an override is invalid, or no episodes are recorded.
@@ -222,11 +223,12 @@ class Benchmark:
         rules: str | os.PathLike[str] | None = None,
         overrides: Mapping[str, Any] | None = None,
         observation: ObservationKind = "groundings",
+        limits: Limits | None = None,
     ) -> None:
         """Load the task and its episodes."""
         self.mode, self.split = checked_mode(mode), split
         self._observation = observation
-        self._config = EnvConfig(self.mode, rules=rules, overrides=overrides)
+        self._config = EnvConfig(self.mode, rules=rules, overrides=overrides, limits=limits)
         self._task = self._config.task()
         self._random = _logicity.RandomBaseline(self._task, split)
         self.episodes_hash = self._random.hash()
@@ -455,6 +457,7 @@ def evaluate(
     observation: ObservationKind = "groundings",
     traces: str | os.PathLike[str] | None = None,
     overwrite: bool = False,
+    limits: Limits | None = None,
 ) -> Evaluation:
     """Measure a policy on the recorded episodes of a mode or of a configuration file.
 
@@ -468,6 +471,7 @@ def evaluate(
         observation: As for `Benchmark`.
         traces: As for `Benchmark.evaluate`.
         overwrite: As for `Benchmark.evaluate`.
+        limits: As for `Benchmark`.
 
     Raises:
         InputError: As for `Benchmark` and `Benchmark.evaluate`.
@@ -475,7 +479,7 @@ def evaluate(
         TypeError: As for `Benchmark.evaluate`.
         ValueError: As for `Benchmark` and `Benchmark.evaluate`.
     """
-    benchmark = Benchmark(mode, split, rules=rules, overrides=overrides, observation=observation)
+    benchmark = Benchmark(mode, split, rules=rules, overrides=overrides, observation=observation, limits=limits)
     return benchmark.evaluate(policy, batched=batched, traces=traces, overwrite=overwrite)
 
 

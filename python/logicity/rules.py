@@ -10,7 +10,7 @@ from typing import Any, Literal, NoReturn, cast, overload
 import numpy.typing as npt
 
 from . import _logicity
-from .errors import checked_integer, checked_path, checked_threads
+from .errors import checked_limits, checked_path, checked_threads
 from .types import Clause, Diagnostic, StratumStats
 
 __all__ = ["Change", "Column", "Explanation", "Program", "Relation", "Rows", "Session", "check"]
@@ -284,9 +284,8 @@ class Session:
         if not isinstance(program, Program):
             raise TypeError(f"expected a Program, not {type(program).__name__}")
         self._program = program
-        limits = {"max_rows": max_rows, "max_steps": max_steps, "max_bytes": max_bytes}
-        checked = (None if limit is None else checked_integer(name, limit) for name, limit in limits.items())
-        self._session = _logicity.Session(program._program, checked_threads(threads), *checked)
+        limits = checked_limits({"max_rows": max_rows, "max_steps": max_steps, "max_bytes": max_bytes})
+        self._session = _logicity.Session(program._program, checked_threads(threads), limits)
 
     def __reduce__(self) -> NoReturn:
         """Refuse to pickle and to copy."""

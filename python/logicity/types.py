@@ -17,6 +17,7 @@ __all__ = [
     "Executor",
     "Heading",
     "Label",
+    "Limits",
     "RuleStats",
     "Scene",
     "Split",
@@ -37,6 +38,21 @@ Executor = Literal["auto", "dense", "relational"]
 """The executor of the rules, which does not affect the results. `auto` is `dense` (bit sets) if the dense executor can
 evaluate the rules, and `relational` otherwise.
 """
+
+
+class Limits(TypedDict, total=False):
+    """Limits of an evaluation. Missing keys have defaults, which are far more than a city needs.
+
+    The relational executor applies them to each tick or scene. A step limit of an episode is another thing; see
+    `patience` in the configuration.
+    """
+
+    max_rows: int
+    """The number of derived rows. Default: 10,000,000."""
+    max_steps: int
+    """The number of rows that the evaluation reads. Default: 1,000,000,000."""
+    max_bytes: int
+    """The memory for rows, indexes, symbols and buffers, in bytes. Default: 4 GiB."""
 
 
 class Label(TypedDict):

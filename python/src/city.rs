@@ -1,7 +1,7 @@
 //! Scenes and simulations.
 
 use crate::output::{overwrite_if, unwritable};
-use crate::{Shared, Signals, input_error, read_error, threads_of, to_python};
+use crate::{LimitArguments, Shared, Signals, input_error, limits_of, read_error, threads_of, to_python};
 use logicity::builtin::{BuiltinFiles, ReadWith};
 use logicity::cancel::Cancel;
 use logicity::city::{Action, Split};
@@ -58,12 +58,13 @@ impl Loaded {
     /// Reads a configuration and its rules. `rules` is a rule file that replaces the configuration's.
     ///
     /// The text comes from `files` if present, and otherwise from disk and the built-in files. `overrides` is a JSON
-    /// object whose key `base` names the configuration.
+    /// object whose key `base` names the configuration. `limits` applies to each tick or scene.
     pub fn new(
         py: Python<'_>,
         signals: &Signals,
         config: PathBuf,
         rules: Option<PathBuf>,
+        limits: LimitArguments,
         files: Option<Files>,
         overrides: Option<String>,
     ) -> PyResult<Loaded> {
@@ -73,7 +74,10 @@ impl Loaded {
             (loaded, sources)
         })?;
         match loaded {
-            Ok((city, files)) => Ok(Loaded { sources, city, files }),
+            Ok((mut city, files)) => {
+                city.limits = limits_of(limits, city.limits);
+                Ok(Loaded { sources, city, files })
+            }
             Err(LoadError::RuleFile(path, error)) => Err(read_error(py, &path, &error)),
             Err(LoadError::Rules(faults)) => Err(input_error(py, &faults, &sources)),
             Err(LoadError::Config(faults)) => Err(match missing_file(&faults) {
@@ -137,12 +141,16 @@ impl PyInference {
         rules: Option<PathBuf>,
         seed: u64,
         executor: &str,
+        limits: LimitArguments,
         files: Option<Files>,
     ) -> PyResult<Self> {
         let executor = one_of("executor", executor, &Executor::ALL, Executor::name)?;
-        let Loaded { sources, city, files } = Loaded::new(py, &Signals::new(), config, rules, files, None)?;
-        let inference = Inference::new(city.scenario, city.program, Seed(seed), executor, BuiltinFiles)
+        let Loaded { sources, city, files } = Loaded::new(py, &Signals::new(), config, rules, limits, files, None)?;
+        let limits = city.limits;
+        let mut inference = Inference::new(city.scenario, city.program, Seed(seed), executor, BuiltinFiles)
             .map_err(|faults| input_error(py, &faults, &sources))?;
+        inference.name_clauses(&sources);
+        inference.set_limits(limits);
         Ok(PyInference {
             inference: Shared::new("Inference", inference),
             files,
@@ -220,13 +228,14 @@ impl PySimulation {
         threads: usize,
         executor: &str,
         count_firings: bool,
+        limits: LimitArguments,
         files: Option<Files>,
     ) -> PyResult<Self> {
         let split = one_of("split", split, &Split::ALL, Split::name)?;
         let executor = one_of("executor", executor, &Executor::ALL, Executor::name)?;
         let signals = Signals::new();
         let threads = threads_of(threads)?.get();
-        let Loaded { sources, city, files } = Loaded::new(py, &signals, config, rules, files, None)?;
+        let Loaded { sources, city, files } = Loaded::new(py, &signals, config, rules, limits, files, None)?;
         let rule_files = city.rule_files.clone();
         let settings = Settings {
             executor,

@@ -1,7 +1,7 @@
 //! Programs and sessions.
 
 use crate::columns;
-use crate::{Shared, Signals, input_error, threads_of, to_python};
+use crate::{LimitArguments, Shared, Signals, input_error, limits_of, threads_of, to_python};
 use logicity::builtin::BuiltinFiles;
 use logicity::datalog;
 use logicity::datalog::explain::{Explainer, ExplanationPrinter};
@@ -120,7 +120,8 @@ impl PyProgram {
         let relations = self.0.relations().map(|(_, relation)| {
             let columns = relation.columns.iter();
             let columns = columns.map(|column| {
-                json!({ "name": column.name, "type": rules.types[column.ty.0 as usize].name, "base": column.base.name() })
+                let named = &rules.types[column.ty.0 as usize].name;
+                json!({ "name": column.name, "type": named, "base": column.base.name() })
             });
             let position = sources.position(relation.span);
             json!({
@@ -184,20 +185,9 @@ fn row_error(error: &RowError) -> PyErr {
 #[pymethods]
 impl PySession {
     #[new]
-    fn new(
-        program: &PyProgram,
-        threads: usize,
-        max_rows: Option<usize>,
-        max_steps: Option<u64>,
-        max_bytes: Option<u64>,
-    ) -> PyResult<Self> {
+    fn new(program: &PyProgram, threads: usize, limits: LimitArguments) -> PyResult<Self> {
         let mut session = program.0.program.session();
-        let usual = Limits::default();
-        session.set_limits(Limits {
-            rows: max_rows.unwrap_or(usual.rows),
-            steps: max_steps.unwrap_or(usual.steps),
-            bytes: max_bytes.unwrap_or(usual.bytes),
-        });
+        session.set_limits(limits_of(limits, Limits::default()));
         let threads = Threads::new(threads_of(threads)?);
         (session.set_threads(threads))
             .map_err(|error| PyRuntimeError::new_err(format!("cannot start {} threads: {error}", threads.count)))?;

@@ -26,7 +26,8 @@ mod vap;
 use logicity::builtin::BuiltinFiles;
 use logicity::cancel::Cancel;
 use logicity::cli::{Outcome, PYTHON_COMMANDS, run_with_python};
-use logicity::diag::{Code, Diagnostic, Sources, render, to_json};
+use logicity::datalog::Limits;
+use logicity::diag::{Code, Diagnostic, Limit, Sources, render, to_json};
 use logicity::files::{ReadError, ReadFile as _};
 use numpy::ndarray::Dimension;
 use numpy::{Element, PyReadwriteArray};
@@ -49,8 +50,32 @@ pyo3::import_exception!(logicity.errors, InputError);
 pyo3::import_exception!(logicity.errors, LimitError);
 pyo3::import_exception!(logicity.errors, UnsupportedError);
 
+/// The limits that Python sets: `max_rows`, `max_steps` and `max_bytes`.
+type LimitArguments = (Option<usize>, Option<u64>, Option<u64>);
+
+/// Returns limits, with `usual` for those that Python does not set.
+fn limits_of((rows, steps, bytes): LimitArguments, usual: Limits) -> Limits {
+    Limits {
+        rows: rows.unwrap_or(usual.rows),
+        steps: steps.unwrap_or(usual.steps),
+        bytes: bytes.unwrap_or(usual.bytes),
+    }
+}
+
+/// Adds to the diagnostic of an exceeded limit the argument that raises it.
+fn advised(fault: &Diagnostic) -> Diagnostic {
+    let name = match fault.limit {
+        None => return fault.clone(),
+        Some(Limit::Rows) => "max_rows",
+        Some(Limit::Steps) => "max_steps",
+        Some(Limit::Memory(_)) => "max_bytes",
+    };
+    fault.clone().help(format!("raise the limit `{name}`"))
+}
+
 /// Returns the exception for diagnostics, with their text and their data.
 fn input_error(py: Python<'_>, faults: &[Diagnostic], sources: &Sources) -> PyErr {
+    let faults: &[Diagnostic] = &faults.iter().map(advised).collect::<Vec<_>>();
     let has = |code| faults.iter().any(|fault| fault.code == code);
     if has(Code::CANCELLED) {
         return PyKeyboardInterrupt::new_err(());

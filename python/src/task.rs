@@ -3,7 +3,7 @@
 use crate::city::{Files, Loaded, one_of};
 use crate::episode::read_episode;
 use crate::output::{overwrite_if, unwritable};
-use crate::{Signals, input_error, locked};
+use crate::{LimitArguments, Signals, input_error, locked};
 use logicity::builtin::BuiltinFiles;
 use logicity::city::{Action, Split};
 use logicity::diag::{Diagnostic, SourceId, Sources};
@@ -40,8 +40,8 @@ pub struct PyTask {
     overview: OnceLock<Overview>,
 }
 
-/// The configuration, the rule file, the overrides, and the text of files by path.
-type Arguments = (PathBuf, Option<PathBuf>, Option<String>, Option<Files>);
+/// The configuration, the rule file, the overrides, the limits, and the text of files by path.
+type Arguments = (PathBuf, Option<PathBuf>, Option<String>, LimitArguments, Option<Files>);
 
 pub fn split_named(name: &str) -> PyResult<Split> {
     one_of("split", name, &Split::ALL, Split::name)
@@ -80,17 +80,18 @@ pub fn read_action(py: Python<'_>, action: i64, of: impl Fn() -> String) -> PyRe
 #[pymethods]
 impl PyTask {
     #[new]
-    #[pyo3(signature = (config, rules, overrides, files=None))]
+    #[pyo3(signature = (config, rules, overrides, limits, files=None))]
     fn new(
         py: Python<'_>,
         config: PathBuf,
         rules: Option<PathBuf>,
         overrides: Option<String>,
+        limits: LimitArguments,
         files: Option<Files>,
     ) -> PyResult<Self> {
         let signals = Signals::new();
         let (named, replaced, merged) = (config.clone(), rules.clone(), overrides.clone());
-        let Loaded { sources, city, files } = Loaded::new(py, &signals, named, replaced, files, merged)?;
+        let Loaded { sources, city, files } = Loaded::new(py, &signals, named, replaced, limits, files, merged)?;
         let rule_files = city.rule_files.clone();
         let (made, sources) = signals.on_thread(py, move || {
             let world = city.world().map(Arc::new);
@@ -102,7 +103,7 @@ impl PyTask {
             labels: constraints
                 .map(|constraint| PyString::new(py, task.label(constraint)).unbind())
                 .collect(),
-            arguments: (config, rules, overrides, Some(files)),
+            arguments: (config, rules, overrides, limits, Some(files)),
             sources: Mutex::new(sources),
             rule_files,
             recorded: Default::default(),

@@ -2,7 +2,7 @@
 
 use crate::city::{Loaded, one_of};
 use crate::output::overwrite_if;
-use crate::{Signals, input_error, read_error, slice_of, threads_of, to_python};
+use crate::{LimitArguments, Signals, input_error, read_error, slice_of, threads_of, to_python};
 use logicity::cancel::Cancel;
 use logicity::city::Heading;
 use logicity::city::{Action, Split};
@@ -231,7 +231,15 @@ fn read_picture(py: Python<'_>, path: PathBuf, mut out: PyReadwriteArray3<'_, u8
 }
 
 fn load(py: Python<'_>, signals: &Signals, mode: Mode) -> PyResult<Loaded> {
-    Loaded::new(py, signals, mode.config().into(), None, None, None)
+    Loaded::new(
+        py,
+        signals,
+        mode.config().into(),
+        None,
+        LimitArguments::default(),
+        None,
+        None,
+    )
 }
 
 /// The reason why the creation of a data set cannot start.

@@ -12,7 +12,7 @@ import time
 from collections.abc import Callable
 from contextlib import suppress
 from pathlib import Path
-from typing import Any
+from typing import Any, cast
 
 import gymnasium
 import numpy as np
@@ -27,6 +27,7 @@ from logicity import (
     Inference,
     InputError,
     LimitError,
+    Limits,
     Scene,
     Simulation,
     SymbolicScene,
@@ -448,3 +449,53 @@ def test_too_many_threads_raise() -> None:
 def test_a_session_of_something_else_than_a_program_raises() -> None:
     with pytest.raises(TypeError, match="expected a Program, not str"):
         logicity.Session("a(1).")  # type: ignore[arg-type]
+
+
+COUNTED = """.include "vocabulary.dl"
+.decl N(x: number)
+N(0).
+N(X + 1) :- N(X), X < 5000.
+Stop(X) :- IsCar(X), CollidingClose(X, Y), N(6000).
+"""
+
+
+@pytest.mark.parametrize(
+    ("limit", "message"),
+    [
+        ("max_rows", "the rules derive more than 100 rows"),
+        ("max_steps", "the rules scan more than 100 rows"),
+        ("max_bytes", "take more than 100 bytes"),
+    ],
+)
+def test_limits_of_ticks_and_scenes(tmp_path: Path, limit: str, message: str) -> None:
+    rules = tmp_path / "rules.dl"
+    rules.write_text(COUNTED)
+    little = cast(Limits, {limit: 100})
+    single: SymbolicScene = {"entities": ["a"], "ego": "a", "facts": {"IsCar": ["a"]}}
+    city = Simulation("easy", rules, limits=little)
+    inference = Inference("easy", rules, limits=little)
+    calls: list[Callable[[], object]] = [
+        city.tick,
+        copy.deepcopy(city).tick,
+        lambda: inference.answer(single),
+        lambda: copy.deepcopy(inference).answer(single),
+        lambda: infer(single, "easy", rules, limits=little),
+    ]
+    for call in calls:
+        with pytest.raises(LimitError, match=message) as caught:
+            call()
+        (fault,) = caught.value.diagnostics
+        assert fault["help"][-1] == f"raise the limit `{limit}`"
+        assert "--max" not in str(caught.value)
+    enough = cast(Limits, {limit: 10**8})
+    Simulation("easy", rules, limits=enough).tick()
+    assert infer(single, "easy", rules, limits=enough)["egos"]["a"]["action"] == "Normal"
+
+
+def test_unknown_limits_are_errors() -> None:
+    with pytest.raises(ValueError, match="limits: unknown key 'rows'; known: max_rows, max_steps, max_bytes"):
+        Simulation(limits=cast(Limits, {"rows": 5}))
+    with pytest.raises(ValueError, match="max_rows: expected 0 to"):
+        Simulation(limits={"max_rows": -1})
+    with pytest.raises(TypeError, match="limits: expected a mapping, not int"):
+        Inference(limits=cast(Limits, 5))

@@ -747,7 +747,7 @@ def test_a_vector_environment_needs_a_reset_first() -> None:
 
 
 def test_ctrl_c_ends_the_creation_of_many_environments(ctrl_c: Interrupt) -> None:
-    task = _logicity.Task("expert", None, None)
+    task = _logicity.Task("expert", None, None, (None, None, None))
     ctrl_c(lambda: _logicity.VectorEnv(task, "train", 1_000_000, "Disabled", "groundings", False, 1))
 
 
@@ -765,3 +765,20 @@ def test_recorded_seeds_keep_all_bits(tmp_path: Path) -> None:
     assert infos["seed"].dtype == np.uint64 and infos["seed"].tolist() == recorded
     assert envs.step(np.ones(40, int))[4]["seed"].tolist() == recorded
     assert [trajectory.seed for trajectory in logicity.demonstrations("easy", 40, "val")] == recorded
+
+
+def test_limits_apply_to_environments(tmp_path: Path) -> None:
+    rules = tmp_path / "rules.dl"
+    counted = ".decl N(x: number)\nN(0).\nN(X + 1) :- N(X), X < 5000.\n"
+    rules.write_text(f'.include "vocabulary.dl"\n{counted}Stop(X) :- IsCar(X), CollidingClose(X, Y), N(6000).\n')
+    little: logicity.Limits = {"max_rows": 100}
+    for env in (
+        gymnasium.make("logicity/SPF-Easy-v0", rules=rules, limits=little),
+        pickle.loads(pickle.dumps(SPFEnv("easy", rules=rules, limits=little))),
+        SPFVectorEnv(2, "easy", rules=rules, limits=little),
+    ):
+        with pytest.raises(logicity.LimitError, match="raise the limit `max_rows`"):
+            env.reset(seed=0)
+    with pytest.raises(logicity.LimitError, match="raise the limit `max_rows`"):
+        logicity.evaluate(lambda observations: 1, "easy", "val", rules=rules, limits=little)
+    SPFEnv("easy", rules=rules, limits={"max_rows": 50_000}).reset(seed=0)

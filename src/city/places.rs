@@ -489,8 +489,8 @@ impl Places {
     }
 
     /// Draws a goal for an agent at `start` and plans a route to it. The goal of a car is any place but the start. The
-    /// goal of a pedestrian is in another block, so it is more than 3 cells away from the buildings of its own block. If a
-    /// goal cannot be reached, it draws again, up to 16 times in all.
+    /// goal of a pedestrian is in another block, so it is more than 3 cells away from the buildings of its own block.
+    /// If a goal cannot be reached, it draws again, up to 16 times in all.
     ///
     /// # Errors
     /// If there is no such place, or none of those drawn can be reached.

@@ -1,6 +1,7 @@
 //! `logicity bench`: measures how fast this machine evaluates rules, simulates cities and draws pictures.
 
 use crate::builtin::BuiltinFiles;
+use crate::cancel::Cancel;
 use crate::city::{Action, AgentSet, Building, Buildings, MapConfig, Split};
 use crate::city::{Agent, Cell};
 use crate::cli::{Failure, LimitOptions, integer, load_city, one_of, threads, unreadable};
@@ -11,11 +12,12 @@ use crate::files;
 use crate::render::{Difficulty, Icons, Picture, Renderer, Scale, Sprite, Viewport, read_png, write_png};
 use crate::rng::{Purpose, RngExt, Seed};
 use crate::sim::{
-    Executor, Facts, Inference, LoadedCity, Phase, Settings, Simulation, TICK_LIMITS, WHOLE_MAX, WINDOW_MAX, Width,
-    World, in_words,
+    Executor, Facts, Inference, LoadedCity, MAX_ENTITIES, Phase, SceneFacts, Settings, Simulation, WHOLE_MAX,
+    WINDOW_MAX, Width, World, in_words,
 };
 use crate::task::spf::{ControlMode, Env, SpfTask};
 use serde_json::{Value, json};
+use std::collections::BTreeMap;
 use std::hint::black_box;
 use std::io::{self, Write};
 use std::num::NonZeroUsize;
@@ -109,7 +111,7 @@ pub struct Arguments {
     #[arg(long, value_parser = integer(0..=u64::MAX), default_value_t = 0)]
     seed: u64,
     /// For infer: evaluate the scenes in FILE, one JSON object per line as for `logicity infer`, instead of states of
-    /// the city; `-` means standard input. Always uses the dense executor
+    /// the city; `-` means standard input
     #[arg(long, value_name = "FILE")]
     scenes: Option<PathBuf>,
     /// For tick: also print the share of time spent in each phase
@@ -263,12 +265,12 @@ pub fn run(arguments: &Arguments, sources: &mut Sources) -> Result<(), Failure> 
     if arguments.scenes.is_some() && arguments.what != What::Infer {
         return misplaced("--scenes", "infer");
     }
-    if arguments.scenes.is_some() && arguments.executor == Executor::Relational {
-        return Err(Failure::Usage(
-            "--scenes measures the dense executor only; omit --executor relational".to_owned(),
-        ));
-    }
-    let city = load_city(sources, &arguments.config, arguments.rules.as_deref())?;
+    let city = load_city(
+        sources,
+        &arguments.config,
+        arguments.rules.as_deref(),
+        &arguments.limits,
+    )?;
     if arguments.what == What::Scale {
         let most = arguments.agents.unwrap_or(SCALE[SCALE.len() - 1]);
         let sizes = SCALE.into_iter().take_while(|&size| size < most);
@@ -278,7 +280,7 @@ pub fn run(arguments: &Arguments, sources: &mut Sources) -> Result<(), Failure> 
         return Ok(());
     }
     if let Some(scenes) = &arguments.scenes {
-        return infer_scenes(arguments, city, scenes);
+        return infer_scenes(arguments, city, scenes, sources);
     }
     let mut bench = Bench::new(arguments, city, arguments.agents)?;
     match arguments.what {
@@ -317,9 +319,12 @@ impl<'a> Bench<'a> {
             count_firings: false,
             threads: arguments.threads.map_or(1, NonZeroUsize::get),
         };
-        let mut simulation = Simulation::new(Arc::clone(world), arguments.split, Seed(seed), settings)?;
-        simulation.set_limits(arguments.limits.limits(TICK_LIMITS));
-        Ok(simulation)
+        Ok(Simulation::new(
+            Arc::clone(world),
+            arguments.split,
+            Seed(seed),
+            settings,
+        )?)
     }
 
     fn agents(&self) -> usize {
@@ -635,18 +640,57 @@ fn evaluate<const W: usize>(
 }
 
 /// Measures the rules alone on the scenes of a file.
-fn infer_scenes(arguments: &Arguments, city: LoadedCity, path: &Path) -> Result<(), Failure> {
-    let name = city.scenario.name.clone();
+fn infer_scenes(arguments: &Arguments, city: LoadedCity, path: &Path, sources: &Sources) -> Result<(), Failure> {
+    let (name, limits) = (city.scenario.name.clone(), city.limits);
     let mut inference = Inference::new(
         city.scenario,
         city.program,
         Seed(arguments.seed),
-        Executor::Auto,
+        arguments.executor,
         BuiltinFiles,
     )?;
-    let dense = inference.compile().map_err(|fault| {
-        fault.help("--scenes measures the dense executor only; `logicity infer` evaluates scenes with either executor")
-    })?;
+    inference.name_clauses(sources);
+    inference.set_limits(limits);
+    let dense = match arguments.executor {
+        Executor::Relational => None,
+        Executor::Dense => Some(inference.compile()?),
+        Executor::Auto => inference.compile().ok(),
+    };
+    let scenes = read_scenes(
+        &mut inference,
+        path,
+        if dense.is_some() { SCENE_MAX } else { MAX_ENTITIES },
+    )?;
+    let most = scenes.iter().map(|scene| scene.names.len()).max().unwrap_or(0);
+    let (executor, timed) = match dense {
+        Some(dense) => {
+            let states: Vec<BitFacts<1>> = (scenes.iter())
+                .map(|scene| scene.facts.to_bits(inference.vocabulary(), &dense, most))
+                .collect();
+            (Executor::Dense, evaluate(arguments.seconds, &dense, &states, most)?)
+        }
+        None => (
+            Executor::Relational,
+            evaluate_changes(arguments.seconds, &inference, &scenes)?,
+        ),
+    };
+    let result = json!({
+        "what": "infer",
+        "config": name,
+        "scenes": scenes.len(),
+        "entities": most,
+        "executor": executor.name(),
+        "seconds": timed.wall.as_secs_f64(),
+        "evaluations": timed.times,
+        "evaluations_per_s": timed.per_second(),
+        "evaluations_per_cpu_s": timed.per_cpu_second(),
+        "ns_per_evaluation": timed.nanoseconds(1),
+    });
+    print(result, arguments)
+}
+
+/// Reads the scenes of a file, of at most `most` entities each, and computes their facts.
+fn read_scenes(inference: &mut Inference, path: &Path, most: usize) -> Result<Vec<SceneFacts>, Failure> {
     let from = if path == Path::new("-") {
         "<stdin>".to_owned()
     } else {
@@ -663,10 +707,10 @@ fn infer_scenes(arguments: &Arguments, city: LoadedCity, path: &Path) -> Result<
         let source = sources.add_from(from.as_str(), line, number);
         let scene = inference.ground(&sources, source).and_then(|scene| {
             let count = scene.names.len();
-            if count <= SCENE_MAX {
+            if count <= most {
                 return Ok(scene);
             }
-            let message = format!("line {number} of `{from}` has {count} entities; the limit is {SCENE_MAX}");
+            let message = format!("line {number} of `{from}` has {count} entities; the limit is {most}");
             Err(vec![Diagnostic::new(Code::LIMIT_EXCEEDED, message)])
         });
         scenes.push(scene.map_err(|faults| {
@@ -674,25 +718,46 @@ fn infer_scenes(arguments: &Arguments, city: LoadedCity, path: &Path) -> Result<
             Failure::Reported
         })?);
     }
-    let Some(most) = scenes.iter().map(|scene| scene.names.len()).max() else {
-        return Err(Diagnostic::new(Code::INVALID_SCENE, format!("`{from}` contains no scene")).into());
-    };
-    let states: Vec<BitFacts<1>> = (scenes.iter())
-        .map(|scene| scene.facts.to_bits(inference.vocabulary(), &dense, most))
-        .collect();
-    let timed = evaluate(arguments.seconds, &dense, &states, most)?;
-    let result = json!({
-        "what": "infer",
-        "config": name,
-        "scenes": states.len(),
-        "entities": most,
-        "seconds": timed.wall.as_secs_f64(),
-        "evaluations": timed.times,
-        "evaluations_per_s": timed.per_second(),
-        "evaluations_per_cpu_s": timed.per_cpu_second(),
-        "ns_per_evaluation": timed.nanoseconds(1),
-    });
-    print(result, arguments)
+    match scenes.is_empty() {
+        true => Err(Diagnostic::new(Code::INVALID_SCENE, format!("`{from}` contains no scene")).into()),
+        false => Ok(scenes),
+    }
+}
+
+/// Measures the incremental evaluation of the rules by the relational executor: the differences from each scene to the
+/// next, and from the last to the first.
+fn evaluate_changes(seconds: Duration, inference: &Inference, scenes: &[SceneFacts]) -> Result<Timed, Failure> {
+    // One session for the entities of all scenes: equal names are one entity.
+    let mut entities: BTreeMap<&str, u32> = BTreeMap::new();
+    let mut names: Vec<&str> = Vec::new();
+    let mut states = Vec::new();
+    for scene in scenes {
+        let places: Vec<u32> = (scene.names.iter())
+            .map(|name| {
+                *entities.entry(name).or_insert_with(|| {
+                    names.push(name);
+                    u32::try_from(names.len() - 1).expect("fewer than 2^32 entities")
+                })
+            })
+            .collect();
+        let mut facts = scene.facts.clone();
+        for (rows, predicate) in facts.rows.iter_mut().zip(&inference.vocabulary().predicates) {
+            for place in rows.iter_mut().flat_map(|row| &mut row[..predicate.arity]) {
+                *place = places[*place as usize];
+            }
+            rows.sort_unstable();
+        }
+        states.push(facts);
+    }
+    let mut state = inference.ground_state(names.into_iter());
+    let mut next = 0;
+    Timed::run(seconds, |times| {
+        for _ in 0..times {
+            inference.evaluate(&mut state, &states[next], &Cancel::never())?;
+            next = (next + 1) % states.len();
+        }
+        Ok(())
+    })
 }
 
 /// Prints an object, with the rule file that replaces the configuration's, as one line of JSON or as one line per key.

@@ -4,7 +4,7 @@ use crate::builtin::BuiltinFiles;
 use crate::city::Action;
 use crate::cli::configuration::{self, Checked, Opened};
 use crate::cli::trace::TraceReader;
-use crate::cli::{Failure, load_workspace_from, plural, report};
+use crate::cli::{Failure, LimitOptions, load_workspace_from, plural, report};
 use crate::config::load_scenario;
 use crate::datalog::diff::{Cut, Equivalence};
 use crate::datalog::explain::ExplanationPrinter;
@@ -41,6 +41,8 @@ pub struct Arguments {
     /// Also report literals and clauses that are always true or redundant
     #[arg(long)]
     lints: bool,
+    #[command(flatten)]
+    limits: LimitOptions,
 }
 
 pub fn run(arguments: &Arguments, sources: &mut Sources) -> Result<(), Failure> {
@@ -421,7 +423,8 @@ fn measure(arguments: &Arguments, trace: &Path, rules: &Path, sources: &mut Sour
     let mut trace = TraceReader::open(trace)?;
     // The user may measure other rules than those of the run.
     let given = (!arguments.rules.is_empty()).then_some(rules);
-    let mut replay = trace.replay(sources, arguments.config.as_deref(), given, given.is_none())?;
+    let limits = trace.limits(given, &arguments.limits);
+    let mut replay = trace.replay(sources, arguments.config.as_deref(), given, given.is_none(), limits)?;
     let mut coverage = Coverage::new(replay.session().program().rules());
     while let Some(tick) = trace.tick()? {
         replay.set(&tick).map_err(|fault| trace.placed(fault))?;

@@ -2,7 +2,9 @@
 
 use crate::builtin::BuiltinFiles;
 use crate::city::Split;
-use crate::cli::{Failure, ForceOption, Inputs, finish, integer, load_city, messages, one_of, progress, unwritable};
+use crate::cli::{
+    Failure, ForceOption, Inputs, LimitOptions, finish, integer, load_city, messages, one_of, progress, unwritable,
+};
 use crate::diag::{Code, Diagnostic, Sources};
 use crate::files;
 use crate::task::spf::{
@@ -43,6 +45,8 @@ struct Which {
     /// Rule file to use instead of the configuration's
     #[arg(long)]
     rules: Option<PathBuf>,
+    #[command(flatten)]
+    limits: LimitOptions,
 }
 
 #[derive(clap::Args)]
@@ -101,7 +105,7 @@ pub fn run(arguments: &Arguments, sources: &mut Sources) -> Result<(), Failure> 
 
 impl Which {
     fn task(&self, sources: &mut Sources) -> Result<Arc<SpfTask>, Failure> {
-        let world = load_city(sources, &self.config, self.rules.as_deref())?.world()?;
+        let world = load_city(sources, &self.config, self.rules.as_deref(), &self.limits)?.world()?;
         Ok(Arc::new(SpfTask::new(Arc::new(world), sources)?))
     }
 

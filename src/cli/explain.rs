@@ -4,7 +4,7 @@ use crate::cancel::Cancel;
 use crate::city::Action;
 use crate::city::Cell;
 use crate::cli::trace::TraceReader;
-use crate::cli::{Failure, integer, one_of};
+use crate::cli::{Failure, LimitOptions, integer, one_of};
 use crate::datalog::explain::ExplanationPrinter;
 use crate::diag::{Code, Diagnostic, Sources, did_you_mean};
 use crate::sim::{Decision, Driven, Replay, TraceTick, World};
@@ -35,6 +35,8 @@ pub struct Arguments {
     /// Rules to use instead of those in the trace; must have the same content
     #[arg(long)]
     rules: Option<PathBuf>,
+    #[command(flatten)]
+    limits: LimitOptions,
 }
 
 pub fn run(arguments: &Arguments, sources: &mut Sources) -> Result<(), Failure> {
@@ -49,7 +51,9 @@ pub fn run(arguments: &Arguments, sources: &mut Sources) -> Result<(), Failure> 
         let message = format!("the trace has no agent `{}`\nhelp: {help}", arguments.agent);
         return Err(Failure::Usage(message));
     };
-    let mut replay = trace.replay(sources, arguments.config.as_deref(), arguments.rules.as_deref(), true)?;
+    let rules = arguments.rules.as_deref();
+    let limits = trace.limits(rules, &arguments.limits);
+    let mut replay = trace.replay(sources, arguments.config.as_deref(), rules, true, limits)?;
     let tick = find(&mut trace, arguments.tick)?;
     replay.set(&tick).map_err(|fault| trace.placed(fault))?;
 

@@ -6,8 +6,8 @@ use crate::city::{Action, Split};
 use crate::cli::trace::TraceReader;
 use crate::cli::view;
 use crate::cli::{
-    Failure, ForceOption, Inputs, cancel_on_interrupt, finish, integer, is_stdout, load_city, messages, one_of, open,
-    unwritable,
+    Failure, ForceOption, Inputs, LimitOptions, cancel_on_interrupt, finish, integer, is_stdout, load_city, messages,
+    one_of, open, unwritable,
 };
 use crate::diag::{Code, Diagnostic, Sources};
 use crate::files::{self, Folder, MAX_BYTES};
@@ -72,6 +72,8 @@ pub struct Arguments {
     #[arg(long, value_name = "COUNT")]
     threads: Option<NonZeroUsize>,
     #[command(flatten)]
+    limits: LimitOptions,
+    #[command(flatten)]
     force: ForceOption,
 }
 
@@ -84,7 +86,12 @@ pub fn run(arguments: &Arguments, sources: &mut Sources) -> Result<(), Failure> 
         let message = "--page needs one trace, as `logicity run` writes it, and --output with a file for the rules";
         return Err(Failure::Usage(message.to_owned()));
     }
-    let city = load_city(sources, &arguments.config, arguments.rules.as_deref())?;
+    let city = load_city(
+        sources,
+        &arguments.config,
+        arguments.rules.as_deref(),
+        &arguments.limits,
+    )?;
     let inputs = Inputs::of(sources).with(arguments.data.iter().chain(&arguments.test).cloned());
     // A file that cannot be written is reported before the work.
     let mut rules_out = arguments.force.create(&arguments.output, &inputs)?;
@@ -143,7 +150,7 @@ pub fn run(arguments: &Arguments, sources: &mut Sources) -> Result<(), Failure> 
         finish(out, path)?;
     }
     if let Some((mut out, page)) = page_out {
-        view::write_with(&arguments.data[0], path, &mut out, page)?;
+        view::write_with(&arguments.data[0], path, &mut out, page, &arguments.limits)?;
         finish(out, page)?;
     }
     let mut written = vec![path.as_path()];
@@ -214,11 +221,18 @@ fn collect(
     let mut tests = task.examples();
     for path in &arguments.test {
         let scenes = scenes.as_mut().expect("made for files");
-        add_file(&task, scenes, path, &mut tests, &mut Origin::default(), cancel)?;
+        add_file(
+            (&task, &arguments.limits),
+            scenes,
+            path,
+            &mut tests,
+            &mut Origin::default(),
+            cancel,
+        )?;
     }
     for path in &arguments.data {
         let scenes = scenes.as_mut().expect("made for files");
-        add_file(&task, scenes, path, &mut examples, origin, cancel)?;
+        add_file((&task, &arguments.limits), scenes, path, &mut examples, origin, cancel)?;
     }
     for (paths, found) in [(&arguments.data, &examples), (&arguments.test, &tests)] {
         if !paths.is_empty() && found.count() == 0 {
@@ -250,7 +264,7 @@ fn collect(
 
 /// Adds the examples of a file: a trace or labeled scenes.
 fn add_file(
-    task: &InductionTask,
+    (task, limits): (&InductionTask, &LimitOptions),
     scenes: &mut Inference,
     path: &Path,
     examples: &mut Examples,
@@ -273,7 +287,7 @@ fn add_file(
         serde_json::from_slice::<serde_json::Value>(&first).is_ok_and(|header| header.get("trace").is_some());
     drop(lines);
     if is_trace {
-        add_trace(task, path, &name, examples, origin, cancel)
+        add_trace(task, limits, path, &name, examples, origin, cancel)
     } else {
         add_scenes(task, scenes, path, &name, examples, origin, cancel)
     }
@@ -313,6 +327,7 @@ fn add_data_set(
 /// Adds every decision of every agent in a trace.
 fn add_trace(
     task: &InductionTask,
+    limits: &LimitOptions,
     path: &Path,
     name: &str,
     examples: &mut Examples,
@@ -320,7 +335,8 @@ fn add_trace(
     cancel: &Cancel,
 ) -> Result<(), Failure> {
     let mut trace = TraceReader::open(path)?;
-    let mut replay = trace.replay(&mut Sources::new(), None, None, false)?;
+    let limits = trace.limits(None, limits);
+    let mut replay = trace.replay(&mut Sources::new(), None, None, false, limits)?;
     let vocabulary = replay.world().vocabulary.clone();
     let translator = task.translator(&vocabulary).map_err(|fault| trace.placed(fault))?;
     while let Some(tick) = trace.tick()? {

@@ -2,13 +2,14 @@
 
 use crate::builtin::BuiltinFiles;
 use crate::cli::{
-    Failure, ForceOption, Inputs, LimitOptions, finish, integer, is_stdout, load_city, one_of, open, report, unwritable,
+    Failure, ForceOption, Inputs, LimitOptions, advised, finish, integer, is_stdout, load_city, one_of, open, report,
+    unwritable,
 };
 use crate::diag::{Code, Diagnostic, Sources, to_json};
 use crate::files;
 use crate::files::ReadError;
 use crate::rng::Seed;
-use crate::sim::{Executor, Inference, TICK_LIMITS};
+use crate::sim::{Executor, Inference};
 use serde_json::json;
 use std::io::{self, BufRead, BufReader, BufWriter, Read, Write};
 use std::path::{Path, PathBuf};
@@ -52,7 +53,12 @@ pub fn run(arguments: &Arguments, sources: &mut Sources) -> Result<(), Failure> 
             "--check-constraints requires the relational executor; omit --executor dense".to_owned(),
         ));
     }
-    let city = load_city(sources, &arguments.config, arguments.rules.as_deref())?;
+    let city = load_city(
+        sources,
+        &arguments.config,
+        arguments.rules.as_deref(),
+        &arguments.limits,
+    )?;
     let mut inference = Inference::new(
         city.scenario,
         city.program,
@@ -61,7 +67,7 @@ pub fn run(arguments: &Arguments, sources: &mut Sources) -> Result<(), Failure> 
         BuiltinFiles,
     )?;
     inference.name_clauses(sources);
-    inference.set_limits(arguments.limits.limits(TICK_LIMITS));
+    inference.set_limits(city.limits);
     if arguments.check_constraints {
         inference.check_constraints();
     }
@@ -152,7 +158,7 @@ fn answer_all(
             }
             Err(faults) => {
                 faulty = true;
-                write(json!({ "error": to_json(&faults, &sources) }))?;
+                write(json!({ "error": to_json(&advised(&faults), &sources) }))?;
                 report(&faults, &sources);
             }
         }

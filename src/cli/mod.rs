@@ -37,9 +37,8 @@ use crate::builtin::BuiltinFiles;
 use crate::cancel::Cancel;
 use crate::city::MapConfig;
 use crate::config::{load_map, missing_file};
-use crate::datalog::{Edb, Rules, Workspace};
-use crate::datalog::{EvalError, Limits, Program};
-use crate::diag::{Code, Diagnostic, Sources, render, similar_file};
+use crate::datalog::{Edb, Limits, Program, Workspace};
+use crate::diag::{Code, Diagnostic, Limit, Sources, render, similar_file};
 use crate::files::{self, FileError, Output, Overwrite, ReadError, ReadFile};
 use crate::sim::{LoadError, LoadedCity};
 use clap::builder::{PossibleValue, PossibleValuesParser, TypedValueParser};
@@ -501,14 +500,15 @@ fn exit(failure: Failure, sources: &Sources) -> u8 {
     }
 }
 
-/// Prints diagnostics to standard error, with their count if there are several.
+/// Prints diagnostics to standard error, with the options that raise exceeded limits, and their count if there are
+/// several.
 fn report(diagnostics: &[Diagnostic], sources: &Sources) {
     if diagnostics.is_empty() {
         return;
     }
     let mut err = anstream::stderr();
     let color = io::stderr().is_terminal();
-    let _ = writeln!(err, "{}", render(diagnostics, sources, color));
+    let _ = writeln!(err, "{}", render(&advised(diagnostics), sources, color));
     let errors = diagnostics.iter().filter(|diagnostic| diagnostic.is_error()).count();
     if diagnostics.len() > 1 {
         let _ = writeln!(err, "{}", count(errors, diagnostics.len() - errors));
@@ -633,15 +633,16 @@ fn near_file(path: &Path) -> Option<String> {
     }
 }
 
-/// Resource limits of an evaluation.
-#[derive(clap::Args)]
+/// Resource limits of an evaluation, for every command that evaluates rules of the user.
+#[derive(clap::Args, Default)]
 struct LimitOptions {
-    /// Fail if the rules derive more than COUNT rows; suffixes K, M, G and T are powers of 1000 [default: 100M; 1M for
-    /// `repl`; 10M for each scene or tick of `infer`, `run` and `bench`]
+    /// Fail if the rules derive more than COUNT rows; suffixes K, M, G and T are powers of 1000 [default: 100M for
+    /// `query`; 1M for `repl`; 10M for each scene or tick; for each tick of a trace 100K plus 100 for each pair of
+    /// agents, or 100M for rules that `--rules` names]
     #[arg(long, value_name = "COUNT", value_parser = count_of::<usize>)]
     max_rows: Option<usize>,
-    /// Fail if the evaluation scans more than COUNT rows, with the same suffixes [default: 100G; 1G for each scene or
-    /// tick of `infer`, `run` and `bench`]
+    /// Fail if the evaluation scans more than COUNT rows, with the same suffixes [default: 100G for `query` and `repl`;
+    /// 1G for each scene or tick; for each tick of a trace 100M plus 1K for each row of the default of `--max-rows`]
     #[arg(long, value_name = "COUNT", value_parser = count_of::<u64>)]
     max_steps: Option<u64>,
     /// Fail if rows, indexes, symbols and buffers need more than SIZE, in MiB or with a suffix: K, M, G, T or KiB, MiB,
@@ -699,18 +700,25 @@ fn memory(text: &str) -> Result<u64, String> {
 
 const MEMORY: &str = "expected an integer number of MiB, or one with a suffix: 512K, 50M, 2G, 1T, 50MiB";
 
-/// Returns the diagnostic of a failed commit, with the option that raises the limit.
-pub(super) fn too_much(error: &EvalError, rules: &Rules) -> Diagnostic {
-    let fault = error.diagnostic(rules);
-    let bytes = match error {
-        EvalError::TooMuchMemory { limit, .. } | EvalError::TooManyInputs { limit } => Some(*limit),
-        _ => None,
+/// Adds to diagnostics of exceeded limits how to raise them: by an option, or in the system if its limit is the lower
+/// one.
+fn advised(diagnostics: &[Diagnostic]) -> Vec<Diagnostic> {
+    let raise = |limit: Limit| {
+        let option = match limit {
+            Limit::Rows => "--max-rows",
+            Limit::Steps => "--max-steps",
+            Limit::Memory(bytes) => match memory::system_limit().filter(|system| system.bytes == bytes) {
+                Some(system) => return format!("{} leaves no more; raise that limit", system.origin),
+                None => "--max-memory",
+            },
+        };
+        format!("raise the limit with `{option}`")
     };
-    if let Some(limit) = memory::system_limit().filter(|limit| Some(limit.bytes) == bytes) {
-        return fault.note(format!("{} leaves no more; raise that limit", limit.origin));
-    }
-    let Some(option) = error.option() else { return fault };
-    fault.note(format!("raise the limit with `{option}`"))
+    let advised = diagnostics.iter().map(|fault| match fault.limit {
+        Some(limit) => fault.clone().help(raise(limit)),
+        None => fault.clone(),
+    });
+    advised.collect()
 }
 
 /// Reads, checks and plans a rule file. Also returns the warnings.
@@ -746,9 +754,16 @@ fn load_workspace_from(
     Ok(workspace)
 }
 
-/// Loads a configuration with its rules, or those in the file `rules`, and prints the warnings.
-fn load_city(sources: &mut Sources, config: &Path, rules: Option<&Path>) -> Result<LoadedCity, Failure> {
-    let city = LoadedCity::load(sources, config, rules, &BuiltinFiles)?;
+/// Loads a configuration with its rules, or those in the file `rules`, and prints the warnings. `limits` applies to
+/// each tick or scene.
+fn load_city(
+    sources: &mut Sources,
+    config: &Path,
+    rules: Option<&Path>,
+    limits: &LimitOptions,
+) -> Result<LoadedCity, Failure> {
+    let mut city = LoadedCity::load(sources, config, rules, &BuiltinFiles)?;
+    city.limits = limits.limits(city.limits);
     report(&city.warnings, sources);
     Ok(city)
 }

@@ -2,7 +2,7 @@
 
 use crate::cli::why;
 use crate::cli::why::Question;
-use crate::cli::{Failure, ForceOption, Inputs, LimitOptions, finish, load_workspace, report, too_much, unwritable};
+use crate::cli::{Failure, ForceOption, Inputs, LimitOptions, finish, load_workspace, report, unwritable};
 use crate::datalog::{ClauseId, Directive, Edb, EvalError, MarkKind, RelId, RowFormat, RowPlace, Rules, rewrite};
 use crate::datalog::{Delta, EvalEvent, Limits, Options, Program, RuleStats, Session, Threads, constraints, facts};
 use crate::diag::{Code, Diagnostic, Sources, Span};
@@ -189,7 +189,7 @@ fn rewritten(program: Program, sources: &Sources) -> Result<Program, Failure> {
 
 /// Returns the diagnostic of a failed commit, with what might help.
 fn exceeded(error: &EvalError, rules: &Rules) -> Diagnostic {
-    let fault = too_much(error, rules);
+    let fault = error.diagnostic(rules);
     match matches!(error, EvalError::Cancelled { .. }) || !rewrite::would_restrict(rules) {
         true => fault,
         false => fault.help("`.pragma \"magic-transform\" \"*\"` derives only the rows that the outputs need"),
@@ -434,7 +434,7 @@ fn load_blocks(path: &Path, session: &mut Session, id: RelId, format: &RowFormat
         let limit = session.limits().bytes;
         if session.bytes() > limit {
             let error = EvalError::TooManyInputs { limit };
-            return Err(too_much(&error, session.program().rules()).into());
+            return Err(error.diagnostic(session.program().rules()).into());
         }
         if read == 0 {
             return Ok(true);

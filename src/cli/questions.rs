@@ -2,8 +2,8 @@
 
 use crate::city::Split;
 use crate::cli::{
-    Failure, ForceOption, Inputs, finish, integer, is_stdout, load_city, messages, one_of, progress, refuse_mixing,
-    unwritable,
+    Failure, ForceOption, Inputs, LimitOptions, finish, integer, is_stdout, load_city, messages, one_of, progress,
+    refuse_mixing, unwritable,
 };
 use crate::diag::{Code, Sources};
 use crate::files::Output;
@@ -63,6 +63,8 @@ pub struct Arguments {
     #[arg(long, value_name = "FILE")]
     demonstrations_csv: Option<PathBuf>,
     #[command(flatten)]
+    limits: LimitOptions,
+    #[command(flatten)]
     force: ForceOption,
 }
 
@@ -76,7 +78,12 @@ pub fn run(arguments: &Arguments, sources: &mut Sources) -> Result<(), Failure> 
     .filter_map(|(option, path)| Some((option, path?)))
     .collect();
     refuse_mixing(named.iter().copied())?;
-    let city = load_city(sources, &arguments.config, arguments.rules.as_deref())?;
+    let city = load_city(
+        sources,
+        &arguments.config,
+        arguments.rules.as_deref(),
+        &arguments.limits,
+    )?;
     let (rule_file, hash) = (city.rule_files[0], city.rules_hash.clone());
     let world = Arc::new(city.world()?);
     let (count, about) = match arguments.mini {

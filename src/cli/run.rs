@@ -15,8 +15,8 @@ use crate::page::DECISIONS_MAX;
 use crate::render::{Animation, Overview, Sprite, write_png};
 use crate::rng::Seed;
 use crate::sim::{
-    DeadlockReport, Executor, LOOK_TICKS, MAX_ENTITIES, STUCK_TICKS, Settings, Simulation, TICK_LIMITS, TraceWriter,
-    WaitsFor, find_deadlocks, waits,
+    DeadlockReport, Executor, LOOK_TICKS, MAX_ENTITIES, STUCK_TICKS, Settings, Simulation, TraceWriter, WaitsFor,
+    find_deadlocks, waits,
 };
 use indicatif::{ProgressBar, ProgressStyle};
 use std::collections::{BTreeMap, BTreeSet};
@@ -101,7 +101,12 @@ pub fn run(arguments: &Arguments, sources: &mut Sources) -> Result<(), Failure> 
         let message = "the summary goes to standard output, so the page of `--html` cannot";
         return Err(Failure::Usage(format!("{message}\nhelp: name a file")));
     }
-    let city = load_city(sources, &arguments.config, arguments.rules.as_deref())?;
+    let city = load_city(
+        sources,
+        &arguments.config,
+        arguments.rules.as_deref(),
+        &arguments.limits,
+    )?;
     let rule_files = city.rule_files.clone();
     let ticks = arguments.ticks.unwrap_or(u64::from(city.scenario.ticks));
     let mut simulation = Simulation::new(
@@ -114,7 +119,6 @@ pub fn run(arguments: &Arguments, sources: &mut Sources) -> Result<(), Failure> 
             threads: arguments.threads.get(),
         },
     )?;
-    simulation.set_limits(arguments.limits.limits(TICK_LIMITS));
 
     let cancel = cancel_on_interrupt()?;
     if !arguments.no_trace && simulation.agents().len() > MAX_ENTITIES {
@@ -173,8 +177,9 @@ pub fn run(arguments: &Arguments, sources: &mut Sources) -> Result<(), Failure> 
     let mut written = record.map_or_else(|| Ok(Vec::new()), |record| record.finish(&simulation))?;
     let page = match (&arguments.html, page, written.first()) {
         (Some(page), Some(mut out), Some(trace)) => {
-            let made = super::view::write(trace, &mut out, page, &arguments.icons, &mut Sources::new())
-                .and_then(|()| finish(out, page));
+            let limits = simulation.world().limits;
+            let made =
+                super::view::write(trace, &mut out, page, limits, &arguments.icons).and_then(|()| finish(out, page));
             if made.is_ok() {
                 written.push(page.clone());
             }

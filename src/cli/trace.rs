@@ -1,10 +1,11 @@
 //! Reads traces with the configuration and the rules of their runs.
 
 use crate::builtin::BuiltinFiles;
-use crate::cli::{Failure, open};
+use crate::cli::{Failure, LimitOptions, open};
+use crate::datalog::Limits;
 use crate::diag::{Code, Diagnostic, Sources};
 use crate::files::MAX_BYTES;
-use crate::sim::{Archive, LoadError, LoadedCity, Replay, TraceHeader, TraceTick};
+use crate::sim::{Archive, LoadError, LoadedCity, Replay, TraceHeader, TraceTick, trace_limits};
 use std::fs::File;
 use std::io::{BufRead, BufReader, Read};
 use std::path::{Path, PathBuf};
@@ -68,16 +69,27 @@ impl TraceReader {
         self.header.archive.clone().ok_or_else(missing)
     }
 
+    /// Returns the limits of each tick under these options. Rules that come with the trace have lower defaults than the
+    /// file `rules`, which the user named.
+    pub fn limits(&self, rules: Option<&Path>, options: &LimitOptions) -> Limits {
+        options.limits(match rules {
+            Some(_) => Limits::default(),
+            None => trace_limits(self.header.agents.len()),
+        })
+    }
+
     /// Returns the replay under the configuration and rules in the trace, or under the given files. Rejects a given
-    /// configuration with another hash, and other rules if `strict`. Opens no file that the trace names.
+    /// configuration with another hash, and other rules if `strict`. Opens no file that the trace names. `limits`
+    /// applies to each tick.
     pub fn replay(
         &self,
         sources: &mut Sources,
         config: Option<&Path>,
         rules: Option<&Path>,
         strict: bool,
+        limits: Limits,
     ) -> Result<Replay, Failure> {
-        let city = LoadedCity::of_trace(sources, &self.header, config, rules, &BuiltinFiles).map_err(|error| {
+        let mut city = LoadedCity::of_trace(sources, &self.header, config, rules, &BuiltinFiles).map_err(|error| {
             let noted = |faults: Vec<Diagnostic>, what: &str| -> Vec<Diagnostic> {
                 let note = format!("in the {what} of the trace `{}`", self.path.display());
                 faults.into_iter().map(|fault| fault.note(note.clone())).collect()
@@ -102,13 +114,9 @@ impl TraceReader {
             let path = sources.name(city.rule_files[0]).to_owned();
             matching("rules", Path::new(&path), hashes, &self.path, "--rules")?;
         }
+        city.limits = limits;
         let world = city.world()?;
-        let replay = Replay::new(Arc::new(world), &self.header);
-        let mut replay = replay.map_err(|fault| placed(fault, &self.path, 1))?;
-        if rules.is_none() {
-            replay.bound();
-        }
-        Ok(replay)
+        Replay::new(Arc::new(world), &self.header).map_err(|fault| placed(fault, &self.path, 1))
     }
 }
 

@@ -3,7 +3,9 @@
 use crate::cancel::Cancel;
 use crate::city::{Action, Split};
 use crate::cli::icons::IconOptions;
-use crate::cli::{Failure, ForceOption, integer, load_city, one_of, progress, refuse_stdout_as_folder, threads};
+use crate::cli::{
+    Failure, ForceOption, LimitOptions, integer, load_city, one_of, progress, refuse_stdout_as_folder, threads,
+};
 use crate::diag::Sources;
 use crate::files::Folder;
 use crate::render::{Difficulty, Icons};
@@ -143,7 +145,7 @@ impl Make {
     fn run(&self, sources: &mut Sources) -> Result<(), Failure> {
         refuse_stdout_as_folder(&self.out)?;
         let worlds = &self.worlds;
-        let city = load_city(sources, Path::new(worlds.mode.config()), None)?;
+        let city = load_city(sources, Path::new(worlds.mode.config()), None, &LimitOptions::default())?;
         let request = DatasetRequest {
             mode: worlds.mode,
             agents: worlds.agents,
@@ -174,7 +176,12 @@ impl Make {
 impl Check {
     fn run(&self, sources: &mut Sources) -> Result<(), Failure> {
         let dataset = Dataset::open(Folder::new(&self.folder))?;
-        let city = load_city(sources, Path::new(dataset.mode().config()), None)?;
+        let city = load_city(
+            sources,
+            Path::new(dataset.mode().config()),
+            None,
+            &LimitOptions::default(),
+        )?;
         with_bar("world", |progress| {
             dataset.check(city, self.threads, progress, &Cancel::never())
         })?;
@@ -217,7 +224,12 @@ impl Check {
 impl Stats {
     fn run(&self, sources: &mut Sources) -> Result<(), Failure> {
         let options = &self.worlds;
-        let city = load_city(sources, Path::new(options.mode.config()), None)?;
+        let city = load_city(
+            sources,
+            Path::new(options.mode.config()),
+            None,
+            &LimitOptions::default(),
+        )?;
         let icons = Arc::new(Icons::new(icon_seed(options.seed, options.split), Difficulty::CLEAN));
         let worlds = Worlds::new(
             city.scenario,

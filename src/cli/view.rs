@@ -2,7 +2,8 @@
 
 use crate::cli::icons::IconOptions;
 use crate::cli::trace::TraceReader;
-use crate::cli::{Failure, ForceOption, Inputs, finish, integer, messages, unwritable};
+use crate::cli::{Failure, ForceOption, Inputs, LimitOptions, finish, integer, messages, unwritable};
+use crate::datalog::Limits;
 use crate::diag::{Code, Diagnostic, SourceId, Sources};
 use crate::files::Output;
 use crate::page::{Comparison, Page};
@@ -36,6 +37,8 @@ pub struct Arguments {
     #[command(flatten)]
     icons: IconOptions,
     #[command(flatten)]
+    limits: LimitOptions,
+    #[command(flatten)]
     force: ForceOption,
 }
 
@@ -59,7 +62,8 @@ pub fn run(arguments: &Arguments, sources: &mut Sources) -> Result<(), Failure> 
     for (number, trace) in traces.iter().enumerate() {
         let files = [file(&arguments.config, number), file(&arguments.rules, number)];
         let files = [files[0].as_deref(), files[1].as_deref()];
-        pages.push(load(trace, range, files, Explain::Recorded, icons, sources)?);
+        let limits = |trace: &TraceReader, rules: Option<&Path>| trace.limits(rules, &arguments.limits);
+        pages.push(load(trace, range, files, Explain::Recorded, limits, icons, sources)?);
     }
     if !arguments.config.is_empty() || !arguments.rules.is_empty() {
         // The files that these name are known only now.
@@ -79,22 +83,45 @@ pub fn run(arguments: &Arguments, sources: &mut Sources) -> Result<(), Failure> 
     Ok(())
 }
 
-/// Writes a page of a whole trace to `out`, whose path is `output`.
+/// Writes a page of a whole trace to `out`, whose path is `output`. `limits` applies to each tick.
 pub fn write(
     trace: &Path,
     out: &mut Output,
     output: &Path,
+    limits: Limits,
     icons: &IconOptions,
-    sources: &mut Sources,
 ) -> Result<(), Failure> {
-    let page = load(trace, (0, u64::MAX), [None; 2], Explain::Recorded, icons, sources)?;
+    let page = load(
+        trace,
+        (0, u64::MAX),
+        [None; 2],
+        Explain::Recorded,
+        |_, _| limits,
+        icons,
+        &mut Sources::new(),
+    )?;
     page.write(out).map_err(|error| unwritable(output, &error))
 }
 
 /// Writes a page of a whole trace that explains its states with other rules.
-pub fn write_with(trace: &Path, rules: &Path, out: &mut Output, output: &Path) -> Result<(), Failure> {
+pub fn write_with(
+    trace: &Path,
+    rules: &Path,
+    out: &mut Output,
+    output: &Path,
+    limits: &LimitOptions,
+) -> Result<(), Failure> {
     let (icons, files) = (IconOptions::default(), [None, Some(rules)]);
-    let page = load(trace, (0, u64::MAX), files, Explain::Other, &icons, &mut Sources::new())?;
+    let limits = |trace: &TraceReader, rules: Option<&Path>| trace.limits(rules, limits);
+    let page = load(
+        trace,
+        (0, u64::MAX),
+        files,
+        Explain::Other,
+        limits,
+        &icons,
+        &mut Sources::new(),
+    )?;
     page.write(out).map_err(|error| unwritable(output, &error))
 }
 
@@ -122,17 +149,19 @@ fn names([left, right]: [&Path; 2]) -> [String; 2] {
 }
 
 /// Returns a page of at most `most` ticks of a trace, from number `from` on. `config` and `rules` replace those in the
-/// trace.
+/// trace. `limits` returns the limits of each tick, given the trace and `rules`.
 fn load(
     trace: &Path,
     (from, most): (u64, u64),
     [config, rules]: [Option<&Path>; 2],
     explain: Explain,
+    limits: impl FnOnce(&TraceReader, Option<&Path>) -> Limits,
     icons: &IconOptions,
     sources: &mut Sources,
 ) -> Result<Page, Failure> {
     let mut reader = TraceReader::open(trace)?;
-    let mut replay = reader.replay(sources, config, rules, explain == Explain::Recorded)?;
+    let limits = limits(&reader, rules);
+    let mut replay = reader.replay(sources, config, rules, explain == Explain::Recorded, limits)?;
     if let (Explain::Other, Some(rules)) = (explain, rules) {
         let is_rules = |id: &SourceId| sources.name(*id).ends_with(".dl");
         let files: Vec<SourceId> = sources.ids().filter(is_rules).collect();

@@ -82,7 +82,10 @@ impl Node {
 
     /// Whether this is YAML's null.
     pub fn is_null(&self) -> bool {
-        matches!(&self.value, Value::Scalar { text, plain: true } if matches!(text.as_str(), "" | "~" | "null" | "Null" | "NULL"))
+        let Value::Scalar { text, plain: true } = &self.value else {
+            return false;
+        };
+        matches!(text.as_str(), "" | "~" | "null" | "Null" | "NULL")
     }
 
     /// Returns the value as JSON; see [`Tree::to_json`](crate::config::Tree::to_json).

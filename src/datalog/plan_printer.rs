@@ -249,14 +249,13 @@ impl Shown<'_> {
                     to,
                     test,
                 } => {
-                    let relation = &self.compiled.rules.relations[self.plans.indexes[source.index].relation.index()];
-                    let terms: Vec<String> = (relation.columns.iter().zip(key))
-                        .map(|(column, &slot)| value(slot, column.base))
-                        .chain(std::iter::repeat_n("_".to_owned(), relation.arity() - key.len()))
-                        .collect();
+                    let rows = self.show_rows(self.plans.indexes[source.index].relation, key, &value);
                     let what = if *test { "test" } else { "let " };
-                    let (to, op, name) = (value(*to, *base), op.name(), &relation.name);
-                    format!("{what}   {to} = {op} : {{ {name}({}) }}, by group", terms.join(", "))
+                    format!(
+                        "{what}   {} = {} : {{ {rows} }}, by group",
+                        value(*to, *base),
+                        op.name()
+                    )
                 }
                 Step::Correlated {
                     relation,
@@ -271,14 +270,13 @@ impl Shown<'_> {
                     for (plan, clause) in plans.iter().zip(self.plans.correlated_clauses(*relation)) {
                         self.show_steps(&mut inner, &self.compiled.rules.clauses[clause.index()], plan);
                     }
-                    let relation = &self.compiled.rules.relations[relation.index()];
-                    let terms: Vec<String> = (relation.columns.iter().zip(key))
-                        .map(|(column, &slot)| value(slot, column.base))
-                        .chain(std::iter::repeat_n("_".to_owned(), relation.arity() - key.len()))
-                        .collect();
+                    let rows = self.show_rows(*relation, key, &value);
                     let what = if *test { "test" } else { "let " };
-                    let (to, op, name) = (value(*to, *base), op.name(), &relation.name);
-                    format!("{what}   {to} = {op} : {{ {name}({}) }}, in place", terms.join(", "))
+                    format!(
+                        "{what}   {} = {} : {{ {rows} }}, in place",
+                        value(*to, *base),
+                        op.name()
+                    )
                 }
             };
             *out += &format!("      {line}\n");
@@ -296,6 +294,19 @@ impl Shown<'_> {
             .map_or_else(String::new, |slot| format!(" {}", value(slot, fold.base)));
         let (name, op) = (&relation.name, fold.op.name());
         *out += &format!("      group  {name}({}) by {op}{value}\n", terms.join(", "));
+    }
+
+    /// Returns the atom whose leading columns have these slots.
+    fn show_rows(&self, relation: RelId, key: &[Slot], value: &dyn Fn(Slot, BaseType) -> String) -> String {
+        let relation = &self.compiled.rules.relations[relation.index()];
+        let known = relation.columns.iter().zip(key);
+        let known = known.map(|(column, &slot)| value(slot, column.base));
+        let rest = std::iter::repeat_n("_".to_owned(), relation.arity() - key.len());
+        format!(
+            "{}({})",
+            relation.name,
+            known.chain(rest).collect::<Vec<_>>().join(", ")
+        )
     }
 
     /// Returns the atom with its key columns, its index unless that is the relation's own order, and the version of the

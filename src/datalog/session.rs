@@ -91,6 +91,11 @@ impl Session {
         self.store.bytes() + self.symbols.bytes()
     }
 
+    /// Returns the bytes that the limit leaves for work on the committed rows.
+    pub(crate) fn bytes_left(&self) -> u64 {
+        self.limits.bytes.saturating_sub(self.bytes())
+    }
+
     /// Sets the number of evaluation threads; the default is one.
     ///
     /// The number changes neither rows nor their order, deltas or statistics.
@@ -250,15 +255,15 @@ impl Session {
     }
 
     /// Returns the value of a correlated aggregate for these parameters, and the number of rows scanned. It stops after
-    /// about `budget` rows.
+    /// about `budget` rows, or if it takes more than `bytes`.
     pub(crate) fn correlated(
         &self,
         aggregate: &Literal,
         parameters: &[Value],
-        budget: u64,
+        (budget, bytes): (u64, u64),
         cancel: &Cancel,
     ) -> (Result<Option<Value>, Abort>, u64) {
-        (self.store).correlated(aggregate, parameters, &self.symbols, (budget, cancel))
+        (self.store).correlated(aggregate, parameters, &self.symbols, (budget, bytes, cancel))
     }
 
     /// Returns the rows that hold, in the order of their words. For symbols this is the order of interning. A relation
@@ -295,7 +300,8 @@ impl Session {
     /// that [is aggregated](Program::is_aggregated) the result is empty.
     pub fn fired(&self, clause: ClauseId) -> Vec<Vec<Value>> {
         if clause.index() < self.program.rules().clauses.len() {
-            self.store.fired(&self.program.0, &self.symbols, clause)
+            let bytes = self.bytes_left() / 4;
+            self.store.fired(&self.program.0, &self.symbols, clause, bytes)
         } else {
             Vec::new()
         }

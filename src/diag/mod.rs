@@ -54,6 +54,19 @@ pub struct Diagnostic {
     pub help: Vec<String>,
     /// Suggested fixes as edits, which an editor can apply.
     pub fixes: Vec<Fix>,
+    /// The exceeded limit if the caller can raise it. The caller adds how: it knows its options.
+    pub limit: Option<Limit>,
+}
+
+/// A limit on resources that a caller can raise.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Limit {
+    /// The number of derived rows.
+    Rows,
+    /// The number of scanned rows.
+    Steps,
+    /// The memory, in bytes.
+    Memory(u64),
 }
 
 /// A suggested change of the texts, for editors.
@@ -76,6 +89,7 @@ impl Diagnostic {
             notes: Vec::new(),
             help: Vec::new(),
             fixes: Vec::new(),
+            limit: None,
         }
     }
 
@@ -120,6 +134,12 @@ impl Diagnostic {
             title: title.into(),
             edits: edits.into_iter().collect(),
         });
+        self
+    }
+
+    /// Sets the exceeded limit.
+    pub fn exceeds(mut self, limit: Limit) -> Self {
+        self.limit = Some(limit);
         self
     }
 

@@ -7,7 +7,7 @@ use crate::page::header::Header;
 use crate::page::run::{corners, relative_view};
 use crate::page::scenery::Scenery;
 use crate::render::Icons;
-use crate::sim::{Replay, Simulation, TraceHeader, TraceState, TraceTick, TraceWriter, World};
+use crate::sim::{Replay, Simulation, TraceHeader, TraceState, TraceTick, TraceWriter, World, trace_limits};
 use serde::Serialize;
 use serde_json::Value;
 use std::collections::VecDeque;
@@ -85,7 +85,7 @@ impl Live {
         let line = String::from_utf8(std::mem::take(trace.get_mut())).expect("JSON is UTF-8");
         let header = TraceHeader::read(&line)?;
         let mut replay = Replay::new(Arc::clone(simulation.world()), &header)?;
-        replay.bound();
+        replay.set_limits(trace_limits(header.agents.len()));
         Ok(Live {
             header: Header::new(&replay, &header, &sources),
             routes: vec![None; simulation.agents().len()],

@@ -1,10 +1,10 @@
 //! Loads a city: one call from the path of a configuration to a scenario with its compiled rules.
 
 use crate::config::{Scenario, load_scenario};
-use crate::datalog::Program;
+use crate::datalog::{Limits, Program};
 use crate::diag::{Code, Diagnostic, Located, SourceId, Sources, Span};
 use crate::files::{ReadError, ReadFile};
-use crate::sim::tick::world::World;
+use crate::sim::tick::world::{TICK_LIMITS, World};
 use crate::sim::trace::{TraceHeader, hash_sources};
 use std::path::{Path, PathBuf};
 
@@ -21,6 +21,8 @@ pub struct LoadedCity {
     pub rules_hash: String,
     /// The warnings of the rules.
     pub warnings: Vec<Diagnostic>,
+    /// The limits of each evaluation of the rules by the relational executor; [`TICK_LIMITS`] after loading.
+    pub limits: Limits,
 }
 
 /// Why a city cannot be loaded.
@@ -87,6 +89,7 @@ impl LoadedCity {
             rules_hash: hash_sources(sources, &rule_files),
             rule_files,
             warnings: diagnostics,
+            limits: TICK_LIMITS,
         })
     }
 
@@ -136,6 +139,8 @@ impl LoadedCity {
     /// # Errors
     /// As [`World::new`].
     pub fn world(self) -> Result<World, Vec<Diagnostic>> {
-        World::new(self.scenario, self.program)
+        let mut world = World::new(self.scenario, self.program)?;
+        world.limits = self.limits;
+        Ok(world)
     }
 }

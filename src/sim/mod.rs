@@ -23,17 +23,16 @@ pub use scene::{
 pub use tick::chance::Chance;
 pub use tick::executor::Executor;
 pub use tick::ground::{Facts, MAX_ENTITIES, ground};
-pub use tick::ground_state::TICK_LIMITS;
 pub use tick::simulation::{AgentTick, Batch, Phase, Settings, Simulation, Snapshot, TickReport};
 pub(crate) use tick::simulation::{run_polled, start_threads};
 pub use tick::vocabulary::{Actions, Predicate, Vocabulary};
 pub use tick::width::Width;
 #[cfg(feature = "cli")]
 pub(crate) use tick::width::in_words;
-pub use tick::world::World;
+pub use tick::world::{TICK_LIMITS, World};
 pub use tick::{WHOLE_MAX, WINDOW_MAX};
 pub use trace::{
     Account, Archive, ArchivedFile, ClauseCoverage, Coverage, DeadlockReport, Decision, Driven, LOOK_TICKS, Replay,
     STUCK_TICKS, TRACE_VERSION, TraceAgent, TraceHeader, TraceState, TraceTick, TraceWriter, WaitsFor, find_deadlocks,
-    hash_sources, waits,
+    hash_sources, trace_limits, waits,
 };

@@ -415,7 +415,8 @@ proptest! {
     #[test]
     fn the_map_equals_the_painted_one(map in maps()) {
         let painted = Painted::new(&map);
-        let nodes: BTreeSet<Cell> = Router::new(map.clone(), Routing::Weighted).lanes().flat_map(|lane| [lane.start, lane.end]).collect();
+        let router = Router::new(map.clone(), Routing::Weighted);
+        let nodes: BTreeSet<Cell> = router.lanes().flat_map(|lane| [lane.start, lane.end]).collect();
         let semantic = map.semantic(&[Cell::new(0, 1), Cell::new(-1, 0)]).unwrap();
         prop_assert_eq!(semantic.dim(), (map.rows() as usize, map.cols() as usize, 10));
         for cell in cells(&map) {
@@ -472,10 +473,15 @@ proptest! {
         let places = Places::new(&router, ends, Some(region), None);
         let trips = Places::new(&router, ends, Some(region), Some(trip));
         for kind in AgentKind::ALL {
+            let is_entrance = |cell: Cell, dr: i32, dc: i32| {
+                let beside = building(Cell::new(cell.row + dr, cell.col + dc));
+                matches!(beside, Some(Building::House | Building::Office))
+            };
             let is_place = |&cell: &Cell| match kind {
-                AgentKind::Pedestrian => map.ground_at(cell) == Some(Ground::Walking) && (-1..=1).any(|dr| (-1..=1).any(|dc| {
-                    matches!(building(Cell::new(cell.row + dr, cell.col + dc)), Some(Building::House | Building::Office))
-                })),
+                AgentKind::Pedestrian => {
+                    map.ground_at(cell) == Some(Ground::Walking)
+                        && (-1..=1).any(|dr| (-1..=1).any(|dc| is_entrance(cell, dr, dc)))
+                }
                 AgentKind::Car => on_line(cell) && Heading::ALL.iter().any(|&heading| {
                     let near = (1..=reach).find_map(|cells| building(cell.ahead(heading, cells)));
                     matches!(near, Some(Building::GasStation | Building::Garage | Building::Store))
@@ -496,7 +502,10 @@ proptest! {
             for start in [start, start.ahead(Heading::Down, 1), Cell::new(0, 0)] {
                 let is_goal = |goal: &Cell| match kind {
                     AgentKind::Car => *goal != start,
-                    AgentKind::Pedestrian => *goal != start && (map.layout.block_at(start).is_none() || map.layout.block_at(start) != map.layout.block_at(*goal)),
+                    AgentKind::Pedestrian => {
+                        let [from, to] = [start, *goal].map(|cell| map.layout.block_at(cell));
+                        *goal != start && (from.is_none() || from != to)
+                    }
                 };
                 let goals: Vec<Cell> = expected.iter().copied().filter(is_goal).collect();
                 prop_assert_eq!(places.goals(kind, start), goals.clone());
@@ -541,9 +550,11 @@ proptest! {
             let places = Places::new(&router, TripEnds::Curb, None, None);
             let trips = Places::new(&router, TripEnds::Curb, None, Some(3 * map.layout.period().unsigned_abs()));
             prop_assume!(places.count(AgentKind::Car) > 0);
-            let [start, far] = pick.map(|pick| places.nth(AgentKind::Car, pick.index(places.count(AgentKind::Car))).unwrap());
+            let count = places.count(AgentKind::Car);
+            let [start, far] = pick.map(|pick| places.nth(AgentKind::Car, pick.index(count)).unwrap());
             let close = trips.goals(AgentKind::Car, start);
-            for goal in [Some(far), close.get(near.index(close.len().max(1))).copied()].into_iter().flatten().filter(|&goal| goal != start) {
+            let close = close.get(near.index(close.len().max(1))).copied();
+            for goal in [far].into_iter().chain(close).filter(|&goal| goal != start) {
                 let route = router.plan(AgentKind::Car, start, goal);
                 prop_assert!(route.is_ok());
                 check_drive(&router, &route.clone().unwrap(), start, goal)?;
@@ -573,7 +584,10 @@ proptest! {
     }
 
     #[test]
-    fn slow_pedestrians_take_a_shortest_path(map in maps(), picks in proptest::collection::vec(any::<[Index; 2]>(), 12)) {
+    fn slow_pedestrians_take_a_shortest_path(
+        map in maps(),
+        picks in proptest::collection::vec(any::<[Index; 2]>(), 12)
+    ) {
         let routers = [Routing::Weighted, Routing::Hops].map(|routing| Router::new(map.clone(), routing));
         let places: Vec<Cell> = cells(&map).filter(|&cell| map.is_walkable(cell)).collect();
         for (pick, router) in picks.into_iter().flat_map(|pick| routers.iter().map(move |router| (pick, router))) {

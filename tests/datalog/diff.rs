@@ -200,7 +200,10 @@ fn for_all_over_exists_is_not_proved() {
     };
     let found = diff(&left, &right, &hurried).unwrap();
     assert!(
-        matches!(&found, Equivalence::NoneFound { entities: Some(seen), cut, .. } if *seen < 5 && *cut == [Cut::Conflicts]),
+        matches!(
+            &found,
+            Equivalence::NoneFound { entities: Some(..5), cut, .. } if *cut == [Cut::Conflicts]
+        ),
         "{found:?}"
     );
 }

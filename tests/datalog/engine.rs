@@ -1578,7 +1578,10 @@ fn ranges(least: i64, greatest: i64) -> impl proptest::strategy::Strategy<Value 
 
 proptest! {
     #[test]
-    fn a_range_equals_counting(signed in ranges(i64::from(i32::MIN), i64::from(i32::MAX)), unsigned in ranges(0, i64::from(u32::MAX))) {
+    fn a_range_equals_counting(
+        signed in ranges(i64::from(i32::MIN), i64::from(i32::MAX)),
+        unsigned in ranges(0, i64::from(u32::MAX))
+    ) {
         let program = program(
             ".decl S(f: number, t: number, s: number)
             .decl U(f: unsigned, t: unsigned, s: unsigned)
@@ -1600,7 +1603,10 @@ proptest! {
         session.insert(find("S"), &row(signed)).unwrap();
         session.insert(find("U"), &row(unsigned)).unwrap();
         session.commit().unwrap();
-        let numbers = |name| session.rows(find(name)).map(|row| i64::from(row[0].as_number())).collect::<BTreeSet<i64>>();
+        let numbers = |name| {
+            let rows = session.rows(find(name));
+            rows.map(|row| i64::from(row[0].as_number())).collect::<BTreeSet<i64>>()
+        };
         let words = |name| session.rows(find(name)).map(|row| i64::from(row[0].0)).collect::<BTreeSet<i64>>();
         let (from, to, step) = signed;
         prop_assert_eq!(numbers("A"), counted(from, to, step));
@@ -1616,7 +1622,9 @@ proptest! {
 
     /// Rules extend an input, in every strategy.
     #[test]
-    fn an_extended_input_agrees_with_naive(script in proptest::collection::vec((any::<bool>(), 0_i32..5, 0_i32..5), 1..12)) {
+    fn an_extended_input_agrees_with_naive(
+        script in proptest::collection::vec((any::<bool>(), 0_i32..5, 0_i32..5), 1..12)
+    ) {
         let mut sources = Sources::new();
         let entry = sources.add(
             "edges.dl",

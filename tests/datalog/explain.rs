@@ -11,8 +11,8 @@ use logicity::datalog::explain::{
     AbsenceReason, ExplainError, Explainer, ExplanationPrinter, FailureKind, Node, Obstacle, Origin, Premise,
 };
 use logicity::datalog::{ClauseId, Literal, RelId, Rules, Value};
-use logicity::datalog::{Program, Session, naive};
-use logicity::diag::Sources;
+use logicity::datalog::{Limits, Program, Session, naive};
+use logicity::diag::{Code, Diagnostic, Limit, Sources};
 use proptest::prelude::*;
 use std::collections::{BTreeMap, BTreeSet};
 use std::sync::Arc;
@@ -521,4 +521,41 @@ Not(a(3)): no clause of a holds
    └─ nearest n = 3: 3 = range(0, 3, _) does not hold
 "
     );
+}
+
+/// The search for an explanation evaluates correlated aggregates again. They count against the memory limit.
+#[test]
+fn aggregates_in_explanations_stay_within_the_memory_limit() {
+    let program = program(
+        ".decl V(v: number)
+        V(v) :- v = range(0, 100).
+        .decl A(n: number)
+        A(0).
+        A(n + c) :- A(n), n < 1, c = count : { V(v), V(w), v > n, w > v }.",
+    );
+    let a = program.relation("A").unwrap();
+    let row = [Value::number(99 * 98 / 2)];
+    let mut session = program.session();
+    session.commit().unwrap();
+    let proof = session.explain(a, &row).unwrap().expect("it holds");
+    let limits = |bytes| Limits {
+        bytes,
+        ..Limits::default()
+    };
+    session.set_limits(limits(session.bytes() + (1 << 20)));
+    assert_eq!(session.explain(a, &row), Ok(Some(proof)));
+    session.set_limits(limits(1000));
+    let error = session.explain(a, &row).unwrap_err();
+    assert_eq!(error, ExplainError::TooMuchMemory { limit: 1000 });
+    let fault = Diagnostic::from(error);
+    assert_eq!(
+        fault.message,
+        "the search for an explanation takes more than 1000 bytes"
+    );
+    assert_eq!(
+        (fault.code, fault.limit),
+        (Code::LIMIT_EXCEEDED, Some(Limit::Memory(1000)))
+    );
+    // A fact that no aggregate derives needs none.
+    assert!(session.explain(a, &[Value::number(0)]).unwrap().is_some());
 }

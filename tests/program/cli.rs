@@ -48,6 +48,11 @@ fn err(output: &Output) -> String {
     String::from_utf8(output.stderr.clone()).unwrap()
 }
 
+/// Asserts that a command succeeded.
+fn succeeds(output: &Output) {
+    assert_eq!(code(output), 0, "{}", err(output));
+}
+
 /// Asserts that a command failed with this exit code and printed all of `words`, without a panic.
 fn fails(output: &Output, exit: i32, words: &[&str]) {
     let said = err(output);
@@ -848,8 +853,12 @@ fn a_costly_rule_ends_infer_and_run_at_a_limit() {
                 &rules,
             ],
             vec!["bench", "tick", "--config", &config],
+            vec!["bench", "infer", "--config", &config, "--scenes", "-"],
+            vec!["bench", "env", "--config", &config],
+            vec!["episodes", "make", &config, "-o", "-"],
+            vec!["questions", &config],
         ] {
-            let output = run(&[&command[..], &[option, limit]].concat(), b"");
+            let output = run(&[&command[..], &[option, limit]].concat(), scene);
             fails(&output, 1, &["error[limit-exceeded]", message, "rules.dl:4:1", &raise]);
         }
         assert!(fs::read_dir(&target).unwrap().next().is_none(), "no file remains");
@@ -867,6 +876,88 @@ fn a_costly_rule_ends_infer_and_run_at_a_limit() {
         scene,
     );
     assert_eq!(code(&enough), 0, "{}", err(&enough));
+}
+
+/// A rule that counts up to `most`. Explanations need only its first row.
+fn counting(most: u32) -> String {
+    let counting = RUNAWAY.replace("X < 1000000000", &format!("X < {most}"));
+    counting.replace("N(500000000)", "N(0)")
+}
+
+#[test]
+fn every_command_that_reads_a_trace_takes_limits() {
+    let folder = tempfile::tempdir().unwrap();
+    let rules = write(folder.path(), "rules.dl", counting(3_000));
+    let made = folder.path().join("run");
+    let made = made.to_str().unwrap();
+    let page = folder.path().join("page.html");
+    let page = page.to_str().unwrap();
+    let run_args = [
+        "run",
+        "easy",
+        "--ticks",
+        "1",
+        "--no-pictures",
+        "--out",
+        made,
+        "--rules",
+        &rules,
+    ];
+    succeeds(&logicity(run_args));
+    let trace = format!("{made}/trace.jsonl");
+    let explain = ["explain", &trace, "--agent", "Car_1"];
+    let view = ["view", &trace, "-o", page, "--force"];
+    let coverage = ["check", "--coverage", &trace];
+    for command in [&explain[..], &view, &coverage] {
+        succeeds(&run(command, b""));
+        for (option, limit, message) in [
+            ("--max-rows", "2K", "the rules derive more than 2000 rows"),
+            ("--max-steps", "2K", "the rules scan more than 2000 rows"),
+            ("--max-memory", "0", "take more than 0 MiB"),
+        ] {
+            let raise = format!("raise the limit with `{option}`");
+            let output = run(&[command, &[option, limit]].concat(), b"");
+            fails(&output, 1, &["error[limit-exceeded]", message, &raise]);
+            // The same holds for rules that the command line names.
+            if command[0] != "check" {
+                let output = run(&[command, &["--rules", &rules, option, limit]].concat(), b"");
+                fails(&output, 1, &["error[limit-exceeded]", message, &raise]);
+            }
+        }
+    }
+}
+
+#[test]
+fn rules_in_a_trace_have_lower_default_limits() {
+    let folder = tempfile::tempdir().unwrap();
+    let rules = write(folder.path(), "rules.dl", counting(150_000));
+    let made = folder.path().join("run");
+    let made = made.to_str().unwrap();
+    let page = folder.path().join("page.html");
+    // The page of a run is made under the limits of the run.
+    succeeds(&logicity([
+        "run",
+        "easy",
+        "--ticks",
+        "1",
+        "--no-pictures",
+        "--out",
+        made,
+        "--rules",
+        &rules,
+        "--html",
+        page.to_str().unwrap(),
+    ]));
+    let trace = format!("{made}/trace.jsonl");
+    let explain = ["explain", &trace, "--agent", "Car_1"];
+    fails(
+        &logicity(explain),
+        1,
+        &["error[limit-exceeded]", "raise the limit with `--max-rows`"],
+    );
+    for more in [["--max-rows", "1M"], ["--rules", &rules]] {
+        succeeds(&run(&[&explain[..], &more].concat(), b""));
+    }
 }
 
 #[test]
@@ -1987,7 +2078,13 @@ fn bench_takes_scenes() {
         1,
         &["limit-exceeded", "65 entities; the limit is 64"],
     );
-    // The dense executor takes no recursive rules, so the message suggests no option.
+    let relational = ["--executor", "relational"];
+    let printed = measured(&bench("-", &relational, crowd.as_bytes()));
+    assert_eq!(
+        (&printed["entities"], &printed["executor"]),
+        (&65.into(), &"relational".into())
+    );
+    // The dense executor takes no recursive rules.
     let rules = write(
         folder.path(),
         "far.dl",
@@ -2003,15 +2100,9 @@ fn bench_takes_scenes() {
         ),
     );
     let output = bench(&file, &["--config", &config], b"");
-    fails(
-        &output,
-        1,
-        &[
-            "a predicate depends on itself",
-            "--scenes measures the dense executor only",
-        ],
-    );
-    assert!(!err(&output).contains("--executor auto"), "{}", err(&output));
+    assert_eq!(measured(&output)["executor"], "relational");
+    let output = bench(&file, &["--config", &config, "--executor", "dense"], b"");
+    fails(&output, 1, &["a predicate depends on itself"]);
 }
 
 /// Seven groups without relations inside have no clique of eight; to find out takes the dense executor more steps than
@@ -2041,7 +2132,12 @@ fn infer_falls_back_to_the_relational_executor() {
         .filter(|(x, y)| x % 7 != y % 7)
         .map(|(x, y)| [&entities[x], &entities[y]])
         .collect();
-    let facts = serde_json::json!({ "IsCar": ["e0", "e1"], "IsPedestrian": ["e2"], "IsClose": close, "NextTo": [["e0", "e1"], ["e1", "e0"]] });
+    let facts = serde_json::json!({
+        "IsCar": ["e0", "e1"],
+        "IsPedestrian": ["e2"],
+        "IsClose": close,
+        "NextTo": [["e0", "e1"], ["e1", "e0"]],
+    });
     let scene = serde_json::json!({ "entities": entities, "ego": "e0", "facts": facts }).to_string();
     let infer = |executor: &str| with_input(["infer", "--rules", &rules, "--executor", executor], scene.as_bytes());
 

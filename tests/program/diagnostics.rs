@@ -1,7 +1,7 @@
 //! Every message has a stable name, a fixture that produces it, and a section in a reference.
 //!
-//! `tests/datalog/lang.rs` and `tests/city/config.rs` run the fixtures of rules and configurations. This file runs those
-//! that need a whole city, scenes or facts, and checks that no code lacks a fixture.
+//! `tests/datalog/lang.rs` and `tests/city/config.rs` run the fixtures of rules and configurations. This file runs
+//! those that need a whole city, scenes or facts, and checks that no code lacks a fixture.
 
 use crate::pages::{blocks, pages};
 use crate::readme::shell;

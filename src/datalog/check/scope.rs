@@ -201,8 +201,9 @@ impl Scopes {
         };
         for target in targets {
             let guard_atom = atom(target);
-            let written = clause.body.iter().any(|literal| {
-                matches!(literal, Literal::Positive(atom) if atom.relation == guard.relation && atom.terms == guard_atom.terms)
+            let written = clause.body.iter().any(|literal| match literal {
+                Literal::Positive(atom) => atom.relation == guard.relation && atom.terms == guard_atom.terms,
+                _ => false,
             });
             if !written {
                 clause.body.push(Literal::Guard(guard_atom));

@@ -178,7 +178,7 @@ pub(crate) fn components(successors: &[Vec<usize>]) -> (Vec<usize>, usize) {
 }
 
 /// Returns the strata of the predicates with clauses, in topological order. Ties go to the predicate that is declared
-/// first. A predicate with parameters has no stratum: those of its readers evaluate it.
+/// first. A predicate with parameters has no stratum: the strata of its readers evaluate it.
 pub(crate) fn order(relations: &[Relation], clauses: &[Clause]) -> Vec<Stratum> {
     let mut successors: Vec<Vec<usize>> = vec![Vec::new(); relations.len()];
     let mut defining: Vec<Vec<ClauseId>> = vec![Vec::new(); relations.len()];

@@ -11,33 +11,50 @@ pub(crate) struct CorrelatedValues {
     known: HashMap<RelId, HashMap<Box<[Value]>, Option<Value>>>,
     /// The approximate memory of `known`.
     bytes: u64,
-    /// The maximum of `bytes`. The rows of one evaluation may take as much again.
-    pub(crate) bytes_max: u64,
+    /// The maximum of `bytes`.
+    bytes_max: u64,
+    /// The maximum memory of the rows of each evaluation in progress.
+    pub(super) rows_bytes_max: u64,
 }
 
 impl Default for CorrelatedValues {
-    /// An empty cache of any size.
+    /// An empty cache of any size, for plans without correlated aggregates.
     fn default() -> Self {
-        CorrelatedValues {
-            known: HashMap::new(),
-            bytes: 0,
-            bytes_max: u64::MAX,
-        }
+        CorrelatedValues::caching(u64::MAX)
     }
 }
 
 impl CorrelatedValues {
+    /// Creates an empty cache of at most about `bytes`, for evaluations that have their own limit.
+    pub(crate) fn caching(bytes: u64) -> Self {
+        CorrelatedValues {
+            known: HashMap::new(),
+            bytes: 0,
+            bytes_max: bytes,
+            rows_bytes_max: u64::MAX,
+        }
+    }
+
+    /// Creates an empty cache. It and the evaluations in progress together take at most about `bytes`. `depth` is the
+    /// maximum number of evaluations in progress: an aggregate may need the values of others.
+    pub(crate) fn within(bytes: u64, depth: usize) -> Self {
+        CorrelatedValues {
+            rows_bytes_max: bytes / 2 / depth.max(1) as u64,
+            ..CorrelatedValues::caching(bytes / 2)
+        }
+    }
+
     /// The memory of an entry: a table is up to half empty, and has two copies while it grows.
     const ENTRY_BYTES: u64 = 3 * size_of::<(Box<[Value]>, Option<Value>)>() as u64 + 16;
 
     /// The value for these parameters if it is known. The inner `None` means that the aggregate has no value.
     #[allow(clippy::option_option)]
-    pub(super) fn get(&self, relation: RelId, parameters: &[Value]) -> Option<Option<Value>> {
+    pub(crate) fn get(&self, relation: RelId, parameters: &[Value]) -> Option<Option<Value>> {
         self.known.get(&relation)?.get(parameters).copied()
     }
 
     /// Adds a value. If the memory is full, forgets all others first.
-    pub(super) fn insert(&mut self, relation: RelId, parameters: &[Value], value: Option<Value>) {
+    pub(crate) fn insert(&mut self, relation: RelId, parameters: &[Value], value: Option<Value>) {
         let bytes = Self::ENTRY_BYTES + size_of_val(parameters) as u64;
         if self.bytes.saturating_add(bytes) > self.bytes_max {
             self.known = HashMap::new();
@@ -56,10 +73,8 @@ mod tests {
 
     #[test]
     fn known_values_are_limited() {
-        let mut values = CorrelatedValues {
-            bytes_max: 10_000,
-            ..CorrelatedValues::default()
-        };
+        let mut values = CorrelatedValues::within(20_000, 5);
+        assert_eq!(values.rows_bytes_max, 2_000);
         let relation = RelId(3);
         for n in 0..1_000 {
             values.insert(relation, &[Value(n), Value(1)], Some(Value(n)));
@@ -67,7 +82,7 @@ mod tests {
             assert_eq!(values.get(relation, &[Value(n), Value(1)]), Some(Some(Value(n))));
         }
         assert_eq!(values.get(relation, &[Value(0), Value(1)]), None);
-        values.bytes_max = 0;
+        let mut values = CorrelatedValues::within(0, 5);
         values.insert(relation, &[Value(0)], None);
         assert_eq!((values.get(relation, &[Value(0)]), values.bytes), (None, 0));
     }

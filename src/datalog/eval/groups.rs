@@ -124,7 +124,7 @@ pub(crate) fn lookup<const W: usize>(found: &[Row<W>], keys: usize, op: Aggregat
     }
 }
 
-/// A fast hash of words. It is not seen outside, since groups are sorted.
+/// A fast hash of words. No result depends on it: its users look up keys, and sort what they enumerate.
 #[derive(Default)]
 pub(crate) struct KeyHasher(u64);
 

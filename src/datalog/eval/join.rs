@@ -485,7 +485,8 @@ impl<const W: usize> Join<'_, W> {
     }
 
     /// Derives rows in which one word is replaced by the second column of `found`, with all of them as one set. Does
-    /// nothing and returns false where that is slower or impossible. `place` is the batch and the first word of `found`.
+    /// nothing and returns false where that is slower or impossible. `place` is the batch and the first word of
+    /// `found`.
     fn spread_set<const V: usize>(
         &mut self,
         place: (u32, Value),
@@ -545,7 +546,7 @@ impl<const W: usize> Join<'_, W> {
         if let [plan] = &plans[..] {
             out = Output::for_plan(plan, usize::MAX);
         }
-        out.set_bytes(self.known.bytes_max);
+        out.set_bytes(self.known.rows_bytes_max);
         let views = self.views;
         let mut batches = views[depth].batches().copied();
         for plan in plans.iter() {

@@ -2,7 +2,7 @@
 
 use crate::datalog::check::{Clause, ClauseId, Literal, Rules, Term};
 use crate::datalog::syntax::ast::Comparison;
-use crate::diag::{Code, Diagnostic, Span};
+use crate::diag::{Code, Diagnostic, Limit, Span};
 use std::collections::BTreeSet;
 use std::fmt;
 
@@ -15,7 +15,8 @@ pub struct Limits {
     /// Maximum number of rows that scans and tests visit. Default: 10^11, which takes some minutes.
     pub steps: u64,
     /// Maximum memory of a commit, in bytes. Default: 4 GiB. It counts the session's rows, indexes and texts, copies of
-    /// the rows that change, and buffers for derived rows. Memory that does not grow with the data is not counted.
+    /// the rows that change, buffers for derived rows, and kept values of aggregates. Memory that does not grow with
+    /// the data is not counted. A search for an explanation counts the aggregates that it evaluates.
     pub bytes: u64,
 }
 
@@ -79,12 +80,12 @@ impl EvalError {
         }
     }
 
-    /// Returns the option of the command line that raises the exceeded limit. `None` for a cancelled evaluation.
-    pub fn option(&self) -> Option<&'static str> {
-        match self {
-            EvalError::TooManyRows { .. } => Some("--max-rows"),
-            EvalError::TooManySteps { .. } => Some("--max-steps"),
-            EvalError::TooMuchMemory { .. } | EvalError::TooManyInputs { .. } => Some("--max-memory"),
+    /// Returns the exceeded limit. `None` for a cancelled evaluation.
+    pub fn limit(&self) -> Option<Limit> {
+        match *self {
+            EvalError::TooManyRows { .. } => Some(Limit::Rows),
+            EvalError::TooManySteps { .. } => Some(Limit::Steps),
+            EvalError::TooMuchMemory { limit, .. } | EvalError::TooManyInputs { limit } => Some(Limit::Memory(limit)),
             EvalError::Cancelled { .. } => None,
         }
     }
@@ -123,7 +124,7 @@ impl fmt::Display for EvalError {
 }
 
 /// Formats a number of bytes in the largest unit that divides it.
-fn size(bytes: u64) -> String {
+pub(crate) fn size(bytes: u64) -> String {
     let units = [(20, "MiB"), (10, "KiB"), (0, "bytes")].into_iter();
     let mut fitting = units.filter(|(scale, _)| bytes >> scale << scale == bytes);
     let (scale, unit) = fitting.next().unwrap_or((0, "bytes"));
@@ -135,14 +136,10 @@ impl std::error::Error for EvalError {}
 /// A diagnostic without a place, for callers that do not have the source texts.
 impl From<EvalError> for Diagnostic {
     fn from(error: EvalError) -> Self {
-        let code = match error {
-            EvalError::Cancelled { .. } => Code::CANCELLED,
-            EvalError::TooManyInputs { .. }
-            | EvalError::TooManyRows { .. }
-            | EvalError::TooManySteps { .. }
-            | EvalError::TooMuchMemory { .. } => Code::LIMIT_EXCEEDED,
-        };
-        Diagnostic::new(code, error.to_string())
+        match error.limit() {
+            Some(limit) => Diagnostic::new(Code::LIMIT_EXCEEDED, error.to_string()).exceeds(limit),
+            None => Diagnostic::new(Code::CANCELLED, error.to_string()),
+        }
     }
 }
 

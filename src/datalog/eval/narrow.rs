@@ -1,8 +1,8 @@
 //! Loaded relations with rows narrower than the program's.
 //!
 //! Facts dominate the memory of many programs, and padding them to the width of the widest relation may multiply it. So
-//! a relation that no clause derives keeps its facts in narrow rows from loading on. Joins read them as they are. All
-//! else is left to tables of the program's width: the first change after a commit widens the relation.
+//! a relation that no clause derives loads its facts into narrow rows, and joins read these. Narrow rows do not change:
+//! the first change after a commit moves the relation to a table of the program's width.
 
 use crate::datalog::eval::delta::Rows;
 use crate::datalog::eval::pending::PendingChanges;

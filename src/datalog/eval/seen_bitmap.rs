@@ -99,10 +99,10 @@ impl<const W: usize> SeenBitmap<W> {
     pub(crate) fn absorb(&mut self, other: &Self) -> usize {
         let mut new = 0;
         for ((known, fresh), other) in self.known.iter_mut().zip(&mut self.fresh).zip(&other.fresh) {
-            let come = other & !*known;
-            *known |= come;
-            *fresh |= come;
-            new += come.count_ones() as usize;
+            let added = other & !*known;
+            *known |= added;
+            *fresh |= added;
+            new += added.count_ones() as usize;
         }
         new
     }
@@ -200,19 +200,19 @@ impl<const W: usize> SeenBitmap<W> {
         let mut fresh = self.fresh.get_mut(base..base + set.len());
         let mut count = 0;
         for (at, (known, set)) in known.iter_mut().zip(set).enumerate() {
-            let mut come = set & !*known;
-            // Rare where rules derive the same rows many times.
-            if come == 0 {
+            let mut added = set & !*known;
+            // Frequent where rules derive the same rows many times.
+            if added == 0 {
                 continue;
             }
-            *known |= come;
-            count += come.count_ones() as usize;
+            *known |= added;
+            count += added.count_ones() as usize;
             match &mut fresh {
-                Some(fresh) => fresh[at] |= come,
+                Some(fresh) => fresh[at] |= added,
                 None => {
-                    while come != 0 {
-                        new.push(Value(at as u32 * u64::BITS + come.trailing_zeros()));
-                        come &= come - 1;
+                    while added != 0 {
+                        new.push(Value(at as u32 * u64::BITS + added.trailing_zeros()));
+                        added &= added - 1;
                     }
                 }
             }

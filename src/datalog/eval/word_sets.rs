@@ -26,8 +26,8 @@ impl WordSets {
     pub(super) const ROWS_MIN: usize = 32;
 
     /// Returns the set of the words in the second column of `found`: the rows of a batch that begin with `first`. The
-    /// words are less than `64 * width`. Returns `None` at the first call for a word, or if all sets together would have
-    /// more than `most` words.
+    /// words are less than `64 * width`. Returns `None` at the first call for a word, or if all sets together would
+    /// have more than `most` words.
     pub(super) fn of<const V: usize>(
         &mut self,
         (batch, first): (u32, Value),

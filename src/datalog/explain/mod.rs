@@ -29,9 +29,10 @@ pub use explanation_printer::ExplanationPrinter;
 
 use crate::cancel::Cancel;
 use crate::datalog::check::{ClauseId, Literal, RelId};
+use crate::datalog::eval::limits::size;
 use crate::datalog::session::Session;
 use crate::datalog::value::Value;
-use crate::diag::{Code, Diagnostic};
+use crate::diag::{Code, Diagnostic, Limit};
 use search::{Binding, Search};
 use std::collections::{HashMap, VecDeque};
 use std::fmt;
@@ -231,6 +232,11 @@ pub enum ExplainError {
         /// The limit.
         limit: u64,
     },
+    /// The evaluation of an aggregate takes more memory than the [limits](Session::limits) of the session leave.
+    TooMuchMemory {
+        /// The limit, in bytes.
+        limit: u64,
+    },
     /// The caller cancelled it; see [`Explainer::new_with`].
     Cancelled,
 }
@@ -242,6 +248,9 @@ impl fmt::Display for ExplainError {
                 f,
                 "no explanation found within {limit} steps; there are too many facts for this search"
             ),
+            ExplainError::TooMuchMemory { limit } => {
+                write!(f, "the search for an explanation takes more than {}", size(*limit))
+            }
             ExplainError::Cancelled => write!(f, "the search for an explanation was cancelled"),
         }
     }
@@ -252,11 +261,12 @@ impl std::error::Error for ExplainError {}
 /// A diagnostic without a place, because no source is at fault.
 impl From<ExplainError> for Diagnostic {
     fn from(error: ExplainError) -> Self {
-        let code = match error {
-            ExplainError::Cancelled => Code::CANCELLED,
-            ExplainError::TooMuchWork { .. } => Code::LIMIT_EXCEEDED,
-        };
-        Diagnostic::new(code, error.to_string())
+        let fault = |code| Diagnostic::new(code, error.to_string());
+        match error {
+            ExplainError::Cancelled => fault(Code::CANCELLED),
+            ExplainError::TooMuchWork { .. } => fault(Code::LIMIT_EXCEEDED),
+            ExplainError::TooMuchMemory { limit } => fault(Code::LIMIT_EXCEEDED).exceeds(Limit::Memory(limit)),
+        }
     }
 }
 

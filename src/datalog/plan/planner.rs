@@ -439,17 +439,16 @@ impl<'a> Planner<'a> {
                     atom,
                     column,
                 } => {
-                    if let Some(plans) = self.indexes.correlated(atom.relation) {
-                        let plans = Arc::clone(plans);
-                        let known = atom.terms.iter().filter_map(|term| self.slot(term));
-                        let key = known.collect();
+                    let (op, base) = (*op, *base);
+                    if let Some(plans) = self.indexes.correlated(atom.relation).map(Arc::clone) {
+                        let key = atom.terms.iter().filter_map(|term| self.slot(term)).collect();
                         let Some((to, test)) = self.result(to) else { continue };
                         self.push(Step::Correlated {
                             relation: atom.relation,
                             plans,
                             key,
-                            op: *op,
-                            base: *base,
+                            op,
+                            base,
                             column: *column,
                             to,
                             test,
@@ -457,29 +456,28 @@ impl<'a> Planner<'a> {
                         continue;
                     }
                     let (source, key) = self.rows(atom);
+                    let Some((to, test)) = self.result(to) else { continue };
                     let columns = &self.indexes[source.index].columns;
                     let place = column.and_then(|column| columns.iter().position(|other| *other as usize == column));
-                    let Some((to, test)) = self.result(to) else { continue };
-                    if self.indexes.is_grouped(atom.relation) {
-                        let (op, base) = (*op, *base);
-                        self.push(Step::Group {
+                    let column = place.unwrap_or(0) as u16;
+                    self.push(match self.indexes.is_grouped(atom.relation) {
+                        true => Step::Group {
                             source,
                             key,
                             op,
                             base,
                             to,
                             test,
-                        });
-                        continue;
-                    }
-                    self.push(Step::Aggregate {
-                        source,
-                        key,
-                        op: *op,
-                        base: *base,
-                        column: place.unwrap_or(0) as u16,
-                        to,
-                        test,
+                        },
+                        false => Step::Aggregate {
+                            source,
+                            key,
+                            op,
+                            base,
+                            column,
+                            to,
+                            test,
+                        },
                     });
                 }
             }

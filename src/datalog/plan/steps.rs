@@ -81,6 +81,11 @@ impl Indexes {
         self.correlated.get(&relation)
     }
 
+    /// The number of correlated relations, and so the maximum number of nested evaluations of them.
+    pub(crate) fn correlated_len(&self) -> usize {
+        self.correlated.len()
+    }
+
     /// Sets the plans of a correlated relation.
     pub(crate) fn set_correlated(&mut self, relation: RelId, plans: Vec<Plan>) {
         self.correlated.insert(relation, plans.into());

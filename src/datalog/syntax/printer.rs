@@ -229,7 +229,10 @@ fn write_functor(f: &mut fmt::Formatter<'_>, functor: Functor, arguments: &[Term
 
 /// Returns whether the term begins with a prefix operator.
 fn is_prefixed(term: &Term) -> bool {
-    matches!(&term.kind, TermKind::Functor(functor, arguments) if arguments.len() == 1 && functor.precedence().is_some())
+    match &term.kind {
+        TermKind::Functor(functor, arguments) => arguments.len() == 1 && functor.precedence().is_some(),
+        _ => false,
+    }
 }
 
 /// An operand of an operator with the given precedence; parenthesized if it binds less tightly.

@@ -69,7 +69,7 @@ impl Oracle {
             entities,
             how: definitions.map(how).collect(),
             views: Views::new(world.scenario.view),
-            monitor: RuleMonitor::new(&world.program, vocabulary)?,
+            monitor: RuleMonitor::new(&world.program, vocabulary, world.limits)?,
             world,
         })
     }
@@ -377,7 +377,8 @@ impl Observer {
     pub fn session(&self, city: &Simulation) -> Result<(Session, Value), Diagnostic> {
         let world = &self.oracle.world;
         let names: Vec<String> = city.agents().iter().map(|agent| agent.name().to_string()).collect();
-        let mut state = GroundState::new(&world.program, &world.vocabulary, names.iter().map(String::as_str));
+        let names = names.iter().map(String::as_str);
+        let mut state = GroundState::new(&world.program, &world.vocabulary, world.limits, names);
         let facts = observed(&self.atoms, &self.bodies, city).facts(self.oracle.how.len());
         let set = state.set_with(&facts, city.cancel());
         set.map_err(|error| error.diagnostic(world.program.rules()))?;

@@ -12,7 +12,7 @@ use crate::datalog::Program;
 use crate::datalog::dense::{
     Argument, BinaryFacts, BitState, Dense, Input, List, Set, TrackFirings, choose, first, has, members,
 };
-use crate::datalog::{ClauseId, Literal, RelId, Rules};
+use crate::datalog::{ClauseId, Limits, Literal, RelId, Rules};
 use crate::diag::Diagnostic;
 use crate::sim::tick::executor::compile;
 use crate::sim::tick::ground::Facts;
@@ -84,6 +84,7 @@ enum Evaluator {
         program: Program,
         /// The relations with their arity: first the predicates of the vocabulary, then the imposed actions.
         relations: Vec<Option<(RelId, usize)>>,
+        limits: Limits,
     },
 }
 
@@ -318,7 +319,13 @@ impl DenseRules {
 }
 
 impl Evaluator {
-    fn new(program: Program, vocabulary: &Vocabulary, given: [Option<RelId>; 4], counting: TrackFirings) -> Evaluator {
+    fn new(
+        program: Program,
+        vocabulary: &Vocabulary,
+        limits: Limits,
+        given: [Option<RelId>; 4],
+        counting: TrackFirings,
+    ) -> Evaluator {
         if let Some(rules) = DenseRules::new(program.rules(), vocabulary, given, counting) {
             return Evaluator::Dense(Box::new(rules));
         }
@@ -328,16 +335,17 @@ impl Evaluator {
         Evaluator::Relational {
             program,
             relations: predicates.chain(given).collect(),
+            limits,
         }
     }
 }
 
 impl RuleMonitor {
-    /// Prepares the rules of a program.
+    /// Prepares the rules of a program. `limits` applies to each evaluation by the relational executor.
     ///
     /// # Errors
     /// If the rules cannot be planned.
-    pub fn new(program: &Program, vocabulary: &Vocabulary) -> Result<RuleMonitor, Diagnostic> {
+    pub fn new(program: &Program, vocabulary: &Vocabulary, limits: Limits) -> Result<RuleMonitor, Diagnostic> {
         let rules = program.rules();
         let constraints = constraints(rules, vocabulary);
         let how = match Conditions::new(rules, vocabulary, &constraints) {
@@ -345,8 +353,8 @@ impl RuleMonitor {
             None => {
                 let (checked, given) = with_actions_given(rules, vocabulary);
                 How::Twice {
-                    wanted: Evaluator::new(program.clone(), vocabulary, [None; 4], TrackFirings::Off),
-                    checked: Evaluator::new(Program::new(checked)?, vocabulary, given, TrackFirings::Each),
+                    wanted: Evaluator::new(program.clone(), vocabulary, limits, [None; 4], TrackFirings::Off),
+                    checked: Evaluator::new(Program::new(checked)?, vocabulary, limits, given, TrackFirings::Each),
                 }
             }
         };
@@ -469,11 +477,18 @@ impl State {
                 rules.run(bit_state, observed);
                 Ok(())
             }
-            (State::Relational(state), Evaluator::Relational { program, relations }) => {
+            (
+                State::Relational(state),
+                Evaluator::Relational {
+                    program,
+                    relations,
+                    limits,
+                },
+            ) => {
                 let state = state.get_or_insert_with(|| {
                     let names: Vec<String> = observed.agents.iter().map(|agent| agent.name().to_string()).collect();
                     let names = names.iter().map(String::as_str);
-                    Box::new(GroundState::over(program, relations.clone(), names))
+                    Box::new(GroundState::over(program, relations.clone(), *limits, names))
                 });
                 let facts = observed.facts(relations.len());
                 let set = state.set_with(&facts, observed.cancel);

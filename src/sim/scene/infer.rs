@@ -14,9 +14,10 @@ use crate::sim::scene::format::{GeometricScene, GivenPredicate, Scene, SymbolicS
 use crate::sim::tick::chance::Draws;
 use crate::sim::tick::executor::{Choice, Executor, compile, given_up};
 use crate::sim::tick::ground::{Facts, MAX_ENTITIES, ground_with};
-use crate::sim::tick::ground_state::{GroundState, TICK_LIMITS, exceeded};
+use crate::sim::tick::ground_state::GroundState;
 use crate::sim::tick::vocabulary::{Actions, Vocabulary};
 use crate::sim::tick::width::{Width, in_words};
+use crate::sim::tick::world::TICK_LIMITS;
 use serde_json::{Map, json};
 use std::cell::Cell;
 use std::collections::HashMap;
@@ -174,15 +175,15 @@ impl Inference {
         self.limits = limits;
     }
 
-    /// Makes later errors of evaluation quote their clause with its place. `sources` are the texts from which the rules
-    /// were loaded; the texts of scenes are others.
+    /// Makes later errors of evaluation quote their clause with its place. `sources` must contain the rules; the
+    /// sources that [`Inference::answer`] takes contain only scenes.
     pub fn name_clauses(&mut self, sources: &Sources) {
         self.rule_sources = Some(sources.clone());
     }
 
     /// Returns the diagnostic of an evaluation that failed.
     fn exceeded(&self, error: &EvalError) -> Diagnostic {
-        let mut fault = exceeded(error, self.program.rules());
+        let mut fault = error.diagnostic(self.program.rules());
         // Its places are in the rules, which are not in the caller's sources.
         (fault.primary, fault.secondary) = (None, Vec::new());
         if let (Some(clause), Some(sources)) = (error.clause(), &self.rule_sources) {
@@ -389,11 +390,8 @@ impl Inference {
                 Err(error) => fallback = Some(format!("the dense executor gave up: {error}")),
             }
         }
-        let mut state = GroundState::new(&self.program, &self.vocabulary, names.iter().copied());
-        state.set_limits(self.limits);
-        state
-            .set_with(&scene.facts, cancel)
-            .map_err(|error| self.exceeded(&error))?;
+        let mut state = self.ground_state(names.iter().copied());
+        self.evaluate(&mut state, &scene.facts, cancel)?;
         if self.check_constraints {
             // The rules are not in the caller's sources, so the diagnostic does not point to the declaration.
             let known = |relation| self.vocabulary.defines(&self.program, relation);
@@ -405,6 +403,19 @@ impl Inference {
         }
         let derived = scene.egos.iter().map(|&ego| state.derived(&self.vocabulary, ego));
         Ok((derived.collect(), fallback))
+    }
+
+    /// Returns a session for scenes with entities of these names, without facts.
+    pub(crate) fn ground_state<'n>(&self, names: impl Iterator<Item = &'n str>) -> GroundState {
+        GroundState::new(&self.program, &self.vocabulary, self.limits, names)
+    }
+
+    /// Replaces the facts of a session and evaluates the rules with the relational executor.
+    ///
+    /// # Errors
+    /// `limit-exceeded` if the evaluation exceeds the [limits](Inference::set_limits); `cancelled` on cancellation.
+    pub(crate) fn evaluate(&self, state: &mut GroundState, facts: &Facts, cancel: &Cancel) -> Result<(), Diagnostic> {
+        state.set_with(facts, cancel).map_err(|error| self.exceeded(&error))
     }
 
     fn derive_dense<const W: usize>(

@@ -2,28 +2,10 @@
 
 use crate::cancel::Cancel;
 use crate::city::Action;
-use crate::datalog::{EvalError, Limits, Program, RelId, Rules, Session, Value};
-use crate::diag::{Code, Diagnostic};
+use crate::datalog::{EvalError, Limits, Program, RelId, Session, Value};
 use crate::sim::tick::ground::Facts;
 use crate::sim::tick::vocabulary::{Actions, Vocabulary};
 use std::collections::HashMap;
-
-/// The default limits of an evaluation of one tick or scene by the relational executor. A city needs far less; the
-/// defaults of a session would let a costly rule run for minutes.
-pub const TICK_LIMITS: Limits = Limits {
-    rows: 10_000_000,
-    steps: 1_000_000_000,
-    bytes: 4 << 30,
-};
-
-/// Returns the diagnostic of an evaluation that failed, at its clause and with the option that raises the limit.
-pub(crate) fn exceeded(error: &EvalError, rules: &Rules) -> Diagnostic {
-    let fault = error.diagnostic(rules);
-    match (fault.code == Code::LIMIT_EXCEEDED, error.option()) {
-        (true, Some(option)) => fault.note(format!("raise the limit with `{option}`")),
-        _ => fault,
-    }
-}
 
 /// A session that holds grounded facts.
 pub struct GroundState {
@@ -35,21 +17,27 @@ pub struct GroundState {
 }
 
 impl GroundState {
-    /// Creates a session for the entities of these names, without facts.
-    pub fn new<'n>(program: &Program, vocabulary: &Vocabulary, names: impl Iterator<Item = &'n str>) -> Self {
+    /// Creates a session for the entities of these names, without facts. `limits` applies to each evaluation.
+    pub fn new<'n>(
+        program: &Program,
+        vocabulary: &Vocabulary,
+        limits: Limits,
+        names: impl Iterator<Item = &'n str>,
+    ) -> Self {
         let predicates = vocabulary.predicates.iter();
         let relations = predicates.map(|predicate| predicate.relation.map(|relation| (relation, predicate.arity)));
-        GroundState::over(program, relations.collect(), names)
+        GroundState::over(program, relations.collect(), limits, names)
     }
 
     /// Variant of [`new`](Self::new) for the given relations, with one or two columns each.
     pub(crate) fn over<'n>(
         program: &Program,
         relations: Vec<Option<(RelId, usize)>>,
+        limits: Limits,
         names: impl Iterator<Item = &'n str>,
     ) -> Self {
         let mut session = program.session();
-        session.set_limits(TICK_LIMITS);
+        session.set_limits(limits);
         let entities: Vec<Value> = names.map(|name| session.intern(name)).collect();
         GroundState {
             session,
@@ -66,7 +54,7 @@ impl GroundState {
         }
     }
 
-    /// Sets the limits of later evaluations; without this call, they are [`TICK_LIMITS`].
+    /// Sets the limits of later evaluations.
     pub(crate) fn set_limits(&mut self, limits: Limits) {
         self.session.set_limits(limits);
     }
@@ -170,11 +158,10 @@ mod tests {
             rows,
             ..Limits::default()
         };
-        let mut state = GroundState::new(&program, &vocabulary, ["Car_1"].into_iter());
-        state.session.set_limits(rows(0));
+        let mut state = GroundState::new(&program, &vocabulary, rows(0), ["Car_1"].into_iter());
         assert!(state.set(&one_bus).is_err());
         state.set(&nothing).expect("it derives nothing");
-        state.session.set_limits(rows(10));
+        state.set_limits(rows(10));
         assert!(state.derived(&vocabulary, 0).is_empty());
         state.set(&one_bus).expect("within the limit");
         assert_eq!(state.derived(&vocabulary, 0), [Action::Stop].into_iter().collect());

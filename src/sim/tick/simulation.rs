@@ -5,7 +5,7 @@ use crate::city::{Action, AgentSet, Split};
 use crate::city::{Agent, Cell, Heading, MoveReason, Moved, Places, Surroundings, advance, place_agents_into};
 use crate::config::Scenario;
 use crate::datalog::Session;
-use crate::datalog::{ClauseId, Limits, Value};
+use crate::datalog::{ClauseId, Value};
 use crate::diag::{Code, Diagnostic};
 use crate::predicate::Entity;
 use crate::rng::Seed;
@@ -13,7 +13,7 @@ use crate::sim::tick::chance::Draws;
 use crate::sim::tick::dense_executor::{Decisions, DenseExecutor, Undecided, WHOLE_MAX};
 use crate::sim::tick::executor::{Choice, Executor, given_up};
 use crate::sim::tick::ground::{Facts, MAX_ENTITIES, ground_with};
-use crate::sim::tick::ground_state::{GroundState, TICK_LIMITS, exceeded};
+use crate::sim::tick::ground_state::GroundState;
 use crate::sim::tick::vocabulary::{Actions, Vocabulary};
 use crate::sim::tick::window::Position;
 use crate::sim::tick::world::World;
@@ -67,8 +67,6 @@ pub struct Simulation {
     /// The session with the facts on which tick `stated` was decided. Created on first use.
     state: Option<GroundState>,
     stated: Option<u64>,
-    /// The limits of each evaluation by the relational executor.
-    limits: Limits,
     report: TickReport,
     /// The clauses whose firings can be counted: all visible ones with a body.
     clauses: Vec<ClauseId>,
@@ -253,7 +251,6 @@ impl Simulation {
             fallback,
             state: None,
             stated: None,
-            limits: TICK_LIMITS,
             report,
             clauses,
             threads: pool,
@@ -303,15 +300,6 @@ impl Simulation {
     /// Returns the cells where agents start and arrive.
     pub fn places(&self) -> &Places {
         &self.places
-    }
-
-    /// Sets the limits of each later evaluation by the relational executor; without this call, they are
-    /// [`TICK_LIMITS`].
-    pub fn set_limits(&mut self, limits: Limits) {
-        self.limits = limits;
-        if let Some(state) = &mut self.state {
-            state.set_limits(limits);
-        }
     }
 
     /// Returns the cancellation request that long work of this simulation polls.
@@ -403,7 +391,7 @@ impl Simulation {
     ///
     /// # Errors
     /// `invalid-value` for a position outside the list; `limit-exceeded` if an evaluation by the relational executor
-    /// exceeds the [limits](Simulation::set_limits), too many agents are in one place for the dense one, or it needs too
+    /// exceeds the [limits](World::limits), too many agents are in one place for the dense one, or it needs too
     /// many steps and the settings demand it; `cancelled` on cancellation. On error the city is unchanged.
     pub fn tick(&mut self, controls: &[(usize, Action)]) -> Result<&TickReport, Diagnostic> {
         self.tick_watched(controls, |_| ())
@@ -520,10 +508,10 @@ impl Simulation {
         let unread = |index: usize| !vocabulary.is_read(index);
         let facts = ground_with(vocabulary, world.map(), view, &entities, &draws, unread, &self.cancel);
         let facts = facts.ok_or_else(Diagnostic::cancelled)?;
-        let state = (self.state).get_or_insert_with(|| ground_state(&self.world, &self.agents, self.limits));
+        let state = (self.state).get_or_insert_with(|| ground_state(&self.world, &self.agents));
         state
             .set_with(&facts, &self.cancel)
-            .map_err(|error| exceeded(&error, self.world.program.rules()))?;
+            .map_err(|error| error.diagnostic(self.world.program.rules()))?;
         self.stated = Some(draws.time);
         self.decisions.clear();
         for agent in 0..self.agents.len() {
@@ -564,10 +552,10 @@ impl Simulation {
                 return Err(Diagnostic::new(Code::LIMIT_EXCEEDED, message));
             }
             let facts = self.facts_with(|index| self.world.vocabulary.is_read(index), &self.cancel)?;
-            let state = (self.state).get_or_insert_with(|| ground_state(&self.world, &self.agents, self.limits));
+            let state = (self.state).get_or_insert_with(|| ground_state(&self.world, &self.agents));
             state
                 .set_with(&facts, &self.cancel)
-                .map_err(|error| exceeded(&error, self.world.program.rules()))?;
+                .map_err(|error| error.diagnostic(self.world.program.rules()))?;
             self.stated = (self.tick > 0).then_some(tick);
         }
         Ok(Snapshot {
@@ -613,8 +601,8 @@ impl Simulation {
     /// `limit-exceeded` if the rules derive too many rows; `cancelled` on cancellation.
     pub fn evaluate(&mut self, facts: &Facts) -> Result<(), Diagnostic> {
         self.stated = None;
-        let state = (self.state).get_or_insert_with(|| ground_state(&self.world, &self.agents, self.limits));
-        (state.set_with(facts, &self.cancel)).map_err(|error| exceeded(&error, self.world.program.rules()))
+        let state = (self.state).get_or_insert_with(|| ground_state(&self.world, &self.agents));
+        (state.set_with(facts, &self.cancel)).map_err(|error| error.diagnostic(self.world.program.rules()))
     }
 
     /// Computes, as bits, all facts about the present state that the rules may read, and returns their number. `None`
@@ -768,11 +756,10 @@ fn agent_set(scenario: &Scenario, split: Split) -> Result<&AgentSet, Diagnostic>
     })
 }
 
-fn ground_state(world: &World, agents: &[Agent], limits: Limits) -> GroundState {
+fn ground_state(world: &World, agents: &[Agent]) -> GroundState {
     let names: Vec<String> = agents.iter().map(|agent| agent.name().to_string()).collect();
-    let mut state = GroundState::new(&world.program, &world.vocabulary, names.iter().map(String::as_str));
-    state.set_limits(limits);
-    state
+    let names = names.iter().map(String::as_str);
+    GroundState::new(&world.program, &world.vocabulary, world.limits, names)
 }
 
 fn entity(agent: &Agent) -> Entity<'_> {

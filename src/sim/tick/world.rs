@@ -4,13 +4,21 @@ use crate::city::{AgentSet, Split};
 use crate::city::{CityMap, Places, Router};
 use crate::config::Scenario;
 use crate::datalog::ClauseId;
-use crate::datalog::Program;
 use crate::datalog::dense::{Dense, TrackFirings};
+use crate::datalog::{Limits, Program};
 use crate::diag::Diagnostic;
 use crate::sim::tick::executor::compile;
 use crate::sim::tick::vocabulary::Vocabulary;
 use crate::sim::tick::window::Plan;
 use std::sync::{Arc, OnceLock};
+
+/// The default limits of an evaluation of one tick or scene by the relational executor. A city needs far less; the
+/// defaults of a session would let a costly rule run for minutes.
+pub const TICK_LIMITS: Limits = Limits {
+    rows: 10_000_000,
+    steps: 1_000_000_000,
+    bytes: 4 << 30,
+};
 
 /// A prepared scenario. It is immutable and shared by all simulations that use it.
 #[derive(Debug)]
@@ -23,6 +31,8 @@ pub struct World {
     pub vocabulary: Vocabulary,
     /// The map and the routes on it.
     pub router: Router,
+    /// The limits of each evaluation of the rules by the relational executor. [`World::new`] sets [`TICK_LIMITS`].
+    pub limits: Limits,
     /// Cells for placing the agents of each split, computed once and shared by all simulations.
     places: [OnceLock<Arc<Places>>; 3],
     /// The dense plan without firing counts, compiled once and shared by all simulations.
@@ -42,6 +52,7 @@ impl World {
             scenario,
             program,
             vocabulary,
+            limits: TICK_LIMITS,
             places: Default::default(),
             plan: OnceLock::new(),
         })

@@ -165,6 +165,19 @@ impl TraceTick {
     }
 }
 
+/// Returns the limits of an evaluation of one tick by rules that come with its trace: in proportion to the number of
+/// pairs of agents, far more than a city needs, and far less than the default of a session.
+pub fn trace_limits(agents: usize) -> Limits {
+    let usual = Limits::default();
+    let pairs = agents.saturating_mul(agents);
+    let rows = usual.rows.min(pairs.saturating_mul(100).saturating_add(100_000));
+    Limits {
+        rows,
+        steps: usual.steps.min(100_000_000 + 1000 * rows as u64),
+        ..usual
+    }
+}
+
 /// The agents of a trace in a world. [`Replay::set`] loads the state of a tick into the session.
 pub struct Replay {
     world: Arc<World>,
@@ -173,7 +186,6 @@ pub struct Replay {
     positions: HashMap<String, usize>,
     state: GroundState,
     facts: Facts,
-    is_bounded: bool,
 }
 
 impl Replay {
@@ -195,32 +207,19 @@ impl Replay {
             }
         }
         let names = header.agents.iter().map(|agent| agent.id.as_str());
-        let mut state = GroundState::new(&world.program, &world.vocabulary, names);
-        // The run may have had higher limits than the default ones of a tick.
-        state.set_limits(Limits::default());
         Ok(Replay {
-            state,
+            state: GroundState::new(&world.program, &world.vocabulary, world.limits, names),
             agents: header.agents.clone(),
             kinds,
             positions,
             facts: Facts::default(),
-            is_bounded: false,
             world,
         })
     }
 
-    /// Bounds the work of every tick in proportion to the number of pairs of agents, for rules that come with the
-    /// trace: far more than a city needs, and far less than the default of a session.
-    pub fn bound(&mut self) {
-        let usual = Limits::default();
-        let pairs = self.agents.len() * self.agents.len();
-        let rows = usual.rows.min(100_000 + 100 * pairs);
-        self.state.set_limits(Limits {
-            rows,
-            steps: usual.steps.min(100_000_000 + 1000 * rows as u64),
-            ..usual
-        });
-        self.is_bounded = true;
+    /// Sets the limits of later evaluations; without this call, they are those of the world.
+    pub fn set_limits(&mut self, limits: Limits) {
+        self.state.set_limits(limits);
     }
 
     /// Loads the state on which a tick was decided into the session.
@@ -272,13 +271,8 @@ impl Replay {
             facts.rows[index].sort_unstable();
             facts.rows[index].dedup();
         }
-        self.state.set(&facts).map_err(|error| {
-            let fault = error.diagnostic(self.world.program.rules());
-            match self.is_bounded {
-                true => fault.help("rules in a trace are bounded; specify the rules with `--rules` if you trust them"),
-                false => fault,
-            }
-        })?;
+        let set = self.state.set(&facts);
+        set.map_err(|error| error.diagnostic(self.world.program.rules()))?;
         self.facts = facts;
         Ok(())
     }

@@ -116,11 +116,13 @@ mod tests {
             let exists = (0..256).any(|bits| model(&bits));
             prop_assert_eq!(outcome, if exists { Outcome::Satisfiable } else { Outcome::Unsatisfiable });
             if exists {
-                let bits = (0..8).map(|variable| u32::from(solver.is_true(variables[variable])) << variable).sum::<u32>();
+                let bit = |variable: usize| u32::from(solver.is_true(variables[variable])) << variable;
+                let bits = (0..8).map(bit).sum::<u32>();
                 prop_assert!(model(&bits));
             }
             // A second search, without assumptions.
-            let exists = (0..256_u32).any(|bits| clauses.iter().all(|clause| clause.iter().any(|part| holds(bits, part))));
+            let is_model = |bits| clauses.iter().all(|clause| clause.iter().any(|part| holds(bits, part)));
+            let exists = (0..256_u32).any(is_model);
             let outcome = solver.solve(&[], &mut 10_000);
             prop_assert_eq!(outcome, if exists { Outcome::Satisfiable } else { Outcome::Unsatisfiable });
         }

@@ -1,12 +1,15 @@
 //! Holds the rows of all relations, makes commits and evaluates strata. [`super::recursion`] evaluates the recursive
-//! ones.
+//! ones. `meter` bounds and counts the work of a stratum, and `adapt` replans its clauses.
 
 mod adapt;
+mod meter;
 
 use crate::cancel::Cancel;
 use crate::datalog::check::{Atom, ClauseId, Literal, RelId, Term};
+use crate::datalog::eval::correlated::CorrelatedValues;
 use crate::datalog::eval::delta::{Delta, Rows};
 use crate::datalog::eval::exec::adapt::Basis;
+pub(crate) use crate::datalog::eval::exec::meter::{Failure, Meter, Quota};
 use crate::datalog::eval::groups;
 use crate::datalog::eval::join;
 use crate::datalog::eval::join::{JoinState, RowView};
@@ -14,7 +17,7 @@ use crate::datalog::eval::limits::{EvalError, Limits};
 use crate::datalog::eval::narrow::NarrowTable;
 use crate::datalog::eval::output::{Abort, Output};
 use crate::datalog::eval::pending::PendingChanges;
-use crate::datalog::eval::stats::{EvalEvent, EvalStats, RuleStats, Strategy, StratumStats, WorkCounts};
+use crate::datalog::eval::stats::{EvalEvent, EvalStats, Strategy, StratumStats};
 use crate::datalog::eval::table::{Table, TableDelta};
 use crate::datalog::eval::workers::Workers;
 use crate::datalog::plan::estimate::Shape;
@@ -57,18 +60,19 @@ pub(crate) trait Store: Send + Sync {
     fn bytes(&self) -> u64;
     /// The aggregate of the group with this key in a grouped relation.
     fn group(&self, relation: RelId, key: &[Value], op: AggregateOp) -> Option<Value>;
-    /// The value of a correlated aggregate for these parameters, and the number of rows scanned, at most `budget`.
+    /// The value of a correlated aggregate for these parameters, and the number of rows scanned. It stops after about
+    /// `budget` rows, or if the evaluation takes more than `bytes`.
     fn correlated(
         &self,
         aggregate: &Literal,
         parameters: &[Value],
         symbols: &Symbols,
-        limits: (u64, &Cancel),
+        limits: (u64, u64, &Cancel),
     ) -> (Result<Option<Value>, Abort>, u64);
     /// The plans in use.
     fn plans(&self) -> &Plans;
-    /// The distinct rows that a clause derives.
-    fn fired(&self, compiled: &Compiled, symbols: &Symbols, clause: ClauseId) -> Vec<Vec<Value>>;
+    /// The distinct rows that a clause derives. The cache of correlated values takes at most about `bytes`.
+    fn fired(&self, compiled: &Compiled, symbols: &Symbols, clause: ClauseId, bytes: u64) -> Vec<Vec<Value>>;
 }
 
 /// The options of a commit.
@@ -81,32 +85,6 @@ pub(crate) struct CommitOptions<'a> {
     pub(crate) watch: Option<&'a dyn Fn(EvalEvent)>,
     /// Polled on the calling thread.
     pub(crate) cancel: &'a Cancel,
-}
-
-/// The resources that the limits leave for a stratum.
-#[derive(Clone, Copy, Debug)]
-pub(crate) struct Quota {
-    /// Maximum rows of its members.
-    pub(crate) rows: usize,
-    /// Maximum rows scanned.
-    steps: u64,
-    /// Maximum bytes of all that its evaluation adds: rows, indexes, buffers and texts.
-    pub(crate) bytes: u64,
-    /// Whether so much memory is in use that indexes count.
-    tight: bool,
-}
-
-impl Quota {
-    /// Fails if the members of the stratum together have too many rows.
-    pub(crate) fn check_rows(&self, total: usize, stratum: &StratumPlan, meter: &Meter<'_>) -> Result<(), Failure> {
-        meter.fail_if(total > self.rows, stratum, Abort::Overflow)
-    }
-
-    /// Returns the bytes left, or fails if there are none.
-    pub(crate) fn left(&self, used: usize, stratum: &StratumPlan, meter: &Meter<'_>) -> Result<u64, Failure> {
-        meter.fail_if(used as u64 > self.bytes, stratum, Abort::Memory)?;
-        Ok(self.bytes - used as u64)
-    }
 }
 
 /// Makes an empty store for a program.
@@ -197,98 +175,6 @@ impl<const W: usize> Commit<'_, W> {
     /// The change of a relation, or `None`.
     pub(crate) fn delta(&self, relation: RelId) -> Option<&TableDelta<W>> {
         self.changed[relation.index()].as_ref().map(|(delta, _)| delta)
-    }
-}
-
-/// The clause whose evaluation was abandoned, and the reason.
-pub(crate) type Failure = (ClauseId, Abort);
-
-/// Runs plans and counts their work.
-pub(crate) struct Meter<'a> {
-    state: JoinState,
-    rules: Vec<RuleStats>,
-    /// `None` to use the calling thread alone.
-    workers: Option<&'a Workers>,
-    watch: Option<&'a dyn Fn(EvalEvent)>,
-    cancel: &'a Cancel,
-}
-
-impl<'a> Meter<'a> {
-    /// A meter that allows `budget` rows to be scanned, and texts to grow to `text_bytes`.
-    fn new(budget: u64, text_bytes: u64, options: CommitOptions<'a>, workers: Option<&'a Workers>) -> Self {
-        let mut state = JoinState::new(budget);
-        state.text_bytes = text_bytes;
-        Meter {
-            state,
-            rules: Vec::new(),
-            workers,
-            watch: options.watch,
-            cancel: options.cancel,
-        }
-    }
-
-    /// Takes the distinct rows of an output, in order; see [`Output::take`].
-    pub(crate) fn take<const W: usize>(&self, out: &mut Output<W>) -> Vec<Row<W>> {
-        match self.workers {
-            Some(workers) => out.take_by(|rows| workers.normalize(rows)),
-            None => out.take(),
-        }
-    }
-
-    /// Evaluates a plan of a clause. `given` is the number of changed rows that it begins with.
-    pub(crate) fn run<const W: usize>(
-        &mut self,
-        clause: ClauseId,
-        plan: &Plan,
-        (views, delta_rows): (&[RowView<'_, W>], usize),
-        symbols: &Symbols,
-        out: &mut Output<W>,
-    ) -> Result<(), Failure> {
-        let before = (self.state.rows_scanned, out.pushed);
-        let notify = |event| self.watch.iter().for_each(|watch| watch(event));
-        notify(EvalEvent::Begin(clause));
-        let result = match self.workers {
-            Some(workers) => workers.run(plan, views, (symbols, self.cancel), &mut self.state, out),
-            None => join::run(plan, views, (symbols, self.cancel), &mut self.state, out),
-        };
-        notify(EvalEvent::End(clause));
-        let position = self.rules.binary_search_by_key(&clause, |rule| rule.clause);
-        let position = position.unwrap_or_else(|position| {
-            let rule = RuleStats {
-                clause,
-                delta_rows: 0,
-                rows_scanned: 0,
-                derived: 0,
-            };
-            self.rules.insert(position, rule);
-            position
-        });
-        let rule = &mut self.rules[position];
-        rule.delta_rows += delta_rows as u64;
-        rule.rows_scanned += self.state.rows_scanned - before.0;
-        rule.derived += out.pushed - before.1;
-        result.map_err(|stop| (clause, stop))
-    }
-
-    /// Returns an error if `failed`. It names the clause of the stratum that has derived the most rows, repetitions
-    /// included.
-    pub(crate) fn fail_if(&self, failed: bool, stratum: &StratumPlan, stop: Abort) -> Result<(), Failure> {
-        let derived = |clause: &ClauseId| {
-            let position = self.rules.binary_search_by_key(clause, |rule| rule.clause);
-            position.map_or(0, |position| self.rules[position].derived)
-        };
-        let clauses = stratum.clauses.iter().copied().filter(|_| failed);
-        let largest = clauses.max_by_key(|clause| (derived(clause), std::cmp::Reverse(*clause)));
-        largest.map_or(Ok(()), |clause| Err((clause, stop)))
-    }
-
-    /// Returns the work done in `rounds` rounds.
-    pub(crate) fn finish(self, rounds: usize) -> WorkCounts {
-        WorkCounts {
-            rounds,
-            rules: self.rules,
-            given_up: 0,
-        }
     }
 }
 
@@ -546,15 +432,11 @@ impl<const W: usize> State<W> {
         if makes_texts(&commit.plans, stratum) {
             quota.bytes /= 2;
         }
-        let mut values_bytes = u64::MAX;
-        if correlated {
-            // For the known values, and for the rows of the evaluation in progress.
-            values_bytes = quota.bytes / 8;
-            quota.bytes -= 2 * values_bytes;
-        }
+        let values_bytes = if correlated { quota.bytes / 4 } else { 0 };
+        quota.bytes -= values_bytes;
         let attempt = |workers| {
             let mut meter = Meter::new(quota.steps, text_bytes, commit.options, workers);
-            meter.state.correlated.bytes_max = values_bytes;
+            meter.state.correlated = CorrelatedValues::within(values_bytes, stratum.correlated.len());
             let result = self.evaluate(commit, stratum, quota, &mut meter);
             result.map(|(results, rounds)| (results, rounds, meter))
         };
@@ -840,7 +722,7 @@ impl<const W: usize> Store for State<W> {
         aggregate: &Literal,
         parameters: &[Value],
         symbols: &Symbols,
-        (budget, cancel): (u64, &Cancel),
+        (budget, bytes, cancel): (u64, u64, &Cancel),
     ) -> (Result<Option<Value>, Abort>, u64) {
         let Literal::Aggregate {
             op, base, atom, column, ..
@@ -873,6 +755,7 @@ impl<const W: usize> Store for State<W> {
         };
         let views: Vec<RowView<'_, W>> = self.complete_views(&self.plans, &plan).collect();
         let (mut state, mut out) = (JoinState::new(budget), Output::<W>::new(usize::MAX));
+        state.correlated = CorrelatedValues::within(bytes, self.plans.indexes.correlated_len());
         let result = join::run(&plan, &views, (symbols, cancel), &mut state, &mut out);
         let value = result.map(|()| out.take().first().map(|row| row.0[0]));
         (value, state.rows_scanned)
@@ -882,7 +765,7 @@ impl<const W: usize> Store for State<W> {
         &self.plans
     }
 
-    fn fired(&self, compiled: &Compiled, symbols: &Symbols, clause: ClauseId) -> Vec<Vec<Value>> {
+    fn fired(&self, compiled: &Compiled, symbols: &Symbols, clause: ClauseId, bytes: u64) -> Vec<Vec<Value>> {
         let plan = &self.plans.clauses[clause.index()].complete;
         let mut out = Output::new(usize::MAX);
         let source = &compiled.rules.clauses[clause.index()];
@@ -892,14 +775,10 @@ impl<const W: usize> Store for State<W> {
         }
         if self.committed && plan.fold.is_none() {
             let views: Vec<RowView<'_, W>> = self.complete_views(&self.plans, plan).collect();
+            let mut state = JoinState::new(u64::MAX);
+            state.correlated = CorrelatedValues::caching(bytes);
             // This cannot overflow: what a clause derives is in its head's relation, which is within the limit.
-            let _ = join::run(
-                plan,
-                &views,
-                (symbols, &Cancel::never()),
-                &mut JoinState::new(u64::MAX),
-                &mut out,
-            );
+            let _ = join::run(plan, &views, (symbols, &Cancel::never()), &mut state, &mut out);
         }
         let arity = compiled.rules.relations[plan.head.index()].arity();
         out.take().iter().map(|row| row.0[..arity].to_vec()).collect()

@@ -5,6 +5,7 @@ pub(super) mod heights;
 
 use crate::cancel::Cancel;
 use crate::datalog::check::{Atom, Clause, ClauseId, Literal, RelId, Rules, Term};
+use crate::datalog::eval::correlated::CorrelatedValues;
 use crate::datalog::eval::output::Abort;
 use crate::datalog::explain::search::heights::Heights;
 use crate::datalog::explain::{ExplainError, Pattern};
@@ -34,9 +35,6 @@ struct Table<'s> {
     indexes: RefCell<HashMap<u64, Rc<Index>>>,
 }
 
-/// The value of a correlated aggregate for each binding of its parameters.
-type CorrelatedValues = HashMap<(RelId, Vec<Value>), Option<Value>>;
-
 /// A search over a session that counts its steps.
 pub(super) struct Search<'s> {
     pub(super) session: &'s Session,
@@ -51,8 +49,10 @@ pub(super) struct Search<'s> {
     /// Whether a poll of the current query returned true.
     cancelled: Cell<bool>,
     patterns: RefCell<Patterns>,
-    /// The correlated aggregates evaluated so far, by predicate and parameters.
+    /// The correlated aggregates evaluated so far.
     correlated: RefCell<CorrelatedValues>,
+    /// The maximum memory of the evaluation of a correlated aggregate, in bytes.
+    bytes_max: u64,
     heights: Heights,
 }
 
@@ -137,6 +137,7 @@ impl<'s> Search<'s> {
         for (clause, id) in rules.clauses.iter().zip(0..) {
             clauses[clause.head.relation.index()].push(ClauseId(id));
         }
+        let left = session.bytes_left();
         Search {
             session,
             tables: (0..rules.relations.len()).map(|_| OnceCell::new()).collect(),
@@ -146,7 +147,9 @@ impl<'s> Search<'s> {
             cancel: cancel.clone(),
             cancelled: Cell::new(false),
             patterns: RefCell::default(),
-            correlated: RefCell::default(),
+            // The other parts of the memory are for the evaluations and for the indexes of the search.
+            correlated: RefCell::new(CorrelatedValues::caching(left / 4)),
+            bytes_max: left / 4,
             heights: Heights::new(rules),
         }
     }
@@ -490,19 +493,22 @@ impl<'s> Search<'s> {
     ) -> Result<Option<Value>, ExplainError> {
         self.step()?;
         let parameters: Vec<Value> = atom.terms.iter().map_while(|term| value(term, binding)).collect();
-        let key = (atom.relation, parameters);
-        if let Some(&known) = self.correlated.borrow().get(&key) {
+        if let Some(known) = self.correlated.borrow().get(atom.relation, &parameters) {
             return Ok(known);
         }
-        let (found, rows_scanned) = self.session.correlated(literal, &key.1, self.left.get(), &self.cancel);
+        let (found, rows_scanned) =
+            (self.session).correlated(literal, &parameters, (self.left.get(), self.bytes_max), &self.cancel);
         self.left.set(self.left.get().saturating_sub(rows_scanned));
         self.cancelled
             .set(self.cancelled.get() || found == Err(Abort::Cancelled));
         match found {
             Ok(value) => {
-                self.correlated.borrow_mut().insert(key, value);
+                self.correlated.borrow_mut().insert(atom.relation, &parameters, value);
                 Ok(value)
             }
+            Err(Abort::Memory) => Err(ExplainError::TooMuchMemory {
+                limit: self.session.limits().bytes,
+            }),
             Err(_) => {
                 // No steps are left, or the caller cancelled the search.
                 self.left.set(0);

@@ -194,9 +194,10 @@ impl Parser<'_> {
 
     /// Returns whether an aggregate of literals in function notation begins here: `count(A(x))`.
     pub(super) fn is_applied_aggregate(&self) -> bool {
-        let word = self.slice(self.token());
-        let is_aggregate = AggregateOp::ALL.into_iter().any(|op| op.name() == word);
-        is_aggregate && self.ahead(1).kind == Kind::LParen && self.is_atom_ahead(2)
+        let is_aggregate = |token| AggregateOp::ALL.into_iter().any(|op| op.name() == self.slice(token));
+        // In `min(sum (x) : { A(x) }, y)`, the first argument is an aggregate and no atom.
+        let is_atom = self.is_atom_ahead(2) && !is_aggregate(self.ahead(2));
+        is_aggregate(self.token()) && self.ahead(1).kind == Kind::LParen && is_atom
     }
 
     /// Reports an aggregate in function notation: `count(x)`, `sum(x : A(x))`. `name` is its name.
