@@ -17,8 +17,9 @@ import time
 from collections.abc import Iterable
 from typing import Any
 
-import logicity
 from foldrm import Classifier
+
+import logicity
 from logicity import ACTIONS
 
 MODES = ("easy", "medium", "hard", "expert")

@@ -266,6 +266,7 @@ def induce(
     effort: int,
     seed: int,
     threads: int,
+    noise: float | None,
 ) -> LearnedRules: ...
 def describe(task: Task) -> dict[str, Any]: ...
 def read_world(

@@ -9,7 +9,7 @@ from __future__ import annotations
 import os
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
-from typing import Any, Protocol, SupportsIndex, runtime_checkable
+from typing import Any, Literal, Protocol, SupportsIndex, runtime_checkable
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -152,6 +152,7 @@ def induce(
     order: Sequence[str] = ("Stop", "Slow", "Fast"),
     variables: SupportsIndex = 3,
     effort: SupportsIndex = 20_000,
+    noise: float | Literal["auto"] | None = None,
     seed: SupportsIndex = 0,
     threads: SupportsIndex = 0,
     rules: str | os.PathLike[str] | None = None,
@@ -171,6 +172,9 @@ def induce(
             comes last.
         variables: The largest number of variables of a clause, from 2 on.
         effort: The largest number of steps of the search for one clause.
+        noise: The share of examples that may have a wrong action, from 0 to 0.5, or "auto" to estimate it by
+            cross-validation. None means that all are right: then two examples with the same facts and different actions
+            are an error.
         seed: The seed of the order in which the learner tries examples.
         threads: The number of threads, 0 for one per core.
         rules: A rule file to use instead of the configuration's, for its declarations.
@@ -194,6 +198,9 @@ def induce(
     given = {"variables": variables, "effort": effort, "threads": threads}
     checked = {name: checked_integer(name, value, *limits[name]) for name, value in given.items()}
     checked_seed = checked_integer("seed", seed)
+    if noise is not None and noise != "auto" and not (isinstance(noise, (int, float)) and 0 <= noise <= 0.5):
+        raise ValueError(f"noise: expected a number from 0 to 0.5, auto or None, not {noise!r}")
+    rate = float("nan") if noise == "auto" else None if noise is None else float(noise)
     lines = []
     if isinstance(demonstrations, Demonstrations):
         mode = demonstrations.mode if mode is None else mode
@@ -222,6 +229,7 @@ def induce(
             checked["effort"],
             checked_seed,
             checked["threads"],
+            rate,
         )
     )
 

@@ -4,7 +4,7 @@ use crate::city::one_of;
 use crate::task::PyTask;
 use crate::{Signals, threads_of, to_python};
 use logicity::city::Action;
-use logicity::induce::{Examples, Learned, Settings, State, VARIABLES_MAX, learn_with, support};
+use logicity::induce::{Examples, Learned, Noise, Settings, State, VARIABLES_MAX, learn_with, support};
 use logicity::task::induction::{InductionTask, Origin, report_json, rule_file};
 use numpy::{IntoPyArray, PyArray1, PyReadonlyArray1, PyReadonlyArray2};
 use pyo3::exceptions::PyValueError;
@@ -74,9 +74,9 @@ fn states(
 }
 
 /// Learns rules from observations and actions. `parts` are the numbers of the first examples of each episode, with its
-/// name; `lines` are sentences about the source.
+/// name; `lines` are sentences about the source. `noise` is the share of wrong actions, NaN to estimate it.
 #[pyfunction]
-#[pyo3(signature = (task, observations, actions, parts, lines, order, variables, effort, seed, threads))]
+#[pyo3(signature = (task, observations, actions, parts, lines, order, variables, effort, seed, threads, noise))]
 #[allow(clippy::too_many_arguments)]
 fn induce(
     py: Python<'_>,
@@ -90,6 +90,7 @@ fn induce(
     effort: u32,
     seed: u64,
     threads: usize,
+    noise: Option<f64>,
 ) -> PyResult<PyLearnedRules> {
     let shared = task.get();
     let shape = [shared.task.oracle().entities(), shared.task.observation_width()];
@@ -110,10 +111,17 @@ fn induce(
         let position = learning.action(*known).map_err(|fault| shared.error(py, fault))?;
         examples.push(state, position);
     }
-    learning
-        .check(&examples, &origin)
-        .map_err(|fault| shared.error(py, fault))?;
+    if noise.is_none() {
+        learning
+            .check(&examples, &origin)
+            .map_err(|fault| shared.error(py, fault))?;
+    }
     let settings = Settings {
+        noise: match noise {
+            None => Noise::None,
+            Some(rate) if rate.is_nan() => Noise::Auto,
+            Some(rate) => Noise::Rate(rate),
+        },
         variables,
         nodes: effort,
         seed,

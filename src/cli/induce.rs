@@ -11,7 +11,7 @@ use crate::cli::{
 };
 use crate::diag::{Code, Diagnostic, Sources};
 use crate::files::{self, Folder, MAX_BYTES};
-use crate::induce::{Examples, Learned, Progress, Settings, VARIABLES_MAX, learn_with, support};
+use crate::induce::{Examples, Learned, Noise, Progress, Settings, VARIABLES_MAX, learn_with, support};
 use crate::rng::Seed;
 use crate::sim::{Executor, Inference, LoadedCity};
 use crate::task::induction::{InductionTask, Origin, report_json, rule_file};
@@ -65,6 +65,10 @@ pub struct Arguments {
     /// The most steps of the search for one clause
     #[arg(long, value_name = "COUNT", value_parser = integer(1..=u32::MAX), default_value_t = Settings::default().nodes)]
     effort: u32,
+    /// Share of examples that may have a wrong action, from 0 to 0.5, or `auto` to estimate it. Without it, two examples
+    /// with the same facts and different actions are an error
+    #[arg(long, value_name = "RATE", value_parser = noise)]
+    noise: Option<Noise>,
     /// Seed of the order in which the learner tries examples
     #[arg(long, value_parser = integer(0..=u64::MAX), default_value_t = 0)]
     seed: u64,
@@ -112,12 +116,15 @@ pub fn run(arguments: &Arguments, sources: &mut Sources) -> Result<(), Failure> 
         variables: arguments.variables,
         nodes: arguments.effort,
         seed: arguments.seed,
+        noise: arguments.noise.unwrap_or(Noise::None),
         threads: arguments.threads,
         ..Settings::default()
     };
     let cancel = cancel_on_interrupt()?;
     let Collected { task, examples, tests } = collect(arguments, city, sources, &mut origin, &cancel)?;
-    task.check(&examples, &origin)?;
+    if arguments.noise.is_none() {
+        task.check(&examples, &origin)?;
+    }
     origin.lines.push(task.describe(&settings));
 
     let bar = ProgressBar::new(1);
@@ -168,6 +175,15 @@ pub fn run(arguments: &Arguments, sources: &mut Sources) -> Result<(), Failure> 
         Ok(())
     } else {
         Err(Failure::Interrupted)
+    }
+}
+
+fn noise(text: &str) -> Result<Noise, String> {
+    let rate = text.parse().ok().filter(|rate| (0.0..=0.5).contains(rate));
+    match (text, rate) {
+        ("auto", _) => Ok(Noise::Auto),
+        (_, Some(rate)) => Ok(Noise::Rate(rate)),
+        _ => Err("expected `auto` or a number from 0 to 0.5".to_owned()),
     }
 }
 

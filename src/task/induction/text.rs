@@ -152,6 +152,12 @@ fn summary(task: &InductionTask, learned: &Learned, support: &Support, origin: &
             places.join("; ")
         ));
     }
+    if learned.rate > 0.0 {
+        lines.push(format!(
+            "Noise: {:.2} % of the examples are assumed to have a wrong action.",
+            100.0 * learned.rate
+        ));
+    }
     if !learned.is_complete {
         lines.push("The learner was interrupted: some examples may have no clause yet.".to_owned());
     }
@@ -350,6 +356,7 @@ pub fn report_json(task: &InductionTask, learned: &Learned, support: &Support, o
         "examples": support.examples,
         "states": support.states,
         "default": names.last(),
+        "noise": learned.rate,
         "complete": learned.is_complete,
         "unseen": atom_texts(&support.unseen, vocabulary),
         "wrong": support.wrong,
