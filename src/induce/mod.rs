@@ -15,6 +15,7 @@ mod learner;
 mod noise;
 pub mod popper;
 mod problem;
+mod rules;
 mod search;
 mod support;
 #[cfg(test)]
@@ -24,7 +25,8 @@ mod weights;
 
 pub use constraints::{Constraints, Violation};
 pub use examples::{Contradiction, ENTITIES_MAX, Examples, State, Tally};
-pub use learner::{ActionRules, Learned, LearnedClause, Noise, Progress, Settings, learn, learn_with};
+pub use learner::{learn, learn_with};
+pub use rules::{ActionRules, Learned, LearnedClause, Noise, Progress, Settings};
 pub use support::{ClauseSupport, Support, support};
 pub use vocabulary::{
     ARITY_MAX, Atom, Body, LITERAL_COST, Link, Literal, Predicate, VARIABLE_NAMES, VARIABLES_MAX, Vocabulary,

@@ -2,8 +2,8 @@
 
 use crate::induce::bits;
 use crate::induce::examples::{Examples, State, majority};
-use crate::induce::learner::{Learned, clauses_hold};
 use crate::induce::problem::{Problem, Split};
+use crate::induce::rules::{Learned, clauses_hold};
 use crate::induce::vocabulary::{ARITY_MAX, Atom, Body, Literal, Vocabulary};
 
 /// The most states of lower precedence that [`support`] compares alternatives with.

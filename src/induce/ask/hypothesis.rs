@@ -3,7 +3,7 @@
 use crate::induce::ask::space::{Fact, Space};
 use crate::induce::bits::{self, Bits};
 use crate::induce::examples::State;
-use crate::induce::learner::ActionRules;
+use crate::induce::rules::ActionRules;
 use crate::induce::vocabulary::{ARITY_MAX, Body, Literal, VARIABLES_MAX, Vocabulary};
 use smallvec::SmallVec;
 use std::collections::HashMap;

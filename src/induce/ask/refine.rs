@@ -7,7 +7,7 @@ use crate::induce::ask::sweep::sweep;
 use crate::induce::ask::verify::verify;
 use crate::induce::constraints::Constraints;
 use crate::induce::examples::Examples;
-use crate::induce::learner::{Learned, Settings};
+use crate::induce::rules::{Learned, Settings};
 
 /// What to learn, and from what.
 #[derive(Clone, Debug)]

@@ -1,0 +1,155 @@
+//! Settings of a learner, learned rules, and their evaluation.
+
+use crate::induce::bits;
+use crate::induce::examples::State;
+use crate::induce::problem::Split;
+use crate::induce::vocabulary::{Body, Vocabulary};
+use std::num::NonZeroUsize;
+
+/// Settings of a search.
+#[derive(Clone, Debug)]
+pub struct Settings {
+    /// The most variables of a clause, those in its head included.
+    pub variables: usize,
+    /// The seed of the order in which examples are tried.
+    pub seed: u64,
+    /// Number of threads, `None` for one per core. The rules do not depend on it.
+    pub threads: Option<NonZeroUsize>,
+    /// Uncovered examples that are tried before a clause is chosen.
+    pub tries: usize,
+    /// A further variable is tried if the best clause newly covers fewer examples than this.
+    pub enough: u32,
+    /// Nodes of one search.
+    pub nodes: u32,
+    /// The number of distinct states from which clauses are learned at first. All other states confirm or refute them.
+    pub working_states: usize,
+    /// Whether clauses may contain negative literals.
+    pub negation: bool,
+    /// Whether some examples may have a wrong action.
+    pub noise: Noise,
+}
+
+/// The share of examples that have a wrong action.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub enum Noise {
+    /// None: the rules must be right in every example that any clauses can separate.
+    None,
+    /// A known share, between 0 and 1.
+    Rate(f64),
+    /// A share that cross-validation estimates.
+    Auto,
+}
+
+impl Default for Settings {
+    fn default() -> Settings {
+        Settings {
+            variables: 3,
+            seed: 0,
+            threads: None,
+            tries: 3,
+            enough: 4,
+            nodes: 20_000,
+            working_states: 20_000,
+            negation: true,
+            noise: Noise::None,
+        }
+    }
+}
+
+/// Learned rules.
+#[derive(Clone, Debug, Default)]
+pub struct Learned {
+    /// The rules of each action but the default one, the one with the highest precedence first.
+    pub actions: Vec<ActionRules>,
+    /// Whether the learner finished. After cancellation, examples may be left without a clause.
+    pub is_complete: bool,
+    /// Number of distinct states from which the clauses were learned. The others confirm them.
+    pub working_states: usize,
+    /// The share of wrong actions that the learner assumed: 0 if it took all examples as right.
+    pub rate: f64,
+}
+
+/// The clauses of one action.
+#[derive(Clone, Debug)]
+pub struct ActionRules {
+    /// The bodies of the clauses, the one that covers the most states first.
+    pub clauses: Vec<LearnedClause>,
+    /// Whether no cheaper set of the clauses found covers the examples.
+    pub is_cheapest: bool,
+    /// Positive states that no clause covers: none separates them from the negative ones, or noise explains them.
+    pub uncovered: usize,
+}
+
+/// A clause of learned rules.
+#[derive(Clone, Debug)]
+pub struct LearnedClause {
+    /// The body.
+    pub body: Body,
+    /// Whether the search for the clause was complete: no clause for its example has a higher score.
+    pub is_best: bool,
+}
+
+/// The state of the learner, for progress reports.
+#[derive(Clone, Copy, Debug)]
+pub struct Progress {
+    /// The position of the action.
+    pub action: usize,
+    /// Number of its states.
+    pub states: usize,
+    /// Number of them that a clause covers.
+    pub covered: usize,
+    /// Number of distinct clauses found.
+    pub clauses: usize,
+}
+
+impl Learned {
+    /// Returns the position of the action that the rules choose in each of some states.
+    pub fn decide(&self, vocabulary: &Vocabulary, states: &[&State]) -> Vec<usize> {
+        let mut chosen = vec![self.actions.len(); states.len()];
+        for (begin, holds) in clauses_hold(vocabulary, &self.bodies(), states) {
+            for (action, clauses) in self.actions.iter().enumerate().rev() {
+                let first: usize = self.actions[..action].iter().map(|rules| rules.clauses.len()).sum();
+                for holds in &holds[first..first + clauses.clauses.len()] {
+                    bits::elements(holds).for_each(|state| chosen[begin + state] = action);
+                }
+            }
+        }
+        chosen
+    }
+
+    /// Returns the bodies of all clauses, action by action.
+    pub fn bodies(&self) -> Vec<&Body> {
+        let clauses = self.actions.iter().flat_map(|rules| &rules.clauses);
+        clauses.map(|clause| &clause.body).collect()
+    }
+}
+
+/// Returns, for chunks of states that begin at a position, the states in which each body holds.
+pub(crate) fn clauses_hold<'a>(
+    vocabulary: &'a Vocabulary,
+    bodies: &'a [&'a Body],
+    states: &'a [&'a State],
+) -> impl Iterator<Item = (usize, Vec<Vec<u64>>)> + 'a {
+    (0..states.len()).step_by(CHUNK).map(move |begin| {
+        let split = Split::new(vocabulary, &states[begin..states.len().min(begin + CHUNK)], &[]);
+        let chunk = &states[begin..states.len().min(begin + CHUNK)];
+        let holds = bodies.iter().map(|body| {
+            match split.problem(vocabulary, body.variables(vocabulary), true) {
+                Some(problem) => problem
+                    .satisfying(problem.positive, body)
+                    .states(problem.positive.words),
+                // Too many assignments for sets of bits.
+                None => {
+                    let mut holds = vec![0; chunk.len().div_ceil(64)];
+                    let held = (0..chunk.len()).filter(|&state| body.holds(vocabulary, chunk[state]));
+                    held.for_each(|state| bits::insert(&mut holds, state));
+                    holds
+                }
+            }
+        });
+        (begin, holds.collect())
+    })
+}
+
+/// Number of states that are evaluated together.
+const CHUNK: usize = 1 << 14;
