@@ -99,6 +99,10 @@ class InducedRules:
             for clause in self.report["clauses"]
         )
 
+    def __reduce__(self) -> tuple[type[InducedRules], tuple[_logicity.LearnedRules]]:
+        """Pickle the rules without learning again."""
+        return type(self), (self._rules,)
+
     def __repr__(self) -> str:
         """Show the numbers of clauses and examples."""
         return f"<InducedRules: {len(self.clauses)} clauses from {self.report['examples']} examples>"

@@ -4,7 +4,10 @@ use crate::city::one_of;
 use crate::task::PyTask;
 use crate::{Signals, threads_of, to_python};
 use logicity::city::Action;
-use logicity::induce::{Examples, Learned, Noise, Settings, State, VARIABLES_MAX, learn_with, support};
+use logicity::induce::{
+    ActionRules, Atom, Body, Examples, Learned, LearnedClause, Literal, Noise, Settings, State, VARIABLES_MAX,
+    learn_with, support,
+};
 use logicity::task::induction::{InductionTask, Origin, report_json, rule_file};
 use numpy::{IntoPyArray, PyArray1, PyReadonlyArray1, PyReadonlyArray2};
 use pyo3::exceptions::PyValueError;
@@ -14,12 +17,15 @@ use std::sync::Arc;
 pub fn register(module: &Bound<'_, PyModule>) -> PyResult<()> {
     module.add("VARIABLES_MAX", VARIABLES_MAX)?;
     module.add_class::<PyLearnedRules>()?;
+    module.add_function(wrap_pyfunction!(restore_rules, module)?)?;
     module.add_function(wrap_pyfunction!(induce, module)?)
 }
 
 /// Learned rules. They decide on observations without an engine.
 #[pyclass(name = "LearnedRules", module = "logicity._logicity", frozen)]
 struct PyLearnedRules {
+    /// The task of environments, for copies.
+    shared: Py<PyTask>,
     task: Arc<InductionTask>,
     learned: Learned,
     /// Number of entities in an observation, and its length.
@@ -31,6 +37,32 @@ struct PyLearnedRules {
 
 #[pymethods]
 impl PyLearnedRules {
+    /// Pickles the task, the clauses and their texts, so that unpickling does not learn again.
+    fn __reduce__<'py>(slf: &Bound<'py, Self>) -> PyResult<(Bound<'py, PyAny>, Parts)> {
+        let (py, rules) = (slf.py(), slf.get());
+        let literal = |literal: &Literal| {
+            let arguments = literal.atom.arguments.iter().map(|&variable| variable.into());
+            (literal.is_negated, literal.atom.predicate, arguments.collect())
+        };
+        let clauses = rules.learned.actions.iter().map(|rules| {
+            let bodies = rules
+                .clauses
+                .iter()
+                .map(|clause| clause.body.0.iter().map(literal).collect());
+            bodies.collect()
+        });
+        let order = rules.task.actions().iter().map(|action| action.name().to_owned());
+        let parts = (
+            rules.shared.clone_ref(py),
+            order.collect(),
+            clauses.collect(),
+            rules.text.clone(),
+            rules.report.to_string(),
+        );
+        let restore = py.import("logicity._logicity")?.getattr("restore_rules")?;
+        Ok((restore, parts))
+    }
+
     /// Returns the report as Python values.
     fn report<'py>(&self, py: Python<'py>) -> PyResult<Bound<'py, PyAny>> {
         to_python(py, &self.report)
@@ -53,6 +85,80 @@ impl PyLearnedRules {
         });
         Ok(decided.into_pyarray(py))
     }
+}
+
+/// The bodies of the clauses of each action: whether a literal is negated, its predicate and its variables.
+type Bodies = Vec<Vec<Vec<(bool, usize, Vec<usize>)>>>;
+
+/// The parts of pickled rules: the task, the actions in order, the clauses, the text and the report.
+type Parts = (Py<PyTask>, Vec<String>, Bodies, String, String);
+
+/// Returns rules from the parts of `__reduce__`.
+#[pyfunction]
+fn restore_rules(
+    task: Py<PyTask>,
+    order: Vec<String>,
+    clauses: Bodies,
+    text: String,
+    report: &str,
+) -> PyResult<PyLearnedRules> {
+    let invalid = || PyValueError::new_err("these are not the parts of learned rules");
+    let learning = induction_task(task.get(), &order)?;
+    let vocabulary = learning.vocabulary();
+    let mut actions = Vec::new();
+    for bodies in clauses {
+        let mut rules = ActionRules {
+            clauses: Vec::new(),
+            is_cheapest: false,
+            uncovered: 0,
+        };
+        for body in bodies {
+            let mut literals = Vec::new();
+            for (is_negated, predicate, arguments) in body {
+                let declared = vocabulary.predicates().get(predicate).ok_or_else(invalid)?;
+                if declared.arity != arguments.len() || arguments.iter().any(|&variable| variable >= VARIABLES_MAX) {
+                    return Err(invalid());
+                }
+                #[allow(clippy::cast_possible_truncation)] // less than `VARIABLES_MAX`
+                let arguments = arguments.into_iter().map(|variable| variable as u8).collect();
+                let atom = Atom { predicate, arguments };
+                literals.push(Literal { is_negated, atom });
+            }
+            rules.clauses.push(LearnedClause {
+                body: Body(literals),
+                is_best: false,
+            });
+        }
+        actions.push(rules);
+    }
+    if actions.len() + 1 != learning.actions().len() {
+        return Err(invalid());
+    }
+    Ok(PyLearnedRules {
+        shape: shape_of(task.get()),
+        shared: task,
+        task: learning,
+        learned: Learned {
+            actions,
+            ..Learned::default()
+        },
+        text,
+        report: serde_json::from_str(report).map_err(|_| invalid())?,
+    })
+}
+
+/// Returns the task of learning, with the actions in this order.
+fn induction_task(shared: &PyTask, order: &[String]) -> PyResult<Arc<InductionTask>> {
+    let order: Vec<Action> = (order.iter())
+        .map(|name| one_of("order", name, &Action::ALL, Action::name))
+        .collect::<PyResult<_>>()?;
+    let world = Arc::clone(shared.task.world());
+    Ok(Arc::new(InductionTask::new(world, &order)))
+}
+
+/// Returns the number of entities in an observation, and its length.
+fn shape_of(shared: &PyTask) -> [usize; 2] {
+    [shared.task.oracle().entities(), shared.task.observation_width()]
 }
 
 /// Returns the states in observations. An entity without facts is absent.
@@ -93,11 +199,8 @@ fn induce(
     noise: Option<f64>,
 ) -> PyResult<PyLearnedRules> {
     let shared = task.get();
-    let shape = [shared.task.oracle().entities(), shared.task.observation_width()];
-    let order: Vec<Action> = (order.iter())
-        .map(|name| one_of("order", name, &Action::ALL, Action::name))
-        .collect::<PyResult<_>>()?;
-    let learning = Arc::new(InductionTask::new(Arc::clone(shared.task.world()), &order));
+    let shape = shape_of(shared);
+    let learning = induction_task(shared, &order)?;
     let states = states(&learning, shape, &observations)?;
     let mut origin = Origin::default();
     origin.lines = lines;
@@ -138,6 +241,7 @@ fn induce(
     })?;
     let (sources, rule_files) = shared.rule_texts();
     Ok(PyLearnedRules {
+        shared: task.clone().unbind(),
         text: rule_file(&learning, &learned, &support, &origin, (&sources, rule_files)),
         report: report_json(&learning, &learned, &support, &origin),
         learned,

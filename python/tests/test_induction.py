@@ -1,5 +1,6 @@
 """Rules learned from demonstrations."""
 
+import pickle
 from pathlib import Path
 from types import SimpleNamespace
 from typing import Any
@@ -42,6 +43,29 @@ def test_rules_choose_the_action_of_every_example(demonstrations: logicity.Demon
         np.testing.assert_array_equal(rules(trajectory.observations[:-1]), trajectory.actions)
     again = logicity.induce(demonstrations[:10], "hard", threads=3)
     assert again.text == rules.text
+
+
+def test_copies_decide_alike(demonstrations: logicity.Demonstrations) -> None:
+    rules = logicity.induce(demonstrations, noise="auto")
+    restored = pickle.loads(pickle.dumps(rules))
+    assert (restored.text, restored.report, restored.clauses) == (rules.text, rules.report, rules.clauses)
+    for trajectory in demonstrations:
+        np.testing.assert_array_equal(restored(trajectory.observations), rules(trajectory.observations))
+
+
+def test_wrong_actions_are_tolerated(demonstrations: logicity.Demonstrations) -> None:
+    observations = np.concatenate([trajectory.observations[:-1] for trajectory in demonstrations])
+    actions = np.concatenate([trajectory.actions for trajectory in demonstrations])
+    random = np.random.default_rng(0)
+    wrong = random.random(len(actions)) < 0.005
+    # 3 is Stop, 1 is Normal: the actions of the hard mode.
+    noisy = np.where(wrong, 4 - actions, actions)
+    episodes = [SimpleNamespace(observations=observations, actions=noisy)]
+    rules = logicity.induce(episodes, "hard", noise=0.005)
+    assert np.mean(rules(observations) == actions) > 0.999
+    assert rules.report["noise"] == 0.005
+    with pytest.raises(ValueError, match=r"0\.5"):
+        logicity.induce(episodes, "hard", noise=0.6)
 
 
 def test_literals_that_the_examples_leave_open_are_reported(demonstrations: logicity.Demonstrations) -> None:

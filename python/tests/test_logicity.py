@@ -160,10 +160,12 @@ def public_objects() -> list[Any]:
     shown = logicity.demonstrations("easy", 1)
     errors = [kind("text", []) for kind in (logicity.InputError, logicity.LimitError, logicity.UnsupportedError)]
     relation = program.relations["p"]
+    rules = logicity.induce(logicity.demonstrations("easy", 10))
     return [
         *[program, relation, relation.columns[0], session, change, change.added, session.explain("q(1)")],
         *[city, city.tick(), city.agents[0], city.explain(0), logicity.Inference("easy")],
         *[logicity.Benchmark("easy", "val"), measured, measured.episodes[0], measured.tsr, shown, shown[0], *errors],
+        *[rules, rules.clauses[0]],
     ]
 
 
