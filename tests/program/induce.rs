@@ -271,6 +271,11 @@ fn bad_examples_are_refused() {
         1,
         &["contradicting-examples", "line 1, a", "line 3, a", "Stop", "Normal"],
     );
+    // With noise, both are accepted.
+    let tolerated = logicity(["induce", file.to_str().unwrap(), "--config", "easy", "--noise", "0.1"]);
+    assert!(succeeds(&tolerated).contains("// Noise: 10.00 % of the examples"));
+    let unusable = logicity(["induce", file.to_str().unwrap(), "--config", "easy", "--noise", "0.7"]);
+    fails(&unusable, 2, &["from 0 to 0.5"]);
     fails(&logicity(["induce", "no such file"]), 2, &["no such file"]);
     fails(&logicity(["induce", "--config", "metropolis"]), 1, &[]);
 }
