@@ -64,7 +64,8 @@ nitpick_ignore_regex = [
     (r"py:.*", r"(.*\.)?(AutoresetMode|MinariDataset)"),
     (
         r"py:.*",
-        r"(.*\.)?(_AgentKey|Annotated\[.*|Atom|Count|EnvOptions|Field|ObservationKind|Predictor|TorchVapDataset)",
+        r"(.*\.)?(_AgentKey|Annotated\[.*|Atom|Count|EnvOptions|Episode|Field|LearnedRules|ObservationKind|Predictor"
+        r"|TorchVapDataset)",
     ),
     (r"py:.*", r"(collections|gymnasium|gym|np|numpy|os|pathlib|pydantic|stable_baselines3|torch|typing)\..*"),
 ]

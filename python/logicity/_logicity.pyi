@@ -30,6 +30,7 @@ __all__ = [
     "read_world",
     "REASONS",
     "Rows",
+    "restore_rules",
     "run_command_line",
     "Session",
     "Simulation",
@@ -267,6 +268,13 @@ def induce(
     seed: int,
     threads: int,
     noise: float | None,
+) -> LearnedRules: ...
+def restore_rules(
+    task: Task,
+    order: list[str],
+    clauses: list[list[list[tuple[bool, int, list[int]]]]],
+    text: str,
+    report: str,
 ) -> LearnedRules: ...
 def describe(task: Task) -> dict[str, Any]: ...
 def read_world(
