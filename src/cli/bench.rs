@@ -4,11 +4,11 @@ use crate::builtin::BuiltinFiles;
 use crate::cancel::Cancel;
 use crate::city::{Action, AgentSet, Building, Buildings, MapConfig, Split};
 use crate::city::{Agent, Cell};
-use crate::cli::{Failure, LimitOptions, integer, load_city, one_of, threads, unreadable};
+use crate::cli::scenes::{SceneLine, SceneLines};
+use crate::cli::{Failure, LimitOptions, integer, load_city, one_of, threads};
 use crate::config::Scenario;
 use crate::datalog::dense::{BitFacts, BitState, Dense, TrackFirings};
 use crate::diag::{Code, Diagnostic, Sources};
-use crate::files;
 use crate::render::{Difficulty, Icons, Picture, Renderer, Scale, Sprite, Viewport, read_png, write_png};
 use crate::rng::{Purpose, RngExt, Seed};
 use crate::sim::{
@@ -19,7 +19,7 @@ use crate::task::spf::{ControlMode, Env, SpfTask};
 use serde_json::{Value, json};
 use std::collections::BTreeMap;
 use std::hint::black_box;
-use std::io::{self, Write};
+use std::io::Write;
 use std::num::NonZeroUsize;
 use std::path::{Path, PathBuf};
 use std::sync::Arc;
@@ -691,33 +691,29 @@ fn infer_scenes(arguments: &Arguments, city: LoadedCity, path: &Path, sources: &
 
 /// Reads the scenes of a file, of at most `most` entities each, and computes their facts.
 fn read_scenes(inference: &mut Inference, path: &Path, most: usize) -> Result<Vec<SceneFacts>, Failure> {
-    let from = if path == Path::new("-") {
-        "<stdin>".to_owned()
-    } else {
-        path.display().to_string()
-    };
-    let text = match path == Path::new("-") {
-        true => files::read_from(io::stdin().lock()),
-        false => files::read_text(path),
-    };
-    let text = text.map_err(|error| unreadable(path, &error))?;
+    let mut lines = SceneLines::open(path)?;
     let mut scenes = Vec::new();
-    for (number, line) in (1..).zip(text.lines()).filter(|(_, line)| !line.trim().is_empty()) {
-        let mut sources = Sources::new();
-        let source = sources.add_from(from.as_str(), line, number);
-        let scene = inference.ground(&sources, source).and_then(|scene| {
-            let count = scene.names.len();
-            if count <= most {
-                return Ok(scene);
-            }
-            let message = format!("line {number} of `{from}` has {count} entities; the limit is {most}");
-            Err(vec![Diagnostic::new(Code::LIMIT_EXCEEDED, message)])
-        });
+    while let Some(SceneLine { number, sources, scene }) = lines.next()? {
+        let scene = scene.map_err(|fault| vec![fault]);
+        let scene = scene
+            .and_then(|source| inference.ground(&sources, source))
+            .and_then(|scene| {
+                let count = scene.names.len();
+                if count <= most {
+                    return Ok(scene);
+                }
+                let message = format!(
+                    "line {number} of `{}` has {count} entities; the limit is {most}",
+                    lines.name
+                );
+                Err(vec![Diagnostic::new(Code::LIMIT_EXCEEDED, message)])
+            });
         scenes.push(scene.map_err(|faults| {
             super::report(&faults, &sources);
             Failure::Reported
         })?);
     }
+    let from = lines.name;
     match scenes.is_empty() {
         true => Err(Diagnostic::new(Code::INVALID_SCENE, format!("`{from}` contains no scene")).into()),
         false => Ok(scenes),

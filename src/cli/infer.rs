@@ -1,21 +1,17 @@
 //! `logicity infer`: evaluates the rules on scenes.
 
 use crate::builtin::BuiltinFiles;
+use crate::cli::scenes::{SceneLine, SceneLines};
 use crate::cli::{
-    Failure, ForceOption, Inputs, LimitOptions, advised, finish, integer, is_stdout, load_city, one_of, open, report,
+    Failure, ForceOption, Inputs, LimitOptions, advised, finish, integer, is_stdout, load_city, one_of, report,
     unwritable,
 };
-use crate::diag::{Code, Diagnostic, Sources, to_json};
-use crate::files;
-use crate::files::ReadError;
+use crate::diag::{Sources, to_json};
 use crate::rng::Seed;
 use crate::sim::{Executor, Inference};
 use serde_json::json;
-use std::io::{self, BufRead, BufReader, BufWriter, Read, Write};
-use std::path::{Path, PathBuf};
-
-/// The longest scene, in bytes (64 MiB).
-const MAX_SCENE: u64 = 1 << 26;
+use std::io::{self, BufWriter, Write};
+use std::path::PathBuf;
 
 #[derive(clap::Args)]
 pub struct Arguments {
@@ -72,16 +68,11 @@ pub fn run(arguments: &Arguments, sources: &mut Sources) -> Result<(), Failure> 
         inference.check_constraints();
     }
 
-    let (input, name): (Box<dyn Read>, _) = if arguments.file == Path::new("-") {
-        (Box::new(io::stdin().lock()), "<stdin>".to_owned())
-    } else {
-        (Box::new(open(&arguments.file)?), arguments.file.display().to_string())
-    };
-    let scenes = BufReader::new(input);
+    let scenes = SceneLines::open(&arguments.file)?;
     match arguments.out.as_deref().filter(|path| !is_stdout(path)) {
         None => {
             let mut out = BufWriter::new(io::stdout().lock());
-            let faulty = answer_all(&mut inference, scenes, &name, &arguments.file, |line| {
+            let faulty = answer_all(&mut inference, scenes, |line| {
                 writeln!(out, "{line}").map_err(Failure::from)
             })?;
             out.flush()?;
@@ -90,7 +81,7 @@ pub fn run(arguments: &Arguments, sources: &mut Sources) -> Result<(), Failure> 
         Some(path) => {
             let inputs = Inputs::of(sources).with([arguments.file.clone()]);
             let mut out = arguments.force.create(path, &inputs)?;
-            let faulty = answer_all(&mut inference, scenes, &name, &arguments.file, |line| {
+            let faulty = answer_all(&mut inference, scenes, |line| {
                 writeln!(out, "{line}").map_err(|error| unwritable(path, &error))
             })?;
             finish(out, path)?;
@@ -107,51 +98,22 @@ fn outcome(faulty: bool) -> Result<(), Failure> {
 /// Notes the first scene for which the dense executor gave up. Returns whether any scene was faulty.
 fn answer_all(
     inference: &mut Inference,
-    mut scenes: impl BufRead,
-    name: &str,
-    path: &Path,
+    mut scenes: SceneLines,
     mut write: impl FnMut(serde_json::Value) -> Result<(), Failure>,
 ) -> Result<bool, Failure> {
     let (mut faulty, mut noted) = (false, false);
-    let mut bytes = Vec::new();
-    for number in 1.. {
-        bytes.clear();
-        let unreadable = |error| Failure::file("read", path, error);
-        let read = scenes.by_ref().take(MAX_SCENE).read_until(b'\n', &mut bytes);
-        if read.map_err(unreadable)? == 0 {
-            break;
-        }
-        let mut sources = Sources::new();
-        let fault = |code, what: &str| {
-            Err(vec![Diagnostic::new(
-                code,
-                format!("line {number} of `{name}` is {what}"),
-            )])
-        };
-        let answer = if bytes.len() as u64 == MAX_SCENE && !bytes.ends_with(b"\n") {
-            scenes.skip_until(b'\n').map_err(unreadable)?;
-            fault(
-                Code::LIMIT_EXCEEDED,
-                &format!("too long: the limit is {} MiB", MAX_SCENE >> 20),
-            )
-        } else {
-            match files::to_text(std::mem::take(&mut bytes)) {
-                Ok(line) if line.trim().is_empty() => continue,
-                Ok(line) => {
-                    let source = sources.add_from(name, line.trim_end_matches(['\n', '\r']), number);
-                    inference.answer(&sources, source)
-                }
-                Err(ReadError::NotText { column, .. }) => fault(
-                    Code::NOT_TEXT,
-                    &format!("not UTF-8 text (first bad byte in column {column})"),
-                ),
-                Err(error) => return Err(Failure::file("read", path, error)),
-            }
+    while let Some(SceneLine { number, sources, scene }) = scenes.next()? {
+        let answer = match scene {
+            Ok(source) => inference.answer(&sources, source),
+            Err(fault) => Err(vec![fault]),
         };
         match answer {
             Ok(answer) => {
                 if let Some(reason) = answer.fallback.as_ref().filter(|_| !noted) {
-                    eprintln!("note: the relational executor decided line {number} of `{name}`: {reason}");
+                    eprintln!(
+                        "note: the relational executor decided line {number} of `{}`: {reason}",
+                        scenes.name
+                    );
                     noted = true;
                 }
                 write(answer.to_json())?;

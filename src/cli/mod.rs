@@ -27,6 +27,7 @@ mod reference;
 mod repl;
 mod route;
 mod run;
+mod scenes;
 mod schema;
 mod trace;
 mod vap;

@@ -6,7 +6,6 @@ use crate::datalog::Limits;
 use crate::diag::{Code, Diagnostic, Sources};
 use crate::files::MAX_BYTES;
 use crate::sim::{Archive, LoadError, LoadedCity, Replay, TraceHeader, TraceTick, trace_limits};
-use std::fs::File;
 use std::io::{BufRead, BufReader, Read};
 use std::path::{Path, PathBuf};
 use std::sync::Arc;
@@ -14,7 +13,7 @@ use std::sync::Arc;
 /// An open trace, after its header.
 pub struct TraceReader {
     path: PathBuf,
-    lines: BufReader<File>,
+    lines: Box<dyn BufRead>,
     number: usize,
     /// Size of the file, and of the lines read so far, in bytes.
     pub length: u64,
@@ -27,9 +26,13 @@ impl TraceReader {
     pub fn open(path: &Path) -> Result<TraceReader, Failure> {
         let file = open(path)?;
         let length = file.metadata().map_or(0, |file| file.len());
-        let mut lines = BufReader::new(file);
+        TraceReader::new(Box::new(BufReader::new(file)), path, length)
+    }
+
+    /// Reads the header of an open trace of `length` bytes, 0 if that is unknown.
+    pub fn new(mut lines: Box<dyn BufRead>, path: &Path, length: u64) -> Result<TraceReader, Failure> {
         let (mut number, mut read) = (0, 0);
-        let Some(line) = next_line(&mut lines, path, &mut number, &mut read)? else {
+        let Some(line) = next_line(&mut *lines, path, &mut number, &mut read)? else {
             let message = format!("`{}` is empty", path.display());
             return Err(Diagnostic::new(Code::INVALID_TRACE, message).into());
         };
@@ -45,7 +48,7 @@ impl TraceReader {
 
     /// Returns the next tick, or `None` at the end.
     pub fn tick(&mut self) -> Result<Option<TraceTick>, Failure> {
-        let line = next_line(&mut self.lines, &self.path, &mut self.number, &mut self.read)?;
+        let line = next_line(&mut *self.lines, &self.path, &mut self.number, &mut self.read)?;
         line.map(|line| TraceTick::read(&line).map_err(|fault| self.placed(fault)))
             .transpose()
     }
@@ -127,14 +130,14 @@ fn placed(mut fault: Diagnostic, path: &Path, number: usize) -> Failure {
 
 /// Returns the next line that is not blank.
 fn next_line(
-    lines: &mut BufReader<File>,
+    lines: &mut dyn BufRead,
     path: &Path,
     number: &mut usize,
     read: &mut u64,
 ) -> Result<Option<String>, Failure> {
     loop {
         let mut bytes = Vec::new();
-        let found = lines.by_ref().take(MAX_BYTES).read_until(b'\n', &mut bytes);
+        let found = (&mut *lines).take(MAX_BYTES).read_until(b'\n', &mut bytes);
         let found = found.map_err(|error| Failure::file("read", path, error))?;
         if found == 0 {
             return Ok(None);

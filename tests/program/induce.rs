@@ -3,7 +3,7 @@
 use super::cli::logicity;
 use std::fs;
 use std::path::Path;
-use std::process::Output;
+use std::process::{Command, Output};
 
 fn text(bytes: &[u8]) -> String {
     String::from_utf8(bytes.to_owned()).unwrap()
@@ -172,6 +172,44 @@ fn scenes_teach_their_actions() {
     );
     assert!(learned.contains("// No clause: 0 examples."), "{learned}");
     assert!(learned.contains("the first is scenes.jsonl, line 4, a\n"), "{learned}");
+}
+
+/// A pipe can be read once only.
+#[test]
+fn pipes_teach_like_files() {
+    let folder = tempfile::tempdir().unwrap();
+    let out = folder.path().to_str().unwrap();
+    succeeds(&logicity([
+        "run",
+        "easy",
+        "--ticks",
+        "20",
+        "--no-pictures",
+        "--out",
+        out,
+    ]));
+    let scene = "{\"entities\": [\"a\"], \"ego\": \"a\", \"facts\": {}, \"actions\": {\"a\": \"Fast\"}}\n";
+    fs::write(folder.path().join("scene.jsonl"), scene).unwrap();
+    let pipe = folder.path().join("pipe");
+    assert!(Command::new("mkfifo").arg(&pipe).status().unwrap().success());
+    for name in ["trace.jsonl", "scene.jsonl"] {
+        let clauses = |source: &str| {
+            let line = format!("cat {out}/{name} {source} --config easy");
+            let output = Command::new("sh")
+                .args(["-c", &line])
+                .env("PROGRAM", env!("CARGO_BIN_EXE_logicity"))
+                .output()
+                .unwrap();
+            let learned = succeeds(&output);
+            let start = learned.find("\n\n").unwrap();
+            learned[start..].replace(name, "-").replace("pipe", "-")
+        };
+        let expected = clauses(&format!("> /dev/null; \"$PROGRAM\" induce {out}/{name}"));
+        assert!(expected.contains(":-"), "{expected}");
+        assert_eq!(clauses("| \"$PROGRAM\" induce -"), expected);
+        let pipe = pipe.display();
+        assert_eq!(clauses(&format!("> {pipe} & \"$PROGRAM\" induce {pipe}")), expected);
+    }
 }
 
 #[test]

@@ -3,9 +3,11 @@
 //! The room [`induce`](crate::induce) learns; this module translates between it and the city.
 
 mod codes;
+mod recalls;
 mod text;
 
 pub use codes::{CATALOG, CODES};
+pub use recalls::Recalls;
 pub use text::{Origin, report_json, rule_file};
 
 use crate::city::Action;

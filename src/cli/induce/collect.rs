@@ -1,0 +1,230 @@
+//! The examples of recorded episodes, traces, scenes and data sets.
+
+use crate::builtin::BuiltinFiles;
+use crate::cancel::Cancel;
+use crate::cli::induce::Arguments;
+use crate::cli::scenes::{SceneLine, SceneLines, open_input};
+use crate::cli::trace::TraceReader;
+use crate::cli::{Failure, LimitOptions, report};
+use crate::diag::{Code, Diagnostic, Sources};
+use crate::files::{self, Folder, MAX_BYTES};
+use crate::induce::{Examples, State};
+use crate::rng::Seed;
+use crate::sim::{Executor, Inference, LoadedCity};
+use crate::task::induction::{InductionTask, Origin};
+use crate::task::spf::{ControlMode, Env, EpisodeSet, SpfTask};
+use crate::task::vap::Dataset;
+use std::io::{BufRead, Cursor, Read};
+use std::path::{Path, PathBuf};
+use std::sync::Arc;
+
+/// Examples and their origin.
+pub struct Collected {
+    pub examples: Examples,
+    pub origin: Origin,
+}
+
+/// Collects the examples to learn from, and those of `--test`. `origin` begins with lines about the source.
+pub fn collect(
+    arguments: &Arguments,
+    city: LoadedCity,
+    sources: &mut Sources,
+    origin: Origin,
+    cancel: &Cancel,
+) -> Result<(InductionTask, Collected, Option<Collected>), Failure> {
+    let (scenario, program) = (city.scenario.clone(), city.program.clone());
+    let world = Arc::new(city.world()?);
+    let task = InductionTask::new(Arc::clone(&world), &arguments.order);
+    let mut files = FileCollector {
+        task: &task,
+        limits: &arguments.limits,
+        scenes: Inference::new(
+            scenario,
+            program,
+            Seed(arguments.seed),
+            Executor::Relational,
+            BuiltinFiles,
+        )?,
+        cancel,
+    };
+    let tests = match arguments.test.is_empty() {
+        true => None,
+        false => Some(files.collect(&arguments.test, Origin::default())?),
+    };
+    let collected = match arguments.data.is_empty() {
+        true => episodes(arguments, &task, sources, origin, cancel)?,
+        false => files.collect(&arguments.data, origin)?,
+    };
+    Ok((task, collected, tests))
+}
+
+/// Drives recorded episodes of the configuration.
+fn episodes(
+    arguments: &Arguments,
+    task: &InductionTask,
+    sources: &mut Sources,
+    mut origin: Origin,
+    cancel: &Cancel,
+) -> Result<Collected, Failure> {
+    let path_task = Arc::new(SpfTask::new(Arc::clone(task.world()), sources)?);
+    let set = EpisodeSet::load(&path_task, arguments.split, sources, &BuiltinFiles)?;
+    let available = set.episodes.len();
+    let wanted = arguments.episodes.unwrap_or(available);
+    if wanted > available {
+        return Err(Failure::Usage(format!(
+            "--episodes {wanted}: the configuration has {available} recorded episodes"
+        )));
+    }
+    let mut env = Env::new_with(path_task, arguments.split, ControlMode::First, cancel)?;
+    let mut examples = task.examples();
+    for (number, episode) in set.episodes.iter().take(wanted).enumerate() {
+        origin.push_episode(examples.count(), format!("episode {number}"));
+        task.add_episode(&mut env, episode, &mut examples)?;
+    }
+    origin.lines.push(format!("Episodes {}.", set.hash()));
+    Ok(Collected { examples, origin })
+}
+
+/// Reads examples from files.
+struct FileCollector<'a> {
+    task: &'a InductionTask,
+    limits: &'a LimitOptions,
+    scenes: Inference,
+    cancel: &'a Cancel,
+}
+
+impl FileCollector<'_> {
+    fn collect(&mut self, paths: &[PathBuf], origin: Origin) -> Result<Collected, Failure> {
+        let mut collected = Collected {
+            examples: self.task.examples(),
+            origin,
+        };
+        for path in paths {
+            self.add(path, &mut collected)?;
+        }
+        if collected.examples.count() == 0 {
+            let names: Vec<String> = paths.iter().map(|path| format!("`{}`", path.display())).collect();
+            let message = format!("no examples in {}", names.join(", "));
+            return Err(Diagnostic::new(Code::INVALID_SCENE, message).into());
+        }
+        Ok(collected)
+    }
+
+    /// Adds the examples of a trace, of labeled scenes or of a data set.
+    fn add(&mut self, path: &Path, to: &mut Collected) -> Result<(), Failure> {
+        if path.is_dir() {
+            return self.add_data_set(path, to);
+        }
+        // A pipe can be read once, so the reader of the rest gets the first line, too.
+        let mut lines = open_input(path)?;
+        let mut first = Vec::new();
+        let read = lines.by_ref().take(MAX_BYTES).read_until(b'\n', &mut first);
+        read.map_err(|error| Failure::file("read", path, error))?;
+        let is_trace =
+            serde_json::from_slice::<serde_json::Value>(&first).is_ok_and(|header| header.get("trace").is_some());
+        let lines = Box::new(Cursor::new(first).chain(lines));
+        if is_trace {
+            self.add_trace(TraceReader::new(lines, path, 0)?, path, to)
+        } else {
+            self.add_scenes(SceneLines::new(lines, path), path, to)
+        }
+    }
+
+    fn check_cancelled(&self) -> Result<(), Failure> {
+        match self.cancel.requested() {
+            true => Err(Failure::Interrupted),
+            false => Ok(()),
+        }
+    }
+
+    /// Adds the labeled cars of a data set of Visual Action Prediction.
+    fn add_data_set(&self, path: &Path, to: &mut Collected) -> Result<(), Failure> {
+        let (name, data) = (short_name(path), Dataset::open(Folder::new(path))?);
+        let vocabulary = &self.task.world().vocabulary;
+        let translator = self.task.translator(vocabulary)?;
+        for world in &data.manifest().worlds {
+            self.check_cancelled()?;
+            for sample in data.samples(vocabulary, world)? {
+                for (car, label) in sample.labels.iter().enumerate() {
+                    let Some(action) = label else { continue };
+                    let (world, tick) = (world.world, sample.tick);
+                    let place = format!("{name}, world {world}, tick {tick}, {}", sample.names[car]);
+                    let action = self.task.action(*action);
+                    let state = translator.state(&sample.facts, car);
+                    to.add(state, action)
+                        .map_err(|fault| fault.note(format!("in {place}")))?;
+                    to.name_last(place);
+                }
+            }
+        }
+        Ok(())
+    }
+
+    /// Adds every decision of every agent in a trace.
+    fn add_trace(&self, mut trace: TraceReader, path: &Path, to: &mut Collected) -> Result<(), Failure> {
+        let name = short_name(path);
+        let limits = trace.limits(None, self.limits);
+        let mut replay = trace.replay(&mut Sources::new(), None, None, false, limits)?;
+        let vocabulary = replay.world().vocabulary.clone();
+        let translator = self.task.translator(&vocabulary).map_err(|fault| trace.placed(fault))?;
+        while let Some(tick) = trace.tick()? {
+            self.check_cancelled()?;
+            replay.set(&tick).map_err(|fault| trace.placed(fault))?;
+            for (agent, state) in tick.agents.iter().enumerate() {
+                let action = state.action().and_then(|action| self.task.action(action));
+                let state = translator.state(replay.facts(), agent);
+                to.add(state, action).map_err(|fault| trace.placed(fault))?;
+                to.name_last(format!("{name}, {} in tick {}", replay.agents()[agent].id, tick.tick));
+            }
+        }
+        Ok(())
+    }
+
+    /// Adds the labeled egos of scenes.
+    fn add_scenes(&mut self, mut lines: SceneLines, path: &Path, to: &mut Collected) -> Result<(), Failure> {
+        let name = short_name(path);
+        let vocabulary = self.scenes.vocabulary().clone();
+        let translator = self.task.translator(&vocabulary)?;
+        while let Some(SceneLine { number, sources, scene }) = lines.next()? {
+            self.check_cancelled()?;
+            let place = format!("in line {number} of `{}`", lines.name);
+            let scene = scene.map_err(|fault| vec![fault]);
+            let scene = scene
+                .and_then(|source| self.scenes.ground(&sources, source))
+                .map_err(|faults| {
+                    report(&faults, &sources);
+                    Failure::Reported
+                })?;
+            if scene.actions.is_empty() {
+                let fault = Diagnostic::new(Code::INVALID_SCENE, format!("the scene {place} has no actions"));
+                let example = "{\"Car_1\": \"Stop\"}";
+                let help = format!("add the action that each ego took, for example \"actions\": {example}");
+                return Err(fault.help(help).into());
+            }
+            for (ego, action) in scene.actions {
+                let (state, action) = (translator.state(&scene.facts, ego), self.task.action(action));
+                to.add(state, action).map_err(|fault| fault.note(place.clone()))?;
+                to.name_last(format!("{name}, line {number}, {}", scene.names[ego]));
+            }
+        }
+        Ok(())
+    }
+}
+
+impl Collected {
+    /// Adds an example.
+    fn add(&mut self, state: Result<State, Diagnostic>, action: Result<usize, Diagnostic>) -> Result<(), Diagnostic> {
+        self.examples.push(state?, action?);
+        Ok(())
+    }
+
+    /// Names the place of the last example.
+    fn name_last(&mut self, place: String) {
+        self.origin.push(self.examples.count() - 1, place);
+    }
+}
+
+/// Returns the name of a file without its folder.
+fn short_name(path: &Path) -> String {
+    files::portable_name(&path.display().to_string())
+}

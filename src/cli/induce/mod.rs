@@ -1,0 +1,206 @@
+//! `logicity induce`: learns rules from examples.
+
+mod collect;
+
+use crate::city::{Action, Split};
+use crate::cli::view;
+use crate::cli::{
+    Failure, ForceOption, Inputs, LimitOptions, cancel_on_interrupt, finish, integer, is_stdout, load_city, messages,
+    one_of, unwritable,
+};
+use crate::diag::Sources;
+use crate::files;
+use crate::induce::{Noise, Progress, Settings, VARIABLES_MAX, learn_with, support};
+use crate::sim::LoadedCity;
+use crate::task::induction::{Origin, Recalls, report_json, rule_file};
+use collect::{Collected, collect};
+use indicatif::{ProgressBar, ProgressStyle};
+use std::io::Write;
+use std::num::NonZeroUsize;
+use std::path::PathBuf;
+
+#[derive(clap::Args)]
+pub struct Arguments {
+    /// Examples: traces of `logicity run`, scenes with `actions` (one JSON object per line), or data sets of `logicity
+    /// vap make` [default: the recorded episodes of the configuration, driven by its rules]
+    data: Vec<PathBuf>,
+    /// Configuration that defines the predicates. The learner does not read its clauses of actions
+    #[arg(long, default_value = "configs/expert.yaml")]
+    config: PathBuf,
+    /// Rule file to use instead of the configuration's, for its declarations
+    #[arg(long)]
+    rules: Option<PathBuf>,
+    /// Recorded episodes to learn from
+    #[arg(long, value_parser = one_of(&Split::ALL, Split::name), default_value = "train", conflicts_with = "data")]
+    split: Split,
+    /// Number of recorded episodes, from the first on [default: all]
+    #[arg(long, value_name = "COUNT", value_parser = integer(1..=1_000_000_usize), conflicts_with = "data")]
+    episodes: Option<usize>,
+    /// Write the rules to FILE; `-` means standard output
+    #[arg(short, long, value_name = "FILE", default_value = "-")]
+    output: PathBuf,
+    /// Write the clauses with their support as JSON to FILE; `-` means standard output
+    #[arg(long, value_name = "FILE")]
+    report: Option<PathBuf>,
+    /// Examples to measure the rules on, as for DATA: prints recalls by action and the weighted accuracy (wAcc) of the
+    /// paper. May be given several times
+    #[arg(long, value_name = "DATA")]
+    test: Vec<PathBuf>,
+    /// Write an HTML page of the trace to FILE that shows which clause decides each moment; needs one trace, and
+    /// `--output` with a file
+    #[arg(long, value_name = "FILE")]
+    page: Option<PathBuf>,
+    /// Actions in the order in which the learned rules try them, separated by commas. The default action of the
+    /// configuration comes last [default: Stop,Slow,Fast]
+    #[arg(long, value_name = "ACTIONS", value_delimiter = ',', value_parser = one_of(&Action::ALL, Action::name))]
+    order: Vec<Action>,
+    /// The most variables of a clause
+    #[arg(long, value_name = "COUNT", value_parser = integer(2..=VARIABLES_MAX),
+        default_value_t = Settings::default().variables)]
+    variables: usize,
+    /// The most steps of the search for one clause
+    #[arg(long, value_name = "COUNT", value_parser = integer(1..=u32::MAX), default_value_t = Settings::default().nodes)]
+    effort: u32,
+    /// Share of examples that may have a wrong action, from 0 to 0.5, or `auto` to estimate it. Without it, two examples
+    /// with the same facts and different actions are an error
+    #[arg(long, value_name = "RATE", value_parser = noise)]
+    noise: Option<Noise>,
+    /// Seed of the order in which the learner tries examples
+    #[arg(long, value_parser = integer(0..=u64::MAX), default_value_t = 0)]
+    seed: u64,
+    /// Number of threads; the rules do not depend on it [default: all cores]
+    #[arg(long, value_name = "COUNT")]
+    threads: Option<NonZeroUsize>,
+    #[command(flatten)]
+    limits: LimitOptions,
+    #[command(flatten)]
+    force: ForceOption,
+}
+
+pub fn run(arguments: &Arguments, sources: &mut Sources) -> Result<(), Failure> {
+    let mut outputs = vec![("--output", arguments.output.as_path())];
+    outputs.extend(arguments.report.as_deref().map(|path| ("--report", path)));
+    outputs.extend(arguments.page.as_deref().map(|path| ("--page", path)));
+    crate::cli::refuse_mixing(outputs)?;
+    // The page reads the trace again, which a pipe does not allow.
+    let is_one_file = matches!(&arguments.data[..], [path] if path.is_file());
+    if arguments.page.is_some() && (!is_one_file || is_stdout(&arguments.output)) {
+        let message = "--page needs one trace in a file, as `logicity run` writes it, and --output with a file";
+        return Err(Failure::Usage(message.to_owned()));
+    }
+    let city = load_city(
+        sources,
+        &arguments.config,
+        arguments.rules.as_deref(),
+        &arguments.limits,
+    )?;
+    let inputs = Inputs::of(sources).with(arguments.data.iter().chain(&arguments.test).cloned());
+    // A file that cannot be written is reported before the work.
+    let mut rules_out = arguments.force.create(&arguments.output, &inputs)?;
+    let report_out = (arguments.report.as_deref())
+        .map(|path| arguments.force.create(path, &inputs).map(|out| (out, path)))
+        .transpose()?;
+    let page_out = (arguments.page.as_deref())
+        .map(|path| arguments.force.create(path, &inputs).map(|out| (out, path)))
+        .transpose()?;
+    let rule_files = city.rule_files.clone();
+    let mut origin = Origin::default();
+    origin.lines.push(format!(
+        "Rules learned by logicity {} from {}.",
+        env!("CARGO_PKG_VERSION"),
+        described(arguments, &city)
+    ));
+    let settings = Settings {
+        variables: arguments.variables,
+        nodes: arguments.effort,
+        seed: arguments.seed,
+        noise: arguments.noise.unwrap_or(Noise::None),
+        threads: arguments.threads,
+        ..Settings::default()
+    };
+    let cancel = cancel_on_interrupt()?;
+    let (task, collected, tests) = collect(arguments, city, sources, origin, &cancel)?;
+    let Collected { examples, mut origin } = collected;
+    if arguments.noise.is_none() {
+        task.check(&examples, &origin)?;
+    }
+    origin.lines.push(task.describe(&settings));
+
+    let bar = ProgressBar::new(1);
+    let template = "{bar:30} {msg} {pos} of {len} states";
+    bar.set_style(ProgressStyle::with_template(template).expect("a valid template"));
+    let names: Vec<&str> = task.actions().iter().map(|action| action.name()).collect();
+    let progress = |progress: Progress| {
+        bar.set_length(progress.states as u64);
+        bar.set_position(progress.covered as u64);
+        bar.set_message(format!(
+            "{}: {} clauses found,",
+            names[progress.action], progress.clauses
+        ));
+    };
+    let learned = learn_with(&examples, &settings, &progress, &cancel);
+    let support = support(&examples, &learned);
+    bar.finish_and_clear();
+
+    let text = rule_file(&task, &learned, &support, &origin, (sources, &rule_files));
+    let path = &arguments.output;
+    write!(rules_out, "{text}").map_err(|error| unwritable(path, &error))?;
+    finish(rules_out, path)?;
+    let measured = tests.map(|tests| Recalls::new(&tests.examples, &learned));
+    if let Some((mut out, path)) = report_out {
+        let mut json = report_json(&task, &learned, &support, &origin);
+        if let Some(measured) = &measured {
+            json["test"] = measured.json(&names);
+        }
+        writeln!(out, "{json:#}").map_err(|error| unwritable(path, &error))?;
+        finish(out, path)?;
+    }
+    if let Some((mut out, page)) = page_out {
+        view::write_with(&arguments.data[0], path, &mut out, page, &arguments.limits)?;
+        finish(out, page)?;
+    }
+    let mut written = vec![path.as_path()];
+    written.extend(arguments.report.as_deref());
+    written.extend(arguments.page.as_deref());
+    if !is_stdout(path) {
+        let mut out = messages(&written);
+        let clauses = support.clauses.len();
+        writeln!(out, "wrote {clauses} clauses to {}", path.display())?;
+    }
+    if let Some(measured) = measured {
+        write!(messages(&written), "{}", measured.text(&names))?;
+    }
+    if learned.is_complete {
+        Ok(())
+    } else {
+        Err(Failure::Interrupted)
+    }
+}
+
+/// Reads the value of `--noise`.
+fn noise(text: &str) -> Result<Noise, String> {
+    if text == "auto" {
+        return Ok(Noise::Auto);
+    }
+    let rate = text.parse().ok().filter(|rate| (0.0..=0.5).contains(rate));
+    rate.map(Noise::Rate)
+        .ok_or_else(|| "expected `auto` or a number from 0 to 0.5".to_owned())
+}
+
+/// Returns the source of the examples in words.
+fn described(arguments: &Arguments, city: &LoadedCity) -> String {
+    if arguments.data.is_empty() {
+        let count = arguments.episodes.map_or("the".to_owned(), |count| format!("{count}"));
+        return format!(
+            "{count} recorded episodes of {} ({})",
+            city.scenario.name,
+            arguments.split.name()
+        );
+    }
+    let names: Vec<String> = arguments
+        .data
+        .iter()
+        .map(|path| files::portable_name(&path.display().to_string()))
+        .collect();
+    names.join(", ")
+}

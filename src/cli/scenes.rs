@@ -1,0 +1,90 @@
+//! Reads files of scenes, one JSON object per line.
+
+use crate::cli::{Failure, open};
+use crate::diag::{Code, Diagnostic, SourceId, Sources};
+use crate::files::{self, ReadError};
+use std::io::{self, BufRead, BufReader, Read};
+use std::path::{Path, PathBuf};
+
+/// The longest scene, in bytes (64 MiB).
+const MAX_SCENE: u64 = 1 << 26;
+
+/// The scenes of a file or of standard input.
+pub struct SceneLines {
+    lines: Box<dyn BufRead>,
+    path: PathBuf,
+    /// The name of the file in messages.
+    pub name: String,
+    number: usize,
+}
+
+/// A line that is not blank.
+pub struct SceneLine {
+    /// Its number, from 1 on.
+    pub number: usize,
+    /// Its text alone.
+    pub sources: Sources,
+    /// The text among the sources, or why the line is none.
+    pub scene: Result<SourceId, Diagnostic>,
+}
+
+/// Opens a file; `-` means standard input.
+pub fn open_input(path: &Path) -> Result<Box<dyn BufRead>, Failure> {
+    Ok(match path == Path::new("-") {
+        true => Box::new(io::stdin().lock()),
+        false => Box::new(BufReader::new(open(path)?)),
+    })
+}
+
+impl SceneLines {
+    /// Opens a file; `-` means standard input.
+    pub fn open(path: &Path) -> Result<SceneLines, Failure> {
+        Ok(SceneLines::new(open_input(path)?, path))
+    }
+
+    /// Reads the lines of an open file.
+    pub fn new(lines: Box<dyn BufRead>, path: &Path) -> SceneLines {
+        let name = match path == Path::new("-") {
+            true => "<stdin>".to_owned(),
+            false => path.display().to_string(),
+        };
+        SceneLines {
+            lines,
+            path: path.to_owned(),
+            name,
+            number: 0,
+        }
+    }
+
+    /// Returns the next line that is not blank, or `None` at the end.
+    pub fn next(&mut self) -> Result<Option<SceneLine>, Failure> {
+        loop {
+            let unreadable = |error| Failure::file("read", &self.path, error);
+            let mut bytes = Vec::new();
+            let read = self.lines.by_ref().take(MAX_SCENE).read_until(b'\n', &mut bytes);
+            if read.map_err(unreadable)? == 0 {
+                return Ok(None);
+            }
+            self.number += 1;
+            let (number, name) = (self.number, &self.name);
+            let fault = |code, what: &str| Diagnostic::new(code, format!("line {number} of `{name}` is {what}"));
+            let mut sources = Sources::new();
+            let scene = if bytes.len() as u64 == MAX_SCENE && !bytes.ends_with(b"\n") {
+                self.lines.skip_until(b'\n').map_err(unreadable)?;
+                let limit = format!("too long: the limit is {} MiB", MAX_SCENE >> 20);
+                Err(fault(Code::LIMIT_EXCEEDED, &limit))
+            } else {
+                match files::to_text(bytes) {
+                    Ok(line) if line.trim().is_empty() => continue,
+                    Ok(line) => Ok(sources.add_from(name.as_str(), line.trim_end_matches(['\n', '\r']), number)),
+                    Err(ReadError::NotText { column, .. }) => {
+                        let what = format!("not UTF-8 text (first bad byte in column {column})");
+                        Err(fault(Code::NOT_TEXT, &what))
+                    }
+                    Err(error) => return Err(Failure::file("read", &self.path, error)),
+                }
+            };
+            return Ok(Some(SceneLine { number, sources, scene }));
+        }
+    }
+}
