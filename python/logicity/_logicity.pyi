@@ -36,6 +36,7 @@ __all__ = [
     "Simulation",
     "Task",
     "THREADS_MAX",
+    "NOISE_MAX",
     "VARIABLES_MAX",
     "VectorEnv",
     "WORLDS_MAX",
@@ -47,6 +48,7 @@ HEADINGS: list[str]
 PICTURE_SIDE: int
 REASONS: list[str]
 THREADS_MAX: int
+NOISE_MAX: float
 VARIABLES_MAX: int
 WORLDS_MAX: int
 

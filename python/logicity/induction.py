@@ -9,6 +9,7 @@ from __future__ import annotations
 import os
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
+from numbers import Real
 from typing import Any, Literal, Protocol, SupportsIndex, runtime_checkable
 
 import numpy as np
@@ -176,7 +177,7 @@ def induce(
             comes last.
         variables: The largest number of variables of a clause, from 2 on.
         effort: The largest number of steps of the search for one clause.
-        noise: The share of examples that may have a wrong action, from 0 to 0.5, or "auto" to estimate it by
+        noise: The share of examples that may have a wrong action, from 0 to 0.4, or "auto" to estimate it by
             cross-validation. None means that all are right: then two examples with the same facts and different actions
             are an error.
         seed: The seed of the order in which the learner tries examples.
@@ -202,8 +203,12 @@ def induce(
     given = {"variables": variables, "effort": effort, "threads": threads}
     checked = {name: checked_integer(name, value, *limits[name]) for name, value in given.items()}
     checked_seed = checked_integer("seed", seed)
-    if noise is not None and noise != "auto" and not (isinstance(noise, (int, float)) and 0 <= noise <= 0.5):
-        raise ValueError(f"noise: expected a number from 0 to 0.5, auto or None, not {noise!r}")
+    if noise is not None and noise != "auto":
+        message = f"noise: expected a number from 0 to {_logicity.NOISE_MAX}, auto or None, not {noise!r}"
+        if not isinstance(noise, (Real, str)) or isinstance(noise, bool):
+            raise TypeError(message)
+        if isinstance(noise, str) or not 0 <= noise <= _logicity.NOISE_MAX:
+            raise ValueError(message)
     rate = float("nan") if noise == "auto" else None if noise is None else float(noise)
     lines = []
     if isinstance(demonstrations, Demonstrations):

@@ -5,8 +5,8 @@ use crate::task::PyTask;
 use crate::{Signals, threads_of, to_python};
 use logicity::city::Action;
 use logicity::induce::{
-    ActionRules, Atom, Body, Examples, Learned, LearnedClause, Literal, Noise, Settings, State, VARIABLES_MAX,
-    learn_with, support,
+    ActionRules, Atom, Body, Examples, Learned, LearnedClause, Literal, NOISE_MAX, Noise, Settings, State,
+    VARIABLES_MAX, learn_with, support,
 };
 use logicity::task::induction::{InductionTask, Origin, report_json, rule_file};
 use numpy::{IntoPyArray, PyArray1, PyReadonlyArray1, PyReadonlyArray2};
@@ -15,6 +15,7 @@ use pyo3::prelude::*;
 use std::sync::Arc;
 
 pub fn register(module: &Bound<'_, PyModule>) -> PyResult<()> {
+    module.add("NOISE_MAX", NOISE_MAX)?;
     module.add("VARIABLES_MAX", VARIABLES_MAX)?;
     module.add_class::<PyLearnedRules>()?;
     module.add_function(wrap_pyfunction!(restore_rules, module)?)?;
@@ -110,6 +111,7 @@ fn restore_rules(
         let mut rules = ActionRules {
             clauses: Vec::new(),
             is_cheapest: false,
+            variables_limit: None,
             uncovered: 0,
         };
         for body in bodies {

@@ -65,7 +65,9 @@ def test_wrong_actions_are_tolerated(demonstrations: logicity.Demonstrations) ->
     assert np.mean(rules(observations) == actions) > 0.999
     assert rules.report["noise"] == 0.005
     with pytest.raises(ValueError, match=r"0\.5"):
-        logicity.induce(episodes, "hard", noise=0.6)
+        logicity.induce(episodes, "hard", noise=0.5)
+    with pytest.raises(TypeError, match="noise: expected a number"):
+        logicity.induce(episodes, "hard", noise=[0.1])  # type: ignore[arg-type]
 
 
 def test_literals_that_the_examples_leave_open_are_reported(demonstrations: logicity.Demonstrations) -> None:

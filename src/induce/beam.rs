@@ -40,7 +40,7 @@ impl Stratum<'_> {
         self.exception * (gain - loss - DOUBT * self.doubtful(states)) - SCALE * i64::from(cost)
     }
 
-    /// Returns how many of the negative states in which a clause holds noise does not explain.
+    /// Returns the number of negative examples of a clause beyond those that noise explains.
     fn doubtful(&self, states: &[Vec<u64>; 2]) -> i64 {
         let negative = self.negative.sum(&states[1]);
         let expected = (self.positive.sum(&states[0]) + negative) as f64 * self.rate;
@@ -48,7 +48,7 @@ impl Stratum<'_> {
     }
 }
 
-/// How often an exception counts that noise does not explain.
+/// The weight of a negative example beyond those that noise explains.
 const DOUBT: i64 = 10;
 
 /// The factor of the costs of literals in scores.
@@ -86,11 +86,12 @@ struct Node {
     chosen: Bits,
     positive: Rc<Rows>,
     negative: Rc<Rows>,
-    /// The negative rows, assignments counted apart.
+    /// Number of negative rows: pairs of an assignment and a state.
     negative_rows: u64,
 }
 
 struct Extension {
+    /// The information gain of FOIL (Quinlan 1990), with half a positive and half a negative example added.
     value: f64,
     parent: usize,
     literal: usize,

@@ -1,9 +1,14 @@
 //! A set of clauses of least cost that covers all examples.
 
+use crate::cancel::Cancel;
+use crate::induce::bits;
 use std::collections::BTreeSet;
 
 /// The nodes after which the search for a cheaper cover stops.
 const NODES_MAX: u32 = 200_000;
+
+/// Nodes between two polls for cancellation.
+const POLL_NODES: u32 = 1024;
 
 /// A cover of all elements.
 pub struct Cover {
@@ -14,13 +19,13 @@ pub struct Cover {
 }
 
 /// Chooses columns of least total cost that cover every element that some column covers. A column is a set of elements
-/// with its cost.
-pub fn cheapest_cover(columns: &[(Vec<u64>, u32)]) -> Cover {
+/// with its cost. After cancellation, the cover may not be the cheapest.
+pub fn cheapest_cover(columns: &[(Vec<u64>, u32)], cancel: &Cancel) -> Cover {
     let words = columns.first().map_or(0, |(set, _)| set.len());
     // Only the sets of columns that cover an element matter, and only the minimal ones.
     let mut distinct: BTreeSet<(usize, Vec<usize>)> = BTreeSet::new();
     for element in 0..words * 64 {
-        let covers = |column: &usize| columns[*column].0[element / 64] >> (element % 64) & 1 == 1;
+        let covers = |column: &usize| bits::has(&columns[*column].0, element);
         let covering: Vec<usize> = (0..columns.len()).filter(covers).collect();
         distinct.insert((covering.len(), covering));
     }
@@ -39,6 +44,7 @@ pub fn cheapest_cover(columns: &[(Vec<u64>, u32)]) -> Cover {
         costs,
         best,
         nodes: 0,
+        cancel,
     };
     search.extend(&mut vec![false; columns.len()], &mut Vec::new(), 0);
     search.best.sort_unstable();
@@ -63,19 +69,23 @@ fn greedy(elements: &[Vec<usize>], costs: &[u32]) -> Vec<usize> {
     chosen
 }
 
-struct Search {
+struct Search<'a> {
     /// For each element, the columns that cover it.
     elements: Vec<Vec<usize>>,
     costs: Vec<u32>,
     best: Vec<usize>,
     best_cost: u32,
     nodes: u32,
+    cancel: &'a Cancel,
 }
 
-impl Search {
+impl Search<'_> {
     /// Tries the columns of the uncovered element that has the fewest.
     fn extend(&mut self, is_chosen: &mut Vec<bool>, chosen: &mut Vec<usize>, cost: u32) {
         self.nodes += 1;
+        if self.nodes.is_multiple_of(POLL_NODES) && self.cancel.requested() {
+            self.nodes = NODES_MAX;
+        }
         if self.nodes > NODES_MAX {
             return;
         }

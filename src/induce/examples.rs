@@ -236,7 +236,7 @@ impl Examples {
         index
     }
 
-    /// Adds the examples of a state that is in sorted order. Their numbers stay.
+    /// Adds the examples of a state, whose order of entities is that of [`State::sorted`]. They keep their numbers.
     pub(crate) fn merge(&mut self, state: &State, tallies: &[Tally]) {
         self.states.insert(state.clone(), tallies.into());
         self.count += tallies.iter().map(|tally| u64::from(tally.count)).sum::<u64>();

@@ -9,7 +9,7 @@ use crate::induce::noise;
 use crate::induce::problem::{Problem, Split};
 use crate::induce::rules::{ActionRules, Learned, LearnedClause, Noise, Progress, Settings};
 use crate::induce::search::{Found, Search};
-use crate::induce::vocabulary::{Body, LITERAL_COST, Vocabulary};
+use crate::induce::vocabulary::{Body, LITERAL_COST, VARIABLES_MAX, Vocabulary};
 use crate::rng::{Purpose, RngExt, Seed};
 use rayon::prelude::*;
 use std::collections::BTreeMap;
@@ -30,20 +30,29 @@ impl Purpose {
 ///
 /// If there are more states than [`Settings::working_states`], the learner begins with a sample. It adds states that the
 /// learned rules get wrong and learns again, until the rules are right in all states that any clauses can separate.
+///
+/// # Panics
+/// If a setting is out of its range.
 pub fn learn(examples: &Examples, settings: &Settings, cancel: &Cancel) -> Learned {
     learn_with(examples, settings, &|_| (), cancel)
 }
 
 /// Variant of [`learn`] that reports its progress.
+///
+/// # Panics
+/// If a setting is out of its range.
 pub fn learn_with(
     examples: &Examples,
     settings: &Settings,
     progress: &(dyn Fn(Progress) + Sync),
     cancel: &Cancel,
 ) -> Learned {
+    let range = examples.vocabulary().egos()..=VARIABLES_MAX;
+    assert!(range.contains(&settings.variables), "variables not in {range:?}");
+    assert!(settings.tries > 0 && settings.working_states > 0, "no tries or states");
     let threads = settings.threads.map_or(0, NonZeroUsize::get);
     let Ok(pool) = rayon::ThreadPoolBuilder::new().num_threads(threads).build() else {
-        // Without threads of its own, the learner uses those of the caller.
+        // If no threads can be created, the learner uses those of the caller.
         return learn_here(examples, settings, progress, cancel);
     };
     // `cancel` may have an effect on this thread only, so this one polls it, and the threads of the pool poll a flag.
@@ -128,7 +137,7 @@ pub(crate) fn learn_here(
     }
 }
 
-/// Chooses at most about `most` of the states: as many of each action, evenly spread, and all of rare ones.
+/// Samples about `most` states, balanced over actions and evenly spaced. Keeps every state of a rare action.
 fn sample(labels: &[usize], actions: usize, most: usize) -> Vec<bool> {
     let mut counts = vec![0; actions];
     labels.iter().for_each(|&label| counts[label] += 1);
@@ -162,6 +171,7 @@ fn learn_action(
     let split = Split::new(vocabulary, positive, negative);
     let fewest = (vocabulary.egos() + 1).min(settings.variables);
     let mut problems: Vec<Problem<'_>> = Vec::new();
+    let mut variables_max = settings.variables;
     let mut random = Seed(settings.seed).stream(Purpose::INDUCE, action as u64, 0);
     let mut pool: BTreeMap<Body, Found> = BTreeMap::new();
     let mut open = bits::empty(positive.len());
@@ -181,10 +191,11 @@ fn learn_action(
             .map(|_| left[random.random_range(0..left.len())])
             .collect();
         let mut best: Option<Found> = None;
-        for variables in fewest..=settings.variables {
+        for variables in fewest..=variables_max {
             if problems.len() <= variables - fewest {
                 // There are too many assignments for more variables.
                 let Some(problem) = split.problem(vocabulary, variables, settings.negation) else {
+                    variables_max = variables - 1;
                     break;
                 };
                 problems.push(problem);
@@ -222,7 +233,7 @@ fn learn_action(
         .iter()
         .map(|found| (found.covered.clone(), found.body.cost(vocabulary) + LITERAL_COST))
         .collect();
-    let cover = cheapest_cover(&columns);
+    let cover = cheapest_cover(&columns, cancel);
     let mut chosen: Vec<&Found> = cover.columns.iter().map(|&column| &pool[column]).collect();
     chosen.sort_by_key(|found| std::cmp::Reverse(bits::count(&found.covered)));
     let mut covered = vec![0; positive.len().div_ceil(64)];
@@ -239,6 +250,7 @@ fn learn_action(
     ActionRules {
         clauses: clauses.collect(),
         is_cheapest: cover.is_cheapest,
+        variables_limit: Some(variables_max).filter(|limit| *limit < settings.variables),
         uncovered: positive.len() - bits::count(&covered) as usize,
     }
 }

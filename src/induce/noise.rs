@@ -20,7 +20,7 @@ const BITS: f64 = 0.375;
 
 /// Returns the description length of a wrong action, in the unit of costs times [`SCALE`].
 fn exception(rate: f64, actions: usize) -> i64 {
-    let rate = rate.clamp(f64::MIN_POSITIVE, RATE_MAX);
+    let rate = rate.clamp(f64::MIN_POSITIVE, NOISE_MAX);
     let bits = ((1.0 - rate) * (actions.max(2) - 1) as f64 / rate).log2();
     ((bits / BITS * SCALE as f64).round() as i64).max(1)
 }
@@ -30,8 +30,8 @@ const CANDIDATES: [f64; 3] = [0.001, 0.01, 0.05];
 /// The parts of cross-validation.
 const FOLDS: usize = 2;
 
-/// The highest rate that the learner assumes.
-const RATE_MAX: f64 = 0.4;
+/// The highest share of wrong actions: with more, the majority of similar examples says little.
+pub const NOISE_MAX: f64 = 0.4;
 
 /// Estimates the share of wrong actions: the share of examples that rules learned from other examples get wrong.
 /// `None` if the learner finds rules that are right in all examples although it may leave exceptions.
@@ -68,7 +68,7 @@ pub(crate) fn estimate(
     };
     let errors: Vec<u64> = CANDIDATES.iter().map(|&rate| errors(rate)).collect();
     let fewest = errors.into_iter().min().unwrap_or(0);
-    Some((fewest as f64 / examples.count() as f64).clamp(least, RATE_MAX))
+    Some((fewest as f64 / examples.count() as f64).clamp(least, NOISE_MAX))
 }
 
 /// Returns the number of examples in which rules choose another action.
@@ -132,12 +132,12 @@ pub(crate) fn learn_tolerant(
         };
         let clauses = level.learn(progress, cancel);
         let bodies: Vec<&Body> = clauses.iter().map(|clause| &clause.body).collect();
-        for (begin, holds) in clauses_hold(vocabulary, &bodies, &states) {
+        for (range, holds) in clauses_hold(vocabulary, &bodies, &states) {
             for holds in holds {
-                bits::elements(&holds).for_each(|state| decided[begin + state] = true);
+                bits::elements(&holds).for_each(|state| decided[range.start + state] = true);
             }
         }
-        let open = level.open(&clauses, usize::MAX);
+        let open = level.open(&clauses, None);
         learned.push(ActionRules {
             uncovered: bits::count(&open[0]) as usize,
             clauses: clauses
@@ -148,6 +148,7 @@ pub(crate) fn learn_tolerant(
                 })
                 .collect(),
             is_cheapest: false,
+            variables_limit: Some(level.variables()).filter(|limit| *limit < settings.variables),
         });
     }
     Learned {
@@ -181,7 +182,7 @@ impl Level<'_> {
     }
 
     /// Returns the positive and the negative states that no clause except one covers.
-    fn open(&self, clauses: &[Candidate], except: usize) -> [Vec<u64>; 2] {
+    fn open(&self, clauses: &[Candidate], except: Option<usize>) -> [Vec<u64>; 2] {
         let mut open = self.states.map(|count| {
             let mut all = bits::empty(count).into_vec();
             (0..count).for_each(|state| bits::insert(&mut all, state));
@@ -190,7 +191,7 @@ impl Level<'_> {
         for clause in clauses
             .iter()
             .enumerate()
-            .filter(|(index, _)| *index != except)
+            .filter(|(index, _)| Some(*index) != except)
             .map(|(_, clause)| clause)
         {
             subtract(&mut open[0], &clause.states[0]);
@@ -241,8 +242,12 @@ impl Level<'_> {
     /// Drops clauses that do not shorten the description, the least useful one first.
     fn prune(&self, clauses: &mut Vec<Candidate>) {
         loop {
-            let scores = (0..clauses.len())
-                .map(|index| (clauses[index].score(&self.stratum, &self.open(clauses, index)), index));
+            let scores = (0..clauses.len()).map(|index| {
+                (
+                    clauses[index].score(&self.stratum, &self.open(clauses, Some(index))),
+                    index,
+                )
+            });
             match scores.min() {
                 Some((score, index)) if score <= 0 => clauses.remove(index),
                 _ => break,
@@ -252,7 +257,7 @@ impl Level<'_> {
 
     /// Returns how much shorter the clauses make the description.
     fn total(&self, clauses: &[Candidate]) -> i64 {
-        let mut open = self.open(&[], 0);
+        let mut open = self.open(&[], None);
         let mut total = 0;
         for clause in clauses {
             total += clause.score(&self.stratum, &open);
@@ -271,7 +276,7 @@ impl Level<'_> {
         cancel: &Cancel,
     ) {
         let mut random = Seed(self.settings.seed).stream(Purpose::INDUCE, self.action as u64, 1);
-        let mut open = self.open(clauses, usize::MAX);
+        let mut open = self.open(clauses, None);
         // The positive states that are worth a try.
         let mut hopeful = open[0].clone();
         let fewest = (self.vocabulary.egos() + 1).min(self.variables());
@@ -328,7 +333,7 @@ impl Level<'_> {
     fn revise(&self, clauses: &mut Vec<Candidate>, cancel: &Cancel) {
         let mut index = 0;
         while index < clauses.len() && !cancel.requested() {
-            let open = self.open(clauses, index);
+            let open = self.open(clauses, Some(index));
             let score = clauses[index].score(&self.stratum, &open);
             match self.best_neighbor(&clauses[index], score.max(0), &open) {
                 Some(better) => clauses[index] = better,
@@ -361,9 +366,7 @@ impl Level<'_> {
                     let own = self
                         .stratum
                         .score(states, open, body.cost(self.vocabulary) + LITERAL_COST);
-                    let is_safe = self.vocabulary.guard().is_some()
-                        || (0..body.variables(self.vocabulary)).all(|variable| body.binds(variable));
-                    if own > score && is_safe && best.as_ref().is_none_or(|best| own > best.0) {
+                    if own > score && body.is_safe(self.vocabulary) && best.as_ref().is_none_or(|best| own > best.0) {
                         best = Some((own, body.0));
                     }
                 };

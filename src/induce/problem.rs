@@ -238,7 +238,6 @@ impl Problem<'_> {
         for (index, assignment) in self.assignments.iter().enumerate() {
             let begin = rows.states.len();
             rows.states.resize(begin + columns.words, u64::MAX);
-            let mut any = false;
             let mut seen = 0_u64;
             for &entity in assignment {
                 if seen >> entity & 1 == 1 {
@@ -248,8 +247,7 @@ impl Problem<'_> {
                 let present = &columns.present[usize::from(entity) * columns.words..];
                 (rows.states[begin..].iter_mut().zip(present)).for_each(|(word, present)| *word &= present);
             }
-            any |= rows.states[begin..].iter().any(|word| *word != 0);
-            if any {
+            if rows.states[begin..].iter().any(|word| *word != 0) {
                 rows.assignments.push(index as u32);
             } else {
                 rows.states.truncate(begin);

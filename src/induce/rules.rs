@@ -5,23 +5,25 @@ use crate::induce::examples::State;
 use crate::induce::problem::Split;
 use crate::induce::vocabulary::{Body, Vocabulary};
 use std::num::NonZeroUsize;
+use std::ops::Range;
 
 /// Settings of a search.
 #[derive(Clone, Debug)]
 pub struct Settings {
-    /// The most variables of a clause, those in its head included.
+    /// The most variables of a clause, those in its head included: at most [`VARIABLES_MAX`](crate::induce::VARIABLES_MAX).
     pub variables: usize,
     /// The seed of the order in which examples are tried.
     pub seed: u64,
     /// Number of threads, `None` for one per core. The rules do not depend on it.
     pub threads: Option<NonZeroUsize>,
-    /// Uncovered examples that are tried before a clause is chosen.
+    /// Uncovered examples that are tried before a clause is chosen, at least 1.
     pub tries: usize,
     /// A further variable is tried if the best clause newly covers fewer examples than this.
     pub enough: u32,
     /// Nodes of one search.
     pub nodes: u32,
-    /// The number of distinct states from which clauses are learned at first. All other states confirm or refute them.
+    /// The number of distinct states from which clauses are learned at first, at least 1. All other states confirm or
+    /// refute them.
     pub working_states: usize,
     /// Whether clauses may contain negative literals.
     pub negation: bool,
@@ -34,7 +36,7 @@ pub struct Settings {
 pub enum Noise {
     /// None: the rules must be right in every example that any clauses can separate.
     None,
-    /// A known share, between 0 and 1.
+    /// A known share, from 0 to [`NOISE_MAX`](crate::induce::NOISE_MAX). A higher one counts as that.
     Rate(f64),
     /// A share that cross-validation estimates.
     Auto,
@@ -76,6 +78,9 @@ pub struct ActionRules {
     pub clauses: Vec<LearnedClause>,
     /// Whether no cheaper set of the clauses found covers the examples.
     pub is_cheapest: bool,
+    /// The most variables of a clause that the memory allows, if these are fewer than in the settings: clauses with more
+    /// have too many assignments of entities.
+    pub variables_limit: Option<usize>,
     /// Positive states that no clause covers: none separates them from the negative ones, or noise explains them.
     pub uncovered: usize,
 }
@@ -106,11 +111,11 @@ impl Learned {
     /// Returns the position of the action that the rules choose in each of some states.
     pub fn decide(&self, vocabulary: &Vocabulary, states: &[&State]) -> Vec<usize> {
         let mut chosen = vec![self.actions.len(); states.len()];
-        for (begin, holds) in clauses_hold(vocabulary, &self.bodies(), states) {
+        for (range, holds) in clauses_hold(vocabulary, &self.bodies(), states) {
             for (action, clauses) in self.actions.iter().enumerate().rev() {
                 let first: usize = self.actions[..action].iter().map(|rules| rules.clauses.len()).sum();
                 for holds in &holds[first..first + clauses.clauses.len()] {
-                    bits::elements(holds).for_each(|state| chosen[begin + state] = action);
+                    bits::elements(holds).for_each(|state| chosen[range.start + state] = action);
                 }
             }
         }
@@ -124,15 +129,16 @@ impl Learned {
     }
 }
 
-/// Returns, for chunks of states that begin at a position, the states in which each body holds.
+/// Returns, for chunks of states, their positions and the states in which each body holds.
 pub(crate) fn clauses_hold<'a>(
     vocabulary: &'a Vocabulary,
     bodies: &'a [&'a Body],
     states: &'a [&'a State],
-) -> impl Iterator<Item = (usize, Vec<Vec<u64>>)> + 'a {
+) -> impl Iterator<Item = (Range<usize>, Vec<Vec<u64>>)> + 'a {
     (0..states.len()).step_by(CHUNK).map(move |begin| {
-        let split = Split::new(vocabulary, &states[begin..states.len().min(begin + CHUNK)], &[]);
-        let chunk = &states[begin..states.len().min(begin + CHUNK)];
+        let range = begin..states.len().min(begin + CHUNK);
+        let chunk = &states[range.clone()];
+        let split = Split::new(vocabulary, chunk, &[]);
         let holds = bodies.iter().map(|body| {
             match split.problem(vocabulary, body.variables(vocabulary), true) {
                 Some(problem) => problem
@@ -147,7 +153,7 @@ pub(crate) fn clauses_hold<'a>(
                 }
             }
         });
-        (begin, holds.collect())
+        (range, holds.collect())
     })
 }
 

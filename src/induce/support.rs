@@ -53,7 +53,8 @@ pub struct ClauseSupport {
     pub alternatives: Vec<(Literal, Literal)>,
 }
 
-/// Counts the examples that each clause explains, and finds the literals that the examples cannot decide.
+/// Counts the examples that each clause explains, and finds the literals that the examples cannot decide. It does not
+/// search for these literals in the rules of an interrupted learner.
 pub fn support(examples: &Examples, learned: &Learned) -> Support {
     let vocabulary = examples.vocabulary();
     let states: Vec<&State> = examples.states().map(|(state, _)| state).collect();
@@ -69,14 +70,11 @@ pub fn support(examples: &Examples, learned: &Learned) -> Support {
         .collect();
     let mut alone: Vec<Vec<usize>> = vec![Vec::new(); bodies.len()];
     let (mut wrong, mut wrong_first) = (0, Vec::new());
-    for (begin, holds) in clauses_hold(vocabulary, &bodies, &states) {
-        let end = states
-            .len()
-            .min(begin + holds.first().map_or(states.len(), |set| set.len() * 64));
-        for state in begin..end {
+    for (range, holds) in clauses_hold(vocabulary, &bodies, &states) {
+        for state in range.clone() {
             let (_, tallies) = examples.state(state).expect("a position below their number");
             let held: Vec<usize> = (0..bodies.len())
-                .filter(|&clause| bits::has(&holds[clause], state - begin))
+                .filter(|&clause| bits::has(&holds[clause], state - range.start))
                 .collect();
             let chosen = held.first().map_or(learned.actions.len(), |&clause| action_of[clause]);
             for (action, tally) in tallies.iter().enumerate().filter(|(_, tally)| tally.count > 0) {
@@ -121,7 +119,7 @@ pub fn support(examples: &Examples, learned: &Learned) -> Support {
         let step = lower.len().div_ceil(NEGATIVE_MAX).max(1);
         let lower: Vec<&State> = lower.into_iter().step_by(step).map(|state| states[state]).collect();
         let alone: Vec<&State> = alone.iter().map(|&state| states[state]).collect();
-        if !alone.is_empty() && clause.against == 0 {
+        if !alone.is_empty() && clause.against == 0 && learned.is_complete {
             (clause.undecided, clause.alternatives) = undecided(vocabulary, body, &alone, &lower);
         }
     }
@@ -213,8 +211,7 @@ fn undecided(
             let other = with(Some(at), &literal);
             if covers(&problem, &other)
                 && problem.satisfying(problem.negative, &other).is_empty()
-                && (vocabulary.guard().is_some()
-                    || (0..body.variables(vocabulary)).all(|variable| other.binds(variable)))
+                && other.is_safe(vocabulary)
             {
                 alternatives.push((own.clone(), literal));
             }

@@ -4,9 +4,12 @@ use crate::induce::cover::cheapest_cover;
 use crate::induce::learner::learn_here;
 use crate::induce::problem::Split;
 use crate::induce::search::{EXAMPLE, Search};
-use crate::induce::{Body, Examples, Learned, Literal, Noise, Predicate, Settings, State, Vocabulary, learn};
+use crate::induce::{
+    Body, Examples, Learned, Link, Literal, Noise, Predicate, Settings, State, Vocabulary, learn, support,
+};
 use crate::rng::{Purpose, Rng, RngExt, Seed};
 use proptest::prelude::*;
+use std::num::NonZeroUsize;
 use std::sync::Arc;
 use std::sync::atomic::{AtomicUsize, Ordering::Relaxed};
 
@@ -175,7 +178,7 @@ proptest! {
             .filter(|(set, _)| *set == all)
             .map(|(_, cost)| cost)
             .min();
-        let cover = cheapest_cover(&columns);
+        let cover = cheapest_cover(&columns, &Cancel::never());
         prop_assert!(cover.is_cheapest);
         prop_assert_eq!(sum(&mut cover.columns.iter().copied()), (all, cheapest.unwrap_or(0)));
     }
@@ -250,23 +253,92 @@ fn rules_are_the_same_on_any_number_of_threads() {
             .map(|state| (state.clone(), decide(&vocabulary, &rules, &state)));
         let examples = examples(&vocabulary, 3, labeled);
         for noise in [Noise::None, Noise::Rate(0.01)] {
-            let settings = Settings {
-                noise,
-                ..Settings::default()
-            };
             let [one, four] = [1, 4].map(|threads| {
-                let pool = rayon::ThreadPoolBuilder::new()
-                    .num_threads(threads)
-                    .build()
-                    .expect("a pool");
-                texts(
-                    &pool.install(|| learn(&examples, &settings, &Cancel::never())),
-                    &vocabulary,
-                )
+                let settings = Settings {
+                    noise,
+                    threads: NonZeroUsize::new(threads),
+                    ..Settings::default()
+                };
+                texts(&learn(&examples, &settings, &Cancel::never()), &vocabulary)
             });
             assert_eq!(one, four);
         }
     }
+}
+
+/// Without the links, a clause with fewer literals would be cheaper: an entity that is not linked to the head.
+#[test]
+fn clauses_are_linked_to_the_head_with_noise() {
+    let plain = vocabulary(3, 2, false);
+    let links = vec![Link::Any; plain.predicates().len()];
+    let linked = plain.linked(links);
+    let literal = |predicate: usize, arguments: &[u8]| Literal {
+        is_negated: false,
+        atom: super::Atom {
+            predicate,
+            arguments: arguments.iter().copied().collect(),
+        },
+    };
+    let rules = [vec![Body(vec![
+        literal(0, &[0]),
+        literal(1, &[1]),
+        literal(4, &[0, 1]),
+    ])]];
+    for seed in 0..6 {
+        let mut random = Seed(seed).stream(SCENES, 4, 0);
+        let states = states(&linked, 400, seed);
+        let labeled = states.iter().map(|state| {
+            let action = decide(&linked, &rules, state);
+            let is_wrong = random.random_bool(0.02);
+            (state.clone(), if is_wrong { 1 - action } else { action })
+        });
+        let settings = Settings {
+            noise: Noise::Rate(0.02),
+            ..Settings::default()
+        };
+        let examples = examples(&linked, 2, labeled);
+        let learned = learn(&examples, &settings, &Cancel::never());
+        let bodies = learned.bodies();
+        assert!(!bodies.is_empty());
+        assert!(bodies.iter().all(|body| body.is_safe(&linked)), "{bodies:?}");
+        let states: Vec<&State> = examples.states().map(|(state, _)| state).collect();
+        let support = support(&examples, &learned);
+        for (state, action) in states.iter().zip(learned.decide(&linked, &states)) {
+            let holding = bodies.iter().any(|body| holds(&linked, body, state));
+            assert_eq!(holding, action == 0);
+        }
+        for (clause, body) in support.clauses.iter().zip(bodies) {
+            for (own, other) in &clause.alternatives {
+                let mut literals: Vec<Literal> = body.0.iter().filter(|literal| *literal != own).cloned().collect();
+                literals.push(other.clone());
+                assert!(Body(literals).is_safe(&linked), "{own:?} {other:?}");
+            }
+        }
+    }
+}
+
+/// More states than are evaluated together, and no clause.
+#[test]
+fn support_counts_each_example_once() {
+    let vocabulary = vocabulary(15, 0, true);
+    let count: usize = 17_500;
+    let state = |number: usize| {
+        let mut state = State::new(&vocabulary, 1);
+        (0..15)
+            .filter(|bit| number >> bit & 1 == 1)
+            .for_each(|bit| state.insert(&vocabulary, bit, &[0]));
+        state
+    };
+    let labeled = (0..count).map(|number| (state(number), usize::from(number != 17_000)));
+    let examples = examples(&vocabulary, 2, labeled);
+    let settings = Settings {
+        noise: Noise::Rate(0.3),
+        ..Settings::default()
+    };
+    let learned = learn(&examples, &settings, &Cancel::never());
+    assert!(learned.bodies().is_empty());
+    let support = support(&examples, &learned);
+    assert_eq!((support.wrong, support.wrong_first), (1, vec![17_000]));
 }
 
 /// Scenes in which a known rule set decides, and the number of the action that each example has.

@@ -281,6 +281,20 @@ impl Body {
         texts
     }
 
+    /// Returns whether a guard, or positive literals, bind all variables of the body and of the head. With links, the
+    /// literals must be linked to the head.
+    pub fn is_safe(&self, vocabulary: &Vocabulary) -> bool {
+        let variables = |literals: &mut dyn Iterator<Item = &Literal>| {
+            let arguments = literals.flat_map(|literal| &literal.atom.arguments);
+            arguments.fold(0_u64, |set, variable| set | 1 << variable)
+        };
+        let positive = self.0.iter().filter(|literal| !literal.is_negated);
+        let heads = (1 << vocabulary.egos) - 1;
+        let missing = heads & !variables(&mut positive.clone());
+        let unbound = variables(&mut self.0.iter()) & !vocabulary.bound(positive.map(|literal| &literal.atom));
+        vocabulary.guard.is_some() || missing | unbound == 0
+    }
+
     /// Returns whether a positive literal contains a variable.
     pub fn binds(&self, variable: usize) -> bool {
         (self.0.iter()).any(|literal| !literal.is_negated && literal.atom.arguments.contains(&(variable as u8)))

@@ -1,4 +1,4 @@
-//! Sets of states in which each state counts as often as its examples outweigh others.
+//! Sums of weights over sets of states.
 
 use crate::induce::bits;
 

@@ -63,11 +63,10 @@ fn a_city_runs_with_learned_rules() {
 }
 
 #[test]
-fn threads_and_repetition_do_not_change_the_rules() {
+fn threads_do_not_change_the_rules() {
     let rules = |threads| succeeds(&logicity(["induce", "--config", "hard", "--threads", threads]));
     let one = rules("1");
     assert_eq!(rules("3"), one);
-    assert_ne!(succeeds(&logicity(["induce", "--config", "hard", "--seed", "1"])), "");
 }
 
 #[test]
@@ -172,6 +171,37 @@ fn scenes_teach_their_actions() {
     );
     assert!(learned.contains("// No clause: 0 examples."), "{learned}");
     assert!(learned.contains("the first is scenes.jsonl, line 4, a\n"), "{learned}");
+}
+
+/// Names that a file gives to its entities cannot end a comment of the rule file.
+#[test]
+fn names_of_entities_add_no_clauses() {
+    let folder = tempfile::tempdir().unwrap();
+    let scene = |name: &str, fact: &str, action: &str| {
+        let facts = serde_json::json!({"IsCar": [name], fact: [name]});
+        serde_json::json!({"entities": [name], "ego": name, "facts": facts, "actions": {name: action}}).to_string()
+    };
+    let name = "a\nStop(X) :- IsCar(X).\r";
+    let scenes = [scene(name, "IsBus", "Fast"), scene(name, "IsTiro", "Normal")].join("\n");
+    let file = folder.path().join("scenes.jsonl");
+    fs::write(&file, scenes).unwrap();
+    let learned = succeeds(&logicity(["induce", file.to_str().unwrap()]));
+    assert!(learned.contains("line 1, a_Stop(X) :- IsCar(X)._"), "{learned}");
+    let clauses: Vec<&str> = learned
+        .lines()
+        .filter(|line| line.contains(":-") && !line.starts_with("//"))
+        .collect();
+    assert_eq!(
+        clauses,
+        ["Fast(X) :- Not(Stop(X)), Not(Slow(X)), IsBus(X), Sees(X, X)."]
+    );
+    let page = folder.path().join("page.html");
+    let outputs = ["-o", "rules.dl", "--page", page.to_str().unwrap()];
+    let [o, rules, p, page] = outputs;
+    let refused = logicity(["induce", file.to_str().unwrap(), o, rules, p, page]);
+    fails(&refused, 2, &["is no trace", "logicity run"]);
+    assert!(!Path::new(rules).exists());
+    fails(&logicity(["induce", "-", "--test", "-"]), 2, &["read once only"]);
 }
 
 /// A pipe can be read once only.
@@ -313,7 +343,7 @@ fn bad_examples_are_refused() {
     let tolerated = logicity(["induce", file.to_str().unwrap(), "--config", "easy", "--noise", "0.1"]);
     assert!(succeeds(&tolerated).contains("// Noise: 10.00 % of the examples"));
     let unusable = logicity(["induce", file.to_str().unwrap(), "--config", "easy", "--noise", "0.7"]);
-    fails(&unusable, 2, &["from 0 to 0.5"]);
+    fails(&unusable, 2, &["from 0 to 0.4"]);
     fails(&logicity(["induce", "no such file"]), 2, &["no such file"]);
     fails(&logicity(["induce", "--config", "metropolis"]), 1, &[]);
 }

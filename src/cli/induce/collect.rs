@@ -38,6 +38,7 @@ pub fn collect(
     let mut files = FileCollector {
         task: &task,
         limits: &arguments.limits,
+        is_page_wanted: arguments.page.is_some(),
         scenes: Inference::new(
             scenario,
             program,
@@ -47,13 +48,14 @@ pub fn collect(
         )?,
         cancel,
     };
-    let tests = match arguments.test.is_empty() {
-        true => None,
-        false => Some(files.collect(&arguments.test, Origin::default())?),
-    };
     let collected = match arguments.data.is_empty() {
         true => episodes(arguments, &task, sources, origin, cancel)?,
         false => files.collect(&arguments.data, origin)?,
+    };
+    files.is_page_wanted = false;
+    let tests = match arguments.test.is_empty() {
+        true => None,
+        false => Some(files.collect(&arguments.test, Origin::default())?),
     };
     Ok((task, collected, tests))
 }
@@ -89,6 +91,7 @@ fn episodes(
 struct FileCollector<'a> {
     task: &'a InductionTask,
     limits: &'a LimitOptions,
+    is_page_wanted: bool,
     scenes: Inference,
     cancel: &'a Cancel,
 }
@@ -123,6 +126,13 @@ impl FileCollector<'_> {
         let is_trace =
             serde_json::from_slice::<serde_json::Value>(&first).is_ok_and(|header| header.get("trace").is_some());
         let lines = Box::new(Cursor::new(first).chain(lines));
+        if self.is_page_wanted && !is_trace {
+            let message = format!(
+                "`{}` is no trace; --page shows a trace as `logicity run` writes it",
+                path.display()
+            );
+            return Err(Failure::Usage(message));
+        }
         if is_trace {
             self.add_trace(TraceReader::new(lines, path, 0)?, path, to)
         } else {
@@ -149,11 +159,10 @@ impl FileCollector<'_> {
                     let Some(action) = label else { continue };
                     let (world, tick) = (world.world, sample.tick);
                     let place = format!("{name}, world {world}, tick {tick}, {}", sample.names[car]);
-                    let action = self.task.action(*action);
-                    let state = translator.state(&sample.facts, car);
-                    to.add(state, action)
-                        .map_err(|fault| fault.note(format!("in {place}")))?;
-                    to.name_last(place);
+                    let noted = |fault: Diagnostic| fault.note(format!("in {place}"));
+                    let action = self.task.action(*action).map_err(noted)?;
+                    let state = translator.state(&sample.facts, car).map_err(noted)?;
+                    to.add(state, action, place);
                 }
             }
         }
@@ -171,10 +180,13 @@ impl FileCollector<'_> {
             self.check_cancelled()?;
             replay.set(&tick).map_err(|fault| trace.placed(fault))?;
             for (agent, state) in tick.agents.iter().enumerate() {
+                let place = format!("{name}, {} in tick {}", replay.agents()[agent].id, tick.tick);
                 let action = state.action().and_then(|action| self.task.action(action));
-                let state = translator.state(replay.facts(), agent);
-                to.add(state, action).map_err(|fault| trace.placed(fault))?;
-                to.name_last(format!("{name}, {} in tick {}", replay.agents()[agent].id, tick.tick));
+                let action = action.map_err(|fault| trace.placed(fault))?;
+                let state = translator
+                    .state(replay.facts(), agent)
+                    .map_err(|fault| trace.placed(fault))?;
+                to.add(state, action, place);
             }
         }
         Ok(())
@@ -202,9 +214,10 @@ impl FileCollector<'_> {
                 return Err(fault.help(help).into());
             }
             for (ego, action) in scene.actions {
-                let (state, action) = (translator.state(&scene.facts, ego), self.task.action(action));
-                to.add(state, action).map_err(|fault| fault.note(place.clone()))?;
-                to.name_last(format!("{name}, line {number}, {}", scene.names[ego]));
+                let noted = |fault: Diagnostic| fault.note(place.clone());
+                let action = self.task.action(action).map_err(noted)?;
+                let state = translator.state(&scene.facts, ego).map_err(noted)?;
+                to.add(state, action, format!("{name}, line {number}, {}", scene.names[ego]));
             }
         }
         Ok(())
@@ -212,15 +225,10 @@ impl FileCollector<'_> {
 }
 
 impl Collected {
-    /// Adds an example.
-    fn add(&mut self, state: Result<State, Diagnostic>, action: Result<usize, Diagnostic>) -> Result<(), Diagnostic> {
-        self.examples.push(state?, action?);
-        Ok(())
-    }
-
-    /// Names the place of the last example.
-    fn name_last(&mut self, place: String) {
-        self.origin.push(self.examples.count() - 1, place);
+    /// Adds an example from a place.
+    fn add(&mut self, state: State, action: usize, place: String) {
+        self.origin.push(self.examples.count(), place);
+        self.examples.push(state, action);
     }
 }
 

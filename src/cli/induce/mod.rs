@@ -6,23 +6,23 @@ use crate::city::{Action, Split};
 use crate::cli::view;
 use crate::cli::{
     Failure, ForceOption, Inputs, LimitOptions, cancel_on_interrupt, finish, integer, is_stdout, load_city, messages,
-    one_of, unwritable,
+    one_of, plural, unwritable,
 };
 use crate::diag::Sources;
 use crate::files;
-use crate::induce::{Noise, Progress, Settings, VARIABLES_MAX, learn_with, support};
+use crate::induce::{NOISE_MAX, Noise, Progress, Settings, VARIABLES_MAX, learn_with, support};
 use crate::sim::LoadedCity;
 use crate::task::induction::{Origin, Recalls, report_json, rule_file};
 use collect::{Collected, collect};
 use indicatif::{ProgressBar, ProgressStyle};
 use std::io::Write;
 use std::num::NonZeroUsize;
-use std::path::PathBuf;
+use std::path::{Path, PathBuf};
 
 #[derive(clap::Args)]
 pub struct Arguments {
     /// Examples: traces of `logicity run`, scenes with `actions` (one JSON object per line), or data sets of `logicity
-    /// vap make` [default: the recorded episodes of the configuration, driven by its rules]
+    /// vap make`; `-` means standard input [default: the recorded episodes of the configuration, driven by its rules]
     data: Vec<PathBuf>,
     /// Configuration that defines the predicates. The learner does not read its clauses of actions
     #[arg(long, default_value = "configs/expert.yaml")]
@@ -61,7 +61,7 @@ pub struct Arguments {
     /// The most steps of the search for one clause
     #[arg(long, value_name = "COUNT", value_parser = integer(1..=u32::MAX), default_value_t = Settings::default().nodes)]
     effort: u32,
-    /// Share of examples that may have a wrong action, from 0 to 0.5, or `auto` to estimate it. Without it, two examples
+    /// Share of examples that may have a wrong action, from 0 to 0.4, or `auto` to estimate it. Without it, two examples
     /// with the same facts and different actions are an error
     #[arg(long, value_name = "RATE", value_parser = noise)]
     noise: Option<Noise>,
@@ -86,6 +86,11 @@ pub fn run(arguments: &Arguments, sources: &mut Sources) -> Result<(), Failure> 
     let is_one_file = matches!(&arguments.data[..], [path] if path.is_file());
     if arguments.page.is_some() && (!is_one_file || is_stdout(&arguments.output)) {
         let message = "--page needs one trace in a file, as `logicity run` writes it, and --output with a file";
+        return Err(Failure::Usage(message.to_owned()));
+    }
+    let inputs = arguments.data.iter().chain(&arguments.test);
+    if inputs.filter(|path| path.as_path() == Path::new("-")).count() > 1 {
+        let message = "standard input can be read once only; name a file for the other examples";
         return Err(Failure::Usage(message.to_owned()));
     }
     let city = load_city(
@@ -164,8 +169,8 @@ pub fn run(arguments: &Arguments, sources: &mut Sources) -> Result<(), Failure> 
     written.extend(arguments.page.as_deref());
     if !is_stdout(path) {
         let mut out = messages(&written);
-        let clauses = support.clauses.len();
-        writeln!(out, "wrote {clauses} clauses to {}", path.display())?;
+        let clauses = plural(support.clauses.len(), "clause");
+        writeln!(out, "wrote {clauses} to {}", path.display())?;
     }
     if let Some(measured) = measured {
         write!(messages(&written), "{}", measured.text(&names))?;
@@ -182,20 +187,19 @@ fn noise(text: &str) -> Result<Noise, String> {
     if text == "auto" {
         return Ok(Noise::Auto);
     }
-    let rate = text.parse().ok().filter(|rate| (0.0..=0.5).contains(rate));
+    let rate = text.parse().ok().filter(|rate| (0.0..=NOISE_MAX).contains(rate));
     rate.map(Noise::Rate)
-        .ok_or_else(|| "expected `auto` or a number from 0 to 0.5".to_owned())
+        .ok_or_else(|| format!("expected `auto` or a number from 0 to {NOISE_MAX}"))
 }
 
 /// Returns the source of the examples in words.
 fn described(arguments: &Arguments, city: &LoadedCity) -> String {
     if arguments.data.is_empty() {
-        let count = arguments.episodes.map_or("the".to_owned(), |count| format!("{count}"));
-        return format!(
-            "{count} recorded episodes of {} ({})",
-            city.scenario.name,
-            arguments.split.name()
-        );
+        let episodes = match arguments.episodes {
+            None => "the recorded episodes".to_owned(),
+            Some(count) => plural(count, "recorded episode"),
+        };
+        return format!("{episodes} of {} ({})", city.scenario.name, arguments.split.name());
     }
     let names: Vec<String> = arguments
         .data

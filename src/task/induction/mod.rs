@@ -104,7 +104,7 @@ impl InductionTask {
         let scenario = &self.world.scenario;
         let hash: String = scenario.hash.chars().take(12).collect();
         format!(
-            "Configuration {} {hash}; at most {} variables, {} steps a search, seed {}.",
+            "Configuration {} {hash}; at most {} variables, {} steps per search, seed {}.",
             scenario.name, settings.variables, settings.nodes, settings.seed
         )
     }
@@ -125,9 +125,10 @@ impl InductionTask {
         let fault = Diagnostic::new(Code::CONTRADICTING_EXAMPLES, message);
         Err(match more {
             0 => fault,
+            1 => fault.note("1 other state has several actions, too"),
             more => fault.note(format!("{more} other states have several actions, too")),
         }
-        .help("correct the labels, or add predicates that distinguish the states"))
+        .help("correct the labels, add predicates that distinguish the states, or allow wrong actions with `noise`"))
     }
 
     /// Returns a translator of facts whose predicates are in the order of `known`.
@@ -178,10 +179,10 @@ impl InductionTask {
         let known = &self.world.vocabulary;
         let mut facts: Vec<(usize, [usize; 2])> = Vec::new();
         let (mut rest, mut learned) = (observation, 0);
-        for (position, predicate) in known.predicates.iter().enumerate().filter(|(at, _)| *at != known.sees) {
+        for (_, predicate) in known.predicates.iter().enumerate().filter(|(at, _)| *at != known.sees) {
             let (values, after) = rest.split_at(entities.pow(predicate.arity as u32));
             rest = after;
-            if observed(known).all(|(observed, _)| observed != position) {
+            if predicate.relation.is_none() {
                 continue;
             }
             for (at, _) in values.iter().enumerate().filter(|(_, value)| **value > 0.5) {

@@ -98,9 +98,10 @@ pub fn rule_file(
     text
 }
 
-/// Adds a comment, wrapped at 100 columns.
+/// Adds a comment, wrapped at 100 columns. Names of files and entities may contain line breaks, which would end it.
 fn comment(text: &mut String, prefix: &str, line: &str) {
     let mut column = 0;
+    let line = line.replace(char::is_control, "_");
     for (index, word) in line.split(' ').enumerate() {
         if index > 0 && column + 1 + word.len() <= 100 {
             text.push(' ');
@@ -153,9 +154,14 @@ fn summary(task: &InductionTask, learned: &Learned, support: &Support, origin: &
         ));
     }
     if learned.rate > 0.0 {
+        let percent = 100.0 * learned.rate;
+        let share = if percent < 0.01 {
+            "less than 0.01".to_owned()
+        } else {
+            format!("{percent:.2}")
+        };
         lines.push(format!(
-            "Noise: {:.2} % of the examples are assumed to have a wrong action.",
-            100.0 * learned.rate
+            "Noise: {share} % of the examples are assumed to have a wrong action."
         ));
     }
     if !learned.is_complete {
@@ -166,13 +172,25 @@ fn summary(task: &InductionTask, learned: &Learned, support: &Support, origin: &
         lines.push(format!("Never true in any example: {}.", unseen.join(", ")));
     }
     for (name, rules) in names.iter().zip(&learned.actions) {
-        if rules.uncovered > 0 {
+        if let Some(limit) = rules.variables_limit {
             lines.push(format!(
-                "{name}: no clause with this number of variables separates {} from those of other actions.",
-                plural(rules.uncovered as u64, "state", "states")
+                "{name}: clauses have at most {limit} variables: more have too many assignments of entities."
             ));
         }
-        if rules.clauses.is_empty() {
+        let uncovered = plural(rules.uncovered as u64, "state", "states");
+        match (rules.uncovered, learned.rate > 0.0) {
+            (0, _) => (),
+            (_, true) => lines.push(format!(
+                "{name}: no clause covers {uncovered}, which noise may explain."
+            )),
+            (_, false) if !learned.is_complete => lines.push(format!("{name}: {uncovered} not covered yet.")),
+            (_, false) => lines.push(format!(
+                "{name}: within the limits above, no clause separates {uncovered} from those of actions of lower \
+                 precedence."
+            )),
+        }
+        // With noise, the learner compares descriptions, not covers.
+        if rules.clauses.is_empty() || learned.rate > 0.0 {
             continue;
         }
         let is_best = rules.clauses.iter().all(|clause| clause.is_best);
@@ -349,6 +367,7 @@ pub fn report_json(task: &InductionTask, learned: &Learned, support: &Support, o
             "clauses": rules.clauses.len(),
             "is_cheapest": rules.is_cheapest,
             "uncovered": rules.uncovered,
+            "variables_limit": rules.variables_limit,
         })
     });
     json!({
