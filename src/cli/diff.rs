@@ -57,7 +57,17 @@ pub fn run(arguments: &Arguments, sources: &mut Sources) -> Result<u8, Failure> 
         let compared = compared(&predicates, [left.rules(), right.rules()]);
         left = restricted(sources, &arguments.left, left.rules(), &compared, condition)?;
         right = restricted(sources, &arguments.right, right.rules(), &compared, condition)?;
-        predicates = compared.iter().map(|name| name.clone() + GIVEN).collect();
+        // `diff` reports a predicate that a side lacks, so it gets the name that the user knows.
+        predicates = compared;
+        for name in &mut predicates {
+            let restricted = format!("{name}{GIVEN}");
+            if [&left, &right]
+                .iter()
+                .all(|side| side.rules().relation(&restricted).is_some())
+            {
+                *name = restricted;
+            }
+        }
     }
     let options = Options {
         predicates,
@@ -135,7 +145,6 @@ fn restricted(
         .map_or_else(String::new, |name| name.to_string_lossy().into_owned());
     let mut text = format!(".include {}\n.scope\n", quoted(&file));
     for name in predicates {
-        // `diff` reports a predicate that one side lacks.
         let Some(relation) = rules.relation(name).map(|id| &rules.relations[id.index()]) else {
             continue;
         };

@@ -2,6 +2,7 @@
 //!
 //! [`spf`] is Safe Path Following: drive to a goal without violating a rule. [`questions`] poses decisions as text.
 //! [`vap`] is Visual Action Prediction: frames of many worlds, with their facts and the actions that the rules want.
+//! [`induction`] learns the rules themselves.
 
 pub mod induction;
 pub mod questions;

@@ -197,7 +197,7 @@ fn check_plan(plan: &ast::Plan, clause: Option<&ast::Clause>, faults: &mut Fault
 
 /// Moves the inserted rows of a predicate that is input and derived to a hidden predicate: `P(x, y) :- +1(x, y).`
 fn split_input(id: RelId, names: &mut Names, out: &mut Clauses) {
-    let given = RelId(u32::try_from(names.relations.len()).expect("fewer than 2^32 predicates"));
+    let edb = RelId(u32::try_from(names.relations.len()).expect("fewer than 2^32 predicates"));
     let owner = names.relation(id);
     let name = format!("+{}", names.hidden() + 1);
     let doc = format!("the inserted rows of `{}`", owner.name);
@@ -214,7 +214,7 @@ fn split_input(id: RelId, names: &mut Names, out: &mut Clauses) {
     };
     out.hidden.push(Clause {
         head: atom(id),
-        body: vec![Literal::Positive(atom(given))],
+        body: vec![Literal::Positive(atom(edb))],
         variables: hidden.columns.iter().map(|column| column.name.clone()).collect(),
         variable_spans: vec![span; hidden.columns.len()],
         doc: String::new(),
@@ -222,7 +222,7 @@ fn split_input(id: RelId, names: &mut Names, out: &mut Clauses) {
     });
     names.signatures.push(names.signatures[id.index()].clone());
     names.relations.push(hidden);
-    names.relations[id.index()].edb = Some(given);
+    names.relations[id.index()].edb = Some(edb);
 }
 
 fn one(clause: &ast::Clause, scopes: &mut scope::Scopes, names: &mut Names, out: &mut Clauses, faults: &mut Faults) {

@@ -19,27 +19,27 @@ pub(crate) struct Output<const W: usize> {
     /// If present, contains everything in `rows`.
     seen: Option<SeenBitmap<W>>,
     /// Whether `seen`, if present, holds all rows ever pushed.
-    whole: bool,
+    seen_has_all: bool,
     /// Whether rows have been taken.
-    took: bool,
+    has_taken: bool,
     /// Indexed by column: the largest word of the rows taken.
     largest: [u32; W],
-    /// Whether `seen` lacks only rows that were taken. [`Output::learn`] can add these.
-    may_learn: bool,
-    /// Whether `seen` is the only record of the rows taken; see [`Output::remember`].
-    remembers: bool,
-    /// If so, and `seen` was dropped: the rows taken before.
-    taken: Vec<Row<W>>,
+    /// Whether `seen` lacks only rows that were taken. [`Output::mark_taken`] can add these.
+    lacks_taken: bool,
+    /// Whether `seen` is the only record of the rows taken; see [`Output::keep_record`].
+    seen_is_record: bool,
+    /// If so, and `seen` was dropped: the rows taken before that.
+    record: Vec<Row<W>>,
     /// The number of new rows that `seen` holds in place of `rows`.
-    kept: usize,
-    /// The number of rows at which `act` reorganizes the buffer.
-    act_at: usize,
+    in_seen: usize,
+    /// The number of rows at which `reorganize` reorganizes the buffer.
+    reorganize_at: usize,
     compact_at: usize,
     limit: usize,
     /// The maximum number of distinct rows that memory allows.
-    fit: usize,
-    /// The lesser of `limit` and `fit`.
-    most: usize,
+    memory_max: usize,
+    /// The lesser of `limit` and `memory_max`.
+    rows_max: usize,
     /// The result of a plan with a fold, which derives no rows.
     groups: Option<Box<Groups<W>>>,
     /// Scratch memory of [`Output::push_set`].
@@ -68,7 +68,7 @@ impl<const W: usize> Output<W> {
 
     /// Distinct rows may take 3/4 of the memory. The rest is for a bitmap and for repetitions, so that the buffer is
     /// not sorted for every few rows.
-    const FIT_PARTS: usize = 4;
+    const MEMORY_PARTS: usize = 4;
 
     /// Unused memory at the end of a list is freed from this size on. Freeing less costs more than it saves.
     const SLACK_BYTES: usize = 1 << 20;
@@ -83,18 +83,18 @@ impl<const W: usize> Output<W> {
             rows: Vec::new(),
             pushed: 0,
             seen: None,
-            whole: true,
-            took: false,
+            seen_has_all: true,
+            has_taken: false,
             largest: [0; W],
-            may_learn: false,
-            remembers: false,
-            taken: Vec::new(),
-            kept: 0,
-            act_at: compact_at.min(Self::SEEN_MIN),
+            lacks_taken: false,
+            seen_is_record: false,
+            record: Vec::new(),
+            in_seen: 0,
+            reorganize_at: compact_at.min(Self::SEEN_MIN),
             compact_at,
             limit,
-            fit: usize::MAX,
-            most: limit,
+            memory_max: usize::MAX,
+            rows_max: limit,
             groups: None,
             values: Vec::new(),
         }
@@ -103,26 +103,26 @@ impl<const W: usize> Output<W> {
     /// Limits the memory of the buffer.
     pub(crate) fn set_bytes(&mut self, bytes: u64) {
         let rows = usize::try_from(bytes / size_of::<Row<W>>() as u64).unwrap_or(usize::MAX);
-        self.set_fit(rows / Self::FIT_PARTS * (Self::FIT_PARTS - 1));
+        self.set_memory_max(rows / Self::MEMORY_PARTS * (Self::MEMORY_PARTS - 1));
     }
 
-    fn set_fit(&mut self, fit: usize) {
-        self.fit = fit;
-        self.most = fit.min(self.limit);
+    fn set_memory_max(&mut self, rows: usize) {
+        self.memory_max = rows;
+        self.rows_max = rows.min(self.limit);
         self.compact_at = self.compact_at.min(self.buffer_max());
-        self.act_at = self.act_at.min(self.compact_at);
+        self.reorganize_at = self.reorganize_at.min(self.compact_at);
     }
 
     /// The maximum number of rows in the list, repetitions included.
     fn buffer_max(&self) -> usize {
-        let repeated = self.most / (Self::FIT_PARTS - 1);
-        self.most.saturating_add(repeated).saturating_add(1)
+        let repeated = self.rows_max / (Self::MEMORY_PARTS - 1);
+        self.rows_max.saturating_add(repeated).saturating_add(1)
     }
 
     /// Fails if there are too many distinct rows.
     #[inline]
     pub(crate) fn check(&self, rows: usize) -> Result<(), Abort> {
-        if rows <= self.most {
+        if rows <= self.rows_max {
             return Ok(());
         }
         Err(if rows > self.limit {
@@ -157,15 +157,15 @@ impl<const W: usize> Output<W> {
             groups: self.groups.as_ref().map(|groups| Box::new(groups.fork())),
             ..Self::new(self.limit / count)
         };
-        if self.fit < usize::MAX {
-            fork.set_fit(self.fit.saturating_sub(self.rows.len()) / (2 * count));
+        if self.memory_max < usize::MAX {
+            fork.set_memory_max(self.memory_max.saturating_sub(self.rows.len()) / (2 * count));
         }
         fork
     }
 
     /// Whether the bitmaps of `count` forks fit into memory.
     pub(crate) fn can_fork(&self, count: usize) -> bool {
-        self.seen_bytes() / size_of::<Row<W>>() * 2 * count <= self.fit / 4
+        self.seen_bytes() / size_of::<Row<W>>() * 2 * count <= self.memory_max / 4
     }
 
     /// The bytes of the bitmap of known rows.
@@ -183,15 +183,15 @@ impl<const W: usize> Output<W> {
             return self.check(rows);
         }
         if let (Some(seen), Some(other)) = (&mut self.seen, &fork.seen)
-            && other.keeps()
+            && other.holds_new()
             && seen.is_like(other)
         {
-            if !seen.keeps() {
-                seen.keep(&self.rows);
-                self.kept = std::mem::take(&mut self.rows).len();
+            if !seen.holds_new() {
+                seen.hold_new(&self.rows);
+                self.in_seen = std::mem::take(&mut self.rows).len();
             }
-            self.kept += seen.absorb(other);
-            return self.check(self.kept);
+            self.in_seen += seen.absorb(other);
+            return self.check(self.in_seen);
         }
         let rows = fork.take();
         if self.seen.is_none() {
@@ -201,8 +201,8 @@ impl<const W: usize> Output<W> {
             // A stable sort merges sorted runs, such as those of several forks, in linear time.
             self.rows.sort();
             self.rows.dedup();
-            return if self.rows.len() >= self.act_at {
-                self.act()
+            return if self.rows.len() >= self.reorganize_at {
+                self.reorganize()
             } else {
                 Ok(())
             };
@@ -221,7 +221,7 @@ impl<const W: usize> Output<W> {
 
     /// Whether the buffer is empty.
     pub(crate) fn is_empty(&self) -> bool {
-        self.rows.is_empty() && self.kept == 0 && self.groups.as_ref().is_none_or(|groups| groups.len() == 0)
+        self.rows.is_empty() && self.in_seen == 0 && self.groups.as_ref().is_none_or(|groups| groups.len() == 0)
     }
 
     /// Adds `times` matches with this key and value; `times` is 1 unless the aggregate is a count.
@@ -249,17 +249,17 @@ impl<const W: usize> Output<W> {
         if let Some(seen) = &mut self.seen {
             match seen.add(&row) {
                 Added::Known => return Ok(()),
-                Added::New if seen.keeps() => {
-                    self.kept += 1;
-                    return self.check(self.kept);
+                Added::New if seen.holds_new() => {
+                    self.in_seen += 1;
+                    return self.check(self.in_seen);
                 }
                 Added::New => {}
                 Added::Beyond => self.unmark(),
             }
         }
         self.rows.push(row);
-        if self.rows.len() >= self.act_at {
-            self.act()
+        if self.rows.len() >= self.reorganize_at {
+            self.reorganize()
         } else {
             Ok(())
         }
@@ -275,11 +275,11 @@ impl<const W: usize> Output<W> {
         column: usize,
     ) -> Result<(), Abort> {
         let mut rest = found;
-        if let Some(seen) = self.seen.as_mut().filter(|seen| seen.keeps()) {
-            let (added, new) = seen.keep_along(row, word, found.iter().map(|other| other.0[column]));
+        if let Some(seen) = self.seen.as_mut().filter(|seen| seen.holds_new()) {
+            let (added, new) = seen.hold_along(row, word, found.iter().map(|other| other.0[column]));
             self.pushed += added as u64;
-            self.kept += new;
-            self.check(self.kept)?;
+            self.in_seen += new;
+            self.check(self.in_seen)?;
             rest = &found[added..];
         }
         for other in rest {
@@ -293,7 +293,7 @@ impl<const W: usize> Output<W> {
     /// if the buffer takes no sets in this column.
     pub(super) fn set_words(&self, column: usize) -> Option<(usize, usize)> {
         let seen = self.seen.as_ref()?;
-        let fit = (self.fit / 12).saturating_mul(size_of::<Row<W>>());
+        let fit = (self.memory_max / 12).saturating_mul(size_of::<Row<W>>());
         let most = seen.bytes().min(fit) / size_of::<u64>();
         Some((seen.set_words(column)?, most))
     }
@@ -307,8 +307,8 @@ impl<const W: usize> Output<W> {
         };
         self.pushed += count as u64;
         if self.values.is_empty() {
-            self.kept += new;
-            self.check(self.kept)?;
+            self.in_seen += new;
+            self.check(self.in_seen)?;
             return Ok(true);
         }
         self.rows.try_reserve(new).map_err(|_| Abort::Memory)?;
@@ -316,8 +316,8 @@ impl<const W: usize> Output<W> {
             row.0[word] = value;
             row
         }));
-        if self.rows.len() >= self.act_at {
-            self.act()?;
+        if self.rows.len() >= self.reorganize_at {
+            self.reorganize()?;
         }
         Ok(true)
     }
@@ -327,34 +327,34 @@ impl<const W: usize> Output<W> {
     fn unmark(&mut self) {
         if let Some(mut seen) = self.seen.take() {
             self.largest = seen.largest();
-            let all = if self.remembers { seen.all() } else { Vec::new() };
-            if seen.keeps() {
-                self.rows = seen.drain(std::mem::take(&mut self.kept));
-            } else if self.remembers {
+            let all = if self.seen_is_record { seen.all() } else { Vec::new() };
+            if seen.holds_new() {
+                self.rows = seen.drain(std::mem::take(&mut self.in_seen));
+            } else if self.seen_is_record {
                 normalize(&mut self.rows);
             }
-            self.taken = difference(&all, &self.rows);
+            self.record = difference(&all, &self.rows);
         }
-        self.remembers = false;
+        self.seen_is_record = false;
         // Reconsider a bitmap only after more rows.
-        self.act_at = (self.rows.len() + Self::SEEN_MIN).min(self.compact_at);
+        self.reorganize_at = (self.rows.len() + Self::SEEN_MIN).min(self.compact_at);
     }
 
     /// Chooses the better representation of the rows.
     #[cold]
-    fn act(&mut self) -> Result<(), Abort> {
+    fn reorganize(&mut self) -> Result<(), Abort> {
         if self.seen.is_none() {
-            let rows = self.pushed.min(Self::SEEN_ROWS_MAX).min(self.fit as u64 / 6);
+            let rows = self.pushed.min(Self::SEEN_ROWS_MAX).min(self.memory_max as u64 / 6);
             self.seen = SeenBitmap::over(&self.rows, self.largest, rows);
             if self.seen.is_some() {
-                self.whole = !self.took;
-                self.may_learn = self.took;
+                self.seen_has_all = !self.has_taken;
+                self.lacks_taken = self.has_taken;
                 normalize(&mut self.rows);
             }
         }
         if let Some(seen) = self.seen.as_mut().filter(|seen| seen.prefers_bits(self.rows.len())) {
-            seen.keep(&self.rows);
-            self.kept = self.rows.len();
+            seen.hold_new(&self.rows);
+            self.in_seen = self.rows.len();
             self.rows = Vec::new();
         }
         // Without a bitmap, the list may hold repetitions until it is compacted.
@@ -365,14 +365,14 @@ impl<const W: usize> Output<W> {
             self.compact_at = self.compact_at.max(self.rows.len().saturating_mul(2));
             self.compact_at = self.compact_at.min(self.buffer_max());
         }
-        self.check(if distinct { self.rows.len() } else { 0 }.max(self.kept))?;
-        self.act_at = self
+        self.check(if distinct { self.rows.len() } else { 0 }.max(self.in_seen))?;
+        self.reorganize_at = self
             .rows
             .len()
             .saturating_mul(2)
             .max(Self::SEEN_MIN)
             .min(self.compact_at);
-        let more = self.act_at.saturating_sub(self.rows.len());
+        let more = self.reorganize_at.saturating_sub(self.rows.len());
         self.rows.try_reserve_exact(more).map_err(|_| Abort::Memory)
     }
 
@@ -384,13 +384,13 @@ impl<const W: usize> Output<W> {
 
     /// Like `take`, with another function to sort rows and remove repetitions.
     pub(crate) fn take_by(&mut self, normalize: impl FnOnce(&mut Vec<Row<W>>)) -> Vec<Row<W>> {
-        self.took |= !self.is_empty();
+        self.has_taken |= !self.is_empty();
         if let Some(groups) = &mut self.groups {
             return groups.take();
         }
-        self.act_at = self.compact_at.min(Self::SEEN_MIN);
-        if let Some(seen) = self.seen.as_mut().filter(|seen| seen.keeps()) {
-            return seen.drain(std::mem::take(&mut self.kept));
+        self.reorganize_at = self.compact_at.min(Self::SEEN_MIN);
+        if let Some(seen) = self.seen.as_mut().filter(|seen| seen.holds_new()) {
+            return seen.drain(std::mem::take(&mut self.in_seen));
         }
         let mut rows = std::mem::take(&mut self.rows);
         normalize(&mut rows);
@@ -403,33 +403,33 @@ impl<const W: usize> Output<W> {
         rows
     }
 
-    /// Adds the rows taken before there was a bitmap, so that the buffer [is whole](Output::is_whole). If a row does
-    /// not fit, the buffer is not whole until it has another bitmap.
-    pub(crate) fn learn<'a>(&mut self, taken: impl Iterator<Item = &'a [Row<W>]>) {
-        if let Some(seen) = self.seen.as_mut().filter(|_| self.may_learn) {
-            self.may_learn = false;
+    /// Adds the rows taken before there was a bitmap, so that it has [all rows](Output::has_all). If a row does not
+    /// fit, that becomes true only with another bitmap.
+    pub(crate) fn mark_taken<'a>(&mut self, taken: impl Iterator<Item = &'a [Row<W>]>) {
+        if let Some(seen) = self.seen.as_mut().filter(|_| self.lacks_taken) {
+            self.lacks_taken = false;
             let mut rows = taken.flatten();
-            self.whole = rows.all(|row| seen.note(row));
+            self.seen_has_all = rows.all(|row| seen.mark(row));
         }
     }
 
-    /// Makes the bitmap the only record of the rows taken. The buffer must [be whole](Output::is_whole). If it drops
-    /// the bitmap later, [`Output::forgotten`] returns these rows.
-    pub(crate) fn remember(&mut self) {
-        self.remembers = true;
+    /// Makes the bitmap the only record of the rows taken. It must have [all rows](Output::has_all). If it drops
+    /// the bitmap later, [`Output::take_record`] returns these rows.
+    pub(crate) fn keep_record(&mut self) {
+        self.seen_is_record = true;
     }
 
-    /// Takes the rows that the buffer remembered before it dropped the bitmap, in order.
-    pub(crate) fn forgotten(&mut self) -> Vec<Row<W>> {
-        std::mem::take(&mut self.taken)
+    /// Takes the rows that were taken before the buffer dropped the bitmap that recorded them, in order.
+    pub(crate) fn take_record(&mut self) -> Vec<Row<W>> {
+        std::mem::take(&mut self.record)
     }
 
     /// Whether the bitmap holds all rows ever pushed.
-    pub(crate) fn is_whole(&self) -> bool {
-        self.whole && self.seen.is_some()
+    pub(crate) fn has_all(&self) -> bool {
+        self.seen_has_all && self.seen.is_some()
     }
 
-    /// The rows in the bitmap, in order: all rows ever pushed if the buffer [is whole](Output::is_whole).
+    /// The rows in the bitmap, in order: all rows ever pushed if it has [all](Output::has_all).
     pub(crate) fn all(&self) -> Vec<Row<W>> {
         self.seen.as_ref().map(SeenBitmap::all).unwrap_or_default()
     }
@@ -455,7 +455,7 @@ mod tests {
             &[1, 1],
         ] {
             let mut out = Output::<2>::new(usize::MAX);
-            assert!(!out.is_whole());
+            assert!(!out.has_all());
             let mut before: BTreeSet<Row<2>> = BTreeSet::new();
             for &words in phases {
                 let mut pushed: BTreeSet<Row<2>> = BTreeSet::new();
@@ -479,7 +479,7 @@ mod tests {
                 let taken: BTreeSet<Row<2>> = taken.into_iter().collect();
                 assert!(pushed.iter().all(|row| taken.contains(row) || before.contains(row)));
                 before.extend(pushed);
-                if out.is_whole() {
+                if out.has_all() {
                     assert!(out.all().iter().eq(&before));
                     known += 1;
                 }
@@ -524,10 +524,10 @@ mod tests {
                     for row in &found {
                         bits[row.0[1].0 as usize / 64] |= 1 << (row.0[1].0 % 64);
                     }
-                    let keeps = sets.seen.as_ref().is_some_and(SeenBitmap::keeps);
+                    let holds_new = sets.seen.as_ref().is_some_and(SeenBitmap::holds_new);
                     // The first word may exceed its bound.
                     done = sets.push_set(row, 1, &bits, found.len()).unwrap();
-                    pushed[usize::from(keeps)] += usize::from(done);
+                    pushed[usize::from(holds_new)] += usize::from(done);
                 }
                 if !done {
                     sets.push_along(row, 1, &found, 1).unwrap();

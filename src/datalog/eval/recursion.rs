@@ -218,9 +218,9 @@ impl<'b, const W: usize> Recursion<'b, W> {
     fn insert(&mut self, member: usize, elements: Vec<Row<W>>, output: &mut Output<W>) {
         let variable = &self.variables[member];
         let mut stable = variable.stable.borrow_mut();
-        if self.forward[member] && output.is_whole() {
+        if self.forward[member] && output.has_all() {
             // No plan reads the old rows, so omit them instead of merging and copying them in every round.
-            output.remember();
+            output.keep_record();
             let mut recent = variable.recent.borrow_mut();
             self.left_out[member] += stable.iter().map(|rows| rows.len()).sum::<usize>() + recent.len();
             stable.clear();
@@ -228,13 +228,13 @@ impl<'b, const W: usize> Recursion<'b, W> {
         } else if self.left_out[member] > 0 {
             self.left_out[member] = 0;
             stable.push(Relation {
-                elements: output.forgotten(),
+                elements: output.take_record(),
             });
             variable.recent.borrow_mut().elements = Vec::new();
         } else if self.forward[member] {
             // This insertion may repeat earlier rows; from the next round on the bitmap filters them.
             let recent = variable.recent.borrow();
-            output.learn(stable.iter().map(|rows| &rows[..]).chain([&recent[..]]));
+            output.mark_taken(stable.iter().map(|rows| &rows[..]).chain([&recent[..]]));
         }
         drop(stable);
         variable.insert(Relation { elements });
@@ -320,7 +320,7 @@ impl<'b, const W: usize> Recursion<'b, W> {
     fn complete(self, outputs: &[Output<W>]) -> Vec<Vec<Row<W>>> {
         drop(self.grown);
         let rows = |(variable, output): (Variable<Row<W>>, &Output<W>)| {
-            if self.base.is_some() || !output.is_whole() {
+            if self.base.is_some() || !output.has_all() {
                 return variable.complete().elements;
             }
             variable.stable.borrow_mut().clear();

@@ -136,7 +136,7 @@ impl<const W: usize> SeenBitmap<W> {
     }
 
     /// Adds a row without marking it as new. Returns whether it fits.
-    pub(crate) fn note(&mut self, row: &Row<W>) -> bool {
+    pub(crate) fn mark(&mut self, row: &Row<W>) -> bool {
         let bit = self.bit(row);
         if let Some((word, mask)) = bit {
             self.known[word] |= mask;
@@ -147,7 +147,7 @@ impl<const W: usize> SeenBitmap<W> {
     /// Adds copies of `row` in which one word is replaced; the set must keep new rows as bits. Stops at the first word
     /// beyond its bound. Returns the number of rows added and how many of them are new.
     #[inline(always)]
-    pub(crate) fn keep_along(
+    pub(crate) fn hold_along(
         &mut self,
         mut row: Row<W>,
         column: usize,
@@ -226,12 +226,12 @@ impl<const W: usize> SeenBitmap<W> {
     }
 
     /// Whether new rows are kept as bits.
-    pub(crate) fn keeps(&self) -> bool {
+    pub(crate) fn holds_new(&self) -> bool {
         !self.fresh.is_empty()
     }
 
     /// Starts to keep new rows as bits. `rows` have been added before and count as new.
-    pub(crate) fn keep(&mut self, rows: &[Row<W>]) {
+    pub(crate) fn hold_new(&mut self, rows: &[Row<W>]) {
         self.fresh = vec![0; self.known.len()];
         for row in rows {
             if let Some((word, mask)) = self.bit(row) {
@@ -299,8 +299,8 @@ mod tests {
         let mut expected: BTreeSet<[u32; W]> = first.iter().map(|row| row.0.map(|word| word.0)).collect();
         for _ in 0..3 {
             let mut fresh = BTreeSet::new();
-            seen.keep(&[]);
-            assert!(seen.keeps());
+            seen.hold_new(&[]);
+            assert!(seen.holds_new());
             for row in (0..500).map(|_| row()) {
                 let plain = row.0.map(|word| word.0);
                 match seen.add(&row) {
@@ -313,7 +313,7 @@ mod tests {
                 let mut row = Row::ZERO;
                 row.0[0] = Value(first);
                 let bound = seen.bounds[W - 1];
-                let (added, new) = seen.keep_along(row, W - 1, (0..words).map(Value));
+                let (added, new) = seen.hold_along(row, W - 1, (0..words).map(Value));
                 assert!(
                     added
                         == if first < seen.bounds[0] {
@@ -331,7 +331,7 @@ mod tests {
             }
             let drained = seen.drain(fresh.len()).into_iter().map(|row| row.0.map(|word| word.0));
             assert!(drained.eq(fresh));
-            assert!(!seen.keeps());
+            assert!(!seen.holds_new());
         }
     }
 

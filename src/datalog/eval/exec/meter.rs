@@ -47,7 +47,7 @@ impl<'a> Meter<'a> {
         }
     }
 
-    /// Evaluates a plan of a clause. `given` is the number of changed rows that it begins with.
+    /// Evaluates a plan of a clause. `delta_rows` is the number of changed rows that it begins with.
     pub(crate) fn run<const W: usize>(
         &mut self,
         clause: ClauseId,
@@ -79,19 +79,19 @@ impl<'a> Meter<'a> {
         rule.delta_rows += delta_rows as u64;
         rule.rows_scanned += self.state.rows_scanned - before.0;
         rule.derived += out.pushed - before.1;
-        result.map_err(|stop| (clause, stop))
+        result.map_err(|abort| (clause, abort))
     }
 
     /// Returns an error if `failed`. It names the clause of the stratum that has derived the most rows, repetitions
     /// included.
-    pub(crate) fn fail_if(&self, failed: bool, stratum: &StratumPlan, stop: Abort) -> Result<(), Failure> {
+    pub(crate) fn fail_if(&self, failed: bool, stratum: &StratumPlan, abort: Abort) -> Result<(), Failure> {
         let derived = |clause: &ClauseId| {
             let position = self.rules.binary_search_by_key(clause, |rule| rule.clause);
             position.map_or(0, |position| self.rules[position].derived)
         };
         let clauses = stratum.clauses.iter().copied().filter(|_| failed);
         let largest = clauses.max_by_key(|clause| (derived(clause), std::cmp::Reverse(*clause)));
-        largest.map_or(Ok(()), |clause| Err((clause, stop)))
+        largest.map_or(Ok(()), |clause| Err((clause, abort)))
     }
 
     /// Returns the work done in `rounds` rounds.

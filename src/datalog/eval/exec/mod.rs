@@ -250,7 +250,7 @@ impl<const W: usize> State<W> {
             } else {
                 let quota = self.quota(commit, (derived, steps));
                 let work = self.update(commit, (stratum, number), cost, quota);
-                work.map_err(|(clause, stop)| match stop {
+                work.map_err(|(clause, abort)| match abort {
                     Abort::Budget => EvalError::TooManySteps {
                         limit: limits.steps,
                         clause,
@@ -442,7 +442,7 @@ impl<const W: usize> State<W> {
         };
         let (results, rounds, meter) = match attempt(workers) {
             // The number of threads may decide which limit the evaluation exceeds first, and where.
-            Err((_, stop)) if several && stop != Abort::Cancelled => attempt(None)?,
+            Err((_, abort)) if several && abort != Abort::Cancelled => attempt(None)?,
             result => result?,
         };
         *cost = Cost {
@@ -526,7 +526,7 @@ impl<const W: usize> State<W> {
         for (rows, output) in rows.iter().zip(&outputs) {
             output
                 .check(rows.len())
-                .or_else(|stop| meter.fail_if(true, stratum, stop))?;
+                .or_else(|abort| meter.fail_if(true, stratum, abort))?;
         }
         let total: usize = rows.iter().map(Vec::len).sum();
         quota.check_rows(total, stratum, meter)?;
