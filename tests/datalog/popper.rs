@@ -513,7 +513,7 @@ fn limits_bound_the_rules_and_the_examples() {
         ..Limits::default()
     });
     assert!(!rows.0 && rows.1.contains("error[limit-exceeded]"), "{}", rows.1);
-    // Rules with fewer examples stay below any limit of memory that lets the engine start, so facts do.
+    // Without rules, the limit of memory is that of the examples.
     let many: String = (0..2_000).map(|index| format!("p(a{index},b). ")).collect();
     let examples: String = (0..2_000)
         .map(|index| format!("{}(f(a{index})). ", ["pos", "neg"][index % 2]))
@@ -571,9 +571,9 @@ fn programs_have_names_that_the_engine_accepts() {
 #[test]
 fn variables_that_only_the_head_binds_range_over_the_examples() {
     let texts = [
-        "p(a). q(b). q(c).",
-        "pos(f(a,b)). pos(f(a,c)). neg(f(b,a)). neg(f(c,b)).",
-        "head_pred(f,2). body_pred(p,1). max_vars(2).",
+        "p(a). r(b). r(c).",
+        "pos(f(a,b)). pos(f(a,c)). pos(f(a,a)). neg(f(b,a)). neg(f(c,b)).",
+        "head_pred(f,2). body_pred(p,1). body_pred(r,1). max_vars(2).",
     ];
     let task = task(&texts);
     let rules = learned(&task, &task.settings());

@@ -242,7 +242,7 @@ fn assemble(
     for (head, (arguments, (is_positive, place))) in heads.iter().zip(labels) {
         // The other examples have the same fault.
         let (state, entities) = network.state(head, variables, place).map_err(|fault| vec![fault])?;
-        bytes += vocabulary.facts(state.entities()) as u64 / 8;
+        bytes += 8 * vocabulary.facts(state.entities()).div_ceil(64) as u64;
         if bytes > options.limits.bytes {
             let message = format!("the examples need more than {} MiB", options.limits.bytes >> 20);
             let fault = Diagnostic::new(Code::LIMIT_EXCEEDED, message).at(place, "the first example beyond the limit");
