@@ -245,7 +245,14 @@ fn measure(name: &str, [background, examples, bias]: &Texts, most: usize) {
     };
     let begin = Instant::now();
     let closed_world = !examples.lines().any(|line| line.trim_start().starts_with("neg("));
-    let (task, diagnostics) = read(&sources, &files, &Options { closed_world });
+    let (task, diagnostics) = read(
+        &sources,
+        &files,
+        &Options {
+            closed_world,
+            ..Options::default()
+        },
+    );
     let Some(task) = task else {
         let fault = diagnostics.iter().find(|fault| fault.is_error());
         let shown = render(fault.map(std::slice::from_ref).unwrap_or_default(), &sources, false);

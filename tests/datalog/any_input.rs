@@ -107,7 +107,11 @@ pub fn popper(bytes: &[u8]) {
         bias: add("bias.pl"),
     };
     for closed_world in [false, true] {
-        let (task, diagnostics) = popper::read(&sources, &files, &popper::Options { closed_world });
+        let options = popper::Options {
+            closed_world,
+            ..popper::Options::default()
+        };
+        let (task, diagnostics) = popper::read(&sources, &files, &options);
         assert_eq!(task.is_none(), diagnostics.iter().any(Diagnostic::is_error));
         draw(&diagnostics, &sources);
         let Some(task) = task.filter(|task| task.cases.len() <= SMALL && task.vocabulary.predicates().len() <= SMALL)
@@ -124,6 +128,10 @@ pub fn popper(bytes: &[u8]) {
         let positive = task.cases.iter().filter(|case| case.is_positive).count();
         assert!(solution.rules.uncovered <= positive);
         assert_eq!(task.clauses(&solution.rules).len(), solution.rules.clauses.len());
+        let learned = task.program(&solution.rules);
+        let program = sources.add("learned.dl", learned.declarations + &learned.clauses.join("\n"));
+        let (program, diagnostics) = Program::load(&mut sources, program, &|_: &Path| Err(ReadError::NotFound));
+        assert!(program.is_some(), "{}", render(&diagnostics, &sources, false));
     }
 }
 

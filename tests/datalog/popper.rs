@@ -5,13 +5,12 @@
 
 use crate::popper_tasks::{TARGETS, Texts, family, pieces, trains};
 use logicity::cancel::Cancel;
-use logicity::datalog::Program;
+use logicity::datalog::{Limits, Program, RelId};
 use logicity::diag::{Diagnostic, Sources, render};
 use logicity::files::read_text;
 use logicity::induce::popper::{Files, Options, Task, read, solve};
-use logicity::induce::{Atom, Body, LITERAL_COST, Link, Literal, Settings, VARIABLE_NAMES};
+use logicity::induce::{ActionRules, Atom, Body, LITERAL_COST, Link, Literal, Settings, VARIABLE_NAMES};
 use std::collections::BTreeSet;
-use std::fmt::Write;
 use std::fs;
 use std::path::Path;
 
@@ -47,53 +46,40 @@ fn fixture(name: &str) -> Texts {
     ["bk.pl", "exs.pl", "bias.pl"].map(|file| fs::read_to_string(folder.join(file)).unwrap())
 }
 
-fn learned(task: &Task, settings: &Settings) -> Vec<String> {
+fn learned(task: &Task, settings: &Settings) -> ActionRules {
     let solution = solve(&task.vocabulary, &task.examples(|_| true), settings, &Cancel::never());
     assert_eq!(solution.rules.uncovered, 0, "{:?}", task.clauses(&solution.rules));
     assert!(!solution.is_cut);
-    task.clauses(&solution.rules)
+    solution.rules
 }
 
-/// Returns the rows of the target that follow from the facts of a task and some clauses.
-fn derived(task: &Task, clauses: &[String]) -> BTreeSet<Vec<String>> {
-    let columns = |arity: usize| -> String {
-        let columns: Vec<String> = (0..arity).map(|at| format!("a{at}: symbol")).collect();
-        columns.join(", ")
-    };
-    let mut text = format!(".decl {}({})\n", task.target, columns(task.vocabulary.egos()));
-    for predicate in task.vocabulary.predicates() {
-        let _ = writeln!(
-            text,
-            ".decl {}({})\n.input {0}",
-            predicate.name,
-            columns(predicate.arity)
-        );
-    }
-    text += &clauses.join("\n");
+/// Returns the rows of the target that the program of a task derives.
+fn derived(task: &Task, rules: &ActionRules) -> BTreeSet<Vec<String>> {
+    let learned = task.program(rules);
+    let text = learned.declarations + &learned.clauses.join("\n");
     let mut sources = Sources::new();
     let entry = sources.add("learned.dl", text);
     let (program, diagnostics) = Program::load(&mut sources, entry, &read_text);
     let program = program.unwrap_or_else(|| panic!("{}", render(&diagnostics, &sources, false)));
     let mut session = program.session();
-    for (predicate, rows) in task.vocabulary.predicates().iter().zip(&task.facts) {
-        let relation = program.relation(&predicate.name).unwrap();
-        for row in rows {
-            let row: Vec<_> = row.iter().map(|constant| session.intern(constant)).collect();
-            session.insert(relation, &row).unwrap();
-        }
-    }
     session.commit().unwrap();
-    let target = program.relation(&task.target).unwrap();
+    let relations = &program.rules().relations;
+    let (_, target) = relations
+        .iter()
+        .zip((0..).map(RelId))
+        .find(|(relation, _)| relation.output)
+        .unwrap();
     let names = session.symbols();
     let text = |value: &logicity::datalog::Value| names.text(logicity::symbol::Symbol(value.0)).unwrap().to_owned();
     session.rows(target).map(|row| row.iter().map(text).collect()).collect()
 }
 
 /// Asserts that clauses derive the target for exactly the positive examples among all examples.
-fn explain_the_examples(task: &Task, clauses: &[String]) {
-    let derived = derived(task, clauses);
+fn explain_the_examples(task: &Task, rules: &ActionRules) {
+    let derived = derived(task, rules);
     for case in &task.cases {
         let found = derived.contains(&case.arguments);
+        let clauses = task.clauses(rules);
         assert_eq!(found, case.is_positive, "{:?}\n{clauses:#?}", case.arguments);
     }
 }
@@ -112,9 +98,9 @@ fn the_fixtures_have_these_solutions() {
         ("trains", &["east(X) :- has_car(X, Y), closed(Y), short(Y)."]),
     ] {
         let task = task(&fixture(name));
-        let clauses = learned(&task, &task.settings());
-        assert_eq!(clauses, expected, "{name}");
-        explain_the_examples(&task, &clauses);
+        let rules = learned(&task, &task.settings());
+        assert_eq!(task.clauses(&rules), expected, "{name}");
+        explain_the_examples(&task, &rules);
     }
 }
 
@@ -136,50 +122,45 @@ fn learned_clauses_explain_random_tasks() {
                     nodes,
                     ..task.settings()
                 };
-                let clauses = learned(&task, &settings);
+                let rules = learned(&task, &settings);
+                let clauses = task.clauses(&rules);
                 assert!(
-                    negation || clauses.iter().all(|clause| !clause.contains("Not(")),
+                    negation || clauses.iter().all(|clause| !clause.contains("\\+")),
                     "{clauses:?}"
                 );
-                explain_the_examples(&task, &clauses);
+                explain_the_examples(&task, &rules);
             }
         }
     }
 }
 
-/// Checks on the text that literals bind each variable of a clause from those of its head.
+/// Checks on the text that each literal follows those that bind its variables, from those of the head on.
 #[test]
 fn clauses_are_linked_as_directions_say() {
     let texts = pieces(4, 0, 40);
     let task = task(&texts);
-    for clause in learned(
-        &task,
-        &Settings {
-            negation: true,
-            nodes: 200,
-            ..task.settings()
-        },
-    ) {
+    let settings = Settings {
+        negation: true,
+        nodes: 200,
+        ..task.settings()
+    };
+    for clause in task.clauses(&learned(&task, &settings)) {
         let body = clause.trim_end_matches('.').split_once(" :- ").unwrap().1;
         let literals: Vec<&str> = body
             .split_inclusive(')')
             .map(|literal| literal.trim_matches([',', ' ']))
             .collect();
         let mut bound = BTreeSet::from([VARIABLE_NAMES[0]]);
-        let mut left: Vec<(bool, Vec<&str>)> = (literals.iter().filter(|literal| !literal.is_empty()))
-            .map(|literal| {
-                let (name, arguments) = literal.rsplit_once('(').unwrap();
-                let arguments = arguments.trim_end_matches(')').split(", ").collect();
-                (name.starts_with("Not("), arguments)
-            })
-            .collect();
-        while let Some(at) = left.iter().position(|(is_negated, arguments)| match is_negated {
-            true => arguments.iter().all(|variable| bound.contains(variable)),
-            false => bound.contains(arguments[0]),
-        }) {
-            bound.extend(left.remove(at).1);
+        for literal in literals.iter().filter(|literal| !literal.is_empty()) {
+            let (name, arguments) = literal.rsplit_once('(').unwrap();
+            let arguments: Vec<&str> = arguments.trim_end_matches(')').split(", ").collect();
+            let is_bound = match name.starts_with("\\+") {
+                true => arguments.iter().all(|variable| bound.contains(variable)),
+                false => bound.contains(arguments[0]),
+            };
+            assert!(is_bound, "{literal} in {clause}");
+            bound.extend(arguments);
         }
-        assert!(left.is_empty(), "{clause}: {left:?}");
     }
 }
 
@@ -307,7 +288,10 @@ fn the_closed_world_makes_negative_examples() {
         "{:?}",
         open.1
     );
-    let closed = Options { closed_world: true };
+    let closed = Options {
+        closed_world: true,
+        ..Options::default()
+    };
     let arguments = |texts: &[&str; 3]| -> Vec<String> {
         let task = parse(texts, &closed).0.unwrap();
         task.cases
@@ -411,6 +395,11 @@ fn faults_have_places() {
         ),
         (
             1,
+            "pos(f(a)). neg(f(a)). neg(f(b)).",
+            "exs.pl:1:12 invalid-fact: an example is positive and negative",
+        ),
+        (
+            1,
             "pos(f(a)).",
             "exs.pl:1:11 invalid-fact: there is no negative example",
         ),
@@ -505,6 +494,92 @@ fn too_many_linked_constants_are_a_fault_with_their_number() {
 
 fn task_of(background: &str, bias: &str) -> Task {
     task(&[background, EXAMPLES, bias])
+}
+
+#[test]
+fn limits_bound_the_rules_and_the_examples() {
+    let background = "p(X,Y) :- q(X), q(Y). q(a). q(b). q(c). q(d).";
+    let limited = |limits| {
+        let options = Options {
+            limits,
+            ..Options::default()
+        };
+        let (task, diagnostics, sources) = parse(&[background, EXAMPLES, BIAS], &options);
+        (task.is_some(), render(&diagnostics, &sources, false))
+    };
+    assert!(limited(Limits::default()).0);
+    let rows = limited(Limits {
+        rows: 10,
+        ..Limits::default()
+    });
+    assert!(!rows.0 && rows.1.contains("error[limit-exceeded]"), "{}", rows.1);
+    // Without rules, the limit of memory is that of the examples.
+    let many: String = (0..2_000).map(|index| format!("p(a{index},b). ")).collect();
+    let examples: String = (0..2_000)
+        .map(|index| format!("{}(f(a{index})). ", ["pos", "neg"][index % 2]))
+        .collect();
+    let options = Options {
+        limits: Limits {
+            bytes: 1_000,
+            ..Limits::default()
+        },
+        ..Options::default()
+    };
+    let bias = format!("{BIAS} direction(p,(in,out)).");
+    let (task, diagnostics, sources) = parse(&[&format!("{many} q(b)."), &examples, &bias], &options);
+    let found = render(&diagnostics, &sources, false);
+    assert!(
+        task.is_none() && found.contains("raise `--max-memory`") && found.contains("exs.pl:1:"),
+        "{found}"
+    );
+}
+
+#[test]
+fn fewer_variables_than_in_the_bias_reach_fewer_constants() {
+    let texts = ["p(a,b). p(b,c). q(c).", EXAMPLES, BIAS];
+    for (variables, entities) in [(None, 3), (Some(6), 3), (Some(2), 2), (Some(1), 1)] {
+        let options = Options {
+            variables,
+            ..Options::default()
+        };
+        let task = parse(&texts, &options).0.unwrap();
+        assert_eq!(task.cases[0].entities.len(), entities);
+        assert_eq!(task.settings().variables, variables.unwrap_or(6));
+    }
+}
+
+#[test]
+fn programs_have_names_that_the_engine_accepts() {
+    let texts = [
+        "sum(a). sum(a,b). 'A b'('it''s'). 'é'(a). r(b). r('it''s'). r(a).",
+        "pos(not(a)). pos(not('it''s')). neg(not(b)).",
+        "head_pred(not,1). body_pred(sum,1). body_pred(sum,2). body_pred('A b',1). body_pred(r,1).",
+    ];
+    let task = task(&texts);
+    let rules = learned(&task, &task.settings());
+    explain_the_examples(&task, &rules);
+    let clauses = task.clauses(&rules);
+    assert!(clauses.contains(&"not(X) :- 'A b'(X).".to_owned()), "{clauses:?}");
+    assert_eq!(task.example(1), "not('it\\'s')");
+    let program = task.program(&rules);
+    assert!(
+        program.clauses.iter().any(|clause| clause.ends_with(":- A_b(X).")),
+        "{program:?}"
+    );
+}
+
+#[test]
+fn variables_that_only_the_head_binds_range_over_the_examples() {
+    let texts = [
+        "p(a). r(b). r(c).",
+        "pos(f(a,b)). pos(f(a,c)). pos(f(a,a)). neg(f(b,a)). neg(f(c,b)).",
+        "head_pred(f,2). body_pred(p,1). body_pred(r,1). max_vars(2).",
+    ];
+    let task = task(&texts);
+    let rules = learned(&task, &task.settings());
+    assert_eq!(task.clauses(&rules), ["f(X, Y) :- p(X)."]);
+    assert_eq!(task.program(&rules).clauses, ["f(X, Y) :- example(X, Y), p(X)."]);
+    explain_the_examples(&task, &rules);
 }
 
 #[test]

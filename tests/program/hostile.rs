@@ -791,8 +791,228 @@ const SERVER: &[Case] = &[
     ("lsp --socket 1", 2, "--socket"),
 ];
 
-const ALL: [&[Case]; 12] = [
-    CHECK, FORMAT, DIFF, QUERY, REPL, INFER, RUN, TRACES, TASKS, PICTURES, BENCH, SERVER,
+const INDUCE: &[Case] = &[
+    ("induce missing.jsonl", 2, "missing.jsonl"),
+    ("induce ''", 2, "a value is required"),
+    ("induce empty.dl", 1, "no examples"),
+    ("induce - < empty.dl", 1, "no examples"),
+    ("induce folder", 2, "manifest.json"),
+    ("induce foreign", 1, "manifest.json"),
+    ("induce sets/deep", 1, "manifest.json"),
+    ("induce set-table --config vap-easy", 1, "parquet"),
+    ("induce set-missing --config vap-easy", 1, "pairs.parquet"),
+    ("induce picture.png", 1, "not-text"),
+    ("induce latin1.dl", 1, "not-text"),
+    ("induce nul.dl", 1, "invalid-scene"),
+    ("induce deep.json", 1, "invalid-scene"),
+    ("induce huge-line.json", 1, "limit-exceeded"),
+    ("induce zero.dl", 2, "it is a device"),
+    ("induce loop.dl", 2, "loop.dl"),
+    ("induce trace-header.jsonl --config easy", 1, "no examples"),
+    ("induce trace-truncated.jsonl --config easy", 1, "not a tick"),
+    ("induce trace-future.jsonl --config easy", 1, "version 99"),
+    ("induce trace-action.jsonl --config easy", 1, "action"),
+    ("induce trace-cell.jsonl --config easy", 1, "not on the map"),
+    ("induce trace-runaway.jsonl --config easy", 0, "Stop"),
+    ("induce trace.jsonl --config easy --rules good.dl", 1, "error"),
+    ("induce trace.jsonl --config missing.yaml", 2, "missing.yaml"),
+    ("induce trace.jsonl --config folder", 2, "it is a folder"),
+    ("induce trace.jsonl --config easy --rules zero.dl", 2, "it is a device"),
+    ("induce scenes/labeled.jsonl", 0, "IsBus"),
+    ("induce - < scenes/labeled.jsonl", 0, "IsBus"),
+    ("cat scenes/labeled.jsonl | @ induce /dev/stdin", 0, "IsBus"),
+    ("induce scenes/unlabeled.jsonl", 1, "has no actions"),
+    ("induce scenes/contradiction.jsonl", 1, "contradicting-examples"),
+    (
+        "induce scenes/contradiction.jsonl --noise 0.4",
+        0,
+        "another action in 1 example",
+    ),
+    ("induce scenes/one-action.jsonl", 0, "No clause: 0 examples"),
+    ("induce scenes/default.jsonl", 0, "No clause: 0 examples"),
+    ("induce scenes/action.jsonl", 1, "Fly"),
+    ("induce scenes/stranger.jsonl", 1, "invalid-scene"),
+    ("induce scenes/crowd.jsonl", 1, "the limit is 64"),
+    ("induce scenes/cut.jsonl", 1, "invalid-scene"),
+    ("induce scenes/labeled.jsonl --test missing.jsonl", 2, "missing.jsonl"),
+    ("induce scenes/labeled.jsonl --test empty.dl", 1, "no examples"),
+    ("induce scenes/labeled.jsonl > /dev/full", 2, "standard output"),
+    ("induce scenes/labeled.jsonl -o /dev/full", 2, "No space left"),
+    (
+        "induce scenes/labeled.jsonl -o new.dl --report /dev/full",
+        2,
+        "No space left",
+    ),
+    ("induce scenes/labeled.jsonl -o - --report -", 2, "would both write"),
+    ("induce scenes/labeled.jsonl -o folder", 2, "not a regular file"),
+    ("induce scenes/labeled.jsonl -o pipe", 2, "not a regular file"),
+    ("induce scenes/labeled.jsonl -o missing/new.dl", 2, "no folder"),
+    ("induce scenes/labeled.jsonl -o good.dl", 2, "--force"),
+    (
+        "induce scenes/labeled.jsonl -o scenes/labeled.jsonl --force",
+        2,
+        "this command reads it",
+    ),
+    (
+        "induce scenes/labeled.jsonl --rules city.dl -o linked-city.dl --force",
+        2,
+        "this command reads it",
+    ),
+    (
+        "induce scenes/labeled.jsonl --test ego.json -o new.dl --report ego.json --force",
+        2,
+        "this command reads it",
+    ),
+    ("induce -o new.dl --page new.html", 2, "--page needs one trace"),
+    (
+        "induce scenes/labeled.jsonl -o new.dl --page new.html",
+        1,
+        "not the header",
+    ),
+    (
+        "induce trace.jsonl --config easy --page new.html",
+        2,
+        "--page needs one trace",
+    ),
+    (
+        "induce trace.jsonl --config easy -o new.dl --page trace.jsonl --force",
+        2,
+        "this command reads it",
+    ),
+    ("induce scenes/labeled.jsonl --variables 1", 2, "from 2 to 6"),
+    ("induce scenes/labeled.jsonl --variables 7", 2, "from 2 to 6"),
+    ("induce scenes/labeled.jsonl --variables NaN", 2, "from 2 to 6"),
+    ("induce scenes/labeled.jsonl --effort 0", 2, "from 1 to 4294967295"),
+    (
+        "induce scenes/labeled.jsonl --effort 4294967296",
+        2,
+        "from 1 to 4294967295",
+    ),
+    ("induce scenes/labeled.jsonl --effort 1", 0, "IsBus"),
+    ("induce scenes/labeled.jsonl --noise -1", 2, "from 0 to 0.5"),
+    ("induce scenes/labeled.jsonl --noise 0.51", 2, "from 0 to 0.5"),
+    ("induce scenes/labeled.jsonl --noise NaN", 2, "from 0 to 0.5"),
+    ("induce scenes/labeled.jsonl --noise auto", 0, "IsBus"),
+    ("induce scenes/labeled.jsonl --threads 0", 2, "--threads"),
+    ("induce scenes/labeled.jsonl --threads 99999999999", 2, "--threads"),
+    ("induce scenes/labeled.jsonl --seed -1", 2, "--seed"),
+    ("induce scenes/labeled.jsonl --order Fly", 2, "Fly"),
+    ("induce scenes/labeled.jsonl --episodes 1", 2, "cannot be used with"),
+    ("induce scenes/labeled.jsonl --split test", 2, "cannot be used with"),
+    ("induce --config easy --episodes 0", 2, "--episodes"),
+    ("induce --config easy --episodes 101", 2, "100 recorded episodes"),
+    ("induce --config tiny.yaml", 1, "error"),
+];
+
+const POPPER: &[Case] = &[
+    ("induce --popper popper/good", 0, "f(X) :- p(X, Y), q(Y)."),
+    (
+        "induce --popper popper/good --closed-world --negation",
+        0,
+        "closed world",
+    ),
+    ("induce --popper popper/rules", 0, "f(X) :- r(X)."),
+    (
+        "induce --popper popper/good -o new.dl --report -",
+        0,
+        "\"target\": \"f/1\"",
+    ),
+    ("induce --popper ''", 2, "a value is required"),
+    ("induce --popper missing", 2, "missing/bk.pl"),
+    ("induce --popper good.dl", 2, "good.dl/bk.pl"),
+    ("induce --popper folder", 2, "folder/bk.pl"),
+    ("induce --popper popper/no-bias", 2, "popper/no-bias/bias.pl"),
+    ("induce --popper popper/pipe", 2, "it is a pipe or a device"),
+    ("induce --popper popper/device", 2, "it is a pipe or a device"),
+    ("induce --popper popper/loop", 2, "popper/loop/bk.pl"),
+    ("induce --popper popper/empty", 1, "names no predicate to learn"),
+    ("induce --popper popper/latin1", 1, "not-text"),
+    ("induce --popper popper/nul", 1, "bk.pl:1:1"),
+    ("induce --popper popper/picture", 1, "not-text"),
+    ("induce --popper popper/deep", 1, "nested more than 100 levels"),
+    ("induce --popper popper/deep-open", 1, "nested more than 100 levels"),
+    ("induce --popper popper/brackets", 1, "a list is not supported"),
+    ("induce --popper popper/comment", 1, "never closed"),
+    ("induce --popper popper/quote", 1, "never closed"),
+    ("induce --popper popper/function", 1, "bk.pl:1:3"),
+    ("induce --popper popper/arithmetic", 1, "arithmetic is not supported"),
+    (
+        "induce --popper popper/recursion",
+        1,
+        "recursive clauses are not supported",
+    ),
+    ("induce --popper popper/recursive-rules", 0, "r(X, Y)"),
+    ("induce --popper popper/cycle", 1, "cyclic-negation"),
+    ("induce --popper popper/unbound", 1, "unbound-variable"),
+    ("induce --popper popper/unknown", 1, "unknown-predicate"),
+    ("induce --popper popper/arity", 1, "is not supported"),
+    ("induce --popper popper/targets", 1, "a second target"),
+    ("induce --popper popper/numbers", 1, "not a number up to 1000"),
+    ("induce --popper popper/both", 1, "positive and negative"),
+    ("induce --popper popper/positive", 1, "--closed-world"),
+    ("induce --popper popper/unlabeled", 1, "expected an example"),
+    (
+        "induce --popper popper/same",
+        0,
+        "derive 1 of 1 positive and 1 of 1 negative",
+    ),
+    ("induce --popper popper/faults", 1, "more than 100 errors"),
+    ("induce --popper popper/name", 0, "derive 1 of 1 positive"),
+    ("induce --popper popper/links", 1, "more than 64"),
+    ("induce --popper popper/product", 1, "--max-rows"),
+    ("induce --popper popper/product --max-rows 10K", 1, "--max-rows"),
+    ("induce --popper popper/product --max-memory 1M", 1, "--max-memory"),
+    ("induce --popper popper/product --max-steps 10K", 1, "--max-steps"),
+    ("induce --popper popper/facts -o new.dl", 0, "1 of 1 positive"),
+    (
+        "induce --popper popper/domain --closed-world",
+        1,
+        "more than 10000 examples",
+    ),
+    ("induce --popper popper/examples --max-memory 1M", 1, "--max-memory"),
+    ("induce --popper popper/good --variables 7", 2, "from 2 to 6"),
+    ("induce --popper popper/good --effort 0", 2, "from 1 to 4294967295"),
+    ("induce --popper popper/good --config easy", 2, "cannot be used with"),
+    (
+        "induce --popper popper/good scenes/labeled.jsonl",
+        2,
+        "cannot be used with",
+    ),
+    ("induce --popper popper/good --test ego.json", 2, "cannot be used with"),
+    (
+        "induce --popper popper/good --page new.html -o new.dl",
+        2,
+        "cannot be used with",
+    ),
+    ("induce --popper popper/good --noise auto", 2, "cannot be used with"),
+    ("induce --popper popper/good --order Stop", 2, "cannot be used with"),
+    ("induce --popper popper/good --episodes 1", 2, "cannot be used with"),
+    (
+        "induce --popper popper/good --popper popper/good",
+        2,
+        "cannot be used multiple times",
+    ),
+    ("induce --closed-world", 2, "--popper <FOLDER>"),
+    ("induce --negation", 2, "--popper <FOLDER>"),
+    ("induce --popper popper/good > /dev/full", 2, "standard output"),
+    ("induce --popper popper/good -o /dev/full", 2, "No space left"),
+    ("induce --popper popper/good -o folder", 2, "not a regular file"),
+    ("induce --popper popper/good -o good.dl", 2, "--force"),
+    ("induce --popper popper/good -o - --report -", 2, "would both write"),
+    (
+        "induce --popper popper/good -o popper/good/bk.pl --force",
+        2,
+        "this command reads it",
+    ),
+    (
+        "induce --popper popper/good -o new.pl --report popper/good/exs.pl --force",
+        2,
+        "this command reads it",
+    ),
+];
+
+const ALL: [&[Case]; 14] = [
+    CHECK, FORMAT, DIFF, QUERY, REPL, INFER, RUN, TRACES, TASKS, PICTURES, BENCH, SERVER, INDUCE, POPPER,
 ];
 
 /// The fixtures, written once and copied for each thread.
@@ -813,6 +1033,8 @@ impl Fixtures {
         fixtures.packs();
         fixtures.sets();
         fixtures.messages();
+        fixtures.scenes();
+        fixtures.popper();
         fixtures
     }
 
@@ -1274,6 +1496,118 @@ impl Fixtures {
             ],
         );
         put("include", &[&open(".include \"/dev/zero\"\n")]);
+    }
+
+    fn scenes(&self) {
+        let scene = |entities: &str, facts: &str, actions: &str| {
+            format!("{{\"entities\":[{entities}],\"ego\":\"a\",\"facts\":{{{facts}}},\"actions\":{{{actions}}}}}\n")
+        };
+        let two = |bus: &str, action: &str| {
+            let facts = format!(r#""IsCar":["a","b"],"IsBus":[{bus}]"#);
+            scene(r#""a","b""#, &facts, &format!("\"a\":\"{action}\""))
+        };
+        let put = |name: &str, text: String| self.put(&format!("scenes/{name}.jsonl"), text);
+        let labeled = two("", "Normal") + &two("\"a\"", "Fast") + &two("\"b\"", "Normal");
+        put("cut", labeled[..labeled.len() - 20].to_owned());
+        put("contradiction", two("\"a\"", "Fast") + &labeled + &two("\"a\"", "Stop"));
+        put("labeled", labeled);
+        put("unlabeled", scene("\"a\"", "\"IsCar\":[\"a\"]", ""));
+        put("one-action", two("", "Fast") + &two("\"a\"", "Fast"));
+        put("default", two("", "Normal"));
+        put("action", two("", "Fly"));
+        put("stranger", scene("\"a\"", "\"IsCar\":[\"a\"]", "\"z\":\"Stop\""));
+        let names: Vec<String> = (0..70).map(|index| format!("\"x{index}\"")).collect();
+        let names = format!("\"a\",{}", names.join(","));
+        put("crowd", scene(&names, "\"IsCar\":[\"a\"]", "\"a\":\"Stop\""));
+    }
+
+    fn popper(&self) {
+        let put = |name: &str, texts: [&[u8]; 3]| {
+            for (file, text) in ["bk.pl", "exs.pl", "bias.pl"].iter().zip(texts) {
+                self.put(&format!("popper/{name}/{file}"), text);
+            }
+        };
+        let (facts, examples) = ("p(a,b). q(b). p(c,d).", "pos(f(a)). neg(f(c)).");
+        let bias = "head_pred(f,1). body_pred(p,2). body_pred(q,1). direction(p,(in,out)).";
+        let background = |name: &str, text: &[u8]| put(name, [text, examples.as_bytes(), bias.as_bytes()]);
+        let with = |name: &str, text: &str| background(name, format!("{facts} {text}").as_bytes());
+        let labels = |name: &str, text: &str| put(name, [facts, text, bias].map(str::as_bytes));
+        let biased = |name: &str, text: &str| put(name, [facts, examples, text].map(str::as_bytes));
+        background("good", facts.as_bytes());
+        for (name, target) in [("loop", "bk.pl"), ("device", "/dev/zero")] {
+            background(name, b"");
+            fs::remove_file(self.path(&format!("popper/{name}/bk.pl"))).unwrap();
+            self.link(&format!("popper/{name}/bk.pl"), target);
+        }
+        background("pipe", b"");
+        fs::remove_file(self.path("popper/pipe/bk.pl")).unwrap();
+        self.pipe("popper/pipe/bk.pl");
+        background("no-bias", facts.as_bytes());
+        fs::remove_file(self.path("popper/no-bias/bias.pl")).unwrap();
+        put("empty", [b"", b"", b""]);
+        background("latin1", b"p(a,b). q('\xe9').");
+        background("nul", &[0; 100]);
+        background("picture", b"\x89PNG\r\n\x1a\n\0\0");
+        background(
+            "deep",
+            format!("p({}a{}).", "g(".repeat(200_000), ")".repeat(200_000)).as_bytes(),
+        );
+        background("deep-open", "p((".repeat(200_000).as_bytes());
+        background("brackets", "[".repeat(200_000).as_bytes());
+        background("comment", format!("{facts} /* {}", "x".repeat(200_000)).as_bytes());
+        background("quote", format!("p(a,'{}", "''".repeat(100_000)).as_bytes());
+        background("function", b"p(s(a),b). q(b).");
+        with("arithmetic", "q(N) :- p(_, M), N is M + 1.");
+        biased("recursion", &format!("{bias} enable_recursion. body_pred(f,1)."));
+        let reach = "r(X,Y) :- p(X,Y). r(X,Z) :- r(X,Y), p(Y,Z).";
+        let reached = format!("{facts} p(b,e). s(e). {reach}");
+        let wanted = "head_pred(f,1). body_pred(r,2). body_pred(s,1).";
+        put("recursive-rules", [&reached, examples, wanted].map(str::as_bytes));
+        let rules = format!("{facts} r(X) :- p(X,Y), q(Y).");
+        put(
+            "rules",
+            [&rules, examples, "head_pred(f,1). body_pred(r,1)."].map(str::as_bytes),
+        );
+        with("cycle", "q(X) :- p(X,_), \\+ q(X).");
+        with("unbound", "p(X,Y) :- q(X).");
+        with("unknown", "q(X) :- nothing(X).");
+        biased("arity", "head_pred(f,1). body_pred(p,9).");
+        biased("targets", "head_pred(f,1). head_pred(g,1).");
+        biased("numbers", "head_pred(f,99999999999999999999).");
+        labels("both", "pos(f(a)). neg(f(a)). neg(f(c)).");
+        labels("positive", "pos(f(a)).");
+        labels("unlabeled", "f(a). pos(a). neg(f(a,b)).");
+        labels("same", "pos(f(x)). neg(f(y)).");
+        background("faults", "p(a,b\n".repeat(1_000).as_bytes());
+        with("name", &format!("q({}).", "x".repeat(1_000_000)));
+        let many: String = (0..1_000).map(|index| format!("p(a,x{index}). ")).collect();
+        with("links", &many);
+        let numbers: String = (0..1_000).map(|index| format!("n({index}). ")).collect();
+        let product = "w(A,B,C) :- n(A), n(B), n(C).";
+        with("product", &format!("{numbers} {product}"));
+        let large: String = (0..100_000).map(|index| format!("p(x{index},y{index}).\n")).collect();
+        with("facts", &large);
+        put(
+            "domain",
+            [
+                many.as_bytes(),
+                b"pos(f(a,x1)).",
+                b"head_pred(f,2). body_pred(p,2). direction(p,(in,out)).",
+            ],
+        );
+        let hub: String = (0..60).map(|index| format!("p(h,x{index}). ")).collect();
+        let hubs: String = (0..2_000).map(|index| format!("p(a{index},h). ")).collect();
+        let labels: String = (0..2_000)
+            .map(|index| format!("{}(f(a{index})). ", ["pos", "neg"][index % 2]))
+            .collect();
+        put(
+            "examples",
+            [
+                format!("{hub} {hubs} q(h).").as_bytes(),
+                labels.as_bytes(),
+                bias.as_bytes(),
+            ],
+        );
     }
 }
 

@@ -1,6 +1,7 @@
 //! `logicity induce`: learns rules from examples.
 
 mod collect;
+mod popper;
 
 use crate::city::{Action, Split};
 use crate::cli::view;
@@ -54,10 +55,9 @@ pub struct Arguments {
     /// configuration comes last [default: Stop,Slow,Fast]
     #[arg(long, value_name = "ACTIONS", value_delimiter = ',', value_parser = one_of(&Action::ALL, Action::name))]
     order: Vec<Action>,
-    /// The most variables of a clause
-    #[arg(long, value_name = "COUNT", value_parser = integer(2..=VARIABLES_MAX),
-        default_value_t = Settings::default().variables)]
-    variables: usize,
+    /// The most variables of a clause [default: 3; with `--popper`, `max_vars` of the bias]
+    #[arg(long, value_name = "COUNT", value_parser = integer(2..=VARIABLES_MAX))]
+    variables: Option<usize>,
     /// The most steps of the search for one clause
     #[arg(long, value_name = "COUNT", value_parser = integer(1..=u32::MAX), default_value_t = Settings::default().nodes)]
     effort: u32,
@@ -72,6 +72,8 @@ pub struct Arguments {
     #[arg(long, value_name = "COUNT")]
     threads: Option<NonZeroUsize>,
     #[command(flatten)]
+    popper: popper::PopperOptions,
+    #[command(flatten)]
     limits: LimitOptions,
     #[command(flatten)]
     force: ForceOption,
@@ -82,6 +84,9 @@ pub fn run(arguments: &Arguments, sources: &mut Sources) -> Result<(), Failure> 
     outputs.extend(arguments.report.as_deref().map(|path| ("--report", path)));
     outputs.extend(arguments.page.as_deref().map(|path| ("--page", path)));
     crate::cli::refuse_mixing(outputs)?;
+    if let Some(folder) = &arguments.popper.popper {
+        return popper::run(arguments, folder, sources);
+    }
     // The page reads the trace again, which a pipe does not allow.
     let is_one_file = matches!(&arguments.data[..], [path] if path.is_file());
     if arguments.page.is_some() && (!is_one_file || is_stdout(&arguments.output)) {
@@ -116,7 +121,7 @@ pub fn run(arguments: &Arguments, sources: &mut Sources) -> Result<(), Failure> 
         described(arguments, &city)
     ));
     let settings = Settings {
-        variables: arguments.variables,
+        variables: arguments.variables.unwrap_or(Settings::default().variables),
         nodes: arguments.effort,
         seed: arguments.seed,
         noise: arguments.noise.unwrap_or(Noise::None),

@@ -1,6 +1,6 @@
 //! Background knowledge: facts, and what follows from function-free rules.
 
-use crate::datalog::{Program, RelId, Value, quoted};
+use crate::datalog::{Limits, Program, RelId, Value, quoted};
 use crate::diag::{Code, Diagnostic, Faults, SourceId, Sources, Span, did_you_mean};
 use crate::files::ReadError;
 use crate::induce::popper::text::{Clause, Directives, Kind, Literal, Term, parse, unsupported};
@@ -36,7 +36,7 @@ pub struct Background {
 
 impl Background {
     /// Reads facts and rules, and derives what follows from the rules.
-    pub fn read(sources: &Sources, source: SourceId, faults: &mut Faults) -> Background {
+    pub fn read(sources: &Sources, source: SourceId, limits: Limits, faults: &mut Faults) -> Background {
         let mut background = Background::default();
         let mut rules = Vec::new();
         for clause in parse(sources, source, Directives::Goals, faults) {
@@ -45,7 +45,7 @@ impl Background {
             }
         }
         if !rules.is_empty() && !faults.failed() {
-            background.derive(&rules, faults);
+            background.derive(&rules, limits, faults);
         }
         background
     }
@@ -96,7 +96,7 @@ impl Background {
     }
 
     /// Derives what follows from rules, with the Datalog engine.
-    fn derive(&mut self, rules: &[Clause], faults: &mut Faults) {
+    fn derive(&mut self, rules: &[Clause], limits: Limits, faults: &mut Faults) {
         let mut translation = Translation::default();
         for rule in rules {
             if let Err(fault) = translation.rule(self, rule) {
@@ -125,6 +125,7 @@ impl Background {
             return;
         };
         let mut session = program.session();
+        session.set_limits(limits);
         let names: Vec<Value> = self.constants.iter().map(|text| session.intern(text)).collect();
         let relation = |name: String| program.relation(&name).expect("the program declares it");
         let inserted = self.rows.values().enumerate().try_for_each(|(index, rows)| {

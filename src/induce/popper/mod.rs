@@ -28,19 +28,23 @@
 
 mod background;
 mod bias;
+mod print;
 mod states;
 mod text;
 mod tokens;
 
 use crate::cancel::Cancel;
+use crate::datalog::Limits;
 use crate::diag::{Code, Diagnostic, Faults, SourceId, Sources, Span};
 use crate::induce::examples::{Examples, State};
 use crate::induce::learner::learn;
 use crate::induce::rules::{ActionRules, Settings};
-use crate::induce::vocabulary::{LITERAL_COST, Predicate, VARIABLE_NAMES, VARIABLES_MAX, Vocabulary};
+use crate::induce::vocabulary::{LITERAL_COST, Predicate, VARIABLES_MAX, Vocabulary};
 use background::{Background, Key, unknown};
 use bias::Bias;
-use indexmap::IndexSet;
+use indexmap::map::Entry;
+use indexmap::{IndexMap, IndexSet};
+pub use print::TargetProgram;
 use states::Network;
 use std::collections::BTreeSet;
 use text::{Directives, Kind, Term, parse};
@@ -65,6 +69,10 @@ pub struct Options {
     /// Whether the target is false for all arguments that are not in a positive example. An argument is a constant of
     /// its declared type, or any constant if it has none.
     pub closed_world: bool,
+    /// The most variables of a clause, if fewer than in the bias.
+    pub variables: Option<usize>,
+    /// The limits of evaluating the rules of the background knowledge. The memory of all examples has the same limit.
+    pub limits: Limits,
 }
 
 /// An example of a task.
@@ -99,19 +107,33 @@ pub struct Task {
 pub fn read(sources: &Sources, files: &Files, options: &Options) -> (Option<Task>, Vec<Diagnostic>) {
     let mut faults = Faults::default();
     let bias = Bias::read(sources, files.bias, &mut faults);
-    let mut background = Background::read(sources, files.background, &mut faults);
+    let mut background = Background::read(sources, files.background, options.limits, &mut faults);
     for (key, span) in &bias.body {
         if !background.rows.contains_key(key) && !faults.failed() {
             faults.push(unknown(&background, key, *span));
         }
     }
-    let mut labels = Vec::new();
+    let mut labels = Labels::new();
     if let Some((target, _)) = &bias.head {
         for clause in parse(sources, files.examples, Directives::Goals, &mut faults) {
             let place = clause.span;
             match label(&clause.head, target) {
                 Some((is_positive, terms)) if clause.body.is_empty() => match background.row(terms) {
-                    Ok(row) => labels.push((row, is_positive, place)),
+                    Ok(row) => match labels.entry(row) {
+                        Entry::Occupied(known) if known.get().0 != is_positive => {
+                            let message = "an example is positive and negative".to_owned();
+                            let fault = Diagnostic::new(Code::INVALID_FACT, message).at(place, "the second label");
+                            faults.push(
+                                fault
+                                    .also(known.get().1, "the first label")
+                                    .help("remove one of the two"),
+                            );
+                        }
+                        Entry::Occupied(_) => {}
+                        Entry::Vacant(entry) => {
+                            entry.insert((is_positive, place));
+                        }
+                    },
                     Err(fault) => faults.push(fault),
                 },
                 _ => {
@@ -155,7 +177,8 @@ fn label<'a>(head: &'a Option<Term>, (name, arity): &(String, usize)) -> Option<
     (found == name && terms.len() == *arity).then_some((is_positive, terms))
 }
 
-type Label = (Box<[u32]>, bool, Span);
+/// The arguments of examples, with their labels and places.
+type Labels = IndexMap<Box<[u32]>, (bool, Span)>;
 
 fn assemble(
     sources: &Sources,
@@ -163,7 +186,7 @@ fn assemble(
     options: &Options,
     bias: &Bias,
     background: &Background,
-    mut labels: Vec<Label>,
+    mut labels: Labels,
 ) -> Result<Task, Vec<Diagnostic>> {
     let (target, arity) = bias.head.clone().map(|(key, _)| key).unwrap_or_default();
     let end = Span::new(
@@ -174,11 +197,11 @@ fn assemble(
         close(bias, background, &mut labels, end)?;
     }
     for (wanted, name) in [(true, "positive"), (false, "negative")] {
-        if !labels.iter().any(|(_, is_positive, _)| *is_positive == wanted) {
+        if !labels.values().any(|(is_positive, _)| *is_positive == wanted) {
             let fault = Diagnostic::new(Code::INVALID_FACT, format!("there is no {name} example"));
             let help = match wanted {
                 true => "add `pos(...)` facts",
-                false => "add `neg(...)` facts, or read the task under the closed-world assumption",
+                false => "add `neg(...)` facts, or use `--closed-world` if all other arguments are negative examples",
             };
             return Err(vec![fault.at(end, "the end of the examples").help(help)]);
         }
@@ -207,13 +230,25 @@ fn assemble(
     let rows = (bias.body.keys()).map(|key| of(key).into_iter().map(|of_key| row(key, of_key)).collect());
     let rows: Vec<Vec<Vec<u32>>> = rows.collect();
     let key = (target, arity);
-    let heads: Vec<Vec<u32>> = labels.iter().map(|(head, ..)| row(&key, head)).collect();
-    let variables = bias.variables().min(VARIABLES_MAX);
+    let heads: Vec<Vec<u32>> = labels.keys().map(|head| row(&key, head)).collect();
+    let variables = bias
+        .variables()
+        .min(options.variables.unwrap_or(VARIABLES_MAX))
+        .min(VARIABLES_MAX)
+        .max(key.1);
     let network = Network::new(&vocabulary, &links, &rows, typed.len());
     let mut cases = Vec::new();
-    for (head, (arguments, is_positive, place)) in heads.iter().zip(labels) {
+    let mut bytes = 0;
+    for (head, (arguments, (is_positive, place))) in heads.iter().zip(labels) {
         // The other examples have the same fault.
         let (state, entities) = network.state(head, variables, place).map_err(|fault| vec![fault])?;
+        bytes += 8 * vocabulary.facts(state.entities()).div_ceil(64) as u64;
+        if bytes > options.limits.bytes {
+            let message = format!("the examples need more than {} MiB", options.limits.bytes >> 20);
+            let fault = Diagnostic::new(Code::LIMIT_EXCEEDED, message).at(place, "the first example beyond the limit");
+            let help = "declare `direction` for the body predicates, reduce `max_vars`, or raise `--max-memory`";
+            return Err(vec![fault.help(help)]);
+        }
         cases.push(Case {
             arguments: texts(&arguments),
             is_positive,
@@ -240,7 +275,7 @@ fn assemble(
 }
 
 /// Adds a negative example for all arguments that are not in an example.
-fn close(bias: &Bias, background: &Background, labels: &mut Vec<Label>, end: Span) -> Result<(), Vec<Diagnostic>> {
+fn close(bias: &Bias, background: &Background, labels: &mut Labels, end: Span) -> Result<(), Vec<Diagnostic>> {
     let Some((key, _)) = &bias.head else {
         return Ok(());
     };
@@ -274,7 +309,6 @@ fn close(bias: &Bias, background: &Background, labels: &mut Vec<Label>, end: Spa
             "declare `type` for the target and the body predicates, or add `neg(...)` facts",
         )]);
     };
-    let known: IndexSet<Box<[u32]>> = labels.iter().map(|(row, ..)| row.clone()).collect();
     for number in 0..count {
         let mut rest = number;
         let row: Box<[u32]> = (domains.iter())
@@ -284,9 +318,7 @@ fn close(bias: &Bias, background: &Background, labels: &mut Vec<Label>, end: Spa
                 constant
             })
             .collect();
-        if !known.contains(&row) {
-            labels.push((row, false, end));
-        }
+        labels.entry(row).or_insert((false, end));
     }
     Ok(())
 }
@@ -309,21 +341,6 @@ impl Task {
             negation: false,
             ..Settings::default()
         }
-    }
-
-    /// Returns clauses as text.
-    pub fn clauses(&self, rules: &ActionRules) -> Vec<String> {
-        let head = format!(
-            "{}({})",
-            self.target,
-            VARIABLE_NAMES[..self.vocabulary.egos()].join(", ")
-        );
-        let clause = |body: Vec<String>| format!("{head} :- {}.", body.join(", "));
-        rules
-            .clauses
-            .iter()
-            .map(|learned| clause(learned.body.texts(&self.vocabulary)))
-            .collect()
     }
 }
 

@@ -19,7 +19,7 @@ pub enum Kind {
     Variable(String),
     /// An atom, a number or a string, as Prolog prints it with quotes where needed.
     Constant(String),
-    /// A name with arguments.
+    /// A name, as Prolog prints it, with arguments.
     Compound(String, Vec<Term>),
     /// Terms in parentheses, as in `type(f,(train,))`.
     Tuple(Vec<Term>),
@@ -303,7 +303,7 @@ impl Parser {
             Token::Name(name, is_quoted) if is_quoted || name.starts_with(is_word) => {
                 let adjacent = start.end == self.span().start;
                 if adjacent && self.takes(&Token::Mark('(')) {
-                    Kind::Compound(name, self.terms(depth)?)
+                    Kind::Compound(print_atom(&name), self.terms(depth)?)
                 } else {
                     Kind::Constant(print_atom(&name))
                 }

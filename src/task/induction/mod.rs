@@ -3,10 +3,12 @@
 //! The room [`induce`](crate::induce) learns; this module translates between it and the city.
 
 mod codes;
+mod popper;
 mod recalls;
 mod text;
 
 pub use codes::{CATALOG, CODES};
+pub use popper::TargetRules;
 pub use recalls::Recalls;
 pub use text::{Origin, report_json, rule_file};
 

@@ -13,7 +13,7 @@ use std::fmt::Write;
 /// The most literals that a comment of a rule file lists.
 const LISTED_MAX: usize = 8;
 /// The number of examples below which a comment warns.
-const FEW: u64 = 5;
+pub(super) const FEW: u64 = 5;
 
 /// Where examples come from.
 #[derive(Clone, Debug, Default)]
@@ -99,7 +99,7 @@ pub fn rule_file(
 }
 
 /// Adds a comment, wrapped at 100 columns. Names of files and entities may contain line breaks, which would end it.
-fn comment(text: &mut String, prefix: &str, line: &str) {
+pub(super) fn comment(text: &mut String, prefix: &str, line: &str) {
     let mut column = 0;
     let line = line.replace(char::is_control, "_");
     for (index, word) in line.split(' ').enumerate() {
@@ -119,7 +119,7 @@ fn comment(text: &mut String, prefix: &str, line: &str) {
     text.push('\n');
 }
 
-fn plural(count: u64, one: &str, many: &str) -> String {
+pub(super) fn plural(count: u64, one: &str, many: &str) -> String {
     format!("{count} {}", if count == 1 { one } else { many })
 }
 
@@ -312,7 +312,7 @@ fn grouped(support: &ClauseSupport) -> BTreeMap<&Literal, Vec<&Literal>> {
 }
 
 /// Joins texts with commas and a last word; leaves out those after the first few.
-fn listed(texts: &[String], word: &str) -> String {
+pub(super) fn listed(texts: &[String], word: &str) -> String {
     let more = texts.len().saturating_sub(LISTED_MAX);
     let mut shown: Vec<&str> = texts.iter().take(LISTED_MAX).map(String::as_str).collect();
     let rest = format!("{more} more");

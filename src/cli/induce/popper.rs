@@ -1,0 +1,128 @@
+//! `logicity induce --popper`: learns the target of a task in the format of Popper.
+
+use crate::cli::induce::Arguments;
+use crate::cli::{Failure, Inputs, cancel_on_interrupt, finish, is_stdout, messages, report, unreadable, unwritable};
+use crate::diag::{SourceId, Sources};
+use crate::files;
+use crate::induce::Settings;
+use crate::induce::popper::{Files, Options, read, solve};
+use crate::task::induction::TargetRules;
+use serde_json::json;
+use std::ffi::OsStr;
+use std::io::Write;
+use std::path::{Path, PathBuf};
+use std::time::Instant;
+
+#[derive(clap::Args)]
+pub struct PopperOptions {
+    /// Learn the task in FOLDER: the files `bk.pl`, `exs.pl` and `bias.pl` of the learner Popper. Writes Prolog
+    /// clauses, or a rule file with the facts of the task if the output ends in `.dl`
+    #[arg(long, value_name = "FOLDER", conflicts_with_all = CITY_OPTIONS)]
+    pub popper: Option<PathBuf>,
+    /// With `--popper`: all arguments of the target that are not in an example are negative examples
+    #[arg(long, requires = "popper")]
+    closed_world: bool,
+    /// With `--popper`: clauses may have negated literals
+    #[arg(long, requires = "popper")]
+    negation: bool,
+}
+
+/// The options about a city, which a task in the format of Popper does not have.
+const CITY_OPTIONS: [&str; 9] = [
+    "data", "config", "rules", "split", "episodes", "test", "page", "order", "noise",
+];
+
+pub fn run(arguments: &Arguments, folder: &Path, sources: &mut Sources) -> Result<(), Failure> {
+    let options = &arguments.popper;
+    let mut add = |name: &str| -> Result<SourceId, Failure> {
+        let path = folder.join(name);
+        let text = files::read_text(&path).map_err(|error| unreadable(&path, &error))?;
+        Ok(sources.add(path.display().to_string(), text))
+    };
+    let files = Files {
+        background: add("bk.pl")?,
+        examples: add("exs.pl")?,
+        bias: add("bias.pl")?,
+    };
+    let inputs = Inputs::of(sources);
+    // A file that cannot be written is reported before the work.
+    let path = arguments.output.as_path();
+    let mut rules_out = arguments.force.create(path, &inputs)?;
+    let report_out = (arguments.report.as_deref())
+        .map(|path| arguments.force.create(path, &inputs).map(|out| (out, path)))
+        .transpose()?;
+
+    let begun = Instant::now();
+    let usual = Options::default();
+    let options_of_task = Options {
+        closed_world: options.closed_world,
+        variables: arguments.variables,
+        limits: arguments.limits.limits(usual.limits),
+    };
+    let (task, diagnostics) = read(sources, &files, &options_of_task);
+    let Some(task) = task else {
+        return Err(diagnostics.into());
+    };
+    report(&diagnostics, sources);
+    let read_seconds = begun.elapsed().as_secs_f64();
+    let settings = Settings {
+        nodes: arguments.effort,
+        seed: arguments.seed,
+        threads: arguments.threads,
+        negation: options.negation,
+        ..task.settings()
+    };
+    let cancel = cancel_on_interrupt()?;
+    let examples = task.examples(|_| true);
+    let begun = Instant::now();
+    let solution = solve(&task.vocabulary, &examples, &settings, &cancel);
+    let learn_seconds = begun.elapsed().as_secs_f64();
+
+    let rules = TargetRules::new(&task, &examples, &solution, options.negation);
+    let lines = [
+        format!(
+            "Rules learned by logicity {} from {}.",
+            env!("CARGO_PKG_VERSION"),
+            files::portable_name(&folder.display().to_string())
+        ),
+        format!(
+            "At most {} variables, {} steps a search, seed {}{}{}.",
+            settings.variables,
+            settings.nodes,
+            settings.seed,
+            if options.negation { ", negated literals" } else { "" },
+            if options.closed_world { ", closed world" } else { "" },
+        ),
+    ];
+    let text = match path.extension() == Some(OsStr::new("dl")) {
+        true => rules.rule_file(&lines),
+        false => rules.prolog(&lines),
+    };
+    write!(rules_out, "{text}").map_err(|error| unwritable(path, &error))?;
+    finish(rules_out, path)?;
+    if let Some((mut out, path)) = report_out {
+        let mut json = rules.report();
+        json["origin"] = json!(lines);
+        json["closed_world"] = json!(options.closed_world);
+        json["seconds"] = json!({"read": read_seconds, "learn": learn_seconds});
+        writeln!(out, "{json:#}").map_err(|error| unwritable(path, &error))?;
+        finish(out, path)?;
+    }
+    if !is_stdout(path) {
+        let mut written = vec![path];
+        written.extend(arguments.report.as_deref());
+        let count = rules.clauses();
+        let clauses = if count == 1 { "clause" } else { "clauses" };
+        writeln!(
+            messages(&written),
+            "wrote {count} {clauses} to {} in {:.2} s\n{}",
+            path.display(),
+            read_seconds + learn_seconds,
+            rules.outcome()
+        )?;
+    }
+    if solution.is_cut {
+        return Err(Failure::Interrupted);
+    }
+    Ok(())
+}
