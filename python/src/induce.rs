@@ -236,7 +236,7 @@ fn induce(
     let cancel = signals.cancel();
     let (learned, support) = signals.detach(py, || {
         let learned = learn_with(&examples, &settings, &|_| (), &cancel);
-        let support = support(&examples, &learned);
+        let support = support(&examples, &learned, &learning.constraints());
         (learned, support)
     })?;
     let (sources, rule_files) = shared.rule_texts();

@@ -139,7 +139,7 @@ pub fn run(arguments: &Arguments, sources: &mut Sources) -> Result<(), Failure> 
         ));
     };
     let learned = learn_with(&examples, &settings, &progress, &cancel);
-    let support = support(&examples, &learned);
+    let support = support(&examples, &learned, &task.constraints());
     bar.finish_and_clear();
 
     let text = rule_file(&task, &learned, &support, &origin, (sources, &rule_files));

@@ -11,9 +11,9 @@ pub use recalls::Recalls;
 pub use text::{Origin, report_json, rule_file};
 
 use crate::city::Action;
-use crate::datalog::Constraint;
+use crate::datalog::{Constraint, RelId};
 use crate::diag::{Code, Diagnostic};
-use crate::induce::{ENTITIES_MAX, Examples, Predicate, Settings, State, Vocabulary};
+use crate::induce::{Constraints, ENTITIES_MAX, Examples, Predicate, Settings, State, Vocabulary};
 use crate::sim::{self, Facts, World};
 use crate::task::spf::{Env, Episode};
 use std::sync::Arc;
@@ -70,6 +70,42 @@ impl InductionTask {
     /// Returns the predicates of clauses.
     pub fn vocabulary(&self) -> &Vocabulary {
         &self.vocabulary
+    }
+
+    /// Returns the integrity constraints of the rules, as far as they are about predicates of clauses and, if covering
+    /// or reflexive, about every entity that `Sees` relates.
+    pub fn constraints(&self) -> Constraints {
+        let mut constraints = Constraints::default();
+        let known = &self.world.vocabulary;
+        let relations: Vec<Option<RelId>> = observed(known).map(|(_, predicate)| predicate.relation).collect();
+        let position = |relation: RelId| relations.iter().position(|known| *known == Some(relation));
+        let has_all = |domain: &[(RelId, usize)]| {
+            known.predicates[known.sees].relation.is_some_and(|sees| domain.contains(&(sees, 1)))
+        };
+        for declared in &self.world.program.rules().constraints {
+            match &declared.constraint {
+                Constraint::Disjoint(one, other) => {
+                    let pair = [one, other].map(|relation| position(*relation));
+                    if let [Some(one), Some(other)] = pair {
+                        constraints.disjoint.push(vec![one, other]);
+                    }
+                }
+                Constraint::Implies(premise, conclusion) => {
+                    constraints.implies.extend(position(*premise).zip(position(*conclusion)));
+                }
+                Constraint::Covering(of) if has_all(&declared.domain) => {
+                    constraints.covering.extend(of.iter().map(|one| position(*one)).collect::<Option<Vec<_>>>());
+                }
+                Constraint::Reflexive(of) if has_all(&declared.domain) => {
+                    constraints.reflexive.extend(position(*of));
+                }
+                Constraint::Covering(_) | Constraint::Reflexive(_) => {}
+                Constraint::Irreflexive(of) => constraints.irreflexive.extend(position(*of)),
+                Constraint::Symmetric(of) => constraints.symmetric.extend(position(*of)),
+                Constraint::Asymmetric(of) => constraints.asymmetric.extend(position(*of)),
+            }
+        }
+        constraints
     }
 
     /// Returns the actions, the one with the highest precedence first and the default last.
