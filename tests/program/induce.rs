@@ -74,8 +74,8 @@ fn threads_and_repetition_do_not_change_the_rules() {
 fn the_report_leaves_out_what_the_constraints_decide() {
     let folder = tempfile::tempdir().unwrap();
     let (learned, report) = (folder.path().join("learned.dl"), folder.path().join("report.json"));
-    let files = ["-o", learned.to_str().unwrap(), "--report", report.to_str().unwrap()];
-    succeeds(&logicity(["induce", "--config", "expert"].into_iter().chain(files)));
+    let [to, json] = [&learned, &report].map(|path| path.to_str().unwrap());
+    succeeds(&logicity(["induce", "--config", "expert", "-o", to, "--report", json]));
     let rules = fs::read_to_string(&learned).unwrap();
     // `.covering IsCar, IsPedestrian` and `.disjoint IsCar, IsPedestrian` give both literals the same meaning.
     assert!(!rules.contains("could also be Not(IsCar(Y))"), "{rules}");

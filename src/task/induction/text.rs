@@ -98,10 +98,19 @@ pub fn rule_file(
     text
 }
 
-/// Adds a comment, wrapped at 100 columns.
+/// Adds a comment, wrapped at 100 columns between words and not within parentheses.
 fn comment(text: &mut String, prefix: &str, line: &str) {
+    let mut depth = 0_usize;
+    let words = line.split(|character| {
+        match character {
+            '(' => depth += 1,
+            ')' => depth = depth.saturating_sub(1),
+            _ => {}
+        }
+        character == ' ' && depth == 0
+    });
     let mut column = 0;
-    for (index, word) in line.split(' ').enumerate() {
+    for (index, word) in words.enumerate() {
         if index > 0 && column + 1 + word.len() <= 100 {
             text.push(' ');
             column += 1;
