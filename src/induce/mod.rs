@@ -23,7 +23,7 @@ mod tests;
 mod vocabulary;
 mod weights;
 
-pub use constraints::{Constraints, Violation};
+pub use constraints::{Constraints, Violation, tuples};
 pub use examples::{Contradiction, ENTITIES_MAX, Examples, State, Tally};
 pub use learner::{learn, learn_with};
 pub use rules::{ActionRules, Learned, LearnedClause, Noise, Progress, Settings};

@@ -21,8 +21,8 @@ use std::path::PathBuf;
 
 #[derive(clap::Args)]
 pub struct Arguments {
-    /// Examples: traces of `logicity run`, scenes with `actions` (one JSON object per line), or data sets of `logicity
-    /// vap make` [default: the recorded episodes of the configuration, driven by its rules]
+    /// Examples: traces of `logicity run`, scenes with `actions` (one JSON object per line), Parquet tables of
+    /// `Demonstrations.to_parquet`, or data sets of `logicity vap make` [default: the recorded episodes of the configuration, driven by its rules]
     data: Vec<PathBuf>,
     /// Configuration that defines the predicates. The learner does not read its clauses of actions
     #[arg(long, default_value = "configs/expert.yaml")]

@@ -4,17 +4,21 @@
 
 mod codes;
 mod recalls;
+#[cfg(feature = "parquet")]
+mod steps;
 mod text;
 
 pub use codes::{CATALOG, CODES};
 pub use recalls::Recalls;
+#[cfg(feature = "parquet")]
+pub use steps::{Step, Steps};
 pub use text::{Origin, report_json, rule_file};
 
 use crate::city::Action;
 use crate::datalog::{Constraint, RelId};
 use crate::diag::{Code, Diagnostic};
-use crate::induce::{Constraints, ENTITIES_MAX, Examples, Predicate, Settings, State, Vocabulary};
-use crate::sim::{self, Facts, World};
+use crate::induce::{Constraints, ENTITIES_MAX, Examples, Predicate, Settings, State, Vocabulary, tuples};
+use crate::sim::{self, Facts, OBSERVED_MAX, World};
 use crate::task::spf::{Env, Episode};
 use std::sync::Arc;
 
@@ -203,6 +207,42 @@ impl InductionTask {
             env.step(&[action])?;
         }
         Ok(())
+    }
+
+    /// Returns the atoms of an observation of `entities` entities, in the order of its numbers, such as `IsCar(0)`.
+    pub fn observed_atoms(&self, entities: usize) -> Vec<String> {
+        let known = &self.world.vocabulary;
+        let observed = known.predicates.iter().enumerate().filter(|(at, _)| *at != known.sees);
+        let atoms = observed.flat_map(|(_, predicate)| {
+            tuples(predicate.arity, entities).map(|entities| {
+                let numbers: Vec<String> = entities.iter().map(usize::to_string).collect();
+                format!("{}({})", predicate.name, numbers.join(","))
+            })
+        });
+        atoms.collect()
+    }
+
+    /// Returns the number of entities in observations with these atoms.
+    ///
+    /// # Errors
+    /// `rule-mismatch` if observations of the configuration have other atoms.
+    pub fn observed_entities(&self, atoms: &[String]) -> Result<usize, Diagnostic> {
+        let arguments = |atom: &str| Some(atom.split_once('(')?.1.strip_suffix(')')?.to_owned());
+        let numbers = atoms.iter().filter_map(|atom| arguments(atom)).flat_map(|list| {
+            let numbers = list.split(',').map(|number| number.parse::<usize>().ok());
+            numbers.collect::<Vec<_>>()
+        });
+        let entities = numbers.flatten().max().map_or(1, |last| last.saturating_add(1)).min(OBSERVED_MAX);
+        let expected = self.observed_atoms(entities);
+        if atoms == expected {
+            return Ok(entities);
+        }
+        let differs = expected.iter().zip(atoms).find(|(expected, found)| expected != found);
+        let message = match differs {
+            Some((expected, found)) => format!("the examples have the atom `{found}` instead of `{expected}`"),
+            None => format!("the examples have {} atoms instead of {}", atoms.len(), expected.len()),
+        };
+        Err(Diagnostic::new(Code::RULE_MISMATCH, message).help("learn with the configuration that the examples come from"))
     }
 
     /// Returns the state in an observation of `entities` entities, of which `present` exist; by default, those with a
