@@ -271,6 +271,15 @@ def induce(
     threads: int,
     noise: float | None,
 ) -> LearnedRules: ...
+def read_steps(
+    path: _Path,
+) -> tuple[
+    str,
+    str,
+    str,
+    list[str],
+    tuple[npt.NDArray[np.float32], npt.NDArray[np.int64], npt.NDArray[np.int32], npt.NDArray[np.int32]],
+]: ...
 def restore_rules(
     task: Task,
     order: list[str],

@@ -8,21 +8,28 @@ from __future__ import annotations
 
 import os
 from collections.abc import Iterable, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
+from itertools import zip_longest
 from numbers import Real
-from typing import Any, Literal, Protocol, SupportsIndex, runtime_checkable
+from pathlib import Path
+from typing import TYPE_CHECKING, Any, Literal, Protocol, SupportsIndex, runtime_checkable
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from . import _logicity
 from .city import ACTIONS
-from .errors import checked_integer
+from .describe import atoms_of
+from .errors import checked_integer, missing_extra
 from .evaluation import load_task
 from .files import replacing
 from .modes import checked_mode
 from .offline import Demonstrations
 from .rules import Program
+
+if TYPE_CHECKING:
+    import gymnasium
+    from minari import MinariDataset
 
 __all__ = ["Episode", "InducedClause", "InducedRules", "induce"]
 
@@ -150,8 +157,37 @@ class InducedRules:
             file.write(self.text)
 
 
+@dataclass(frozen=True)
+class _Steps:
+    """An episode of a Parquet table."""
+
+    observations: NDArray[np.float32]
+    actions: NDArray[np.int64]
+
+
+@dataclass
+class _Source:
+    """Where episodes come from.
+
+    Attributes:
+        episodes: The episodes.
+        title: Words that follow "from 3 episodes" in the rule file.
+        mode: The mode or the path of the configuration file, if known.
+        options: The options `rules` and `overrides` of the environment, if known.
+        lines: Further sentences about the source.
+        atoms: The atom of each number of an observation, if known.
+    """
+
+    episodes: Iterable[Episode]
+    title: str = ""
+    mode: str | None = None
+    options: Mapping[str, Any] = field(default_factory=dict)
+    lines: Sequence[str] = ()
+    atoms: Sequence[str] = ()
+
+
 def induce(
-    demonstrations: Demonstrations | Iterable[Episode],
+    demonstrations: Demonstrations | MinariDataset | str | os.PathLike[str] | Iterable[Episode],
     mode: str | os.PathLike[str] | None = None,
     *,
     order: Sequence[str] = ("Stop", "Slow", "Fast"),
@@ -169,10 +205,11 @@ def induce(
     rules on any number of threads.
 
     Args:
-        demonstrations: `Demonstrations`, episodes of a Minari dataset, or other objects with `observations` of the
-            kind `groundings` and `actions`.
+        demonstrations: `Demonstrations`; a Minari dataset, its name, or its folder; a Parquet table of
+            `Demonstrations.to_parquet`; or other objects with `observations` of the kind `groundings` and `actions`,
+            such as a slice of `Demonstrations`.
         mode: One of `logicity.ENVIRONMENTS` or the path of a configuration file, which names the predicates
-            and the default action. The default is the mode of `Demonstrations`.
+            and the default action. The default is that of the demonstrations, if they name one.
         order: The actions in the order in which the learned rules try them. The default action of the configuration
             comes last.
         variables: The largest number of variables of a clause, from 2 on.
@@ -182,13 +219,15 @@ def induce(
             are an error.
         seed: The seed of the order in which the learner tries examples.
         threads: The number of threads, 0 for one per core.
-        rules: A rule file to use instead of the configuration's, for its declarations.
-        overrides: Changes of the configuration, as in `gymnasium.make`.
+        rules: A rule file to use instead of the configuration's, for its declarations. The default is that of the
+            demonstrations, if they name one.
+        overrides: Changes of the configuration, as in `gymnasium.make`. The default is that of the demonstrations.
 
     Returns:
         The rules.
 
     Raises:
+        ImportError: If Minari is not installed. The extra `offline` installs it: `pip install './python[offline]'`.
         InputError: If the configuration or an option is invalid, or two examples have the same facts and different
             actions.
         OSError: If a file cannot be read.
@@ -210,29 +249,26 @@ def induce(
         if isinstance(noise, str) or not 0 <= noise <= _logicity.NOISE_MAX:
             raise ValueError(message)
     rate = float("nan") if noise == "auto" else None if noise is None else float(noise)
-    lines = []
-    if isinstance(demonstrations, Demonstrations):
-        mode = demonstrations.mode if mode is None else mode
-        if not demonstrations.atoms:
-            raise ValueError("expected observations of the kind `groundings`, not `state`")
-        lines.append(
-            f"Rules learned by logicity {_logicity.__version__} from {len(demonstrations)} episodes of "
-            f"{demonstrations.mode} ({demonstrations.split})."
-        )
-        lines.append(f"Episodes {demonstrations.episodes_hash}.")
+    source = _source(demonstrations)
+    mode = source.mode if mode is None else mode
     if mode is None:
         raise TypeError("mode: expected the mode or the configuration file of the demonstrations")
     name = checked_mode(mode)
-    observations, actions, parts = _stacked(demonstrations)
-    if not lines:
-        lines.append(f"Rules learned by logicity {_logicity.__version__} from {len(parts)} episodes for {name}.")
+    if source.mode == name:
+        rules = source.options.get("rules") if rules is None else rules
+        overrides = source.options.get("overrides") if overrides is None else overrides
+    observations, actions, parts = _stacked(source.episodes)
+    task = load_task(mode, rules, overrides)
+    _check_atoms(source, task, name)
+    title = source.title or f"for {name}"
+    first = f"Rules learned by logicity {_logicity.__version__} from {len(parts)} episodes {title}."
     return InducedRules(
         _logicity.induce(
-            load_task(mode, rules, overrides),
+            task,
             observations,
             actions,
             parts,
-            lines,
+            [first, *source.lines],
             list(order),
             checked["variables"],
             checked["effort"],
@@ -241,6 +277,83 @@ def induce(
             rate,
         )
     )
+
+
+def _source(demonstrations: Any) -> _Source:
+    """Return the episodes of demonstrations, and what is known about them."""
+    if isinstance(demonstrations, Demonstrations):
+        _check_observation(bool(demonstrations.atoms))
+        return _Source(
+            demonstrations,
+            f"of {demonstrations.mode} ({demonstrations.split})",
+            demonstrations.mode,
+            demonstrations.env.kwargs,
+            [f"Episodes {demonstrations.episodes_hash}."],
+        )
+    if isinstance(demonstrations, (str, os.PathLike)):
+        path = Path(demonstrations)
+        if path.suffix == ".parquet" or path.is_file():
+            return _parquet(path)
+        return _minari(_load_minari(demonstrations))
+    if hasattr(demonstrations, "iterate_episodes") and hasattr(demonstrations, "env_spec"):
+        return _minari(demonstrations)
+    return _Source(demonstrations)
+
+
+def _check_observation(is_groundings: bool) -> None:
+    if not is_groundings:
+        raise ValueError("expected observations of the kind `groundings`, not `state`")
+
+
+def _load_minari(name: str | os.PathLike[str]) -> MinariDataset:
+    """Load a Minari dataset, given its name or its folder."""
+    try:
+        import minari
+    except ImportError as error:
+        raise missing_extra("offline", error) from error
+
+    path = Path(name)
+    for folder in (path / "data", path):
+        if (folder / "metadata.json").is_file():
+            return minari.MinariDataset(folder)
+    if isinstance(name, str) and not path.exists():
+        return minari.load_dataset(name)
+    raise FileNotFoundError(f"neither a Parquet table nor a Minari dataset: `{name}`")
+
+
+def _minari(dataset: MinariDataset) -> _Source:
+    """Return the episodes of a Minari dataset. Its environment is known if Minari recorded one of this package."""
+    spec: gymnasium.envs.registration.EnvSpec | None = dataset.env_spec
+    if spec is None or spec.namespace != "logicity":
+        return _Source(dataset, f"of {dataset.id}")
+    _check_observation(spec.kwargs.get("observation", "groundings") == "groundings")
+    return _Source(dataset, f"of {dataset.id}", spec.kwargs.get("config"), spec.kwargs)
+
+
+def _parquet(path: Path) -> _Source:
+    """Read a table that `Demonstrations.to_parquet` wrote."""
+    mode, split, episodes_hash, atoms, (observations, actions, episodes, _) = _logicity.read_steps(path)
+    cuts = np.flatnonzero(np.diff(episodes)) + 1
+    parts = zip(np.split(observations, cuts), np.split(actions, cuts), strict=True)
+    return _Source(
+        [_Steps(*part) for part in parts],
+        f"of {mode} ({split}) in {path.name}",
+        mode,
+        lines=[f"Episodes {episodes_hash}."],
+        atoms=atoms,
+    )
+
+
+def _check_atoms(source: _Source, task: _logicity.Task, name: str) -> None:
+    """Check that the atoms of observations are those of a task."""
+    if not source.atoms:
+        return
+    expected = [f"{atom}({','.join(map(str, entities))})" for atom, entities in atoms_of(_logicity.describe(task))]
+    for one, other in zip_longest(source.atoms, expected):
+        if one != other:
+            raise ValueError(
+                f"the table of {source.mode} does not fit {name}: it has the atom {one} instead of {other}"
+            )
 
 
 def _stacked(episodes: Iterable[Episode]) -> tuple[NDArray[np.float32], NDArray[np.int64], list[tuple[int, str]]]:

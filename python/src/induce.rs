@@ -2,16 +2,21 @@
 
 use crate::city::one_of;
 use crate::task::PyTask;
-use crate::{Signals, threads_of, to_python};
+use crate::{Signals, input_error, read_error, threads_of, to_python};
 use logicity::city::Action;
+use logicity::diag::{Diagnostic, Sources};
+use logicity::files::read_bytes;
 use logicity::induce::{
     ActionRules, Atom, Body, Examples, Learned, LearnedClause, Literal, NOISE_MAX, Noise, Settings, State,
     VARIABLES_MAX, learn_with, support,
 };
-use logicity::task::induction::{InductionTask, Origin, report_json, rule_file};
-use numpy::{IntoPyArray, PyArray1, PyReadonlyArray1, PyReadonlyArray2};
+use logicity::task::induction::{InductionTask, Origin, Steps, report_json, rule_file};
+use numpy::ndarray::Array2;
+use numpy::{IntoPyArray, PyArray1, PyArray2, PyReadonlyArray1, PyReadonlyArray2};
 use pyo3::exceptions::PyValueError;
 use pyo3::prelude::*;
+use std::fs::File;
+use std::path::PathBuf;
 use std::sync::Arc;
 
 pub fn register(module: &Bound<'_, PyModule>) -> PyResult<()> {
@@ -19,6 +24,7 @@ pub fn register(module: &Bound<'_, PyModule>) -> PyResult<()> {
     module.add("VARIABLES_MAX", VARIABLES_MAX)?;
     module.add_class::<PyLearnedRules>()?;
     module.add_function(wrap_pyfunction!(restore_rules, module)?)?;
+    module.add_function(wrap_pyfunction!(read_steps, module)?)?;
     module.add_function(wrap_pyfunction!(induce, module)?)
 }
 
@@ -181,6 +187,54 @@ fn states(
     Ok(array.rows().into_iter().map(row).collect())
 }
 
+/// The columns `observation`, `action`, `episode` and `step` of a table of steps.
+type StepArrays<'py> = (
+    Bound<'py, PyArray2<f32>>,
+    Bound<'py, PyArray1<i64>>,
+    Bound<'py, PyArray1<i32>>,
+    Bound<'py, PyArray1<i32>>,
+);
+
+/// Reads a table of steps. Returns its mode, its split, the hash of its episodes and its atoms, and its columns.
+#[pyfunction]
+fn read_steps(py: Python<'_>, path: PathBuf) -> PyResult<(String, String, String, Vec<String>, StepArrays<'_>)> {
+    let file = File::open(&path)?;
+    let bytes = py.detach(|| read_bytes(file)).map_err(|error| read_error(py, &path, &error))?;
+    let read = py.detach(|| {
+        let steps = Steps::open(bytes)?;
+        let (mut observations, mut actions) = (Vec::new(), Vec::new());
+        let (mut episodes, mut numbers) = (Vec::new(), Vec::new());
+        steps.for_each(|step| {
+            observations.extend_from_slice(step.observation);
+            actions.push(step.action as i64);
+            episodes.push(step.episode);
+            numbers.push(step.step);
+            Ok::<_, Diagnostic>(())
+        })?;
+        let shape = (actions.len(), steps.atoms.len());
+        let observations = Array2::from_shape_vec(shape, observations).expect("one number for each atom");
+        Ok((steps, observations, actions, episodes, numbers))
+    });
+    let (steps, observations, actions, episodes, numbers) = read.map_err(|fault: Diagnostic| {
+        let fault = fault.note(format!("in `{}`", path.display()));
+        input_error(py, &[fault], &Sources::new())
+    })?;
+    let Steps {
+        mode,
+        split,
+        episodes_hash,
+        atoms,
+        ..
+    } = steps;
+    let columns = (
+        observations.into_pyarray(py),
+        actions.into_pyarray(py),
+        episodes.into_pyarray(py),
+        numbers.into_pyarray(py),
+    );
+    Ok((mode, split, episodes_hash, atoms, columns))
+}
+
 /// Learns rules from observations and actions. `parts` are the numbers of the first examples of each episode, with its
 /// name; `lines` are sentences about the source. `noise` is the share of wrong actions, NaN to estimate it.
 #[pyfunction]
@@ -238,7 +292,7 @@ fn induce(
     let cancel = signals.cancel();
     let (learned, support) = signals.detach(py, || {
         let learned = learn_with(&examples, &settings, &|_| (), &cancel);
-        let support = support(&examples, &learned);
+        let support = support(&examples, &learned, &learning.constraints());
         (learned, support)
     })?;
     let (sources, rule_files) = shared.rule_texts();

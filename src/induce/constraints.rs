@@ -139,7 +139,7 @@ impl Constraints {
 }
 
 /// Returns all lists of `arity` entities; the last one changes fastest.
-pub(crate) fn tuples(arity: usize, entities: usize) -> impl Iterator<Item = SmallVec<[usize; ARITY_MAX]>> {
+pub fn tuples(arity: usize, entities: usize) -> impl Iterator<Item = SmallVec<[usize; ARITY_MAX]>> {
     (0..entities.pow(arity as u32)).map(move |number| {
         let mut tuple: SmallVec<[usize; ARITY_MAX]> = SmallVec::from_elem(0, arity);
         let mut rest = number;

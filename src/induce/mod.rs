@@ -23,12 +23,12 @@ mod tests;
 mod vocabulary;
 mod weights;
 
-pub use constraints::{Constraints, Violation};
+pub use constraints::{Constraints, Violation, tuples};
 pub use examples::{Contradiction, ENTITIES_MAX, Examples, State, Tally};
 pub use learner::{learn, learn_with};
 pub use noise::NOISE_MAX;
 pub use rules::{ActionRules, Learned, LearnedClause, Noise, Progress, Settings};
-pub use support::{ClauseSupport, Support, support};
+pub use support::{ClauseSupport, Conflict, Support, support};
 pub use vocabulary::{
     ARITY_MAX, Atom, Body, LITERAL_COST, Link, Literal, Predicate, VARIABLE_NAMES, VARIABLES_MAX, Vocabulary,
 };

@@ -6,7 +6,7 @@ use crate::datalog::{ClauseId, Value};
 use crate::diag::{Diagnostic, Sources};
 use crate::files::portable_name;
 use crate::page::proofs::Proofs;
-use crate::sim::{Replay, TraceHeader, World};
+use crate::sim::{Replay, TraceHeader};
 use serde::Serialize;
 use std::fmt;
 
@@ -131,13 +131,4 @@ impl Header {
             numbers
         })
     }
-}
-
-/// Returns whether each clause of [`World::clauses`] derives an action.
-pub fn derive_actions(world: &World) -> impl Iterator<Item = bool> {
-    let actions = Action::ALL.map(|action| world.vocabulary.action(action));
-    world.clauses().map(move |clause| {
-        let head = world.program.rules().clauses[clause.index()].head.relation;
-        actions.contains(&Some(head))
-    })
 }

@@ -5,7 +5,7 @@ use crate::city::{Cell, CityMap, Heading, field_of_view};
 use crate::datalog::explain::{Explainer, ExplanationPrinter};
 use crate::diag::{Code, Diagnostic, Sources};
 use crate::page::file::{packed, write_parts};
-use crate::page::header::{Header, derive_actions};
+use crate::page::header::Header;
 use crate::page::scenery::Scenery;
 use crate::render::Icons;
 use crate::sim::{
@@ -167,7 +167,7 @@ impl Page {
         Ok(Page {
             scenery: Scenery::new(world.map(), icons, &header.agents, replay.kinds()),
             header: Header::new(replay, header, sources),
-            firings: derive_actions(world).map(|is_action| (0, is_action)).collect(),
+            firings: world.clause_actions().map(|(_, action)| (0, action.is_some())).collect(),
             first: 0,
             count: 0,
             columns: Columns::new(count),

@@ -884,6 +884,11 @@ fn counting(most: u32) -> String {
     counting.replace("N(500000000)", "N(0)")
 }
 
+/// The arguments of a run of one tick with some rules.
+fn one_tick<'a>(rules: &'a str, out: &'a str) -> [&'a str; 9] {
+    ["run", "easy", "--ticks", "1", "--no-pictures", "--out", out, "--rules", rules]
+}
+
 #[test]
 fn every_command_that_reads_a_trace_takes_limits() {
     let folder = tempfile::tempdir().unwrap();
@@ -892,18 +897,7 @@ fn every_command_that_reads_a_trace_takes_limits() {
     let made = made.to_str().unwrap();
     let page = folder.path().join("page.html");
     let page = page.to_str().unwrap();
-    let run_args = [
-        "run",
-        "easy",
-        "--ticks",
-        "1",
-        "--no-pictures",
-        "--out",
-        made,
-        "--rules",
-        &rules,
-    ];
-    succeeds(&logicity(run_args));
+    succeeds(&logicity(one_tick(&rules, made)));
     let trace = format!("{made}/trace.jsonl");
     let explain = ["explain", &trace, "--agent", "Car_1"];
     let view = ["view", &trace, "-o", page, "--force"];
@@ -935,19 +929,8 @@ fn rules_in_a_trace_have_lower_default_limits() {
     let made = made.to_str().unwrap();
     let page = folder.path().join("page.html");
     // The page of a run is made under the limits of the run.
-    succeeds(&logicity([
-        "run",
-        "easy",
-        "--ticks",
-        "1",
-        "--no-pictures",
-        "--out",
-        made,
-        "--rules",
-        &rules,
-        "--html",
-        page.to_str().unwrap(),
-    ]));
+    let html = ["--html", page.to_str().unwrap()];
+    succeeds(&run(&[&one_tick(&rules, made)[..], &html].concat(), b""));
     let trace = format!("{made}/trace.jsonl");
     let explain = ["explain", &trace, "--agent", "Car_1"];
     fails(

@@ -70,6 +70,38 @@ fn threads_do_not_change_the_rules() {
 }
 
 #[test]
+fn the_report_leaves_out_what_the_constraints_decide() {
+    let folder = tempfile::tempdir().unwrap();
+    let (learned, report) = (folder.path().join("learned.dl"), folder.path().join("report.json"));
+    let [to, json] = [&learned, &report].map(|path| path.to_str().unwrap());
+    succeeds(&logicity(["induce", "--config", "expert", "-o", to, "--report", json]));
+    let rules = fs::read_to_string(&learned).unwrap();
+    // `.covering IsCar, IsPedestrian` and `.disjoint IsCar, IsPedestrian` give both literals the same meaning.
+    assert!(!rules.contains("could also be Not(IsCar(Y))"), "{rules}");
+    // `.implies IsOld, IsPedestrian`, and the ego is never a pedestrian.
+    assert!(rules.contains("// Never true in any example: IsPedestrian(X).\n"), "{rules}");
+    // Slow holds in some examples only as long as Stop does not.
+    assert!(rules.contains("// Conflict: conditions of Stop and Slow both hold in "), "{rules}");
+    let report: serde_json::Value = serde_json::from_str(&fs::read_to_string(&report).unwrap()).unwrap();
+    let clauses = report["clauses"].as_array().unwrap();
+    let undecided = |body: &str| {
+        let has_body = |clause: &&serde_json::Value| {
+            let literals = clause["body"].as_array().unwrap().iter().map(|literal| literal.as_str().unwrap());
+            literals.collect::<Vec<_>>().join(", ") == body
+        };
+        clauses.iter().find(has_body).unwrap()["undecided"].clone()
+    };
+    assert_eq!(
+        undecided("IsAtInter(X), IsInInter(Y), Not(IsAmbulance(X))"),
+        serde_json::json!(["IsCar(X)", "Not(CollidingClose(X, Y))", "Not(CollidingClose(Y, X))"])
+    );
+    let conflict = &report["conflicts"][0];
+    assert_eq!(conflict["actions"], serde_json::json!(["Stop", "Slow"]));
+    assert!(conflict["examples"].as_u64().unwrap() > 0);
+    assert_eq!(report["contradictions"], 0);
+}
+
+#[test]
 fn fewer_episodes_leave_more_open() {
     let report = |episodes| -> serde_json::Value {
         let said = succeeds(&logicity([

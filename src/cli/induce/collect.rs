@@ -1,4 +1,4 @@
-//! The examples of recorded episodes, traces, scenes and data sets.
+//! The examples of recorded episodes, traces, tables of steps, scenes and data sets.
 
 use crate::builtin::BuiltinFiles;
 use crate::cancel::Cancel;
@@ -7,16 +7,23 @@ use crate::cli::scenes::{SceneLine, SceneLines, open_input};
 use crate::cli::trace::TraceReader;
 use crate::cli::{Failure, LimitOptions, report};
 use crate::diag::{Code, Diagnostic, Sources};
-use crate::files::{self, Folder, MAX_BYTES};
+use crate::files::{self, Folder, MAX_BYTES, read_bytes};
 use crate::induce::{Examples, State};
 use crate::rng::Seed;
 use crate::sim::{Executor, Inference, LoadedCity};
-use crate::task::induction::{InductionTask, Origin};
+use crate::task::induction::{InductionTask, Origin, Steps};
 use crate::task::spf::{ControlMode, Env, EpisodeSet, SpfTask};
 use crate::task::vap::Dataset;
 use std::io::{BufRead, Cursor, Read};
 use std::path::{Path, PathBuf};
 use std::sync::Arc;
+
+/// The first bytes of Parquet and HDF5 files.
+const PARQUET: &[u8] = b"PAR1";
+const HDF5: &[u8] = b"\x89HDF";
+
+/// The number of steps of an episode between looks for an interrupt.
+const CANCEL_STEPS: i32 = 1_024;
 
 /// Examples and their origin.
 pub struct Collected {
@@ -113,9 +120,13 @@ impl FileCollector<'_> {
         Ok(collected)
     }
 
-    /// Adds the examples of a trace, of labeled scenes or of a data set.
+    /// Adds the examples of a trace, of a table of steps, of labeled scenes or of a data set.
     fn add(&mut self, path: &Path, to: &mut Collected) -> Result<(), Failure> {
         if path.is_dir() {
+            // Minari keeps a dataset in a folder `data` in a folder with the name of the dataset.
+            if ["data/metadata.json", "metadata.json"].iter().any(|name| path.join(name).is_file()) {
+                return Err(is_minari(path).into());
+            }
             return self.add_data_set(path, to);
         }
         // A pipe can be read once, so the reader of the rest gets the first line, too.
@@ -123,6 +134,16 @@ impl FileCollector<'_> {
         let mut first = Vec::new();
         let read = lines.by_ref().take(MAX_BYTES).read_until(b'\n', &mut first);
         read.map_err(|error| Failure::file("read", path, error))?;
+        let is_table = path.extension().is_some_and(|extension| extension == "parquet") || first.starts_with(PARQUET);
+        if is_table {
+            let bytes = read_bytes(Cursor::new(first).chain(lines));
+            let bytes = bytes.map_err(|error| Failure::file("read", path, error))?;
+            let added = self.add_steps(bytes, path, to);
+            return added;
+        }
+        if first.starts_with(HDF5) {
+            return Err(is_minari(path).into());
+        }
         let is_trace =
             serde_json::from_slice::<serde_json::Value>(&first).is_ok_and(|header| header.get("trace").is_some());
         let lines = Box::new(Cursor::new(first).chain(lines));
@@ -167,6 +188,28 @@ impl FileCollector<'_> {
             }
         }
         Ok(())
+    }
+
+    /// Adds the steps of a Parquet table.
+    fn add_steps(&self, bytes: Vec<u8>, path: &Path, to: &mut Collected) -> Result<(), Failure> {
+        let name = short_name(path);
+        let placed = |fault: Diagnostic| fault.note(format!("in `{}`", path.display()));
+        let steps = Steps::open(bytes).map_err(placed)?;
+        let entities = self.task.observed_entities(&steps.atoms);
+        let entities = entities.map_err(|fault| placed(fault.note(format!("the table is of the mode {}", steps.mode))))?;
+        let mut episode = None;
+        steps.for_each(|step| {
+            if step.step % CANCEL_STEPS == 0 {
+                self.check_cancelled()?;
+            }
+            if episode != Some(step.episode) {
+                episode = Some(step.episode);
+                to.origin.push_episode(to.examples.count(), format!("{name}, episode {}", step.episode));
+            }
+            let state = self.task.observed_state(step.observation, entities, None);
+            let action = self.task.action(step.action).map_err(placed);
+            to.add(Ok(state), action).map_err(Failure::from)
+        })
     }
 
     /// Adds every decision of every agent in a trace.
@@ -230,6 +273,13 @@ impl Collected {
         self.origin.push(self.examples.count(), place);
         self.examples.push(state, action);
     }
+}
+
+/// Returns the error for a Minari dataset.
+fn is_minari(path: &Path) -> Diagnostic {
+    let message = format!("`{}` is a Minari dataset, which the command does not read", path.display());
+    Diagnostic::new(Code::INVALID_DATA_SET, message)
+        .help("call `logicity.induce` in Python with the dataset, its name or its folder")
 }
 
 /// Returns the name of a file without its folder.

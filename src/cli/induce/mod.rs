@@ -22,8 +22,9 @@ use std::path::{Path, PathBuf};
 
 #[derive(clap::Args)]
 pub struct Arguments {
-    /// Examples: traces of `logicity run`, scenes with `actions` (one JSON object per line), or data sets of `logicity
-    /// vap make`; `-` means standard input [default: the recorded episodes of the configuration, driven by its rules]
+    /// Examples: traces of `logicity run`, scenes with `actions` (one JSON object per line), Parquet tables of
+    /// `Demonstrations.to_parquet`, or data sets of `logicity vap make`; `-` means standard input [default: the recorded
+    /// episodes of the configuration, driven by its rules]
     data: Vec<PathBuf>,
     /// Configuration that defines the predicates. The learner does not read its clauses of actions
     #[arg(long, default_value = "configs/expert.yaml")]
@@ -149,7 +150,7 @@ pub fn run(arguments: &Arguments, sources: &mut Sources) -> Result<(), Failure> 
         ));
     };
     let learned = learn_with(&examples, &settings, &progress, &cancel);
-    let support = support(&examples, &learned);
+    let support = support(&examples, &learned, &task.constraints());
     bar.finish_and_clear();
 
     let text = rule_file(&task, &learned, &support, &origin, (sources, &rule_files));

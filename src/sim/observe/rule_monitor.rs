@@ -97,11 +97,6 @@ struct DenseRules {
     lists: Vec<(Option<usize>, Argument)>,
 }
 
-/// Returns the action that a relation represents.
-fn action_of(vocabulary: &Vocabulary, relation: RelId) -> Option<Action> {
-    (Action::ALL.into_iter()).find(|&action| vocabulary.action(action) == Some(relation))
-}
-
 /// Returns the rules with the action predicates of all bodies replaced by input relations, and these relations. They
 /// come last.
 fn with_actions_given(rules: &Rules, vocabulary: &Vocabulary) -> (Rules, [Option<RelId>; 4]) {
@@ -146,7 +141,7 @@ fn constraints(rules: &Rules, vocabulary: &Vocabulary) -> Vec<ActionConstraint> 
     let is_default = |clause: &datalog::Clause| {
         clause.body.iter().all(|literal| match literal {
             Literal::Negative(atom) => {
-                action_of(vocabulary, atom.relation).is_some() && atom.terms == clause.head.terms
+                vocabulary.action_of(atom.relation).is_some() && atom.terms == clause.head.terms
             }
             Literal::Positive(atom) | Literal::Guard(atom) => {
                 Some(atom.relation) == sees && atom.terms.iter().all(|term| Some(term) == clause.head.terms.first())
@@ -155,7 +150,7 @@ fn constraints(rules: &Rules, vocabulary: &Vocabulary) -> Vec<ActionConstraint> 
         })
     };
     let constraint = |(position, clause): (u32, &datalog::Clause)| {
-        let action = action_of(vocabulary, clause.head.relation)?;
+        let action = vocabulary.action_of(clause.head.relation)?;
         let default = action == vocabulary.default_action() && is_default(clause);
         (!clause.body.is_empty() && !default).then_some(ActionConstraint {
             clause: ClauseId(position),
@@ -179,13 +174,13 @@ impl Conditions {
             body.retain(|literal| {
                 literal
                     .atom()
-                    .is_none_or(|atom| action_of(vocabulary, atom.relation).is_none())
+                    .is_none_or(|atom| vocabulary.action_of(atom.relation).is_none())
             });
             let mut asked = [Actions::default(); 2];
             for literal in &clause.body {
                 let Some((atom, action)) = literal
                     .atom()
-                    .and_then(|atom| Some((atom, action_of(vocabulary, atom.relation)?)))
+                    .and_then(|atom| Some((atom, vocabulary.action_of(atom.relation)?)))
                 else {
                     continue;
                 };
@@ -200,7 +195,7 @@ impl Conditions {
                 asked[holds].insert(action);
             }
             let [given, refused] = asked;
-            match action_of(vocabulary, clause.head.relation) {
+            match vocabulary.action_of(clause.head.relation) {
                 // The rest of the body must bind the head variable, so it must not be empty.
                 Some(_) if body.is_empty() => return None,
                 Some(action) => clauses.push(Condition {

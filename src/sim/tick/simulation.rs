@@ -520,11 +520,9 @@ impl Simulation {
             }
         }
         if !self.decisions.firings.is_empty() {
-            let rules = self.world.program.rules();
-            for (index, &clause) in self.clauses.iter().enumerate() {
+            for (index, (clause, action)) in self.world.clause_actions().enumerate() {
                 let rows = state.session().fired(clause);
-                let head = rules.clauses[clause.index()].head.relation;
-                if (Action::ALL.into_iter()).any(|action| self.world.vocabulary.action(action) == Some(head)) {
+                if action.is_some() {
                     for agent in rows.iter().filter_map(|row| state.entity(row[0])) {
                         self.decisions.add_fired(agent, index);
                     }

@@ -173,6 +173,11 @@ impl Vocabulary {
         self.actions[action as usize]
     }
 
+    /// Returns the action that a relation represents.
+    pub fn action_of(&self, relation: RelId) -> Option<Action> {
+        (Action::ALL.into_iter()).find(|&action| self.action(action) == Some(relation))
+    }
+
     /// Returns the action to take: the derived one of highest priority, otherwise the default of the scenario.
     pub fn decide(&self, derived: Actions) -> Action {
         self.decisions[usize::from(derived.bits())]

@@ -1,6 +1,6 @@
 //! The immutable part of a run: scenario, map, roads and rules.
 
-use crate::city::{AgentSet, Split};
+use crate::city::{Action, AgentSet, Split};
 use crate::city::{CityMap, Places, Router};
 use crate::config::Scenario;
 use crate::datalog::ClauseId;
@@ -101,6 +101,15 @@ impl World {
         (0..rules.clauses.len())
             .map(|index| ClauseId(u32::try_from(index).expect("fewer than 2^32 clauses")))
             .filter(counted)
+    }
+
+    /// Returns the clauses of [`World::clauses`], each with the action that it derives, if any.
+    pub fn clause_actions(&self) -> impl Iterator<Item = (ClauseId, Option<Action>)> + '_ {
+        let rules = self.program.rules();
+        self.clauses().map(|clause| {
+            let head = rules.clauses[clause.index()].head.relation;
+            (clause, self.vocabulary.action_of(head))
+        })
     }
 
     /// Returns the map.

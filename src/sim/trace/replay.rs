@@ -323,12 +323,8 @@ impl Replay {
     /// Returns, for each agent, the clauses that derive an action for it: positions in [`World::clauses`].
     pub fn fired(&self) -> Vec<Vec<usize>> {
         let mut fired = vec![Vec::new(); self.agents.len()];
-        let actions = Action::ALL.map(|action| self.world.vocabulary.action(action));
-        for (position, clause) in self.world.clauses().enumerate() {
-            let head = self.world.program.rules().clauses[clause.index()].head.relation;
-            if !actions.contains(&Some(head)) {
-                continue;
-            }
+        let deriving = self.world.clause_actions().enumerate();
+        for (position, (clause, _)) in deriving.filter(|(_, (_, action))| action.is_some()) {
             for row in self.state.session().fired(clause) {
                 if let Some(agent) = row.first().and_then(|value| self.state.entity(*value))
                     && fired[agent].last() != Some(&position)

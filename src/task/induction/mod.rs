@@ -5,18 +5,22 @@
 mod codes;
 mod popper;
 mod recalls;
+#[cfg(feature = "parquet")]
+mod steps;
 mod text;
 
 pub use codes::{CATALOG, CODES};
 pub use popper::TargetRules;
 pub use recalls::Recalls;
+#[cfg(feature = "parquet")]
+pub use steps::{Step, Steps};
 pub use text::{Origin, report_json, rule_file};
 
 use crate::city::Action;
-use crate::datalog::Constraint;
+use crate::datalog::{Constraint, RelId};
 use crate::diag::{Code, Diagnostic};
-use crate::induce::{ENTITIES_MAX, Examples, Predicate, Settings, State, Vocabulary};
-use crate::sim::{self, Facts, World};
+use crate::induce::{Constraints, ENTITIES_MAX, Examples, Predicate, Settings, State, Vocabulary, tuples};
+use crate::sim::{self, Facts, OBSERVED_MAX, World};
 use crate::task::spf::{Env, Episode};
 use std::sync::Arc;
 
@@ -72,6 +76,42 @@ impl InductionTask {
     /// Returns the predicates of clauses.
     pub fn vocabulary(&self) -> &Vocabulary {
         &self.vocabulary
+    }
+
+    /// Returns the integrity constraints of the rules, as far as they are about predicates of clauses and, if covering
+    /// or reflexive, about every entity that `Sees` relates.
+    pub fn constraints(&self) -> Constraints {
+        let mut constraints = Constraints::default();
+        let known = &self.world.vocabulary;
+        let relations: Vec<Option<RelId>> = observed(known).map(|(_, predicate)| predicate.relation).collect();
+        let position = |relation: RelId| relations.iter().position(|known| *known == Some(relation));
+        let has_all = |domain: &[(RelId, usize)]| {
+            known.predicates[known.sees].relation.is_some_and(|sees| domain.contains(&(sees, 1)))
+        };
+        for declared in &self.world.program.rules().constraints {
+            match &declared.constraint {
+                Constraint::Disjoint(one, other) => {
+                    let pair = [one, other].map(|relation| position(*relation));
+                    if let [Some(one), Some(other)] = pair {
+                        constraints.disjoint.push(vec![one, other]);
+                    }
+                }
+                Constraint::Implies(premise, conclusion) => {
+                    constraints.implies.extend(position(*premise).zip(position(*conclusion)));
+                }
+                Constraint::Covering(of) if has_all(&declared.domain) => {
+                    constraints.covering.extend(of.iter().map(|one| position(*one)).collect::<Option<Vec<_>>>());
+                }
+                Constraint::Reflexive(of) if has_all(&declared.domain) => {
+                    constraints.reflexive.extend(position(*of));
+                }
+                Constraint::Covering(_) | Constraint::Reflexive(_) => {}
+                Constraint::Irreflexive(of) => constraints.irreflexive.extend(position(*of)),
+                Constraint::Symmetric(of) => constraints.symmetric.extend(position(*of)),
+                Constraint::Asymmetric(of) => constraints.asymmetric.extend(position(*of)),
+            }
+        }
+        constraints
     }
 
     /// Returns the actions, the one with the highest precedence first and the default last.
@@ -170,6 +210,42 @@ impl InductionTask {
             env.step(&[action])?;
         }
         Ok(())
+    }
+
+    /// Returns the atoms of an observation of `entities` entities, in the order of its numbers, such as `IsCar(0)`.
+    pub fn observed_atoms(&self, entities: usize) -> Vec<String> {
+        let known = &self.world.vocabulary;
+        let observed = known.predicates.iter().enumerate().filter(|(at, _)| *at != known.sees);
+        let atoms = observed.flat_map(|(_, predicate)| {
+            tuples(predicate.arity, entities).map(|entities| {
+                let numbers: Vec<String> = entities.iter().map(usize::to_string).collect();
+                format!("{}({})", predicate.name, numbers.join(","))
+            })
+        });
+        atoms.collect()
+    }
+
+    /// Returns the number of entities in observations with these atoms.
+    ///
+    /// # Errors
+    /// `rule-mismatch` if observations of the configuration have other atoms.
+    pub fn observed_entities(&self, atoms: &[String]) -> Result<usize, Diagnostic> {
+        let arguments = |atom: &str| Some(atom.split_once('(')?.1.strip_suffix(')')?.to_owned());
+        let numbers = atoms.iter().filter_map(|atom| arguments(atom)).flat_map(|list| {
+            let numbers = list.split(',').map(|number| number.parse::<usize>().ok());
+            numbers.collect::<Vec<_>>()
+        });
+        let entities = numbers.flatten().max().map_or(1, |last| last.saturating_add(1)).min(OBSERVED_MAX);
+        let expected = self.observed_atoms(entities);
+        if atoms == expected {
+            return Ok(entities);
+        }
+        let differs = expected.iter().zip(atoms).find(|(expected, found)| expected != found);
+        let message = match differs {
+            Some((expected, found)) => format!("the examples have the atom `{found}` instead of `{expected}`"),
+            None => format!("the examples have {} atoms instead of {}", atoms.len(), expected.len()),
+        };
+        Err(Diagnostic::new(Code::RULE_MISMATCH, message).help("learn with the configuration that the examples come from"))
     }
 
     /// Returns the state in an observation of `entities` entities, of which `present` exist; by default, those with a

@@ -4,7 +4,7 @@ use crate::builtin;
 use crate::datalog::{self, ast};
 use crate::diag::{SourceId, Sources};
 use crate::files::BUILTIN_FOLDER;
-use crate::induce::{Atom, ClauseSupport, Learned, Literal, Support, Vocabulary};
+use crate::induce::{Atom, ClauseSupport, Learned, LearnedClause, Literal, Support, Vocabulary};
 use crate::task::induction::InductionTask;
 use serde_json::{Value, json};
 use std::collections::BTreeMap;
@@ -89,7 +89,7 @@ pub fn rule_file(
                 literals.push("true".to_owned());
             }
             let _ = writeln!(text, "{}(X) :- {}.", names[action], literals.join(", "));
-            for line in doubts(support, task.vocabulary()) {
+            for line in doubts(clause, support, task.vocabulary()) {
                 comment(&mut text, "// ", &line);
             }
         }
@@ -98,11 +98,21 @@ pub fn rule_file(
     text
 }
 
-/// Adds a comment, wrapped at 100 columns. Names of files and entities may contain line breaks, which would end it.
+/// Adds a comment, wrapped at 100 columns between words and not within parentheses. Names of files and entities may
+/// contain line breaks, which would end it.
 pub(super) fn comment(text: &mut String, prefix: &str, line: &str) {
-    let mut column = 0;
     let line = line.replace(char::is_control, "_");
-    for (index, word) in line.split(' ').enumerate() {
+    let mut depth = 0_usize;
+    let words = line.split(|character| {
+        match character {
+            '(' => depth += 1,
+            ')' => depth = depth.saturating_sub(1),
+            _ => {}
+        }
+        character == ' ' && depth == 0
+    });
+    let mut column = 0;
+    for (index, word) in words.enumerate() {
         if index > 0 && column + 1 + word.len() <= 100 {
             text.push(' ');
             column += 1;
@@ -166,6 +176,20 @@ fn summary(task: &InductionTask, learned: &Learned, support: &Support, origin: &
     }
     if !learned.is_complete {
         lines.push("The learner was interrupted: some examples may have no clause yet.".to_owned());
+    }
+    if support.contradictions > 0 {
+        lines.push(format!(
+            "Contradictions: {} examples of several actions; the most frequent one counts.",
+            plural(support.contradictions as u64, "state has", "states have")
+        ));
+    }
+    for conflict in &support.conflicts {
+        let [chosen, other] = conflict.actions.map(|action| names[action]);
+        lines.push(format!(
+            "Conflict: conditions of {chosen} and {other} both hold in {}, first in {}; {chosen} has precedence.",
+            plural(conflict.examples, "example", "examples"),
+            origin.describe(conflict.first)
+        ));
     }
     let unseen = atom_texts(&support.unseen, task.vocabulary());
     if !unseen.is_empty() {
@@ -273,8 +297,17 @@ fn explains(support: &ClauseSupport, origin: &Origin) -> String {
 }
 
 /// Returns sentences about what the examples do not show of a clause.
-fn doubts(support: &ClauseSupport, vocabulary: &Vocabulary) -> Vec<String> {
+fn doubts(clause: &LearnedClause, support: &ClauseSupport, vocabulary: &Vocabulary) -> Vec<String> {
     let mut lines = Vec::new();
+    if !clause.is_best {
+        lines.push("Cut: the search for this clause ended early, so another one may explain more.".to_owned());
+    }
+    if support.outranked > 0 {
+        lines.push(format!(
+            "Outranked: its conditions also hold in {} of actions with precedence.",
+            plural(support.outranked, "example", "examples")
+        ));
+    }
     if support.alone < FEW {
         lines.push(format!("Few examples: it alone explains {}.", support.alone));
     }
@@ -370,6 +403,13 @@ pub fn report_json(task: &InductionTask, learned: &Learned, support: &Support, o
             "variables_limit": rules.variables_limit,
         })
     });
+    let conflicts = support.conflicts.iter().map(|conflict| {
+        json!({
+            "actions": conflict.actions.map(|action| names[action]),
+            "examples": conflict.examples,
+            "first": origin.describe(conflict.first),
+        })
+    });
     json!({
         "origin": origin.lines,
         "examples": support.examples,
@@ -377,6 +417,8 @@ pub fn report_json(task: &InductionTask, learned: &Learned, support: &Support, o
         "default": names.last(),
         "noise": learned.rate,
         "complete": learned.is_complete,
+        "conflicts": conflicts.collect::<Vec<_>>(),
+        "contradictions": support.contradictions,
         "unseen": atom_texts(&support.unseen, vocabulary),
         "wrong": support.wrong,
         "wrong_first": support.wrong_first.iter().map(|&example| origin.describe(example)).collect::<Vec<_>>(),

@@ -369,11 +369,7 @@ impl Names {
             let fault = Diagnostic::new(Code::UNKNOWN_TYPE, format!("no type `{name}` is declared"));
             let mut fault = with_uses(fault, uses);
             let candidates = self.types.iter().map(|ty| ty.name.as_str());
-            let near = if index < MAX_SUGGESTIONS {
-                did_you_mean(name, candidates)
-            } else {
-                None
-            };
+            let near = suggestion(index, name, candidates);
             fault = match near {
                 Some(near) => {
                     let id = self.types.iter().position(|ty| ty.name == near);
@@ -397,11 +393,7 @@ impl Names {
             let fault = Diagnostic::new(Code::UNKNOWN_PREDICATE, format!("no predicate `{name}` is declared"));
             let mut fault = with_uses(fault, uses);
             let candidates = self.relations.iter().map(|relation| relation.name.as_str());
-            let near = if index < MAX_SUGGESTIONS {
-                did_you_mean(name, candidates)
-            } else {
-                None
-            };
+            let near = suggestion(index, name, candidates);
             fault = match near {
                 Some(near) => {
                     let span = self.relation_by_name.get(near).map(|&id| self.relation(id).span);
@@ -540,6 +532,15 @@ fn column_numbers(text: &str) -> Option<Vec<usize>> {
         .collect::<Option<_>>()?;
     let different: HashSet<&usize> = numbers.iter().collect();
     (different.len() == numbers.len()).then_some(numbers)
+}
+
+/// Returns the candidate closest to an unknown name, for the first of these names.
+fn suggestion<'a>(index: usize, name: &str, candidates: impl Iterator<Item = &'a str>) -> Option<&'a str> {
+    if index < MAX_SUGGESTIONS {
+        did_you_mean(name, candidates)
+    } else {
+        None
+    }
 }
 
 fn with_uses(mut fault: Diagnostic, uses: &[Span]) -> Diagnostic {

@@ -1,10 +1,17 @@
 //! What the examples say about learned clauses: how many they explain, and which literals the examples cannot decide.
 
+mod entailment;
+#[cfg(test)]
+mod tests;
+
 use crate::induce::bits;
+use crate::induce::constraints::Constraints;
 use crate::induce::examples::{Examples, State, majority};
 use crate::induce::problem::{Problem, Split};
 use crate::induce::rules::{Learned, clauses_hold};
 use crate::induce::vocabulary::{ARITY_MAX, Atom, Body, Literal, Vocabulary};
+use entailment::Entailment;
+use std::collections::BTreeMap;
 
 /// The most states of lower precedence that [`support`] compares alternatives with.
 const NEGATIVE_MAX: usize = 100_000;
@@ -24,8 +31,24 @@ pub struct Support {
     pub wrong_first: Vec<u64>,
     /// By action, the number of examples.
     pub by_action: Vec<u64>,
+    /// The pairs of actions whose clauses hold in the same examples.
+    pub conflicts: Vec<Conflict>,
+    /// Number of distinct states with examples of several actions.
+    pub contradictions: usize,
     /// Atoms over the variables of the head that hold in no example, and atoms of predicates that never hold at all.
+    /// Atoms that imply another one of them by the constraints are left out.
     pub unseen: Vec<Atom>,
+}
+
+/// Examples in which clauses of two actions hold.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub struct Conflict {
+    /// The positions of the action that the rules choose, and of the other one.
+    pub actions: [usize; 2],
+    /// Number of examples.
+    pub examples: u64,
+    /// The number of the first one.
+    pub first: u64,
 }
 
 /// What the examples say about a clause.
@@ -48,14 +71,16 @@ pub struct ClauseSupport {
     /// The number of the first example that it alone explains.
     pub first: Option<u64>,
     /// Literals that also hold in every state that it alone explains: with such a literal the clause fits as well.
+    /// Literals that follow from the clause or from another one of them by the constraints are left out.
     pub undecided: Vec<Literal>,
-    /// Pairs of a literal of the clause and another one that fits as well in its place.
+    /// Pairs of a literal of the clause and another one that fits as well in its place. Alternatives that have the same
+    /// meaning by the constraints are left out.
     pub alternatives: Vec<(Literal, Literal)>,
 }
 
-/// Counts the examples that each clause explains, and finds the literals that the examples cannot decide. It does not
-/// search for these literals in the rules of an interrupted learner.
-pub fn support(examples: &Examples, learned: &Learned) -> Support {
+/// Counts the examples that each clause explains, and finds the literals that neither the examples nor the constraints
+/// decide. It does not search for these literals in the rules of an interrupted learner.
+pub fn support(examples: &Examples, learned: &Learned, constraints: &Constraints) -> Support {
     let vocabulary = examples.vocabulary();
     let states: Vec<&State> = examples.states().map(|(state, _)| state).collect();
     let bodies = learned.bodies();
@@ -68,7 +93,11 @@ pub fn support(examples: &Examples, learned: &Learned) -> Support {
             ..ClauseSupport::default()
         })
         .collect();
+    let labels: Vec<usize> = examples.states().map(|(_, tallies)| majority(tallies)).collect();
     let mut alone: Vec<Vec<usize>> = vec![Vec::new(); bodies.len()];
+    // For each clause, the states of an action with lower precedence in which it holds, in ascending order.
+    let mut against: Vec<Vec<usize>> = vec![Vec::new(); bodies.len()];
+    let mut conflicts: BTreeMap<[usize; 2], Conflict> = BTreeMap::new();
     let (mut wrong, mut wrong_first) = (0, Vec::new());
     for (range, holds) in clauses_hold(vocabulary, &bodies, &states) {
         for state in range.clone() {
@@ -77,6 +106,22 @@ pub fn support(examples: &Examples, learned: &Learned) -> Support {
                 .filter(|&clause| bits::has(&holds[clause], state - range.start))
                 .collect();
             let chosen = held.first().map_or(learned.actions.len(), |&clause| action_of[clause]);
+            let count = tallies.iter().map(|tally| u64::from(tally.count)).sum::<u64>();
+            let there = || tallies.iter().filter(|tally| tally.count > 0);
+            let first = there().map(|tally| tally.first).min().unwrap_or(0);
+            let mut outranked: Vec<usize> = held.iter().map(|&clause| action_of[clause]).collect();
+            outranked.dedup();
+            for actions in outranked.iter().skip(1).map(|&other| [chosen, other]) {
+                let known = conflicts.entry(actions).or_insert(Conflict {
+                    actions,
+                    examples: 0,
+                    first,
+                });
+                known.examples += count;
+                known.first = known.first.min(first);
+            }
+            let lower = held.iter().filter(|&&clause| labels[state] > action_of[clause]);
+            lower.for_each(|&clause| against[clause].push(state));
             for (action, tally) in tallies.iter().enumerate().filter(|(_, tally)| tally.count > 0) {
                 let count = u64::from(tally.count);
                 if action != chosen {
@@ -111,16 +156,15 @@ pub fn support(examples: &Examples, learned: &Learned) -> Support {
     }
     wrong_first.sort_unstable();
     wrong_first.truncate(10);
-    let labels: Vec<usize> = examples.states().map(|(_, tallies)| majority(tallies)).collect();
-    for ((clause, alone), body) in clauses.iter_mut().zip(&alone).zip(&bodies) {
-        let lower: Vec<usize> = (0..states.len())
-            .filter(|&state| labels[state] > clause.action)
-            .collect();
+    for (index, (clause, body)) in clauses.iter_mut().zip(&bodies).enumerate() {
+        let is_negative = |state: &usize| labels[*state] > clause.action && against[index].binary_search(state).is_err();
+        let lower: Vec<usize> = (0..states.len()).filter(is_negative).collect();
         let step = lower.len().div_ceil(NEGATIVE_MAX).max(1);
         let lower: Vec<&State> = lower.into_iter().step_by(step).map(|state| states[state]).collect();
-        let alone: Vec<&State> = alone.iter().map(|&state| states[state]).collect();
-        if !alone.is_empty() && clause.against == 0 && learned.is_complete {
-            (clause.undecided, clause.alternatives) = undecided(vocabulary, body, &alone, &lower);
+        let alone: Vec<&State> = alone[index].iter().map(|&state| states[state]).collect();
+        if !alone.is_empty() && learned.is_complete {
+            let entailment = Entailment::new(vocabulary, constraints, body.variables(vocabulary));
+            (clause.undecided, clause.alternatives) = undecided(vocabulary, &entailment, body, &alone, &lower);
         }
     }
     let by_action = (0..examples.actions().len())
@@ -138,13 +182,15 @@ pub fn support(examples: &Examples, learned: &Learned) -> Support {
         wrong,
         wrong_first,
         by_action,
-        unseen: unseen(vocabulary, &states),
+        conflicts: conflicts.into_values().collect(),
+        contradictions: examples.contradictions().count(),
+        unseen: unseen(vocabulary, constraints, &states),
     }
 }
 
 /// Returns the atoms over the variables of the head that hold in no state, and one atom of each predicate that holds for
-/// no entities at all.
-fn unseen(vocabulary: &Vocabulary, states: &[&State]) -> Vec<Atom> {
+/// no entities at all; without those that imply another one of them.
+fn unseen(vocabulary: &Vocabulary, constraints: &Constraints, states: &[&State]) -> Vec<Atom> {
     let egos = vocabulary.egos();
     let mut head: Vec<Atom> = vocabulary.atoms(egos);
     let mut anywhere: Vec<bool> = vec![false; vocabulary.predicates().len()];
@@ -163,13 +209,20 @@ fn unseen(vocabulary: &Vocabulary, states: &[&State]) -> Vec<Atom> {
     let never = |atom: &Atom| !anywhere[atom.predicate] && !head.iter().any(|known| known.predicate == atom.predicate);
     let mut others: Vec<Atom> = vocabulary.atoms(egos + 1).into_iter().filter(never).collect();
     others.dedup_by_key(|atom| atom.predicate);
-    head.into_iter().chain(others).collect()
+    let never = head.into_iter().chain(others).map(|atom| Literal {
+        is_negated: true,
+        atom,
+    });
+    let entailment = Entailment::new(vocabulary, constraints, egos + 1);
+    let strongest = entailment.strongest(&[], never.collect());
+    strongest.into_iter().map(|literal| literal.atom).collect()
 }
 
 /// Returns the literals that can be added to a clause, and those that can replace one of it, so that it still holds in
 /// all `alone` states and in no `lower` one.
 fn undecided(
     vocabulary: &Vocabulary,
+    entailment: &Entailment<'_>,
     body: &Body,
     alone: &[&State],
     lower: &[&State],
@@ -202,9 +255,8 @@ fn undecided(
             .map(|(_, own)| own.clone());
         Body(kept.chain([literal.clone()]).collect())
     };
-    let added = others()
-        .filter(|literal| covers(&problem, &with(None, literal)))
-        .collect();
+    let added = others().filter(|literal| covers(&problem, &with(None, literal)));
+    let added = entailment.strongest(&body.0, added.collect());
     let mut alternatives = Vec::new();
     for (at, own) in body.0.iter().enumerate() {
         for literal in others() {
@@ -212,6 +264,7 @@ fn undecided(
             if covers(&problem, &other)
                 && problem.satisfying(problem.negative, &other).is_empty()
                 && other.is_safe(vocabulary)
+                && !(entailment.implies(&body.0, &literal) && entailment.implies(&other.0, own))
             {
                 alternatives.push((own.clone(), literal));
             }
