@@ -52,6 +52,10 @@ pub fn collect(
         false => Some(files.collect(&arguments.test, Origin::default())?),
     };
     let collected = match arguments.data.is_empty() {
+        true if arguments.episodes == Some(0) => Collected {
+            examples: task.examples(),
+            origin,
+        },
         true => episodes(arguments, &task, sources, origin, cancel)?,
         false => files.collect(&arguments.data, origin)?,
     };

@@ -2,10 +2,12 @@
 //!
 //! The room [`induce`](crate::induce) learns; this module translates between it and the city.
 
+mod ask;
 mod codes;
 mod recalls;
 mod text;
 
+pub use ask::{Asked, Inquiry, LOG_START, LogReader, OracleError, Questions, RuleOracle, begins_log, check_log_header};
 pub use codes::{CATALOG, CODES};
 pub use recalls::Recalls;
 pub use text::{Origin, report_json, rule_file};
