@@ -16,7 +16,7 @@ use crate::task::induction::{
 use indicatif::{ProgressBar, ProgressStyle};
 use serde_json::Value;
 use sha2::{Digest, Sha256};
-use std::io::{self, BufRead, BufReader, Read, Write};
+use std::io::{self, BufRead, BufReader, IsTerminal, Read, Write};
 use std::path::{Path, PathBuf};
 use std::process::{Child, Command, ExitStatus, Stdio};
 use std::sync::mpsc::{Receiver, RecvTimeoutError, Sender, SyncSender, TryRecvError, channel, sync_channel};
@@ -304,6 +304,8 @@ const GRACE: Duration = Duration::from_millis(500);
 /// One thread writes scenes and another one reads answers, so that no process can block this one.
 struct CommandOracle {
     child: Child,
+    /// Whether the process and those that it starts are a process group.
+    is_group: bool,
     scenes: Option<Sender<String>>,
     answers: Receiver<io::Result<Vec<u8>>>,
     timeout: Duration,
@@ -313,6 +315,7 @@ impl CommandOracle {
     fn start(command: &str, timeout: Duration) -> Result<CommandOracle, OracleError> {
         let mut shell = shell(command);
         shell.stdin(Stdio::piped()).stdout(Stdio::piped());
+        let is_group = separate(&mut shell);
         let cannot = |error: io::Error| OracleError::Silent(format!("the oracle cannot be started: {error}"));
         let mut child = shell.spawn().map_err(cannot)?;
         let mut input = child.stdin.take().expect("a pipe");
@@ -339,6 +342,7 @@ impl CommandOracle {
         }
         Ok(CommandOracle {
             child,
+            is_group,
             scenes: Some(scenes),
             answers,
             timeout,
@@ -398,11 +402,43 @@ impl Drop for CommandOracle {
     fn drop(&mut self) {
         self.scenes = None;
         if self.wait().is_none() {
+            if self.is_group {
+                kill_group(&self.child);
+            }
             let _ = self.child.kill();
             let _ = self.child.wait();
         }
     }
 }
+
+/// Puts a process into a process group of its own, so that [`kill_group`] reaches all that it starts. Returns whether
+/// that is possible: on a terminal, a process of another group could not ask the user.
+#[cfg(unix)]
+fn separate(shell: &mut Command) -> bool {
+    use std::os::unix::process::CommandExt;
+    let is_interactive = io::stdin().is_terminal() || io::stderr().is_terminal();
+    if !is_interactive {
+        shell.process_group(0);
+    }
+    !is_interactive
+}
+
+#[cfg(unix)]
+fn kill_group(child: &Child) {
+    use nix::sys::signal::{Signal, killpg};
+    use nix::unistd::Pid;
+    if let Ok(group) = i32::try_from(child.id()) {
+        let _ = killpg(Pid::from_raw(group), Signal::SIGKILL);
+    }
+}
+
+#[cfg(not(unix))]
+fn separate(_: &mut Command) -> bool {
+    false
+}
+
+#[cfg(not(unix))]
+fn kill_group(_: &Child) {}
 
 /// Passes a line of an oracle on. Returns false at the end.
 fn pass_line(output: &mut impl BufRead, answered: &SyncSender<io::Result<Vec<u8>>>) -> bool {

@@ -8,7 +8,7 @@ use crate::city::{Action, Split};
 use crate::cli::view;
 use crate::cli::{
     Failure, ForceOption, Inputs, LimitOptions, cancel_on_interrupt, finish, integer, is_stdout, load_city, messages,
-    one_of, unwritable,
+    one_of, plural, unwritable,
 };
 use crate::diag::Sources;
 use crate::files;
@@ -179,7 +179,7 @@ pub fn run(arguments: &Arguments, sources: &mut Sources) -> Result<(), Failure> 
     if !is_stdout(path) {
         let mut out = messages(&written);
         let clauses = support.clauses.len();
-        writeln!(out, "wrote {clauses} clauses to {}", path.display())?;
+        writeln!(out, "wrote {} to {}", plural(clauses as u64, "clause"), path.display())?;
     }
     if let Some(measured) = measured {
         write!(messages(&written), "{}", measured.text(&names))?;

@@ -8,11 +8,12 @@ use crate::datalog::{Constraint, RelId};
 use crate::diag::{Code, Diagnostic, Sources};
 use crate::files::ReadError;
 use crate::induce::ask::{
-    Answer, AskSettings, Bound, End, Event, Failure, Observer, Oracle, Reason, Refined, Refinement, canonical,
+    Answer, AskSettings, End, Event, Failure, Observer, Oracle, Reason, Refined, Refinement, canonical,
 };
 use crate::induce::{Constraints, Examples, Learned, Settings, State};
 use crate::rng::Seed;
 use crate::sim::{Executor, Facts, Inference, SceneFacts};
+use crate::task::induction::text::plural;
 use crate::task::induction::{InductionTask, Origin, observed};
 use serde_json::{Map, Value, json};
 use sha2::{Digest, Sha256};
@@ -559,11 +560,16 @@ impl Questions {
     fn result(&self) -> String {
         match &self.end {
             End::Certified(bound, scenes) => {
-                let Bound { facts, entities } = bound;
+                let facts = plural(bound.facts as u64, "fact", "facts");
+                let entities = plural(bound.entities as u64, "entity", "entities");
+                let all = match scenes {
+                    1 => "the only scene".to_owned(),
+                    scenes => format!("all {scenes} scenes"),
+                };
                 format!(
-                    "Certificate: the rules agree with the oracle on all {scenes} scenes of at most {facts} facts and \
-                     {entities} entities. Scenes that differ in the names of entities count once; facts that follow \
-                     from others and facts of `.covering` predicates do not count."
+                    "Certificate: the rules agree with the oracle on {all} of at most {facts} and {entities}. Scenes \
+                     that differ in the names of entities count once; facts that follow from others and facts of \
+                     `.covering` predicates do not count."
                 )
             }
             End::Agreed if self.last_explored >= self.agreements => format!(

@@ -118,7 +118,7 @@ fn comment(text: &mut String, prefix: &str, line: &str) {
     text.push('\n');
 }
 
-fn plural(count: u64, one: &str, many: &str) -> String {
+pub(super) fn plural(count: u64, one: &str, many: &str) -> String {
     format!("{count} {}", if count == 1 { one } else { many })
 }
 
