@@ -9,12 +9,16 @@ use std::path::{Component, Path, PathBuf};
 #[cfg(feature = "parquet")]
 mod folder;
 #[cfg(feature = "sim")]
+mod journal;
+#[cfg(feature = "sim")]
 mod output;
 #[cfg(feature = "sim")]
 mod record;
 
 #[cfg(feature = "parquet")]
 pub use folder::{FileError, Folder, make_folder};
+#[cfg(feature = "sim")]
+pub use journal::Journal;
 #[cfg(feature = "sim")]
 pub use output::{Output, Overwrite};
 

@@ -199,7 +199,9 @@ type StepArrays<'py> = (
 #[pyfunction]
 fn read_steps(py: Python<'_>, path: PathBuf) -> PyResult<(String, String, String, Vec<String>, StepArrays<'_>)> {
     let file = File::open(&path)?;
-    let bytes = py.detach(|| read_bytes(file)).map_err(|error| read_error(py, &path, &error))?;
+    let bytes = py
+        .detach(|| read_bytes(file))
+        .map_err(|error| read_error(py, &path, &error))?;
     let read = py.detach(|| {
         let steps = Steps::open(bytes)?;
         let (mut observations, mut actions) = (Vec::new(), Vec::new());

@@ -3,6 +3,7 @@
 use crate::cli::{Failure, open};
 use crate::diag::{Code, Diagnostic, SourceId, Sources};
 use crate::files::{self, ReadError};
+use crate::task::induction::LOG_START;
 use std::io::{self, BufRead, BufReader, Read};
 use std::path::{Path, PathBuf};
 
@@ -56,7 +57,7 @@ impl SceneLines {
         }
     }
 
-    /// Returns the next line that is not blank, or `None` at the end.
+    /// Returns the next line that is neither blank nor the header of a log of questions, or `None` at the end.
     pub fn next(&mut self) -> Result<Option<SceneLine>, Failure> {
         loop {
             let unreadable = |error| Failure::file("read", &self.path, error);
@@ -76,6 +77,7 @@ impl SceneLines {
             } else {
                 match files::to_text(bytes) {
                     Ok(line) if line.trim().is_empty() => continue,
+                    Ok(line) if number == 1 && line.starts_with(LOG_START) => continue,
                     Ok(line) => Ok(sources.add_from(name.as_str(), line.trim_end_matches(['\n', '\r']), number)),
                     Err(ReadError::NotText { column, .. }) => {
                         let what = format!("not UTF-8 text (first bad byte in column {column})");

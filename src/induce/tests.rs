@@ -5,7 +5,7 @@ use crate::induce::learner::learn_here;
 use crate::induce::problem::Split;
 use crate::induce::search::{EXAMPLE, Search};
 use crate::induce::{
-    Body, Examples, Learned, Link, Literal, Noise, Predicate, Settings, State, Vocabulary, learn, support,
+    Body, Constraints, Examples, Learned, Link, Literal, Noise, Predicate, Settings, State, Vocabulary, learn, support,
 };
 use crate::rng::{Purpose, Rng, RngExt, Seed};
 use proptest::prelude::*;
@@ -302,7 +302,7 @@ fn clauses_are_linked_to_the_head_with_noise() {
         assert!(!bodies.is_empty());
         assert!(bodies.iter().all(|body| body.is_safe(&linked)), "{bodies:?}");
         let states: Vec<&State> = examples.states().map(|(state, _)| state).collect();
-        let support = support(&examples, &learned);
+        let support = support(&examples, &learned, &Constraints::default());
         for (state, action) in states.iter().zip(learned.decide(&linked, &states)) {
             let holding = bodies.iter().any(|body| holds(&linked, body, state));
             assert_eq!(holding, action == 0);
@@ -337,7 +337,7 @@ fn support_counts_each_example_once() {
     };
     let learned = learn(&examples, &settings, &Cancel::never());
     assert!(learned.bodies().is_empty());
-    let support = support(&examples, &learned);
+    let support = support(&examples, &learned, &Constraints::default());
     assert_eq!((support.wrong, support.wrong_first), (1, vec![17_000]));
 }
 

@@ -79,14 +79,24 @@ fn the_report_leaves_out_what_the_constraints_decide() {
     // `.covering IsCar, IsPedestrian` and `.disjoint IsCar, IsPedestrian` give both literals the same meaning.
     assert!(!rules.contains("could also be Not(IsCar(Y))"), "{rules}");
     // `.implies IsOld, IsPedestrian`, and the ego is never a pedestrian.
-    assert!(rules.contains("// Never true in any example: IsPedestrian(X).\n"), "{rules}");
+    assert!(
+        rules.contains("// Never true in any example: IsPedestrian(X).\n"),
+        "{rules}"
+    );
     // Slow holds in some examples only as long as Stop does not.
-    assert!(rules.contains("// Conflict: conditions of Stop and Slow both hold in "), "{rules}");
+    assert!(
+        rules.contains("// Conflict: conditions of Stop and Slow both hold in "),
+        "{rules}"
+    );
     let report: serde_json::Value = serde_json::from_str(&fs::read_to_string(&report).unwrap()).unwrap();
     let clauses = report["clauses"].as_array().unwrap();
     let undecided = |body: &str| {
         let has_body = |clause: &&serde_json::Value| {
-            let literals = clause["body"].as_array().unwrap().iter().map(|literal| literal.as_str().unwrap());
+            let literals = clause["body"]
+                .as_array()
+                .unwrap()
+                .iter()
+                .map(|literal| literal.as_str().unwrap());
             literals.collect::<Vec<_>>().join(", ") == body
         };
         clauses.iter().find(has_body).unwrap()["undecided"].clone()
@@ -223,10 +233,7 @@ fn names_of_entities_add_no_clauses() {
         .lines()
         .filter(|line| line.contains(":-") && !line.starts_with("//"))
         .collect();
-    assert_eq!(
-        clauses,
-        ["Fast(X) :- Not(Stop(X)), Not(Slow(X)), IsBus(X)."]
-    );
+    assert_eq!(clauses, ["Fast(X) :- Not(Stop(X)), Not(Slow(X)), IsBus(X)."]);
     let page = folder.path().join("page.html");
     let outputs = ["-o", "rules.dl", "--page", page.to_str().unwrap()];
     let [o, rules, p, page] = outputs;

@@ -1,8 +1,10 @@
-//! `logicity induce`: learns rules from examples.
+//! `logicity induce`: learns rules from examples and questions.
 
+mod ask;
 mod collect;
 mod popper;
 
+use crate::cancel::Cancel;
 use crate::city::{Action, Split};
 use crate::cli::view;
 use crate::cli::{
@@ -11,9 +13,10 @@ use crate::cli::{
 };
 use crate::diag::Sources;
 use crate::files;
-use crate::induce::{NOISE_MAX, Noise, Progress, Settings, VARIABLES_MAX, learn_with, support};
+use crate::induce::{Examples, Learned, NOISE_MAX, Noise, Progress, Settings, VARIABLES_MAX, learn_with, support};
 use crate::sim::LoadedCity;
-use crate::task::induction::{Origin, Recalls, report_json, rule_file};
+use crate::task::induction::{InductionTask, Inquiry, Origin, Recalls, report_json, rule_file};
+use ask::AskOptions;
 use collect::{Collected, collect};
 use indicatif::{ProgressBar, ProgressStyle};
 use std::io::Write;
@@ -35,8 +38,8 @@ pub struct Arguments {
     /// Recorded episodes to learn from
     #[arg(long, value_parser = one_of(&Split::ALL, Split::name), default_value = "train", conflicts_with = "data")]
     split: Split,
-    /// Number of recorded episodes, from the first on [default: all]
-    #[arg(long, value_name = "COUNT", value_parser = integer(1..=1_000_000_usize), conflicts_with = "data")]
+    /// Number of recorded episodes, from the first on; 0 with `--ask` to learn from questions alone [default: all]
+    #[arg(long, value_name = "COUNT", value_parser = integer(0..=1_000_000_usize), conflicts_with = "data")]
     episodes: Option<usize>,
     /// Write the rules to FILE; `-` means standard output
     #[arg(short, long, value_name = "FILE", default_value = "-")]
@@ -75,6 +78,8 @@ pub struct Arguments {
     #[command(flatten)]
     popper: popper::PopperOptions,
     #[command(flatten)]
+    ask: AskOptions,
+    #[command(flatten)]
     limits: LimitOptions,
     #[command(flatten)]
     force: ForceOption,
@@ -84,9 +89,14 @@ pub fn run(arguments: &Arguments, sources: &mut Sources) -> Result<(), Failure> 
     let mut outputs = vec![("--output", arguments.output.as_path())];
     outputs.extend(arguments.report.as_deref().map(|path| ("--report", path)));
     outputs.extend(arguments.page.as_deref().map(|path| ("--page", path)));
+    let paths: Vec<&Path> = outputs.iter().map(|(_, path)| *path).collect();
     crate::cli::refuse_mixing(outputs)?;
     if let Some(folder) = &arguments.popper.popper {
         return popper::run(arguments, folder, sources);
+    }
+    if arguments.episodes == Some(0) && !arguments.ask.is_asked() {
+        let message = "--episodes 0 leaves nothing to learn from; `--ask` names an oracle for questions";
+        return Err(Failure::Usage(message.to_owned()));
     }
     // The page reads the trace again, which a pipe does not allow.
     let is_one_file = matches!(&arguments.data[..], [path] if path.is_file());
@@ -105,6 +115,7 @@ pub fn run(arguments: &Arguments, sources: &mut Sources) -> Result<(), Failure> 
         arguments.rules.as_deref(),
         &arguments.limits,
     )?;
+    let oracle = arguments.ask.load(sources, &arguments.config, &arguments.limits)?;
     let inputs = Inputs::of(sources).with(arguments.data.iter().chain(&arguments.test).cloned());
     // A file that cannot be written is reported before the work.
     let mut rules_out = arguments.force.create(&arguments.output, &inputs)?;
@@ -114,6 +125,10 @@ pub fn run(arguments: &Arguments, sources: &mut Sources) -> Result<(), Failure> 
     let page_out = (arguments.page.as_deref())
         .map(|path| arguments.force.create(path, &inputs).map(|out| (out, path)))
         .transpose()?;
+    let session = match oracle {
+        Some(oracle) => Some(arguments.ask.open(oracle, &inputs, &paths)?),
+        None => None,
+    };
     let rule_files = city.rule_files.clone();
     let mut origin = Origin::default();
     origin.lines.push(format!(
@@ -136,22 +151,18 @@ pub fn run(arguments: &Arguments, sources: &mut Sources) -> Result<(), Failure> 
         task.check(&examples, &origin)?;
     }
     origin.lines.push(task.describe(&settings));
-
-    let bar = ProgressBar::new(1);
-    let template = "{bar:30} {msg} {pos} of {len} states";
-    bar.set_style(ProgressStyle::with_template(template).expect("a valid template"));
     let names: Vec<&str> = task.actions().iter().map(|action| action.name()).collect();
-    let progress = |progress: Progress| {
-        bar.set_length(progress.states as u64);
-        bar.set_position(progress.covered as u64);
-        bar.set_message(format!(
-            "{}: {} clauses found,",
-            names[progress.action], progress.clauses
-        ));
+    let (learned, examples, questions) = match session {
+        None => (learn(&task, &examples, &settings, &cancel), examples, None),
+        Some(session) => {
+            let inquiry = Inquiry::new(examples, settings, arguments.seed);
+            let asked = session.ask(&task, inquiry, sources, &cancel)?;
+            asked.questions.name_answers(&asked.examples, &mut origin);
+            origin.lines.extend(asked.questions.lines());
+            (asked.learned, asked.examples, Some(asked.questions))
+        }
     };
-    let learned = learn_with(&examples, &settings, &progress, &cancel);
     let support = support(&examples, &learned, &task.constraints());
-    bar.finish_and_clear();
 
     let text = rule_file(&task, &learned, &support, &origin, (sources, &rule_files));
     let path = &arguments.output;
@@ -160,6 +171,9 @@ pub fn run(arguments: &Arguments, sources: &mut Sources) -> Result<(), Failure> 
     let measured = tests.map(|tests| Recalls::new(&tests.examples, &learned));
     if let Some((mut out, path)) = report_out {
         let mut json = report_json(&task, &learned, &support, &origin);
+        if let Some(questions) = &questions {
+            json["questions"] = questions.json();
+        }
         if let Some(measured) = &measured {
             json["test"] = measured.json(&names);
         }
@@ -181,11 +195,37 @@ pub fn run(arguments: &Arguments, sources: &mut Sources) -> Result<(), Failure> 
     if let Some(measured) = measured {
         write!(messages(&written), "{}", measured.text(&names))?;
     }
+    if let Some(questions) = questions {
+        for line in questions.lines() {
+            writeln!(messages(&written), "{line}")?;
+        }
+        let ended = questions.check(&task, &examples, &origin);
+        ended.map_err(|error| ask::failure(error, questions.asked()))?;
+    }
     if learned.is_complete {
         Ok(())
     } else {
         Err(Failure::Interrupted)
     }
+}
+
+/// Learns from examples alone.
+fn learn(task: &InductionTask, examples: &Examples, settings: &Settings, cancel: &Cancel) -> Learned {
+    let bar = ProgressBar::new(1);
+    let template = "{bar:30} {msg} {pos} of {len} states";
+    bar.set_style(ProgressStyle::with_template(template).expect("a valid template"));
+    let progress = |progress: Progress| {
+        bar.set_length(progress.states as u64);
+        bar.set_position(progress.covered as u64);
+        bar.set_message(format!(
+            "{}: {} clauses found,",
+            task.actions()[progress.action].name(),
+            progress.clauses
+        ));
+    };
+    let learned = learn_with(examples, settings, &progress, cancel);
+    bar.finish_and_clear();
+    learned
 }
 
 /// Reads the value of `--noise`.
@@ -200,6 +240,9 @@ fn noise(text: &str) -> Result<Noise, String> {
 
 /// Returns the source of the examples in words.
 fn described(arguments: &Arguments, city: &LoadedCity) -> String {
+    if arguments.episodes == Some(0) {
+        return format!("questions about scenes of {}", city.scenario.name);
+    }
     if arguments.data.is_empty() {
         let episodes = match arguments.episodes {
             None => "the recorded episodes".to_owned(),

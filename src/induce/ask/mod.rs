@@ -21,4 +21,5 @@ mod verify;
 
 pub use refine::{Refined, Refinement};
 pub use session::{Answer, AskSettings, Bound, End, Event, Failure, Observer, Oracle, Reason};
+pub use space::canonical;
 pub use sweep::{count_at_most, count_scenes};

@@ -348,6 +348,9 @@ impl<'a> Session<'a> {
         loop {
             let rules = learn(&self.examples, self.learning, self.cancel);
             if self.cancel.requested() {
+                if self.rules.actions.is_empty() {
+                    self.rules = rules;
+                }
                 return Err(End::Cancelled);
             }
             let default = self.examples.actions().len() - 1;

@@ -125,6 +125,9 @@ struct RawSymbolic<'a> {
     facts: Entries<'a>,
     #[serde(borrow, default)]
     actions: Entries<'a>,
+    /// Why a learner asked for the scene; has no effect.
+    #[serde(default, rename = "reason")]
+    _reason: String,
 }
 
 /// A JSON object in source order with unparsed values.

@@ -346,12 +346,20 @@ impl Inference {
     /// `limit-exceeded` if it has more than [`MAX_ENTITIES`](crate::sim::MAX_ENTITIES) entities, or the rules derive
     /// too many rows from it; `constraint-violation` after [`Inference::check_constraints`].
     pub fn answer_facts(&self, scene: &SceneFacts) -> Result<Answer, Diagnostic> {
+        self.answer_facts_with(scene, &Cancel::never())
+    }
+
+    /// Cancellable variant of [`Inference::answer_facts`].
+    ///
+    /// # Errors
+    /// As [`Inference::answer_facts`]; `cancelled` on cancellation.
+    pub fn answer_facts_with(&self, scene: &SceneFacts, cancel: &Cancel) -> Result<Answer, Diagnostic> {
         let count = scene.names.len();
         if count > MAX_ENTITIES {
             let message = format!("{count} entities; the limit is {MAX_ENTITIES}");
             return Err(Diagnostic::new(Code::LIMIT_EXCEEDED, message));
         }
-        self.decide(scene, &Cancel::never())
+        self.decide(scene, cancel)
     }
 
     fn decide(&self, scene: &SceneFacts, cancel: &Cancel) -> Result<Answer, Diagnostic> {

@@ -1,7 +1,7 @@
 //! Rules learned from a task in the format of Popper: as Prolog, as a rule file and as JSON.
 
 use crate::induce::popper::{Solution, Task};
-use crate::induce::{ClauseSupport, Examples, Learned, Literal, Support, support};
+use crate::induce::{ClauseSupport, Constraints, Examples, Learned, Literal, Support, support};
 use crate::task::induction::text::{FEW, comment, listed, plural};
 use serde_json::{Value, json};
 
@@ -35,7 +35,7 @@ impl TargetRules<'_> {
         TargetRules {
             task,
             solution,
-            support: support(examples, &learned),
+            support: support(examples, &learned, &Constraints::default()),
             counts,
             negation,
         }
