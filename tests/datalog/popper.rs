@@ -47,7 +47,7 @@ fn fixture(name: &str) -> Texts {
 }
 
 fn learned(task: &Task, settings: &Settings) -> ActionRules {
-    let solution = solve(&task.vocabulary, &task.examples(|_| true), settings, &Cancel::never());
+    let solution = solve(&task.vocabulary, &task.examples(|_| true).0, settings, &Cancel::never());
     assert_eq!(solution.rules.uncovered, 0, "{:?}", task.clauses(&solution.rules));
     assert!(!solution.is_cut);
     solution.rules
@@ -229,7 +229,7 @@ fn no_single_clause_is_cheaper() {
             let task = task(&texts);
             let solution = solve(
                 &task.vocabulary,
-                &task.examples(|_| true),
+                &task.examples(|_| true).0,
                 &task.settings(),
                 &Cancel::never(),
             );
