@@ -1,14 +1,17 @@
 //! Learns tasks in the format of the learner Popper, and compares with FOIL.
 //!
-//! `cargo bench --no-default-features --bench popper -- [FOLDER [VARIABLES]]` learns random tasks of
+//! `cargo bench --no-default-features --bench popper -- [FOLDER [TABLES]]` learns random tasks of
 //! `tests/datalog/popper_tasks.rs`, or those in the subfolders of a folder, each with `bk.pl`, `exs.pl` and `bias.pl`:
-//! for example `examples` of Popper's repository, or the folder that `Demonstrations.to_popper` writes. Clauses have at
-//! most `max_vars` variables, or VARIABLES if that is fewer. A task without negative examples is read under the
-//! closed-world assumption.
+//! for example `examples` of Popper's repository, or the folder that `Demonstrations.to_popper` writes. A task without
+//! negative examples is read under the closed-world assumption.
 //!
 //! It prints the share of the examples that the clauses get right, the same for the last fifth of the examples of each
 //! label with clauses learned from the others, and the seconds to read the task and to learn. A task has at most 60
 //! seconds. FOIL has a beam of 20 clauses, may use negated literals, and has as many variables as fit into its tables.
+//!
+//! With TABLES, it also writes a table per task to that folder, for learners of propositional rules. A row is an
+//! example. The columns are the conjunctions of at most two atoms, with at most one variable beside those of the head,
+//! that hold in some examples and not in others. `python/benches/induce_baselines.py --tables` reads them.
 
 #[path = "induce_baselines/foil.rs"]
 mod foil;
@@ -19,10 +22,12 @@ use foil::Foil;
 use logicity::cancel::Cancel;
 use logicity::diag::{Sources, render};
 use logicity::induce::popper::{Files, Options, Solution, Task, read, solve};
-use logicity::induce::{Body, Settings};
+use logicity::induce::{Atom, Body, Literal, Settings};
 use popper_tasks::{TARGETS, Texts, family, pieces, trains};
+use std::collections::BTreeSet;
+use std::fmt::Write;
 use std::fs;
-use std::path::PathBuf;
+use std::path::{Path, PathBuf};
 use std::time::{Duration, Instant};
 
 /// The time limit of a task.
@@ -35,7 +40,7 @@ fn main() {
         .skip(1)
         .filter(|argument| argument != "--bench")
         .collect();
-    let most = (arguments.get(1)).map(|most| most.parse().expect("VARIABLES is a number"));
+    let tables = arguments.get(1).map(PathBuf::from);
     println!(
         "| task | examples | right | held out | read, s | learn, s | clauses | literals | FOIL, variables | FOIL, right | FOIL, s |"
     );
@@ -47,7 +52,7 @@ fn main() {
                 ("pieces", pieces(1, target, 200)),
                 ("family", family(1, target, 100)),
             ] {
-                measure(&format!("{name}{}", target + 1), &texts, most);
+                measure(&format!("{name}{}", target + 1), &texts, None);
             }
         }
         return;
@@ -64,13 +69,13 @@ fn main() {
         let texts = ["bk.pl", "exs.pl", "bias.pl"].map(|file| fs::read_to_string(folder.join(file)));
         if let [Ok(background), Ok(examples), Ok(bias)] = texts {
             let name = folder.file_name().unwrap_or_default().to_string_lossy();
-            measure(&name, &[background, examples, bias], most);
+            measure(&name, &[background, examples, bias], tables.as_deref());
         }
     }
 }
 
 /// Learns a task and prints a line.
-fn measure(name: &str, [background, examples, bias]: &Texts, most: Option<usize>) {
+fn measure(name: &str, [background, examples, bias]: &Texts, tables: Option<&Path>) {
     let mut sources = Sources::new();
     let files = Files {
         background: sources.add("bk.pl", background.as_str()),
@@ -80,7 +85,6 @@ fn measure(name: &str, [background, examples, bias]: &Texts, most: Option<usize>
     let begin = Instant::now();
     let options = Options {
         closed_world: !examples.lines().any(|line| line.trim_start().starts_with("neg(")),
-        variables: most,
         ..Options::default()
     };
     let (task, diagnostics) = read(&sources, &files, &options);
@@ -91,6 +95,10 @@ fn measure(name: &str, [background, examples, bias]: &Texts, most: Option<usize>
         return;
     };
     let read_seconds = begin.elapsed().as_secs_f64();
+    if let Some(folder) = tables {
+        fs::create_dir_all(folder).expect("a folder for the tables");
+        fs::write(folder.join(format!("{name}.tsv")), table(&task)).expect("a writable table");
+    }
     let begin = Instant::now();
     let solution = learned(&task, |_| true);
     let seconds = begin.elapsed().as_secs_f64();
@@ -114,6 +122,47 @@ fn measure(name: &str, [background, examples, bias]: &Texts, most: Option<usize>
         bodies.iter().map(|body| body.0.len()).sum::<usize>(),
         foil(&task),
     );
+}
+
+/// The most columns of a table.
+const COLUMNS_MAX: usize = 1000;
+
+/// Returns the table of a task for learners of propositional rules, with values separated by tabs. The last column is
+/// the label.
+fn table(task: &Task) -> String {
+    let egos = task.vocabulary.egos();
+    let atoms = task.vocabulary.atoms((egos + 1).min(task.variables));
+    let is_in_head = |atom: &Atom| atom.arguments.iter().any(|&variable| usize::from(variable) < egos);
+    let single = atoms.iter().map(|atom| vec![atom]);
+    let pairs = (atoms.iter().enumerate()).flat_map(|(at, one)| atoms[..at].iter().map(move |other| vec![other, one]));
+    let linked = single
+        .chain(pairs)
+        .filter(|atoms| atoms.iter().any(|atom| is_in_head(atom)));
+    let (mut names, mut columns, mut seen) = (Vec::new(), Vec::new(), BTreeSet::new());
+    for atoms in linked {
+        let literals = atoms.into_iter().map(|atom| Literal {
+            is_negated: false,
+            atom: atom.clone(),
+        });
+        let body = Body(literals.collect());
+        let holds = task.cases.iter().map(|case| body.holds(&task.vocabulary, &case.state));
+        let column: Vec<bool> = holds.collect();
+        if column.contains(&true) && column.contains(&false) && seen.insert(column.clone()) {
+            names.push(body.texts(&task.vocabulary).join(", "));
+            columns.push(column);
+        }
+        if columns.len() == COLUMNS_MAX {
+            break;
+        }
+    }
+    let mut text = names.join("\t") + "\tlabel\n";
+    for (index, case) in task.cases.iter().enumerate() {
+        for column in &columns {
+            let _ = write!(text, "{}\t", u8::from(column[index]));
+        }
+        text += if case.is_positive { "pos\n" } else { "neg\n" };
+    }
+    text
 }
 
 /// Learns a task with FOIL, and returns the rest of its line.
