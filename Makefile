@@ -4,7 +4,7 @@ VENV := .venv
 SOLVERS := .venv-solvers
 
 # The targets of `make fuzz`, and the time for each in seconds.
-FUZZ_TARGETS := parse check query evaluate config scene rows popper
+FUZZ_TARGETS := parse check query evaluate config scene rows popper labeled_scenes
 FUZZ_SECONDS := 600
 
 .PHONY: test quick lint features rust doc wheel installed python python-all page docs playground vscode solvers fuzz $(FUZZ_TARGETS:%=fuzz-%)
@@ -210,6 +210,7 @@ fuzz-evaluate: OPTIONS := -max_len=2048 -len_control=0
 fuzz-config: SEEDS := configs tests/fixtures/diagnostics
 fuzz-scene: SEEDS := tests/fuzz/seeds/scene tests/fixtures/diagnostics
 fuzz-popper: SEEDS := tests/fuzz/seeds/popper
+fuzz-labeled_scenes: SEEDS := tests/fuzz/seeds/labeled_scenes
 
 $(FUZZ_TARGETS:%=fuzz-%): fuzz-%:
 	mkdir -p tests/fuzz/corpus/$*

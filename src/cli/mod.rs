@@ -638,12 +638,12 @@ fn near_file(path: &Path) -> Option<String> {
 #[derive(clap::Args, Default)]
 struct LimitOptions {
     /// Fail if the rules derive more than COUNT rows; suffixes K, M, G and T are powers of 1000 [default: 100M for
-    /// `query`; 1M for `repl`; 10M for each scene or tick; for each tick of a trace 100K plus 100 for each pair of
+    /// `query`; 1M for `repl`; 10M for each scene, tick or task; for each tick of a trace 100K plus 100 for each pair of
     /// agents, or 100M for rules that `--rules` names]
     #[arg(long, value_name = "COUNT", value_parser = count_of::<usize>)]
     max_rows: Option<usize>,
     /// Fail if the evaluation scans more than COUNT rows, with the same suffixes [default: 100G for `query` and `repl`;
-    /// 1G for each scene or tick; for each tick of a trace 100M plus 1K for each row of the default of `--max-rows`]
+    /// 1G for each scene, tick or task; for each tick of a trace 100M plus 1K for each row of the default of `--max-rows`]
     #[arg(long, value_name = "COUNT", value_parser = count_of::<u64>)]
     max_steps: Option<u64>,
     /// Fail if rows, indexes, symbols and buffers need more than SIZE, in MiB or with a suffix: K, M, G, T or KiB, MiB,

@@ -6,10 +6,10 @@ use smallvec::SmallVec;
 pub const ARITY_MAX: usize = 3;
 
 /// The most variables of a clause.
-pub const VARIABLES_MAX: usize = 6;
+pub const VARIABLES_MAX: usize = 7;
 
 /// The names of the variables of clauses, those of the head first.
-pub const VARIABLE_NAMES: [&str; VARIABLES_MAX] = ["X", "Y", "Z", "V", "W", "U"];
+pub const VARIABLE_NAMES: [&str; VARIABLES_MAX] = ["X", "Y", "Z", "V", "W", "U", "T"];
 
 /// A predicate that states and clauses use.
 #[derive(Clone, Debug, PartialEq, Eq, Hash)]

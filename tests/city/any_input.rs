@@ -1,15 +1,19 @@
-//! Properties that hold for any bytes as a configuration, a scene or rules of a city. `hostile` checks them on many
+//! Properties that hold for any bytes as a configuration, a scene, examples or rules of a city. `hostile` checks them on many
 //! inputs in every test run, `tests/fuzz` for as long as it runs. Each function panics if a property does not hold.
 
 use logicity::builtin::BuiltinFiles;
+use logicity::cancel::Cancel;
 use logicity::config::{load_map, load_scenario};
 use logicity::datalog::Program;
-use logicity::diag::{Code, Diagnostic, Sources, render, to_json};
+use logicity::diag::{Code, Diagnostic, SourceId, Sources, render, to_json};
 use logicity::files::{BUILTIN_FOLDER, ReadError, ReadFile as _};
+use logicity::induce::{Settings, learn, support};
 use logicity::rng::Seed;
-use logicity::sim::{Executor, Finding, Inference, conflicts as find_conflicts, scene_json};
+use logicity::sim::{Executor, Finding, Inference, LoadedCity, conflicts as find_conflicts, scene_json};
+use logicity::task::induction::{InductionTask, Origin, report_json, rule_file};
 use std::cell::RefCell;
 use std::path::Path;
+use std::sync::{Arc, LazyLock};
 
 /// The search for conflicting actions ends, and each scene it finds can be written as JSON.
 pub fn conflicts(bytes: &[u8]) {
@@ -62,6 +66,65 @@ pub fn scene(bytes: &[u8]) {
         }
     });
 }
+
+/// The labeled scenes of a text, one per line, teach rules that choose the action of every example, except of those that
+/// contradict each other or that no clause separates. The rules can be written and loaded.
+pub fn labeled_scenes(bytes: &[u8]) {
+    let text = String::from_utf8_lossy(bytes);
+    let mut sources = Sources::new();
+    let (task, known, rule_files) = &*TASK;
+    let (mut examples, mut origin) = (task.examples(), Origin::default());
+    INFERENCE.with_borrow_mut(|inference| {
+        let vocabulary = inference.vocabulary().clone();
+        let translator = task.translator(&vocabulary).expect("expert mode has all predicates");
+        for line in text.lines().take(LINES_MAX) {
+            let source = sources.add_from("scenes", line, 1);
+            let Ok(scene) = inference.ground(&sources, source) else {
+                continue;
+            };
+            for (ego, action) in scene.actions {
+                let labeled = translator
+                    .state(&scene.facts, ego)
+                    .and_then(|state| Ok((state, task.action(action)?)));
+                match labeled {
+                    Ok((state, action)) => {
+                        examples.push(state, action);
+                        origin.push(examples.count() - 1, scene.names[ego].clone());
+                    }
+                    Err(fault) => draw(&[fault], &sources),
+                }
+            }
+        }
+    });
+    let is_consistent = examples.contradictions().next().is_none();
+    assert_eq!(task.check(&examples, &origin).is_ok(), is_consistent);
+    let settings = Settings {
+        variables: 2,
+        nodes: 50,
+        ..Settings::default()
+    };
+    let learned = learn(&examples, &settings, &Cancel::never());
+    let support = support(&examples, &learned);
+    let is_separated = learned.actions.iter().all(|rules| rules.uncovered == 0);
+    assert!(!is_consistent || !is_separated || support.wrong == 0, "{text}");
+    assert!(report_json(task, &learned, &support, &origin).is_object());
+    let rules = rule_file(task, &learned, &support, &origin, (known, rule_files));
+    let entry = sources.add("learned.dl", rules);
+    let (program, diagnostics) = Program::load(&mut sources, entry, &BuiltinFiles);
+    assert!(program.is_some(), "{}", render(&diagnostics, &sources, false));
+}
+
+/// The most scenes to learn from.
+const LINES_MAX: usize = 20;
+
+/// The task of learning the rules of easy mode, with these rules.
+static TASK: LazyLock<(InductionTask, Sources, Vec<SourceId>)> = LazyLock::new(|| {
+    let mut sources = Sources::new();
+    let city = LoadedCity::load(&mut sources, Path::new("easy"), None, &BuiltinFiles).expect("built in");
+    let rule_files = city.rule_files.clone();
+    let world = Arc::new(city.world().expect("they fit"));
+    (InductionTask::new(world, &[]), sources, rule_files)
+});
 
 thread_local! {
     /// Shared, since preparing it takes far longer than answering a scene.

@@ -1,4 +1,4 @@
-//! Any bytes are valid input or give diagnostics: configurations, scenes and rules. `config` tests further hostile
+//! Any bytes are valid input or give diagnostics: configurations, scenes, examples and rules. `config` tests further hostile
 //! texts.
 
 use crate::any_input;
@@ -10,6 +10,7 @@ use std::sync::LazyLock;
 static RULES: LazyLock<Vec<Vec<u8>>> =
     LazyLock::new(|| files(&["tests/corpus", "rules", "tests/fixtures/diagnostics"]));
 static CONFIGS: LazyLock<Vec<Vec<u8>>> = LazyLock::new(|| files(&["configs", "tests/fixtures/diagnostics"]));
+static LABELED: LazyLock<Vec<Vec<u8>>> = LazyLock::new(|| files(&["tests/fuzz/seeds/labeled_scenes"]));
 static SCENES: LazyLock<Vec<Vec<u8>>> = LazyLock::new(|| files(&["tests/fuzz/seeds/scene"]));
 
 #[test]
@@ -28,6 +29,11 @@ proptest! {
     #[test]
     fn any_configuration_loads_or_gives_diagnostics(bytes in prop_oneof![4 => near(&CONFIGS), 1 => any_bytes()]) {
         any_input::config(&bytes);
+    }
+
+    #[test]
+    fn any_labeled_scenes_teach_rules(bytes in prop_oneof![4 => near(&LABELED), 1 => any_bytes()]) {
+        any_input::labeled_scenes(&bytes);
     }
 
     #[test]

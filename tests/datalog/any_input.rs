@@ -123,7 +123,7 @@ pub fn popper(bytes: &[u8]) {
             nodes: 100,
             ..task.settings()
         };
-        let examples = task.examples(|_| true);
+        let (examples, _) = task.examples(|_| true);
         let solution = popper::solve(&task.vocabulary, &examples, &settings, &Cancel::never());
         let positive = task.cases.iter().filter(|case| case.is_positive).count();
         assert!(solution.rules.uncovered <= positive);

@@ -47,7 +47,7 @@ fn fixture(name: &str) -> Texts {
 }
 
 fn learned(task: &Task, settings: &Settings) -> ActionRules {
-    let solution = solve(&task.vocabulary, &task.examples(|_| true), settings, &Cancel::never());
+    let solution = solve(&task.vocabulary, &task.examples(|_| true).0, settings, &Cancel::never());
     assert_eq!(solution.rules.uncovered, 0, "{:?}", task.clauses(&solution.rules));
     assert!(!solution.is_cut);
     solution.rules
@@ -229,7 +229,7 @@ fn no_single_clause_is_cheaper() {
             let task = task(&texts);
             let solution = solve(
                 &task.vocabulary,
-                &task.examples(|_| true),
+                &task.examples(|_| true).0,
                 &task.settings(),
                 &Cancel::never(),
             );
@@ -569,7 +569,7 @@ fn programs_have_names_that_the_engine_accepts() {
 }
 
 #[test]
-fn variables_that_only_the_head_binds_range_over_the_examples() {
+fn literals_bind_the_variables_of_the_head() {
     let texts = [
         "p(a). r(b). r(c).",
         "pos(f(a,b)). pos(f(a,c)). pos(f(a,a)). neg(f(b,a)). neg(f(c,b)).",
@@ -577,9 +577,54 @@ fn variables_that_only_the_head_binds_range_over_the_examples() {
     ];
     let task = task(&texts);
     let rules = learned(&task, &task.settings());
-    assert_eq!(task.clauses(&rules), ["f(X, Y) :- p(X)."]);
-    assert_eq!(task.program(&rules).clauses, ["f(X, Y) :- example(X, Y), p(X)."]);
+    let clauses = task.clauses(&rules);
+    assert!(
+        clauses.iter().all(|clause| clause.matches('Y').count() == 2),
+        "{clauses:?}"
+    );
     explain_the_examples(&task, &rules);
+}
+
+#[test]
+fn one_variable_of_a_type_is_that_of_the_head() {
+    let background = "score(g1,p1,0). score(g1,p2,1). score(g2,p1,1). score(g2,p2,0). rival(p1,p2). rival(p2,p1).";
+    let examples = "pos(behind(g1,p1)). neg(behind(g1,p2)). neg(behind(g2,p1)). pos(behind(g2,p2)).";
+    let bias = "head_pred(behind,2). body_pred(score,3). body_pred(rival,2). max_vars(4).";
+    let types = "type(behind,(game,player)). type(score,(game,player,number)). type(rival,(player,player)).";
+    let entities = |bias: String| {
+        let (task, diagnostics, _) = parse(&[background.to_owned(), examples.to_owned(), bias], &Options::default());
+        let ignored = diagnostics
+            .iter()
+            .filter(|fault| fault.code.name() == "ignored")
+            .count();
+        (task.unwrap().cases.swap_remove(0).entities.join(" "), ignored)
+    };
+    let all = "g1 p1 p2 0 1 g2";
+    let of_game = "g1 p1 p2 0 1";
+    let sorted = |text: &str| {
+        let mut names: Vec<&str> = text.split(' ').collect();
+        names.sort_unstable();
+        names.join(" ")
+    };
+    for (constraint, expected, ignored) in [
+        ("", all, 0),
+        (":- clause(C), #count{V : var_type(C,V,game)} != 1.", of_game, 0),
+        (
+            ":- clause(C), #count{V : clause_var(C,V),var_type(C,V,game)} != 1.",
+            of_game,
+            0,
+        ),
+        (":-\n    #count{V : clause_var(V),var_type(V,game)} != 1.", of_game, 0),
+        (":- clause(C), #count{V : var_type(C,V,game)} != 2.", all, 1),
+        (":- clause(C), #count{V : var_type(C,V,number)} != 1.", all, 1),
+        (":- body_literal(C,P,_,_), #count{V : var_type(C,V,game)} != 1.", all, 1),
+    ] {
+        let (found, warnings) = entities(format!("{bias} {types} {constraint}"));
+        assert_eq!((sorted(&found), warnings), (sorted(expected), ignored), "{constraint}");
+    }
+    // Without types, the constraint has no effect.
+    let constraint = ":- clause(C), #count{V : var_type(C,V,game)} != 1.";
+    assert_eq!(entities(format!("{bias} {constraint}")).1, 1);
 }
 
 #[test]

@@ -813,7 +813,7 @@ const INDUCE: &[Case] = &[
     ("induce trace-future.jsonl --config easy", 1, "version 99"),
     ("induce trace-action.jsonl --config easy", 1, "action"),
     ("induce trace-cell.jsonl --config easy", 1, "not on the map"),
-    ("induce trace-runaway.jsonl --config easy", 0, "Stop"),
+    ("induce trace-runaway.jsonl --config easy", 1, "--max-rows"),
     ("induce trace.jsonl --config easy --rules good.dl", 1, "error"),
     ("induce trace.jsonl --config missing.yaml", 2, "missing.yaml"),
     ("induce trace.jsonl --config folder", 2, "it is a folder"),
@@ -823,11 +823,7 @@ const INDUCE: &[Case] = &[
     ("cat scenes/labeled.jsonl | @ induce /dev/stdin", 0, "IsBus"),
     ("induce scenes/unlabeled.jsonl", 1, "has no actions"),
     ("induce scenes/contradiction.jsonl", 1, "contradicting-examples"),
-    (
-        "induce scenes/contradiction.jsonl --noise 0.4",
-        0,
-        "another action in 1 example",
-    ),
+    ("induce scenes/contradiction.jsonl --noise 0.4", 0, "Noise: 40.00 %"),
     ("induce scenes/one-action.jsonl", 0, "No clause: 0 examples"),
     ("induce scenes/default.jsonl", 0, "No clause: 0 examples"),
     ("induce scenes/action.jsonl", 1, "Fly"),
@@ -892,16 +888,15 @@ const INDUCE: &[Case] = &[
     ("induce scenes/labeled.jsonl --noise -1", 2, "from 0 to 0.5"),
     ("induce scenes/labeled.jsonl --noise 0.51", 2, "from 0 to 0.5"),
     ("induce scenes/labeled.jsonl --noise NaN", 2, "from 0 to 0.5"),
-    ("induce scenes/labeled.jsonl --noise auto", 0, "IsBus"),
-    ("induce scenes/labeled.jsonl --threads 0", 2, "--threads"),
-    ("induce scenes/labeled.jsonl --threads 99999999999", 2, "--threads"),
+    ("induce scenes/labeled.jsonl --noise auto", 0, "Noise: 33.33 %"),
+    ("induce scenes/labeled.jsonl --threads 0", 0, "IsBus"),
+    ("induce scenes/labeled.jsonl --threads 99999999999", 2, "from 0 to 1024"),
     ("induce scenes/labeled.jsonl --seed -1", 2, "--seed"),
     ("induce scenes/labeled.jsonl --order Fly", 2, "Fly"),
     ("induce scenes/labeled.jsonl --episodes 1", 2, "cannot be used with"),
     ("induce scenes/labeled.jsonl --split test", 2, "cannot be used with"),
     ("induce --config easy --episodes 0", 2, "--episodes"),
     ("induce --config easy --episodes 101", 2, "100 recorded episodes"),
-    ("induce --config tiny.yaml", 1, "error"),
 ];
 
 const POPPER: &[Case] = &[
@@ -954,7 +949,7 @@ const POPPER: &[Case] = &[
     (
         "induce --popper popper/same",
         0,
-        "derive 1 of 1 positive and 1 of 1 negative",
+        "1 positive example has the same facts",
     ),
     ("induce --popper popper/faults", 1, "more than 100 errors"),
     ("induce --popper popper/name", 0, "derive 1 of 1 positive"),
@@ -969,7 +964,7 @@ const POPPER: &[Case] = &[
         1,
         "more than 10000 examples",
     ),
-    ("induce --popper popper/examples --max-memory 1M", 1, "--max-memory"),
+    ("induce --popper popper/examples --max-memory 512K", 1, "--max-memory"),
     ("induce --popper popper/good --variables 7", 2, "from 2 to 6"),
     ("induce --popper popper/good --effort 0", 2, "from 1 to 4294967295"),
     ("induce --popper popper/good --config easy", 2, "cannot be used with"),
@@ -1578,7 +1573,7 @@ impl Fixtures {
         labels("positive", "pos(f(a)).");
         labels("unlabeled", "f(a). pos(a). neg(f(a,b)).");
         labels("same", "pos(f(x)). neg(f(y)).");
-        background("faults", "p(a,b\n".repeat(1_000).as_bytes());
+        background("faults", "p(a,b.\n".repeat(1_000).as_bytes());
         with("name", &format!("q({}).", "x".repeat(1_000_000)));
         let many: String = (0..1_000).map(|index| format!("p(a,x{index}). ")).collect();
         with("links", &many);

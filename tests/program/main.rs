@@ -16,6 +16,7 @@ mod lsp;
 mod memory;
 #[path = "../datalog/pages.rs"]
 mod pages;
+mod popper;
 mod prose;
 mod questions;
 mod readme;

@@ -9,7 +9,7 @@ use crate::city::{Action, Split};
 use crate::cli::view;
 use crate::cli::{
     Failure, ForceOption, Inputs, LimitOptions, cancel_on_interrupt, finish, integer, is_stdout, load_city, messages,
-    one_of, plural, unwritable,
+    one_of, plural, threads, unwritable,
 };
 use crate::diag::Sources;
 use crate::files;
@@ -72,8 +72,8 @@ pub struct Arguments {
     /// Seed of the order in which the learner tries examples
     #[arg(long, value_parser = integer(0..=u64::MAX), default_value_t = 0)]
     seed: u64,
-    /// Number of threads; the rules do not depend on it [default: all cores]
-    #[arg(long, value_name = "COUNT")]
+    /// Number of threads, 0 for one per core; the rules do not depend on it [default: 0]
+    #[arg(long, value_name = "COUNT", value_parser = threads)]
     threads: Option<NonZeroUsize>,
     #[command(flatten)]
     popper: popper::PopperOptions,

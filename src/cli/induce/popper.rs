@@ -6,6 +6,7 @@ use crate::diag::{SourceId, Sources};
 use crate::files;
 use crate::induce::Settings;
 use crate::induce::popper::{Files, Options, read, solve};
+use crate::sim::TICK_LIMITS;
 use crate::task::induction::TargetRules;
 use serde_json::json;
 use std::ffi::OsStr;
@@ -53,11 +54,10 @@ pub fn run(arguments: &Arguments, folder: &Path, sources: &mut Sources) -> Resul
         .transpose()?;
 
     let begun = Instant::now();
-    let usual = Options::default();
     let options_of_task = Options {
         closed_world: options.closed_world,
         variables: arguments.variables,
-        limits: arguments.limits.limits(usual.limits),
+        limits: arguments.limits.limits(TICK_LIMITS),
     };
     let (task, diagnostics) = read(sources, &files, &options_of_task);
     let Some(task) = task else {
@@ -73,12 +73,12 @@ pub fn run(arguments: &Arguments, folder: &Path, sources: &mut Sources) -> Resul
         ..task.settings()
     };
     let cancel = cancel_on_interrupt()?;
-    let examples = task.examples(|_| true);
+    let (examples, inseparable) = task.examples(|_| true);
     let begun = Instant::now();
     let solution = solve(&task.vocabulary, &examples, &settings, &cancel);
     let learn_seconds = begun.elapsed().as_secs_f64();
 
-    let rules = TargetRules::new(&task, &examples, &solution, options.negation);
+    let rules = TargetRules::new(&task, (&examples, inseparable), &solution, &settings);
     let lines = [
         format!(
             "Rules learned by logicity {} from {}.",

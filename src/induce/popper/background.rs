@@ -114,7 +114,8 @@ impl Background {
         let mut report = |fault: Diagnostic| {
             let line = fault.primary.map(|label| sources.position(label.span).line - 1);
             let line = line.filter(|line| *line < rules.len());
-            let mapped = Diagnostic::new(fault.code, translation.names(self, line, &fault.message));
+            let mut mapped = Diagnostic::new(fault.code, translation.names(self, line, &fault.message));
+            mapped.limit = fault.limit;
             faults.push(match line {
                 Some(line) => mapped.at(rules[line].span, "in this rule"),
                 None => mapped,

@@ -3,8 +3,9 @@
 use crate::diag::{Code, Diagnostic, Faults, SourceId, Sources, Span};
 use crate::induce::popper::background::{Key, predicate};
 use crate::induce::popper::text::{Clause, Directives, Kind, Term, parse, unsupported};
+use crate::induce::popper::tokens::is_word;
 use crate::induce::vocabulary::{ARITY_MAX, Link, VARIABLES_MAX};
-use indexmap::IndexMap;
+use indexmap::{IndexMap, IndexSet};
 
 /// The most variables of a clause if the bias does not set them, as in Popper.
 const VARIABLES: usize = 6;
@@ -24,6 +25,8 @@ pub struct Bias {
     /// How predicates bind variables.
     directions: IndexMap<Key, u8>,
     variables: Option<usize>,
+    /// The types of which a clause has exactly one variable, with the places of these constraints.
+    single: IndexMap<String, Span>,
 }
 
 impl Bias {
@@ -31,8 +34,30 @@ impl Bias {
     pub fn read(sources: &Sources, source: SourceId, faults: &mut Faults) -> Bias {
         let mut bias = Bias::default();
         for clause in parse(sources, source, Directives::Constraints, faults) {
-            if let Err(fault) = bias.add(&clause) {
-                faults.push(fault);
+            let text = &sources.text(source)[clause.span.range()];
+            match single_type(text).filter(|_| clause.head.is_none()) {
+                Some(name) => {
+                    bias.single.insert(name, clause.span);
+                }
+                None => {
+                    if let Err(fault) = bias.add(&clause) {
+                        faults.push(fault);
+                    }
+                }
+            }
+        }
+        // A clause about an argument of such a type has no other variable of it, if the head has one.
+        let of_head = bias.head.as_ref().and_then(|(head, _)| bias.types.get(head));
+        let is_one = |name: &str| of_head.is_some_and(|types| types.iter().filter(|own| *own == name).count() == 1);
+        let typed = bias.all_types().is_some();
+        let unused: Vec<String> = (bias.single.keys())
+            .filter(|name| !typed || !is_one(name))
+            .cloned()
+            .collect();
+        for name in unused {
+            if let Some(span) = bias.single.shift_remove(&name) {
+                let fault = ignored(span, "a constraint on clauses");
+                faults.push(fault.note("it needs types of all predicates, and one argument of its type in the head"));
             }
         }
         if let Some((head, span)) = &bias.head {
@@ -63,6 +88,11 @@ impl Bias {
     pub fn all_types(&self) -> Option<&IndexMap<Key, Vec<String>>> {
         let mut all = self.body.keys().chain(self.head.iter().map(|(key, _)| key));
         all.all(|key| self.types.contains_key(key)).then_some(&self.types)
+    }
+
+    /// Returns the types of which a clause has only the variable in its head.
+    pub fn single_types(&self) -> IndexSet<&str> {
+        self.single.keys().map(String::as_str).collect()
     }
 
     /// Returns how the body predicates bind variables.
@@ -140,6 +170,20 @@ impl Bias {
         }
         Ok(())
     }
+}
+
+/// Returns the type in a constraint that a clause has exactly one variable of this type, for example
+/// `:- clause(C), #count{V : var_type(C,V,state)} != 1.`
+fn single_type(text: &str) -> Option<String> {
+    let compact: String = text.chars().filter(|c| !c.is_whitespace()).collect();
+    let (before, rest) = compact.strip_prefix(":-")?.split_once("#count{")?;
+    let is_clause = before.is_empty() || before.starts_with("clause(") && before.ends_with("),");
+    let condition = rest.strip_suffix("}!=1.")?.split_once(':')?.1;
+    let (variables, typed) = condition.split_once("var_type(")?;
+    let is_variable = variables.is_empty() || variables.starts_with("clause_var(") && variables.ends_with("),");
+    let name = typed.strip_suffix(')')?.rsplit(',').next()?;
+    let is_name = name.starts_with(|c: char| c.is_lowercase()) && name.chars().all(is_word);
+    (is_clause && is_variable && is_name).then(|| name.to_owned())
 }
 
 fn recursion(span: Span) -> Diagnostic {

@@ -6,7 +6,9 @@
 //! The number of steps is at most `max_vars` minus the number of arguments. With `direction` declarations, a fact leads
 //! from its inputs to its outputs. Positive examples have the target as their action, negative ones the default.
 //!
-//! If all predicates have `type` declarations, equal constants of different types are different entities.
+//! If all predicates have `type` declarations, equal constants of different types are different entities. The bias can
+//! then also require that a clause has one variable of a type, as in
+//! `:- clause(C), #count{V : var_type(C,V,state)} != 1.`: that of the head.
 //!
 //! ```
 //! use logicity::cancel::Cancel;
@@ -21,7 +23,8 @@
 //! };
 //! let (task, _) = read(&sources, &files, &Options::default());
 //! let task = task.ok_or("the texts are a task")?;
-//! let solution = solve(&task.vocabulary, &task.examples(|_| true), &task.settings(), &Cancel::never());
+//! let (examples, _) = task.examples(|_| true);
+//! let solution = solve(&task.vocabulary, &examples, &task.settings(), &Cancel::never());
 //! assert_eq!(task.clauses(&solution.rules), ["old(X, Y) :- parent(X, Z), parent(Z, Y)."]);
 //! # Ok::<(), &str>(())
 //! ```
@@ -236,7 +239,9 @@ fn assemble(
         .min(options.variables.unwrap_or(VARIABLES_MAX))
         .min(VARIABLES_MAX)
         .max(key.1);
-    let network = Network::new(&vocabulary, &links, &rows, typed.len());
+    let single = bias.single_types();
+    let is_fixed = (typed.iter()).map(|(_, name)| name.is_some_and(|name| single.contains(name)));
+    let network = Network::new(&vocabulary, &links, &rows, is_fixed.collect());
     let mut cases = Vec::new();
     let mut bytes = 0;
     for (head, (arguments, (is_positive, place))) in heads.iter().zip(labels) {
@@ -324,14 +329,26 @@ fn close(bias: &Bias, background: &Background, labels: &mut Labels, end: Span) -
 }
 
 impl Task {
-    /// Returns the examples whose positions `keep` selects.
-    pub fn examples(&self, keep: impl Fn(usize) -> bool) -> Examples {
+    /// Returns the examples whose positions `keep` selects. No clause can separate positive examples from negative ones
+    /// with the same state, so these count as negative; also returns their number.
+    pub fn examples(&self, keep: impl Fn(usize) -> bool) -> (Examples, usize) {
+        let cases: Vec<&Case> = (self.cases.iter().enumerate())
+            .filter(|(index, _)| keep(*index))
+            .map(|(_, case)| case)
+            .collect();
+        let negative: BTreeSet<&State> = (cases.iter())
+            .filter(|case| !case.is_positive)
+            .map(|case| &case.state)
+            .collect();
         let actions = vec![self.target.clone(), format!("not {}", self.target)];
         let mut examples = Examples::new(self.vocabulary.clone(), actions);
-        for (_, case) in self.cases.iter().enumerate().filter(|(index, _)| keep(*index)) {
-            examples.push(case.state.clone(), usize::from(!case.is_positive));
+        let mut inseparable = 0;
+        for case in cases {
+            let is_separable = !negative.contains(&case.state);
+            inseparable += usize::from(case.is_positive && !is_separable);
+            examples.push(case.state.clone(), usize::from(!(case.is_positive && is_separable)));
         }
-        examples
+        (examples, inseparable)
     }
 
     /// Returns the settings of a search comparable with Popper's: clauses without negative literals.

@@ -34,10 +34,7 @@ impl Task {
             let literals: Vec<String> = (self.ordered(body).into_iter())
                 .map(|literal| self.literal(literal))
                 .collect();
-            match literals.is_empty() {
-                true => format!("{head}."),
-                false => format!("{head} :- {}.", literals.join(", ")),
-            }
+            format!("{head} :- {}.", literals.join(", "))
         };
         rules.clauses.iter().map(|learned| clause(&learned.body)).collect()
     }
@@ -58,7 +55,6 @@ impl Task {
         let names: Vec<String> = (predicates.iter())
             .map(|predicate| free_name(&predicate.name, predicate.arity, &mut taken))
             .collect();
-        let example = free_name("example", self.vocabulary.egos(), &mut taken);
         let used: BTreeSet<usize> = (rules.clauses.iter())
             .flat_map(|clause| clause.body.0.iter().map(|literal| literal.atom.predicate))
             .collect();
@@ -69,23 +65,15 @@ impl Task {
                 fact(&mut declarations, &names[predicate], row);
             }
         }
-        // In Prolog, a query binds the variables of the head. Here, a literal must bind them.
-        let is_bound = |body: &Body| (0..self.vocabulary.egos()).all(|variable| body.binds(variable));
-        if !rules.clauses.iter().all(|clause| is_bound(&clause.body)) {
-            declare(&mut declarations, &example, self.vocabulary.egos());
-            for case in &self.cases {
-                fact(&mut declarations, &example, &case.arguments);
-            }
-        }
         declare(&mut declarations, &target, self.vocabulary.egos());
         let _ = writeln!(declarations, ".output {target}");
+        // Positive literals bind all variables, also those of the head.
         let clause = |body: &Body| {
-            let guard = (!is_bound(body)).then(|| format!("{example}({})", self.head()));
             let literals = self.ordered(body).into_iter().map(|literal| {
                 let sign = if literal.is_negated { "!" } else { "" };
                 format!("{sign}{}({})", names[literal.atom.predicate], variables(literal))
             });
-            let literals: Vec<String> = guard.into_iter().chain(literals).collect();
+            let literals: Vec<String> = literals.collect();
             format!("{target}({}) :- {}.", self.head(), literals.join(", "))
         };
         TargetProgram {

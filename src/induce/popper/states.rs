@@ -15,17 +15,20 @@ pub struct Network<'a> {
     about: Vec<Vec<(u32, u32)>>,
     /// The facts that bind their variables from nothing.
     sources: Vec<(u32, u32)>,
+    /// For each constant, whether only the head can refer to it.
+    is_fixed: Vec<bool>,
 }
 
 impl<'a> Network<'a> {
-    /// Indexes facts about `constants` constants. `rows` are those of the predicates of the vocabulary, in its order.
+    /// Indexes facts. `rows` are those of the predicates of the vocabulary, in its order. `is_fixed` says for each
+    /// constant whether only the head of a clause can refer to it.
     pub fn new(
         vocabulary: &'a Vocabulary,
         links: &'a [Link],
         rows: &'a [Vec<Vec<u32>>],
-        constants: usize,
+        is_fixed: Vec<bool>,
     ) -> Network<'a> {
-        let mut about = vec![Vec::new(); constants];
+        let mut about = vec![Vec::new(); is_fixed.len()];
         let mut sources = Vec::new();
         for (predicate, (rows, link)) in rows.iter().zip(links).enumerate() {
             for (index, row) in rows.iter().enumerate() {
@@ -45,6 +48,7 @@ impl<'a> Network<'a> {
             rows,
             about,
             sources,
+            is_fixed,
         }
     }
 
@@ -67,6 +71,9 @@ impl<'a> Network<'a> {
             let mut found = BTreeSet::new();
             for (predicate, index) in facts {
                 let row = &self.rows[predicate as usize][index as usize];
+                if (row.iter()).any(|constant| self.is_fixed[*constant as usize] && !reached.contains(constant)) {
+                    continue;
+                }
                 let is_bound = match self.links[predicate as usize] {
                     Link::Any => row.iter().any(|constant| reached.contains(constant)),
                     Link::Inputs(inputs) => (row.iter().enumerate())

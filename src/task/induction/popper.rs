@@ -1,7 +1,7 @@
 //! Rules learned from a task in the format of Popper: as Prolog, as a rule file and as JSON.
 
 use crate::induce::popper::{Solution, Task};
-use crate::induce::{ClauseSupport, Constraints, Examples, Learned, Literal, Support, support};
+use crate::induce::{ClauseSupport, Constraints, Examples, Learned, Literal, Settings, Support, support};
 use crate::task::induction::text::{FEW, comment, listed, plural};
 use serde_json::{Value, json};
 
@@ -13,13 +13,20 @@ pub struct TargetRules<'a> {
     support: Support,
     /// For positive and negative examples, those for which the clauses derive the target, and all.
     counts: [[usize; 2]; 2],
-    /// Whether clauses could have negative literals.
-    negation: bool,
+    /// The number of positive examples that equal a negative one.
+    inseparable: usize,
+    settings: &'a Settings,
 }
 
 impl TargetRules<'_> {
-    /// Evaluates the solution of a task on its examples. `negation` is that of the settings of the search.
-    pub fn new<'a>(task: &'a Task, examples: &Examples, solution: &'a Solution, negation: bool) -> TargetRules<'a> {
+    /// Evaluates the solution of a task on its examples: those of [`Task::examples`], with the number of inseparable
+    /// ones.
+    pub fn new<'a>(
+        task: &'a Task,
+        (examples, inseparable): (&Examples, usize),
+        solution: &'a Solution,
+        settings: &'a Settings,
+    ) -> TargetRules<'a> {
         let learned = Learned {
             actions: vec![solution.rules.clone()],
             is_complete: !solution.is_cut,
@@ -37,7 +44,8 @@ impl TargetRules<'_> {
             solution,
             support: support(examples, &learned, &Constraints::default()),
             counts,
-            negation,
+            inseparable,
+            settings,
         }
     }
 
@@ -88,19 +96,26 @@ impl TargetRules<'_> {
 
     /// Returns sentences about the whole result.
     fn summary(&self) -> Vec<String> {
-        let Solution {
-            rules,
-            variables,
-            is_cut,
-        } = self.solution;
+        let Solution { rules, is_cut, .. } = self.solution;
         let states = plural(self.support.states as u64, "distinct state", "distinct states");
         let mut lines = vec![
             format!("{} in {states}.", plural(self.support.examples, "example", "examples")),
             self.outcome(),
         ];
+        if self.inseparable > 0 {
+            lines.push(format!(
+                "{} the same facts as a negative one, so that no clause can separate them.",
+                plural(
+                    self.inseparable as u64,
+                    "positive example has",
+                    "positive examples have"
+                )
+            ));
+        }
         if rules.uncovered > 0 {
             lines.push(format!(
-                "No clause with at most {variables} variables separates {} from the negative examples.",
+                "No clause with at most {} variables separates {} from the negative examples.",
+                self.settings.variables,
                 plural(rules.uncovered as u64, "positive state", "positive states")
             ));
         }
@@ -132,12 +147,6 @@ impl TargetRules<'_> {
         if support.alone < FEW {
             lines.push(format!("Few examples: it alone explains {}.", support.alone));
         }
-        if support.against > 0 {
-            lines.push(format!(
-                "It also holds in {}.",
-                plural(support.against, "negative example", "negative examples")
-            ));
-        }
         let undecided: Vec<String> = self
             .undecided(support)
             .map(|literal| self.task.literal(literal))
@@ -156,7 +165,7 @@ impl TargetRules<'_> {
     /// Returns the literals that clauses of this search could have, and that hold in each state that a clause alone
     /// explains.
     fn undecided<'b>(&self, support: &'b ClauseSupport) -> impl Iterator<Item = &'b Literal> {
-        let negation = self.negation;
+        let negation = self.settings.negation;
         (support.undecided.iter()).filter(move |literal| negation || !literal.is_negated)
     }
 
@@ -181,7 +190,6 @@ impl TargetRules<'_> {
                 "states": support.states,
                 "alone": support.alone,
                 "alone_states": support.alone_states,
-                "against": support.against,
                 "first": support.first.map(|first| self.example(first)),
                 "is_best": clause.is_best,
                 "undecided": self.undecided(support).map(|literal| self.task.literal(literal)).collect::<Vec<_>>(),
@@ -195,7 +203,8 @@ impl TargetRules<'_> {
             "false_positives": negative,
             "states": self.support.states,
             "variables": variables,
-            "negation": self.negation,
+            "negation": self.settings.negation,
+            "inseparable": self.inseparable,
             "complete": !is_cut,
             "is_cheapest": rules.is_cheapest,
             "uncovered": rules.uncovered,
