@@ -188,11 +188,12 @@ class AgentPanel {
 
   clauseLink(clause) {
     const { doc, file, line, text } = this.data.clauses[clause];
-    return make(
-      "span",
-      { class: "clause", title: text },
-      `${(doc || text).split("\n")[0]}  [${fileName(file)}:${line}]`,
-    );
+    const name = doc ? this.run.title(clause) : text.split("\n")[0];
+    const shown = `${name}  [${fileName(file)}:${line}]`;
+    // The page of a running city lists no clauses.
+    if (!this.data.firings?.[clause]?.[1]) return make("span", { class: "clause", title: text }, shown);
+    const choose = () => this.page.choose({ clause, of: this.number });
+    return make("button", { type: "button", class: "clause", title: "show all firings", onclick: choose }, shown);
   }
 
   /** Returns the proof of a node, or why it does not hold. Expands each node only once. */

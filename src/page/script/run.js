@@ -9,6 +9,8 @@ class Run {
     this.names = new Map(data.agents.map((agent, index) => [agent.id, index]));
     /** The steps of driven agents, by tick. */
     this.steered = Map.groupBy(data.driven ?? [], ({ tick }) => tick);
+    /** What the examples say about learned clauses, by label. */
+    this.support = new Map(data.learned?.clauses.map((clause) => [clause.label, clause]));
   }
 
   action(tick, agent) {
@@ -43,8 +45,11 @@ class Run {
     return this.data.clauses[clause].label;
   }
 
-  /** Returns the first line of a clause's comment, or its label. */
+  /** Returns the label and the body of a learned clause, and the first line of the comment of another one, or else its
+   *  label. */
   title(clause) {
+    const support = this.support.get(this.label(clause));
+    if (support) return `${support.label}: ${support.body.join(", ") || "true"}`;
     return (this.data.clauses[clause].doc || this.label(clause)).split("\n")[0];
   }
 
