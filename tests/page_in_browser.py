@@ -323,16 +323,11 @@ def learned(folder: pathlib.Path, trace: list[dict]) -> dict:
     return json.loads((folder / "report.json").read_text())
 
 
-def holding(trace: list[dict], report: dict, label: str) -> list[tuple[int, str]]:
-    """The moments that a learned clause explains, as a query of the learned rules would list them."""
-    action = next(clause["action"] for clause in report["clauses"] if clause["label"] == label)
+def moments_with(action: str, trace: list[dict]) -> list[tuple[int, str]]:
+    """The ticks and agents of a trace with an action, in order."""
     names = [agent["id"] for agent in trace[0]["agents"]]
-    return [
-        (tick["tick"], name)
-        for tick in trace[1:]
-        for name, state in zip(names, tick["agents"], strict=True)
-        if state["action"] == action
-    ]
+    decisions = [(tick["tick"], zip(names, tick["agents"], strict=True)) for tick in trace[1:]]
+    return [(tick, name) for tick, agents in decisions for name, state in agents if state["action"] == action]
 
 
 def test_a_click_on_a_learned_clause_shows_the_moments_that_it_explains(
@@ -357,7 +352,7 @@ def test_a_click_on_a_learned_clause_shows_the_moments_that_it_explains(
     assert f"fired {clause['examples']} times" in shown and f"{clause['alone']} alone" in shown
     assert all(note in shown for note in clause["notes"])
     photograph(browser, "learned-clause.png")
-    expected = holding(trace, learned, clause["label"])
+    expected = moments_with(clause["action"], trace)
     found = []
     for _ in range(12):
         browser.find_element(By.TAG_NAME, "body").send_keys(".")
@@ -394,6 +389,24 @@ def test_a_click_on_a_moment_shows_the_learned_clause_that_decides(
     assert f"clause={clause['label']}" in browser.current_url
     browser.find_element(By.TAG_NAME, "body").send_keys(Keys.ESCAPE)
     assert not browser.find_elements(By.CSS_SELECTOR, "#clauses tr[data-deciding]")
+
+
+def test_a_wrong_example_is_marked(page: Callable[..., WebDriver], folder: pathlib.Path, trace: list[dict]) -> None:
+    header, *ticks = json.loads(json.dumps(trace[:101]))
+    agents = [agent["id"] for agent in header["agents"]]
+    state = ticks[50]["agents"][agents.index("Car_1")]
+    assert state["action"] == "Normal"
+    state["action"] = "Fast"
+    (folder / "wrong.jsonl").write_text("\n".join(json.dumps(line) for line in [header, *ticks]))
+    outputs = ["-o", folder / "wrong.dl", "--page", folder / "wrong.html", "--noise", "0.001"]
+    command = [PROGRAM, "induce", folder / "wrong.jsonl", "--config", "configs/expert.yaml", *outputs]
+    subprocess.run(command, cwd=ROOT, check=True, capture_output=True)
+    browser = page("#tick=50&agent=Car_1", "wrong.html")
+    shown = text(browser, "agent")
+    assert "The example has Fast, but the learned rules choose Normal." in shown
+    assert "Why do the rules want Normal?" in shown and "Why not Fast?" in shown
+    browser.find_element(By.TAG_NAME, "body").send_keys(Keys.ARROW_LEFT)
+    assert "The example has" not in text(browser, "agent")
 
 
 def test_a_run_has_no_support(page: Callable[..., WebDriver]) -> None:

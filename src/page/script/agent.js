@@ -53,7 +53,11 @@ class AgentPanel {
       ),
     ];
     if (driven) parts.push(make("dl", { class: "facts" }, ...this.steering(driven)));
-    parts.push(make("h3", {}, driven ? `Why do the rules want ${data.actions[judged]}?` : `Why ${done}?`));
+    const isWrong = !driven && data.actions[judged] !== done;
+    const wanted = data.actions[judged];
+    if (isWrong)
+      parts.push(make("p", { class: "no" }, `The example has ${done}, but the learned rules choose ${wanted}.`));
+    parts.push(make("h3", {}, driven || isWrong ? `Why do the rules want ${wanted}?` : `Why ${done}?`));
     if (!run.isExplained(tick, agent)) {
       parts.push(make("p", { class: "atoms" }, "loading the explanations …"));
     } else {

@@ -71,9 +71,16 @@ class Run {
     return this.steered.get(tick)?.find((one) => one.agent === agent);
   }
 
-  /** Returns the action to explain first: the one taken, or for a driven agent the one that the rules wanted. */
+  /** Returns the action to explain first: the one taken, or the one that the rules wanted for a driven agent, or the one
+   *  that learned rules choose. */
   byRules(tick, agent) {
-    return this.driven(tick, agent)?.wanted ?? this.act(tick, agent);
+    return this.driven(tick, agent)?.wanted ?? this.learnedAction(tick, agent) ?? this.act(tick, agent);
+  }
+
+  /** Returns the action that learned rules choose; `undefined` if the rules are not learned. */
+  learnedAction(tick, agent) {
+    const { learned, actions } = this.data;
+    return learned && actions.indexOf(this.derived(tick, agent)[0] ?? learned.default);
   }
 
   /** Returns the titles of the clauses that fired for an agent. */
