@@ -384,7 +384,7 @@ def test_a_click_on_a_moment_shows_the_learned_clause_that_decides(
         assert f"{clause['label']}: {', '.join(clause['body'])}" in proof.text
     photograph(browser, "learned-moment.png")
     # The clause in the proof leads to all its moments.
-    proof.find_element(By.CSS_SELECTOR, "button.clause").click()
+    proof.find_element(By.CSS_SELECTOR, "a.clause").click()
     assert f"fired {'1 of ' if clause['examples'] == 1 else ''}" in text(browser, "filter")
     assert f"clause={clause['label']}" in browser.current_url
     browser.find_element(By.TAG_NAME, "body").send_keys(Keys.ESCAPE)

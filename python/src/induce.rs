@@ -202,7 +202,9 @@ fn read_steps(py: Python<'_>, path: PathBuf) -> PyResult<(String, String, String
         _ => read_error(py, &path, &ReadError::Io(error.to_string())),
     };
     let file = File::open(&path).map_err(unread)?;
-    let bytes = py.detach(|| read_bytes(file)).map_err(|error| read_error(py, &path, &error))?;
+    let bytes = py
+        .detach(|| read_bytes(file))
+        .map_err(|error| read_error(py, &path, &error))?;
     let read = py.detach(|| {
         let steps = Steps::open(bytes)?;
         let (mut observations, mut actions) = (Vec::new(), Vec::new());

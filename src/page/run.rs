@@ -170,7 +170,10 @@ impl Page {
         Ok(Page {
             scenery: Scenery::new(world.map(), icons, &header.agents, replay.kinds()),
             header: Header::new(replay, header, sources),
-            firings: world.clause_actions().map(|(_, action)| (0, action.is_some())).collect(),
+            firings: world
+                .clause_actions()
+                .map(|(_, action)| (0, action.is_some()))
+                .collect(),
             first: 0,
             count: 0,
             columns: Columns::new(count),

@@ -886,7 +886,17 @@ fn counting(most: u32) -> String {
 
 /// The arguments of a run of one tick with some rules.
 fn one_tick<'a>(rules: &'a str, out: &'a str) -> [&'a str; 9] {
-    ["run", "easy", "--ticks", "1", "--no-pictures", "--out", out, "--rules", rules]
+    [
+        "run",
+        "easy",
+        "--ticks",
+        "1",
+        "--no-pictures",
+        "--out",
+        out,
+        "--rules",
+        rules,
+    ]
 }
 
 #[test]

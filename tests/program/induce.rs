@@ -80,14 +80,24 @@ fn the_report_leaves_out_what_the_constraints_decide() {
     // `.covering IsCar, IsPedestrian` and `.disjoint IsCar, IsPedestrian` give both literals the same meaning.
     assert!(!rules.contains("could also be Not(IsCar(Y))"), "{rules}");
     // `.implies IsOld, IsPedestrian`, and the ego is never a pedestrian.
-    assert!(rules.contains("// Never true in any example: IsPedestrian(X).\n"), "{rules}");
+    assert!(
+        rules.contains("// Never true in any example: IsPedestrian(X).\n"),
+        "{rules}"
+    );
     // Slow holds in some examples only as long as Stop does not.
-    assert!(rules.contains("// Conflict: conditions of Stop and Slow both hold in "), "{rules}");
+    assert!(
+        rules.contains("// Conflict: conditions of Stop and Slow both hold in "),
+        "{rules}"
+    );
     let report: serde_json::Value = serde_json::from_str(&fs::read_to_string(&report).unwrap()).unwrap();
     let clauses = report["clauses"].as_array().unwrap();
     let undecided = |body: &str| {
         let has_body = |clause: &&serde_json::Value| {
-            let literals = clause["body"].as_array().unwrap().iter().map(|literal| literal.as_str().unwrap());
+            let literals = clause["body"]
+                .as_array()
+                .unwrap()
+                .iter()
+                .map(|literal| literal.as_str().unwrap());
             literals.collect::<Vec<_>>().join(", ") == body
         };
         clauses.iter().find(has_body).unwrap()["undecided"].clone()
@@ -322,12 +332,19 @@ fn tables_of_steps_teach_like_the_episodes() {
     };
     assert_eq!(clauses(&[STEPS]), clauses(&["--episodes", "2"]));
     let said = succeeds(&logicity(["induce", STEPS, "--config", "easy"]));
-    assert!(said.contains("the first is easy-steps.parquet, episode 0, step "), "{said}");
+    assert!(
+        said.contains("the first is easy-steps.parquet, episode 0, step "),
+        "{said}"
+    );
     // A pipe has no name that ends in `.parquet`.
     let piped = run(&["induce", "-", "--config", "easy"], &fs::read(STEPS).unwrap());
     assert_eq!(succeeds(&piped), said.replace("easy-steps.parquet", "-"));
     let output = logicity(["induce", "--config", "easy", "--test", STEPS, "-o", "/dev/null"]);
-    assert!(text(&output.stdout).contains("accuracy 1.0000"), "{}", text(&output.stdout));
+    assert!(
+        text(&output.stdout).contains("accuracy 1.0000"),
+        "{}",
+        text(&output.stdout)
+    );
 }
 
 #[test]
@@ -339,15 +356,34 @@ fn other_tables_and_datasets_are_refused() {
         fails(&output, 1, parts);
     };
     fs::write(path("a.parquet"), "no table").unwrap();
-    refuses(&path("a.parquet"), &["error[invalid-data-set]", "not a table of steps", "a.parquet", "to_parquet"]);
+    refuses(
+        &path("a.parquet"),
+        &[
+            "error[invalid-data-set]",
+            "not a table of steps",
+            "a.parquet",
+            "to_parquet",
+        ],
+    );
     fs::write(path("a.hdf5"), b"\x89HDF\r\n\x1a\n").unwrap();
-    refuses(&path("a.hdf5"), &["error[invalid-data-set]", "Minari", "call `logicity.induce` in Python"]);
+    refuses(
+        &path("a.hdf5"),
+        &["error[invalid-data-set]", "Minari", "call `logicity.induce` in Python"],
+    );
     fs::create_dir_all(path("set/data")).unwrap();
     fs::write(path("set/data/metadata.json"), "{}").unwrap();
     refuses(&path("set"), &["Minari", "call `logicity.induce` in Python"]);
     refuses(&path("set/data"), &["Minari", "call `logicity.induce` in Python"]);
     let output = logicity(["induce", STEPS, "--config", "hard"]);
-    fails(&output, 1, &["error[rule-mismatch]", "`IsOld(0)` instead of `IsBus(0)`", "of the mode easy"]);
+    fails(
+        &output,
+        1,
+        &[
+            "error[rule-mismatch]",
+            "`IsOld(0)` instead of `IsBus(0)`",
+            "of the mode easy",
+        ],
+    );
 }
 
 #[test]

@@ -121,7 +121,10 @@ impl FileCollector<'_> {
     fn add(&mut self, path: &Path, to: &mut Collected) -> Result<(), Failure> {
         if path.is_dir() {
             // Minari keeps a dataset in a folder `data` in a folder with the name of the dataset.
-            if ["data/metadata.json", "metadata.json"].iter().any(|name| path.join(name).is_file()) {
+            if ["data/metadata.json", "metadata.json"]
+                .iter()
+                .any(|name| path.join(name).is_file())
+            {
                 return Err(is_minari(path).into());
             }
             return self.add_data_set(path, to);
@@ -187,7 +190,8 @@ impl FileCollector<'_> {
         let placed = |fault: Diagnostic| fault.note(format!("in `{}`", path.display()));
         let steps = Steps::open(bytes).map_err(placed)?;
         let entities = self.task.observed_entities(&steps.atoms);
-        let entities = entities.map_err(|fault| placed(fault.note(format!("the table is of the mode {}", steps.mode))))?;
+        let entities =
+            entities.map_err(|fault| placed(fault.note(format!("the table is of the mode {}", steps.mode))))?;
         let mut episode = None;
         steps.for_each(|step| {
             if step.step % CANCEL_STEPS == 0 {
@@ -195,7 +199,8 @@ impl FileCollector<'_> {
             }
             if episode != Some(step.episode) {
                 episode = Some(step.episode);
-                to.origin.push_episode(to.examples.count(), format!("{name}, episode {}", step.episode));
+                to.origin
+                    .push_episode(to.examples.count(), format!("{name}, episode {}", step.episode));
             }
             let state = self.task.observed_state(step.observation, entities, None);
             let action = self.task.action(step.action).map_err(placed);
@@ -269,7 +274,10 @@ impl Collected {
 
 /// Returns the error for a Minari dataset.
 fn is_minari(path: &Path) -> Diagnostic {
-    let message = format!("`{}` is a Minari dataset, which the command does not read", path.display());
+    let message = format!(
+        "`{}` is a Minari dataset, which the command does not read",
+        path.display()
+    );
     Diagnostic::new(Code::INVALID_DATA_SET, message)
         .help("call `logicity.induce` in Python with the dataset, its name or its folder")
 }

@@ -110,7 +110,8 @@ impl<'a> Entailment<'a> {
         };
         let is_strongest = |&at: &usize| {
             let is_before = |other: usize| (literals[other].is_negated, other) < (literals[at].is_negated, at);
-            (0..literals.len()).all(|other| other == at || !follows(other, at) || follows(at, other) && !is_before(other))
+            (0..literals.len())
+                .all(|other| other == at || !follows(other, at) || follows(at, other) && !is_before(other))
         };
         let kept: Vec<usize> = (0..literals.len()).filter(is_strongest).collect();
         kept.into_iter().map(|at| literals[at].clone()).collect()

@@ -123,7 +123,7 @@ pub fn support(examples: &Examples, learned: &Learned, constraints: &Constraints
                 known.examples += count;
                 known.first = known.first.min(first);
             }
-            let lower = held.iter().filter(|&&clause| labels[state] > action_of[clause]);
+            let lower = held.iter().filter(|&&clause| majority(tallies) > action_of[clause]);
             lower.for_each(|&clause| against[clause].push(state));
             for (action, tally) in tallies.iter().enumerate().filter(|(_, tally)| tally.count > 0) {
                 let count = u64::from(tally.count);
@@ -160,7 +160,8 @@ pub fn support(examples: &Examples, learned: &Learned, constraints: &Constraints
     wrong_first.sort_unstable();
     wrong_first.truncate(10);
     for (index, (clause, body)) in clauses.iter_mut().zip(&bodies).enumerate() {
-        let is_negative = |state: &usize| labels[*state] > clause.action && against[index].binary_search(state).is_err();
+        let is_negative =
+            |state: &usize| labels[*state] > clause.action && against[index].binary_search(state).is_err();
         let lower: Vec<usize> = (0..states.len()).filter(is_negative).collect();
         let step = lower.len().div_ceil(NEGATIVE_MAX).max(1);
         let lower: Vec<&State> = lower.into_iter().step_by(step).map(|state| states[state]).collect();
@@ -212,10 +213,10 @@ fn unseen(vocabulary: &Vocabulary, constraints: &Constraints, states: &[&State])
     let never = |atom: &Atom| !anywhere[atom.predicate] && !head.iter().any(|known| known.predicate == atom.predicate);
     let mut others: Vec<Atom> = vocabulary.atoms(egos + 1).into_iter().filter(never).collect();
     others.dedup_by_key(|atom| atom.predicate);
-    let never = head.into_iter().chain(others).map(|atom| Literal {
-        is_negated: true,
-        atom,
-    });
+    let never = head
+        .into_iter()
+        .chain(others)
+        .map(|atom| Literal { is_negated: true, atom });
     let entailment = Entailment::new(vocabulary, constraints, egos + 1);
     let strongest = entailment.strongest(&[], never.collect());
     strongest.into_iter().map(|literal| literal.atom).collect()

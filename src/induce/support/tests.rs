@@ -69,12 +69,19 @@ fn valid(vocabulary: &Vocabulary, constraints: &Constraints, entities: usize) ->
         }
         state
     });
-    states.filter(|state| constraints.violated(vocabulary, state).is_none()).collect()
+    states
+        .filter(|state| constraints.violated(vocabulary, state).is_none())
+        .collect()
 }
 
 /// Whether a literal holds for two variables.
 fn is_true(vocabulary: &Vocabulary, state: &State, entities: [usize; 2], literal: &Literal) -> bool {
-    let arguments: Vec<usize> = literal.atom.arguments.iter().map(|&variable| entities[variable as usize]).collect();
+    let arguments: Vec<usize> = literal
+        .atom
+        .arguments
+        .iter()
+        .map(|&variable| entities[variable as usize])
+        .collect();
     state.holds(vocabulary, literal.atom.predicate, &arguments) != literal.is_negated
 }
 
@@ -93,7 +100,9 @@ fn with(literals: &[Literal], more: &Literal) -> Vec<Literal> {
 }
 
 fn signed(atoms: Vec<Atom>) -> Vec<Literal> {
-    let signs = atoms.into_iter().flat_map(|atom| [false, true].map(|is_negated| (is_negated, atom.clone())));
+    let signs = atoms
+        .into_iter()
+        .flat_map(|atom| [false, true].map(|is_negated| (is_negated, atom.clone())));
     signs.map(|(is_negated, atom)| Literal { is_negated, atom }).collect()
 }
 
@@ -190,11 +199,16 @@ fn compare(
         .flat_map(|(action, rules)| rules.clauses.iter().map(move |clause| (action, &clause.body)))
         .collect();
     let held = |state: &State| -> Vec<usize> {
-        (0..bodies.len()).filter(|&clause| bodies[clause].1.holds(vocabulary, state)).collect()
+        (0..bodies.len())
+            .filter(|&clause| bodies[clause].1.holds(vocabulary, state))
+            .collect()
     };
     let held: Vec<Vec<usize>> = labeled.iter().map(|(state, _)| held(state)).collect();
     let count = |has: &dyn Fn(&[usize], usize) -> bool| {
-        let examples = held.iter().zip(labeled).filter(|(held, (_, action))| has(held, *action));
+        let examples = held
+            .iter()
+            .zip(labeled)
+            .filter(|(held, (_, action))| has(held, *action));
         examples.count() as u64
     };
     let is_of = |clause: &usize, action: usize| bodies[*clause].0 == action;
@@ -207,8 +221,14 @@ fn compare(
             in_action(held, taken) && held.iter().filter(|other| is_of(other, action)).count() == 1
         };
         prop_assert_eq!(clause_support.alone, count(&is_alone));
-        prop_assert_eq!(clause_support.outranked, count(&|held, taken| held.contains(&clause) && taken < action));
-        prop_assert_eq!(clause_support.against, count(&|held, taken| held.contains(&clause) && taken > action));
+        prop_assert_eq!(
+            clause_support.outranked,
+            count(&|held, taken| held.contains(&clause) && taken < action)
+        );
+        prop_assert_eq!(
+            clause_support.against,
+            count(&|held, taken| held.contains(&clause) && taken > action)
+        );
         let first = (0..labeled.len()).find(|&example| is_alone(&held[example], labeled[example].1));
         prop_assert_eq!(clause_support.first, first.map(|first| first as u64));
         let alone: Vec<&State> = (0..labeled.len())
@@ -220,9 +240,16 @@ fn compare(
             continue;
         }
         let body = &bodies[clause].1.0;
-        let fits = |literals: Vec<Literal>| alone.iter().all(|state| Body(literals.clone()).holds(vocabulary, state));
+        let fits = |literals: Vec<Literal>| {
+            alone
+                .iter()
+                .all(|state| Body(literals.clone()).holds(vocabulary, state))
+        };
         let all = signed(vocabulary.atoms(bodies[clause].1.variables(vocabulary)));
-        for literal in all.iter().filter(|literal| body.iter().all(|own| own.atom != literal.atom)) {
+        for literal in all
+            .iter()
+            .filter(|literal| body.iter().all(|own| own.atom != literal.atom))
+        {
             let is_listed = clause_support.undecided.contains(literal);
             let is_decided = follows(vocabulary, valid, body, literal);
             let is_weaker = (clause_support.undecided.iter())
@@ -241,12 +268,19 @@ fn compare(
     for chosen in 0..learned.actions.len() {
         for other in chosen + 1..learned.actions.len() {
             let both = |held: &[usize]| {
-                held.first().is_some_and(|clause| is_of(clause, chosen)) && held.iter().any(|clause| is_of(clause, other))
+                held.first().is_some_and(|clause| is_of(clause, chosen))
+                    && held.iter().any(|clause| is_of(clause, other))
             };
             let first = held.iter().position(|held| both(held)).map(|first| first as u64);
-            let conflict = found.conflicts.iter().find(|conflict| conflict.actions == [chosen, other]);
+            let conflict = found
+                .conflicts
+                .iter()
+                .find(|conflict| conflict.actions == [chosen, other]);
             prop_assert_eq!(conflict.map(|conflict| conflict.first), first);
-            prop_assert_eq!(conflict.map_or(0, |conflict| conflict.examples), count(&|held, _| both(held)));
+            prop_assert_eq!(
+                conflict.map_or(0, |conflict| conflict.examples),
+                count(&|held, _| both(held))
+            );
         }
     }
     Ok(())

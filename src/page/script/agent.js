@@ -196,8 +196,12 @@ class AgentPanel {
     const shown = `${name}  [${fileName(file)}:${line}]`;
     // The page of a running city lists no clauses.
     if (!this.data.firings?.[clause]?.[1]) return make("span", { class: "clause", title: text }, shown);
-    const choose = () => this.page.choose({ clause, of: this.number });
-    return make("button", { type: "button", class: "clause", title: "show all firings", onclick: choose }, shown);
+    const onclick = (event) => {
+      event.preventDefault();
+      this.page.choose({ clause, of: this.number });
+    };
+    const href = `#${new URLSearchParams({ clause: this.run.label(clause) })}`;
+    return make("a", { href, class: "clause", title: "show all firings", onclick }, shown);
   }
 
   /** Returns the proof of a node, or why it does not hold. Expands each node only once. */

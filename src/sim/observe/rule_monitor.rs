@@ -140,9 +140,7 @@ fn constraints(rules: &Rules, vocabulary: &Vocabulary) -> Vec<ActionConstraint> 
     let sees = vocabulary.predicates[vocabulary.sees].relation;
     let is_default = |clause: &datalog::Clause| {
         clause.body.iter().all(|literal| match literal {
-            Literal::Negative(atom) => {
-                vocabulary.action_of(atom.relation).is_some() && atom.terms == clause.head.terms
-            }
+            Literal::Negative(atom) => vocabulary.action_of(atom.relation).is_some() && atom.terms == clause.head.terms,
             Literal::Positive(atom) | Literal::Guard(atom) => {
                 Some(atom.relation) == sees && atom.terms.iter().all(|term| Some(term) == clause.head.terms.first())
             }

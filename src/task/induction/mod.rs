@@ -84,7 +84,9 @@ impl InductionTask {
         let relations: Vec<Option<RelId>> = observed(known).map(|(_, predicate)| predicate.relation).collect();
         let position = |relation: RelId| relations.iter().position(|known| *known == Some(relation));
         let has_all = |domain: &[(RelId, usize)]| {
-            known.predicates[known.sees].relation.is_some_and(|sees| domain.contains(&(sees, 1)))
+            known.predicates[known.sees]
+                .relation
+                .is_some_and(|sees| domain.contains(&(sees, 1)))
         };
         for declared in &self.world.program.rules().constraints {
             match &declared.constraint {
@@ -95,10 +97,14 @@ impl InductionTask {
                     }
                 }
                 Constraint::Implies(premise, conclusion) => {
-                    constraints.implies.extend(position(*premise).zip(position(*conclusion)));
+                    constraints
+                        .implies
+                        .extend(position(*premise).zip(position(*conclusion)));
                 }
                 Constraint::Covering(of) if has_all(&declared.domain) => {
-                    constraints.covering.extend(of.iter().map(|one| position(*one)).collect::<Option<Vec<_>>>());
+                    constraints
+                        .covering
+                        .extend(of.iter().map(|one| position(*one)).collect::<Option<Vec<_>>>());
                 }
                 Constraint::Reflexive(of) if has_all(&declared.domain) => {
                     constraints.reflexive.extend(position(*of));
@@ -232,7 +238,11 @@ impl InductionTask {
             let numbers = list.split(',').map(|number| number.parse::<usize>().ok());
             numbers.collect::<Vec<_>>()
         });
-        let entities = numbers.flatten().max().map_or(1, |last| last.saturating_add(1)).min(OBSERVED_MAX);
+        let entities = numbers
+            .flatten()
+            .max()
+            .map_or(1, |last| last.saturating_add(1))
+            .min(OBSERVED_MAX);
         let expected = self.observed_atoms(entities);
         if atoms == expected {
             return Ok(entities);
@@ -242,7 +252,8 @@ impl InductionTask {
             Some((expected, found)) => format!("the examples have the atom `{found}` instead of `{expected}`"),
             None => format!("the examples have {} atoms instead of {}", atoms.len(), expected.len()),
         };
-        Err(Diagnostic::new(Code::RULE_MISMATCH, message).help("learn with the configuration that the examples come from"))
+        Err(Diagnostic::new(Code::RULE_MISMATCH, message)
+            .help("learn with the configuration that the examples come from"))
     }
 
     /// Returns the state in an observation of `entities` entities, of which `present` exist; by default, those with a

@@ -51,12 +51,18 @@ impl Steps {
         let metadata = file.metadata().file_metadata().key_value_metadata();
         let value = |key: &str| {
             let found = metadata.and_then(|pairs| pairs.iter().find(|pair| pair.key == key));
-            found.and_then(|pair| pair.value.clone()).ok_or_else(|| faulty(format!("there is no metadata `{key}`")))
+            found
+                .and_then(|pair| pair.value.clone())
+                .ok_or_else(|| faulty(format!("there is no metadata `{key}`")))
         };
         let (mode, split, episodes_hash) = (value("mode")?, value("split")?, value("episodes_hash")?);
         let known = |name: &str| Action::ALL.into_iter().find(|action| action.name() == name);
         let actions: Option<Vec<Action>> = value("actions")?.split(',').map(known).collect();
-        let atoms: Vec<String> = value("atoms")?.split(';').filter(|atom| !atom.is_empty()).map(str::to_owned).collect();
+        let atoms: Vec<String> = value("atoms")?
+            .split(';')
+            .filter(|atom| !atom.is_empty())
+            .map(str::to_owned)
+            .collect();
         if atoms.is_empty() {
             return Err(faulty("its observations are not of the kind `groundings`"));
         }
@@ -106,7 +112,9 @@ impl Steps {
                 let (episodes, numbers, taken) = (next(&mut episodes)?, next(&mut numbers)?, next(&mut taken)?);
                 let seen = records::<FloatType>(&mut seen, count, width)?;
                 for (row, observation) in seen.chunks_exact(width).enumerate() {
-                    let action = usize::try_from(taken[row]).ok().and_then(|action| self.actions.get(action));
+                    let action = usize::try_from(taken[row])
+                        .ok()
+                        .and_then(|action| self.actions.get(action));
                     act(Step {
                         episode: episodes[row],
                         step: numbers[row],
@@ -121,16 +129,14 @@ impl Steps {
 }
 
 /// Reads the next `count` rows of a column, each with `width` values.
-fn records<T: DataType>(
-    reader: &mut ColumnReaderImpl<T>,
-    count: usize,
-    width: usize,
-) -> Result<Vec<T::T>, Diagnostic> {
+fn records<T: DataType>(reader: &mut ColumnReaderImpl<T>, count: usize, width: usize) -> Result<Vec<T::T>, Diagnostic> {
     let (mut values, mut defined, mut repeated) = (Vec::new(), Vec::new(), Vec::new());
-    let (rows, ..) =
-        guarded(|| reader.read_records(count, Some(&mut defined), Some(&mut repeated), &mut values))?;
+    let (rows, ..) = guarded(|| reader.read_records(count, Some(&mut defined), Some(&mut repeated), &mut values))?;
     // A list begins with the repetition level 0. A column without lists has no levels.
-    let has_width = repeated.iter().enumerate().all(|(at, level)| (*level == 0) == (at % width == 0));
+    let has_width = repeated
+        .iter()
+        .enumerate()
+        .all(|(at, level)| (*level == 0) == (at % width == 0));
     if rows != count || values.len() != count * width || !has_width {
         return Err(faulty("values are missing"));
     }
@@ -140,7 +146,9 @@ fn records<T: DataType>(
 /// Calls the Parquet crate, which may panic on damaged bytes.
 fn guarded<T>(read: impl FnOnce() -> Result<T, ParquetError>) -> Result<T, Diagnostic> {
     let damaged = || Err(ParquetError::General("damaged".to_owned()));
-    catch_unwind(AssertUnwindSafe(read)).unwrap_or_else(|_| damaged()).map_err(|error| faulty(error.to_string()))
+    catch_unwind(AssertUnwindSafe(read))
+        .unwrap_or_else(|_| damaged())
+        .map_err(|error| faulty(error.to_string()))
 }
 
 fn faulty(message: impl std::fmt::Display) -> Diagnostic {
@@ -184,10 +192,13 @@ mod tests {
         let mut file = SerializedFileWriter::new(&mut bytes, schema, Arc::new(settings.build())).unwrap();
         for rows in rows.chunks(5_000) {
             let mut group = file.next_row_group().unwrap();
-            let mut integers = |group: &mut parquet::file::writer::SerializedRowGroupWriter<'_, _>, values: Vec<i32>| {
+            let integers = |group: &mut parquet::file::writer::SerializedRowGroupWriter<'_, _>, values: Vec<i32>| {
                 let mut column = group.next_column().unwrap().unwrap();
                 let there = vec![1; values.len()];
-                column.typed::<Int32Type>().write_batch(&values, Some(&there), None).unwrap();
+                column
+                    .typed::<Int32Type>()
+                    .write_batch(&values, Some(&there), None)
+                    .unwrap();
                 column.close().unwrap();
             };
             integers(&mut group, rows.iter().map(|row| row.0).collect());
@@ -204,7 +215,10 @@ mod tests {
                 repeated.extend([0, 1, 1]);
             }
             let mut column = group.next_column().unwrap().unwrap();
-            column.typed::<FloatType>().write_batch(&values, Some(&defined), Some(&repeated)).unwrap();
+            column
+                .typed::<FloatType>()
+                .write_batch(&values, Some(&defined), Some(&repeated))
+                .unwrap();
             column.close().unwrap();
             integers(&mut group, rows.iter().map(|row| row.3).collect());
             group.close().unwrap();
@@ -249,10 +263,19 @@ mod tests {
         refused(b"PAR1".to_vec(), "not a table of steps");
         refused(table(&rows, &KEYS, true), "values are missing");
         for left_out in 0..KEYS.len() {
-            let keys: Vec<_> = KEYS.iter().enumerate().filter(|(at, _)| *at != left_out).map(|(_, pair)| *pair).collect();
-            refused(table(&rows, &keys, false), &format!("no metadata `{}`", KEYS[left_out].0));
+            let keys: Vec<_> = KEYS
+                .iter()
+                .enumerate()
+                .filter(|(at, _)| *at != left_out)
+                .map(|(_, pair)| *pair)
+                .collect();
+            refused(
+                table(&rows, &keys, false),
+                &format!("no metadata `{}`", KEYS[left_out].0),
+            );
         }
-        let with = |key: &str, value: &'static str| KEYS.map(|(known, old)| (known, if known == key { value } else { old }));
+        let with =
+            |key: &str, value: &'static str| KEYS.map(|(known, old)| (known, if known == key { value } else { old }));
         refused(table(&rows, &with("atoms", ""), false), "`groundings`");
         refused(table(&rows, &with("atoms", "A(0)"), false), "values are missing");
         refused(table(&rows, &with("actions", "Slow,Jump"), false), "unknown actions");

@@ -82,7 +82,11 @@ pub fn rule_file(
             comment(&mut text, "/// ", &format!("{label}: {}", explains(support)));
             if let Some(first) = support.first {
                 let place = origin.describe(first);
-                comment(&mut text, "/// ", &format!("The first example that it alone explains is {place}."));
+                comment(
+                    &mut text,
+                    "/// ",
+                    &format!("The first example that it alone explains is {place}."),
+                );
             }
             let mut literals: Vec<String> = names[..action].iter().map(|name| format!("Not({name}(X))")).collect();
             literals.extend(clause.body.texts(task.vocabulary()));
