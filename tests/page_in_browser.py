@@ -314,6 +314,106 @@ def test_clauses_filter_the_chart(page: Callable[..., WebDriver], trace: list[di
     photograph(browser, "filter.png")
 
 
+@pytest.fixture(scope="module")
+def learned(folder: pathlib.Path, trace: list[dict]) -> dict:
+    """Write `learned.html`: the run with rules learned from it. Return the report of the learner."""
+    outputs = ["-o", folder / "learned.dl", "--report", folder / "report.json", "--page", folder / "learned.html"]
+    command = [PROGRAM, "induce", folder / "trace.jsonl", "--config", "configs/expert.yaml", *outputs]
+    subprocess.run(command, cwd=ROOT, check=True, capture_output=True)
+    return json.loads((folder / "report.json").read_text())
+
+
+def moments_with(action: str, trace: list[dict]) -> list[tuple[int, str]]:
+    """The ticks and agents of a trace with an action, in order."""
+    names = [agent["id"] for agent in trace[0]["agents"]]
+    decisions = [(tick["tick"], zip(names, tick["agents"], strict=True)) for tick in trace[1:]]
+    return [(tick, name) for tick, agents in decisions for name, state in agents if state["action"] == action]
+
+
+def test_a_click_on_a_learned_clause_shows_the_moments_that_it_explains(
+    page: Callable[..., WebDriver], trace: list[dict], learned: dict
+) -> None:
+    browser = page(name="learned.html")
+    assert f"{learned['examples']} examples" in text(browser, "clause-box")
+    for clause in learned["clauses"]:
+        row = browser.find_element(By.XPATH, f"//*[@id='clauses']/tr[contains(., '{clause['label']}:')]")
+        # The list shows the body and the number of moments, which equals the number of examples.
+        assert f"{clause['label']}: {', '.join(clause['body'])}" in row.text
+        assert int(row.text.split()[0]) == clause["examples"]
+        widths = [float(part.rect["width"]) for part in row.find_elements(By.CSS_SELECTOR, ".coverage span")]
+        bar = row.find_element(By.CSS_SELECTOR, ".coverage").rect["width"]
+        of = next(rules["examples"] for rules in learned["actions"] if rules["action"] == clause["action"])
+        assert abs(widths[0] - bar * clause["alone"] / of) < 1.5
+        assert abs(sum(widths) - bar * clause["examples"] / of) < 1.5
+    clause = learned["clauses"][1]
+    row = browser.find_element(By.XPATH, f"//*[@id='clauses']/tr[contains(., '{clause['label']}:')]")
+    row.find_element(By.TAG_NAME, "button").click()
+    shown = text(browser, "filter")
+    assert f"fired {clause['examples']} times" in shown and f"{clause['alone']} alone" in shown
+    assert all(note in shown for note in clause["notes"])
+    photograph(browser, "learned-clause.png")
+    expected = moments_with(clause["action"], trace)
+    found = []
+    for _ in range(12):
+        browser.find_element(By.TAG_NAME, "body").send_keys(".")
+        tick, agent = int(text(browser, "tick").split()[1]), text(browser, "agent").splitlines()[0]
+        assert (tick, agent) in expected and clause["label"] in text(browser, "agent")
+        found.append((tick, agent))
+    assert found == sorted(set(found), key=expected.index)
+    # The first example that the clause alone explains, as the report has it.
+    agent, tick = re.fullmatch(r"trace\.jsonl, (\S+) in tick (\d+)", clause["first"]).groups()
+    assert (int(tick), agent) in expected and clause["first"] in shown
+
+
+def test_a_click_on_a_moment_shows_the_learned_clause_that_decides(
+    page: Callable[..., WebDriver], trace: list[dict], learned: dict
+) -> None:
+    browser = page(name="learned.html")
+    names = [agent["id"] for agent in trace[0]["agents"]]
+    for clause in learned["clauses"]:
+        agent, tick = re.fullmatch(r"trace\.jsonl, (\S+) in tick (\d+)", clause["first"]).groups()
+        click_strip(browser, int(tick), names.index(agent), len(names))
+        scrub(browser, int(tick))
+        # It alone explains this moment, and it is in the visible part of the list.
+        deciding = browser.find_elements(By.CSS_SELECTOR, "#clauses tr[data-deciding]")
+        assert [row.text.split()[2] for row in deciding] == [f"{clause['label']}:"]
+        box, row = browser.find_element(By.ID, "clause-box").rect, deciding[0].rect
+        assert box["y"] <= row["y"] and row["y"] + row["height"] <= box["y"] + box["height"] + 1
+        assert text(browser, "action") == clause["action"]
+        proof = browser.find_element(By.CSS_SELECTOR, "#agent > .tree")
+        assert f"{clause['label']}: {', '.join(clause['body'])}" in proof.text
+    photograph(browser, "learned-moment.png")
+    # The clause in the proof leads to all its moments.
+    proof.find_element(By.CSS_SELECTOR, "a.clause").click()
+    assert f"fired {'1 of ' if clause['examples'] == 1 else ''}" in text(browser, "filter")
+    assert f"clause={clause['label']}" in browser.current_url
+    browser.find_element(By.TAG_NAME, "body").send_keys(Keys.ESCAPE)
+    assert not browser.find_elements(By.CSS_SELECTOR, "#clauses tr[data-deciding]")
+
+
+def test_a_wrong_example_is_marked(page: Callable[..., WebDriver], folder: pathlib.Path, trace: list[dict]) -> None:
+    header, *ticks = json.loads(json.dumps(trace[:101]))
+    agents = [agent["id"] for agent in header["agents"]]
+    state = ticks[50]["agents"][agents.index("Car_1")]
+    assert state["action"] == "Normal"
+    state["action"] = "Fast"
+    (folder / "wrong.jsonl").write_text("\n".join(json.dumps(line) for line in [header, *ticks]))
+    outputs = ["-o", folder / "wrong.dl", "--page", folder / "wrong.html", "--noise", "0.001"]
+    command = [PROGRAM, "induce", folder / "wrong.jsonl", "--config", "configs/expert.yaml", *outputs]
+    subprocess.run(command, cwd=ROOT, check=True, capture_output=True)
+    browser = page("#tick=50&agent=Car_1", "wrong.html")
+    shown = text(browser, "agent")
+    assert "The example has Fast, but the learned rules choose Normal." in shown
+    assert "Why do the rules want Normal?" in shown and "Why not Fast?" in shown
+    browser.find_element(By.TAG_NAME, "body").send_keys(Keys.ARROW_LEFT)
+    assert "The example has" not in text(browser, "agent")
+
+
+def test_a_run_has_no_support(page: Callable[..., WebDriver]) -> None:
+    browser = page()
+    assert not browser.find_elements(By.CSS_SELECTOR, ".coverage") and "Learned from" not in text(browser, "clause-box")
+
+
 def test_deadlocks_are_marked(page: Callable[..., WebDriver]) -> None:
     browser = page()
     button = browser.find_element(By.XPATH, "//*[@id='deadlocks']/button[contains(., 'deadlock since tick 5')]")
@@ -331,12 +431,12 @@ def test_the_theme_can_be_changed(page: Callable[..., WebDriver]) -> None:
     photograph(browser, "dark.png")
 
 
-def test_the_proof_is_in_view_on_a_phone(folder: pathlib.Path, other: list[dict]) -> None:
+def test_the_proof_is_in_view_on_a_phone(folder: pathlib.Path, other: list[dict], learned: dict) -> None:
     browser = start(500, 1000)
     try:
         metrics = {"width": 390, "height": 844, "deviceScaleFactor": 2, "mobile": True}
         browser.execute_cdp_cmd("Emulation.setDeviceMetricsOverride", metrics)
-        for name in ("city.html", "pair.html"):
+        for name in ("city.html", "pair.html", "learned.html"):
             browser.get((folder / name).as_uri() + "#tick=190&agent=Car_6")
             wait_for(browser)
             wide, room = browser.execute_script("return [document.documentElement.scrollWidth, innerWidth]")

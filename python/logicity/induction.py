@@ -65,8 +65,10 @@ class InducedClause:
         examples: The number of steps with this action in which the body holds.
         alone: The number of these steps in which no other clause of the action holds.
         undecided: Literals that also hold in all steps that this clause alone explains. With such a literal, the clause
-            fits as well.
+            fits as well. Literals that follow from the clause or from another one of them by the constraints of the
+            rules are left out.
         alternatives: Pairs of a literal of the body and another literal that fits as well in its place.
+        notes: Sentences about what the demonstrations leave open, as the comments of the rule file have them.
     """
 
     action: str
@@ -75,6 +77,7 @@ class InducedClause:
     alone: int
     undecided: tuple[str, ...]
     alternatives: tuple[tuple[str, str], ...]
+    notes: tuple[str, ...]
 
     def __str__(self) -> str:
         """Format the clause without the literals that give precedence to other actions."""
@@ -103,6 +106,7 @@ class InducedRules:
                 clause["alone"],
                 tuple(clause["undecided"]),
                 tuple((own, other) for own, other in clause["alternatives"]),
+                tuple(clause["notes"]),
             )
             for clause in self.report["clauses"]
         )

@@ -5,7 +5,7 @@ use crate::task::PyTask;
 use crate::{Signals, input_error, read_error, threads_of, to_python};
 use logicity::city::Action;
 use logicity::diag::{Diagnostic, Sources};
-use logicity::files::read_bytes;
+use logicity::files::{ReadError, read_bytes};
 use logicity::induce::{
     ActionRules, Atom, Body, Examples, Learned, LearnedClause, Literal, NOISE_MAX, Noise, Settings, State,
     VARIABLES_MAX, learn_with, support,
@@ -16,6 +16,7 @@ use numpy::{IntoPyArray, PyArray1, PyArray2, PyReadonlyArray1, PyReadonlyArray2}
 use pyo3::exceptions::PyValueError;
 use pyo3::prelude::*;
 use std::fs::File;
+use std::io::ErrorKind;
 use std::path::PathBuf;
 use std::sync::Arc;
 
@@ -198,7 +199,11 @@ type StepArrays<'py> = (
 /// Reads a table of steps. Returns its mode, its split, the hash of its episodes and its atoms, and its columns.
 #[pyfunction]
 fn read_steps(py: Python<'_>, path: PathBuf) -> PyResult<(String, String, String, Vec<String>, StepArrays<'_>)> {
-    let file = File::open(&path)?;
+    let unread = |error: std::io::Error| match error.kind() {
+        ErrorKind::NotFound => read_error(py, &path, &ReadError::NotFound),
+        _ => read_error(py, &path, &ReadError::Io(error.to_string())),
+    };
+    let file = File::open(&path).map_err(unread)?;
     let bytes = py
         .detach(|| read_bytes(file))
         .map_err(|error| read_error(py, &path, &error))?;

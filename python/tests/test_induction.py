@@ -7,6 +7,7 @@ from typing import Any
 
 import numpy as np
 import pytest
+from conftest import needs
 
 import logicity
 
@@ -78,6 +79,7 @@ def test_literals_that_the_examples_leave_open_are_reported(demonstrations: logi
     assert stop.undecided[0] == "IsCar(X)" and "Not(IsOld(X))" not in stop.undecided
     # `.disjoint IsAtInter, IsInInter` decides this literal.
     assert "Not(IsInInter(X))" not in stop.undecided
+    assert stop.notes[-1].startswith("Never seen without IsCar(X)") and f"// {stop.notes[-1][:40]}" in rules.text
     assert rules.report["wrong"] == 0
     assert rules.report["complete"] is True
 
@@ -91,6 +93,68 @@ def test_other_objects_are_episodes() -> None:
     rules = logicity.induce([SimpleNamespace(observations=seen, actions=np.array([1, 3, 1]))], "easy")
     assert [str(clause) for clause in rules.clauses] == ["Stop(X) :- IsAmbulance(X)."]
     assert rules(seen).tolist() == [1, 3, 1]
+
+
+def bodies(rules: logicity.InducedRules) -> list[object]:
+    return [(str(clause), clause.examples, clause.alone, clause.undecided) for clause in rules.clauses]
+
+
+FIXTURE = Path(__file__).parents[2] / "tests/fixtures/easy-steps.parquet"
+
+
+def test_a_table_of_steps_is_a_source(tmp_path: Path) -> None:
+    direct = logicity.induce(logicity.demonstrations("easy", 2))
+    recorded = logicity.induce(FIXTURE)
+    assert bodies(recorded) == bodies(direct)
+    assert "from 2 episodes of easy (train) in easy-steps.parquet." in recorded.text
+    assert bodies(logicity.induce(str(FIXTURE), "easy")) == bodies(direct)
+    with pytest.raises(ValueError, match=r"IsOld\(0\) instead of IsBus\(0\)"):
+        logicity.induce(FIXTURE, "hard")
+    with pytest.raises(FileNotFoundError, match=r"none\.parquet"):
+        logicity.induce(tmp_path / "none.parquet")
+    with pytest.raises(FileNotFoundError, match="neither"):
+        logicity.induce(tmp_path)
+    (tmp_path / "broken.parquet").write_bytes(FIXTURE.read_bytes()[:-9])
+    with pytest.raises(logicity.InputError, match="not a table of steps"):
+        logicity.induce(tmp_path / "broken.parquet")
+
+
+def test_a_written_table_is_a_source(demonstrations: logicity.Demonstrations, tmp_path: Path) -> None:
+    needs("pyarrow", "offline")
+    demonstrations.to_parquet(tmp_path / "steps.parquet")
+    assert bodies(logicity.induce(tmp_path / "steps.parquet")) == bodies(logicity.induce(demonstrations))
+    logicity.demonstrations("easy", 1, observation="state").to_parquet(tmp_path / "state.parquet")
+    with pytest.raises(logicity.InputError, match="groundings"):
+        logicity.induce(tmp_path / "state.parquet")
+
+
+def test_a_minari_dataset_is_a_source(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    minari = needs("minari", "offline")
+    monkeypatch.setenv("MINARI_DATASETS_PATH", str(tmp_path))
+    author = {"author": "A", "author_email": "a@example.org", "code_permalink": "https://example.org"}
+    demonstrations = logicity.demonstrations("easy", 3)
+    dataset = demonstrations.to_minari(**author)
+    expected = bodies(logicity.induce(demonstrations))
+    name = "logicity/spf-easy/oracle-v0"
+    for source in (dataset, name, tmp_path / name, tmp_path / name / "data"):
+        rules = logicity.induce(source)
+        assert bodies(rules) == expected
+        assert f"from 3 episodes of {name}." in rules.text
+    assert bodies(logicity.induce(list(minari.load_dataset(name)), "easy")) == expected
+    logicity.demonstrations("easy", 1, observation="state").to_minari("logicity/state-v0", **author)
+    with pytest.raises(ValueError, match="groundings"):
+        logicity.induce("logicity/state-v0")
+    with pytest.raises(FileNotFoundError, match="none-v0"):
+        logicity.induce("logicity/none-v0")
+
+
+def test_the_options_of_the_environment_are_those_of_the_rules() -> None:
+    # With another vocabulary, an observation has other numbers.
+    overrides = {"rules": "rules/hard.dl"}
+    demonstrations = logicity.demonstrations("easy", 3, overrides=overrides)
+    assert bodies(logicity.induce(demonstrations)) == bodies(
+        logicity.induce(demonstrations[:], "easy", overrides=overrides)
+    )
 
 
 @pytest.mark.parametrize(

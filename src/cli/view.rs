@@ -10,6 +10,7 @@ use crate::page::{Comparison, Page};
 use crate::rng::Seed;
 use crate::sim::hash_sources;
 use indicatif::{ProgressBar, ProgressStyle};
+use serde_json::Value;
 use std::io::Write;
 use std::path::{Path, PathBuf};
 
@@ -103,17 +104,17 @@ pub fn write(
     page.write(out).map_err(|error| unwritable(output, &error))
 }
 
-/// Writes a page of a whole trace that explains its states with other rules.
+/// Writes a page of a whole trace that explains its states with learned rules. `report` is about these.
 pub fn write_with(
     trace: &Path,
-    rules: &Path,
+    (rules, report): (&Path, Value),
     out: &mut Output,
     output: &Path,
     limits: &LimitOptions,
 ) -> Result<(), Failure> {
     let (icons, files) = (IconOptions::default(), [None, Some(rules)]);
     let limits = |trace: &TraceReader, rules: Option<&Path>| trace.limits(rules, limits);
-    let page = load(
+    let mut page = load(
         trace,
         (0, u64::MAX),
         files,
@@ -122,6 +123,7 @@ pub fn write_with(
         &icons,
         &mut Sources::new(),
     )?;
+    page.set_report(report);
     page.write(out).map_err(|error| unwritable(output, &error))
 }
 

@@ -53,6 +53,9 @@ pub struct Page {
     /// The steps of externally controlled agents, with the actions that the rules wanted.
     #[serde(skip_serializing_if = "Vec::is_empty")]
     driven: Vec<Driven>,
+    /// What the examples say about learned rules: the report of `logicity induce`.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    learned: Option<serde_json::Value>,
     #[serde(skip)]
     most: usize,
     /// For each agent, the tick after its last move.
@@ -179,6 +182,7 @@ impl Page {
             deadlocks: Vec::new(),
             deadlock_searches_cut: 0,
             driven: Vec::new(),
+            learned: None,
             most: DECISIONS_MAX,
             still_since: vec![0; count],
             places: Vec::new(),
@@ -193,6 +197,11 @@ impl Page {
     /// Sets a limit other than [`DECISIONS_MAX`].
     pub fn set_limit(&mut self, decisions: usize) {
         self.most = decisions;
+    }
+
+    /// Adds the report about learned rules: the page shows the support of the clauses with its labels.
+    pub fn set_report(&mut self, report: serde_json::Value) {
+        self.learned = Some(report);
     }
 
     /// Adds a tick, which the caller has loaded into `replay`. Ticks must be consecutive.

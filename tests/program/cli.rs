@@ -18,7 +18,7 @@ fn with_input<const N: usize>(arguments: [&str; N], input: &[u8]) -> Output {
     run(&arguments, input)
 }
 
-fn run(arguments: &[&str], input: &[u8]) -> Output {
+pub fn run(arguments: &[&str], input: &[u8]) -> Output {
     let mut process = Command::new(env!("CARGO_BIN_EXE_logicity"))
         .args(arguments)
         .current_dir(env!("CARGO_MANIFEST_DIR"))

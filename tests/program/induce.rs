@@ -1,6 +1,6 @@
 //! `logicity induce`: rules learned from episodes, traces and scenes.
 
-use super::cli::logicity;
+use super::cli::{logicity, run};
 use std::fs;
 use std::path::Path;
 use std::process::{Command, Output};
@@ -342,6 +342,74 @@ fn data_sets_teach_the_labels_of_cars() {
     assert!(
         learned.contains("// Never true in any example: IsPedestrian(X), IsBus(X)"),
         "{learned}"
+    );
+}
+
+/// `logicity.demonstrations("easy", 2).to_parquet(...)` wrote it.
+const STEPS: &str = "tests/fixtures/easy-steps.parquet";
+
+#[test]
+fn tables_of_steps_teach_like_the_episodes() {
+    let clauses = |arguments: &[&str]| -> Vec<String> {
+        let output = run(&[&["induce", "--config", "easy"], arguments].concat(), b"");
+        let text = succeeds(&output);
+        assert!(text.contains("// The rules choose the action of every example.\n"));
+        let lines = text.lines().filter(|line| !line.starts_with("//"));
+        lines.map(str::to_owned).collect()
+    };
+    assert_eq!(clauses(&[STEPS]), clauses(&["--episodes", "2"]));
+    let said = succeeds(&logicity(["induce", STEPS, "--config", "easy"]));
+    assert!(
+        said.contains("the first is easy-steps.parquet, episode 0, step "),
+        "{said}"
+    );
+    // A pipe has no name that ends in `.parquet`.
+    let piped = run(&["induce", "-", "--config", "easy"], &fs::read(STEPS).unwrap());
+    assert_eq!(succeeds(&piped), said.replace("easy-steps.parquet", "-"));
+    let output = logicity(["induce", "--config", "easy", "--test", STEPS, "-o", "/dev/null"]);
+    assert!(
+        text(&output.stdout).contains("accuracy 1.0000"),
+        "{}",
+        text(&output.stdout)
+    );
+}
+
+#[test]
+fn other_tables_and_datasets_are_refused() {
+    let folder = tempfile::tempdir().unwrap();
+    let path = |name: &str| folder.path().join(name).to_str().unwrap().to_owned();
+    let refuses = |name: &str, parts: &[&str]| {
+        let output = logicity(["induce", name, "--config", "easy"]);
+        fails(&output, 1, parts);
+    };
+    fs::write(path("a.parquet"), "no table").unwrap();
+    refuses(
+        &path("a.parquet"),
+        &[
+            "error[invalid-data-set]",
+            "not a table of steps",
+            "a.parquet",
+            "to_parquet",
+        ],
+    );
+    fs::write(path("a.hdf5"), b"\x89HDF\r\n\x1a\n").unwrap();
+    refuses(
+        &path("a.hdf5"),
+        &["error[invalid-data-set]", "Minari", "call `logicity.induce` in Python"],
+    );
+    fs::create_dir_all(path("set/data")).unwrap();
+    fs::write(path("set/data/metadata.json"), "{}").unwrap();
+    refuses(&path("set"), &["Minari", "call `logicity.induce` in Python"]);
+    refuses(&path("set/data"), &["Minari", "call `logicity.induce` in Python"]);
+    let output = logicity(["induce", STEPS, "--config", "hard"]);
+    fails(
+        &output,
+        1,
+        &[
+            "error[rule-mismatch]",
+            "`IsOld(0)` instead of `IsBus(0)`",
+            "of the mode easy",
+        ],
     );
 }
 

@@ -181,7 +181,8 @@ pub fn run(arguments: &Arguments, sources: &mut Sources) -> Result<(), Failure> 
         finish(out, path)?;
     }
     if let Some((mut out, page)) = page_out {
-        view::write_with(&arguments.data[0], path, &mut out, page, &arguments.limits)?;
+        let report = report_json(&task, &learned, &support, &origin);
+        view::write_with(&arguments.data[0], (path, report), &mut out, page, &arguments.limits)?;
         finish(out, page)?;
     }
     let mut written = vec![path.as_path()];

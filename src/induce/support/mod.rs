@@ -120,7 +120,7 @@ pub fn support(examples: &Examples, learned: &Learned, constraints: &Constraints
                 known.examples += count;
                 known.first = known.first.min(first);
             }
-            let lower = held.iter().filter(|&&clause| labels[state] > action_of[clause]);
+            let lower = held.iter().filter(|&&clause| majority(tallies) > action_of[clause]);
             lower.for_each(|&clause| against[clause].push(state));
             for (action, tally) in tallies.iter().enumerate().filter(|(_, tally)| tally.count > 0) {
                 let count = u64::from(tally.count);

@@ -53,7 +53,11 @@ class AgentPanel {
       ),
     ];
     if (driven) parts.push(make("dl", { class: "facts" }, ...this.steering(driven)));
-    parts.push(make("h3", {}, driven ? `Why do the rules want ${data.actions[judged]}?` : `Why ${done}?`));
+    const isWrong = !driven && data.actions[judged] !== done;
+    const wanted = data.actions[judged];
+    if (isWrong)
+      parts.push(make("p", { class: "no" }, `The example has ${done}, but the learned rules choose ${wanted}.`));
+    parts.push(make("h3", {}, driven || isWrong ? `Why do the rules want ${wanted}?` : `Why ${done}?`));
     if (!run.isExplained(tick, agent)) {
       parts.push(make("p", { class: "atoms" }, "loading the explanations …"));
     } else {
@@ -188,11 +192,16 @@ class AgentPanel {
 
   clauseLink(clause) {
     const { doc, file, line, text } = this.data.clauses[clause];
-    return make(
-      "span",
-      { class: "clause", title: text },
-      `${(doc || text).split("\n")[0]}  [${fileName(file)}:${line}]`,
-    );
+    const name = doc ? this.run.title(clause) : text.split("\n")[0];
+    const shown = `${name}  [${fileName(file)}:${line}]`;
+    // The page of a running city lists no clauses.
+    if (!this.data.firings?.[clause]?.[1]) return make("span", { class: "clause", title: text }, shown);
+    const onclick = (event) => {
+      event.preventDefault();
+      this.page.choose({ clause, of: this.number });
+    };
+    const href = `#${new URLSearchParams({ clause: this.run.label(clause) })}`;
+    return make("a", { href, class: "clause", title: "show all firings", onclick }, shown);
   }
 
   /** Returns the proof of a node, or why it does not hold. Expands each node only once. */

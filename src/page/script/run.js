@@ -9,6 +9,8 @@ class Run {
     this.names = new Map(data.agents.map((agent, index) => [agent.id, index]));
     /** The steps of driven agents, by tick. */
     this.steered = Map.groupBy(data.driven ?? [], ({ tick }) => tick);
+    /** What the examples say about learned clauses, by label. */
+    this.support = new Map(data.learned?.clauses.map((clause) => [clause.label, clause]));
   }
 
   action(tick, agent) {
@@ -43,8 +45,11 @@ class Run {
     return this.data.clauses[clause].label;
   }
 
-  /** Returns the first line of a clause's comment, or its label. */
+  /** Returns the label and the body of a learned clause, and the first line of the comment of another one, or else its
+   *  label. */
   title(clause) {
+    const support = this.support.get(this.label(clause));
+    if (support) return `${support.label}: ${support.body.join(", ") || "true"}`;
     return (this.data.clauses[clause].doc || this.label(clause)).split("\n")[0];
   }
 
@@ -66,9 +71,16 @@ class Run {
     return this.steered.get(tick)?.find((one) => one.agent === agent);
   }
 
-  /** Returns the action to explain first: the one taken, or for a driven agent the one that the rules wanted. */
+  /** Returns the action to explain first: the one taken, or the one that the rules wanted for a driven agent, or the one
+   *  that learned rules choose. */
   byRules(tick, agent) {
-    return this.driven(tick, agent)?.wanted ?? this.act(tick, agent);
+    return this.driven(tick, agent)?.wanted ?? this.learnedAction(tick, agent) ?? this.act(tick, agent);
+  }
+
+  /** Returns the action that learned rules choose; `undefined` if the rules are not learned. */
+  learnedAction(tick, agent) {
+    const { learned, actions } = this.data;
+    return learned && actions.indexOf(this.derived(tick, agent)[0] ?? learned.default);
   }
 
   /** Returns the titles of the clauses that fired for an agent. */

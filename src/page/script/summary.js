@@ -22,9 +22,15 @@ class Summary {
     const { data } = this;
     if (this.page.difference)
       this.element("clauses-title").textContent = this.named(`clauses of ${fileName(data.rules)}`);
+    if (data.learned) {
+      const [first, ...notes] = data.learned.notes;
+      const all = make("details", {}, make("summary", {}, `Learned from ${first}`), make("ul", { class: "notes" }));
+      all.lastChild.append(...notes.map((note) => make("li", {}, note)));
+      this.element("filter").before(all);
+    }
     for (let clause = 0; clause < data.counted; clause += 1) {
-      const { head, doc, text } = data.clauses[clause];
-      const title = (doc || text).split("\n")[0];
+      const { head, doc, text, label } = data.clauses[clause];
+      const title = doc ? this.run.title(clause) : text.split("\n")[0];
       const [all, decides] = data.firings[clause];
       // Beside a shorter run, firings in later ticks do not count.
       const count = decides && this.run.count < data.count ? this.run.firingsOf(clause).length : all;
@@ -36,11 +42,48 @@ class Summary {
         { "data-clause": clause, "data-decides": decides },
         make("td", {}, String(count)),
         make("td", {}, make("span", { class: "swatch", style: `background:${COLORS[head] ?? "var(--faint)"}` }), head),
-        make("td", {}, decides ? make("button", { type: "button", title: "show all firings" }, title) : title),
+        make(
+          "td",
+          {},
+          decides ? make("button", { type: "button", title: "show all firings" }, title) : title,
+          this.coverage(label),
+        ),
       );
       if (decides) row.addEventListener("click", choose);
       this.element("clauses").append(row);
     }
+  }
+
+  /** Returns a bar for the share of the examples of its action that a learned clause explains, alone and with others. */
+  coverage(label) {
+    const support = this.run.support.get(label);
+    if (!support) return null;
+    const { examples } = this.data.learned.actions.find(({ action }) => action === support.action);
+    const part = (count, name) => make("span", { class: name, style: `width:${(100 * count) / Math.max(examples, 1)}%` });
+    const color = COLORS[support.action] ?? "var(--faint)";
+    return make(
+      "span",
+      { class: "coverage", title: this.explains(support), style: `color:${color}` },
+      part(support.alone, "alone"),
+      part(support.examples - support.alone, "shared"),
+    );
+  }
+
+  /** Returns how many examples a learned clause explains. */
+  explains({ action, examples, alone }) {
+    const all = this.data.learned.actions.find((rules) => rules.action === action).examples;
+    return `explains ${examples} of ${all} examples of ${action}, ${alone} alone`;
+  }
+
+  /** Returns what the examples say about a learned clause. */
+  supportOf(label) {
+    const support = this.run.support.get(label);
+    if (!support) return [];
+    const first = support.first ? `; the first of these is ${support.first}` : "";
+    return [
+      make("div", { class: "explains" }, this.explains(support) + first),
+      make("ul", { class: "notes" }, ...support.notes.map((note) => make("li", {}, note))),
+    ];
   }
 
   isChosen(clause) {
@@ -112,14 +155,29 @@ class Summary {
     }
   }
 
+  /** Scrolls the list to the clause that decides for the chosen agent. */
+  showDeciding() {
+    const row = this.element("clauses").querySelector("[data-deciding]");
+    const box = this.element("clause-box");
+    if (!row || this.now.playing || box.scrollHeight <= box.clientHeight) return;
+    const top = row.getBoundingClientRect().top - box.getBoundingClientRect().top;
+    if (top < 0 || top + row.offsetHeight > box.clientHeight) box.scrollTop += top - box.clientHeight / 3;
+  }
+
   /** Shows the chosen clause and its firings. */
   fillFilter() {
     const { clause, tick, agent } = this.now;
     const filter = this.element("filter");
-    for (const row of this.element("clauses").rows)
+    const deciding = agent < 0 ? [] : this.run.fired(tick, agent);
+    for (const row of this.element("clauses").rows) {
       row.setAttribute("aria-selected", this.isChosen(Number(row.dataset.clause)));
+      row.toggleAttribute("data-deciding", deciding.includes(Number(row.dataset.clause)));
+    }
     filter.hidden = !this.isChosen(clause) || clause < 0;
-    if (filter.hidden) return;
+    if (filter.hidden) {
+      this.showDeciding();
+      return;
+    }
     const { label, file, line, text } = this.data.clauses[clause];
     const all = this.run.firingsOf(clause);
     const at = all.findIndex(([t, a]) => t === tick && a === agent);
@@ -143,6 +201,7 @@ class Summary {
         make("button", { type: "button", onclick: () => this.page.choose({ clause: -1 }) }, "all clauses"),
       ),
       make("pre", {}, text),
+      ...this.supportOf(label),
       make("div", { class: "clause" }, `${file}:${line}`),
     );
   }

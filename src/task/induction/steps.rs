@@ -262,17 +262,14 @@ mod tests {
         };
         refused(b"PAR1".to_vec(), "not a table of steps");
         refused(table(&rows, &KEYS, true), "values are missing");
-        for left_out in 0..KEYS.len() {
+        for (left_out, (name, _)) in KEYS.iter().enumerate() {
             let keys: Vec<_> = KEYS
                 .iter()
                 .enumerate()
                 .filter(|(at, _)| *at != left_out)
                 .map(|(_, pair)| *pair)
                 .collect();
-            refused(
-                table(&rows, &keys, false),
-                &format!("no metadata `{}`", KEYS[left_out].0),
-            );
+            refused(table(&rows, &keys, false), &format!("no metadata `{name}`"));
         }
         let with =
             |key: &str, value: &'static str| KEYS.map(|(known, old)| (known, if known == key { value } else { old }));

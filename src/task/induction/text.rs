@@ -78,11 +78,16 @@ pub fn rule_file(
         }
         for (number, (clause, support)) in rules.clauses.iter().zip(clauses.by_ref()).enumerate() {
             text.push('\n');
-            comment(
-                &mut text,
-                "/// ",
-                &format!("{}{}: {}", names[action], number + 1, explains(support, origin)),
-            );
+            let label = label(names[action], number);
+            comment(&mut text, "/// ", &format!("{label}: {}", explains(support)));
+            if let Some(first) = support.first {
+                let place = origin.describe(first);
+                comment(
+                    &mut text,
+                    "/// ",
+                    &format!("The first example that it alone explains is {place}."),
+                );
+            }
             let mut literals: Vec<String> = names[..action].iter().map(|name| format!("Not({name}(X))")).collect();
             literals.extend(clause.body.texts(task.vocabulary()));
             if clause.body.0.is_empty() && task.vocabulary().guard().is_none() {
@@ -279,21 +284,18 @@ fn builtin_name<'a>(name: &'a str, text: &str) -> Option<&'a str> {
     (builtin::text(&format!("rules/{last}")) == Some(text)).then_some(last)
 }
 
+/// Returns the name of a clause: its action and its position among the clauses of this action.
+fn label(action: &str, position: usize) -> String {
+    format!("{action}{}", position + 1)
+}
+
 /// Returns how many examples a clause explains.
-fn explains(support: &ClauseSupport, origin: &Origin) -> String {
-    let mut text = format!("explains {}", plural(support.examples, "example", "examples"));
-    match support.first {
-        Some(first) => {
-            let _ = write!(
-                text,
-                ", {} alone; the first is {}",
-                support.alone,
-                origin.describe(first)
-            );
-        }
-        None => text.push_str(", none alone"),
+fn explains(support: &ClauseSupport) -> String {
+    let examples = plural(support.examples, "example", "examples");
+    match support.alone {
+        0 => format!("explains {examples}, none alone"),
+        alone => format!("explains {examples}, {alone} alone"),
     }
-    text
 }
 
 /// Returns sentences about what the examples do not show of a clause.
@@ -308,8 +310,10 @@ fn doubts(clause: &LearnedClause, support: &ClauseSupport, vocabulary: &Vocabula
             plural(support.outranked, "example", "examples")
         ));
     }
-    if support.alone < FEW {
-        lines.push(format!("Few examples: it alone explains {}.", support.alone));
+    match support.alone {
+        0 => lines.push("Few examples: other clauses explain all of them, too.".to_owned()),
+        alone if alone < FEW => lines.push(format!("Few examples: it alone explains {alone}.")),
+        _ => {}
     }
     if support.against > 0 {
         lines.push(format!(
@@ -369,17 +373,16 @@ pub fn report_json(task: &InductionTask, learned: &Learned, support: &Support, o
             .map(|literal| literal.text(vocabulary))
             .collect::<Vec<_>>()
     };
-    let clauses = learned
-        .actions
-        .iter()
-        .flat_map(|rules| &rules.clauses)
+    let clauses = (learned.actions.iter())
+        .flat_map(|rules| rules.clauses.iter().enumerate())
         .zip(&support.clauses)
-        .map(|(clause, support)| {
+        .map(|((position, clause), support)| {
             let alternatives: Vec<Value> = (support.alternatives.iter())
                 .map(|(own, other)| json!([own.text(vocabulary), other.text(vocabulary)]))
                 .collect();
             json!({
                 "action": names[support.action],
+                "label": label(names[support.action], position),
                 "body": clause.body.texts(vocabulary),
                 "examples": support.examples,
                 "states": support.states,
@@ -391,6 +394,7 @@ pub fn report_json(task: &InductionTask, learned: &Learned, support: &Support, o
                 "is_best": clause.is_best,
                 "undecided": texts(&support.undecided),
                 "alternatives": alternatives,
+                "notes": doubts(clause, support, vocabulary),
             })
         });
     let actions = learned.actions.iter().enumerate().map(|(action, rules)| {
@@ -412,6 +416,7 @@ pub fn report_json(task: &InductionTask, learned: &Learned, support: &Support, o
     });
     json!({
         "origin": origin.lines,
+        "notes": summary(task, learned, support, origin),
         "examples": support.examples,
         "states": support.states,
         "default": names.last(),
