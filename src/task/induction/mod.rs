@@ -7,7 +7,7 @@ mod codes;
 mod recalls;
 mod text;
 
-pub use ask::{Asked, Inquiry, LOG_START, LogReader, OracleError, Questions, RuleOracle, begins_log, check_log_header};
+pub use ask::{Asked, Inquiry, LOG_START, LogError, OracleError, Questions, RuleOracle};
 pub use codes::{CATALOG, CODES};
 pub use recalls::Recalls;
 pub use text::{Origin, report_json, rule_file};
