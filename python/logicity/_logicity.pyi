@@ -268,7 +268,8 @@ def induce(
     seed: int,
     threads: int,
     noise: float | None,
-) -> LearnedRules: ...
+    ask: tuple[Any, str, str, int, int, tuple[int, int] | None, _Path | None] | None,
+) -> tuple[LearnedRules, BaseException | None]: ...
 def restore_rules(
     task: Task,
     order: list[str],
