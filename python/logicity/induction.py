@@ -1,8 +1,8 @@
 """Rules learned from demonstrations and questions. Needs the extra `gym` for `demonstrations`.
 
 `induce` finds clauses that explain the action of every demonstrated step, and can ask an oracle about scenes that no
-demonstration shows. The result is a rule file, a policy, and a report about what the demonstrations and answers show and
-what they leave open.
+demonstration shows. The result is a rule file, a policy, and a report about what demonstrations and answers show and
+leave open.
 """
 
 from __future__ import annotations

