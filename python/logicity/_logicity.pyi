@@ -270,7 +270,8 @@ def induce(
     seed: int,
     threads: int,
     noise: float | None,
-) -> LearnedRules: ...
+    ask: tuple[Any, str, str, int, int, tuple[int, int] | None, _Path | None] | None,
+) -> tuple[LearnedRules, BaseException | None]: ...
 def read_steps(
     path: _Path,
 ) -> tuple[

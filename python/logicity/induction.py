@@ -1,13 +1,14 @@
-"""Rules learned from demonstrations. Needs the extra `gym` for `demonstrations`.
+"""Rules learned from demonstrations and questions. Needs the extra `gym` for `demonstrations`.
 
-`induce` finds clauses that explain the action of every demonstrated step. The result is a rule file, a policy, and a
-report about what the demonstrations show and what they leave open.
+`induce` finds clauses that explain the action of every demonstrated step, and can ask an oracle about scenes that no
+demonstration shows. The result is a rule file, a policy, and a report about what demonstrations and answers show and
+leave open.
 """
 
 from __future__ import annotations
 
 import os
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass, field
 from itertools import zip_longest
 from numbers import Real
@@ -20,12 +21,13 @@ from numpy.typing import ArrayLike, NDArray
 from . import _logicity
 from .city import ACTIONS
 from .describe import atoms_of
-from .errors import checked_integer, missing_extra
+from .errors import checked_integer, checked_path, missing_extra
 from .evaluation import load_task
 from .files import replacing
 from .modes import checked_mode
 from .offline import Demonstrations
 from .rules import Program
+from .types import SymbolicScene
 
 if TYPE_CHECKING:
     import gymnasium
@@ -191,7 +193,7 @@ class _Source:
 
 
 def induce(
-    demonstrations: Demonstrations | MinariDataset | str | os.PathLike[str] | Iterable[Episode],
+    demonstrations: Demonstrations | MinariDataset | str | os.PathLike[str] | Iterable[Episode] = (),
     mode: str | os.PathLike[str] | None = None,
     *,
     order: Sequence[str] = ("Stop", "Slow", "Fast"),
@@ -202,11 +204,16 @@ def induce(
     threads: SupportsIndex = 0,
     rules: str | os.PathLike[str] | None = None,
     overrides: Mapping[str, Any] | None = None,
+    ask: Callable[[SymbolicScene], str] | str | os.PathLike[str] | None = None,
+    questions: SupportsIndex | None = None,
+    agreements: SupportsIndex = 200,
+    sweep: tuple[SupportsIndex, SupportsIndex] | None = None,
+    log: str | os.PathLike[str] | None = None,
 ) -> InducedRules:
-    """Learn rules from demonstrations.
+    """Learn rules from demonstrations, from questions to an oracle, or from both.
 
-    The learner sees the observations and the actions, but no clause of the rules. The same arguments give the same
-    rules on any number of threads.
+    The learner sees the observations and the actions, but no clause of the rules. The same arguments and the same
+    answers give the same rules on any number of threads.
 
     Args:
         demonstrations: `Demonstrations`; a Minari dataset, its name, or its folder; a Parquet table of
@@ -226,17 +233,28 @@ def induce(
         rules: A rule file to use instead of the configuration's, for its declarations. The default is that of the
             demonstrations, if they name one.
         overrides: Changes of the configuration, as in `gymnasium.make`. The default is that of the demonstrations.
+        ask: The oracle: a function that takes a scene, as `infer` does, and returns the name of the ego's action, or
+            the path of a rule file whose clauses the learner does not see. `noise` must be None.
+        questions: The largest number of questions, those of an earlier run in the log included. None is 10 million.
+        agreements: The questions end when the rules agree with the oracle on this many random scenes in a row.
+        sweep: Then all scenes of at most this many facts and entities are asked, for example `(3, 2)`: a certificate.
+            Facts that follow from others and facts of `.covering` predicates do not count.
+        log: A file to which each question is added at once with its answer. The same call with an existing log
+            continues where it stopped. A log of other questions is an error. Functions are known by their names.
 
     Returns:
-        The rules.
+        The rules. `report["questions"]` describes the questions and the certificate.
 
     Raises:
+        BaseException: Any exception of `ask`. Its attribute `rules` has the rules learned so far, as have
+            `KeyboardInterrupt` and the exceptions for a faulty oracle.
         ImportError: If Minari is not installed. The extra `offline` installs it: `pip install './python[offline]'`.
-        InputError: If the configuration or an option is invalid, or two examples have the same facts and different
-            actions.
-        OSError: If a file cannot be read.
-        TypeError: If an argument has a wrong type.
-        ValueError: If an argument is out of range, there are no demonstrations, or their shapes do not fit.
+        InputError: If the configuration or an option is invalid, two examples have the same facts and different
+            actions, the oracle contradicts itself or an example, or no rules agree with all its answers.
+        OSError: If a file cannot be read or written.
+        TypeError: If an argument or an answer has a wrong type.
+        ValueError: If an argument is out of range, an answer is not an action, the shapes of demonstrations do not fit,
+            there are neither demonstrations nor an oracle, or the log has other questions.
     """
     limits = {
         "variables": (2, _logicity.VARIABLES_MAX),
@@ -246,6 +264,10 @@ def induce(
     given = {"variables": variables, "effort": effort, "threads": threads}
     checked = {name: checked_integer(name, value, *limits[name]) for name, value in given.items()}
     checked_seed = checked_integer("seed", seed)
+    if ask is None and (questions, sweep, log) != (None, None, None):
+        raise ValueError("questions, sweep and log need an oracle: `ask`")
+    if ask is not None and noise is not None:
+        raise ValueError("noise: expected None, because the answers of an oracle are exact")
     if noise is not None and noise != "auto":
         message = f"noise: expected a number from 0 to {_logicity.NOISE_MAX}, auto or None, not {noise!r}"
         if not isinstance(noise, (Real, str)) or isinstance(noise, bool):
@@ -261,26 +283,47 @@ def induce(
     if source.mode == name:
         rules = source.options.get("rules") if rules is None else rules
         overrides = source.options.get("overrides") if overrides is None else overrides
-    observations, actions, parts = _stacked(source.episodes)
     task = load_task(mode, rules, overrides)
     _check_atoms(source, task, name)
-    title = source.title or f"for {name}"
-    first = f"Rules learned by logicity {_logicity.__version__} from {len(parts)} episodes {title}."
-    return InducedRules(
-        _logicity.induce(
-            task,
-            observations,
-            actions,
-            parts,
-            [first, *source.lines],
-            list(order),
-            checked["variables"],
-            checked["effort"],
-            checked_seed,
-            checked["threads"],
-            rate,
+    width = None if ask is None else task.shape("groundings")[0]
+    observations, actions, parts = _stacked(source.episodes, width)
+    origin = f"{len(parts)} episodes {source.title or f'for {name}'}" if parts else f"questions about scenes of {name}"
+    lines = [f"Rules learned by logicity {_logicity.__version__} from {origin}.", *source.lines]
+    asking = None
+    if ask is not None:
+        facts, entities = (None, None) if sweep is None else sweep
+        asking = (
+            *_oracle(ask, mode, overrides),
+            checked_integer("questions", 10_000_000 if questions is None else questions),
+            checked_integer("agreements", agreements),
+            None
+            if facts is None or entities is None
+            else (checked_integer("sweep", facts, 0, 1000), checked_integer("sweep", entities, 1, 5)),
+            None if log is None else checked_path("log", log),
         )
+    learned, fault = _logicity.induce(
+        task,
+        observations,
+        actions,
+        parts,
+        lines,
+        list(order),
+        checked["variables"],
+        checked["effort"],
+        checked_seed,
+        checked["threads"],
+        rate,
+        asking,
     )
+    induced = InducedRules(learned)
+    if fault is not None:
+        # Typed as `Any`: exceptions take further attributes.
+        annotated: Any = fault
+        annotated.rules = induced
+        if hasattr(fault, "add_note"):
+            fault.add_note("The rules learned before are in the attribute `rules` of this exception.")
+        raise fault
+    return induced
 
 
 def _source(demonstrations: Any) -> _Source:
@@ -360,8 +403,26 @@ def _check_atoms(source: _Source, task: _logicity.Task, name: str) -> None:
             )
 
 
-def _stacked(episodes: Iterable[Episode]) -> tuple[NDArray[np.float32], NDArray[np.int64], list[tuple[int, str]]]:
-    """Return the steps of all episodes in one array, and the first step of each."""
+def _oracle(
+    ask: Callable[[SymbolicScene], str] | str | os.PathLike[str],
+    mode: str | os.PathLike[str],
+    overrides: Mapping[str, Any] | None,
+) -> tuple[Any, str, str]:
+    """Return the oracle, what identifies it in a log, and its name in reports."""
+    if callable(ask):
+        kind = ask if hasattr(ask, "__qualname__") else type(ask)
+        return ask, f"function {kind.__module__}.{kind.__qualname__}", "a function"
+    path = checked_path("ask", ask)
+    return load_task(mode, path, overrides), "", f"the rules in {os.path.basename(path)}"
+
+
+def _stacked(
+    episodes: Iterable[Episode], width: int | None
+) -> tuple[NDArray[np.float32], NDArray[np.int64], list[tuple[int, str]]]:
+    """Return the steps of all episodes in one array, and the first step of each.
+
+    There may be no steps if the width of observations is known.
+    """
     observations: list[NDArray[np.float32]] = []
     actions: list[NDArray[np.int64]] = []
     parts: list[tuple[int, str]] = []
@@ -383,8 +444,10 @@ def _stacked(episodes: Iterable[Episode]) -> tuple[NDArray[np.float32], NDArray[
         observations.append(seen[: len(taken)])
         actions.append(taken.astype(np.int64))
         count += len(taken)
-    if count == 0:
+    if count == 0 and width is None:
         raise ValueError("no demonstrations: expected at least one step")
+    if count == 0:
+        return np.zeros((0, width or 0), np.float32), np.zeros(0, np.int64), []
     if len({array.shape[1] for array in observations}) > 1:
         raise ValueError("the observations of the episodes have different lengths")
     return np.concatenate(observations), np.concatenate(actions), parts

@@ -113,6 +113,10 @@ class SymbolicScene(TypedDict):
     entities: list[str]
     ego: str
     facts: NotRequired[dict[str, list[Any]]]
+    actions: NotRequired[dict[str, Action]]
+    """The actions that entities took, for learners."""
+    reason: NotRequired[str]
+    """Why a learner asked for the scene."""
 
 
 class EgoAnswer(TypedDict):

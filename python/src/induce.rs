@@ -5,19 +5,24 @@ use crate::task::PyTask;
 use crate::{Signals, input_error, read_error, threads_of, to_python};
 use logicity::city::Action;
 use logicity::diag::{Diagnostic, Sources};
-use logicity::files::{ReadError, read_bytes};
+use logicity::files::{Journal, ReadError, read_bytes};
+use logicity::induce::ask::Bound as SweepBound;
 use logicity::induce::{
     ActionRules, Atom, Body, Examples, Learned, LearnedClause, Literal, NOISE_MAX, Noise, Settings, State,
     VARIABLES_MAX, learn_with, support,
 };
-use logicity::task::induction::{InductionTask, Origin, Steps, report_json, rule_file};
+use logicity::rng::Seed;
+use logicity::sim::{Executor, Inference, hash_sources};
+use logicity::task::induction::{
+    Asked, InductionTask, Inquiry, LogError, OracleError, Origin, RuleOracle, Steps, report_json, rule_file,
+};
 use numpy::ndarray::Array2;
 use numpy::{IntoPyArray, PyArray1, PyArray2, PyReadonlyArray1, PyReadonlyArray2};
-use pyo3::exceptions::PyValueError;
+use pyo3::exceptions::{PyKeyboardInterrupt, PyOSError, PyTypeError, PyValueError};
 use pyo3::prelude::*;
 use std::fs::File;
 use std::io::ErrorKind;
-use std::path::PathBuf;
+use std::path::{Path, PathBuf};
 use std::sync::Arc;
 
 pub fn register(module: &Bound<'_, PyModule>) -> PyResult<()> {
@@ -242,10 +247,25 @@ fn read_steps(py: Python<'_>, path: PathBuf) -> PyResult<(String, String, String
     Ok((mode, split, episodes_hash, atoms, columns))
 }
 
+/// What to ask: the oracle, its identity and its name in reports, the limit of questions, the number of agreements, the
+/// numbers of facts and entities of the sweep, and the log. The oracle is a task with rules, or a function from scenes to
+/// names of actions.
+type Asking = (
+    Py<PyAny>,
+    String,
+    String,
+    usize,
+    usize,
+    Option<(usize, usize)>,
+    Option<PathBuf>,
+);
+
 /// Learns rules from observations and actions. `parts` are the numbers of the first examples of each episode, with its
 /// name; `lines` are sentences about the source. `noise` is the share of wrong actions, NaN to estimate it.
+///
+/// Returns the rules and, if an oracle failed, the exception. The rules are then those learned before.
 #[pyfunction]
-#[pyo3(signature = (task, observations, actions, parts, lines, order, variables, effort, seed, threads, noise))]
+#[pyo3(signature = (task, observations, actions, parts, lines, order, variables, effort, seed, threads, noise, ask))]
 #[allow(clippy::too_many_arguments)]
 fn induce(
     py: Python<'_>,
@@ -260,7 +280,8 @@ fn induce(
     seed: u64,
     threads: usize,
     noise: Option<f64>,
-) -> PyResult<PyLearnedRules> {
+    ask: Option<Asking>,
+) -> PyResult<(PyLearnedRules, Option<Py<PyAny>>)> {
     let shared = task.get();
     let shape = shape_of(shared);
     let learning = induction_task(shared, &order)?;
@@ -296,19 +317,137 @@ fn induce(
     };
     origin.lines.push(learning.describe(&settings));
     let signals = Signals::new();
-    let cancel = signals.cancel();
-    let (learned, support) = signals.detach(py, || {
-        let learned = learn_with(&examples, &settings, &|_| (), &cancel);
-        let support = support(&examples, &learned, &learning.constraints());
-        (learned, support)
-    })?;
+    let mut failed: Option<PyErr> = None;
+    let (learned, examples, questions) = match ask {
+        None => {
+            let cancel = signals.cancel();
+            let learned = signals.detach(py, || learn_with(&examples, &settings, &|_| (), &cancel))?;
+            (learned, examples, None)
+        }
+        Some(asking) => {
+            let inquiry = Inquiry::new(examples, settings, seed);
+            let (asked, error) = ask_oracle(py, &learning, inquiry, asking, &signals)?;
+            asked.questions.name_answers(&asked.examples, &mut origin);
+            origin.lines.extend(asked.questions.lines());
+            failed = error.or_else(|| fault(py, shared, &learning, &asked, &origin));
+            (asked.learned, asked.examples, Some(asked.questions))
+        }
+    };
+    let support = py.detach(|| support(&examples, &learned, &learning.constraints()));
     let (sources, rule_files) = shared.rule_texts();
-    Ok(PyLearnedRules {
+    let mut report = report_json(&learning, &learned, &support, &origin);
+    if let Some(questions) = &questions {
+        report["questions"] = questions.json();
+    }
+    let rules = PyLearnedRules {
         shared: task.clone().unbind(),
         text: rule_file(&learning, &learned, &support, &origin, (&sources, rule_files)),
-        report: report_json(&learning, &learned, &support, &origin),
+        report,
         learned,
         task: learning,
         shape,
+    };
+    Ok((rules, failed.map(|error| error.into_value(py).into_any())))
+}
+
+/// Learns from questions. Returns the exception that the oracle, or a signal handler, raised.
+fn ask_oracle(
+    py: Python<'_>,
+    task: &InductionTask,
+    mut inquiry: Inquiry,
+    (oracle, identity, name, questions, agreements, sweep, log): Asking,
+    signals: &Arc<Signals>,
+) -> PyResult<(Asked, Option<PyErr>)> {
+    inquiry.oracle = name;
+    inquiry.asking.questions = questions;
+    inquiry.asking.agreements = agreements;
+    inquiry.asking.sweep = sweep.map(|(facts, entities)| SweepBound { facts, entities });
+    let rules = match oracle.bind(py).cast::<PyTask>() {
+        Ok(hidden) => Some(rule_oracle(py, hidden.get(), task)?),
+        Err(_) => None,
+    };
+    let identity = match &rules {
+        Some((_, hash)) => format!("rules {}", hash.chars().take(12).collect::<String>()),
+        None => identity,
+    };
+    let mut log = match log {
+        Some(path) => {
+            let unusable = |error| log_error(py, error, &path);
+            let mut log = Journal::open(&path).map_err(|error| unusable(LogError::Io(error)))?;
+            inquiry.answers =
+                (task.resume(&inquiry, &identity, &mut log, &path.display().to_string())).map_err(unusable)?;
+            Some(log)
+        }
+        None => None,
+    };
+    let cancel = signals.cancel();
+    let mut raised: Option<PyErr> = None;
+    let mut asked: Option<Asked> = None;
+    let ended = signals.detach(py, || {
+        let mut answer = |state: &State| match &rules {
+            Some((rules, _)) => rules.action(state, &cancel),
+            None => {
+                let called = Python::attach(|py| call(py, &oracle, task, state));
+                let action = called.map_err(|error| {
+                    raised = Some(error);
+                    OracleError::Silent("the function raised an exception".to_owned())
+                })?;
+                task.answered_action(action)
+            }
+        };
+        asked = Some(task.ask(inquiry, &mut answer, log.as_mut(), &mut |_| {}, &cancel));
+    });
+    let asked = asked.expect("`detach` runs the work");
+    let error = raised.or(ended.err());
+    Ok((asked, error))
+}
+
+/// Returns the oracle that follows the rules of a task, and their hash.
+fn rule_oracle<'a>(py: Python<'_>, hidden: &PyTask, task: &'a InductionTask) -> PyResult<(RuleOracle<'a>, String)> {
+    let world = hidden.task.world();
+    let (sources, rule_files) = hidden.rule_texts();
+    let no_maps = |_: &Path| Err(ReadError::NotFound);
+    let (scenario, program) = (world.scenario.clone(), world.program.clone());
+    let inference = Inference::new(scenario, program, Seed(0), Executor::Auto, no_maps);
+    let mut inference = inference.map_err(|faults| input_error(py, &faults, &sources))?;
+    inference.set_limits(world.limits);
+    inference.name_clauses(&sources);
+    let oracle = RuleOracle::new(task, inference).map_err(|fault| hidden.error(py, fault))?;
+    Ok((oracle, hash_sources(&sources, rule_files)))
+}
+
+/// Calls a function with a scene and returns the action that it names.
+fn call(py: Python<'_>, oracle: &Py<PyAny>, task: &InductionTask, state: &State) -> PyResult<Action> {
+    let answer = oracle.bind(py).call1((to_python(py, &task.scene(state))?,))?;
+    let name: String = answer.extract().map_err(|_| {
+        let kind = answer
+            .get_type()
+            .name()
+            .map_or_else(|_| "it".to_owned(), |name| name.to_string());
+        PyTypeError::new_err(format!(
+            "ask: expected a function that returns the name of an action, not {kind}"
+        ))
+    })?;
+    one_of("the answer to a question", &name, &Action::ALL, Action::name)
+}
+
+/// Returns the exception for an oracle that failed.
+fn fault(py: Python<'_>, shared: &PyTask, task: &InductionTask, asked: &Asked, origin: &Origin) -> Option<PyErr> {
+    let error = asked.questions.check(task, &asked.examples, origin).err()?;
+    Some(match error {
+        OracleError::Invalid(fault) => shared.error(py, *fault),
+        OracleError::Log(_) => PyOSError::new_err(error.to_string()),
+        OracleError::Silent(text) => PyOSError::new_err(text),
+        OracleError::Cancelled => PyKeyboardInterrupt::new_err(()),
     })
+}
+
+/// Returns the exception for a log that cannot be continued.
+fn log_error(py: Python<'_>, error: LogError, path: &Path) -> PyErr {
+    let path = path.display();
+    match error {
+        LogError::Other(what) => PyValueError::new_err(format!("log: `{path}` {what}; choose another file")),
+        LogError::Faults(faults, sources) => input_error(py, &faults, &sources),
+        LogError::Io(error) => PyOSError::new_err(format!("cannot use `{path}` as a log: {error}")),
+    }
 }

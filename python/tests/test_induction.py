@@ -1,6 +1,9 @@
-"""Rules learned from demonstrations."""
+"""Rules learned from demonstrations and questions."""
 
+import json
 import pickle
+import subprocess
+import sys
 from pathlib import Path
 from types import SimpleNamespace
 from typing import Any
@@ -182,6 +185,141 @@ def test_the_options_of_the_environment_are_those_of_the_rules() -> None:
 def test_bad_arguments(arguments: Any, options: Any, error: type[Exception], message: str) -> None:
     with pytest.raises(error, match=message):
         logicity.induce(*arguments, **options)
+
+
+def ambulance(scene: logicity.SymbolicScene) -> str:
+    return "Stop" if "IsAmbulance" in scene["facts"] else "Normal"
+
+
+def test_functions_and_rule_files_are_oracles(tmp_path: Path) -> None:
+    asked: list[logicity.SymbolicScene] = []
+
+    def oracle(scene: logicity.SymbolicScene) -> str:
+        asked.append(scene)
+        answer = logicity.infer(scene, "easy")
+        return answer["egos"][scene["ego"]]["action"]
+
+    options: Any = {"agreements": 30, "questions": 500, "sweep": (1, 2)}
+    rules = logicity.induce([], "easy", ask=oracle, **options)
+    questions = rules.report["questions"]
+    assert (questions["end"], questions["asked"]) == ("certified", len(asked))
+    assert questions["certificate"] == {"facts": 1, "entities": 2, "scenes": 57}
+    assert "// Certificate: " in rules.text
+    assert rules.text.startswith(
+        f"// Rules learned by logicity {logicity.__version__} from questions about scenes of easy."
+    )
+    same = logicity.induce(mode="easy", ask="rules/easy.dl", **options)
+    assert [str(clause) for clause in same.clauses] == [str(clause) for clause in rules.clauses]
+    # Before the certificate, lines are wrapped at other places.
+    assert same.text.partition("// Certificate")[2] == rules.text.partition("// Certificate")[2]
+    assert same.report["questions"] == {**questions, "oracle": "the rules in easy.dl"}
+    learned = tmp_path / "learned.dl"
+    rules.save(learned)
+    command = [sys.executable, "-m", "logicity", "diff", str(learned), "rules/easy.dl"]
+    assert "equivalent: proved" in subprocess.run(command, check=True, capture_output=True, text=True).stdout
+    restored = pickle.loads(pickle.dumps(rules))
+    assert (restored.text, restored.report) == (rules.text, rules.report)
+
+
+def test_questions_refine_demonstrations() -> None:
+    demonstrations = logicity.demonstrations("easy", 3)
+    rules = logicity.induce(demonstrations, ask="rules/easy.dl", agreements=5)
+    assert rules.report["examples"] > rules.report["questions"]["asked"]
+    assert "from 3 episodes of easy" in rules.text
+
+
+def test_logs_continue(tmp_path: Path) -> None:
+    log = tmp_path / "log.jsonl"
+    whole = logicity.induce(mode="easy", ask=ambulance, agreements=10, log=log)
+    lines = log.read_text().splitlines(keepends=True)
+    assert len(lines) == 1 + whole.report["questions"]["asked"]
+    scenes = [json.loads(line) for line in lines[1:]]
+    assert all(scene["actions"] == {"e0": ambulance(scene)} for scene in scenes)
+    log.write_text("".join(lines[:9]) + lines[9][:20])
+    again = logicity.induce(mode="easy", ask=ambulance, agreements=10, log=log)
+    assert (again.text, again.report) == (whole.text, whole.report)
+    assert log.read_text() == "".join(lines)
+    with pytest.raises(ValueError, match="other questions: its `oracle` is .*ambulance.* this run .*lambda"):
+        logicity.induce(mode="easy", ask=lambda scene: "Stop", log=log)
+    with pytest.raises(ValueError, match="`seed` is 0"):
+        logicity.induce(mode="easy", ask=ambulance, seed=1, log=log)
+    foreign = tmp_path / "foreign"
+    foreign.write_text("text")
+    with pytest.raises(ValueError, match="not a log of questions"):
+        logicity.induce(mode="easy", ask=ambulance, log=foreign)
+    assert foreign.read_text() == "text"
+    with pytest.raises(OSError, match="not a regular file"):
+        logicity.induce(mode="easy", ask=ambulance, log=tmp_path)
+    log.write_text(lines[0] + lines[1].replace("Normal", "Jump").replace("Stop", "Jump"))
+    with pytest.raises(logicity.InputError, match="`Jump` is not an action"):
+        logicity.induce(mode="easy", ask=ambulance, log=log)
+
+
+class Weather(Exception):
+    pass
+
+
+@pytest.mark.parametrize(
+    ("answer", "error", "message"),
+    [
+        (Weather("rain"), Weather, "rain"),
+        (KeyboardInterrupt(), KeyboardInterrupt, ""),
+        ("Jump", ValueError, "Jump"),
+        (3, TypeError, "not int"),
+        (None, TypeError, "not NoneType"),
+    ],
+)
+def test_faults_of_functions_keep_the_rules(answer: Any, error: type[BaseException], message: str) -> None:
+    count = 0
+
+    def oracle(scene: logicity.SymbolicScene) -> Any:
+        nonlocal count
+        count += 1
+        if count <= 14:
+            return ambulance(scene)
+        if isinstance(answer, BaseException):
+            raise answer
+        return answer
+
+    with pytest.raises(error, match=message) as raised:
+        logicity.induce(mode="easy", ask=oracle)
+    assert count == 15
+    rules: logicity.InducedRules = raised.value.rules  # type: ignore[attr-defined]
+    assert rules.report["questions"]["asked"] == 14
+    assert len(rules.clauses) == 1
+    assert pickle.loads(pickle.dumps(rules)).text == rules.text
+
+
+def test_contradictions_of_functions_keep_the_rules() -> None:
+    count = 0
+
+    def oracle(scene: logicity.SymbolicScene) -> str:
+        nonlocal count
+        count += 1
+        return ambulance(scene) if count <= 100 else "Fast"
+
+    with pytest.raises(logicity.InputError, match="questions [0-9]+ and 101 are about the same scene") as raised:
+        logicity.induce(mode="easy", ask=oracle)
+    assert raised.value.diagnostics[0]["code"] == "contradicting-examples"
+    assert raised.value.rules.report["questions"]["end"] == "contradiction"  # type: ignore[attr-defined]
+
+
+@pytest.mark.parametrize(
+    ("options", "error", "message"),
+    [
+        ({"questions": 3}, ValueError, "need an oracle"),
+        ({"log": "x"}, ValueError, "need an oracle"),
+        ({"ask": ambulance, "noise": 0.1}, ValueError, "noise"),
+        ({"ask": ambulance, "sweep": (1, 9)}, ValueError, "sweep"),
+        ({"ask": ambulance, "agreements": -1}, ValueError, "agreements"),
+        ({"ask": ambulance, "questions": "many"}, TypeError, "questions"),
+        ({"ask": 3}, TypeError, "ask"),
+        ({"ask": "missing.dl"}, OSError, "missing.dl"),
+    ],
+)
+def test_bad_options_of_questions(options: Any, error: type[Exception], message: str) -> None:
+    with pytest.raises(error, match=message):
+        logicity.induce(mode="easy", **options)
 
 
 def test_a_batch_has_two_dimensions(demonstrations: logicity.Demonstrations) -> None:

@@ -1,12 +1,13 @@
 //! Files of lines that grow while a process works: a killed process loses no line that it has added.
 
-use crate::files::MAX_BYTES;
 use std::fs::{self, File, OpenOptions, TryLockError};
 use std::io::{self, BufRead, BufReader, Read, Seek, SeekFrom, Write};
 use std::path::{Path, PathBuf};
 
 /// The longest line, in bytes (64 MiB).
 const LINE_MAX: u64 = 1 << 26;
+/// The most bytes of an incomplete line that are read.
+const TORN_MAX: u64 = 1 << 16;
 
 /// A regular file to which one process appends lines, each at once.
 ///
@@ -73,14 +74,14 @@ impl Journal {
         }))
     }
 
-    /// Returns the beginning of the last line if it is incomplete, otherwise an empty text.
+    /// Returns the beginning of the last line, at most 64 KiB, if it is incomplete, otherwise an empty text.
     ///
     /// # Errors
     /// Errors of the system.
     pub fn torn(&mut self) -> io::Result<Vec<u8>> {
         let mut text = Vec::new();
         self.file.seek(SeekFrom::Start(self.end))?;
-        (&self.file).take(MAX_BYTES).read_to_end(&mut text)?;
+        (&self.file).take(TORN_MAX).read_to_end(&mut text)?;
         Ok(text)
     }
 
@@ -152,7 +153,7 @@ mod tests {
         fs::write(&path, format!("one\ntwo\n{torn}")).expect("writable");
         let mut journal = Journal::open(&path).expect("a file");
         assert_eq!(lines(&journal), ["one", "two"]);
-        assert_eq!(journal.torn().expect("a file"), torn.as_bytes());
+        assert_eq!(journal.torn().expect("a file"), torn.as_bytes()[..1 << 16]);
         assert_eq!(
             fs::metadata(&path).expect("there").len(),
             200_008,

@@ -827,7 +827,7 @@ const INDUCE: &[Case] = &[
     ("induce scenes/one-action.jsonl", 0, "No clause: 0 examples"),
     ("induce scenes/default.jsonl", 0, "No clause: 0 examples"),
     ("induce scenes/action.jsonl", 1, "Fly"),
-    ("induce scenes/stranger.jsonl", 1, "invalid-scene"),
+    ("induce scenes/unknown-entity.jsonl", 1, "invalid-scene"),
     ("induce scenes/crowd.jsonl", 1, "the limit is 64"),
     ("induce scenes/cut.jsonl", 1, "invalid-scene"),
     ("induce scenes/labeled.jsonl --test missing.jsonl", 2, "missing.jsonl"),
@@ -862,8 +862,8 @@ const INDUCE: &[Case] = &[
     ("induce -o new.dl --page new.html", 2, "--page needs one trace"),
     (
         "induce scenes/labeled.jsonl -o new.dl --page new.html",
-        1,
-        "not the header",
+        2,
+        "is no trace",
     ),
     (
         "induce trace.jsonl --config easy --page new.html",
@@ -885,9 +885,9 @@ const INDUCE: &[Case] = &[
         "from 1 to 4294967295",
     ),
     ("induce scenes/labeled.jsonl --effort 1", 0, "IsBus"),
-    ("induce scenes/labeled.jsonl --noise -1", 2, "from 0 to 0.5"),
-    ("induce scenes/labeled.jsonl --noise 0.51", 2, "from 0 to 0.5"),
-    ("induce scenes/labeled.jsonl --noise NaN", 2, "from 0 to 0.5"),
+    ("induce scenes/labeled.jsonl --noise -1", 2, "from 0 to 0.4"),
+    ("induce scenes/labeled.jsonl --noise 0.41", 2, "from 0 to 0.4"),
+    ("induce scenes/labeled.jsonl --noise NaN", 2, "from 0 to 0.4"),
     ("induce scenes/labeled.jsonl --noise auto", 0, "Noise: 33.33 %"),
     ("induce scenes/labeled.jsonl --threads 0", 0, "IsBus"),
     ("induce scenes/labeled.jsonl --threads 99999999999", 2, "from 0 to 1024"),
@@ -1006,8 +1006,208 @@ const POPPER: &[Case] = &[
     ),
 ];
 
-const ALL: [&[Case]; 14] = [
-    CHECK, FORMAT, DIFF, QUERY, REPL, INFER, RUN, TRACES, TASKS, PICTURES, BENCH, SERVER, INDUCE, POPPER,
+const ASK: &[Case] = &[
+    ("induce --config easy --episodes 0", 2, "--ask"),
+    ("induce --config easy --episodes 0 --ask", 2, "a value is required"),
+    ("induce --config easy --episodes 0 --ask ''", 2, "a value is required"),
+    ("induce --config easy --episodes 0 --ask missing.dl", 2, "missing.dl"),
+    ("induce --config easy --episodes 0 --ask folder/x.dl", 2, "x.dl"),
+    ("induce --config easy --episodes 0 --ask latin1.dl", 1, "not-text"),
+    ("induce --config easy --episodes 0 --ask nul.dl", 1, "nul.dl"),
+    ("induce --config easy --episodes 0 --ask good.dl", 1, "rule-mismatch"),
+    ("induce --config easy --episodes 0 --ask loop.dl", 2, "loop.dl"),
+    ("induce --config easy --episodes 0 --ask zero.dl", 2, "it is a device"),
+    (
+        "induce --config easy --episodes 0 --ask deep-parentheses.dl",
+        1,
+        "limit-exceeded",
+    ),
+    (
+        "induce --config easy --episodes 0 --ask \"$(printf 'x\\377')\"",
+        2,
+        "UTF-8",
+    ),
+    (
+        "induce --config easy --episodes 0 --ask missing-program",
+        2,
+        "exit status: 127",
+    ),
+    (
+        "induce --config easy --episodes 0 --ask true",
+        2,
+        "ended without an answer",
+    ),
+    ("induce --config easy --episodes 0 --ask 'kill -9 $$'", 2, "SIGKILL"),
+    ("induce --config easy --episodes 0 --ask cat", 1, "not an action"),
+    ("induce --config easy --episodes 0 --ask yes", 1, "invalid-answer"),
+    (
+        "induce --config easy --episodes 0 --ask 'cat /dev/zero'",
+        1,
+        "invalid-answer",
+    ),
+    (
+        "induce --config easy --episodes 0 --ask 'cat deep.json'",
+        1,
+        "invalid-answer",
+    ),
+    (
+        "induce --config easy --episodes 0 --ask 'cat picture.png'",
+        1,
+        "invalid-answer",
+    ),
+    (
+        "induce --config easy --episodes 0 --ask 'cat < /dev/full'",
+        1,
+        "invalid-answer",
+    ),
+    (
+        "induce --config easy --episodes 0 --ask 'sleep 60' --answer-timeout 0.2",
+        2,
+        "no answer in 0.2 s",
+    ),
+    (
+        "induce --config easy --episodes 0 --ask 'exec <&- >&-; sleep 60'",
+        2,
+        "closed its output",
+    ),
+    ("induce --config easy --ask rules/easy.dl --questions -1", 2, "-1"),
+    ("induce --config easy --ask rules/easy.dl --questions 1e9", 2, "1e9"),
+    ("induce --config easy --ask rules/easy.dl --agreements NaN", 2, "NaN"),
+    (
+        "induce --config easy --ask rules/easy.dl --answer-timeout NaN",
+        2,
+        "from 0.001",
+    ),
+    (
+        "induce --config easy --ask rules/easy.dl --answer-timeout 0",
+        2,
+        "from 0.001",
+    ),
+    (
+        "induce --config easy --ask rules/easy.dl --answer-timeout 1e300",
+        2,
+        "from 0.001",
+    ),
+    (
+        "induce --config easy --ask rules/easy.dl --sweep 3",
+        2,
+        "expected numbers",
+    ),
+    (
+        "induce --config easy --ask rules/easy.dl --sweep 3,64",
+        2,
+        "from 1 to 5",
+    ),
+    (
+        "induce --config easy --ask rules/easy.dl --sweep -1,2",
+        2,
+        "expected numbers",
+    ),
+    (
+        "induce --config easy --ask rules/easy.dl --sweep 99999999999999999999,2",
+        2,
+        "expected numbers",
+    ),
+    (
+        "induce --config easy --episodes 0 --ask rules/easy.dl --sweep 1000,5 --questions 3",
+        0,
+        "limit of questions",
+    ),
+    (
+        "induce --config easy --ask rules/easy.dl --noise 0.1",
+        2,
+        "cannot be used",
+    ),
+    ("induce --config easy --log new.jsonl", 2, "--ask"),
+    (
+        "induce --config easy --episodes 0 --ask true --log folder",
+        2,
+        "not a regular file",
+    ),
+    (
+        "induce --config easy --episodes 0 --ask true --log /dev/full",
+        2,
+        "not a regular file",
+    ),
+    (
+        "induce --config easy --episodes 0 --ask true --log /dev/zero",
+        2,
+        "not a regular file",
+    ),
+    (
+        "induce --config easy --episodes 0 --ask true --log loop.dl",
+        2,
+        "loop.dl",
+    ),
+    (
+        "induce --config easy --episodes 0 --ask true --log missing/new.jsonl",
+        2,
+        "missing/new.jsonl",
+    ),
+    (
+        "induce --config easy --episodes 0 --ask true --log -",
+        2,
+        "--log needs a file",
+    ),
+    (
+        "induce --config easy --episodes 0 --ask true --log good.dl",
+        2,
+        "not a log of questions",
+    ),
+    (
+        "induce --config easy --episodes 0 --ask true --log latin1.dl",
+        2,
+        "not a log of questions",
+    ),
+    (
+        "induce --config easy --episodes 0 --ask true --log nul.dl",
+        2,
+        "not a log of questions",
+    ),
+    (
+        "induce --config easy --episodes 0 --ask true --log picture.png",
+        2,
+        "not a log of questions",
+    ),
+    (
+        "induce --config easy --episodes 0 --ask true --log deep.json",
+        2,
+        "not a log of questions",
+    ),
+    (
+        "induce --config easy --episodes 0 --ask true --log huge-line.json",
+        2,
+        "not a log of questions",
+    ),
+    (
+        "induce --config easy --episodes 0 --ask true --log trace.jsonl",
+        2,
+        "not a log of questions",
+    ),
+    (
+        "induce trace.jsonl --config easy --ask true --log trace.jsonl",
+        2,
+        "this command reads it",
+    ),
+    (
+        "induce --config easy --episodes 0 --ask true -o new.x --log new.x",
+        2,
+        "another output",
+    ),
+    (
+        "induce --config easy --episodes 0 --ask true --log new.x --report new.x",
+        2,
+        "another output",
+    ),
+    (
+        "induce --config easy --episodes 0 --ask cat > /dev/full",
+        2,
+        "standard output",
+    ),
+];
+
+const ALL: [&[Case]; 15] = [
+    CHECK, FORMAT, DIFF, QUERY, REPL, INFER, RUN, TRACES, TASKS, PICTURES, BENCH, SERVER, INDUCE, POPPER, ASK,
 ];
 
 /// The fixtures, written once and copied for each thread.

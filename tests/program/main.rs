@@ -1,5 +1,6 @@
 //! Tests of the binary, and checks of the repository as a whole.
 
+mod ask;
 mod cli;
 mod diagnostics;
 mod diff;

@@ -7,12 +7,10 @@ use crate::cli::{Failure, Inputs, LimitOptions, integer, load_city, report};
 use crate::diag::{Code, Diagnostic, Sources, json_error};
 use crate::files::{self, Journal};
 use crate::induce::State;
-use crate::induce::ask::{Answer, AskSettings, Bound, Event};
+use crate::induce::ask::{AskSettings, Bound, Event};
 use crate::rng::Seed;
 use crate::sim::{Executor, Inference, LoadedCity, hash_sources};
-use crate::task::induction::{
-    Asked, InductionTask, Inquiry, LogReader, OracleError, RuleOracle, begins_log, check_log_header,
-};
+use crate::task::induction::{Asked, InductionTask, Inquiry, LogError, OracleError, RuleOracle};
 use indicatif::{ProgressBar, ProgressStyle};
 use serde_json::Value;
 use sha2::{Digest, Sha256};
@@ -123,6 +121,10 @@ impl AskOptions {
     /// Opens the log. `outputs` are the other files that the command writes.
     pub fn open(&self, source: OracleSource, inputs: &Inputs, outputs: &[&Path]) -> Result<Session<'_>, Failure> {
         let open = |path: &'_ PathBuf| -> Result<Journal, Failure> {
+            if path == Path::new("-") {
+                let message = "--log needs a file, because a later run reads it; `./-` is the file with that name";
+                return Err(Failure::Usage(message.to_owned()));
+            }
             inputs.refuse(path)?;
             if outputs
                 .iter()
@@ -130,10 +132,6 @@ impl AskOptions {
             {
                 let message = format!("`{}` cannot be both the log and another output", path.display());
                 return Err(Failure::Usage(message));
-            }
-            if path == Path::new("-") {
-                let message = "--log needs a file, because a later run reads it; `./-` is the file with that name";
-                return Err(Failure::Usage(message.to_owned()));
             }
             Journal::open(path).map_err(|error| Failure::file("write", path, error))
         };
@@ -181,9 +179,10 @@ impl Session<'_> {
         inquiry.asking.agreements = self.options.agreements;
         inquiry.asking.sweep = self.options.sweep;
         inquiry.oracle = self.source.name();
-        let header = inquiry.log_header(task, &self.source.identity(sources));
-        if let Some((journal, path)) = &mut self.log {
-            inquiry.answers = read_log(journal, path, task, &header)?;
+        if let Some((log, path)) = &mut self.log {
+            let identity = self.source.identity(sources);
+            let answers = task.resume(&inquiry, &identity, log, &path.display().to_string());
+            inquiry.answers = answers.map_err(|error| unusable(error, path))?;
         }
 
         let bar = ProgressBar::no_length();
@@ -207,11 +206,7 @@ impl Session<'_> {
                 bar.set_length(bar.position().saturating_add(u64::try_from(most).unwrap_or(u64::MAX)));
             }
         };
-        let log = &mut self.log;
-        let mut record = |answer: &Answer| match log {
-            Some((journal, _)) => journal.append(&task.log_line(answer).to_string()),
-            None => Ok(()),
-        };
+        let log = self.log.as_mut().map(|(log, _)| log);
         let timeout = self.options.answer_timeout;
         let asked = match self.source {
             OracleSource::Rules { city, .. } => {
@@ -228,7 +223,7 @@ impl Session<'_> {
                         result => result,
                     }
                 };
-                task.ask(inquiry, &mut oracle, &mut record, &mut observe, cancel)
+                task.ask(inquiry, &mut oracle, log, &mut observe, cancel)
             }
             OracleSource::Command(command) => {
                 // A log that is complete needs no process.
@@ -241,7 +236,7 @@ impl Session<'_> {
                     let action = oracle.action(&task.scene(state), cancel)?;
                     task.answered_action(action)
                 };
-                task.ask(inquiry, &mut oracle, &mut record, &mut observe, cancel)
+                task.ask(inquiry, &mut oracle, log, &mut observe, cancel)
             }
         };
         bar.finish_and_clear();
@@ -249,38 +244,19 @@ impl Session<'_> {
     }
 }
 
-/// Reads the answers of an earlier run, or writes the header of a new log.
-fn read_log(journal: &mut Journal, path: &Path, task: &InductionTask, header: &Value) -> Result<Vec<Answer>, Failure> {
-    let name = path.display().to_string();
-    let refused = |what: &str| {
-        let help = "choose another file; a log can be given as DATA, too";
-        Failure::Usage(format!("cannot continue `{name}`: it {what}\nhelp: {help}"))
-    };
-    let unreadable = |error: io::Error| match error.kind() {
-        io::ErrorKind::InvalidData => refused(&format!("is not a log of questions: {error}")),
-        _ => Failure::file("read", path, error),
-    };
-    let mut lines = journal.lines().map_err(unreadable)?;
-    let Some(first) = lines.next() else {
-        if !begins_log(&journal.torn().map_err(unreadable)?) {
-            return Err(refused("is not a log of questions"));
-        }
-        journal
-            .append(&header.to_string())
-            .map_err(|error| Failure::file("write", path, error))?;
-        return Ok(Vec::new());
-    };
-    check_log_header(&first.map_err(unreadable)?, header).map_err(|what| refused(&what))?;
-    let mut reader = LogReader::new(task)?;
-    let mut answers = Vec::new();
-    for (at, line) in lines.enumerate() {
-        let answer = reader.read(&name, at + 2, &line.map_err(unreadable)?);
-        answers.push(answer.map_err(|(faults, sources)| {
+/// Returns the failure to continue a log.
+fn unusable(error: LogError, path: &Path) -> Failure {
+    match error {
+        LogError::Io(error) => Failure::file("use", path, error),
+        LogError::Other(what) => Failure::Usage(format!(
+            "cannot continue `{}`: it {what}\nhelp: choose another file; a log can be given as DATA, too",
+            path.display()
+        )),
+        LogError::Faults(faults, sources) => {
             report(&faults, &sources);
             Failure::Reported
-        })?);
+        }
     }
-    Ok(answers)
 }
 
 fn too_slow(timeout: Duration) -> OracleError {

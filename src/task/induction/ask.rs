@@ -4,8 +4,8 @@
 //! a city, and with a log from which an interrupted run continues.
 
 use crate::cancel::Cancel;
-use crate::diag::{Code, Diagnostic, Sources};
-use crate::files::ReadError;
+use crate::diag::{Code, Diagnostic, SourceId, Sources, Span};
+use crate::files::{Journal, ReadError};
 use crate::induce::ask::{
     Answer, AskSettings, End, Event, Failure, Observer, Oracle, Reason, Refined, Refinement, canonical,
 };
@@ -101,7 +101,7 @@ impl Inquiry {
 
     /// Returns the first line of the log of the questions: everything that they depend on. `oracle` identifies the
     /// oracle.
-    pub fn log_header(&self, task: &InductionTask, oracle: &str) -> Value {
+    fn log_header(&self, task: &InductionTask, oracle: &str) -> Value {
         let scenario = &task.world().scenario;
         let constraints = task.constraints();
         let declarations = format!("{:?} {constraints:?}", task.vocabulary().predicates());
@@ -142,84 +142,47 @@ fn digest(examples: &Examples) -> String {
     format!("{:x}", hash.finalize())
 }
 
-/// Checks that a log begins with the header of this run. `begin` is its first line, or the incomplete one.
-///
-/// # Errors
-/// A sentence without a subject and a full stop: what the file is instead.
-pub fn check_log_header(begin: &str, expected: &Value) -> Result<(), String> {
-    let header: Option<Value> = serde_json::from_str(begin).ok();
-    let header = header.filter(|_| begin.starts_with(LOG_START));
-    let Some(header) = header else {
-        return Err("is not a log of questions".to_owned());
+/// Why a log cannot be continued.
+#[derive(Debug)]
+pub enum LogError {
+    /// It is the log of other questions, or no log. A predicate of the sentence whose subject is the file.
+    Other(String),
+    /// An answer is faulty.
+    Faults(Vec<Diagnostic>, Sources),
+    /// It cannot be read or written.
+    Io(io::Error),
+}
+
+impl From<io::Error> for LogError {
+    fn from(error: io::Error) -> Self {
+        match error.kind() {
+            io::ErrorKind::InvalidData => LogError::Other(format!("is not a log of questions: {error}")),
+            _ => LogError::Io(error),
+        }
+    }
+}
+
+/// Checks that a log begins with the header of this run.
+fn check_header(line: &str, expected: &Value) -> Result<(), LogError> {
+    let header: Option<Value> = serde_json::from_str(line).ok();
+    let Some(header) = header.filter(|_| line.starts_with(LOG_START)) else {
+        return Err(LogError::Other("is not a log of questions".to_owned()));
     };
     if header["questions"] != expected["questions"] {
         let version = &header["questions"];
-        return Err(format!(
+        return Err(LogError::Other(format!(
             "is a log of version {version}; this program reads version {LOG_VERSION}"
-        ));
+        )));
     }
-    let keys = expected.as_object().expect("a header").iter();
-    for (key, value) in keys.filter(|(key, _)| *key != "questions") {
+    for (key, value) in expected.as_object().expect("a header") {
         let logged = &header[key];
         if logged != value {
-            return Err(format!(
+            return Err(LogError::Other(format!(
                 "is the log of other questions: its `{key}` is {logged}, that of this run {value}"
-            ));
+            )));
         }
     }
     Ok(())
-}
-
-/// Returns whether the incomplete first line of a file is the beginning of a log.
-pub fn begins_log(torn: &[u8]) -> bool {
-    let length = torn.len().min(LOG_START.len());
-    torn[..length] == LOG_START.as_bytes()[..length]
-}
-
-/// Reads the lines of a log after its header.
-pub struct LogReader<'a> {
-    task: &'a InductionTask,
-    scenes: Inference,
-}
-
-impl<'a> LogReader<'a> {
-    /// Creates a reader.
-    ///
-    /// # Errors
-    /// As [`Inference::new`].
-    pub fn new(task: &'a InductionTask) -> Result<LogReader<'a>, Vec<Diagnostic>> {
-        let (scenario, program) = (task.world().scenario.clone(), task.world().program.clone());
-        let no_maps = |_: &Path| Err(ReadError::NotFound);
-        Ok(LogReader {
-            task,
-            scenes: Inference::new(scenario, program, Seed(0), Executor::Relational, no_maps)?,
-        })
-    }
-
-    /// Reads a line of the log `name`, of which it is line `number`.
-    ///
-    /// # Errors
-    /// `invalid-scene` at its place in the sources, which are returned, too.
-    pub fn read(&mut self, name: &str, number: usize, line: &str) -> Result<Answer, (Vec<Diagnostic>, Sources)> {
-        let mut sources = Sources::new();
-        let source = sources.add_from(name, line, number);
-        let answer = self.scenes.ground(&sources, source).and_then(|scene| {
-            let [(ego, action)] = scene.actions[..] else {
-                let message = format!("the question in line {number} of `{name}` has no answer: expected one action");
-                return Err(vec![Diagnostic::new(Code::INVALID_SCENE, message)]);
-            };
-            let translator = self.task.translator(self.scenes.vocabulary());
-            let state = translator.and_then(|translator| translator.state(&scene.facts, ego));
-            let action = self.task.action(action);
-            Ok(Answer {
-                state: state.map_err(|fault| vec![fault])?,
-                action: action.map_err(|fault| vec![fault])?,
-                // The run that reads the log knows the reason.
-                reason: Reason::Explore,
-            })
-        });
-        answer.map_err(|faults| (faults, sources))
-    }
 }
 
 /// An oracle that follows rules.
@@ -311,8 +274,67 @@ impl InductionTask {
         json!({ "entities": names, "ego": names[0], "facts": facts })
     }
 
+    /// Reads the answers of an earlier run from its log. Writes the header of a new log, which identifies the `oracle`.
+    ///
+    /// # Errors
+    /// The log belongs to other questions, has a faulty answer, or cannot be read or written. `name` is its name in
+    /// messages.
+    pub fn resume(
+        &self,
+        inquiry: &Inquiry,
+        oracle: &str,
+        log: &mut Journal,
+        name: &str,
+    ) -> Result<Vec<Answer>, LogError> {
+        let header = inquiry.log_header(self, oracle);
+        let mut lines = log.lines()?;
+        let Some(first) = lines.next() else {
+            let torn = log.torn()?;
+            let length = torn.len().min(LOG_START.len());
+            if torn[..length] != LOG_START.as_bytes()[..length] {
+                return Err(LogError::Other("is not a log of questions".to_owned()));
+            }
+            log.append(&header.to_string())?;
+            return Ok(Vec::new());
+        };
+        check_header(&first?, &header)?;
+        let (scenario, program) = (self.world().scenario.clone(), self.world().program.clone());
+        let no_maps = |_: &Path| Err(ReadError::NotFound);
+        let scenes = Inference::new(scenario, program, Seed(0), Executor::Relational, no_maps);
+        let mut scenes = scenes.map_err(|faults| LogError::Faults(faults, Sources::new()))?;
+        let mut answers = Vec::new();
+        for (line, number) in lines.zip(2..) {
+            let mut sources = Sources::new();
+            let source = sources.add_from(name, line?, number);
+            match self.answer(&mut scenes, &sources, source) {
+                Ok(answer) => answers.push(answer),
+                Err(faults) => return Err(LogError::Faults(faults, sources)),
+            }
+        }
+        Ok(answers)
+    }
+
+    /// Reads the line of a log.
+    fn answer(&self, scenes: &mut Inference, sources: &Sources, line: SourceId) -> Result<Answer, Vec<Diagnostic>> {
+        let scene = scenes.ground(sources, line)?;
+        let [(ego, action)] = scene.actions[..] else {
+            let fault = Diagnostic::new(Code::INVALID_SCENE, "an answer has exactly one action");
+            return Err(vec![
+                fault.at(Span::new(line, 0..sources.text(line).len()), "in this line"),
+            ]);
+        };
+        let translator = self.translator(scenes.vocabulary());
+        let state = translator.and_then(|translator| translator.state(&scene.facts, ego));
+        Ok(Answer {
+            state: state.map_err(|fault| vec![fault])?,
+            action: self.action(action).map_err(|fault| vec![fault])?,
+            // The run that reads the log knows the reason.
+            reason: Reason::Explore,
+        })
+    }
+
     /// Returns the line of a log for an answer: the scene with its action and the reason of the question.
-    pub fn log_line(&self, answer: &Answer) -> Value {
+    fn log_line(&self, answer: &Answer) -> Value {
         let mut scene = self.scene(&answer.state);
         let ego = scene["ego"].as_str().expect("a name").to_owned();
         scene["actions"] = json!({ ego: self.actions()[answer.action].name() });
@@ -351,12 +373,12 @@ impl InductionTask {
         })
     }
 
-    /// Asks an oracle until the learned rules agree with it. `record` gets every new answer at once.
+    /// Asks an oracle until the learned rules agree with it. Each new answer is added to the log at once.
     pub fn ask(
         &self,
         inquiry: Inquiry,
         oracle: &mut dyn FnMut(&State) -> Result<usize, OracleError>,
-        record: &mut dyn FnMut(&Answer) -> io::Result<()>,
+        mut log: Option<&mut Journal>,
         observe: Observer<'_>,
         cancel: &Cancel,
     ) -> Asked {
@@ -372,7 +394,6 @@ impl InductionTask {
         let mut questions = Questions {
             oracle: inquiry.oracle,
             begin,
-            replayed: 0,
             by_reason: [0; REASONS.len()],
             agreements: inquiry.asking.agreements,
             variables: refinement.learning.variables,
@@ -388,8 +409,11 @@ impl InductionTask {
         };
         let mut observed = |event: Event<'_>| {
             if let Event::Answered { answer, is_new } = &event {
-                questions.count(answer, *is_new);
-                if *is_new && let Err(error) = record(answer) {
+                questions.count(answer);
+                if *is_new
+                    && let Some(log) = &mut log
+                    && let Err(error) = log.append(&self.log_line(answer).to_string())
+                {
                     unwritten.set(Some(error));
                 }
             }
@@ -452,8 +476,6 @@ pub struct Questions {
     oracle: String,
     /// Number of examples known at the beginning.
     begin: u64,
-    /// Number of answers from the log of an earlier run.
-    replayed: usize,
     by_reason: [usize; REASONS.len()],
     agreements: usize,
     variables: usize,
@@ -464,8 +486,7 @@ pub struct Questions {
 }
 
 impl Questions {
-    fn count(&mut self, answer: &Answer, is_new: bool) {
-        self.replayed += usize::from(!is_new);
+    fn count(&mut self, answer: &Answer) {
         self.by_reason[position(&answer.reason)] += 1;
         match answer.reason {
             Reason::Explore => self.last_explored += 1,
@@ -678,10 +699,5 @@ impl Questions {
             "result": self.result(),
             "certificate": certificate,
         })
-    }
-
-    /// Returns the number of answers from the log of an earlier run.
-    pub fn replayed(&self) -> usize {
-        self.replayed
     }
 }

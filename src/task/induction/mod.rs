@@ -10,7 +10,7 @@ mod recalls;
 mod steps;
 mod text;
 
-pub use ask::{Asked, Inquiry, LOG_START, LogReader, OracleError, Questions, RuleOracle, begins_log, check_log_header};
+pub use ask::{Asked, Inquiry, LOG_START, LogError, OracleError, Questions, RuleOracle};
 pub use codes::{CATALOG, CODES};
 pub use popper::TargetRules;
 pub use recalls::Recalls;
