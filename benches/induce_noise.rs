@@ -2,119 +2,16 @@
 //!
 //! `cargo bench --bench induce_noise` prints all tables; `-- noise`, `-- subsets` or `-- million` prints one.
 
-use logicity::builtin::BuiltinFiles;
+#[path = "induce/mode.rs"]
+mod mode;
+
 use logicity::cancel::Cancel;
-use logicity::city::{Action, Split};
-use logicity::diag::Sources;
-use logicity::induce::{Examples, Learned, Noise, Predicate, Settings, State, Vocabulary, learn};
+use logicity::induce::{Noise, Settings, State, learn};
 use logicity::rng::{Purpose, RngExt, Seed};
-use logicity::sim::LoadedCity;
-use logicity::task::spf::{ControlMode, ControlledCar, Env, EpisodeSet, SpfTask};
-use std::path::Path;
-use std::sync::Arc;
+use mode::Mode;
 use std::time::Instant;
 
-const ORDER: [Action; 4] = [Action::Stop, Action::Slow, Action::Fast, Action::Normal];
 const DRAWS: Purpose = Purpose::new(u64::MAX);
-
-/// A mode with its recorded episodes.
-struct Mode {
-    task: Arc<SpfTask>,
-    train: EpisodeSet,
-    test: EpisodeSet,
-    vocabulary: Vocabulary,
-}
-
-impl Mode {
-    fn load(mode: &str) -> Mode {
-        let mut sources = Sources::new();
-        let path = format!("configs/{mode}.yaml");
-        let city = LoadedCity::load(&mut sources, Path::new(&path), None, &BuiltinFiles).expect("a mode");
-        let world = Arc::new(city.world().expect("a world"));
-        let task = Arc::new(SpfTask::new(Arc::clone(&world), &sources).expect("a task"));
-        let mut load = |split| EpisodeSet::load(&task, split, &mut sources, &BuiltinFiles).expect("episodes");
-        let (train, test) = (load(Split::Train), load(Split::Test));
-        let predicates = (task.oracle().columns())
-            .map(|(position, _)| {
-                let predicate = &world.vocabulary.predicates[position];
-                let name = predicate.name.to_string();
-                Predicate {
-                    arity: predicate.arity,
-                    is_symmetric: name == "IsClose" || name == "NextTo",
-                    name,
-                }
-            })
-            .collect();
-        Mode {
-            task,
-            train,
-            test,
-            vocabulary: Vocabulary::new(predicates, 1, Some("Sees".into())),
-        }
-    }
-
-    /// Returns what a car observes.
-    fn state(&self, car: &ControlledCar) -> State {
-        let mut values = vec![0.0; self.task.observation_width()];
-        car.observer().write(&mut values);
-        let entities = self.task.oracle().entities();
-        let mut state = State::new(&self.vocabulary, car.observer().entities().len());
-        let mut values = values.into_iter();
-        for (index, predicate) in self.vocabulary.predicates().iter().enumerate() {
-            for number in 0..entities.pow(predicate.arity as u32) {
-                let arguments = [number / entities, number % entities];
-                if values.next().is_some_and(|value| value > 0.5) {
-                    state.insert(&self.vocabulary, index, &arguments[2 - predicate.arity..]);
-                }
-            }
-        }
-        state
-    }
-
-    /// Returns the states and actions of each demonstration.
-    fn demonstrations(&self) -> Vec<Vec<(State, usize)>> {
-        let mut env = Env::new(Arc::clone(&self.task), Split::Train, ControlMode::First).expect("an environment");
-        let mut all = Vec::new();
-        for episode in &self.train.episodes {
-            env.reset_to(episode).expect("an episode");
-            let mut steps = Vec::new();
-            while env.controlled_cars()[0].is_running() {
-                let action = env.oracle_action(0);
-                let index = ORDER.iter().position(|other| *other == action).expect("an action");
-                steps.push((self.state(&env.controlled_cars()[0]), index));
-                env.step(&[action]).expect("within limits");
-            }
-            all.push(steps);
-        }
-        all
-    }
-
-    fn examples<'a>(&self, steps: impl Iterator<Item = &'a (State, usize)>) -> Examples {
-        let names = ORDER.iter().map(|action| action.name().to_owned()).collect();
-        let mut examples = Examples::new(self.vocabulary.clone(), names);
-        for (state, action) in steps {
-            examples.push(state.clone(), *action);
-        }
-        examples
-    }
-
-    /// Returns the share of test episodes in which a car that follows the rules reaches the goal without a violation.
-    fn success(&self, rules: &Learned) -> f64 {
-        let mut env = Env::new(Arc::clone(&self.task), Split::Test, ControlMode::First).expect("an environment");
-        let mut successes = 0;
-        for episode in &self.test.episodes {
-            env.reset_to(episode).expect("an episode");
-            env.set_horizon(episode.horizon(self.task.config()));
-            while env.controlled_cars()[0].is_running() {
-                let state = self.state(&env.controlled_cars()[0]);
-                let action = ORDER[rules.decide(&self.vocabulary, &[&state])[0]];
-                env.step(&[action]).expect("within limits");
-            }
-            successes += usize::from(env.controlled_cars()[0].last().success);
-        }
-        successes as f64 / self.test.episodes.len() as f64
-    }
-}
 
 fn noise() {
     println!("mode    rate   seed  known TSR  clauses     s   auto TSR  estimate  clauses     s");

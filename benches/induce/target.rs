@@ -9,6 +9,28 @@ use std::path::Path;
 /// The actions, the one with the highest precedence first.
 pub const ACTIONS: [&str; 4] = ["Stop", "Slow", "Fast", "Normal"];
 
+/// The predicates that cars of the hard and expert modes observe. Those of easy are the first 9, those of medium the
+/// first 12.
+const PREDICATES: [&str; 17] = [
+    "IsPedestrian",
+    "IsCar",
+    "IsAmbulance",
+    "IsOld",
+    "IsTiro",
+    "IsAtInter",
+    "IsInInter",
+    "HigherPri",
+    "CollidingClose",
+    "IsBus",
+    "NextTo",
+    "RightOf",
+    "IsPolice",
+    "IsReckless",
+    "IsYoung",
+    "IsClose",
+    "LeftOf",
+];
+
 /// A clause: the position of its action, and its body.
 pub type Clause = (usize, Body);
 
@@ -33,10 +55,19 @@ fn read(path: &Path) -> String {
     whole
 }
 
-/// Returns the task and the clauses of a rule file of the city. `names` are the predicates to be used; those of the
-/// clauses must be among them.
-pub fn city(rules: &Path, names: &[&str]) -> (Task, Vec<Clause>) {
-    let text = read(rules);
+/// Returns the task and the clauses of a mode of the city. `root` is the folder of the repository.
+pub fn city(root: &Path, mode: &str) -> (Task, Vec<Clause>) {
+    let names = match mode {
+        "easy" => &PREDICATES[..9],
+        "medium" => &PREDICATES[..12],
+        _ => &PREDICATES[..],
+    };
+    city_over(root, mode, names)
+}
+
+/// Variant of [`city`] with the predicates in another order. Those of the clauses must be among them.
+pub fn city_over(root: &Path, mode: &str, names: &[&str]) -> (Task, Vec<Clause>) {
+    let text = read(&root.join(format!("rules/{mode}.dl")));
     let lines_of = |kind: &str| -> Vec<Vec<usize>> {
         let lines = text
             .lines()
@@ -121,25 +152,24 @@ pub fn clauses_of(rules: &[ActionRules]) -> Vec<Clause> {
 /// Returns the action that clauses take in a state: the slow, obvious evaluation.
 pub fn action(vocabulary: &Vocabulary, clauses: &[Clause], state: &State) -> usize {
     let holds = |body: &Body| {
+        let is_true = |literal: &Literal, assignment: &[usize]| {
+            state.holds(vocabulary, literal.atom.predicate, &entities_of(literal, assignment)) != literal.is_negated
+        };
         assignments(body.variables(vocabulary), state.entities())
-            .into_iter()
-            .any(|assignment| {
-                body.0.iter().all(|literal| {
-                    let arguments: Vec<usize> = literal
-                        .atom
-                        .arguments
-                        .iter()
-                        .map(|&variable| assignment[variable as usize])
-                        .collect();
-                    state.holds(vocabulary, literal.atom.predicate, &arguments) != literal.is_negated
-                })
-            })
+            .iter()
+            .any(|assignment| body.0.iter().all(|literal| is_true(literal, assignment)))
     };
     let taken = clauses
         .iter()
         .filter(|(_, body)| holds(body))
         .map(|(action, _)| *action);
     taken.min().unwrap_or(ACTIONS.len() - 1)
+}
+
+/// Returns the entities of the arguments of a literal.
+fn entities_of(literal: &Literal, assignment: &[usize]) -> Vec<usize> {
+    let arguments = literal.atom.arguments.iter();
+    arguments.map(|&variable| assignment[variable as usize]).collect()
 }
 
 /// Returns all assignments of entities to variables. The first variable has the first entity.
@@ -360,12 +390,7 @@ impl Formula {
     fn literals(&self, vocabulary: &Vocabulary, body: &Body, assignment: &[usize]) -> Vec<i32> {
         (body.0.iter())
             .map(|literal| {
-                let arguments: Vec<usize> = literal
-                    .atom
-                    .arguments
-                    .iter()
-                    .map(|&variable| assignment[variable as usize])
-                    .collect();
+                let arguments = entities_of(literal, assignment);
                 let variable = vocabulary.fact(self.entities, literal.atom.predicate, &arguments) as i32 + 1;
                 if literal.is_negated { -variable } else { variable }
             })

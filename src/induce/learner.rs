@@ -190,6 +190,8 @@ fn learn_action(
         let tries: Vec<usize> = (0..settings.tries)
             .map(|_| left[random.random_range(0..left.len())])
             .collect();
+        let uncovered: Vec<&State> = left.iter().map(|&state| positive[state]).collect();
+        let uncovered = split.columns(vocabulary, &uncovered);
         let mut best: Option<Found> = None;
         for variables in fewest..=variables_max {
             if problems.len() <= variables - fewest {
@@ -204,7 +206,8 @@ fn learn_action(
             let mut seeds: Vec<_> = tries.iter().flat_map(|&state| problem.seeds(state)).collect();
             seeds.sort_unstable();
             seeds.dedup();
-            let search = |seed| Search::new(problem, seed, &open).best(settings.nodes, cancel);
+            let counted = problem.open(&uncovered);
+            let search = |seed| Search::new(problem, seed, &counted).best(settings.nodes, cancel);
             let found: Vec<Found> = seeds.par_iter().filter_map(search).collect();
             for found in found {
                 if best.as_ref().is_none_or(|best| found.score > best.score) {

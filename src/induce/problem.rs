@@ -134,6 +134,11 @@ impl Split {
         }
     }
 
+    /// Transposes some of the positive states.
+    pub fn columns(&self, vocabulary: &Vocabulary, states: &[&State]) -> Columns {
+        Columns::new(vocabulary, states, self.entities)
+    }
+
     /// Returns the problem of finding clauses over a number of variables. `None` if there are too many assignments of
     /// entities to variables for the memory.
     pub fn problem<'a>(&'a self, vocabulary: &'a Vocabulary, variables: usize, negation: bool) -> Option<Problem<'a>> {
@@ -168,13 +173,30 @@ impl Split {
     }
 }
 
+/// The positive states that a search counts.
+pub struct Open<'a> {
+    /// Their facts.
+    pub columns: &'a Columns,
+    /// Their rows in which clauses of the problem can hold.
+    pub rows: Rows,
+}
+
 impl Problem<'_> {
+    /// Returns the states that a search counts. [`Split::columns`] makes the columns.
+    pub fn open<'b>(&self, columns: &'b Columns) -> Open<'b> {
+        Open {
+            columns,
+            rows: self.all(columns).into_owned(),
+        }
+    }
+
     /// Returns all rows of a list of states in which clauses can hold: the assignments whose entities exist and, with
     /// links, are linked to those of the head.
     pub fn all(&self, columns: &Columns) -> Cow<'_, Rows> {
         match &self.linked {
             Some([positive, _]) if std::ptr::eq(columns, self.positive) => Cow::Borrowed(positive),
-            Some([_, negative]) => Cow::Borrowed(negative),
+            Some([_, negative]) if std::ptr::eq(columns, self.negative) => Cow::Borrowed(negative),
+            Some(_) => Cow::Owned(self.link(columns)),
             None => Cow::Owned(self.existing(columns)),
         }
     }

@@ -49,7 +49,7 @@ impl Default for Settings {
             seed: 0,
             threads: None,
             tries: 3,
-            enough: 4,
+            enough: 16,
             nodes: 20_000,
             working_states: 20_000,
             negation: true,

@@ -10,7 +10,7 @@
 
 use crate::cancel::Cancel;
 use crate::induce::bits::{self, Bits};
-use crate::induce::problem::{Problem, Rows};
+use crate::induce::problem::{Open, Problem, Rows};
 use crate::induce::vocabulary::{Body, LITERAL_COST, Literal};
 use std::cmp::{Ordering, Reverse};
 use std::collections::BinaryHeap;
@@ -79,14 +79,14 @@ pub struct Search<'a> {
     /// The true atoms of the example.
     seed: &'a Bits,
     /// The positive states that count.
-    open: &'a [u64],
+    open: &'a Open<'a>,
     /// For each negative row of the sample, the literals of the seed that are false there.
     exclusions: Vec<Bits>,
 }
 
 impl<'a> Search<'a> {
-    /// Prepares a search. `open` is the set of positive states that count.
-    pub fn new(problem: &'a Problem<'a>, seed: &'a Bits, open: &'a [u64]) -> Search<'a> {
+    /// Prepares a search. `open` are the positive states that count.
+    pub fn new(problem: &'a Problem<'a>, seed: &'a Bits, open: &'a Open<'a>) -> Search<'a> {
         Search {
             problem,
             seed,
@@ -106,7 +106,7 @@ impl<'a> Search<'a> {
             number: 0,
             chosen: bits::empty(self.problem.atoms.len()),
             banned: bits::empty(self.problem.atoms.len()),
-            rows: Rc::new(self.problem.all(self.problem.positive).into_owned()),
+            rows: Rc::new(self.open.rows.clone()),
             open: Vec::new(),
             compared: 0,
         });
@@ -193,20 +193,23 @@ impl<'a> Search<'a> {
     fn branch(&self, heap: &mut BinaryHeap<Node>, node: Node, choices: &Bits, number: &mut u32) {
         let mut banned = node.banned;
         for literal in bits::elements(choices) {
+            let open: Vec<u32> = (node.open.iter().copied())
+                .filter(|&at| !bits::has(&self.exclusions[at as usize], literal))
+                .collect();
+            let Some(further) = self.fewest(&open, &banned) else {
+                // Without the banned literals, a row cannot be excluded.
+                bits::insert(&mut banned, literal);
+                continue;
+            };
             *number += 1;
             let is_true = bits::has(self.seed, literal);
             let mut chosen = node.chosen.clone();
             bits::insert(&mut chosen, literal);
             let cost = self.problem.cost(&chosen, self.seed);
             let atom = &self.problem.atoms[literal];
-            let rows = (self.problem).restrict(self.problem.positive, &node.rows, atom, is_true);
-            let open: Vec<u32> = (node.open.iter().copied())
-                .filter(|&at| !bits::has(&self.exclusions[at as usize], literal))
-                .collect();
-            // A clause that excludes a further row has at least one further literal.
-            let further = if open.is_empty() { 0 } else { LITERAL_COST };
+            let rows = (self.problem).restrict(self.open.columns, &node.rows, atom, is_true);
             heap.push(Node {
-                bound: self.score(&rows, cost + further),
+                bound: self.score(&rows, cost + further * LITERAL_COST),
                 number: *number,
                 chosen,
                 banned: banned.clone(),
@@ -218,10 +221,33 @@ impl<'a> Search<'a> {
         }
     }
 
-    /// Returns the score of a clause.
+    /// Returns a number of literals, none of them banned, that any clause needs to meet some exclusions: the number of
+    /// those that have no literal in common. `None` if no clause meets them.
+    fn fewest(&self, open: &[u32], banned: &[u64]) -> Option<u32> {
+        let (mut seen, mut count) = (Bits::from_slice(banned), 0);
+        for &at in open {
+            let exclusion = &self.exclusions[at as usize];
+            if exclusion
+                .iter()
+                .zip(banned)
+                .all(|(exclusion, banned)| exclusion & !banned == 0)
+            {
+                return None;
+            }
+            let is_apart = (exclusion.iter().zip(&seen).zip(banned))
+                .all(|((exclusion, seen), banned)| exclusion & seen & !banned == 0);
+            if is_apart {
+                count += 1;
+                seen.iter_mut().zip(exclusion).for_each(|(seen, more)| *seen |= more);
+            }
+        }
+        Some(count)
+    }
+
+    /// Returns the score of a clause that holds in some rows of the states that count.
     fn score(&self, rows: &Rows, cost: u32) -> i64 {
-        let covered = rows.states(self.problem.positive.words);
-        i64::from(bits::common(&covered, self.open)) * EXAMPLE - i64::from(cost)
+        let covered = rows.states(self.open.columns.words);
+        i64::from(bits::count(&covered)) * EXAMPLE - i64::from(cost)
     }
 
     /// Completes a clause greedily: the literal that excludes the most rows comes first.
@@ -268,13 +294,14 @@ impl<'a> Search<'a> {
             }
         }
         let rows = self.problem.holds(self.problem.positive, &chosen, self.seed);
+        let counted = self.problem.holds(self.open.columns, &chosen, self.seed);
         let literals = bits::elements(&chosen).map(|literal| Literal {
             is_negated: !bits::has(self.seed, literal),
             atom: self.problem.atoms[literal].clone(),
         });
         let body = Body::normalized(literals.collect(), self.problem.vocabulary);
         Found {
-            score: self.score(&rows, body.cost(self.problem.vocabulary)),
+            score: self.score(&counted, body.cost(self.problem.vocabulary)),
             covered: rows.states(self.problem.positive.words),
             body,
             is_best,

@@ -3,7 +3,9 @@ use crate::induce::bits::{self, Bits};
 use crate::induce::cover::cheapest_cover;
 use crate::induce::learner::learn_here;
 use crate::induce::problem::Split;
+use crate::induce::rules::clauses_hold;
 use crate::induce::search::{EXAMPLE, Search};
+use crate::induce::vocabulary::{ARITY_MAX, tuples};
 use crate::induce::{
     Body, Constraints, Examples, Learned, Link, Literal, Noise, Predicate, Settings, State, Vocabulary, learn, support,
 };
@@ -83,9 +85,9 @@ fn rules(vocabulary: &Vocabulary, actions: usize, seed: u64) -> Vec<Vec<Body>> {
 
 /// Whether a body holds, by trying all assignments.
 fn holds(vocabulary: &Vocabulary, body: &Body, state: &State) -> bool {
-    let free = (body.variables(vocabulary) - 1) as u32;
+    let free = (body.variables(vocabulary) - vocabulary.egos()) as u32;
     (0..state.entities().pow(free)).any(|number| {
-        let mut entities = vec![0];
+        let mut entities: Vec<usize> = (0..vocabulary.egos()).collect();
         let mut rest = number;
         for _ in 0..free {
             entities.push(rest % state.entities());
@@ -133,8 +135,92 @@ fn texts(learned: &Learned, vocabulary: &Vocabulary) -> Vec<Vec<String>> {
     learned.bodies().iter().map(|body| body.texts(vocabulary)).collect()
 }
 
+/// A vocabulary of predicates of each arity, with one or two egos.
+fn any_vocabulary(random: &mut impl Rng) -> Vocabulary {
+    let predicates = (0..random.random_range(1..=6)).map(|index| Predicate {
+        name: char::from(b'A' + index).to_string(),
+        arity: random.random_range(1..=ARITY_MAX),
+        is_symmetric: false,
+    });
+    let predicates: Vec<Predicate> = predicates.collect();
+    let (egos, guard) = (
+        random.random_range(1..=2),
+        random.random_bool(0.5).then(|| "Sees".into()),
+    );
+    Vocabulary::new(predicates, egos, guard)
+}
+
+/// A state with facts of each arity.
+fn any_state(vocabulary: &Vocabulary, entities: usize, density: f64, random: &mut impl Rng) -> State {
+    let mut state = State::new(vocabulary, entities);
+    for (index, predicate) in vocabulary.predicates().iter().enumerate() {
+        for arguments in tuples(predicate.arity, entities) {
+            if random.random_bool(density) {
+                state.insert(vocabulary, index, &arguments);
+            }
+        }
+    }
+    state
+}
+
+/// A body of literals over some variables, one of which may occur twice in an atom.
+fn any_body(vocabulary: &Vocabulary, variables: usize, random: &mut impl Rng) -> Body {
+    let literals = (0..random.random_range(0..=5)).map(|_| {
+        let predicate = random.random_range(0..vocabulary.predicates().len());
+        let arity = vocabulary.predicates()[predicate].arity;
+        let arguments = (0..arity).map(|_| random.random_range(0..variables) as u8);
+        Literal {
+            atom: super::Atom {
+                predicate,
+                arguments: arguments.collect(),
+            },
+            is_negated: random.random_bool(0.4),
+        }
+    });
+    Body(literals.collect())
+}
+
+/// The states in which each body holds, by columns of bits.
+fn by_columns(vocabulary: &Vocabulary, bodies: &[&Body], states: &[&State]) -> Vec<Vec<bool>> {
+    let mut all = vec![Vec::new(); bodies.len()];
+    for (begin, chunk) in clauses_hold(vocabulary, bodies, states) {
+        let end = (begin + chunk.first().map_or(0, |set| set.len() * 64)).min(states.len());
+        for (all, set) in all.iter_mut().zip(&chunk) {
+            all.extend((begin..end).map(|state| bits::has(set, state - begin)));
+        }
+    }
+    all
+}
+
 proptest! {
     #![proptest_config(ProptestConfig { cases: 300, failure_persistence: None, ..ProptestConfig::default() })]
+
+    /// Columns of bits, backtracking, and the trial of all assignments agree.
+    #[test]
+    fn the_evaluations_of_a_clause_agree(seed: u64) {
+        let mut random = Seed(seed).stream(SCENES, 4, 0);
+        let vocabulary = any_vocabulary(&mut random);
+        let density = random.random_range(0.1..0.9);
+        let states: Vec<State> = (0..random.random_range(1..=80)).map(|_| {
+            let entities = random.random_range(vocabulary.egos()..=4);
+            any_state(&vocabulary, entities, density, &mut random)
+        }).collect();
+        let bodies: Vec<Body> = (0..6).map(|_| {
+            let variables = random.random_range(vocabulary.egos()..=4);
+            any_body(&vocabulary, variables, &mut random)
+        }).collect();
+        let states: Vec<&State> = states.iter().collect();
+        let bodies: Vec<&Body> = bodies.iter().collect();
+        let columns = by_columns(&vocabulary, &bodies, &states);
+        for (body, columns) in bodies.iter().zip(columns) {
+            prop_assert_eq!(columns.len(), states.len());
+            for (state, by_columns) in states.iter().zip(columns) {
+                let naive = holds(&vocabulary, body, state);
+                prop_assert_eq!(by_columns, naive);
+                prop_assert_eq!(body.holds(&vocabulary, state), naive);
+            }
+        }
+    }
 
     /// No conjunction of literals of the example that excludes all negative rows has a higher score.
     #[test]
@@ -158,7 +244,9 @@ proptest! {
                     best = best.max(Some(i64::from(bits::common(&covered, &open)) * EXAMPLE - i64::from(cost)));
                 }
             }
-            let found = Search::new(&problem, &example, &open).best(u32::MAX, &Cancel::never());
+            let counted: Vec<&State> = bits::elements(&open).map(|state| positive[state]).collect();
+            let columns = split.columns(&vocabulary, &counted);
+            let found = Search::new(&problem, &example, &problem.open(&columns)).best(u32::MAX, &Cancel::never());
             prop_assert!(found.as_ref().is_none_or(|found| found.is_best));
             prop_assert_eq!(found.map(|found| found.score), best);
         }
@@ -241,6 +329,43 @@ proptest! {
             }
         }
     }
+}
+
+/// With 13 entities, five variables beside the ego have too many assignments for columns of bits.
+#[test]
+fn a_clause_with_too_many_assignments_for_columns_is_evaluated() {
+    let mut random = Seed(8).stream(SCENES, 5, 0);
+    let vocabulary = vocabulary(2, 2, true);
+    let states: Vec<State> = (0..3).map(|_| state(&vocabulary, 13, 0.15, &mut random)).collect();
+    let states: Vec<&State> = states.iter().collect();
+    assert!(
+        Split::new(&vocabulary, &states, &[])
+            .problem(&vocabulary, 6, true)
+            .is_none()
+    );
+    let chain = |unary: usize, count: u8| {
+        let ends = (1..count).map(|variable| (3, vec![variable - 1, variable], false));
+        let literals = ends.chain([
+            (unary, vec![0], false),
+            (unary, vec![count - 1], false),
+            (2, vec![0, 5], true),
+        ]);
+        let literals = literals.map(|(predicate, arguments, is_negated)| Literal {
+            is_negated,
+            atom: super::Atom {
+                predicate,
+                arguments: arguments.into_iter().collect(),
+            },
+        });
+        Body(literals.collect())
+    };
+    let bodies = [chain(0, 5), chain(1, 6), chain(0, 6)];
+    let bodies: Vec<&Body> = bodies.iter().collect();
+    let naive: Vec<Vec<bool>> = (bodies.iter())
+        .map(|body| states.iter().map(|state| holds(&vocabulary, body, state)).collect())
+        .collect();
+    assert!(naive.concat().contains(&true) && naive.concat().contains(&false));
+    assert_eq!(by_columns(&vocabulary, &bodies, &states), naive);
 }
 
 #[test]

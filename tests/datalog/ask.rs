@@ -123,18 +123,7 @@ fn follow<'a>(
 }
 
 fn easy() -> (Task, Vec<Clause>) {
-    let names = [
-        "IsPedestrian",
-        "IsCar",
-        "IsAmbulance",
-        "IsOld",
-        "IsTiro",
-        "IsAtInter",
-        "IsInInter",
-        "HigherPri",
-        "CollidingClose",
-    ];
-    city(&Path::new(env!("CARGO_MANIFEST_DIR")).join("rules/easy.dl"), &names)
+    city(Path::new(env!("CARGO_MANIFEST_DIR")), "easy")
 }
 
 #[test]

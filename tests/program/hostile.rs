@@ -1710,7 +1710,7 @@ impl Fixtures {
         put("one-action", two("", "Fast") + &two("\"a\"", "Fast"));
         put("default", two("", "Normal"));
         put("action", two("", "Fly"));
-        put("stranger", scene("\"a\"", "\"IsCar\":[\"a\"]", "\"z\":\"Stop\""));
+        put("unknown-entity", scene("\"a\"", "\"IsCar\":[\"a\"]", "\"z\":\"Stop\""));
         let names: Vec<String> = (0..70).map(|index| format!("\"x{index}\"")).collect();
         let names = format!("\"a\",{}", names.join(","));
         put("crowd", scene(&names, "\"IsCar\":[\"a\"]", "\"a\":\"Stop\""));

@@ -15,6 +15,8 @@ const PROBES: usize = 400;
 const REPLACED: usize = 20;
 /// The literals with which a probe begins, and the most that it may have.
 const LITERALS: (usize, usize) = (4, 10);
+/// The share of probes with one variable beside those of the head, if there may be more.
+const PAIRS: f64 = 0.5;
 /// The share of negated literals.
 const NEGATED: f64 = 0.5;
 /// The most states of the examples that refute probes.
@@ -135,7 +137,7 @@ impl Drawing<'_> {
     /// Draws a clause of an action before `level` that holds in a scene.
     fn probe(&self, source: State, most: usize, level: usize, random: &mut impl Rng) -> Probe {
         let egos = self.vocabulary.egos();
-        let variables = if most > egos + 1 && random.random_bool(0.75) {
+        let variables = if most > egos + 1 && random.random_bool(PAIRS) {
             egos + 1
         } else {
             random.random_range(egos..=most)
