@@ -1,11 +1,12 @@
 use crate::cancel::Cancel;
 use crate::induce::bits::{self, Bits};
+use crate::induce::constraints::tuples;
 use crate::induce::cover::cheapest_cover;
 use crate::induce::learner::learn_here;
 use crate::induce::problem::Split;
 use crate::induce::rules::clauses_hold;
 use crate::induce::search::{EXAMPLE, Search};
-use crate::induce::vocabulary::{ARITY_MAX, tuples};
+use crate::induce::vocabulary::ARITY_MAX;
 use crate::induce::{
     Body, Constraints, Examples, Learned, Link, Literal, Noise, Predicate, Settings, State, Vocabulary, learn, support,
 };
@@ -183,10 +184,9 @@ fn any_body(vocabulary: &Vocabulary, variables: usize, random: &mut impl Rng) ->
 /// The states in which each body holds, by columns of bits.
 fn by_columns(vocabulary: &Vocabulary, bodies: &[&Body], states: &[&State]) -> Vec<Vec<bool>> {
     let mut all = vec![Vec::new(); bodies.len()];
-    for (begin, chunk) in clauses_hold(vocabulary, bodies, states) {
-        let end = (begin + chunk.first().map_or(0, |set| set.len() * 64)).min(states.len());
+    for (range, chunk) in clauses_hold(vocabulary, bodies, states) {
         for (all, set) in all.iter_mut().zip(&chunk) {
-            all.extend((begin..end).map(|state| bits::has(set, state - begin)));
+            all.extend((0..range.len()).map(|state| bits::has(set, state)));
         }
     }
     all

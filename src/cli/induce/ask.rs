@@ -422,7 +422,11 @@ fn pass_line(output: &mut impl BufRead, answered: &SyncSender<io::Result<Vec<u8>
     match output.by_ref().take(ANSWER_MAX).read_until(b'\n', &mut line) {
         Ok(0) => false,
         Ok(_) => answered.send(Ok(line)).is_ok(),
-        Err(error) => answered.send(Err(error)).is_ok() && false,
+        Err(error) => {
+            // The receiver may have ended.
+            let _ = answered.send(Err(error));
+            false
+        }
     }
 }
 
