@@ -313,18 +313,28 @@ impl Parser<'_> {
         Ok(Literal::Compare { op, left, right, place })
     }
 
-    /// Returns whether a quantifier of logic begins here: `forall(A(y), B(x, y))`, `exists y: A(y)`.
+    /// Returns whether a quantifier of logic begins here: `forall(A(y), B(x, y))`, `forall(y, A(y))`, `exists y: A(y)`.
     fn is_quantifier(&self) -> bool {
         let next = self.ahead(1);
         let is_word = FOR_ALL.contains(&self.slice(self.token())) || EXISTS.contains(&self.slice(self.token()));
-        let is_applied = next.kind == Kind::LParen && self.is_atom_ahead(2);
+        let names_variable =
+            self.ahead(2).kind == Kind::Ident && matches!(self.ahead(3).kind, Kind::Comma | Kind::Colon);
+        let is_applied =
+            next.kind == Kind::LParen && (self.is_atom_ahead(2) || (names_variable && self.is_atom_ahead(4)));
         is_word && (is_applied || (next.kind == Kind::Ident && !next.first_on_line))
     }
 
     /// Reports a quantifier.
     fn quantifier(&mut self) -> Reported {
         let word = self.token();
-        let arguments = self.arguments_of(word);
+        let without_variable = |text| -> &str {
+            let (name, rest) = str::split_once(text, ':').unwrap_or(("", text));
+            if name.contains('(') { text } else { rest.trim() }
+        };
+        let arguments: Vec<&str> = (self.arguments_of(word).into_iter())
+            .map(without_variable)
+            .filter(|literal| literal.contains('('))
+            .collect();
         let negated = matches!(
             (
                 self.at.checked_sub(1).map(|at| self.tokens[at].kind),
@@ -337,6 +347,9 @@ impl Parser<'_> {
         let help = match (FOR_ALL.contains(&self.slice(word)), arguments.as_slice()) {
             (true, [condition, conclusion]) => {
                 format!("count the exceptions: `count : {{ {condition}, Not({conclusion}) }} = 0`")
+            }
+            (true, [conclusion]) => {
+                format!("count the exceptions among some `A`: `count : {{ A(y), Not({conclusion}) }} = 0`")
             }
             (true, _) => "count the exceptions: `count : { A(y), Not(B(x, y)) } = 0`".to_owned(),
             (false, _) if negated => {
