@@ -333,7 +333,7 @@ fn tables_of_steps_teach_like_the_episodes() {
     assert_eq!(clauses(&[STEPS]), clauses(&["--episodes", "2"]));
     let said = succeeds(&logicity(["induce", STEPS, "--config", "easy"]));
     assert!(
-        said.contains("the first is easy-steps.parquet, episode 0, step "),
+        said.contains("alone explains is easy-steps.parquet, episode 0, step "),
         "{said}"
     );
     // A pipe has no name that ends in `.parquet`.
