@@ -48,6 +48,7 @@ fn episodes_yield_rules_that_are_equal_for_cars() {
         let checked = logicity(["check", learned.to_str().unwrap()]);
         succeeds(&checked);
         assert_eq!(text(&checked.stderr), "");
+        succeeds(&logicity(["fmt", "--check", learned.to_str().unwrap()]));
     }
 }
 
