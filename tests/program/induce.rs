@@ -214,7 +214,10 @@ fn scenes_teach_their_actions() {
         "{learned}"
     );
     assert!(learned.contains("// No clause: 0 examples."), "{learned}");
-    assert!(learned.contains("the first is scenes.jsonl, line 4, a\n"), "{learned}");
+    assert!(
+        learned.contains("alone explains is scenes.jsonl, line 4, a.\n"),
+        "{learned}"
+    );
 }
 
 /// A pipe can be read once only.
