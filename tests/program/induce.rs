@@ -48,6 +48,7 @@ fn episodes_yield_rules_that_are_equal_for_cars() {
         let checked = logicity(["check", learned.to_str().unwrap()]);
         succeeds(&checked);
         assert_eq!(text(&checked.stderr), "");
+        succeeds(&logicity(["fmt", "--check", learned.to_str().unwrap()]));
     }
 }
 
@@ -212,7 +213,10 @@ fn scenes_teach_their_actions() {
         "{learned}"
     );
     assert!(learned.contains("// No clause: 0 examples."), "{learned}");
-    assert!(learned.contains("the first is scenes.jsonl, line 4, a\n"), "{learned}");
+    assert!(
+        learned.contains("alone explains is scenes.jsonl, line 4, a.\n"),
+        "{learned}"
+    );
 }
 
 /// Names that a file gives to its entities cannot end a comment of the rule file.
@@ -360,7 +364,7 @@ fn tables_of_steps_teach_like_the_episodes() {
     assert_eq!(clauses(&[STEPS]), clauses(&["--episodes", "2"]));
     let said = succeeds(&logicity(["induce", STEPS, "--config", "easy"]));
     assert!(
-        said.contains("the first is easy-steps.parquet, episode 0, step "),
+        said.contains("alone explains is easy-steps.parquet, episode 0, step "),
         "{said}"
     );
     // A pipe has no name that ends in `.parquet`.

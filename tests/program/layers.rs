@@ -2,7 +2,7 @@
 
 use std::collections::{BTreeMap, BTreeSet};
 use std::fs;
-use std::path::{Path, PathBuf};
+use std::path::PathBuf;
 
 /// Rooms that do no input or output and read no clock, with all rooms inside them.
 const PURE: &[&str] = &[

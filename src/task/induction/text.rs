@@ -100,7 +100,18 @@ pub fn rule_file(
         }
     }
     let _ = writeln!(text, "\n// --- {default}: where no clause above holds");
-    text
+    formatted(text)
+}
+
+/// Returns a rule file as `logicity fmt` prints it.
+fn formatted(text: String) -> String {
+    let mut sources = Sources::new();
+    let source = sources.add("learned.dl", text.clone());
+    match datalog::format(&sources, source) {
+        Ok(formatted) => formatted,
+        // Only its layout would change, so a text that does not parse stays as it is.
+        Err(_) => text,
+    }
 }
 
 /// Adds a comment, wrapped at 100 columns between words and not within parentheses. Names of files and entities may
