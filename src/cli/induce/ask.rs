@@ -11,10 +11,11 @@ use crate::induce::ask::{AskSettings, Bound, Event};
 use crate::rng::Seed;
 use crate::sim::{Executor, Inference, LoadedCity, hash_sources};
 use crate::task::induction::{Asked, InductionTask, Inquiry, LogError, OracleError, RuleOracle};
+use clap::builder::NonEmptyStringValueParser;
 use indicatif::{ProgressBar, ProgressStyle};
 use serde_json::Value;
 use sha2::{Digest, Sha256};
-use std::io::{self, BufRead, BufReader, IsTerminal, Read, Write};
+use std::io::{self, BufRead, BufReader, Read, Write};
 use std::path::{Path, PathBuf};
 use std::process::{Child, Command, ExitStatus, Stdio};
 use std::sync::mpsc::{Receiver, RecvTimeoutError, Sender, SyncSender, TryRecvError, channel, sync_channel};
@@ -26,7 +27,7 @@ pub struct AskOptions {
     /// Ask an oracle which action it takes in scenes that the learner makes up. A value that ends in `.dl` is a rule
     /// file; the learner does not see its clauses. Any other value is a command for the shell, which runs once: it reads
     /// one scene per line, as `logicity infer` does, and answers each with a line such as `{"action": "Stop"}`
-    #[arg(long, value_name = "ORACLE", conflicts_with = "noise")]
+    #[arg(long, value_name = "ORACLE", conflicts_with = "noise", value_parser = NonEmptyStringValueParser::new())]
     ask: Option<String>,
     /// The most questions, those of an earlier run in the log included
     #[arg(long, value_name = "COUNT", requires = "ask", value_parser = integer(0..=usize::MAX),
@@ -391,6 +392,7 @@ impl Drop for CommandOracle {
 /// that is possible: on a terminal, a process of another group could not ask the user.
 #[cfg(unix)]
 fn separate(shell: &mut Command) -> bool {
+    use std::io::IsTerminal;
     use std::os::unix::process::CommandExt;
     let is_interactive = io::stdin().is_terminal() || io::stderr().is_terminal();
     if !is_interactive {
