@@ -121,7 +121,7 @@ impl AskOptions {
 
     /// Opens the log. `outputs` are the other files that the command writes.
     pub fn open(&self, source: OracleSource, inputs: &Inputs, outputs: &[&Path]) -> Result<Session<'_>, Failure> {
-        let open = |path: &'_ PathBuf| -> Result<Journal, Failure> {
+        let open = |path: &PathBuf| -> Result<Journal, Failure> {
             if path == Path::new("-") {
                 let message = "--log needs a file, because a later run reads it; `./-` is the file with that name";
                 return Err(Failure::Usage(message.to_owned()));
@@ -284,7 +284,7 @@ struct CommandOracle {
     /// Whether the process and those that it starts are a process group.
     is_group: bool,
     scenes: Option<Sender<String>>,
-    answers: Receiver<io::Result<Vec<u8>>>,
+    answers: Receiver<Vec<u8>>,
     timeout: Duration,
 }
 
@@ -329,8 +329,8 @@ impl CommandOracle {
     /// Sends a scene and waits for the action.
     fn action(&mut self, scene: &Value, cancel: &Cancel) -> Result<Action, OracleError> {
         match self.answers.try_recv() {
-            Ok(Ok(line)) => return Err(invalid("the oracle writes a line before it is asked", &line, None)),
-            Ok(Err(_)) | Err(TryRecvError::Disconnected) => return Err(self.ended(cancel)),
+            Ok(line) => return Err(invalid("the oracle writes a line before it is asked", &line, None)),
+            Err(TryRecvError::Disconnected) => return Err(self.ended(cancel)),
             Err(TryRecvError::Empty) => {}
         }
         if let Some(scenes) = &self.scenes {
@@ -340,8 +340,8 @@ impl CommandOracle {
         loop {
             let left = end.saturating_duration_since(Instant::now());
             match self.answers.recv_timeout(left.min(POLL)) {
-                Ok(Ok(line)) => return read_action(&line),
-                Ok(Err(_)) | Err(RecvTimeoutError::Disconnected) => return Err(self.ended(cancel)),
+                Ok(line) => return read_action(&line),
+                Err(RecvTimeoutError::Disconnected) => return Err(self.ended(cancel)),
                 Err(RecvTimeoutError::Timeout) if cancel.requested() => return Err(OracleError::Cancelled),
                 Err(RecvTimeoutError::Timeout) if left.is_zero() => return Err(too_slow(self.timeout)),
                 Err(RecvTimeoutError::Timeout) => {}
@@ -419,13 +419,10 @@ fn separate(_: &mut Command) -> bool {
 fn kill_group(_: &Child) {}
 
 /// Passes a line of an oracle on. Returns false at the end.
-fn pass_line(output: &mut impl BufRead, answered: &SyncSender<io::Result<Vec<u8>>>) -> bool {
+fn pass_line(output: &mut impl BufRead, answered: &SyncSender<Vec<u8>>) -> bool {
     let mut line = Vec::new();
-    match output.by_ref().take(ANSWER_MAX).read_until(b'\n', &mut line) {
-        Ok(0) => false,
-        Ok(_) => answered.send(Ok(line)).is_ok(),
-        Err(error) => answered.send(Err(error)).is_ok() && false,
-    }
+    let read = output.by_ref().take(ANSWER_MAX).read_until(b'\n', &mut line);
+    read.is_ok_and(|length| length > 0) && answered.send(line).is_ok()
 }
 
 #[cfg(unix)]
