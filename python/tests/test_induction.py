@@ -263,7 +263,7 @@ class Weather(Exception):
     ("answer", "error", "message"),
     [
         (Weather("rain"), Weather, "rain"),
-        (KeyboardInterrupt(), KeyboardInterrupt, ""),
+        (KeyboardInterrupt(), KeyboardInterrupt, "^$"),
         ("Jump", ValueError, "Jump"),
         (3, TypeError, "not int"),
         (None, TypeError, "not NoneType"),

@@ -244,7 +244,7 @@ fn faults_of_oracles_are_reported() {
         )
     };
     let said = |line: &str| after(14, &format!("printf '{line}\\n'; continue"));
-    let cases: [(String, i32, &[&str]); 12] = [
+    let cases: [(String, i32, &[&str]); 11] = [
         (
             fixture("invalid-answer"),
             1,
@@ -294,11 +294,6 @@ fn faults_of_oracles_are_reported() {
             after(14, "exit 7"),
             2,
             &["question 15: the oracle ended without an answer (exit status: 7)"],
-        ),
-        (
-            after(14, "exec >&-; sleep 60"),
-            2,
-            &["closed its output without an answer"],
         ),
         (
             after(14, "sleep 60; :"),

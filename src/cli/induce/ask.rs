@@ -11,10 +11,11 @@ use crate::induce::ask::{AskSettings, Bound, Event};
 use crate::rng::Seed;
 use crate::sim::{Executor, Inference, LoadedCity, hash_sources};
 use crate::task::induction::{Asked, InductionTask, Inquiry, LogError, OracleError, RuleOracle};
+use clap::builder::NonEmptyStringValueParser;
 use indicatif::{ProgressBar, ProgressStyle};
 use serde_json::Value;
 use sha2::{Digest, Sha256};
-use std::io::{self, BufRead, BufReader, IsTerminal, Read, Write};
+use std::io::{self, BufRead, BufReader, Read, Write};
 use std::path::{Path, PathBuf};
 use std::process::{Child, Command, ExitStatus, Stdio};
 use std::sync::mpsc::{Receiver, RecvTimeoutError, Sender, SyncSender, TryRecvError, channel, sync_channel};
@@ -26,7 +27,7 @@ pub struct AskOptions {
     /// Ask an oracle which action it takes in scenes that the learner makes up. A value that ends in `.dl` is a rule
     /// file; the learner does not see its clauses. Any other value is a command for the shell, which runs once: it reads
     /// one scene per line, as `logicity infer` does, and answers each with a line such as `{"action": "Stop"}`
-    #[arg(long, value_name = "ORACLE", conflicts_with = "noise")]
+    #[arg(long, value_name = "ORACLE", conflicts_with = "noise", value_parser = NonEmptyStringValueParser::new())]
     ask: Option<String>,
     /// The most questions, those of an earlier run in the log included
     #[arg(long, value_name = "COUNT", requires = "ask", value_parser = integer(0..=usize::MAX),
@@ -120,7 +121,7 @@ impl AskOptions {
 
     /// Opens the log. `outputs` are the other files that the command writes.
     pub fn open(&self, source: OracleSource, inputs: &Inputs, outputs: &[&Path]) -> Result<Session<'_>, Failure> {
-        let open = |path: &'_ PathBuf| -> Result<Journal, Failure> {
+        let open = |path: &PathBuf| -> Result<Journal, Failure> {
             if path == Path::new("-") {
                 let message = "--log needs a file, because a later run reads it; `./-` is the file with that name";
                 return Err(Failure::Usage(message.to_owned()));
@@ -283,7 +284,7 @@ struct CommandOracle {
     /// Whether the process and those that it starts are a process group.
     is_group: bool,
     scenes: Option<Sender<String>>,
-    answers: Receiver<io::Result<Vec<u8>>>,
+    answers: Receiver<Vec<u8>>,
     timeout: Duration,
 }
 
@@ -328,8 +329,8 @@ impl CommandOracle {
     /// Sends a scene and waits for the action.
     fn action(&mut self, scene: &Value, cancel: &Cancel) -> Result<Action, OracleError> {
         match self.answers.try_recv() {
-            Ok(Ok(line)) => return Err(invalid("the oracle writes a line before it is asked", &line, None)),
-            Ok(Err(_)) | Err(TryRecvError::Disconnected) => return Err(self.ended(cancel)),
+            Ok(line) => return Err(invalid("the oracle writes a line before it is asked", &line, None)),
+            Err(TryRecvError::Disconnected) => return Err(self.ended(cancel)),
             Err(TryRecvError::Empty) => {}
         }
         if let Some(scenes) = &self.scenes {
@@ -339,8 +340,8 @@ impl CommandOracle {
         loop {
             let left = end.saturating_duration_since(Instant::now());
             match self.answers.recv_timeout(left.min(POLL)) {
-                Ok(Ok(line)) => return read_action(&line),
-                Ok(Err(_)) | Err(RecvTimeoutError::Disconnected) => return Err(self.ended(cancel)),
+                Ok(line) => return read_action(&line),
+                Err(RecvTimeoutError::Disconnected) => return Err(self.ended(cancel)),
                 Err(RecvTimeoutError::Timeout) if cancel.requested() => return Err(OracleError::Cancelled),
                 Err(RecvTimeoutError::Timeout) if left.is_zero() => return Err(too_slow(self.timeout)),
                 Err(RecvTimeoutError::Timeout) => {}
@@ -391,6 +392,7 @@ impl Drop for CommandOracle {
 /// that is possible: on a terminal, a process of another group could not ask the user.
 #[cfg(unix)]
 fn separate(shell: &mut Command) -> bool {
+    use std::io::IsTerminal;
     use std::os::unix::process::CommandExt;
     let is_interactive = io::stdin().is_terminal() || io::stderr().is_terminal();
     if !is_interactive {
@@ -417,17 +419,10 @@ fn separate(_: &mut Command) -> bool {
 fn kill_group(_: &Child) {}
 
 /// Passes a line of an oracle on. Returns false at the end.
-fn pass_line(output: &mut impl BufRead, answered: &SyncSender<io::Result<Vec<u8>>>) -> bool {
+fn pass_line(output: &mut impl BufRead, answered: &SyncSender<Vec<u8>>) -> bool {
     let mut line = Vec::new();
-    match output.by_ref().take(ANSWER_MAX).read_until(b'\n', &mut line) {
-        Ok(0) => false,
-        Ok(_) => answered.send(Ok(line)).is_ok(),
-        Err(error) => {
-            // The receiver may have ended.
-            let _ = answered.send(Err(error));
-            false
-        }
-    }
+    let read = output.by_ref().take(ANSWER_MAX).read_until(b'\n', &mut line);
+    read.is_ok_and(|length| length > 0) && answered.send(line).is_ok()
 }
 
 #[cfg(unix)]

@@ -594,10 +594,10 @@ impl Questions {
         found.map_or(self.asked(), |at| at + 1)
     }
 
-    /// Checks that the questions came to a regular end. `examples` are those of the result, which `origin` names.
+    /// Checks that nothing but the limits ended the questions. `examples` are those of the result, which `origin` names.
     ///
     /// # Errors
-    /// The fault of the oracle that ended them.
+    /// The interrupt or the fault of the oracle that ended them.
     pub fn check(&self, task: &InductionTask, examples: &Examples, origin: &Origin) -> Result<(), OracleError> {
         let named = |actions: &[usize; 2]| actions.map(|action| task.actions()[action].name());
         let scene = |state: &State| format!("the scene: {}", task.scene(state));
