@@ -875,9 +875,9 @@ const INDUCE: &[Case] = &[
         2,
         "this command reads it",
     ),
-    ("induce scenes/labeled.jsonl --variables 1", 2, "from 2 to 6"),
-    ("induce scenes/labeled.jsonl --variables 7", 2, "from 2 to 6"),
-    ("induce scenes/labeled.jsonl --variables NaN", 2, "from 2 to 6"),
+    ("induce scenes/labeled.jsonl --variables 1", 2, "from 2 to 7"),
+    ("induce scenes/labeled.jsonl --variables 8", 2, "from 2 to 7"),
+    ("induce scenes/labeled.jsonl --variables NaN", 2, "from 2 to 7"),
     ("induce scenes/labeled.jsonl --effort 0", 2, "from 1 to 4294967295"),
     (
         "induce scenes/labeled.jsonl --effort 4294967296",
@@ -965,7 +965,7 @@ const POPPER: &[Case] = &[
         "more than 10000 examples",
     ),
     ("induce --popper popper/examples --max-memory 512K", 1, "--max-memory"),
-    ("induce --popper popper/good --variables 7", 2, "from 2 to 6"),
+    ("induce --popper popper/good --variables 8", 2, "from 2 to 7"),
     ("induce --popper popper/good --effort 0", 2, "from 1 to 4294967295"),
     ("induce --popper popper/good --config easy", 2, "cannot be used with"),
     (
