@@ -827,7 +827,7 @@ const INDUCE: &[Case] = &[
     ("induce scenes/one-action.jsonl", 0, "No clause: 0 examples"),
     ("induce scenes/default.jsonl", 0, "No clause: 0 examples"),
     ("induce scenes/action.jsonl", 1, "Fly"),
-    ("induce scenes/stranger.jsonl", 1, "invalid-scene"),
+    ("induce scenes/unknown-name.jsonl", 1, "invalid-scene"),
     ("induce scenes/crowd.jsonl", 1, "the limit is 64"),
     ("induce scenes/cut.jsonl", 1, "invalid-scene"),
     ("induce scenes/labeled.jsonl --test missing.jsonl", 2, "missing.jsonl"),
@@ -1510,7 +1510,7 @@ impl Fixtures {
         put("one-action", two("", "Fast") + &two("\"a\"", "Fast"));
         put("default", two("", "Normal"));
         put("action", two("", "Fly"));
-        put("stranger", scene("\"a\"", "\"IsCar\":[\"a\"]", "\"z\":\"Stop\""));
+        put("unknown-name", scene("\"a\"", "\"IsCar\":[\"a\"]", "\"z\":\"Stop\""));
         let names: Vec<String> = (0..70).map(|index| format!("\"x{index}\"")).collect();
         let names = format!("\"a\",{}", names.join(","));
         put("crowd", scene(&names, "\"IsCar\":[\"a\"]", "\"a\":\"Stop\""));
