@@ -84,7 +84,7 @@ fn measure(name: &str, [background, examples, bias]: &Texts, tables: Option<&Pat
     };
     let begin = Instant::now();
     let options = Options {
-        closed_world: !examples.lines().any(|line| line.trim_start().starts_with("neg(")),
+        closed_world: !examples.contains("neg("),
         ..Options::default()
     };
     let (task, diagnostics) = read(&sources, &files, &options);

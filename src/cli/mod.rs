@@ -85,7 +85,7 @@ enum Command {
     Repl(repl::Arguments),
     /// Evaluate the rules on scenes: one JSON scene per line in, one JSON answer per line out
     Infer(infer::Arguments),
-    /// Learn rules from recorded episodes, traces, labeled scenes or questions to an oracle
+    /// Learn rules from episodes, traces, labeled scenes, data sets, questions to an oracle or tasks of Popper
     Induce(induce::Arguments),
     /// Explain why an agent acted as it did in a run, or why it did not act otherwise
     Explain(explain::Arguments),

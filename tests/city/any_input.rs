@@ -83,15 +83,12 @@ pub fn labeled_scenes(bytes: &[u8]) {
                 continue;
             };
             for (ego, action) in scene.actions {
-                let labeled = translator
-                    .state(&scene.facts, ego)
-                    .and_then(|state| Ok((state, task.action(action)?)));
-                match labeled {
-                    Ok((state, action)) => {
+                match (translator.state(&scene.facts, ego), task.action(action)) {
+                    (Ok(state), Ok(action)) => {
                         examples.push(state, action);
                         origin.push(examples.count() - 1, scene.names[ego].clone());
                     }
-                    Err(fault) => draw(&[fault], &sources),
+                    (Err(fault), _) | (_, Err(fault)) => draw(&[fault], &sources),
                 }
             }
         }

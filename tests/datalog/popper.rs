@@ -569,6 +569,21 @@ fn programs_have_names_that_the_engine_accepts() {
 }
 
 #[test]
+fn examples_with_the_same_facts_are_inseparable() {
+    // The constants of `a` and `b` play the same roles in another order.
+    let background = "p(a,c). p(a,d). q(c). p(b,e). p(b,g). q(g). p(h,k). r(k).";
+    let examples = "pos(f(a)). neg(f(b)). pos(f(h)).";
+    let bias = "head_pred(f,1). body_pred(p,2). body_pred(q,1). body_pred(r,1). max_vars(2).";
+    let task = task(&[background, examples, bias]);
+    let (examples, inseparable) = task.examples(|_| true);
+    assert_eq!((examples.count(), inseparable), (3, 1));
+    assert_eq!(examples.contradictions().count(), 0);
+    let solution = solve(&task.vocabulary, &examples, &task.settings(), &Cancel::never());
+    assert_eq!(task.clauses(&solution.rules), ["f(X) :- p(X, Y), r(Y)."]);
+    assert_eq!(task.examples(|case| case != 1).1, 0);
+}
+
+#[test]
 fn literals_bind_the_variables_of_the_head() {
     let texts = [
         "p(a). r(b). r(c).",

@@ -827,7 +827,7 @@ const INDUCE: &[Case] = &[
     ("induce scenes/one-action.jsonl", 0, "No clause: 0 examples"),
     ("induce scenes/default.jsonl", 0, "No clause: 0 examples"),
     ("induce scenes/action.jsonl", 1, "Fly"),
-    ("induce scenes/unknown-entity.jsonl", 1, "invalid-scene"),
+    ("induce scenes/unknown-name.jsonl", 1, "invalid-scene"),
     ("induce scenes/crowd.jsonl", 1, "the limit is 64"),
     ("induce scenes/cut.jsonl", 1, "invalid-scene"),
     ("induce scenes/labeled.jsonl --test missing.jsonl", 2, "missing.jsonl"),
@@ -875,9 +875,9 @@ const INDUCE: &[Case] = &[
         2,
         "this command reads it",
     ),
-    ("induce scenes/labeled.jsonl --variables 1", 2, "from 2 to 6"),
-    ("induce scenes/labeled.jsonl --variables 7", 2, "from 2 to 6"),
-    ("induce scenes/labeled.jsonl --variables NaN", 2, "from 2 to 6"),
+    ("induce scenes/labeled.jsonl --variables 1", 2, "from 2 to 7"),
+    ("induce scenes/labeled.jsonl --variables 8", 2, "from 2 to 7"),
+    ("induce scenes/labeled.jsonl --variables NaN", 2, "from 2 to 7"),
     ("induce scenes/labeled.jsonl --effort 0", 2, "from 1 to 4294967295"),
     (
         "induce scenes/labeled.jsonl --effort 4294967296",
@@ -965,7 +965,7 @@ const POPPER: &[Case] = &[
         "more than 10000 examples",
     ),
     ("induce --popper popper/examples --max-memory 512K", 1, "--max-memory"),
-    ("induce --popper popper/good --variables 7", 2, "from 2 to 6"),
+    ("induce --popper popper/good --variables 8", 2, "from 2 to 7"),
     ("induce --popper popper/good --effort 0", 2, "from 1 to 4294967295"),
     ("induce --popper popper/good --config easy", 2, "cannot be used with"),
     (
@@ -1710,7 +1710,7 @@ impl Fixtures {
         put("one-action", two("", "Fast") + &two("\"a\"", "Fast"));
         put("default", two("", "Normal"));
         put("action", two("", "Fly"));
-        put("unknown-entity", scene("\"a\"", "\"IsCar\":[\"a\"]", "\"z\":\"Stop\""));
+        put("unknown-name", scene("\"a\"", "\"IsCar\":[\"a\"]", "\"z\":\"Stop\""));
         let names: Vec<String> = (0..70).map(|index| format!("\"x{index}\"")).collect();
         let names = format!("\"a\",{}", names.join(","));
         put("crowd", scene(&names, "\"IsCar\":[\"a\"]", "\"a\":\"Stop\""));

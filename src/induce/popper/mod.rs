@@ -332,21 +332,19 @@ impl Task {
     /// Returns the examples whose positions `keep` selects. No clause can separate positive examples from negative ones
     /// with the same state, so these count as negative; also returns their number.
     pub fn examples(&self, keep: impl Fn(usize) -> bool) -> (Examples, usize) {
-        let cases: Vec<&Case> = (self.cases.iter().enumerate())
-            .filter(|(index, _)| keep(*index))
-            .map(|(_, case)| case)
+        let kept = self.cases.iter().enumerate().filter(|(index, _)| keep(*index));
+        let cases: Vec<(State, bool)> = kept
+            .map(|(_, case)| (case.state.clone().sorted(&self.vocabulary), case.is_positive))
             .collect();
-        let negative: BTreeSet<&State> = (cases.iter())
-            .filter(|case| !case.is_positive)
-            .map(|case| &case.state)
-            .collect();
+        let negative = cases.iter().filter(|(_, is_positive)| !is_positive);
+        let negative: BTreeSet<State> = negative.map(|(state, _)| state.clone()).collect();
         let actions = vec![self.target.clone(), format!("not {}", self.target)];
         let mut examples = Examples::new(self.vocabulary.clone(), actions);
         let mut inseparable = 0;
-        for case in cases {
-            let is_separable = !negative.contains(&case.state);
-            inseparable += usize::from(case.is_positive && !is_separable);
-            examples.push(case.state.clone(), usize::from(!(case.is_positive && is_separable)));
+        for (state, is_positive) in cases {
+            let is_separable = !negative.contains(&state);
+            inseparable += usize::from(is_positive && !is_separable);
+            examples.push(state, usize::from(!(is_positive && is_separable)));
         }
         (examples, inseparable)
     }
