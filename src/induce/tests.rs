@@ -468,6 +468,36 @@ fn noise_does_not_change_the_rules() {
     }
 }
 
+/// A sample of the states is enough, and it grows if it is not.
+#[test]
+fn noisy_examples_are_learned_from_a_sample() {
+    let (examples, labeled) = noisy(0.02);
+    for (noise, working_states) in [(Noise::Rate(0.02), 400), (Noise::Auto, 400), (Noise::Rate(0.02), 10)] {
+        let settings = Settings {
+            noise,
+            working_states,
+            ..Settings::default()
+        };
+        let learned = learn(&examples, &settings, &Cancel::never());
+        assert!(
+            (11..examples.states().len()).contains(&learned.working_states),
+            "{noise:?} {working_states}"
+        );
+        let states: Vec<&State> = labeled.iter().map(|(state, _)| state).collect();
+        let decided = learned.decide(examples.vocabulary(), &states);
+        let wrong = decided
+            .iter()
+            .zip(&labeled)
+            .filter(|(decided, (_, action))| *decided != action)
+            .count();
+        assert!(
+            wrong * 50 <= labeled.len(),
+            "{noise:?} {working_states}: {wrong} of {}",
+            labeled.len()
+        );
+    }
+}
+
 #[test]
 fn estimated_noise_of_consistent_examples_is_none() {
     let (examples, _) = noisy(0.0);
