@@ -74,7 +74,7 @@ fn estimate(
 /// Learns rules that may be wrong in some examples, at the rate of the settings. `None` if the examples show no noise.
 ///
 /// If there are more states than [`Settings::working_states`], the learner takes an evenly spread sample, and a larger
-/// one if the rules get a larger share of all examples wrong than of the sample.
+/// one while the rules get a larger share of all examples wrong than of the sample.
 pub(crate) fn learn_noisy(
     examples: &Examples,
     settings: &Settings,
@@ -95,15 +95,16 @@ pub(crate) fn learn_noisy(
             return Some(learned);
         }
         let share = |of: &Examples| wrong(&learned, of) as f64 / of.count() as f64;
-        let all = share(examples);
-        if all <= share(sample) + DEVIATIONS * (all / sample.count() as f64).sqrt() {
+        let (all, expected) = (share(examples), share(sample).max(learned.rate));
+        let chance = DEVIATIONS * (all / sample.count() as f64).sqrt();
+        if all <= expected + chance.min(expected) {
             return Some(learned);
         }
         most = most.saturating_mul(2);
     }
 }
 
-/// How many standard deviations the share of wrong examples may exceed that in the sample.
+/// How many standard deviations the share of wrong examples may exceed the expected one. It never exceeds its double.
 const DEVIATIONS: f64 = 3.0;
 
 /// Returns the examples of at most about `most` states. `None` if there are no more.

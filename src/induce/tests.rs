@@ -342,11 +342,7 @@ fn a_clause_with_too_many_assignments_for_columns_is_evaluated() {
     );
     let chain = |unary: usize, count: u8| {
         let ends = (1..count).map(|variable| (3, vec![variable - 1, variable], false));
-        let literals = ends.chain([
-            (unary, vec![0], false),
-            (unary, vec![count - 1], false),
-            (2, vec![0, 5], true),
-        ]);
+        let literals = ends.chain([(unary, vec![count - 1], false), (2, vec![0, 5], true)]);
         let literals = literals.map(|(predicate, arguments, is_negated)| Literal {
             is_negated,
             atom: super::Atom {
@@ -356,7 +352,13 @@ fn a_clause_with_too_many_assignments_for_columns_is_evaluated() {
         });
         Body(literals.collect())
     };
-    let bodies = [chain(0, 5), chain(1, 6), chain(0, 6)];
+    let mut never = chain(0, 6);
+    let last = never.0[4].clone();
+    never.0.push(Literal {
+        is_negated: true,
+        ..last
+    });
+    let bodies = [chain(0, 5), chain(1, 6), never];
     let bodies: Vec<&Body> = bodies.iter().collect();
     let naive: Vec<Vec<bool>> = (bodies.iter())
         .map(|body| states.iter().map(|state| holds(&vocabulary, body, state)).collect())
@@ -491,7 +493,7 @@ fn noisy_examples_are_learned_from_a_sample() {
             .filter(|(decided, (_, action))| *decided != action)
             .count();
         assert!(
-            wrong * 50 <= labeled.len(),
+            wrong * 25 <= labeled.len(),
             "{noise:?} {working_states}: {wrong} of {}",
             labeled.len()
         );
