@@ -7,7 +7,7 @@ mod mode;
 
 use logicity::cancel::Cancel;
 use logicity::induce::{Noise, Settings, State, learn};
-use logicity::rng::{Purpose, RngExt, Seed};
+use logicity::rng::{Purpose, Rng, RngExt, Seed};
 use mode::Mode;
 use std::time::Instant;
 
@@ -22,14 +22,7 @@ fn noise() {
             for seed in 0..3 {
                 let mut random = Seed(seed).stream(DRAWS, (rate * 10_000.0) as u64, 0);
                 let flipped: Vec<(State, usize)> = (steps.iter())
-                    .map(|(state, action)| {
-                        let by = if random.random_bool(rate) {
-                            random.random_range(1..4)
-                        } else {
-                            0
-                        };
-                        (state.clone(), (action + by) % 4)
-                    })
+                    .map(|(state, action)| (state.clone(), flip(*action, rate, &mut random)))
                     .collect();
                 let examples = mode.examples(flipped.iter());
                 let row = |noise| {
@@ -82,60 +75,83 @@ fn subsets() {
     }
 }
 
-/// Learns from random scenes of one to eight entities in which rules learned from the demonstrations decide.
+/// Learns from random scenes of one to eight entities in which rules learned from the demonstrations decide, without wrong
+/// actions and with 1 % of them.
 fn million() {
     let mode = Mode::load("expert");
     let steps = mode.demonstrations().concat();
     let rules = learn(&mode.examples(steps.iter()), &Settings::default(), &Cancel::never());
+    println!("density  wrong actions  noise       examples   states  learned from  clauses  right states       s");
     for density in [0.1, 0.3] {
-        let mut random = Seed(1).stream(DRAWS, 0, 2);
-        let mut examples = mode.examples(std::iter::empty());
-        while examples.count() < 1_000_000 {
-            let states: Vec<State> = (0..10_000)
-                .map(|_| {
-                    let entities = random.random_range(1..=8);
-                    let mut state = State::new(&mode.vocabulary, entities);
-                    for (index, predicate) in mode.vocabulary.predicates().iter().enumerate() {
-                        for number in 0..entities.pow(predicate.arity as u32) {
-                            let (one, other) = (number / entities, number % entities);
-                            let is_drawn = predicate.arity == 1
-                                || if predicate.is_symmetric {
-                                    one < other
-                                } else {
-                                    one != other
-                                };
-                            if is_drawn && random.random_bool(density) {
-                                state.insert(&mode.vocabulary, index, &[one, other][2 - predicate.arity..]);
-                                if predicate.is_symmetric {
-                                    state.insert(&mode.vocabulary, index, &[other, one]);
-                                }
-                            }
-                        }
-                    }
-                    state
-                })
-                .collect();
-            let actions = rules.decide(&mode.vocabulary, &states.iter().collect::<Vec<_>>());
-            for (state, action) in states.into_iter().zip(actions) {
-                examples.push(state, action);
+        for (rate, noise) in [(0.0, Noise::None), (0.01, Noise::Rate(0.01)), (0.01, Noise::Auto)] {
+            let mut random = Seed(1).stream(DRAWS, 0, 2);
+            let mut flips = Seed(1).stream(DRAWS, 0, 3);
+            let mut examples = mode.examples(std::iter::empty());
+            while examples.count() < 1_000_000 {
+                let states: Vec<State> = (0..10_000).map(|_| scene(&mode, density, &mut random)).collect();
+                let actions = rules.decide(&mode.vocabulary, &states.iter().collect::<Vec<_>>());
+                for (state, action) in states.into_iter().zip(actions) {
+                    examples.push(state, flip(action, rate, &mut flips));
+                }
+            }
+            let settings = Settings {
+                noise,
+                ..Settings::default()
+            };
+            let begin = Instant::now();
+            let learned = learn(&examples, &settings, &Cancel::never());
+            let seconds = begin.elapsed().as_secs_f64();
+            let states: Vec<&State> = examples.states().map(|(state, _)| state).collect();
+            let [decided, actions] = [&learned, &rules].map(|rules| rules.decide(&mode.vocabulary, &states));
+            let right = decided
+                .iter()
+                .zip(&actions)
+                .filter(|(decided, action)| decided == action);
+            println!(
+                "{density:7}  {rate:13}  {:10} {:9}  {:7}  {:12}  {:7}  {:12}  {seconds:6.1}",
+                format!("{noise:?}"),
+                examples.count(),
+                states.len(),
+                learned.working_states,
+                learned.bodies().len(),
+                right.count(),
+            );
+        }
+    }
+}
+
+/// Draws a scene of one to eight entities.
+fn scene(mode: &Mode, density: f64, random: &mut impl Rng) -> State {
+    let entities = random.random_range(1..=8);
+    let mut state = State::new(&mode.vocabulary, entities);
+    for (index, predicate) in mode.vocabulary.predicates().iter().enumerate() {
+        for number in 0..entities.pow(predicate.arity as u32) {
+            let (one, other) = (number / entities, number % entities);
+            let is_drawn = predicate.arity == 1
+                || if predicate.is_symmetric {
+                    one < other
+                } else {
+                    one != other
+                };
+            if is_drawn && random.random_bool(density) {
+                state.insert(&mode.vocabulary, index, &[one, other][2 - predicate.arity..]);
+                if predicate.is_symmetric {
+                    state.insert(&mode.vocabulary, index, &[other, one]);
+                }
             }
         }
-        let begin = Instant::now();
-        let learned = learn(&examples, &Settings::default(), &Cancel::never());
-        let seconds = begin.elapsed().as_secs_f64();
-        let states: Vec<&State> = examples.states().map(|(state, _)| state).collect();
-        let decided = learned.decide(&mode.vocabulary, &states);
-        let is_right =
-            |((_, tallies), action): &((&State, &[logicity::induce::Tally]), usize)| tallies[*action].count > 0;
-        let right = examples.states().zip(decided).filter(is_right).count();
-        println!(
-            "density {density}: {} examples, {} states, {} learned from, {} clauses, {right} right, {seconds:.1} s",
-            examples.count(),
-            states.len(),
-            learned.working_states,
-            learned.bodies().len()
-        );
     }
+    state
+}
+
+/// Returns an action, or another one at a rate.
+fn flip(action: usize, rate: f64, random: &mut impl Rng) -> usize {
+    let by = if random.random_bool(rate) {
+        random.random_range(1..4)
+    } else {
+        0
+    };
+    (action + by) % 4
 }
 
 fn main() {

@@ -17,6 +17,8 @@ const SCENES: Purpose = Purpose::new(1001);
 const SCENES_COUNT: usize = 10_000;
 /// The scenes that are asked in the end.
 const SWEEP: Bound = Bound { facts: 3, entities: 3 };
+/// Random scenes in a row without a surprise after which the sweep begins.
+const AGREEMENTS: usize = 200;
 /// Time between two lines of progress.
 const PROGRESS: Duration = Duration::from_secs(10);
 
@@ -91,6 +93,7 @@ fn measure(task: &Task, index: u64) -> Row {
         constraints: task.constraints.clone(),
         learning: Settings::default(),
         asking: AskSettings {
+            agreements: AGREEMENTS,
             sweep: Some(SWEEP),
             ..AskSettings::default()
         },

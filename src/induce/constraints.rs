@@ -1,8 +1,7 @@
 //! What is true of all states.
 
 use crate::induce::examples::State;
-use crate::induce::vocabulary::{ARITY_MAX, Vocabulary};
-use smallvec::SmallVec;
+use crate::induce::vocabulary::{Vocabulary, tuples};
 
 /// What is true of all states of a learning task. Predicates are positions in the [`Vocabulary`].
 #[derive(Clone, Debug, Default, PartialEq, Eq)]
@@ -136,16 +135,4 @@ impl Constraints {
             pairs.map(|(one, other)| (predicates[one], predicates[other]))
         })
     }
-}
-
-/// Returns all lists of `arity` entities; the last one changes fastest.
-pub fn tuples(arity: usize, entities: usize) -> impl Iterator<Item = SmallVec<[usize; ARITY_MAX]>> {
-    (0..entities.pow(arity as u32)).map(move |number| {
-        let mut tuple: SmallVec<[usize; ARITY_MAX]> = SmallVec::from_elem(0, arity);
-        let mut rest = number;
-        for entity in tuple.iter_mut().rev() {
-            (*entity, rest) = (rest % entities, rest / entities);
-        }
-        tuple
-    })
 }

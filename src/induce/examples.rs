@@ -1,10 +1,9 @@
 //! Labeled states: what an ego sees, and the action it takes.
 
 use crate::induce::bits::{self, Bits};
-use crate::induce::vocabulary::{ARITY_MAX, Body, Literal, Vocabulary};
+use crate::induce::vocabulary::{Assignment, Body, Literal, Vocabulary, tuples};
 use indexmap::IndexMap;
 use indexmap::map::Entry;
-use smallvec::SmallVec;
 
 /// The most entities of a state.
 pub const ENTITIES_MAX: usize = 64;
@@ -107,19 +106,13 @@ impl State {
         }
         let mut sorted = State::new(vocabulary, entities);
         for (index, predicate) in vocabulary.predicates().iter().enumerate() {
-            for number in 0..entities.pow(predicate.arity as u32) {
-                let mut arguments = [0; crate::induce::vocabulary::ARITY_MAX];
-                let mut rest = number;
-                for argument in arguments[..predicate.arity].iter_mut().rev() {
-                    (*argument, rest) = (rest % entities, rest / entities);
-                }
-                let arguments = &arguments[..predicate.arity];
+            for arguments in tuples(predicate.arity, entities) {
                 let before = arguments
                     .iter()
                     .fold(0, |index, &argument| index * entities + order[argument]);
                 let first = vocabulary.fact(entities, index, &[0; 3][..predicate.arity]);
                 if bits::has(&self.facts, first + before) {
-                    sorted.insert(vocabulary, index, arguments);
+                    sorted.insert(vocabulary, index, &arguments);
                 }
             }
         }
@@ -130,34 +123,72 @@ impl State {
 impl Body {
     /// Returns whether the body holds in a state for some entities.
     pub fn holds(&self, vocabulary: &Vocabulary, state: &State) -> bool {
-        let mut entities: Vec<usize> = (0..vocabulary.egos()).collect();
-        self.extends(vocabulary, state, &mut entities, self.variables(vocabulary))
+        !witnesses(vocabulary, &self.0, self.variables(vocabulary), state, 1).is_empty()
     }
+}
 
-    /// Returns whether the entities of the first variables can be completed so that all literals hold.
-    fn extends(&self, vocabulary: &Vocabulary, state: &State, entities: &mut Vec<usize>, variables: usize) -> bool {
-        let is_false = |literal: &Literal| {
-            let variables = literal.atom.arguments.iter().map(|&variable| usize::from(variable));
-            let last = variables.clone().max().unwrap_or(0);
-            // Literals of fewer variables were checked before.
-            let is_new = last + 1 == entities.len() || (entities.len() == vocabulary.egos() && last < entities.len());
-            is_new && {
-                let arguments: SmallVec<[usize; ARITY_MAX]> = variables.map(|variable| entities[variable]).collect();
-                state.holds(vocabulary, literal.atom.predicate, &arguments) == literal.is_negated
-            }
+/// Returns up to `most` assignments of entities to `variables` variables under which a conjunction holds in a state: a
+/// search that evaluates each literal as soon as its variables are assigned.
+pub(crate) fn witnesses(
+    vocabulary: &Vocabulary,
+    literals: &[Literal],
+    variables: usize,
+    state: &State,
+    most: usize,
+) -> Vec<Assignment> {
+    let mut search = Witnesses {
+        vocabulary,
+        literals,
+        variables,
+        state,
+        most,
+        found: Vec::new(),
+    };
+    search.extend(&mut (0..vocabulary.egos() as u8).collect());
+    search.found
+}
+
+struct Witnesses<'a> {
+    vocabulary: &'a Vocabulary,
+    literals: &'a [Literal],
+    variables: usize,
+    state: &'a State,
+    most: usize,
+    found: Vec<Assignment>,
+}
+
+impl Witnesses<'_> {
+    /// Assigns the remaining variables.
+    fn extend(&mut self, assignment: &mut Assignment) {
+        let assigned = assignment.len();
+        let last = if assigned == self.vocabulary.egos() {
+            0
+        } else {
+            assigned - 1
         };
-        if self.0.iter().any(is_false) {
-            return false;
+        let agrees = self.literals.iter().all(|literal| {
+            let newest = literal.atom.arguments.iter().copied().max().unwrap_or(0) as usize;
+            // Literals of fewer variables were evaluated before.
+            newest >= assigned
+                || newest < last
+                || (self.state).holds(self.vocabulary, literal.atom.predicate, &literal.atom.under(assignment))
+                    != literal.is_negated
+        });
+        if !agrees {
+            return;
         }
-        if entities.len() == variables {
-            return true;
+        if assigned == self.variables {
+            self.found.push(assignment.clone());
+            return;
         }
-        (0..state.entities()).any(|entity| {
-            entities.push(entity);
-            let holds = self.extends(vocabulary, state, entities, variables);
-            entities.pop();
-            holds
-        })
+        for entity in 0..self.state.entities() as u8 {
+            assignment.push(entity);
+            self.extend(assignment);
+            assignment.pop();
+            if self.found.len() >= self.most {
+                return;
+            }
+        }
     }
 }
 

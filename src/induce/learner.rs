@@ -83,13 +83,10 @@ pub(crate) fn learn_here(
     progress: &(dyn Fn(Progress) + Sync),
     cancel: &Cancel,
 ) -> Learned {
-    let rate = match settings.noise {
-        Noise::None => None,
-        Noise::Rate(rate) => (rate > 0.0).then_some(rate),
-        Noise::Auto => noise::estimate(examples, settings, progress, cancel),
-    };
-    if let Some(rate) = rate {
-        return noise::learn_tolerant(examples, settings, rate, progress, cancel);
+    if settings.noise != Noise::None
+        && let Some(learned) = noise::learn_noisy(examples, settings, progress, cancel)
+    {
+        return learned;
     }
     let states: Vec<&State> = examples.states().map(|(state, _)| state).collect();
     let labels: Vec<usize> = examples.states().map(|(_, tallies)| majority(tallies)).collect();

@@ -23,12 +23,13 @@ mod tests;
 mod vocabulary;
 mod weights;
 
-pub use constraints::{Constraints, Violation, tuples};
+pub use constraints::{Constraints, Violation};
 pub use examples::{Contradiction, ENTITIES_MAX, Examples, State, Tally};
 pub use learner::{learn, learn_with};
 pub use noise::NOISE_MAX;
 pub use rules::{ActionRules, Learned, LearnedClause, Noise, Progress, Settings};
 pub use support::{ClauseSupport, Conflict, Support, support};
+pub(crate) use vocabulary::tuples;
 pub use vocabulary::{
     ARITY_MAX, Atom, Body, LITERAL_COST, Link, Literal, Predicate, VARIABLE_NAMES, VARIABLES_MAX, Vocabulary,
 };

@@ -5,7 +5,7 @@ use crate::induce::beam::{Candidate, SCALE, Stratum, beam};
 use crate::induce::bits;
 use crate::induce::examples::{Examples, State, Tally};
 use crate::induce::problem::{Problem, Split};
-use crate::induce::rules::{ActionRules, Learned, LearnedClause, Progress, Settings, clauses_hold};
+use crate::induce::rules::{ActionRules, Learned, LearnedClause, Noise, Progress, Settings, clauses_hold};
 use crate::induce::vocabulary::{Body, LITERAL_COST, Literal, Vocabulary};
 use crate::induce::weights::Weights;
 use crate::rng::{Purpose, RngExt, Seed};
@@ -35,7 +35,7 @@ pub const NOISE_MAX: f64 = 0.4;
 
 /// Estimates the share of wrong actions: the share of examples that rules learned from other examples get wrong.
 /// `None` if the learner finds rules that are right in all examples although it may leave exceptions.
-pub(crate) fn estimate(
+fn estimate(
     examples: &Examples,
     settings: &Settings,
     progress: &(dyn Fn(Progress) + Sync),
@@ -71,6 +71,54 @@ pub(crate) fn estimate(
     Some((fewest as f64 / examples.count() as f64).clamp(least, NOISE_MAX))
 }
 
+/// Learns rules that may be wrong in some examples, at the rate of the settings. `None` if the examples show no noise.
+///
+/// If there are more states than [`Settings::working_states`], the learner takes an evenly spread sample, and a larger
+/// one while the rules get a larger share of all examples wrong than of the sample.
+pub(crate) fn learn_noisy(
+    examples: &Examples,
+    settings: &Settings,
+    progress: &(dyn Fn(Progress) + Sync),
+    cancel: &Cancel,
+) -> Option<Learned> {
+    let mut most = settings.working_states.max(1);
+    loop {
+        let sample = spread(examples, most);
+        let sample = sample.as_ref().unwrap_or(examples);
+        let rate = match settings.noise {
+            Noise::None => None,
+            Noise::Rate(rate) => (rate > 0.0).then_some(rate),
+            Noise::Auto => estimate(sample, settings, progress, cancel),
+        };
+        let learned = learn_tolerant(sample, settings, rate?, progress, cancel);
+        if learned.working_states == examples.states().len() || !learned.is_complete {
+            return Some(learned);
+        }
+        let share = |of: &Examples| wrong(&learned, of) as f64 / of.count() as f64;
+        let (all, expected) = (share(examples), share(sample).max(learned.rate));
+        let chance = DEVIATIONS * (all / sample.count() as f64).sqrt();
+        if all <= expected + chance.min(expected) {
+            return Some(learned);
+        }
+        most = most.saturating_mul(2);
+    }
+}
+
+/// How many standard deviations the share of wrong examples may exceed the expected one. It never exceeds its double.
+const DEVIATIONS: f64 = 3.0;
+
+/// Returns the examples of at most about `most` states. `None` if there are no more.
+fn spread(examples: &Examples, most: usize) -> Option<Examples> {
+    let step = examples.states().len().div_ceil(most);
+    (step > 1).then(|| {
+        let mut sample = Examples::new(examples.vocabulary().clone(), examples.actions().to_vec());
+        for (state, tallies) in examples.states().step_by(step) {
+            sample.merge(state, tallies);
+        }
+        sample
+    })
+}
+
 /// Returns the number of examples in which rules choose another action.
 fn wrong(rules: &Learned, examples: &Examples) -> u64 {
     let states: Vec<&State> = examples.states().map(|(state, _)| state).collect();
@@ -83,7 +131,7 @@ fn wrong(rules: &Learned, examples: &Examples) -> u64 {
 }
 
 /// Learns rules that may be wrong in a share `rate` of the examples.
-pub(crate) fn learn_tolerant(
+fn learn_tolerant(
     examples: &Examples,
     settings: &Settings,
     rate: f64,

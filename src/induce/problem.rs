@@ -6,8 +6,7 @@
 
 use crate::induce::bits::{self, Bits};
 use crate::induce::examples::State;
-use crate::induce::vocabulary::{ARITY_MAX, Atom, Body, Link, VARIABLES_MAX, Vocabulary, cost};
-use smallvec::SmallVec;
+use crate::induce::vocabulary::{Assignment, Atom, Body, Link, Vocabulary, assignments, cost, tuples};
 use std::borrow::Cow;
 
 /// The facts of a list of states, transposed.
@@ -47,20 +46,11 @@ impl Columns {
 fn places_of(vocabulary: &Vocabulary, own: usize, entities: usize) -> Vec<u32> {
     let mut places = Vec::new();
     for (index, predicate) in vocabulary.predicates().iter().enumerate() {
-        for number in 0..own.pow(predicate.arity as u32) {
-            let mut arguments = [0; ARITY_MAX];
-            let mut rest = number;
-            for argument in arguments[..predicate.arity].iter_mut().rev() {
-                (*argument, rest) = (rest % own, rest / own);
-            }
-            places.push(vocabulary.fact(entities, index, &arguments[..predicate.arity]) as u32);
-        }
+        let facts = tuples(predicate.arity, own);
+        places.extend(facts.map(|arguments| vocabulary.fact(entities, index, &arguments) as u32));
     }
     places
 }
-
-/// An assignment of entities to variables.
-type Assignment = SmallVec<[u8; VARIABLES_MAX]>;
 
 /// The pairs of an assignment and a state in which a clause holds.
 #[derive(Clone, Default)]
@@ -147,15 +137,6 @@ impl Split {
         if count > ASSIGNMENTS_MAX || count * (self.positive.words + self.negative.words) > WORDS_MAX {
             return None;
         }
-        let assignments = (0..count).map(|number| {
-            let mut rest = number;
-            let mut assignment: Assignment = (0..vocabulary.egos() as u8).collect();
-            for _ in 0..free {
-                assignment.push((rest % self.entities) as u8);
-                rest /= self.entities;
-            }
-            assignment
-        });
         let mut problem = Problem {
             atoms: vocabulary.atoms(variables),
             vocabulary,
@@ -163,7 +144,7 @@ impl Split {
             negative: &self.negative,
             negation,
             entities: self.entities,
-            assignments: assignments.collect(),
+            assignments: assignments(vocabulary.egos(), variables, self.entities).collect(),
             linked: None,
         };
         if vocabulary.links().is_some() {
@@ -463,12 +444,7 @@ impl Problem<'_> {
     /// Returns the number of the fact that an atom is under an assignment.
     #[inline]
     fn fact(&self, atom: &Atom, assignment: u32) -> usize {
-        let assignment = &self.assignments[assignment as usize];
-        let arguments: SmallVec<[usize; ARITY_MAX]> = atom
-            .arguments
-            .iter()
-            .map(|&variable| assignment[variable as usize].into())
-            .collect();
+        let arguments = atom.under(&self.assignments[assignment as usize]);
         self.vocabulary.fact(self.entities, atom.predicate, &arguments)
     }
 }

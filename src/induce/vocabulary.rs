@@ -158,13 +158,8 @@ impl Vocabulary {
     pub fn atoms(&self, variables: usize) -> Vec<Atom> {
         let mut atoms = Vec::new();
         for (index, predicate) in self.predicates.iter().enumerate() {
-            for number in 0..variables.pow(predicate.arity as u32) {
-                let mut rest = number;
-                let mut arguments: SmallVec<[u8; ARITY_MAX]> = SmallVec::new();
-                for _ in 0..predicate.arity {
-                    arguments.insert(0, (rest % variables) as u8);
-                    rest /= variables;
-                }
+            for tuple in tuples(predicate.arity, variables) {
+                let arguments: SmallVec<[u8; ARITY_MAX]> = tuple.iter().map(|&variable| variable as u8).collect();
                 let is_distinct = (1..arguments.len()).all(|at| !arguments[..at].contains(&arguments[at]));
                 let is_mirrored = predicate.is_symmetric && arguments.len() == 2 && arguments[0] > arguments[1];
                 if is_distinct && !is_mirrored {
@@ -186,6 +181,28 @@ pub struct Atom {
     pub predicate: usize,
     /// The variables.
     pub arguments: SmallVec<[u8; ARITY_MAX]>,
+}
+
+/// The arguments of a fact: entities.
+pub(crate) type Tuple = SmallVec<[usize; ARITY_MAX]>;
+
+/// An assignment of entities to the variables of a clause.
+pub(crate) type Assignment = SmallVec<[u8; VARIABLES_MAX]>;
+
+impl Atom {
+    /// Returns the arguments under an assignment of entities to variables.
+    #[inline]
+    pub(crate) fn under(&self, assignment: &[u8]) -> Tuple {
+        let arguments = self.arguments.iter();
+        arguments
+            .map(|&variable| assignment[usize::from(variable)].into())
+            .collect()
+    }
+
+    /// Returns the arguments if each variable stands for the entity of its number.
+    pub(crate) fn own(&self) -> Tuple {
+        self.arguments.iter().map(|&variable| variable.into()).collect()
+    }
 }
 
 /// An atom or its negation.
@@ -320,19 +337,46 @@ impl Literal {
     }
 }
 
-/// Returns all orders of some variables.
-fn permutations(variables: &[u8]) -> Vec<Vec<u8>> {
+/// Returns all orders of some elements.
+pub(crate) fn permutations<T: Copy>(elements: &[T]) -> Vec<Vec<T>> {
     let mut all = vec![Vec::new()];
-    for &variable in variables {
+    for &element in elements {
         all = (all.iter())
-            .flat_map(|order: &Vec<u8>| {
+            .flat_map(|order: &Vec<T>| {
                 (0..=order.len()).map(move |at| {
                     let mut longer = order.clone();
-                    longer.insert(at, variable);
+                    longer.insert(at, element);
                     longer
                 })
             })
             .collect();
     }
     all
+}
+
+/// Returns all lists of `arity` entities; the last one changes fastest.
+pub(crate) fn tuples(arity: usize, entities: usize) -> impl Iterator<Item = Tuple> {
+    (0..entities.pow(arity as u32)).map(move |number| {
+        let mut tuple: Tuple = SmallVec::from_elem(0, arity);
+        let mut rest = number;
+        for entity in tuple.iter_mut().rev() {
+            (*entity, rest) = (rest % entities, rest / entities);
+        }
+        tuple
+    })
+}
+
+/// Returns all assignments of entities to variables. The variables of the head have fixed entities; of the others, the
+/// first changes fastest.
+pub(crate) fn assignments(egos: usize, variables: usize, entities: usize) -> impl Iterator<Item = Assignment> {
+    let free = (variables - egos) as u32;
+    (0..entities.pow(free)).map(move |number| {
+        let mut rest = number;
+        let mut assignment: Assignment = (0..egos as u8).collect();
+        for _ in 0..free {
+            assignment.push((rest % entities) as u8);
+            rest /= entities;
+        }
+        assignment
+    })
 }

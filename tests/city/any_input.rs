@@ -101,7 +101,7 @@ pub fn labeled_scenes(bytes: &[u8]) {
         ..Settings::default()
     };
     let learned = learn(&examples, &settings, &Cancel::never());
-    let support = support(&examples, &learned);
+    let support = support(&examples, &learned, &task.constraints());
     let is_separated = learned.actions.iter().all(|rules| rules.uncovered == 0);
     assert!(!is_consistent || !is_separated || support.wrong == 0, "{text}");
     assert!(report_json(task, &learned, &support, &origin).is_object());

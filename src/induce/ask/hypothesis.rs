@@ -2,15 +2,12 @@
 
 use crate::induce::ask::space::{Fact, Space};
 use crate::induce::bits::{self, Bits};
-use crate::induce::examples::State;
+use crate::induce::examples::{State, witnesses};
 use crate::induce::rules::ActionRules;
-use crate::induce::vocabulary::{ARITY_MAX, Body, Literal, VARIABLES_MAX, Vocabulary};
+use crate::induce::vocabulary::{ARITY_MAX, Assignment, Body, Literal, Vocabulary, assignments};
 use smallvec::SmallVec;
 use std::collections::HashMap;
 use std::rc::Rc;
-
-/// An assignment of entities to the variables of a clause.
-pub type Assignment = SmallVec<[u8; VARIABLES_MAX]>;
 
 /// A clause of a rule set.
 pub struct Clause {
@@ -120,75 +117,7 @@ impl Hypothesis {
 
     /// Returns up to `most` assignments under which a clause holds.
     pub fn witnesses(&self, clause: &Clause, state: &State, most: usize) -> Vec<Assignment> {
-        Self::witnesses_of(&self.vocabulary, &clause.body.0, clause.variables, state, most)
-    }
-
-    /// Returns up to `most` assignments under which a conjunction holds.
-    pub fn witnesses_of(
-        vocabulary: &Vocabulary,
-        literals: &[Literal],
-        variables: usize,
-        state: &State,
-        most: usize,
-    ) -> Vec<Assignment> {
-        let mut search = Witnesses {
-            vocabulary,
-            literals,
-            variables,
-            state,
-            most,
-            found: Vec::new(),
-        };
-        search.extend(&mut (0..vocabulary.egos() as u8).collect());
-        search.found
-    }
-}
-
-struct Witnesses<'a> {
-    vocabulary: &'a Vocabulary,
-    literals: &'a [Literal],
-    variables: usize,
-    state: &'a State,
-    most: usize,
-    found: Vec<Assignment>,
-}
-
-impl Witnesses<'_> {
-    /// Assigns the remaining variables. Evaluates each literal as soon as its variables are assigned.
-    fn extend(&mut self, assignment: &mut Assignment) {
-        let assigned = assignment.len();
-        let last = if assigned == self.vocabulary.egos() {
-            0
-        } else {
-            assigned - 1
-        };
-        let agrees = self.literals.iter().all(|literal| {
-            let variables = &literal.atom.arguments;
-            let newest = variables.iter().copied().max().unwrap_or(0) as usize;
-            if newest >= assigned || newest < last {
-                return true;
-            }
-            let arguments: SmallVec<[usize; ARITY_MAX]> = variables
-                .iter()
-                .map(|&variable| assignment[variable as usize].into())
-                .collect();
-            self.state.holds(self.vocabulary, literal.atom.predicate, &arguments) != literal.is_negated
-        });
-        if !agrees {
-            return;
-        }
-        if assigned == self.variables {
-            self.found.push(assignment.clone());
-            return;
-        }
-        for entity in 0..self.state.entities() as u8 {
-            assignment.push(entity);
-            self.extend(assignment);
-            assignment.pop();
-            if self.found.len() >= self.most {
-                return;
-            }
-        }
+        witnesses(&self.vocabulary, &clause.body.0, clause.variables, state, most)
     }
 }
 
@@ -197,10 +126,7 @@ pub fn ground(vocabulary: &Vocabulary, literals: &[Literal], assignment: &[u8], 
     let empty = bits::empty(vocabulary.facts(entities));
     let (mut positive, mut negative) = (empty.clone(), empty);
     for literal in literals {
-        let arguments: SmallVec<[usize; ARITY_MAX]> = (literal.atom.arguments.iter())
-            .map(|&variable| assignment[variable as usize].into())
-            .collect();
-        let fact = vocabulary.fact(entities, literal.atom.predicate, &arguments);
+        let fact = vocabulary.fact(entities, literal.atom.predicate, &literal.atom.under(assignment));
         bits::insert(
             if literal.is_negated {
                 &mut negative
@@ -211,20 +137,6 @@ pub fn ground(vocabulary: &Vocabulary, literals: &[Literal], assignment: &[u8], 
         );
     }
     (positive, negative)
-}
-
-/// Returns all assignments of entities to variables. The variables of the head have fixed entities.
-pub fn assignments(egos: usize, variables: usize, entities: usize) -> impl Iterator<Item = Assignment> {
-    let free = (variables - egos) as u32;
-    (0..entities.pow(free)).map(move |number| {
-        let mut rest = number;
-        let mut assignment: Assignment = (0..egos as u8).collect();
-        for _ in 0..free {
-            assignment.push((rest % entities) as u8);
-            rest /= entities;
-        }
-        assignment
-    })
 }
 
 /// Returns the instances that hold in a scene and whose action is at most `level`.

@@ -1,13 +1,12 @@
 //! Random clauses that no answer has refuted. They stand for the clauses that are still unknown: the more of them hold in
 //! a scene, the more its answer says.
 
-use crate::induce::ask::hypothesis::{Assignment, Hypothesis, Suspicions, assignments, ground};
+use crate::induce::ask::hypothesis::{Suspicions, ground};
 use crate::induce::ask::session::Session;
 use crate::induce::bits::{self, Bits};
-use crate::induce::examples::{State, majority};
-use crate::induce::vocabulary::{ARITY_MAX, Atom, Literal, Vocabulary};
+use crate::induce::examples::{State, majority, witnesses};
+use crate::induce::vocabulary::{Assignment, Atom, Literal, Vocabulary, assignments};
 use crate::rng::{Rng, RngExt};
-use smallvec::SmallVec;
 
 /// Probes that are kept.
 const PROBES: usize = 400;
@@ -77,8 +76,10 @@ impl Probes {
         let suspicions = Suspicions::new(&session.hypothesis);
         let space = session.space(session.variables().max(self.vocabulary.egos()));
         let weigh = |atom: &Atom| {
-            let arguments: Vec<usize> = atom.arguments.iter().map(|&variable| variable.into()).collect();
-            suspicions.probability(&space, self.vocabulary.fact(space.entities, atom.predicate, &arguments))
+            suspicions.probability(
+                &space,
+                self.vocabulary.fact(space.entities, atom.predicate, &atom.own()),
+            )
         };
         let weights: Vec<Vec<f64>> = self
             .atoms
@@ -161,9 +162,7 @@ impl Drawing<'_> {
         if probe.action >= action || !probe.holds(self.vocabulary, state) {
             return true;
         }
-        while let Some(witness) =
-            Hypothesis::witnesses_of(self.vocabulary, &probe.literals, probe.variables, state, 1).pop()
-        {
+        while let Some(witness) = witnesses(self.vocabulary, &probe.literals, probe.variables, state, 1).pop() {
             if probe.literals.len() >= LITERALS.1 || !self.specialize(probe, Some((state, &witness)), random) {
                 return false;
             }
@@ -177,15 +176,9 @@ impl Drawing<'_> {
         let atoms = &self.atoms[probe.variables];
         let (mut positive, mut negative) = (Vec::new(), Vec::new());
         for (at, atom) in atoms.iter().enumerate() {
-            let own: SmallVec<[usize; ARITY_MAX]> = atom.arguments.iter().map(|&variable| variable.into()).collect();
-            let is_true = probe.source.holds(self.vocabulary, atom.predicate, &own);
+            let is_true = probe.source.holds(self.vocabulary, atom.predicate, &atom.own());
             let differs = refuting.is_none_or(|(state, witness)| {
-                let arguments: SmallVec<[usize; ARITY_MAX]> = atom
-                    .arguments
-                    .iter()
-                    .map(|&variable| witness[variable as usize].into())
-                    .collect();
-                state.holds(self.vocabulary, atom.predicate, &arguments) != is_true
+                state.holds(self.vocabulary, atom.predicate, &atom.under(witness)) != is_true
             });
             if differs {
                 if is_true { &mut positive } else { &mut negative }.push(at);
@@ -244,6 +237,6 @@ impl Probe {
         if state.entities() < self.instances.len() {
             return self.holds_in(state);
         }
-        !Hypothesis::witnesses_of(vocabulary, &self.literals, self.variables, state, 1).is_empty()
+        !witnesses(vocabulary, &self.literals, self.variables, state, 1).is_empty()
     }
 }

@@ -88,7 +88,7 @@ impl Default for AskSettings {
         AskSettings {
             seed: 0,
             questions: 10_000_000,
-            agreements: 200,
+            agreements: 400,
             entities: 4,
             repeat_after: 100,
             sweep: None,

@@ -4,15 +4,14 @@
 //! no two of its facts exclude each other, and a choice of covering facts fits.
 
 use crate::induce::bits::{self, Bits};
-use crate::induce::constraints::{Constraints, tuples};
+use crate::induce::constraints::Constraints;
 use crate::induce::examples::State;
-use crate::induce::vocabulary::{ARITY_MAX, Vocabulary};
-use smallvec::SmallVec;
+use crate::induce::vocabulary::{Tuple, Vocabulary, permutations, tuples};
 
 /// A predicate with its arguments.
 pub struct Fact {
     pub predicate: usize,
-    pub arguments: SmallVec<[usize; ARITY_MAX]>,
+    pub arguments: Tuple,
 }
 
 /// What follows from the facts about a number of entities.
@@ -173,7 +172,7 @@ impl Space {
         let mut state = State::new(vocabulary, kept.len());
         for fact in bits::elements(scene) {
             let Fact { predicate, arguments } = &self.facts[fact];
-            let places: Option<SmallVec<[usize; ARITY_MAX]>> = (arguments.iter())
+            let places: Option<Tuple> = (arguments.iter())
                 .map(|entity| kept.iter().position(|kept| kept == entity))
                 .collect();
             if let Some(places) = places {
@@ -194,19 +193,11 @@ pub fn canonical(vocabulary: &Vocabulary, state: &State) -> State {
     if entities - egos > ORDERED_MAX {
         return state.clone().sorted(vocabulary);
     }
-    let mut orders: Vec<Vec<usize>> = vec![(0..egos).collect()];
-    for entity in egos..entities {
-        orders = (orders.into_iter())
-            .flat_map(|order| {
-                (egos..=order.len()).map(move |at| {
-                    let mut longer = order.clone();
-                    longer.insert(at, entity);
-                    longer
-                })
-            })
-            .collect();
-    }
-    let facts: Vec<(usize, SmallVec<[usize; ARITY_MAX]>)> = {
+    let others: Vec<usize> = (egos..entities).collect();
+    let orders = permutations(&others)
+        .into_iter()
+        .map(|others| -> Vec<usize> { (0..egos).chain(others).collect() });
+    let facts: Vec<(usize, Tuple)> = {
         let mut all = Vec::new();
         for (predicate, known) in vocabulary.predicates().iter().enumerate() {
             let held = tuples(known.arity, entities).filter(|tuple| state.holds(vocabulary, predicate, tuple));
@@ -214,10 +205,10 @@ pub fn canonical(vocabulary: &Vocabulary, state: &State) -> State {
         }
         all
     };
-    let renamed = orders.iter().map(|order| {
+    let renamed = orders.map(|order| {
         let mut renamed = bits::empty(vocabulary.facts(entities));
         for (predicate, arguments) in &facts {
-            let arguments: SmallVec<[usize; ARITY_MAX]> = arguments.iter().map(|&entity| order[entity]).collect();
+            let arguments: Tuple = arguments.iter().map(|&entity| order[entity]).collect();
             bits::insert(&mut renamed, vocabulary.fact(entities, *predicate, &arguments));
         }
         renamed

@@ -3,13 +3,11 @@
 //! A clause of the rules to be learned that explains these examples is a subset of these literals. The learned clause is
 //! exact if all of them follow from it.
 
-use crate::induce::ask::hypothesis::{Assignment, Hypothesis};
+use crate::induce::ask::hypothesis::Hypothesis;
 use crate::induce::ask::space::Space;
 use crate::induce::bits::{self, Bits};
-use crate::induce::constraints::tuples;
 use crate::induce::examples::{Examples, State, majority};
-use crate::induce::vocabulary::{ARITY_MAX, Vocabulary};
-use smallvec::SmallVec;
+use crate::induce::vocabulary::{Assignment, Tuple, Vocabulary, tuples};
 
 /// The examples that only one clause explains.
 #[derive(Clone, Debug, Default)]
@@ -156,8 +154,7 @@ fn row(vocabulary: &Vocabulary, variables: usize, state: &State, witness: &[u8])
             if (1..tuple.len()).any(|at| tuple[..at].contains(&tuple[at])) {
                 continue;
             }
-            let arguments: SmallVec<[usize; ARITY_MAX]> =
-                tuple.iter().map(|&variable| witness[variable].into()).collect();
+            let arguments: Tuple = tuple.iter().map(|&variable| witness[variable].into()).collect();
             let fact = vocabulary.fact(variables, predicate, &tuple);
             let holds = state.holds(vocabulary, predicate, &arguments);
             bits::insert(if holds { &mut all } else { &mut none }, fact);

@@ -3,13 +3,14 @@
 //! The examples that only this clause explains have literals in common. A question falsifies as many of these as possible
 //! that do not follow from the clause. If the action stays, the clause needs none of them.
 
-use crate::induce::ask::hypothesis::{Instance, Suspicions, assignments, own_instance};
+use crate::induce::ask::hypothesis::{Instance, Suspicions, own_instance};
 use crate::induce::ask::session::{End, Reason, Session};
 use crate::induce::ask::shrink::{resolve, shuffle};
 use crate::induce::ask::space::{Space, subtract};
 use crate::induce::ask::support::consequences;
 use crate::induce::bits::{self, Bits};
 use crate::induce::examples::{State, majority};
+use crate::induce::vocabulary::{Literal, assignments};
 use crate::rng::{Rng, RngExt};
 
 /// Random scenes that are compared before one is asked.
@@ -265,11 +266,11 @@ fn without(
     let (all, none) = session.supports[subject.clause].literals()?.clone();
     let body = session.hypothesis.clauses[subject.clause].body.clone();
     for literal in &body.0 {
-        let arguments: Vec<usize> = literal.atom.arguments.iter().map(|&variable| variable.into()).collect();
-        let fact = session
-            .examples
-            .vocabulary()
-            .fact(space.entities, literal.atom.predicate, &arguments);
+        let fact_of = |literal: &Literal, session: &Session<'_>| {
+            let (vocabulary, atom) = (session.examples.vocabulary(), &literal.atom);
+            vocabulary.fact(space.entities, atom.predicate, &atom.own())
+        };
+        let fact = fact_of(literal, session);
         let mut scene = space.start();
         let mut excluded = none.clone();
         if literal.is_negated {
@@ -291,14 +292,8 @@ fn without(
             space.add(&mut scene, choice);
         }
         let is_literal = bits::has(&scene, fact) == literal.is_negated;
-        let others = body.0.iter().filter(|other| *other != literal).all(|other| {
-            let arguments: Vec<usize> = other.atom.arguments.iter().map(|&variable| variable.into()).collect();
-            let fact = session
-                .examples
-                .vocabulary()
-                .fact(space.entities, other.atom.predicate, &arguments);
-            bits::has(&scene, fact) != other.is_negated
-        });
+        let mut others = body.0.iter().filter(|other| *other != literal);
+        let others = others.all(|other| bits::has(&scene, fact_of(other, session)) != other.is_negated);
         let is_covered = space.uncovered(&scene).is_none();
         if !is_literal || !others || !is_covered || bits::meet(&excluded, &scene) {
             continue;

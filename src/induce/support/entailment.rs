@@ -1,7 +1,8 @@
 //! Which literals of a clause follow from others by the constraints.
 
 use crate::induce::bits::{self, Bits};
-use crate::induce::constraints::{Constraints, tuples};
+use crate::induce::constraints::Constraints;
+use crate::induce::vocabulary::tuples;
 use crate::induce::vocabulary::{Literal, Vocabulary};
 use smallvec::SmallVec;
 

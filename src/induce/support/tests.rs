@@ -1,10 +1,11 @@
 use crate::cancel::Cancel;
-use crate::induce::constraints::{Constraints, tuples};
+use crate::induce::constraints::Constraints;
 use crate::induce::examples::{Examples, State};
 use crate::induce::learner::learn;
 use crate::induce::rules::{Learned, Settings};
 use crate::induce::support::entailment::Entailment;
 use crate::induce::support::support;
+use crate::induce::vocabulary::tuples;
 use crate::induce::vocabulary::{Atom, Body, Literal, Predicate, Vocabulary};
 use crate::rng::{Purpose, Rng, RngExt, Seed};
 use proptest::prelude::*;
