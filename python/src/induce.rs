@@ -248,8 +248,8 @@ fn read_steps(py: Python<'_>, path: PathBuf) -> PyResult<(String, String, String
 }
 
 /// What to ask: the oracle, its identity and its name in reports, the limit of questions, the number of agreements, the
-/// numbers of facts and entities of the sweep, and the log. The oracle is a task with rules, or a function from scenes to
-/// names of actions.
+/// numbers of facts and entities of the sweep, and the log. The oracle is a task with rules, or a function from scenes
+/// to names of actions.
 type Asking = (
     Py<PyAny>,
     String,

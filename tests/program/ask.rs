@@ -240,7 +240,8 @@ fn faults_of_oracles_are_reported() {
     let after = |answers: usize, then: &str| {
         format!(
             "n=0\nwhile read -r scene; do\n  n=$((n+1))\n  if [ $n -gt {answers} ]; then {then}; fi\n  \
-             case $scene in *IsAmbulance*) a=Stop;; *) a=Normal;; esac\n  echo \"{{\\\"action\\\": \\\"$a\\\"}}\"\ndone\n"
+             case $scene in *IsAmbulance*) a=Stop;; *) a=Normal;; esac\n  \
+             echo \"{{\\\"action\\\": \\\"$a\\\"}}\"\ndone\n"
         )
     };
     let said = |line: &str| after(14, &format!("printf '{line}\\n'; continue"));

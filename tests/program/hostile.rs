@@ -1101,7 +1101,7 @@ const ASK: &[Case] = &[
     (
         "induce --config easy --ask rules/easy.dl --sweep -1,2",
         2,
-        "expected numbers",
+        "unexpected argument",
     ),
     (
         "induce --config easy --ask rules/easy.dl --sweep 99999999999999999999,2",

@@ -25,8 +25,8 @@ use std::time::{Duration, Instant};
 #[derive(clap::Args)]
 pub struct AskOptions {
     /// Ask an oracle which action it takes in scenes that the learner makes up. A value that ends in `.dl` is a rule
-    /// file; the learner does not see its clauses. Any other value is a command for the shell, which runs once: it reads
-    /// one scene per line, as `logicity infer` does, and answers each with a line such as `{"action": "Stop"}`
+    /// file; the learner does not see its clauses. Any other value is a command for the shell, which runs once: it
+    /// reads one scene per line, as `logicity infer` does, and answers each with a line such as `{"action": "Stop"}`
     #[arg(long, value_name = "ORACLE", conflicts_with = "noise", value_parser = NonEmptyStringValueParser::new())]
     ask: Option<String>,
     /// The most questions, those of an earlier run in the log included

@@ -1,7 +1,7 @@
 //! Rules learned by questions: states as scenes, the log of questions, oracles, and what the answers prove.
 //!
-//! [`induce::ask`](crate::induce::ask) chooses the questions. This module connects it with oracles that decide scenes of
-//! a city, and with a log from which an interrupted run continues.
+//! [`induce::ask`](crate::induce::ask) chooses the questions. This module connects it with oracles that decide scenes
+//! of a city, and with a log from which an interrupted run continues.
 
 use crate::cancel::Cancel;
 use crate::diag::{Code, Diagnostic, SourceId, Sources, Span};
@@ -594,7 +594,8 @@ impl Questions {
         found.map_or(self.asked(), |at| at + 1)
     }
 
-    /// Checks that nothing but the limits ended the questions. `examples` are those of the result, which `origin` names.
+    /// Checks that nothing but the limits ended the questions. `examples` are those of the result, which `origin`
+    /// names.
     ///
     /// # Errors
     /// The interrupt or the fault of the oracle that ended them.
