@@ -86,7 +86,7 @@ enum Command {
     /// Evaluate the rules on scenes: one JSON scene per line in, one JSON answer per line out
     Infer(infer::Arguments),
     /// Learn rules from episodes, traces, labeled scenes, data sets, questions to an oracle or tasks of Popper
-    Induce(induce::Arguments),
+    Induce(Box<induce::Arguments>),
     /// Explain why an agent acted as it did in a run, or why it did not act otherwise
     Explain(explain::Arguments),
     /// Write an interactive HTML page of a run that explains every decision

@@ -24,7 +24,7 @@ fn a_task_yields_clauses_of_prolog_with_their_support() {
     let said = succeeds(&logicity(["induce", "--popper", &fixture("family")]));
     let expected = "\
         % Rules learned by logicity VERSION from family.\n\
-        % At most 3 variables, 20000 steps a search, seed 0.\n\
+        % At most 3 variables, 20000 steps per search, seed 0.\n\
         % 13 examples in 13 distinct states.\n\
         % The clauses derive 5 of 5 positive and 0 of 8 negative examples.\n\
         % No cheaper set of the clauses found covers the examples.\n\

@@ -162,6 +162,14 @@ pub fn run(arguments: &Arguments, sources: &mut Sources) -> Result<(), Failure> 
             (asked.learned, asked.examples, Some(asked.questions))
         }
     };
+    // An interrupt keeps the rules so far, but a file without rules is no progress.
+    if !learned.is_complete && questions.is_none() && learned.bodies().is_empty() {
+        writeln!(
+            anstream::stderr(),
+            "interrupted before a clause was found; nothing is written"
+        )?;
+        return Err(Failure::Interrupted);
+    }
     let support = support(&examples, &learned, &task.constraints());
 
     let text = rule_file(&task, &learned, &support, &origin, (sources, &rule_files));
@@ -191,7 +199,11 @@ pub fn run(arguments: &Arguments, sources: &mut Sources) -> Result<(), Failure> 
     if !is_stdout(path) {
         let mut out = messages(&written);
         let clauses = plural(support.clauses.len(), "clause");
-        writeln!(out, "wrote {clauses} to {}", path.display())?;
+        let whole = match learned.is_complete || questions.is_some() {
+            true => "wrote",
+            false => "interrupted: wrote the first",
+        };
+        writeln!(out, "{whole} {clauses} to {}", path.display())?;
     }
     if let Some(measured) = measured {
         write!(messages(&written), "{}", measured.text(&names))?;

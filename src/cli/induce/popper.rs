@@ -29,8 +29,8 @@ pub struct PopperOptions {
 }
 
 /// The options about a city, which a task in the format of Popper does not have.
-const CITY_OPTIONS: [&str; 9] = [
-    "data", "config", "rules", "split", "episodes", "test", "page", "order", "noise",
+const CITY_OPTIONS: [&str; 10] = [
+    "data", "config", "rules", "split", "episodes", "test", "page", "order", "noise", "ask",
 ];
 
 pub fn run(arguments: &Arguments, folder: &Path, sources: &mut Sources) -> Result<(), Failure> {
@@ -86,7 +86,7 @@ pub fn run(arguments: &Arguments, folder: &Path, sources: &mut Sources) -> Resul
             files::portable_name(&folder.display().to_string())
         ),
         format!(
-            "At most {} variables, {} steps a search, seed {}{}{}.",
+            "At most {} variables, {} steps per search, seed {}{}{}.",
             settings.variables,
             settings.nodes,
             settings.seed,

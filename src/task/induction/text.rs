@@ -179,7 +179,7 @@ fn summary(task: &InductionTask, learned: &Learned, support: &Support, origin: &
             places.join("; ")
         ));
     }
-    if learned.rate > 0.0 {
+    if learned.rate > 0.0 && learned.is_complete {
         let percent = 100.0 * learned.rate;
         let share = if percent < 0.01 {
             "less than 0.01".to_owned()
@@ -220,10 +220,10 @@ fn summary(task: &InductionTask, learned: &Learned, support: &Support, origin: &
         let uncovered = plural(rules.uncovered as u64, "state", "states");
         match (rules.uncovered, learned.rate > 0.0) {
             (0, _) => (),
+            _ if !learned.is_complete => lines.push(format!("{name}: {uncovered} not covered yet.")),
             (_, true) => lines.push(format!(
                 "{name}: no clause covers {uncovered}, which noise may explain."
             )),
-            (_, false) if !learned.is_complete => lines.push(format!("{name}: {uncovered} not covered yet.")),
             (_, false) => lines.push(format!(
                 "{name}: within the limits above, no clause separates {uncovered} from those of actions of lower \
                  precedence."
