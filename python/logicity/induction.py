@@ -206,7 +206,7 @@ def induce(
     overrides: Mapping[str, Any] | None = None,
     ask: Callable[[SymbolicScene], str] | str | os.PathLike[str] | None = None,
     questions: SupportsIndex | None = None,
-    agreements: SupportsIndex = 200,
+    agreements: SupportsIndex = 400,
     sweep: tuple[SupportsIndex, SupportsIndex] | None = None,
     log: str | os.PathLike[str] | None = None,
 ) -> InducedRules:
