@@ -1,7 +1,7 @@
 //! The commands of the prompt.
 
 use crate::cli::Failure;
-use crate::datalog::DIRECTIVES;
+use crate::datalog::{DIRECTIVES, FULL_STOP};
 use crate::diag::{Code, Diagnostic, SourceId, Sources, Span, did_you_mean};
 use std::path::PathBuf;
 
@@ -122,13 +122,15 @@ pub fn interrupts(text: &str, line: &str) -> bool {
     (is_command || begin.starts_with("?-") || is_lone_word()) && text.rfind("/*") <= text.rfind("*/")
 }
 
-/// Adds to the faults of a text that the next input interrupted what the text lacks.
+/// Renames the faults of a text that the next input interrupted: a clause without its full stop is the likely cause.
 pub fn interrupted(failure: Failure) -> Failure {
     let Failure::Input(mut faults) = failure else {
         return failure;
     };
-    if let Some(fault) = faults.iter_mut().find(|fault| fault.code == Code::SYNTAX) {
-        fault.help = vec!["end the clause with a full stop: the next line begins a new input".to_owned()];
+    for fault in &mut faults {
+        if fault.help.iter().any(|help| help == FULL_STOP) {
+            fault.message = "the clause before lacks a full stop".to_owned();
+        }
     }
     Failure::Input(faults)
 }
