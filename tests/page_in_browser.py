@@ -471,6 +471,7 @@ def facts(folder: pathlib.Path) -> pathlib.Path:
     rules.write_text(
         '.include "vocabulary.dl"\n.decl Vip(x: agent)\n/// Car_2 is a VIP\nVip("Car_2").\n/// T2\n'
         "Stop(X) :- IsAtInter(X), IsInInter(Y), Vip(Y).\nStop(X) :- CollidingClose(X, Y).\n"
+        '/// F: it is parked\nStop("Car_5").\n'
     )
     options = ["--rules", rules, "--ticks", "100", "--no-pictures", "--out", folder / "facts"]
     page = ["--html", folder / "facts.html"]
@@ -498,6 +499,10 @@ def test_a_proof_may_rest_on_a_fact_in_the_rules(
         shown = text(browser, panel)
         assert re.search(r"Vip\(Car_2\) by Car_2 is a VIP +\[facts\.dl:4\]", shown), shown
         assert "True atoms" in shown
+    # A fact about an action is a cause, too.
+    browser = page("#tick=3&agent=Car_5", name)
+    shown = text(browser, "agent")
+    assert "because\nF: it is parked" in shown and "no clause fired" not in shown.lower(), shown
 
 
 def test_two_runs_are_compared(

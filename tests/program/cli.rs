@@ -2402,3 +2402,60 @@ fn commands_of_the_python_package_refer_to_it() {
     assert!(!out(&output).contains("train"), "{}", out(&output));
     fails(&run(&["vap", "cocos"], b""), 2, &["unrecognized subcommand"]);
 }
+
+/// A fact of an action fires in every tick.
+#[test]
+fn the_summary_counts_facts_of_actions() {
+    let folder = tempfile::tempdir().unwrap();
+    let text = ".include \"vocabulary.dl\"\n/// F: it is parked\nStop(\"Car_2\").\nStop(\"Car_99\").\n\
+                Stop(X) :- CollidingClose(X, Y).\n";
+    let rules = write(folder.path(), "parked.dl", text);
+    let out_folder = folder.path().to_str().unwrap();
+    let arguments = [
+        "run",
+        "easy",
+        "--rules",
+        &rules,
+        "--ticks",
+        "7",
+        "--no-pictures",
+        "--out",
+        out_folder,
+    ];
+    let output = run(&arguments, b"");
+    let table = out(&output);
+    let row = |title: &str| {
+        table
+            .lines()
+            .find(|line| line.ends_with(title))
+            .unwrap_or_default()
+            .to_owned()
+    };
+    assert!(
+        row("F: it is parked").starts_with("         7  Stop    parked.dl:3 "),
+        "{table}"
+    );
+    assert!(
+        row("Stop(\"Car_99\").").starts_with("         0  Stop    parked.dl:4 "),
+        "{table}"
+    );
+    let trace = std::fs::read_to_string(folder.path().join("trace.jsonl")).unwrap();
+    let lines: Vec<Value> = trace.lines().map(|line| serde_json::from_str(line).unwrap()).collect();
+    let agents = lines[0]["agents"].as_array().unwrap();
+    let parked = agents.iter().position(|agent| agent["id"] == "Car_2").unwrap();
+    let clauses = lines[0]["clauses"].as_array().unwrap();
+    let fact = clauses
+        .iter()
+        .position(|clause| clause["doc"] == "F: it is parked")
+        .unwrap();
+    for tick in &lines[1..] {
+        let fired = tick["agents"][parked]["clauses"].as_array().unwrap();
+        assert!(fired.contains(&Value::from(fact)), "{tick}");
+    }
+    // The facts follow the rules, so that traces of rules alone keep their numbers.
+    assert!(
+        clauses[..fact]
+            .iter()
+            .any(|clause| clause["text"] == "Stop(X) :- CollidingClose(X, Y).")
+    );
+}
