@@ -2403,6 +2403,33 @@ fn commands_of_the_python_package_refer_to_it() {
     fails(&run(&["vap", "cocos"], b""), 2, &["unrecognized subcommand"]);
 }
 
+/// The table of `check --coverage` has columns as wide as the names need.
+#[test]
+fn long_names_do_not_run_into_the_clauses() {
+    let folder = tempfile::tempdir().unwrap();
+    let text = ".include \"vocabulary.dl\"\n.decl LongQueueOfCars(x: agent)\n\
+                LongQueueOfCars(X) :- IsCar(X), Sees(X, X).\nStop(X) :- LongQueueOfCars(X), CollidingClose(X, Y).\n";
+    let rules = write(folder.path(), "queue.dl", text);
+    let out_folder = folder.path().to_str().unwrap();
+    let arguments = [
+        "run",
+        "easy",
+        "--rules",
+        &rules,
+        "--ticks",
+        "2",
+        "--no-pictures",
+        "--out",
+        out_folder,
+    ];
+    assert_eq!(run(&arguments, b"").status.code(), Some(0));
+    let trace = folder.path().join("trace.jsonl");
+    let output = run(&["check", "--coverage", trace.to_str().unwrap()], b"");
+    let table = out(&output);
+    assert!(table.contains("  LongQueueOfCars  LongQueueOfCars(X) :- "), "{table}");
+    assert!(table.contains("  Stop             Stop(X) :- "), "{table}");
+}
+
 /// A fact of an action fires in every tick.
 #[test]
 fn the_summary_counts_facts_of_actions() {
