@@ -2403,6 +2403,53 @@ fn commands_of_the_python_package_refer_to_it() {
     fails(&run(&["vap", "cocos"], b""), 2, &["unrecognized subcommand"]);
 }
 
+/// One message names the kind of a file that the command does not read.
+#[test]
+fn files_of_another_kind_are_named() {
+    let folder = tempfile::tempdir().unwrap();
+    let rules = write(folder.path(), "my.dl", ".decl P(x: number)\nP(1).\n");
+    let config = write(folder.path(), "town.yaml", "base: easy\n# a comment\n");
+    let trace = folder.path().join("trace.jsonl");
+    let out_folder = folder.path().to_str().unwrap();
+    let ran = run(
+        &["run", "easy", "--ticks", "2", "--no-pictures", "--out", out_folder],
+        b"",
+    );
+    assert_eq!(ran.status.code(), Some(0));
+    let trace = trace.to_str().unwrap();
+    let page = folder.path().join("page.html");
+    let page = page.to_str().unwrap();
+    for (arguments, kinds) in [
+        (vec!["query", &config], "is a configuration, not a rule file"),
+        (vec!["fmt", &config], "is a configuration, not a rule file"),
+        (vec!["diff", &rules, &config], "is a configuration, not a rule file"),
+        (vec!["repl", &config], "is a configuration, not a rule file"),
+        (vec!["query", trace], "is a trace, not a rule file"),
+        (vec!["fmt", "--check", trace], "is a trace, not a rule file"),
+        (vec!["diff", trace, &rules], "is a trace, not a rule file"),
+        (vec!["check", trace], "is a trace, not a rule file"),
+        (vec!["view", &rules, "-o", page], "is a rule file, not a trace"),
+        (vec!["view", &config, "-o", page], "is a configuration, not a trace"),
+        (
+            vec!["explain", &rules, "--agent", "Car_1"],
+            "is a rule file, not a trace",
+        ),
+        (
+            vec!["explain", &config, "--agent", "Car_1"],
+            "is a configuration, not a trace",
+        ),
+        (vec!["infer", &rules], "is a rule file, not a file of scenes"),
+        (vec!["infer", &config], "is a configuration, not a file of scenes"),
+        (vec!["infer", trace], "is a trace, not a file of scenes"),
+    ] {
+        let output = run(&arguments, b"");
+        fails(&output, 1, &[kinds, "help: "]);
+        let said = String::from_utf8(output.stderr).unwrap();
+        assert_eq!(said.matches("error").count(), 1, "{arguments:?}: {said}");
+    }
+    assert!(!Path::new(page).exists());
+}
+
 /// The table of `check --coverage` has columns as wide as the names need.
 #[test]
 fn long_names_do_not_run_into_the_clauses() {
