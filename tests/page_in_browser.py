@@ -464,6 +464,47 @@ def premises(trace: pathlib.Path, tick: int, agent: str) -> tuple[str, list[str]
     return answer["action"], [premise["literal"] for premise in answer["explanations"][0]["nodes"][0]["premises"]]
 
 
+@pytest.fixture(scope="module")
+def facts(folder: pathlib.Path) -> pathlib.Path:
+    """Write `facts.html` and `facts-pair.html`: runs whose proofs rest on a fact in the rule file."""
+    rules = folder / "facts.dl"
+    rules.write_text(
+        '.include "vocabulary.dl"\n.decl Vip(x: agent)\n/// Car_2 is a VIP\nVip("Car_2").\n/// T2\n'
+        "Stop(X) :- IsAtInter(X), IsInInter(Y), Vip(Y).\nStop(X) :- CollidingClose(X, Y).\n"
+        '/// F: it is parked\nStop("Car_5").\n'
+    )
+    options = ["--rules", rules, "--ticks", "100", "--no-pictures", "--out", folder / "facts"]
+    page = ["--html", folder / "facts.html"]
+    subprocess.run([PROGRAM, "run", "configs/expert.yaml", *options, *page], cwd=ROOT, check=True, capture_output=True)
+    trace = folder / "facts/trace.jsonl"
+    view = [PROGRAM, "view", trace, trace, "-o", folder / "facts-pair.html"]
+    subprocess.run(view, cwd=ROOT, check=True, capture_output=True)
+    return trace
+
+
+@pytest.mark.parametrize("name", ["facts.html", "facts-pair.html"])
+def test_a_proof_may_rest_on_a_fact_in_the_rules(
+    page: Callable[..., WebDriver], facts: pathlib.Path, name: str
+) -> None:
+    header, *ticks = [json.loads(line) for line in facts.read_text().splitlines()]
+    clause = next(number for number, clause in enumerate(header["clauses"]) if clause["doc"] == "T2")
+    tick, agent = next(
+        (tick["tick"], number)
+        for tick in ticks
+        for number, state in enumerate(tick["agents"])
+        if clause in state["clauses"]
+    )
+    browser = page(f"#tick={tick}&agent={header['agents'][agent]['id']}", name)
+    for panel in ["agent"] if name == "facts.html" else ["agent", "agent-b"]:
+        shown = text(browser, panel)
+        assert re.search(r"Vip\(Car_2\) by Car_2 is a VIP +\[facts\.dl:4\]", shown), shown
+        assert "True atoms" in shown
+    # A fact about an action is a cause, too.
+    browser = page("#tick=3&agent=Car_5", name)
+    shown = text(browser, "agent")
+    assert "because\nF: it is parked" in shown and "no clause fired" not in shown.lower(), shown
+
+
 def test_two_runs_are_compared(
     page: Callable[..., WebDriver], folder: pathlib.Path, trace: list[dict], other: list[dict]
 ) -> None:

@@ -459,13 +459,18 @@ fn print_coverage(
         trace.display()
     )?;
     writeln!(out, "{:>10}{:>8}  clause", "fired", "ticks")?;
+    let head_of = |clause: ClauseId| &rules.relations[rules.clauses[clause.index()].head.relation.index()].name;
+    let lengths = coverage
+        .clauses
+        .iter()
+        .map(|clause| head_of(clause.clause).chars().count());
+    let heads = lengths.max().unwrap_or(0);
     for clause in &coverage.clauses {
-        let head = &rules.relations[rules.clauses[clause.clause.index()].head.relation.index()].name;
-        let title = printer.title(clause.clause);
-        writeln!(out, "{:>10}{:>8}  {head:<8}{title}", clause.fired, clause.states)?;
+        let (head, title) = (head_of(clause.clause), printer.title(clause.clause));
+        writeln!(out, "{:>10}{:>8}  {head:<heads$}  {title}", clause.fired, clause.states)?;
         if clause.fired > 0 && !clause.idle.is_empty() {
             let literals = idle(&printer, rules, clause.clause, &clause.idle).join(", ");
-            writeln!(out, "{:>28}never mattered: {literals}", "")?;
+            writeln!(out, "{:>20}{:heads$}  never mattered: {literals}", "", "")?;
         }
     }
     Ok(())

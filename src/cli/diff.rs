@@ -2,10 +2,10 @@
 
 use crate::builtin::BuiltinFiles;
 use crate::city::Action;
-use crate::cli::{Failure, compile, integer, load_program, load_workspace_from, report};
+use crate::cli::{Failure, integer, load_program, load_workspace_from, report};
 use crate::datalog::diff::{Cut, Difference, Equivalence, Options, diff};
-use crate::datalog::{BaseType, Edb, Program, Rules, quoted};
-use crate::diag::{Code, Diagnostic, Sources};
+use crate::datalog::{BaseType, Clause, Edb, Program, Rules, Term, is_name, quoted};
+use crate::diag::{Code, Diagnostic, SourceId, Sources, Span};
 use crate::files::{ReadError, ReadFile};
 use crate::sim::scene_json;
 use serde_json::{Value, json};
@@ -23,7 +23,7 @@ pub struct Arguments {
     #[arg(long, value_delimiter = ',', value_name = "NAMES")]
     predicates: Vec<String>,
     /// Compare only rows for which a condition holds, for example 'IsCar(X)'. X, Y, Z, ... are the columns of the
-    /// compared predicates
+    /// compared predicates; other variables must occur with one of them
     #[arg(long, value_name = "BODY")]
     given: Option<String>,
     /// Compare scenes of at most this many entities
@@ -55,6 +55,9 @@ pub fn run(arguments: &Arguments, sources: &mut Sources) -> Result<u8, Failure> 
     let mut predicates = arguments.predicates.clone();
     if let Some(condition) = &arguments.given {
         let compared = compared(&predicates, [left.rules(), right.rules()]);
+        // A full stop ends the clause that contains the condition.
+        let condition = condition.trim().trim_end_matches('.').trim_end();
+        let condition = sources.add(OPTION, condition);
         left = restricted(sources, &arguments.left, left.rules(), &compared, condition)?;
         right = restricted(sources, &arguments.right, right.rules(), &compared, condition)?;
         // `diff` reports a predicate that a side lacks, so it gets the name that the user knows.
@@ -114,6 +117,9 @@ pub fn run(arguments: &Arguments, sources: &mut Sources) -> Result<u8, Failure> 
     })
 }
 
+/// The option with the condition, which also names the condition in diagnostics.
+const OPTION: &str = "--given";
+
 /// The end of the names of predicates with the rows for which the condition of `--given` holds.
 const GIVEN: &str = "_given";
 
@@ -138,12 +144,16 @@ fn restricted(
     path: &Path,
     rules: &Rules,
     predicates: &[String],
-    condition: &str,
+    condition: SourceId,
 ) -> Result<Program, Failure> {
     let file = path
         .file_name()
         .map_or_else(String::new, |name| name.to_string_lossy().into_owned());
-    let mut text = format!(".include {}\n.scope\n", quoted(&file));
+    let mut overlay = Overlay {
+        path: path.parent().unwrap_or(Path::new("")).join(OPTION),
+        text: format!(".include {}\n.scope\n", quoted(&file)),
+        conditions: Vec::new(),
+    };
     for name in predicates {
         let Some(relation) = rules.relation(name).map(|id| &rules.relations[id.index()]) else {
             continue;
@@ -162,24 +172,151 @@ fn restricted(
             .map(|(name, ty)| format!("{name}: {ty}"))
             .collect();
         let row = COLUMNS[..relation.columns.len()].join(", ");
-        text += &format!(
-            ".decl {name}{GIVEN}({})\n.output {name}{GIVEN}\n{name}{GIVEN}({row}) :- {name}({row}), {condition}.\n",
+        overlay.text += &format!(
+            ".decl {name}{GIVEN}({})\n.output {name}{GIVEN}\n{name}{GIVEN}({row}) :- {name}({row}), ",
             columns.join(", ")
         );
+        overlay.conditions.push(overlay.text.len());
+        overlay.text += sources.text(condition);
+        overlay.text += ".\n";
     }
-    let folder = path.parent().unwrap_or(Path::new(""));
-    let overlay = Overlay {
-        path: folder.join("--given"),
-        text,
-    };
     let workspace = load_workspace_from(sources, &overlay.path, Edb::Fixed, &overlay)?;
-    Ok(compile(&workspace)?.0)
+    let entry = overlay.path.display().to_string();
+    let entry = sources.ids().filter(|&id| sources.name(id) == entry).last();
+    let place = Typed {
+        overlay: &overlay,
+        entry: entry.expect("the workspace has read the overlay"),
+        condition,
+        length: sources.text(condition).len(),
+    };
+    let loaded = workspace.check();
+    let Some(checked) = loaded.rules else {
+        return Err(place.faults(loaded.diagnostics).into());
+    };
+    for name in predicates {
+        let restricted = checked.relation(&format!("{name}{GIVEN}"));
+        let clauses = (checked.clauses.iter()).filter(|clause| Some(clause.head.relation) == restricted);
+        let loose: Vec<Diagnostic> = clauses.flat_map(|clause| loose_variables(clause, name)).collect();
+        if !loose.is_empty() {
+            return Err(Failure::option(place.faults(loose)));
+        }
+    }
+    Ok(Program::new(checked)?)
+}
+
+/// Returns the faults of variables in a condition that are neither columns nor related to one by literals: the
+/// condition only says that some value of them exists. A variable that begins with `_` is meant so.
+fn loose_variables(clause: &Clause, predicate: &str) -> Vec<Diagnostic> {
+    let variables = |terms: &mut dyn Iterator<Item = &Term>| -> Vec<usize> {
+        let variable = |term: &Term| match term {
+            Term::Variable(id) => Some(id.index()),
+            _ => None,
+        };
+        terms.filter_map(variable).collect()
+    };
+    let mut related = vec![false; clause.variables.len()];
+    let columns = variables(&mut clause.head.terms.iter());
+    columns.iter().for_each(|&column| related[column] = true);
+    let literals: Vec<Vec<usize>> = (clause.body.iter())
+        .map(|literal| variables(&mut literal.terms()))
+        .collect();
+    let mut grows = true;
+    while std::mem::take(&mut grows) {
+        for literal in &literals {
+            if literal.iter().any(|&variable| related[variable]) {
+                for &variable in literal {
+                    grows |= !std::mem::replace(&mut related[variable], true);
+                }
+            }
+        }
+    }
+    let columns: Vec<&str> = columns
+        .iter()
+        .map(|&column| clause.variables[column].as_str())
+        .collect();
+    let listed = match columns.as_slice() {
+        [] => format!("`{predicate}` has no columns"),
+        [column] => format!("the column of `{predicate}` is `{column}`"),
+        columns => format!("the columns of `{predicate}` are `{}`", columns.join("`, `")),
+    };
+    let twin = |name: &str| {
+        columns
+            .iter()
+            .find(|column| column.to_lowercase() == name.to_lowercase())
+    };
+    let named = clause.variables.iter().zip(&clause.variable_spans).enumerate();
+    let loose = named.filter(|(index, (name, _))| {
+        is_name(name)
+            && !name.starts_with('_')
+            && !columns.contains(&name.as_str())
+            && (!related[*index] || twin(name).is_some())
+    });
+    loose
+        .map(|(_, (name, span))| {
+            let message = format!("`{name}` in the condition is no column of `{predicate}`");
+            let fault = Diagnostic::new(Code::RULE_MISMATCH, message)
+                .at(*span, "stands for any value")
+                .note(listed.clone());
+            match twin(name) {
+                Some(column) => fault.help(format!("did you mean `{column}`?")),
+                None => fault.help("name a column, or write `_` for any value"),
+            }
+        })
+        .collect()
+}
+
+/// Faults of the overlay as faults of the condition that the user typed.
+struct Typed<'o> {
+    overlay: &'o Overlay,
+    entry: SourceId,
+    condition: SourceId,
+    length: usize,
+}
+
+impl Typed<'_> {
+    /// Returns the faults at their places in the condition. Several predicates have the same condition, so equal faults
+    /// and labels occur once.
+    fn faults(&self, faults: Vec<Diagnostic>) -> Vec<Diagnostic> {
+        let mut placed: Vec<Diagnostic> = Vec::new();
+        for mut fault in faults {
+            for label in fault.primary.iter_mut().chain(&mut fault.secondary) {
+                label.span = self.place(label.span);
+            }
+            let mut known: Vec<Span> = fault.primary.iter().map(|label| label.span).collect();
+            fault.secondary.retain(|label| {
+                let is_new = !known.contains(&label.span);
+                known.push(label.span);
+                is_new
+            });
+            // The edits concern the overlay.
+            fault.fixes.clear();
+            if !placed.contains(&fault) {
+                placed.push(fault);
+            }
+        }
+        placed
+    }
+
+    /// Returns a place in the condition: the whole one for a place in another part of the overlay.
+    fn place(&self, span: Span) -> Span {
+        if span.source != self.entry {
+            return span;
+        }
+        let (from, to) = (span.start as usize, span.end as usize);
+        let within = |start: &&usize| (**start..=**start + self.length).contains(&from);
+        match self.overlay.conditions.iter().find(within) {
+            Some(start) => Span::new(self.condition, from - start..(to - start).min(self.length)),
+            None => Span::new(self.condition, 0..self.length),
+        }
+    }
 }
 
 /// One more file beside those on disk and the built-in ones.
 struct Overlay {
     path: PathBuf,
     text: String,
+    /// The offsets of the condition in the text, once per predicate.
+    conditions: Vec<usize>,
 }
 
 impl ReadFile for Overlay {

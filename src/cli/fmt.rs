@@ -1,5 +1,6 @@
 //! `logicity fmt`: formats rule files.
 
+use crate::cli::kind::Kind;
 use crate::cli::{Failure, finish, read, unwritable};
 use crate::datalog;
 use crate::diag::{Diagnostic, Sources};
@@ -31,6 +32,10 @@ pub fn run(arguments: &Arguments, sources: &mut Sources) -> Result<(), Failure> 
         } else {
             read(path)?
         };
+        if let Some(fault) = Kind::Rules.mismatch(path, &text) {
+            faults.push(fault);
+            continue;
+        }
         let source = sources.add(path.display().to_string(), text);
         let formatted = match datalog::format(sources, source) {
             Ok(formatted) => formatted,

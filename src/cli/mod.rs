@@ -16,6 +16,7 @@ mod fmt;
 mod icons;
 mod induce;
 mod infer;
+mod kind;
 #[cfg(feature = "lsp")]
 mod lsp;
 mod memory;
@@ -45,6 +46,7 @@ use crate::sim::{LoadError, LoadedCity};
 use clap::builder::{PossibleValue, PossibleValuesParser, TypedValueParser};
 use clap::{CommandFactory, FromArgMatches, Parser, Subcommand};
 use indicatif::{ProgressBar, ProgressStyle};
+use kind::Kind;
 use std::ffi::{OsStr, OsString};
 use std::fmt::Display;
 use std::fs::File;
@@ -749,6 +751,9 @@ fn load_workspace_from(
     files: &dyn ReadFile,
 ) -> Result<Workspace, Failure> {
     let text = read_with(files, path)?;
+    if let Some(fault) = Kind::Rules.mismatch(path, &text) {
+        return Err(fault.into());
+    }
     let entry = sources.add(path.display().to_string(), text);
     let mut workspace = Workspace::new(edb);
     workspace.add(sources, entry, files);

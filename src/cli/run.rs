@@ -4,7 +4,7 @@ use crate::city::{Action, AgentKind, Split};
 use crate::cli::icons::IconOptions;
 use crate::cli::{
     Failure, ForceOption, Inputs, LimitOptions, cancel_on_interrupt, finish, integer, is_stdout, load_city, one_of,
-    plural, refuse_stdout_as_folder, unwritable,
+    plural, refuse_stdout_as_folder, report, unwritable,
 };
 use crate::datalog::constraints;
 use crate::datalog::explain::ExplanationPrinter;
@@ -16,7 +16,7 @@ use crate::render::{Animation, Overview, Sprite, write_png};
 use crate::rng::Seed;
 use crate::sim::{
     DeadlockReport, Executor, LOOK_TICKS, MAX_ENTITIES, STUCK_TICKS, Settings, Simulation, TraceWriter, WaitsFor,
-    find_deadlocks, waits,
+    agent_lints, find_deadlocks, waits,
 };
 use indicatif::{ProgressBar, ProgressStyle};
 use std::collections::{BTreeMap, BTreeSet};
@@ -119,6 +119,10 @@ pub fn run(arguments: &Arguments, sources: &mut Sources) -> Result<(), Failure> 
             threads: arguments.threads.get(),
         },
     )?;
+
+    let world = simulation.world();
+    let agents = world.scenario.agent_set(arguments.split);
+    report(&agent_lints(world.program.rules(), agents.into_iter()), sources);
 
     let cancel = cancel_on_interrupt()?;
     if !arguments.no_trace && simulation.agents().len() > MAX_ENTITIES {

@@ -1,5 +1,6 @@
 //! Reads files of scenes, one JSON object per line.
 
+use crate::cli::kind::Kind;
 use crate::cli::{Failure, open};
 use crate::diag::{Code, Diagnostic, SourceId, Sources};
 use crate::files::{self, ReadError};
@@ -38,9 +39,15 @@ pub fn open_input(path: &Path) -> Result<Box<dyn BufRead>, Failure> {
 }
 
 impl SceneLines {
-    /// Opens a file; `-` means standard input.
+    /// Opens a file; `-` means standard input. Fails for a file of another kind.
     pub fn open(path: &Path) -> Result<SceneLines, Failure> {
-        Ok(SceneLines::new(open_input(path)?, path))
+        let mut lines = open_input(path)?;
+        let unreadable = |error| Failure::file("read", path, error);
+        let begin = String::from_utf8_lossy(lines.fill_buf().map_err(unreadable)?).into_owned();
+        match Kind::Scenes.mismatch(path, &begin) {
+            Some(fault) => Err(fault.into()),
+            None => Ok(SceneLines::new(lines, path)),
+        }
     }
 
     /// Reads the lines of an open file.

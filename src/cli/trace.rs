@@ -1,6 +1,7 @@
 //! Reads traces with the configuration and the rules of their runs.
 
 use crate::builtin::BuiltinFiles;
+use crate::cli::kind::Kind;
 use crate::cli::{Failure, LimitOptions, open};
 use crate::datalog::Limits;
 use crate::diag::{Code, Diagnostic, Sources};
@@ -37,7 +38,10 @@ impl TraceReader {
             return Err(Diagnostic::new(Code::INVALID_TRACE, message).into());
         };
         Ok(TraceReader {
-            header: TraceHeader::read(&line).map_err(|fault| placed(fault, path, number))?,
+            header: TraceHeader::read(&line).map_err(|fault| match Kind::Trace.mismatch(path, &line) {
+                Some(mismatch) => mismatch.into(),
+                None => placed(fault, path, number),
+            })?,
             path: path.to_owned(),
             lines,
             number,

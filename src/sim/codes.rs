@@ -10,6 +10,8 @@ crate::diagnostic_codes! {
     NO_COLLISION_CLAUSE = "no-collision-clause", Warning;
     /// A variable with the name of an agent.
     UNQUOTED_AGENT = "unquoted-agent", Warning;
+    /// A constant that names no agent of the configuration.
+    UNKNOWN_AGENT = "unknown-agent", Warning;
     /// A scene that is not JSON or does not follow the scene format.
     INVALID_SCENE = "invalid-scene", Error;
     /// A trace that is not JSON or does not follow the trace format.

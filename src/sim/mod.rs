@@ -17,8 +17,8 @@ pub use codes::{CATALOG, CODES};
 pub use load::{LoadError, LoadedCity};
 pub use observe::{ActionConstraint, OBSERVED_MAX, Observer, Oracle};
 pub use scene::{
-    Answer, CONFLICT_BUDGET, EgoAnswer, Finding, Inference, Overlap, SceneFacts, city_lints, conflict_lints, conflicts,
-    scene_json,
+    Answer, CONFLICT_BUDGET, EgoAnswer, Finding, Inference, Overlap, SceneFacts, agent_lints, city_lints,
+    conflict_lints, conflicts, scene_json,
 };
 pub use tick::chance::Chance;
 pub use tick::executor::Executor;

@@ -197,7 +197,18 @@ proptest! {
 fn expressions_alternatives_and_aggregates_are_laid_out() {
     let text = "B(x) :- A(x,y),(x<3;x>5),y>2.5, x = 1+2*3 . // c\nC(n,1u),C(n+1,2u) :- n = sum y:{B(y),y<3}.\n";
     let wanted = "B(x) :- A(x, y), (x < 3; x > 5), y > 2.5, x = 1 + 2 * 3. // c\n\
-                  C(n, 1u), C(n + 1, 2u) :- n = sum y: { B(y), y < 3 }.\n";
+                  C(n, 1u), C(n + 1, 2u) :- n = sum y : { B(y), y < 3 }.\n";
+    assert_eq!(formatted(text), wanted);
+    assert_eq!(formatted(wanted), wanted);
+}
+
+/// The formatter writes aggregates as the printer and the documents do, and declarations without a space.
+#[test]
+fn colons_are_laid_out_by_their_meaning() {
+    let text =
+        ".decl N(x :number , y: symbol)\nN(n, \"a\") :- n = count:{ M(_) }.\nN(n, z) :- M(n), z = max y: M(y).\n";
+    let wanted = ".decl N(x: number, y: symbol)\nN(n, \"a\") :- n = count : { M(_) }.\n\
+                  N(n, z) :- M(n), z = max y : M(y).\n";
     assert_eq!(formatted(text), wanted);
     assert_eq!(formatted(wanted), wanted);
 }

@@ -329,6 +329,40 @@ fn an_include_may_have_an_absolute_path() {
     assert_eq!(missing.notes, ["looked for `/shared/other.dl`"]);
 }
 
+/// In a scope, the suggested atom restricts the rule no further than the scope does.
+#[test]
+fn unbound_variables_of_a_scope_are_bound_by_it() {
+    let clause = |clause: &str| {
+        let text = format!(".include \"vocabulary.dl\"\n.decl Near(x: agent, y: agent)\n{clause}\n");
+        let (_, loaded) = load_text("main.dl", &text);
+        let unbound = loaded
+            .diagnostics
+            .into_iter()
+            .filter(|fault| fault.code == Code::UNBOUND_VARIABLE);
+        unbound.flat_map(|fault| fault.help).collect::<Vec<String>>()
+    };
+    let add = |name: &str, atom: &str| format!("add a positive atom that binds `{name}`, such as `{atom}`");
+    assert_eq!(clause("Slow(X) :- IsAmbulance(Y)."), [add("X", "Sees(X, X)")]);
+    assert_eq!(clause("Near(X, Y) :- IsCar(X)."), [add("Y", "Sees(X, Y)")]);
+    assert_eq!(clause("Slow(X) :- IsCar(X), Not(IsBus(Z))."), [add("Z", "Sees(X, Z)")]);
+    // Without a scope, any predicate of the type may do.
+    assert_eq!(
+        clause(".scope\nSlow(X) :- IsAmbulance(Y)."),
+        [add("X", "IsPedestrian(X)")]
+    );
+    // The same letter in the other case is probably the same variable.
+    for (text, near, name) in [
+        ("Slow(X) :- IsBus(X), Not(IsCar(x)).", "X", "x"),
+        ("Slow(X) :- IsBus(x).", "x", "X"),
+    ] {
+        let or = format!(
+            "or {}",
+            add(name, if name == "X" { "Sees(X, X)" } else { "Sees(X, x)" })
+        );
+        assert_eq!(clause(text), [format!("did you mean `{near}`?"), or]);
+    }
+}
+
 /// A name such as `Car_2` is probably a constant without its quotes, on either side of an equation.
 #[test]
 fn a_name_like_a_constant_is_quoted_in_the_help() {

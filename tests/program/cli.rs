@@ -2402,3 +2402,134 @@ fn commands_of_the_python_package_refer_to_it() {
     assert!(!out(&output).contains("train"), "{}", out(&output));
     fails(&run(&["vap", "cocos"], b""), 2, &["unrecognized subcommand"]);
 }
+
+/// One message names the kind of a file that the command does not read.
+#[test]
+fn files_of_another_kind_are_named() {
+    let folder = tempfile::tempdir().unwrap();
+    let rules = write(folder.path(), "my.dl", ".decl P(x: number)\nP(1).\n");
+    let config = write(folder.path(), "town.yaml", "base: easy\n# a comment\n");
+    let trace = folder.path().join("trace.jsonl");
+    let out_folder = folder.path().to_str().unwrap();
+    let ran = run(
+        &["run", "easy", "--ticks", "2", "--no-pictures", "--out", out_folder],
+        b"",
+    );
+    assert_eq!(ran.status.code(), Some(0));
+    let trace = trace.to_str().unwrap();
+    let page = folder.path().join("page.html");
+    let page = page.to_str().unwrap();
+    for (arguments, kinds) in [
+        (vec!["query", &config], "is a configuration, not a rule file"),
+        (vec!["fmt", &config], "is a configuration, not a rule file"),
+        (vec!["diff", &rules, &config], "is a configuration, not a rule file"),
+        (vec!["repl", &config], "is a configuration, not a rule file"),
+        (vec!["query", trace], "is a trace, not a rule file"),
+        (vec!["fmt", "--check", trace], "is a trace, not a rule file"),
+        (vec!["diff", trace, &rules], "is a trace, not a rule file"),
+        (vec!["check", trace], "is a trace, not a rule file"),
+        (vec!["view", &rules, "-o", page], "is a rule file, not a trace"),
+        (vec!["view", &config, "-o", page], "is a configuration, not a trace"),
+        (
+            vec!["explain", &rules, "--agent", "Car_1"],
+            "is a rule file, not a trace",
+        ),
+        (
+            vec!["explain", &config, "--agent", "Car_1"],
+            "is a configuration, not a trace",
+        ),
+        (vec!["infer", &rules], "is a rule file, not a file of scenes"),
+        (vec!["infer", &config], "is a configuration, not a file of scenes"),
+        (vec!["infer", trace], "is a trace, not a file of scenes"),
+    ] {
+        let output = run(&arguments, b"");
+        fails(&output, 1, &[kinds, "help: "]);
+        let said = String::from_utf8(output.stderr).unwrap();
+        assert_eq!(said.matches("error").count(), 1, "{arguments:?}: {said}");
+    }
+    assert!(!Path::new(page).exists());
+}
+
+/// The table of `check --coverage` has columns as wide as the names need.
+#[test]
+fn long_names_do_not_run_into_the_clauses() {
+    let folder = tempfile::tempdir().unwrap();
+    let text = ".include \"vocabulary.dl\"\n.decl LongQueueOfCars(x: agent)\n\
+                LongQueueOfCars(X) :- IsCar(X), Sees(X, X).\nStop(X) :- LongQueueOfCars(X), CollidingClose(X, Y).\n";
+    let rules = write(folder.path(), "queue.dl", text);
+    let out_folder = folder.path().to_str().unwrap();
+    let arguments = [
+        "run",
+        "easy",
+        "--rules",
+        &rules,
+        "--ticks",
+        "2",
+        "--no-pictures",
+        "--out",
+        out_folder,
+    ];
+    assert_eq!(run(&arguments, b"").status.code(), Some(0));
+    let trace = folder.path().join("trace.jsonl");
+    let output = run(&["check", "--coverage", trace.to_str().unwrap()], b"");
+    let table = out(&output);
+    assert!(table.contains("  LongQueueOfCars  LongQueueOfCars(X) :- "), "{table}");
+    assert!(table.contains("  Stop             Stop(X) :- "), "{table}");
+}
+
+/// A fact of an action fires in every tick.
+#[test]
+fn the_summary_counts_facts_of_actions() {
+    let folder = tempfile::tempdir().unwrap();
+    let text = ".include \"vocabulary.dl\"\n/// F: it is parked\nStop(\"Car_2\").\nStop(\"Car_99\").\n\
+                Stop(X) :- CollidingClose(X, Y).\n";
+    let rules = write(folder.path(), "parked.dl", text);
+    let out_folder = folder.path().to_str().unwrap();
+    let arguments = [
+        "run",
+        "easy",
+        "--rules",
+        &rules,
+        "--ticks",
+        "7",
+        "--no-pictures",
+        "--out",
+        out_folder,
+    ];
+    let output = run(&arguments, b"");
+    let table = out(&output);
+    let row = |title: &str| {
+        table
+            .lines()
+            .find(|line| line.ends_with(title))
+            .unwrap_or_default()
+            .to_owned()
+    };
+    assert!(
+        row("F: it is parked").starts_with("         7  Stop    parked.dl:3 "),
+        "{table}"
+    );
+    assert!(
+        row("Stop(\"Car_99\").").starts_with("         0  Stop    parked.dl:4 "),
+        "{table}"
+    );
+    let trace = std::fs::read_to_string(folder.path().join("trace.jsonl")).unwrap();
+    let lines: Vec<Value> = trace.lines().map(|line| serde_json::from_str(line).unwrap()).collect();
+    let agents = lines[0]["agents"].as_array().unwrap();
+    let parked = agents.iter().position(|agent| agent["id"] == "Car_2").unwrap();
+    let clauses = lines[0]["clauses"].as_array().unwrap();
+    let fact = clauses
+        .iter()
+        .position(|clause| clause["doc"] == "F: it is parked")
+        .unwrap();
+    for tick in &lines[1..] {
+        let fired = tick["agents"][parked]["clauses"].as_array().unwrap();
+        assert!(fired.contains(&Value::from(fact)), "{tick}");
+    }
+    // The facts follow the rules, so that traces of rules alone keep their numbers.
+    assert!(
+        clauses[..fact]
+            .iter()
+            .any(|clause| clause["text"] == "Stop(X) :- CollidingClose(X, Y).")
+    );
+}

@@ -349,6 +349,38 @@ fn lints_are_reported_as_their_fixtures_expect() {
     }
 }
 
+/// `check` of a configuration and `run` warn of names that no agent has, on the lines that the fixture marks.
+#[test]
+fn unknown_agents_are_reported_as_their_fixture_expects() {
+    let folder = fixtures().join("unknown-agent");
+    let text = fs::read_to_string(folder.join("main.dl")).unwrap();
+    let lines = text.lines().zip(1..);
+    let marked: Vec<usize> = lines
+        .filter(|(line, _)| line.contains("// warning["))
+        .map(|(_, number)| number)
+        .collect();
+    assert_eq!(marked.len(), 4);
+    let config = folder.join("main.yaml");
+    let config = config.to_str().unwrap();
+    for arguments in [
+        &["check", config] as &[&str],
+        &["run", config, "--ticks", "5", "--no-trace"],
+    ] {
+        let output = logicity(arguments);
+        let said = String::from_utf8(output.stderr).unwrap();
+        assert_eq!(output.status.code(), Some(0), "{said}");
+        assert_eq!(said.matches("no agent has the name").count(), marked.len(), "{said}");
+        for line in &marked {
+            assert!(said.contains(&format!("main.dl:{line}:")), "{line}: {said}");
+        }
+        assert!(said.contains("did you mean `\"Pedestrian_1\"`?"), "{said}");
+        assert!(said.contains("the agents are Car_1 to Car_"), "{said}");
+    }
+    // Rules alone may be for scenes, in which agents have any names.
+    let output = logicity(&["check", folder.join("main.dl").to_str().unwrap()]);
+    assert!(!String::from_utf8(output.stderr).unwrap().contains("unknown-agent"));
+}
+
 /// The only diagnostic concerns the published rules of `vap-hard`.
 #[test]
 fn the_shipped_rules_pass_without_a_diagnostic() {

@@ -92,3 +92,73 @@ fn the_command_reports_the_bound() {
     assert!(said.starts_with("different; a scene that shows it"), "{said}");
     assert_eq!(output.status.code(), Some(1));
 }
+
+/// A variable that no column restricts would only say that some value exists.
+#[test]
+fn the_variables_of_a_condition_are_columns() {
+    let given = |condition: &str| {
+        let output = logicity(["diff", "rules/easy.dl", "rules/medium.dl", "--given", condition]);
+        (String::from_utf8(output.stderr).unwrap(), output.status.code())
+    };
+    for (condition, parts) in [
+        ("IsCar(x)", ["`x` in the condition is no column", "did you mean `X`?"]),
+        (
+            "IsCar(Q)",
+            ["`Q` in the condition is no column", "the column of `Fast` is `X`"],
+        ),
+        ("IsCar(X), Sees(X, Z), IsBus(Y)", ["`Y` in the condition", "write `_`"]),
+    ] {
+        let (said, code) = given(condition);
+        assert_eq!(code, Some(2), "{said}");
+        for part in parts {
+            assert!(said.contains(part), "{condition}: {part} is missing in:\n{said}");
+        }
+        assert!(said.contains("--> --given:1:") && !said.contains("_given"), "{said}");
+    }
+    // These are meant so.
+    for condition in [
+        "IsCar(X)",
+        "IsCar(X).",
+        "IsCar(_)",
+        "IsCar(_Some)",
+        "Sees(X, Y), IsBus(Y)",
+    ] {
+        let (said, code) = given(condition);
+        assert_eq!((said.as_str(), code), ("", Some(1)), "{condition}");
+    }
+    let output = logicity([
+        "diff",
+        "rules/easy.dl",
+        "rules/easy.dl",
+        "--predicates",
+        "Sees",
+        "--given",
+        "IsClose(X, y)",
+    ]);
+    let said = String::from_utf8(output.stderr).unwrap();
+    assert!(said.contains("the columns of `Sees` are `X`, `Y`"), "{said}");
+}
+
+/// Faults of a condition are shown once, at their place in it.
+#[test]
+fn faults_of_a_condition_show_it_as_typed() {
+    for (condition, part, column) in [
+        ("IsCr(X)", "did you mean `IsCar`?", 1),
+        ("IsBus(X), IsCr(X)", "did you mean `IsCar`?", 11),
+        ("IsCar(X", "expected `,` or `)`", 8),
+        ("IsCar(X), 3", "expected a comparison operator", 12),
+    ] {
+        let output = logicity(["diff", "rules/easy.dl", "rules/medium.dl", "--given", condition]);
+        let said = String::from_utf8(output.stderr).unwrap();
+        assert_eq!(output.status.code(), Some(1), "{said}");
+        assert!(
+            said.contains(part) && said.contains(&format!("--> --given:1:{column}\n")),
+            "{said}"
+        );
+        assert!(said.contains(&format!("1 | {condition}\n")), "{said}");
+        assert!(
+            !said.contains("_given") && said.matches("error[").count() == 1,
+            "{said}"
+        );
+    }
+}

@@ -475,7 +475,7 @@ const TRACES: &[Case] = &[
     ("explain empty.dl --agent Car_1", 1, "empty"),
     ("explain picture.png --agent Car_1", 1, "not-text"),
     ("explain deep.json --agent Car_1", 1, "not the header"),
-    ("explain nul.dl --agent Car_1", 1, "not the header"),
+    ("explain nul.dl --agent Car_1", 1, "a rule file, not a trace"),
     ("explain huge-line.json --agent Car_1", 1, "is empty"),
     ("explain trace.jsonl", 2, "--agent"),
     ("explain trace.jsonl --agent ''", 2, "no agent"),

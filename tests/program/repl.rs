@@ -317,6 +317,44 @@ fn a_command_ends_an_incomplete_input() {
     assert!(err.contains("type `.quit`"), "{err}");
 }
 
+/// A question begins a line, so a clause before it lacks its full stop.
+#[test]
+fn a_question_ends_an_incomplete_input() {
+    for line in ["?- Path(x, y)\n", "  ?- Path(x, y).\n"] {
+        let (out, err, code) = typed(&format!("{GRAPH}Edge(1, 2)\n{line}?- Edge(x, y)\n"));
+        assert!(err.contains("the clause before lacks a full stop"), "{err}");
+        assert!(!err.contains("logicity repl") && !err.contains("unsupported"), "{err}");
+        assert!(out.ends_with("0 rows\n0 rows\n"), "both questions are answered: {out}");
+        assert_eq!(code, 1);
+    }
+    // Another fault keeps its message.
+    let (_, err, _) = typed(&format!("{GRAPH}Edge(1\n?- Edge(x, y)\n"));
+    assert!(err.contains("expected `,` or `)`") && !err.contains("lacks"), "{err}");
+    let (_, err, _) = typed(&format!("{GRAPH}Edge(1, 2)\n.help\n"));
+    assert!(err.contains("the clause before lacks a full stop"), "{err}");
+    // A comment may contain any line, and an aggregate may continue with a word.
+    assert!(good(&format!("{GRAPH}Edge(1, 2). /* so:\n?- Edge\n*/\n?- Edge(1, 2)\n")).ends_with("true\n"));
+    let out = good(".decl N(x: number)\nN(3).\n?- N(\nquit\n), quit < 4.\n");
+    assert!(out.ends_with("1 row\n"), "{out}");
+}
+
+#[test]
+fn words_without_their_full_stop_are_hinted_at() {
+    for (word, meant) in [
+        ("quit", ".quit"),
+        ("help", ".help"),
+        ("exit", ".quit"),
+        ("quit.", ".quit"),
+    ] {
+        let (out, err, code) = typed(&format!("{GRAPH}{word}\nEdge(1, 2)\n{word}\n?- Edge(x, y)\n"));
+        assert_eq!(err.matches(&format!("type `{meant}`")).count(), 2, "{word}: {err}");
+        assert!(err.contains("the clause before lacks a full stop"), "{word}: {err}");
+        assert!(out.ends_with("0 rows\n") && code == 1, "{word}: {out}");
+    }
+    // A predicate may have such a name.
+    assert!(good(".decl help(x: number)\nhelp(1).\n?- help(x)\n").ends_with("1 row\n"));
+}
+
 #[test]
 fn words_of_other_prompts_are_reported() {
     for (input, meant) in [
@@ -533,6 +571,13 @@ mod terminal {
         terminal.sees("| ");
         terminal.press("\u{3}");
         terminal.sees("> ");
+        // So does a lone word, which gets a hint.
+        terminal.press("Reachable(8)\r");
+        terminal.sees("| ");
+        terminal.press("quit\r");
+        terminal.sees("lacks a full stop");
+        terminal.sees("type `.quit`");
+        terminal.sees("> ");
         // So does a command.
         terminal.press("Reachable(9\r");
         terminal.sees("| ");
@@ -545,7 +590,7 @@ mod terminal {
         terminal.press("\"a\").\r");
         let shown = terminal.sees("type-mismatch");
         assert!(shown.contains("\u{1b}["), "without color: {shown:?}");
-        terminal.sees("<input 5>");
+        terminal.sees("<input 7>");
         terminal.sees("> ");
         terminal.press("?- Reachable(x).\r");
         terminal.sees("1 row");
@@ -557,7 +602,7 @@ mod terminal {
         );
         let history = fs::read_to_string(folder.path().join("logicity/history")).unwrap();
         assert!(
-            history.contains("Reachable(7).") && !history.contains("Reachable(8"),
+            history.contains("Reachable(7).") && !history.contains("Reachable(8\n"),
             "{history}"
         );
         assert!(

@@ -1,7 +1,7 @@
 //! The commands of the prompt.
 
 use crate::cli::Failure;
-use crate::datalog::DIRECTIVES;
+use crate::datalog::{DIRECTIVES, FULL_STOP};
 use crate::diag::{Code, Diagnostic, SourceId, Sources, Span, did_you_mean};
 use std::path::PathBuf;
 
@@ -12,8 +12,8 @@ Type facts, clauses, declarations and directives as in a file; they may span sev
 Ask questions as the body of a clause; each variable is a column unless it begins with `_`:
   ?- Edge(x, y), !Edge(y, _), n = count : { Edge(_, y) }.
 The full stop is optional where the line is complete without it.
-The prompt `| ` continues an incomplete input: end it with a full stop, or discard it with Ctrl-C. A command that begins
-with a full stop ends it, too.
+The prompt `| ` continues an incomplete input: end it with a full stop, or discard it with Ctrl-C. A line that begins
+with `?-` or with a command's full stop ends it, too.
 Commands take one line; a full stop at the end is optional:
   explain FACT       explain why it holds, with a shortest proof
   why-not FACT       explain why it does not hold; `_` matches any value
@@ -54,9 +54,11 @@ const OTHER_WORDS: &[(&str, &str)] = &[
     ("whynot", "why-not FACT"),
     ("why_not", "why-not FACT"),
     ("exit", ".quit"),
+    ("quit", ".quit"),
     ("bye", ".quit"),
     ("q", ".quit"),
     ("h", ".help"),
+    ("help", ".help"),
     ("tables", ".relations"),
     ("schema", ".show NAME"),
     ("ask", "?- BODY"),
@@ -66,6 +68,9 @@ const OTHER_WORDS: &[(&str, &str)] = &[
     ("read", ".load FILE"),
     ("consult", ".load FILE"),
 ];
+
+/// The words of [`OTHER_WORDS`] that end an incomplete input if they are alone on a line.
+const LONE_WORDS: &[&str] = &["quit", "exit", "help"];
 
 #[derive(Debug)]
 pub enum Command {
@@ -102,12 +107,32 @@ pub fn word(text: &str) -> Option<(&'static str, &str)> {
     (!is_atom).then_some((*known, rest))
 }
 
-/// Returns whether a line after an incomplete text is a command and not a part of the text: a command with a full stop,
-/// outside of a comment.
+/// Returns whether a line after an incomplete text is an input of its own and not a part of the text: a question, a
+/// command with a full stop, or a lone word such as `quit`, outside of a comment.
 pub fn interrupts(text: &str, line: &str) -> bool {
-    let is_command = line.trim_start().starts_with('.') && (word(line).is_some() || foreign(line).is_some());
-    // Only a command pays for a search through the text, which may be large.
-    is_command && text.rfind("/*") <= text.rfind("*/")
+    let begin = line.trim_start();
+    let is_command = begin.starts_with('.') && (word(line).is_some() || foreign(line).is_some());
+    // Between two operands, a lone word cannot continue a clause.
+    let follows_operand = || {
+        let last = text.trim_end().chars().next_back();
+        last.is_some_and(|last| last.is_alphanumeric() || "_)]}\"".contains(last))
+    };
+    let is_lone_word = || LONE_WORDS.contains(&begin.trim_end().trim_end_matches('.')) && follows_operand();
+    // Only such a line pays for a search through the text, which may be large.
+    (is_command || begin.starts_with("?-") || is_lone_word()) && text.rfind("/*") <= text.rfind("*/")
+}
+
+/// Renames the faults of a text that the next input interrupted: a clause without its full stop is the likely cause.
+pub fn interrupted(failure: Failure) -> Failure {
+    let Failure::Input(mut faults) = failure else {
+        return failure;
+    };
+    for fault in &mut faults {
+        if fault.help.iter().any(|help| help == FULL_STOP) {
+            fault.message = "the clause before lacks a full stop".to_owned();
+        }
+    }
+    Failure::Input(faults)
 }
 
 /// A command as the user typed it.

@@ -96,6 +96,10 @@ pub fn run(arguments: &Arguments, sources: &mut Sources) -> Result<(), Failure> 
             Ok(false) => break,
             Err(Failure::Closed) => return Err(Failure::Closed),
             Err(failure) => {
+                let failure = match lines.has_interrupted() {
+                    true => command::interrupted(failure),
+                    false => failure,
+                };
                 exit(command::pointing_at(failure, id, bench.sources), bench.sources);
                 faulty = true;
             }

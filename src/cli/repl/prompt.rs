@@ -34,7 +34,7 @@ pub enum Line {
 /// A source of inputs.
 pub struct Lines {
     source: Source,
-    /// A command that interrupted the last input.
+    /// The line that interrupted the last input: a command or the begin of a question.
     command: Option<String>,
 }
 
@@ -61,6 +61,11 @@ impl Lines {
     /// Returns whether the input is interactive.
     pub fn is_interactive(&self) -> bool {
         matches!(self.source, Source::Editor(_))
+    }
+
+    /// Returns whether the next line interrupted the last input.
+    pub fn has_interrupted(&self) -> bool {
+        self.command.is_some()
     }
 
     /// Returns the next input that is not blank. A command after an incomplete text is a separate input.

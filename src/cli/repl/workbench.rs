@@ -8,6 +8,7 @@
 //! session; other changes build a new program, and the facts move to its session.
 
 use crate::builtin::BuiltinFiles;
+use crate::cli::kind::Kind;
 use crate::cli::query;
 use crate::cli::query::Times;
 use crate::cli::{Failure, read};
@@ -91,6 +92,9 @@ impl<'s> Workbench<'s> {
         let mut workspace = self.workspace.clone();
         for path in &new {
             let text = read(path)?;
+            if let Some(fault) = Kind::Rules.mismatch(path, &text) {
+                return Err(fault.into());
+            }
             let entry = self.sources.add(path.display().to_string(), text);
             workspace.add(self.sources, entry, &BuiltinFiles);
         }

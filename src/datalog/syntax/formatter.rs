@@ -39,6 +39,7 @@ pub fn format(sources: &Sources, id: SourceId) -> Result<String, Vec<Diagnostic>
         out: String::new(),
         next_comment: 0,
         last: 0,
+        in_directive: false,
     };
     layout.file(&starts);
     let formatted = layout.out;
@@ -81,6 +82,8 @@ struct Layout<'a> {
     next_comment: usize,
     /// The end of the last part written, as a byte offset in the input.
     last: usize,
+    /// Whether the current item is a directive.
+    in_directive: bool,
 }
 
 /// A token or a comment within an item.
@@ -164,6 +167,7 @@ impl Layout<'_> {
 
     fn item(&mut self, start: usize, next: usize, after_fact: bool) {
         let tokens = &self.lexed.tokens[start..next];
+        self.in_directive = tokens[0].kind == Kind::Dot;
         let (from, to) = (tokens[0].start as usize, tokens[tokens.len() - 1].end as usize);
         let mut parts: Vec<Part> = Vec::new();
         for (offset, &token) in tokens.iter().enumerate() {
@@ -274,7 +278,9 @@ impl Layout<'_> {
     fn space(&self, left: Token, right: Token, binary: bool) -> bool {
         use Kind::*;
         match (left.kind, right.kind) {
-            (_, Comma | Semicolon | RParen | RBracket | Colon) => false,
+            (_, Comma | Semicolon | RParen | RBracket) => false,
+            // `x: number` in a declaration, `count : { ... }` in a clause.
+            (_, Colon) => !self.in_directive,
             // The dot of a directive touches the following name; a full stop touches the preceding token.
             (Dot, Ident) => left.end != right.start,
             (_, Dot) => false,
@@ -289,8 +295,7 @@ impl Layout<'_> {
 
     /// Writes the item over several lines.
     fn broken(&mut self, parts: &[Part]) {
-        let is_directive = matches!(parts.first(), Some(Part::Token(token)) if token.kind == Kind::Dot);
-        let allowed = usize::from(is_directive);
+        let allowed = usize::from(self.in_directive);
         let mut line = String::new();
         // The tokens since the last possible break, not yet part of `line`.
         let mut chunk = String::new();

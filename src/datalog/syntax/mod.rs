@@ -19,7 +19,7 @@ use crate::diag::{Diagnostic, Faults, SourceId, Sources};
 
 pub use formatter::format;
 pub use lexer::is_name;
-pub use parser::DIRECTIVES;
+pub use parser::{DIRECTIVES, FULL_STOP};
 pub use printer::{print, quoted};
 
 /// The result of [`parse`].

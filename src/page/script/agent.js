@@ -218,7 +218,8 @@ class AgentPanel {
       item.append(make("span", { class: "yes" }, ...this.linked(text)));
       if (node.c === undefined) return item;
       item.append(" by ", this.clauseLink(node.c));
-      if (expanded.has(number)) return item;
+      // A fact in the rule file has a clause but no premises.
+      if (!node.p || expanded.has(number)) return item;
       expanded.add(number);
       item.append(make("ul", {}, ...node.p.map((premise) => this.premise(premise, expanded))));
       return item;

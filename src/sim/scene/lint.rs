@@ -1,23 +1,27 @@
 //! Warnings of rules that mean something else in the city than they seem to.
 
-use crate::city::{Action, AgentKind};
+use crate::city::{Action, AgentKind, AgentName, AgentSet};
 use crate::config::Scenario;
-use crate::datalog::{Atom, Clause, ClauseId, Literal, RelId, Rules, Term, VarId};
-use crate::diag::{Code, Diagnostic, Span};
+use crate::datalog::{Atom, Clause, ClauseId, Literal, RelId, Rules, Term, TypeId, Value, VarId};
+use crate::diag::{Code, Diagnostic, Span, did_you_mean};
 use crate::sim::scene::conflict::{Finding, Overlap};
+use crate::symbol::Symbol;
 use std::collections::{BTreeMap, BTreeSet};
 
 /// The predicate of the shipped vocabulary that announces collisions.
 const SHIPPED_COLLISION: &str = "CollidingClose";
 
-/// Returns warnings of rules that decide actions: variables with the names of agents, and missing clauses against
-/// collisions. Rules without a clause for an action have no warning.
+/// Returns warnings of rules for a city: constants that name no agent of `scenario` ([`agent_lints`]), and for rules
+/// that decide actions variables with the names of agents, and missing clauses against collisions.
 ///
 /// `scenario` defines the predicates that announce collisions; without one, it is that of the shipped vocabulary.
 pub fn city_lints(rules: &Rules, scenario: Option<&Scenario>) -> Vec<Diagnostic> {
+    let mut found = scenario.map_or_else(Vec::new, |scenario| {
+        agent_lints(rules, scenario.splits.iter().map(|(_, set)| set))
+    });
     let actions = decided_actions(rules);
     if actions.is_empty() {
-        return Vec::new();
+        return found;
     }
     let collisions: Vec<&str> = match scenario {
         Some(scenario) => (scenario.predicates.iter())
@@ -26,9 +30,90 @@ pub fn city_lints(rules: &Rules, scenario: Option<&Scenario>) -> Vec<Diagnostic>
             .collect(),
         None => vec![SHIPPED_COLLISION],
     };
-    let mut found = unquoted_agents(rules);
+    found.extend(unquoted_agents(rules));
     found.extend(no_collision_clause(rules, &collisions, &actions));
     found
+}
+
+/// The most agents among whose names [`agent_lints`] searches a similar one.
+const SIMILAR_MAX: usize = 1000;
+
+/// Returns one warning for each constant that stands for an agent, but names none of these agent sets.
+pub fn agent_lints<'s>(rules: &Rules, sets: impl Iterator<Item = &'s AgentSet>) -> Vec<Diagnostic> {
+    let sets: Vec<&AgentSet> = sets.collect();
+    let action = Action::ALL.iter().find_map(|action| rules.relation(action.name()));
+    let Some([agent]) = action.map(|action| rules.relations[action.index()].columns.as_slice()) else {
+        return Vec::new();
+    };
+    let mut found: BTreeMap<(Span, &str), Diagnostic> = BTreeMap::new();
+    for (span, value) in rules
+        .clauses
+        .iter()
+        .flat_map(|clause| agent_constants(rules, clause, agent.ty))
+    {
+        let Some(name) = rules.symbols.text(Symbol(value.0)) else {
+            continue;
+        };
+        if sets.iter().any(|set| has_agent(set, name)) {
+            continue;
+        }
+        let largest = AgentKind::ALL.map(|kind| sets.iter().map(|set| set.count(kind)).max().unwrap_or(0));
+        let ranges = AgentKind::ALL
+            .iter()
+            .zip(largest)
+            .filter_map(|(kind, count)| match count {
+                0 => None,
+                1 => Some(format!("{}_1", kind.name())),
+                _ => Some(format!("{0}_1 to {0}_{count}", kind.name())),
+            });
+        let ranges: Vec<String> = ranges.collect();
+        let fault = Diagnostic::new(Code::UNKNOWN_AGENT, format!("no agent has the name `{name}`"))
+            .at(span, "holds for no agent")
+            .note(format!("the agents are {}", ranges.join(" and ")));
+        let names: Vec<String> = (AgentKind::ALL.into_iter().zip(largest))
+            .flat_map(|(kind, count)| {
+                (1..=count)
+                    .take(SIMILAR_MAX)
+                    .map(move |number| format!("{}_{number}", kind.name()))
+            })
+            .collect();
+        let near = did_you_mean(name, names.iter().map(String::as_str));
+        let fault = match near {
+            Some(near) => fault.help(format!("did you mean `\"{near}\"`?")),
+            None => fault,
+        };
+        found.entry((span, name)).or_insert(fault);
+    }
+    found.into_values().collect()
+}
+
+/// Returns the constants of a clause in columns of this type, with the places of their atoms.
+fn agent_constants<'r>(
+    rules: &'r Rules,
+    clause: &'r Clause,
+    agent: TypeId,
+) -> impl Iterator<Item = (Span, Value)> + 'r {
+    let atoms = clause.body.iter().filter_map(Literal::atom);
+    std::iter::once(&clause.head).chain(atoms).flat_map(move |atom| {
+        let columns = &rules.relations[atom.relation.index()].columns;
+        let terms = atom.terms.iter().zip(columns);
+        terms.filter_map(move |(term, column)| match term {
+            Term::Constant(value) if column.ty == agent => Some((atom.span, *value)),
+            _ => None,
+        })
+    })
+}
+
+/// Returns whether an agent of the set has this name.
+fn has_agent(set: &AgentSet, name: &str) -> bool {
+    AgentKind::ALL.into_iter().any(|kind| {
+        let number = name.strip_prefix(kind.name()).and_then(|rest| rest.strip_prefix('_'));
+        let number: Option<u32> = number.and_then(|number| number.parse().ok());
+        number.is_some_and(|number| {
+            let is_spelled_so = AgentName { kind, number }.to_string() == name;
+            is_spelled_so && number >= 1 && number as usize <= set.count(kind)
+        })
+    })
 }
 
 /// Returns one warning for each pair of actions that can be derived together. `precedence` decides which action wins.

@@ -7,4 +7,4 @@ mod lint;
 
 pub use conflict::{CONFLICT_BUDGET, Finding, Overlap, conflicts, scene_json};
 pub use infer::{Answer, EgoAnswer, Inference, SceneFacts};
-pub use lint::{city_lints, conflict_lints};
+pub use lint::{agent_lints, city_lints, conflict_lints};

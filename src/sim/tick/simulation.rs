@@ -68,7 +68,7 @@ pub struct Simulation {
     state: Option<GroundState>,
     stated: Option<u64>,
     report: TickReport,
-    /// The clauses whose firings can be counted: all visible ones with a body.
+    /// The clauses whose firings can be counted: [`World::clauses`].
     clauses: Vec<ClauseId>,
     threads: Option<ThreadPool>,
     cancel: Cancel,
@@ -366,7 +366,7 @@ impl Simulation {
         self.threads.as_ref().map_or(1, ThreadPool::current_num_threads)
     }
 
-    /// Returns the clauses whose firings can be counted, in source order.
+    /// Returns the clauses whose firings can be counted, in the order of [`World::clauses`].
     pub fn clauses(&self) -> &[ClauseId] {
         &self.clauses
     }
@@ -522,12 +522,14 @@ impl Simulation {
         if !self.decisions.firings.is_empty() {
             for (index, (clause, action)) in self.world.clause_actions().enumerate() {
                 let rows = state.session().fired(clause);
-                if action.is_some() {
-                    for agent in rows.iter().filter_map(|row| state.entity(row[0])) {
-                        self.decisions.add_fired(agent, index);
+                self.decisions.firings[index] = match action {
+                    None => rows.len(),
+                    // A constant in the head may name no agent.
+                    Some(_) => {
+                        let agents = rows.iter().filter_map(|row| state.entity(row[0]));
+                        agents.inspect(|&agent| self.decisions.add_fired(agent, index)).count()
                     }
-                }
-                self.decisions.firings[index] = rows.len();
+                };
             }
         }
         Ok(())

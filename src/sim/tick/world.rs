@@ -91,16 +91,21 @@ impl World {
         compile(self.program.rules(), &self.vocabulary, counting)
     }
 
-    /// Returns the clauses whose firings are counted, in source order: those with a body and a visible head.
+    /// Returns the clauses whose firings are counted: in source order those with a body and a visible head, then the
+    /// facts of actions.
     pub fn clauses(&self) -> impl Iterator<Item = ClauseId> + '_ {
         let rules = self.program.rules();
-        let counted = |clause: &ClauseId| {
+        let all =
+            || (0..rules.clauses.len()).map(|index| ClauseId(u32::try_from(index).expect("fewer than 2^32 clauses")));
+        let is_visible_rule = |clause: &ClauseId| {
             let clause = &rules.clauses[clause.index()];
             !clause.body.is_empty() && !rules.relations[clause.head.relation.index()].hidden
         };
-        (0..rules.clauses.len())
-            .map(|index| ClauseId(u32::try_from(index).expect("fewer than 2^32 clauses")))
-            .filter(counted)
+        let is_action_fact = |clause: &ClauseId| {
+            let clause = &rules.clauses[clause.index()];
+            clause.body.is_empty() && self.vocabulary.action_of(clause.head.relation).is_some()
+        };
+        all().filter(is_visible_rule).chain(all().filter(is_action_fact))
     }
 
     /// Returns the clauses of [`World::clauses`], each with the action that it derives, if any.

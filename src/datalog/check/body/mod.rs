@@ -99,7 +99,7 @@ pub(crate) fn check(
     check.join_compared(&pending);
     check.infer(lowered.as_ref(), &pending);
     check.types(head, lowered.as_ref(), &pending);
-    check.bindings(head, clause.body.is_empty(), &pending);
+    check.bindings(head, clause.body.is_empty(), guard, &pending);
 
     let mut variables: Vec<Known> = (0..check.variables.len()).map(|index| check.known(index)).collect();
     let mut hidden = Vec::new();

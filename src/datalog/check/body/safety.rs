@@ -5,8 +5,8 @@ use crate::datalog::syntax::ast;
 use crate::datalog::syntax::ast::{BaseType, Comparison, TermKind};
 use crate::diag::{Code, Diagnostic};
 
-use crate::datalog::check::body::{Check, Operand, OperandKind, Pending, Variable};
-use crate::datalog::check::clauses::reads_as_constant;
+use crate::datalog::check::body::{Check, Name, Operand, OperandKind, Pending, Variable};
+use crate::datalog::check::clauses::{Guard, reads_as_constant};
 
 impl<'c> Check<'_, 'c> {
     fn is_bound(&self, operand: Operand) -> bool {
@@ -109,7 +109,7 @@ impl<'c> Check<'_, 'c> {
         }
     }
 
-    pub(super) fn bindings(&mut self, head: &ast::Atom, is_fact: bool, pending: &[Pending<'c>]) {
+    pub(super) fn bindings(&mut self, head: &ast::Atom, is_fact: bool, guard: Option<Guard>, pending: &[Pending<'c>]) {
         self.bound = vec![false; self.variables.len()];
         self.bind_all(pending);
         // Report the causes first, not the values computed from them.
@@ -118,11 +118,11 @@ impl<'c> Check<'_, 'c> {
         // In `Car_2 = Y` without quotes, `Y` would be bound if `Car_2` were the constant that it looks like.
         let ids = (0..).take(self.variables.len()).map(VarId);
         let constants: Vec<bool> = ids.map(|id| reads_as_constant(&self.name(id))).collect();
-        self.report_unbound(head, is_fact, |index| constants[index] && !computed[index]);
+        self.report_unbound(head, is_fact, guard, |index| constants[index] && !computed[index]);
         self.bind_all(pending);
-        self.report_unbound(head, is_fact, |index| !computed[index]);
+        self.report_unbound(head, is_fact, guard, |index| !computed[index]);
         self.bind_all(pending);
-        self.report_unbound(head, is_fact, |_| true);
+        self.report_unbound(head, is_fact, guard, |_| true);
     }
 
     fn bind_all(&mut self, pending: &[Pending<'c>]) {
@@ -134,7 +134,13 @@ impl<'c> Check<'_, 'c> {
         }
     }
 
-    fn report_unbound(&mut self, head: &ast::Atom, is_fact: bool, chosen: impl Fn(usize) -> bool) {
+    fn report_unbound(
+        &mut self,
+        head: &ast::Atom,
+        is_fact: bool,
+        guard: Option<Guard>,
+        chosen: impl Fn(usize) -> bool,
+    ) {
         let unbound: Vec<usize> = (0..self.variables.len())
             .filter(|&index| !self.bound[index] && chosen(index))
             .collect();
@@ -185,8 +191,15 @@ impl<'c> Check<'_, 'c> {
                             [(self.variables[index].first, format!("\"{name}\""))],
                         );
                 }
-                let or = if is_constant { "or " } else { "" };
-                fault = match self.binder(index, head, &name) {
+                let twin = self.twin(index, &name);
+                if let Some(twin) = &twin {
+                    fault = fault.help(format!("did you mean `{twin}`?")).fix(
+                        "use the variable in the other case",
+                        [(self.variables[index].first, twin.clone())],
+                    );
+                }
+                let or = if is_constant || twin.is_some() { "or " } else { "" };
+                fault = match self.binder(index, head, guard, &name) {
                     Some(binder) => fault.help(format!(
                         "{or}add a positive atom that binds `{name}`, such as `{binder}`"
                     )),
@@ -201,14 +214,37 @@ impl<'c> Check<'_, 'c> {
         }
     }
 
-    /// Suggests an atom that could bind the variable: over a predicate with few columns, one of which has its type.
-    fn binder(&self, index: usize, head: &ast::Atom, name: &str) -> Option<String> {
+    /// Returns the name of a bound variable that differs from `name` in case only.
+    fn twin(&self, index: usize, name: &str) -> Option<String> {
+        let level = self.variables[index].level;
+        let is_twin = |other: &usize| {
+            let Variable {
+                name: written,
+                level: home,
+                ..
+            } = &self.variables[*other];
+            let is_similar = |written: &&str| *written != name && written.to_lowercase() == name.to_lowercase();
+            self.bound[*other] && *home <= level && matches!(written, Name::Written(written) if is_similar(written))
+        };
+        let twin = (0..self.variables.len()).find(is_twin)?;
+        Some(self.name(VarId(u32::try_from(twin).expect("fewer than 2^32 variables"))))
+    }
+
+    /// Suggests an atom that could bind the variable: that of the scope, which restricts nothing further, or one over a
+    /// predicate with few columns, one of which has its type.
+    fn binder(&self, index: usize, head: &ast::Atom, guard: Option<Guard>, name: &str) -> Option<String> {
         let Variable { negated, compared, .. } = self.variables[index];
         let wanted = negated.map(|(ty, _)| ty).or(compared).or_else(|| {
             let relation = self.names.find(&head.predicate.text)?;
             let is_it = |term: &ast::Term| term.kind == TermKind::Variable(name.to_owned());
             self.column(relation, head.terms.iter().position(is_it)?)
         })?;
+        if let (Some(guard), Some(TermKind::Variable(ego))) = (guard, head.terms.first().map(|term| &term.kind)) {
+            let scope = &self.names.relation(guard.relation).name;
+            if *scope != head.predicate.text && self.names.is_subtype(guard.seen, wanted) {
+                return Some(format!("{scope}({ego}, {name})"));
+            }
+        }
         let mut best: Option<(usize, String)> = None;
         for (relation, signature) in self.names.relations.iter().zip(&self.names.signatures).take(1000) {
             let columns = signature.columns.as_deref().unwrap_or_default();

@@ -48,7 +48,7 @@ pub const DIRECTIVES: &[&str] = &[
 ];
 
 /// Help where only the full stop of a clause is missing.
-const FULL_STOP: &str = "a clause ends with a full stop";
+pub const FULL_STOP: &str = "a clause ends with a full stop";
 
 /// Directives of Soufflé that this language does not have, with their descriptions.
 const FOREIGN_DIRECTIVES: &[(&str, &str)] = &[
