@@ -7,6 +7,7 @@ import re
 import sys
 import time
 from pathlib import Path
+from types import SimpleNamespace
 from typing import Any
 
 import gymnasium
@@ -225,6 +226,22 @@ def test_episodes_that_do_not_fit_raise_with_a_hint(own_city: Path) -> None:
         assert fault["code"] == "invalid-episode" and "`task.episodes`" in fault["help"][-1]
     with pytest.raises(logicity.InputError, match="logicity episodes make"):
         Benchmark(own_city, overrides={"task": {"episodes": None}})
+
+
+def test_episodes_of_another_map_are_refused(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    city = tmp_path / "map.yaml"
+    city.write_text("base: expert\nmap: random-8x8\n")
+    message = "the recorded episodes are for the map `square-5x5`, and the configuration has the map `random-8x8`"
+    for load in (lambda: Benchmark(city), lambda: demonstrations(city)):
+        with pytest.raises(logicity.InputError, match=message) as raised:
+            load()
+        (fault,) = raised.value.diagnostics
+        assert fault["code"] == "invalid-episode" and "`logicity episodes make" in fault["help"][0]
+    assert main(["evaluate", "--policy", "oracle", "--modes", str(city)]) == 1
+    error = capsys.readouterr().err
+    assert error.startswith("error[invalid-episode]: the recorded episodes are for the map"), error
+    with pytest.raises(logicity.InputError, match=message):
+        gymnasium.make(ENVIRONMENTS["expert"], overrides={"map": "random-8x8"}, episodes="recorded")
 
 
 def test_episodes_without_required_actions_lower_only_dsr(tmp_path: Path) -> None:

@@ -45,6 +45,47 @@ fn inputs(folder: &Path) {
     succeeds(folder, "run easy --ticks 2 --no-pictures --out in");
 }
 
+/// The recorded episodes of a mode are for its map, whatever its name.
+#[test]
+fn recorded_episodes_belong_to_a_map() {
+    let folder = tempfile::tempdir().unwrap();
+    let folder = folder.path();
+    fs::write(folder.join("map.yaml"), "base: easy\nmap: random-8x8\n").unwrap();
+    let refused = &[
+        "for the map `square-5x5`, and the configuration has the map `random-8x8`",
+        "draw your own",
+        "`logicity episodes make map.yaml --split val`",
+    ];
+    fails(folder, "episodes check map.yaml --split val", 1, refused);
+    fails(folder, "episodes show map.yaml --split val", 1, refused);
+    fails(folder, "induce --config map.yaml --split val", 1, refused);
+    // The same map in another file is the same map, and a change of one width makes another map.
+    fs::write(folder.join("copy.yaml"), "base: square-5x5\n").unwrap();
+    fs::write(folder.join("same.yaml"), "base: easy\nmap: copy.yaml\n").unwrap();
+    succeeds(folder, "episodes show same.yaml --split val --episode 0");
+    let wide = "base: configs/maps/square-5x5.yaml\nwidths: {sidewalk: 6}\n";
+    fs::write(folder.join("square-5x5.yaml"), wide).unwrap();
+    fs::write(folder.join("wide.yaml"), "base: easy\nmap: square-5x5.yaml\n").unwrap();
+    let earlier = "for an earlier version of the map `square-5x5`";
+    fails(folder, "episodes check wide.yaml --split val", 1, &[earlier]);
+    // Episodes of its own fit.
+    let own = "base: map.yaml\ntask: {episodes: {val: own-val.jsonl}}\n";
+    fs::write(folder.join("own.yaml"), own).unwrap();
+    succeeds(folder, "episodes make own.yaml --split val --count 2");
+    let checked = succeeds(folder, "episodes check own.yaml --split val");
+    assert!(checked.starts_with("2 episodes match"), "{checked}");
+    // A file of an earlier version names no map.
+    let text = fs::read_to_string(folder.join("own-val.jsonl")).unwrap();
+    let (begin, end) = (text.find("\"map\"").unwrap(), text.find("\"seed\"").unwrap());
+    fs::write(folder.join("own-val.jsonl"), text[..begin].to_owned() + &text[end..]).unwrap();
+    let missing = [
+        "own-val.jsonl:1",
+        "does not contain the `map`",
+        "draw the episodes again",
+    ];
+    fails(folder, "episodes check own.yaml --split val", 1, &missing);
+}
+
 /// Every command that writes, with the files that it writes.
 const WRITERS: [(&str, &[&str]); 8] = [
     (
