@@ -45,6 +45,57 @@ fn inputs(folder: &Path) {
     succeeds(folder, "run easy --ticks 2 --no-pictures --out in");
 }
 
+/// A bare name of rules means the built-in file, unless a file has the name.
+#[test]
+fn bare_names_of_rules_mean_built_in_files() {
+    let folder = tempfile::tempdir().unwrap();
+    let folder = folder.path();
+    let scene = r#"{"entities":["a"],"ego":"a","facts":{"IsCar":["a"]}}"#;
+    fs::write(folder.join("scene.jsonl"), scene).unwrap();
+    for line in [
+        "diff hard expert --scene",
+        "diff easy easy",
+        "query hard",
+        "repl hard",
+        "fmt --check hard",
+        "check vocabulary",
+        "run expert --rules hard --ticks 1 --no-pictures --no-trace",
+        "infer scene.jsonl --config expert --rules hard",
+        "episodes show expert --rules hard --episode 3",
+        "bench tick --config expert --rules hard --repeats 1 --ticks 1",
+    ] {
+        let mut is_value = false;
+        let full: Vec<String> = (line.split(' ').enumerate())
+            .map(|(index, word)| {
+                let is_rules = is_value || index > 0 && line.starts_with(['d', 'q', 'f', 'c']) || line == "repl hard";
+                is_value = word == "--rules";
+                match word {
+                    "hard" | "expert" | "easy" | "vocabulary" if is_rules => format!("rules/{word}.dl"),
+                    word => word.to_owned(),
+                }
+            })
+            .collect();
+        let [short, long] = [line.to_owned(), full.join(" ")].map(|line| logicity(folder, &line));
+        // `query` finds the rules, but no facts.
+        assert!(!said(&short).contains("cannot read `"), "{line}: {}", said(&short));
+        assert_eq!(short.status.code(), long.status.code(), "{line}: {}", said(&short));
+        if !line.starts_with("bench") {
+            let texts = [&short, &long].map(|output| String::from_utf8_lossy(&output.stdout).into_owned());
+            // `diff` names the rules as the command line does.
+            let texts = texts.map(|text| text.replace("rules/", "").replace(".dl", ""));
+            let [short, long] = texts.each_ref().map(|text| {
+                let lines = text.lines().filter(|line| !line.contains(" per second"));
+                lines.collect::<Vec<_>>()
+            });
+            assert_eq!(short, long, "{line}");
+        }
+    }
+    fails(folder, "query hrad", 2, &["cannot read `hrad`: no such file"]);
+    fs::write(folder.join("hard"), "A(").unwrap();
+    fails(folder, "query hard", 1, &["hard:1"]);
+    fails(folder, "run expert --rules hard --ticks 1", 1, &["hard:1"]);
+}
+
 /// The recorded episodes of a mode are for its map, whatever its name.
 #[test]
 fn recorded_episodes_belong_to_a_map() {
