@@ -185,6 +185,32 @@ fn traces_teach_the_decisions_of_all_agents() {
     );
 }
 
+/// Without `--config`, the learner uses the configuration in a trace. Traces of several ones need the option.
+#[test]
+fn traces_bring_their_configuration() {
+    let folder = tempfile::tempdir().unwrap();
+    let traces = ["easy", "hard"].map(|mode| {
+        let out = folder.path().join(mode);
+        let options = ["--ticks", "100", "--no-pictures", "--out", out.to_str().unwrap()];
+        succeeds(&run(&[&["run", mode][..], &options].concat(), b""));
+        out.join("trace.jsonl").to_str().unwrap().to_owned()
+    });
+    let [easy, hard] = &traces;
+    let named = succeeds(&logicity(["induce", easy, "--config", "easy"]));
+    assert_eq!(succeeds(&logicity(["induce", easy])), named);
+    assert_eq!(
+        succeeds(&logicity(["induce", easy, easy])).lines().last(),
+        named.lines().last()
+    );
+    assert!(named.contains("Configuration easy "), "{named}");
+    let different = ["have different configurations", "`--config FILE`"];
+    fails(&logicity(["induce", easy, hard]), 2, &different);
+    // A pipe can be read once only, so its configuration comes too late.
+    let output = run(&["induce", "-"], &fs::read(easy).unwrap());
+    fails(&output, 2, &["has the configuration `easy`", "`--config`"]);
+    succeeds(&run(&["induce", "-", "--config", "easy"], &fs::read(easy).unwrap()));
+}
+
 #[test]
 fn scenes_teach_their_actions() {
     let folder = tempfile::tempdir().unwrap();
