@@ -211,6 +211,32 @@ fn traces_bring_their_configuration() {
     succeeds(&run(&["induce", "-", "--config", "easy"], &fs::read(easy).unwrap()));
 }
 
+/// Clauses use base predicates only, and a contradiction says so if the rules have other predicates.
+#[test]
+fn contradictions_name_the_derived_predicates() {
+    let folder = tempfile::tempdir().unwrap();
+    let rules = folder.path().join("vip.dl");
+    let text = fs::read_to_string(concat!(env!("CARGO_MANIFEST_DIR"), "/rules/easy.dl")).unwrap();
+    let vip = ".decl Vip(x: agent)\nVip(X) :- IsAmbulance(X).\nStop(X) :- Vip(X).\n";
+    fs::write(&rules, format!("{text}\n{vip}")).unwrap();
+    let scenes = folder.path().join("scenes.jsonl");
+    let scene = |action: &str| {
+        let facts = r#""entities": ["a"], "ego": "a", "facts": {"IsCar": ["a"]}"#;
+        format!("{{{facts}, \"actions\": {{\"a\": \"{action}\"}}}}\n")
+    };
+    fs::write(&scenes, scene("Stop") + &scene("Normal")).unwrap();
+    let scenes = scenes.to_str().unwrap();
+    let said = [
+        "contradicting-examples",
+        "use base predicates only, not derived ones such as `Vip`",
+    ];
+    let output = logicity(["induce", scenes, "--config", "easy", "--rules", rules.to_str().unwrap()]);
+    fails(&output, 1, &said);
+    let plain = logicity(["induce", scenes, "--config", "easy"]);
+    fails(&plain, 1, &["contradicting-examples"]);
+    assert!(!self::text(&plain.stderr).contains("derived ones"));
+}
+
 #[test]
 fn scenes_teach_their_actions() {
     let folder = tempfile::tempdir().unwrap();
