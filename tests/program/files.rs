@@ -137,6 +137,35 @@ fn recorded_episodes_belong_to_a_map() {
     fails(folder, "episodes check own.yaml --split val", 1, &missing);
 }
 
+/// The map in the guide is large enough for every kind of agent.
+#[test]
+fn the_map_in_the_guide_has_room() {
+    let guide = include_str!("../../docs/how-to/compose-configurations.md");
+    let map = guide
+        .split("```")
+        .find(|block| block.contains("# two-blocks.yaml: a map"));
+    let map = map.unwrap().strip_prefix("yaml\n").unwrap();
+    let folder = tempfile::tempdir().unwrap();
+    let folder = folder.path();
+    fs::write(folder.join("two-blocks.yaml"), map).unwrap();
+    let agents = "agents: {train: ~, val: ~, test: {cars: [{priority: 1}], pedestrians: [{count: 2}]}}\n";
+    let city = |agents: &str| format!("base: expert\nmap: two-blocks.yaml\n{agents}");
+    fs::write(folder.join("city.yaml"), city(agents)).unwrap();
+    succeeds(folder, "run city.yaml --ticks 30 --no-pictures --out out");
+    // All houses in one block: the region of 120 cells covers the map, so a larger one cannot help.
+    fs::write(folder.join("two-blocks.yaml"), map.replace("HO HG", "HO SG")).unwrap();
+    let nowhere = [
+        "no-route",
+        "on the whole map",
+        "the map has none: add a house or office in a second block to the map",
+    ];
+    fails(folder, "run city.yaml --ticks 1 --out out", 1, &nowhere);
+    let crowd = agents.replace("priority: 1", "priority: 1, count: 999");
+    fs::write(folder.join("city.yaml"), city(&crowd)).unwrap();
+    let room = ["no-start-cell", "on the whole map", "add such buildings to the map"];
+    fails(folder, "run city.yaml --ticks 1 --out out", 1, &room);
+}
+
 /// Every command that writes, with the files that it writes.
 const WRITERS: [(&str, &[&str]); 8] = [
     (
