@@ -20,7 +20,7 @@ from .modes import ENVIRONMENTS, checked_mode
 
 if TYPE_CHECKING:
     from .env_config import ObservationKind
-    from .evaluation import Evaluation, Policy
+    from .evaluation import Benchmark, Evaluation, Policy
 
 __all__ = ["SUMMARIES", "parser_of", "run"]
 
@@ -58,16 +58,27 @@ def run(words: tuple[str, ...], arguments: Sequence[str]) -> int:
     except _UsageError as error:
         print(f"error: {error}", file=sys.stderr)
         return 2
-    except (InputError, ConnectionError, ValueError) as error:
+    except InputError as error:
+        # The message begins with `error[CODE]`.
+        print(error, file=sys.stderr)
+        return 1
+    except (ConnectionError, ValueError) as error:
         print(f"error: {error}", file=sys.stderr)
         return 1
     except FileNotFoundError as error:
         print(f"error: {_missing(error)}", file=sys.stderr)
         return 2
     except (ImportError, OSError) as error:
-        print(f"error: {error}", file=sys.stderr)
+        print(f"error: {_unusable(error)}", file=sys.stderr)
         return 2
     return code
+
+
+def _unusable(error: ImportError | OSError) -> str:
+    """Describe an error of the system without its number."""
+    if isinstance(error, OSError) and error.filename is not None and error.strerror:
+        return f"cannot use `{os.fsdecode(error.filename)}`: {error.strerror.lower()}"
+    return str(error)
 
 
 def _missing(error: FileNotFoundError) -> str:
@@ -96,12 +107,16 @@ def parser_of(words: tuple[str, ...]) -> tuple[argparse.ArgumentParser, _Command
 
 
 def _add_evaluate(parser: argparse.ArgumentParser) -> _Command:
-    parser.add_argument("--policy", required=True, help="oracle, random, or the .zip of a DQN, PPO or A2C model")
+    parser.add_argument(
+        "--policy",
+        required=True,
+        help="oracle, random, the .zip of a DQN, PPO or A2C model, or the folder of a run of `logicity train`",
+    )
     parser.add_argument(
         "--modes",
         type=_modes,
-        default="all",
-        help=f"all (default), or any of {','.join(ENVIRONMENTS)}, or configuration files",
+        help=f"all, or any of {','.join(ENVIRONMENTS)}, or configuration files; default: the mode that the run of a "
+        "model records, or all",
     )
     parser.add_argument(
         "--split", type=str.lower, choices=("train", "val", "test"), default="test", help="default: test"
@@ -231,18 +246,70 @@ def _modes(text: str) -> list[str]:
         raise argparse.ArgumentTypeError(str(error)) from None
 
 
-def _named_policy(text: str) -> tuple[Policy, str]:
-    """Return the policy that an argument names, and its name for tables."""
+def _named_policy(text: str) -> tuple[Policy, str, str | None]:
+    """Return the policy that an argument names, its name for tables, and the mode of its training if that is known."""
     if text in ("oracle", "random"):
-        return cast("Policy", text), text
+        return cast("Policy", text), text, None
     path = Path(text)
+    if path.is_dir():
+        path = path / "best.zip"
+        if not path.is_file():
+            raise _UsageError(
+                f"`{text}` is a folder without `best.zip`, which `logicity train` writes at the end of a run\n"
+                "help: name the .zip of a model"
+            )
     if not path.is_file():
         if path.suffix == ".zip" or len(path.parts) > 1:
             raise FileNotFoundError(errno.ENOENT, "no such file", text)
         raise _UsageError(f"unknown policy `{text}`: expected oracle, random, or a model file of Stable-Baselines3")
     from .train import load_model
 
-    return load_model(text), path.stem
+    return load_model(path), path.stem, _trained_mode(path)
+
+
+def _trained_mode(model: Path) -> str | None:
+    """Return the mode that the configuration of a run records for one of its models, or `None` without a record."""
+    run = model.parent.parent if model.parent.name.startswith("checkpoint-") else model.parent
+    try:
+        mode = json.loads((run / "config.json").read_text()).get("mode")
+    except (AttributeError, OSError, ValueError):
+        return None
+    return mode if isinstance(mode, str) else None
+
+
+def _check_fit(policy: Policy, trained: str | None, benchmarks: Sequence[Benchmark]) -> None:
+    """Check that a model takes the observations of all modes.
+
+    Raises:
+        _UsageError: If it does not.
+    """
+    from .evaluation import model_shape
+
+    shape = model_shape(policy)
+    other = next((each for each in benchmarks if shape not in (None, each.observation_shape)), None)
+    if shape is None or other is None:
+        return
+    fitting = [each.mode for each in benchmarks if each.observation_shape == shape]
+    what = "this model takes" if trained is None else f"this model was trained for `{trained}`:"
+    message = f"{what} {_numbers(shape)}, and `{other.mode}` has {_numbers(other.observation_shape)}"
+    modes = [trained] if trained is not None else fitting
+    raise _UsageError(f"{message}\nhelp: name `--modes {','.join(modes)}`" if modes else message)
+
+
+def _numbers(shape: tuple[int, ...]) -> str:
+    """Describe the shape of an observation."""
+    return f"{shape[0]} numbers" if len(shape) == 1 else f"{' x '.join(map(str, shape))} numbers"
+
+
+def _check_folder(option: str, path: Path) -> None:
+    """Check that a path is a folder or can become one.
+
+    Raises:
+        _UsageError: If it or a folder above it is a file.
+    """
+    existing = next((each for each in (path, *path.parents) if each.exists()), None)
+    if existing is not None and not existing.is_dir():
+        raise _UsageError(f"{option}: `{existing}` is a file, not a folder\nhelp: name a folder; it need not exist")
 
 
 def _whole(text: str, least: int) -> int:
@@ -271,8 +338,10 @@ def _positive_float(text: str) -> float:
 
 def _observation_of(policy: Policy) -> ObservationKind:
     """Return the kind of observation that a model was trained on: `state` has two axes, `groundings` has one."""
-    space = getattr(policy, "observation_space", None)
-    return "state" if space is not None and len(space.shape) == 2 else "groundings"
+    from .evaluation import model_shape
+
+    shape = model_shape(policy)
+    return "state" if shape is not None and len(shape) == 2 else "groundings"
 
 
 def _object(text: str) -> dict[str, object]:
@@ -289,15 +358,19 @@ def _evaluate(given: argparse.Namespace) -> int:
     from .evaluation import Benchmark, table
 
     _check_json(given)
-    policy, name = _named_policy(given.policy)
+    if given.traces is not None:
+        _check_folder("--traces", given.traces)
+    policy, name, trained = _named_policy(given.policy)
     results: list[Evaluation] = []
-    stems = [Path(mode).stem for mode in given.modes]
+    modes = given.modes or ([checked_mode(trained)] if trained is not None else list(ENVIRONMENTS))
+    stems = [Path(mode).stem for mode in modes]
     if given.traces is not None and len(set(stems)) < len(stems):
         raise _UsageError("modes with the same name would write traces to the same folder: evaluate one at a time")
     if given.traces is not None and policy == "random":
         raise _UsageError("the random policy runs every episode ten times and supports no traces")
     observation = given.observation or _observation_of(policy)
-    benchmarks = [Benchmark(mode, given.split, observation=observation) for mode in given.modes]
+    benchmarks = [Benchmark(mode, given.split, observation=observation) for mode in modes]
+    _check_fit(policy, trained, benchmarks)
     folders = [None if given.traces is None else given.traces / stem for stem in stems]
     for benchmark, folder in zip(benchmarks, folders, strict=True):
         # Check all folders before the first mode runs, so that no mode fails late.
@@ -316,8 +389,11 @@ def _train(given: argparse.Namespace) -> int:
 
     config = TrainConfig.load(given.config, seed=given.seed)
     run = given.run or Path("runs") / f"{given.config.stem}-{config.seed}"
+    _check_folder("--run", run)
     try:
         result = train(config, run, progress=True)
+    except InputError:
+        raise
     except ValueError as error:
         raise ValueError(f"{given.config}: {error}") from error
     print(f"{result['steps']} steps in {result['minutes']} minutes; best after {result['best']['steps']}")

@@ -186,7 +186,8 @@ def episodes_that_fit() -> Iterator[None]:
     try:
         yield
     except InputError as error:
-        if not any(fault["code"] == "invalid-episode" for fault in error.diagnostics):
+        named = any("logicity episodes make" in help for fault in error.diagnostics for help in fault["help"])
+        if named or not any(fault["code"] == "invalid-episode" for fault in error.diagnostics):
             raise
         more = "record episodes with `logicity episodes make`, and name the file under `task.episodes`"
         faults = [{**fault, "help": [*fault["help"], more]} for fault in error.diagnostics]
@@ -210,7 +211,8 @@ class Benchmark:
         limits: The limits of each evaluation of the rules, as in `gymnasium.make`.
 
     Raises:
-        InputError: If the configuration, the rule file or an override is invalid, or no episodes are recorded.
+        InputError: If the configuration, the rule file or an override is invalid, no episodes are recorded, or they are
+            for another map.
         OSError: If a file cannot be read.
         ValueError: If the mode, the split or the kind of observation is unknown.
     """
@@ -291,8 +293,9 @@ class Benchmark:
             InputError: If the episodes do not fit the agents, for example because of overrides.
             OSError: If a trace cannot be written.
             TypeError: If the policy has an unsupported type, its actions are not integers, or `traces` is not a path.
-            ValueError: If the policy name is unknown, an action is not 0, 1, 2 or 3, the number of actions differs from
-                the number of observations, or `traces` is set for the random policy.
+            ValueError: If the policy name is unknown, a model takes observations of another shape, an action is not 0,
+                1, 2 or 3, the number of actions differs from the number of observations, or `traces` is set for the
+                random policy.
         """
         folder = None if traces is None else Path(checked_path("traces", traces))
         with episodes_that_fit():
@@ -327,6 +330,12 @@ class Benchmark:
                     "the random policy runs every episode ten times and supports no traces: pass a function instead"
                 )
             return self._result(named, self._baseline().report())
+        shape = model_shape(policy)
+        if shape not in (None, self.observation_shape):
+            raise ValueError(
+                f"the model takes observations of shape {shape}, and those of `{self.mode}` have shape "
+                f"{self.observation_shape}: name the mode and the observation of its training"
+            )
         evaluator = _logicity.BatchEvaluator(self._random, self._observation)
         observations = np.zeros((len(evaluator), *self._task.shape(self._observation)), np.float32)
         running = np.ones(len(evaluator), np.bool_)
@@ -380,6 +389,12 @@ class Benchmark:
                 EpisodeRecord(**{**record, "violations": tuple(record["violations"])}) for record in report["episodes"]
             ),
         )
+
+
+def model_shape(policy: Any) -> tuple[int, ...] | None:
+    """Return the shape of the observations that a model takes, or `None` if the policy has no such shape."""
+    shape = getattr(getattr(policy, "observation_space", None), "shape", None)
+    return None if shape is None else tuple(shape)
 
 
 def _trace_name(episode: int) -> str:

@@ -24,7 +24,7 @@ from .describe import atoms_of
 from .errors import checked_integer, checked_path, missing_extra
 from .evaluation import load_task
 from .files import replacing
-from .modes import checked_mode
+from .modes import ENVIRONMENTS, checked_mode
 from .offline import Demonstrations
 from .rules import Program
 from .types import SymbolicScene
@@ -137,7 +137,10 @@ class InducedRules:
         """
         array = np.ascontiguousarray(observations, np.float32)
         if array.ndim != 2:
-            raise ValueError(f"expected a batch of observations (N, width), not an array of shape {array.shape}")
+            raise ValueError(
+                f"expected a batch of observations (N, width), not an array of shape {array.shape}: pass "
+                "`batched=True` to `evaluate`"
+            )
         return self._rules.decide(array)
 
     def policy(self) -> InducedRules:
@@ -254,7 +257,8 @@ def induce(
         OSError: If a file cannot be read or written.
         TypeError: If an argument or an answer has a wrong type.
         ValueError: If an argument is out of range, an answer is not an action, the shapes of demonstrations do not fit,
-            there are neither demonstrations nor an oracle, or the log has other questions.
+            there are neither demonstrations nor an oracle, `demonstrations` is the name of a mode, or the log has
+            other questions.
     """
     limits = {
         "variables": (2, _logicity.VARIABLES_MAX),
@@ -275,6 +279,11 @@ def induce(
         if isinstance(noise, str) or not 0 <= noise <= _logicity.NOISE_MAX:
             raise ValueError(message)
     rate = float("nan") if noise == "auto" else None if noise is None else float(noise)
+    if isinstance(demonstrations, str) and demonstrations in ENVIRONMENTS and not os.path.exists(demonstrations):
+        raise ValueError(
+            f"demonstrations: `{demonstrations}` is a mode, not a dataset: pass "
+            f'`logicity.demonstrations("{demonstrations}")`, or `mode="{demonstrations}"` with an oracle `ask`'
+        )
     source = _source(demonstrations)
     mode = source.mode if mode is None else mode
     if mode is None:

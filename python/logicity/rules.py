@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import os
+import re
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any, Literal, NoReturn, cast, overload
@@ -28,8 +29,20 @@ def check(text: str, name: str = "<text>") -> list[Diagnostic]:
     Args:
         text: The source text of the rules.
         name: The file name in the diagnostics. `.include` paths are relative to its folder.
+
+    Raises:
+        ValueError: If `text` is the path of a file.
     """
+    if isinstance(text, os.PathLike) or _looks_like_path(text):
+        raise ValueError(
+            f"text: `{os.fspath(text)}` looks like a path: read the file, as in `check(Path(path).read_text(), path)`"
+        )
     return cast(list[Diagnostic], _logicity.check(text, name))
+
+
+def _looks_like_path(text: Any) -> bool:
+    """Return whether a text is the path of a rule file or configuration, not rules."""
+    return isinstance(text, str) and bool(re.fullmatch(r"(?!//)[^\n\"():%]+\.(dl|ya?ml)", text.strip()))
 
 
 def rule_file(rules: str | os.PathLike[str] | None) -> str | None:

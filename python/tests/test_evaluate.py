@@ -7,6 +7,7 @@ import re
 import sys
 import time
 from pathlib import Path
+from types import SimpleNamespace
 from typing import Any
 
 import gymnasium
@@ -225,6 +226,70 @@ def test_episodes_that_do_not_fit_raise_with_a_hint(own_city: Path) -> None:
         assert fault["code"] == "invalid-episode" and "`task.episodes`" in fault["help"][-1]
     with pytest.raises(logicity.InputError, match="logicity episodes make"):
         Benchmark(own_city, overrides={"task": {"episodes": None}})
+
+
+def test_episodes_of_another_map_are_refused(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    city = tmp_path / "map.yaml"
+    city.write_text("base: expert\nmap: random-8x8\n")
+    message = "the recorded episodes are for the map `square-5x5`, and the configuration has the map `random-8x8`"
+    for load in (lambda: Benchmark(city), lambda: demonstrations(city)):
+        with pytest.raises(logicity.InputError, match=message) as raised:
+            load()
+        (fault,) = raised.value.diagnostics
+        assert fault["code"] == "invalid-episode" and "`logicity episodes make" in fault["help"][0]
+    assert main(["evaluate", "--policy", "oracle", "--modes", str(city)]) == 1
+    error = capsys.readouterr().err
+    assert error.startswith("error[invalid-episode]: the recorded episodes are for the map"), error
+    with pytest.raises(logicity.InputError, match=message):
+        gymnasium.make(ENVIRONMENTS["expert"], overrides={"map": "random-8x8"}, episodes="recorded")
+
+
+class EasyModel:
+    """A model for the observations of easy mode."""
+
+    observation_space = gymnasium.spaces.Box(0, 1, (85,))
+
+    def predict(self, observation: Any, state: Any, episode_start: Any, deterministic: bool) -> tuple[Any, Any]:
+        assert observation.shape[1:] == (85,)
+        return np.ones(len(observation), np.int64), state
+
+
+def test_a_model_needs_a_mode_that_fits(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    monkeypatch.setitem(sys.modules, "logicity.train", SimpleNamespace(load_model=lambda path: EasyModel()))
+    run = tmp_path / "dqn-easy-0"
+    for model in (run / "best.zip", run / "checkpoint-0000000010" / "model.zip", tmp_path / "other" / "m.zip"):
+        model.parent.mkdir(parents=True, exist_ok=True)
+        model.touch()
+    (run / "config.json").write_text('{"mode": "easy"}')
+    split = ["--split", "val"]
+    # A run records the mode, which is the default. The folder of a run means its best model.
+    for policy in (run / "best.zip", run, run / "checkpoint-0000000010" / "model.zip"):
+        assert main(["evaluate", "--policy", str(policy), *split]) == 0
+        assert [line.split()[1] for line in capsys.readouterr().out.splitlines()] == ["mode", "easy"]
+    assert main(["evaluate", "--policy", str(run), "--modes", "easy,expert", *split]) == 2
+    trained = "error: this model was trained for `easy`: 85 numbers, and `expert` has 205 numbers"
+    output = capsys.readouterr()
+    assert (output.err, output.out) == (f"{trained}\nhelp: name `--modes easy`\n", "")
+    assert main(["evaluate", "--policy", str(tmp_path / "other" / "m.zip"), *split]) == 2
+    assert "error: this model takes 85 numbers, and `" in (error := capsys.readouterr().err)
+    assert "\nhelp: name `--modes easy" in error
+    assert main(["evaluate", "--policy", str(tmp_path / "other"), *split]) == 2
+    assert "is a folder without `best.zip`" in (error := capsys.readouterr().err) and "name the .zip" in error
+    with pytest.raises(ValueError, match=r"the model takes observations of shape \(85,\), and those of `expert`"):
+        evaluate(EasyModel(), "expert", "val")
+
+
+def test_files_instead_of_folders_are_reported(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    file = tmp_path / "readme.py"
+    file.touch()
+    assert main(["evaluate", "--policy", "oracle", "--modes", "easy", "--traces", str(file)]) == 2
+    message = f"error: --traces: `{file}` is a file, not a folder\nhelp: name a folder; it need not exist\n"
+    assert capsys.readouterr().err == message
+    # Other errors of the system are described without their numbers.
+    assert main(["evaluate", "--policy", "oracle", "--modes", "easy", "--json", str(file / "a.json")]) == 2
+    assert "Errno" not in capsys.readouterr().err
 
 
 def test_episodes_without_required_actions_lower_only_dsr(tmp_path: Path) -> None:

@@ -164,6 +164,7 @@ def test_the_options_of_the_environment_are_those_of_the_rules() -> None:
     ("arguments", "options", "error", "message"),
     [
         (([],), {}, TypeError, "mode"),
+        (("easy",), {}, ValueError, r'`easy` is a mode, not a dataset: pass `logicity.demonstrations\("easy"\)`'),
         (([], "easy"), {}, ValueError, "no demonstrations"),
         (([3], "easy"), {}, TypeError, "observations"),
         (([SimpleNamespace(observations=np.zeros((2, 85)), actions=[1, 1, 1])], "easy"), {}, ValueError, "shape"),
@@ -324,6 +325,8 @@ def test_bad_options_of_questions(options: Any, error: type[Exception], message:
 
 def test_a_batch_has_two_dimensions(demonstrations: logicity.Demonstrations) -> None:
     rules = logicity.induce(demonstrations[:1], "hard")
+    with pytest.raises(ValueError, match="pass `batched=True` to `evaluate`"):
+        logicity.evaluate(rules.policy(), "hard", "val")
     with pytest.raises(ValueError, match="batch"):
         rules(demonstrations[0].observations[0])
     with pytest.raises(ValueError, match="numbers"):

@@ -52,6 +52,14 @@ def test_valid_rules_have_no_diagnostics() -> None:
     assert logicity.check('.include "vocabulary.dl"\nStop(X) :- IsCar(X), IsInInter(X).\n') == []
 
 
+def test_check_takes_text_not_a_path(tmp_path: Path) -> None:
+    for path in ("/path/my.dl", "my.dl", "a b.yaml", tmp_path / "my.dl"):
+        with pytest.raises(ValueError, match="looks like a path: read the file"):
+            logicity.check(path)  # type: ignore[arg-type]
+    for text in ("", "// my.dl", '.include "vocabulary.dl"', "p(1).dl"):
+        logicity.check(text)
+
+
 def test_errors_are_reported_with_their_location() -> None:
     (fault,) = logicity.check('.include "vocabulary.dl"\nStop(X) :- IsCarr(X).\n', "mine.dl")
     assert fault["code"] == "unknown-predicate"

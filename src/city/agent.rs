@@ -2,8 +2,8 @@
 
 use crate::cancel::Cancel;
 use crate::city::{AgentConfig, AgentKind, AgentName, AgentSet};
-use crate::city::{Cell, Heading, Places, Route, Router, TripEnds};
-use crate::diag::{Code, Diagnostic};
+use crate::city::{Cell, CityMap, Heading, NoRoute, Places, Route, Router, TripEnds};
+use crate::diag::{Code, Diagnostic, Located};
 use crate::rng::{Purpose, RngExt, Seed};
 use std::collections::BTreeMap;
 use std::sync::Arc;
@@ -182,7 +182,7 @@ pub fn place_agents_into(
     cancel: &Cancel,
 ) -> Result<(), Diagnostic> {
     for kind in AgentKind::ALL {
-        check_room(set, places, kind)?;
+        check_room(set, router.map(), places, kind)?;
     }
     let mut free = AgentKind::ALL.map(|kind| Free::new(places.count(kind)));
     let mut count = 0;
@@ -195,7 +195,7 @@ pub fn place_agents_into(
         let drawn = free.take(stream.random_range(0..free.count));
         let start = places.nth(name.kind, drawn).expect("a place that was free");
         let route = (places.draw_route(router, name.kind, start, &mut stream))
-            .map_err(|_| nowhere(set, places, name, start))?;
+            .map_err(|reason| nowhere(set, router.map(), places, name, start, reason))?;
         match agents.get_mut(index) {
             Some(agent) => {
                 agent.kind = name.kind;
@@ -215,16 +215,22 @@ pub fn place_agents_into(
     Ok(())
 }
 
+/// Returns the start region of a set if it does not cover the map.
+fn part_of_map(set: &AgentSet, map: &CityMap) -> Option<Located<u32>> {
+    let side = i64::from(map.rows().max(map.cols()));
+    set.region.filter(|region| i64::from(region.value) < side)
+}
+
 /// Describes the start region of a set, for messages.
-fn within(set: &AgentSet) -> String {
-    set.region.map_or_else(
+fn within(set: &AgentSet, map: &CityMap) -> String {
+    part_of_map(set, map).map_or_else(
         || "on the whole map".to_string(),
         |region| format!("in the first {} rows and columns", region.value),
     )
 }
 
 /// Fails with `no-start-cell` if there are fewer start cells than agents of a kind.
-fn check_room(set: &AgentSet, places: &Places, kind: AgentKind) -> Result<(), Diagnostic> {
+fn check_room(set: &AgentSet, map: &CityMap, places: &Places, kind: AgentKind) -> Result<(), Diagnostic> {
     let (wanted, available) = (set.count(kind), places.count(kind));
     if wanted <= available {
         return Ok(());
@@ -244,10 +250,14 @@ fn check_room(set: &AgentSet, places: &Places, kind: AgentKind) -> Result<(), Di
     };
     let message = format!(
         "too few start cells for {plural}: {wanted} needed, {available} {}",
-        within(set)
+        within(set, map)
     );
-    let span = set.region.map_or(set.span, |region| region.span);
-    let larger = set.region.map_or("map", |_| "region or map");
+    let region = part_of_map(set, map);
+    let span = region.map_or(set.span, |region| region.span);
+    let larger = match region {
+        Some(_) => "use a larger region or map",
+        None => "add such buildings to the map, use a larger map",
+    };
     let fewer = match set.repeat {
         0 | 1 => format!("fewer {plural}"),
         _ => "a smaller `repeat`".to_owned(),
@@ -255,31 +265,54 @@ fn check_room(set: &AgentSet, places: &Places, kind: AgentKind) -> Result<(), Di
     Err(Diagnostic::new(Code::NO_START_CELL, message)
         .at(span, "too small for these agents")
         .note(rule)
-        .help(format!("use a larger {larger}, or {fewer}")))
+        .help(format!("{larger}, or {fewer}")))
 }
 
 /// Returns the `no-route` diagnostic of an agent that cannot reach any goal.
-fn nowhere(set: &AgentSet, places: &Places, name: AgentName, Cell { row, col }: Cell) -> Diagnostic {
-    let goal = match name.kind {
-        AgentKind::Car => match places.trip_ends() {
-            TripEnds::Curb => "a car needs another curb cell as its goal",
-            TripEnds::Lane => "a car needs another lane cell beside a building as its goal",
-        },
-        AgentKind::Pedestrian => "a pedestrian needs a house or office in another block as its goal",
+fn nowhere(
+    set: &AgentSet,
+    map: &CityMap,
+    places: &Places,
+    name: AgentName,
+    Cell { row, col }: Cell,
+    reason: NoRoute,
+) -> Diagnostic {
+    let (goal, other) = match (name.kind, places.trip_ends()) {
+        (AgentKind::Car, TripEnds::Curb) => (
+            "a car needs another curb cell as its goal",
+            "another gas station, garage or store",
+        ),
+        (AgentKind::Car, TripEnds::Lane) => (
+            "a car needs another lane cell beside a building as its goal",
+            "another gas station, garage or store",
+        ),
+        (AgentKind::Pedestrian, _) => (
+            "a pedestrian needs a house or office in another block as its goal",
+            "a house or office in a second block",
+        ),
     };
-    let (span, near, larger) = match (set.trip, set.region) {
-        (Some(trip), _) => (
+    let (span, near, remedy) = match (set.trip, part_of_map(set, map)) {
+        (Some(trip), region) => (
             trip.span,
             format!(" by a trip of {} rows and columns", trip.value),
-            "trip, region or map",
+            region.map_or("use a larger trip or map", |_| "use a larger trip, region or map"),
         ),
-        (None, Some(region)) => (region.span, String::new(), "region or map"),
-        (None, None) => (set.span, String::new(), "region or map"),
+        (None, Some(region)) => (region.span, String::new(), "use a larger region or map"),
+        (None, None) => (set.span, String::new(), "use a larger map"),
     };
-    let message = format!("{name} has nowhere to go from [{row}, {col}]{near} {}", within(set));
+    let message = format!(
+        "{name} has nowhere to go from [{row}, {col}]{near} {}",
+        within(set, map)
+    );
+    // Without a trip and a region, only the map can lack goals.
+    let is_whole_map = set.trip.is_none() && part_of_map(set, map).is_none();
+    let help = match (is_whole_map, reason) {
+        (true, NoRoute::Goal) => format!("{goal}, and the map has none: add {other} to the map"),
+        _ => format!("{goal}: {remedy}"),
+    };
     Diagnostic::new(Code::NO_ROUTE, message)
         .at(span, "no reachable goal")
-        .help(format!("{goal}: use a larger {larger}"))
+        .help(help)
 }
 
 /// A set of the numbers below `count` from which numbers are drawn. The last number of the list replaces the one taken;

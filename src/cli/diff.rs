@@ -3,6 +3,7 @@
 use crate::builtin::BuiltinFiles;
 use crate::city::Action;
 use crate::cli::{Failure, integer, load_program, load_workspace_from, report};
+use crate::config::rule_file;
 use crate::datalog::diff::{Cut, Difference, Equivalence, Options, diff};
 use crate::datalog::{BaseType, Clause, Edb, Program, Rules, Term, is_name, quoted};
 use crate::diag::{Code, Diagnostic, SourceId, Sources, Span};
@@ -48,8 +49,9 @@ pub struct Arguments {
 
 /// Returns exit code 0 if it finds no difference, 1 if it finds one.
 pub fn run(arguments: &Arguments, sources: &mut Sources) -> Result<u8, Failure> {
-    let (mut left, mut warnings) = load_program(sources, &arguments.left)?;
-    let (mut right, more) = load_program(sources, &arguments.right)?;
+    let paths = [&arguments.left, &arguments.right].map(|path| rule_file(path, &BuiltinFiles));
+    let (mut left, mut warnings) = load_program(sources, &paths[0])?;
+    let (mut right, more) = load_program(sources, &paths[1])?;
     warnings.extend(more);
     report(&warnings, sources);
     let mut predicates = arguments.predicates.clone();
@@ -58,8 +60,8 @@ pub fn run(arguments: &Arguments, sources: &mut Sources) -> Result<u8, Failure> 
         // A full stop ends the clause that contains the condition.
         let condition = condition.trim().trim_end_matches('.').trim_end();
         let condition = sources.add(OPTION, condition);
-        left = restricted(sources, &arguments.left, left.rules(), &compared, condition)?;
-        right = restricted(sources, &arguments.right, right.rules(), &compared, condition)?;
+        left = restricted(sources, &paths[0], left.rules(), &compared, condition)?;
+        right = restricted(sources, &paths[1], right.rules(), &compared, condition)?;
         // `diff` reports a predicate that a side lacks, so it gets the name that the user knows.
         predicates = compared;
         for name in &mut predicates {

@@ -1,7 +1,9 @@
 //! `logicity fmt`: formats rule files.
 
+use crate::builtin::BuiltinFiles;
 use crate::cli::kind::Kind;
 use crate::cli::{Failure, finish, read, unwritable};
+use crate::config::rule_file;
 use crate::datalog;
 use crate::diag::{Diagnostic, Sources};
 use crate::files::Output;
@@ -23,6 +25,7 @@ pub fn run(arguments: &Arguments, sources: &mut Sources) -> Result<(), Failure> 
     let mut faults: Vec<Diagnostic> = Vec::new();
     let mut clean = true;
     for path in &arguments.rules {
+        let path = &rule_file(path, &BuiltinFiles);
         let is_stdin = path == Path::new("-");
         let text = if is_stdin {
             let mut text = String::new();

@@ -38,7 +38,7 @@ mod why;
 use crate::builtin::BuiltinFiles;
 use crate::cancel::Cancel;
 use crate::city::MapConfig;
-use crate::config::{load_map, missing_file};
+use crate::config::{load_map, missing_file, rule_file};
 use crate::datalog::{Edb, Limits, Program, Workspace};
 use crate::diag::{Code, Diagnostic, Limit, Sources, render, similar_file};
 use crate::files::{self, FileError, Output, Overwrite, ReadError, ReadFile};
@@ -353,10 +353,14 @@ pub fn main() -> ExitCode {
     let arguments: Vec<OsString> = std::env::args_os().skip(1).collect();
     if let Some((words, _)) = python_command(&arguments) {
         let mut err = anstream::stderr();
+        let package = match words {
+            ["train"] => "./python[train]",
+            _ => "./python",
+        };
         let _ = writeln!(err, "error: `logicity {}` requires the Python package", words.join(" "));
         let _ = writeln!(
             err,
-            "help: `pip install ./python` installs it, with a `logicity` that has all commands"
+            "help: `pip install '{package}'` installs it, with a `logicity` that has all commands"
         );
         return ExitCode::from(2);
     }
@@ -738,7 +742,7 @@ fn compile(workspace: &Workspace) -> Result<(Program, Vec<Diagnostic>), Failure>
     }
 }
 
-/// Reads a rule file and its includes.
+/// Reads a rule file, given as a path or a bare name such as `hard`, and its includes.
 fn load_workspace(sources: &mut Sources, path: &Path, edb: Edb) -> Result<Workspace, Failure> {
     load_workspace_from(sources, path, edb, &BuiltinFiles)
 }
@@ -750,8 +754,9 @@ fn load_workspace_from(
     edb: Edb,
     files: &dyn ReadFile,
 ) -> Result<Workspace, Failure> {
-    let text = read_with(files, path)?;
-    if let Some(fault) = Kind::Rules.mismatch(path, &text) {
+    let path = rule_file(path, files);
+    let text = read_with(files, &path)?;
+    if let Some(fault) = Kind::Rules.mismatch(&path, &text) {
         return Err(fault.into());
     }
     let entry = sources.add(path.display().to_string(), text);

@@ -96,21 +96,7 @@ impl TraceReader {
         strict: bool,
         limits: Limits,
     ) -> Result<Replay, Failure> {
-        let mut city = LoadedCity::of_trace(sources, &self.header, config, rules, &BuiltinFiles).map_err(|error| {
-            let noted = |faults: Vec<Diagnostic>, what: &str| -> Vec<Diagnostic> {
-                let note = format!("in the {what} of the trace `{}`", self.path.display());
-                faults.into_iter().map(|fault| fault.note(note.clone())).collect()
-            };
-            match (error, config, rules) {
-                // Without a place: it is no file that the user named, so it has no other one.
-                (LoadError::Config(faults), None, _) if faults.iter().all(|fault| fault.primary.is_none()) => {
-                    placed(faults.into_iter().next().expect("at least one"), &self.path, 1)
-                }
-                (LoadError::Config(faults), None, _) => noted(faults, "configuration").into(),
-                (LoadError::Rules(faults), _, None) => noted(faults, "rules").into(),
-                (error, ..) => error.into(),
-            }
-        })?;
+        let mut city = self.city(sources, config, rules)?;
         if let Some(config) = config {
             let hashes = [&city.scenario.hash, &self.header.config_hash];
             matching("configuration", config, hashes, &self.path, "--config")?;
@@ -124,6 +110,30 @@ impl TraceReader {
         city.limits = limits;
         let world = city.world()?;
         Replay::new(Arc::new(world), &self.header).map_err(|fault| placed(fault, &self.path, 1))
+    }
+
+    /// Loads the configuration and rules in the trace, or the given files.
+    pub fn city(
+        &self,
+        sources: &mut Sources,
+        config: Option<&Path>,
+        rules: Option<&Path>,
+    ) -> Result<LoadedCity, Failure> {
+        LoadedCity::of_trace(sources, &self.header, config, rules, &BuiltinFiles).map_err(|error| {
+            let noted = |faults: Vec<Diagnostic>, what: &str| -> Vec<Diagnostic> {
+                let note = format!("in the {what} of the trace `{}`", self.path.display());
+                faults.into_iter().map(|fault| fault.note(note.clone())).collect()
+            };
+            match (error, config, rules) {
+                // Without a place: it is no file that the user named, so it has no other one.
+                (LoadError::Config(faults), None, _) if faults.iter().all(|fault| fault.primary.is_none()) => {
+                    placed(faults.into_iter().next().expect("at least one"), &self.path, 1)
+                }
+                (LoadError::Config(faults), None, _) => noted(faults, "configuration").into(),
+                (LoadError::Rules(faults), _, None) => noted(faults, "rules").into(),
+                (error, ..) => error.into(),
+            }
+        })
     }
 }
 

@@ -83,6 +83,14 @@ impl Kind {
     }
 }
 
+/// Returns the path of a rule file that the user named. A bare name such as `hard`, if no file has it, means
+/// `rules/hard.dl`, on disk or built in.
+pub fn rule_file(path: &Path, read: Read<'_>) -> PathBuf {
+    let named = RULES.named(path).filter(|named| read.read_or_builtin(named).is_ok());
+    let named = named.filter(|_| matches!(read.read(path), Err(ReadError::NotFound)));
+    named.unwrap_or_else(|| path.to_owned())
+}
+
 /// Reads a file: returns its text, or the reason why it cannot.
 pub type Read<'a> = &'a dyn ReadFile;
 

@@ -20,7 +20,7 @@ mod tree;
 pub(crate) mod yaml;
 
 pub use codes::{CATALOG, CODES};
-pub use compose::Read;
+pub use compose::{Read, rule_file};
 pub use load::{Loaded, load_any, load_map, load_scenario, missing_file};
 pub use model::*;
 pub use tree::{Tree, load_tree};

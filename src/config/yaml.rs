@@ -243,7 +243,7 @@ pub(crate) fn parse(
                 let span = builder.one_character(at);
                 Err(Box::new(match error.kind() {
                     ErrorKind::RecursionLimitExceeded => too_deep(span),
-                    kind => (builder.known_mistake(at))
+                    kind => (builder.known_mistake(at, &kind.to_string()))
                         .unwrap_or_else(|| Diagnostic::new(Code::YAML_SYNTAX, kind.to_string()).at(span, "")),
                 }))
             }
@@ -276,18 +276,32 @@ impl Builder<'_> {
         Span::new(self.source, start..start + length)
     }
 
-    /// Explains a syntax error at this byte: a tab that indents its line, or a missing space after a key there or in
-    /// the line before.
-    fn known_mistake(&self, at: usize) -> Option<Diagnostic> {
+    /// Explains a syntax error at this byte: a tab that indents its line or, if the message of the parser mentions a tab,
+    /// a later line of the same scalar; or a missing space after a key there or in the line before.
+    fn known_mistake(&self, at: usize, message: &str) -> Option<Diagnostic> {
         let text = self.text;
         let start_of = |byte: usize| text[..byte].rfind('\n').map_or(0, |newline| newline + 1);
         let at = self.one_character(at).range().start;
         let start = start_of(at);
         let line = |start: usize| text[start..].lines().next().unwrap_or_default();
         let indent = |start: usize| line(start).len() - line(start).trim_start_matches([' ', '\t']).len();
-        if let Some(tab) = line(start)[..indent(start)].find('\t') {
+        // The parser reports a tab below a plain scalar at the scalar.
+        let lines = match message.contains("found a tab") {
+            true => usize::MAX,
+            false => 1,
+        };
+        let starts = text[start..].split_inclusive('\n').scan(start, |next, line| {
+            let start = *next;
+            *next += line.len();
+            Some(start)
+        });
+        let mut tabs = starts.take(lines).filter_map(|start| {
+            let tab = line(start)[..indent(start)].find('\t')?;
+            Some(start + tab)
+        });
+        if let Some(tab) = tabs.next() {
             let fault = Diagnostic::new(Code::YAML_SYNTAX, "a tab indents this line");
-            let span = Span::new(self.source, start + tab..start + tab + 1);
+            let span = Span::new(self.source, tab..tab + 1);
             return Some(
                 fault
                     .at(span, "")

@@ -5,7 +5,7 @@
 
 use crate::city::{AgentKind, Cell, Heading};
 use crate::config::read::{Fields, invalid, number};
-use crate::config::yaml::Node;
+use crate::config::yaml::{Node, Value};
 use crate::diag::{Code, Diagnostic};
 #[cfg(test)]
 use crate::predicate::Definition;
@@ -66,7 +66,18 @@ impl PredicateKind for Distance {
 }
 
 fn read(node: &Node, faults: &mut Vec<Diagnostic>) -> Option<Distance> {
-    let mut fields = Fields::open(node, "a distance", faults)?;
+    let before = faults.len();
+    let Some(mut fields) = Fields::open(node, "a distance", faults) else {
+        let number = match &node.value {
+            Value::Scalar { text, plain: true } if text.parse::<f64>().is_ok() => text.as_str(),
+            _ => "12",
+        };
+        for fault in &mut faults[before..] {
+            let help = format!("a distance is written `{{at_most: {number}}}`, or with `above`, `at_least` or `below`");
+            fault.help.push(help);
+        }
+        return None;
+    };
     let mut bound = |key| match fields.optional(key) {
         Some(node) => number(node, 0.0..=1e9, "a distance from 0 to 1e9 cells", faults).map(Some),
         None => Some(None),

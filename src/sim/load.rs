@@ -1,6 +1,6 @@
 //! Loads a city: one call from the path of a configuration to a scenario with its compiled rules.
 
-use crate::config::{Scenario, load_scenario};
+use crate::config::{Scenario, load_scenario, rule_file};
 use crate::datalog::{Limits, Program};
 use crate::diag::{Code, Diagnostic, Located, SourceId, Sources, Span};
 use crate::files::{ReadError, ReadFile};
@@ -55,7 +55,8 @@ impl LoadedCity {
         LoadedCity::with_rules(sources, scenario, rules, files)
     }
 
-    /// Loads the rules of a configuration, which `rules` overrides; see [`LoadedCity::load`].
+    /// Loads the rules of a configuration, which `rules` overrides: a path, or a bare name such as `hard`. See
+    /// [`LoadedCity::load`].
     ///
     /// # Errors
     /// [`LoadError::RuleFile`] and [`LoadError::Rules`].
@@ -65,8 +66,9 @@ impl LoadedCity {
         rules: Option<&Path>,
         files: &dyn ReadFile,
     ) -> Result<LoadedCity, LoadError> {
-        let path = rules.unwrap_or(&scenario.rules.value).to_owned();
-        let text = match rules {
+        let rules = rules.map(|path| rule_file(path, files));
+        let path = rules.as_ref().unwrap_or(&scenario.rules.value).clone();
+        let text = match &rules {
             Some(path) => files.read_or_builtin(path),
             // The configuration names it, and has found it.
             None => files.read(&path),

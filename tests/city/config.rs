@@ -256,6 +256,19 @@ fn common_mistakes_are_explained_once() {
             vec!["a tab indents this line"],
         ),
         (
+            "ticks: 5\n\tview: 40",
+            (3, 1),
+            vec!["a tab indents this line", "indent with spaces"],
+        ),
+        (
+            "predicates: {define: {IsNear: {distance: 5}}}",
+            (2, 42),
+            vec![
+                "expected a distance (a mapping)",
+                "a distance is written `{at_most: 5}`",
+            ],
+        ),
+        (
             "map: square5x5",
             (2, 6),
             vec!["no such file", "did you mean `square-5x5`?"],

@@ -9,8 +9,8 @@ use logicity::diag::{Code, Diagnostic, Sources};
 use logicity::rng::{Purpose, RngExt, Seed};
 use logicity::sim::{Chance, Entity, Facts, Observer, Settings, Simulation, ground};
 use logicity::task::spf::{
-    Baseline, BatchEvaluator, ControlMode, Env, EpisodeSet, Policy, RANDOM_RUNS, Rate, Rollout, Score, SpfTask,
-    describe, rollout, summarize,
+    Baseline, BatchEvaluator, ControlMode, Env, EpisodeSet, MapIdentity, Policy, RANDOM_RUNS, Rate, Rollout, Score,
+    SpfTask, describe, rollout, summarize,
 };
 use proptest::prelude::*;
 use std::collections::BTreeSet;
@@ -838,7 +838,7 @@ fn set_of(text: &str) -> Result<EpisodeSet, Diagnostic> {
 
 #[test]
 fn faulty_episodes_are_reported() {
-    let header = r#"{"episodes":"logicity","version":1,"config":"x","split":"test","seed":0,"agents":[{"id":"Car_1","concepts":[],"priority":1}]}"#;
+    let header = r#"{"episodes":"logicity","version":1,"config":"x","split":"test","map":{"name":"m","hash":"0"},"seed":0,"agents":[{"id":"Car_1","concepts":[],"priority":1}]}"#;
     let good = format!("{header}\n{{\"seed\":1,\"trips\":[[46,20,56,64]]}}\n");
     assert_eq!(set_of(&good).unwrap().episodes.len(), 1);
     let bad = [
@@ -847,6 +847,7 @@ fn faulty_episodes_are_reported() {
         header.to_owned(),
         header.replace("Car_1", "Car_01"),
         header.replace("test", "tset"),
+        header.replace(r#""map":{"name":"m","hash":"0"},"#, ""),
         header.replace("\"version\":1", "\"version\":2"),
         good.replace("[46,20,56,64]", ""),
         good.replace("[46,20,56,64]", "[46,20,56]"),
@@ -871,7 +872,7 @@ fn faulty_episodes_are_reported() {
 #[test]
 fn unknown_keys_of_episodes_are_reported() {
     let lines = [
-        r#"{"episodes":"logicity","version":1,"config":"x","split":"test","seed":0,"agents":[{"id":"Car_1","concepts":[],"priority":1}]}"#,
+        r#"{"episodes":"logicity","version":1,"config":"x","split":"test","map":{"name":"m","hash":"0"},"seed":0,"agents":[{"id":"Car_1","concepts":[],"priority":1}]}"#,
         r#"{"seed":1,"trips":[[46,20,56,64]],"changes":{"Car_1":{"concepts":["bus"],"priority":2}},"oracle":{"steps":1,"return":0,"constrained":{}}}"#,
     ];
     let fault_of = |line: usize, from: &str, to: &str| {
@@ -911,7 +912,9 @@ proptest! {
         let _ = set_of(&text);
         let mut env = Env::new(task("easy", None), Split::Val, ControlMode::First).unwrap();
         env.reset(seed).unwrap();
-        let set = EpisodeSet { config: "easy".into(), split: Split::Val, seed, episodes: vec![env.episode().clone()] };
+        let map = MapIdentity::of(env.task().world().map());
+        let episodes = vec![env.episode().clone()];
+        let set = EpisodeSet { config: "easy".into(), split: Split::Val, map, seed, episodes };
         let mut written = Vec::new();
         set.write(&mut written).unwrap();
         let text = String::from_utf8(written).unwrap();

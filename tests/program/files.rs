@@ -45,6 +45,127 @@ fn inputs(folder: &Path) {
     succeeds(folder, "run easy --ticks 2 --no-pictures --out in");
 }
 
+/// A bare name of rules means the built-in file, unless a file has the name.
+#[test]
+fn bare_names_of_rules_mean_built_in_files() {
+    let folder = tempfile::tempdir().unwrap();
+    let folder = folder.path();
+    let scene = r#"{"entities":["a"],"ego":"a","facts":{"IsCar":["a"]}}"#;
+    fs::write(folder.join("scene.jsonl"), scene).unwrap();
+    for line in [
+        "diff hard expert --scene",
+        "diff easy easy",
+        "query hard",
+        "repl hard",
+        "fmt --check hard",
+        "check vocabulary",
+        "run expert --rules hard --ticks 1 --no-pictures --no-trace",
+        "infer scene.jsonl --config expert --rules hard",
+        "episodes show expert --rules hard --episode 3",
+        "bench tick --config expert --rules hard --repeats 1 --ticks 1",
+    ] {
+        let mut is_value = false;
+        let full: Vec<String> = (line.split(' ').enumerate())
+            .map(|(index, word)| {
+                let is_rules = is_value || index > 0 && line.starts_with(['d', 'q', 'f', 'c']) || line == "repl hard";
+                is_value = word == "--rules";
+                match word {
+                    "hard" | "expert" | "easy" | "vocabulary" if is_rules => format!("rules/{word}.dl"),
+                    word => word.to_owned(),
+                }
+            })
+            .collect();
+        let [short, long] = [line.to_owned(), full.join(" ")].map(|line| logicity(folder, &line));
+        // `query` finds the rules, but no facts.
+        assert!(!said(&short).contains("cannot read `"), "{line}: {}", said(&short));
+        assert_eq!(short.status.code(), long.status.code(), "{line}: {}", said(&short));
+        if !line.starts_with("bench") {
+            let texts = [&short, &long].map(|output| String::from_utf8_lossy(&output.stdout).into_owned());
+            // `diff` names the rules as the command line does.
+            let texts = texts.map(|text| text.replace("rules/", "").replace(".dl", ""));
+            let [short, long] = texts.each_ref().map(|text| {
+                let lines = text.lines().filter(|line| !line.contains(" per second"));
+                lines.collect::<Vec<_>>()
+            });
+            assert_eq!(short, long, "{line}");
+        }
+    }
+    fails(folder, "query hrad", 2, &["cannot read `hrad`: no such file"]);
+    fs::write(folder.join("hard"), "A(").unwrap();
+    fails(folder, "query hard", 1, &["hard:1"]);
+    fails(folder, "run expert --rules hard --ticks 1", 1, &["hard:1"]);
+}
+
+/// The recorded episodes of a mode are for its map, whatever its name.
+#[test]
+fn recorded_episodes_belong_to_a_map() {
+    let folder = tempfile::tempdir().unwrap();
+    let folder = folder.path();
+    fs::write(folder.join("map.yaml"), "base: easy\nmap: random-8x8\n").unwrap();
+    let refused = &[
+        "for the map `square-5x5`, and the configuration has the map `random-8x8`",
+        "draw your own",
+        "`logicity episodes make map.yaml --split val`",
+    ];
+    fails(folder, "episodes check map.yaml --split val", 1, refused);
+    fails(folder, "episodes show map.yaml --split val", 1, refused);
+    fails(folder, "induce --config map.yaml --split val", 1, refused);
+    // The same map in another file is the same map, and a change of one width makes another map.
+    fs::write(folder.join("copy.yaml"), "base: square-5x5\n").unwrap();
+    fs::write(folder.join("same.yaml"), "base: easy\nmap: copy.yaml\n").unwrap();
+    succeeds(folder, "episodes show same.yaml --split val --episode 0");
+    let wide = "base: configs/maps/square-5x5.yaml\nwidths: {sidewalk: 6}\n";
+    fs::write(folder.join("square-5x5.yaml"), wide).unwrap();
+    fs::write(folder.join("wide.yaml"), "base: easy\nmap: square-5x5.yaml\n").unwrap();
+    let earlier = "for an earlier version of the map `square-5x5`";
+    fails(folder, "episodes check wide.yaml --split val", 1, &[earlier]);
+    // Episodes of its own fit.
+    let own = "base: map.yaml\ntask: {episodes: {val: own-val.jsonl}}\n";
+    fs::write(folder.join("own.yaml"), own).unwrap();
+    succeeds(folder, "episodes make own.yaml --split val --count 2");
+    let checked = succeeds(folder, "episodes check own.yaml --split val");
+    assert!(checked.starts_with("2 episodes match"), "{checked}");
+    // A file of an earlier version names no map.
+    let text = fs::read_to_string(folder.join("own-val.jsonl")).unwrap();
+    let (begin, end) = (text.find("\"map\"").unwrap(), text.find("\"seed\"").unwrap());
+    fs::write(folder.join("own-val.jsonl"), text[..begin].to_owned() + &text[end..]).unwrap();
+    let missing = [
+        "own-val.jsonl:1",
+        "does not contain the `map`",
+        "draw the episodes again",
+    ];
+    fails(folder, "episodes check own.yaml --split val", 1, &missing);
+}
+
+/// The map in the guide is large enough for every kind of agent.
+#[test]
+fn the_map_in_the_guide_has_room() {
+    let guide = include_str!("../../docs/how-to/compose-configurations.md");
+    let map = guide
+        .split("```")
+        .find(|block| block.contains("# two-blocks.yaml: a map"));
+    let map = map.unwrap().strip_prefix("yaml\n").unwrap();
+    let folder = tempfile::tempdir().unwrap();
+    let folder = folder.path();
+    fs::write(folder.join("two-blocks.yaml"), map).unwrap();
+    let agents = "agents: {train: ~, val: ~, test: {cars: [{priority: 1}], pedestrians: [{count: 2}]}}\n";
+    let city = |agents: &str| format!("base: expert\nmap: two-blocks.yaml\n{agents}");
+    fs::write(folder.join("city.yaml"), city(agents)).unwrap();
+    succeeds(folder, "run city.yaml --ticks 30 --no-pictures --out out");
+    // All houses in one block: the region of 120 cells covers the map, so a larger one cannot help.
+    fs::write(folder.join("two-blocks.yaml"), map.replace("HO HG", "HO SG")).unwrap();
+    let nowhere = [
+        "no-route",
+        "on the whole map",
+        "the map has none: add a house or office in a second block to the map",
+    ];
+    fails(folder, "run city.yaml --ticks 1 --out out", 1, &nowhere);
+    let crowd = agents.replace("priority: 1", "priority: 1, count: 999");
+    fs::write(folder.join("city.yaml"), city(&crowd)).unwrap();
+    let room = ["no-start-cell", "on the whole map", "add such buildings to the map"];
+    fails(folder, "run city.yaml --ticks 1 --out out", 1, &room);
+}
+
 /// Every command that writes, with the files that it writes.
 const WRITERS: [(&str, &[&str]); 8] = [
     (

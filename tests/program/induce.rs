@@ -185,6 +185,58 @@ fn traces_teach_the_decisions_of_all_agents() {
     );
 }
 
+/// Without `--config`, the learner uses the configuration in a trace. Traces of several ones need the option.
+#[test]
+fn traces_bring_their_configuration() {
+    let folder = tempfile::tempdir().unwrap();
+    let traces = ["easy", "hard"].map(|mode| {
+        let out = folder.path().join(mode);
+        let options = ["--ticks", "100", "--no-pictures", "--out", out.to_str().unwrap()];
+        succeeds(&run(&[&["run", mode][..], &options].concat(), b""));
+        out.join("trace.jsonl").to_str().unwrap().to_owned()
+    });
+    let [easy, hard] = &traces;
+    let named = succeeds(&logicity(["induce", easy, "--config", "easy"]));
+    assert_eq!(succeeds(&logicity(["induce", easy])), named);
+    assert_eq!(
+        succeeds(&logicity(["induce", easy, easy])).lines().last(),
+        named.lines().last()
+    );
+    assert!(named.contains("Configuration easy "), "{named}");
+    let different = ["have different configurations", "`--config FILE`"];
+    fails(&logicity(["induce", easy, hard]), 2, &different);
+    // A pipe can be read once only, so its configuration comes too late.
+    let output = run(&["induce", "-"], &fs::read(easy).unwrap());
+    fails(&output, 2, &["has the configuration `easy`", "`--config`"]);
+    succeeds(&run(&["induce", "-", "--config", "easy"], &fs::read(easy).unwrap()));
+}
+
+/// Clauses use base predicates only, and a contradiction says so if the rules have other predicates.
+#[test]
+fn contradictions_name_the_derived_predicates() {
+    let folder = tempfile::tempdir().unwrap();
+    let rules = folder.path().join("vip.dl");
+    let text = fs::read_to_string(concat!(env!("CARGO_MANIFEST_DIR"), "/rules/easy.dl")).unwrap();
+    let vip = ".decl Vip(x: agent)\nVip(X) :- IsAmbulance(X).\nStop(X) :- Vip(X).\n";
+    fs::write(&rules, format!("{text}\n{vip}")).unwrap();
+    let scenes = folder.path().join("scenes.jsonl");
+    let scene = |action: &str| {
+        let facts = r#""entities": ["a"], "ego": "a", "facts": {"IsCar": ["a"]}"#;
+        format!("{{{facts}, \"actions\": {{\"a\": \"{action}\"}}}}\n")
+    };
+    fs::write(&scenes, scene("Stop") + &scene("Normal")).unwrap();
+    let scenes = scenes.to_str().unwrap();
+    let said = [
+        "contradicting-examples",
+        "use base predicates only, not derived ones such as `Vip`",
+    ];
+    let output = logicity(["induce", scenes, "--config", "easy", "--rules", rules.to_str().unwrap()]);
+    fails(&output, 1, &said);
+    let plain = logicity(["induce", scenes, "--config", "easy"]);
+    fails(&plain, 1, &["contradicting-examples"]);
+    assert!(!self::text(&plain.stderr).contains("derived ones"));
+}
+
 #[test]
 fn scenes_teach_their_actions() {
     let folder = tempfile::tempdir().unwrap();

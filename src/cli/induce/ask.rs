@@ -3,7 +3,8 @@
 use crate::builtin::BuiltinFiles;
 use crate::cancel::Cancel;
 use crate::city::Action;
-use crate::cli::{Failure, Inputs, LimitOptions, integer, load_city, report};
+use crate::cli::{Failure, Inputs, LimitOptions, integer, report};
+use crate::config::Scenario;
 use crate::diag::{Code, Diagnostic, Sources, json_error};
 use crate::files::{self, Journal};
 use crate::induce::State;
@@ -101,18 +102,21 @@ impl AskOptions {
         self.ask.is_some()
     }
 
-    /// Loads the rules of the oracle, if it follows rules.
+    /// Loads the rules of the oracle for a configuration, if it follows rules.
     pub fn load(
         &self,
         sources: &mut Sources,
-        config: &Path,
+        scenario: &Scenario,
         limits: &LimitOptions,
     ) -> Result<Option<OracleSource>, Failure> {
         let Some(oracle) = &self.ask else { return Ok(None) };
         if !oracle.ends_with(".dl") {
             return Ok(Some(OracleSource::Command(oracle.clone())));
         }
-        let city = load_city(sources, config, Some(Path::new(oracle)), limits)?;
+        let rules = Some(Path::new(oracle));
+        let mut city = LoadedCity::with_rules(sources, scenario.clone(), rules, &BuiltinFiles)?;
+        city.limits = limits.limits(city.limits);
+        report(&city.warnings, sources);
         Ok(Some(OracleSource::Rules {
             name: files::portable_name(oracle),
             city: city.into(),

@@ -31,6 +31,48 @@ pub struct Collected {
     pub origin: Origin,
 }
 
+/// Returns the city of the traces among files of examples, or `None` if there is no trace with its configuration. A pipe
+/// is not read, because that is possible only once.
+pub fn city_of_traces(
+    paths: &[PathBuf],
+    sources: &mut Sources,
+    limits: &LimitOptions,
+) -> Result<Option<LoadedCity>, Failure> {
+    let mut first: Option<(&Path, TraceReader)> = None;
+    for path in paths.iter().filter(|path| path.is_file()) {
+        let mut line = Vec::new();
+        let read = open_input(path)?.take(MAX_BYTES).read_until(b'\n', &mut line);
+        read.map_err(|error| Failure::file("read", path, error))?;
+        if !is_trace(&line) {
+            continue;
+        }
+        let trace = TraceReader::open(path)?;
+        let Some((known, other)) = &first else {
+            first = trace.header.archive.is_some().then_some((path, trace));
+            continue;
+        };
+        let hashes = |trace: &TraceReader| [trace.header.config_hash.clone(), trace.header.rules_hash.clone()];
+        let [config, rules] = [0, 1].map(|index| hashes(&trace)[index] == hashes(other)[index]);
+        if !config || !rules {
+            let (known, path) = (known.display(), path.display());
+            let what = if config { "rules" } else { "configurations" };
+            let message = format!("the traces `{known}` and `{path}` have different {what}");
+            let help = "name the configuration to learn with: `--config FILE`";
+            return Err(Failure::Usage(format!("{message}\nhelp: {help}")));
+        }
+    }
+    let Some((_, trace)) = first else { return Ok(None) };
+    let mut city = trace.city(sources, None, None)?;
+    city.limits = limits.limits(city.limits);
+    report(&city.warnings, sources);
+    Ok(Some(city))
+}
+
+/// Returns whether the first line of a file is the header of a trace.
+fn is_trace(first: &[u8]) -> bool {
+    serde_json::from_slice::<serde_json::Value>(first).is_ok_and(|header| header.get("trace").is_some())
+}
+
 /// Collects the examples to learn from, and those of `--test`. `origin` begins with lines about the source.
 pub fn collect(
     arguments: &Arguments,
@@ -45,6 +87,7 @@ pub fn collect(
     let mut files = FileCollector {
         task: &task,
         limits: &arguments.limits,
+        is_configured: arguments.is_configured(),
         is_page_wanted: arguments.page.is_some(),
         scenes: Inference::new(
             scenario,
@@ -64,6 +107,8 @@ pub fn collect(
         false => files.collect(&arguments.data, origin)?,
     };
     files.is_page_wanted = false;
+    // Rules may be measured in another city.
+    files.is_configured = true;
     let tests = match arguments.test.is_empty() {
         true => None,
         false => Some(files.collect(&arguments.test, Origin::default())?),
@@ -102,6 +147,7 @@ fn episodes(
 struct FileCollector<'a> {
     task: &'a InductionTask,
     limits: &'a LimitOptions,
+    is_configured: bool,
     is_page_wanted: bool,
     scenes: Inference,
     cancel: &'a Cancel,
@@ -151,8 +197,7 @@ impl FileCollector<'_> {
         if first.starts_with(HDF5) {
             return Err(is_minari(path).into());
         }
-        let is_trace =
-            serde_json::from_slice::<serde_json::Value>(&first).is_ok_and(|header| header.get("trace").is_some());
+        let is_trace = is_trace(&first);
         let lines = Box::new(Cursor::new(first).chain(lines));
         if self.is_page_wanted && !is_trace {
             let message = format!(
@@ -224,6 +269,16 @@ impl FileCollector<'_> {
     /// Adds every decision of every agent in a trace.
     fn add_trace(&self, mut trace: TraceReader, path: &Path, to: &mut Collected) -> Result<(), Failure> {
         let name = short_name(path);
+        let hash = &self.task.world().scenario.hash;
+        if !self.is_configured && trace.header.archive.is_some() && trace.header.config_hash != *hash {
+            let message = format!(
+                "the trace `{}` has the configuration `{}`, which is not the one to learn with\nhelp: name that \
+                 configuration with `--config`, or write the trace to a file and learn from the file",
+                path.display(),
+                trace.header.config
+            );
+            return Err(Failure::Usage(message));
+        }
         let limits = trace.limits(None, self.limits);
         let mut replay = trace.replay(&mut Sources::new(), None, None, false, limits)?;
         let vocabulary = replay.world().vocabulary.clone();

@@ -23,15 +23,19 @@ use std::io::Write;
 use std::num::NonZeroUsize;
 use std::path::{Path, PathBuf};
 
+/// The configuration without `--config`, `--rules` and traces.
+const CONFIG: &str = "configs/expert.yaml";
+
 #[derive(clap::Args)]
 pub struct Arguments {
     /// Examples: traces of `logicity run`, scenes with `actions` (one JSON object per line), Parquet tables of
     /// `Demonstrations.to_parquet`, or data sets of `logicity vap make`; `-` means standard input [default: the recorded
     /// episodes of the configuration, driven by its rules]
     data: Vec<PathBuf>,
-    /// Configuration that defines the predicates. The learner does not read its clauses of actions
-    #[arg(long, default_value = "configs/expert.yaml")]
-    config: PathBuf,
+    /// Configuration that defines the predicates. The learner does not read its clauses of actions [default: with traces
+    /// and without --rules, that of the traces, otherwise configs/expert.yaml]
+    #[arg(long)]
+    config: Option<PathBuf>,
     /// Rule file to use instead of the configuration's, for its declarations
     #[arg(long)]
     rules: Option<PathBuf>,
@@ -85,6 +89,13 @@ pub struct Arguments {
     force: ForceOption,
 }
 
+impl Arguments {
+    /// Returns whether the user names the configuration or the rules.
+    fn is_configured(&self) -> bool {
+        self.config.is_some() || self.rules.is_some()
+    }
+}
+
 pub fn run(arguments: &Arguments, sources: &mut Sources) -> Result<(), Failure> {
     let mut outputs = vec![("--output", arguments.output.as_path())];
     outputs.extend(arguments.report.as_deref().map(|path| ("--report", path)));
@@ -109,14 +120,25 @@ pub fn run(arguments: &Arguments, sources: &mut Sources) -> Result<(), Failure> 
         let message = "standard input can be read once only; name a file for the other examples";
         return Err(Failure::Usage(message.to_owned()));
     }
-    let city = load_city(
-        sources,
-        &arguments.config,
-        arguments.rules.as_deref(),
-        &arguments.limits,
-    )?;
-    let oracle = arguments.ask.load(sources, &arguments.config, &arguments.limits)?;
-    let inputs = Inputs::of(sources).with(arguments.data.iter().chain(&arguments.test).cloned());
+    let city = match arguments.is_configured() {
+        true => None,
+        false => collect::city_of_traces(&arguments.data, sources, &arguments.limits)?,
+    };
+    // Names of files within a trace are no files on disk.
+    let archived = city.as_ref().map_or(0, |_| sources.ids().count());
+    let city = match city {
+        Some(city) => city,
+        None => load_city(
+            sources,
+            arguments.config.as_deref().unwrap_or(Path::new(CONFIG)),
+            arguments.rules.as_deref(),
+            &arguments.limits,
+        )?,
+    };
+    let oracle = arguments.ask.load(sources, &city.scenario, &arguments.limits)?;
+    let mut inputs = Inputs::of(sources);
+    inputs.0.drain(..archived);
+    let inputs = inputs.with(arguments.data.iter().chain(&arguments.test).cloned());
     // A file that cannot be written is reported before the work.
     let mut rules_out = arguments.force.create(&arguments.output, &inputs)?;
     let report_out = (arguments.report.as_deref())

@@ -12,6 +12,7 @@ use crate::cli::kind::Kind;
 use crate::cli::query;
 use crate::cli::query::Times;
 use crate::cli::{Failure, read};
+use crate::config::rule_file;
 use crate::datalog;
 use crate::datalog::{BaseType, Edb, Functor, Literal, RelId, Relation, Rules, Value, Workspace, ast};
 use crate::datalog::{Delta, Limits, Program, RowError, Session, facts};
@@ -85,8 +86,8 @@ impl<'s> Workbench<'s> {
     pub fn load(&mut self, paths: &[PathBuf]) -> Result<Outcome, Failure> {
         let new: Vec<PathBuf> = paths
             .iter()
+            .map(|path| rule_file(path, &BuiltinFiles))
             .filter(|path| !self.files.contains(path))
-            .cloned()
             .collect();
         let first_new = self.sources.ids().count();
         let mut workspace = self.workspace.clone();

@@ -173,12 +173,34 @@ impl InductionTask {
         let [first, second] = contradiction.actions.map(|action| self.actions[action].name());
         let message = format!("two examples have the same facts but the actions {first} and {second}: {one}; {other}");
         let fault = Diagnostic::new(Code::CONTRADICTING_EXAMPLES, message);
-        Err(match more {
+        let fault = match more {
             0 => fault,
             1 => fault.note("1 other state has several actions, too"),
             more => fault.note(format!("{more} other states have several actions, too")),
         }
-        .help("correct the labels, add predicates that distinguish the states, or allow wrong actions with `noise`"))
+        .help("correct the labels, add predicates that distinguish the states, or allow wrong actions with `noise`");
+        Err(match self.unused_predicates() {
+            Some(unused) => fault.help(unused),
+            None => fault,
+        })
+    }
+
+    /// Returns a sentence about the derived predicates of the rules, which clauses cannot use, if there are any.
+    fn unused_predicates(&self) -> Option<String> {
+        let actions = Action::ALL.map(Action::name);
+        let relations = self.world.program.rules().relations.iter();
+        let derived = relations.filter(|relation| relation.derived && !relation.input && !relation.hidden);
+        let names: Vec<String> = derived
+            .filter(|relation| !actions.contains(&relation.name.as_str()))
+            .map(|relation| format!("`{}`", relation.name))
+            .collect();
+        (!names.is_empty()).then(|| {
+            format!(
+                "learned clauses use base predicates only, not derived ones such as {}: define those in the \
+                 configuration, if a kind of base predicate can express them",
+                names.join(", ")
+            )
+        })
     }
 
     /// Returns a translator of facts whose predicates are in the order of `known`.

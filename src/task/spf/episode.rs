@@ -1,13 +1,13 @@
 //! Episodes (the initial state of a city and its agents), and files of them.
 //!
 //! An episode file has JSON lines. The first is a header: `episodes` (`"logicity"`), `version`, the names of `config`
-//! and `split`, the `seed` of the set, and the `agents` in list order with `id`, `concepts` and `priority`. Every other
-//! line is an episode: `seed`; `trips` (row and column of start and of goal of each agent); `changes` (agents that
+//! and `split`, the `map` with its name and hash, the `seed` of the set, and the `agents` in list order with `id`,
+//! `concepts` and `priority`. Every other line is an episode: `seed`; `trips` (row and column of start and of goal of each agent); `changes` (agents that
 //! differ from the header, by name); and `oracle` (`steps`, `return`, and `constrained`: the number of constrained
 //! steps, by action).
 
 use crate::city::{Action, AgentConfig, AgentKind, AgentName, Split};
-use crate::city::{Agent, Cell};
+use crate::city::{Agent, Cell, CityMap};
 use crate::config::{PredicateConfig, SpfConfig};
 use crate::diag::{Code, Diagnostic, SourceId, Sources, Span, did_you_mean, json_error};
 use crate::files::{ReadError, ReadFile};
@@ -29,10 +29,22 @@ pub struct EpisodeSet {
     pub config: String,
     /// The split of the agents.
     pub split: Split,
+    /// The map that the trips fit.
+    pub map: MapIdentity,
     /// The seed of the set.
     pub seed: u64,
     /// The episodes.
     pub episodes: Vec<Episode>,
+}
+
+/// The map of an episode set. Two maps are the same if their hashes are equal.
+#[derive(Clone, Debug, PartialEq, Eq, Serialize, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub struct MapIdentity {
+    /// The name of the map, for messages.
+    pub name: String,
+    /// SHA-256 of the widths and buildings, in hexadecimal.
+    pub hash: String,
 }
 
 /// The start of an episode, and the oracle's result on it.
@@ -71,6 +83,25 @@ pub struct OracleRun {
     /// Number of steps in which the rules derived each action, in the order of
     /// [`Action::ALL`](crate::city::Action::ALL).
     pub constrained: [u32; 4],
+}
+
+impl MapIdentity {
+    /// Returns the identity of a map.
+    pub fn of(map: &CityMap) -> MapIdentity {
+        let layout = &map.layout;
+        let [rows, cols] = layout.blocks();
+        let (street, sidewalk) = (layout.street_span(0).len(), layout.sidewalk());
+        let (building, inner) = (layout.building_span(0, 0).len(), layout.inner_span(0).len());
+        let mut hash = Sha256::new();
+        hash.update(format!("{rows} {cols} {street} {sidewalk} {building} {inner}"));
+        for building in map.buildings().iter().flatten() {
+            hash.update(format!(" {building:?}"));
+        }
+        MapIdentity {
+            name: map.name.clone(),
+            hash: format!("{:x}", hash.finalize()),
+        }
+    }
 }
 
 impl Episode {
@@ -202,6 +233,7 @@ struct Header {
     version: u32,
     config: String,
     split: String,
+    map: Option<MapIdentity>,
     seed: u64,
     agents: Vec<HeaderAgent>,
 }
@@ -266,7 +298,7 @@ impl EpisodeSet {
     ///
     /// # Errors
     /// `missing-key` if the configuration names no file, `missing-file` if the file cannot be read, `invalid-episode`
-    /// if it is faulty or belongs to another split.
+    /// if it is faulty or belongs to another split or map.
     pub fn load(
         task: &SpfTask,
         split: Split,
@@ -302,7 +334,31 @@ impl EpisodeSet {
             );
             return Err(invalid(message).at(file.span, "named here"));
         }
+        set.check_map(task).map_err(|fault| fault.at(file.span, "named here"))?;
         Ok(set)
+    }
+
+    /// Checks that the episodes are for the map of a task. On another map their trips may exist by chance, and the
+    /// recorded results of the oracle do not hold.
+    fn check_map(&self, task: &SpfTask) -> Result<(), Diagnostic> {
+        let (world, split) = (task.world(), self.split.name());
+        let map = MapIdentity::of(world.map());
+        if self.map.hash == map.hash {
+            return Ok(());
+        }
+        let name = &map.name;
+        let message = match self.map.name == *name {
+            true => format!("the recorded episodes are for an earlier version of the map `{name}`"),
+            false => format!(
+                "the recorded episodes are for the map `{}`, and the configuration has the map `{name}`",
+                self.map.name
+            ),
+        };
+        let config = &world.scenario.name;
+        Err(invalid(message).help(format!(
+            "draw your own: write `task: {{episodes: {{{split}: {config}-{split}.jsonl}}}}` in the configuration and \
+             run `logicity episodes make {config}.yaml --split {split}`"
+        )))
     }
 
     /// Reads an episode file.
@@ -330,6 +386,10 @@ impl EpisodeSet {
         let header: Header = parse(first, source, start, what)?;
         let split = Split::ALL.into_iter().find(|split| split.name() == header.split);
         let split = split.ok_or_else(|| here(invalid(format!("`{}` is not a split", header.split))))?;
+        let map = header.map.ok_or_else(|| {
+            here(invalid("the header does not contain the `map` of the episodes"))
+                .help("draw the episodes again with `logicity episodes make`")
+        })?;
         let agent = |HeaderAgent { id, concepts, priority }| Ok((agent_name(&id)?, Character { concepts, priority }));
         let agents: Vec<(AgentName, Character)> = header
             .agents
@@ -349,6 +409,7 @@ impl EpisodeSet {
         Ok(EpisodeSet {
             config: header.config,
             split,
+            map,
             seed: header.seed,
             episodes,
         })
@@ -377,6 +438,7 @@ impl EpisodeSet {
             version: VERSION,
             config: self.config.clone(),
             split: self.split.name().to_owned(),
+            map: Some(self.map.clone()),
             seed: self.seed,
             agents: first.agents.iter().map(agent).collect(),
         };

@@ -28,7 +28,7 @@ mod vector;
 
 pub use codes::{CATALOG, CODES};
 pub use env::{ControlMode, ControlledCar, Env, Transition};
-pub use episode::{Episode, EpisodeAgent, EpisodeSet, OracleRun};
+pub use episode::{Episode, EpisodeAgent, EpisodeSet, MapIdentity, OracleRun};
 pub use evaluate::{Baseline, BatchEvaluator, RANDOM_RUNS};
 pub use explain::{describe, explain};
 pub use metrics::{ActionRate, Rate, Score, Summary, summarize};

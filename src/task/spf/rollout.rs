@@ -3,7 +3,7 @@
 use crate::city::{Action, Split};
 use crate::diag::{Code, Diagnostic};
 use crate::rng::{Purpose, RngExt, Seed};
-use crate::task::spf::{ControlMode, Env, Episode, EpisodeSet, OracleRun, SpfTask};
+use crate::task::spf::{ControlMode, Env, Episode, EpisodeSet, MapIdentity, OracleRun, SpfTask};
 use std::sync::Arc;
 
 impl Purpose {
@@ -199,6 +199,7 @@ pub fn make_episodes(
     Ok(EpisodeSet {
         config: task.world().scenario.name.clone(),
         split,
+        map: MapIdentity::of(task.world().map()),
         seed,
         episodes,
     })
