@@ -15,14 +15,16 @@ pub enum Kind {
 }
 
 impl Kind {
-    /// Returns the kind of a file by its name and the begin of its text; `None` if unknown.
+    /// Returns the kind of a file by the begin of its text and by its name; `None` if unknown or empty.
     pub fn of(path: &Path, begin: &str) -> Option<Kind> {
         let begin = begin.trim_start();
-        match path.extension().and_then(OsStr::to_str) {
-            Some("dl") => Some(Kind::Rules),
-            Some("yaml" | "yml") => Some(Kind::Configuration),
+        let ending = path.extension().and_then(OsStr::to_str);
+        match ending {
+            _ if begin.is_empty() => None,
             _ if begin.starts_with("{\"trace\":") => Some(Kind::Trace),
+            Some("yaml" | "yml") => Some(Kind::Configuration),
             _ if begin.starts_with('{') => Some(Kind::Scenes),
+            Some("dl") => Some(Kind::Rules),
             _ => None,
         }
     }

@@ -43,8 +43,14 @@ impl SceneLines {
     pub fn open(path: &Path) -> Result<SceneLines, Failure> {
         let mut lines = open_input(path)?;
         let unreadable = |error| Failure::file("read", path, error);
-        let begin = String::from_utf8_lossy(lines.fill_buf().map_err(unreadable)?).into_owned();
-        match Kind::Scenes.mismatch(path, &begin) {
+        let begin = lines.fill_buf().map_err(unreadable)?;
+        // The buffer may end within a character. Reading the lines reports what is not text.
+        let begin = match std::str::from_utf8(begin) {
+            Ok(text) => text,
+            Err(error) if error.error_len().is_some() => "",
+            Err(error) => std::str::from_utf8(&begin[..error.valid_up_to()]).unwrap_or_default(),
+        };
+        match Kind::Scenes.mismatch(path, begin) {
             Some(fault) => Err(fault.into()),
             None => Ok(SceneLines::new(lines, path)),
         }

@@ -2448,6 +2448,14 @@ fn files_of_another_kind_are_named() {
         assert_eq!(said.matches("error").count(), 1, "{arguments:?}: {said}");
     }
     assert!(!Path::new(page).exists());
+    // The text counts more than the name.
+    let scene = write(folder.path(), "scene.dl", r#"{"map": "square-5x5", "agents": []}"#);
+    fails(&run(&["query", &scene], b""), 1, &["is a JSON file, not a rule file"]);
+    succeeds(&run(&["infer", &scene], b""));
+    let empty = write(folder.path(), "empty.dl", "\n");
+    succeeds(&run(&["infer", &empty], b""));
+    let latin = write(folder.path(), "latin1.dl", b"P(\xe9).\n");
+    fails(&run(&["infer", &latin], b""), 1, &["not-text"]);
 }
 
 /// The table of `check --coverage` has columns as wide as the names need.

@@ -261,7 +261,7 @@ const INFER: &[Case] = &[
     ("infer picture.png", 1, "not-text"),
     ("infer latin1.dl", 1, "not-text"),
     ("infer utf16.dl", 1, "invalid-scene"),
-    ("infer nul.dl", 1, "invalid-scene"),
+    ("infer nul.dl", 1, "not a file of scenes"),
     ("infer deep.json", 1, "invalid-scene"),
     ("infer huge-line.json", 1, "limit-exceeded"),
     ("printf '{}' | @ infer", 1, "entities"),
