@@ -2396,7 +2396,11 @@ fn commands_of_the_python_package_refer_to_it() {
         &["describe"],
         &["vap", "coco", "a", "b"],
     ] {
-        fails(&run(arguments, b""), 2, &["requires the Python package", "pip install"]);
+        let package = match arguments[0] {
+            "train" => "`pip install './python[train]'`",
+            _ => "`pip install './python'`",
+        };
+        fails(&run(arguments, b""), 2, &["requires the Python package", package]);
     }
     let output = run(&["--help"], b"");
     assert!(!out(&output).contains("train"), "{}", out(&output));
