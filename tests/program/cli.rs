@@ -1067,8 +1067,8 @@ fn a_missing_file_is_reported_in_one_wording_with_a_similar_name() {
         (vec!["check", "expert.dl"], "expert.dl", "rules/expert.dl"),
         (vec!["check", "rules/exprt.dl"], "rules/exprt.dl", "rules/expert.dl"),
         (
-            vec!["run", "expert", "--rules", "expert", "--no-trace"],
-            "expert",
+            vec!["run", "expert", "--rules", "rules/exprt.dl", "--no-trace"],
+            "rules/exprt.dl",
             "rules/expert.dl",
         ),
         (vec!["run", "exprt", "--no-trace"], "exprt", "expert"),
