@@ -249,7 +249,9 @@ class EasyModel:
 
     observation_space = gymnasium.spaces.Box(0, 1, (85,))
 
-    def predict(self, observation: Any, state: Any, episode_start: Any, deterministic: bool) -> tuple[Any, Any]:
+    def predict(
+        self, observation: Any, state: Any = None, episode_start: Any = None, deterministic: bool = False
+    ) -> tuple[Any, Any]:
         assert observation.shape[1:] == (85,)
         return np.ones(len(observation), np.int64), state
 

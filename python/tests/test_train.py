@@ -102,6 +102,15 @@ def test_built_in_configurations_need_no_repository(tmp_path: Path, monkeypatch:
         TrainConfig.load("configs/baselines/none.yaml")
 
 
+def test_faults_of_the_command_are_printed_once(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    config = tmp_path / "b1.yaml"
+    config.write_text("algorithm: dqn\nmode: easy\nnetwork: 8\nsettings: {}\n")
+    assert main(["train", str(config)]) == 1
+    assert capsys.readouterr().err.startswith("error[invalid-value]: ")
+    assert main(["train", "dqn-easy", "--run", str(config)]) == 2
+    assert capsys.readouterr().err.startswith(f"error: --run: `{config}` is a file, not a folder\nhelp: name a folder")
+
+
 def test_messages_do_not_quote_pydantic(tmp_path: Path) -> None:
     keys = {"algorithm", "mode", "observation", "network", "settings", "overrides", "steps", "envs", "seed"}
     assert keys < set(TrainConfig.model_fields)

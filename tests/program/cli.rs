@@ -1067,8 +1067,8 @@ fn a_missing_file_is_reported_in_one_wording_with_a_similar_name() {
         (vec!["check", "expert.dl"], "expert.dl", "rules/expert.dl"),
         (vec!["check", "rules/exprt.dl"], "rules/exprt.dl", "rules/expert.dl"),
         (
-            vec!["run", "expert", "--rules", "expert", "--no-trace"],
-            "expert",
+            vec!["run", "expert", "--rules", "rules/exprt.dl", "--no-trace"],
+            "rules/exprt.dl",
             "rules/expert.dl",
         ),
         (vec!["run", "exprt", "--no-trace"], "exprt", "expert"),
@@ -2396,7 +2396,11 @@ fn commands_of_the_python_package_refer_to_it() {
         &["describe"],
         &["vap", "coco", "a", "b"],
     ] {
-        fails(&run(arguments, b""), 2, &["requires the Python package", "pip install"]);
+        let package = match arguments[0] {
+            "train" => "`pip install './python[train]'`",
+            _ => "`pip install './python'`",
+        };
+        fails(&run(arguments, b""), 2, &["requires the Python package", package]);
     }
     let output = run(&["--help"], b"");
     assert!(!out(&output).contains("train"), "{}", out(&output));

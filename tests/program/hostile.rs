@@ -121,7 +121,7 @@ const DIFF: &[Case] = &[
     ("diff good.dl folder", 2, "folder"),
     ("diff good.dl nul.dl", 1, "nul.dl"),
     ("diff good.dl latin1.dl", 1, "not-text"),
-    ("diff expert hard", 2, "expert"),
+    ("diff expert hrad", 2, "hrad"),
     ("diff good.dl good.dl --entities -1", 2, "-1"),
     (
         "diff good.dl good.dl --entities 99999999999999999999",
