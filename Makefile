@@ -7,7 +7,7 @@ SOLVERS := .venv-solvers
 FUZZ_TARGETS := parse check query evaluate config scene rows popper labeled_scenes
 FUZZ_SECONDS := 600
 
-.PHONY: test quick lint features rust doc wheel installed python python-all page docs playground vscode solvers fuzz $(FUZZ_TARGETS:%=fuzz-%)
+.PHONY: test quick lint features rust doc wheel installed python python-all page docs playground vscode solvers peers fuzz $(FUZZ_TARGETS:%=fuzz-%)
 
 test: lint features rust doc python page docs
 
@@ -188,6 +188,12 @@ release-check:
 	! grep -rn "github.com/OWNER/" Cargo.toml CITATION.cff .github python
 	grep -qx 'version = "$(VERSION)"' Cargo.toml
 	grep -qE '^## $(subst .,\.,$(VERSION)) - [0-9]{4}-[0-9]{2}-[0-9]{2}$$' CHANGELOG.md
+
+# Not part of `make test`. Compares the engine with ascent and differential-dataflow. PEERS_OPTIONS are options of the
+# program.
+PEERS_OPTIONS ?= --repeats 3
+peers:
+	cargo run --release --locked --manifest-path benches/peers/Cargo.toml -- $(PEERS_OPTIONS)
 
 # Not part of `make test`. Compares logicity with z3 and clingo. SOLVERS_OPTIONS are options of benches/solvers/compare.py.
 solvers: $(SOLVERS)/installed
