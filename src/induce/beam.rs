@@ -18,8 +18,8 @@ const WIDTH: usize = 24;
 /// The most literals of a clause.
 const LITERALS_MAX: usize = 10;
 
-/// What examples and literals cost, and which examples count.
-pub struct Stratum<'a> {
+/// The description lengths of examples and literals.
+pub struct Scoring<'a> {
     /// The weights of the positive states.
     pub positive: &'a Weights,
     /// The weights of the negative states.
@@ -30,7 +30,7 @@ pub struct Stratum<'a> {
     pub rate: f64,
 }
 
-impl Stratum<'_> {
+impl Scoring<'_> {
     /// Returns how much shorter the description becomes by a clause that holds in some positive and negative states.
     /// `open` are the states that no other clause covers. The negative states beyond those that noise explains count
     /// [`DOUBT`] times.
@@ -77,8 +77,8 @@ impl Candidate {
     }
 
     /// Returns how much shorter the description becomes if the clause joins others that leave these states.
-    pub fn score(&self, stratum: &Stratum<'_>, open: &[Vec<u64>; 2]) -> i64 {
-        stratum.score(&self.states, open, self.cost)
+    pub fn score(&self, scoring: &Scoring<'_>, open: &[Vec<u64>; 2]) -> i64 {
+        scoring.score(&self.states, open, self.cost)
     }
 }
 
@@ -103,7 +103,7 @@ struct Extension {
 pub fn beam(
     problem: &Problem<'_>,
     seed: &Bits,
-    stratum: &Stratum<'_>,
+    scoring: &Scoring<'_>,
     open: &[Vec<u64>; 2],
     cancel: &Cancel,
 ) -> Option<(i64, Candidate)> {
@@ -114,7 +114,7 @@ pub fn beam(
         negative_rows: u64::MAX,
     };
     let prior = {
-        let all = [stratum.positive.sum(&open[0]), stratum.negative.sum(&open[1])].map(|sum| sum as f64);
+        let all = [scoring.positive.sum(&open[0]), scoring.negative.sum(&open[1])].map(|sum| sum as f64);
         all[0] / (all[0] + all[1])
     };
     let (mut best, mut best_score) = (None, 0);
@@ -124,8 +124,8 @@ pub fn beam(
         let mut extensions: Vec<Extension> = Vec::new();
         let mut seen: BTreeSet<Bits> = BTreeSet::new();
         for (parent, node) in nodes.iter().enumerate() {
-            for literal in (0..problem.atoms.len()).filter(|&literal| !bits::has(&node.chosen, literal)) {
-                let is_true = bits::has(seed, literal);
+            for literal in (0..problem.atoms.len()).filter(|&literal| !bits::contains(&node.chosen, literal)) {
+                let is_true = bits::contains(seed, literal);
                 if !is_true && !problem.negation {
                     continue;
                 }
@@ -137,16 +137,16 @@ pub fn beam(
                 }
                 let cost = problem.cost(&chosen, seed) + LITERAL_COST;
                 problem.states_with(problem.positive, &node.positive, atom, is_true, &mut states[0]);
-                let gain = stratum.positive.sum_common(&states[0], &open[0]);
-                if stratum.exception * gain - SCALE * i64::from(cost) <= best_score {
+                let gain = scoring.positive.sum_common(&states[0], &open[0]);
+                if scoring.exception * gain - SCALE * i64::from(cost) <= best_score {
                     continue;
                 }
                 let rows = problem.states_with(problem.negative, &node.negative, atom, is_true, &mut states[1]);
                 if rows == node.negative_rows {
                     continue;
                 }
-                let loss = stratum.negative.sum_common(&states[1], &open[1]);
-                let score = stratum.score(&states, open, cost);
+                let loss = scoring.negative.sum_common(&states[1], &open[1]);
+                let score = scoring.score(&states, open, cost);
                 if score > best_score && problem.binds_all(&chosen, seed) {
                     (best, best_score) = (Some(chosen.clone()), score);
                 }
@@ -169,7 +169,7 @@ pub fn beam(
         nodes = (extensions.into_iter())
             .map(|extension| {
                 let (parent, atom) = (&nodes[extension.parent], &problem.atoms[extension.literal]);
-                let is_true = bits::has(seed, extension.literal);
+                let is_true = bits::contains(seed, extension.literal);
                 let negative = problem.restrict(problem.negative, &parent.negative, atom, is_true);
                 Node {
                     positive: Rc::new(problem.restrict(problem.positive, &parent.positive, atom, is_true)),
@@ -185,7 +185,7 @@ pub fn beam(
     }
     let literals = bits::elements(&best?)
         .map(|literal| Literal {
-            is_negated: !bits::has(seed, literal),
+            is_negated: !bits::contains(seed, literal),
             atom: problem.atoms[literal].clone(),
         })
         .collect();

@@ -12,7 +12,7 @@ pub fn empty(bound: usize) -> Bits {
 
 /// Returns whether a number is in the set.
 #[inline]
-pub fn has(set: &[u64], number: usize) -> bool {
+pub fn contains(set: &[u64], number: usize) -> bool {
     set[number / 64] >> (number % 64) & 1 == 1
 }
 
@@ -30,7 +30,7 @@ pub fn remove(set: &mut [u64], number: usize) {
 
 /// Returns whether two sets have a common number.
 #[inline]
-pub fn meet(one: &[u64], other: &[u64]) -> bool {
+pub fn intersects(one: &[u64], other: &[u64]) -> bool {
     one.iter().zip(other).any(|(one, other)| one & other != 0)
 }
 
@@ -42,7 +42,7 @@ pub fn count(set: &[u64]) -> u32 {
 
 /// Returns how many numbers are in both sets.
 #[inline]
-pub fn common(one: &[u64], other: &[u64]) -> u32 {
+pub fn intersection_len(one: &[u64], other: &[u64]) -> u32 {
     one.iter()
         .zip(other)
         .map(|(one, other)| (one & other).count_ones())

@@ -25,7 +25,7 @@ pub fn cheapest_cover(columns: &[(Vec<u64>, u32)], cancel: &Cancel) -> Cover {
     // Only the sets of columns that cover an element matter, and only the minimal ones.
     let mut distinct: BTreeSet<(usize, Vec<usize>)> = BTreeSet::new();
     for element in 0..words * 64 {
-        let covers = |column: &usize| bits::has(&columns[*column].0, element);
+        let covers = |column: &usize| bits::contains(&columns[*column].0, element);
         let covering: Vec<usize> = (0..columns.len()).filter(covers).collect();
         distinct.insert((covering.len(), covering));
     }

@@ -68,7 +68,7 @@ impl State {
     /// Returns whether a fact holds. A fact about an entity that the state lacks does not.
     pub fn holds(&self, vocabulary: &Vocabulary, predicate: usize, arguments: &[usize]) -> bool {
         arguments.iter().all(|&entity| entity < self.entities())
-            && bits::has(&self.facts, vocabulary.fact(self.entities(), predicate, arguments))
+            && bits::contains(&self.facts, vocabulary.fact(self.entities(), predicate, arguments))
     }
 
     /// Returns the numbers of the facts that hold, as [`Vocabulary::fact`] counts them, in ascending order.
@@ -111,7 +111,7 @@ impl State {
                     .iter()
                     .fold(0, |index, &argument| index * entities + order[argument]);
                 let first = vocabulary.fact(entities, index, &[0; 3][..predicate.arity]);
-                if bits::has(&self.facts, first + before) {
+                if bits::contains(&self.facts, first + before) {
                     sorted.insert(vocabulary, index, &arguments);
                 }
             }

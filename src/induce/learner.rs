@@ -6,7 +6,7 @@ use crate::induce::bits;
 use crate::induce::cover::cheapest_cover;
 use crate::induce::examples::{Examples, State, majority};
 use crate::induce::noise;
-use crate::induce::problem::{Problem, Split};
+use crate::induce::problem::{LabeledColumns, Problem};
 use crate::induce::rules::{ActionRules, Learned, LearnedClause, Noise, Progress, Settings};
 use crate::induce::search::{Found, Search};
 use crate::induce::vocabulary::{Body, LITERAL_COST, VARIABLES_MAX, Vocabulary};
@@ -49,7 +49,10 @@ pub fn learn_with(
 ) -> Learned {
     let range = examples.vocabulary().egos()..=VARIABLES_MAX;
     assert!(range.contains(&settings.variables), "variables not in {range:?}");
-    assert!(settings.tries > 0 && settings.working_states > 0, "no tries or states");
+    assert!(
+        settings.seeds_per_round > 0 && settings.working_states > 0,
+        "no tries or states"
+    );
     let threads = settings.threads.map_or(0, NonZeroUsize::get);
     let Ok(pool) = rayon::ThreadPoolBuilder::new().num_threads(threads).build() else {
         // If no threads can be created, the learner uses those of the caller.
@@ -165,7 +168,7 @@ fn learn_action(
     settings: &Settings,
     (progress, cancel): (&(dyn Fn(Progress) + Sync), &Cancel),
 ) -> ActionRules {
-    let split = Split::new(vocabulary, positive, negative);
+    let columns = LabeledColumns::new(vocabulary, positive, negative);
     let fewest = (vocabulary.egos() + 1).min(settings.variables);
     let mut problems: Vec<Problem<'_>> = Vec::new();
     let mut variables_max = settings.variables;
@@ -184,16 +187,16 @@ fn learn_action(
             covered: positive.len() - left.len(),
             clauses: pool.len(),
         });
-        let tries: Vec<usize> = (0..settings.tries)
+        let tries: Vec<usize> = (0..settings.seeds_per_round)
             .map(|_| left[random.random_range(0..left.len())])
             .collect();
         let uncovered: Vec<&State> = left.iter().map(|&state| positive[state]).collect();
-        let uncovered = split.columns(vocabulary, &uncovered);
+        let uncovered = columns.columns(vocabulary, &uncovered);
         let mut best: Option<Found> = None;
         for variables in fewest..=variables_max {
             if problems.len() <= variables - fewest {
                 // There are too many assignments for more variables.
-                let Some(problem) = split.problem(vocabulary, variables, settings.negation) else {
+                let Some(problem) = columns.problem(vocabulary, variables, settings.negation) else {
                     variables_max = variables - 1;
                     break;
                 };
@@ -214,7 +217,7 @@ fn learn_action(
             }
             if best
                 .as_ref()
-                .is_some_and(|best| bits::common(&best.covered, &open) >= settings.enough)
+                .is_some_and(|best| bits::intersection_len(&best.covered, &open) >= settings.coverage_min)
             {
                 break;
             }

@@ -1,10 +1,10 @@
 //! Learns rules from examples some of which have a wrong action.
 
 use crate::cancel::Cancel;
-use crate::induce::beam::{Candidate, SCALE, Stratum, beam};
+use crate::induce::beam::{Candidate, SCALE, Scoring, beam};
 use crate::induce::bits;
 use crate::induce::examples::{Examples, State, Tally};
-use crate::induce::problem::{Problem, Split};
+use crate::induce::problem::{LabeledColumns, Problem};
 use crate::induce::rules::{ActionRules, Learned, LearnedClause, Noise, Progress, Settings, clauses_hold};
 use crate::induce::vocabulary::{Body, LITERAL_COST, Literal, Vocabulary};
 use crate::induce::weights::Weights;
@@ -162,15 +162,15 @@ fn learn_tolerant(
                 .unzip()
         };
         let ((positive, gains), (negative, losses)) = (of(1), of(-1));
-        let split = Split::new(vocabulary, &positive, &negative);
-        let level = Level {
+        let columns = LabeledColumns::new(vocabulary, &positive, &negative);
+        let search = TolerantSearch {
             vocabulary,
             action,
             settings,
             problems: (vocabulary.egos()..=settings.variables)
-                .map_while(|variables| split.problem(vocabulary, variables, settings.negation))
+                .map_while(|variables| columns.problem(vocabulary, variables, settings.negation))
                 .collect(),
-            stratum: Stratum {
+            scoring: Scoring {
                 positive: &Weights::new(&gains),
                 negative: &Weights::new(&losses),
                 exception: exception(rate, actions),
@@ -178,14 +178,14 @@ fn learn_tolerant(
             },
             states: [positive.len(), negative.len()],
         };
-        let clauses = level.learn(progress, cancel);
+        let clauses = search.learn(progress, cancel);
         let bodies: Vec<&Body> = clauses.iter().map(|clause| &clause.body).collect();
         for (range, holds) in clauses_hold(vocabulary, &bodies, &states) {
             for holds in holds {
                 bits::elements(&holds).for_each(|state| decided[range.start + state] = true);
             }
         }
-        let open = level.open(&clauses, None);
+        let open = search.open(&clauses, None);
         learned.push(ActionRules {
             uncovered: bits::count(&open[0]) as usize,
             clauses: clauses
@@ -196,7 +196,7 @@ fn learn_tolerant(
                 })
                 .collect(),
             is_cheapest: false,
-            variables_limit: Some(level.variables()).filter(|limit| *limit < settings.variables),
+            variables_limit: Some(search.variables()).filter(|limit| *limit < settings.variables),
         });
     }
     Learned {
@@ -208,18 +208,18 @@ fn learn_tolerant(
 }
 
 /// The search for the clauses of one action.
-struct Level<'a> {
+struct TolerantSearch<'a> {
     vocabulary: &'a Vocabulary,
     action: usize,
     settings: &'a Settings,
     /// The problems by number of variables, from that of the head on.
     problems: Vec<Problem<'a>>,
-    stratum: Stratum<'a>,
+    scoring: Scoring<'a>,
     /// The numbers of positive and negative states.
     states: [usize; 2],
 }
 
-impl Level<'_> {
+impl TolerantSearch<'_> {
     /// Returns the most variables of a clause for which there is a problem.
     fn variables(&self) -> usize {
         self.vocabulary.egos() + self.problems.len() - 1
@@ -292,7 +292,7 @@ impl Level<'_> {
         loop {
             let scores = (0..clauses.len()).map(|index| {
                 (
-                    clauses[index].score(&self.stratum, &self.open(clauses, Some(index))),
+                    clauses[index].score(&self.scoring, &self.open(clauses, Some(index))),
                     index,
                 )
             });
@@ -308,7 +308,7 @@ impl Level<'_> {
         let mut open = self.open(&[], None);
         let mut total = 0;
         for clause in clauses {
-            total += clause.score(&self.stratum, &open);
+            total += clause.score(&self.scoring, &open);
             subtract(&mut open[0], &clause.states[0]);
             subtract(&mut open[1], &clause.states[1]);
         }
@@ -339,7 +339,7 @@ impl Level<'_> {
                 covered: self.states[0] - left.len(),
                 clauses: clauses.len(),
             });
-            let tries: Vec<usize> = (0..self.settings.tries)
+            let tries: Vec<usize> = (0..self.settings.seeds_per_round)
                 .map(|_| left[random.random_range(0..left.len())])
                 .collect();
             let mut best: Option<(i64, Candidate)> = None;
@@ -350,7 +350,7 @@ impl Level<'_> {
                 seeds.dedup();
                 let found: Vec<_> = seeds
                     .par_iter()
-                    .filter_map(|seed| beam(problem, seed, &self.stratum, &open, cancel))
+                    .filter_map(|seed| beam(problem, seed, &self.scoring, &open, cancel))
                     .collect();
                 for found in found {
                     pool.insert(found.1.body.clone(), found.1.clone());
@@ -358,9 +358,9 @@ impl Level<'_> {
                         best = Some(found);
                     }
                 }
-                let enough = self.settings.enough.into();
+                let enough = self.settings.coverage_min.into();
                 if (best.as_ref())
-                    .is_some_and(|(_, best)| self.stratum.positive.sum_common(&best.states[0], &open[0]) >= enough)
+                    .is_some_and(|(_, best)| self.scoring.positive.sum_common(&best.states[0], &open[0]) >= enough)
                 {
                     break;
                 }
@@ -382,7 +382,7 @@ impl Level<'_> {
         let mut index = 0;
         while index < clauses.len() && !cancel.requested() {
             let open = self.open(clauses, Some(index));
-            let score = clauses[index].score(&self.stratum, &open);
+            let score = clauses[index].score(&self.scoring, &open);
             match self.best_neighbor(&clauses[index], score.max(0), &open) {
                 Some(better) => clauses[index] = better,
                 None if score <= 0 => drop(clauses.remove(index)),
@@ -412,7 +412,7 @@ impl Level<'_> {
                 let mut consider = |literals: Vec<Literal>, states: &[Vec<u64>; 2]| {
                     let body = Body(literals);
                     let own = self
-                        .stratum
+                        .scoring
                         .score(states, open, body.cost(self.vocabulary) + LITERAL_COST);
                     if own > score && body.is_safe(self.vocabulary) && best.as_ref().is_none_or(|best| own > best.0) {
                         best = Some((own, body.0));

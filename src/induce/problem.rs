@@ -106,18 +106,18 @@ const ASSIGNMENTS_MAX: usize = 1 << 18;
 const WORDS_MAX: usize = 1 << 25;
 
 /// The columns of the positive and the negative states of an action.
-pub struct Split {
+pub struct LabeledColumns {
     positive: Columns,
     negative: Columns,
     entities: usize,
 }
 
-impl Split {
+impl LabeledColumns {
     /// Transposes states.
-    pub fn new(vocabulary: &Vocabulary, positive: &[&State], negative: &[&State]) -> Split {
+    pub fn new(vocabulary: &Vocabulary, positive: &[&State], negative: &[&State]) -> LabeledColumns {
         let entities = positive.iter().chain(negative).map(|state| state.entities()).max();
         let entities = entities.unwrap_or(vocabulary.egos());
-        Split {
+        LabeledColumns {
             positive: Columns::new(vocabulary, positive, entities),
             negative: Columns::new(vocabulary, negative, entities),
             entities,
@@ -163,7 +163,7 @@ pub struct Open<'a> {
 }
 
 impl Problem<'_> {
-    /// Returns the states that a search counts. [`Split::columns`] makes the columns.
+    /// Returns the states that a search counts. [`LabeledColumns::columns`] makes the columns.
     pub fn open<'b>(&self, columns: &'b Columns) -> Open<'b> {
         Open {
             columns,
@@ -307,7 +307,7 @@ impl Problem<'_> {
 
     /// Returns the cost of a conjunction. `seed` has those of its atoms that are not negated.
     pub fn cost(&self, chosen: &[u64], seed: &[u64]) -> u32 {
-        let literals = bits::elements(chosen).map(|literal| (&self.atoms[literal], !bits::has(seed, literal)));
+        let literals = bits::elements(chosen).map(|literal| (&self.atoms[literal], !bits::contains(seed, literal)));
         cost(literals, self.vocabulary.egos())
     }
 
@@ -324,7 +324,7 @@ impl Problem<'_> {
             return None;
         }
         let (atoms, vocabulary) = (&self.atoms, self.vocabulary);
-        let positive = bits::elements(chosen).filter(|&literal| bits::has(seed, literal));
+        let positive = bits::elements(chosen).filter(|&literal| bits::contains(seed, literal));
         let positive: Vec<&Atom> = positive.map(|literal| &atoms[literal]).collect();
         let set = |atom: &Atom| atom.arguments.iter().fold(0_u64, |set, variable| set | 1 << variable);
         let heads = (1_u64 << vocabulary.egos()) - 1;
@@ -345,7 +345,7 @@ impl Problem<'_> {
         };
         let mut binders = bits::empty(atoms.len());
         for literal in bits::elements(seed) {
-            if !bits::has(banned, literal) && serves(&atoms[literal]) {
+            if !bits::contains(banned, literal) && serves(&atoms[literal]) {
                 bits::insert(&mut binders, literal);
             }
         }
@@ -354,7 +354,7 @@ impl Problem<'_> {
 
     /// Returns the rows in which a conjunction holds. `seed` has those of its atoms that are not negated.
     pub fn holds(&self, columns: &Columns, chosen: &[u64], seed: &[u64]) -> Rows {
-        let literals = bits::elements(chosen).map(|literal| (&self.atoms[literal], bits::has(seed, literal)));
+        let literals = bits::elements(chosen).map(|literal| (&self.atoms[literal], bits::contains(seed, literal)));
         self.conjunction(columns, literals)
     }
 
@@ -407,7 +407,7 @@ impl Problem<'_> {
     fn row(&self, columns: &Columns, state: usize, assignment: u32) -> Bits {
         let mut row = bits::empty(self.atoms.len());
         for (index, atom) in self.atoms.iter().enumerate() {
-            if bits::has(&columns.facts[self.fact(atom, assignment) * columns.words..], state) {
+            if bits::contains(&columns.facts[self.fact(atom, assignment) * columns.words..], state) {
                 bits::insert(&mut row, index);
             }
         }
@@ -419,7 +419,7 @@ impl Problem<'_> {
     pub fn seeds(&self, state: usize) -> Vec<Bits> {
         let egos = self.vocabulary.egos();
         let exists = |entity: &u8| {
-            bits::has(
+            bits::contains(
                 &self.positive.present[usize::from(*entity) * self.positive.words..],
                 state,
             )

@@ -2,7 +2,7 @@
 
 use crate::induce::bits;
 use crate::induce::examples::State;
-use crate::induce::problem::Split;
+use crate::induce::problem::LabeledColumns;
 use crate::induce::vocabulary::{Body, Vocabulary};
 use std::num::NonZeroUsize;
 use std::ops::Range;
@@ -17,9 +17,9 @@ pub struct Settings {
     /// Number of threads, `None` for one per core. The rules do not depend on it.
     pub threads: Option<NonZeroUsize>,
     /// Uncovered examples that are tried before a clause is chosen, at least 1.
-    pub tries: usize,
+    pub seeds_per_round: usize,
     /// A further variable is tried if the best clause newly covers fewer examples than this.
-    pub enough: u32,
+    pub coverage_min: u32,
     /// Nodes of one search.
     pub nodes: u32,
     /// The number of distinct states from which clauses are learned at first, at least 1. All other states confirm or
@@ -48,8 +48,8 @@ impl Default for Settings {
             variables: 3,
             seed: 0,
             threads: None,
-            tries: 3,
-            enough: 16,
+            seeds_per_round: 3,
+            coverage_min: 16,
             nodes: 20_000,
             working_states: 20_000,
             negation: true,
@@ -138,9 +138,9 @@ pub(crate) fn clauses_hold<'a>(
     (0..states.len()).step_by(CHUNK).map(move |begin| {
         let range = begin..states.len().min(begin + CHUNK);
         let chunk = &states[range.clone()];
-        let split = Split::new(vocabulary, chunk, &[]);
+        let columns = LabeledColumns::new(vocabulary, chunk, &[]);
         let holds = bodies.iter().map(|body| {
-            match split.problem(vocabulary, body.variables(vocabulary), true) {
+            match columns.problem(vocabulary, body.variables(vocabulary), true) {
                 Some(problem) => problem
                     .satisfying(problem.positive, body)
                     .states(problem.positive.words),

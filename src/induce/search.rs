@@ -182,7 +182,7 @@ impl<'a> Search<'a> {
     /// Finds the exclusions since the last comparison that no chosen literal meets.
     fn compare(&self, node: &mut Node) {
         for (at, exclusion) in self.exclusions.iter().enumerate().skip(node.compared) {
-            if !bits::meet(exclusion, &node.chosen) {
+            if !bits::intersects(exclusion, &node.chosen) {
                 node.open.push(at as u32);
             }
         }
@@ -194,7 +194,7 @@ impl<'a> Search<'a> {
         let mut banned = node.banned;
         for literal in bits::elements(choices) {
             let open: Vec<u32> = (node.open.iter().copied())
-                .filter(|&at| !bits::has(&self.exclusions[at as usize], literal))
+                .filter(|&at| !bits::contains(&self.exclusions[at as usize], literal))
                 .collect();
             let Some(further) = self.fewest(&open, &banned) else {
                 // Without the banned literals, a row cannot be excluded.
@@ -202,7 +202,7 @@ impl<'a> Search<'a> {
                 continue;
             };
             *number += 1;
-            let is_true = bits::has(self.seed, literal);
+            let is_true = bits::contains(self.seed, literal);
             let mut chosen = node.chosen.clone();
             bits::insert(&mut chosen, literal);
             let cost = self.problem.cost(&chosen, self.seed);
@@ -260,7 +260,8 @@ impl<'a> Search<'a> {
                 }
                 let best = (0..gains.len()).max_by_key(|&literal| (gains[literal], Reverse(literal)))?;
                 bits::insert(&mut node.chosen, best);
-                node.open.retain(|&at| !bits::has(&self.exclusions[at as usize], best));
+                node.open
+                    .retain(|&at| !bits::contains(&self.exclusions[at as usize], best));
             }
             let refuting = self.problem.holds(self.problem.negative, &node.chosen, self.seed);
             if !refuting.is_empty() {
@@ -281,11 +282,14 @@ impl<'a> Search<'a> {
     fn finish(&self, node: &Node, is_best: bool) -> Found {
         let mut chosen = node.chosen.clone();
         let mut order: Vec<usize> = bits::elements(&chosen).collect();
-        order.sort_by_key(|&literal| (bits::has(self.seed, literal), literal));
+        order.sort_by_key(|&literal| (bits::contains(self.seed, literal), literal));
         for literal in order {
             let mut less = chosen.clone();
             bits::remove(&mut less, literal);
-            let is_false = self.exclusions.iter().all(|exclusion| bits::meet(exclusion, &less));
+            let is_false = self
+                .exclusions
+                .iter()
+                .all(|exclusion| bits::intersects(exclusion, &less));
             if is_false
                 && self.problem.binds_all(&less, self.seed)
                 && self.problem.holds(self.problem.negative, &less, self.seed).is_empty()
@@ -296,7 +300,7 @@ impl<'a> Search<'a> {
         let rows = self.problem.holds(self.problem.positive, &chosen, self.seed);
         let counted = self.problem.holds(self.open.columns, &chosen, self.seed);
         let literals = bits::elements(&chosen).map(|literal| Literal {
-            is_negated: !bits::has(self.seed, literal),
+            is_negated: !bits::contains(self.seed, literal),
             atom: self.problem.atoms[literal].clone(),
         });
         let body = Body::normalized(literals.collect(), self.problem.vocabulary);

@@ -3,7 +3,7 @@ use crate::induce::bits::{self, Bits};
 
 use crate::induce::cover::cheapest_cover;
 use crate::induce::learner::learn_here;
-use crate::induce::problem::Split;
+use crate::induce::problem::LabeledColumns;
 use crate::induce::rules::clauses_hold;
 use crate::induce::search::{EXAMPLE, Search};
 use crate::induce::vocabulary::{ARITY_MAX, tuples};
@@ -186,7 +186,7 @@ fn by_columns(vocabulary: &Vocabulary, bodies: &[&Body], states: &[&State]) -> V
     let mut all = vec![Vec::new(); bodies.len()];
     for (range, chunk) in clauses_hold(vocabulary, bodies, states) {
         for (all, set) in all.iter_mut().zip(&chunk) {
-            all.extend((0..range.len()).map(|state| bits::has(set, state)));
+            all.extend((0..range.len()).map(|state| bits::contains(set, state)));
         }
     }
     all
@@ -229,8 +229,8 @@ proptest! {
         let states = states(&vocabulary, 24, seed);
         let (positive, negative) = states.split_at(10);
         let (positive, negative): (Vec<&State>, Vec<&State>) = (positive.iter().collect(), negative.iter().collect());
-        let split = Split::new(&vocabulary, &positive, &negative);
-        let problem = split.problem(&vocabulary, variables, true).unwrap();
+        let columns = LabeledColumns::new(&vocabulary, &positive, &negative);
+        let problem = columns.problem(&vocabulary, variables, true).unwrap();
         let mut open: Bits = bits::empty(positive.len());
         (0..positive.len()).filter(|index| index % 3 != 1).for_each(|index| bits::insert(&mut open, index));
         for example in problem.seeds(0) {
@@ -241,12 +241,12 @@ proptest! {
                 if excludes && problem.binds_all(&chosen, &example) {
                     let covered = problem.holds(problem.positive, &chosen, &example).states(problem.positive.words);
                     let cost = problem.cost(&chosen, &example);
-                    best = best.max(Some(i64::from(bits::common(&covered, &open)) * EXAMPLE - i64::from(cost)));
+                    best = best.max(Some(i64::from(bits::intersection_len(&covered, &open)) * EXAMPLE - i64::from(cost)));
                 }
             }
             let counted: Vec<&State> = bits::elements(&open).map(|state| positive[state]).collect();
-            let columns = split.columns(&vocabulary, &counted);
-            let found = Search::new(&problem, &example, &problem.open(&columns)).best(u32::MAX, &Cancel::never());
+            let counted_columns = columns.columns(&vocabulary, &counted);
+            let found = Search::new(&problem, &example, &problem.open(&counted_columns)).best(u32::MAX, &Cancel::never());
             prop_assert!(found.as_ref().is_none_or(|found| found.is_best));
             prop_assert_eq!(found.map(|found| found.score), best);
         }
@@ -339,7 +339,7 @@ fn a_clause_with_too_many_assignments_for_columns_is_evaluated() {
     let states: Vec<State> = (0..3).map(|_| state(&vocabulary, 13, 0.15, &mut random)).collect();
     let states: Vec<&State> = states.iter().collect();
     assert!(
-        Split::new(&vocabulary, &states, &[])
+        LabeledColumns::new(&vocabulary, &states, &[])
             .problem(&vocabulary, 6, true)
             .is_none()
     );

@@ -25,7 +25,7 @@ impl Weights {
 
     /// Returns the sum of the weights of a set of states.
     pub fn sum(&self, states: &[u64]) -> i64 {
-        let plane = |(bit, plane): (usize, &Vec<u64>)| i64::from(bits::common(plane, states)) << bit;
+        let plane = |(bit, plane): (usize, &Vec<u64>)| i64::from(bits::intersection_len(plane, states)) << bit;
         self.planes.iter().enumerate().map(plane).sum()
     }
 

@@ -96,7 +96,7 @@ fn questions_to_hidden_rules_yield_equivalent_rules() {
         "{learned}"
     );
     assert!(learned.contains(&format!("// {certificate}\n")), "{learned}");
-    assert!(learned.contains("the first is question "), "{learned}");
+    assert!(learned.contains("explains is question "), "{learned}");
 
     let report: serde_json::Value = serde_json::from_str(&folder.read("report.json")).unwrap();
     let questions = &report["questions"];

@@ -89,11 +89,11 @@ fn climb(
     for _ in 0..CHANGES {
         let fact = random.random_range(0..space.facts.len());
         let mut scene = state.fact_set().clone();
-        if bits::has(&scene, fact) {
+        if bits::contains(&scene, fact) {
             subtract(&mut scene, &space.implying[fact]);
-        } else if !bits::has(&space.excluded[fact], fact) {
+        } else if !bits::contains(&space.excluded[fact], fact) {
             for other in bits::elements(&space.excluded[fact]) {
-                if bits::has(&scene, other) {
+                if bits::contains(&scene, other) {
                     subtract(&mut scene, &space.implying[other]);
                 }
             }
@@ -160,7 +160,7 @@ fn quiet(
     let mut unwanted = bits::empty(space.facts.len());
     if let Some(planted) = planted {
         for fact in bits::elements(&planted.positive) {
-            if !bits::has(&scene, fact) && !space.fits(&scene, fact) {
+            if !bits::contains(&scene, fact) && !space.fits(&scene, fact) {
                 return None;
             }
             space.add(&mut scene, fact);
@@ -170,7 +170,7 @@ fn quiet(
         }
     }
     while let Some(mut choices) = space.uncovered(&scene) {
-        choices.retain(|&fact| !bits::has(&unwanted, fact));
+        choices.retain(|&fact| !bits::contains(&unwanted, fact));
         if choices.is_empty() {
             return None;
         }
@@ -191,8 +191,8 @@ fn quiet(
             let densities: &[f64] = if is_sparse { &[0.0, 0.2] } else { &DENSITIES };
             densities[random.random_range(0..densities.len())]
         });
-        let is_wanted = random.random_bool(density) && !bits::has(&unwanted, fact);
-        if is_wanted && !bits::has(&scene, fact) && space.fits(&scene, fact) {
+        let is_wanted = random.random_bool(density) && !bits::contains(&unwanted, fact);
+        if is_wanted && !bits::contains(&scene, fact) && space.fits(&scene, fact) {
             let mut larger = scene.clone();
             space.add(&mut larger, fact);
             let after = loud(&larger);

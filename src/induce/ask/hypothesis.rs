@@ -32,7 +32,7 @@ pub struct Instance {
 impl Instance {
     pub fn fires(&self, scene: &[u64]) -> bool {
         let holds = self.positive.iter().zip(scene).all(|(fact, scene)| fact & !scene == 0);
-        holds && !bits::meet(&self.negative, scene)
+        holds && !bits::intersects(&self.negative, scene)
     }
 }
 

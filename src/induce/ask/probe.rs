@@ -228,7 +228,7 @@ impl Probe {
         let scene = state.fact_set();
         self.instances.get(state.entities()).is_some_and(|instances| {
             instances.iter().any(|(positive, negative)| {
-                positive.iter().zip(scene).all(|(fact, scene)| fact & !scene == 0) && !bits::meet(negative, scene)
+                positive.iter().zip(scene).all(|(fact, scene)| fact & !scene == 0) && !bits::intersects(negative, scene)
             })
         })
     }

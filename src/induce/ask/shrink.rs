@@ -116,7 +116,7 @@ fn restrict(session: &mut Session<'_>, state: &State, instance: &Instance) -> Re
         if session.ask(&middle, Reason::Bisect)? == instance.action {
             low = middle.fact_set().clone();
             units.drain(..half);
-            units.retain(|&fact| !bits::has(&low, fact));
+            units.retain(|&fact| !bits::contains(&low, fact));
         } else {
             units.truncate(half);
             high = middle;
@@ -130,10 +130,10 @@ fn restrict(session: &mut Session<'_>, state: &State, instance: &Instance) -> Re
 /// each other only the first.
 fn units(space: &Space, whole: &Bits, part: &Bits) -> Vec<usize> {
     let is_unit = |&fact: &usize| {
-        let is_covering = space.covers.iter().any(|cover| bits::has(cover, fact));
-        let is_first =
-            bits::elements(&space.implied[fact]).all(|other| other >= fact || !bits::has(&space.implied[other], fact));
-        !bits::has(part, fact) && !is_covering && is_first
+        let is_covering = space.covers.iter().any(|cover| bits::contains(cover, fact));
+        let is_first = bits::elements(&space.implied[fact])
+            .all(|other| other >= fact || !bits::contains(&space.implied[other], fact));
+        !bits::contains(part, fact) && !is_covering && is_first
     };
     bits::elements(whole).filter(is_unit).collect()
 }
@@ -143,7 +143,7 @@ fn scene_within(space: &Space, part: &Bits, further: &[usize], whole: &Bits) -> 
     let mut scene = part.clone();
     further.iter().for_each(|&fact| space.add(&mut scene, fact));
     for cover in &space.covers {
-        if !bits::meet(cover, &scene) {
+        if !bits::intersects(cover, &scene) {
             let common: Bits = cover.iter().zip(whole).map(|(cover, whole)| cover & whole).collect();
             for fact in bits::elements(&common) {
                 union(&mut scene, &space.implied[fact]);

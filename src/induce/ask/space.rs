@@ -62,7 +62,7 @@ impl Space {
         let closure = |fact: usize| -> Bits {
             let (mut closed, mut open) = (bits::empty(count), vec![fact]);
             while let Some(fact) = open.pop() {
-                if !bits::has(&closed, fact) {
+                if !bits::contains(&closed, fact) {
                     bits::insert(&mut closed, fact);
                     open.extend(follow(&facts[fact]));
                 }
@@ -109,7 +109,7 @@ impl Space {
         });
         let mut excluded: Vec<Bits> = excluded.collect();
         for (fact, excluded) in excluded.iter_mut().enumerate() {
-            if bits::meet(excluded, &always) {
+            if bits::intersects(excluded, &always) {
                 bits::insert(excluded, fact);
             }
         }
@@ -139,7 +139,7 @@ impl Space {
 
     /// Returns whether a fact can be added to a consistent set.
     pub fn fits(&self, scene: &[u64], fact: usize) -> bool {
-        !bits::has(&self.excluded[fact], fact) && !bits::meet(&self.excluded[fact], scene)
+        !bits::contains(&self.excluded[fact], fact) && !bits::intersects(&self.excluded[fact], scene)
     }
 
     /// Adds a fact and what follows from it.
@@ -149,7 +149,7 @@ impl Space {
 
     /// Returns the covering facts that could be added for the first entity that lacks one. `None` if none does.
     pub fn uncovered(&self, scene: &[u64]) -> Option<Vec<usize>> {
-        let cover = self.covers.iter().find(|cover| !bits::meet(cover, scene))?;
+        let cover = self.covers.iter().find(|cover| !bits::intersects(cover, scene))?;
         Some(bits::elements(cover).filter(|&fact| self.fits(scene, fact)).collect())
     }
 
@@ -159,7 +159,7 @@ impl Space {
             .iter()
             .zip(scene)
             .all(|(always, scene)| always & !scene == 0)
-            && self.covers.iter().all(|cover| bits::meet(cover, scene))
+            && self.covers.iter().all(|cover| bits::intersects(cover, scene))
     }
 
     /// Returns a set as a state.

@@ -48,19 +48,19 @@ pub fn consequences(space: &Space, true_: &mut Bits, false_: &mut Bits) {
     loop {
         let before = bits::count(true_) + bits::count(false_);
         for fact in 0..space.facts.len() {
-            if bits::has(true_, fact) {
+            if bits::contains(true_, fact) {
                 let (implied, excluded) = (&space.implied[fact], &space.excluded[fact]);
                 true_.iter_mut().zip(implied).for_each(|(word, more)| *word |= more);
                 false_.iter_mut().zip(excluded).for_each(|(word, more)| *word |= more);
-            } else if bits::has(false_, fact) {
+            } else if bits::contains(false_, fact) {
                 let implying = &space.implying[fact];
                 false_.iter_mut().zip(implying).for_each(|(word, more)| *word |= more);
-            } else if bits::has(&space.excluded[fact], fact) {
+            } else if bits::contains(&space.excluded[fact], fact) {
                 bits::insert(false_, fact);
             }
         }
         for cover in &space.covers {
-            let mut left = bits::elements(cover).filter(|&fact| !bits::has(false_, fact));
+            let mut left = bits::elements(cover).filter(|&fact| !bits::contains(false_, fact));
             if let (Some(only), None) = (left.next(), left.next()) {
                 bits::insert(true_, only);
             }

@@ -79,11 +79,11 @@ pub fn count_at_most(vocabulary: &Vocabulary, constraints: &Constraints, bound: 
 /// first is included.
 fn roles(space: &Space) -> (Vec<usize>, Vec<usize>) {
     let is_possible = |&fact: &usize| {
-        let is_first =
-            bits::elements(&space.implied[fact]).all(|other| other >= fact || !bits::has(&space.implied[other], fact));
-        is_first && !bits::has(&space.excluded[fact], fact) && !bits::has(&space.always, fact)
+        let is_first = bits::elements(&space.implied[fact])
+            .all(|other| other >= fact || !bits::contains(&space.implied[other], fact));
+        is_first && !bits::contains(&space.excluded[fact], fact) && !bits::contains(&space.always, fact)
     };
-    let is_covering = |fact: &usize| space.covers.iter().any(|cover| bits::has(cover, *fact));
+    let is_covering = |fact: &usize| space.covers.iter().any(|cover| bits::contains(cover, *fact));
     (0..space.facts.len())
         .filter(is_possible)
         .partition(|fact| !is_covering(fact))
@@ -130,7 +130,7 @@ impl<B> Sweep<'_, B> {
         for at in begin..(self.chosen.len() + 1).saturating_sub(left) {
             let fact = self.chosen[at];
             let implied = &self.space.implied[fact];
-            let is_redundant = bits::has(scene, fact) || taken.iter().any(|&other| bits::has(implied, other));
+            let is_redundant = bits::contains(scene, fact) || taken.iter().any(|&other| bits::contains(implied, other));
             if !is_redundant && self.space.fits(scene, fact) {
                 let mut larger = scene.clone();
                 self.space.add(&mut larger, fact);
@@ -147,12 +147,15 @@ impl<B> Sweep<'_, B> {
         let Some(&fact) = self.free.get(begin) else {
             return self.finish(scene);
         };
-        if bits::has(scene, fact) {
+        if bits::contains(scene, fact) {
             return self.cover(scene, taken, left_out, begin + 1);
         }
         // A covering fact that implies a chosen one gives a scene with fewer chosen facts.
         let implied = &self.space.implied[fact];
-        let is_unwanted = taken.iter().chain(&*left_out).any(|&other| bits::has(implied, other));
+        let is_unwanted = taken
+            .iter()
+            .chain(&*left_out)
+            .any(|&other| bits::contains(implied, other));
         if self.space.fits(scene, fact) && !is_unwanted {
             let mut larger = scene.clone();
             self.space.add(&mut larger, fact);

@@ -51,7 +51,7 @@ fn question(session: &mut Session<'_>, index: usize) -> Option<(State, Reason)> 
     let (positive, negative) = own_instance(&session.hypothesis, index, &space);
     let mut closed = (positive.clone(), negative.clone());
     consequences(&space, &mut closed.0, &mut closed.1);
-    if bits::meet(&closed.0, &closed.1) {
+    if bits::intersects(&closed.0, &closed.1) {
         return None;
     }
     let support = &session.supports[index];
@@ -91,8 +91,8 @@ fn question(session: &mut Session<'_>, index: usize) -> Option<(State, Reason)> 
     for _ in 0..TRIES {
         let scene = extended(&space, &subject, &instances, &none, &weights, &mut random);
         let Some(scene) = scene else { continue };
-        let lost = bits::common(&all, &scene);
-        let count = bits::count(&all) - lost + bits::common(&none, &scene);
+        let lost = bits::intersection_len(&all, &scene);
+        let count = bits::count(&all) - lost + bits::intersection_len(&none, &scene);
         let state = space.state(&scene);
         if count > 0 && best.as_ref().is_none_or(|(most, _)| count > *most) && !session.is_known(&state) {
             best = Some((count, state));
@@ -136,7 +136,8 @@ fn silence(
         let Some(instance) = disturbing(instances, subject, scene).next() else {
             return Some(());
         };
-        let helps = |&fact: &usize| space.fits(scene, fact) && !bits::meet(&space.implied[fact], &subject.closed.1);
+        let helps =
+            |&fact: &usize| space.fits(scene, fact) && !bits::intersects(&space.implied[fact], &subject.closed.1);
         let choices: Vec<usize> = bits::elements(&instance.negative).filter(helps).collect();
         if choices.is_empty() {
             return None;
@@ -148,9 +149,9 @@ fn silence(
 /// Chooses covering facts. Prefers those of a set.
 fn cover(space: &Space, subject: &Subject, scene: &mut Bits, preferred: &Bits, random: &mut impl Rng) -> Option<()> {
     while let Some(mut choices) = space.uncovered(scene) {
-        choices.retain(|&fact| !bits::meet(&space.implied[fact], &subject.closed.1));
-        if choices.iter().any(|&fact| bits::has(preferred, fact)) {
-            choices.retain(|&fact| bits::has(preferred, fact));
+        choices.retain(|&fact| !bits::intersects(&space.implied[fact], &subject.closed.1));
+        if choices.iter().any(|&fact| bits::contains(preferred, fact)) {
+            choices.retain(|&fact| bits::contains(preferred, fact));
         }
         if choices.is_empty() {
             return None;
@@ -189,12 +190,12 @@ fn collapsed(session: &mut Session<'_>, index: usize, random: &mut impl Rng) -> 
             }
             let mut scene = space.start();
             let fits = bits::elements(&instance.positive).all(|fact| {
-                let fits = bits::has(&scene, fact) || space.fits(&scene, fact);
+                let fits = bits::contains(&scene, fact) || space.fits(&scene, fact);
                 space.add(&mut scene, fact);
                 fits
             });
             while let Some(mut choices) = space.uncovered(&scene) {
-                choices.retain(|&fact| !bits::meet(&space.implied[fact], &instance.negative));
+                choices.retain(|&fact| !bits::intersects(&space.implied[fact], &instance.negative));
                 if choices.is_empty() {
                     break;
                 }
@@ -233,7 +234,10 @@ fn extended(
     let mut disturbances = disturbing(instances, subject, &scene).count();
     let mut risk = 0.0;
     for fact in facts {
-        if bits::has(&scene, fact) || !space.fits(&scene, fact) || bits::meet(&space.implied[fact], &subject.closed.1) {
+        if bits::contains(&scene, fact)
+            || !space.fits(&scene, fact)
+            || bits::intersects(&space.implied[fact], &subject.closed.1)
+        {
             continue;
         }
         if risk > 0.0 && risk + weights[fact] > RISK_MAX {
@@ -279,7 +283,7 @@ fn without(
         }
         for other in bits::elements(&all) {
             let implied = &space.implied[other];
-            let loses = !literal.is_negated && bits::has(implied, fact);
+            let loses = !literal.is_negated && bits::contains(implied, fact);
             if !loses && space.fits(&scene, other) {
                 space.add(&mut scene, other);
             }
@@ -291,11 +295,11 @@ fn without(
             subtract(&mut excluded, &space.implied[choice]);
             space.add(&mut scene, choice);
         }
-        let is_literal = bits::has(&scene, fact) == literal.is_negated;
+        let is_literal = bits::contains(&scene, fact) == literal.is_negated;
         let mut others = body.0.iter().filter(|other| *other != literal);
-        let others = others.all(|other| bits::has(&scene, fact_of(other, session)) != other.is_negated);
+        let others = others.all(|other| bits::contains(&scene, fact_of(other, session)) != other.is_negated);
         let is_covered = space.uncovered(&scene).is_none();
-        if !is_literal || !others || !is_covered || bits::meet(&excluded, &scene) {
+        if !is_literal || !others || !is_covered || bits::intersects(&excluded, &scene) {
             continue;
         }
         if (instances.iter()).any(|instance| instance.action <= subject.action && instance.fires(&scene)) {

@@ -66,8 +66,8 @@ impl<'a> Entailment<'a> {
         let mut open: Vec<u32> = literals.map(|literal| self.number(literal) as u32).collect();
         loop {
             while let Some(literal) = open.pop() {
-                if !bits::has(&holds, literal as usize) {
-                    if bits::has(&holds, literal as usize ^ 1) {
+                if !bits::contains(&holds, literal as usize) {
+                    if bits::contains(&holds, literal as usize ^ 1) {
                         return None;
                     }
                     bits::insert(&mut holds, literal as usize);
@@ -75,10 +75,10 @@ impl<'a> Entailment<'a> {
                 }
             }
             for cover in &self.covers {
-                let mut possible = (cover.iter()).filter(|&&fact| !bits::has(&holds, 2 * fact as usize + 1));
+                let mut possible = (cover.iter()).filter(|&&fact| !bits::contains(&holds, 2 * fact as usize + 1));
                 match (possible.next(), possible.next()) {
                     (None, _) => return None,
-                    (Some(&only), None) if !bits::has(&holds, 2 * only as usize) => open.push(2 * only),
+                    (Some(&only), None) if !bits::contains(&holds, 2 * only as usize) => open.push(2 * only),
                     _ => {}
                 }
             }
@@ -130,6 +130,6 @@ pub struct Consequences(Bits);
 impl Consequences {
     /// Returns whether a literal is in the set.
     pub fn contains(&self, of: &Entailment<'_>, literal: &Literal) -> bool {
-        bits::has(&self.0, of.number(literal))
+        bits::contains(&self.0, of.number(literal))
     }
 }

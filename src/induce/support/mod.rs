@@ -7,7 +7,7 @@ mod tests;
 use crate::induce::bits;
 use crate::induce::constraints::Constraints;
 use crate::induce::examples::{Examples, State, majority};
-use crate::induce::problem::{Problem, Split};
+use crate::induce::problem::{LabeledColumns, Problem};
 use crate::induce::rules::{Learned, clauses_hold};
 use crate::induce::vocabulary::{ARITY_MAX, Atom, Body, Literal, Vocabulary};
 use entailment::Entailment;
@@ -103,7 +103,7 @@ pub fn support(examples: &Examples, learned: &Learned, constraints: &Constraints
         for state in range.clone() {
             let (_, tallies) = examples.state(state).expect("a position below their number");
             let held: Vec<usize> = (0..bodies.len())
-                .filter(|&clause| bits::has(&holds[clause], state - range.start))
+                .filter(|&clause| bits::contains(&holds[clause], state - range.start))
                 .collect();
             let chosen = held.first().map_or(learned.actions.len(), |&clause| action_of[clause]);
             let count = tallies.iter().map(|tally| u64::from(tally.count)).sum::<u64>();
@@ -228,8 +228,8 @@ fn undecided(
     alone: &[&State],
     lower: &[&State],
 ) -> (Vec<Literal>, Vec<(Literal, Literal)>) {
-    let split = Split::new(vocabulary, alone, lower);
-    let Some(problem) = split.problem(vocabulary, body.variables(vocabulary), true) else {
+    let columns = LabeledColumns::new(vocabulary, alone, lower);
+    let Some(problem) = columns.problem(vocabulary, body.variables(vocabulary), true) else {
         return (Vec::new(), Vec::new());
     };
     let others = || {
