@@ -4,7 +4,7 @@ Run it as `python python/examples/check_rules.py`. It prints:
 
 ```text
 faulty.dl:2:26 unknown-predicate: did you mean `IsInInter`?
-faulty.dl:3:37 unbound-variable: add a positive atom that binds `Z`, such as `IsPedestrian(Z)`
+faulty.dl:3:37 unbound-variable: add a positive atom that binds `Z`, such as `Sees(X, Z)`
 as text:
 error[unknown-predicate]: no predicate `IsInIntre` is declared
   --> faulty.dl:2:26

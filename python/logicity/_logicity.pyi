@@ -27,6 +27,7 @@ __all__ = [
     "RandomBaseline",
     "read_file",
     "read_picture",
+    "read_steps",
     "read_world",
     "REASONS",
     "Rows",

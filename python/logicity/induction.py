@@ -363,18 +363,16 @@ def _check_observation(is_groundings: bool) -> None:
 
 def _load_minari(name: str | os.PathLike[str]) -> MinariDataset:
     """Load a Minari dataset, given its name or its folder."""
+    path = Path(name)
+    folder = next((folder for folder in (path / "data", path) if (folder / "metadata.json").is_file()), None)
+    if folder is None and (path.exists() or not isinstance(name, str)):
+        raise FileNotFoundError(f"neither a Parquet table nor a Minari dataset: `{name}`")
     try:
         import minari
     except ImportError as error:
         raise missing_extra("offline", error) from error
 
-    path = Path(name)
-    for folder in (path / "data", path):
-        if (folder / "metadata.json").is_file():
-            return minari.MinariDataset(folder)
-    if isinstance(name, str) and not path.exists():
-        return minari.load_dataset(name)
-    raise FileNotFoundError(f"neither a Parquet table nor a Minari dataset: `{name}`")
+    return minari.load_dataset(os.fspath(name)) if folder is None else minari.MinariDataset(folder)
 
 
 def _minari(dataset: MinariDataset) -> _Source:

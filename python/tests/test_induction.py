@@ -264,7 +264,7 @@ class Weather(Exception):
     ("answer", "error", "message"),
     [
         (Weather("rain"), Weather, "rain"),
-        (KeyboardInterrupt(), KeyboardInterrupt, "^$"),
+        (KeyboardInterrupt("stopped"), KeyboardInterrupt, "stopped"),
         ("Jump", ValueError, "Jump"),
         (3, TypeError, "not int"),
         (None, TypeError, "not NoneType"),

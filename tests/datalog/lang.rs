@@ -120,8 +120,8 @@ fn habits_of_other_languages_are_reported_once_with_help() {
         ("exists(A(_), A(3))", "A(_), A(3)"),
         ("forall(y, A(y))", "count : { A(y), Not(A(y)) } = 0"),
         ("forall(y: A(y))", "count : { A(y), Not(A(y)) } = 0"),
-        ("exists(y, A(y))", "A(y)"),
-        ("exists(y : A(y))", "A(y)"),
+        ("exists(x, A(x))", "A(x)"),
+        ("exists(x : A(x))", "A(x)"),
     ] {
         let said = helps(&format!("{HEAD}B(x) :- A(x), {written}.\n"));
         assert!(
