@@ -29,7 +29,6 @@ pub use learner::{learn, learn_with};
 pub use noise::NOISE_MAX;
 pub use rules::{ActionRules, Learned, LearnedClause, Noise, Progress, Settings};
 pub use support::{ClauseSupport, Conflict, Support, support};
-pub(crate) use vocabulary::tuples;
 pub use vocabulary::{
-    ARITY_MAX, Atom, Body, LITERAL_COST, Link, Literal, Predicate, VARIABLE_NAMES, VARIABLES_MAX, Vocabulary,
+    ARITY_MAX, Atom, Body, LITERAL_COST, Link, Literal, Predicate, VARIABLE_NAMES, VARIABLES_MAX, Vocabulary, tuples,
 };

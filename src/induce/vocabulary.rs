@@ -355,7 +355,7 @@ pub(crate) fn permutations<T: Copy>(elements: &[T]) -> Vec<Vec<T>> {
 }
 
 /// Returns all lists of `arity` entities; the last one changes fastest.
-pub(crate) fn tuples(arity: usize, entities: usize) -> impl Iterator<Item = Tuple> {
+pub fn tuples(arity: usize, entities: usize) -> impl Iterator<Item = Tuple> {
     (0..entities.pow(arity as u32)).map(move |number| {
         let mut tuple: Tuple = SmallVec::from_elem(0, arity);
         let mut rest = number;
