@@ -1,0 +1,1 @@
+"""Learners of Safe Path Following. Needs the extra `learn`."""

@@ -1,0 +1,129 @@
+"""The interface of the learners."""
+
+from __future__ import annotations
+
+from abc import ABC, abstractmethod
+from collections.abc import Callable
+from pathlib import Path
+from typing import TYPE_CHECKING, Any, ClassVar, Literal, TypeAlias
+
+import numpy as np
+from numpy.typing import NDArray
+from pydantic import BaseModel, ConfigDict
+
+if TYPE_CHECKING:
+    from ..env_config import ObservationKind
+    from .config import TrainConfig
+
+__all__ = ["Actions", "Learner", "LearnerSettings", "Observations", "Policy", "Progress"]
+
+Observations: TypeAlias = NDArray[np.float32]
+Actions: TypeAlias = NDArray[np.int64]
+
+#: A learner calls it after each step. It validates the learner and writes checkpoints at intervals.
+Progress: TypeAlias = Callable[[], None]
+
+
+class LearnerSettings(BaseModel):
+    """The settings of a learner: the values under `settings` in a training file."""
+
+    model_config = ConfigDict(
+        extra="forbid", frozen=True, strict=True, allow_inf_nan=False, use_attribute_docstrings=True
+    )
+
+
+class Policy(ABC):
+    """A trained policy, which maps batches of observations to actions."""
+
+    @abstractmethod
+    def predict(
+        self,
+        observation: Observations,
+        state: Any = None,
+        episode_start: Any = None,
+        deterministic: bool = True,
+    ) -> tuple[Actions, Any]:
+        """Return one action per observation, int64 of shape (batch,), and the next state.
+
+        Args:
+            observation: float32 of shape (batch, ...).
+            state: The state that the last call returned; `None` at the start. A policy without memory returns `None`.
+            episode_start: bool of shape (batch,): where an episode starts, so that its state is reset.
+            deterministic: Whether to take the most probable action.
+        """
+
+    @abstractmethod
+    def save(self, path: Path) -> None:
+        """Write the policy to a file with the suffix `Learner.suffix`."""
+
+    @classmethod
+    @abstractmethod
+    def load(cls, path: Path) -> Policy:
+        """Read a policy that `save` wrote.
+
+        Raises:
+            OSError: If the file cannot be read.
+            ValueError: If the file is not such a policy.
+        """
+
+
+class Learner(ABC):
+    """A learner in training.
+
+    `logicity.learn.run.train` creates a learner, restores its last checkpoint if there is one, and calls `fit`. `fit`
+    calls `progress` after each step. During that call `policy`, `save` and `steps` must be valid. A restored learner
+    continues exactly: the result of an interrupted run equals that of an uninterrupted one.
+    """
+
+    #: The class of the values under `settings` in a training file.
+    settings_class: ClassVar[type[LearnerSettings]]
+    #: What `steps` counts.
+    unit: ClassVar[Literal["environment steps", "updates"]]
+    #: Whether the learner steps environments. Otherwise `envs` and `overrides` have no effect, and are errors.
+    interacts: ClassVar[bool]
+    #: The kinds of observations that the learner can use.
+    observations: ClassVar[tuple[ObservationKind, ...]] = ("groundings",)
+    #: The suffix of the files of its policies.
+    suffix: ClassVar[str] = ".pt"
+
+    def __init__(self, config: TrainConfig, log: Path | None = None) -> None:
+        """Store the configuration.
+
+        Args:
+            config: The configuration. `config.settings` is an instance of `settings_class`.
+            log: The folder of the training curves (TensorBoard), if there is one.
+        """
+        self.config, self.log = config, log
+
+    @property
+    @abstractmethod
+    def steps(self) -> int:
+        """The number of steps so far, in `unit`."""
+
+    @abstractmethod
+    def fit(self, steps: int, progress: Progress) -> None:
+        """Train until `self.steps` reaches `steps`.
+
+        Raises:
+            ValueError: If the settings are invalid in a way that only the training shows.
+        """
+
+    @abstractmethod
+    def policy(self) -> Policy:
+        """Return the current policy. Its actions may change when training continues."""
+
+    @abstractmethod
+    def save(self, folder: Path) -> None:
+        """Write everything that `restore` needs: weights, optimizers, buffers, environments and random states."""
+
+    @abstractmethod
+    def restore(self, folder: Path) -> None:
+        """Restore what `save` wrote.
+
+        Raises:
+            OSError: If a file cannot be read.
+            ValueError: If the files do not fit the configuration.
+        """
+
+    def close(self) -> None:  # noqa: B027
+        """Release environments and other resources."""
