@@ -110,6 +110,15 @@ class Layout:
             len(atoms) + route_length,
         )
 
+    def atoms(self) -> tuple[Atom, ...]:
+        """Return the atoms in the order of the observation."""
+        atoms: dict[int, Atom] = {}
+        for (i, column), at in np.ndenumerate(self.unary_at):
+            atoms[int(at)] = (self.unary[column], (i,))
+        for (i, j, column), at in np.ndenumerate(self.binary_at):
+            atoms[int(at)] = (self.binary[column], (i, j))
+        return tuple(atom for _, atom in sorted(atoms.items()))
+
     def occurrences(self) -> NDArray[np.float32]:
         """Return float32 (width, N): 1 where an entity occurs in an atom, else 0."""
         each, marks = np.arange(self.entities), np.zeros((self.width, self.entities), np.float32)

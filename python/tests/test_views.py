@@ -10,6 +10,7 @@ from numpy.typing import NDArray
 
 import logicity
 from logicity import _logicity
+from logicity.describe import atoms_of
 from logicity.envs import SPFEnv, SPFVectorEnv
 from logicity.evaluation import load_task
 from logicity.views import (
@@ -159,6 +160,12 @@ def test_unsuitable_environments_are_rejected() -> None:
         VectorGraphObservation(gymnasium.make_vec("CartPole-v1", num_envs=2))
     with pytest.raises(TypeError, match="SPFEnv"):
         GraphObservation(gymnasium.make("CartPole-v1"))
+
+
+@pytest.mark.parametrize("mode", MODES)
+def test_a_layout_knows_its_atoms(mode: str) -> None:
+    atoms = tuple(atoms_of(_logicity.describe(load_task(mode))))
+    assert Layout.of_atoms(atoms).atoms() == atoms
 
 
 def test_layouts_need_all_ground_atoms_once() -> None:
