@@ -345,6 +345,16 @@ def kinds(value: dict[str, Any]) -> str:
     return words[value["type"]]
 
 
+# --- results
+
+
+def results() -> str:
+    """Return the leaderboard."""
+    from logicity.learn.results import leaderboard, read_results
+
+    return leaderboard(read_results(ROOT / "results" / "spf.json"))
+
+
 # --- environments
 
 
@@ -477,6 +487,7 @@ GENERATORS: dict[str, Callable[[], str]] = {
     "warnings": lambda: messages("warning"),
     "configuration": configuration,
     "training": training,
+    "leaderboard": results,
     "environments": environments,
     "python": python,
     "playground": playground,
