@@ -37,6 +37,7 @@ class LogicLayer(nn.Module):
         outputs: The number of predicates of each output arity. Arities with 0 are not computed.
         hidden: The width of a hidden layer with ReLU in each perceptron, or `None` for a single linear layer.
         exclude_self: Whether only tuples of different entities exist.
+        center: The truth value of features that initially results in the truth value 0.5.
 
     Attributes:
         inputs: The number of predicates of each input arity.
@@ -44,9 +45,14 @@ class LogicLayer(nn.Module):
     """
 
     def __init__(
-        self, inputs: Sequence[int], outputs: Sequence[int], hidden: int | None = None, exclude_self: bool = True
+        self,
+        inputs: Sequence[int],
+        outputs: Sequence[int],
+        hidden: int | None = None,
+        exclude_self: bool = True,
+        center: float = 0.5,
     ) -> None:
-        """Create the perceptrons with PyTorch's initialization of linear layers."""
+        """Create the perceptrons with random weights."""
         super().__init__()
         self.inputs, self.exclude_self = tuple(inputs), exclude_self
         self.features = [_feature_count(inputs, arity) for arity in range(len(inputs))]
@@ -56,9 +62,9 @@ class LogicLayer(nn.Module):
         for arity, (features, count) in enumerate(zip(self.features, self.outputs, strict=True)):
             if count:
                 ways = len(_permutations(arity))
-                self.linear[str(arity)] = nn.Linear(ways * features, hidden or count)
+                self.linear[str(arity)] = _linear(ways * features, hidden or count, center, bool(hidden))
                 if hidden:
-                    self.last[str(arity)] = nn.Linear(hidden, count)
+                    self.last[str(arity)] = _linear(hidden, count, 0.0, False)
 
     def forward(self, groups: Groups, mask: Tensor) -> Groups:
         """Return the groups of the next layer.
@@ -158,7 +164,8 @@ class NeuralLogicMachine(nn.Module):
         self.layers = nn.ModuleList()
         for arities_needed in reversed(needed):
             widths = [outputs if arity in arities_needed else 0 for arity in arities]
-            layer = LogicLayer(counts, widths, hidden, exclude_self)
+            # Most atoms of a scene are false.
+            layer = LogicLayer(counts, widths, hidden, exclude_self, 0.5 if self.layers else 0.0)
             self.layers.append(layer)
             counts = [
                 new + (old if residual and new else 0) for old, new in zip(counts, layer.outputs, strict=True)
@@ -198,6 +205,20 @@ def _products(features: Tensor, weight: Tensor) -> Tensor:
     """Return the products of features (tuples, batch, F) and weights (P, F, width): (P, tuples, batch, width)."""
     products = features.flatten(0, 1).expand(len(weight), -1, -1) @ weight
     return products.view(len(weight), *features.shape[:2], weight.shape[2])
+
+
+def _linear(inputs: int, outputs: int, center: float, relu: bool) -> nn.Linear:
+    """Create a linear layer whose outputs vary as much as its inputs after the activation function.
+
+    The weights are those of Glorot and Bengio (2010), "Understanding the difficulty of training deep feedforward neural
+    networks", equation 16, times a gain. The gain of a sigmoid, whose slope is at most 1/4, is 4. With smaller weights,
+    the layers of a deep machine are nearly constant, and it does not learn.
+    """
+    linear = nn.Linear(inputs, outputs)
+    nn.init.xavier_uniform_(linear.weight, 2**0.5 if relu else 4.0)
+    with torch.no_grad():
+        linear.bias.copy_(-center * linear.weight.sum(1))
+    return linear
 
 
 def _joined(old: Tensor | None, new: Tensor | None) -> Tensor | None:
