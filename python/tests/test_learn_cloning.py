@@ -1,5 +1,6 @@
 from __future__ import annotations
 
+import itertools
 from pathlib import Path
 from types import SimpleNamespace
 from typing import Any
@@ -75,7 +76,7 @@ def test_a_learner_learns_a_rule_exactly(
     learner.fit(updates, nothing)
     test = crossing(1_000, seed=2)
     actions, _ = learner.policy().predict(test.observations.numpy())
-    assert np.array_equal(actions, test.actions.numpy()) and 300 < (actions == 3).sum() < 700
+    assert np.array_equal(actions, test.actions.numpy()) and 150 < (actions == 3).sum() < 350
 
 
 @pytest.mark.parametrize("algorithm", LEARNERS)
@@ -170,9 +171,7 @@ def test_training_starts_from_a_policy(tmp_path: Path) -> None:
     path = tmp_path / "policy.pt"
     learner.policy().save(path)
     started = NlmLearner(config("nlm", SMALL["nlm"], start=str(path), seed=3))
-    for one, other in zip(
-        started.policy().network.parameters(), learner.policy().network.parameters(), strict=True
-    ):
+    for one, other in zip(started.policy().network.parameters(), learner.policy().network.parameters(), strict=True):
         assert torch.equal(one, other)
     with pytest.raises(ValueError, match="policy of `nlm`, not of `gnn`"):
         GnnLearner(config("gnn", SMALL["gnn"], start=str(path)))
@@ -191,7 +190,7 @@ def test_wrong_files_are_rejected(tmp_path: Path) -> None:
     with pytest.raises(ValueError, match="of format None"):
         ClonedPolicy.load(path)
     torch.save({"format": 1, "algorithm": "ppo"}, path)
-    with pytest.raises(ValueError, match="its learner is 'ppo'"):
+    with pytest.raises(ValueError, match="but of `ppo`"):
         ClonedPolicy.load(path)
     torch.save({"format": 1, "algorithm": "mlp", "settings": {"depth": 1}}, path)
     with pytest.raises(ValueError, match="damaged policy of `mlp`"):
@@ -234,12 +233,10 @@ def test_the_loss_weighs_the_actions() -> None:
 
 
 def test_training_curves_are_written(tmp_path: Path) -> None:
-    needs("tensorboard", "learn")
+    reader = needs("tensorboard.backend.event_processing.event_accumulator", "learn")
     learner = MlpLearner(config("mlp", SMALL["mlp"]), tmp_path)
     learner.fit(100, nothing)
-    from tensorboard.backend.event_processing.event_accumulator import EventAccumulator
-
-    curves = EventAccumulator(str(tmp_path)).Reload()
+    curves = reader.EventAccumulator(str(tmp_path)).Reload()
     assert [point.step for point in curves.Scalars("train/loss")] == [50, 100]
     assert curves.Scalars("train/loss")[1].value < curves.Scalars("train/loss")[0].value
 
@@ -265,12 +262,9 @@ def test_shuffling_permutes_the_present_entities() -> None:
 
 def orders(present: list[bool]) -> list[dict[int, int]]:
     """Return the maps from the present entities to the first places, with the ego in place."""
-    import itertools
-
     others = [entity for entity in range(1, 5) if present[entity]]
     return [
-        {0: 0, **dict(zip(others, places, strict=True))}
-        for places in itertools.permutations(range(1, len(others) + 1))
+        {0: 0, **dict(zip(others, places, strict=True))} for places in itertools.permutations(range(1, len(others) + 1))
     ]
 
 

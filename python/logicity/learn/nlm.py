@@ -167,9 +167,7 @@ class NeuralLogicMachine(nn.Module):
             # Most atoms of a scene are false.
             layer = LogicLayer(counts, widths, hidden, exclude_self, 0.5 if self.layers else 0.0)
             self.layers.append(layer)
-            counts = [
-                new + (old if residual and new else 0) for old, new in zip(counts, layer.outputs, strict=True)
-            ]
+            counts = [new + (old if residual and new else 0) for old, new in zip(counts, layer.outputs, strict=True)]
         self.counts = counts
 
     def forward(self, groups: Sequence[Tensor | None], mask: Tensor) -> Groups:
