@@ -23,7 +23,7 @@ try:
 except ImportError as error:
     raise missing_extra("learn", error) from error
 
-from .demonstrations import DemonstrationData, Layout, RelationalView, Sampler, layout_of
+from .demonstrations import DemonstrationData, Layout, RelationalView, Sampler
 from .learner import Actions, Learner, LearnerSettings, Observations, Policy, Progress
 from .nlm import NeuralLogicMachine
 
@@ -37,6 +37,7 @@ __all__ = [
     "GnnLearner",
     "GnnSettings",
     "LogicNetwork",
+    "LogicSettings",
     "MlpLearner",
     "MlpSettings",
     "NlmLearner",
@@ -99,8 +100,8 @@ class GnnSettings(CloningSettings):
     """Whether to omit edges of absent entities."""
 
 
-class NlmSettings(CloningSettings):
-    """The settings of `nlm`."""
+class LogicSettings(LearnerSettings):
+    """The settings of a Neural Logic Machine."""
 
     depth: Count = 4
     """The number of layers."""
@@ -114,6 +115,10 @@ class NlmSettings(CloningSettings):
     """Whether quantifiers omit tuples that contain an entity twice."""
     residual: bool = False
     """Whether each layer also passes on its input predicates."""
+
+
+class NlmSettings(CloningSettings, LogicSettings):
+    """The settings of `nlm`."""
 
 
 class LogicNetwork(nn.Module):
@@ -154,7 +159,9 @@ class ClonedPolicy(Policy):
         network: The network.
     """
 
-    def __init__(self, algorithm: str, mode: str, settings: CloningSettings, layout: Layout, network: nn.Module) -> None:
+    def __init__(
+        self, algorithm: str, mode: str, settings: CloningSettings, layout: Layout, network: nn.Module
+    ) -> None:
         """Store the arguments."""
         self.algorithm, self.mode, self.settings = algorithm, mode, settings
         self.layout, self.network = layout, network
@@ -205,10 +212,10 @@ class ClonedPolicy(Policy):
             ValueError: If the file is not such a policy.
         """
         saved = _loaded(path, "policy of behavior cloning")
-        algorithm = saved.get("algorithm")
-        learner = _LEARNERS.get(algorithm) if isinstance(algorithm, str) else None
+        algorithm = str(saved.get("algorithm"))
+        learner = _LEARNERS.get(algorithm)
         if learner is None:
-            raise ValueError(f"{path} is not a policy of behavior cloning: its learner is {algorithm!r}")
+            raise ValueError(f"{path} is not a policy of behavior cloning, but of `{algorithm}`")
         try:
             settings = learner.settings_class.model_validate(saved["settings"])
             atoms = [(str(name), tuple(map(int, entities))) for name, entities in saved["atoms"]]
@@ -239,7 +246,8 @@ class CloningLearner(Learner):
             ValueError: If the mode is unknown, or the policy to start from does not fit.
         """
         super().__init__(config, log)
-        self._settings: CloningSettings = config.settings
+        assert isinstance(config.settings, CloningSettings)
+        self._settings = config.settings
         data = DemonstrationData.load(config.mode, config.demonstrations)
         self._data = data.distinct() if self._settings.distinct else data
         self._weights = self._data.class_weights(self._settings.class_power)
@@ -406,15 +414,7 @@ class NlmLearner(CloningLearner):
     @staticmethod
     def new_network(layout: Layout, settings: NlmSettings) -> nn.Module:
         """Create a machine, and a linear layer on the predicates of the ego."""
-        logic = LogicNetwork(
-            layout,
-            depth=settings.depth,
-            breadth=settings.breadth,
-            outputs=settings.outputs,
-            hidden=settings.hidden,
-            exclude_self=settings.exclude_self,
-            residual=settings.residual,
-        )
+        logic = LogicNetwork(layout, **settings.model_dump(include=set(LogicSettings.model_fields)))
         return nn.Sequential(logic, nn.Linear(logic.width, len(ACTIONS)))
 
 

@@ -23,6 +23,10 @@ LEARNERS: dict[str, str] = {
     "dqn": "stable_baselines:DQNLearner",
     "ppo": "stable_baselines:PPOLearner",
     "a2c": "stable_baselines:A2CLearner",
+    "nlm-dqn": "nlm_dqn:NlmDqnLearner",
+    "mlp": "cloning:MlpLearner",
+    "gnn": "cloning:GnnLearner",
+    "nlm": "cloning:NlmLearner",
 }
 """The module and the class of each learner, keyed by its name in training files."""
 
