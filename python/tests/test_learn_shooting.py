@@ -1,7 +1,6 @@
 from __future__ import annotations
 
 import itertools
-import json
 from pathlib import Path
 from types import SimpleNamespace
 from typing import Any
@@ -10,6 +9,7 @@ import numpy as np
 import pytest
 from conftest import needs
 
+from logicity import _logicity
 from logicity.evaluation import Benchmark
 
 torch = needs("torch", "learn")
@@ -348,15 +348,14 @@ def test_transitions_have_the_last_observation_of_an_episode() -> None:
 
 @pytest.mark.parametrize("mode", ["easy", "medium", "hard", "expert"])
 def test_training_files_have_the_settings_of_the_paper(mode: str) -> None:
-    yaml = needs("yaml", "test")
-    folder = Path(__file__).parents[2] / "configs" / "baselines"
-    values: dict[str, Any] = {}
-    for name in ("easy", mode):
-        text = (folder / f"mb-shooting-{name}.yaml").read_text(encoding="utf-8")
-        values = {**values, **json.loads(json.dumps(yaml.safe_load(text)))}
+    path = Path(__file__).parents[2] / "configs" / "baselines" / f"mb-shooting-{mode}.yaml"
+    values = _logicity.ConfigFile(path, "configs/baselines").value()
     horizons = {"easy": 10, "medium": 14, "hard": 8, "expert": 8}
     settings = ShootingSettings(**values["settings"])
     assert values["algorithm"] == "mb-shooting" and values["mode"] == mode and values["steps"] == 200_000
     assert (settings.members, settings.width, settings.sequences) == (50, 64, 100)
     assert (settings.model_learning_rate, settings.reward_learning_rate) == (1e-5, 1e-4)
     assert settings.horizon == horizons[mode]
+    task = values["overrides"]["task"]
+    assert task["horizon"] == {"easy": 100, "medium": 150, "hard": 200, "expert": 200}[mode]
+    assert task["reward"] == {"violation": -1 if mode in ("easy", "medium") else -2, "overtime": -3}

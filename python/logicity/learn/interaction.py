@@ -28,7 +28,17 @@ from .learner import Actions, Observations
 if TYPE_CHECKING:
     from .config import TrainConfig
 
-__all__ = ["Bits", "Curves", "Interaction", "Transitions", "as_bits", "load_policy", "save_policy"]
+__all__ = [
+    "Bits",
+    "Curves",
+    "Interaction",
+    "Transitions",
+    "as_bits",
+    "check_shape",
+    "load_policy",
+    "random_actions",
+    "save_policy",
+]
 
 Bits = NDArray[np.uint8]
 
@@ -161,6 +171,16 @@ def as_bits(observations: Observations) -> Bits:
             "the task"
         )
     return bits
+
+
+def check_shape(observation: Observations, bits: int) -> None:
+    """Check the shape of a batch of observations.
+
+    Raises:
+        ValueError: If it is not (batch, bits).
+    """
+    if observation.ndim != 2 or observation.shape[1] != bits:
+        raise ValueError(f"the policy takes observations of shape (batch, {bits}), not {observation.shape}")
 
 
 class Curves:

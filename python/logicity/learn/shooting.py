@@ -30,7 +30,17 @@ except ImportError as error:
     raise missing_extra("learn", error) from error
 
 from ..city import ACTIONS
-from .interaction import Bits, Curves, Interaction, Transitions, as_bits, load_policy, random_actions, save_policy
+from .interaction import (
+    Bits,
+    Curves,
+    Interaction,
+    Transitions,
+    as_bits,
+    check_shape,
+    load_policy,
+    random_actions,
+    save_policy,
+)
 from .learner import Actions, Learner, LearnerSettings, Observations, Policy, Progress
 
 if TYPE_CHECKING:
@@ -210,10 +220,10 @@ Predict: TypeAlias = Callable[[Tensor], Any]
 class _Graph:
     """The states that members of the ensemble reach in a search, each expanded at most once per member.
 
-    Node n is a state of a member. Its edges, one per action, have the indices 4 n to 4 n + 3, and end in the node itself
-    until a change is predicted. States are equal if
-    their Zobrist hashes are, the sums of a random number of 64 bits per bit that is 1. With n nodes, the probability
-    that two states have the same hash is below n^2 / 2^64: about 1 in 10^10 for 50,000 nodes.
+    Node n is a state of a member. Its edges, one per action, have the indices 4 n to 4 n + 3, and end in the node
+    itself until a change is predicted. States are equal if their Zobrist hashes are, the sums of a random number of 64
+    bits per bit that is 1. With n nodes, the probability that two states have the same hash is below n^2 / 2^64: about
+    1 in 10^10 for 50,000 nodes.
     """
 
     #: The number of states per member in a batch, which limits the memory.
@@ -410,16 +420,6 @@ class ShootingPolicy(Policy):
         model = WorldModel(config["bits"], settings, torch.Generator())
         model.load_state_dict(weights)
         return cls(model, settings, config["mode"], config["seed"])
-
-
-def check_shape(observation: Observations, bits: int) -> None:
-    """Check the shape of a batch of observations.
-
-    Raises:
-        ValueError: If it is not (batch, bits).
-    """
-    if observation.ndim != 2 or observation.shape[1] != bits:
-        raise ValueError(f"the policy takes observations of shape (batch, {bits}), not {observation.shape}")
 
 
 class Replay:
