@@ -13,10 +13,9 @@ derived, the first one in `HriSettings.order` is chosen; if none is, the default
 
 from __future__ import annotations
 
-import math
-from collections.abc import Iterable, Iterator, Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
-from itertools import count, groupby
+from itertools import count, groupby, product
 from pathlib import Path
 from typing import Annotated, Any, ClassVar, Literal, TypeAlias
 
@@ -28,10 +27,11 @@ from pydantic import Field
 from .. import _logicity
 from ..city import ACTIONS
 from ..evaluation import load_task
-from ..offline import demonstrations
+from ..views import Layout
+from .demonstrations import DemonstrationData
 from .learner import Actions, Learner, LearnerSettings, Observations, Policy, Progress
 
-__all__ = ["HRI", "Hypothesis", "HriPolicy", "HriSettings", "Layer", "Rules", "Vocabulary"]
+__all__ = ["HRI", "HriPolicy", "HriSettings", "Hypothesis", "Layer", "Rules"]
 
 Bools: TypeAlias = NDArray[np.bool_]
 
@@ -85,46 +85,15 @@ class HriSettings(LearnerSettings):
     """The number of updates between two extractions of rules."""
 
 
-@dataclass(frozen=True)
-class Vocabulary:
-    """The observed predicates, and how an observation of the kind `groundings` lists their truth values.
-
-    Attributes:
-        entities: The number of entities.
-        unary: The names of the unary predicates, with the position of their first number.
-        binary: The same for the binary predicates.
-    """
-
-    entities: int
-    unary: tuple[tuple[str, int], ...]
-    binary: tuple[tuple[str, int], ...]
-
-    @classmethod
-    def of(cls, description: Mapping[str, Any]) -> Vocabulary:
-        """Return the vocabulary of a task, from its description."""
-        unary, binary, base = [], [], 0
-        for column in description["columns"]:
-            (unary if column["arity"] == 1 else binary).append((str(column["predicate"]), base))
-            base += column["width"]
-        return cls(int(description["entities"]), tuple(unary), tuple(binary))
-
-    @property
-    def width(self) -> int:
-        """The number of truth values of an observation."""
-        return len(self.unary) * self.entities + len(self.binary) * self.entities**2
-
-    def relations(self, observations: Observations) -> tuple[Bools, Bools]:
-        """Return the truth values of unary (batch, N, U) and of binary (batch, N, N, B) predicates."""
-        n, rows = self.entities, len(observations)
-        true = observations > 0.5
-        unary = np.stack([true[:, at : at + n] for _, at in self.unary], -1)
-        pairs = [true[:, at : at + n * n].reshape(rows, n, n) for _, at in self.binary]
-        return unary, np.stack(pairs, -1) if pairs else np.zeros((rows, n, n, 0), np.bool_)
+def relations(layout: Layout, observations: Observations) -> tuple[Bools, Bools]:
+    """Return the truth values of unary (batch, N, U) and of binary (batch, N, N, B) predicates."""
+    true = observations > 0.5
+    return true[:, layout.unary_at], true[:, layout.binary_at]
 
 
 def present(unary: Bools, binary: Bools) -> Bools:
     """Return which entities exist, (batch, N): those with a true atom. The ego always exists."""
-    some: Bools = unary.any(-1) | binary.any((1, 3)) | binary.any((2, 3))
+    some = np.asarray(unary.any(-1) | binary.any((1, 3)) | binary.any((2, 3)))
     some[:, 0] = True
     return some
 
@@ -173,11 +142,11 @@ class Hypothesis:
         slots: The number of slots.
     """
 
-    def __init__(self, vocabulary: Vocabulary, settings: HriSettings, depth: int) -> None:
+    def __init__(self, layout: Layout, settings: HriSettings, depth: int) -> None:
         """List the predicates."""
         signs = (True, False) if settings.negation else (True,)
-        self.unary = [(name, sign) for sign in signs for name, _ in vocabulary.unary] + [("", True), ("", False)]
-        self.binary = [(name, sign) for sign in signs for name, _ in vocabulary.binary]
+        self.unary = [(name, sign) for sign in signs for name in layout.unary] + [("", True), ("", False)]
+        self.binary = [(name, sign) for sign in signs for name in layout.binary]
         self.negation = settings.negation
         self.levels: list[list[Layer]] = []
         self.slots = 0
@@ -310,7 +279,7 @@ def _weighted(degrees: torch.Tensor, values: torch.Tensor, models: bool = False)
     return sums.unflatten(-1, values.shape[first:])
 
 
-#: A literal of a body: its sign, its predicate, and its variables. Variable 0 is the first argument of the head, 1 the second.
+#: A literal of a body: its sign, its predicate, and its variables. 0 and 1 are the arguments of the head.
 Atom: TypeAlias = tuple[bool, str, tuple[int, ...]]
 #: The literals of a body.
 Body: TypeAlias = frozenset[Atom]
@@ -427,8 +396,7 @@ EGO = -1
 def _renamed(body: Body, names: Mapping[int, int]) -> Body:
     """Rename variables. The result shares only the new names with other bodies."""
     return frozenset(
-        (sign, name, tuple(names.get(variable, variable) for variable in arguments))
-        for sign, name, arguments in body
+        (sign, name, tuple(names.get(variable, variable) for variable in arguments)) for sign, name, arguments in body
     )
 
 
@@ -518,7 +486,9 @@ def _clause(head: str, arguments: tuple[int, ...], body: Body, more: Sequence[st
     # Literals about the ego come first, positive ones before negative ones.
     ordered = sorted(body, key=lambda literal: (max(literal[2]), not literal[0], literal[1:]))
     literals = [*more]
-    literals += [atom(name, variables) if sign else f"Not({atom(name, variables)})" for sign, name, variables in ordered]
+    literals += [
+        atom(name, variables) if sign else f"Not({atom(name, variables)})" for sign, name, variables in ordered
+    ]
     unbound = [variable for variable in used if variable not in (*bound, ego)]
     literals += [atom("Sees", (ego, variable)) for variable in unbound]
     if not unbound and not bound & {ego, EGO}:
@@ -531,25 +501,21 @@ class HriPolicy(Policy):
 
     Attributes:
         mode: The mode of the training.
-        vocabulary: The observed predicates.
+        layout: The positions of truth values in observations.
         settings: The settings.
         models: The rules of each action, in the order of precedence.
     """
 
-    def __init__(self, mode: str, vocabulary: Vocabulary, settings: HriSettings, models: Mapping[str, Rules]) -> None:
+    def __init__(self, mode: str, layout: Layout, settings: HriSettings, models: Mapping[str, Rules]) -> None:
         """Store the arguments."""
-        self.mode, self.vocabulary, self.settings, self.models = mode, vocabulary, settings, dict(models)
+        self.mode, self.layout, self.settings, self.models = mode, layout, settings, dict(models)
 
     def derived(self, observation: Observations) -> Bools:
         """Return which actions the rules derive, (actions of `models`, batch), without precedence among them."""
-        relations = self._relations(observation)
-        return np.array([rules.holds(*relations) for rules in self.models.values()], np.bool_)
-
-    def _relations(self, observation: Observations) -> tuple[Bools, Bools]:
-        array = np.asarray(observation)
-        if array.ndim != 2 or array.shape[1] < self.vocabulary.width:
-            raise ValueError(f"expected observations of shape (batch, {self.vocabulary.width}), not {array.shape}")
-        return self.vocabulary.relations(array)
+        if observation.ndim != 2 or observation.shape[1] != self.layout.width:
+            raise ValueError(f"expected observations of shape (batch, {self.layout.width}), not {observation.shape}")
+        values = relations(self.layout, observation)
+        return np.array([rules.holds(*values) for rules in self.models.values()], np.bool_)
 
     def predict(
         self, observation: Observations, state: Any = None, episode_start: Any = None, deterministic: bool = True
@@ -571,8 +537,11 @@ class HriPolicy(Policy):
             bodies, definitions = rules.bodies()
             for name, arguments, parts in definitions:
                 columns = ", ".join(f"{column}: agent" for column in ("e", "x", "y")[:arguments])
-                lines += ["", f"/// A part of the rules for {action}; e is the agent that decides.",
-                          f".decl {action}{name}({columns})"]
+                lines += [
+                    "",
+                    f"/// A part of the rules for {action}; e is the agent that decides.",
+                    f".decl {action}{name}({columns})",
+                ]
                 head = (EGO, 0, 1)[:arguments]
                 lines += [_clause(f"{action}{name}", head, body) for body in _prefixed(action, parts, definitions)]
             guards = [f"Not({name}(X))" for name in earlier]
@@ -587,7 +556,7 @@ class HriPolicy(Policy):
             "format": FORMAT,
             "algorithm": "hri",
             "mode": self.mode,
-            "vocabulary": [self.vocabulary.entities, list(self.vocabulary.unary), list(self.vocabulary.binary)],
+            "layout": _plain(self.layout),
             "settings": self.settings.model_dump(),
             "models": [
                 (action, len(rules.hypothesis.levels), list(rules.choices)) for action, rules in self.models.items()
@@ -605,18 +574,30 @@ class HriPolicy(Policy):
         """
         plain = _load(path, FORMAT)
         try:
-            entities, unary, binary = plain["vocabulary"]
-            vocabulary = Vocabulary(entities, tuple(map(tuple, unary)), tuple(map(tuple, binary)))
+            layout = _layout(*plain["layout"])
             settings = HriSettings.model_validate(plain["settings"])
             models = {}
             for action, depth, choices in plain["models"]:
-                hypothesis = Hypothesis(vocabulary, settings, depth)
+                hypothesis = Hypothesis(layout, settings, depth)
                 models[action] = Rules(hypothesis, tuple(choices))
                 if action not in ACTIONS or not models[action].is_valid():
                     raise ValueError(action)
-            return cls(plain["mode"], vocabulary, settings, models)
+            return cls(plain["mode"], layout, settings, models)
         except (KeyError, TypeError, ValueError) as error:
             raise ValueError(f"`{path}` is not a policy of hri: {error}") from error
+
+
+def _plain(layout: Layout) -> tuple[int, list[tuple[str, int]], bool]:
+    """Return the number of entities, the predicates with their arities in order, and whether a route length follows."""
+    starts = [(int(at), name, 1) for name, at in zip(layout.unary, layout.unary_at[0], strict=True)]
+    starts += [(int(at), name, 2) for name, at in zip(layout.binary, layout.binary_at[0, 0], strict=True)]
+    return layout.entities, [(name, arity) for _, name, arity in sorted(starts)], layout.route_length is not None
+
+
+def _layout(entities: int, predicates: Sequence[tuple[str, int]], route_length: bool) -> Layout:
+    """Return the layout that `_plain` described."""
+    atoms = [(name, at) for name, arity in predicates for at in product(range(entities), repeat=arity)]
+    return Layout.of_atoms(atoms, route_length)
 
 
 def _prefixed(action: str, bodies: Iterable[Body], definitions: Iterable[tuple[str, int, Any]]) -> list[Body]:
@@ -688,6 +669,32 @@ class _Model:
             if accuracy > self.accuracy:
                 self.best, self.accuracy = rules, accuracy
 
+    def state(self) -> dict[str, Any]:
+        """Return the weights, the state of the optimizer, and the best rules as plain data."""
+        return {
+            "predicates": self.predicates.detach(),
+            "rules": self.rules.detach(),
+            "optimizer": self.optimizer.state_dict(),
+            "choices": list(self.best.choices),
+            "accuracy": self.accuracy,
+        }
+
+    def restore(self, state: Mapping[str, Any], place: str) -> None:
+        """Restore what `state` returned.
+
+        Raises:
+            ValueError: If the sizes are those of other settings.
+        """
+        best = Rules(self.hypothesis, tuple(state["choices"]))
+        weights = {"predicates": self.predicates, "rules": self.rules}
+        if not best.is_valid() or any(state[name].shape != weight.shape for name, weight in weights.items()):
+            raise ValueError(f"{place}: the sizes are those of other settings")
+        with torch.no_grad():
+            for name, weight in weights.items():
+                weight.copy_(state[name])
+        self.optimizer.load_state_dict(state["optimizer"])
+        self.best, self.accuracy = best, float(state["accuracy"])
+
     def update(self, examples: Examples, progress: float, generator: torch.Generator) -> float:
         """Do one update. `progress` is the share of the updates that are done. Returns the mean loss."""
         settings = self.settings
@@ -719,9 +726,9 @@ def _between(ends: tuple[float, float], progress: float) -> float:
 class Examples:
     """The distinct observations of demonstrations, and in which of them the oracle takes an action."""
 
-    def __init__(self, vocabulary: Vocabulary, hypothesis: Hypothesis, observations: Observations, taken: Bools) -> None:
+    def __init__(self, layout: Layout, hypothesis: Hypothesis, observations: Observations, taken: Bools) -> None:
         """Prepare the truth values."""
-        self.unary, self.binary = vocabulary.relations(observations)
+        self.unary, self.binary = relations(layout, observations)
         self.taken = taken
         one, two = hypothesis.facts(self.unary, self.binary)
         self._unary, self._binary = torch.from_numpy(one).float(), torch.from_numpy(two).float()
@@ -744,7 +751,9 @@ class Examples:
     def accuracy(self, rules: Rules) -> float:
         """Return the mean of the shares of positive and of negative examples that rules decide right."""
         holds = rules.holds(self.unary, self.binary)
-        rates = [float((holds[self.taken == sign] == sign).mean()) for sign in (True, False) if (self.taken == sign).any()]
+        rates = [
+            float((holds[self.taken == sign] == sign).mean()) for sign in (True, False) if (self.taken == sign).any()
+        ]
         return sum(rates) / len(rates)
 
 
@@ -760,21 +769,21 @@ class HRI(Learner):
         super().__init__(config, log)
         settings = config.settings
         assert isinstance(settings, HriSettings)
-        description = _logicity.describe(load_task(config.mode))
-        self._vocabulary = Vocabulary.of(description)
-        asked = {constraint["action"] for constraint in description["constraints"]}
-        observations, actions = _distinct(config.mode, config.demonstrations)
+        asked = {constraint["action"] for constraint in _logicity.describe(load_task(config.mode))["constraints"]}
+        data = DemonstrationData.load(config.mode, config.demonstrations).distinct()
+        self._layout, observations, actions = data.layout, data.observations.numpy(), data.actions.numpy()
         self._generator = torch.Generator().manual_seed(config.seed)
         self._models: dict[str, _Model] = {}
         self._examples: dict[str, Examples] = {}
         for action in settings.order:
             if action not in asked:
                 continue
-            hypothesis = Hypothesis(self._vocabulary, settings, settings.depth_of.get(action, settings.depth))
+            hypothesis = Hypothesis(self._layout, settings, settings.depth_of.get(action, settings.depth))
             taken = actions == ACTIONS.index(action)
-            self._examples[action] = Examples(self._vocabulary, hypothesis, observations, taken)
+            self._examples[action] = Examples(self._layout, hypothesis, observations, taken)
             self._models[action] = _Model(hypothesis, settings, self._generator)
         self._steps = 0
+        self._writer: Any = None
 
     @property
     def steps(self) -> int:
@@ -785,35 +794,64 @@ class HRI(Learner):
         """Train until `self.steps` reaches `steps`."""
         while self._steps < steps:
             done = self._steps / self.config.steps
-            for action, model in self._models.items():
-                model.update(self._examples[action], done, self._generator)
+            losses = {
+                action: model.update(self._examples[action], done, self._generator)
+                for action, model in self._models.items()
+            }
             self._steps += 1
-            if self._steps % self.config.settings.extract_every == 0 or self._steps == steps:
+            if self._steps % self.config.settings.extract_every == 0 or self._steps == self.config.steps:
                 for action, model in self._models.items():
                     model.extract(self._examples[action])
+                    self._write(f"loss/{action}", losses[action])
+                    self._write(f"accuracy/{action}", model.accuracy)
             progress()
+
+    def _write(self, name: str, value: float) -> None:
+        """Add a value to the training curves."""
+        if self.log is None:
+            return
+        if self._writer is None:
+            from torch.utils.tensorboard import SummaryWriter
+
+            self._writer = SummaryWriter(str(self.log), purge_step=self._steps)
+        self._writer.add_scalar(name, value, self._steps)
 
     def policy(self) -> HriPolicy:
         """Return the best rules so far."""
         return HriPolicy(
             self.config.mode,
-            self._vocabulary,
+            self._layout,
             self.config.settings,
             {action: model.best for action, model in self._models.items()},
         )
 
     def save(self, folder: Path) -> None:
-        raise NotImplementedError
+        """Write the weights, the best rules, and the states of the optimizers and of the generator."""
+        plain = {
+            "format": CHECKPOINT,
+            "steps": self._steps,
+            "generator": self._generator.get_state(),
+            "models": {action: model.state() for action, model in self._models.items()},
+        }
+        torch.save(plain, folder / "hri.pt")
 
     def restore(self, folder: Path) -> None:
-        raise NotImplementedError
+        """Restore what `save` wrote.
 
+        Raises:
+            OSError: If the file cannot be read.
+            ValueError: If the file does not fit the configuration.
+        """
+        path = folder / "hri.pt"
+        plain = _load(path, CHECKPOINT)
+        if list(plain["models"]) != list(self._models):
+            raise ValueError(f"`{path}` has models of other actions: {', '.join(plain['models'])}")
+        for action, model in self._models.items():
+            model.restore(plain["models"][action], f"`{path}`, {action}")
+        self._generator.set_state(plain["generator"])
+        self._steps = plain["steps"]
 
-def _distinct(mode: str, share: float) -> tuple[Observations, Actions]:
-    """Return the distinct observations of the recorded training episodes, with the actions of the oracle."""
-    recorded = load_task(mode).recorded("train")
-    episodes = demonstrations(mode, max(1, round(share * recorded)))
-    observations = np.concatenate([episode.observations[:-1] for episode in episodes])
-    actions = np.concatenate([episode.actions for episode in episodes])
-    rows, first = np.unique(observations, axis=0, return_index=True)
-    return rows, actions[first]
+    def close(self) -> None:
+        """Close the log."""
+        if self._writer is not None:
+            self._writer.close()
