@@ -110,7 +110,8 @@ def _add_evaluate(parser: argparse.ArgumentParser) -> _Command:
     parser.add_argument(
         "--policy",
         required=True,
-        help="oracle, random, the .zip of a DQN, PPO or A2C model, or the folder of a run of `logicity train`",
+        help="oracle, random, the file of a policy (.zip of DQN, PPO or A2C, .pt of other learners), or the folder of "
+        "a run of `logicity train`",
     )
     parser.add_argument(
         "--modes",
@@ -246,35 +247,26 @@ def _modes(text: str) -> list[str]:
         raise argparse.ArgumentTypeError(str(error)) from None
 
 
-def _named_policy(text: str) -> tuple[Policy, str, str | None]:
-    """Return the policy that an argument names, its name for tables, and the mode of its training if that is known."""
+def _named_policy(text: str) -> tuple[Policy, str, str | None, ObservationKind | None]:
+    """Return the policy that an argument names, its name for tables, and the mode and observation of its training."""
     if text in ("oracle", "random"):
-        return cast("Policy", text), text, None
+        return cast("Policy", text), text, None, None
     path = Path(text)
-    if path.is_dir():
-        path = path / "best.zip"
-        if not path.is_file():
-            raise _UsageError(
-                f"`{text}` is a folder without `best.zip`, which `logicity train` writes at the end of a run\n"
-                "help: name the .zip of a model"
-            )
-    if not path.is_file():
-        if path.suffix == ".zip" or len(path.parts) > 1:
+    if not path.exists():
+        if path.suffix or len(path.parts) > 1:
             raise FileNotFoundError(errno.ENOENT, "no such file", text)
-        raise _UsageError(f"unknown policy `{text}`: expected oracle, random, or a model file of Stable-Baselines3")
-    from .train import load_model
+        raise _UsageError(
+            f"unknown policy `{text}`: expected oracle, random, the file of a policy, or the folder of a run"
+        )
+    if path.is_dir() and not any(path.glob("best.*")):
+        raise _UsageError(
+            f"`{text}` is a folder without a file `best.*`, which `logicity train` writes at the end of a run\n"
+            "help: name the file of a policy"
+        )
+    from .learn import load_policy
 
-    return load_model(path), path.stem, _trained_mode(path)
-
-
-def _trained_mode(model: Path) -> str | None:
-    """Return the mode that the configuration of a run records for one of its models, or `None` without a record."""
-    run = model.parent.parent if model.parent.name.startswith("checkpoint-") else model.parent
-    try:
-        mode = json.loads((run / "config.json").read_text()).get("mode")
-    except (AttributeError, OSError, ValueError):
-        return None
-    return mode if isinstance(mode, str) else None
+    saved = load_policy(path)
+    return saved.policy, saved.path.stem, saved.mode, saved.observation
 
 
 def _check_fit(policy: Policy, trained: str | None, benchmarks: Sequence[Benchmark]) -> None:
@@ -360,7 +352,7 @@ def _evaluate(given: argparse.Namespace) -> int:
     _check_json(given)
     if given.traces is not None:
         _check_folder("--traces", given.traces)
-    policy, name, trained = _named_policy(given.policy)
+    policy, name, trained, kind = _named_policy(given.policy)
     results: list[Evaluation] = []
     modes = given.modes or ([checked_mode(trained)] if trained is not None else list(ENVIRONMENTS))
     stems = [Path(mode).stem for mode in modes]
@@ -368,7 +360,7 @@ def _evaluate(given: argparse.Namespace) -> int:
         raise _UsageError("modes with the same name would write traces to the same folder: evaluate one at a time")
     if given.traces is not None and policy == "random":
         raise _UsageError("the random policy runs every episode ten times and supports no traces")
-    observation = given.observation or _observation_of(policy)
+    observation = given.observation or kind or _observation_of(policy)
     benchmarks = [Benchmark(mode, given.split, observation=observation) for mode in modes]
     _check_fit(policy, trained, benchmarks)
     folders = [None if given.traces is None else given.traces / stem for stem in stems]
@@ -385,7 +377,7 @@ def _evaluate(given: argparse.Namespace) -> int:
 
 
 def _train(given: argparse.Namespace) -> int:
-    from .train import TrainConfig, train
+    from .learn import TrainConfig, train
 
     config = TrainConfig.load(given.config, seed=given.seed)
     run = given.run or Path("runs") / f"{given.config.stem}-{config.seed}"
@@ -396,7 +388,8 @@ def _train(given: argparse.Namespace) -> int:
         raise
     except ValueError as error:
         raise ValueError(f"{given.config}: {error}") from error
-    print(f"{result['steps']} steps in {result['minutes']} minutes; best after {result['best']['steps']}")
+    spent = f"{result['cpu_seconds']:,.0f} CPU seconds"
+    print(f"{result['steps']} {result['unit']} in {spent}; best after {result['best']['steps']}")
     for name, label in {"compliance": "compliance", "tsr": "TSR", "dsr": "DSR"}.items():
         rate = result["test"][name]
         print(f"{label} on test episodes: {rate['value']:.2f} [{rate['low']:.2f}, {rate['high']:.2f}]")

@@ -314,7 +314,7 @@ pub const PYTHON_COMMANDS: [(&[&str], &str); 8] = [
     ),
     (
         &["train"],
-        "Train a DQN, PPO or A2C model, or resume an interrupted run",
+        "Train a learner on Safe Path Following, or resume an interrupted run",
     ),
     (
         &["ask"],
@@ -354,7 +354,7 @@ pub fn main() -> ExitCode {
     if let Some((words, _)) = python_command(&arguments) {
         let mut err = anstream::stderr();
         let package = match words {
-            ["train"] => "./python[train]",
+            ["train"] => "./python[learn]",
             _ => "./python",
         };
         let _ = writeln!(err, "error: `logicity {}` requires the Python package", words.join(" "));

@@ -43,6 +43,8 @@ FORMAT = "logicity hri policy 1"
 CHECKPOINT = "logicity hri checkpoint 1"
 
 Positive: TypeAlias = Annotated[float, Field(gt=0)]
+#: Two values. YAML has lists, which strict validation does not accept as tuples.
+Ends: TypeAlias = Annotated[tuple[Positive, Positive], Field(strict=False)]
 Name: TypeAlias = Literal["Stop", "Slow", "Fast", "Normal"]
 
 
@@ -65,13 +67,13 @@ class HriSettings(LearnerSettings):
     """The actions in the order of precedence, in case the rules derive several."""
     dimension: Annotated[int, Field(ge=2, le=4096)] | None = None
     """The dimension of embeddings. The default is the number of predicates of the model."""
-    embedding_rates: tuple[Positive, Positive] = (2.9e-3, 2.5e-4)
+    embedding_rates: Ends = (2.9e-3, 2.5e-4)
     """The learning rate of the embeddings of predicates."""
-    rule_rates: tuple[Positive, Positive] = (2.4e-4, 1.4e-6)
+    rule_rates: Ends = (2.4e-4, 1.4e-6)
     """The learning rate of the embeddings of slots."""
-    temperatures: tuple[Positive, Positive] = (0.1, 0.01)
+    temperatures: Ends = (0.1, 0.01)
     """The temperature of the softmax."""
-    noise: tuple[Positive, Positive] = (0.3, 0.01)
+    noise: Ends = (0.3, 0.01)
     """The scale of the Gumbel noise that is added to similarities."""
     conjunction: Literal["min", "product"] = "min"
     """The soft conjunction."""
@@ -763,6 +765,7 @@ class HRI(Learner):
     settings_class: ClassVar[type[LearnerSettings]] = HriSettings
     unit = "updates"
     interacts = False
+    policy_class: ClassVar[type[Policy]] = HriPolicy
 
     def __init__(self, config: Any, log: Path | None = None) -> None:
         """Run the oracle on the recorded training episodes, and draw the first weights."""
