@@ -212,14 +212,14 @@ def test_a_synthetic_rule_is_learned_exactly() -> None:
     next_to = binary[..., 0]
     wanted = at[:, 0] & (inside | (old & next_to[:, 0])).any(1)
     hypothesis = Hypothesis(of, settings, settings.depth)
-    examples = hri.Examples(of, hypothesis, observations, wanted)
+    examples = hri.Examples(hypothesis, of, observations, wanted, np.arange(len(wanted)) // 20)
     generator = torch.Generator().manual_seed(0)
     model = hri._Model(hypothesis, settings, generator)
     for step in range(400):
         model.update(examples, step / 400, generator)
         if step % 25 == 24:
             model.extract(examples)
-    assert model.accuracy == 1.0
+    assert model.quality == (1.0, 1.0)
     clauses = HriPolicy("synthetic", of, settings, {"Stop": model.best}).rules().splitlines()[3:]
     assert sorted(clauses) == [
         "Stop(X) :- IsAtInter(X), IsInInter(Y).",

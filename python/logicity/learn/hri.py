@@ -17,7 +17,7 @@ from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from itertools import count, groupby, product
 from pathlib import Path
-from typing import Annotated, Any, ClassVar, Literal, TypeAlias
+from typing import Annotated, Any, ClassVar, Literal, NamedTuple, TypeAlias
 
 import numpy as np
 import torch
@@ -83,6 +83,9 @@ class HriSettings(LearnerSettings):
     """The number of examples of an update: half of them positive, half of them negative."""
     restarts: Annotated[int, Field(ge=1, le=1024)] = 16
     """The number of models per action, which train at the same time. The best one on the demonstrations counts."""
+    generation: Annotated[int, Field(ge=1)] | None = None
+    """The number of updates after which all models start again with new weights, schedules and rules. The default is
+    the number of all updates. Validation chooses among the best rules of each generation."""
     extract_every: Annotated[int, Field(ge=1)] = 50
     """The number of updates between two extractions of rules."""
 
@@ -630,26 +633,44 @@ def _load(path: Path, expected: str) -> dict[str, Any]:
     return dict(plain)
 
 
+class Quality(NamedTuple):
+    """How well rules agree with the oracle about one action. Better rules are larger.
+
+    Attributes:
+        reproduced: The share of trajectories in which they agree in every step. A wrong step can end an episode, or
+            stop the car forever. So this share estimates the success rate better than the accuracy.
+        accuracy: The mean of the shares of positive and of negative examples that they decide right.
+    """
+
+    reproduced: float
+    accuracy: float
+
+
 class _Model:
     """The models of one action in training: `restarts` of them, which differ in their first weights and in the noise.
 
     Attributes:
-        best: The best rules so far on the demonstrations.
-        accuracy: The mean of the shares of positive and of negative examples that `best` decides right.
+        best: The best rules of this generation on the demonstrations; at its start, those of the last one.
+        quality: The quality of `best`; negative at the start of a generation.
     """
 
     def __init__(self, hypothesis: Hypothesis, settings: HriSettings, generator: torch.Generator) -> None:
         """Draw the embeddings."""
         self.hypothesis, self.settings = hypothesis, settings
-        dimension = settings.dimension or hypothesis.predicates
-        self.predicates = torch.randn(settings.restarts, hypothesis.predicates, dimension, generator=generator)
-        self.rules = torch.randn(settings.restarts, hypothesis.slots, dimension, generator=generator)
+        self.hidden = ~hypothesis.visible()
+        self.start(generator)
+        self.best = Rules(hypothesis, tuple(self._extract()[0]))
+
+    def start(self, generator: torch.Generator) -> None:
+        """Start a generation: draw the embeddings."""
+        restarts, hypothesis = self.settings.restarts, self.hypothesis
+        dimension = self.settings.dimension or hypothesis.predicates
+        self.predicates = torch.randn(restarts, hypothesis.predicates, dimension, generator=generator)
+        self.rules = torch.randn(restarts, hypothesis.slots, dimension, generator=generator)
         for weights in (self.predicates, self.rules):
             weights.requires_grad_()
         self.optimizer = torch.optim.Adam([{"params": [self.predicates]}, {"params": [self.rules]}], lr=1.0)
-        self.hidden = ~hypothesis.visible()
-        self.best = Rules(hypothesis, tuple(self._extract()[0]))
-        self.accuracy = -1.0
+        self.quality = Quality(-1.0, -1.0)
 
     def similarities(self) -> torch.Tensor:
         """Return the cosine similarities of slots and predicates, (restarts, slots, predicates)."""
@@ -667,9 +688,9 @@ class _Model:
         """Discretize all models, and keep the best one if it improves on `best`."""
         for choices in dict.fromkeys(map(tuple, self._extract())):
             rules = Rules(self.hypothesis, choices)
-            accuracy = examples.accuracy(rules)
-            if accuracy > self.accuracy:
-                self.best, self.accuracy = rules, accuracy
+            quality = examples.quality(rules)
+            if quality > self.quality:
+                self.best, self.quality = rules, quality
 
     def state(self) -> dict[str, Any]:
         """Return the weights, the state of the optimizer, and the best rules as plain data."""
@@ -678,7 +699,7 @@ class _Model:
             "rules": self.rules.detach(),
             "optimizer": self.optimizer.state_dict(),
             "choices": list(self.best.choices),
-            "accuracy": self.accuracy,
+            "quality": list(self.quality),
         }
 
     def restore(self, state: Mapping[str, Any], place: str) -> None:
@@ -695,7 +716,7 @@ class _Model:
             for name, weight in weights.items():
                 weight.copy_(state[name])
         self.optimizer.load_state_dict(state["optimizer"])
-        self.best, self.accuracy = best, float(state["accuracy"])
+        self.best, self.quality = best, Quality(*state["quality"])
 
     def update(self, examples: Examples, progress: float, generator: torch.Generator) -> float:
         """Do one update. `progress` is the share of the updates that are done. Returns the mean loss."""
@@ -726,16 +747,32 @@ def _between(ends: tuple[float, float], progress: float) -> float:
 
 
 class Examples:
-    """The distinct observations of demonstrations, and in which of them the oracle takes an action."""
+    """The distinct observations of demonstrations, and in which of them the oracle takes an action.
 
-    def __init__(self, layout: Layout, hypothesis: Hypothesis, observations: Observations, taken: Bools) -> None:
+    Args:
+        hypothesis: The predicates.
+        layout: The positions of truth values in observations.
+        observations: The observation of each step.
+        taken: Whether the oracle takes the action, by step.
+        trajectories: The number of the trajectory of each step, from 0.
+    """
+
+    def __init__(
+        self,
+        hypothesis: Hypothesis,
+        layout: Layout,
+        observations: Observations,
+        taken: Bools,
+        trajectories: NDArray[Any],
+    ) -> None:
         """Prepare the truth values."""
-        self.unary, self.binary = relations(layout, observations)
-        self.taken = taken
+        rows, first, self._at = np.unique(observations, axis=0, return_index=True, return_inverse=True)
+        self.unary, self.binary = relations(layout, rows)
+        self.taken, self._trajectories = taken[first], trajectories
         one, two = hypothesis.facts(self.unary, self.binary)
         self._unary, self._binary = torch.from_numpy(one).float(), torch.from_numpy(two).float()
         self._exist = torch.from_numpy(present(self.unary, self.binary)).float()
-        self._parts = [torch.from_numpy(np.flatnonzero(taken == sign)) for sign in (True, False)]
+        self._parts = [torch.from_numpy(np.flatnonzero(self.taken == sign)) for sign in (True, False)]
 
     def sample(
         self, batch: int, generator: torch.Generator
@@ -750,13 +787,12 @@ class Examples:
         wanted = torch.cat([torch.ones(len(draws[0])), torch.zeros(len(draws[1]))])
         return self._unary[:, at], self._binary[:, at], self._exist[at], wanted
 
-    def accuracy(self, rules: Rules) -> float:
-        """Return the mean of the shares of positive and of negative examples that rules decide right."""
-        holds = rules.holds(self.unary, self.binary)
-        rates = [
-            float((holds[self.taken == sign] == sign).mean()) for sign in (True, False) if (self.taken == sign).any()
-        ]
-        return sum(rates) / len(rates)
+    def quality(self, rules: Rules) -> Quality:
+        """Measure rules on the demonstrations."""
+        right = rules.holds(self.unary, self.binary) == self.taken
+        rates = [float(right[self.taken == sign].mean()) for sign in (True, False) if (self.taken == sign).any()]
+        wrong = np.bincount(self._trajectories, ~right[self._at])
+        return Quality(float((wrong == 0).mean()), sum(rates) / len(rates))
 
 
 class HRI(Learner):
@@ -773,8 +809,8 @@ class HRI(Learner):
         settings = config.settings
         assert isinstance(settings, HriSettings)
         asked = {constraint["action"] for constraint in _logicity.describe(load_task(config.mode))["constraints"]}
-        data = DemonstrationData.load(config.mode, config.demonstrations).distinct()
-        self._layout, observations, actions = data.layout, data.observations.numpy(), data.actions.numpy()
+        data = DemonstrationData.load(config.mode, config.demonstrations)
+        self._layout = data.layout
         self._generator = torch.Generator().manual_seed(config.seed)
         self._models: dict[str, _Model] = {}
         self._examples: dict[str, Examples] = {}
@@ -782,8 +818,13 @@ class HRI(Learner):
             if action not in asked:
                 continue
             hypothesis = Hypothesis(self._layout, settings, settings.depth_of.get(action, settings.depth))
-            taken = actions == ACTIONS.index(action)
-            self._examples[action] = Examples(self._layout, hypothesis, observations, taken)
+            self._examples[action] = Examples(
+                hypothesis,
+                self._layout,
+                data.observations.numpy(),
+                data.actions.numpy() == ACTIONS.index(action),
+                data.trajectories.numpy(),
+            )
             self._models[action] = _Model(hypothesis, settings, self._generator)
         self._steps = 0
         self._writer: Any = None
@@ -796,7 +837,11 @@ class HRI(Learner):
     def fit(self, steps: int, progress: Progress) -> None:
         """Train until `self.steps` reaches `steps`."""
         while self._steps < steps:
-            done = self._steps / self.config.steps
+            length = self.config.settings.generation or self.config.steps
+            if self._steps and self._steps % length == 0:
+                for model in self._models.values():
+                    model.start(self._generator)
+            done = self._steps % length / length
             losses = {
                 action: model.update(self._examples[action], done, self._generator)
                 for action, model in self._models.items()
@@ -806,7 +851,8 @@ class HRI(Learner):
                 for action, model in self._models.items():
                     model.extract(self._examples[action])
                     self._write(f"loss/{action}", losses[action])
-                    self._write(f"accuracy/{action}", model.accuracy)
+                    self._write(f"accuracy/{action}", model.quality.accuracy)
+                    self._write(f"reproduced/{action}", model.quality.reproduced)
             progress()
 
     def _write(self, name: str, value: float) -> None:
