@@ -36,6 +36,7 @@ if TYPE_CHECKING:
     from . import questions as questions
     from . import sb3 as sb3
     from . import vap as vap
+    from . import views as views
     from .city import ACTIONS, HEADINGS, REASONS, AgentInfo, Decision, Inference, Simulation, Tick, infer
     from .describe import observation_names
     from .errors import InputError, LimitError, UnsupportedError
@@ -78,7 +79,7 @@ _NAMES = {
     ],
 }
 _HOMES = {name: module for module, names in _NAMES.items() for name in names}
-_MODULES = ("envs", "icons", "learn", "parallel", "questions", "sb3", "vap")
+_MODULES = ("envs", "icons", "learn", "parallel", "questions", "sb3", "vap", "views")
 
 __all__ = [
     "ACTIONS",

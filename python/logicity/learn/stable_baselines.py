@@ -104,6 +104,7 @@ _ALGORITHMS: dict[str, tuple[type[BaseAlgorithm], str]] = {
     "dqn": (DQN, "exploration_fraction"),
     "ppo": (PPO, "clip_range"),
     "a2c": (A2C, "normalize_advantage"),
+    "nlm-dqn": (DQN, "exploration_fraction"),
 }
 
 
@@ -114,6 +115,7 @@ def algorithm_of(path: str | os.PathLike[str]) -> str:
         OSError: If the file cannot be read.
         ValueError: If the file is not a DQN, PPO or A2C model of Stable-Baselines3.
     """
+    saved: dict[str, Any]
     try:
         with ZipFile(path) as archive:
             saved = json.loads(archive.read("data"))
@@ -122,6 +124,9 @@ def algorithm_of(path: str | os.PathLike[str]) -> str:
     found = [name for name, (_, distinctive) in _ALGORITHMS.items() if distinctive in saved]
     if not found:
         raise ValueError(f"{os.fspath(path)} is not a model of {', '.join(_ALGORITHMS)}")
+    if "dqn" in found:
+        features = saved.get("policy_kwargs", {}).get("features_extractor_class", "")
+        return "nlm-dqn" if "LogicFeatures" in str(features) else "dqn"
     # PPO also has A2C's setting.
     return "ppo" if "ppo" in found else found[0]
 
@@ -214,6 +219,20 @@ class StableBaselinesLearner(Learner):
             env.close()
             raise
 
+    @classmethod
+    def policy_arguments(cls, config: TrainConfig, settings: dict[str, Any]) -> dict[str, Any]:
+        """Return the argument `policy_kwargs` of the algorithm's class.
+
+        Args:
+            config: The configuration.
+            settings: Its settings. The method removes those that are not arguments of the algorithm's class.
+        """
+        return {
+            "features_extractor_class": FeatureLayers,
+            "features_extractor_kwargs": {"widths": settings.pop("network")},
+            "net_arch": [],
+        }
+
     def _start_from(self, path: Path) -> None:
         name = algorithm_of(path)
         if name != self.config.algorithm:
@@ -287,11 +306,9 @@ def new_model(config: TrainConfig, env: VecEnv, log: str | None = None) -> BaseA
         ValueError: If the algorithm rejects the settings.
     """
     settings = config.settings.model_dump()
-    policy = {
-        "features_extractor_class": FeatureLayers,
-        "features_extractor_kwargs": {"widths": settings.pop("network")},
-        "net_arch": [],
-    }
+    learner = config.learner
+    assert issubclass(learner, StableBaselinesLearner)
+    policy = learner.policy_arguments(config, settings)
     algorithm, _ = _ALGORITHMS[config.algorithm]
     try:
         return algorithm(
