@@ -327,6 +327,22 @@ def processes_with(text: str) -> list[int]:
     return found
 
 
+def test_the_quick_table_of_the_paper(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    root = tmp_path / "run"
+    only = ["--only", "ppo,easy", "--only", "a2c,expert", "--quick", "--jobs", "2", "--run", str(root)]
+    assert command(("experiment",), [str(EXPERIMENTS / "spf.yaml"), *only]) == 0
+    output = capsys.readouterr()
+    assert "[2/2] " in output.err and output.out.startswith("Safe Path Following\n\neasy\nlearner ")
+    table = json.loads((root / "table.json").read_text())
+    assert [(entry["row"], entry["mode"], entry["seeds"]) for entry in table["entries"]] == [
+        ("ppo", "easy", [0]),
+        ("a2c", "expert", [0]),
+    ]
+    assert [entry["paper"]["tsr"] for entry in table["entries"]] == [0.33, 0.12]
+    assert command(("experiment",), [str(EXPERIMENTS / "spf.yaml"), *only, "--submit", "rows.json"]) == 2
+    assert "remove `--quick` and `--set`" in capsys.readouterr().err
+
+
 def test_failed_cells_do_not_stop_the_others(tiny: Path, tmp_path: Path) -> None:
     text = TINY.replace("ppo: {}", "ppo: {optional: true, changes: {settings: {batch_size: 1}}}")
     experiment, cells = cells_of(write(tmp_path, text), seeds=(0,))
