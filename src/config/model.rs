@@ -62,6 +62,71 @@ pub struct RewardConfig {
     pub clauses: Vec<(Located<String>, f64)>,
     /// For reaching the horizon before the goal.
     pub overtime: f64,
+    /// The terms that only training has.
+    #[serde(skip_serializing_if = "Shaping::is_none")]
+    pub shaping: Shaping,
+}
+
+/// The reward terms that a learner gets in training besides the rewards of the task. Without values there are none.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Serialize)]
+pub struct Shaping {
+    /// For the whole route; a step gets the share of it that the car covers.
+    pub progress: f64,
+    /// For reaching the goal without a violation.
+    pub goal: f64,
+    /// Potential-based shaping.
+    pub potential: Potential,
+}
+
+impl Shaping {
+    /// Returns whether every step has the reward of the task alone.
+    pub fn is_none(&self) -> bool {
+        self.progress == 0.0 && self.goal == 0.0 && self.potential.weight == 0.0
+    }
+}
+
+/// Potential-based shaping: a step from s to s' gets `gamma` times the potential of s' minus that of s (Ng, Harada and
+/// Russell 1999).
+#[derive(Clone, Copy, Debug, PartialEq, Serialize)]
+pub struct Potential {
+    /// The potential of the whole route; 0 for no shaping.
+    pub weight: f64,
+    /// What the potential is proportional to.
+    pub of: PotentialOf,
+    /// The discount factor of the learner, 0 to 1.
+    pub gamma: f64,
+}
+
+impl Default for Potential {
+    fn default() -> Self {
+        Potential {
+            weight: 0.0,
+            of: PotentialOf::Remaining,
+            gamma: 0.99,
+        }
+    }
+}
+
+/// What a [`Potential`] is proportional to.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize)]
+pub enum PotentialOf {
+    /// Minus the remaining share of the route.
+    Remaining,
+    /// The covered share of the route.
+    Progress,
+}
+
+impl PotentialOf {
+    /// Both.
+    pub const ALL: [PotentialOf; 2] = [PotentialOf::Remaining, PotentialOf::Progress];
+
+    /// Returns its name: `remaining` or `progress`.
+    pub const fn name(self) -> &'static str {
+        match self {
+            PotentialOf::Remaining => "remaining",
+            PotentialOf::Progress => "progress",
+        }
+    }
 }
 
 /// The random properties of the ego, drawn when an episode begins.

@@ -91,6 +91,11 @@ fn reward(node: &Node, faults: &mut Vec<Diagnostic>) -> Option<RewardConfig> {
         };
         present.map(clause).collect::<Option<Vec<_>>>()
     });
+    let term = |fields: &mut Fields<'_>, key, faults: &mut Vec<Diagnostic>| {
+        (fields.optional(key)).map_or(Some(0.0), |node| reward_value(node, faults))
+    };
+    let (progress, goal) = (term(&mut fields, "progress", faults), term(&mut fields, "goal", faults));
+    let potential = (fields.optional("potential")).map_or(Some(Potential::default()), |node| potential(node, faults));
     fields.close(faults);
     Some(RewardConfig {
         actions: actions?,
@@ -98,6 +103,30 @@ fn reward(node: &Node, faults: &mut Vec<Diagnostic>) -> Option<RewardConfig> {
         violations_per: violations_per?,
         clauses: clauses.map_or(Some(Vec::new()), |clauses| clauses)?,
         overtime: overtime?,
+        shaping: Shaping {
+            progress: progress?,
+            goal: goal?,
+            potential: potential?,
+        },
+    })
+}
+
+fn potential(node: &Node, faults: &mut Vec<Diagnostic>) -> Option<Potential> {
+    let mut fields = Fields::open(node, "the potential", faults)?;
+    let default = Potential::default();
+    let weight = (fields.optional("weight")).map_or(Some(default.weight), |node| {
+        number(node, 0.0..=MAX_REWARD, "a weight from 0 to 1e6", faults)
+    });
+    let kinds = PotentialOf::ALL.map(|of| (of.name(), of));
+    let of = (fields.optional("of")).map_or(Some(default.of), |node| choice(node, &kinds, faults));
+    let gamma = (fields.optional("gamma")).map_or(Some(default.gamma), |node| {
+        number(node, 0.0..=1.0, "a discount factor from 0 to 1", faults)
+    });
+    fields.close(faults);
+    Some(Potential {
+        weight: weight?,
+        of: of?,
+        gamma: gamma?,
     })
 }
 

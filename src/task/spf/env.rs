@@ -3,9 +3,11 @@
 use crate::cancel::Cancel;
 use crate::city::Agent;
 use crate::city::{Action, AgentKind, Split};
+use crate::config::Shaping;
 use crate::diag::{Code, Diagnostic};
 use crate::rng::{Purpose, RngExt, Seed};
 use crate::sim::{Actions, Observer, Settings, Simulation};
+use crate::task::spf::shaping::{ShapedStep, shaping};
 use crate::task::spf::{Episode, SpfTask};
 use std::sync::Arc;
 
@@ -31,6 +33,8 @@ pub struct Env {
     controlled_cars: Vec<ControlledCar>,
     /// The maximum number of steps of the episode.
     horizon: u32,
+    /// The reward terms of training, if the configuration has any and the agents are those of the training split.
+    shaping: Option<Shaping>,
     steps: u32,
     controls: Vec<(usize, Action)>,
     /// The actions of all controlled cars in each step of the episode.
@@ -45,6 +49,8 @@ pub struct ControlledCar {
     observer: Observer,
     /// Cells of its route, start and goal included.
     cells: usize,
+    /// The covered share of its route before the last step, for reward terms.
+    covered: f64,
     derived: Actions,
     last: Transition,
     running: bool,
@@ -53,8 +59,10 @@ pub struct ControlledCar {
 /// The result of an action.
 #[derive(Clone, Debug, Default, PartialEq)]
 pub struct Transition {
-    /// Reward.
+    /// Reward of the task, which evaluations sum up.
     pub reward: f64,
+    /// What the reward terms of training add to it; 0 in the splits `val` and `test`.
+    pub shaping: f64,
     /// Whether the episode has ended because the car is at its goal or violated a rule.
     pub terminated: bool,
     /// Whether the episode has reached its horizon.
@@ -63,6 +71,13 @@ pub struct Transition {
     pub success: bool,
     /// The violated clauses, by their positions in [`Oracle::constraints`](crate::sim::Oracle::constraints).
     pub broken: Vec<usize>,
+}
+
+impl Transition {
+    /// Returns the reward for a learner: that of the task, and the reward terms of training.
+    pub fn shaped_reward(&self) -> f64 {
+        self.reward + self.shaping
+    }
 }
 
 impl ControlledCar {
@@ -145,6 +160,7 @@ impl Env {
         let controlled_car = |ego| ControlledCar {
             observer: Observer::new(Arc::clone(task.oracle()), ego),
             cells: 0,
+            covered: 0.0,
             derived: Actions::default(),
             last: Transition::default(),
             running: false,
@@ -154,8 +170,10 @@ impl Env {
             let message = format!("the split `{}` has no car to control", split.name());
             return Err(Diagnostic::new(Code::INVALID_VALUE, message).at(task.config().span, "for this task"));
         }
+        let shaping = task.config().reward.shaping;
         Ok(Env {
             horizon: task.config().horizon,
+            shaping: (split == Split::Train && !shaping.is_none()).then_some(shaping),
             steps: 0,
             controls: Vec::with_capacity(controlled_cars.len()),
             taken: Vec::new(),
@@ -314,6 +332,7 @@ impl Env {
                 controlled_car.last.broken.clear();
                 controlled_car.last.broken.extend_from_slice(broken);
                 controlled_car.last.reward = self.task.reward(action, broken, controlled_car.cells);
+                controlled_car.covered = covered(&self.city.agents()[controlled_car.agent()]);
                 self.controls.push((controlled_car.agent(), action));
             }
         }
@@ -325,13 +344,22 @@ impl Env {
             .iter_mut()
             .filter(|controlled_car| controlled_car.running)
         {
-            let arrived = self.city.agents()[controlled_car.agent()].at_goal();
+            let agent = &self.city.agents()[controlled_car.agent()];
+            let arrived = agent.at_goal();
             let last = &mut controlled_car.last;
             last.success = arrived && last.broken.is_empty();
             last.terminated = arrived || !last.broken.is_empty();
             last.truncated = !last.terminated && self.steps >= self.horizon;
             if last.truncated {
                 last.reward += self.task.config().reward.overtime;
+            }
+            if let Some(terms) = &self.shaping {
+                let step = ShapedStep {
+                    covered: [controlled_car.covered, covered(agent)],
+                    terminated: last.terminated,
+                    success: last.success,
+                };
+                last.shaping = shaping(terms, step);
             }
         }
         self.look()?;
@@ -363,9 +391,13 @@ impl Env {
     }
 
     /// Returns the fraction of its route that a controlled car has covered, 0 to 1.
-    #[allow(clippy::cast_precision_loss)] // a share
     pub fn progress(&self, controlled_car: usize) -> f64 {
-        let agent = &self.city.agents()[self.controlled_cars[controlled_car].agent()];
-        agent.position() as f64 / (agent.route().steps().max(1)) as f64
+        covered(&self.city.agents()[self.controlled_cars[controlled_car].agent()])
     }
+}
+
+/// Returns the fraction of its route that an agent has covered, 0 to 1.
+#[allow(clippy::cast_precision_loss)] // a share
+fn covered(agent: &Agent) -> f64 {
+    agent.position() as f64 / (agent.route().steps().max(1)) as f64
 }

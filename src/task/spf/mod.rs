@@ -24,6 +24,7 @@ mod explain;
 mod metrics;
 mod record;
 mod rollout;
+mod shaping;
 mod vector;
 
 pub use codes::{CATALOG, CODES};

@@ -180,7 +180,7 @@ enum Stage {
 /// The result of a step.
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
 pub struct Outcome {
-    /// Reward.
+    /// Reward, with the reward terms of training.
     pub reward: f64,
     /// Whether the episode has ended.
     pub terminated: bool,
@@ -275,7 +275,7 @@ impl SubEnv {
         }
         let last = self.env.controlled_cars()[0].last();
         let outcome = Outcome {
-            reward: last.reward,
+            reward: last.shaped_reward(),
             terminated: last.terminated,
             truncated: last.truncated,
         };
