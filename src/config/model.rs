@@ -139,6 +139,47 @@ pub struct EgoConfig {
     pub concepts: Vec<(f64, Arc<[String]>)>,
 }
 
+/// The order of the entities that the ego observes. It does not affect which entities the ego observes.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize)]
+pub enum EntityOrder {
+    /// The order of the list of agents.
+    #[default]
+    List,
+    /// By distance from the ego; agents at the same distance in list order.
+    Nearest,
+}
+
+impl EntityOrder {
+    /// Both.
+    pub const ALL: [EntityOrder; 2] = [EntityOrder::List, EntityOrder::Nearest];
+
+    /// Returns its name: `list` or `nearest`.
+    pub const fn name(self) -> &'static str {
+        match self {
+            EntityOrder::List => "list",
+            EntityOrder::Nearest => "nearest",
+        }
+    }
+
+    fn is_default(&self) -> bool {
+        *self == EntityOrder::default()
+    }
+}
+
+/// A stage of a curriculum: episodes with fewer agents.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize)]
+pub struct CurriculumStage {
+    /// The number of episodes of an environment at which the stage ends.
+    pub until: u64,
+    /// The number of agents, the ego included.
+    pub agents: Located<u32>,
+}
+
+#[allow(clippy::trivially_copy_pass_by_ref)] // serde passes a reference
+fn is_one(number: &u32) -> bool {
+    *number == 1
+}
+
 /// The configuration of Safe Path Following (`configs/tasks/*.yaml`).
 #[derive(Clone, Debug, Serialize)]
 pub struct SpfConfig {
@@ -146,6 +187,9 @@ pub struct SpfConfig {
     pub entities: u32,
     /// The rows of the `state` observation, one per agent, the ego included; 1 to 1024.
     pub state_agents: u32,
+    /// The order of the observed entities.
+    #[serde(skip_serializing_if = "EntityOrder::is_default")]
+    pub order: EntityOrder,
     /// Whether the observation ends with the length of the route.
     pub route_length: bool,
     /// The maximum number of steps of a randomly drawn episode.
@@ -156,6 +200,12 @@ pub struct SpfConfig {
     pub reward: RewardConfig,
     /// The random properties of the ego; `None` to use the agent set.
     pub ego: Option<EgoConfig>,
+    /// The number of steps that the rules constrain in the oracle's run of a demanding episode, at least 1.
+    #[serde(skip_serializing_if = "is_one")]
+    pub constrained_steps: u32,
+    /// The stages of the curriculum, by ascending `until`.
+    #[serde(skip_serializing_if = "Vec::is_empty")]
+    pub curriculum: Vec<CurriculumStage>,
     /// The files of recorded episodes, in the order of [`Split::ALL`].
     #[serde(skip)]
     pub episodes: [Option<Located<PathBuf>>; 3],

@@ -14,6 +14,9 @@ use std::sync::Arc;
 impl Purpose {
     /// The ego of an episode: its priority and concepts.
     pub const EGO: Purpose = Purpose::new(7);
+
+    /// The agents that take part in an episode of a curriculum.
+    pub const CURRICULUM: Purpose = Purpose::new(50);
 }
 
 /// The cars under external control.
@@ -30,6 +33,9 @@ pub struct Env {
     task: Arc<SpfTask>,
     city: Simulation,
     control: ControlMode,
+    settings: Settings,
+    /// Whether to compute the allowed actions in every state.
+    judges: bool,
     controlled_cars: Vec<ControlledCar>,
     /// The maximum number of steps of the episode.
     horizon: u32,
@@ -52,6 +58,7 @@ pub struct ControlledCar {
     /// The covered share of its route before the last step, for reward terms.
     covered: f64,
     derived: Actions,
+    allowed: Option<Actions>,
     last: Transition,
     running: bool,
 }
@@ -100,6 +107,11 @@ impl ControlledCar {
     /// *constrained*.
     pub fn derived(&self) -> Actions {
         self.derived
+    }
+
+    /// Returns the actions that violate no clause now; `None` without [`Env::judge_actions`].
+    pub fn allowed(&self) -> Option<Actions> {
+        self.allowed
     }
 
     /// Returns the result of its last action.
@@ -162,6 +174,7 @@ impl Env {
             cells: 0,
             covered: 0.0,
             derived: Actions::default(),
+            allowed: None,
             last: Transition::default(),
             running: false,
         };
@@ -180,6 +193,8 @@ impl Env {
             episode: Episode::of(0, city.agents()),
             spare: Vec::new(),
             control,
+            settings,
+            judges: false,
             controlled_cars,
             city,
             task,
@@ -189,6 +204,11 @@ impl Env {
     /// Returns the task.
     pub fn task(&self) -> &Arc<SpfTask> {
         &self.task
+    }
+
+    /// Returns which cars the caller controls.
+    pub fn control(&self) -> ControlMode {
+        self.control
     }
 
     /// Returns the city.
@@ -227,12 +247,26 @@ impl Env {
         self.taken.chunks_exact(self.controlled_cars.len())
     }
 
+    /// Computes from the next state on which actions violate no clause; see [`ControlledCar::allowed`].
+    pub fn judge_actions(&mut self) {
+        self.judges = true;
+    }
+
     /// Begins a random episode: draws starts and goals for all agents, and priority and concepts for the first car if
     /// the configuration says so.
     ///
     /// # Errors
     /// `no-start-cell`, `no-route`, `limit-exceeded`.
     pub fn reset(&mut self, seed: u64) -> Result<(), Diagnostic> {
+        self.reset_with(seed, None)
+    }
+
+    /// Variant of [`Env::reset`] with `agents` agents: the first car, and others that the seed selects. They are and do
+    /// at the start what they are and do in the episode with all agents.
+    ///
+    /// # Errors
+    /// As [`Env::reset`].
+    pub fn reset_with(&mut self, seed: u64, agents: Option<usize>) -> Result<(), Diagnostic> {
         self.city.draw_agents(Seed(seed), &mut self.spare)?;
         let first = &mut self.spare[self.controlled_cars[0].agent()];
         if let Some(ego) = &self.task.config().ego {
@@ -250,8 +284,25 @@ impl Env {
             let (_, concepts) = drawn.or(possible.next_back()).expect("a weight is not 0");
             first.concepts = Arc::clone(concepts);
         }
+        if let Some(agents) = agents {
+            self.select(seed, agents);
+        }
         self.horizon = self.task.config().horizon;
         self.begin(seed)
+    }
+
+    /// Keeps the first agent, which is the ego, and others up to `agents`, each as probable as any (selection sampling,
+    /// Knuth 1997, algorithm 3.4.2 S).
+    fn select(&mut self, seed: u64, agents: usize) {
+        let mut stream = Seed(seed).stream(Purpose::CURRICULUM, 0, 0);
+        let (mut left, mut wanted) = (self.spare.len(), agents.max(1));
+        self.spare.retain(|_| {
+            let is_ego = wanted == agents.max(1);
+            let takes = is_ego || stream.random_range(0..left) < wanted;
+            left -= 1;
+            wanted -= usize::from(takes);
+            takes
+        });
     }
 
     /// Begins a given episode. Its horizon is [`Episode::horizon`]; if every car is controlled, it is the configured
@@ -261,7 +312,7 @@ impl Env {
     /// `invalid-episode` if its agents differ from those of the split, have concepts without a predicate for their
     /// type, or have no route; `limit-exceeded`.
     pub fn reset_to(&mut self, episode: &Episode) -> Result<(), Diagnostic> {
-        self.spare = episode.place(self.task.world(), self.city.agents())?;
+        self.spare = episode.place(&self.task, self.city.split(), self.control)?;
         self.horizon = match self.control {
             ControlMode::First => episode.horizon(self.task.config()),
             ControlMode::Cars => self.task.config().horizon.max(1),
@@ -278,12 +329,17 @@ impl Env {
 
     /// Begins an episode with the agents in `spare`.
     fn begin(&mut self, seed: u64) -> Result<(), Diagnostic> {
-        self.episode.seed = seed;
-        self.episode.oracle = None;
-        for (noted, agent) in self.episode.agents.iter_mut().zip(&self.spare) {
-            noted.note(agent);
+        let names = self.city.agents().iter().map(Agent::name);
+        if names.eq(self.spare.iter().map(Agent::name)) {
+            self.episode.seed = seed;
+            self.episode.oracle = None;
+            for (noted, agent) in self.episode.agents.iter_mut().zip(&self.spare) {
+                noted.note(agent);
+            }
+            self.city.restart(Seed(seed), &mut self.spare);
+        } else {
+            self.replace_agents(seed)?;
         }
-        self.city.restart(Seed(seed), &mut self.spare);
         self.steps = 0;
         self.taken.clear();
         for controlled_car in &mut self.controlled_cars {
@@ -295,11 +351,33 @@ impl Env {
         self.look()
     }
 
+    /// Makes a city of the agents in `spare`, where others take part than in the last episode.
+    fn replace_agents(&mut self, seed: u64) -> Result<(), Diagnostic> {
+        let (split, agents) = (self.city.split(), std::mem::take(&mut self.spare));
+        let (world, cancel) = (Arc::clone(self.task.world()), self.city.cancel().clone());
+        self.city = Simulation::resume(world, split, Seed(seed), self.settings, (0, agents), &cancel)?;
+        self.episode = Episode::of(seed, self.city.agents());
+        for controlled_car in &mut self.controlled_cars {
+            // Observers know the names of agents.
+            controlled_car.observer = Observer::new(Arc::clone(self.task.oracle()), controlled_car.agent());
+        }
+        Ok(())
+    }
+
     /// Updates all observations, also of cars whose episode has ended.
     fn look(&mut self) -> Result<(), Diagnostic> {
         for controlled_car in &mut self.controlled_cars {
             controlled_car.observer.look(&self.city);
             controlled_car.derived = controlled_car.observer.derived(&self.city)?;
+            if self.judges {
+                let mut allowed = Actions::default();
+                for action in Action::ALL {
+                    if controlled_car.observer.violations(&self.city, action)?.is_empty() {
+                        allowed.insert(action);
+                    }
+                }
+                controlled_car.allowed = Some(allowed);
+            }
         }
         Ok(())
     }
