@@ -350,9 +350,9 @@ def kinds(value: dict[str, Any]) -> str:
 
 def results() -> str:
     """Return the leaderboard."""
-    from logicity.learn.results import leaderboard, read_results
-
-    return leaderboard(read_results(ROOT / "results" / "spf.json"))
+    module = imported("logicity.learn.results")
+    text: str = module.leaderboard(module.read_results(ROOT / "results" / "spf.json"))
+    return text
 
 
 # --- environments
