@@ -313,7 +313,7 @@ def test_learns_the_optimal_actions(monkeypatch: pytest.MonkeyPatch) -> None:
         target_interval=20,
     )
     learner = Dreamer(config(settings, envs=10))
-    learner.fit(1500, lambda: None)
+    learner.fit(1100, lambda: None)
     policy = learner.policy()
     memory, starts, right = None, np.ones(8, np.bool_), []
     random = np.random.default_rng(0)

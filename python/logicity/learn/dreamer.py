@@ -500,13 +500,15 @@ class DreamerPolicy(Policy):
             OSError: If the file cannot be read.
             ValueError: If the file is not such a policy.
         """
-        config, weights = load_policy(path, cls.algorithm)
-        settings = DreamerSettings.model_validate(config["settings"])
-        model = WorldModel(config["bits"], settings)
-        actor = head(settings, len(ACTIONS))
-        model.load_state_dict(weights["model"])
-        actor.load_state_dict(weights["actor"])
-        return cls(model, actor, settings, config["mode"], config["seed"])
+
+        def build(config: dict[str, Any], weights: dict[str, Any]) -> DreamerPolicy:
+            settings = DreamerSettings.model_validate(config["settings"])
+            model, actor = WorldModel(config["bits"], settings), head(settings, len(ACTIONS))
+            model.load_state_dict(weights["model"])
+            actor.load_state_dict(weights["actor"])
+            return cls(model, actor, settings, config["mode"], config["seed"])
+
+        return load_policy(path, cls.algorithm, build)
 
 
 def step_generator(seed: int, step: int) -> torch.Generator:
@@ -699,6 +701,7 @@ class Dreamer(Learner):
         self._memory = Memory(State(*parts), actions, steps)
         self._first, self._updates = state["first"], state["updates"]
         self._generator.set_state(state["generator"])
+        self._curves.begin(self.steps)
 
     @property
     def _networks(self) -> Sequence[nn.Module]:

@@ -55,7 +55,7 @@ Positive: TypeAlias = Annotated[int, Field(ge=1)]
 
 
 class ShootingSettings(LearnerSettings):
-    """Settings of model-based shooting. Lists in YAML are tuples."""
+    """Settings of model-based shooting."""
 
     members: Positive = 50
     """The number of members of the ensemble."""
@@ -415,11 +415,14 @@ class ShootingPolicy(Policy):
             OSError: If the file cannot be read.
             ValueError: If the file is not such a policy.
         """
-        config, weights = load_policy(path, cls.algorithm)
-        settings = ShootingSettings.model_validate(config["settings"])
-        model = WorldModel(config["bits"], settings, torch.Generator())
-        model.load_state_dict(weights)
-        return cls(model, settings, config["mode"], config["seed"])
+
+        def build(config: dict[str, Any], weights: dict[str, Any]) -> ShootingPolicy:
+            settings = ShootingSettings.model_validate(config["settings"])
+            model = WorldModel(config["bits"], settings, torch.Generator())
+            model.load_state_dict(weights)
+            return cls(model, settings, config["mode"], config["seed"])
+
+        return load_policy(path, cls.algorithm, build)
 
 
 class Replay:
@@ -595,6 +598,7 @@ class Shooting(Learner):
         self._outcomes_optimizer.load_state_dict(state["outcomes_optimizer"])
         self._replay.restore(state["replay"])
         self._generator.set_state(state["generator"])
+        self._curves.begin(self.steps)
 
     def close(self) -> None:
         """Close the environments and the training curves."""
