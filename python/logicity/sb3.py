@@ -1,4 +1,4 @@
-"""Vectorized environments for Stable-Baselines3. Needs the extra `train`: `pip install './python[train]'`."""
+"""Vectorized environments for Stable-Baselines3. Needs the extra `learn`: `pip install './python[learn]'`."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ try:
     from gymnasium.vector import AutoresetMode
     from stable_baselines3.common.vec_env import VecEnv, VecMonitor
 except ImportError as error:
-    raise missing_extra("train", error) from error
+    raise missing_extra("learn", error) from error
 
 from .envs import Observations, SPFVectorEnv, check_options
 

@@ -11,7 +11,7 @@ from conftest import needs
 import logicity
 from logicity.envs import SPFEnv, SPFVectorEnv
 
-needs("stable_baselines3", "train")
+needs("stable_baselines3", "learn")
 from stable_baselines3 import DQN  # noqa: E402
 from stable_baselines3.common.env_checker import check_env  # noqa: E402
 from stable_baselines3.common.vec_env import DummyVecEnv, VecMonitor  # noqa: E402

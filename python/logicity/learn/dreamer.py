@@ -526,6 +526,7 @@ class Dreamer(Learner):
     """Learns a world model from sequences of observations, and the actor and the critic in imagination."""
 
     settings_class = DreamerSettings
+    policy_class = DreamerPolicy
     unit: ClassVar[Literal["environment steps", "updates"]] = "environment steps"
     interacts = True
 

@@ -485,6 +485,7 @@ class Shooting(Learner):
     """Learns a model of the environment from transitions, and plans with it."""
 
     settings_class = ShootingSettings
+    policy_class = ShootingPolicy
     unit: ClassVar[Literal["environment steps", "updates"]] = "environment steps"
     interacts = True
 
