@@ -232,8 +232,16 @@ class Curves:
 
 
 def save_policy(path: Path, algorithm: str, config: Mapping[str, Any], weights: Mapping[str, Any]) -> None:
-    """Write a policy: its algorithm, its configuration as plain data, and its weights."""
-    torch.save({"format": FORMAT, "algorithm": algorithm, "config": dict(config), "weights": dict(weights)}, path)
+    """Write a policy of groundings.
+
+    Args:
+        path: The file.
+        algorithm: The name of the learner.
+        config: What is needed to build the policy, as plain data. `mode` is the mode of the training.
+        weights: The weights.
+    """
+    header = {"format": FORMAT, "algorithm": algorithm, "mode": config["mode"], "observation": "groundings"}
+    torch.save({**header, "config": dict(config), "weights": dict(weights)}, path)
 
 
 def load_policy(path: Path, algorithm: str, build: Callable[[dict[str, Any], dict[str, Any]], Built]) -> Built:
