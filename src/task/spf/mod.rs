@@ -35,6 +35,7 @@ pub use metrics::{ActionRate, Rate, Score, Summary, summarize};
 pub use record::{Origin, RecordError, record};
 pub use rollout::{Policy, Rollout, constrained_by_name, make_episodes, rollout};
 pub use vector::{Autoreset, Begin, EpisodeSource, Info, ObservationKind, Outcome, SubEnv, VectorEnv};
+pub use vector::{Ending, Layer, PolicyNetwork, Trajectories};
 
 use crate::city::{Action, Split};
 use crate::config::{SpfConfig, ViolationsPer};
