@@ -135,7 +135,7 @@ impl PyMultiCarEnv {
         let mut info = Info::default();
         info.note(&this.env, car);
         Ok((
-            last.reward,
+            last.shaped_reward(),
             last.terminated,
             last.truncated,
             this.task.get().info(py, &info)?,
