@@ -645,6 +645,26 @@ class SPFVectorEnv(VectorEnv[Observations, NDArray[np.int64], NDArray[Any]]):
             self._add_ends(infos)
         return self._output(), rewards, terminated, truncated, infos
 
+    def collect(self, network: _logicity.PolicyNetwork, random: NDArray[np.float32]) -> dict[str, NDArray[Any]]:
+        """Run every environment under the stochastic policy of a network. The autoreset mode must be SameStep.
+
+        Args:
+            network: The network.
+            random: Uniform random numbers from 0 to 1, float32 of shape (num_envs, steps), that select the actions.
+
+        Returns:
+            The steps: `states` (uint32, the position of the observation among the distinct ones), `actions` (uint8),
+            `rewards` (float32), `endings` (uint8: 0 none, 1 violation, 2 success, 3 horizon) and `next_values`
+            (float32, the value of the state after the step, 0 if it is terminal), each of shape (num_envs, steps). The
+            distinct observations: `inputs` (float32 of shape (observations, slots, inputs)) and `outputs` (float32 of
+            shape (observations, 5): a logit per action, and the value).
+
+        Raises:
+            gymnasium.error.ResetNeeded: If an episode has not started.
+            ValueError: If the network or the shape of `random` does not fit.
+        """
+        return self._core.collect(network, random, self._observations)
+
     def _infos(self, columns: _Columns, broken: list[tuple[int, tuple[str, ...]]]) -> dict[str, Any]:
         infos = self._by_key(columns)
         if self._config.action_masks:

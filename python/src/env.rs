@@ -1,15 +1,16 @@
 //! Vectorized environments with one controlled car each.
 
+use crate::actor::PyPolicyNetwork;
 use crate::city::one_of;
 use crate::episode::{PyEpisode, PyEpisodeOption, read_episode};
 use crate::task::{PyTask, action_mask, gymnasium_error, read_action, read_actions, split_named, view_named};
 use crate::{Signals, borrowed, borrowed_mut, slice_of};
 use logicity::city::{Action, Split};
-use logicity::task::spf::{Autoreset, Begin, Episode, EpisodeSource, Info, SubEnv, VectorEnv, describe};
 use logicity::diag::did_you_mean;
+use logicity::task::spf::{Autoreset, Begin, Episode, EpisodeSource, Info, SubEnv, VectorEnv, describe};
 use numpy::{
-    PyArray1, PyArray3, PyArrayDyn, PyArrayMethods, PyReadonlyArray1, PyReadwriteArray1, PyReadwriteArray2,
-    PyReadwriteArrayDyn,
+    PyArray1, PyArray3, PyArrayDyn, PyArrayMethods, PyReadonlyArray1, PyReadonlyArray2, PyReadwriteArray1,
+    PyReadwriteArray2, PyReadwriteArrayDyn, PyUntypedArrayMethods,
 };
 use pyo3::exceptions::{PyIndexError, PyValueError};
 use pyo3::prelude::*;
@@ -282,6 +283,38 @@ impl PyVectorEnv {
         broken
             .map(|(at, sub_env)| Ok((at, task.labels(py, &sub_env.info().broken)?)))
             .collect()
+    }
+
+    /// Runs every environment under the stochastic policy of a network, see `logicity::task::spf::VectorEnv::collect`.
+    /// `random` has shape (environments, steps).
+    fn collect<'py>(
+        slf: &Bound<'py, Self>,
+        py: Python<'py>,
+        network: &PyPolicyNetwork,
+        random: PyReadonlyArray2<'py, f32>,
+        observations: &Bound<'py, PyArrayDyn<f32>>,
+    ) -> PyResult<Bound<'py, PyDict>> {
+        let this = &mut *borrowed_mut(slf)?;
+        let mut observations = observations.try_readwrite()?;
+        let rows = this.rows(&mut observations)?;
+        let count = random.shape()[0];
+        this.check(count)?;
+        this.check_ready(py)?;
+        let (width, expected) = (network.network.width(), this.vector.width());
+        if width != expected {
+            let message = format!("expected a network for observations of {expected} numbers, not {width}");
+            return Err(PyValueError::new_err(message));
+        }
+        if this.vector.autoreset() != Autoreset::SameStep {
+            return Err(PyValueError::new_err("expected the autoreset mode SameStep"));
+        }
+        // The array may have another memory layout.
+        let random: Vec<f32> = random.as_array().iter().copied().collect();
+        let (task, vector) = (this.task.get(), &mut this.vector);
+        let done = this
+            .signals
+            .detach(py, || vector.collect(&network.network, &random, rows))?;
+        network.arrays(py, count, done.map_err(|fault| task.error(py, fault))?)
     }
 
     /// Returns the episodes that ended in the last step, for autoreset in the same step.

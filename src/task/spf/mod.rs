@@ -36,6 +36,7 @@ pub use metrics::{ActionRate, Rate, Score, Summary, summarize};
 pub use record::{Origin, RecordError, record};
 pub use rollout::{DRAWS_MAX, Policy, Rollout, constrained_by_name, make_episodes, reset_demanding, rollout};
 pub use vector::{Autoreset, Begin, EpisodeSource, Info, ObservationKind, Outcome, SubEnv, VectorEnv};
+pub use vector::{Ending, Layer, PolicyNetwork, Trajectories};
 
 use crate::city::{Action, AgentSet, Split};
 use crate::config::{CurriculumStage, EntityOrder, Scenario, SpfConfig, ViolationsPer};

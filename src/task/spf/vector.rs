@@ -1,5 +1,9 @@
 //! Sequences of episodes, and vectorized environments.
 
+mod actor;
+
+pub use actor::{Ending, Layer, PolicyNetwork, Trajectories};
+
 use crate::cancel::Cancel;
 use crate::city::{Action, Split};
 use crate::diag::Diagnostic;
