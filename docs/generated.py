@@ -345,6 +345,16 @@ def kinds(value: dict[str, Any]) -> str:
     return words[value["type"]]
 
 
+# --- results
+
+
+def results() -> str:
+    """Return the leaderboard."""
+    module = imported("logicity.learn.results")
+    text: str = module.leaderboard(module.read_results(ROOT / "results" / "spf.json"))
+    return text
+
+
 # --- environments
 
 
@@ -478,6 +488,7 @@ GENERATORS: dict[str, Callable[[], str]] = {
     "warnings": lambda: messages("warning"),
     "configuration": configuration,
     "training": training,
+    "leaderboard": results,
     "environments": environments,
     "python": python,
     "playground": playground,

@@ -288,6 +288,13 @@ class Benchmark:
                     progress.update(self._baseline_episodes)
         return self._random
 
+    def random_returns(self) -> list[float]:
+        """Return the mean return of the random policy on each episode, the baseline of the score."""
+        totals: dict[int, list[float]] = {}
+        for record in self._baseline().report()["episodes"]:
+            totals.setdefault(record["episode"], []).append(record["total"])
+        return [sum(runs) / len(runs) for _, runs in sorted(totals.items())]
+
     def evaluate(
         self,
         policy: Policy,

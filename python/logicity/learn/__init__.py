@@ -1,16 +1,16 @@
 """Learners of Safe Path Following, and their training. Needs the extra `learn`.
 
-`logicity train` trains a learner from a YAML file, see `TrainConfig` and `train`. `LEARNERS` lists the learners. Each
-one is a `Learner`, whose result is a `Policy`. `load_policy` reads a policy from a file or from the folder of a run.
+`logicity train` trains a learner from a YAML file, see `TrainConfig` and `train`. `registry.LEARNERS` lists the
+learners. Each one is a `Learner`, whose result is a `Policy`. `load_policy` reads a policy from a file or a run.
 """
 
 from .config import TrainConfig
 from .learner import Learner, LearnerSettings, Policy
-from .registry import LEARNERS, SavedPolicy, learner_class, load_policy
+from .registry import LEARNERS as LEARNERS
+from .registry import SavedPolicy, learner_class, load_policy
 from .run import train
 
 __all__ = [
-    "LEARNERS",
     "Learner",
     "LearnerSettings",
     "Policy",

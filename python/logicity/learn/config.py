@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import json
 import os
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
@@ -29,7 +29,7 @@ from .registry import LEARNERS, learner_class
 if TYPE_CHECKING:
     from pydantic_core import ErrorDetails
 
-__all__ = ["TrainConfig"]
+__all__ = ["TrainConfig", "faults", "merged"]
 
 
 class TrainConfig(BaseModel):
@@ -197,7 +197,7 @@ class TrainConfig(BaseModel):
         try:
             return cls.model_validate(values)
         except ValidationError as error:
-            raise file.error(_faults(error, values)) from None
+            raise file.error(faults(error, _unknown_key(values.get("algorithm")))) from None
 
 
 def merged(values: Mapping[str, Any], changes: Mapping[str, Any]) -> dict[str, Any]:
@@ -278,43 +278,64 @@ def _custom(message: str) -> PydanticCustomError:
     return PydanticCustomError("custom", "{message}", {"message": message})
 
 
-def _faults(error: ValidationError, values: Mapping[str, Any]) -> list[tuple[str, list[str], str, str]]:
-    """Return the code, path, message and help of each error."""
+def faults(
+    error: ValidationError, unknown: Callable[[tuple[str, ...]], tuple[str, str]], depth: int = 2
+) -> list[tuple[str, list[str], str, str]]:
+    """Return the code, path, message and help of each error.
+
+    Args:
+        error: The errors of pydantic.
+        unknown: Returns the message and the help for the path of an unknown key.
+        depth: The number of keys after which pydantic may append the name of an alternative to a path.
+    """
     by_key: dict[tuple[str, ...], list[ErrorDetails]] = {}
     for each in error.errors(include_url=False):
         # For a union, every alternative reports an error and appends its name to the path.
-        depth = 3 if len(each["loc"]) > 2 and isinstance(each["loc"][2], int) else 2
-        by_key.setdefault(tuple(map(str, each["loc"][:depth])), []).append(each)
-    return [_fault(path, errors, values) for path, errors in by_key.items()]
+        where = each["loc"]
+        more = len(where) > depth and (isinstance(where[depth], int) or each["type"] in _AT_KEYS)
+        by_key.setdefault(tuple(map(str, where[: depth + more])), []).append(each)
+    return [_fault(path, errors, unknown) for path, errors in by_key.items()]
+
+
+#: The types of errors about a key, not about its value. They have no alternatives.
+_AT_KEYS = ("extra_forbidden", "missing")
 
 
 def _fault(
-    path: tuple[str, ...], errors: Sequence[ErrorDetails], values: Mapping[str, Any]
+    path: tuple[str, ...], errors: Sequence[ErrorDetails], unknown: Callable[[tuple[str, ...]], tuple[str, str]]
 ) -> tuple[str, list[str], str, str]:
-    first, name = errors[0], path[-1]
-    # The settings are checked only for a known learner.
-    algorithm = values.get("algorithm")
+    first, name = errors[0], ".".join(path)
+    if first["type"] == "extra_forbidden":
+        return "unknown-key", list(path), *unknown(path)
+    if first["type"] == "missing":
+        return "missing-key", list(path), f"the key `{name}` is missing", ""
+    if first["type"] == "custom":
+        return "invalid-value", list(path), first["msg"], ""
+    if first["type"] in ("value_error", "assertion_error"):
+        return "invalid-value", list(path), f"`{name}`: {first['ctx']['error']}", ""
+    expected = " or ".join(dict.fromkeys(map(_expected, errors)))
+    shown = first["input"] if isinstance(first["input"], str) else json.dumps(first["input"], default=repr)
+    return "invalid-value", list(path), f"`{name}` must be {expected}, not `{shown:.40}`", ""
+
+
+def _unknown_key(algorithm: object) -> Callable[[tuple[str, ...]], tuple[str, str]]:
+    """Return a function from the path of an unknown key to its message and help."""
     settings: list[str] = []
+    # The settings are checked only for a known learner.
     if isinstance(algorithm, str) and algorithm in LEARNERS:
         settings = list(learner_class(algorithm).settings_class.model_fields)
-    if first["type"] == "extra_forbidden":
+
+    def unknown(path: tuple[str, ...]) -> tuple[str, str]:
+        name = path[-1]
         if len(path) == 1:
             known, message = list(TrainConfig.model_fields), f"unknown key `{name}`"
             elsewhere = f"`{name}` is a setting of `{algorithm}`: write it under `settings`" * (name in settings)
         else:
             known, message = settings, f"`{algorithm}` has no setting `{name}`"
             elsewhere = f"`{name}` is a key beside `settings`, not in it" * (name in TrainConfig.model_fields)
-        return "unknown-key", list(path), message, elsewhere or did_you_mean(name, known).removeprefix("; ")
-    if first["type"] == "missing":
-        return "missing-key", list(path), f"the key `{'.'.join(path)}` is missing", ""
-    if first["type"] == "custom":
-        return "invalid-value", list(path), first["msg"], ""
-    if first["type"] in ("value_error", "assertion_error"):
-        return "invalid-value", list(path), f"`{'.'.join(path)}`: {first['ctx']['error']}", ""
-    expected = " or ".join(dict.fromkeys(map(_expected, errors)))
-    shown = first["input"] if isinstance(first["input"], str) else json.dumps(first["input"], default=repr)
-    message = f"`{'.'.join(path)}` must be {expected}, not `{shown:.40}`"
-    return "invalid-value", list(path), message, ""
+        return message, elsewhere or did_you_mean(name, known).removeprefix("; ")
+
+    return unknown
 
 
 #: What a value must be, by the type of pydantic's error.

@@ -24,9 +24,12 @@ LEARNERS: dict[str, str] = {
     "ppo": "stable_baselines:PPOLearner",
     "a2c": "stable_baselines:A2CLearner",
     "nlm-dqn": "nlm_dqn:NlmDqnLearner",
+    "mb-shooting": "shooting:Shooting",
+    "dreamer": "dreamer:Dreamer",
     "mlp": "cloning:MlpLearner",
     "gnn": "cloning:GnnLearner",
     "nlm": "cloning:NlmLearner",
+    "hri": "hri:HRI",
 }
 """The module and the class of each learner, keyed by its name in training files."""
 

@@ -13,7 +13,7 @@ import os
 import shutil
 import sys
 import time
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from contextlib import ExitStack
 from dataclasses import asdict, dataclass, field
 from importlib.metadata import PackageNotFoundError, version
@@ -54,6 +54,8 @@ def train(
     *,
     progress: bool = False,
     tensorboard: bool = True,
+    report: Callable[[int], None] | None = None,
+    wandb: str | None = None,
 ) -> dict[str, Any]:
     """Train a learner, or resume from the last checkpoint of the same configuration.
 
@@ -70,11 +72,15 @@ def train(
         progress: Whether to show the progress on standard error: as a bar if it is a terminal, and otherwise as lines,
             at the start, every 10 seconds and after each validation.
         tensorboard: Whether to write training curves.
+        report: Receives the number of steps after each step of the learner.
+        wandb: The project of Weights & Biases to which the validations and the result are sent. The package `wandb`
+            must be installed.
 
     Returns:
         The content of `result.json`.
 
     Raises:
+        ImportError: If a package is missing.
         InputError: If the configuration of the mode or an override is invalid, or no episodes are recorded.
         OSError: If another process trains in the folder, or a file cannot be written.
         ValueError: If the folder has another run or files of a run, the rules or episodes of the run have changed, the
@@ -103,13 +109,21 @@ def train(
         display = files.enter_context(_Display(config, learner, progress))
         begun = f"resumed after {state.steps:,} of" if checkpoints else "started:"
         display.say(f"{config.algorithm} in {config.mode}, {begun} {config.steps:,} steps; folder {run}")
-        training = _Training(run, config, learner, state, val, display, log)
-        learner.fit(config.steps, training.progress)
+        curves = files.enter_context(_Curves(run, config, log, wandb))
+        training = _Training(run, config, learner, state, val, display, curves)
+
+        def progress_and_report() -> None:
+            training.progress()
+            if report is not None:
+                report(learner.steps)
+
+        learner.fit(config.steps, progress_and_report)
         training.finish()
         suffix = learner.suffix
         shutil.copyfile(_checkpoints(run)[-1] / f"best{suffix}", run / f"best{suffix}")
         best = learner.policy_class.load(run / f"best{suffix}")
         result = _result(config, learner, state, test.evaluate(best, name=config.algorithm))
+        curves.finish(result)
         write_json(run / "result.json", result, output=output)
     return result
 
@@ -182,11 +196,11 @@ class _Training:
         state: State,
         benchmark: Benchmark,
         display: _Display,
-        log: Path | None,
+        curves: _Curves,
     ) -> None:
         """Start from a state."""
         self._run, self._config, self._learner, self._state = run, config, learner, state
-        self._benchmark, self._display, self._log = benchmark, display, log
+        self._benchmark, self._display, self._curves = benchmark, display, curves
         self._cpu_before, self._wall_before = _cpu_seconds() - state.cpu_seconds, time.monotonic() - state.wall_seconds
 
     def progress(self) -> None:
@@ -213,8 +227,7 @@ class _Training:
         state.wall_seconds = time.monotonic() - self._wall_before
         point = {"steps": state.steps, "cpu_seconds": round(state.cpu_seconds, 2), **_figures(measured)}
         state.validations.append(point)
-        if self._log is not None:
-            _log_curve(self._log, point)
+        self._curves.add(point)
         self._display.say(f"validation after {state.steps:,} steps: {measured.summary()}")
         if state.best is None or _rank(point) > _rank(state.best):
             state.best = point
@@ -252,13 +265,49 @@ def _figures(measured: Evaluation) -> dict[str, Any]:
     return {name: measures[name] for name in (*MEASURES, "dsr_by_action", "mean_return", "mean_steps")}
 
 
-def _log_curve(folder: Path, point: Mapping[str, Any]) -> None:
-    """Append the measures of a validation to the training curves."""
-    from torch.utils.tensorboard.writer import SummaryWriter
+class _Curves:
+    """The measures of validations as training curves, for TensorBoard and Weights & Biases."""
 
-    with SummaryWriter(str(folder / "validation")) as writer:
-        for name in MEASURES:
-            writer.add_scalar(f"validation/{name}", point[name]["value"], point["steps"])
+    def __init__(self, run: Path, config: TrainConfig, log: Path | None, project: str | None) -> None:
+        """Start a run in the project.
+
+        Raises:
+            ImportError: If a project is given, and Weights & Biases is not installed.
+        """
+        self._log, self._wandb = log, None
+        if project is not None:
+            try:
+                import wandb
+            except ImportError as error:
+                raise ImportError("`wandb` needs the package wandb: pip install wandb") from error
+            identity = hashlib.sha256(str(run.resolve()).encode()).hexdigest()[:16]
+            self._wandb = wandb.init(
+                project=project, name=run.name, id=identity, resume="allow", dir=str(run), config=config.to_dict()
+            )
+
+    def __enter__(self) -> _Curves:
+        return self
+
+    def __exit__(self, *error: object) -> None:
+        if self._wandb is not None:
+            self._wandb.finish()
+
+    def add(self, point: Mapping[str, Any]) -> None:
+        """Append the measures of a validation."""
+        values = {f"validation/{name}": point[name]["value"] for name in MEASURES}
+        if self._wandb is not None:
+            self._wandb.log(values, step=point["steps"])
+        if self._log is not None:
+            from torch.utils.tensorboard.writer import SummaryWriter
+
+            with SummaryWriter(str(self._log / "validation")) as writer:
+                for name, value in values.items():
+                    writer.add_scalar(name, value, point["steps"])
+
+    def finish(self, result: Mapping[str, Any]) -> None:
+        """Send the measures on the test episodes."""
+        if self._wandb is not None:
+            self._wandb.summary.update({f"test/{name}": result["test"][name]["value"] for name in MEASURES})
 
 
 class _Display:
