@@ -5,8 +5,8 @@ use crate::episode::{PyEpisode, PyEpisodeOption, read_episode};
 use crate::task::{PyTask, action_mask, gymnasium_error, read_action, read_actions, split_named, view_named};
 use crate::{Signals, borrowed, borrowed_mut, slice_of};
 use logicity::city::{Action, Split};
-use logicity::task::spf::{Autoreset, Begin, Episode, EpisodeSource, Info, SubEnv, VectorEnv, describe};
 use logicity::diag::did_you_mean;
+use logicity::task::spf::{Autoreset, Begin, Episode, EpisodeSource, Info, SubEnv, VectorEnv, describe};
 use numpy::{
     PyArray1, PyArray3, PyArrayDyn, PyArrayMethods, PyReadonlyArray1, PyReadwriteArray1, PyReadwriteArray2,
     PyReadwriteArrayDyn,

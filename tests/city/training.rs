@@ -52,8 +52,12 @@ fn distance(env: &Env, agent: usize) -> i32 {
 fn the_nearest_entities_come_first_and_the_rules_require_the_same() {
     // 7 of 11 agents are few enough that not all in view are observed.
     for entities in [5, 7] {
-        let [mut list, mut nearest] = ["list", "nearest"]
-            .map(|order| env_of("expert", &format!("{{entities: {entities}, state_agents: 4, order: {order}}}")));
+        let [mut list, mut nearest] = ["list", "nearest"].map(|order| {
+            env_of(
+                "expert",
+                &format!("{{entities: {entities}, state_agents: 4, order: {order}}}"),
+            )
+        });
         let task = Arc::clone(list.task());
         let (mut moved, mut ties) = (0, 0);
         for seed in 0..30 {
@@ -64,7 +68,10 @@ fn the_nearest_entities_come_first_and_the_rules_require_the_same() {
                 let (plain, sorted) = (seen(&list), seen(&nearest));
                 assert_eq!(sorted, by_distance(&list, plain.clone()), "seed {seed}");
                 moved += usize::from(plain != sorted);
-                ties += sorted.windows(2).filter(|pair| distance(&list, pair[0]) == distance(&list, pair[1])).count();
+                ties += sorted
+                    .windows(2)
+                    .filter(|pair| distance(&list, pair[0]) == distance(&list, pair[1]))
+                    .count();
                 // The numbers of each predicate are permuted.
                 let at = |entity: usize| plain.iter().position(|agent| *agent == sorted[entity]).unwrap();
                 let written = |env: &Env| {
@@ -107,7 +114,8 @@ fn the_nearest_entities_come_first_and_the_rules_require_the_same() {
 
 #[test]
 fn rows_of_the_state_come_nearest_first() {
-    let [mut list, mut nearest] = ["{state_agents: 11}", "{state_agents: 3, order: nearest}"].map(|it| env_of("hard", it));
+    let [mut list, mut nearest] =
+        ["{state_agents: 11}", "{state_agents: 3, order: nearest}"].map(|it| env_of("hard", it));
     let width = list.task().state_shape()[1];
     let mut omitted = 0;
     for seed in 0..20 {
@@ -205,13 +213,18 @@ fn demanding_episodes_do_not_depend_on_threads() {
         let mut vector = VectorEnv::new(&task, Split::Train, sources, Autoreset::SameStep, view, threads).unwrap();
         vector.judge_actions();
         let mut rows = vec![0.0; count as usize * vector.width()];
-        vector.reset(&vec![Some(Begin::Next); count as usize], &mut rows).unwrap();
+        vector
+            .reset(&vec![Some(Begin::Next); count as usize], &mut rows)
+            .unwrap();
         let mut results = Vec::new();
         for step in 0..80_usize {
             let actions: Vec<Action> = (0..count as usize).map(|at| Action::ALL[(at + step / 9) % 4]).collect();
             vector.step(&actions, &mut rows).unwrap();
             let first = &vector.sub_envs()[..20];
-            let infos: Vec<_> = first.iter().map(|sub_env| (sub_env.outcome(), sub_env.info().clone())).collect();
+            let infos: Vec<_> = first
+                .iter()
+                .map(|sub_env| (sub_env.outcome(), sub_env.info().clone()))
+                .collect();
             results.push((rows[..20 * vector.width()].to_vec(), infos));
         }
         results
@@ -226,8 +239,15 @@ fn a_search_for_demanding_episodes_ends() {
     let mut env = env_of("easy", "{horizon: 3, curriculum: [{until: 9, agents: 1}]}");
     let fault = EpisodeSource::demanding(1).begin(&mut env).unwrap_err();
     assert_eq!(fault.code, Code::LIMIT_EXCEEDED);
-    assert!(fault.message.contains("in none of 1000 drawn episodes"), "{}", fault.message);
-    assert!(fault.primary.is_some() && fault.help[0].contains("constrained_steps"), "{fault:?}");
+    assert!(
+        fault.message.contains("in none of 1000 drawn episodes"),
+        "{}",
+        fault.message
+    );
+    assert!(
+        fault.primary.is_some() && fault.help[0].contains("constrained_steps"),
+        "{fault:?}"
+    );
     // The environment recovers.
     env.reset(1).unwrap();
     assert_eq!(env.city().agents().len(), 8);
@@ -248,7 +268,11 @@ fn a_curriculum_adds_agents_by_episodes() {
             3..40 => 6,
             _ => 11,
         };
-        assert_eq!((episode.agents.len(), env.city().agents().len()), (expected, expected), "episode {number}");
+        assert_eq!(
+            (episode.agents.len(), env.city().agents().len()),
+            (expected, expected),
+            "episode {number}"
+        );
         // Its agents start as in the episode with all agents.
         whole.reset(episode.seed).unwrap();
         let all = &whole.episode().agents;
@@ -284,7 +308,10 @@ fn a_curriculum_adds_agents_by_episodes() {
         }
     }
     // In 37 episodes, the ego and five of ten others take part: 18.5 of each on average.
-    assert!(taken_part[0] == 37 && taken_part[1..].iter().all(|times| (8..30).contains(times)), "{taken_part:?}");
+    assert!(
+        taken_part[0] == 37 && taken_part[1..].iter().all(|times| (8..30).contains(times)),
+        "{taken_part:?}"
+    );
 }
 
 #[test]
@@ -329,20 +356,43 @@ fn a_curriculum_is_for_drawn_episodes_of_training() {
 fn faulty_options_are_reported() {
     for (keys, code, message) in [
         ("{order: nearst}", Code::INVALID_VALUE, "one of `list`, `nearest`"),
-        ("{constrained_steps: 0}", Code::INVALID_VALUE, "a whole number from 1 to"),
-        ("{constraind_steps: 2}", Code::UNKNOWN_KEY, "unknown key `constraind_steps`"),
+        (
+            "{constrained_steps: 0}",
+            Code::INVALID_VALUE,
+            "a whole number from 1 to",
+        ),
+        (
+            "{constraind_steps: 2}",
+            Code::UNKNOWN_KEY,
+            "unknown key `constraind_steps`",
+        ),
         ("{curriculum: 5}", Code::INVALID_VALUE, "a list of stages"),
-        ("{curriculum: [{until: 5}]}", Code::MISSING_KEY, "`agents` is missing in a stage of the curriculum"),
-        ("{curriculum: [{until: 5, agents: 0}]}", Code::INVALID_VALUE, "a whole number from 1 to"),
+        (
+            "{curriculum: [{until: 5}]}",
+            Code::MISSING_KEY,
+            "`agents` is missing in a stage of the curriculum",
+        ),
+        (
+            "{curriculum: [{until: 5, agents: 0}]}",
+            Code::INVALID_VALUE,
+            "a whole number from 1 to",
+        ),
         (
             "{curriculum: [{until: 5, agents: 2}, {until: 5, agents: 3}]}",
             Code::INVALID_VALUE,
             "more episodes than the 5 at which the stage before ends",
         ),
-        ("{curriculum: [{until: 5, agents: 9}]}", Code::INVALID_VALUE, "the split `train` has 8 agents, not 9"),
+        (
+            "{curriculum: [{until: 5, agents: 9}]}",
+            Code::INVALID_VALUE,
+            "the split `train` has 8 agents, not 9",
+        ),
     ] {
         let fault = fault_of(keys);
-        assert!(fault.code == code && fault.message.contains(message), "{keys}: {fault:?}");
+        assert!(
+            fault.code == code && fault.message.contains(message),
+            "{keys}: {fault:?}"
+        );
         assert!(fault.primary.is_some(), "{keys}");
     }
     assert!(fault_of("{order: nearst}").help[0].contains("did you mean `nearest`?"));
@@ -377,9 +427,16 @@ fn allowed_actions_violate_no_clause() {
                     }
                 }
                 let action = Action::ALL[random.random_range(0..4)];
-                let action = if allowed.contains(action) { action } else { env.oracle_action(0) };
+                let action = if allowed.contains(action) {
+                    action
+                } else {
+                    env.oracle_action(0)
+                };
                 env.step(&[action]).unwrap();
-                assert!(env.controlled_cars()[0].last().broken.is_empty(), "the actions are a shield");
+                assert!(
+                    env.controlled_cars()[0].last().broken.is_empty(),
+                    "the actions are a shield"
+                );
             }
         }
         assert_eq!(tried, 150, "{mode}");
