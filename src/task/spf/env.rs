@@ -261,8 +261,8 @@ impl Env {
         self.reset_with(seed, None)
     }
 
-    /// Variant of [`Env::reset`] with `agents` agents: the first car, and others that the seed selects. They are and do
-    /// at the start what they are and do in the episode with all agents.
+    /// Variant of [`Env::reset`] with `agents` agents: the first car, and others that the seed selects. They start as in
+    /// the episode with all agents. `None` means all.
     ///
     /// # Errors
     /// As [`Env::reset`].
