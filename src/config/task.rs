@@ -37,8 +37,7 @@ pub(super) fn spf(composer: &mut Composer<'_>, node: &Node, predicates: Option<&
     let (entities, state_agents) = (count("entities", MAX_ENTITIES), count("state_agents", MAX_STATE_AGENTS));
     let (horizon, patience) = (count("horizon", MAX_HORIZON), count("patience", MAX_PATIENCE));
     let orders = EntityOrder::ALL.map(|order| (order.name(), order));
-    let order =
-        (fields.optional("order")).map_or(Some(EntityOrder::default()), |node| choice(node, &orders, faults));
+    let order = (fields.optional("order")).map_or(Some(EntityOrder::default()), |node| choice(node, &orders, faults));
     let constrained_steps =
         (fields.optional("constrained_steps")).map_or(Some(1), |node| integer(node, 1..=MAX_HORIZON, faults));
     let curriculum = (fields.optional("curriculum")).map_or(Some(Vec::new()), |node| curriculum(node, faults));

@@ -964,8 +964,22 @@ fn reward_terms_agree_with_their_definitions() {
         ("{progress: 5}", 5.0, 0.0, 0.0, 0.0, true),
         ("{goal: 2.5}", 0.0, 2.5, 0.0, 0.0, true),
         ("{potential: {weight: 3}}", 0.0, 0.0, 3.0, 0.99, true),
-        ("{potential: {weight: 4, of: progress, gamma: 0.5}}", 0.0, 0.0, 4.0, 0.5, false),
-        ("{progress: -1, goal: 7, potential: {weight: 2, gamma: 1}}", -1.0, 7.0, 2.0, 1.0, true),
+        (
+            "{potential: {weight: 4, of: progress, gamma: 0.5}}",
+            0.0,
+            0.0,
+            4.0,
+            0.5,
+            false,
+        ),
+        (
+            "{progress: -1, goal: 7, potential: {weight: 2, gamma: 1}}",
+            -1.0,
+            7.0,
+            2.0,
+            1.0,
+            true,
+        ),
     ] {
         let mut env = shaped(reward);
         for seed in 0..30 {
@@ -986,7 +1000,10 @@ fn reward_terms_agree_with_their_definitions() {
                 let by_goal = if success { goal } else { 0.0 };
                 let by_potential = gamma * phi(after, terminated) - phi(before, false);
                 let expected = progress * (after - before) + by_goal + by_potential;
-                assert!((shaping - expected).abs() < 1e-12, "{reward} seed {seed}: {shaping} {expected}");
+                assert!(
+                    (shaping - expected).abs() < 1e-12,
+                    "{reward} seed {seed}: {shaping} {expected}"
+                );
                 sum += discount * by_potential;
                 discount *= gamma;
                 goals += usize::from(success);
@@ -999,7 +1016,10 @@ fn reward_terms_agree_with_their_definitions() {
             }
         }
     }
-    assert!(goals > 20 && violations > 20 && truncations > 20, "{goals} {violations} {truncations}");
+    assert!(
+        goals > 20 && violations > 20 && truncations > 20,
+        "{goals} {violations} {truncations}"
+    );
 }
 
 #[test]
@@ -1044,7 +1064,10 @@ fn a_vector_and_every_car_get_the_reward_terms() {
         for sub_env in vector.sub_envs() {
             let last = sub_env.env().controlled_cars()[0].last();
             let stepped = sub_env.env().steps() > 0;
-            assert_eq!(sub_env.outcome().reward, if stepped { last.shaped_reward() } else { 0.0 });
+            assert_eq!(
+                sub_env.outcome().reward,
+                if stepped { last.shaped_reward() } else { 0.0 }
+            );
         }
     }
     let mut env = Env::new(task, Split::Train, ControlMode::Cars).unwrap();
