@@ -253,7 +253,7 @@ def test_rollouts_in_rust_equal_those_through_python(mode: str, others: int, rou
         for key, value in threaded.collect(native, random).items():
             np.testing.assert_array_equal(value, found[key], err_msg=key)
         endings |= set(found["endings"].ravel())
-        # The environments go on from the same states.
+        # The environments continue from the same states.
         np.testing.assert_array_equal(one._observations, fast._observations)
     assert endings >= {0, 1, 3}
 
