@@ -424,6 +424,7 @@ MODULES = {
     "logicity.offline": "Demonstrations",
     "logicity.induction": "Learned rules",
     "logicity.envs": "Environments",
+    "logicity.views": "Views of observations",
     "logicity.parallel": "Several controlled cars",
     "logicity.sb3": "Stable-Baselines3",
     "logicity.learn": "Learners",

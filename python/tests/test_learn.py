@@ -44,6 +44,7 @@ TINY: dict[str, dict[str, Any]] = {
     "gnn": {"settings": {"network": [8, 8]}, "demonstrations": 0.1},
     "nlm": {"settings": {"depth": 2}, "demonstrations": 0.1},
     "hri": {"settings": {"restarts": 2, "extract_every": 1}, "demonstrations": 0.1},
+    "ppo-fast": {"settings": {"network": [8], "rollout_steps": 8}},
 }
 #: The keys of a tiny run of every learner in environments.
 IN_ENVIRONMENTS = {"steps": 512, "envs": 2, "validate_every": 200, "overrides": {"task": {"reward": {"overtime": -6}}}}
@@ -285,7 +286,7 @@ def test_an_interrupted_run_equals_an_uninterrupted_one(
     def kill(self: Any) -> None:
         nonlocal calls
         progress(self)
-        # The run goes on after the checkpoint for two more calls, whose work is lost.
+        # The run continues after the checkpoint for two more calls, whose work is lost.
         calls += bool(self._state.validations)
         if calls == 3:
             raise Killed

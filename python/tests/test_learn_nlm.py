@@ -161,9 +161,9 @@ def test_reductions_of_no_tuple_are_false_and_true() -> None:
     with torch.no_grad():
         # Features of arity 1: those of arity 0 (none), its own, exists, for all.
         layer.linear["1"].weight.copy_(torch.tensor([[0.0, 1.0, 0.0], [0.0, 0.0, 1.0]]))
-        mask = torch.tensor([1.0, 0.0, 0.0]).view(3, 1, 1)
-        result = layer([None, torch.rand(3, 1, 1), torch.rand(6, 1, 1)], mask)[1]
-    assert torch.allclose(result[0, 0], torch.sigmoid(torch.tensor([0.0, 1.0])))
+        mask = torch.tensor([[1.0], [0.0], [0.0]])
+        result = layer([None, torch.rand(1, 3, 1), torch.rand(1, 6, 1)], mask)[1]
+    assert torch.allclose(result[:, 0, 0], torch.sigmoid(torch.tensor([0.0, 1.0])))
 
 
 @pytest.mark.parametrize("exclude_self", [False, True])

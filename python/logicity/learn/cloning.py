@@ -6,6 +6,7 @@ Logic Machine (`nlm`).
 
 from __future__ import annotations
 
+import math
 import pickle
 from abc import abstractmethod
 from pathlib import Path
@@ -98,6 +99,8 @@ class GnnSettings(CloningSettings):
     """Whether an edge also has the features of the edge in the other direction."""
     present_only: bool = False
     """Whether to omit edges of absent entities."""
+    learned_eps: bool = False
+    """Whether the weight of an entity's own features is learned."""
 
 
 class LogicSettings(LearnerSettings):
@@ -318,7 +321,7 @@ class CloningLearner(Learner):
         settings = self._settings
         if settings.schedule == "cosine":
             for group in self._optimizer.param_groups:
-                group["lr"] = settings.learning_rate * 0.5 * (1 + np.cos(np.pi * done))
+                group["lr"] = settings.learning_rate * 0.5 * (1.0 + math.cos(math.pi * done))
         chosen = self._sampler.next()
         observations, actions = self._data.observations[chosen], self._data.actions[chosen]
         if settings.shuffle_entities:
@@ -402,7 +405,13 @@ class GnnLearner(CloningLearner):
         from .gnn import GraphNetwork
 
         return GraphNetwork(
-            layout, len(ACTIONS), settings.network, settings.layers, settings.reverse, settings.present_only
+            layout,
+            len(ACTIONS),
+            settings.network,
+            settings.layers,
+            settings.reverse,
+            settings.present_only,
+            settings.learned_eps,
         )
 
 

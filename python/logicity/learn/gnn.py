@@ -39,6 +39,8 @@ class GraphNetwork(nn.Module):
         reverse: Whether an edge also has the features of the edge in the other direction. The ego receives messages
             along the edges (j, ego), so without it a single convolution ignores the truth values of P(ego, j).
         present_only: Whether to omit edges of entities that are absent. Their features are zeros.
+        learned_eps: Whether eps is learned, instead of 0. Because of the loops, a single convolution with eps 0 sees
+            2 x_ego plus the sum over the others, which does not determine x_ego.
     """
 
     def __init__(
@@ -49,6 +51,7 @@ class GraphNetwork(nn.Module):
         layers: int = 1,
         reverse: bool = False,
         present_only: bool = False,
+        learned_eps: bool = False,
     ) -> None:
         """Create the layers."""
         super().__init__()
@@ -60,7 +63,9 @@ class GraphNetwork(nn.Module):
             perceptron: list[nn.Module] = []
             for before, after in zip(ends[:-1], ends[1:], strict=True):
                 perceptron += [nn.Linear(before, after), nn.ReLU()]
-            self.convolutions.append(GINEConv(nn.Sequential(*perceptron), edge_dim=self.view.edge_width))
+            self.convolutions.append(
+                GINEConv(nn.Sequential(*perceptron), train_eps=learned_eps, edge_dim=self.view.edge_width)
+            )
             width = widths[-1]
         self.readout = nn.Linear(width + (layout.route_length is not None), outputs)
 

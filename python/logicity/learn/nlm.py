@@ -23,9 +23,9 @@ except ImportError as error:
 
 __all__ = ["LogicLayer", "NeuralLogicMachine"]
 
-#: The groups by arity, from 0. `None` is a group without predicates. In a layer, a group has the shape (tuples, batch,
-#: predicates), with the tuples of `_tuples` in their order: its expansions, reductions and permutations then copy, or
-#: combine, large contiguous parts.
+#: The groups by arity, from 0. `None` is a group without predicates. In a layer, a group has the shape (predicates,
+#: tuples, batch), with the tuples of `_tuples` in their order: products of matrices then have a long side, and
+#: expansions, reductions and permutations combine contiguous rows.
 Groups = list[Tensor | None]
 
 
@@ -71,51 +71,53 @@ class LogicLayer(nn.Module):
 
         Args:
             groups: The groups of this layer, with truth values from 0 to 1.
-            mask: (N, batch, 1), of the type of the groups: 1 for the entities that are present, else 0. Reductions omit
+            mask: (N, batch), of the type of the groups: 1 for the entities that are present, else 0. Reductions omit
                 the others.
         """
         return [self._group(arity, groups, mask) if count else None for arity, count in enumerate(self.outputs)]
 
     def _group(self, arity: int, groups: Groups, mask: Tensor) -> Tensor:
+        linear, ways = self.linear[str(arity)], len(_permutations(arity))
         below = groups[arity - 1] if arity else None
         above = groups[arity + 1] if arity + 1 < len(groups) else None
         same = [group for group in (groups[arity],) if group is not None]
-        tuples = _tuples(len(mask), arity, self.exclude_self)
+        tuples = _tuples(len(mask), arity, linear.out_features, self.exclude_self)
         if above is not None:
             same += self._reduced(above, arity + 1, mask)
-        linear, ways = self.linear[str(arity)], len(_permutations(arity))
-        expanded = 0 if below is None else below.shape[-1]
+        expanded = 0 if below is None else len(below)
         # The features of a tuple are those of its permutations one after the other. The perceptron's first layer is
         # linear in them: it is the sum over permutations p of W_p x(p(tuple)). Computing W_p x for all p before the
         # permutation needs less memory, and features that are expanded have fewer tuples.
-        weight = linear.weight.view(linear.out_features, ways, self.features[arity]).permute(1, 2, 0)
+        weight = linear.weight.view(linear.out_features, ways, self.features[arity]).transpose(0, 1).flatten(0, 1)
         products: Tensor | None = None
         if same:
-            products = _products(same[0] if len(same) == 1 else torch.cat(same, -1), weight[:, expanded:])
+            products = _products(weight[:, expanded:], same[0] if len(same) == 1 else torch.cat(same))
         if below is not None:
-            expansion = _products(below, weight[:, :expanded]).unsqueeze(2)
+            expansion = _products(weight[:, :expanded], below).unsqueeze(2)
             # Tuples that differ only in the last entity follow each other.
-            shape = (*expansion.shape[:2], tuples.extensions, *expansion.shape[3:])
+            shape = (*expansion.shape[:2], tuples.extensions, expansion.shape[3])
             expansion = expansion.expand(shape) if products is None else products.view(shape) + expansion
             products = expansion.flatten(1, 2)
         assert products is not None  # an arity without features has no outputs
-        total = products[0] if ways == 1 else _SumOfPermutations.apply(products, tuples.permuted, tuples.inverse)
-        result: Tensor = total + linear.bias
+        total = products if ways == 1 else _SumOfPermutations.apply(products, tuples.permuted, tuples.inverse)
+        result: Tensor = total + linear.bias[:, None, None]
         if self.last:
-            result = self.last[str(arity)](torch.relu(result))
+            last = self.last[str(arity)]
+            result = _products(last.weight, torch.relu(result)) + last.bias[:, None, None]
         return torch.sigmoid(result)
 
     def _reduced(self, group: Tensor, arity: int, mask: Tensor) -> list[Tensor]:
         """Return "exists" and "for all" over the last entity: the maximum and the minimum of the truth values."""
-        tuples = _tuples(len(mask), arity, self.exclude_self)
-        shape = (len(_tuples(len(mask), arity - 1, self.exclude_self).last), tuples.extensions, *group.shape[1:])
+        tuples = _tuples(len(mask), arity, 1, self.exclude_self)
+        count = len(_tuples(len(mask), arity - 1, 1, self.exclude_self).last)
+        shape = (len(group), count, tuples.extensions, group.shape[2])
         if not tuples.extensions:
-            none = group.new_zeros(shape[0], *shape[2:])
+            none = group.new_zeros(len(group), count, group.shape[2])
             return [none, none + 1.0]
         present = mask.index_select(0, tuples.last)
         false_if_absent = group * present
         true_if_absent = false_if_absent + (1.0 - present)
-        return [false_if_absent.view(shape).max(1).values, true_if_absent.view(shape).min(1).values]
+        return [false_if_absent.view(shape).max(2).values, true_if_absent.view(shape).min(2).values]
 
 
 class NeuralLogicMachine(nn.Module):
@@ -183,26 +185,25 @@ class NeuralLogicMachine(nn.Module):
         current: Groups = []
         for arity, group in enumerate(groups):
             if group is not None:
-                group = group.reshape(len(mask), -1, group.shape[-1]).transpose(0, 1)
-                group = group.index_select(0, _tuples(count, arity, self.exclude_self).place)
+                group = group.reshape(len(mask), -1, group.shape[-1]).permute(2, 1, 0)
+                group = group.index_select(1, _tuples(count, arity, 1, self.exclude_self).place)
             current.append(group)
         current += [None] * (len(self.counts) - len(current))
-        present = mask.T.unsqueeze(-1).to(next(group.dtype for group in current if group is not None))
+        present = mask.T.to(next(group.dtype for group in current if group is not None))
         for layer in self.layers:
             new = layer(current, present)
             current = [_joined(*pair) for pair in zip(current, new, strict=True)] if self.residual else new
         for arity, group in enumerate(current):
             if group is not None:
-                dense = group.new_zeros(count**arity, *group.shape[1:])
-                dense = dense.index_copy(0, _tuples(count, arity, self.exclude_self).place, group)
-                current[arity] = dense.transpose(0, 1).unflatten(1, [count] * arity) if arity else dense[0]
+                dense = group.new_zeros(len(group), count**arity, len(mask))
+                dense = dense.index_copy(1, _tuples(count, arity, 1, self.exclude_self).place, group).permute(2, 1, 0)
+                current[arity] = dense.unflatten(1, [count] * arity) if arity else dense[:, 0]
         return current
 
 
-def _products(features: Tensor, weight: Tensor) -> Tensor:
-    """Return the products of features (tuples, batch, F) and weights (P, F, width): (P, tuples, batch, width)."""
-    products = features.flatten(0, 1).expand(len(weight), -1, -1) @ weight
-    return products.view(len(weight), *features.shape[:2], weight.shape[2])
+def _products(weight: Tensor, features: Tensor) -> Tensor:
+    """Return the products of weights (width, F) and features (F, tuples, batch): (width, tuples, batch)."""
+    return (weight @ features.flatten(1)).view(len(weight), *features.shape[1:])
 
 
 def _linear(inputs: int, outputs: int, center: float, relu: bool) -> nn.Linear:
@@ -221,7 +222,7 @@ def _linear(inputs: int, outputs: int, center: float, relu: bool) -> nn.Linear:
 
 def _joined(old: Tensor | None, new: Tensor | None) -> Tensor | None:
     """Return the predicates of both groups. A group that is not needed has no new predicates."""
-    return new if old is None or new is None else torch.cat([old, new], -1)
+    return new if old is None or new is None else torch.cat([old, new])
 
 
 def _feature_count(inputs: Sequence[int], arity: int) -> int:
@@ -244,8 +245,9 @@ class _Tuples(NamedTuple):
         place: int64 (T,): the index of each tuple among all tuples of entities.
         last: int64 (T,): the last entity of each tuple; of no meaning for the empty tuple.
         extensions: The number of tuples for each tuple that is shorter by one.
-        permuted: int64 (T, P): for the tuple t and the permutation p, T p plus the index of the permuted tuple.
-        inverse: int64 (P * T,): at T p plus the index of a permuted tuple, the index of the tuple.
+        permuted: int64 (width * T, P): for the output o, the tuple t and the permutation p, at (T o + t, p): the index
+            of the product of p and o at the permuted tuple, if products have the shape (P, width, T).
+        inverse: int64 (P * width * T,): for each product, T o plus the index of the tuple to which it contributes.
     """
 
     place: Tensor
@@ -256,16 +258,17 @@ class _Tuples(NamedTuple):
 
 
 @cache
-def _tuples(count: int, arity: int, distinct: bool) -> _Tuples:
-    """Return the tuples of a number of entities, or those of different entities."""
+def _tuples(count: int, arity: int, width: int, distinct: bool) -> _Tuples:
+    """Return the tuples of a number of entities, or those of different entities, for a number of outputs."""
     entities = range(count)
     tuples = list(permutations(entities, arity) if distinct else product(entities, repeat=arity))
     index = {each: at for at, each in enumerate(tuples)}
     ways = _permutations(arity)
     permuted = torch.tensor(
-        [[p * len(tuples) + index[tuple(each[at] for at in way)] for p, way in enumerate(ways)] for each in tuples],
-        dtype=torch.int64,
+        [[index[tuple(each[at] for at in way)] for way in ways] for each in tuples], dtype=torch.int64
     ).view(len(tuples), len(ways))
+    output, way = torch.arange(width)[:, None, None], torch.arange(len(ways))
+    permuted = (permuted + len(tuples) * (output + width * way)).view(-1, len(ways))
     places = [sum(entity * count ** (arity - 1 - at) for at, entity in enumerate(each)) for each in tuples]
     return _Tuples(
         place=torch.tensor(places, dtype=torch.int64),
@@ -281,14 +284,15 @@ class _SumOfPermutations(torch.autograd.Function):
 
     @staticmethod
     def forward(ctx: Any, products: Tensor, permuted: Tensor, inverse: Tensor) -> Tensor:
-        """Return the sums, (tuples, batch, width), of products of shape (P, tuples, batch, width)."""
+        """Return the sums, (width, tuples, batch), of products of shape (P * width, tuples, batch)."""
         ctx.save_for_backward(inverse)
         ctx.shape = products.shape
-        rows = products.reshape(len(inverse), products.shape[2] * products.shape[3])
-        return nn.functional.embedding_bag(permuted, rows, mode="sum").view(products.shape[1:])
+        width = len(products) // permuted.shape[1]
+        rows = products.reshape(len(inverse), products.shape[2])
+        return nn.functional.embedding_bag(permuted, rows, mode="sum").view(width, *products.shape[1:])
 
     @staticmethod
     def backward(ctx: Any, *gradients: Tensor) -> tuple[Tensor, None, None]:
         """Return the gradient of the products."""
         (inverse,) = ctx.saved_tensors
-        return gradients[0].index_select(0, inverse).view(ctx.shape), None, None
+        return gradients[0].flatten(0, 1).index_select(0, inverse).view(ctx.shape), None, None
