@@ -274,7 +274,11 @@ def run_on_ray(
         raise missing_extra("ray", error) from error
     threads = dict.fromkeys(("OMP_NUM_THREADS", "MKL_NUM_THREADS", "OPENBLAS_NUM_THREADS"), "1")
     options: dict[str, Any] = {"num_cpus": jobs, "include_dashboard": False} if address == "local" else {}
-    ray.init(address=address, log_to_driver=False, runtime_env={"env_vars": threads}, **options)
+    try:
+        ray.init(address=address, log_to_driver=False, runtime_env={"env_vars": threads}, **options)
+    except Exception as error:
+        # Ray raises a plain `Exception` if a local cluster takes too long to start.
+        raise ConnectionError(f"--ray: no cluster at `{address}`: {error}") from error
     # A new process for each cell, as in `run_in_processes`. Only the loss of a worker repeats a cell.
     task = ray.remote(num_cpus=1, max_calls=1, max_retries=RETRIES)(_in_worker)
     watch = Watch(cells, jobs, say)
