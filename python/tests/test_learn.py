@@ -40,6 +40,7 @@ TINY: dict[str, dict[str, Any]] = {
             **{"random_steps": 100, "train_interval": 20, "updates": 1, "imagination": 3, "buffer_size": 500},
         }
     },
+    "ppo-fast": {"settings": {"network": [8], "rollout_steps": 8}},
     "mlp": {"settings": {"network": [16, 8]}, "demonstrations": 0.1},
     "gnn": {"settings": {"network": [8, 8]}, "demonstrations": 0.1},
     "nlm": {"settings": {"depth": 2}, "demonstrations": 0.1},
