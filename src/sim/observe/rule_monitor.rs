@@ -365,15 +365,22 @@ impl RuleMonitor {
 pub(super) struct Atoms {
     /// The set of entities for which each predicate of the vocabulary holds.
     pub unary: Vec<u64>,
-    /// For each predicate, `entities` sets: the entities that each entity is related to.
+    /// For each predicate from `first_pair` on, `entities` sets: the entities that each entity is related to.
     pub rows: Vec<u64>,
+    /// The first predicate over two agents.
+    pub first_pair: usize,
     pub entities: usize,
 }
 
 impl Atoms {
     /// Returns the entities that a predicate relates to `entity`.
     pub fn row(&self, predicate: usize, entity: usize) -> u64 {
-        self.rows[predicate * self.entities + entity]
+        (predicate.checked_sub(self.first_pair)).map_or(0, |pair| self.rows[pair * self.entities + entity])
+    }
+
+    /// Returns the rows of a predicate over two agents.
+    pub fn rows_mut(&mut self, predicate: usize) -> &mut [u64] {
+        &mut self.rows[(predicate - self.first_pair) * self.entities..][..self.entities]
     }
 }
 
@@ -533,6 +540,15 @@ impl Violations {
                 wanted: State::new(wanted),
                 checked: State::new(checked),
             },
+        }
+    }
+
+    /// Loads what an evaluation uses into the cache: see [`BitState::prefetch`].
+    #[inline]
+    pub fn prefetch(&self) -> u64 {
+        match self {
+            Violations::Once { bit_state, .. } => bit_state.prefetch(),
+            Violations::Twice { .. } => 0,
         }
     }
 

@@ -1,7 +1,6 @@
 //! The environment: one city with externally controlled cars.
 
 use crate::cancel::Cancel;
-use crate::city::Agent;
 use crate::city::{Action, AgentKind, Split};
 use crate::diag::{Code, Diagnostic};
 use crate::rng::{Purpose, RngExt, Seed};
@@ -36,8 +35,6 @@ pub struct Env {
     /// The actions of all controlled cars in each step of the episode.
     taken: Vec<Action>,
     episode: Episode,
-    /// The agents of the previous episode; the next one reuses their memory.
-    spare: Vec<Agent>,
 }
 
 /// A car under external control.
@@ -160,7 +157,6 @@ impl Env {
             controls: Vec::with_capacity(controlled_cars.len()),
             taken: Vec::new(),
             episode: Episode::of(0, city.agents()),
-            spare: Vec::new(),
             control,
             controlled_cars,
             city,
@@ -213,13 +209,15 @@ impl Env {
     /// the configuration says so.
     ///
     /// # Errors
-    /// `no-start-cell`, `no-route`, `limit-exceeded`.
+    /// `no-start-cell`, `no-route`, `limit-exceeded`. The environment then needs another reset.
     pub fn reset(&mut self, seed: u64) -> Result<(), Diagnostic> {
-        self.city.draw_agents(Seed(seed), &mut self.spare)?;
-        let first = &mut self.spare[self.controlled_cars[0].agent()];
-        if let Some(ego) = &self.task.config().ego {
+        let (task, first) = (Arc::clone(&self.task), self.controlled_cars[0].agent());
+        let split = self.city.split();
+        self.city.restart_drawn(Seed(seed), |agents| {
+            let Some(ego) = &task.config().ego else { return };
+            let first = &mut agents[first];
             let mut stream = Seed(seed).stream(Purpose::EGO, 0, 0);
-            let most = ego.priority[self.city.split() as usize];
+            let most = ego.priority[split as usize];
             first.priority = stream.random_range(1..=most).cast_signed();
             let sum: f64 = ego.concepts.iter().map(|(weight, _)| weight).sum();
             let mut left = stream.random::<f64>() * sum;
@@ -231,7 +229,7 @@ impl Env {
             });
             let (_, concepts) = drawn.or(possible.next_back()).expect("a weight is not 0");
             first.concepts = Arc::clone(concepts);
-        }
+        })?;
         self.horizon = self.task.config().horizon;
         self.begin(seed)
     }
@@ -243,7 +241,8 @@ impl Env {
     /// `invalid-episode` if its agents differ from those of the split, have concepts without a predicate for their
     /// type, or have no route; `limit-exceeded`.
     pub fn reset_to(&mut self, episode: &Episode) -> Result<(), Diagnostic> {
-        self.spare = episode.place(self.task.world(), self.city.agents())?;
+        let mut agents = episode.place(self.task.world(), self.city.agents())?;
+        self.city.restart(Seed(episode.seed), &mut agents);
         self.horizon = match self.control {
             ControlMode::First => episode.horizon(self.task.config()),
             ControlMode::Cars => self.task.config().horizon.max(1),
@@ -258,14 +257,13 @@ impl Env {
         self.horizon = steps.max(1);
     }
 
-    /// Begins an episode with the agents in `spare`.
+    /// Begins an episode with the agents that the city has just started with.
     fn begin(&mut self, seed: u64) -> Result<(), Diagnostic> {
         self.episode.seed = seed;
         self.episode.oracle = None;
-        for (noted, agent) in self.episode.agents.iter_mut().zip(&self.spare) {
+        for (noted, agent) in self.episode.agents.iter_mut().zip(self.city.agents()) {
             noted.note(agent);
         }
-        self.city.restart(Seed(seed), &mut self.spare);
         self.steps = 0;
         self.taken.clear();
         for controlled_car in &mut self.controlled_cars {
@@ -339,6 +337,12 @@ impl Env {
             controlled_car.running &= !(controlled_car.last.terminated || controlled_car.last.truncated);
         }
         Ok(())
+    }
+
+    /// Loads what a step uses into the cache, while other work proceeds. Returns a meaningless sum of what it reads.
+    pub fn prefetch(&self) -> u64 {
+        let observers = self.controlled_cars.iter().map(|car| car.observer.prefetch());
+        observers.fold(self.city.prefetch(), |sum, read| sum ^ read)
     }
 
     /// Writes the observation of the groundings: the true atoms as [`Observer::write`] does and, if configured, the
