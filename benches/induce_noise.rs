@@ -1,7 +1,10 @@
 //! Tables of the rule learner on the recorded episodes: examples with wrong actions, few demonstrations, many examples.
 //!
-//! `cargo bench --bench induce_noise` prints all tables; `-- noise`, `-- subsets` or `-- million` prints one.
+//! `cargo bench --bench induce_noise` prints all tables; `-- noise`, `-- subsets` or `-- million` prints one. Times are
+//! CPU seconds of all threads.
 
+#[path = "induce/cpu.rs"]
+mod cpu;
 #[path = "induce/mode.rs"]
 mod mode;
 
@@ -9,7 +12,6 @@ use logicity::cancel::Cancel;
 use logicity::induce::{Noise, Settings, State, learn};
 use logicity::rng::{Purpose, Rng, RngExt, Seed};
 use mode::Mode;
-use std::time::Instant;
 
 const DRAWS: Purpose = Purpose::new(u64::MAX);
 
@@ -26,7 +28,7 @@ fn noise() {
                     .collect();
                 let examples = mode.examples(flipped.iter());
                 let row = |noise| {
-                    let begin = Instant::now();
+                    let begin = cpu::seconds();
                     let settings = Settings {
                         noise,
                         ..Settings::default()
@@ -35,7 +37,7 @@ fn noise() {
                     (
                         mode.success(&rules),
                         rules.bodies().len(),
-                        begin.elapsed().as_secs_f64(),
+                        cpu::seconds() - begin,
                         rules.rate,
                     )
                 };
@@ -81,7 +83,9 @@ fn million() {
     let mode = Mode::load("expert");
     let steps = mode.demonstrations().concat();
     let rules = learn(&mode.examples(steps.iter()), &Settings::default(), &Cancel::never());
-    println!("density  wrong actions  noise       examples   states  learned from  clauses  right states       s");
+    println!(
+        "density  wrong actions  noise       examples   states  learned from  clauses  right states       s  peak GiB"
+    );
     for density in [0.1, 0.3] {
         for (rate, noise) in [(0.0, Noise::None), (0.01, Noise::Rate(0.01)), (0.01, Noise::Auto)] {
             let mut random = Seed(1).stream(DRAWS, 0, 2);
@@ -98,9 +102,9 @@ fn million() {
                 noise,
                 ..Settings::default()
             };
-            let begin = Instant::now();
+            let begin = cpu::seconds();
             let learned = learn(&examples, &settings, &Cancel::never());
-            let seconds = begin.elapsed().as_secs_f64();
+            let seconds = cpu::seconds() - begin;
             let states: Vec<&State> = examples.states().map(|(state, _)| state).collect();
             let [decided, actions] = [&learned, &rules].map(|rules| rules.decide(&mode.vocabulary, &states));
             let right = decided
@@ -108,13 +112,14 @@ fn million() {
                 .zip(&actions)
                 .filter(|(decided, action)| decided == action);
             println!(
-                "{density:7}  {rate:13}  {:10} {:9}  {:7}  {:12}  {:7}  {:12}  {seconds:6.1}",
+                "{density:7}  {rate:13}  {:10} {:9}  {:7}  {:12}  {:7}  {:12}  {seconds:6.1}  {:8.1}",
                 format!("{noise:?}"),
                 examples.count(),
                 states.len(),
                 learned.working_states,
                 learned.bodies().len(),
                 right.count(),
+                cpu::peak_gib(),
             );
         }
     }

@@ -315,10 +315,13 @@ def training() -> str:
         entries.append(f"`{key}`\n: *{kinds(value)}*{default}. {value['description']}\n")
     parts = ["## Keys\n\n" + "\n".join(entries)]
     for definition in schema["$defs"].values():
-        parts.append(f"## {definition['title']}\n\n| setting | values | default |\n|---|---|---|")
+        described = any("description" in value for value in definition["properties"].values())
+        columns = ["setting", "values", "default", *["meaning"] * described]
+        parts.append(f"## {definition['title']}\n\n| {' | '.join(columns)} |\n{'|---' * len(columns)}|")
         for key, value in definition["properties"].items():
             default = code(value["default"]) if "default" in value else ""
-            parts[-1] += f"\n| `{key}` | {kinds(value)} | {default} |"
+            cells = [f"`{key}`", kinds(value), default, *[value.get("description", "")] * described]
+            parts[-1] += f"\n| {' | '.join(cells)} |"
         parts[-1] += "\n"
     return "\n".join(parts)
 
@@ -329,15 +332,27 @@ def kinds(value: dict[str, Any]) -> str:
         return " or ".join(dict.fromkeys(kinds(one) for one in value["anyOf"]))
     if "enum" in value:
         return " or ".join(f"`{word}`" for word in value["enum"])
+    if "const" in value:
+        return f"`{value['const']}`"
     if value["type"] in ("integer", "number"):
-        lowest = f" from {value['minimum']:,}" if "minimum" in value else ""
-        highest = f" below {value['exclusiveMaximum']:,}" if "exclusiveMaximum" in value else ""
-        return f"{value['type']}{lowest}{highest}"
+        words = {"minimum": "from", "exclusiveMinimum": "above", "maximum": "to", "exclusiveMaximum": "below"}
+        bounds = "".join(f" {word} {value[key]:,}" for key, word in words.items() if key in value)
+        return f"{value['type']}{bounds}"
     if value["type"] == "array":
         items = value.get("prefixItems") or [value["items"]]
         return "list of " + ", ".join(kinds(item) for item in items)
     words = {"string": "text", "boolean": "`true` or `false`", "object": "mapping", "null": "`~`"}
     return words[value["type"]]
+
+
+# --- results
+
+
+def results() -> str:
+    """Return the leaderboard."""
+    module = imported("logicity.learn.results")
+    text: str = module.leaderboard(module.read_results(ROOT / "results" / "spf.json"))
+    return text
 
 
 # --- environments
@@ -409,9 +424,10 @@ MODULES = {
     "logicity.offline": "Demonstrations",
     "logicity.induction": "Learned rules",
     "logicity.envs": "Environments",
+    "logicity.views": "Views of observations",
     "logicity.parallel": "Several controlled cars",
     "logicity.sb3": "Stable-Baselines3",
-    "logicity.train": "Training",
+    "logicity.learn": "Learners",
     "logicity.vap": "Visual Action Prediction",
     "logicity.questions": "Questions for language models",
     "logicity.icons": "Icon packs",
@@ -421,7 +437,7 @@ MODULES = {
 
 
 #: Optional dependencies of the package, which need not be installed to read its docstrings.
-OPTIONAL = ["PIL", "diffusers", "minari", "pettingzoo", "pyarrow", "stable_baselines3", "torch"]
+OPTIONAL = ["PIL", "diffusers", "minari", "pettingzoo", "pyarrow", "stable_baselines3", "torch", "tqdm"]
 
 
 @functools.cache
@@ -472,6 +488,7 @@ GENERATORS: dict[str, Callable[[], str]] = {
     "warnings": lambda: messages("warning"),
     "configuration": configuration,
     "training": training,
+    "leaderboard": results,
     "environments": environments,
     "python": python,
     "playground": playground,

@@ -36,6 +36,13 @@ impl Seed {
     }
 }
 
+/// Draws elements of a list, with replacement. The list must not be empty if `count` is positive.
+pub fn draw<T: Copy>(elements: &[T], count: usize, random: &mut impl Rng) -> Vec<T> {
+    (0..count)
+        .map(|_| elements[random.random_range(0..elements.len())])
+        .collect()
+}
+
 #[cfg(test)]
 mod tests {
     use super::*;

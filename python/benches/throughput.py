@@ -110,13 +110,14 @@ def stable_baselines(mode: str, count: int) -> float:
 
 def training_share(mode: str) -> float:
     """Return the fraction of the CPU time of DQN training that environments and their adapter take."""
+    from logicity.learn import TrainConfig
+    from logicity.learn.stable_baselines import new_model
     from logicity.sb3 import make_vec_env
-    from logicity.train import TrainConfig, new_model
 
     config = TrainConfig.load(f"configs/baselines/dqn-{logicity.MODES[mode]}-tuned.yaml")
     envs = make_vec_env(config.mode, config.envs, config.seed)
     model = new_model(config, envs)
-    model.learn(config.settings["learning_starts"])
+    model.learn(config.settings.model_dump()["learning_starts"])
     core, spent = envs.venv, 0.0
     step_wait = core.step_wait
 
@@ -155,7 +156,7 @@ def main() -> None:
     if MEMORY.exists():
         print(f"\nThe memory of an environment of a vector: {memory(mode):,.0f} bytes")
     if not importlib.util.find_spec("stable_baselines3"):
-        print("\nInstall Stable-Baselines3 (`pip install './python[train]'`) to measure the share of training time.")
+        print("\nInstall Stable-Baselines3 (`pip install './python[learn]'`) to measure the share of training time.")
     elif mode in ("Easy", "Medium", "Hard", "Expert"):
         print(f"\nThe environment's share of the CPU time of training DQN: {training_share(mode):.1%}")
 

@@ -1,4 +1,4 @@
-"""Train a small agent, measure it, and replay an episode. Needs `pip install './python[train]'`.
+"""Train a small agent, measure it, and replay an episode. Needs `pip install './python[learn]'`.
 
 Run it as `python python/examples/train_and_show.py [STEPS]`. The default of 20000 steps takes about a minute.
 """

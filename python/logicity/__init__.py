@@ -14,8 +14,8 @@ Where to start:
 - `logicity.questions` sends multiple-choice questions to a language model and grades the replies.
 - `logicity.vap` makes and reads data sets of Visual Action Prediction.
 
-The core needs only numpy. Environments and `demonstrations` need the extra `gym`. `logicity.sb3`, `train`, `parallel`
-and `icons` each need another extra. Modules are imported on first use.
+The core needs only numpy. Environments and `demonstrations` need the extra `gym`. `logicity.sb3`, `learn`,
+`parallel` and `icons` each need another extra. Modules are imported on first use.
 
 Invalid input raises `InputError`, which lists every error with its location. The subclass `LimitError` means that a
 limit was exceeded. The subclass `UnsupportedError` means that the dense executor cannot evaluate the rules. Ctrl-C
@@ -31,11 +31,12 @@ from .registration import register_with_gymnasium
 if TYPE_CHECKING:
     from . import envs as envs
     from . import icons as icons
+    from . import learn as learn
     from . import parallel as parallel
     from . import questions as questions
     from . import sb3 as sb3
-    from . import train as train
     from . import vap as vap
+    from . import views as views
     from .city import ACTIONS, HEADINGS, REASONS, AgentInfo, Decision, Inference, Simulation, Tick, infer
     from .describe import observation_names
     from .errors import InputError, LimitError, UnsupportedError
@@ -78,7 +79,7 @@ _NAMES = {
     ],
 }
 _HOMES = {name: module for module, names in _NAMES.items() for name in names}
-_MODULES = ("envs", "icons", "parallel", "questions", "sb3", "train", "vap")
+_MODULES = ("envs", "icons", "learn", "parallel", "questions", "sb3", "vap", "views")
 
 __all__ = [
     "ACTIONS",

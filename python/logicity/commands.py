@@ -110,7 +110,8 @@ def _add_evaluate(parser: argparse.ArgumentParser) -> _Command:
     parser.add_argument(
         "--policy",
         required=True,
-        help="oracle, random, the .zip of a DQN, PPO or A2C model, or the folder of a run of `logicity train`",
+        help="oracle, random, the file of a policy (.zip of DQN, PPO or A2C, .pt of other learners), or the folder of "
+        "a run of `logicity train`",
     )
     parser.add_argument(
         "--modes",
@@ -141,7 +142,56 @@ def _add_train(parser: argparse.ArgumentParser) -> _Command:
     parser.add_argument("config", type=Path, help="for example configs/baselines/dqn-easy.yaml")
     parser.add_argument("--run", type=Path, metavar="FOLDER", help="folder of the run; default: runs/CONFIG-SEED")
     parser.add_argument("--seed", type=_seed, help="replace the seed of the configuration")
+    _add_wandb(parser)
     return _train
+
+
+def _add_wandb(parser: argparse.ArgumentParser) -> None:
+    parser.add_argument(
+        "--wandb", metavar="PROJECT", help="also send the curves to Weights & Biases, if it is installed"
+    )
+
+
+def _add_experiment(parser: argparse.ArgumentParser) -> _Command:
+    parser.add_argument("experiment", help="spf, transfer, composition, observations, or a YAML file")
+    parser.add_argument("--list", action="store_true", help="list the cells and which are finished, and run none")
+    parser.add_argument("--report", action="store_true", help="print the table of the finished cells, and run none")
+    parser.add_argument("--quick", action="store_true", help="tiny budgets and one seed: a test of every cell")
+    parser.add_argument(
+        "--only",
+        type=_column,
+        action="append",
+        default=[],
+        metavar="LEARNER[,MODE]",
+        help="run only the cells of a row, or of a row in one mode; can be repeated",
+    )
+    parser.add_argument("--seeds", type=_seeds, metavar="LIST", help="replace the seeds, for example 0,1,2")
+    parser.add_argument(
+        "--set",
+        type=_assignment,
+        action="append",
+        default=[],
+        metavar="KEY=VALUE",
+        help="change a key of every training configuration, for example steps=1000 or settings.gamma=0.9",
+    )
+    parser.add_argument("--jobs", type=_positive, metavar="N", help="processes; default: the number of processors")
+    parser.add_argument(
+        "--ray",
+        nargs="?",
+        const="local",
+        metavar="ADDRESS",
+        help="run the cells on the Ray cluster at ADDRESS, or on a new one on this machine with N workers",
+    )
+    _add_wandb(parser)
+    parser.add_argument("--run", type=Path, metavar="FOLDER", help="folder of the results; default: runs/EXPERIMENT")
+    parser.add_argument(
+        "--submit",
+        type=Path,
+        metavar="RESULTS",
+        help="evaluate the policies of the finished cells again, and write their rows to a file such as "
+        "results/spf.json; run none",
+    )
+    return _experiment
 
 
 def _add_ask(parser: argparse.ArgumentParser) -> _Command:
@@ -229,6 +279,7 @@ def _check_json(given: argparse.Namespace) -> None:
 _COMMANDS: dict[tuple[str, ...], Callable[[argparse.ArgumentParser], _Command]] = {
     ("evaluate",): _add_evaluate,
     ("train",): _add_train,
+    ("experiment",): _add_experiment,
     ("ask",): _add_ask,
     ("grade",): _add_grade,
     ("describe",): _add_describe,
@@ -246,35 +297,26 @@ def _modes(text: str) -> list[str]:
         raise argparse.ArgumentTypeError(str(error)) from None
 
 
-def _named_policy(text: str) -> tuple[Policy, str, str | None]:
-    """Return the policy that an argument names, its name for tables, and the mode of its training if that is known."""
+def _named_policy(text: str) -> tuple[Policy, str, str | None, ObservationKind | None]:
+    """Return the policy that an argument names, its name for tables, and the mode and observation of its training."""
     if text in ("oracle", "random"):
-        return cast("Policy", text), text, None
+        return cast("Policy", text), text, None, None
     path = Path(text)
-    if path.is_dir():
-        path = path / "best.zip"
-        if not path.is_file():
-            raise _UsageError(
-                f"`{text}` is a folder without `best.zip`, which `logicity train` writes at the end of a run\n"
-                "help: name the .zip of a model"
-            )
-    if not path.is_file():
-        if path.suffix == ".zip" or len(path.parts) > 1:
+    if not path.exists():
+        if path.suffix or len(path.parts) > 1:
             raise FileNotFoundError(errno.ENOENT, "no such file", text)
-        raise _UsageError(f"unknown policy `{text}`: expected oracle, random, or a model file of Stable-Baselines3")
-    from .train import load_model
+        raise _UsageError(
+            f"unknown policy `{text}`: expected oracle, random, the file of a policy, or the folder of a run"
+        )
+    if path.is_dir() and not any(path.glob("best.*")):
+        raise _UsageError(
+            f"`{text}` is a folder without a file `best.*`, which `logicity train` writes at the end of a run\n"
+            "help: name the file of a policy"
+        )
+    from .learn import load_policy
 
-    return load_model(path), path.stem, _trained_mode(path)
-
-
-def _trained_mode(model: Path) -> str | None:
-    """Return the mode that the configuration of a run records for one of its models, or `None` without a record."""
-    run = model.parent.parent if model.parent.name.startswith("checkpoint-") else model.parent
-    try:
-        mode = json.loads((run / "config.json").read_text()).get("mode")
-    except (AttributeError, OSError, ValueError):
-        return None
-    return mode if isinstance(mode, str) else None
+    saved = load_policy(path)
+    return saved.policy, saved.path.stem, saved.mode, saved.observation
 
 
 def _check_fit(policy: Policy, trained: str | None, benchmarks: Sequence[Benchmark]) -> None:
@@ -326,6 +368,30 @@ def _seed(text: str) -> int:
     return _whole(text, 0)
 
 
+def _seeds(text: str) -> tuple[int, ...]:
+    return tuple(dict.fromkeys(_seed(each) for each in text.split(",")))
+
+
+def _column(text: str) -> tuple[str, str | None]:
+    row, comma, mode = text.partition(",")
+    if not row or (comma and not mode):
+        raise argparse.ArgumentTypeError(f"expected LEARNER or LEARNER,MODE, found `{text}`")
+    return row, mode or None
+
+
+def _assignment(text: str) -> dict[str, object]:
+    keys, equals, value = text.partition("=")
+    if not keys or not equals:
+        raise argparse.ArgumentTypeError(f"expected KEY=VALUE, found `{text}`")
+    try:
+        parsed: object = json.loads(value)
+    except json.JSONDecodeError:
+        parsed = value
+    for key in reversed(keys.split(".")):
+        parsed = {key: parsed}
+    return cast("dict[str, object]", parsed)
+
+
 def _positive_float(text: str) -> float:
     try:
         value = float(text)
@@ -360,7 +426,7 @@ def _evaluate(given: argparse.Namespace) -> int:
     _check_json(given)
     if given.traces is not None:
         _check_folder("--traces", given.traces)
-    policy, name, trained = _named_policy(given.policy)
+    policy, name, trained, kind = _named_policy(given.policy)
     results: list[Evaluation] = []
     modes = given.modes or ([checked_mode(trained)] if trained is not None else list(ENVIRONMENTS))
     stems = [Path(mode).stem for mode in modes]
@@ -368,7 +434,7 @@ def _evaluate(given: argparse.Namespace) -> int:
         raise _UsageError("modes with the same name would write traces to the same folder: evaluate one at a time")
     if given.traces is not None and policy == "random":
         raise _UsageError("the random policy runs every episode ten times and supports no traces")
-    observation = given.observation or _observation_of(policy)
+    observation = given.observation or kind or _observation_of(policy)
     benchmarks = [Benchmark(mode, given.split, observation=observation) for mode in modes]
     _check_fit(policy, trained, benchmarks)
     folders = [None if given.traces is None else given.traces / stem for stem in stems]
@@ -385,23 +451,68 @@ def _evaluate(given: argparse.Namespace) -> int:
 
 
 def _train(given: argparse.Namespace) -> int:
-    from .train import TrainConfig, train
+    from .learn import TrainConfig, train
 
     config = TrainConfig.load(given.config, seed=given.seed)
     run = given.run or Path("runs") / f"{given.config.stem}-{config.seed}"
     _check_folder("--run", run)
     try:
-        result = train(config, run, progress=True)
+        result = train(config, run, progress=True, wandb=given.wandb)
     except InputError:
         raise
     except ValueError as error:
         raise ValueError(f"{given.config}: {error}") from error
-    print(f"{result['steps']} steps in {result['minutes']} minutes; best after {result['best']['steps']}")
+    spent = f"{result['cpu_seconds']:,.0f} CPU seconds"
+    print(f"{result['steps']} {result['unit']} in {spent}; best after {result['best']['steps']}")
     for name, label in {"compliance": "compliance", "tsr": "TSR", "dsr": "DSR"}.items():
         rate = result["test"][name]
         print(f"{label} on test episodes: {rate['value']:.2f} [{rate['low']:.2f}, {rate['high']:.2f}]")
     print(f"all results in {run / 'result.json'}")
     return 0
+
+
+def _experiment(given: argparse.Namespace) -> int:
+    from .learn.cells import finished
+    from .learn.config import merged
+    from .learn.experiment import Experiment, Selection
+    from .learn.report import Report
+
+    experiment, file = Experiment.load(given.experiment)
+    changes: dict[str, object] = {}
+    for each in given.set:
+        changes = merged(changes, each)
+    try:
+        cells = experiment.cells(file, Selection(tuple(given.only), given.seeds, changes, given.quick))
+    except InputError:
+        raise
+    except ValueError as error:
+        raise _UsageError(str(error)) from None
+    root = given.run or Path("runs") / (f"{file.stem}-quick" if given.quick else file.stem)
+    _check_folder("--run", root)
+    if given.list:
+        for cell in cells:
+            print(f"{'finished' if finished(cell, root) else 'not run ':8}  {cell.name}  {cell.identity[:12]}")
+        return 0
+    if given.submit is not None:
+        from .learn.results import submit
+
+        if given.quick or given.set:
+            raise _UsageError("--submit: rows have the budgets of the experiment: remove `--quick` and `--set`")
+        for line in submit(experiment, file, cells, root, given.submit):
+            print(line)
+        return 0
+    failed: dict[str, str] = {}
+    if not given.report:
+        from .learn.jobs import run
+
+        jobs = given.jobs or os.cpu_count() or 1
+        failed = run(cells, root, jobs, lambda line: print(line, file=sys.stderr, flush=True), given.ray, given.wandb)
+    report = Report(experiment, cells, root, failed)
+    root.mkdir(parents=True, exist_ok=True)
+    written = report.write(root)
+    print(report.text())
+    print(f"written: {', '.join(str(path) for path in written)}")
+    return int(any(cell.identity in failed and not cell.optional for cell in cells))
 
 
 def _ask(given: argparse.Namespace) -> int:

@@ -6,12 +6,14 @@ is the baseline of the score, only once.
 
 from __future__ import annotations
 
+import json
 import os
 import sys
 from collections.abc import Callable, Iterator, Mapping
 from contextlib import contextmanager
 from dataclasses import asdict, dataclass
 from pathlib import Path
+from tempfile import TemporaryDirectory
 from typing import TYPE_CHECKING, Any, Literal, Protocol, TypeAlias, cast
 
 import numpy as np
@@ -180,6 +182,28 @@ def load_task(
     return EnvConfig(checked_mode(mode), rules=rules, overrides=overrides).task()
 
 
+def task_hashes(mode: str | os.PathLike[str]) -> dict[str, Any]:
+    """Return what identifies a task and its recorded episodes, as SHA-256.
+
+    `config` and `rules` are the hashes in the headers of traces: that of the configuration with its bases, and that of
+    the rule files. `episodes` has the hash of each split with recorded episodes. The exceptions are those of
+    `Benchmark`.
+    """
+    task = load_task(mode)
+    splits = _logicity.describe(task)["splits"]
+    episodes = {split: each["hash"] for split, each in splits.items() if each["episodes"]}
+    split = next(iter(episodes), None)
+    if split is None:
+        return {"episodes": episodes}
+    episode = _logicity.BatchEvaluator(_logicity.RandomBaseline(task, split), "groundings").episode(0)
+    with TemporaryDirectory() as folder:
+        path = Path(folder) / _trace_name(0)
+        task.write_trace(split, episode, b"", path, False)
+        with open(path, encoding="utf-8") as lines:
+            header = json.loads(next(lines))
+    return {"config": header["config_hash"], "rules": header["rules_hash"], "episodes": episodes}
+
+
 @contextmanager
 def episodes_that_fit() -> Iterator[None]:
     """Add a hint to errors about recorded episodes that do not fit the agents or the map."""
@@ -263,6 +287,13 @@ class Benchmark:
                     self._baseline_episodes += 1
                     progress.update(self._baseline_episodes)
         return self._random
+
+    def random_returns(self) -> list[float]:
+        """Return the mean return of the random policy on each episode, the baseline of the score."""
+        totals: dict[int, list[float]] = {}
+        for record in self._baseline().report()["episodes"]:
+            totals.setdefault(record["episode"], []).append(record["total"])
+        return [sum(runs) / len(runs) for _, runs in sorted(totals.items())]
 
     def evaluate(
         self,

@@ -259,7 +259,13 @@ class EasyModel:
 def test_a_model_needs_a_mode_that_fits(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    monkeypatch.setitem(sys.modules, "logicity.train", SimpleNamespace(load_model=lambda path: EasyModel()))
+    def load(path: Path) -> Any:
+        file = path / "best.zip" if path.is_dir() else path
+        run = file.parent.parent if file.name == "model.zip" else file.parent
+        mode = "easy" if (run / "config.json").exists() else None
+        return SimpleNamespace(policy=EasyModel(), path=file, mode=mode, observation=None)
+
+    monkeypatch.setitem(sys.modules, "logicity.learn", SimpleNamespace(load_policy=load))
     run = tmp_path / "dqn-easy-0"
     for model in (run / "best.zip", run / "checkpoint-0000000010" / "model.zip", tmp_path / "other" / "m.zip"):
         model.parent.mkdir(parents=True, exist_ok=True)
@@ -278,7 +284,7 @@ def test_a_model_needs_a_mode_that_fits(
     assert "error: this model takes 85 numbers, and `" in (error := capsys.readouterr().err)
     assert "\nhelp: name `--modes easy" in error
     assert main(["evaluate", "--policy", str(tmp_path / "other"), *split]) == 2
-    assert "is a folder without `best.zip`" in (error := capsys.readouterr().err) and "name the .zip" in error
+    assert "is a folder without a file `best.*`" in (error := capsys.readouterr().err) and "name the file" in error
     with pytest.raises(ValueError, match=r"the model takes observations of shape \(85,\), and those of `expert`"):
         evaluate(EasyModel(), "expert", "val")
 

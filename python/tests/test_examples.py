@@ -17,7 +17,7 @@ def test_examples_print_what_their_docstrings_show(path: Path, tmp_path: Path) -
     shown = re.search(r"^```text\n(.*?)^```", text, flags=re.MULTILINE | re.DOTALL)
     arguments = []
     if "stable_baselines3" in text:
-        pytest.importorskip("stable_baselines3", reason="needs the extra `train`: `make python-all` installs it")
+        pytest.importorskip("stable_baselines3", reason="needs the extra `learn`: `make python-all` installs it")
         arguments = ["1100"]  # fewer steps than the example shows
     warnings = [] if arguments else ["-W", "error"]
     command = [sys.executable, *warnings, "-X", "utf8", str(path), *arguments]

@@ -98,7 +98,7 @@ class TestSuperSuit:
             envs.close()
 
     def test_stable_baselines(self, supersuit: Any) -> None:
-        needs("stable_baselines3", "train")
+        needs("stable_baselines3", "learn")
         cars = supersuit.black_death_v3(logicity.parallel_env("easy", observation="state", overrides=SHORT))
         single = supersuit.pettingzoo_env_to_vec_env_v1(supersuit.flatten_v0(cars))
         envs = supersuit.concat_vec_envs_v1(single, 2, base_class="stable_baselines3")

@@ -44,7 +44,7 @@ few = logicity.demonstrations("easy", 1)
 for use in (
     lambda: logicity.icons.load_pipeline("model"),
     lambda: logicity.sb3.make_vec_env,
-    lambda: logicity.train,
+    lambda: logicity.learn.learner_class("dqn"),
     lambda: logicity.parallel,
     logicity.parallel_env,
     few.to_minari,
@@ -56,7 +56,7 @@ for use in (
         print(str(error).partition("install ")[2])
 """
     done = subprocess.run([sys.executable, "-c", text], capture_output=True, text=True)
-    extras = ["icons", "train", "train", "pettingzoo", "pettingzoo", "offline", "offline"]
+    extras = ["icons", "learn", "learn", "pettingzoo", "pettingzoo", "offline", "offline"]
     expected = [f"the extra `{extra}`: pip install './python[{extra}]'" for extra in extras]
     assert (done.stdout.splitlines(), done.stderr) == (expected, "")
 

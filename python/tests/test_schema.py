@@ -1,6 +1,6 @@
 """Validates configuration files with the JSON Schema that `logicity schema` prints.
 
-`tests/city/schema.rs` compares the keys, words, ranges and defaults of the schema with the reader. `test_train.py`
+`tests/city/schema.rs` compares the keys, words, ranges and defaults of the schema with the reader. `test_learn.py`
 compares the schema of training configurations with the class that reads them.
 """
 

@@ -307,14 +307,18 @@ fn unwritable(path: &Path, error: &io::Error) -> Failure {
 }
 
 /// The commands that the Python package implements, as words of the command line, and their summaries.
-pub const PYTHON_COMMANDS: [(&[&str], &str); 8] = [
+pub const PYTHON_COMMANDS: [(&[&str], &str); 9] = [
     (
         &["evaluate"],
         "Measure a policy on recorded episodes with the metrics of the paper",
     ),
     (
         &["train"],
-        "Train a DQN, PPO or A2C model, or resume an interrupted run",
+        "Train a learner on Safe Path Following, or resume an interrupted run",
+    ),
+    (
+        &["experiment"],
+        "Train and evaluate the learners of an experiment, or resume it, and print a table beside the paper's",
     ),
     (
         &["ask"],
@@ -354,7 +358,7 @@ pub fn main() -> ExitCode {
     if let Some((words, _)) = python_command(&arguments) {
         let mut err = anstream::stderr();
         let package = match words {
-            ["train"] => "./python[train]",
+            ["train" | "experiment"] => "./python[learn]",
             _ => "./python",
         };
         let _ = writeln!(err, "error: `logicity {}` requires the Python package", words.join(" "));

@@ -38,6 +38,7 @@ pub(super) const AGENTS: Kind = Kind::yaml("configs/agents", "agent sets");
 pub(super) const PREDICATES: Kind = Kind::yaml("configs/predicates", "predicates");
 pub(super) const TASK: Kind = Kind::yaml("configs/tasks", "a task");
 const BASELINE: Kind = Kind::yaml("configs/baselines", "a configuration of `logicity train`");
+const EXPERIMENT: Kind = Kind::yaml("configs/experiments", "an experiment of `logicity experiment`");
 const RULES: Kind = Kind {
     folder: "rules",
     ending: "dl",
@@ -45,13 +46,14 @@ const RULES: Kind = Kind {
 };
 
 /// The kinds of built-in files, and the key of a run configuration for each part.
-const KINDS: [(Kind, &str); 7] = [
+const KINDS: [(Kind, &str); 8] = [
     (RUN, ""),
     (MAP, "map"),
     (AGENTS, "agents"),
     (PREDICATES, "predicates"),
     (TASK, "task"),
     (BASELINE, ""),
+    (EXPERIMENT, ""),
     (RULES, "rules"),
 ];
 

@@ -10,6 +10,13 @@ pub fn empty(bound: usize) -> Bits {
     SmallVec::from_elem(0, bound.div_ceil(64))
 }
 
+/// Returns the set of all numbers below `bound`.
+pub fn full(bound: usize) -> Bits {
+    let mut all = empty(bound);
+    (0..bound).for_each(|number| insert(&mut all, number));
+    all
+}
+
 /// Returns whether a number is in the set.
 #[inline]
 pub fn contains(set: &[u64], number: usize) -> bool {
@@ -26,6 +33,16 @@ pub fn insert(set: &mut [u64], number: usize) {
 #[inline]
 pub fn remove(set: &mut [u64], number: usize) {
     set[number / 64] &= !(1 << (number % 64));
+}
+
+/// Adds the numbers of another set.
+pub fn union(set: &mut [u64], other: &[u64]) {
+    set.iter_mut().zip(other).for_each(|(set, other)| *set |= other);
+}
+
+/// Removes the numbers of another set.
+pub fn subtract(set: &mut [u64], other: &[u64]) {
+    set.iter_mut().zip(other).for_each(|(set, other)| *set &= !other);
 }
 
 /// Returns whether two sets have a common number.

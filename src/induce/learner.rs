@@ -10,7 +10,7 @@ use crate::induce::problem::{LabeledColumns, Problem};
 use crate::induce::rules::{ActionRules, Learned, LearnedClause, Noise, Progress, Settings};
 use crate::induce::search::{Found, Search};
 use crate::induce::vocabulary::{Body, LITERAL_COST, VARIABLES_MAX, Vocabulary};
-use crate::rng::{Purpose, RngExt, Seed};
+use crate::rng::{self, Purpose, Seed};
 use rayon::prelude::*;
 use std::collections::BTreeMap;
 use std::num::NonZeroUsize;
@@ -160,6 +160,7 @@ fn sample(labels: &[usize], actions: usize, most: usize) -> Vec<bool> {
         .collect()
 }
 
+/// Learns the clauses of one action: finds clauses until they cover the positive states, then chooses the cheapest cover.
 fn learn_action(
     vocabulary: &Vocabulary,
     action: usize,
@@ -169,13 +170,16 @@ fn learn_action(
     (progress, cancel): (&(dyn Fn(Progress) + Sync), &Cancel),
 ) -> ActionRules {
     let columns = LabeledColumns::new(vocabulary, positive, negative);
-    let fewest = (vocabulary.egos() + 1).min(settings.variables);
-    let mut problems: Vec<Problem<'_>> = Vec::new();
-    let mut variables_max = settings.variables;
+    let mut search = ClauseSearch {
+        vocabulary,
+        settings,
+        columns: &columns,
+        problems: Vec::new(),
+        variables_max: settings.variables,
+        pool: BTreeMap::new(),
+    };
     let mut random = Seed(settings.seed).stream(Purpose::INDUCE, action as u64, 0);
-    let mut pool: BTreeMap<Body, Found> = BTreeMap::new();
-    let mut open = bits::empty(positive.len());
-    (0..positive.len()).for_each(|state| bits::insert(&mut open, state));
+    let mut open = bits::full(positive.len());
     while !cancel.requested() {
         let left: Vec<usize> = bits::elements(&open).collect();
         if left.is_empty() {
@@ -185,53 +189,76 @@ fn learn_action(
             action,
             states: positive.len(),
             covered: positive.len() - left.len(),
-            clauses: pool.len(),
+            clauses: search.pool.len(),
         });
-        let tries: Vec<usize> = (0..settings.seeds_per_round)
-            .map(|_| left[random.random_range(0..left.len())])
-            .collect();
+        let tries = rng::draw(&left, settings.seeds_per_round, &mut random);
         let uncovered: Vec<&State> = left.iter().map(|&state| positive[state]).collect();
-        let uncovered = columns.columns(vocabulary, &uncovered);
-        let mut best: Option<Found> = None;
-        for variables in fewest..=variables_max {
-            if problems.len() <= variables - fewest {
-                // There are too many assignments for more variables.
-                let Some(problem) = columns.problem(vocabulary, variables, settings.negation) else {
-                    variables_max = variables - 1;
-                    break;
-                };
-                problems.push(problem);
-            }
-            let problem = &problems[variables - fewest];
-            let mut seeds: Vec<_> = tries.iter().flat_map(|&state| problem.seeds(state)).collect();
-            seeds.sort_unstable();
-            seeds.dedup();
-            let counted = problem.open(&uncovered);
-            let search = |seed| Search::new(problem, seed, &counted).best(settings.nodes, cancel);
-            let found: Vec<Found> = seeds.par_iter().filter_map(search).collect();
-            for found in found {
-                if best.as_ref().is_none_or(|best| found.score > best.score) {
-                    best = Some(found.clone());
-                }
-                pool.insert(found.body.clone(), found);
-            }
-            if best
-                .as_ref()
-                .is_some_and(|best| bits::intersection_len(&best.covered, &open) >= settings.coverage_min)
-            {
-                break;
-            }
-        }
-        match best {
-            Some(best) => open
-                .iter_mut()
-                .zip(&best.covered)
-                .for_each(|(open, covered)| *open &= !covered),
+        match search.best(&tries, &uncovered, &open, cancel) {
+            Some(best) => bits::subtract(&mut open, &best.covered),
             // No clause separates these examples from the negative ones.
             None => tries.iter().for_each(|&state| bits::remove(&mut open, state)),
         }
     }
-    let pool: Vec<Found> = pool.into_values().collect();
+    let variables_limit = Some(search.variables_max).filter(|limit| *limit < settings.variables);
+    let pool: Vec<Found> = search.pool.into_values().collect();
+    ActionRules {
+        variables_limit,
+        ..cheapest_rules(vocabulary, &pool, positive.len(), cancel)
+    }
+}
+
+/// The search for the clauses of one action.
+struct ClauseSearch<'a> {
+    vocabulary: &'a Vocabulary,
+    settings: &'a Settings,
+    columns: &'a LabeledColumns,
+    /// The problems by number of variables, made when a search needs them.
+    problems: Vec<Problem<'a>>,
+    /// The most variables of a clause. The memory may allow fewer than the settings.
+    variables_max: usize,
+    /// All clauses found.
+    pool: BTreeMap<Body, Found>,
+}
+
+impl ClauseSearch<'_> {
+    /// Finds the best clause for one of some positive states, and adds each clause found to the pool. `uncovered` are
+    /// the states in `open`. Another variable is tried only while the best clause covers few of them.
+    fn best(&mut self, tries: &[usize], uncovered: &[&State], open: &[u64], cancel: &Cancel) -> Option<Found> {
+        let uncovered = self.columns.columns(self.vocabulary, uncovered);
+        let fewest = (self.vocabulary.egos() + 1).min(self.settings.variables);
+        let mut best: Option<Found> = None;
+        for variables in fewest..=self.variables_max {
+            if self.problems.len() <= variables - fewest {
+                // There are too many assignments for more variables.
+                let Some(problem) = self.columns.problem(self.vocabulary, variables, self.settings.negation) else {
+                    self.variables_max = variables - 1;
+                    break;
+                };
+                self.problems.push(problem);
+            }
+            let problem = &self.problems[variables - fewest];
+            let counted = problem.open(&uncovered);
+            let search = |seed| Search::new(problem, seed, &counted).best(self.settings.nodes, cancel);
+            let found: Vec<Found> = problem.all_seeds(tries).par_iter().filter_map(search).collect();
+            for found in found {
+                if best.as_ref().is_none_or(|best| found.score > best.score) {
+                    best = Some(found.clone());
+                }
+                self.pool.insert(found.body.clone(), found);
+            }
+            if best
+                .as_ref()
+                .is_some_and(|best| bits::intersection_len(&best.covered, open) >= self.settings.coverage_min)
+            {
+                break;
+            }
+        }
+        best
+    }
+}
+
+/// Returns the cheapest clauses of a pool that cover the positive states, the one that covers the most first.
+fn cheapest_rules(vocabulary: &Vocabulary, pool: &[Found], positive: usize, cancel: &Cancel) -> ActionRules {
     let columns: Vec<(Vec<u64>, u32)> = pool
         .iter()
         .map(|found| (found.covered.clone(), found.body.cost(vocabulary) + LITERAL_COST))
@@ -239,13 +266,10 @@ fn learn_action(
     let cover = cheapest_cover(&columns, cancel);
     let mut chosen: Vec<&Found> = cover.columns.iter().map(|&column| &pool[column]).collect();
     chosen.sort_by_key(|found| std::cmp::Reverse(bits::count(&found.covered)));
-    let mut covered = vec![0; positive.len().div_ceil(64)];
-    for found in &chosen {
-        covered
-            .iter_mut()
-            .zip(&found.covered)
-            .for_each(|(all, covered)| *all |= covered);
-    }
+    let mut uncovered = bits::full(positive);
+    chosen
+        .iter()
+        .for_each(|found| bits::subtract(&mut uncovered, &found.covered));
     let clauses = chosen.iter().map(|found| LearnedClause {
         body: found.body.clone(),
         is_best: found.is_best,
@@ -253,7 +277,7 @@ fn learn_action(
     ActionRules {
         clauses: clauses.collect(),
         is_cheapest: cover.is_cheapest,
-        variables_limit: Some(variables_max).filter(|limit| *limit < settings.variables),
-        uncovered: positive.len() - bits::count(&covered) as usize,
+        variables_limit: None,
+        uncovered: bits::count(&uncovered) as usize,
     }
 }

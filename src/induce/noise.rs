@@ -8,7 +8,7 @@ use crate::induce::problem::{LabeledColumns, Problem};
 use crate::induce::rules::{ActionRules, Learned, LearnedClause, Noise, Progress, Settings, clauses_hold};
 use crate::induce::vocabulary::{Body, LITERAL_COST, Literal, Vocabulary};
 use crate::induce::weights::Weights;
-use crate::rng::{Purpose, RngExt, Seed};
+use crate::rng::{self, Purpose, RngExt, Seed};
 use rayon::prelude::*;
 use std::collections::BTreeMap;
 
@@ -231,19 +231,15 @@ impl TolerantSearch<'_> {
 
     /// Returns the positive and the negative states that no clause except one covers.
     fn open(&self, clauses: &[Candidate], except: Option<usize>) -> [Vec<u64>; 2] {
-        let mut open = self.states.map(|count| {
-            let mut all = bits::empty(count).into_vec();
-            (0..count).for_each(|state| bits::insert(&mut all, state));
-            all
-        });
+        let mut open = self.states.map(|count| bits::full(count).into_vec());
         for clause in clauses
             .iter()
             .enumerate()
             .filter(|(index, _)| Some(*index) != except)
             .map(|(_, clause)| clause)
         {
-            subtract(&mut open[0], &clause.states[0]);
-            subtract(&mut open[1], &clause.states[1]);
+            bits::subtract(&mut open[0], &clause.states[0]);
+            bits::subtract(&mut open[1], &clause.states[1]);
         }
         open
     }
@@ -309,8 +305,8 @@ impl TolerantSearch<'_> {
         let mut total = 0;
         for clause in clauses {
             total += clause.score(&self.scoring, &open);
-            subtract(&mut open[0], &clause.states[0]);
-            subtract(&mut open[1], &clause.states[1]);
+            bits::subtract(&mut open[0], &clause.states[0]);
+            bits::subtract(&mut open[1], &clause.states[1]);
         }
         total
     }
@@ -339,16 +335,12 @@ impl TolerantSearch<'_> {
                 covered: self.states[0] - left.len(),
                 clauses: clauses.len(),
             });
-            let tries: Vec<usize> = (0..self.settings.seeds_per_round)
-                .map(|_| left[random.random_range(0..left.len())])
-                .collect();
+            let tries = rng::draw(&left, self.settings.seeds_per_round, &mut random);
             let mut best: Option<(i64, Candidate)> = None;
             for variables in fewest..=self.variables() {
                 let problem = self.problem(variables);
-                let mut seeds: Vec<_> = tries.iter().flat_map(|&state| problem.seeds(state)).collect();
-                seeds.sort_unstable();
-                seeds.dedup();
-                let found: Vec<_> = seeds
+                let found: Vec<_> = problem
+                    .all_seeds(&tries)
                     .par_iter()
                     .filter_map(|seed| beam(problem, seed, &self.scoring, &open, cancel))
                     .collect();
@@ -367,9 +359,9 @@ impl TolerantSearch<'_> {
             }
             match best {
                 Some((_, best)) => {
-                    subtract(&mut open[0], &best.states[0]);
-                    subtract(&mut hopeful, &best.states[0]);
-                    subtract(&mut open[1], &best.states[1]);
+                    bits::subtract(&mut open[0], &best.states[0]);
+                    bits::subtract(&mut hopeful, &best.states[0]);
+                    bits::subtract(&mut open[1], &best.states[1]);
                     clauses.push(best);
                 }
                 None => tries.iter().for_each(|&state| bits::remove(&mut hopeful, state)),
@@ -447,9 +439,4 @@ impl TolerantSearch<'_> {
         let body = Body::normalized(best?.1, self.vocabulary);
         Some(Candidate::new(problem, body))
     }
-}
-
-/// Removes the elements of a set from another.
-fn subtract(set: &mut [u64], other: &[u64]) {
-    set.iter_mut().zip(other).for_each(|(set, other)| *set &= !other);
 }

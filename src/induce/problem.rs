@@ -414,6 +414,14 @@ impl Problem<'_> {
         row
     }
 
+    /// Returns the distinct [`Problem::seeds`] of some positive states.
+    pub fn all_seeds(&self, states: &[usize]) -> Vec<Bits> {
+        let mut seeds: Vec<Bits> = states.iter().flat_map(|&state| self.seeds(state)).collect();
+        seeds.sort_unstable();
+        seeds.dedup();
+        seeds
+    }
+
     /// Returns the distinct sets of true atoms of a positive state, one for each way to name its entities. The entities
     /// of the variables that are not in the head are in ascending order: other orders give the same clauses.
     pub fn seeds(&self, state: usize) -> Vec<Bits> {

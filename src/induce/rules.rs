@@ -20,7 +20,7 @@ pub struct Settings {
     pub seeds_per_round: usize,
     /// A further variable is tried if the best clause newly covers fewer examples than this.
     pub coverage_min: u32,
-    /// Nodes of one search.
+    /// The most nodes of one search.
     pub nodes: u32,
     /// The number of distinct states from which clauses are learned at first, at least 1. All other states confirm or
     /// refute them.

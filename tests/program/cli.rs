@@ -2397,7 +2397,7 @@ fn commands_of_the_python_package_refer_to_it() {
         &["vap", "coco", "a", "b"],
     ] {
         let package = match arguments[0] {
-            "train" => "`pip install './python[train]'`",
+            "train" => "`pip install './python[learn]'`",
             _ => "`pip install './python'`",
         };
         fails(&run(arguments, b""), 2, &["requires the Python package", package]);

@@ -38,7 +38,15 @@ fn equal_for_cars(learned: &Path, mode: &str) {
 
 #[test]
 fn episodes_yield_rules_that_are_equal_for_cars() {
-    for mode in ["easy", "hard", "expert", "transfer-medium"] {
+    for mode in [
+        "easy",
+        "medium",
+        "hard",
+        "expert",
+        "transfer-easy",
+        "transfer-medium",
+        "transfer-hard",
+    ] {
         let folder = tempfile::tempdir().unwrap();
         let learned = folder.path().join("learned.dl");
         let said = succeeds(&logicity(["induce", "--config", mode, "-o", learned.to_str().unwrap()]));

@@ -5,20 +5,30 @@ from __future__ import annotations
 from abc import ABC, abstractmethod
 from collections.abc import Callable
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, ClassVar, Literal, TypeAlias
+from typing import TYPE_CHECKING, Annotated, Any, ClassVar, Literal, TypeAlias
 
 import numpy as np
 from numpy.typing import NDArray
-from pydantic import BaseModel, ConfigDict
+
+from ..errors import missing_extra
+
+try:
+    import torch  # noqa: F401
+    from pydantic import BaseModel, ConfigDict, Field
+except ImportError as error:
+    raise missing_extra("learn", error) from error
 
 if TYPE_CHECKING:
     from ..env_config import ObservationKind
     from .config import TrainConfig
 
-__all__ = ["Actions", "Learner", "LearnerSettings", "Observations", "Policy", "Progress"]
+__all__ = ["Actions", "Count", "Learner", "LearnerSettings", "Observations", "Policy", "Progress"]
 
 Observations: TypeAlias = NDArray[np.float32]
 Actions: TypeAlias = NDArray[np.int64]
+
+#: A positive integer. Booleans and strings are invalid.
+Count: TypeAlias = Annotated[int, Field(strict=True, ge=1)]
 
 #: A learner calls it after each step. It validates the learner and writes checkpoints at intervals.
 Progress: TypeAlias = Callable[[], None]
@@ -79,12 +89,17 @@ class Learner(ABC):
     settings_class: ClassVar[type[LearnerSettings]]
     #: What `steps` counts.
     unit: ClassVar[Literal["environment steps", "updates"]]
-    #: Whether the learner steps environments. Otherwise `envs` and `overrides` have no effect, and are errors.
+    #: Whether the learner steps environments. Otherwise it learns from demonstrations. The keys `envs` and
+    #: `overrides` need the former, the key `demonstrations` needs the latter; elsewhere they are errors.
     interacts: ClassVar[bool]
     #: The kinds of observations that the learner can use.
     observations: ClassVar[tuple[ObservationKind, ...]] = ("groundings",)
     #: The suffix of the files of its policies.
     suffix: ClassVar[str] = ".pt"
+    #: The class of its policies.
+    policy_class: ClassVar[type[Policy]]
+    #: Whether training can start from the weights of the policy that the key `start` names.
+    starts: ClassVar[bool] = False
 
     def __init__(self, config: TrainConfig, log: Path | None = None) -> None:
         """Store the configuration.

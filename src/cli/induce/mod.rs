@@ -15,7 +15,7 @@ use crate::diag::Sources;
 use crate::files;
 use crate::induce::{Examples, Learned, NOISE_MAX, Noise, Progress, Settings, VARIABLES_MAX, learn_with, support};
 use crate::sim::LoadedCity;
-use crate::task::induction::{InductionTask, Inquiry, Origin, Recalls, report_json, rule_file};
+use crate::task::induction::{InductionTask, Inquiry, Origin, Questions, Recalls, report_json, rule_file};
 use ask::AskOptions;
 use collect::{Collected, collect};
 use indicatif::{ProgressBar, ProgressStyle};
@@ -94,17 +94,29 @@ impl Arguments {
     fn is_configured(&self) -> bool {
         self.config.is_some() || self.rules.is_some()
     }
+
+    /// Returns the output files and their options.
+    fn outputs(&self) -> Vec<(&'static str, &Path)> {
+        let mut outputs = vec![("--output", self.output.as_path())];
+        outputs.extend(self.report.as_deref().map(|path| ("--report", path)));
+        outputs.extend(self.page.as_deref().map(|path| ("--page", path)));
+        outputs
+    }
+
+    fn settings(&self) -> Settings {
+        Settings {
+            variables: self.variables.unwrap_or(Settings::default().variables),
+            nodes: self.effort,
+            seed: self.seed,
+            noise: self.noise.unwrap_or(Noise::None),
+            threads: self.threads,
+            ..Settings::default()
+        }
+    }
 }
 
-pub fn run(arguments: &Arguments, sources: &mut Sources) -> Result<(), Failure> {
-    let mut outputs = vec![("--output", arguments.output.as_path())];
-    outputs.extend(arguments.report.as_deref().map(|path| ("--report", path)));
-    outputs.extend(arguments.page.as_deref().map(|path| ("--page", path)));
-    let paths: Vec<&Path> = outputs.iter().map(|(_, path)| *path).collect();
-    crate::cli::refuse_mixing(outputs)?;
-    if let Some(folder) = &arguments.popper.popper {
-        return popper::run(arguments, folder, sources);
-    }
+/// Checks the combination of arguments.
+fn check(arguments: &Arguments) -> Result<(), Failure> {
     if arguments.episodes == Some(0) && !arguments.ask.is_asked() {
         let message = "--episodes 0 leaves nothing to learn from; `--ask` names an oracle for questions";
         return Err(Failure::Usage(message.to_owned()));
@@ -120,21 +132,29 @@ pub fn run(arguments: &Arguments, sources: &mut Sources) -> Result<(), Failure> 
         let message = "standard input can be read once only; name a file for the other examples";
         return Err(Failure::Usage(message.to_owned()));
     }
-    let city = match arguments.is_configured() {
-        true => None,
-        false => collect::city_of_traces(&arguments.data, sources, &arguments.limits)?,
-    };
-    // Names of files within a trace are no files on disk.
-    let archived = city.as_ref().map_or(0, |_| sources.ids().count());
-    let city = match city {
-        Some(city) => city,
-        None => load_city(
-            sources,
-            arguments.config.as_deref().unwrap_or(Path::new(CONFIG)),
-            arguments.rules.as_deref(),
-            &arguments.limits,
-        )?,
-    };
+    Ok(())
+}
+
+/// Loads the city that defines the predicates. Returns the number of sources that are files within a trace and not on disk.
+fn load(arguments: &Arguments, sources: &mut Sources) -> Result<(LoadedCity, usize), Failure> {
+    if !arguments.is_configured()
+        && let Some(city) = collect::city_of_traces(&arguments.data, sources, &arguments.limits)?
+    {
+        return Ok((city, sources.ids().count()));
+    }
+    let config = arguments.config.as_deref().unwrap_or(Path::new(CONFIG));
+    let city = load_city(sources, config, arguments.rules.as_deref(), &arguments.limits)?;
+    Ok((city, 0))
+}
+
+pub fn run(arguments: &Arguments, sources: &mut Sources) -> Result<(), Failure> {
+    let paths: Vec<&Path> = arguments.outputs().into_iter().map(|(_, path)| path).collect();
+    crate::cli::refuse_mixing(arguments.outputs())?;
+    if let Some(folder) = &arguments.popper.popper {
+        return popper::run(arguments, folder, sources);
+    }
+    check(arguments)?;
+    let (city, archived) = load(arguments, sources)?;
     let oracle = arguments.ask.load(sources, &city.scenario, &arguments.limits)?;
     let mut inputs = Inputs::of(sources);
     inputs.0.drain(..archived);
@@ -158,14 +178,7 @@ pub fn run(arguments: &Arguments, sources: &mut Sources) -> Result<(), Failure> 
         env!("CARGO_PKG_VERSION"),
         described(arguments, &city)
     ));
-    let settings = Settings {
-        variables: arguments.variables.unwrap_or(Settings::default().variables),
-        nodes: arguments.effort,
-        seed: arguments.seed,
-        noise: arguments.noise.unwrap_or(Noise::None),
-        threads: arguments.threads,
-        ..Settings::default()
-    };
+    let settings = arguments.settings();
     let cancel = cancel_on_interrupt()?;
     let (task, collected, tests) = collect(arguments, city, sources, origin, &cancel)?;
     let Collected { examples, mut origin } = collected;
@@ -215,25 +228,15 @@ pub fn run(arguments: &Arguments, sources: &mut Sources) -> Result<(), Failure> 
         view::write_with(&arguments.data[0], (path, report), &mut out, page, &arguments.limits)?;
         finish(out, page)?;
     }
-    let mut written = vec![path.as_path()];
-    written.extend(arguments.report.as_deref());
-    written.extend(arguments.page.as_deref());
-    if !is_stdout(path) {
-        let mut out = messages(&written);
-        let clauses = plural(support.clauses.len(), "clause");
-        let whole = match learned.is_complete || questions.is_some() {
-            true => "wrote",
-            false => "interrupted: wrote the first",
-        };
-        writeln!(out, "{whole} {clauses} to {}", path.display())?;
-    }
-    if let Some(measured) = measured {
-        write!(messages(&written), "{}", measured.text(&names))?;
-    }
+    let clauses = support.clauses.len();
+    print_summary(
+        arguments,
+        &learned,
+        clauses,
+        questions.as_ref(),
+        measured.map(|it| it.text(&names)),
+    )?;
     if let Some(questions) = questions {
-        for line in questions.lines() {
-            writeln!(messages(&written), "{line}")?;
-        }
         let ended = questions.check(&task, &examples, &origin);
         ended.map_err(|error| ask::failure(error, questions.asked()))?;
     }
@@ -242,6 +245,35 @@ pub fn run(arguments: &Arguments, sources: &mut Sources) -> Result<(), Failure> 
     } else {
         Err(Failure::Interrupted)
     }
+}
+
+/// Prints what was written, the measures on the test examples, and the number of questions.
+fn print_summary(
+    arguments: &Arguments,
+    learned: &Learned,
+    clauses: usize,
+    questions: Option<&Questions>,
+    measured: Option<String>,
+) -> Result<(), Failure> {
+    let paths: Vec<&Path> = arguments.outputs().into_iter().map(|(_, path)| path).collect();
+    let mut out = messages(&paths);
+    if !is_stdout(&arguments.output) {
+        let whole = match learned.is_complete || questions.is_some() {
+            true => "wrote",
+            false => "interrupted: wrote the first",
+        };
+        writeln!(
+            out,
+            "{whole} {} to {}",
+            plural(clauses, "clause"),
+            arguments.output.display()
+        )?;
+    }
+    write!(out, "{}", measured.unwrap_or_default())?;
+    for line in questions.iter().flat_map(|questions| questions.lines()) {
+        writeln!(out, "{line}")?;
+    }
+    Ok(())
 }
 
 /// Learns from examples alone.

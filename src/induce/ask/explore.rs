@@ -4,7 +4,7 @@ use crate::induce::ask::hypothesis::{Instance, firing};
 use crate::induce::ask::probe::Probes;
 use crate::induce::ask::session::{End, Reason, Session};
 use crate::induce::ask::shrink::{resolve, shuffle};
-use crate::induce::ask::space::{Fact, Space, subtract, union};
+use crate::induce::ask::space::{Fact, Space};
 use crate::induce::ask::verify::verify;
 use crate::induce::bits::{self, Bits};
 use crate::induce::examples::State;
@@ -90,11 +90,11 @@ fn climb(
         let fact = random.random_range(0..space.facts.len());
         let mut scene = state.fact_set().clone();
         if bits::contains(&scene, fact) {
-            subtract(&mut scene, &space.implying[fact]);
+            bits::subtract(&mut scene, &space.implying[fact]);
         } else if !bits::contains(&space.excluded[fact], fact) {
             for other in bits::elements(&space.excluded[fact]) {
                 if bits::contains(&scene, other) {
-                    subtract(&mut scene, &space.implying[other]);
+                    bits::subtract(&mut scene, &space.implying[other]);
                 }
             }
             space.add(&mut scene, fact);
@@ -166,7 +166,7 @@ fn quiet(
             space.add(&mut scene, fact);
         }
         for fact in bits::elements(&planted.negative) {
-            union(&mut unwanted, &space.implying[fact]);
+            bits::union(&mut unwanted, &space.implying[fact]);
         }
     }
     while let Some(mut choices) = space.uncovered(&scene) {

@@ -2,7 +2,7 @@
 
 use crate::induce::ask::hypothesis::{Instance, Suspicions, firing};
 use crate::induce::ask::session::{End, Reason, Session};
-use crate::induce::ask::space::{Space, union};
+use crate::induce::ask::space::Space;
 use crate::induce::bits::{self, Bits};
 use crate::induce::examples::State;
 use crate::rng::{Rng, RngExt};
@@ -146,7 +146,7 @@ fn scene_within(space: &Space, part: &Bits, further: &[usize], whole: &Bits) -> 
         if !bits::intersects(cover, &scene) {
             let common: Bits = cover.iter().zip(whole).map(|(cover, whole)| cover & whole).collect();
             for fact in bits::elements(&common) {
-                union(&mut scene, &space.implied[fact]);
+                bits::union(&mut scene, &space.implied[fact]);
             }
         }
     }

@@ -71,7 +71,7 @@ impl Space {
         };
         let implied: Vec<Bits> = (0..count).map(closure).collect();
         for fact in bits::elements(&always.clone()) {
-            union(&mut always, &implied[fact]);
+            bits::union(&mut always, &implied[fact]);
         }
         let mut implying = vec![bits::empty(count); count];
         for (fact, implied) in implied.iter().enumerate() {
@@ -102,7 +102,7 @@ impl Space {
             let mut excluded = bits::empty(count);
             for implied in bits::elements(&implied[fact]) {
                 for other in bits::elements(&direct[implied]) {
-                    union(&mut excluded, &implying[other]);
+                    bits::union(&mut excluded, &implying[other]);
                 }
             }
             excluded
@@ -144,7 +144,7 @@ impl Space {
 
     /// Adds a fact and what follows from it.
     pub fn add(&self, scene: &mut [u64], fact: usize) {
-        union(scene, &self.implied[fact]);
+        bits::union(scene, &self.implied[fact]);
     }
 
     /// Returns the covering facts that could be added for the first entity that lacks one. `None` if none does.
@@ -214,14 +214,4 @@ pub fn canonical(vocabulary: &Vocabulary, state: &State) -> State {
         renamed
     });
     State::from_facts(entities, renamed.min().unwrap_or_else(|| state.fact_set().clone()))
-}
-
-/// Adds the elements of a set to another one.
-pub fn union(set: &mut [u64], other: &[u64]) {
-    set.iter_mut().zip(other).for_each(|(word, other)| *word |= other);
-}
-
-/// Removes the elements of a set from another one.
-pub fn subtract(set: &mut [u64], other: &[u64]) {
-    set.iter_mut().zip(other).for_each(|(word, other)| *word &= !other);
 }

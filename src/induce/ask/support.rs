@@ -32,8 +32,8 @@ impl Support {
         let (mut all, mut none) = (all.clone(), none.clone());
         let (mut true_, mut false_) = (positive.clone(), negative.clone());
         consequences(space, &mut true_, &mut false_);
-        all.iter_mut().zip(&true_).for_each(|(word, known)| *word &= !known);
-        none.iter_mut().zip(&false_).for_each(|(word, known)| *word &= !known);
+        bits::subtract(&mut all, &true_);
+        bits::subtract(&mut none, &false_);
         (all, none)
     }
 

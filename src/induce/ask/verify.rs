@@ -6,7 +6,7 @@
 use crate::induce::ask::hypothesis::{Instance, Suspicions, own_instance};
 use crate::induce::ask::session::{End, Reason, Session};
 use crate::induce::ask::shrink::{resolve, shuffle};
-use crate::induce::ask::space::{Space, subtract};
+use crate::induce::ask::space::Space;
 use crate::induce::ask::support::consequences;
 use crate::induce::bits::{self, Bits};
 use crate::induce::examples::{State, majority};
@@ -278,7 +278,7 @@ fn without(
         let mut scene = space.start();
         let mut excluded = none.clone();
         if literal.is_negated {
-            subtract(&mut excluded, &space.implied[fact]);
+            bits::subtract(&mut excluded, &space.implied[fact]);
             space.add(&mut scene, fact);
         }
         for other in bits::elements(&all) {
@@ -292,7 +292,7 @@ fn without(
             let Some(&choice) = choices.iter().find(|&&other| other != fact) else {
                 break;
             };
-            subtract(&mut excluded, &space.implied[choice]);
+            bits::subtract(&mut excluded, &space.implied[choice]);
             space.add(&mut scene, choice);
         }
         let is_literal = bits::contains(&scene, fact) == literal.is_negated;

@@ -278,13 +278,24 @@ impl Simulation {
         self.begin_run(seed);
     }
 
+    /// Returns whether the agents have the names of all agents of the split, in list order.
+    pub fn has_all_agents(&self) -> bool {
+        let set = self.world.scenario.agent_set(self.split);
+        let names = set.into_iter().flat_map(AgentSet::members).map(|(name, _)| name);
+        names.eq(self.agents.iter().map(Agent::name))
+    }
+
     /// Starts a new run at tick 0 with the agents that a new simulation with `seed` has, after `change`. Reuses the
-    /// memory of the agents.
+    /// memory of the agents, which are [all agents](Simulation::has_all_agents) of the split.
+    ///
+    /// # Panics
+    /// If there are more or fewer agents.
     ///
     /// # Errors
     /// `no-start-cell`, `no-route`, `cancelled`; some agents are then those of the last run.
     pub fn restart_drawn(&mut self, seed: Seed, change: impl FnOnce(&mut [Agent])) -> Result<(), Diagnostic> {
         let set = agent_set(&self.world.scenario, self.split)?;
+        assert!(self.agents.len() == set.len(), "more or fewer agents");
         let agents = &mut self.agents;
         let drawn = place_agents_into(agents, set, &self.world.router, &self.places, seed, &self.cancel);
         if drawn.is_ok() {

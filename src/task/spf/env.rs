@@ -1,16 +1,22 @@
 //! The environment: one city with externally controlled cars.
 
 use crate::cancel::Cancel;
+use crate::city::Agent;
 use crate::city::{Action, AgentKind, Split};
+use crate::config::Shaping;
 use crate::diag::{Code, Diagnostic};
 use crate::rng::{Purpose, RngExt, Seed};
 use crate::sim::{Actions, Observer, Settings, Simulation};
+use crate::task::spf::shaping::{ShapedStep, shaping};
 use crate::task::spf::{Episode, SpfTask};
 use std::sync::Arc;
 
 impl Purpose {
     /// The ego of an episode: its priority and concepts.
     pub const EGO: Purpose = Purpose::new(7);
+
+    /// The agents that take part in an episode of a curriculum.
+    pub const CURRICULUM: Purpose = Purpose::new(50);
 }
 
 /// The cars under external control.
@@ -27,9 +33,14 @@ pub struct Env {
     task: Arc<SpfTask>,
     city: Simulation,
     control: ControlMode,
+    settings: Settings,
+    /// Whether to compute the allowed actions in every state.
+    judges: bool,
     controlled_cars: Vec<ControlledCar>,
     /// The maximum number of steps of the episode.
     horizon: u32,
+    /// The reward terms of training, if the configuration has any and the agents are those of the training split.
+    shaping: Option<Shaping>,
     steps: u32,
     controls: Vec<(usize, Action)>,
     /// The actions of all controlled cars in each step of the episode.
@@ -42,7 +53,10 @@ pub struct ControlledCar {
     observer: Observer,
     /// Cells of its route, start and goal included.
     cells: usize,
+    /// The covered share of its route before the last step, for reward terms.
+    covered: f64,
     derived: Actions,
+    allowed: Option<Actions>,
     last: Transition,
     running: bool,
 }
@@ -50,8 +64,10 @@ pub struct ControlledCar {
 /// The result of an action.
 #[derive(Clone, Debug, Default, PartialEq)]
 pub struct Transition {
-    /// Reward.
+    /// Reward of the task, which evaluations sum up.
     pub reward: f64,
+    /// What the reward terms of training add to it; 0 in the splits `val` and `test`.
+    pub shaping: f64,
     /// Whether the episode has ended because the car is at its goal or violated a rule.
     pub terminated: bool,
     /// Whether the episode has reached its horizon.
@@ -60,6 +76,13 @@ pub struct Transition {
     pub success: bool,
     /// The violated clauses, by their positions in [`Oracle::constraints`](crate::sim::Oracle::constraints).
     pub broken: Vec<usize>,
+}
+
+impl Transition {
+    /// Returns the reward for a learner: that of the task, and the reward terms of training.
+    pub fn shaped_reward(&self) -> f64 {
+        self.reward + self.shaping
+    }
 }
 
 impl ControlledCar {
@@ -82,6 +105,11 @@ impl ControlledCar {
     /// *constrained*.
     pub fn derived(&self) -> Actions {
         self.derived
+    }
+
+    /// Returns the actions that violate no clause now; `None` without [`Env::judge_actions`].
+    pub fn allowed(&self) -> Option<Actions> {
+        self.allowed
     }
 
     /// Returns the result of its last action.
@@ -142,7 +170,9 @@ impl Env {
         let controlled_car = |ego| ControlledCar {
             observer: Observer::new(Arc::clone(task.oracle()), ego),
             cells: 0,
+            covered: 0.0,
             derived: Actions::default(),
+            allowed: None,
             last: Transition::default(),
             running: false,
         };
@@ -151,13 +181,17 @@ impl Env {
             let message = format!("the split `{}` has no car to control", split.name());
             return Err(Diagnostic::new(Code::INVALID_VALUE, message).at(task.config().span, "for this task"));
         }
+        let shaping = task.config().reward.shaping;
         Ok(Env {
             horizon: task.config().horizon,
+            shaping: (split == Split::Train && !shaping.is_none()).then_some(shaping),
             steps: 0,
             controls: Vec::with_capacity(controlled_cars.len()),
             taken: Vec::new(),
             episode: Episode::of(0, city.agents()),
             control,
+            settings,
+            judges: false,
             controlled_cars,
             city,
             task,
@@ -167,6 +201,11 @@ impl Env {
     /// Returns the task.
     pub fn task(&self) -> &Arc<SpfTask> {
         &self.task
+    }
+
+    /// Returns which cars the caller controls.
+    pub fn control(&self) -> ControlMode {
+        self.control
     }
 
     /// Returns the city.
@@ -205,33 +244,42 @@ impl Env {
         self.taken.chunks_exact(self.controlled_cars.len())
     }
 
+    /// Computes from the next state on which actions violate no clause; see [`ControlledCar::allowed`].
+    pub fn judge_actions(&mut self) {
+        self.judges = true;
+    }
+
     /// Begins a random episode: draws starts and goals for all agents, and priority and concepts for the first car if
     /// the configuration says so.
     ///
     /// # Errors
     /// `no-start-cell`, `no-route`, `limit-exceeded`. The environment then needs another reset.
     pub fn reset(&mut self, seed: u64) -> Result<(), Diagnostic> {
-        let (task, first) = (Arc::clone(&self.task), self.controlled_cars[0].agent());
-        let split = self.city.split();
-        self.city.restart_drawn(Seed(seed), |agents| {
-            let Some(ego) = &task.config().ego else { return };
-            let first = &mut agents[first];
-            let mut stream = Seed(seed).stream(Purpose::EGO, 0, 0);
-            let most = ego.priority[split as usize];
-            first.priority = stream.random_range(1..=most).cast_signed();
-            let sum: f64 = ego.concepts.iter().map(|(weight, _)| weight).sum();
-            let mut left = stream.random::<f64>() * sum;
-            // Rounding may leave a remainder after the last entry; it must not select one of weight 0.
-            let mut possible = ego.concepts.iter().filter(|(weight, _)| *weight > 0.0);
-            let drawn = possible.clone().find(|(weight, _)| {
-                left -= weight;
-                left < 0.0
-            });
-            let (_, concepts) = drawn.or(possible.next_back()).expect("a weight is not 0");
-            first.concepts = Arc::clone(concepts);
-        })?;
+        self.reset_with(seed, None)
+    }
+
+    /// Variant of [`Env::reset`] with `agents` agents: the first car, and others that the seed selects. They start as in
+    /// the episode with all agents. `None` means all.
+    ///
+    /// # Errors
+    /// As [`Env::reset`].
+    pub fn reset_with(&mut self, seed: u64, agents: Option<usize>) -> Result<(), Diagnostic> {
         self.horizon = self.task.config().horizon;
-        self.begin(seed)
+        let (task, first) = (&self.task, self.controlled_cars[0].agent());
+        let split = self.city.split();
+        if agents.is_none() && self.city.has_all_agents() {
+            let change = |agents: &mut [Agent]| draw_ego(task, split, seed, &mut agents[first]);
+            self.city.restart_drawn(Seed(seed), change)?;
+            self.note(seed);
+            return self.start();
+        }
+        let mut drawn = Vec::new();
+        self.city.draw_agents(Seed(seed), &mut drawn)?;
+        draw_ego(task, split, seed, &mut drawn[first]);
+        if let Some(agents) = agents {
+            select(seed, agents, &mut drawn);
+        }
+        self.begin(seed, drawn)
     }
 
     /// Begins a given episode. Its horizon is [`Episode::horizon`]; if every car is controlled, it is the configured
@@ -241,13 +289,12 @@ impl Env {
     /// `invalid-episode` if its agents differ from those of the split, have concepts without a predicate for their
     /// type, or have no route; `limit-exceeded`.
     pub fn reset_to(&mut self, episode: &Episode) -> Result<(), Diagnostic> {
-        let mut agents = episode.place(self.task.world(), self.city.agents())?;
-        self.city.restart(Seed(episode.seed), &mut agents);
+        let agents = episode.place(&self.task, self.city.split(), self.control)?;
         self.horizon = match self.control {
             ControlMode::First => episode.horizon(self.task.config()),
             ControlMode::Cars => self.task.config().horizon.max(1),
         };
-        self.begin(episode.seed)?;
+        self.begin(episode.seed, agents)?;
         self.episode.oracle.clone_from(&episode.oracle);
         Ok(())
     }
@@ -257,13 +304,29 @@ impl Env {
         self.horizon = steps.max(1);
     }
 
-    /// Begins an episode with the agents that the city has just started with.
-    fn begin(&mut self, seed: u64) -> Result<(), Diagnostic> {
+    /// Begins an episode with these agents.
+    fn begin(&mut self, seed: u64, mut agents: Vec<Agent>) -> Result<(), Diagnostic> {
+        let names = self.city.agents().iter().map(Agent::name);
+        if names.eq(agents.iter().map(Agent::name)) {
+            self.city.restart(Seed(seed), &mut agents);
+            self.note(seed);
+        } else {
+            self.replace_agents(seed, agents)?;
+        }
+        self.start()
+    }
+
+    /// Updates the record of the episode from the agents that the city has just started with.
+    fn note(&mut self, seed: u64) {
         self.episode.seed = seed;
         self.episode.oracle = None;
         for (noted, agent) in self.episode.agents.iter_mut().zip(self.city.agents()) {
             noted.note(agent);
         }
+    }
+
+    /// Starts the controlled cars and observes.
+    fn start(&mut self) -> Result<(), Diagnostic> {
         self.steps = 0;
         self.taken.clear();
         for controlled_car in &mut self.controlled_cars {
@@ -275,11 +338,33 @@ impl Env {
         self.look()
     }
 
+    /// Makes a city of these agents, where others take part than in the last episode.
+    fn replace_agents(&mut self, seed: u64, agents: Vec<Agent>) -> Result<(), Diagnostic> {
+        let split = self.city.split();
+        let (world, cancel) = (Arc::clone(self.task.world()), self.city.cancel().clone());
+        self.city = Simulation::resume(world, split, Seed(seed), self.settings, (0, agents), &cancel)?;
+        self.episode = Episode::of(seed, self.city.agents());
+        for controlled_car in &mut self.controlled_cars {
+            // Observers know the names of agents.
+            controlled_car.observer = Observer::new(Arc::clone(self.task.oracle()), controlled_car.agent());
+        }
+        Ok(())
+    }
+
     /// Updates all observations, also of cars whose episode has ended.
     fn look(&mut self) -> Result<(), Diagnostic> {
         for controlled_car in &mut self.controlled_cars {
             controlled_car.observer.look(&self.city);
             controlled_car.derived = controlled_car.observer.derived(&self.city)?;
+            if self.judges {
+                let mut allowed = Actions::default();
+                for action in Action::ALL {
+                    if controlled_car.observer.violations(&self.city, action)?.is_empty() {
+                        allowed.insert(action);
+                    }
+                }
+                controlled_car.allowed = Some(allowed);
+            }
         }
         Ok(())
     }
@@ -312,6 +397,7 @@ impl Env {
                 controlled_car.last.broken.clear();
                 controlled_car.last.broken.extend_from_slice(broken);
                 controlled_car.last.reward = self.task.reward(action, broken, controlled_car.cells);
+                controlled_car.covered = covered(&self.city.agents()[controlled_car.agent()]);
                 self.controls.push((controlled_car.agent(), action));
             }
         }
@@ -323,13 +409,22 @@ impl Env {
             .iter_mut()
             .filter(|controlled_car| controlled_car.running)
         {
-            let arrived = self.city.agents()[controlled_car.agent()].at_goal();
+            let agent = &self.city.agents()[controlled_car.agent()];
+            let arrived = agent.at_goal();
             let last = &mut controlled_car.last;
             last.success = arrived && last.broken.is_empty();
             last.terminated = arrived || !last.broken.is_empty();
             last.truncated = !last.terminated && self.steps >= self.horizon;
             if last.truncated {
                 last.reward += self.task.config().reward.overtime;
+            }
+            if let Some(terms) = &self.shaping {
+                let step = ShapedStep {
+                    covered: [controlled_car.covered, covered(agent)],
+                    terminated: last.terminated,
+                    success: last.success,
+                };
+                last.shaping = shaping(terms, step);
             }
         }
         self.look()?;
@@ -367,9 +462,45 @@ impl Env {
     }
 
     /// Returns the fraction of its route that a controlled car has covered, 0 to 1.
-    #[allow(clippy::cast_precision_loss)] // a share
     pub fn progress(&self, controlled_car: usize) -> f64 {
-        let agent = &self.city.agents()[self.controlled_cars[controlled_car].agent()];
-        agent.position() as f64 / (agent.route().steps().max(1)) as f64
+        covered(&self.city.agents()[self.controlled_cars[controlled_car].agent()])
     }
+}
+
+/// Draws the priority and the concepts of the first car, if the configuration says so.
+fn draw_ego(task: &SpfTask, split: Split, seed: u64, first: &mut Agent) {
+    let Some(ego) = &task.config().ego else { return };
+    let mut stream = Seed(seed).stream(Purpose::EGO, 0, 0);
+    let most = ego.priority[split as usize];
+    first.priority = stream.random_range(1..=most).cast_signed();
+    let sum: f64 = ego.concepts.iter().map(|(weight, _)| weight).sum();
+    let mut left = stream.random::<f64>() * sum;
+    // Rounding may leave a remainder after the last entry; it must not select one of weight 0.
+    let mut possible = ego.concepts.iter().filter(|(weight, _)| *weight > 0.0);
+    let drawn = possible.clone().find(|(weight, _)| {
+        left -= weight;
+        left < 0.0
+    });
+    let (_, concepts) = drawn.or(possible.next_back()).expect("a weight is not 0");
+    first.concepts = Arc::clone(concepts);
+}
+
+/// Keeps the first agent, which is the ego, and others up to `count`, each as probable as any (selection sampling,
+/// Knuth 1997, algorithm 3.4.2 S).
+fn select(seed: u64, count: usize, agents: &mut Vec<Agent>) {
+    let mut stream = Seed(seed).stream(Purpose::CURRICULUM, 0, 0);
+    let (mut left, mut wanted) = (agents.len(), count.max(1));
+    agents.retain(|_| {
+        let is_ego = wanted == count.max(1);
+        let takes = is_ego || stream.random_range(0..left) < wanted;
+        left -= 1;
+        wanted -= usize::from(takes);
+        takes
+    });
+}
+
+/// Returns the fraction of its route that an agent has covered, 0 to 1.
+#[allow(clippy::cast_precision_loss)] // a share
+fn covered(agent: &Agent) -> f64 {
+    agent.position() as f64 / (agent.route().steps().max(1)) as f64
 }

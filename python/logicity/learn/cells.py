@@ -1,0 +1,240 @@
+"""The cells of experiments: each is one training run and its evaluations, in a folder of its own.
+
+`python -m logicity.learn.cells FOLDER` runs the cell in a folder. It ends when its standard input is closed, so that it
+does not outlive the process that started it.
+"""
+
+from __future__ import annotations
+
+import hashlib
+import json
+import os
+import shutil
+import signal
+import sys
+import threading
+import time
+import traceback
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass, field
+from functools import cache, cached_property
+from pathlib import Path
+from typing import Any
+
+from .. import _logicity
+from .._logicity import __version__
+from ..evaluation import Benchmark, task_hashes
+from ..files import write_json
+from .config import TrainConfig
+from .registry import load_policy
+from .run import train
+
+__all__ = ["Cell", "finished", "prepare", "run_cell"]
+
+#: The version of the format of `cell.json` and `measured.json`. Cells of another version are run again.
+FORMAT = 1
+
+#: The evaluation on the recorded test episodes, which every training run makes at its end.
+TEST = {"split": "test", "fresh": None, "seed": 0}
+
+
+@dataclass(frozen=True)
+class Cell:
+    """A training run of an experiment, and the evaluations of its policy.
+
+    Attributes:
+        row: The name of the row: a learner with its settings.
+        mode: The mode of the column.
+        variant: The name of the variant, or an empty text.
+        seed: The seed.
+        config: The training configuration, without `start`.
+        start: The cell from whose policy the training starts.
+        evaluations: The evaluations by name: the split of the agents, the number of new episodes or `None` for the
+            recorded ones, and the seed of the new episodes.
+        optional: Whether the learner may be missing on this machine.
+        hidden: Whether tables omit the cell.
+    """
+
+    row: str
+    mode: str
+    variant: str
+    seed: int
+    config: TrainConfig
+    start: Cell | None = None
+    evaluations: Mapping[str, Mapping[str, Any]] = field(default_factory=lambda: {"test": TEST})
+    optional: bool = False
+    hidden: bool = False
+
+    @property
+    def name(self) -> str:
+        """A name for people, such as `dqn, easy, seed 0`."""
+        return ", ".join(part for part in (self.row, self.variant, Path(self.mode).stem, f"seed {self.seed}") if part)
+
+    def spec(self) -> dict[str, Any]:
+        """Return what determines the result of the cell: settings, rules, episodes, evaluations and version."""
+        config = self.config.to_dict()
+        mode = config.pop("mode")
+        return {
+            "format": FORMAT,
+            "version": __version__,
+            "mode": Path(mode).name,
+            "config": config,
+            "hashes": _hashes(mode),
+            "evaluations": {name: dict(each) for name, each in self.evaluations.items()},
+            "start": None if self.start is None else self.start.identity,
+        }
+
+    @cached_property
+    def identity(self) -> str:
+        """The SHA-256 of `spec`."""
+        return hashlib.sha256(json.dumps(self.spec(), sort_keys=True).encode()).hexdigest()
+
+    def folder(self, root: Path) -> Path:
+        """Return the folder of the cell in that of an experiment. Another identity has another folder."""
+        parts = (self.row, Path(self.mode).stem, self.variant, str(self.seed), self.identity[:12])
+        name = "-".join(part for part in parts if part)
+        return root / "cells" / "".join(each if each.isalnum() or each in "-._" else "_" for each in name)
+
+
+@cache
+def _hashes(mode: str) -> dict[str, Any]:
+    return task_hashes(mode)
+
+
+def prepare(cell: Cell, root: Path) -> Path:
+    """Create the folder of a cell, whose file `cell.json` contains everything that `run_cell` needs.
+
+    Raises:
+        OSError: If the folder cannot be written, or the policy to start from cannot be read.
+    """
+    folder = cell.folder(root)
+    folder.mkdir(parents=True, exist_ok=True)
+    if cell.start is not None and not list(folder.glob("start.*")):
+        best = load_policy(cell.start.folder(root)).path
+        temporary = folder / f".start{best.suffix}"
+        shutil.copyfile(best, temporary)
+        temporary.rename(folder / f"start{best.suffix}")
+    config = cell.config.to_dict()
+    document = {"identity": cell.identity, "row": cell.row, "variant": cell.variant, "spec": cell.spec()}
+    write_json(folder / "cell.json", {**document, "config": config}, overwrite=True)
+    return folder
+
+
+def finished(cell: Cell, root: Path) -> dict[str, Any] | None:
+    """Return the content of `measured.json` of a cell, or `None` if the cell is not finished."""
+    try:
+        measured = json.loads((cell.folder(root) / "measured.json").read_text(encoding="utf-8"))
+    except (OSError, ValueError):
+        return None
+    return measured if isinstance(measured, dict) and measured.get("identity") == cell.identity else None
+
+
+def run_cell(
+    folder: Path, report: Callable[[int], None] | None = None, *, progress: bool = False, wandb: str | None = None
+) -> dict[str, Any]:
+    """Run the cell that `prepare` wrote to a folder, or resume it from its last checkpoint.
+
+    Args:
+        folder: The folder.
+        report: Receives the number of training steps.
+        progress: Whether to write lines of progress to standard error.
+        wandb: The project of Weights & Biases, as for `train`.
+
+    Returns:
+        The content of `measured.json`: the identity, the result of the training, and the evaluations by name.
+
+    Raises:
+        Exception: Those of `train` and of `Benchmark`.
+    """
+    document = json.loads((folder / "cell.json").read_text(encoding="utf-8"))
+    values = document["config"]
+    for start in folder.glob("start.*"):
+        values["start"] = str(start)
+    config = TrainConfig.model_validate(values)
+    result = train(config, folder, progress=progress, report=report, wandb=wandb)
+    policy = load_policy(folder).policy
+    evaluations = {}
+    for name, each in document["spec"]["evaluations"].items():
+        mode = config.mode if each["fresh"] is None else _fresh(folder, config.mode, each)
+        benchmark = Benchmark(mode, each["split"], observation=config.observation)
+        if each == TEST:
+            evaluations[name] = dict(result["test"])
+        else:
+            evaluations[name] = benchmark.evaluate(policy, name=config.algorithm).to_dict()
+        evaluations[name]["random_returns"] = benchmark.random_returns()
+    measured = {
+        "identity": document["identity"],
+        "result": {key: value for key, value in result.items() if key != "test"},
+        "evaluations": evaluations,
+    }
+    write_json(folder / "measured.json", measured, overwrite=True)
+    for checkpoint in folder.glob("checkpoint-*"):
+        shutil.rmtree(checkpoint)
+    return measured
+
+
+def _fresh(folder: Path, mode: str, evaluation: Mapping[str, Any]) -> str:
+    """Make new episodes of a split in a folder, and return a configuration file that names them."""
+    split, count, seed = evaluation["split"], evaluation["fresh"], evaluation["seed"]
+    episodes = folder / f"fresh-{split}-{count}-{seed}.jsonl"
+    if not episodes.exists():
+        options = ["--split", split, "--count", str(count), "--seed", str(seed), "-o", str(episodes)]
+        code, _, _ = _logicity.run_command_line(["episodes", "make", mode, *options])
+        if code:
+            raise OSError(f"`logicity episodes make {mode} {' '.join(options)}` failed")
+    config = episodes.with_suffix(".yaml")
+    base = mode if Path(mode).suffix else f"configs/{mode}.yaml"
+    config.write_text(f"base: {json.dumps(base)}\ntask: {{episodes: {{{split}: {episodes.name}}}}}\n", encoding="utf-8")
+    return str(config)
+
+
+def _die_with_parent() -> None:
+    """End this process and those that it started when standard input is closed."""
+
+    def watch() -> None:
+        while os.read(0, 1024):
+            pass
+        if os.name == "posix" and os.getpgrp() == os.getpid():
+            os.killpg(0, signal.SIGKILL)
+        os._exit(1)
+
+    threading.Thread(target=watch, daemon=True).start()
+
+
+class _Reporter:
+    """Writes lines of JSON to the process that reads the standard output: the number of steps, at most twice a second.
+
+    The standard output of everything else becomes the standard error.
+    """
+
+    def __init__(self) -> None:
+        self._last = -1.0
+        self._out = os.fdopen(os.dup(1), "w", encoding="utf-8")
+        os.dup2(2, 1)
+
+    def __call__(self, steps: int) -> None:
+        now = time.monotonic()
+        if now - self._last >= 0.5:
+            self._last = now
+            self.write({"steps": steps})
+
+    def write(self, line: dict[str, Any]) -> None:
+        print(json.dumps(line), file=self._out, flush=True)
+
+
+def _main() -> int:
+    _die_with_parent()
+    folder = Path(sys.argv[1])
+    wandb = sys.argv[2] if len(sys.argv) > 2 else None
+    reporter = _Reporter()
+    try:
+        run_cell(folder, reporter, progress=True, wandb=wandb)
+    except Exception as error:
+        traceback.print_exc()
+        reporter.write({"error": str(error) or type(error).__name__})
+        return 1
+    return 0
+
+
+if __name__ == "__main__":
+    sys.exit(_main())

@@ -1,0 +1,468 @@
+"""Behavior cloning: networks that imitate the actions of the oracle in the recorded demonstrations.
+
+Three learners share the training loop: a multilayer perceptron (`mlp`), a graph neural network (`gnn`) and a Neural
+Logic Machine (`nlm`).
+"""
+
+from __future__ import annotations
+
+import math
+import pickle
+from abc import abstractmethod
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated, Any, ClassVar, Literal
+
+import numpy as np
+
+from ..city import ACTIONS
+from ..errors import missing_extra
+
+try:
+    import torch
+    from pydantic import Field, Strict
+    from torch import Tensor, nn
+except ImportError as error:
+    raise missing_extra("learn", error) from error
+
+from .demonstrations import DemonstrationData, Layout, RelationalView, Sampler
+from .learner import Actions, Learner, LearnerSettings, Observations, Policy, Progress
+from .nlm import NeuralLogicMachine
+
+if TYPE_CHECKING:
+    from .config import TrainConfig
+
+__all__ = [
+    "ClonedPolicy",
+    "CloningLearner",
+    "CloningSettings",
+    "GnnLearner",
+    "GnnSettings",
+    "LogicNetwork",
+    "LogicSettings",
+    "MlpLearner",
+    "MlpSettings",
+    "NlmLearner",
+    "NlmSettings",
+    "shuffled",
+]
+
+#: The version of the files of policies and checkpoints.
+FORMAT = 1
+
+#: The interval between two points of the training curves, in updates.
+CURVE_EVERY = 50
+
+Count = Annotated[int, Field(ge=1)]
+Widths = Annotated[tuple[Count, ...], Field(min_length=1), Strict(False)]
+
+
+class CloningSettings(LearnerSettings):
+    """The settings that all learners of behavior cloning share."""
+
+    learning_rate: Annotated[float, Field(gt=0)] = 1e-4
+    """The learning rate of Adam."""
+    schedule: Literal["constant", "cosine"] = "constant"
+    """The learning rate over the training: constant, or falling to 0 as a cosine."""
+    weight_decay: Annotated[float, Field(ge=0)] = 0.0
+    """The decoupled weight decay (AdamW)."""
+    batch_size: Count = 256
+    """The number of steps of demonstrations in an update."""
+    distinct: bool = False
+    """Whether to use each pair of observation and action once."""
+    balanced: bool = False
+    """Whether batches contain every action equally often."""
+    class_power: Annotated[float, Field(ge=0, le=1)] = 0.0
+    """The weight of an action in the loss is this power of the mean count of actions divided by the action's count."""
+    shuffle_entities: bool = False
+    """Whether to permute the entities other than the ego at random in each batch."""
+    gradient_clip: Annotated[float, Field(gt=0)] | None = None
+    """The largest norm of the gradient, or null."""
+    average: Annotated[float, Field(ge=0, lt=1)] = 0.0
+    """The decay of the moving average of the weights that policies use; 0 uses the weights themselves."""
+
+
+class MlpSettings(CloningSettings):
+    """The settings of `mlp`."""
+
+    network: Widths = (128, 64)
+    """The widths of the layers with ReLU."""
+
+
+class GnnSettings(CloningSettings):
+    """The settings of `gnn`."""
+
+    network: Widths = (64, 64)
+    """The widths of the layers with ReLU in each convolution."""
+    layers: Count = 1
+    """The number of convolutions."""
+    reverse: bool = False
+    """Whether an edge also has the features of the edge in the other direction."""
+    present_only: bool = False
+    """Whether to omit edges of absent entities."""
+    learned_eps: bool = False
+    """Whether the weight of an entity's own features is learned."""
+
+
+class LogicSettings(LearnerSettings):
+    """The settings of a Neural Logic Machine."""
+
+    depth: Count = 4
+    """The number of layers."""
+    breadth: Annotated[int, Field(ge=2, le=4)] = 3
+    """The largest arity."""
+    outputs: Count = 8
+    """The number of predicates that each layer invents per arity."""
+    hidden: Count | None = None
+    """The width of a hidden layer in each perceptron, or null."""
+    exclude_self: bool = True
+    """Whether quantifiers omit tuples that contain an entity twice."""
+    residual: bool = False
+    """Whether each layer also passes on its input predicates."""
+
+
+class NlmSettings(CloningSettings, LogicSettings):
+    """The settings of `nlm`."""
+
+
+class LogicNetwork(nn.Module):
+    """A Neural Logic Machine over an observation. Its result are the predicates of the ego in the last layer.
+
+    Args:
+        layout: The layout of the observations.
+        options: The arguments of `NeuralLogicMachine`, without `inputs` and `returned`.
+
+    Attributes:
+        width: The number of predicates in the result.
+    """
+
+    def __init__(self, layout: Layout, **options: Any) -> None:
+        """Create the machine. The route length, if the task observes it, is a predicate without arguments."""
+        super().__init__()
+        self.view = RelationalView(layout)
+        inputs = [int(layout.route_length is not None), len(layout.unary), len(layout.binary)]
+        self.machine = NeuralLogicMachine(inputs, returned=(1,), **options)
+        self.width = self.machine.counts[1]
+
+    def forward(self, observations: Tensor) -> Tensor:
+        """Return truth values, (batch, width), of observations of shape (batch, width of the observation)."""
+        unary, binary, mask = self.view(observations)
+        groups = self.machine([self.view.route_length(observations), unary, binary], mask)
+        result: Tensor = groups[1][:, 0]
+        return result
+
+
+class ClonedPolicy(Policy):
+    """A network that maps observations to scores of the four actions.
+
+    Attributes:
+        algorithm: The name of its learner.
+        mode: The mode of the training.
+        settings: The settings of the learner.
+        layout: The layout of the observations.
+        network: The network.
+    """
+
+    def __init__(
+        self, algorithm: str, mode: str, settings: CloningSettings, layout: Layout, network: nn.Module
+    ) -> None:
+        """Store the arguments."""
+        self.algorithm, self.mode, self.settings = algorithm, mode, settings
+        self.layout, self.network = layout, network
+
+    def predict(
+        self,
+        observation: Observations,
+        state: Any = None,
+        episode_start: Any = None,
+        deterministic: bool = True,
+    ) -> tuple[Actions, Any]:
+        """Return the actions with the largest scores, or draw actions with the softmax of the scores."""
+        if observation.ndim != 2 or observation.shape[1] != self.layout.width:
+            raise ValueError(
+                f"the policy takes observations of shape (batch, {self.layout.width}), not {observation.shape}"
+            )
+        with torch.no_grad():
+            scores = self.network(torch.from_numpy(np.ascontiguousarray(observation, np.float32)))
+            if deterministic:
+                actions = scores.argmax(1)
+            else:
+                actions = torch.multinomial(scores.softmax(1), 1)[:, 0]
+        numbers: Actions = actions.numpy()
+        return numbers, None
+
+    def save(self, path: Path) -> None:
+        """Write the policy to a file of `torch.save` with plain data."""
+        torch.save(
+            {
+                "format": FORMAT,
+                "algorithm": self.algorithm,
+                "mode": self.mode,
+                "observation": "groundings",
+                "settings": self.settings.model_dump(mode="json"),
+                "atoms": [[name, list(entities)] for name, entities in self.layout.atoms()],
+                "route_length": self.layout.route_length is not None,
+                "weights": self.network.state_dict(),
+            },
+            path,
+        )
+
+    @classmethod
+    def load(cls, path: Path) -> ClonedPolicy:
+        """Read a policy that `save` wrote.
+
+        Raises:
+            OSError: If the file cannot be read.
+            ValueError: If the file is not such a policy.
+        """
+        saved = _loaded(path, "policy of behavior cloning")
+        algorithm = str(saved.get("algorithm"))
+        learner = _LEARNERS.get(algorithm)
+        if learner is None:
+            raise ValueError(f"{path} is not a policy of behavior cloning, but of `{algorithm}`")
+        try:
+            settings = learner.settings_class.model_validate(saved["settings"])
+            atoms = [(str(name), tuple(map(int, entities))) for name, entities in saved["atoms"]]
+            layout = Layout.of_atoms(atoms, bool(saved["route_length"]))
+            network = learner.new_network(layout, settings)
+            network.load_state_dict(saved["weights"])
+            mode = str(saved["mode"])
+        except (KeyError, RuntimeError, TypeError, ValueError) as error:
+            raise ValueError(f"{path} is a damaged policy of `{algorithm}`: {error}") from error
+        return cls(algorithm, mode, settings, layout, network.eval())
+
+
+class CloningLearner(Learner):
+    """Minimizes the cross entropy between the scores of a network and the actions of the oracle."""
+
+    settings_class: ClassVar[type[CloningSettings]]
+    unit = "updates"
+    interacts = False
+    policy_class = ClonedPolicy
+    starts = True
+
+    def __init__(self, config: TrainConfig, log: Path | None = None) -> None:
+        """Read the demonstrations and create the network.
+
+        Raises:
+            InputError: If the configuration of the mode is invalid, or no episodes are recorded.
+            OSError: If a file cannot be read.
+            ValueError: If the mode is unknown, or the policy to start from does not fit.
+        """
+        super().__init__(config, log)
+        assert isinstance(config.settings, CloningSettings)
+        self._settings = config.settings
+        data = DemonstrationData.load(config.mode, config.demonstrations)
+        self._data = data.distinct() if self._settings.distinct else data
+        self._weights = self._data.class_weights(self._settings.class_power)
+        self._sampler = Sampler(self._data, self._settings.batch_size, config.seed, self._settings.balanced)
+        self._shuffler = torch.Generator().manual_seed(config.seed)
+        with torch.random.fork_rng(devices=[]):
+            torch.manual_seed(config.seed)
+            self._network = self.new_network(data.layout, self._settings)
+            self._average = self.new_network(data.layout, self._settings) if self._settings.average else self._network
+        if config.start is not None:
+            self._start_from(Path(config.start))
+        self._average.load_state_dict(self._network.state_dict())
+        self._optimizer = torch.optim.AdamW(
+            self._network.parameters(), self._settings.learning_rate, weight_decay=self._settings.weight_decay
+        )
+        self._steps = 0
+
+    @staticmethod
+    @abstractmethod
+    def new_network(layout: Layout, settings: Any) -> nn.Module:
+        """Create an untrained network from observations to scores of the actions."""
+
+    def _start_from(self, path: Path) -> None:
+        policy = ClonedPolicy.load(path)
+        if policy.algorithm != self.config.algorithm:
+            raise ValueError(f"`start`: {path} is a policy of `{policy.algorithm}`, not of `{self.config.algorithm}`")
+        if policy.layout.atoms() != self._data.layout.atoms():
+            raise ValueError(f"`start`: {path} is for other observations than those of `{self.config.mode}`")
+        try:
+            self._network.load_state_dict(policy.network.state_dict())
+        except RuntimeError:
+            raise ValueError(f"`start`: the network of {path} has other sizes than those in `settings`") from None
+
+    @property
+    def steps(self) -> int:
+        """The number of updates."""
+        return self._steps
+
+    def fit(self, steps: int, progress: Progress) -> None:
+        """Train until `steps` updates. The schedule `cosine` ends at `steps`."""
+        writer = self._writer()
+        try:
+            while self._steps < steps:
+                loss, accuracy = self._update(self._steps / steps)
+                self._steps += 1
+                if writer is not None and self._steps % CURVE_EVERY == 0:
+                    writer.add_scalar("train/loss", loss, self._steps)
+                    writer.add_scalar("train/accuracy", accuracy, self._steps)
+                progress()
+        finally:
+            if writer is not None:
+                writer.close()
+
+    def _writer(self) -> Any:
+        if self.log is None:
+            return None
+        from torch.utils.tensorboard import SummaryWriter
+
+        # A run that resumes repeats the steps since its last checkpoint.
+        return SummaryWriter(str(self.log), purge_step=self._steps + 1)
+
+    def _update(self, done: float) -> tuple[float, float]:
+        """Run one update, and return the loss and the accuracy of the batch.
+
+        Args:
+            done: The completed share of the training.
+        """
+        settings = self._settings
+        if settings.schedule == "cosine":
+            for group in self._optimizer.param_groups:
+                group["lr"] = settings.learning_rate * 0.5 * (1.0 + math.cos(math.pi * done))
+        chosen = self._sampler.next()
+        observations, actions = self._data.observations[chosen], self._data.actions[chosen]
+        if settings.shuffle_entities:
+            observations = shuffled(observations, self._data.layout, self._shuffler)
+        scores = self._network(observations)
+        loss = nn.functional.cross_entropy(scores, actions, self._weights)
+        self._optimizer.zero_grad()
+        loss.backward()
+        if settings.gradient_clip is not None:
+            nn.utils.clip_grad_norm_(self._network.parameters(), settings.gradient_clip)
+        self._optimizer.step()
+        if settings.average:
+            with torch.no_grad():
+                for mean, weight in zip(self._average.parameters(), self._network.parameters(), strict=True):
+                    mean.lerp_(weight, 1 - settings.average)
+        return float(loss.detach()), float((scores.detach().argmax(1) == actions).float().mean())
+
+    def policy(self) -> ClonedPolicy:
+        """Return the network, or the average of its weights."""
+        config = self.config
+        return ClonedPolicy(config.algorithm, config.mode, self._settings, self._data.layout, self._average)
+
+    def save(self, folder: Path) -> None:
+        """Write the weights, the optimizer and the random states."""
+        torch.save(
+            {
+                "format": FORMAT,
+                "steps": self._steps,
+                "network": self._network.state_dict(),
+                "average": self._average.state_dict(),
+                "optimizer": self._optimizer.state_dict(),
+                "sampler": self._sampler.state_dict(),
+                "shuffler": self._shuffler.get_state(),
+            },
+            folder / "learner.pt",
+        )
+
+    def restore(self, folder: Path) -> None:
+        """Restore what `save` wrote.
+
+        Raises:
+            OSError: If the file cannot be read.
+            ValueError: If the file does not fit the configuration.
+        """
+        path = folder / "learner.pt"
+        saved = _loaded(path, "checkpoint of behavior cloning")
+        try:
+            self._network.load_state_dict(saved["network"])
+            self._average.load_state_dict(saved["average"])
+            self._optimizer.load_state_dict(saved["optimizer"])
+            self._sampler.load_state_dict(saved["sampler"])
+            self._shuffler.set_state(saved["shuffler"])
+            self._steps = int(saved["steps"])
+        except (KeyError, RuntimeError, TypeError, ValueError) as error:
+            raise ValueError(f"{path} does not fit the configuration: {error}") from error
+
+
+class MlpLearner(CloningLearner):
+    """Behavior cloning of a multilayer perceptron over the whole observation."""
+
+    settings_class = MlpSettings
+
+    @staticmethod
+    def new_network(layout: Layout, settings: MlpSettings) -> nn.Module:
+        """Create linear layers with ReLU between them."""
+        ends = [layout.width, *settings.network]
+        layers: list[nn.Module] = []
+        for before, after in zip(ends[:-1], ends[1:], strict=True):
+            layers += [nn.Linear(before, after), nn.ReLU()]
+        return nn.Sequential(*layers, nn.Linear(ends[-1], len(ACTIONS)))
+
+
+class GnnLearner(CloningLearner):
+    """Behavior cloning of a graph neural network."""
+
+    settings_class = GnnSettings
+
+    @staticmethod
+    def new_network(layout: Layout, settings: GnnSettings) -> nn.Module:
+        """Create convolutions and a linear layer on the ego."""
+        from .gnn import GraphNetwork
+
+        return GraphNetwork(
+            layout,
+            len(ACTIONS),
+            settings.network,
+            settings.layers,
+            settings.reverse,
+            settings.present_only,
+            settings.learned_eps,
+        )
+
+
+class NlmLearner(CloningLearner):
+    """Behavior cloning of a Neural Logic Machine."""
+
+    settings_class = NlmSettings
+
+    @staticmethod
+    def new_network(layout: Layout, settings: NlmSettings) -> nn.Module:
+        """Create a machine, and a linear layer on the predicates of the ego."""
+        logic = LogicNetwork(layout, **settings.model_dump(include=set(LogicSettings.model_fields)))
+        return nn.Sequential(logic, nn.Linear(logic.width, len(ACTIONS)))
+
+
+_LEARNERS: dict[str, type[CloningLearner]] = {"mlp": MlpLearner, "gnn": GnnLearner, "nlm": NlmLearner}
+
+
+def shuffled(observations: Tensor, layout: Layout, generator: torch.Generator) -> Tensor:
+    """Permute the present entities other than the ego, at random in each observation.
+
+    Args:
+        observations: (batch, width).
+        layout: The layout of the observations.
+        generator: The source of the permutations.
+    """
+    batch, count = len(observations), layout.entities
+    present = observations @ torch.from_numpy(layout.occurrences()) > 0
+    # Absent entities stay behind all others, and the ego stays first.
+    keys = torch.rand(batch, count, generator=generator) + torch.where(present, 0.0, 1.0 + torch.arange(count))
+    keys[:, 0] = -1.0
+    order = keys.argsort(1)
+    unary_at, binary_at = torch.from_numpy(layout.unary_at), torch.from_numpy(layout.binary_at)
+    source = torch.arange(layout.width).repeat(batch, 1)
+    source[:, unary_at.flatten()] = unary_at[order].flatten(1)
+    source[:, binary_at.flatten()] = binary_at[order[:, :, None], order[:, None, :]].flatten(1)
+    return observations.gather(1, source)
+
+
+def _loaded(path: Path, what: str) -> dict[str, Any]:
+    """Return the content of a file of this module.
+
+    Raises:
+        OSError: If the file cannot be read.
+        ValueError: If it is no such file.
+    """
+    try:
+        saved = torch.load(path, map_location="cpu", weights_only=True)
+    except (EOFError, RuntimeError, pickle.UnpicklingError) as error:
+        raise ValueError(f"{path} is not a {what}: PyTorch cannot read it") from error
+    if not isinstance(saved, dict) or saved.get("format") != FORMAT:
+        version = saved.get("format") if isinstance(saved, dict) else None
+        raise ValueError(f"{path} is not a {what} of format {FORMAT}, but of format {version!r}")
+    return saved

@@ -1,0 +1,718 @@
+"""DreamerV2 for binary observations (Hafner et al., "Mastering Atari with Discrete World Models", ICLR 2021).
+
+The world model is a recurrent state-space model (RSSM). Its state has a deterministic part h, the state of a GRU, and a
+stochastic part z, a vector of categorical variables. The prior p(z | h) predicts z without the observation, and the
+posterior q(z | h, x) infers it from the observation x. The actor and the critic learn from states that the world model
+imagines.
+
+A state includes the reward and the discount on arrival in it: action a_t leads from state s_t to s_t+1, and the reward
+r_t+1 and the discount are predicted from s_t+1. The names of equations refer to the paper.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Sequence
+from copy import deepcopy
+from dataclasses import dataclass
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated, Any, ClassVar, Literal, NamedTuple, TypeAlias
+
+import numpy as np
+from pydantic import Field
+
+from ..errors import missing_extra
+
+try:
+    import torch
+    from torch import Tensor, nn
+    from torch.nn import functional
+except ImportError as error:
+    raise missing_extra("learn", error) from error
+
+from ..city import ACTIONS
+from .interaction import (
+    Curves,
+    Interaction,
+    Transitions,
+    as_bits,
+    check_shape,
+    load_policy,
+    random_actions,
+    save_policy,
+)
+from .learner import Actions, Count, Learner, LearnerSettings, Observations, Policy, Progress
+
+if TYPE_CHECKING:
+    from .config import TrainConfig
+
+__all__ = [
+    "Dreamer",
+    "DreamerPolicy",
+    "DreamerSettings",
+    "EpisodeReplay",
+    "State",
+    "WorldModel",
+    "balanced_kl",
+    "lambda_returns",
+]
+
+Rate: TypeAlias = Annotated[float, Field(gt=0)]
+Share: TypeAlias = Annotated[float, Field(ge=0, le=1)]
+
+
+class DreamerSettings(LearnerSettings):
+    """Settings of DreamerV2."""
+
+    deterministic: Count = 100
+    """The number of values of the deterministic part of a state."""
+    variables: Count = 16
+    """The number of categorical variables of the stochastic part of a state."""
+    classes: Count = 16
+    """The number of classes of each categorical variable."""
+    layers: Count = 3
+    """The number of hidden layers of the encoder, of the decoder and of each head."""
+    width: Count = 100
+    """The width of hidden layers."""
+    model_learning_rate: Rate = 2e-4
+    """The learning rate of the world model."""
+    actor_learning_rate: Rate = 4e-5
+    """The learning rate of the actor."""
+    critic_learning_rate: Rate = 1e-4
+    """The learning rate of the critic."""
+    batch_size: Count = 50
+    """The number of sequences of an update."""
+    sequence_length: Count = 5
+    """The number of observations of a sequence."""
+    imagination: Count = 8
+    """The number of imagined actions."""
+    discount: Share = 0.99
+    """The discount per step."""
+    trace_decay: Share = 0.95
+    """The weight lambda of longer returns in the targets of the critic."""
+    kl_scale: Annotated[float, Field(ge=0)] = 0.1
+    """The weight of the divergence between posterior and prior in the loss of the world model."""
+    kl_balance: Share = 0.8
+    """The share of the divergence that trains the prior."""
+    entropy_scale: Annotated[float, Field(ge=0)] = 1e-3
+    """The weight of the entropy of the actor in its loss."""
+    target_interval: Count = 100
+    """The number of updates after which the slow target critic becomes a copy of the critic."""
+    gradient_clip: Rate = 100.0
+    """The largest norm of the gradients of the world model, of the actor and of the critic."""
+    random_steps: Annotated[int, Field(ge=0)] = 5000
+    """The number of steps with random actions at the start."""
+    train_interval: Count = 50
+    """The number of environment steps between trainings."""
+    updates: Count = 10
+    """The number of updates of a training."""
+    buffer_size: Count = 220_000
+    """The number of observations that the learner stores. The first observation of an episode needs a place too."""
+
+
+class State(NamedTuple):
+    """States of the world model.
+
+    Attributes:
+        deterministic: The part h, of shape (..., deterministic).
+        stochastic: The part z, one-hot vectors of shape (..., variables * classes).
+    """
+
+    deterministic: Tensor
+    stochastic: Tensor
+
+    def features(self) -> Tensor:
+        """Return both parts in one vector."""
+        return torch.cat(self, -1)
+
+    def flat(self) -> State:
+        """Return the states without gradients, as one batch."""
+        return State(*(part.detach().flatten(0, -2) for part in self))
+
+
+def mlp(inputs: int, settings: DreamerSettings, outputs: int) -> nn.Sequential:
+    """Create hidden layers with ELU and a linear output."""
+    layers: list[nn.Module] = []
+    for _ in range(settings.layers):
+        layers += [nn.Linear(inputs, settings.width), nn.ELU()]
+        inputs = settings.width
+    return nn.Sequential(*layers, nn.Linear(inputs, outputs))
+
+
+def one_hot_samples(logits: Tensor, generator: torch.Generator | None) -> Tensor:
+    """Sample one-hot vectors of categorical variables, with straight-through gradients (algorithm 1).
+
+    Without a generator, the most probable classes are returned.
+    """
+    probabilities = logits.softmax(-1)
+    if generator is None:
+        chosen = logits.argmax(-1)
+    else:
+        # The inverse of the distribution function. Rounding can leave the last sum below 1.
+        sums = probabilities.detach().cumsum(-1)
+        uniform = torch.rand(logits.shape[:-1], generator=generator)[..., None]
+        chosen = (sums <= uniform).sum(-1).clamp(max=logits.shape[-1] - 1)
+    sample = functional.one_hot(chosen, logits.shape[-1]).to(logits.dtype)
+    return sample + probabilities - probabilities.detach()
+
+
+def balanced_kl(posterior: Tensor, prior: Tensor, balance: float) -> Tensor:
+    """Return the KL divergence of the posterior from the prior, with KL balancing (algorithm 2).
+
+    The value is the divergence. The share `balance` of it trains the prior, and the rest the posterior.
+
+    Args:
+        posterior: Logits of shape (..., variables, classes).
+        prior: Logits of the same shape.
+        balance: The share, from 0 to 1.
+
+    Returns:
+        The sums over the variables, of shape (...).
+    """
+
+    def divergence(of: Tensor, to: Tensor) -> Tensor:
+        of, to = of.log_softmax(-1), to.log_softmax(-1)
+        return (of.exp() * (of - to)).sum((-2, -1))
+
+    return balance * divergence(posterior.detach(), prior) + (1 - balance) * divergence(posterior, prior.detach())
+
+
+def lambda_returns(rewards: Tensor, discounts: Tensor, values: Tensor, trace_decay: float) -> Tensor:
+    """Return the targets of the critic (equation 4).
+
+    Args:
+        rewards: The rewards of H actions, of shape (H, ...).
+        discounts: The discounts after the actions, of shape (H, ...).
+        values: The values of the states after the actions, of shape (H, ...).
+        trace_decay: The weight lambda.
+
+    Returns:
+        The targets of the states before the actions, of shape (H, ...).
+    """
+    following = values[-1]
+    returns = []
+    for step in reversed(range(len(rewards))):
+        mixed = (1 - trace_decay) * values[step] + trace_decay * following
+        following = rewards[step] + discounts[step] * mixed
+        returns.append(following)
+    return torch.stack(returns[::-1])
+
+
+class Losses(NamedTuple):
+    """The parts of the loss of the world model, each a mean over the observations of a batch."""
+
+    observations: Tensor
+    rewards: Tensor
+    discounts: Tensor
+    divergence: Tensor
+
+
+class WorldModel(nn.Module):
+    """The recurrent state-space model with its encoder, decoder and predictors (equation 1).
+
+    Args:
+        bits: The number of bits of an observation.
+        settings: The settings.
+    """
+
+    def __init__(self, bits: int, settings: DreamerSettings) -> None:
+        """Initialize the weights."""
+        super().__init__()
+        self.bits, self._settings = bits, settings
+        width, deterministic = settings.width, settings.deterministic
+        stochastic = settings.variables * settings.classes
+        self.encoder = mlp(bits, settings, width)
+        self.input = nn.Sequential(nn.Linear(stochastic + len(ACTIONS), width), nn.ELU())
+        self.gru = nn.GRUCell(width, deterministic)
+        self.prior = nn.Sequential(nn.Linear(deterministic, width), nn.ELU(), nn.Linear(width, stochastic))
+        self.posterior = nn.Sequential(nn.Linear(deterministic + width, width), nn.ELU(), nn.Linear(width, stochastic))
+        self.decoder = mlp(deterministic + stochastic, settings, bits)
+        self.reward = mlp(deterministic + stochastic, settings, 1)
+        self.discount = mlp(deterministic + stochastic, settings, 1)
+
+    def start(self, count: int) -> State:
+        """Return the states before the first observation."""
+        settings = self._settings
+        return State(
+            torch.zeros(count, settings.deterministic), torch.zeros(count, settings.variables * settings.classes)
+        )
+
+    def advance(self, state: State, actions: Tensor) -> Tensor:
+        """Return the deterministic part after one-hot actions."""
+        inputs = self.input(torch.cat([state.stochastic, actions], -1))
+        after: Tensor = self.gru(inputs, state.deterministic)
+        return after
+
+    def _sample(self, deterministic: Tensor, logits: Tensor, generator: torch.Generator | None) -> State:
+        return State(deterministic, one_hot_samples(logits, generator).flatten(-2))
+
+    def _logits(self, outputs: Tensor) -> Tensor:
+        return outputs.unflatten(-1, (self._settings.variables, self._settings.classes))
+
+    def observe(
+        self, state: State, actions: Tensor, embedded: Tensor, first: Tensor, generator: torch.Generator | None
+    ) -> tuple[State, Tensor]:
+        """Infer the states of one step from observations.
+
+        Args:
+            state: The states of the step before.
+            actions: The one-hot actions that led to the observations.
+            embedded: The encoded observations.
+            first: Whether the observations are the first of their episodes, as floats of shape (batch, 1).
+            generator: The source of samples. Without it, the most probable states are returned.
+
+        Returns:
+            The states, and the logits of the posterior.
+        """
+        kept = 1 - first
+        state, actions = State(state.deterministic * kept, state.stochastic * kept), actions * kept
+        deterministic = self.advance(state, actions)
+        logits = self._logits(self.posterior(torch.cat([deterministic, embedded], -1)))
+        return self._sample(deterministic, logits, generator), logits
+
+    def imagine(self, state: State, actions: Tensor, generator: torch.Generator | None) -> State:
+        """Predict the states after one-hot actions."""
+        deterministic = self.advance(state, actions)
+        return self._sample(deterministic, self._logits(self.prior(deterministic)), generator)
+
+    def loss(self, batch: Batch, generator: torch.Generator) -> tuple[State, Losses]:
+        """Return the states of sequences, of shape (length, batch, ...), and the loss (equation 2)."""
+        settings = self._settings
+        embedded = self.encoder(batch.observations)
+        state = self.start(batch.observations.shape[1])
+        states, logits = [], []
+        for step in range(len(embedded)):
+            state, posterior = self.observe(state, batch.actions[step], embedded[step], batch.first[step], generator)
+            states.append(state)
+            logits.append(posterior)
+        sequence = State(*(torch.stack(parts) for parts in zip(*states, strict=True)))
+        prior = self._logits(self.prior(sequence.deterministic))
+        features = sequence.features()
+        entropy = functional.binary_cross_entropy_with_logits
+        # The observation has no clock, so that the overtime cost of a truncated episode cannot be predicted.
+        errors = torch.where(batch.truncated, 0.0, (self.reward(features)[..., 0] - batch.rewards) ** 2 / 2)
+        return sequence, Losses(
+            entropy(self.decoder(features), batch.observations, reduction="none").sum(-1).mean(),
+            errors.mean(),
+            entropy(self.discount(features)[..., 0], settings.discount * (1 - batch.terminated)),
+            balanced_kl(torch.stack(logits), prior, settings.kl_balance).mean(),
+        )
+
+
+@dataclass(frozen=True)
+class Batch:
+    """Sequences of observations, with the actions and rewards that led to them.
+
+    Attributes:
+        observations: Bits as floats, of shape (length, batch, bits).
+        actions: The one-hot actions before the observations, of shape (length, batch, actions).
+        rewards: The rewards of the actions, of shape (length, batch).
+        terminated: Whether the observation is the last of an episode that terminated, as floats of this shape.
+        truncated: Whether the observation is the last of a truncated episode, of this shape.
+        first: Whether the observation is the first of an episode, as floats of shape (length, batch, 1).
+    """
+
+    observations: Tensor
+    actions: Tensor
+    rewards: Tensor
+    terminated: Tensor
+    truncated: Tensor
+    first: Tensor
+
+
+class EpisodeReplay:
+    """The last observations of each environment, in ring buffers. Every episode has its last observation too.
+
+    Args:
+        capacity: The number of observations of all environments.
+        bits: The number of bits of an observation.
+        observations: The first observation of every environment.
+    """
+
+    #: The bits of a flag.
+    TERMINATED, TRUNCATED, FIRST = 1, 2, 4
+
+    def __init__(self, capacity: int, bits: int, observations: Tensor) -> None:
+        """Allocate the memory, and add the first observations."""
+        envs = len(observations)
+        length = max(1, capacity // envs)
+        self.observations = torch.zeros(envs, length, bits, dtype=torch.uint8)
+        self.actions = torch.zeros(envs, length, dtype=torch.uint8)
+        self.rewards = torch.zeros(envs, length)
+        self.flags = torch.zeros(envs, length, dtype=torch.uint8)
+        self.added = torch.zeros(envs, dtype=torch.int64)
+        self._add(torch.arange(envs), observations, flags=torch.full((envs,), self.FIRST))
+
+    def _add(
+        self, envs: Tensor, observations: Tensor, flags: Tensor, actions: Tensor | None = None, rewards: Any = 0.0
+    ) -> None:
+        at = self.added[envs] % self.rewards.shape[1]
+        self.observations[envs, at] = observations
+        self.actions[envs, at] = torch.zeros_like(flags, dtype=torch.uint8) if actions is None else actions
+        self.rewards[envs, at] = rewards
+        self.flags[envs, at] = flags.to(torch.uint8)
+        self.added[envs] += 1
+
+    def add(self, transitions: Transitions, observations: Tensor) -> None:
+        """Add the observations after a step, and the first ones of new episodes.
+
+        Args:
+            transitions: The step.
+            observations: The observations from which the next step starts.
+        """
+        every = torch.arange(len(self.added))
+        terminated, truncated = (torch.from_numpy(ends) for ends in (transitions.terminated, transitions.truncated))
+        self._add(
+            every,
+            torch.from_numpy(transitions.next_observations),
+            terminated * self.TERMINATED + truncated * self.TRUNCATED,
+            torch.from_numpy(transitions.actions).to(torch.uint8),
+            torch.from_numpy(transitions.rewards),
+        )
+        begun = (terminated | truncated).nonzero()[:, 0]
+        if len(begun):
+            self._add(begun, observations[begun], torch.full((len(begun),), self.FIRST))
+
+    def sample(self, count: int, length: int, generator: torch.Generator) -> Batch:
+        """Draw sequences of consecutive observations, which can contain the ends of episodes.
+
+        Every environment must have `length` observations.
+        """
+        size = self.rewards.shape[1]
+        envs = torch.randint(len(self.added), (count,), generator=generator)
+        stored = self.added[envs].clamp(max=size)
+        # Products of floats below 1 with integers can round up to the integer.
+        starts = (torch.rand(count, generator=generator, dtype=torch.float64) * (stored - length + 1)).long()
+        starts = torch.minimum(starts, stored - length) + self.added[envs] - stored
+        at = (starts + torch.arange(length)[:, None]) % size
+        flags = self.flags[envs, at]
+        first = flags & self.FIRST > 0
+        actions = functional.one_hot(self.actions[envs, at].long(), len(ACTIONS)).float()
+        return Batch(
+            self.observations[envs, at].float(),
+            actions * ~first[..., None],
+            self.rewards[envs, at],
+            (flags & self.TERMINATED > 0).float(),
+            flags & self.TRUNCATED > 0,
+            first[..., None].float(),
+        )
+
+    def ready(self, length: int) -> bool:
+        """Return whether `sample` can draw sequences of this length."""
+        return int(self.added.min()) >= length
+
+    def state(self) -> dict[str, Any]:
+        """Return what `restore` needs, with eight bits of observations in a byte."""
+        count = min(int(self.added.max()), self.rewards.shape[1])
+        packed = torch.from_numpy(np.packbits(self.observations[:, :count].numpy(), axis=2))
+        plain = {name: getattr(self, name)[:, :count].clone() for name in ("actions", "rewards", "flags")}
+        return {"added": self.added.clone(), "observations": packed, **plain}
+
+    def restore(self, state: dict[str, Any]) -> None:
+        """Restore what `state` returned."""
+        self.added = state["added"].clone()
+        count, bits = state["rewards"].shape[1], self.observations.shape[2]
+        self.observations[:, :count] = torch.from_numpy(
+            np.unpackbits(state["observations"].numpy(), axis=2, count=bits)
+        )
+        for name in ("actions", "rewards", "flags"):
+            getattr(self, name)[:, :count] = state[name]
+
+
+class Memory(NamedTuple):
+    """The memory of a policy.
+
+    Attributes:
+        state: The last states.
+        actions: The last actions, one-hot.
+        steps: The number of steps, which determines the random samples.
+    """
+
+    state: State
+    actions: Tensor
+    steps: int
+
+
+class DreamerPolicy(Policy):
+    """The world model, which infers states from observations, and the actor. Its state is a `Memory`.
+
+    Args:
+        model: The world model.
+        actor: The actor.
+        settings: The settings.
+        mode: The mode of the training.
+        seed: The seed of random samples.
+    """
+
+    algorithm: ClassVar = "dreamer"
+
+    def __init__(self, model: WorldModel, actor: nn.Module, settings: DreamerSettings, mode: str, seed: int) -> None:
+        """Store the arguments."""
+        self.model, self.actor, self.settings, self.mode, self.seed = model, actor, settings, mode, seed
+
+    def predict(
+        self,
+        observation: Observations,
+        state: Any = None,
+        episode_start: Any = None,
+        deterministic: bool = True,
+    ) -> tuple[Actions, Any]:
+        """Return the most probable actions in the most probable states, or sample both.
+
+        Raises:
+            ValueError: If the observations have another shape than those of the training, or are not binary.
+        """
+        check_shape(observation, self.model.bits)
+        count = len(observation)
+        memory = Memory(self.model.start(count), torch.zeros(count, len(ACTIONS)), 0) if state is None else state
+        starts = np.full(count, state is None) if episode_start is None else np.asarray(episode_start)
+        first = torch.from_numpy(starts).float()[:, None]
+        generator = None if deterministic else step_generator(self.seed, memory.steps)
+        actions, after = self.act(torch.from_numpy(as_bits(observation)).float(), memory, first, generator)
+        return actions.numpy(), after
+
+    def act(
+        self, observations: Tensor, memory: Memory, first: Tensor, generator: torch.Generator | None
+    ) -> tuple[Tensor, Memory]:
+        """Return actions and the next memory, with samples from a generator if there is one."""
+        with torch.no_grad():
+            embedded = self.model.encoder(observations)
+            state, _ = self.model.observe(memory.state, memory.actions, embedded, first, generator)
+            chosen = one_hot_samples(self.actor(state.features()), generator)
+        return chosen.argmax(-1), Memory(state, chosen, memory.steps + 1)
+
+    def save(self, path: Path) -> None:
+        """Write the policy to a file."""
+        config = {
+            "mode": self.mode,
+            "seed": self.seed,
+            "bits": self.model.bits,
+            "settings": self.settings.model_dump(mode="json"),
+        }
+        weights = {"model": self.model.state_dict(), "actor": self.actor.state_dict()}
+        save_policy(path, self.algorithm, config, weights)
+
+    @classmethod
+    def load(cls, path: Path) -> DreamerPolicy:
+        """Read a policy that `save` wrote.
+
+        Raises:
+            OSError: If the file cannot be read.
+            ValueError: If the file is not such a policy.
+        """
+
+        def build(config: dict[str, Any], weights: dict[str, Any]) -> DreamerPolicy:
+            settings = DreamerSettings.model_validate(config["settings"])
+            model, actor = WorldModel(config["bits"], settings), head(settings, len(ACTIONS))
+            model.load_state_dict(weights["model"])
+            actor.load_state_dict(weights["actor"])
+            return cls(model, actor, settings, config["mode"], config["seed"])
+
+        return load_policy(path, cls.algorithm, build)
+
+
+def step_generator(seed: int, step: int) -> torch.Generator:
+    """Return the source of the samples of a step."""
+    # Consecutive steps of a run must not have the seeds of consecutive runs.
+    return torch.Generator().manual_seed(int(np.random.SeedSequence([seed, step]).generate_state(1)[0]))
+
+
+def head(settings: DreamerSettings, outputs: int) -> nn.Sequential:
+    """Create a network on the features of states."""
+    return mlp(settings.deterministic + settings.variables * settings.classes, settings, outputs)
+
+
+class Dreamer(Learner):
+    """Learns a world model from sequences of observations, and the actor and the critic in imagination."""
+
+    settings_class = DreamerSettings
+    policy_class = DreamerPolicy
+    unit: ClassVar[Literal["environment steps", "updates"]] = "environment steps"
+    interacts = True
+
+    def __init__(self, config: TrainConfig, log: Path | None = None) -> None:
+        """Make the environments and the networks.
+
+        Raises:
+            InputError: If the configuration of the mode or an override is invalid.
+            OSError: If a file cannot be read.
+            ValueError: If the observations are not binary, or the stored observations are fewer than a sequence.
+        """
+        super().__init__(config, log)
+        settings = config.settings
+        assert isinstance(settings, DreamerSettings)
+        if settings.buffer_size < config.envs * settings.sequence_length:
+            raise ValueError(
+                f"`buffer_size` {settings.buffer_size} is too small for {config.envs} environments with sequences of "
+                f"{settings.sequence_length} observations"
+            )
+        self._settings = settings
+        self._interaction = Interaction(config)
+        self._generator = torch.Generator().manual_seed(config.seed)
+        with torch.random.fork_rng(devices=[]):
+            torch.manual_seed(config.seed)
+            self._model = WorldModel(self._interaction.width, settings)
+            self._actor, self._critic = head(settings, len(ACTIONS)), head(settings, 1)
+        self._target = deepcopy(self._critic).requires_grad_(False)
+        self._optimizers = {
+            "model": _adam(self._model.parameters(), settings.model_learning_rate),
+            "actor": _adam(self._actor.parameters(), settings.actor_learning_rate),
+            "critic": _adam(self._critic.parameters(), settings.critic_learning_rate),
+        }
+        observations = torch.from_numpy(self._interaction.observations)
+        self._replay = EpisodeReplay(settings.buffer_size, self._interaction.width, observations)
+        self._memory = Memory(self._model.start(config.envs), torch.zeros(config.envs, len(ACTIONS)), 0)
+        self._first = torch.ones(config.envs, 1)
+        self._updates = 0
+        self._curves = Curves(log)
+
+    @property
+    def steps(self) -> int:
+        """The number of environment steps so far."""
+        return self._interaction.steps
+
+    def fit(self, steps: int, progress: Progress) -> None:
+        """Train until `self.steps` reaches `steps`."""
+        settings, interaction = self._settings, self._interaction
+        while self.steps < steps:
+            before = self.steps
+            transitions = interaction.step(self._actions())
+            self._replay.add(transitions, torch.from_numpy(interaction.observations))
+            ended = torch.from_numpy(transitions.terminated | transitions.truncated)
+            self._first = ended.float()[:, None]
+            trainings = self.steps // settings.train_interval - before // settings.train_interval
+            if self.steps >= settings.random_steps and self._replay.ready(settings.sequence_length):
+                for _ in range(trainings * settings.updates):
+                    self._update()
+            if self._curves.due(self.steps):
+                self._curves.add(interaction.episodes())
+                self._curves.write(self.steps)
+            progress()
+
+    def _actions(self) -> Actions:
+        observations = torch.from_numpy(self._interaction.observations).float()
+        if self.steps < self._settings.random_steps:
+            actions = random_actions(len(observations), self._generator)
+            chosen = functional.one_hot(torch.from_numpy(actions), len(ACTIONS)).float()
+            # The states follow the random actions, so that the first actions of the actor have a memory.
+            _, memory = self.policy().act(observations, self._memory, self._first, self._generator)
+            self._memory = memory._replace(actions=chosen)
+            return actions
+        drawn, self._memory = self.policy().act(observations, self._memory, self._first, self._generator)
+        sampled: Actions = drawn.numpy()
+        return sampled
+
+    def _update(self) -> None:
+        """Train the world model on sequences, and the actor and the critic on what it imagines from their states."""
+        settings = self._settings
+        batch = self._replay.sample(settings.batch_size, settings.sequence_length, self._generator)
+        states, losses = self._model.loss(batch, self._generator)
+        total = losses.observations + losses.rewards + losses.discounts + settings.kl_scale * losses.divergence
+        self._minimize("model", total, self._model)
+        self._curves.add({f"loss/{name}": value.item() for name, value in losses._asdict().items()})
+        self._behave(states.flat(), (1 - batch.terminated).flatten())
+        self._updates += 1
+        if self._updates % settings.target_interval == 0:
+            self._target.load_state_dict(self._critic.state_dict())
+
+    def _behave(self, state: State, continues: Tensor) -> None:
+        """Train the actor and the critic from states, of shape (batch, ...).
+
+        Only continuing states have a future. The weight of an imagined state is the probability that the episode
+        reaches it, discounted.
+        """
+        settings = self._settings
+        features, actions, logits = [state.features()], [], []
+        for _ in range(settings.imagination):
+            # Reinforce needs no gradients through the world model, only those of the actor.
+            logits.append(self._actor(features[-1]))
+            with torch.no_grad():
+                actions.append(one_hot_samples(logits[-1], self._generator))
+                state = self._model.imagine(state, actions[-1], self._generator)
+            features.append(state.features())
+        with torch.no_grad():
+            every = torch.stack(features)
+            rewards = self._model.reward(every[1:])[..., 0]
+            discounts = torch.sigmoid(self._model.discount(every[1:])[..., 0])
+            values = self._target(every)[..., 0]
+            targets = lambda_returns(rewards, discounts, values[1:], settings.trace_decay)
+            weights = torch.cat([continues[None], continues * discounts[:-1].cumprod(0)])
+            advantages = targets - values[:-1]
+        # Reinforce gradients and entropy, equation 6 with rho = 1, as for all discrete actions.
+        log_probabilities = torch.stack(logits).log_softmax(-1)
+        entropy = -(log_probabilities.exp() * log_probabilities).sum(-1)
+        gain = (log_probabilities * torch.stack(actions)).sum(-1) * advantages + settings.entropy_scale * entropy
+        self._minimize("actor", -(weights * gain).mean(), self._actor)
+        # Equation 5.
+        errors = (self._critic(every[:-1])[..., 0] - targets) ** 2 / 2
+        critic_loss = (weights * errors).mean()
+        self._minimize("critic", critic_loss, self._critic)
+        self._curves.add(
+            {
+                "actor/entropy": entropy.mean().item(),
+                "actor/return": targets.mean().item(),
+                "loss/critic": critic_loss.item(),
+            }
+        )
+
+    def _minimize(self, name: str, loss: Tensor, module: nn.Module) -> None:
+        optimizer = self._optimizers[name]
+        optimizer.zero_grad()
+        loss.backward()
+        nn.utils.clip_grad_norm_(module.parameters(), self._settings.gradient_clip)
+        optimizer.step()
+
+    def policy(self) -> DreamerPolicy:
+        """Return the current policy."""
+        return DreamerPolicy(self._model, self._actor, self._settings, self.config.mode, self.config.seed)
+
+    def save(self, folder: Path) -> None:
+        """Write everything that `restore` needs to `learner.pt`."""
+        state = {
+            "algorithm": DreamerPolicy.algorithm,
+            "interaction": self._interaction.state(),
+            "networks": [module.state_dict() for module in self._networks],
+            "optimizers": {name: optimizer.state_dict() for name, optimizer in self._optimizers.items()},
+            "replay": self._replay.state(),
+            "memory": ([part.clone() for part in self._memory.state], self._memory.actions, self._memory.steps),
+            "first": self._first,
+            "updates": self._updates,
+            "generator": self._generator.get_state(),
+        }
+        torch.save(state, folder / "learner.pt")
+
+    def restore(self, folder: Path) -> None:
+        """Restore what `save` wrote.
+
+        Raises:
+            OSError: If the file cannot be read.
+            ValueError: If the file does not fit the configuration.
+        """
+        # The checkpoint is the run's own, and has environments, which are no plain data.
+        state = torch.load(folder / "learner.pt", weights_only=False)
+        if state.get("algorithm") != DreamerPolicy.algorithm:
+            raise ValueError(f"{folder} has no checkpoint of {DreamerPolicy.algorithm}")
+        self._interaction.restore(state["interaction"])
+        for module, weights in zip(self._networks, state["networks"], strict=True):
+            module.load_state_dict(weights)
+        for name, optimizer in self._optimizers.items():
+            optimizer.load_state_dict(state["optimizers"][name])
+        self._replay.restore(state["replay"])
+        parts, actions, steps = state["memory"]
+        self._memory = Memory(State(*parts), actions, steps)
+        self._first, self._updates = state["first"], state["updates"]
+        self._generator.set_state(state["generator"])
+        self._curves.begin(self.steps)
+
+    @property
+    def _networks(self) -> Sequence[nn.Module]:
+        return self._model, self._actor, self._critic, self._target
+
+    def close(self) -> None:
+        """Close the environments and the training curves."""
+        self._interaction.close()
+        self._curves.close()
+
+
+def _adam(parameters: Iterable[nn.Parameter], learning_rate: float) -> torch.optim.Optimizer:
+    """Create an optimizer with the epsilon and the decoupled weight decay of the paper (appendix D)."""
+    return torch.optim.AdamW(parameters, learning_rate, eps=1e-5, weight_decay=1e-6, fused=True)

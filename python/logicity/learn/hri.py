@@ -1,0 +1,913 @@
+"""Hierarchical Rule Induction (HRI): symbolic rules by gradient descent, by cloning the oracle's behavior.
+
+The model is that of Glanois et al., "Neuro-Symbolic Hierarchical Rule Induction", ICML 2022 (arXiv 2112.13418). It
+consists of layers of templates (the paper's *proto-rules*). A template is a clause whose body has *slots* instead of
+predicates. A slot can hold any predicate of the observation or of a lower layer. Slots and predicates have embeddings,
+and the softmax of their cosine similarities says to which degree a slot holds a predicate. After training, each slot
+holds its most similar predicate, so the model is a set of Datalog rules: `HriPolicy.rules` prints them, and
+`HriPolicy.predict` evaluates them.
+
+Each action that the rules can require has its own model. An action is chosen if its rules derive it. If several are
+derived, the first one in `HriSettings.order` is chosen; if none is, the default action Normal.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Mapping, Sequence
+from dataclasses import dataclass
+from itertools import count, groupby, product
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated, Any, ClassVar, Literal, NamedTuple, TypeAlias
+
+import numpy as np
+import torch
+from numpy.typing import NDArray
+from pydantic import Field
+
+from .. import _logicity
+from ..city import ACTIONS
+from ..evaluation import load_task
+from ..views import Layout
+from .demonstrations import DemonstrationData
+from .learner import Actions, Learner, LearnerSettings, Observations, Policy, Progress
+
+if TYPE_CHECKING:
+    from .config import TrainConfig
+
+__all__ = ["HRI", "HriPolicy", "HriSettings", "Hypothesis", "Layer", "Rules"]
+
+Bools: TypeAlias = NDArray[np.bool_]
+
+#: The number of slots of each template.
+SLOTS = {"A00+": 3, "B00+": 3, "C00+": 3, "Inv": 1}
+#: The format of policy files.
+FORMAT = "logicity hri policy 1"
+#: The format of checkpoints.
+CHECKPOINT = "logicity hri checkpoint 1"
+
+Positive: TypeAlias = Annotated[float, Field(gt=0)]
+#: Two values. YAML has lists, which strict validation does not accept as tuples.
+Ends: TypeAlias = Annotated[tuple[Positive, Positive], Field(strict=False)]
+Name: TypeAlias = Literal["Stop", "Slow", "Fast", "Normal"]
+
+
+class HriSettings(LearnerSettings):
+    """The settings of HRI. Values that change during training do so exponentially from the first to the second."""
+
+    unary: Annotated[list[Literal["A00+"]], Field(min_length=1)] = ["A00+"]
+    """The templates of unary predicates in each layer. The target has the first of them."""
+    binary: list[Literal["B00+", "C00+", "Inv"]] = ["C00+", "B00+", "Inv"]
+    """The templates of binary predicates in each layer."""
+    copies: Annotated[int, Field(ge=1, le=64)] = 1
+    """The number of predicates of each template in a layer."""
+    depth: Annotated[int, Field(ge=1, le=16)] = 3
+    """The number of layers, including that of the target."""
+    depth_of: dict[Name, Annotated[int, Field(ge=1, le=16)]] = {}
+    """The number of layers for individual actions."""
+    negation: bool = False
+    """Whether slots can hold negations of observed predicates."""
+    order: list[Name] = ["Stop", "Slow", "Fast"]
+    """The actions in the order of precedence, in case the rules derive several."""
+    dimension: Annotated[int, Field(ge=2, le=4096)] | None = None
+    """The dimension of embeddings. The default is the number of predicates of the model."""
+    embedding_rates: Ends = (2.9e-3, 2.5e-4)
+    """The learning rate of the embeddings of predicates."""
+    rule_rates: Ends = (2.4e-4, 1.4e-6)
+    """The learning rate of the embeddings of slots."""
+    temperatures: Ends = (0.1, 0.01)
+    """The temperature of the softmax."""
+    noise: Ends = (0.3, 0.01)
+    """The scale of the Gumbel noise that is added to similarities."""
+    conjunction: Literal["min", "product"] = "min"
+    """The soft conjunction."""
+    regularization: Annotated[float, Field(ge=0)] = 0.01
+    """The weight of the paper's interpretability term, the mean of p (1 - p) over the degrees p."""
+    batch: Annotated[int, Field(ge=2)] = 256
+    """The number of examples of an update: half of them positive, half of them negative."""
+    restarts: Annotated[int, Field(ge=1, le=1024)] = 16
+    """The number of models per action, which train at the same time. The best one on the demonstrations counts."""
+    generation: Annotated[int, Field(ge=1)] | None = None
+    """The number of updates after which all models start again with new weights, schedules and rules. The default is
+    the number of all updates. Validation chooses among the best rules of each generation."""
+    extract_every: Annotated[int, Field(ge=1)] = 50
+    """The number of updates between two extractions of rules."""
+
+
+def relations(layout: Layout, observations: Observations) -> tuple[Bools, Bools]:
+    """Return the truth values of unary (batch, N, U) and of binary (batch, N, N, B) predicates."""
+    true = observations > 0.5
+    return true[:, layout.unary_at], true[:, layout.binary_at]
+
+
+def present(unary: Bools, binary: Bools) -> Bools:
+    """Return which entities exist, (batch, N): those with a true atom. The ego always exists."""
+    some = np.asarray(unary.any(-1) | binary.any((1, 3)) | binary.any((2, 3)))
+    some[:, 0] = True
+    return some
+
+
+@dataclass(frozen=True)
+class Layer:
+    """A predicate that the model defines.
+
+    With the slots P, Q and R, the templates are as follows. A unary predicate in a slot ignores its second argument.
+
+        A00+  H(X)    :- P(X, Y), Q(Y, X); R(X, Y).
+        B00+  H(X, Y) :- P(X, Z), Q(Z, Y); R(X, Y).
+        C00+  H(X, Y) :- P(X, Y), Q(Y, X); R(X, Y).
+        Inv   H(X, Y) :- P(Y, X).
+
+    They are the paper's templates A, B, C and its inversion. 00 means that they are not recursive, and + that they have
+    the disjunction.
+
+    Attributes:
+        template: The template.
+        slot: The index of its first slot.
+        visible: The number of predicates that its slots can hold. They are the first ones.
+    """
+
+    template: str
+    slot: int
+    visible: int
+
+    @property
+    def slots(self) -> slice:
+        """The indices of its slots."""
+        return slice(self.slot, self.slot + SLOTS[self.template])
+
+
+class Hypothesis:
+    """The predicates and templates of a model, without its weights.
+
+    The predicates are, in this order: the unary symbols, the binary symbols, and those that the layers define. Symbols
+    are observed predicates, their negations, and the constants true and false, which count as unary. The last predicate
+    is the target.
+
+    Attributes:
+        unary: The names of the unary symbols, with their signs.
+        binary: The names of the binary symbols, with their signs.
+        levels: The predicates that the layers define, by layer.
+        slots: The number of slots.
+    """
+
+    def __init__(self, layout: Layout, settings: HriSettings, depth: int) -> None:
+        """List the predicates."""
+        signs = (True, False) if settings.negation else (True,)
+        self.unary = [(name, sign) for sign in signs for name in layout.unary] + [("", True), ("", False)]
+        self.binary = [(name, sign) for sign in signs for name in layout.binary]
+        self.negation = settings.negation
+        self.levels: list[list[Layer]] = []
+        self.slots = 0
+        visible = len(self.unary) + len(self.binary)
+        for level in range(1, depth + 1):
+            target = level == depth
+            templates = settings.unary[:1] if target else [*settings.unary, *settings.binary]
+            layers = []
+            for template in templates:
+                for _ in range(1 if target else settings.copies):
+                    layers.append(Layer(template, self.slots, visible))
+                    self.slots += SLOTS[template]
+            visible += len(layers)
+            self.levels.append(layers)
+        self.layers = [layer for layers in self.levels for layer in layers]
+        self.predicates = visible
+
+    def is_unary(self, predicate: int) -> bool:
+        """Return whether a predicate is unary."""
+        at = predicate - len(self.unary) - len(self.binary)
+        return predicate < len(self.unary) or (at >= 0 and self.layers[at].template == "A00+")
+
+    def visible(self) -> torch.Tensor:
+        """Return which predicates each slot can hold, bool of shape (slots, predicates)."""
+        mask = torch.zeros(self.slots, self.predicates, dtype=torch.bool)
+        for layer in self.layers:
+            mask[layer.slots, : layer.visible] = True
+        return mask
+
+    def facts(self, unary: Bools, binary: Bools) -> tuple[Bools, Bools]:
+        """Return the truth values of the unary (U, batch, N) and binary (B, batch, N, N) symbols."""
+        one, two = np.moveaxis(unary, -1, 0), np.moveaxis(binary, -1, 0)
+        if self.negation:
+            one, two = np.concatenate([one, ~one]), np.concatenate([two, ~two])
+        true = np.ones((1, *one.shape[1:]), np.bool_)
+        return np.concatenate([one, true, ~true]), np.ascontiguousarray(two)
+
+    def infer(
+        self,
+        degrees: torch.Tensor,
+        unary: torch.Tensor,
+        binary: torch.Tensor,
+        exist: torch.Tensor,
+        conjunction: Literal["min", "product"],
+    ) -> torch.Tensor:
+        """Return the soft truth value of the target for the ego, by the paper's inference without recursion.
+
+        The value of a slot is the sum of the values of all predicates, weighted by the degrees to which it holds them.
+        The disjunction and the existential quantifier are maxima.
+
+        Args:
+            degrees: The degrees to which slots hold predicates, (models, slots, predicates). The sum over the
+                predicates is 1.
+            unary: The values of the unary symbols, (U, batch, N).
+            binary: The values of the binary symbols, (B, batch, N, N).
+            exist: Which entities exist, as numbers, (batch, N). Variables range over these.
+            conjunction: The soft conjunction.
+
+        Returns:
+            The values, (models, batch).
+        """
+        both = torch.minimum if conjunction == "min" else torch.mul
+        n, parts = exist.shape[1], (len(self.unary), len(self.binary))
+        # The predicates of lower layers, with their values (models, predicates, batch, N) and the same with N x N.
+        ones: list[int] = []
+        twos: list[int] = []
+        one_values: list[torch.Tensor] = []
+        two_values: list[torch.Tensor] = []
+
+        def held(slots: torch.Tensor, rows: slice = slice(None), columns: slice = slice(None)) -> torch.Tensor:
+            """Return the values of slots for pairs of entities, (models, slots, batch, rows, columns)."""
+            degrees_one, degrees_two = slots[..., : sum(parts)].split(parts, -1)
+            one = _weighted(degrees_one, unary[:, :, rows])
+            if ones:
+                one = one + _weighted(slots[..., ones], torch.cat(one_values, 1)[:, :, :, rows], True)
+            total = one.unsqueeze(-1)
+            if parts[1]:
+                total = total + _weighted(degrees_two, binary[:, :, rows, columns])
+            if twos:
+                total = total + _weighted(slots[..., twos], torch.cat(two_values, 1)[:, :, :, rows, columns], True)
+            return total.expand(-1, -1, -1, -1, len(range(n)[columns]))
+
+        number = sum(parts)
+        for layers in self.levels[:-1]:
+            kinds = [(template, len(list(group))) for template, group in groupby(layer.template for layer in layers)]
+            sizes = [SLOTS[template] * size for template, size in kinds]
+            values = held(degrees[:, layers[0].slot : layers[0].slot + sum(sizes)]).split(sizes, 1)
+            new_ones, new_twos = [], []
+            for (template, size), value in zip(kinds, values, strict=True):
+                numbers = list(range(number, number + size))
+                number += size
+                if template == "Inv":
+                    twos += numbers
+                    new_twos.append(value.transpose(-1, -2))
+                    continue
+                p, q, r = value.unflatten(1, (size, 3)).unbind(2)
+                if template == "B00+":
+                    some = both(p.unsqueeze(-1), q.unsqueeze(-3)) * exist[:, None, :, None]
+                    twos += numbers
+                    new_twos.append(torch.maximum(some.amax(-2), r))
+                    continue
+                either = torch.maximum(both(p, q.transpose(-1, -2)), r)
+                if template == "C00+":
+                    twos += numbers
+                    new_twos.append(either)
+                else:
+                    ones += numbers
+                    new_ones.append((either * exist[:, None, :]).amax(-1))
+            one_values += new_ones
+            two_values += new_twos
+        # The target is computed for the ego only.
+        ego, everyone = slice(1), slice(None)
+        p, q, r = degrees[:, self.layers[-1].slots].split(1, 1)
+        p, q, r = held(p, ego), held(q, everyone, ego).transpose(-1, -2), held(r, ego)
+        values = (torch.maximum(both(p, q), r)[:, 0, :, 0] * exist).amax(-1)
+        assert values.shape == (len(degrees), len(exist))
+        return values
+
+
+def _weighted(degrees: torch.Tensor, values: torch.Tensor, models: bool = False) -> torch.Tensor:
+    """Return the sums of values weighted by degrees, (models, slots, ...).
+
+    Args:
+        degrees: (models, slots, predicates).
+        values: (predicates, ...), or with `models` (models, predicates, ...).
+        models: Whether each model has its own values.
+    """
+    first = 2 if models else 1
+    sums: torch.Tensor = degrees @ values.flatten(first)
+    return sums.unflatten(-1, values.shape[first:])
+
+
+#: A literal of a body: its sign, its predicate, and its variables. 0 and 1 are the arguments of the head.
+Atom: TypeAlias = tuple[bool, str, tuple[int, ...]]
+#: The literals of a body.
+Body: TypeAlias = frozenset[Atom]
+
+
+@dataclass(frozen=True)
+class Rules:
+    """A model in which each slot holds one predicate.
+
+    Attributes:
+        hypothesis: The predicates and templates.
+        choices: The predicate that each slot holds.
+    """
+
+    hypothesis: Hypothesis
+    choices: tuple[int, ...]
+
+    def is_valid(self) -> bool:
+        """Return whether each slot holds a predicate that it can hold."""
+        limits = [layer.visible for layer in self.hypothesis.layers for _ in range(SLOTS[layer.template])]
+        return len(self.choices) == len(limits) and all(
+            isinstance(choice, int) and 0 <= choice < limit for choice, limit in zip(self.choices, limits, strict=True)
+        )
+
+    def holds(self, unary: Bools, binary: Bools) -> Bools:
+        """Return whether the rules derive the target for the ego.
+
+        Args:
+            unary: The truth values of observed predicates, (batch, N, U).
+            binary: The same, (batch, N, N, B).
+
+        Returns:
+            bool (batch,).
+        """
+        exist = present(unary, binary)
+        one, two = self.hypothesis.facts(unary, binary)
+        known: dict[int, Bools] = {}
+
+        def pairs(predicate: int) -> Bools:
+            """Return the truth values for all pairs, (batch, N, N), or (batch, N, 1) for a unary predicate."""
+            if predicate not in known:
+                known[predicate] = compute(predicate)
+            return known[predicate]
+
+        def compute(predicate: int) -> Bools:
+            if predicate < len(one):
+                return np.asarray(one[predicate, :, :, None])
+            at = predicate - len(one)
+            if at < len(two):
+                return np.asarray(two[at])
+            layer = self.hypothesis.layers[at - len(two)]
+            held = [pairs(self.choices[slot]) for slot in range(layer.slots.start, layer.slots.stop)]
+            p = held[0]
+            if layer.template == "Inv":
+                return p.swapaxes(1, 2)
+            q, r = held[1:]
+            if layer.template == "B00+":
+                some = (p[..., None] & q[:, None] & exist[:, None, :, None]).any(2)
+                return np.asarray(some | r)
+            either = np.asarray((p & q.swapaxes(1, 2)) | r)
+            if layer.template == "C00+":
+                return either
+            return np.asarray((either & exist[:, None]).any(2, keepdims=True))
+
+        return np.broadcast_to(pairs(self.hypothesis.predicates - 1), (len(one[0]), exist.shape[1], 1))[:, 0, 0]
+
+    def bodies(self) -> tuple[list[Body], list[tuple[str, int, list[Body]]]]:
+        """Unfold the layers into clauses over observed predicates.
+
+        A predicate with more than `UNFOLD` clauses keeps a definition of its own, with the ego as an additional first
+        argument, because variables range over the entities that the ego sees.
+
+        Returns:
+            The bodies of the target, and such definitions: the name, the number of arguments, and the bodies.
+        """
+        known: dict[int, list[Body]] = {}
+        definitions: list[tuple[str, int, list[Body]]] = []
+        symbols = [*self.hypothesis.unary, *self.hypothesis.binary]
+
+        def unfold(predicate: int, first: int, second: int) -> list[Body]:
+            """Return the bodies of a predicate for two variables."""
+            if predicate not in known:
+                known[predicate] = define(predicate)
+            return [_renamed(body, {0: first, 1: second}) for body in known[predicate]]
+
+        def define(predicate: int) -> list[Body]:
+            unary = self.hypothesis.is_unary(predicate)
+            if predicate < len(symbols):
+                name, sign = symbols[predicate]
+                if not name:
+                    return [frozenset()] if sign else []
+                return [frozenset({(sign, name, (0,) if unary else (0, 1))})]
+            layer = self.hypothesis.layers[predicate - len(symbols)]
+            held = self.choices[layer.slots]
+            if layer.template == "Inv":
+                return unfold(held[0], 1, 0)
+            # The additional variable of B is 2, before it gets a name of its own.
+            one, two = ((0, 2), (2, 1)) if layer.template == "B00+" else ((0, 1), (1, 0))
+            bodies = [_joined(a, b) for a in unfold(held[0], *one) for b in unfold(held[1], *two)]
+            bodies = _pruned(bodies + unfold(held[2], 0, 1), 1 if unary else 2)
+            if len(bodies) <= UNFOLD or predicate == self.hypothesis.predicates - 1:
+                return bodies
+            name = f"Part{len(definitions) + 1}"
+            definitions.append((name, 2 if unary else 3, bodies))
+            return [frozenset({(True, name, (EGO, 0) if unary else (EGO, 0, 1))})]
+
+        return unfold(self.hypothesis.predicates - 1, 0, 1), definitions
+
+
+#: The largest number of clauses of a predicate that is unfolded.
+UNFOLD = 64
+#: The variable of the ego in the definitions of predicates that are not unfolded.
+EGO = -1
+
+
+def _renamed(body: Body, names: Mapping[int, int]) -> Body:
+    """Rename variables. The result shares only the new names with other bodies."""
+    return frozenset(
+        (sign, name, tuple(names.get(variable, variable) for variable in arguments)) for sign, name, arguments in body
+    )
+
+
+def _joined(one: Body, other: Body) -> Body:
+    """Return the conjunction of two bodies, whose local variables are different ones."""
+    fresh = count(100 + max((variable for _, _, arguments in one for variable in arguments), default=0))
+    names: dict[int, int] = {}
+    for _, _, arguments in sorted(other):
+        for variable in arguments:
+            if variable >= LOCAL:
+                names.setdefault(variable, next(fresh))
+    return one | _renamed(other, names)
+
+
+#: The first number of local variables. Smaller numbers are arguments of the head, and the variable of template B.
+LOCAL = 10
+
+
+def _pruned(bodies: Iterable[Body], arity: int) -> list[Body]:
+    """Remove contradictions, and what other literals or bodies imply. Number local variables from `LOCAL` on."""
+    kept: list[Body] = []
+    for body in dict.fromkeys(bodies):
+        if any((not sign, name, arguments) in body for sign, name, arguments in body):
+            continue
+        reduced = _numbered(_condensed(body, arity), arity)
+        if any(_subsumes(other, reduced, arity) for other in kept):
+            continue
+        kept = [other for other in kept if not _subsumes(reduced, other, arity)]
+        kept.append(reduced)
+    return kept
+
+
+def _condensed(body: Body, arity: int) -> Body:
+    """Remove literals that the others imply, because a variable can have the value of another one."""
+    for literal in sorted(body):
+        rest = body - {literal}
+        if _subsumes(body, rest, arity):
+            body = rest
+    return body
+
+
+def _numbered(body: Body, arity: int) -> Body:
+    """Number the local variables in order."""
+    names: dict[int, int] = {}
+    for _, _, arguments in sorted(body):
+        for variable in arguments:
+            if variable >= arity:
+                names.setdefault(variable, LOCAL + len(names))
+    return _renamed(body, names)
+
+
+def _subsumes(general: Body, special: Body, arity: int) -> bool:
+    """Return whether some values of the local variables turn all literals of one body into literals of another."""
+
+    def match(literals: Sequence[Atom], names: Mapping[int, int]) -> bool:
+        if not literals:
+            return True
+        sign, name, arguments = literals[0]
+        for other_sign, other_name, others in special:
+            if (sign, name) != (other_sign, other_name):
+                continue
+            bound = dict(names)
+            if all(
+                bound.setdefault(one, other if one >= arity else one) == other
+                for one, other in zip(arguments, others, strict=True)
+            ) and match(literals[1:], bound):
+                return True
+        return False
+
+    return {literal[:2] for literal in general} <= {literal[:2] for literal in special} and match(sorted(general), {})
+
+
+VARIABLES = ("X", "Y", "Z", "W", "V", "U", "T", "S")
+
+
+def _clause(head: str, arguments: tuple[int, ...], body: Body, more: Sequence[str] = ()) -> str:
+    """Format a clause. A variable that no positive literal binds gets the literal that the ego sees its value."""
+    ego = arguments[0]
+    bound = {v for sign, _, literal in body for v in literal if sign}
+    used = [*arguments, *sorted({v for _, _, literal in body for v in literal} - {*arguments, EGO})]
+    names = {variable: VARIABLES[at] if at < len(VARIABLES) else f"V{at}" for at, variable in enumerate(used)}
+    names[EGO] = names[ego]
+
+    def atom(name: str, variables: Iterable[int]) -> str:
+        return f"{name}({', '.join(names[variable] for variable in variables)})"
+
+    # Literals about the ego come first, positive ones before negative ones.
+    ordered = sorted(body, key=lambda literal: (max(literal[2]), not literal[0], literal[1:]))
+    literals = [*more]
+    literals += [
+        atom(name, variables) if sign else f"Not({atom(name, variables)})" for sign, name, variables in ordered
+    ]
+    unbound = [variable for variable in used if variable not in (*bound, ego)]
+    literals += [atom("Sees", (ego, variable)) for variable in unbound]
+    if not unbound and not bound & {ego, EGO}:
+        literals.append(atom("Sees", (ego, ego)))
+    return f"{atom(head, arguments)} :- {', '.join(literals)}."
+
+
+class HriPolicy(Policy):
+    """A policy that evaluates learned rules.
+
+    Attributes:
+        mode: The mode of the training.
+        layout: The positions of truth values in observations.
+        settings: The settings.
+        models: The rules of each action, in the order of precedence.
+    """
+
+    def __init__(self, mode: str, layout: Layout, settings: HriSettings, models: Mapping[str, Rules]) -> None:
+        """Store the arguments."""
+        self.mode, self.layout, self.settings, self.models = mode, layout, settings, dict(models)
+
+    def derived(self, observation: Observations) -> Bools:
+        """Return which actions the rules derive, (actions of `models`, batch), without precedence among them."""
+        if observation.ndim != 2 or observation.shape[1] != self.layout.width:
+            raise ValueError(f"expected observations of shape (batch, {self.layout.width}), not {observation.shape}")
+        values = relations(self.layout, observation)
+        return np.array([rules.holds(*values) for rules in self.models.values()], np.bool_)
+
+    def predict(
+        self, observation: Observations, state: Any = None, episode_start: Any = None, deterministic: bool = True
+    ) -> tuple[Actions, Any]:
+        """Return the first derived action, or Normal."""
+        actions = np.full(len(observation), ACTIONS.index("Normal"), np.int64)
+        if self.models:
+            derived = self.derived(observation)
+            for name, chosen in reversed(list(zip(self.models, derived, strict=True))):
+                actions[chosen] = ACTIONS.index(name)
+        return actions, None
+
+    def rules(self) -> str:
+        """Return the rules as the text of a rule file, whose clauses derive the same actions as `predict`."""
+        lines = [f"// Rules learned by hierarchical rule induction from demonstrations of {self.mode}."]
+        lines.append('.include "vocabulary.dl"')
+        earlier: list[str] = []
+        for action, rules in self.models.items():
+            bodies, definitions = rules.bodies()
+            for name, arguments, parts in definitions:
+                columns = ", ".join(f"{column}: agent" for column in ("e", "x", "y")[:arguments])
+                lines += [
+                    "",
+                    f"/// A part of the rules for {action}; e is the agent that decides.",
+                    f".decl {action}{name}({columns})",
+                ]
+                head = (EGO, 0, 1)[:arguments]
+                lines += [_clause(f"{action}{name}", head, body) for body in _prefixed(action, parts, definitions)]
+            guards = [f"Not({name}(X))" for name in earlier]
+            if bodies:
+                lines += ["", *(_clause(action, (0,), body, guards) for body in _prefixed(action, bodies, definitions))]
+                earlier.append(action)
+        return "\n".join(lines) + "\n"
+
+    def save(self, path: Path) -> None:
+        """Write the policy to a file."""
+        plain = {
+            "format": FORMAT,
+            "algorithm": "hri",
+            "mode": self.mode,
+            "layout": _plain(self.layout),
+            "settings": self.settings.model_dump(),
+            "models": [
+                (action, len(rules.hypothesis.levels), list(rules.choices)) for action, rules in self.models.items()
+            ],
+        }
+        torch.save(plain, path)
+
+    @classmethod
+    def load(cls, path: Path) -> HriPolicy:
+        """Read a policy that `save` wrote.
+
+        Raises:
+            OSError: If the file cannot be read.
+            ValueError: If the file is not such a policy.
+        """
+        plain = _load(path, FORMAT)
+        try:
+            layout = _layout(*plain["layout"])
+            settings = HriSettings.model_validate(plain["settings"])
+            models = {}
+            for action, depth, choices in plain["models"]:
+                if depth not in range(1, 17):
+                    raise ValueError(f"{depth} layers")
+                hypothesis = Hypothesis(layout, settings, depth)
+                models[action] = Rules(hypothesis, tuple(choices))
+                if action not in ACTIONS or not models[action].is_valid():
+                    raise ValueError(f"invalid rules for {action}")
+            return cls(plain["mode"], layout, settings, models)
+        except (KeyError, TypeError, ValueError) as error:
+            raise ValueError(f"{path} is not a policy of hri: {error}") from error
+
+
+def _plain(layout: Layout) -> tuple[int, list[tuple[str, int]], bool]:
+    """Return the number of entities, the predicates with their arities in order, and whether a route length follows."""
+    starts = [(int(at), name, 1) for name, at in zip(layout.unary, layout.unary_at[0], strict=True)]
+    starts += [(int(at), name, 2) for name, at in zip(layout.binary, layout.binary_at[0, 0], strict=True)]
+    return layout.entities, [(name, arity) for _, name, arity in sorted(starts)], layout.route_length is not None
+
+
+def _layout(entities: int, predicates: Sequence[tuple[str, int]], route_length: bool) -> Layout:
+    """Return the layout that `_plain` described."""
+    atoms = [(name, at) for name, arity in predicates for at in product(range(entities), repeat=arity)]
+    return Layout.of_atoms(atoms, route_length)
+
+
+def _prefixed(action: str, bodies: Iterable[Body], definitions: Iterable[tuple[str, int, Any]]) -> list[Body]:
+    """Add the name of an action to the names of its definitions."""
+    own = {name for name, _, _ in definitions}
+    return [
+        frozenset((sign, f"{action}{name}" if name in own else name, arguments) for sign, name, arguments in body)
+        for body in bodies
+    ]
+
+
+def _load(path: Path, expected: str) -> dict[str, Any]:
+    """Read a file that `torch.save` wrote, and check its format.
+
+    Raises:
+        OSError: If the file cannot be read.
+        ValueError: If the file has another format.
+    """
+    try:
+        plain = torch.load(path, weights_only=True)
+    except OSError:
+        raise
+    except Exception as error:
+        raise ValueError(f"{path} is not a file of hri: {error}") from error
+    found = plain.get("format") if isinstance(plain, dict) else None
+    if found != expected:
+        raise ValueError(f"{path} is not a file of hri: expected the format `{expected}`, not `{found}`")
+    return dict(plain)
+
+
+class Quality(NamedTuple):
+    """How well rules agree with the oracle about one action. Better rules are larger.
+
+    Attributes:
+        reproduced: The share of trajectories in which they agree in every step. A wrong step can end an episode, or
+            stop the car forever. So this share estimates the success rate better than the accuracy.
+        accuracy: The mean of the shares of positive and of negative examples that they decide right.
+    """
+
+    reproduced: float
+    accuracy: float
+
+
+class _Model:
+    """The models of one action in training: `restarts` of them, which differ in their first weights and in the noise.
+
+    Attributes:
+        best: The best rules of this generation on the demonstrations; at its start, those of the last one.
+        quality: The quality of `best`; negative at the start of a generation.
+    """
+
+    def __init__(self, hypothesis: Hypothesis, settings: HriSettings, generator: torch.Generator) -> None:
+        """Draw the embeddings."""
+        self.hypothesis, self.settings = hypothesis, settings
+        self.hidden = ~hypothesis.visible()
+        self.start(generator)
+        self.best = Rules(hypothesis, tuple(self._extract()[0]))
+
+    def start(self, generator: torch.Generator) -> None:
+        """Start a generation: draw the embeddings."""
+        restarts, hypothesis = self.settings.restarts, self.hypothesis
+        dimension = self.settings.dimension or hypothesis.predicates
+        self.predicates = torch.randn(restarts, hypothesis.predicates, dimension, generator=generator)
+        self.rules = torch.randn(restarts, hypothesis.slots, dimension, generator=generator)
+        for weights in (self.predicates, self.rules):
+            weights.requires_grad_()
+        self.optimizer = torch.optim.Adam([{"params": [self.predicates]}, {"params": [self.rules]}], lr=1.0)
+        self.quality = Quality(-1.0, -1.0)
+
+    def similarities(self) -> torch.Tensor:
+        """Return the cosine similarities of slots and predicates, (restarts, slots, predicates)."""
+        rules = torch.nn.functional.normalize(self.rules, dim=-1)
+        predicates = torch.nn.functional.normalize(self.predicates, dim=-1)
+        similarities: torch.Tensor = rules @ predicates.transpose(-1, -2)
+        return similarities.masked_fill(self.hidden, -torch.inf)
+
+    def _extract(self) -> list[list[int]]:
+        with torch.no_grad():
+            choices: list[list[int]] = self.similarities().argmax(-1).tolist()
+        return choices
+
+    def extract(self, examples: Examples) -> None:
+        """Discretize all models, and keep the best one if it improves on `best`."""
+        for choices in dict.fromkeys(map(tuple, self._extract())):
+            rules = Rules(self.hypothesis, choices)
+            quality = examples.quality(rules)
+            if quality > self.quality:
+                self.best, self.quality = rules, quality
+
+    def state(self) -> dict[str, Any]:
+        """Return the weights, the state of the optimizer, and the best rules as plain data."""
+        return {
+            "predicates": self.predicates.detach(),
+            "rules": self.rules.detach(),
+            "optimizer": self.optimizer.state_dict(),
+            "choices": list(self.best.choices),
+            "quality": list(self.quality),
+        }
+
+    def restore(self, state: Mapping[str, Any], place: str) -> None:
+        """Restore what `state` returned.
+
+        Raises:
+            ValueError: If the sizes are those of other settings.
+        """
+        best = Rules(self.hypothesis, tuple(state["choices"]))
+        weights = {"predicates": self.predicates, "rules": self.rules}
+        if not best.is_valid() or any(state[name].shape != weight.shape for name, weight in weights.items()):
+            raise ValueError(f"{place}: the sizes are those of other settings")
+        with torch.no_grad():
+            for name, weight in weights.items():
+                weight.copy_(state[name])
+        self.optimizer.load_state_dict(state["optimizer"])
+        self.best, self.quality = best, Quality(*state["quality"])
+
+    def update(self, examples: Examples, progress: float, generator: torch.Generator) -> float:
+        """Do one update. `progress` is the share of the updates that are done. Returns the mean loss."""
+        settings = self.settings
+        rates = (settings.embedding_rates, settings.rule_rates)
+        for group, rate in zip(self.optimizer.param_groups, rates, strict=True):
+            group["lr"] = _between(rate, progress)
+        unary, binary, exist, wanted = examples.sample(settings.batch, generator)
+        similarities = self.similarities()
+        uniform = torch.rand(similarities.shape, generator=generator).clamp_(1e-10, 1 - 1e-7)
+        noise = -torch.log(-torch.log(uniform)) * _between(settings.noise, progress)
+        degrees = torch.softmax((similarities + noise) / _between(settings.temperatures, progress), -1)
+        values = self.hypothesis.infer(degrees, unary, binary, exist, settings.conjunction)
+        fit = torch.nn.functional.binary_cross_entropy(
+            values.clamp(1e-6, 1 - 1e-6), wanted.expand_as(values), reduction="none"
+        ).mean(1)
+        loss = fit + settings.regularization * (degrees * (1 - degrees)).mean((1, 2))
+        self.optimizer.zero_grad()
+        # The models share no weights: the gradient of the sum has the gradient of each.
+        loss.sum().backward()
+        self.optimizer.step()
+        return float(fit.detach().mean())
+
+
+def _between(ends: tuple[float, float], progress: float) -> float:
+    """Interpolate exponentially."""
+    return float(ends[0] * (ends[1] / ends[0]) ** progress)
+
+
+class Examples:
+    """The distinct observations of demonstrations, and in which of them the oracle takes an action.
+
+    Args:
+        hypothesis: The predicates.
+        layout: The positions of truth values in observations.
+        observations: The observation of each step.
+        taken: Whether the oracle takes the action, by step.
+        trajectories: The number of the trajectory of each step, from 0.
+    """
+
+    def __init__(
+        self,
+        hypothesis: Hypothesis,
+        layout: Layout,
+        observations: Observations,
+        taken: Bools,
+        trajectories: NDArray[Any],
+    ) -> None:
+        """Prepare the truth values."""
+        rows, first, self._at = np.unique(observations, axis=0, return_index=True, return_inverse=True)
+        self.unary, self.binary = relations(layout, rows)
+        self.taken, self._trajectories = taken[first], trajectories
+        one, two = hypothesis.facts(self.unary, self.binary)
+        self._unary, self._binary = torch.from_numpy(one).float(), torch.from_numpy(two).float()
+        self._exist = torch.from_numpy(present(self.unary, self.binary)).float()
+        self._parts = [torch.from_numpy(np.flatnonzero(self.taken == sign)) for sign in (True, False)]
+
+    def sample(
+        self, batch: int, generator: torch.Generator
+    ) -> tuple[torch.Tensor, torch.Tensor, torch.Tensor, torch.Tensor]:
+        """Draw examples, half of them positive. Returns values of symbols, which entities exist, and the labels."""
+        sizes = (batch // 2, batch - batch // 2)
+        draws = [
+            part[torch.randint(len(part), (size,), generator=generator)] if len(part) else part
+            for part, size in zip(self._parts, sizes, strict=True)
+        ]
+        at = torch.cat(draws)
+        wanted = torch.cat([torch.ones(len(draws[0])), torch.zeros(len(draws[1]))])
+        return self._unary[:, at], self._binary[:, at], self._exist[at], wanted
+
+    def quality(self, rules: Rules) -> Quality:
+        """Measure rules on the demonstrations."""
+        right = rules.holds(self.unary, self.binary) == self.taken
+        rates = [float(right[self.taken == sign].mean()) for sign in (True, False) if (self.taken == sign).any()]
+        wrong = np.bincount(self._trajectories, ~right[self._at])
+        return Quality(float((wrong == 0).mean()), sum(rates) / len(rates))
+
+
+class HRI(Learner):
+    """Hierarchical Rule Induction. One step updates the models of all actions once."""
+
+    settings_class: ClassVar[type[LearnerSettings]] = HriSettings
+    unit = "updates"
+    interacts = False
+    policy_class: ClassVar[type[Policy]] = HriPolicy
+
+    def __init__(self, config: TrainConfig, log: Path | None = None) -> None:
+        """Run the oracle on the recorded training episodes, and draw the first weights."""
+        super().__init__(config, log)
+        assert isinstance(config.settings, HriSettings)
+        self._settings = settings = config.settings
+        asked = {constraint["action"] for constraint in _logicity.describe(load_task(config.mode))["constraints"]}
+        data = DemonstrationData.load(config.mode, config.demonstrations)
+        self._layout = data.layout
+        self._generator = torch.Generator().manual_seed(config.seed)
+        self._models: dict[str, _Model] = {}
+        self._examples: dict[str, Examples] = {}
+        for action in settings.order:
+            if action not in asked:
+                continue
+            hypothesis = Hypothesis(self._layout, settings, settings.depth_of.get(action, settings.depth))
+            self._examples[action] = Examples(
+                hypothesis,
+                self._layout,
+                data.observations.numpy(),
+                data.actions.numpy() == ACTIONS.index(action),
+                data.trajectories.numpy(),
+            )
+            self._models[action] = _Model(hypothesis, settings, self._generator)
+        self._steps = 0
+        self._writer: Any = None
+
+    @property
+    def steps(self) -> int:
+        """The number of updates so far."""
+        return self._steps
+
+    def fit(self, steps: int, progress: Progress) -> None:
+        """Train until `self.steps` reaches `steps`."""
+        while self._steps < steps:
+            length = self._settings.generation or self.config.steps
+            if self._steps and self._steps % length == 0:
+                for model in self._models.values():
+                    model.start(self._generator)
+            done = self._steps % length / length
+            losses = {
+                action: model.update(self._examples[action], done, self._generator)
+                for action, model in self._models.items()
+            }
+            self._steps += 1
+            if self._steps % self._settings.extract_every == 0 or self._steps == self.config.steps:
+                for action, model in self._models.items():
+                    model.extract(self._examples[action])
+                    self._write(f"loss/{action}", losses[action])
+                    self._write(f"accuracy/{action}", model.quality.accuracy)
+                    self._write(f"reproduced/{action}", model.quality.reproduced)
+            progress()
+
+    def _write(self, name: str, value: float) -> None:
+        """Add a value to the training curves."""
+        if self.log is None:
+            return
+        if self._writer is None:
+            from torch.utils.tensorboard.writer import SummaryWriter
+
+            self._writer = SummaryWriter(str(self.log), purge_step=self._steps)
+        self._writer.add_scalar(name, value, self._steps)
+
+    def policy(self) -> HriPolicy:
+        """Return the best rules so far."""
+        return HriPolicy(
+            self.config.mode,
+            self._layout,
+            self._settings,
+            {action: model.best for action, model in self._models.items()},
+        )
+
+    def save(self, folder: Path) -> None:
+        """Write the weights, the best rules, and the states of the optimizers and of the generator."""
+        plain = {
+            "format": CHECKPOINT,
+            "steps": self._steps,
+            "generator": self._generator.get_state(),
+            "models": {action: model.state() for action, model in self._models.items()},
+        }
+        torch.save(plain, folder / "hri.pt")
+
+    def restore(self, folder: Path) -> None:
+        """Restore what `save` wrote.
+
+        Raises:
+            OSError: If the file cannot be read.
+            ValueError: If the file does not fit the configuration.
+        """
+        path = folder / "hri.pt"
+        plain = _load(path, CHECKPOINT)
+        if list(plain["models"]) != list(self._models):
+            raise ValueError(f"{path} has models of other actions: {', '.join(plain['models'])}")
+        for action, model in self._models.items():
+            model.restore(plain["models"][action], f"{path}, {action}")
+        self._generator.set_state(plain["generator"])
+        self._steps = plain["steps"]
+
+    def close(self) -> None:
+        """Close the log."""
+        if self._writer is not None:
+            self._writer.close()

@@ -1,0 +1,338 @@
+"""Run the cells of an experiment in processes or on Ray. Finished cells are kept, unfinished ones resume."""
+
+from __future__ import annotations
+
+import io
+import json
+import os
+import queue
+import shutil
+import subprocess
+import sys
+import tempfile
+import threading
+import time
+import zipfile
+from collections.abc import Callable, Iterator, Sequence
+from contextlib import suppress
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import IO, Any
+
+from ..errors import missing_extra
+from ..files import reserved
+from .cells import Cell, finished, prepare
+
+__all__ = ["run", "run_in_processes", "run_on_ray"]
+
+#: Receives a line of progress.
+Say = Callable[[str], None]
+
+#: The interval between two lines of progress, in seconds.
+SECONDS = 30.0
+
+
+@dataclass
+class Watch:
+    """The state of a run: which cells are done, and how long the others will take."""
+
+    cells: Sequence[Cell]
+    jobs: int
+    say: Say
+    failed: dict[str, str] = field(default_factory=dict)
+    done: int = 0
+
+    def __post_init__(self) -> None:
+        """Start the clock."""
+        self._durations: dict[str, list[float]] = {}
+        self._running: dict[str, tuple[Cell, float, int, int]] = {}
+        self._shown = time.monotonic()
+
+    def started(self, cell: Cell) -> None:
+        """Note that a cell has started."""
+        self._running[cell.identity] = (cell, time.monotonic(), 0, 0)
+
+    def reported(self, cell: Cell, steps: int) -> None:
+        """Note the number of training steps of a cell."""
+        _, begun, first, _ = self._running[cell.identity]
+        self._running[cell.identity] = (cell, begun, first or steps, steps)
+
+    def finished(self, cell: Cell, measured: dict[str, Any]) -> None:
+        """Note the end of a cell, and print its TSR."""
+        begun = self._running.pop(cell.identity)[1]
+        self._durations.setdefault(cell.row, []).append(time.monotonic() - begun)
+        self.done += 1
+        name, evaluation = next(iter(measured["evaluations"].items()))
+        tsr, cpu = evaluation["tsr"]["value"], measured["result"]["cpu_seconds"] / 60
+        self.say(f"{self._count()} {cell.name}: TSR {tsr:.2f} ({name}), {cpu:.1f} CPU min; {self.left()}")
+
+    def failure(self, cell: Cell, message: str) -> None:
+        """Note that a cell has failed."""
+        self._running.pop(cell.identity, None)
+        self.done += 1
+        self.failed[cell.identity] = message
+        first = next(iter(message.splitlines()), "no message")
+        self.say(f"{self._count()} {cell.name}: {'not run' if cell.optional else 'failed'}: {first}")
+
+    def tick(self) -> None:
+        """Print a line about the running cells if the last one is some time old."""
+        now = time.monotonic()
+        if now - self._shown < SECONDS:
+            return
+        self._shown = now
+        parts = [
+            f"{cell.name} {min(1.0, steps / cell.config.steps):.0%}" for cell, _, _, steps in self._running.values()
+        ]
+        self.say(f"{self._count()} running: {'; '.join(parts) or 'none'}; {self.left()}")
+
+    def _count(self) -> str:
+        return f"[{self.done}/{len(self.cells)}]"
+
+    def left(self) -> str:
+        """Estimate the remaining time from the finished and the running cells."""
+        now = time.monotonic()
+        known = {row: sum(each) / len(each) for row, each in self._durations.items()}
+        left = 0.0
+        for cell, begun, first, steps in self._running.values():
+            if steps > first:
+                whole = (now - begun) * (cell.config.steps - first) / (steps - first)
+                known.setdefault(cell.row, whole)
+                left += max(0.0, whole - (now - begun))
+            elif cell.row in known:
+                left += max(0.0, known[cell.row] - (now - begun))
+        if not known:
+            return "no estimate yet"
+        mean = sum(known.values()) / len(known)
+        waiting = {cell.identity: cell for cell in self.pending} if self.pending else {}
+        left += sum(known.get(cell.row, mean) for cell in waiting.values())
+        minutes = left / max(1, self.jobs) / 60
+        hours, rest = divmod(round(minutes), 60)
+        return f"about {f'{hours} h ' if hours else ''}{rest} min left"
+
+    #: The cells that have not started.
+    pending: list[Cell] = field(default_factory=list)
+
+
+def _unfinished(cells: Sequence[Cell], root: Path, watch: Watch) -> list[Cell]:
+    """Return the cells that have no result yet."""
+    pending = [cell for cell in cells if finished(cell, root) is None]
+    watch.done = len(cells) - len(pending)
+    watch.pending = pending
+    if watch.done:
+        watch.say(f"{watch.done} of {len(cells)} cells are finished already")
+    return pending
+
+
+def _startable(watch: Watch, root: Path) -> Iterator[Cell]:
+    """Yield and remove pending cells whose start is finished. Report those whose start has failed."""
+    for cell in list(watch.pending):
+        if cell.start is not None and cell.start.identity in watch.failed:
+            watch.pending.remove(cell)
+            watch.failure(cell, f"it starts from {cell.start.name}, which failed")
+        elif cell.start is None or finished(cell.start, root) is not None:
+            watch.pending.remove(cell)
+            yield cell
+
+
+def run(
+    cells: Sequence[Cell], root: Path, jobs: int, say: Say, address: str | None = None, wandb: str | None = None
+) -> dict[str, str]:
+    """Run cells in processes, or on Ray if an address is given. No other process may run the experiment meanwhile.
+
+    The arguments, the result and the exceptions are those of `run_in_processes` and `run_on_ray`.
+    """
+    root.mkdir(parents=True, exist_ok=True)
+    # The reservation ends with this process, even if it is killed.
+    with reserved(root / "running", record=False):
+        if address is None:
+            return run_in_processes(cells, root, jobs, say, wandb=wandb)
+        return run_on_ray(cells, root, address, jobs, say, wandb=wandb)
+
+
+def run_in_processes(
+    cells: Sequence[Cell], root: Path, jobs: int, say: Say, *, wandb: str | None = None
+) -> dict[str, str]:
+    """Run cells, each in a process with one thread.
+
+    Args:
+        cells: The cells.
+        root: The folder of the experiment.
+        jobs: The number of processes.
+        say: Receives lines of progress.
+        wandb: The project of Weights & Biases, as for `train`.
+
+    Returns:
+        The messages of the cells that failed, by identity.
+
+    Raises:
+        OSError: If a folder cannot be written.
+    """
+    watch = Watch(cells, jobs, say)
+    _unfinished(cells, root, watch)
+    messages: queue.Queue[tuple[Cell, dict[str, Any] | None]] = queue.Queue()
+    processes: dict[str, tuple[Cell, subprocess.Popen[str]]] = {}
+    errors: dict[str, str] = {}
+    try:
+        while watch.pending or processes:
+            startable = _startable(watch, root)
+            while len(processes) < jobs and (cell := next(startable, None)) is not None:
+                folder = prepare(cell, root)
+                with open(folder / "log.txt", "a", encoding="utf-8") as log:
+                    process = _start(folder, log, wandb)
+                processes[cell.identity] = (cell, process)
+                watch.started(cell)
+                threading.Thread(target=_read, args=(cell, process, messages), daemon=True).start()
+            if not processes:
+                continue
+            try:
+                cell, message = messages.get(timeout=1.0)
+            except queue.Empty:
+                watch.tick()
+                continue
+            if message is None:
+                _, process = processes.pop(cell.identity)
+                code = process.wait()
+                _close(process)
+                measured = finished(cell, root)
+                if measured is not None:
+                    watch.finished(cell, measured)
+                else:
+                    ended = f"its process ended with the code {code}; see {cell.folder(root) / 'log.txt'}"
+                    watch.failure(cell, errors.get(cell.identity, ended))
+            elif "steps" in message:
+                watch.reported(cell, message["steps"])
+            elif "error" in message:
+                errors[cell.identity] = message["error"]
+            watch.tick()
+    finally:
+        # Closing the standard input ends a process and what it started.
+        for _, process in processes.values():
+            _close(process)
+            process.wait()
+    return watch.failed
+
+
+def _start(folder: Path, log: IO[str], wandb: str | None) -> subprocess.Popen[str]:
+    command = [sys.executable, "-m", "logicity.learn.cells", str(folder), *([wandb] if wandb else [])]
+    # One thread per cell: the cells themselves run in parallel.
+    threads = dict.fromkeys(("OMP_NUM_THREADS", "MKL_NUM_THREADS", "OPENBLAS_NUM_THREADS"), "1")
+    return subprocess.Popen(
+        command,
+        stdin=subprocess.PIPE,
+        stdout=subprocess.PIPE,
+        stderr=log,
+        text=True,
+        env={**os.environ, **threads},
+        # Ctrl-C reaches only this process, which then ends the others.
+        start_new_session=True,
+    )
+
+
+def _read(
+    cell: Cell, process: subprocess.Popen[str], messages: queue.Queue[tuple[Cell, dict[str, Any] | None]]
+) -> None:
+    """Forward the lines of a process, and then `None`."""
+    assert process.stdout is not None
+    for line in process.stdout:
+        with suppress(ValueError):
+            messages.put((cell, json.loads(line)))
+    messages.put((cell, None))
+
+
+def _close(process: subprocess.Popen[str]) -> None:
+    for stream in (process.stdin, process.stdout):
+        if stream is not None:
+            with suppress(OSError):
+                stream.close()
+
+
+def run_on_ray(
+    cells: Sequence[Cell], root: Path, address: str, jobs: int, say: Say, *, wandb: str | None = None
+) -> dict[str, str]:
+    """Run cells on Ray, each as a task with one CPU. If a worker is lost, its cell runs again.
+
+    Args:
+        cells: The cells.
+        root: The folder of the experiment on this machine.
+        address: The address of a cluster, or `local` for a new one on this machine.
+        jobs: The number of workers of a local cluster.
+        say: Receives lines of progress.
+        wandb: The project of Weights & Biases, as for `train`.
+
+    Returns:
+        The messages of the cells that failed, by identity.
+
+    Raises:
+        ConnectionError: If the cluster does not answer.
+        ImportError: If Ray is not installed.
+        OSError: If a folder cannot be written.
+    """
+    try:
+        import ray
+    except ImportError as error:
+        raise missing_extra("ray", error) from error
+    threads = dict.fromkeys(("OMP_NUM_THREADS", "MKL_NUM_THREADS", "OPENBLAS_NUM_THREADS"), "1")
+    options: dict[str, Any] = {"num_cpus": jobs, "include_dashboard": False} if address == "local" else {}
+    ray.init(address=address, log_to_driver=False, runtime_env={"env_vars": threads}, **options)
+    # A new process for each cell, as in `run_in_processes`. Only the loss of a worker repeats a cell.
+    task = ray.remote(num_cpus=1, max_calls=1, max_retries=-1)(_in_worker)
+    watch = Watch(cells, jobs, say)
+    _unfinished(cells, root, watch)
+    running: dict[Any, Cell] = {}
+    try:
+        while watch.pending or running:
+            for cell in _startable(watch, root):
+                folder = prepare(cell, root)
+                files = {path.name: path.read_bytes() for path in (folder / "cell.json", *folder.glob("start.*"))}
+                running[task.remote(cell.identity, files, wandb)] = cell
+                watch.started(cell)
+            ready, _ = ray.wait(list(running), num_returns=1, timeout=1.0) if running else ([], [])
+            for reference in ready:
+                cell = running.pop(reference)
+                try:
+                    _unpack(ray.get(reference), cell.folder(root))
+                    measured = finished(cell, root)
+                    assert measured is not None
+                    watch.finished(cell, measured)
+                except ray.exceptions.RayTaskError as error:
+                    watch.failure(cell, str(error.cause or error))
+                except ray.exceptions.RayError as error:
+                    watch.failure(cell, str(error))
+            watch.tick()
+    finally:
+        ray.shutdown()
+    return watch.failed
+
+
+def _in_worker(identity: str, files: dict[str, bytes], wandb: str | None) -> bytes:
+    """Run a cell in a worker, and return its files as a zip archive.
+
+    The folder is temporary, but stays if the worker is lost, so that the cell resumes if it runs again on this machine.
+    """
+    from .cells import run_cell
+
+    folder = Path(tempfile.gettempdir()) / "logicity-cells" / identity
+    folder.mkdir(parents=True, exist_ok=True)
+    for name, content in files.items():
+        temporary = folder / f".{name}"
+        temporary.write_bytes(content)
+        temporary.replace(folder / name)
+    run_cell(folder, wandb=wandb)
+    archive = io.BytesIO()
+    with zipfile.ZipFile(archive, "w", zipfile.ZIP_DEFLATED) as out:
+        for path in sorted(folder.rglob("*")):
+            if path.is_file() and not path.relative_to(folder).parts[0].startswith(("checkpoint-", ".")):
+                out.write(path, path.relative_to(folder))
+    shutil.rmtree(folder, ignore_errors=True)
+    return archive.getvalue()
+
+
+def _unpack(archive: bytes, folder: Path) -> None:
+    """Write the files of a cell. `measured.json`, which marks the cell as finished, is the last one."""
+    with zipfile.ZipFile(io.BytesIO(archive)) as files:
+        for name in sorted(files.namelist(), key=lambda name: name == "measured.json"):
+            target = folder / name
+            target.parent.mkdir(parents=True, exist_ok=True)
+            temporary = target.with_name(f".{target.name}")
+            temporary.write_bytes(files.read(name))
+            temporary.replace(target)

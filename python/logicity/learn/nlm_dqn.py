@@ -1,0 +1,49 @@
+"""Deep Q-learning with a Neural Logic Machine as features: NLM-DQN of the paper."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING, Any, ClassVar
+
+from stable_baselines3 import DQN
+
+from .cloning import LogicSettings
+from .demonstrations import layout_of
+from .features import LogicFeatures
+from .stable_baselines import StableBaselinesLearner, settings_model
+
+if TYPE_CHECKING:
+    from ..env_config import ObservationKind
+    from .config import TrainConfig
+
+__all__ = ["NlmDqnLearner", "NlmDqnSettings"]
+
+_DqnSettings: Any = settings_model(DQN)
+
+
+class NlmDqnSettings(_DqnSettings, LogicSettings):
+    """The settings of `nlm-dqn`: those of DQN, and those of the machine.
+
+    `network` are the widths of the layers with ReLU between the predicates of the ego and the values of the actions.
+    """
+
+
+class NlmDqnLearner(StableBaselinesLearner):
+    """Deep Q-learning whose features are the predicates that a Neural Logic Machine invents for the ego."""
+
+    settings_class = NlmDqnSettings
+    observations: ClassVar[tuple[ObservationKind, ...]] = ("groundings",)
+
+    @classmethod
+    def policy_arguments(cls, config: TrainConfig, settings: dict[str, Any]) -> dict[str, Any]:
+        """Return the machine as features, and the layers after it."""
+        layout = layout_of(config.mode)
+        machine = {name: settings.pop(name) for name in LogicSettings.model_fields}
+        return {
+            "features_extractor_class": LogicFeatures,
+            "features_extractor_kwargs": {
+                "atoms": layout.atoms(),
+                "route_length": layout.route_length is not None,
+                **machine,
+            },
+            "net_arch": list(settings.pop("network")),
+        }

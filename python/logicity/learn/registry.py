@@ -1,0 +1,141 @@
+"""The learners by name, and the files of their policies. A learner's module is imported on first use."""
+
+from __future__ import annotations
+
+import errno
+import importlib
+import json
+import os
+from dataclasses import dataclass
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import torch
+
+from .learner import Learner, Policy
+
+if TYPE_CHECKING:
+    from ..env_config import ObservationKind
+
+__all__ = ["LEARNERS", "SavedPolicy", "learner_class", "load_policy"]
+
+LEARNERS: dict[str, str] = {
+    "dqn": "stable_baselines:DQNLearner",
+    "ppo": "stable_baselines:PPOLearner",
+    "a2c": "stable_baselines:A2CLearner",
+    "nlm-dqn": "nlm_dqn:NlmDqnLearner",
+    "mb-shooting": "shooting:Shooting",
+    "dreamer": "dreamer:Dreamer",
+    "ppo-fast": "fast_ppo:FastPPO",
+    "mlp": "cloning:MlpLearner",
+    "gnn": "cloning:GnnLearner",
+    "nlm": "cloning:NlmLearner",
+    "hri": "hri:HRI",
+}
+"""The module and the class of each learner, keyed by its name in training files."""
+
+
+def learner_class(name: str) -> type[Learner]:
+    """Return the class of a learner.
+
+    Args:
+        name: A key of `LEARNERS`.
+
+    Raises:
+        KeyError: If the name is unknown.
+    """
+    module, _, cls = LEARNERS[name].partition(":")
+    learner: type[Learner] = getattr(importlib.import_module(f".{module}", __package__), cls)
+    return learner
+
+
+@dataclass(frozen=True)
+class SavedPolicy:
+    """A policy from a file, with what the file and the run around it record.
+
+    Attributes:
+        policy: The policy.
+        path: The file.
+        algorithm: The name of the learner.
+        mode: The mode of the training, or the path of its configuration file; `None` if nothing records it.
+        observation: The kind of observation of the training; `None` if nothing records it.
+    """
+
+    policy: Policy
+    path: Path
+    algorithm: str
+    mode: str | None
+    observation: ObservationKind | None
+
+
+def load_policy(path: str | os.PathLike[str]) -> SavedPolicy:
+    """Load a policy of any learner.
+
+    Args:
+        path: A file that `Policy.save` wrote, or the folder of a finished run of `logicity train`.
+
+    Raises:
+        OSError: If the file cannot be read, or the folder has no policy.
+        ValueError: If the file is not a policy of a known learner.
+    """
+    file = Path(path)
+    if file.is_dir():
+        best = sorted(file.glob("best.*"))
+        if not best:
+            raise FileNotFoundError(
+                f"`{file}` is a folder without a file `best.*`, which `logicity train` writes at the end of a run\n"
+                "help: name the file of a policy"
+            )
+        file = best[0]
+    if not file.is_file():
+        raise FileNotFoundError(errno.ENOENT, "no such file", os.fspath(path))
+    recorded = _recorded(file)
+    if file.suffix == ".zip":
+        from .stable_baselines import algorithm_of
+
+        saved = {"algorithm": algorithm_of(file)}
+    elif file.suffix == ".pt":
+        saved = _header(file)
+    else:
+        raise ValueError(f"{file} is not a policy: its suffix must be .pt or .zip")
+    algorithm = str(saved["algorithm"])
+    return SavedPolicy(
+        policy=learner_class(algorithm).policy_class.load(file),
+        path=file,
+        algorithm=algorithm,
+        mode=recorded.get("mode", saved.get("mode")),
+        observation=recorded.get("observation", saved.get("observation")),
+    )
+
+
+def _header(file: Path) -> dict[str, Any]:
+    """Return the content of a file of `torch.save`, which must name its learner.
+
+    Raises:
+        ValueError: If the file is not a policy of a known learner.
+    """
+    try:
+        saved: Any = torch.load(file, map_location="cpu", weights_only=True)
+    except OSError:
+        raise
+    except Exception:
+        # Depending on the bytes, PyTorch raises almost any exception.
+        raise ValueError(f"{file} is not a policy: PyTorch cannot read it as plain data") from None
+    header: dict[str, Any] = saved if isinstance(saved, dict) else {}
+    name = header.get("algorithm")
+    if name not in LEARNERS:
+        what = "names no learner" if name is None else f"has the unknown learner `{name}`"
+        raise ValueError(f"{file} is not a policy: it {what}; known: {', '.join(LEARNERS)}")
+    return header
+
+
+def _recorded(file: Path) -> dict[str, Any]:
+    """Return the configuration that a run records for one of its policies; empty without a record."""
+    run = file.parent.parent if file.parent.name.startswith("checkpoint-") else file.parent
+    try:
+        config = json.loads((run / "config.json").read_text(encoding="utf-8"))
+    except (OSError, ValueError):
+        return {}
+    if not isinstance(config, dict):
+        return {}
+    return {key: config[key] for key in ("mode", "observation") if isinstance(config.get(key), str)}

@@ -1,0 +1,381 @@
+"""Training runs: the loop that all learners share.
+
+Each run has a folder. `config.json` is the configuration. `checkpoint-STEPS` holds the state to resume from: the
+learner, the best policy so far, and the validation results. `tensorboard` has the training curves. At the end,
+`best.pt` (or another suffix) is the best policy, and `result.json` has its measures on the test episodes.
+"""
+
+from __future__ import annotations
+
+import hashlib
+import json
+import os
+import shutil
+import sys
+import time
+from collections.abc import Callable, Mapping
+from contextlib import ExitStack
+from dataclasses import asdict, dataclass, field
+from importlib.metadata import PackageNotFoundError, version
+from pathlib import Path
+from typing import Any
+
+import torch
+from tqdm import tqdm
+
+from .._logicity import __version__
+from ..evaluation import MEASURES, Benchmark, Evaluation, load_task, task_hashes
+from ..files import reserved, write_json
+from . import random_state
+from .config import TrainConfig
+from .learner import Learner
+
+__all__ = ["train"]
+
+#: The packages whose versions `result.json` records, besides logicity, if they are installed.
+PACKAGES = ("torch", "stable-baselines3", "torch-geometric", "numpy")
+
+
+@dataclass
+class State:
+    """The progress of a run, without the learner."""
+
+    steps: int = 0
+    cpu_seconds: float = 0.0
+    wall_seconds: float = 0.0
+    best: dict[str, Any] | None = None
+    validations: list[dict[str, Any]] = field(default_factory=list)
+    hashes: dict[str, Any] = field(default_factory=dict)
+
+
+def train(
+    config: TrainConfig,
+    run: str | os.PathLike[str],
+    *,
+    progress: bool = False,
+    tensorboard: bool = True,
+    report: Callable[[int], None] | None = None,
+    wandb: str | None = None,
+) -> dict[str, Any]:
+    """Train a learner, or resume from the last checkpoint of the same configuration.
+
+    The learner is validated every `validate_every` steps on the recorded validation episodes. The policy with the
+    largest TSR, and of these the largest score, is kept, and measured on the test episodes at the end.
+
+    A resumed run continues from the last validation. Its result equals that of an uninterrupted run bit for bit, except
+    for the times. If `steps` is larger than that of a finished run, training continues. Schedules that depend on the
+    total number of steps, such as DQN's exploration rate, then follow the new total.
+
+    Args:
+        config: The configuration.
+        run: The folder of the run, which is created if it does not exist.
+        progress: Whether to show the progress on standard error: as a bar if it is a terminal, and otherwise as lines,
+            at the start, every 10 seconds and after each validation.
+        tensorboard: Whether to write training curves.
+        report: Receives the number of steps after each step of the learner.
+        wandb: The project of Weights & Biases to which the validations and the result are sent. The package `wandb`
+            must be installed.
+
+    Returns:
+        The content of `result.json`.
+
+    Raises:
+        ImportError: If a package is missing.
+        InputError: If the configuration of the mode or an override is invalid, or no episodes are recorded.
+        OSError: If another process trains in the folder, or a file cannot be written.
+        ValueError: If the folder has another run or files of a run, the rules or episodes of the run have changed, the
+            overrides change the shape of observations, or the learner rejects the settings. Then no run starts.
+    """
+    run = Path(run)
+    checkpoints = _checkpoints(run)
+    state = State(**json.loads((checkpoints[-1] / "state.json").read_text())) if checkpoints else State()
+    hashes = _hashes(config)
+    _check_claim(run, config, state, hashes)
+    state.hashes = hashes
+    torch.set_num_threads(config.threads)
+    # Load the test episodes now, so that an error in them does not surface after hours of training.
+    val, test = (Benchmark(config.mode, split, observation=config.observation) for split in ("val", "test"))
+    _check_overrides(config, val)
+    log = run / "tensorboard" if tensorboard else None
+    learner = config.learner(config, log)
+    with ExitStack() as files:
+        files.callback(learner.close)
+        if checkpoints:
+            learner.restore(checkpoints[-1])
+        run.mkdir(parents=True, exist_ok=True)
+        # Keeps other processes from the run until its end.
+        output = files.enter_context(reserved(run / "result.json", record=False))
+        write_json(run / "config.json", config.to_dict())
+        display = files.enter_context(_Display(config, learner, progress))
+        begun = f"resumed after {state.steps:,} of" if checkpoints else "started:"
+        display.say(f"{config.algorithm} in {config.mode}, {begun} {config.steps:,} steps; folder {run}")
+        curves = files.enter_context(_Curves(run, config, log, wandb))
+        training = _Training(run, config, learner, state, val, display, curves)
+
+        def progress_and_report() -> None:
+            training.progress()
+            if report is not None:
+                report(learner.steps)
+
+        learner.fit(config.steps, progress_and_report)
+        training.finish()
+        suffix = learner.suffix
+        shutil.copyfile(_checkpoints(run)[-1] / f"best{suffix}", run / f"best{suffix}")
+        best = learner.policy_class.load(run / f"best{suffix}")
+        result = _result(config, learner, state, test.evaluate(best, name=config.algorithm))
+        curves.finish(result)
+        write_json(run / "result.json", result, output=output)
+    return result
+
+
+def _hashes(config: TrainConfig) -> dict[str, Any]:
+    """Return the hashes of what a result depends on besides the configuration: the rules, the episodes, and `start`."""
+    hashes = task_hashes(config.mode)
+    if config.start is not None:
+        hashes["start"] = hashlib.sha256(Path(config.start).read_bytes()).hexdigest()
+    return hashes
+
+
+def _check_claim(run: Path, config: TrainConfig, state: State, hashes: Mapping[str, Any]) -> None:
+    """Check that the folder has no run, or a run of this configuration with at most as many steps.
+
+    Raises:
+        ValueError: If the folder has another run.
+    """
+    stored = run / "config.json"
+    if not stored.exists():
+        policies = sorted(run.glob("best.*"))
+        foreign = [path.name for path in (run / "result.json", *policies, *_checkpoints(run)) if path.exists()]
+        if foreign:
+            raise ValueError(f"{run} has {foreign[0]}, but no run: choose another folder")
+        return
+    old, new = json.loads(stored.read_text(encoding="utf-8")), config.to_dict()
+    changed = [name for name in {**old, **new} if name != "steps" and new.get(name) != old.get(name)]
+    if changed:
+        raise ValueError(
+            f"{run} has a run of another configuration ({', '.join(f'`{name}`' for name in changed)} differ); "
+            "remove it or choose another folder"
+        )
+    different = [name for name in hashes if state.hashes and state.hashes.get(name) != hashes[name]]
+    if different:
+        raise ValueError(
+            f"{run} has a run with another content of {', '.join(different)}; remove it or choose another folder"
+        )
+    if new["steps"] < old["steps"] and new["steps"] < state.steps:
+        raise ValueError(
+            f"{run} has a run of {state.steps} steps: `steps` can be raised, not lowered to {new['steps']}"
+        )
+
+
+def _check_overrides(config: TrainConfig, benchmark: Benchmark) -> None:
+    """Check that the overrides keep the shape of observations.
+
+    Raises:
+        InputError: If an override is invalid.
+        ValueError: If the overrides change the shape.
+    """
+    if not config.overrides:
+        return
+    shape = tuple(load_task(config.mode, overrides=config.overrides).shape(config.observation))
+    if shape != benchmark.observation_shape:
+        raise ValueError(
+            f"the `overrides` change the shape of observations from {benchmark.observation_shape} to {shape}, but "
+            "validation and test use the mode without overrides: write a configuration file with these changes, and "
+            "name it under `mode`"
+        )
+
+
+class _Training:
+    """Validates a learner at intervals, keeps the best policy, and writes checkpoints."""
+
+    def __init__(
+        self,
+        run: Path,
+        config: TrainConfig,
+        learner: Learner,
+        state: State,
+        benchmark: Benchmark,
+        display: _Display,
+        curves: _Curves,
+    ) -> None:
+        """Start from a state."""
+        self._run, self._config, self._learner, self._state = run, config, learner, state
+        self._benchmark, self._display, self._curves = benchmark, display, curves
+        self._cpu_before, self._wall_before = _cpu_seconds() - state.cpu_seconds, time.monotonic() - state.wall_seconds
+
+    def progress(self) -> None:
+        """Show the progress. Validate at the first call at or after each multiple of `validate_every` steps."""
+        steps, every = self._learner.steps, self._config.validate_every
+        self._display.update(steps)
+        if steps // every > self._state.steps // every:
+            self._validate()
+
+    def finish(self) -> None:
+        """Validate the trained learner, unless its last step is validated already."""
+        self._display.update(self._learner.steps)
+        if self._state.steps < self._learner.steps or not self._state.validations:
+            self._validate()
+
+    def _validate(self) -> None:
+        """Validate the learner and write a checkpoint."""
+        policy = self._learner.policy()
+        with random_state.keep():
+            measured = self._benchmark.evaluate(policy, name=self._config.algorithm)
+        state = self._state
+        state.steps = self._learner.steps
+        state.cpu_seconds = _cpu_seconds() - self._cpu_before
+        state.wall_seconds = time.monotonic() - self._wall_before
+        point = {"steps": state.steps, "cpu_seconds": round(state.cpu_seconds, 2), **_figures(measured)}
+        state.validations.append(point)
+        self._curves.add(point)
+        self._display.say(f"validation after {state.steps:,} steps: {measured.summary()}")
+        if state.best is None or _rank(point) > _rank(state.best):
+            state.best = point
+        self._checkpoint()
+
+    def _checkpoint(self) -> None:
+        """Write a checkpoint atomically, then remove the older ones."""
+        name = f"checkpoint-{self._state.steps:010}"
+        temporary = self._run / f".{name}"
+        shutil.rmtree(temporary, ignore_errors=True)
+        temporary.mkdir()
+        self._learner.save(temporary)
+        old, best = _checkpoints(self._run), f"best{self._learner.suffix}"
+        if self._state.best is self._state.validations[-1]:
+            self._learner.policy().save(temporary / best)
+        else:
+            shutil.copyfile(old[-1] / best, temporary / best)
+        (temporary / "state.json").write_text(json.dumps(asdict(self._state), indent=1, allow_nan=False) + "\n")
+        temporary.rename(self._run / name)
+        for folder in old:
+            shutil.rmtree(folder)
+
+
+def _cpu_seconds() -> float:
+    """Return the CPU time of this process and of the processes that it has waited for."""
+    return sum(os.times()[:4])
+
+
+def _rank(point: Mapping[str, Any]) -> tuple[float, float]:
+    return point["tsr"]["value"], point["score"]["value"]
+
+
+def _figures(measured: Evaluation) -> dict[str, Any]:
+    measures = measured.to_dict()
+    return {name: measures[name] for name in (*MEASURES, "dsr_by_action", "mean_return", "mean_steps")}
+
+
+class _Curves:
+    """The measures of validations as training curves, for TensorBoard and Weights & Biases."""
+
+    def __init__(self, run: Path, config: TrainConfig, log: Path | None, project: str | None) -> None:
+        """Start a run in the project.
+
+        Raises:
+            ImportError: If a project is given, and Weights & Biases is not installed.
+        """
+        self._log, self._wandb = log, None
+        if project is not None:
+            try:
+                import wandb
+            except ImportError as error:
+                raise ImportError("`wandb` needs the package wandb: pip install wandb") from error
+            identity = hashlib.sha256(str(run.resolve()).encode()).hexdigest()[:16]
+            self._wandb = wandb.init(
+                project=project, name=run.name, id=identity, resume="allow", dir=str(run), config=config.to_dict()
+            )
+
+    def __enter__(self) -> _Curves:
+        return self
+
+    def __exit__(self, *error: object) -> None:
+        if self._wandb is not None:
+            self._wandb.finish()
+
+    def add(self, point: Mapping[str, Any]) -> None:
+        """Append the measures of a validation."""
+        values = {f"validation/{name}": point[name]["value"] for name in MEASURES}
+        if self._wandb is not None:
+            self._wandb.log(values, step=point["steps"])
+        if self._log is not None:
+            from torch.utils.tensorboard.writer import SummaryWriter
+
+            with SummaryWriter(str(self._log / "validation")) as writer:
+                for name, value in values.items():
+                    writer.add_scalar(name, value, point["steps"])
+
+    def finish(self, result: Mapping[str, Any]) -> None:
+        """Send the measures on the test episodes."""
+        if self._wandb is not None:
+            self._wandb.summary.update({f"test/{name}": result["test"][name]["value"] for name in MEASURES})
+
+
+class _Display:
+    """Shows progress on standard error: a bar on a terminal, and lines otherwise."""
+
+    #: The interval between two lines.
+    SECONDS = 10.0
+
+    def __init__(self, config: TrainConfig, learner: Learner, enabled: bool) -> None:
+        """Start at the number of steps of the learner."""
+        self._total, self._before, self._enabled = config.steps, learner.steps, enabled
+        self._begun = self._shown = time.monotonic()
+        bar = enabled and sys.stderr.isatty()
+        self._bar = tqdm(total=self._total, initial=self._before, unit=" steps", dynamic_ncols=True) if bar else None
+
+    def __enter__(self) -> _Display:
+        return self
+
+    def __exit__(self, *error: object) -> None:
+        if self._bar is not None:
+            self._bar.close()
+
+    def say(self, line: str) -> None:
+        """Print a line."""
+        if self._bar is not None:
+            self._bar.write(line, file=sys.stderr)
+        elif self._enabled:
+            print(line, file=sys.stderr, flush=True)
+
+    def update(self, steps: int) -> None:
+        """Show the number of steps; as a line only if the last one is some seconds old."""
+        if self._bar is not None:
+            self._bar.update(steps - self._bar.n)
+            return
+        now = time.monotonic()
+        if self._enabled and now - self._shown >= self.SECONDS and steps > self._before:
+            self._shown = now
+            speed = (steps - self._before) / (now - self._begun)
+            left = max(0, self._total - steps) / speed / 60
+            share = min(1.0, steps / self._total)
+            self.say(f"{steps:,} of {self._total:,} steps ({share:.0%}), {speed:,.0f} steps/s, {left:.1f} min left")
+
+
+def _checkpoints(run: Path) -> list[Path]:
+    return sorted(run.glob("checkpoint-*"))
+
+
+def _result(config: TrainConfig, learner: Learner, state: State, measured: Evaluation) -> dict[str, Any]:
+    return {
+        "config": config.to_dict(),
+        "versions": {"logicity": __version__, "python": sys.version.split()[0], **_versions()},
+        "hashes": state.hashes,
+        "steps": state.steps,
+        "unit": learner.unit,
+        "cpu_seconds": round(state.cpu_seconds, 2),
+        "minutes": round(state.wall_seconds / 60, 2),
+        "best": state.best,
+        "test": measured.to_dict(),
+        "validations": state.validations,
+    }
+
+
+def _versions() -> dict[str, str]:
+    """Return the versions of the installed packages among `PACKAGES`."""
+    found = {}
+    for name in PACKAGES:
+        try:
+            found[name] = version(name)
+        except PackageNotFoundError:
+            continue
+    return found

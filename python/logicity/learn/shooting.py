@@ -1,0 +1,615 @@
+"""Model-based reinforcement learning with an ensemble and random shooting (Nagabandi et al., 2018 and 2020).
+
+The learner fits a model of the environment to all transitions so far, and plans with it. At every step it draws random
+action sequences, predicts their returns with every member of the ensemble, and takes the first action of the sequence
+with the best mean return ("random shooting", section IV-C of Nagabandi et al., "Neural Network Dynamics for Model-Based
+Deep Reinforcement Learning with Model-Free Fine-Tuning", ICRA 2018; with an ensemble in "Deep Dynamics Models for
+Learning Dexterous Manipulation", CoRL 2020).
+
+A member predicts, for each bit of the observation, whether it falls, stays or rises; the reward; and the probability
+that the episode terminates, since no rewards follow a violation or the goal. It takes the most probable change of every
+bit, so that a state has one successor per action. The planner expands every state that a member reaches only once.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated, Any, ClassVar, Literal, TypeAlias
+
+import numpy as np
+from pydantic import Field
+
+from ..errors import missing_extra
+
+try:
+    import torch
+    from torch import Tensor, nn
+    from torch.nn import functional
+except ImportError as error:
+    raise missing_extra("learn", error) from error
+
+from ..city import ACTIONS
+from .interaction import (
+    Bits,
+    Curves,
+    Interaction,
+    Transitions,
+    as_bits,
+    check_shape,
+    load_policy,
+    random_actions,
+    save_policy,
+)
+from .learner import Actions, Count, Learner, LearnerSettings, Observations, Policy, Progress
+
+if TYPE_CHECKING:
+    from .config import TrainConfig
+
+__all__ = ["Ensemble", "Shooting", "ShootingPolicy", "ShootingSettings", "WorldModel", "predicted_returns"]
+
+#: The initial log odds that a bit stays rather than falls or rises: ln(.98 / .01).
+STAYS_LOGIT = 4.6
+
+
+class ShootingSettings(LearnerSettings):
+    """Settings of model-based shooting."""
+
+    members: Count = 50
+    """The number of members of the ensemble."""
+    width: Count = 64
+    """The width of the two hidden layers of each network."""
+    model_learning_rate: Annotated[float, Field(gt=0)] = 1e-5
+    """The learning rate of the networks that predict changes of bits."""
+    reward_learning_rate: Annotated[float, Field(gt=0)] = 1e-4
+    """The learning rate of the networks that predict rewards and terminations."""
+    sequences: Count = 100
+    """The number of random action sequences per decision."""
+    horizon: Count = 10
+    """The length of the action sequences."""
+    discount: Annotated[float, Field(ge=0, le=1)] = 0.9
+    """The discount per step in planning."""
+    random_steps: Annotated[int, Field(ge=0)] = 5000
+    """The number of steps with random actions at the start."""
+    exploration: Annotated[float, Field(ge=0, le=1)] = 0.05
+    """The probability of a random action after the start."""
+    buffer_size: Count = 200_000
+    """The number of transitions that the learner stores."""
+    batch_size: Count = 128
+    """The number of transitions of an update. Every member draws its own."""
+    model_interval: Count = 16
+    """The number of environment steps per update of the networks that predict changes of bits."""
+    reward_interval: Count = 4
+    """The number of environment steps per update of the networks that predict rewards and terminations."""
+
+
+class Ensemble(nn.Module):
+    """Networks of the same shape with two hidden layers and ReLU, evaluated as one batch.
+
+    The input is a vector of bits and an action. A member has the initial weights that `torch.nn.Linear` would have.
+
+    Args:
+        members: The number of networks.
+        bits: The number of bits of the input.
+        width: The width of the hidden layers.
+        outputs: The number of outputs.
+        generator: The source of the initial weights.
+    """
+
+    def __init__(self, members: int, bits: int, width: int, outputs: int, generator: torch.Generator) -> None:
+        """Draw the weights."""
+        super().__init__()
+        ends = [bits + len(ACTIONS), width, width, outputs]
+        self.weights, self.biases = nn.ParameterList(), nn.ParameterList()
+        for inputs, units in zip(ends[:-1], ends[1:], strict=True):
+            bound = inputs**-0.5
+            for shape, parameters in (((members, inputs, units), self.weights), ((members, 1, units), self.biases)):
+                values = torch.rand(shape, generator=generator) * (2 * bound) - bound
+                parameters.append(nn.Parameter(values))
+
+    def forward(self, bits: Tensor, actions: Tensor) -> Tensor:
+        """Evaluate each member on its own inputs.
+
+        Args:
+            bits: Float tensor of shape (members, batch, bits).
+            actions: Integers of shape (members, batch).
+
+        Returns:
+            The outputs, of shape (members, batch, outputs).
+        """
+        one_hot = functional.one_hot(actions, len(ACTIONS)).to(bits.dtype)
+        inputs = torch.cat([bits, one_hot], -1)
+        return self._upper(torch.baddbmm(self.biases[0], inputs, self.weights[0]))
+
+    def all_actions(self, bits: Tensor) -> Tensor:
+        """Evaluate each member on its own bits with every action.
+
+        Args:
+            bits: Float tensor of shape (members, batch, bits).
+
+        Returns:
+            The outputs, of shape (members, batch, actions, outputs).
+        """
+        members, batch, width = bits.shape
+        # The layer is linear, so that its values for the bits are computed once for all actions.
+        of_bits = torch.baddbmm(self.biases[0], bits, self.weights[0][:, :width])
+        hidden = of_bits[:, :, None] + self.weights[0][:, None, width:]
+        outputs = self._upper(hidden.view(members, batch * len(ACTIONS), -1))
+        return outputs.view(members, batch, len(ACTIONS), -1)
+
+    def _upper(self, hidden: Tensor) -> Tensor:
+        hidden = torch.baddbmm(self.biases[1], hidden.relu(), self.weights[1])
+        return torch.baddbmm(self.biases[2], hidden.relu(), self.weights[2])
+
+
+class WorldModel(nn.Module):
+    """The ensemble's model of the environment.
+
+    Args:
+        bits: The number of bits of an observation.
+        settings: The settings.
+        generator: The source of the initial weights.
+    """
+
+    #: The classes of a change of a bit, from which its difference follows by subtracting 1.
+    FALLS, STAYS, RISES = 0, 1, 2
+
+    def __init__(self, bits: int, settings: ShootingSettings, generator: torch.Generator) -> None:
+        """Draw the weights."""
+        super().__init__()
+        self.members, self.bits = settings.members, bits
+        self.changes = Ensemble(settings.members, bits, settings.width, 3 * bits, generator)
+        with torch.no_grad():
+            # About 2 % of the bits change in a step. Learning this prior would take most of the updates at the paper's
+            # learning rate, and meanwhile the planner would search through random states.
+            self.changes.biases[-1].view(settings.members, 3, bits)[:, self.STAYS] += STAYS_LOGIT
+        self.outcomes = Ensemble(settings.members, bits, settings.width, 2, generator)
+
+    def outcomes_of(self, states: Tensor) -> tuple[Tensor, Tensor]:
+        """Predict the outcome of every action.
+
+        Args:
+            states: Bits as floats, of shape (members, batch, bits).
+
+        Returns:
+            The rewards, and the probabilities that the episode continues, both of shape (members, batch, actions).
+        """
+        rewards, terminates = self.outcomes.all_actions(states).unbind(-1)
+        return rewards, torch.sigmoid(-terminates)
+
+    def flips_of(self, states: Tensor) -> Tensor:
+        """Predict which bits change.
+
+        Args:
+            states: Bits as floats, of shape (members, batch, bits).
+
+        Returns:
+            Bools of shape (members, batch, actions, bits). A bit changes if the change is more probable than none.
+        """
+        logits = self.changes.all_actions(states)
+        falls, stays, rises = logits.unflatten(-1, (3, self.bits)).unbind(-2)
+        return torch.where(states[:, :, None] > 0, falls, rises) > stays
+
+    def changes_loss(self, bits: Tensor, actions: Tensor, next_bits: Tensor) -> Tensor:
+        """Return the mean cross entropy of the changes of bits, summed over the members."""
+        members, batch, width = bits.shape
+        logits = self.changes(bits, actions).view(members * batch, 3, width)
+        targets = (next_bits - bits).to(torch.int64).view(members * batch, width) + self.STAYS
+        return functional.cross_entropy(logits, targets) * members
+
+    def outcomes_loss(
+        self, bits: Tensor, actions: Tensor, rewards: Tensor, terminated: Tensor, truncated: Tensor
+    ) -> tuple[Tensor, Tensor]:
+        """Return the mean squared error of the rewards and the mean cross entropy of terminations, summed over members.
+
+        The observation has no clock, so the overtime cost of a truncated episode cannot be predicted. The error leaves
+        its reward out.
+        """
+        predicted, terminates = self.outcomes(bits, actions).unbind(-1)
+        errors = torch.where(truncated, 0.0, (predicted - rewards) ** 2)
+        entropy = functional.binary_cross_entropy_with_logits(terminates, terminated)
+        return errors.mean() * self.members, entropy * self.members
+
+
+#: Evaluates the outcomes or flips of states, of shape (members, batch, bits).
+Predict: TypeAlias = Callable[[Tensor], Any]
+
+
+class _Graph:
+    """The states that members of the ensemble reach in a search, each expanded at most once per member.
+
+    Node n is a state of a member. Its edges, one per action, have the indices 4 n to 4 n + 3, and end in the node
+    itself until a change is predicted. States are equal if their Zobrist hashes are, the sums of a random number of 64
+    bits per bit that is 1. With n nodes, the probability that two states have the same hash is below n^2 / 2^64: about
+    1 in 10^10 for 50,000 nodes.
+    """
+
+    #: The number of states per member in a batch, which limits the memory.
+    BATCH = 64
+
+    def __init__(self, model: WorldModel, states: Tensor) -> None:
+        """Add a node per member and state.
+
+        Args:
+            model: The model.
+            states: Bits of shape (states, bits), uint8.
+        """
+        self._model = model
+        generator = torch.Generator().manual_seed(0)
+        low, high = torch.iinfo(torch.int64).min, torch.iinfo(torch.int64).max
+        self._of_bits = torch.randint(low, high, (model.bits,), generator=generator)
+        of_members = torch.randint(low, high, (model.members,), generator=generator)
+        count = len(states) * model.members
+        self.member = torch.arange(model.members).repeat_interleave(len(states))
+        self.states = states.repeat(model.members, 1)
+        self.hashes = (states * self._of_bits).sum(1).repeat(model.members) + of_members[self.member]
+        self.expanded = torch.zeros(count, dtype=torch.bool)
+        self.next = torch.arange(count).repeat_interleave(len(ACTIONS))
+        self.rewards = torch.zeros(count * len(ACTIONS))
+        self.continues = torch.zeros(count * len(ACTIONS))
+
+    def expand(self, nodes: Tensor, last: bool) -> None:
+        """Predict the edges of nodes. With `last`, only rewards are needed."""
+        reached = torch.zeros(len(self.states), dtype=torch.bool)
+        reached[nodes.reshape(-1)] = True
+        new = (reached & ~self.expanded).nonzero()[:, 0]
+        if not len(new):
+            return
+        new = new[torch.argsort(self.member[new], stable=True)]
+        members = self.member[new]
+        counts = torch.bincount(members, minlength=self._model.members)
+        place = torch.arange(len(new)) - (counts.cumsum(0) - counts)[members]
+        for start in range(0, int(counts.max()), self.BATCH):
+            chosen = (place >= start) & (place < start + self.BATCH)
+            width = min(self.BATCH, int(counts.max()) - start)
+            self._expand(new[chosen], members[chosen] * width + place[chosen] - start, width, last)
+        self.expanded[new] = not last
+
+    def _expand(self, nodes: Tensor, rows: Tensor, width: int, last: bool) -> None:
+        """Expand nodes, each in its row of a batch for all members."""
+        model = self._model
+        batch = torch.zeros(model.members * width, model.bits)
+        batch[rows] = self.states[nodes].float()
+        batch = batch.view(model.members, width, model.bits)
+        edges = (nodes[:, None] * len(ACTIONS) + torch.arange(len(ACTIONS))).view(-1)
+        for values, predicted in zip((self.rewards, self.continues), model.outcomes_of(batch), strict=True):
+            values[edges] = predicted.reshape(-1, len(ACTIONS))[rows].view(-1)
+        if last:
+            return
+        flips = model.flips_of(batch).view(-1, len(ACTIONS), model.bits)[rows].view(len(edges), model.bits)
+        changed, bit = flips.nonzero(as_tuple=True)
+        if not len(changed):
+            return
+        # A bit that rises adds its number to the hash, and one that falls subtracts it.
+        from_state = self.states[nodes][changed // len(ACTIONS), bit]
+        added = torch.where(from_state > 0, -self._of_bits[bit], self._of_bits[bit])
+        hashes = self.hashes[nodes].repeat_interleave(len(ACTIONS)).index_add(0, changed, added)
+        changed = changed.unique()
+        self._link(nodes[changed // len(ACTIONS)], edges[changed], flips[changed], hashes[changed])
+
+    def _link(self, parents: Tensor, edges: Tensor, flips: Tensor, hashes: Tensor) -> None:
+        """Let edges end in the states with these hashes, which are added if they are new."""
+        known = len(self.hashes)
+        every = torch.cat([self.hashes, hashes])
+        unique, number = every.unique(return_inverse=True)
+        first = torch.full((len(unique),), len(every)).scatter_reduce(0, number, torch.arange(len(every)), "amin")
+        added = first[first >= known].sort().values
+        node = torch.full((len(every),), -1)
+        node[:known] = torch.arange(known)
+        node[added] = torch.arange(len(added)) + known
+        self.next[edges] = node[first[number[known:]]]
+        source = added - known
+        more = len(added) * len(ACTIONS)
+        self.states = torch.cat([self.states, self.states[parents[source]] ^ flips[source]])
+        self.member = torch.cat([self.member, self.member[parents[source]]])
+        self.hashes = torch.cat([self.hashes, hashes[source]])
+        self.expanded = torch.cat([self.expanded, self.expanded.new_zeros(len(added))])
+        itself = torch.arange(known, known + len(added)).repeat_interleave(len(ACTIONS))
+        self.next = torch.cat([self.next, itself])
+        self.rewards = torch.cat([self.rewards, torch.zeros(more)])
+        self.continues = torch.cat([self.continues, torch.zeros(more)])
+
+
+def predicted_returns(model: WorldModel, states: Tensor, sequences: Tensor, discount: float) -> Tensor:
+    """Predict the returns of action sequences, averaged over the members of the ensemble.
+
+    The return of a member is the sum over steps t of discount^t times the predicted reward, times the probability that
+    the episode has not terminated before.
+
+    Args:
+        model: The model.
+        states: Bits of shape (states, bits), uint8.
+        sequences: Actions of shape (sequences, horizon).
+        discount: The discount per step.
+
+    Returns:
+        The mean returns, of shape (states, sequences).
+    """
+    horizon = sequences.shape[1]
+    with torch.inference_mode():
+        graph = _Graph(model, states)
+        nodes = torch.arange(model.members * len(states))[:, None].expand(-1, len(sequences))
+        totals = torch.zeros(nodes.shape)
+        weights = torch.ones(nodes.shape)
+        for step in range(horizon):
+            graph.expand(nodes, step + 1 == horizon)
+            edges = nodes * len(ACTIONS) + sequences[:, step]
+            totals += weights * graph.rewards[edges]
+            weights *= discount * graph.continues[edges]
+            nodes = graph.next[edges]
+    return totals.view(model.members, len(states), len(sequences)).mean(0)
+
+
+def planned_actions(
+    model: WorldModel, observations: Bits, settings: ShootingSettings, generator: torch.Generator
+) -> Actions:
+    """Return the first action of the best random sequence for each observation.
+
+    All observations share the sequences, so that equal observations get the same action and are evaluated once.
+
+    Args:
+        model: The model.
+        observations: Bits of shape (batch, bits).
+        settings: The number and length of sequences, and the discount.
+        generator: The source of the sequences.
+    """
+    shape = (settings.sequences, settings.horizon)
+    sequences = torch.randint(len(ACTIONS), shape, generator=generator)
+    distinct, number = np.unique(observations, axis=0, return_inverse=True)
+    returns = predicted_returns(model, torch.from_numpy(distinct), sequences, settings.discount)
+    actions: Actions = sequences[returns.argmax(1), 0].numpy()[number.reshape(-1)]
+    return actions
+
+
+class ShootingPolicy(Policy):
+    """Plans with a model. Its state is the number of steps so far, which determines the random sequences.
+
+    Args:
+        model: The model.
+        settings: The settings.
+        mode: The mode of the training.
+        seed: The seed of the random sequences.
+    """
+
+    algorithm: ClassVar = "mb-shooting"
+
+    def __init__(self, model: WorldModel, settings: ShootingSettings, mode: str, seed: int) -> None:
+        """Store the arguments."""
+        self.model, self.settings, self.mode, self.seed = model, settings, mode, seed
+
+    def predict(
+        self,
+        observation: Observations,
+        state: Any = None,
+        episode_start: Any = None,
+        deterministic: bool = True,
+    ) -> tuple[Actions, Any]:
+        """Plan one action per observation. `episode_start` and `deterministic` have no effect.
+
+        Raises:
+            ValueError: If the observations have another shape than those of the training, or are not binary.
+        """
+        check_shape(observation, self.model.bits)
+        step = 0 if state is None else int(state)
+        # Seeds of consecutive steps must not be those of consecutive runs.
+        generator = torch.Generator().manual_seed(int(np.random.SeedSequence([self.seed, step]).generate_state(1)[0]))
+        return planned_actions(self.model, as_bits(observation), self.settings, generator), step + 1
+
+    def save(self, path: Path) -> None:
+        """Write the policy to a file."""
+        config = {
+            "mode": self.mode,
+            "seed": self.seed,
+            "bits": self.model.bits,
+            "settings": self.settings.model_dump(mode="json"),
+        }
+        save_policy(path, self.algorithm, config, self.model.state_dict())
+
+    @classmethod
+    def load(cls, path: Path) -> ShootingPolicy:
+        """Read a policy that `save` wrote.
+
+        Raises:
+            OSError: If the file cannot be read.
+            ValueError: If the file is not such a policy.
+        """
+
+        def build(config: dict[str, Any], weights: dict[str, Any]) -> ShootingPolicy:
+            settings = ShootingSettings.model_validate(config["settings"])
+            model = WorldModel(config["bits"], settings, torch.Generator())
+            model.load_state_dict(weights)
+            return cls(model, settings, config["mode"], config["seed"])
+
+        return load_policy(path, cls.algorithm, build)
+
+
+class Replay:
+    """The last transitions, in a ring buffer.
+
+    Args:
+        capacity: The number of transitions.
+        bits: The number of bits of an observation.
+    """
+
+    def __init__(self, capacity: int, bits: int) -> None:
+        """Allocate the memory."""
+        self.observations = torch.zeros(capacity, bits, dtype=torch.uint8)
+        self.next_observations = torch.zeros(capacity, bits, dtype=torch.uint8)
+        self.actions = torch.zeros(capacity, dtype=torch.uint8)
+        self.rewards = torch.zeros(capacity)
+        self.terminated = torch.zeros(capacity, dtype=torch.bool)
+        self.truncated = torch.zeros(capacity, dtype=torch.bool)
+        self.added = 0
+
+    def __len__(self) -> int:
+        """Return the number of stored transitions."""
+        return min(self.added, len(self.rewards))
+
+    def add(self, transitions: Transitions) -> None:
+        """Store transitions in place of the oldest ones."""
+        at = (torch.arange(len(transitions.actions)) + self.added) % len(self.rewards)
+        self.observations[at] = torch.from_numpy(transitions.observations)
+        self.next_observations[at] = torch.from_numpy(transitions.next_observations)
+        self.actions[at] = torch.from_numpy(transitions.actions).to(torch.uint8)
+        self.rewards[at] = torch.from_numpy(transitions.rewards)
+        self.terminated[at] = torch.from_numpy(transitions.terminated)
+        self.truncated[at] = torch.from_numpy(transitions.truncated)
+        self.added += len(at)
+
+    def state(self) -> dict[str, Any]:
+        """Return what `restore` needs, with eight bits of observations in a byte."""
+        count = len(self)
+        packed = {
+            name: torch.from_numpy(np.packbits(getattr(self, name)[:count].numpy(), axis=1))
+            for name in ("observations", "next_observations")
+        }
+        plain = {name: getattr(self, name)[:count].clone() for name in self._plain}
+        return {"added": self.added, **packed, **plain}
+
+    def restore(self, state: dict[str, Any]) -> None:
+        """Restore what `state` returned."""
+        self.added = state["added"]
+        count, bits = len(self), self.observations.shape[1]
+        for name in ("observations", "next_observations"):
+            unpacked = np.unpackbits(state[name].numpy(), axis=1, count=bits)
+            getattr(self, name)[:count] = torch.from_numpy(unpacked)
+        for name in self._plain:
+            getattr(self, name)[:count] = state[name]
+
+    _plain = ("actions", "rewards", "terminated", "truncated")
+
+
+class Shooting(Learner):
+    """Learns a model of the environment from transitions, and plans with it."""
+
+    settings_class = ShootingSettings
+    policy_class = ShootingPolicy
+    unit: ClassVar[Literal["environment steps", "updates"]] = "environment steps"
+    interacts = True
+
+    def __init__(self, config: TrainConfig, log: Path | None = None) -> None:
+        """Make the environments and the networks.
+
+        Raises:
+            InputError: If the configuration of the mode or an override is invalid.
+            OSError: If a file cannot be read.
+            ValueError: If the observations are not binary.
+        """
+        super().__init__(config, log)
+        settings = config.settings
+        assert isinstance(settings, ShootingSettings)
+        self._settings = settings
+        self._interaction = Interaction(config)
+        self._generator = torch.Generator().manual_seed(config.seed)
+        self._model = WorldModel(self._interaction.width, settings, self._generator)
+        self._replay = Replay(settings.buffer_size, self._interaction.width)
+        self._changes_optimizer = _adam(self._model.changes, settings.model_learning_rate)
+        self._outcomes_optimizer = _adam(self._model.outcomes, settings.reward_learning_rate)
+        self._curves = Curves(log)
+
+    @property
+    def steps(self) -> int:
+        """The number of environment steps so far."""
+        return self._interaction.steps
+
+    def fit(self, steps: int, progress: Progress) -> None:
+        """Train until `self.steps` reaches `steps`."""
+        while self.steps < steps:
+            before = self.steps
+            self._replay.add(self._interaction.step(self._actions()))
+            for _ in range(self._due(before, self._settings.model_interval)):
+                self._update_changes()
+            for _ in range(self._due(before, self._settings.reward_interval)):
+                self._update_outcomes()
+            if self._curves.due(self.steps):
+                self._curves.add(self._interaction.episodes())
+                self._curves.write(self.steps)
+            progress()
+
+    def _due(self, before: int, interval: int) -> int:
+        """Return the number of updates since the number of steps was `before`."""
+        return self.steps // interval - before // interval
+
+    def _actions(self) -> Actions:
+        observations = self._interaction.observations
+        drawn = random_actions(len(observations), self._generator)
+        if self.steps < self._settings.random_steps:
+            return drawn
+        explores = torch.rand(len(observations), generator=self._generator).numpy() < self._settings.exploration
+        planned = planned_actions(self._model, observations, self._settings, self._generator)
+        return np.where(explores, drawn, planned)
+
+    def _batch(self) -> Tensor:
+        shape = (self._settings.members, self._settings.batch_size)
+        return torch.randint(len(self._replay), shape, generator=self._generator)
+
+    def _update_changes(self) -> None:
+        replay, at = self._replay, self._batch()
+        bits, next_bits = replay.observations[at].float(), replay.next_observations[at].float()
+        loss = self._model.changes_loss(bits, replay.actions[at].long(), next_bits)
+        _minimize(loss, self._changes_optimizer)
+        self._curves.add({"loss/changes": loss.item() / self._settings.members})
+
+    def _update_outcomes(self) -> None:
+        replay, at = self._replay, self._batch()
+        errors, entropy = self._model.outcomes_loss(
+            replay.observations[at].float(),
+            replay.actions[at].long(),
+            replay.rewards[at],
+            replay.terminated[at].float(),
+            replay.truncated[at],
+        )
+        _minimize(errors + entropy, self._outcomes_optimizer)
+        members = self._settings.members
+        self._curves.add({"loss/rewards": errors.item() / members, "loss/terminations": entropy.item() / members})
+
+    def policy(self) -> ShootingPolicy:
+        """Return the current policy."""
+        return ShootingPolicy(self._model, self._settings, self.config.mode, self.config.seed)
+
+    def save(self, folder: Path) -> None:
+        """Write everything that `restore` needs to `learner.pt`."""
+        state = {
+            "algorithm": ShootingPolicy.algorithm,
+            "interaction": self._interaction.state(),
+            "model": self._model.state_dict(),
+            "changes_optimizer": self._changes_optimizer.state_dict(),
+            "outcomes_optimizer": self._outcomes_optimizer.state_dict(),
+            "replay": self._replay.state(),
+            "generator": self._generator.get_state(),
+        }
+        torch.save(state, folder / "learner.pt")
+
+    def restore(self, folder: Path) -> None:
+        """Restore what `save` wrote.
+
+        Raises:
+            OSError: If the file cannot be read.
+            ValueError: If the file does not fit the configuration.
+        """
+        # The checkpoint is the run's own, and has environments, which are no plain data.
+        state = torch.load(folder / "learner.pt", weights_only=False)
+        if state.get("algorithm") != ShootingPolicy.algorithm:
+            raise ValueError(f"{folder} has no checkpoint of {ShootingPolicy.algorithm}")
+        self._interaction.restore(state["interaction"])
+        self._model.load_state_dict(state["model"])
+        self._changes_optimizer.load_state_dict(state["changes_optimizer"])
+        self._outcomes_optimizer.load_state_dict(state["outcomes_optimizer"])
+        self._replay.restore(state["replay"])
+        self._generator.set_state(state["generator"])
+        self._curves.begin(self.steps)
+
+    def close(self) -> None:
+        """Close the environments and the training curves."""
+        self._interaction.close()
+        self._curves.close()
+
+
+def _adam(module: nn.Module, learning_rate: float) -> torch.optim.Optimizer:
+    return torch.optim.Adam(module.parameters(), learning_rate, fused=True)
+
+
+def _minimize(loss: Tensor, optimizer: torch.optim.Optimizer) -> None:
+    optimizer.zero_grad()
+    loss.backward()
+    optimizer.step()

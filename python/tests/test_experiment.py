@@ -1,0 +1,403 @@
+"""Experiments: cells, their runs in processes and on Ray, tables, figures and published results."""
+
+from __future__ import annotations
+
+import json
+import os
+import signal
+import subprocess
+import sys
+import time
+from collections.abc import Callable, Sequence
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+from conftest import ROOT, needs
+
+from logicity import InputError
+from logicity.evaluation import Interval
+
+needs("stable_baselines3", "learn")
+from logicity.commands import run as command  # noqa: E402
+from logicity.learn import LEARNERS, load_policy  # noqa: E402
+from logicity.learn.cells import Cell, finished, prepare, run_cell  # noqa: E402
+from logicity.learn.experiment import Experiment, Selection  # noqa: E402
+from logicity.learn.jobs import run_in_processes, run_on_ray  # noqa: E402
+from logicity.learn.report import Report, paper_table, paper_value, pooled, violation_rates  # noqa: E402
+from logicity.learn.results import check_rows, leaderboard, read_results, submit  # noqa: E402
+
+EXPERIMENTS = ROOT / "configs" / "experiments"
+#: Two learners with two seeds each.
+TINY = """
+title: Tiny
+paper: spf
+config: "{row}.yaml"
+modes: [easy]
+seeds: [0, 1]
+learners:
+  ppo: {}
+  quick-a2c: {config: a2c.yaml, paper: a2c, changes: {steps: 96}}
+"""
+PPO = "algorithm: ppo\nmode: easy\nsettings: {network: [8], n_steps: 16, batch_size: 32}\nenvs: 2\nsteps: 256\n"
+A2C = "algorithm: a2c\nmode: easy\nsettings: {network: [8], n_steps: 16}\nenvs: 2\nsteps: 64\nvalidate_every: 32\n"
+
+
+@pytest.fixture
+def tiny(tmp_path: Path) -> Path:
+    """The file of an experiment."""
+    return write(tmp_path, TINY)
+
+
+def write(folder: Path, text: str) -> Path:
+    (folder / "ppo.yaml").write_text(PPO + "validate_every: 64\n")
+    (folder / "a2c.yaml").write_text(A2C)
+    (folder / "tiny.yaml").write_text(text)
+    return folder / "tiny.yaml"
+
+
+def cells_of(file: Path, **selection: Any) -> tuple[Experiment, list[Cell]]:
+    experiment, path = Experiment.load(file)
+    return experiment, experiment.cells(path, Selection(**selection))
+
+
+def run_here(cells: Sequence[Cell], root: Path) -> None:
+    """Run cells in this process."""
+    for cell in cells:
+        run_cell(prepare(cell, root))
+
+
+def timeless(value: Any) -> Any:
+    """Return JSON without times."""
+    if isinstance(value, dict):
+        return {
+            key: timeless(each) for key, each in value.items() if key not in ("cpu_seconds", "minutes", "cpu_hours")
+        }
+    if isinstance(value, list):
+        return [timeless(each) for each in value if not (isinstance(each, str) and each.startswith("CPU time"))]
+    return value
+
+
+def results_of(cells: Sequence[Cell], root: Path) -> list[Any]:
+    return [timeless(finished(cell, root)) for cell in cells]
+
+
+def test_the_shipped_experiments_name_existing_configurations() -> None:
+    for file in sorted(EXPERIMENTS.glob("*.yaml")):
+        experiment, _ = Experiment.load(file)
+        assert experiment.paper == file.stem and paper_table(file.stem)["source"].startswith("LogiCity (NeurIPS 2024")
+        known = [row for row in experiment.learners if row.removesuffix("-tuned") in LEARNERS]
+        for row in known:
+            columns = [(row, None)]
+            assert cells_of(file, only=columns)[1] and cells_of(file, only=columns, quick=True)[1]
+    spf, _ = Experiment.load(EXPERIMENTS / "spf.yaml")
+    assert set(paper_table("spf")["rows"]) <= set(spf.learners)
+    assert set(spf.modes) == {"easy", "medium", "hard", "expert"}
+
+
+def test_the_papers_figures_are_those_of_its_tables() -> None:
+    assert paper_value("spf", "nlm-dqn", "", "hard") == {"tsr": 0.29, "dsr": 0.4, "score": 2.69}
+    assert paper_value("spf", "popper", "", "hard") == "timed out"
+    assert paper_value("observations", "dqn", "state", "easy") == {"tsr": 0.12, "dsr": 0.329, "score": 2.1}
+    assert paper_value("spf", "ppo-fast", "", "easy") is None and paper_value("transfer", "mlp", "", "easy") is None
+    for table in ("spf", "observations"):
+        for variants in paper_table(table)["rows"].values():
+            for modes in variants.values():
+                for figures in modes.values():
+                    assert isinstance(figures, str) or (len(figures) == 3 and max(figures[:2]) <= 1)
+
+
+def test_the_identity_follows_from_settings_rules_episodes_and_version(
+    tiny: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    from logicity.learn import cells as module
+
+    _, cells = cells_of(tiny)
+    assert [cell.name for cell in cells][:2] == ["ppo, easy, seed 0", "ppo, easy, seed 1"]
+    assert len({cell.identity for cell in cells}) == 4 and cells_of(tiny)[1][0].identity == cells[0].identity
+    assert [cell.config.steps for cell in cells] == [256, 256, 96, 96]
+    others = [
+        cells_of(tiny, changes={"settings": {"gamma": 0.9}})[1][0],
+        cells_of(tiny, quick=True)[1][0],
+        cells_of(write(tiny.parent, TINY.replace("modes: [easy]", "modes: [medium]")))[1][0],
+        cells_of(write(tiny.parent, TINY + "evaluations: {test: {}, agents of training: {split: train}}"))[1][0],
+    ]
+    assert len({cell.identity for cell in [cells[0], *others]}) == 5
+    monkeypatch.setattr(module, "__version__", "0.0.0")
+    assert cells_of(write(tiny.parent, TINY))[1][0].identity != cells[0].identity
+    monkeypatch.undo()
+    hashes = {**module._hashes("easy"), "rules": "0" * 64}
+    monkeypatch.setattr(module, "_hashes", lambda mode: hashes)
+    assert cells_of(tiny)[1][0].identity != cells[0].identity
+
+
+@pytest.mark.parametrize(
+    ("text", "message"),
+    [
+        (TINY.replace("seeds", "seed"), "unknown key `seed`[^?]*did you mean `seeds`"),
+        (TINY.replace("paper: a2c", "papr: a2c"), "unknown key `papr`[^?]*did you mean `paper`"),
+        (TINY.replace("modes: [easy]", ""), "the key `modes` is missing"),
+        (TINY.replace("[0, 1]", "[-1]"), "`seeds.0` must be at least 0, not `-1`"),
+        (TINY.replace("[0, 1]", "[]"), "`seeds` must be a list of 1 or more values"),
+        (TINY + "variants: {a: {start: b}}", "unknown variant `b`"),
+        (TINY.replace("ppo: {}", "ppo: {variants: [b]}") + "variants: {a: {}}", "unknown variant `b`"),
+        (TINY.replace("ppo: {}", "ppo: {variants: [b]}") + "variants: {a: {}, b: {start: a}}", "`b` starts from `a`"),
+        (TINY + "evaluations: {a: {split: tset}}", "`evaluations.a.split` must be `train`, `val` or `test`, not"),
+        (TINY + "evaluations: {a: {fresh: 0}}", "`evaluations.a.fresh` must be at least 1"),
+        ("[]", "an experiment must be a mapping"),
+        (TINY.replace("{steps: 96}", "{step: 96}"), "unknown key `step`[^?]*did you mean `steps`"),
+        (TINY.replace("{steps: 96}", "{algorithm: sarsa}"), "unknown learner `sarsa`"),
+        (TINY.replace("{steps: 96}", "{settings: {gama: 1}}"), "`a2c` has no setting `gama`[^?]*did you mean `gamma`"),
+    ],
+)
+def test_faulty_experiments_are_reported(text: str, message: str, tmp_path: Path) -> None:
+    with pytest.raises(InputError, match=message):
+        cells_of(write(tmp_path, text))
+
+
+def test_unknown_selections_are_reported(tiny: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    words = ("experiment",)
+    run = ["--run", str(tiny.parent / "run")]
+    for arguments, message in [
+        (["--only", "pp0"], "--only: unknown learner `pp0`; did you mean `ppo`?"),
+        (["--only", "ppo,eazy"], "--only: `ppo` has no mode `eazy`; did you mean `easy`?"),
+    ]:
+        assert command(words, [str(tiny), *run, *arguments]) == 2
+        assert message in capsys.readouterr().err
+    assert command(words, ["spff"]) == 2
+    assert "spff.yaml" in capsys.readouterr().err
+    with pytest.raises(SystemExit):
+        command(words, [str(tiny), "--set", "steps"])
+    assert "expected KEY=VALUE" in capsys.readouterr().err
+    assert command(words, [str(tiny), *run, "--list", "--only", "ppo", "--seeds", "5"]) == 0
+    assert capsys.readouterr().out.startswith("not run   ppo, easy, seed 5  ")
+
+
+def test_a_table_stands_beside_the_papers(tiny: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    experiment, cells = cells_of(tiny)
+    root = tmp_path / "run"
+    run_here(cells[:3], root)
+    # A result of other settings is not one of these cells.
+    run_here(cells_of(tiny, changes={"steps": 64}, only=[("quick-a2c", None)], seeds=(1,))[1], root)
+    report = Report(experiment, cells, root, {cells[3].identity: "it failed\nhere"})
+    ppo, a2c = report.entries
+    assert (ppo.seeds, ppo.missing, a2c.seeds, a2c.missing) == ((0, 1), "", (0,), "it failed")
+    assert not report.complete and ppo.paper == {"tsr": 0.33, "dsr": 0.36, "score": 2.83}
+    single = finished(cells[2], root)
+    assert single is not None
+    assert a2c.measures["tsr"] == Interval(**single["evaluations"]["test"]["tsr"])
+    assert sum(ppo.violations.values()) > 0 and set(ppo.violations) <= {"S1", "S2", "S7"}
+    assert not list(root.glob("cells/*/checkpoint-*"))
+    written = {path.name: path for path in report.write(root)}
+    assert set(written) == {"table.md", "table.tex", "table.json", "bars.png", "bars.svg", "curves.png", "curves.svg"}
+    assert written["bars.png"].read_bytes()[:4] == b"\x89PNG" and "<svg" in written["curves.svg"].read_text()
+    markdown, latex = written["table.md"].read_text(), written["table.tex"].read_text()
+    assert "| the paper's | 0.33 | 0.36 | 2.83 |" in markdown and "quick-a2c, easy: it failed." in markdown
+    assert "the paper's & 0.33 & 0.36 & 2.83 \\\\" in latex and latex.count("{") == latex.count("}")
+    assert json.loads(written["table.json"].read_text())["entries"][0]["seeds"] == [0, 1]
+    assert command(("experiment",), [str(tiny), "--run", str(root), "--report"]) == 0
+    assert "quick-a2c" in (shown := capsys.readouterr().out) and "CPU time: " in shown
+    svg = written["bars.svg"].read_bytes()
+    report.write(root)
+    assert written["bars.svg"].read_bytes() == svg
+
+
+def test_intervals_over_seeds_and_episodes_equal_a_slow_bootstrap() -> None:
+    generator = np.random.default_rng(3)
+    tables = [
+        {"tsr": (generator.random(7) < p).astype(float), "dsr": generator.random(7), "score": generator.normal(size=7)}
+        for p in (0.2, 0.5, 0.9)
+    ]
+    fast = pooled(tables)
+    draws = np.random.default_rng(0)
+    for name, interval in fast.items():
+        runs = draws.multinomial(3, np.full(3, 1 / 3), 2000)
+        episodes = draws.multinomial(7, np.full(7, 1 / 7), 2000)
+        means = []
+        for of_runs, of_episodes in zip(runs, episodes, strict=True):
+            sample = [
+                table[name][episode]
+                for table, times in zip(tables, of_runs, strict=True)
+                for _ in range(times)
+                for episode, count in enumerate(of_episodes)
+                for _ in range(count)
+            ]
+            means.append(sum(sample) / len(sample))
+        assert np.allclose([interval.low, interval.high], np.percentile(means, [2.5, 97.5]))
+        assert interval.value == pytest.approx(np.mean([table[name] for table in tables]))
+        assert interval.low <= interval.value <= interval.high
+
+
+def test_violation_rates_count_episodes_by_clause() -> None:
+    runs = [
+        {"episodes": [{"violations": ["S10"]}, {"violations": ["S2", "S10"]}]},
+        {"episodes": [{"violations": []}, {"violations": ["S2"]}]},
+    ]
+    assert list(violation_rates(runs).items()) == [("S2", 0.5), ("S10", 0.5)]
+
+
+def test_a_variant_starts_from_the_policies_of_another(tmp_path: Path) -> None:
+    variants = """
+learners: {a2c: {}}
+variants:
+  easy: {changes: {mode: transfer-easy}, hidden: true}
+  more: {start: easy, group: from easy, x: 10}
+  scratch: {group: from scratch, x: 10}
+"""
+    text = TINY.partition("learners:")[0].replace("modes: [easy]", "modes: [transfer-medium]") + variants
+    experiment, cells = cells_of(write(tmp_path, text), seeds=(0,))
+    assert [cell.variant for cell in cells] == ["easy", "scratch", "more"]
+    assert [cell.mode for cell in cells] == ["transfer-easy", "transfer-medium", "transfer-medium"]
+    root = tmp_path / "run"
+    with pytest.raises(FileNotFoundError):
+        prepare(cells[2], root)
+    run_here(cells, root)
+    started, other = finished(cells[2], root), finished(cells[1], root)
+    assert started is not None and other is not None
+    assert len(started["result"]["hashes"]["start"]) == 64 and "start" not in other["result"]["hashes"]
+    report = Report(experiment, cells, root)
+    assert [(entry.label, entry.group, entry.x) for entry in report.entries] == [
+        ("a2c, scratch", "from scratch", 10.0),
+        ("a2c, more", "from easy", 10.0),
+    ]
+    assert "lines.svg" in {path.name for path in report.write(root)}
+
+
+def test_an_evaluation_can_use_new_episodes(tmp_path: Path) -> None:
+    text = TINY + "evaluations: {agents of training: {split: train, fresh: 5, seed: 7}, agents of test: {}}\n"
+    experiment, cells = cells_of(write(tmp_path, text), only=[("quick-a2c", None)], seeds=(0,))
+    root = tmp_path / "run"
+    run_here(cells, root)
+    measured = finished(cells[0], root)
+    assert measured is not None
+    fresh, test = (measured["evaluations"][name] for name in ("agents of training", "agents of test"))
+    assert (len(fresh["episodes"]), len(fresh["random_returns"]), len(test["episodes"])) == (5, 5, 100)
+    assert fresh["episodes_hash"] not in measured["result"]["hashes"]["episodes"].values()
+    assert [name for name, _ in Report(experiment, cells, root)._names()] == [
+        "quick-a2c, agents of training",
+        "quick-a2c, agents of test",
+    ]
+
+
+def test_a_killed_experiment_gives_the_same_table(tiny: Path, tmp_path: Path) -> None:
+    """The process is killed twice; the processes of its cells die with it."""
+    root = tmp_path / "run"
+    arguments = [str(tiny), "--run", str(root), "--jobs", "2"]
+    text = "import sys; from logicity.commands import run; sys.exit(run(('experiment',), sys.argv[1:]))"
+    once = [sys.executable, "-c", text, *arguments]
+    for kill in range(2):
+        with subprocess.Popen(once, stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL) as process:
+            # In the first run a cell has a checkpoint; in the second one a cell is finished.
+            pattern = "cells/*/checkpoint-*" if kill == 0 else "cells/*/measured.json"
+            wait_for_file(root, pattern, process)
+            process.kill()
+        wait_for(lambda: not processes_with(str(root)))
+    assert subprocess.run(once, stdout=subprocess.DEVNULL, stderr=subprocess.PIPE, check=True).stderr
+    experiment, cells = cells_of(tiny)
+    other = tmp_path / "other"
+    run_here(cells, other)
+    assert results_of(cells, root) == results_of(cells, other)
+    Report(experiment, cells, other).write(other)
+    tables = [timeless(json.loads((each / "table.json").read_text())) for each in (root, other)]
+    assert tables[0] == tables[1]
+
+
+def wait_for_file(root: Path, pattern: str, process: subprocess.Popen[bytes]) -> None:
+    wait_for(lambda: list(root.glob(pattern)) or process.poll() is not None)
+
+
+def wait_for(condition: Callable[[], object]) -> None:
+    deadline = time.monotonic() + 300
+    while not condition():
+        assert time.monotonic() < deadline, "waited for 300 seconds"
+        time.sleep(0.05)
+
+
+def processes_with(text: str) -> list[int]:
+    """Return the processes whose command line contains a text, on Linux."""
+    found = []
+    for path in Path("/proc").glob("[0-9]*/cmdline"):
+        try:
+            line = path.read_bytes()
+        except OSError:
+            continue
+        if text.encode() in line and int(path.parent.name) != os.getpid():
+            found.append(int(path.parent.name))
+    return found
+
+
+def test_failed_cells_do_not_stop_the_others(tiny: Path, tmp_path: Path) -> None:
+    text = TINY.replace("ppo: {}", "ppo: {optional: true, changes: {settings: {batch_size: 1}}}")
+    experiment, cells = cells_of(write(tmp_path, text), seeds=(0,))
+    said: list[str] = []
+    root = tmp_path / "run"
+    failed = run_in_processes(cells, root, 2, said.append)
+    assert list(failed) == [cells[0].identity] and "PPO rejects the `settings`" in failed[cells[0].identity]
+    assert any("ppo, easy, seed 0: not run: PPO rejects" in line for line in said)
+    report = Report(experiment, cells, root, failed)
+    assert "ppo, easy: PPO rejects" in (text := report.text()) and "The figures are the paper's." in text
+    said.clear()
+    assert run_in_processes(cells, root, 2, said.append).keys() == failed.keys()
+    assert said[0] == "1 of 2 cells are finished already"
+
+
+def test_ray_runs_the_cell_of_a_lost_worker_again(tiny: Path, tmp_path: Path) -> None:
+    needs("ray", "ray")
+    _, cells = cells_of(tiny, seeds=(0,))
+    killed: list[int] = []
+
+    def watch(line: str) -> None:
+        # The first cell is finished; the other one still runs, or its worker is idle.
+        if not killed and (workers := processes_with("ray::_in_worker")):
+            os.kill(workers[0], signal.SIGKILL)
+            killed.append(workers[0])
+
+    from logicity.learn import jobs
+
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(jobs, "SECONDS", 0.0)
+        failed = run_on_ray(cells, tmp_path / "ray", "local", 2, watch)
+    assert not failed and killed
+    run_here(cells, tmp_path / "here")
+    assert results_of(cells, tmp_path / "ray") == results_of(cells, tmp_path / "here")
+
+
+def test_published_rows_are_evaluated_again(tiny: Path, tmp_path: Path) -> None:
+    experiment, cells = cells_of(tiny)
+    root, file = tmp_path / "run", tmp_path / "results.json"
+    run_here([cells[0], cells[1]], root)
+    lines = list(submit(experiment, tiny, cells, root, file))
+    assert lines[-1] == f"2 rows in {file}" and "quick-a2c, easy, seed 0: not finished" in lines
+    results = read_results(file)
+    assert [(row["learner"], row["seed"]) for row in results["rows"]] == [("ppo", 0), ("ppo", 1)]
+    assert results["rows"][0]["command"] == "logicity experiment tiny --only ppo,easy --seeds 0"
+    assert check_rows(results) == []
+    page = leaderboard(results)
+    assert "## Easy" in page and "| `ppo` | " in page and "| 0.33 | 0, 1 | 256 |" in page
+    results["rows"][1]["hashes"]["rules"] = "0" * 64
+    assert check_rows(results) == ["ppo in easy, seed 1: other rules"]
+    # Another policy than the recorded one is refused.
+    other, mine = load_policy(cells[1].folder(root)).path, load_policy(cells[0].folder(root)).path
+    measured = json.loads((cells[0].folder(root) / "measured.json").read_text())
+    measured["evaluations"]["test"]["tsr"]["value"] += 0.5
+    (cells[0].folder(root) / "measured.json").write_text(json.dumps(measured))
+    with pytest.raises(ValueError, match=r"ppo, easy, seed 0: the policy .* has tsr"):
+        list(submit(experiment, tiny, cells, root, file))
+    assert other != mine
+    file.write_text("{}")
+    with pytest.raises(ValueError, match="expected results of the format 1"):
+        read_results(file)
+    assert "no row yet" in leaderboard(read_results(tmp_path / "none.json"))
+
+
+def test_the_leaderboard_follows_from_the_published_rows() -> None:
+    """The rules and episodes of `results/spf.json` are those of this version, and its page is made from it."""
+    results = read_results(ROOT / "results" / "spf.json")
+    assert check_rows(results) == []
+    page = leaderboard(results)
+    for row in results["rows"]:
+        assert f"`{row['learner']}`" in page and row["command"].startswith("logicity experiment spf --only ")
+        assert 0 <= row["tsr"]["low"] <= row["tsr"]["value"] <= row["tsr"]["high"] <= 1
+    text = (ROOT / "docs" / "reference" / "leaderboard.md").read_text(encoding="utf-8")
+    assert "<!-- generated: leaderboard -->" in text

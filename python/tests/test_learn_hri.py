@@ -1,0 +1,316 @@
+from __future__ import annotations
+
+import itertools
+from pathlib import Path
+from types import SimpleNamespace
+from typing import Any
+
+import numpy as np
+import pytest
+from conftest import needs
+from numpy.typing import NDArray
+
+torch = needs("torch", "learn")
+needs("gymnasium", "learn")
+
+import logicity  # noqa: E402
+from logicity.city import ACTIONS  # noqa: E402
+from logicity.learn import hri  # noqa: E402
+from logicity.learn.demonstrations import layout_of  # noqa: E402
+from logicity.learn.hri import HRI, HriPolicy, HriSettings, Hypothesis, Rules  # noqa: E402
+from logicity.views import Layout  # noqa: E402
+
+Bools = NDArray[np.bool_]
+
+
+def layout(entities: int, unary: list[str], binary: list[str]) -> Layout:
+    atoms = [(name, (i,)) for name in unary for i in range(entities)]
+    pairs = list(itertools.product(range(entities), repeat=2))
+    return Layout.of_atoms([*atoms, *((name, pair) for name in binary for pair in pairs)])
+
+
+def config(mode: str = "easy", steps: int = 4, seed: int = 0, **settings: Any) -> Any:
+    """Stand in for a training configuration."""
+    return SimpleNamespace(
+        algorithm="hri",
+        mode=mode,
+        observation="groundings",
+        settings=HriSettings(**settings),
+        steps=steps,
+        seed=seed,
+        demonstrations=0.1,
+        start=None,
+    )
+
+
+def scenes(random: np.random.Generator, of: Layout, count: int, density: float = 0.3) -> NDArray[np.float32]:
+    """Random observations. Entities are absent with the probability one half, and no binary atom is reflexive."""
+    observations = random.random((count, of.width)) < density
+    for i, j in itertools.product(range(of.entities), repeat=2):
+        observations[:, of.binary_at[i, j]] &= i != j
+    absent = random.random((count, of.entities)) < 0.5
+    for entity in range(1, of.entities):
+        observations[np.ix_(absent[:, entity], of.occurrences()[:, entity] > 0)] = False
+    return observations.astype(np.float32)
+
+
+def slow_inference(
+    hypothesis: Hypothesis, degrees: Any, unary: Bools, binary: Bools, exist: Bools, conjunction: str
+) -> float:
+    """Soft inference on one scene by loops over layers, entities and predicates, as the docstring of `Layer` says."""
+    n = len(exist)
+
+    def both(a: float, b: float) -> float:
+        return min(a, b) if conjunction == "min" else a * b
+
+    values: list[dict[tuple[int, int], float]] = []
+    # The unary symbols, then the binary ones.
+    for negated in (False, True) if hypothesis.negation else (False,):
+        for p in range(unary.shape[-1]):
+            values.append({(x, y): float(unary[x, p] != negated) for x in range(n) for y in range(n)})
+    values += [{(x, y): constant for x in range(n) for y in range(n)} for constant in (1.0, 0.0)]
+    for negated in (False, True) if hypothesis.negation else (False,):
+        for p in range(binary.shape[-1]):
+            values.append({(x, y): float(binary[x, y, p] != negated) for x in range(n) for y in range(n)})
+    slot = 0
+    for layer in hypothesis.layers:
+        held = []
+        for _ in range(1 if layer.template == "Inv" else 3):
+            pairs = {}
+            for x, y in itertools.product(range(n), repeat=2):
+                visible = values[: layer.visible]
+                pairs[x, y] = sum(float(degrees[slot, p]) * value[x, y] for p, value in enumerate(visible))
+            held.append(pairs)
+            slot += 1
+        defined = {}
+        for x, y in itertools.product(range(n), repeat=2):
+            if layer.template == "Inv":
+                defined[x, y] = held[0][y, x]
+                continue
+            one, two, alternative = held
+            if layer.template == "A00+":
+                defined[x, y] = max(max(both(one[x, z], two[z, x]), alternative[x, z]) for z in range(n) if exist[z])
+            elif layer.template == "B00+":
+                chain = max(both(one[x, z], two[z, y]) for z in range(n) if exist[z])
+                defined[x, y] = max(chain, alternative[x, y])
+            else:
+                defined[x, y] = max(both(one[x, y], two[y, x]), alternative[x, y])
+        values.append(defined)
+    return values[-1][0, 0]
+
+
+@pytest.mark.parametrize("conjunction", ["min", "product"])
+@pytest.mark.parametrize(
+    "settings",
+    [
+        HriSettings(),
+        HriSettings(negation=True, depth=2),
+        HriSettings(copies=2, depth=2),
+        HriSettings(binary=[], depth=3),
+        HriSettings(binary=["Inv", "B00+"], depth=4, negation=True),
+        HriSettings(depth=1),
+    ],
+)
+def test_soft_inference_agrees_with_loops_over_entities(settings: HriSettings, conjunction: Any) -> None:
+    of = layout(3, ["P", "Q"], ["R"])
+    hypothesis = Hypothesis(of, settings, settings.depth)
+    random = np.random.default_rng(1)
+    observations = scenes(random, of, 5, 0.5)
+    unary, binary = hri.relations(of, observations)
+    exist = hri.present(unary, binary)
+    one, two = (torch.from_numpy(values).float() for values in hypothesis.facts(unary, binary))
+    generator = torch.Generator().manual_seed(2)
+    weights = torch.randn(2, hypothesis.slots, hypothesis.predicates, generator=generator)
+    degrees = torch.softmax(weights.masked_fill(~hypothesis.visible(), -torch.inf), -1)
+    fast = hypothesis.infer(degrees, one, two, torch.from_numpy(exist).float(), conjunction)
+    for model, scene in itertools.product(range(2), range(5)):
+        slow = slow_inference(hypothesis, degrees[model], unary[scene], binary[scene], exist[scene], conjunction)
+        assert float(fast[model, scene]) == pytest.approx(slow, abs=1e-5)
+
+
+def random_rules(random: np.random.Generator, hypothesis: Hypothesis) -> Rules:
+    """Random choices, which prefer predicates of lower layers to symbols."""
+    first = len(hypothesis.unary) + len(hypothesis.binary)
+    choices = []
+    for layer in hypothesis.layers:
+        for _ in range(layer.slots.start, layer.slots.stop):
+            below = layer.visible > first and random.random() < 0.6
+            choices.append(int(random.integers(first if below else 0, layer.visible if below else first)))
+    return Rules(hypothesis, tuple(choices))
+
+
+def stops_by_the_engine(text: str, of: Layout, observations: NDArray[np.float32]) -> Bools:
+    """Evaluate rules with the engine. All scenes are in one session, because entities see only those of their scene."""
+    program = logicity.Program(text)
+    session = logicity.Session(program)
+    unary, binary = hri.relations(of, observations)
+    exist = hri.present(unary, binary)
+    for number, name in enumerate(of.unary):
+        session.insert(name, [(f"s{scene}e{i}",) for scene, i in np.argwhere(unary[..., number])])
+    for number, name in enumerate(of.binary):
+        session.insert(name, [(f"s{s}e{i}", f"s{s}e{j}") for s, i, j in np.argwhere(binary[..., number])])
+    session.insert("Sees", [(f"s{scene}e0", f"s{scene}e{i}") for scene, i in np.argwhere(exist)])
+    session.commit()
+    return np.array([session.contains("Stop", (f"s{scene}e0",)) for scene in range(len(observations))])
+
+
+@pytest.mark.parametrize("unfold", [64, 1])
+@pytest.mark.parametrize("negation", [False, True])
+def test_rules_decide_as_the_discretized_model_and_as_the_engine(
+    monkeypatch: pytest.MonkeyPatch, negation: bool, unfold: int
+) -> None:
+    monkeypatch.setattr(hri, "UNFOLD", unfold)
+    of = layout_of("easy")
+    settings = HriSettings(negation=negation, depth=4)
+    hypothesis = Hypothesis(of, settings, 4)
+    random = np.random.default_rng(3)
+    observations = scenes(random, of, 60, 0.25)
+    unary, binary = hri.relations(of, observations)
+    one, two = (torch.from_numpy(values).float() for values in hypothesis.facts(unary, binary))
+    exist = torch.from_numpy(hri.present(unary, binary)).float()
+    shares, defined = [], 0
+    for _ in range(25):
+        rules = random_rules(random, hypothesis)
+        holds = rules.holds(unary, binary)
+        degrees = torch.nn.functional.one_hot(torch.tensor([rules.choices]), hypothesis.predicates).float()
+        np.testing.assert_array_equal(hypothesis.infer(degrees, one, two, exist, "min")[0].numpy() > 0.5, holds)
+        text = HriPolicy("easy", of, settings, {"Stop": rules}).rules()
+        assert not [fault for fault in logicity.check(text) if fault["severity"] == "error"], text
+        np.testing.assert_array_equal(stops_by_the_engine(text, of, observations), holds, err_msg=text)
+        shares.append(holds.mean())
+        defined += text.count(".decl")
+    # The test compares something: not all rules are constant, and the second case has definitions.
+    assert sum(0 < share < 1 for share in shares) > 8
+    assert (defined > 0) == (unfold == 1)
+
+
+def test_clauses_are_reduced_and_variables_are_bound() -> None:
+    def body(*literals: str) -> hri.Body:
+        atoms = []
+        for literal in literals:
+            name, *variables = literal.lstrip("!").split()
+            atoms.append((literal[0] != "!", name, tuple(map(int, variables))))
+        return frozenset(atoms)
+
+    assert hri._pruned([body("P 0", "R 0 10", "R 0 11", "Q 11")], 1) == [body("P 0", "R 0 10", "Q 10")]
+    assert hri._pruned([body("P 0", "Q 10"), body("P 0")], 1) == [body("P 0")]
+    assert hri._pruned([body("P 0", "!P 0"), body("P 0", "!P 10")], 1) == [body("P 0", "!P 10")]
+    # A second argument of the head is no local variable.
+    assert len(hri._pruned([body("R 0 1"), body("R 0 10")], 2)) == 1
+    assert hri._pruned([body("R 0 1"), body("R 1 0")], 2) == [body("R 0 1"), body("R 1 0")]
+    assert hri._clause("Stop", (0,), body("P 0", "!Q 10")) == "Stop(X) :- P(X), Not(Q(Y)), Sees(X, Y)."
+    assert hri._clause("Stop", (0,), body("!P 0", "Q 10")) == "Stop(X) :- Not(P(X)), Q(Y), Sees(X, X)."
+    assert hri._clause("Stop", (0,), body()) == "Stop(X) :- Sees(X, X)."
+
+
+def test_a_synthetic_rule_is_learned_exactly() -> None:
+    of = layout(4, ["IsBus", "IsOld", "IsAtInter", "IsInInter"], ["NextTo", "HigherPri"])
+    settings = HriSettings(
+        depth=2,
+        restarts=8,
+        batch=64,
+        conjunction="product",
+        temperatures=(0.1, 0.1),
+        noise=(0.1, 0.1),
+        embedding_rates=(0.05, 0.02),
+        rule_rates=(0.05, 0.02),
+    )
+    random = np.random.default_rng(4)
+    observations = np.concatenate([scenes(random, of, 1000, density) for density in (0.1, 0.25)])
+    unary, binary = hri.relations(of, observations)
+    bus, old, at, inside = np.moveaxis(unary, -1, 0)
+    next_to = binary[..., 0]
+    wanted = at[:, 0] & (inside | (old & next_to[:, 0])).any(1)
+    hypothesis = Hypothesis(of, settings, settings.depth)
+    examples = hri.Examples(hypothesis, of, observations, wanted, np.arange(len(wanted)) // 20)
+    generator = torch.Generator().manual_seed(0)
+    model = hri._Model(hypothesis, settings, generator)
+    for step in range(400):
+        model.update(examples, step / 400, generator)
+        if step % 50 == 49:
+            model.extract(examples)
+            if model.quality.reproduced == 1.0:
+                break
+    assert model.quality == (1.0, 1.0)
+    clauses = HriPolicy("synthetic", of, settings, {"Stop": model.best}).rules().splitlines()[3:]
+    assert sorted(clauses) == [
+        "Stop(X) :- IsAtInter(X), IsInInter(Y).",
+        "Stop(X) :- IsAtInter(X), IsOld(Y), NextTo(X, Y).",
+    ]
+
+
+def weights(learner: HRI) -> list[NDArray[Any]]:
+    return [w.detach().numpy() for model in learner._models.values() for w in (model.predicates, model.rules)]
+
+
+def test_an_interrupted_run_equals_an_uninterrupted_one(tmp_path: Path) -> None:
+    settings = {"restarts": 2, "batch": 16, "extract_every": 3}
+    whole = HRI(config("expert", 8, 5, **settings))
+    whole.fit(8, lambda: None)
+    first = HRI(config("expert", 8, 5, **settings))
+    first.fit(5, lambda: None)
+    first.save(tmp_path)
+    torch.rand(3)
+    second = HRI(config("expert", 8, 6, **settings))
+    second.restore(tmp_path)
+    assert second.steps == 5
+    seen = []
+    second.fit(8, lambda: seen.append(second.steps))
+    assert seen == [6, 7, 8]
+    for one, two in zip(weights(whole), weights(second), strict=True):
+        np.testing.assert_array_equal(one, two)
+    assert whole.policy().rules() == second.policy().rules()
+    other = HRI(config("expert", 8, 5, **{**settings, "restarts": 3}))
+    with pytest.raises(ValueError, match="other settings"):
+        other.restore(tmp_path)
+    with pytest.raises(ValueError, match="models of other actions"):
+        HRI(config("easy", 8, 5, **settings)).restore(tmp_path)
+    (tmp_path / "hri.pt").write_bytes(b"no weights")
+    with pytest.raises(ValueError, match="is not a file of hri"):
+        other.restore(tmp_path)
+    (tmp_path / "hri.pt").unlink()
+    with pytest.raises(FileNotFoundError):
+        other.restore(tmp_path)
+
+
+def test_policies_are_saved_and_actions_have_precedence(tmp_path: Path) -> None:
+    of = layout_of("expert")
+    settings = HriSettings(depth=2)
+    hypothesis = Hypothesis(of, settings, 2)
+    names = [name for name, _ in hypothesis.unary]
+    true, false = len(names) - 2, len(names) - 1
+    models = {}
+    for action, predicate in (("Stop", "IsAtInter"), ("Slow", "IsTiro"), ("Fast", "IsBus")):
+        at = names.index(predicate)
+        models[action] = Rules(hypothesis, (*[false] * (hypothesis.slots - 3), at, true, false))
+    policy = HriPolicy("expert", of, settings, models)
+    policy.save(tmp_path / "policy.pt")
+    loaded = HriPolicy.load(tmp_path / "policy.pt")
+    assert loaded.rules() == policy.rules()
+    assert policy.rules().splitlines()[2:] == [
+        "",
+        "Stop(X) :- IsAtInter(X).",
+        "",
+        "Slow(X) :- Not(Stop(X)), IsTiro(X).",
+        "",
+        "Fast(X) :- Not(Stop(X)), Not(Slow(X)), IsBus(X).",
+    ]
+    assert logicity.check(policy.rules()) == []
+    observations = np.zeros((8, of.width), np.float32)
+    for number, name in enumerate(("IsAtInter", "IsTiro", "IsBus")):
+        observations[:, of.unary_at[0, of.unary.index(name)]] = np.arange(8) >> number & 1
+    actions, state = loaded.predict(observations)
+    assert state is None and actions.dtype == np.int64
+    assert [ACTIONS[action] for action in actions] == [
+        "Normal", "Stop", "Slow", "Stop", "Fast", "Stop", "Slow", "Stop",
+    ]  # fmt: skip
+    with pytest.raises(ValueError, match="shape"):
+        loaded.predict(observations[:, :-1])
+    torch.save({"format": "another"}, tmp_path / "other.pt")
+    with pytest.raises(ValueError, match="expected the format"):
+        HriPolicy.load(tmp_path / "other.pt")
+    plain = torch.load(tmp_path / "policy.pt", weights_only=True)
+    plain["models"][0][2][0] = 10_000
+    torch.save(plain, tmp_path / "other.pt")
+    with pytest.raises(ValueError, match="is not a policy of hri"):
+        HriPolicy.load(tmp_path / "other.pt")

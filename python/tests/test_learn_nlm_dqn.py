@@ -1,0 +1,102 @@
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+from conftest import needs
+
+torch = needs("torch", "learn")
+gymnasium = needs("gymnasium", "learn")
+needs("stable_baselines3", "learn")
+
+from logicity.learn import TrainConfig, load_policy, train  # noqa: E402
+from logicity.learn.demonstrations import layout_of  # noqa: E402
+from logicity.learn.features import LogicFeatures  # noqa: E402
+from logicity.learn.nlm_dqn import NlmDqnLearner  # noqa: E402
+
+SETTINGS = {
+    "depth": 2,
+    "outputs": 3,
+    "network": [8],
+    "batch_size": 16,
+    "learning_starts": 40,
+    "buffer_size": 500,
+    "train_freq": 4,
+    "target_update_interval": 50,
+}
+
+
+def config(**keys: Any) -> TrainConfig:
+    values = {"algorithm": "nlm-dqn", "mode": "easy", "settings": SETTINGS, "steps": 240, "validate_every": 80}
+    return TrainConfig(**{**values, **keys})
+
+
+def test_the_features_are_the_predicates_of_the_ego() -> None:
+    layout = layout_of("medium")
+    space = gymnasium.spaces.Box(0.0, 1.0, (layout.width,), np.float32)
+    torch.manual_seed(1)
+    features = LogicFeatures(space, layout.atoms(), depth=3, outputs=5)
+    observations = (torch.rand(20, layout.width) < 0.1).float()
+    result = features(observations)
+    assert result.shape == (20, 5) and features.features_dim == 5
+    unary, binary, mask = features.network.view(observations)
+    assert torch.equal(result, features.network.machine([None, unary, binary], mask)[1][:, 0])
+    assert features.network.machine.layers[0].linear["3"].in_features == 6 * len(layout.binary)
+    with pytest.raises(ValueError, match=r"shape \(140,\), not \(85,\)"):
+        LogicFeatures(gymnasium.spaces.Box(0.0, 1.0, (85,), np.float32), layout.atoms())
+
+
+def test_the_network_has_the_layers_of_the_settings() -> None:
+    learner = NlmDqnLearner(config())
+    try:
+        network = learner.policy().model.policy.q_net
+        assert isinstance(network.features_extractor, LogicFeatures)
+        widths = [layer.out_features for layer in network.q_net if isinstance(layer, torch.nn.Linear)]
+        assert widths == [8, 4] and network.q_net[0].in_features == 3
+    finally:
+        learner.close()
+
+
+def test_an_interrupted_training_equals_an_uninterrupted_one(tmp_path: Path) -> None:
+    class Killed(Exception):
+        pass
+
+    whole, first, second = (NlmDqnLearner(config()) for _ in range(3))
+
+    def kill() -> None:
+        if first.steps == 120:
+            first.save(tmp_path)
+        if first.steps == 160:
+            raise Killed
+
+    try:
+        whole.fit(240, lambda: None)
+        first = NlmDqnLearner(config())
+        with pytest.raises(Killed):
+            first.fit(240, kill)
+        second = NlmDqnLearner(config())
+        second.restore(tmp_path)
+        second.fit(240, lambda: None)
+        one, other = (learner.policy().model.policy.state_dict() for learner in (whole, second))
+        assert all(torch.equal(one[name], other[name]) for name in one)
+    finally:
+        for learner in (whole, first, second):
+            learner.close()
+
+
+def test_a_run_saves_a_policy_that_names_its_learner(tmp_path: Path) -> None:
+    result = train(config(), tmp_path / "run", tensorboard=False)
+    assert result["config"]["settings"]["depth"] == 2
+    saved = load_policy(tmp_path / "run")
+    assert (saved.algorithm, saved.mode) == ("nlm-dqn", "easy")
+    observations = np.zeros((7, layout_of("easy").width), np.float32)
+    actions, _ = saved.policy.predict(observations)
+    assert actions.shape == (7,)
+    # Another learner's policy is no start.
+    with pytest.raises(ValueError, match="policy of `nlm-dqn`, not of `dqn`"):
+        train(
+            config(algorithm="dqn", settings={"network": [8]}, start=str(tmp_path / "run" / "best.zip")),
+            tmp_path / "other",
+        )
