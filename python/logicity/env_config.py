@@ -16,10 +16,14 @@ from .errors import checked_limits, checked_path, did_you_mean
 from .rules import rule_file
 from .types import Limits, Split
 
-__all__ = ["EnvConfig", "EnvOptions", "ObservationKind"]
+__all__ = ["EnvConfig", "EnvOptions", "Episodes", "ObservationKind"]
 
 ObservationKind: TypeAlias = Literal["groundings", "state"]
 """The kind of observation: truth values of ground atoms, or the exact state. See `logicity.envs.SPFEnv`."""
+
+
+Episodes: TypeAlias = Literal["drawn", "drawn-demanding", "recorded"]
+"""The episodes of an environment. See `logicity.envs.SPFEnv`."""
 
 
 class EnvOptions(TypedDict, total=False):
@@ -30,6 +34,8 @@ class EnvOptions(TypedDict, total=False):
     overrides: Mapping[str, Any] | None
     observation: ObservationKind
     limits: Limits | None
+    oracle: bool
+    action_masks: bool
 
 
 class EnvConfig:
@@ -43,6 +49,8 @@ class EnvConfig:
         overrides: A mapping that is merged into the configuration and takes precedence.
         observation: The kind of observation.
         limits: The limits of each evaluation of the rules.
+        oracle: Whether `info` has the key `oracle_action`.
+        action_masks: Whether `info` has the key `action_mask`.
         unknown: Unknown options, which raise `TypeError`.
 
     Raises:
@@ -61,6 +69,8 @@ class EnvConfig:
         overrides: Mapping[str, Any] | None = None,
         observation: ObservationKind = "groundings",
         limits: Limits | None = None,
+        oracle: bool = True,
+        action_masks: bool = False,
         **unknown: Any,
     ) -> None:
         """Check and store the arguments."""
@@ -72,6 +82,7 @@ class EnvConfig:
             of = f"{env_class.__name__}() " if env_class else ""
             raise TypeError(f"{of}got an unexpected keyword argument '{name}'{did_you_mean(name, known)}")
         self.config, self.split, self.observation = checked_path("config", config), split, observation
+        self.oracle, self.action_masks = oracle, action_masks
         self.rules, self.limits = rule_file(rules), checked_limits(limits)
         if overrides is not None and not isinstance(overrides, Mapping):
             raise TypeError(f"overrides: expected a mapping, not {type(overrides).__name__}")

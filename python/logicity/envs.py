@@ -14,7 +14,7 @@ import operator
 import os
 from collections.abc import Mapping, Sequence
 from copy import copy, deepcopy
-from typing import TYPE_CHECKING, Any, Literal, TypedDict, cast
+from typing import TYPE_CHECKING, Any, TypedDict, cast
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -34,7 +34,7 @@ try:
 except ImportError as error:
     raise missing_extra("gym", error) from error
 
-from .env_config import EnvConfig, EnvOptions
+from .env_config import EnvConfig, EnvOptions, Episodes
 
 if TYPE_CHECKING:
     from typing_extensions import Unpack  # Python 3.11; only annotations use it
@@ -141,17 +141,22 @@ class SPFEnv(gymnasium.Env[Observations, np.int64]):
     - `success`: whether the car has reached the goal without violating a rule.
     - `steps`: the number of steps of the episode.
     - `seed`: the seed of the episode, a `numpy.uint64`.
+    - `action_mask`, with `action_masks=True`: for each action, whether it violates no clause in the current state, a
+      bool array of shape (4,).
 
     Args:
         config: A run configuration: a built-in name such as `expert`, or a path.
-        episodes: `"drawn"` generates new episodes. `"recorded"` samples the recorded episodes of the split with
-            replacement. The seed determines both.
+        episodes: `"drawn"` generates new episodes. `"drawn-demanding"` does so, too, and omits the episodes in which
+            the oracle's run, up to the horizon, has fewer constrained steps than `task.constrained_steps` of the
+            configuration (default: 1). It raises `InputError` (`limit-exceeded`) if 1,000 draws in a row are omitted.
+            `"recorded"` samples the recorded episodes of the split with replacement. The seed determines all three.
         atoms: Whether `info` has the key `true_atoms`, a tuple of strings such as `IsTiro(Car_1)`.
         render_mode: `"rgb_array"` or `"ansi"`.
         options: `split`, the set of agents; `rules`, a rule file that replaces the configuration's; `overrides`, a
             mapping that is merged into the configuration, such as `{"task": {"reward": {"overtime": -6}}}`;
-            `observation`, see above; and `limits`, the limits of each evaluation of the rules, such as
-            `{"max_rows": 50_000_000}`.
+            `observation`, see above; `limits`, the limits of each evaluation of the rules, such as
+            `{"max_rows": 50_000_000}`; `oracle=False`, which removes `oracle_action` from `info`; and
+            `action_masks=True`, which adds `action_mask` to it and enables `action_masks()`.
 
     Raises:
         InputError: If the configuration, the rule file or an episode is invalid.
@@ -167,7 +172,7 @@ class SPFEnv(gymnasium.Env[Observations, np.int64]):
         self,
         config: str | os.PathLike[str] = "expert",
         *,
-        episodes: Literal["drawn", "recorded"] = "drawn",
+        episodes: Episodes = "drawn",
         atoms: bool = False,
         render_mode: str | None = None,
         **options: Unpack[EnvOptions],
@@ -175,7 +180,7 @@ class SPFEnv(gymnasium.Env[Observations, np.int64]):
         """Load the configuration and the rules."""
         self._config = EnvConfig(config, SPFEnv, **options)
         self._atoms = atoms
-        self._recorded = _is_recorded(episodes)
+        self._episodes, self._recorded = episodes, episodes == "recorded"
         self.render_mode = checked_render_mode(render_mode, self.metadata)
         self._task = self._config.task()
         space = observation_space(self._config, self._task)
@@ -188,7 +193,10 @@ class SPFEnv(gymnasium.Env[Observations, np.int64]):
 
     def _make_core(self, task: _logicity.Task) -> _logicity.VectorEnv:
         config = self._config
-        return _logicity.VectorEnv(task, config.split, 1, "Disabled", config.observation, self._recorded, 1)
+        core = _logicity.VectorEnv(task, config.split, 1, "Disabled", config.observation, self._episodes, 1)
+        if config.action_masks:
+            core.judge_actions()
+        return core
 
     def _new_observation(self) -> Observations:
         return np.empty(self._shape, np.float32)
@@ -225,7 +233,7 @@ class SPFEnv(gymnasium.Env[Observations, np.int64]):
         if self._core is not self._base:
             self._base.seed(0, *self._core.source(0))
         self._begun = True
-        return observation, _env_info(self._core.info(0), self._core, 0, self._atoms)
+        return observation, _env_info(self._core.info(0), self._config, self._core, 0, self._atoms)
 
     def _apply_overrides(self, overrides: dict[str, Any]) -> None:
         """Switch to the configuration with these overrides, and continue the sequence of episodes."""
@@ -255,7 +263,20 @@ class SPFEnv(gymnasium.Env[Observations, np.int64]):
         self._check_begun()
         observation = self._new_observation()
         reward, terminated, truncated, info = self._core.step_one(checked_action(action), observation)
-        return observation, reward, terminated, truncated, _env_info(info, self._core, 0, self._atoms)
+        return observation, reward, terminated, truncated, _env_info(info, self._config, self._core, 0, self._atoms)
+
+    def action_masks(self) -> NDArray[np.bool_]:
+        """Return for each action whether it violates no clause in the current state. The shape is (4,).
+
+        If every action violates a clause, which the rules of the modes do not allow, all values are `False`.
+
+        Raises:
+            gymnasium.error.Error: If the environment was made without `action_masks=True`.
+            gymnasium.error.ResetNeeded: If no episode has started.
+        """
+        check_masks(self._config)
+        self._check_begun()
+        return cast("NDArray[np.bool_]", _action_masks(self._core, 1)[0])
 
     @property
     def episode(self) -> EpisodeStart:
@@ -346,25 +367,40 @@ def _restore(core: _logicity.VectorEnv, states: _States, observations: Observati
     core.replay([episode for _, episode in states], observations)
 
 
-def info_dict(info: dict[str, Any]) -> dict[str, Any]:
-    """Convert the `info` of an episode to the types that gymnasium expects."""
+def info_dict(info: dict[str, Any], config: EnvConfig) -> dict[str, Any]:
+    """Convert the `info` of an episode to the types that gymnasium expects, and remove what the options exclude."""
     # Gymnasium collects infos in arrays. The default dtype int64 does not hold every seed, but uint64 does.
     info["seed"] = np.uint64(info["seed"])
+    if not config.oracle:
+        del info["oracle_action"]
     return info
 
 
-def _env_info(info: dict[str, Any], core: _logicity.VectorEnv, at: int, atoms: bool) -> dict[str, Any]:
+def _env_info(
+    info: dict[str, Any], config: EnvConfig, core: _logicity.VectorEnv, at: int, atoms: bool
+) -> dict[str, Any]:
     """Convert the `info` of one environment. With `atoms`, add its true atoms."""
-    info_dict(info)
+    info_dict(info, config)
     if atoms:
         info["true_atoms"] = core.atoms(at)
     return info
 
 
-def _is_recorded(episodes: str) -> bool:
-    if episodes not in ("drawn", "recorded"):
-        raise ValueError(f"`episodes` must be `drawn` or `recorded`, not `{episodes}`")
-    return episodes == "recorded"
+def _action_masks(core: _logicity.VectorEnv, count: int, ended: bool = False) -> NDArray[np.bool_]:
+    """Return the allowed actions of all environments, or those of the episodes that ended in the last step."""
+    masks = np.zeros((count, len(ACTIONS)), np.bool_)
+    core.action_masks(masks, ended)
+    return masks
+
+
+def check_masks(config: EnvConfig) -> None:
+    """Check that the environments compute the allowed actions.
+
+    Raises:
+        gymnasium.error.Error: If they do not.
+    """
+    if not config.action_masks:
+        raise gymnasium.error.Error("the environment has no action masks: make it with `action_masks=True`")
 
 
 def checked_render_mode(mode: str | None, metadata: Mapping[str, Any]) -> str | None:
@@ -469,7 +505,7 @@ class SPFVectorEnv(VectorEnv[Observations, NDArray[np.int64], NDArray[Any]]):
         num_envs: int = 1,
         config: str | os.PathLike[str] = "expert",
         *,
-        episodes: Literal["drawn", "recorded"] = "drawn",
+        episodes: Episodes = "drawn",
         atoms: bool = False,
         render_mode: str | None = None,
         autoreset_mode: AutoresetMode | str = AutoresetMode.NEXT_STEP,
@@ -491,7 +527,7 @@ class SPFVectorEnv(VectorEnv[Observations, NDArray[np.int64], NDArray[Any]]):
         self.single_action_space = Discrete(4)
         self.observation_space = batch_space(self.single_observation_space, num_envs)
         self.action_space = batch_space(self.single_action_space, num_envs)
-        self._recorded = _is_recorded(episodes)
+        self._episodes, self._recorded = episodes, episodes == "recorded"
         self._core = self._make_core()
         self._observations = np.zeros((num_envs, *(self.single_observation_space.shape or ())), np.float32)
         self._seeded = np.zeros(num_envs, np.bool_)
@@ -501,8 +537,10 @@ class SPFVectorEnv(VectorEnv[Observations, NDArray[np.int64], NDArray[Any]]):
     def _make_core(self) -> _logicity.VectorEnv:
         config, mode = self._config, self.autoreset_mode.value
         core = _logicity.VectorEnv(
-            self._task, config.split, self.num_envs, mode, config.observation, self._recorded, self._num_threads
+            self._task, config.split, self.num_envs, mode, config.observation, self._episodes, self._num_threads
         )
+        if config.action_masks:
+            core.judge_actions()
         if self._atoms:
             core.keep_last_atoms()
         return core
@@ -556,7 +594,7 @@ class SPFVectorEnv(VectorEnv[Observations, NDArray[np.int64], NDArray[Any]]):
         self._core.reset(begin, self._observations)
         infos: dict[str, Any] = {}
         for at in np.flatnonzero(mask):
-            info = _env_info(self._core.info(int(at)), self._core, int(at), self._atoms)
+            info = _env_info(self._core.info(int(at)), self._config, self._core, int(at), self._atoms)
             infos = self._add_info(infos, info, int(at))
         return self._output(), infos
 
@@ -607,8 +645,30 @@ class SPFVectorEnv(VectorEnv[Observations, NDArray[np.int64], NDArray[Any]]):
             self._add_ends(infos)
         return self._output(), rewards, terminated, truncated, infos
 
+    def collect(self, network: _logicity.PolicyNetwork, random: NDArray[np.float32]) -> dict[str, NDArray[Any]]:
+        """Run every environment under the stochastic policy of a network. The autoreset mode must be SameStep.
+
+        Args:
+            network: The network.
+            random: Uniform random numbers from 0 to 1, float32 of shape (num_envs, steps), that select the actions.
+
+        Returns:
+            The steps: `states` (uint32, the position of the observation among the distinct ones), `actions` (uint8),
+            `rewards` (float32), `endings` (uint8: 0 none, 1 violation, 2 success, 3 horizon) and `next_values`
+            (float32, the value of the state after the step, 0 if it is terminal), each of shape (num_envs, steps). The
+            distinct observations: `inputs` (float32 of shape (observations, slots, inputs)) and `outputs` (float32 of
+            shape (observations, 5): a logit per action, and the value).
+
+        Raises:
+            gymnasium.error.ResetNeeded: If an episode has not started.
+            ValueError: If the network or the shape of `random` does not fit.
+        """
+        return self._core.collect(network, random, self._observations)
+
     def _infos(self, columns: _Columns, broken: list[tuple[int, tuple[str, ...]]]) -> dict[str, Any]:
-        infos: dict[str, Any] = dict(zip(_COLUMNS, columns, strict=True))
+        infos = self._by_key(columns)
+        if self._config.action_masks:
+            infos["action_mask"] = _action_masks(self._core, self.num_envs)
         infos["violations"] = violations = self._no_violations.copy()
         for at, labels in broken:
             violations[at] = labels
@@ -616,12 +676,20 @@ class SPFVectorEnv(VectorEnv[Observations, NDArray[np.int64], NDArray[Any]]):
             infos["_" + key] = np.ones(self.num_envs, np.bool_)
         return infos
 
+    def _by_key(self, columns: _Columns) -> dict[str, Any]:
+        infos: dict[str, Any] = dict(zip(_COLUMNS, columns, strict=True))
+        if not self._config.oracle:
+            del infos["oracle_action"]
+        return infos
+
     def _add_ends(self, infos: dict[str, Any]) -> None:
         """Add the last observations and infos of the episodes that ended in this step, for SameStep autoreset."""
         count = self.num_envs
         columns = _columns(count)
         ends = self._core.ended(columns)
-        info: dict[str, Any] = dict(zip(_COLUMNS, columns, strict=True))
+        info = self._by_key(columns)
+        if self._config.action_masks:
+            info["action_mask"] = _action_masks(self._core, count, ended=True)
         info["violations"] = violations = np.empty(count, object)
         infos["final_obs"] = observations = np.empty(count, object)
         if self._atoms:
@@ -635,6 +703,17 @@ class SPFVectorEnv(VectorEnv[Observations, NDArray[np.int64], NDArray[Any]]):
         for key in tuple(info):
             info["_" + key] = mask.copy()
         infos["final_info"], infos["_final_info"], infos["_final_obs"] = info, mask.copy(), mask
+
+    def action_masks(self) -> NDArray[np.bool_]:
+        """Return the masks of `SPFEnv.action_masks`. The shape is (num_envs, 4).
+
+        Rows of environments without an episode are `False`.
+
+        Raises:
+            gymnasium.error.Error: If the environments were made without `action_masks=True`.
+        """
+        check_masks(self._config)
+        return _action_masks(self._core, self.num_envs)
 
     def episode(self, at: int) -> EpisodeStart:
         """Return the start of the current episode of an environment.

@@ -46,7 +46,7 @@ class SPFParallelEnv(ParallelEnv[str, Observations, "np.int64 | int"]):
     """Safe Path Following in which every car is a controlled agent, named `Car_1`, `Car_2`, ...
 
     Observations, actions, rewards and `info` of a car are those of `SPFEnv`. When the episode of a car ends, the car
-    leaves `agents` and follows the rules.
+    leaves `agents` and follows the rules. A curriculum of the configuration has no effect.
 
     Args:
         config: As for `SPFEnv`.
@@ -78,7 +78,8 @@ class SPFParallelEnv(ParallelEnv[str, Observations, "np.int64 | int"]):
         self._seeded = self._begun = False
 
     def _make_cars(self) -> _logicity.MultiCarEnv:
-        return _logicity.MultiCarEnv(self._task, self._config.split, self._config.observation)
+        config = self._config
+        return _logicity.MultiCarEnv(self._task, config.split, config.observation, config.action_masks)
 
     def observation_space(self, agent: str) -> Box:
         """Return the observation space of a car. Every call returns the same object.
@@ -134,7 +135,7 @@ class SPFParallelEnv(ParallelEnv[str, Observations, "np.int64 | int"]):
         self.agents, self._begun = [], False
         self._cars.reset(None if episode is True else episode)
         self.agents, self._begun = list(self.possible_agents), True
-        infos = {name: info_dict(self._cars.outcome(self._index[name])[3]) for name in self.agents}
+        infos = {name: info_dict(self._cars.outcome(self._index[name])[3], self._config) for name in self.agents}
         return {name: self._observe(name) for name in self.agents}, infos
 
     def _observe(self, name: str) -> Observations:
@@ -177,7 +178,7 @@ class SPFParallelEnv(ParallelEnv[str, Observations, "np.int64 | int"]):
             {name: outcome[0] for name, outcome in outcomes.items()},
             {name: outcome[1] for name, outcome in outcomes.items()},
             {name: outcome[2] for name, outcome in outcomes.items()},
-            {name: info_dict(outcome[3]) for name, outcome in outcomes.items()},
+            {name: info_dict(outcome[3], self._config) for name, outcome in outcomes.items()},
         )
 
     @property

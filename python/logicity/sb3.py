@@ -93,7 +93,8 @@ class SPFVecEnv(VecEnv):
     def _dictionaries(infos: dict[str, Any]) -> list[dict[str, Any]]:
         """Convert arrays by key to one dictionary per environment."""
         keys = [key for key in infos if not key.startswith(("_", "final_"))]
-        return [dict(zip(keys, row, strict=True)) for row in zip(*(infos[key].tolist() for key in keys), strict=True)]
+        columns = (infos[key].tolist() if infos[key].ndim == 1 else list(infos[key]) for key in keys)
+        return [dict(zip(keys, row, strict=True)) for row in zip(*columns, strict=True)]
 
     def close(self) -> None:
         """Close the environments."""
@@ -115,11 +116,19 @@ class SPFVecEnv(VecEnv):
     def env_method(
         self, method_name: str, *method_args: Any, indices: Indices = None, **method_kwargs: Any
     ) -> list[Any]:
-        """Call `episode` or `explain` of the selected environments."""
+        """Call `episode`, `explain` or `action_masks` of the selected environments."""
+        if method_name == "action_masks":
+            masks = self.action_masks()
+            return [masks[at] for at in self._selected(indices)]
         if method_name not in ("episode", "explain"):
-            raise AttributeError(f"individual environments have no method `{method_name}`; known: `episode`, `explain`")
+            known = "`action_masks`, `episode`, `explain`"
+            raise AttributeError(f"individual environments have no method `{method_name}`; known: {known}")
         method = getattr(self.envs, method_name)
         return [method(at, *method_args, **method_kwargs) for at in self._selected(indices)]
+
+    def action_masks(self) -> NDArray[np.bool_]:
+        """Return the actions that violate no clause, as `SPFVectorEnv.action_masks` does, for `MaskablePPO`."""
+        return self.envs.action_masks()
 
     def env_is_wrapped(self, wrapper_class: Any, indices: Indices = None) -> list[bool]:
         """Return `False` for each environment."""

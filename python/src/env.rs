@@ -1,12 +1,17 @@
 //! Vectorized environments with one controlled car each.
 
+use crate::actor::PyPolicyNetwork;
 use crate::city::one_of;
 use crate::episode::{PyEpisode, PyEpisodeOption, read_episode};
-use crate::task::{PyTask, gymnasium_error, read_action, read_actions, split_named, view_named};
+use crate::task::{PyTask, action_mask, gymnasium_error, read_action, read_actions, split_named, view_named};
 use crate::{Signals, borrowed, borrowed_mut, slice_of};
 use logicity::city::{Action, Split};
+use logicity::diag::did_you_mean;
 use logicity::task::spf::{Autoreset, Begin, Episode, EpisodeSource, Info, SubEnv, VectorEnv, describe};
-use numpy::{PyArray1, PyArray3, PyArrayDyn, PyArrayMethods, PyReadonlyArray1, PyReadwriteArray1, PyReadwriteArrayDyn};
+use numpy::{
+    PyArray1, PyArray3, PyArrayDyn, PyArrayMethods, PyReadonlyArray1, PyReadonlyArray2, PyReadwriteArray1,
+    PyReadwriteArray2, PyReadwriteArrayDyn, PyUntypedArrayMethods,
+};
 use pyo3::exceptions::{PyIndexError, PyValueError};
 use pyo3::prelude::*;
 use pyo3::types::{PyDict, PyTuple};
@@ -23,6 +28,40 @@ fn autoreset_named(name: &str) -> PyResult<Autoreset> {
         Autoreset::SameStep => "SameStep",
         Autoreset::Disabled => "Disabled",
     })
+}
+
+/// The episodes that environments start.
+#[derive(Clone)]
+enum Episodes {
+    Drawn,
+    Demanding,
+    Recorded(Arc<[Episode]>),
+}
+
+impl Episodes {
+    fn named(py: Python<'_>, name: &str, task: &PyTask, split: Split) -> PyResult<Episodes> {
+        const NAMES: [&str; 3] = ["drawn", "drawn-demanding", "recorded"];
+        match NAMES.iter().position(|known| *known == name) {
+            Some(0) => Ok(Episodes::Drawn),
+            Some(1) => Ok(Episodes::Demanding),
+            Some(_) => Ok(Episodes::Recorded(Arc::clone(task.recorded_episodes(py, split)?))),
+            None => {
+                let help = match did_you_mean(name, NAMES) {
+                    Some(near) => format!("did you mean `{near}`?"),
+                    None => format!("known: {}", NAMES.map(|name| format!("`{name}`")).join(", ")),
+                };
+                Err(PyValueError::new_err(format!("unknown `episodes` \"{name}\"; {help}")))
+            }
+        }
+    }
+
+    fn source(&self, seed: u64) -> EpisodeSource {
+        match self {
+            Episodes::Drawn => EpisodeSource::new(seed, None),
+            Episodes::Demanding => EpisodeSource::demanding(seed),
+            Episodes::Recorded(set) => EpisodeSource::new(seed, Some(Arc::clone(set))),
+        }
+    }
 }
 
 /// Arrays with one element per environment: oracle action, progress, success, steps, seed.
@@ -76,7 +115,7 @@ struct PyVectorEnv {
     task: Py<PyTask>,
     split: Split,
     vector: VectorEnv,
-    recorded: Option<Arc<[Episode]>>,
+    episodes: Episodes,
     actions: Vec<Action>,
     signals: Arc<Signals>,
 }
@@ -92,14 +131,13 @@ impl PyVectorEnv {
         count: usize,
         autoreset: &str,
         observation: &str,
-        recorded: bool,
+        episodes: &str,
         threads: usize,
     ) -> PyResult<Self> {
         let split = split_named(split)?;
         let (autoreset, view) = (autoreset_named(autoreset)?, view_named(observation)?);
-        let episodes = recorded.then(|| task.get().recorded_episodes(py, split).map(Arc::clone));
-        let recorded = episodes.transpose()?;
-        let sources = std::iter::repeat_n(EpisodeSource::new(0, recorded.clone()), count);
+        let episodes = Episodes::named(py, episodes, task.get(), split)?;
+        let sources = std::iter::repeat_n(episodes.source(0), count);
         let shared = &task.get().task;
         let signals = Signals::new();
         let cancel = signals.cancel();
@@ -112,7 +150,7 @@ impl PyVectorEnv {
             task,
             split,
             vector,
-            recorded,
+            episodes,
             actions: Vec::with_capacity(count),
             signals,
         })
@@ -122,7 +160,7 @@ impl PyVectorEnv {
     fn seed(slf: &Bound<'_, Self>, at: usize, seed: u64, begun: u64) -> PyResult<()> {
         let this = &mut *borrowed_mut(slf)?;
         this.sub_env(at)?;
-        let mut source = EpisodeSource::new(seed, this.recorded.clone());
+        let mut source = this.episodes.source(seed);
         source.skip_to(begun);
         this.vector.set_source(at, source);
         Ok(())
@@ -247,6 +285,38 @@ impl PyVectorEnv {
             .collect()
     }
 
+    /// Runs every environment under the stochastic policy of a network, see `logicity::task::spf::VectorEnv::collect`.
+    /// `random` has shape (environments, steps).
+    fn collect<'py>(
+        slf: &Bound<'py, Self>,
+        py: Python<'py>,
+        network: &PyPolicyNetwork,
+        random: PyReadonlyArray2<'py, f32>,
+        observations: &Bound<'py, PyArrayDyn<f32>>,
+    ) -> PyResult<Bound<'py, PyDict>> {
+        let this = &mut *borrowed_mut(slf)?;
+        let mut observations = observations.try_readwrite()?;
+        let rows = this.rows(&mut observations)?;
+        let count = random.shape()[0];
+        this.check(count)?;
+        this.check_ready(py)?;
+        let (width, expected) = (network.network.width(), this.vector.width());
+        if width != expected {
+            let message = format!("expected a network for observations of {expected} numbers, not {width}");
+            return Err(PyValueError::new_err(message));
+        }
+        if this.vector.autoreset() != Autoreset::SameStep {
+            return Err(PyValueError::new_err("expected the autoreset mode SameStep"));
+        }
+        // The array may have another memory layout.
+        let random: Vec<f32> = random.as_array().iter().copied().collect();
+        let (task, vector) = (this.task.get(), &mut this.vector);
+        let done = this
+            .signals
+            .detach(py, || vector.collect(&network.network, &random, rows))?;
+        network.arrays(py, count, done.map_err(|fault| task.error(py, fault))?)
+    }
+
     /// Returns the episodes that ended in the last step, for autoreset in the same step.
     ///
     /// Writes the other keys of their infos to the columns.
@@ -291,6 +361,31 @@ impl PyVectorEnv {
     /// Keeps the true atoms at the end of an episode after the next one has started.
     fn keep_last_atoms(slf: &Bound<'_, Self>) -> PyResult<()> {
         borrowed_mut(slf)?.vector.keep_last_atoms();
+        Ok(())
+    }
+
+    /// Computes from the next reset on which actions violate no clause.
+    fn judge_actions(slf: &Bound<'_, Self>) -> PyResult<()> {
+        borrowed_mut(slf)?.vector.judge_actions();
+        Ok(())
+    }
+
+    /// Writes for each environment which actions violate no clause. With `ended`, writes those at the end of the
+    /// episodes that ended in the last step, for autoreset in the same step.
+    fn action_masks(slf: &Bound<'_, Self>, mut out: PyReadwriteArray2<'_, bool>, ended: bool) -> PyResult<()> {
+        let this = borrowed(slf)?;
+        let sub_envs = this.vector.sub_envs();
+        let count = Action::ALL.len();
+        let rows = slice_of(&mut out, count * sub_envs.len())?;
+        for (sub_env, row) in sub_envs.iter().zip(rows.chunks_exact_mut(count)) {
+            let info = match ended {
+                false => Some(sub_env.info()),
+                true => sub_env.ended().map(|(_, info)| info),
+            };
+            if let Some(info) = info {
+                row.copy_from_slice(&action_mask(info));
+            }
+        }
         Ok(())
     }
 

@@ -86,7 +86,8 @@ pub fn read_episode(given: &Bound<'_, PyDict>, env: &Env) -> Result<Episode, Dia
 fn read_agent(what: &str, given: &Bound<'_, PyAny>, env: &Env) -> Result<EpisodeAgent, Diagnostic> {
     let agent = Part::new(what.to_owned(), given, &["id", "concepts", "priority", "start", "goal"])?;
     let id: String = agent.get("id")?;
-    let known: Vec<AgentName> = env.city().agents().iter().map(|agent| agent.name()).collect();
+    let set = env.task().world().scenario.agent_set(env.city().split());
+    let known: Vec<AgentName> = set.expect("a city has it").members().map(|(name, _)| name).collect();
     let name = known.iter().find(|name| name.to_string() == id);
     let name = *name.ok_or_else(|| {
         let names: Vec<String> = known.iter().map(AgentName::to_string).collect();

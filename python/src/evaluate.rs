@@ -230,6 +230,7 @@ fn describe<'py>(py: Python<'py>, task: &PyTask) -> PyResult<Bound<'py, PyAny>> 
         "width": shared.observation_width(), "state": shared.state_shape(), "view": world.scenario.view,
         "priority_scale": shared.priority_scale(), "route_length": config.route_length,
         "horizon": config.horizon, "patience": config.patience, "overtime": config.reward.overtime,
+        "shaping": config.reward.shaping,
         "actions": BTreeMap::from(by_action), "constraints": constraints.collect::<Vec<Value>>(), "splits": splits,
     });
     to_python(py, &description)

@@ -6,10 +6,12 @@
 //! - `engine`: programs and sessions; `columns`: rows as Python values and numpy arrays;
 //! - `city`: scenes and simulations; `config`: configuration files that Python interprets;
 //! - `task`: the task of environments; `episode`: the start of an episode; `env`: environments with one controlled car;
-//!   `multi_car`: an environment that controls every car; `evaluate`: metrics of policies;
+//!   `actor`: networks that run in environments; `multi_car`: an environment that controls every car; `evaluate`: metrics
+//!   of policies;
 //! - `induce`: rules learned from demonstrations;
 //! - `vap`: data sets of Visual Action Prediction.
 
+mod actor;
 mod city;
 mod columns;
 mod config;
@@ -389,6 +391,7 @@ fn _logicity(module: &Bound<'_, PyModule>) -> PyResult<()> {
     city::register(module)?;
     output::register(module)?;
     task::register(module)?;
+    actor::register(module)?;
     env::register(module)?;
     multi_car::register(module)?;
     evaluate::register(module)?;

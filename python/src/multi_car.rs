@@ -29,14 +29,17 @@ struct PyMultiCarEnv {
 #[pymethods]
 impl PyMultiCarEnv {
     #[new]
-    fn new(py: Python<'_>, task: Py<PyTask>, split: &str, observation: &str) -> PyResult<Self> {
+    fn new(py: Python<'_>, task: Py<PyTask>, split: &str, observation: &str, judges: bool) -> PyResult<Self> {
         let (split, view) = (split_named(split)?, view_named(observation)?);
         let shared = Arc::clone(&task.get().task);
         let signals = Signals::new();
         let cancel = signals.cancel();
-        let env = signals
+        let mut env = signals
             .detach(py, || Env::new_with(shared, split, ControlMode::Cars, &cancel))?
             .map_err(|fault| task.get().error(py, fault))?;
+        if judges {
+            env.judge_actions();
+        }
         Ok(PyMultiCarEnv {
             task,
             env,
@@ -135,7 +138,7 @@ impl PyMultiCarEnv {
         let mut info = Info::default();
         info.note(&this.env, car);
         Ok((
-            last.reward,
+            last.shaped_reward(),
             last.terminated,
             last.truncated,
             this.task.get().info(py, &info)?,

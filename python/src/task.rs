@@ -13,7 +13,7 @@ use logicity::task::spf::{
     ControlMode, ControlledCar, Env, Episode, EpisodeSet, Info, ObservationKind, Origin, RecordError, SpfTask, explain,
     record,
 };
-use numpy::{IntoPyArray, PyArray3, PyArrayMethods};
+use numpy::{IntoPyArray, PyArray3, PyArrayMethods, ToPyArray};
 use pyo3::exceptions::PyValueError;
 use pyo3::intern;
 use pyo3::prelude::*;
@@ -58,6 +58,11 @@ pub fn gymnasium_error(py: Python<'_>, name: &str, message: String) -> PyErr {
         Ok(error) => PyErr::from_value(error),
         Err(error) => error,
     }
+}
+
+/// Returns for each action whether it violates no clause; all `false` if the environment does not compute it.
+pub fn action_mask(info: &Info) -> [bool; 4] {
+    Action::ALL.map(|action| info.allowed.is_some_and(|allowed| allowed.contains(action)))
 }
 
 /// Reads actions that an environment returned as bytes.
@@ -234,6 +239,9 @@ impl PyTask {
         dict.set_item(intern!(py, "success"), info.success)?;
         dict.set_item(intern!(py, "steps"), info.steps)?;
         dict.set_item(intern!(py, "seed"), info.seed)?;
+        if info.allowed.is_some() {
+            dict.set_item(intern!(py, "action_mask"), action_mask(info).to_pyarray(py))?;
+        }
         Ok(dict)
     }
 

@@ -331,9 +331,10 @@ WAYS: dict[str, Callable[[Any], Any]] = {
 
 
 @pytest.mark.parametrize("way", WAYS)
-@pytest.mark.parametrize("episodes", ["drawn", "recorded"])
+@pytest.mark.parametrize("episodes", ["drawn", "drawn-demanding", "recorded"])
 def test_a_copy_continues_identically(way: str, episodes: Any) -> None:
-    env = SPFEnv("hard", atoms=True, episodes=episodes)
+    overrides = {"task": {"curriculum": [{"until": 9, "agents": 5}]}}
+    env = SPFEnv("hard", atoms=True, episodes=episodes, action_masks=True, overrides=overrides)
     untouched = WAYS[way](env)
     with pytest.raises(ResetNeeded):
         untouched.step(0)
@@ -488,8 +489,11 @@ def test_invalid_arguments_raise() -> None:
         SPFEnv(split="dev")  # type: ignore[arg-type]
     with pytest.raises(ValueError, match="observation must be one of"):
         SPFEnv(observation="pixels")  # type: ignore[arg-type]
-    with pytest.raises(ValueError, match="drawn"):
-        SPFEnv(episodes="all")  # type: ignore[arg-type]
+    for make in (SPFEnv, SPFVectorEnv):
+        with pytest.raises(ValueError, match="known: `drawn`, `drawn-demanding`, `recorded`"):
+            make(episodes="all")
+        with pytest.raises(ValueError, match="did you mean `drawn-demanding`"):
+            make(episodes="drawn_demanding")
     with pytest.raises(UnsupportedMode):
         SPFEnv(render_mode="human")
     with pytest.raises(ValueError, match="base"):
@@ -572,6 +576,22 @@ def singles(count: int, id: str, mode: AutoresetMode, **options: Any) -> SyncVec
         ("logicity/SPF-Expert-v0", 1, {}),
         ("logicity/SPF-Expert-v0", 3, {"split": "test", "episodes": "recorded"}),
         ("logicity/SPF-Easy-v0", 2, {"observation": "state", "atoms": True}),
+        (
+            "logicity/SPF-Hard-v0",
+            2,
+            {
+                "episodes": "drawn-demanding",
+                "oracle": False,
+                "action_masks": True,
+                "overrides": {
+                    "task": {
+                        "order": "nearest",
+                        "curriculum": [{"until": 3, "agents": 4}, {"until": 9, "agents": 7}],
+                        "reward": {"progress": 5, "goal": 1, "potential": {"weight": 2, "gamma": 0.9}},
+                    }
+                },
+            },
+        ),
     ],
 )
 def test_vectorized_results_equal_single_environments(

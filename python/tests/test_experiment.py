@@ -141,6 +141,8 @@ def test_the_identity_follows_from_settings_rules_episodes_and_version(
         (TINY.replace("[0, 1]", "[-1]"), "`seeds.0` must be at least 0, not `-1`"),
         (TINY.replace("[0, 1]", "[]"), "`seeds` must be a list of 1 or more values"),
         (TINY + "variants: {a: {start: b}}", "unknown variant `b`"),
+        (TINY.replace("ppo: {}", "ppo: {variants: [b]}") + "variants: {a: {}}", "unknown variant `b`"),
+        (TINY.replace("ppo: {}", "ppo: {variants: [b]}") + "variants: {a: {}, b: {start: a}}", "`b` starts from `a`"),
         (TINY + "evaluations: {a: {split: tset}}", "`evaluations.a.split` must be `train`, `val` or `test`, not"),
         (TINY + "evaluations: {a: {fresh: 0}}", "`evaluations.a.fresh` must be at least 1"),
         ("[]", "an experiment must be a mapping"),

@@ -29,6 +29,21 @@ TINY: dict[str, dict[str, Any]] = {
     "dqn": {"settings": {"network": [16, 8], "learning_starts": 100, "buffer_size": 1000, "batch_size": 16}},
     "ppo": {"settings": {"network": [16, 8], "n_steps": 16, "batch_size": 32}},
     "a2c": {"settings": {"network": [16, 8], "n_steps": 16}},
+    "nlm-dqn": {"settings": {"network": [8], "depth": 2, "learning_starts": 100, "batch_size": 16, "buffer_size": 500}},
+    "mb-shooting": {
+        "settings": {"members": 2, "width": 8, "sequences": 4, "horizon": 2, "random_steps": 100, "buffer_size": 500}
+    },
+    "dreamer": {
+        "settings": {
+            **{"deterministic": 12, "variables": 3, "classes": 4, "layers": 1, "width": 10, "batch_size": 6},
+            **{"random_steps": 100, "train_interval": 20, "updates": 1, "imagination": 3, "buffer_size": 500},
+        }
+    },
+    "mlp": {"settings": {"network": [16, 8]}, "demonstrations": 0.1},
+    "gnn": {"settings": {"network": [8, 8]}, "demonstrations": 0.1},
+    "nlm": {"settings": {"depth": 2}, "demonstrations": 0.1},
+    "hri": {"settings": {"restarts": 2, "extract_every": 1}, "demonstrations": 0.1},
+    "ppo-fast": {"settings": {"network": [8], "rollout_steps": 8}},
 }
 #: The keys of a tiny run of every learner in environments.
 IN_ENVIRONMENTS = {"steps": 512, "envs": 2, "validate_every": 200, "overrides": {"task": {"reward": {"overtime": -6}}}}
@@ -270,7 +285,7 @@ def test_an_interrupted_run_equals_an_uninterrupted_one(
     def kill(self: Any) -> None:
         nonlocal calls
         progress(self)
-        # The run goes on after the checkpoint for two more calls, whose work is lost.
+        # The run continues after the checkpoint for two more calls, whose work is lost.
         calls += bool(self._state.validations)
         if calls == 3:
             raise Killed

@@ -59,7 +59,10 @@ def slow_inference(
 ) -> float:
     """Soft inference on one scene by loops over layers, entities and predicates, as the docstring of `Layer` says."""
     n = len(exist)
-    both = min if conjunction == "min" else (lambda a, b: a * b)
+
+    def both(a: float, b: float) -> float:
+        return min(a, b) if conjunction == "min" else a * b
+
     values: list[dict[tuple[int, int], float]] = []
     # The unary symbols, then the binary ones.
     for negated in (False, True) if hypothesis.negation else (False,):
@@ -84,14 +87,14 @@ def slow_inference(
             if layer.template == "Inv":
                 defined[x, y] = held[0][y, x]
                 continue
-            p, q, r = held
+            one, two, alternative = held
             if layer.template == "A00+":
-                defined[x, y] = max(max(both(p[x, z], q[z, x]), r[x, z]) for z in range(n) if exist[z])
+                defined[x, y] = max(max(both(one[x, z], two[z, x]), alternative[x, z]) for z in range(n) if exist[z])
             elif layer.template == "B00+":
-                chain = max(both(p[x, z], q[z, y]) for z in range(n) if exist[z])
-                defined[x, y] = max(chain, r[x, y])
+                chain = max(both(one[x, z], two[z, y]) for z in range(n) if exist[z])
+                defined[x, y] = max(chain, alternative[x, y])
             else:
-                defined[x, y] = max(both(p[x, y], q[y, x]), r[x, y])
+                defined[x, y] = max(both(one[x, y], two[y, x]), alternative[x, y])
         values.append(defined)
     return values[-1][0, 0]
 
@@ -203,10 +206,17 @@ def test_clauses_are_reduced_and_variables_are_bound() -> None:
 def test_a_synthetic_rule_is_learned_exactly() -> None:
     of = layout(4, ["IsBus", "IsOld", "IsAtInter", "IsInInter"], ["NextTo", "HigherPri"])
     settings = HriSettings(
-        depth=2, restarts=8, batch=64, embedding_rates=(0.02, 0.01), rule_rates=(0.02, 0.01), extract_every=25
+        depth=2,
+        restarts=8,
+        batch=64,
+        conjunction="product",
+        temperatures=(0.1, 0.1),
+        noise=(0.1, 0.1),
+        embedding_rates=(0.05, 0.02),
+        rule_rates=(0.05, 0.02),
     )
     random = np.random.default_rng(4)
-    observations = np.concatenate([scenes(random, of, 1500, density) for density in (0.15, 0.4)])
+    observations = np.concatenate([scenes(random, of, 1000, density) for density in (0.1, 0.25)])
     unary, binary = hri.relations(of, observations)
     bus, old, at, inside = np.moveaxis(unary, -1, 0)
     next_to = binary[..., 0]
@@ -217,13 +227,15 @@ def test_a_synthetic_rule_is_learned_exactly() -> None:
     model = hri._Model(hypothesis, settings, generator)
     for step in range(400):
         model.update(examples, step / 400, generator)
-        if step % 25 == 24:
+        if step % 50 == 49:
             model.extract(examples)
+            if model.quality.reproduced == 1.0:
+                break
     assert model.quality == (1.0, 1.0)
     clauses = HriPolicy("synthetic", of, settings, {"Stop": model.best}).rules().splitlines()[3:]
     assert sorted(clauses) == [
         "Stop(X) :- IsAtInter(X), IsInInter(Y).",
-        "Stop(X) :- IsAtInter(X), NextTo(X, Y), IsOld(Y).",
+        "Stop(X) :- IsAtInter(X), IsOld(Y), NextTo(X, Y).",
     ]
 
 
@@ -245,8 +257,8 @@ def test_an_interrupted_run_equals_an_uninterrupted_one(tmp_path: Path) -> None:
     seen = []
     second.fit(8, lambda: seen.append(second.steps))
     assert seen == [6, 7, 8]
-    for one, other in zip(weights(whole), weights(second), strict=True):
-        np.testing.assert_array_equal(one, other)
+    for one, two in zip(weights(whole), weights(second), strict=True):
+        np.testing.assert_array_equal(one, two)
     assert whole.policy().rules() == second.policy().rules()
     other = HRI(config("expert", 8, 5, **{**settings, "restarts": 3}))
     with pytest.raises(ValueError, match="other settings"):

@@ -2,19 +2,18 @@ from __future__ import annotations
 
 import itertools
 from pathlib import Path
-from types import SimpleNamespace
 from typing import Any
 
 import numpy as np
 import pytest
 from conftest import needs
 
-from logicity import _logicity
 from logicity.evaluation import Benchmark
 
 torch = needs("torch", "learn")
 needs("gymnasium", "learn")
 needs("tensorboard", "learn")
+from logicity.learn.config import TrainConfig  # noqa: E402
 from logicity.learn.interaction import Interaction, Transitions  # noqa: E402
 from logicity.learn.shooting import (  # noqa: E402
     Ensemble,
@@ -40,19 +39,16 @@ def small(**settings: Any) -> ShootingSettings:
     return ShootingSettings(**{**values, "model_interval": 8, "reward_interval": 4, **settings})
 
 
-def config(settings: ShootingSettings, **more: Any) -> Any:
-    """Stand in for the configuration of a run."""
+def config(settings: ShootingSettings, **more: Any) -> TrainConfig:
     values = {
         "algorithm": "mb-shooting",
         "mode": "easy",
-        "observation": "groundings",
         "settings": settings,
         "overrides": {"task": {"horizon": 30, "reward": {"violation": -1}}},
-        "steps": 0,
         "envs": 4,
         "seed": 3,
     }
-    return SimpleNamespace(**{**values, **more})
+    return TrainConfig(**{**values, **more})
 
 
 def member(ensemble: Ensemble, at: int) -> Any:
@@ -69,15 +65,14 @@ def with_action(bits: Any, action: int) -> Any:
     return torch.cat([bits, torch.eye(4)[action]])
 
 
-@torch.no_grad()
 def test_an_ensemble_is_a_batch_of_networks() -> None:
-    ensemble = Ensemble(50, BITS, 7, 6, generator())
+    ensemble = Ensemble(50, BITS, 7, 6, generator()).requires_grad_(False)
     bits = torch.randint(2, (50, 9, BITS), generator=generator(1)).float()
     actions = torch.randint(4, (50, 9), generator=generator(2))
     outputs, of_all = ensemble(bits, actions), ensemble.all_actions(bits)
     assert outputs.shape == (50, 9, 6) and of_all.shape == (50, 9, 4, 6)
     for at in range(50):
-        network = member(ensemble, at)
+        network = member(ensemble, at).requires_grad_(False)
         for row in range(9):
             expected = network(with_action(bits[at, row], int(actions[at, row])))
             torch.testing.assert_close(outputs[at, row], expected)
@@ -119,12 +114,11 @@ def test_the_members_train_as_separate_networks() -> None:
                 torch.testing.assert_close(bias.grad[at, 0], layer.bias.grad, rtol=1e-4, atol=1e-6)
 
 
-@torch.no_grad()
 def slow_returns(model: WorldModel, states: Any, sequences: Any, discount: float) -> Any:
     """Roll out every sequence with every member, one step at a time."""
     returns = torch.zeros(len(states), len(sequences))
-    changes = [member(model.changes, at) for at in range(model.members)]
-    outcomes = [member(model.outcomes, at) for at in range(model.members)]
+    changes = [member(model.changes, at).requires_grad_(False) for at in range(model.members)]
+    outcomes = [member(model.outcomes, at).requires_grad_(False) for at in range(model.members)]
     for row, at, (number, sequence) in itertools.product(
         range(len(states)), range(model.members), enumerate(sequences.tolist())
     ):
@@ -319,6 +313,9 @@ def test_other_files_are_not_policies(tmp_path: Path) -> None:
     torch.save({"format": 9, "algorithm": "mb-shooting", "config": {}, "weights": {}}, path)
     with pytest.raises(ValueError, match="has version 9 of the format"):
         ShootingPolicy.load(path)
+    torch.save({"format": 1, "algorithm": "mb-shooting", "config": {}, "weights": {}}, path)
+    with pytest.raises(ValueError, match="is no complete policy of mb-shooting: 'settings'"):
+        ShootingPolicy.load(path)
 
 
 def test_curves_are_written(tmp_path: Path) -> None:
@@ -349,13 +346,14 @@ def test_transitions_have_the_last_observation_of_an_episode() -> None:
 @pytest.mark.parametrize("mode", ["easy", "medium", "hard", "expert"])
 def test_training_files_have_the_settings_of_the_paper(mode: str) -> None:
     path = Path(__file__).parents[2] / "configs" / "baselines" / f"mb-shooting-{mode}.yaml"
-    values = _logicity.ConfigFile(path, "configs/baselines").value()
+    values = TrainConfig.load(path)
     horizons = {"easy": 10, "medium": 14, "hard": 8, "expert": 8}
-    settings = ShootingSettings(**values["settings"])
-    assert values["algorithm"] == "mb-shooting" and values["mode"] == mode and values["steps"] == 200_000
+    settings = values.settings
+    assert isinstance(settings, ShootingSettings)
+    assert values.algorithm == "mb-shooting" and values.mode == mode and values.steps == 200_000
     assert (settings.members, settings.width, settings.sequences) == (50, 64, 100)
     assert (settings.model_learning_rate, settings.reward_learning_rate) == (1e-5, 1e-4)
     assert settings.horizon == horizons[mode]
-    task = values["overrides"]["task"]
+    task = values.overrides["task"]
     assert task["horizon"] == {"easy": 100, "medium": 150, "hard": 200, "expert": 200}[mode]
     assert task["reward"] == {"violation": -1 if mode in ("easy", "medium") else -2, "overtime": -3}

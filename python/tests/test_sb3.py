@@ -2,6 +2,7 @@ from __future__ import annotations
 
 import copy
 import pickle
+from typing import Any
 
 import gymnasium
 import numpy as np
@@ -65,6 +66,31 @@ def test_dqn_trains() -> None:
     model = DQN("MlpPolicy", envs, learning_starts=100, seed=0)
     model.learn(400)
     assert model.ep_info_buffer
+
+
+def test_maskable_ppo_trains() -> None:
+    contrib = needs_masks()
+    envs = make_vec_env("expert", 4, seed=0, action_masks=True)
+    model = contrib.MaskablePPO("MlpPolicy", envs, n_steps=32, batch_size=64, n_epochs=1, seed=0)
+    model.learn(512)
+    observations = envs.reset()
+    masks = np.stack(envs.env_method("action_masks"))
+    assert masks.shape == (4, 4) and envs.get_attr("action_masks")
+    assert (masks[0] == envs.env_method("action_masks", indices=0)[0]).all()
+    for _ in range(100):
+        actions, _ = model.predict(observations, action_masks=masks)
+        observations, _, _, infos = envs.step(actions)
+        assert not any(info["violations"] for info in infos), "masked actions are a shield"
+        masks = np.stack(envs.env_method("action_masks"))
+        for info, mask in zip(infos, masks, strict=True):
+            assert "terminal_observation" in info or (info["action_mask"] == mask).all()
+    with pytest.raises(gymnasium.error.Error, match="action_masks=True"):
+        make_vec_env("expert", 1).env_method("action_masks")
+
+
+def needs_masks() -> Any:
+    """Import sb3-contrib, which is not part of the extra."""
+    return pytest.importorskip("sb3_contrib")
 
 
 @pytest.mark.parametrize("monitor", [False, True])

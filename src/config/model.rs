@@ -62,6 +62,71 @@ pub struct RewardConfig {
     pub clauses: Vec<(Located<String>, f64)>,
     /// For reaching the horizon before the goal.
     pub overtime: f64,
+    /// The terms that only training has.
+    #[serde(skip_serializing_if = "Shaping::is_none")]
+    pub shaping: Shaping,
+}
+
+/// The reward terms that a learner gets in training besides the rewards of the task. Without values there are none.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Serialize)]
+pub struct Shaping {
+    /// For the whole route; a step gets the share of it that the car covers.
+    pub progress: f64,
+    /// For reaching the goal without a violation.
+    pub goal: f64,
+    /// Potential-based shaping.
+    pub potential: Potential,
+}
+
+impl Shaping {
+    /// Returns whether every step has the reward of the task alone.
+    pub fn is_none(&self) -> bool {
+        self.progress == 0.0 && self.goal == 0.0 && self.potential.weight == 0.0
+    }
+}
+
+/// Potential-based shaping: a step from s to s' gets `gamma` times the potential of s' minus that of s (Ng, Harada and
+/// Russell 1999).
+#[derive(Clone, Copy, Debug, PartialEq, Serialize)]
+pub struct Potential {
+    /// The potential of the whole route; 0 for no shaping.
+    pub weight: f64,
+    /// What the potential is proportional to.
+    pub of: PotentialOf,
+    /// The discount factor of the learner, 0 to 1.
+    pub gamma: f64,
+}
+
+impl Default for Potential {
+    fn default() -> Self {
+        Potential {
+            weight: 0.0,
+            of: PotentialOf::Remaining,
+            gamma: 0.99,
+        }
+    }
+}
+
+/// What a [`Potential`] is proportional to.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize)]
+pub enum PotentialOf {
+    /// Minus the remaining share of the route.
+    Remaining,
+    /// The covered share of the route.
+    Progress,
+}
+
+impl PotentialOf {
+    /// Both.
+    pub const ALL: [PotentialOf; 2] = [PotentialOf::Remaining, PotentialOf::Progress];
+
+    /// Returns its name: `remaining` or `progress`.
+    pub const fn name(self) -> &'static str {
+        match self {
+            PotentialOf::Remaining => "remaining",
+            PotentialOf::Progress => "progress",
+        }
+    }
 }
 
 /// The random properties of the ego, drawn when an episode begins.
@@ -74,6 +139,47 @@ pub struct EgoConfig {
     pub concepts: Vec<(f64, Arc<[String]>)>,
 }
 
+/// The order of the entities that the ego observes. It does not affect which entities the ego observes.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize)]
+pub enum EntityOrder {
+    /// The order of the list of agents.
+    #[default]
+    List,
+    /// By distance from the ego; agents at the same distance in list order.
+    Nearest,
+}
+
+impl EntityOrder {
+    /// Both.
+    pub const ALL: [EntityOrder; 2] = [EntityOrder::List, EntityOrder::Nearest];
+
+    /// Returns its name: `list` or `nearest`.
+    pub const fn name(self) -> &'static str {
+        match self {
+            EntityOrder::List => "list",
+            EntityOrder::Nearest => "nearest",
+        }
+    }
+
+    fn is_default(&self) -> bool {
+        *self == EntityOrder::default()
+    }
+}
+
+/// A stage of a curriculum: episodes with fewer agents.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize)]
+pub struct CurriculumStage {
+    /// The number of episodes of an environment at which the stage ends.
+    pub until: u64,
+    /// The number of agents, the ego included.
+    pub agents: Located<u32>,
+}
+
+#[allow(clippy::trivially_copy_pass_by_ref)] // serde passes a reference
+fn is_one(number: &u32) -> bool {
+    *number == 1
+}
+
 /// The configuration of Safe Path Following (`configs/tasks/*.yaml`).
 #[derive(Clone, Debug, Serialize)]
 pub struct SpfConfig {
@@ -81,6 +187,9 @@ pub struct SpfConfig {
     pub entities: u32,
     /// The rows of the `state` observation, one per agent, the ego included; 1 to 1024.
     pub state_agents: u32,
+    /// The order of the observed entities.
+    #[serde(skip_serializing_if = "EntityOrder::is_default")]
+    pub order: EntityOrder,
     /// Whether the observation ends with the length of the route.
     pub route_length: bool,
     /// The maximum number of steps of a randomly drawn episode.
@@ -91,6 +200,12 @@ pub struct SpfConfig {
     pub reward: RewardConfig,
     /// The random properties of the ego; `None` to use the agent set.
     pub ego: Option<EgoConfig>,
+    /// The number of steps that the rules constrain in the oracle's run of a demanding episode, at least 1.
+    #[serde(skip_serializing_if = "is_one")]
+    pub constrained_steps: u32,
+    /// The stages of the curriculum, by ascending `until`.
+    #[serde(skip_serializing_if = "Vec::is_empty")]
+    pub curriculum: Vec<CurriculumStage>,
     /// The files of recorded episodes, in the order of [`Split::ALL`].
     #[serde(skip)]
     pub episodes: [Option<Located<PathBuf>>; 3],

@@ -17,6 +17,10 @@ const MAX_STATE_AGENTS: u32 = 1024;
 const MAX_HORIZON: u32 = 1_000_000;
 /// The maximum multiple of the oracle's steps.
 const MAX_PATIENCE: u32 = 1000;
+/// The maximum number of episodes of a stage of the curriculum.
+const MAX_EPISODES: u64 = 1_000_000_000;
+/// The maximum number of agents of a stage of the curriculum.
+const MAX_STAGE_AGENTS: u32 = 1_000_000;
 /// The maximum absolute value of a reward.
 const MAX_REWARD: f64 = 1e6;
 
@@ -32,6 +36,11 @@ pub(super) fn spf(composer: &mut Composer<'_>, node: &Node, predicates: Option<&
     };
     let (entities, state_agents) = (count("entities", MAX_ENTITIES), count("state_agents", MAX_STATE_AGENTS));
     let (horizon, patience) = (count("horizon", MAX_HORIZON), count("patience", MAX_PATIENCE));
+    let orders = EntityOrder::ALL.map(|order| (order.name(), order));
+    let order = (fields.optional("order")).map_or(Some(EntityOrder::default()), |node| choice(node, &orders, faults));
+    let constrained_steps =
+        (fields.optional("constrained_steps")).map_or(Some(1), |node| integer(node, 1..=MAX_HORIZON, faults));
+    let curriculum = (fields.optional("curriculum")).map_or(Some(Vec::new()), |node| curriculum(node, faults));
     let route_length = (fields.required("route_length", faults)).and_then(|node| yes_or_no(node, faults));
     let reward_of = fields.required("reward", faults).and_then(|node| reward(node, faults));
     let ego_of = fields.optional("ego").map(|node| ego(node, predicates, faults));
@@ -40,11 +49,14 @@ pub(super) fn spf(composer: &mut Composer<'_>, node: &Node, predicates: Option<&
     Some(SpfConfig {
         entities: entities?,
         state_agents: state_agents?,
+        order: order?,
         route_length: route_length?,
         horizon: horizon?,
         patience: patience?,
         reward: reward_of?,
         ego: ego_of.map_or(Some(None), |ego| ego.map(Some))?,
+        constrained_steps: constrained_steps?,
+        curriculum: curriculum?,
         episodes: episodes.map_or(Some(Default::default()), |episodes| episodes)?,
         span: node.span,
     })
@@ -91,6 +103,11 @@ fn reward(node: &Node, faults: &mut Vec<Diagnostic>) -> Option<RewardConfig> {
         };
         present.map(clause).collect::<Option<Vec<_>>>()
     });
+    let term = |fields: &mut Fields<'_>, key, faults: &mut Vec<Diagnostic>| {
+        (fields.optional(key)).map_or(Some(0.0), |node| reward_value(node, faults))
+    };
+    let (progress, goal) = (term(&mut fields, "progress", faults), term(&mut fields, "goal", faults));
+    let potential = (fields.optional("potential")).map_or(Some(Potential::default()), |node| potential(node, faults));
     fields.close(faults);
     Some(RewardConfig {
         actions: actions?,
@@ -98,7 +115,57 @@ fn reward(node: &Node, faults: &mut Vec<Diagnostic>) -> Option<RewardConfig> {
         violations_per: violations_per?,
         clauses: clauses.map_or(Some(Vec::new()), |clauses| clauses)?,
         overtime: overtime?,
+        shaping: Shaping {
+            progress: progress?,
+            goal: goal?,
+            potential: potential?,
+        },
     })
+}
+
+fn potential(node: &Node, faults: &mut Vec<Diagnostic>) -> Option<Potential> {
+    let mut fields = Fields::open(node, "the potential", faults)?;
+    let default = Potential::default();
+    let weight = (fields.optional("weight")).map_or(Some(default.weight), |node| {
+        number(node, 0.0..=MAX_REWARD, "a weight from 0 to 1e6", faults)
+    });
+    let kinds = PotentialOf::ALL.map(|of| (of.name(), of));
+    let of = (fields.optional("of")).map_or(Some(default.of), |node| choice(node, &kinds, faults));
+    let gamma = (fields.optional("gamma")).map_or(Some(default.gamma), |node| {
+        number(node, 0.0..=1.0, "a discount factor from 0 to 1", faults)
+    });
+    fields.close(faults);
+    Some(Potential {
+        weight: weight?,
+        of: of?,
+        gamma: gamma?,
+    })
+}
+
+fn curriculum(node: &Node, faults: &mut Vec<Diagnostic>) -> Option<Vec<CurriculumStage>> {
+    let stages = list(node, "stages with `until` and `agents`", faults)?;
+    let mut reached = 0;
+    let stage = |item: &Node| {
+        let mut fields = Fields::open(item, "a stage of the curriculum", faults)?;
+        let until_node = fields.required("until", faults);
+        let until = until_node.and_then(|node| integer(node, 1..=MAX_EPISODES, faults));
+        let agents = (fields.required("agents", faults)).and_then(|node| {
+            let value = integer(node, 1..=MAX_STAGE_AGENTS, faults)?;
+            Some(Located { value, span: node.span })
+        });
+        fields.close(faults);
+        let until = until?;
+        if until <= reached {
+            let after = format_args!("more episodes than the {reached} at which the stage before ends");
+            invalid(until_node?, after, faults);
+            return None;
+        }
+        reached = until;
+        Some(CurriculumStage { until, agents: agents? })
+    };
+    // Reads every stage, so that one run reports all faults.
+    let stages: Vec<Option<CurriculumStage>> = stages.iter().map(stage).collect();
+    stages.into_iter().collect()
 }
 
 fn ego(node: &Node, predicates: Option<&Predicates>, faults: &mut Vec<Diagnostic>) -> Option<EgoConfig> {

@@ -19,6 +19,7 @@ mod recorded;
 mod schema;
 mod shipped_world;
 mod spf;
+mod training;
 mod vector;
 #[path = "../datalog/written_program.rs"]
 mod written_program;

@@ -71,6 +71,9 @@ impl Place {
                         Some(Step::Item) if parent.contains(&Step::Key("ego".into())) => {
                             entries.insert("weight".into(), json!(1));
                         }
+                        Some(Step::Item) if parent.contains(&Step::Key("curriculum".into())) => {
+                            entries.extend([("until".into(), json!(1)), ("agents".into(), json!(1))]);
+                        }
                         Some(Step::Item) => {
                             entries.insert("priority".into(), json!(1));
                         }

@@ -9,8 +9,8 @@ use logicity::diag::{Code, Diagnostic, Sources};
 use logicity::rng::{Purpose, RngExt, Seed};
 use logicity::sim::{Chance, Entity, Facts, Observer, Settings, Simulation, ground};
 use logicity::task::spf::{
-    Baseline, BatchEvaluator, ControlMode, Env, EpisodeSet, MapIdentity, Policy, RANDOM_RUNS, Rate, Rollout, Score,
-    SpfTask, describe, rollout, summarize,
+    Autoreset, Baseline, BatchEvaluator, Begin, ControlMode, Env, EpisodeSet, EpisodeSource, MapIdentity,
+    ObservationKind, Policy, RANDOM_RUNS, Rate, Rollout, Score, SpfTask, VectorEnv, describe, rollout, summarize,
 };
 use proptest::prelude::*;
 use std::collections::BTreeSet;
@@ -921,4 +921,187 @@ proptest! {
         prop_assert_eq!(&set_of(&text).unwrap(), &set);
         prop_assert_eq!(set_of(&text).unwrap().hash(), set.hash());
     }
+}
+
+/// The steps of an episode.
+struct ShapedEpisode {
+    /// By step: the covered shares before and after, the end (terminated, truncated, success), reward and shaping.
+    steps: Vec<([f64; 2], [bool; 3], f64, f64)>,
+}
+
+/// Runs an episode in which each action is the oracle's with probability 0.9, and random otherwise.
+fn shaped_episode(env: &mut Env, seed: u64) -> ShapedEpisode {
+    env.reset(seed).unwrap();
+    let mut random = Seed(seed).stream(Purpose::POLICY, 0, 0);
+    let mut steps = Vec::new();
+    while env.controlled_cars()[0].is_running() {
+        let wanted = env.oracle_action(0);
+        let action = match random.random_range(0..10) {
+            0 if seed.is_multiple_of(2) => Action::ALL[random.random_range(0..4)],
+            _ => wanted,
+        };
+        let before = env.progress(0);
+        env.step(&[action]).unwrap();
+        let last = env.controlled_cars()[0].last();
+        assert_eq!(last.shaped_reward(), last.reward + last.shaping);
+        let end = [last.terminated, last.truncated, last.success];
+        steps.push(([before, env.progress(0)], end, last.reward, last.shaping));
+    }
+    ShapedEpisode { steps }
+}
+
+const SHAPED: &str = "base: configs/easy.yaml\ntask:\n  horizon: 60\n  reward: ";
+
+#[test]
+fn reward_terms_agree_with_their_definitions() {
+    let shaped = |reward: &str| {
+        let task = Arc::new(task_of(&format!("{SHAPED}{reward}\n")).unwrap());
+        Env::new(task, Split::Train, ControlMode::First).unwrap()
+    };
+    let mut plain = shaped("{}");
+    let (mut goals, mut violations, mut truncations) = (0, 0, 0);
+    for (reward, progress, goal, weight, gamma, remaining) in [
+        ("{progress: 5}", 5.0, 0.0, 0.0, 0.0, true),
+        ("{goal: 2.5}", 0.0, 2.5, 0.0, 0.0, true),
+        ("{potential: {weight: 3}}", 0.0, 0.0, 3.0, 0.99, true),
+        (
+            "{potential: {weight: 4, of: progress, gamma: 0.5}}",
+            0.0,
+            0.0,
+            4.0,
+            0.5,
+            false,
+        ),
+        (
+            "{progress: -1, goal: 7, potential: {weight: 2, gamma: 1}}",
+            -1.0,
+            7.0,
+            2.0,
+            1.0,
+            true,
+        ),
+    ] {
+        let mut env = shaped(reward);
+        for seed in 0..30 {
+            let run = shaped_episode(&mut env, seed).steps;
+            let without = shaped_episode(&mut plain, seed).steps;
+            assert_eq!(run.len(), without.len());
+            // The potential of the published definition, and 0 in a terminal state.
+            let phi = |covered: f64, terminal: bool| match (terminal, remaining) {
+                (true, _) => 0.0,
+                (_, true) => -weight * (1.0 - covered),
+                (_, false) => weight * covered,
+            };
+            let (mut sum, mut discount) = (0.0, 1.0);
+            for (&([before, after], [terminated, truncated, success], task_reward, shaping), bare) in
+                run.iter().zip(&without)
+            {
+                assert_eq!((task_reward, 0.0), (bare.2, bare.3), "the reward of the task stays");
+                let by_goal = if success { goal } else { 0.0 };
+                let by_potential = gamma * phi(after, terminated) - phi(before, false);
+                let expected = progress * (after - before) + by_goal + by_potential;
+                assert!(
+                    (shaping - expected).abs() < 1e-12,
+                    "{reward} seed {seed}: {shaping} {expected}"
+                );
+                sum += discount * by_potential;
+                discount *= gamma;
+                goals += usize::from(success);
+                violations += usize::from(terminated && !success);
+                truncations += usize::from(truncated);
+            }
+            // The discounted sum of the potential's terms depends on the first state alone, except at the horizon.
+            if run.last().unwrap().1[0] {
+                assert!((sum + phi(0.0, false)).abs() < 1e-9, "{reward} seed {seed}: {sum}");
+            }
+        }
+    }
+    assert!(
+        goals > 20 && violations > 20 && truncations > 20,
+        "{goals} {violations} {truncations}"
+    );
+}
+
+#[test]
+fn evaluations_have_no_reward_terms() {
+    let mode = |reward: &str| {
+        let text = format!("base: configs/expert.yaml\ntask: {{reward: {reward}}}\n");
+        Arc::new(task_of(&text).unwrap())
+    };
+    let (shaped, plain) = (mode("{progress: 5, goal: 3, potential: {weight: 2}}"), mode("{}"));
+    // The splits of validation and test have none, whatever steps through them.
+    for split in [Split::Val, Split::Test] {
+        let mut env = Env::new(Arc::clone(&shaped), split, ControlMode::First).unwrap();
+        let steps = shaped_episode(&mut env, 3).steps;
+        assert!(steps.iter().all(|step| step.3 == 0.0));
+    }
+    // A rollout sums the rewards of the task, also over episodes of training.
+    for split in [Split::Train, Split::Test] {
+        let set = some_recorded(&plain, split, 3);
+        for episode in &set.episodes {
+            let total = |task: &Arc<SpfTask>| {
+                let mut env = Env::new(Arc::clone(task), split, ControlMode::First).unwrap();
+                env.reset_to(episode).unwrap();
+                rollout(&mut env, Policy::Oracle).unwrap().total
+            };
+            assert_eq!(total(&shaped), total(&plain));
+            let oracle = episode.oracle.as_ref().unwrap().total;
+            assert!((total(&shaped) - oracle).abs() < 1e-9, "{} {oracle}", total(&shaped));
+        }
+    }
+}
+
+#[test]
+fn a_vector_and_every_car_get_the_reward_terms() {
+    let task = Arc::new(task_of(&format!("{SHAPED}{{progress: 5, potential: {{weight: 2}}}}\n")).unwrap());
+    let sources = (0..3).map(|seed| EpisodeSource::new(seed, None));
+    let view = ObservationKind::Groundings;
+    let mut vector = VectorEnv::new(&task, Split::Train, sources, Autoreset::NextStep, view, 2).unwrap();
+    let mut rows = vec![0.0; 3 * vector.width()];
+    vector.reset(&[const { Some(Begin::Next) }; 3], &mut rows).unwrap();
+    for _ in 0..100 {
+        vector.step(&[Action::Normal; 3], &mut rows).unwrap();
+        for sub_env in vector.sub_envs() {
+            let last = sub_env.env().controlled_cars()[0].last();
+            let stepped = sub_env.env().steps() > 0;
+            assert_eq!(
+                sub_env.outcome().reward,
+                if stepped { last.shaped_reward() } else { 0.0 }
+            );
+        }
+    }
+    let mut env = Env::new(task, Split::Train, ControlMode::Cars).unwrap();
+    env.reset(2).unwrap();
+    let cars = env.controlled_cars().len();
+    let before: Vec<f64> = (0..cars).map(|car| env.progress(car)).collect();
+    env.step(&vec![Action::Normal; cars]).unwrap();
+    for (car, before) in before.into_iter().enumerate() {
+        let (last, after) = (env.controlled_cars()[car].last(), env.progress(car));
+        let next = if last.terminated { 0.0 } else { -2.0 * (1.0 - after) };
+        let expected = 5.0 * (after - before) + 0.99 * next + 2.0 * (1.0 - before);
+        assert!((last.shaping - expected).abs() < 1e-12, "{} {expected}", last.shaping);
+    }
+}
+
+#[test]
+fn faulty_reward_terms_are_reported() {
+    let fault = |reward: &str| fault_of(&format!("{SHAPED}{reward}\n"));
+    for (reward, message) in [
+        ("{progress: high}", "a reward from -1e6 to 1e6"),
+        ("{goal: 1e7}", "a reward from -1e6 to 1e6"),
+        ("{potential: 5}", "the potential (a mapping)"),
+        ("{potential: {weight: -1}}", "a weight from 0 to 1e6"),
+        ("{potential: {gamma: 1.5}}", "a discount factor from 0 to 1"),
+    ] {
+        let fault = fault(reward);
+        assert_eq!(fault.code, Code::INVALID_VALUE, "{reward}");
+        assert!(fault.message.contains(message), "{reward}: {}", fault.message);
+    }
+    let near = |reward: &str| {
+        let fault = fault(reward);
+        fault.help.join(" ") + &fault.message
+    };
+    assert!(near("{potential: {of: remaning}}").contains("did you mean `remaining`?"));
+    assert!(near("{progres: 5}").contains("`progress`"), "{}", near("{progres: 5}"));
+    assert!(near("{potential: {gama: 0.9}}").contains("`gamma`"));
 }

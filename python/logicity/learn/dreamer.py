@@ -40,7 +40,7 @@ from .interaction import (
     random_actions,
     save_policy,
 )
-from .learner import Actions, Learner, LearnerSettings, Observations, Policy, Progress
+from .learner import Actions, Count, Learner, LearnerSettings, Observations, Policy, Progress
 
 if TYPE_CHECKING:
     from .config import TrainConfig
@@ -56,7 +56,6 @@ __all__ = [
     "lambda_returns",
 ]
 
-Positive: TypeAlias = Annotated[int, Field(ge=1)]
 Rate: TypeAlias = Annotated[float, Field(gt=0)]
 Share: TypeAlias = Annotated[float, Field(ge=0, le=1)]
 
@@ -64,15 +63,15 @@ Share: TypeAlias = Annotated[float, Field(ge=0, le=1)]
 class DreamerSettings(LearnerSettings):
     """Settings of DreamerV2."""
 
-    deterministic: Positive = 100
+    deterministic: Count = 100
     """The number of values of the deterministic part of a state."""
-    variables: Positive = 16
+    variables: Count = 16
     """The number of categorical variables of the stochastic part of a state."""
-    classes: Positive = 16
+    classes: Count = 16
     """The number of classes of each categorical variable."""
-    layers: Positive = 3
+    layers: Count = 3
     """The number of hidden layers of the encoder, of the decoder and of each head."""
-    width: Positive = 100
+    width: Count = 100
     """The width of hidden layers."""
     model_learning_rate: Rate = 2e-4
     """The learning rate of the world model."""
@@ -80,11 +79,11 @@ class DreamerSettings(LearnerSettings):
     """The learning rate of the actor."""
     critic_learning_rate: Rate = 1e-4
     """The learning rate of the critic."""
-    batch_size: Positive = 50
+    batch_size: Count = 50
     """The number of sequences of an update."""
-    sequence_length: Positive = 5
+    sequence_length: Count = 5
     """The number of observations of a sequence."""
-    imagination: Positive = 8
+    imagination: Count = 8
     """The number of imagined actions."""
     discount: Share = 0.99
     """The discount per step."""
@@ -96,17 +95,17 @@ class DreamerSettings(LearnerSettings):
     """The share of the divergence that trains the prior."""
     entropy_scale: Annotated[float, Field(ge=0)] = 1e-3
     """The weight of the entropy of the actor in its loss."""
-    target_interval: Positive = 100
+    target_interval: Count = 100
     """The number of updates after which the slow target critic becomes a copy of the critic."""
     gradient_clip: Rate = 100.0
     """The largest norm of the gradients of the world model, of the actor and of the critic."""
     random_steps: Annotated[int, Field(ge=0)] = 5000
     """The number of steps with random actions at the start."""
-    train_interval: Positive = 50
+    train_interval: Count = 50
     """The number of environment steps between trainings."""
-    updates: Positive = 10
+    updates: Count = 10
     """The number of updates of a training."""
-    buffer_size: Positive = 220_000
+    buffer_size: Count = 220_000
     """The number of observations that the learner stores. The first observation of an episode needs a place too."""
 
 
@@ -500,13 +499,15 @@ class DreamerPolicy(Policy):
             OSError: If the file cannot be read.
             ValueError: If the file is not such a policy.
         """
-        config, weights = load_policy(path, cls.algorithm)
-        settings = DreamerSettings.model_validate(config["settings"])
-        model = WorldModel(config["bits"], settings)
-        actor = head(settings, len(ACTIONS))
-        model.load_state_dict(weights["model"])
-        actor.load_state_dict(weights["actor"])
-        return cls(model, actor, settings, config["mode"], config["seed"])
+
+        def build(config: dict[str, Any], weights: dict[str, Any]) -> DreamerPolicy:
+            settings = DreamerSettings.model_validate(config["settings"])
+            model, actor = WorldModel(config["bits"], settings), head(settings, len(ACTIONS))
+            model.load_state_dict(weights["model"])
+            actor.load_state_dict(weights["actor"])
+            return cls(model, actor, settings, config["mode"], config["seed"])
+
+        return load_policy(path, cls.algorithm, build)
 
 
 def step_generator(seed: int, step: int) -> torch.Generator:
@@ -700,6 +701,7 @@ class Dreamer(Learner):
         self._memory = Memory(State(*parts), actions, steps)
         self._first, self._updates = state["first"], state["updates"]
         self._generator.set_state(state["generator"])
+        self._curves.begin(self.steps)
 
     @property
     def _networks(self) -> Sequence[nn.Module]:

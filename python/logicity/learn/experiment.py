@@ -42,6 +42,8 @@ class Row(_Model):
     """The name of the paper's row. By default that of the row."""
     modes: _Names | None = None
     """The modes; by default those of the experiment."""
+    variants: _Names | None = None
+    """The variants; by default all."""
     seeds: _Seeds | None = None
     """The seeds; by default those of the experiment."""
     changes: dict[str, Any] = Field(default_factory=dict)
@@ -134,6 +136,13 @@ class Experiment(_Model):
             if each.start is not None
             and (each.start not in experiment.variants or experiment.variants[each.start].start is not None)
         ]
+        for row, spec in experiment.learners.items():
+            for name in spec.variants or ():
+                start = experiment.variants[name].start if name in experiment.variants else name
+                if start is not None and start not in (spec.variants if name in experiment.variants else ()):
+                    unknown = f"unknown variant `{name}`{did_you_mean(name, experiment.variants)}"
+                    message = f"`{name}` starts from `{start}`" if name in experiment.variants else unknown
+                    wrong.append(("invalid-value", ["learners", row, "variants"], message, ""))
         if wrong:
             raise file.error(wrong)
         return experiment, path
@@ -156,7 +165,7 @@ class Experiment(_Model):
             seeds = selection.seeds or spec.seeds or self.seeds
             for seed in seeds[:1] if selection.quick and selection.seeds is None else seeds:
                 # Variants without a start come first.
-                for name in sorted(self.variants, key=lambda name: self.variants[name].start is not None):
+                for name in sorted(spec.variants or self.variants, key=lambda name: bool(self.variants[name].start)):
                     variant = self.variants[name]
                     start = None if variant.start is None else found[row, mode, variant.start, seed]
                     config = self._config(file, row, mode, variant, seed, selection)

@@ -17,7 +17,7 @@ from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from itertools import count, groupby, product
 from pathlib import Path
-from typing import Annotated, Any, ClassVar, Literal, NamedTuple, TypeAlias
+from typing import TYPE_CHECKING, Annotated, Any, ClassVar, Literal, NamedTuple, TypeAlias
 
 import numpy as np
 import torch
@@ -30,6 +30,9 @@ from ..evaluation import load_task
 from ..views import Layout
 from .demonstrations import DemonstrationData
 from .learner import Actions, Learner, LearnerSettings, Observations, Policy, Progress
+
+if TYPE_CHECKING:
+    from .config import TrainConfig
 
 __all__ = ["HRI", "HriPolicy", "HriSettings", "Hypothesis", "Layer", "Rules"]
 
@@ -114,8 +117,8 @@ class Layer:
         C00+  H(X, Y) :- P(X, Y), Q(Y, X); R(X, Y).
         Inv   H(X, Y) :- P(Y, X).
 
-    They are the templates A, B, C and i of the paper (section 4). 00 means that they are not recursive, and + that they
-    have a disjunction.
+    They are the paper's templates A, B, C and its inversion. 00 means that they are not recursive, and + that they have
+    the disjunction.
 
     Attributes:
         template: The template.
@@ -197,7 +200,7 @@ class Hypothesis:
         exist: torch.Tensor,
         conjunction: Literal["min", "product"],
     ) -> torch.Tensor:
-        """Return the soft truth value of the target for the ego (section 4 of the paper, without recursion).
+        """Return the soft truth value of the target for the ego, by the paper's inference without recursion.
 
         The value of a slot is the sum of the values of all predicates, weighted by the degrees to which it holds them.
         The disjunction and the existential quantifier are maxima.
@@ -331,10 +334,10 @@ class Rules:
 
         def compute(predicate: int) -> Bools:
             if predicate < len(one):
-                return one[predicate, :, :, None]
+                return np.asarray(one[predicate, :, :, None])
             at = predicate - len(one)
             if at < len(two):
-                return two[at]
+                return np.asarray(two[at])
             layer = self.hypothesis.layers[at - len(two)]
             held = [pairs(self.choices[slot]) for slot in range(layer.slots.start, layer.slots.stop)]
             p = held[0]
@@ -342,10 +345,12 @@ class Rules:
                 return p.swapaxes(1, 2)
             q, r = held[1:]
             if layer.template == "B00+":
-                some: Bools = (p[..., None] & q[:, None] & exist[:, None, :, None]).any(2)
-                return some | r
-            either: Bools = (p & q.swapaxes(1, 2)) | r
-            return (either & exist[:, None]).any(2, keepdims=True) if layer.template == "A00+" else either
+                some = (p[..., None] & q[:, None] & exist[:, None, :, None]).any(2)
+                return np.asarray(some | r)
+            either = np.asarray((p & q.swapaxes(1, 2)) | r)
+            if layer.template == "C00+":
+                return either
+            return np.asarray((either & exist[:, None]).any(2, keepdims=True))
 
         return np.broadcast_to(pairs(self.hypothesis.predicates - 1), (len(one[0]), exist.shape[1], 1))[:, 0, 0]
 
@@ -583,13 +588,15 @@ class HriPolicy(Policy):
             settings = HriSettings.model_validate(plain["settings"])
             models = {}
             for action, depth, choices in plain["models"]:
+                if depth not in range(1, 17):
+                    raise ValueError(f"{depth} layers")
                 hypothesis = Hypothesis(layout, settings, depth)
                 models[action] = Rules(hypothesis, tuple(choices))
                 if action not in ACTIONS or not models[action].is_valid():
-                    raise ValueError(action)
+                    raise ValueError(f"invalid rules for {action}")
             return cls(plain["mode"], layout, settings, models)
         except (KeyError, TypeError, ValueError) as error:
-            raise ValueError(f"`{path}` is not a policy of hri: {error}") from error
+            raise ValueError(f"{path} is not a policy of hri: {error}") from error
 
 
 def _plain(layout: Layout) -> tuple[int, list[tuple[str, int]], bool]:
@@ -626,10 +633,10 @@ def _load(path: Path, expected: str) -> dict[str, Any]:
     except OSError:
         raise
     except Exception as error:
-        raise ValueError(f"`{path}` is not a file of hri: {error}") from error
+        raise ValueError(f"{path} is not a file of hri: {error}") from error
     found = plain.get("format") if isinstance(plain, dict) else None
     if found != expected:
-        raise ValueError(f"`{path}` is not a file of hri: expected the format `{expected}`, not `{found}`")
+        raise ValueError(f"{path} is not a file of hri: expected the format `{expected}`, not `{found}`")
     return dict(plain)
 
 
@@ -743,7 +750,7 @@ class _Model:
 
 def _between(ends: tuple[float, float], progress: float) -> float:
     """Interpolate exponentially."""
-    return ends[0] * (ends[1] / ends[0]) ** min(progress, 1.0)
+    return float(ends[0] * (ends[1] / ends[0]) ** progress)
 
 
 class Examples:
@@ -803,11 +810,11 @@ class HRI(Learner):
     interacts = False
     policy_class: ClassVar[type[Policy]] = HriPolicy
 
-    def __init__(self, config: Any, log: Path | None = None) -> None:
+    def __init__(self, config: TrainConfig, log: Path | None = None) -> None:
         """Run the oracle on the recorded training episodes, and draw the first weights."""
         super().__init__(config, log)
-        settings = config.settings
-        assert isinstance(settings, HriSettings)
+        assert isinstance(config.settings, HriSettings)
+        self._settings = settings = config.settings
         asked = {constraint["action"] for constraint in _logicity.describe(load_task(config.mode))["constraints"]}
         data = DemonstrationData.load(config.mode, config.demonstrations)
         self._layout = data.layout
@@ -837,7 +844,7 @@ class HRI(Learner):
     def fit(self, steps: int, progress: Progress) -> None:
         """Train until `self.steps` reaches `steps`."""
         while self._steps < steps:
-            length = self.config.settings.generation or self.config.steps
+            length = self._settings.generation or self.config.steps
             if self._steps and self._steps % length == 0:
                 for model in self._models.values():
                     model.start(self._generator)
@@ -847,7 +854,7 @@ class HRI(Learner):
                 for action, model in self._models.items()
             }
             self._steps += 1
-            if self._steps % self.config.settings.extract_every == 0 or self._steps == self.config.steps:
+            if self._steps % self._settings.extract_every == 0 or self._steps == self.config.steps:
                 for action, model in self._models.items():
                     model.extract(self._examples[action])
                     self._write(f"loss/{action}", losses[action])
@@ -860,7 +867,7 @@ class HRI(Learner):
         if self.log is None:
             return
         if self._writer is None:
-            from torch.utils.tensorboard import SummaryWriter
+            from torch.utils.tensorboard.writer import SummaryWriter
 
             self._writer = SummaryWriter(str(self.log), purge_step=self._steps)
         self._writer.add_scalar(name, value, self._steps)
@@ -870,7 +877,7 @@ class HRI(Learner):
         return HriPolicy(
             self.config.mode,
             self._layout,
-            self.config.settings,
+            self._settings,
             {action: model.best for action, model in self._models.items()},
         )
 
@@ -894,9 +901,9 @@ class HRI(Learner):
         path = folder / "hri.pt"
         plain = _load(path, CHECKPOINT)
         if list(plain["models"]) != list(self._models):
-            raise ValueError(f"`{path}` has models of other actions: {', '.join(plain['models'])}")
+            raise ValueError(f"{path} has models of other actions: {', '.join(plain['models'])}")
         for action, model in self._models.items():
-            model.restore(plain["models"][action], f"`{path}`, {action}")
+            model.restore(plain["models"][action], f"{path}, {action}")
         self._generator.set_state(plain["generator"])
         self._steps = plain["steps"]
 

@@ -4,10 +4,10 @@ from __future__ import annotations
 
 import os
 import pickle
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, TypeVar
 
 import numpy as np
 from numpy.typing import NDArray
@@ -41,6 +41,9 @@ __all__ = [
 ]
 
 Bits = NDArray[np.uint8]
+
+#: What `load_policy` returns.
+Built = TypeVar("Built")
 
 #: The version of the files of policies.
 FORMAT = 1
@@ -103,7 +106,7 @@ class Interaction:
     @property
     def width(self) -> int:
         """The number of bits of an observation."""
-        return self.observations.shape[1]
+        return int(self.observations.shape[1])
 
     def step(self, actions: Actions) -> Transitions:
         """Take one step in every environment. An episode that ends is followed by the next one."""
@@ -204,15 +207,20 @@ class Curves:
 
     def due(self, steps: int) -> bool:
         """Return whether the interval has ended."""
-        return self._log is not None and steps // self.INTERVAL > self._written // self.INTERVAL
+        return steps // self.INTERVAL > self._written // self.INTERVAL
 
     def write(self, steps: int) -> None:
-        """Write the means of the interval."""
-        if self._writer is None:
-            # Points that an interrupted run wrote after its last checkpoint disappear.
-            self._writer = SummaryWriter(self._log, purge_step=steps)
-        for name, (total, count) in self._sums.items():
-            self._writer.add_scalar(name, total / count, steps)
+        """Write the means of the interval, and begin the next one."""
+        if self._log is not None:
+            if self._writer is None:
+                # Points that an interrupted run wrote after its last checkpoint disappear.
+                self._writer = SummaryWriter(self._log, purge_step=steps)
+            for name, (total, count) in self._sums.items():
+                self._writer.add_scalar(name, total / count, steps)
+        self.begin(steps)
+
+    def begin(self, steps: int) -> None:
+        """Begin an interval."""
         self._sums.clear()
         self._written = steps
 
@@ -224,12 +232,20 @@ class Curves:
 
 
 def save_policy(path: Path, algorithm: str, config: Mapping[str, Any], weights: Mapping[str, Any]) -> None:
-    """Write a policy: its algorithm, its configuration as plain data, and its weights."""
-    torch.save({"format": FORMAT, "algorithm": algorithm, "config": dict(config), "weights": dict(weights)}, path)
+    """Write a policy of groundings.
+
+    Args:
+        path: The file.
+        algorithm: The name of the learner.
+        config: What is needed to build the policy, as plain data. `mode` is the mode of the training.
+        weights: The weights.
+    """
+    header = {"format": FORMAT, "algorithm": algorithm, "mode": config["mode"], "observation": "groundings"}
+    torch.save({**header, "config": dict(config), "weights": dict(weights)}, path)
 
 
-def load_policy(path: Path, algorithm: str) -> tuple[dict[str, Any], dict[str, Any]]:
-    """Return the configuration and the weights of a policy that `save_policy` wrote.
+def load_policy(path: Path, algorithm: str, build: Callable[[dict[str, Any], dict[str, Any]], Built]) -> Built:
+    """Return what `build` makes of the configuration and the weights that `save_policy` wrote.
 
     Raises:
         OSError: If the file cannot be read.
@@ -240,15 +256,22 @@ def load_policy(path: Path, algorithm: str) -> tuple[dict[str, Any], dict[str, A
     except OSError:
         raise
     except Exception as error:
-        # The file has any content, so that reading it raises exceptions of many types.
-        raise ValueError(f"{path} is not a policy: {str(error).splitlines()[0] if str(error) else error!r}") from None
+        # A file of any content can be named, so that reading it raises exceptions of many types.
+        raise ValueError(f"{path} is not a policy: {_first_line(error)}") from None
     if not isinstance(saved, dict) or not {"format", "algorithm", "config", "weights"} <= saved.keys():
         raise ValueError(f"{path} is not a policy")
     if saved["algorithm"] != algorithm:
         raise ValueError(f"{path} is a policy of {saved['algorithm']}, not of {algorithm}")
     if saved["format"] != FORMAT:
         raise ValueError(f"{path} has version {saved['format']} of the format, and only {FORMAT} can be read")
-    return saved["config"], saved["weights"]
+    try:
+        return build(saved["config"], saved["weights"])
+    except (KeyError, TypeError, ValueError, RuntimeError) as error:
+        raise ValueError(f"{path} is no complete policy of {algorithm}: {_first_line(error)}") from None
+
+
+def _first_line(error: Exception) -> str:
+    return (str(error).splitlines() or [repr(error)])[0]
 
 
 def random_actions(count: int, generator: torch.Generator) -> Actions:

@@ -41,7 +41,7 @@ from .interaction import (
     random_actions,
     save_policy,
 )
-from .learner import Actions, Learner, LearnerSettings, Observations, Policy, Progress
+from .learner import Actions, Count, Learner, LearnerSettings, Observations, Policy, Progress
 
 if TYPE_CHECKING:
     from .config import TrainConfig
@@ -51,23 +51,21 @@ __all__ = ["Ensemble", "Shooting", "ShootingPolicy", "ShootingSettings", "WorldM
 #: The initial log odds that a bit stays rather than falls or rises: ln(.98 / .01).
 STAYS_LOGIT = 4.6
 
-Positive: TypeAlias = Annotated[int, Field(ge=1)]
-
 
 class ShootingSettings(LearnerSettings):
-    """Settings of model-based shooting. Lists in YAML are tuples."""
+    """Settings of model-based shooting."""
 
-    members: Positive = 50
+    members: Count = 50
     """The number of members of the ensemble."""
-    width: Positive = 64
+    width: Count = 64
     """The width of the two hidden layers of each network."""
     model_learning_rate: Annotated[float, Field(gt=0)] = 1e-5
     """The learning rate of the networks that predict changes of bits."""
     reward_learning_rate: Annotated[float, Field(gt=0)] = 1e-4
     """The learning rate of the networks that predict rewards and terminations."""
-    sequences: Positive = 100
+    sequences: Count = 100
     """The number of random action sequences per decision."""
-    horizon: Positive = 10
+    horizon: Count = 10
     """The length of the action sequences."""
     discount: Annotated[float, Field(ge=0, le=1)] = 0.9
     """The discount per step in planning."""
@@ -75,13 +73,13 @@ class ShootingSettings(LearnerSettings):
     """The number of steps with random actions at the start."""
     exploration: Annotated[float, Field(ge=0, le=1)] = 0.05
     """The probability of a random action after the start."""
-    buffer_size: Positive = 200_000
+    buffer_size: Count = 200_000
     """The number of transitions that the learner stores."""
-    batch_size: Positive = 128
+    batch_size: Count = 128
     """The number of transitions of an update. Every member draws its own."""
-    model_interval: Positive = 16
+    model_interval: Count = 16
     """The number of environment steps per update of the networks that predict changes of bits."""
-    reward_interval: Positive = 4
+    reward_interval: Count = 4
     """The number of environment steps per update of the networks that predict rewards and terminations."""
 
 
@@ -415,11 +413,14 @@ class ShootingPolicy(Policy):
             OSError: If the file cannot be read.
             ValueError: If the file is not such a policy.
         """
-        config, weights = load_policy(path, cls.algorithm)
-        settings = ShootingSettings.model_validate(config["settings"])
-        model = WorldModel(config["bits"], settings, torch.Generator())
-        model.load_state_dict(weights)
-        return cls(model, settings, config["mode"], config["seed"])
+
+        def build(config: dict[str, Any], weights: dict[str, Any]) -> ShootingPolicy:
+            settings = ShootingSettings.model_validate(config["settings"])
+            model = WorldModel(config["bits"], settings, torch.Generator())
+            model.load_state_dict(weights)
+            return cls(model, settings, config["mode"], config["seed"])
+
+        return load_policy(path, cls.algorithm, build)
 
 
 class Replay:
@@ -596,6 +597,7 @@ class Shooting(Learner):
         self._outcomes_optimizer.load_state_dict(state["outcomes_optimizer"])
         self._replay.restore(state["replay"])
         self._generator.set_state(state["generator"])
+        self._curves.begin(self.steps)
 
     def close(self) -> None:
         """Close the environments and the training curves."""

@@ -34,6 +34,8 @@ pub struct Oracle {
     world: Arc<World>,
     /// The maximum number of observed entities.
     entities: usize,
+    /// Whether the nearest entity comes first after the ego, instead of the first in list order.
+    nearest_first: bool,
     /// Indexed by predicate of the vocabulary.
     how: Vec<How>,
     views: Views,
@@ -67,11 +69,19 @@ impl Oracle {
         let definitions = vocabulary.predicates.iter().map(|predicate| &predicate.definition);
         Ok(Oracle {
             entities,
+            nearest_first: false,
             how: definitions.map(how).collect(),
             views: Views::new(world.scenario.view),
             monitor: RuleMonitor::new(&world.program, vocabulary, world.limits)?,
             world,
         })
+    }
+
+    /// Orders observed entities by their distance from the ego, those at the same distance in list order. Without it,
+    /// all are in list order. Observers see the same entities in both cases.
+    #[must_use]
+    pub fn nearest_first(self, nearest_first: bool) -> Oracle {
+        Oracle { nearest_first, ..self }
     }
 
     /// Returns the world: scenario, map, roads and rules.
@@ -216,7 +226,7 @@ impl Observer {
         let (oracle, map) = (&*self.oracle, self.oracle.world.map());
         self.bodies.clear();
         let ego = Body::new(map, self.ego, &city.agents()[self.ego]);
-        let view = oracle.view(&ego);
+        let (view, ego_cell) = (oracle.view(&ego), ego.at);
         self.bodies.push(ego);
         for (position, agent) in city.agents().iter().enumerate() {
             if self.bodies.len() == oracle.entities {
@@ -225,6 +235,9 @@ impl Observer {
             if view.contains(agent.cell) && position != self.ego {
                 self.bodies.push(Body::new(map, position, agent));
             }
+        }
+        if oracle.nearest_first {
+            sort_by_distance(ego_cell, &mut self.bodies[1..]);
         }
         self.violations.forget();
         self.compute(chance);
@@ -307,8 +320,8 @@ impl Observer {
         8 + unary.count()
     }
 
-    /// Writes the `state` observation: a row for the ego, then one for each other agent in its field of view, in list
-    /// order. It stops at the end of `out` and fills the rest with 0.
+    /// Writes the `state` observation: a row for the ego, then one for each other agent in its field of view, in the
+    /// order of the oracle. It stops at the end of `out` and fills the rest with 0.
     ///
     /// A row has, in this order:
     /// - 1;
@@ -342,10 +355,16 @@ impl Observer {
         let ego = Body::new(oracle.world.map(), self.ego, &city.agents()[self.ego]);
         let view = oracle.view(&ego);
         write(&ego, ego.at);
-        for (position, agent) in city.agents().iter().enumerate() {
-            if position != self.ego && view.contains(agent.cell) {
-                write(&Body::new(oracle.world.map(), position, agent), ego.at);
-            }
+        let agents = city.agents().iter().enumerate();
+        let others = agents
+            .filter(|(position, agent)| *position != self.ego && view.contains(agent.cell))
+            .map(|(position, agent)| Body::new(oracle.world.map(), position, agent));
+        if oracle.nearest_first {
+            let mut others: Vec<Body> = others.collect();
+            sort_by_distance(ego.at, &mut others);
+            others.iter().for_each(|body| write(body, ego.at));
+        } else {
+            others.for_each(|body| write(&body, ego.at));
         }
     }
 
@@ -408,6 +427,14 @@ impl Observer {
             .violations(&self.oracle.monitor, observed, action, &mut self.broken)?;
         Ok(&self.broken)
     }
+}
+
+/// Sorts bodies by their distance from a cell; keeps the order of those at the same distance.
+fn sort_by_distance(from: Cell, bodies: &mut [Body]) {
+    bodies.sort_by_key(|body| {
+        let [rows, cols] = [body.at.row - from.row, body.at.col - from.col].map(i64::from);
+        rows * rows + cols * cols
+    });
 }
 
 fn observed<'a>(atoms: &'a Atoms, bodies: &'a [Body], city: &'a Simulation) -> Observed<'a> {

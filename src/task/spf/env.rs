@@ -3,15 +3,20 @@
 use crate::cancel::Cancel;
 use crate::city::Agent;
 use crate::city::{Action, AgentKind, Split};
+use crate::config::Shaping;
 use crate::diag::{Code, Diagnostic};
 use crate::rng::{Purpose, RngExt, Seed};
 use crate::sim::{Actions, Observer, Settings, Simulation};
+use crate::task::spf::shaping::{ShapedStep, shaping};
 use crate::task::spf::{Episode, SpfTask};
 use std::sync::Arc;
 
 impl Purpose {
     /// The ego of an episode: its priority and concepts.
     pub const EGO: Purpose = Purpose::new(7);
+
+    /// The agents that take part in an episode of a curriculum.
+    pub const CURRICULUM: Purpose = Purpose::new(50);
 }
 
 /// The cars under external control.
@@ -28,9 +33,14 @@ pub struct Env {
     task: Arc<SpfTask>,
     city: Simulation,
     control: ControlMode,
+    settings: Settings,
+    /// Whether to compute the allowed actions in every state.
+    judges: bool,
     controlled_cars: Vec<ControlledCar>,
     /// The maximum number of steps of the episode.
     horizon: u32,
+    /// The reward terms of training, if the configuration has any and the agents are those of the training split.
+    shaping: Option<Shaping>,
     steps: u32,
     controls: Vec<(usize, Action)>,
     /// The actions of all controlled cars in each step of the episode.
@@ -45,7 +55,10 @@ pub struct ControlledCar {
     observer: Observer,
     /// Cells of its route, start and goal included.
     cells: usize,
+    /// The covered share of its route before the last step, for reward terms.
+    covered: f64,
     derived: Actions,
+    allowed: Option<Actions>,
     last: Transition,
     running: bool,
 }
@@ -53,8 +66,10 @@ pub struct ControlledCar {
 /// The result of an action.
 #[derive(Clone, Debug, Default, PartialEq)]
 pub struct Transition {
-    /// Reward.
+    /// Reward of the task, which evaluations sum up.
     pub reward: f64,
+    /// What the reward terms of training add to it; 0 in the splits `val` and `test`.
+    pub shaping: f64,
     /// Whether the episode has ended because the car is at its goal or violated a rule.
     pub terminated: bool,
     /// Whether the episode has reached its horizon.
@@ -63,6 +78,13 @@ pub struct Transition {
     pub success: bool,
     /// The violated clauses, by their positions in [`Oracle::constraints`](crate::sim::Oracle::constraints).
     pub broken: Vec<usize>,
+}
+
+impl Transition {
+    /// Returns the reward for a learner: that of the task, and the reward terms of training.
+    pub fn shaped_reward(&self) -> f64 {
+        self.reward + self.shaping
+    }
 }
 
 impl ControlledCar {
@@ -85,6 +107,11 @@ impl ControlledCar {
     /// *constrained*.
     pub fn derived(&self) -> Actions {
         self.derived
+    }
+
+    /// Returns the actions that violate no clause now; `None` without [`Env::judge_actions`].
+    pub fn allowed(&self) -> Option<Actions> {
+        self.allowed
     }
 
     /// Returns the result of its last action.
@@ -145,7 +172,9 @@ impl Env {
         let controlled_car = |ego| ControlledCar {
             observer: Observer::new(Arc::clone(task.oracle()), ego),
             cells: 0,
+            covered: 0.0,
             derived: Actions::default(),
+            allowed: None,
             last: Transition::default(),
             running: false,
         };
@@ -154,14 +183,18 @@ impl Env {
             let message = format!("the split `{}` has no car to control", split.name());
             return Err(Diagnostic::new(Code::INVALID_VALUE, message).at(task.config().span, "for this task"));
         }
+        let shaping = task.config().reward.shaping;
         Ok(Env {
             horizon: task.config().horizon,
+            shaping: (split == Split::Train && !shaping.is_none()).then_some(shaping),
             steps: 0,
             controls: Vec::with_capacity(controlled_cars.len()),
             taken: Vec::new(),
             episode: Episode::of(0, city.agents()),
             spare: Vec::new(),
             control,
+            settings,
+            judges: false,
             controlled_cars,
             city,
             task,
@@ -171,6 +204,11 @@ impl Env {
     /// Returns the task.
     pub fn task(&self) -> &Arc<SpfTask> {
         &self.task
+    }
+
+    /// Returns which cars the caller controls.
+    pub fn control(&self) -> ControlMode {
+        self.control
     }
 
     /// Returns the city.
@@ -209,12 +247,26 @@ impl Env {
         self.taken.chunks_exact(self.controlled_cars.len())
     }
 
+    /// Computes from the next state on which actions violate no clause; see [`ControlledCar::allowed`].
+    pub fn judge_actions(&mut self) {
+        self.judges = true;
+    }
+
     /// Begins a random episode: draws starts and goals for all agents, and priority and concepts for the first car if
     /// the configuration says so.
     ///
     /// # Errors
     /// `no-start-cell`, `no-route`, `limit-exceeded`.
     pub fn reset(&mut self, seed: u64) -> Result<(), Diagnostic> {
+        self.reset_with(seed, None)
+    }
+
+    /// Variant of [`Env::reset`] with `agents` agents: the first car, and others that the seed selects. They start as in
+    /// the episode with all agents. `None` means all.
+    ///
+    /// # Errors
+    /// As [`Env::reset`].
+    pub fn reset_with(&mut self, seed: u64, agents: Option<usize>) -> Result<(), Diagnostic> {
         self.city.draw_agents(Seed(seed), &mut self.spare)?;
         let first = &mut self.spare[self.controlled_cars[0].agent()];
         if let Some(ego) = &self.task.config().ego {
@@ -232,8 +284,25 @@ impl Env {
             let (_, concepts) = drawn.or(possible.next_back()).expect("a weight is not 0");
             first.concepts = Arc::clone(concepts);
         }
+        if let Some(agents) = agents {
+            self.select(seed, agents);
+        }
         self.horizon = self.task.config().horizon;
         self.begin(seed)
+    }
+
+    /// Keeps the first agent, which is the ego, and others up to `agents`, each as probable as any (selection sampling,
+    /// Knuth 1997, algorithm 3.4.2 S).
+    fn select(&mut self, seed: u64, agents: usize) {
+        let mut stream = Seed(seed).stream(Purpose::CURRICULUM, 0, 0);
+        let (mut left, mut wanted) = (self.spare.len(), agents.max(1));
+        self.spare.retain(|_| {
+            let is_ego = wanted == agents.max(1);
+            let takes = is_ego || stream.random_range(0..left) < wanted;
+            left -= 1;
+            wanted -= usize::from(takes);
+            takes
+        });
     }
 
     /// Begins a given episode. Its horizon is [`Episode::horizon`]; if every car is controlled, it is the configured
@@ -243,7 +312,7 @@ impl Env {
     /// `invalid-episode` if its agents differ from those of the split, have concepts without a predicate for their
     /// type, or have no route; `limit-exceeded`.
     pub fn reset_to(&mut self, episode: &Episode) -> Result<(), Diagnostic> {
-        self.spare = episode.place(self.task.world(), self.city.agents())?;
+        self.spare = episode.place(&self.task, self.city.split(), self.control)?;
         self.horizon = match self.control {
             ControlMode::First => episode.horizon(self.task.config()),
             ControlMode::Cars => self.task.config().horizon.max(1),
@@ -260,12 +329,17 @@ impl Env {
 
     /// Begins an episode with the agents in `spare`.
     fn begin(&mut self, seed: u64) -> Result<(), Diagnostic> {
-        self.episode.seed = seed;
-        self.episode.oracle = None;
-        for (noted, agent) in self.episode.agents.iter_mut().zip(&self.spare) {
-            noted.note(agent);
+        let names = self.city.agents().iter().map(Agent::name);
+        if names.eq(self.spare.iter().map(Agent::name)) {
+            self.episode.seed = seed;
+            self.episode.oracle = None;
+            for (noted, agent) in self.episode.agents.iter_mut().zip(&self.spare) {
+                noted.note(agent);
+            }
+            self.city.restart(Seed(seed), &mut self.spare);
+        } else {
+            self.replace_agents(seed)?;
         }
-        self.city.restart(Seed(seed), &mut self.spare);
         self.steps = 0;
         self.taken.clear();
         for controlled_car in &mut self.controlled_cars {
@@ -277,11 +351,33 @@ impl Env {
         self.look()
     }
 
+    /// Makes a city of the agents in `spare`, where others take part than in the last episode.
+    fn replace_agents(&mut self, seed: u64) -> Result<(), Diagnostic> {
+        let (split, agents) = (self.city.split(), std::mem::take(&mut self.spare));
+        let (world, cancel) = (Arc::clone(self.task.world()), self.city.cancel().clone());
+        self.city = Simulation::resume(world, split, Seed(seed), self.settings, (0, agents), &cancel)?;
+        self.episode = Episode::of(seed, self.city.agents());
+        for controlled_car in &mut self.controlled_cars {
+            // Observers know the names of agents.
+            controlled_car.observer = Observer::new(Arc::clone(self.task.oracle()), controlled_car.agent());
+        }
+        Ok(())
+    }
+
     /// Updates all observations, also of cars whose episode has ended.
     fn look(&mut self) -> Result<(), Diagnostic> {
         for controlled_car in &mut self.controlled_cars {
             controlled_car.observer.look(&self.city);
             controlled_car.derived = controlled_car.observer.derived(&self.city)?;
+            if self.judges {
+                let mut allowed = Actions::default();
+                for action in Action::ALL {
+                    if controlled_car.observer.violations(&self.city, action)?.is_empty() {
+                        allowed.insert(action);
+                    }
+                }
+                controlled_car.allowed = Some(allowed);
+            }
         }
         Ok(())
     }
@@ -314,6 +410,7 @@ impl Env {
                 controlled_car.last.broken.clear();
                 controlled_car.last.broken.extend_from_slice(broken);
                 controlled_car.last.reward = self.task.reward(action, broken, controlled_car.cells);
+                controlled_car.covered = covered(&self.city.agents()[controlled_car.agent()]);
                 self.controls.push((controlled_car.agent(), action));
             }
         }
@@ -325,13 +422,22 @@ impl Env {
             .iter_mut()
             .filter(|controlled_car| controlled_car.running)
         {
-            let arrived = self.city.agents()[controlled_car.agent()].at_goal();
+            let agent = &self.city.agents()[controlled_car.agent()];
+            let arrived = agent.at_goal();
             let last = &mut controlled_car.last;
             last.success = arrived && last.broken.is_empty();
             last.terminated = arrived || !last.broken.is_empty();
             last.truncated = !last.terminated && self.steps >= self.horizon;
             if last.truncated {
                 last.reward += self.task.config().reward.overtime;
+            }
+            if let Some(terms) = &self.shaping {
+                let step = ShapedStep {
+                    covered: [controlled_car.covered, covered(agent)],
+                    terminated: last.terminated,
+                    success: last.success,
+                };
+                last.shaping = shaping(terms, step);
             }
         }
         self.look()?;
@@ -363,9 +469,13 @@ impl Env {
     }
 
     /// Returns the fraction of its route that a controlled car has covered, 0 to 1.
-    #[allow(clippy::cast_precision_loss)] // a share
     pub fn progress(&self, controlled_car: usize) -> f64 {
-        let agent = &self.city.agents()[self.controlled_cars[controlled_car].agent()];
-        agent.position() as f64 / (agent.route().steps().max(1)) as f64
+        covered(&self.city.agents()[self.controlled_cars[controlled_car].agent()])
     }
+}
+
+/// Returns the fraction of its route that an agent has covered, 0 to 1.
+#[allow(clippy::cast_precision_loss)] // a share
+fn covered(agent: &Agent) -> f64 {
+    agent.position() as f64 / (agent.route().steps().max(1)) as f64
 }

@@ -11,8 +11,7 @@ use crate::city::{Agent, Cell, CityMap};
 use crate::config::{PredicateConfig, SpfConfig};
 use crate::diag::{Code, Diagnostic, SourceId, Sources, Span, did_you_mean, json_error};
 use crate::files::{ReadError, ReadFile};
-use crate::sim::World;
-use crate::task::spf::{SpfTask, constrained_by_name};
+use crate::task::spf::{ControlMode, SpfTask, constrained_by_name};
 use serde::{Deserialize, Serialize};
 use sha2::{Digest, Sha256};
 use std::collections::BTreeMap;
@@ -179,24 +178,30 @@ impl Episode {
         }
     }
 
-    /// Returns the agents at their starts. Their names must match `like`, and the world's predicates must define their
-    /// concepts.
-    pub(super) fn place(&self, world: &World, like: &[Agent]) -> Result<Vec<Agent>, Diagnostic> {
-        if self.agents.len() != like.len() {
-            let message = format!(
-                "the episode has {} agents, the split has {}",
-                self.agents.len(),
-                like.len()
-            );
+    /// Returns the agents at their starts. They must be those of the split, or some of them if a curriculum with one
+    /// controlled car has a stage of their number. The world's predicates must define their concepts.
+    pub(super) fn place(&self, task: &SpfTask, split: Split, control: ControlMode) -> Result<Vec<Agent>, Diagnostic> {
+        let world = &**task.world();
+        let set = world.scenario.agent_set(split).expect("a city has the split");
+        let count = self.agents.len();
+        let stages = task.config().curriculum.iter();
+        let is_stage = (split, control) == (Split::Train, ControlMode::First)
+            && stages.clone().any(|stage| stage.agents.value as usize == count);
+        if count != set.len() && !is_stage {
+            let message = format!("the episode has {count} agents, the split has {}", set.len());
             return Err(invalid(message));
         }
-        let agents = self.agents.iter().zip(like).map(|(agent, like)| {
-            if agent.name != like.name() {
-                return Err(invalid(format!(
-                    "the episode has {} instead of {}",
-                    agent.name,
-                    like.name()
-                )));
+        // An episode of a stage leaves out agents after the ego.
+        let mut left_out = set.len().saturating_sub(count);
+        let mut names = set.members().map(|(name, _)| name);
+        let agents = self.agents.iter().enumerate().map(|(position, agent)| {
+            let mut name = names.next();
+            while position > 0 && left_out > 0 && name != Some(agent.name) {
+                (name, left_out) = (names.next(), left_out - 1);
+            }
+            if name != Some(agent.name) {
+                let instead = name.map_or_else(String::new, |name| format!(" instead of {name}"));
+                return Err(invalid(format!("the episode has {}{instead}", agent.name)));
             }
             agent.check_concepts(&world.scenario.predicates)?;
             let [start, goal] = [agent.start, agent.goal];

@@ -24,6 +24,7 @@ mod explain;
 mod metrics;
 mod record;
 mod rollout;
+mod shaping;
 mod vector;
 
 pub use codes::{CATALOG, CODES};
@@ -33,11 +34,12 @@ pub use evaluate::{Baseline, BatchEvaluator, RANDOM_RUNS};
 pub use explain::{describe, explain};
 pub use metrics::{ActionRate, Rate, Score, Summary, summarize};
 pub use record::{Origin, RecordError, record};
-pub use rollout::{Policy, Rollout, constrained_by_name, make_episodes, rollout};
+pub use rollout::{DRAWS_MAX, Policy, Rollout, constrained_by_name, make_episodes, reset_demanding, rollout};
 pub use vector::{Autoreset, Begin, EpisodeSource, Info, ObservationKind, Outcome, SubEnv, VectorEnv};
+pub use vector::{Ending, Layer, PolicyNetwork, Trajectories};
 
-use crate::city::{Action, Split};
-use crate::config::{SpfConfig, ViolationsPer};
+use crate::city::{Action, AgentSet, Split};
+use crate::config::{CurriculumStage, EntityOrder, Scenario, SpfConfig, ViolationsPer};
 use crate::datalog::explain::ExplanationPrinter;
 use crate::diag::{Code, Diagnostic, Sources, did_you_mean};
 use crate::sim::{Observer, Oracle, World};
@@ -68,6 +70,7 @@ impl SpfTask {
             ]);
         };
         let oracle = Oracle::new(Arc::clone(&world), config.entities as usize).map_err(|fault| vec![fault])?;
+        let oracle = oracle.nearest_first(config.order == EntityOrder::Nearest);
         let printer = ExplanationPrinter::new(world.program.rules(), &world.program.rules().symbols, sources);
         let labels: Vec<String> = oracle
             .constraints()
@@ -79,7 +82,7 @@ impl SpfTask {
             .clauses
             .iter()
             .filter(|(label, _)| !labels.contains(&label.value));
-        let faults: Vec<Diagnostic> = unknown
+        let mut faults: Vec<Diagnostic> = unknown
             .map(|(label, _)| {
                 let message = format!("no clause that derives an action has the label `{}`", label.value);
                 let fault = Diagnostic::new(Code::INVALID_VALUE, message).at(label.span, "the reward for violating it");
@@ -89,6 +92,7 @@ impl SpfTask {
                 }
             })
             .collect();
+        faults.extend(too_large_stages(scenario, &config));
         if !faults.is_empty() {
             return Err(faults);
         }
@@ -168,10 +172,30 @@ impl SpfTask {
         }
     }
 
+    /// Returns the number of agents in the next drawn episode of an environment after `begun` others, by the
+    /// curriculum; `None` for all.
+    pub(super) fn agents_after(&self, begun: u64, split: Split) -> Option<usize> {
+        let mut stages = self.config.curriculum.iter().filter(|_| split == Split::Train);
+        let stage = stages.find(|stage| begun < stage.until);
+        stage.map(|stage| stage.agents.value as usize)
+    }
+
     /// Returns the side of the region of a split, in cells; without a region, the number of rows of the map.
     fn region(&self, split: Split) -> u32 {
         let set = self.world().scenario.agent_set(split);
         let region = set.and_then(|set| set.region).map(|region| region.value);
         region.unwrap_or_else(|| self.world().map().rows().unsigned_abs())
     }
+}
+
+/// Reports the stages of the curriculum that want more agents than the training split has.
+fn too_large_stages(scenario: &Scenario, config: &SpfConfig) -> Vec<Diagnostic> {
+    let count = scenario.agent_set(Split::Train).map_or(0, AgentSet::len);
+    let too_large = (config.curriculum.iter()).filter(|stage| stage.agents.value as usize > count);
+    let fault = |stage: &CurriculumStage| {
+        let message = format!("the split `train` has {count} agents, not {}", stage.agents.value);
+        let fault = Diagnostic::new(Code::INVALID_VALUE, message).at(stage.agents.span, "for this stage");
+        fault.help("after the last stage, episodes have all agents")
+    };
+    too_large.map(fault).collect()
 }

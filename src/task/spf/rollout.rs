@@ -21,6 +21,9 @@ const STEPS_MAX: u32 = 1000;
 /// The most draws per requested episode.
 const DRAWS: u64 = 1000;
 
+/// The most draws of [`reset_demanding`].
+pub const DRAWS_MAX: u64 = 1000;
+
 /// Policies without learning.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Policy {
@@ -94,6 +97,57 @@ pub fn rollout(env: &mut Env, policy: Policy) -> Result<Rollout, Diagnostic> {
         done.add(env, asked.iter());
     }
     Ok(done)
+}
+
+/// Begins the first demanding episode of a sequence of drawn ones: in the oracle's run of it, up to the horizon, the
+/// rules constrain at least `constrained_steps` steps (of the configuration). The first draw has the seed `seed`.
+/// `agents` is that of [`Env::reset_with`]. Returns the number of draws.
+///
+/// # Errors
+/// As [`Env::reset_with`] and [`rollout`]; `limit-exceeded` if none of [`DRAWS_MAX`] draws is demanding.
+pub fn reset_demanding(env: &mut Env, seed: u64, agents: Option<usize>) -> Result<u64, Diagnostic> {
+    for draw in 0..DRAWS_MAX {
+        let drawn = match draw {
+            0 => seed,
+            _ => Seed(seed).stream(Purpose::EPISODE, draw, u64::MAX).random::<u64>() >> 11,
+        };
+        env.reset_with(drawn, agents)?;
+        if is_demanding(env)? {
+            if env.steps() > 0 {
+                env.reset_with(drawn, agents)?;
+            }
+            return Ok(draw + 1);
+        }
+    }
+    let config = env.task().config();
+    let steps = match config.constrained_steps {
+        1 => "a step".to_owned(),
+        steps => format!("{steps} steps"),
+    };
+    let message = format!("in none of {DRAWS_MAX} drawn episodes do the rules constrain {steps} of the oracle's run");
+    let fault = Diagnostic::new(Code::LIMIT_EXCEEDED, message).at(config.span, "of this task");
+    Err(fault.help("lower `constrained_steps`, use more agents or a smaller region, or draw all episodes"))
+}
+
+/// Runs the oracle until the rules have constrained enough steps, or the episode ends.
+fn is_demanding(env: &mut Env) -> Result<bool, Diagnostic> {
+    let mut missing = env.task().config().constrained_steps;
+    let mut actions: Vec<Action> = Vec::new();
+    while env.controlled_cars()[0].is_running() {
+        if env.city().cancel().requested() {
+            return Err(Diagnostic::cancelled());
+        }
+        if !env.controlled_cars()[0].derived().is_empty() {
+            missing -= 1;
+            if missing == 0 {
+                return Ok(true);
+            }
+        }
+        actions.clear();
+        actions.extend((0..env.controlled_cars().len()).map(|controlled_car| env.oracle_action(controlled_car)));
+        env.step(&actions)?;
+    }
+    Ok(false)
 }
 
 /// The requirements that a set of episodes does not meet yet.

@@ -1,11 +1,15 @@
 //! Sequences of episodes, and vectorized environments.
 
+mod actor;
+
+pub use actor::{Ending, Layer, PolicyNetwork, Trajectories};
+
 use crate::cancel::Cancel;
 use crate::city::{Action, Split};
 use crate::diag::Diagnostic;
 use crate::rng::{Purpose, RngExt, Seed};
-use crate::sim::{run_polled, start_threads};
-use crate::task::spf::{ControlMode, Env, Episode, SpfTask};
+use crate::sim::{Actions, run_polled, start_threads};
+use crate::task::spf::{ControlMode, Env, Episode, SpfTask, reset_demanding};
 use rayon::ThreadPool;
 use rayon::prelude::*;
 use std::sync::Arc;
@@ -19,6 +23,8 @@ const SHARE: usize = 8;
 pub struct EpisodeSource {
     seed: u64,
     begun: u64,
+    /// Whether the rules must constrain the drawn episodes.
+    demanding: bool,
     recorded: Option<Arc<[Episode]>>,
 }
 
@@ -32,7 +38,16 @@ impl EpisodeSource {
         EpisodeSource {
             seed,
             begun: 0,
+            demanding: false,
             recorded,
+        }
+    }
+
+    /// Returns a source of random episodes that [`reset_demanding`] accepts.
+    pub fn demanding(seed: u64) -> EpisodeSource {
+        EpisodeSource {
+            demanding: true,
+            ..EpisodeSource::new(seed, None)
         }
     }
 
@@ -53,14 +68,19 @@ impl EpisodeSource {
         self.begun = begun;
     }
 
-    /// Begins the next episode.
+    /// Begins the next episode. The curriculum applies to drawn episodes with one controlled car.
     ///
     /// # Errors
-    /// As [`Env::reset`] and [`Env::reset_to`].
+    /// As [`Env::reset_with`], [`Env::reset_to`] and [`reset_demanding`].
     pub fn begin(&mut self, env: &mut Env) -> Result<(), Diagnostic> {
+        let agents = match env.control() {
+            ControlMode::First => env.task().agents_after(self.begun, env.city().split()),
+            ControlMode::Cars => None,
+        };
         let seed = self.next_seed();
         match &self.recorded {
-            None => env.reset(seed),
+            None if self.demanding => reset_demanding(env, seed, agents).map(|_| ()),
+            None => env.reset_with(seed, agents),
             Some(set) => env.reset_to(&set[(seed % set.len() as u64) as usize]),
         }
     }
@@ -123,6 +143,8 @@ pub struct Info {
     pub steps: u32,
     /// The seed of the episode.
     pub seed: u64,
+    /// The actions that violate no clause now, if the environment computes them.
+    pub allowed: Option<Actions>,
 }
 
 impl Info {
@@ -135,6 +157,7 @@ impl Info {
         self.success = last.success;
         self.steps = env.steps();
         self.seed = env.episode().seed;
+        self.allowed = env.controlled_cars()[controlled_car].allowed();
     }
 }
 
@@ -180,7 +203,7 @@ enum Stage {
 /// The result of a step.
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
 pub struct Outcome {
-    /// Reward.
+    /// Reward, with the reward terms of training.
     pub reward: f64,
     /// Whether the episode has ended.
     pub terminated: bool,
@@ -275,7 +298,7 @@ impl SubEnv {
         }
         let last = self.env.controlled_cars()[0].last();
         let outcome = Outcome {
-            reward: last.reward,
+            reward: last.shaped_reward(),
             terminated: last.terminated,
             truncated: last.truncated,
         };
@@ -391,6 +414,13 @@ impl VectorEnv {
     pub fn keep_last_atoms(&mut self) {
         for sub_env in &mut self.sub_envs {
             sub_env.ended.atoms = Some(Vec::new());
+        }
+    }
+
+    /// Computes from the next reset on which actions violate no clause; see [`Info::allowed`].
+    pub fn judge_actions(&mut self) {
+        for sub_env in &mut self.sub_envs {
+            sub_env.env.judge_actions();
         }
     }
 

@@ -1,0 +1,569 @@
+"""A fast PPO (proximal policy optimization, Schulman et al., 2017) for the observation `groundings`.
+
+Three properties of Safe Path Following make it fast:
+
+- The rollouts run in Rust, see `logicity._logicity.PolicyNetwork`. Python makes one call per batch of steps.
+- Most entries of an observation are 0. The first layer of the rollouts adds the rows of the other entries only.
+- Many observations occur repeatedly. The network evaluates each distinct observation of a batch once, in the rollouts
+  and in the update. The update groups the steps by observation and action; its gradient is that of the ungrouped loss.
+
+The first layer of the network is shared by *slots*: a slot has the atoms about the ego and a few other entities. The
+maximum over the slots makes the policy independent of the order of entities, as the rules are: "there is an entity Y
+such that ...". With one slot for all entities the network is a multilayer perceptron.
+"""
+
+from __future__ import annotations
+
+import itertools
+import math
+import os
+import pickle
+import time
+from collections.abc import Mapping
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated, Any, ClassVar, Literal, NamedTuple, TypeAlias
+
+import numpy as np
+from numpy.typing import NDArray
+
+from ..errors import missing_extra
+
+try:
+    import torch
+    from gymnasium.vector import AutoresetMode
+    from pydantic import Field
+    from torch import Tensor, nn
+    from torch.utils.tensorboard import SummaryWriter
+except ImportError as error:
+    raise missing_extra("learn", error) from error
+
+from .. import _logicity
+from ..city import ACTIONS
+from ..describe import atoms_of
+from ..envs import SPFVectorEnv
+from ..evaluation import load_task
+from .learner import Actions, Learner, LearnerSettings, Observations, Policy, Progress
+
+if TYPE_CHECKING:
+    from .config import TrainConfig
+
+__all__ = ["FastPPO", "FastPPOPolicy", "FastPPOSettings"]
+
+Floats: TypeAlias = NDArray[np.float32]
+
+#: The name of the learner in training files and policy files.
+NAME = "ppo-fast"
+#: The version of the format of policy files.
+FORMAT = 1
+#: The number of updates between two points of the training curves.
+LOG_EVERY = 50
+
+_Positive: TypeAlias = Annotated[int, Field(ge=1)]
+_Share: TypeAlias = Annotated[float, Field(ge=0, le=1)]
+_NotNegative: TypeAlias = Annotated[float, Field(ge=0)]
+_AboveZero: TypeAlias = Annotated[float, Field(gt=0)]
+
+
+class FastPPOSettings(LearnerSettings):
+    """The settings of `ppo-fast`."""
+
+    network: Annotated[list[_Positive], Field(min_length=1)] = [64, 64]
+    """The widths of the hidden layers. The policy and the value share them."""
+    entities_per_slot: _Positive = 2
+    """The number of entities besides the ego in a slot of the first layer."""
+    rollout_steps: _Positive = 16
+    """The number of steps of each environment in a batch."""
+    epochs: _Positive = 1
+    """How often an update uses a batch."""
+    minibatches: _Positive = 1
+    """The number of gradient steps per epoch. Each one uses a share of the distinct observations."""
+    learning_rate: _AboveZero = 2e-3
+    """The learning rate of Adam at the start."""
+    final_learning_rate: _NotNegative = 0.0
+    """The learning rate at the end. It changes linearly with the number of steps."""
+    gamma: _Share = 0.9
+    """The discount factor."""
+    gae_lambda: _Share = 0.95
+    """The weight of longer returns in the generalized advantage estimation."""
+    clip_range: _AboveZero = 0.2
+    """The largest change of a probability that an update rewards, relative to 1."""
+    ent_coef: _NotNegative = 0.01
+    """The coefficient of the entropy in the loss at the start."""
+    final_ent_coef: _NotNegative = 0.0
+    """The coefficient of the entropy at the end. It changes linearly with the number of steps."""
+    vf_coef: _NotNegative = 0.1
+    """The coefficient of the value's squared error in the loss."""
+    max_grad_norm: _AboveZero = 0.5
+    """The largest norm of a gradient. Longer ones are shortened."""
+
+
+def slots(description: Mapping[str, Any], others: int) -> NDArray[np.int64]:
+    """Return the positions of the entries of an observation that each slot of the first layer selects.
+
+    There is a slot for every set of `others` entities besides the ego (fewer if fewer are observed). Its inputs are the
+    atoms about these entities and the ego, and the route length if it is observed. Binary predicates are irreflexive,
+    so atoms such as IsClose(1, 1) are left out.
+
+    Args:
+        description: The description of the task, as `_logicity.describe` returns it.
+        others: The number of entities besides the ego.
+
+    Returns:
+        int64 of shape (slots, inputs).
+    """
+    atoms = list(atoms_of(description))
+    positions = {atom: position for position, atom in enumerate(atoms)}
+    others = min(others, description["entities"] - 1)
+    inputs = [(name, of) for name, of in atoms if max(of) <= others and len(set(of)) == len(of)]
+    chosen = itertools.combinations(range(1, description["entities"]), others)
+    rows = [[positions[name, tuple((0, *slot)[at] for at in of)] for name, of in inputs] for slot in chosen]
+    if description["route_length"]:
+        rows = [[*row, len(atoms)] for row in rows]
+    return np.array(rows, np.int64)
+
+
+class Network:
+    """The network of the policy and the value, with its gradient and Adam (Kingma and Ba, 2015).
+
+    It computes the same as `_logicity.PolicyNetwork`. The input has shape (batch, slots, inputs). The output has shape
+    (batch, 5): a logit per action, and the value. Without automatic differentiation an update takes a third of the
+    time, because the layers are small.
+
+    Attributes:
+        parameters: All weights and biases in one vector.
+        gradient: The gradient of the last `backward`, in the same order.
+        layers: The weights, of shape (inputs, outputs), and the biases of each layer. They are views of `parameters`.
+    """
+
+    def __init__(self, inputs: int, widths: list[int]) -> None:
+        """Initialize orthogonally: gain sqrt(2) in the hidden layers, 0.01 for the logits and 1 for the value."""
+        shapes = list(itertools.pairwise([inputs, *widths, len(ACTIONS) + 1]))
+        self.parameters = torch.zeros(sum((before + 1) * after for before, after in shapes))
+        self.gradient = torch.zeros_like(self.parameters)
+        self.moments = torch.zeros(2, len(self.parameters))
+        self.updates = 0
+        self.layers = _layers(self.parameters, shapes)
+        self._gradients = _layers(self.gradient, shapes)
+        for weights, _ in self.layers:
+            nn.init.orthogonal_(weights.T, math.sqrt(2))
+        last, _ = self.layers[-1]
+        last[:, :-1] *= 0.01 / math.sqrt(2)
+        last[:, -1] /= math.sqrt(2)
+        self._values: list[Tensor] = []
+        self._first = torch.empty(0)
+
+    def forward(self, inputs: Tensor) -> Tensor:
+        """Return the logits and the value, and keep the values of all layers for `backward`."""
+        (weights, bias), *others = self.layers
+        batch, slots, width = inputs.shape
+        self._first = torch.addmm(bias, inputs.view(-1, width), weights).view(batch, slots, -1)
+        values = self._first.amax(1)
+        self._values = [inputs, values]
+        for weights, bias in others:
+            # The values are kept after the rectified linear units.
+            values = torch.addmm(bias, values.relu_(), weights)
+            self._values.append(values)
+        return values
+
+    def backward(self, derivative: Tensor) -> None:
+        """Compute the gradient from the derivative with respect to the output of the last `forward`."""
+        inputs, *values = self._values
+        for at in range(len(self.layers) - 1, 0, -1):
+            weights, bias = self._gradients[at]
+            torch.mm(values[at - 1].T, derivative, out=weights)
+            torch.sum(derivative, 0, out=bias)
+            derivative = derivative @ self.layers[at][0].T
+            derivative *= torch.gt(values[at - 1], 0, out=torch.empty_like(derivative))
+        # Slots with the same maximum share the derivative. Units with a maximum below 0 have none.
+        highest = torch.eq(self._first, values[0].unsqueeze(1), out=torch.empty_like(self._first))
+        if highest.shape[1] > 1:
+            derivative /= highest.sum(1).clamp_(min=1)
+        weights, bias = self._gradients[0]
+        highest *= derivative.unsqueeze(1)
+        highest = highest.view(-1, highest.shape[2])
+        torch.mm(inputs.view(-1, inputs.shape[2]).T, highest, out=weights)
+        torch.sum(highest, 0, out=bias)
+
+    def step(self, learning_rate: float, max_grad_norm: float) -> None:
+        """Take a step of Adam along the gradient, which is shortened to `max_grad_norm`."""
+        decays, (mean, square) = (0.9, 0.999), self.moments
+        self.gradient *= min(1.0, max_grad_norm / (float(self.gradient.norm()) + 1e-6))
+        self.updates += 1
+        mean.lerp_(self.gradient, 1 - decays[0])
+        square.mul_(decays[1]).addcmul_(self.gradient, self.gradient, value=1 - decays[1])
+        scale, rate = (1 - decay**self.updates for decay in reversed(decays))
+        self.parameters.addcdiv_(mean, square.div(scale).sqrt_().add_(1e-5), value=-learning_rate / rate)
+
+    def native(self, width: int, slots: NDArray[np.int64]) -> _logicity.PolicyNetwork:
+        """Return the network for rollouts in Rust, with a copy of the weights."""
+        return _logicity.PolicyNetwork(width, slots, [(weights.numpy(), bias.numpy()) for weights, bias in self.layers])
+
+
+def _layers(vector: Tensor, shapes: list[tuple[int, int]]) -> list[tuple[Tensor, Tensor]]:
+    """Return views of a vector as weights and biases."""
+    layers, start = [], 0
+    for before, after in shapes:
+        middle, end = start + before * after, start + (before + 1) * after
+        layers.append((vector[start:middle].view(before, after), vector[middle:end]))
+        start = end
+    return layers
+
+
+def advantages(
+    rewards: Floats, values: Floats, next_values: Floats, ended: NDArray[np.bool_], gamma: float, lam: float
+) -> Floats:
+    """Return the generalized advantage estimates (Schulman et al., 2016, equation 16).
+
+    Args:
+        rewards: The reward of each step. All arrays have shape (environments, steps).
+        values: The value of the state before each step.
+        next_values: The value of the state after each step, 0 if it is terminal.
+        ended: Whether the episode ends with the step.
+        gamma: The discount factor.
+        lam: The weight of longer returns.
+    """
+    deltas = (rewards + gamma * next_values - values).T
+    continues = np.where(ended.T, np.float32(0), np.float32(gamma * lam))
+    result = np.empty_like(deltas)
+    following = np.zeros_like(deltas[0])
+    for step in reversed(range(len(deltas))):
+        following = result[step] = deltas[step] + continues[step] * following
+    return result.T
+
+
+class Batch(NamedTuple):
+    """The steps of a batch, grouped by observation. Sums are over the steps with that observation."""
+
+    inputs: Tensor
+    """The inputs of the network for each distinct observation, of shape (observations, slots, inputs)."""
+    log_probs: Tensor
+    """The logarithms of the probabilities of the actions in the rollouts, of shape (observations, 4)."""
+    gains: Tensor
+    """The sum of the positive advantages of each action, of shape (observations, 4)."""
+    losses: Tensor
+    """The sum of the negative advantages of each action, of shape (observations, 4)."""
+    counts: Tensor
+    """The number of steps, of shape (observations,)."""
+    returns: Tensor
+    """The mean return, of shape (observations,)."""
+
+    def part(self, chosen: Tensor) -> Batch:
+        """Return the observations at these positions."""
+        return Batch(*(tensor[chosen] for tensor in self))
+
+
+def grouped(
+    inputs: Floats, outputs: Floats, states: NDArray[Any], actions: NDArray[Any], gains: Floats, returns: Floats
+) -> Batch:
+    """Group steps by observation.
+
+    Args:
+        inputs: The inputs of the network for each distinct observation.
+        outputs: Its outputs in the rollouts, of shape (observations, 5).
+        states: The position of each step's observation. This and the following arrays have shape (steps,).
+        actions: The actions.
+        gains: The advantages.
+        returns: The returns.
+    """
+    observations = len(outputs)
+    pairs = states.astype(np.int64) * len(ACTIONS) + actions
+
+    def sums(at: NDArray[Any], of: Floats | None, count: int) -> Tensor:
+        return torch.from_numpy(np.bincount(at, of, count).astype(np.float32))
+
+    counts = sums(states, None, observations)
+    shape = (observations, len(ACTIONS))
+    return Batch(
+        torch.from_numpy(inputs),
+        torch.log_softmax(torch.from_numpy(outputs)[:, :-1], 1),
+        sums(pairs, np.maximum(gains, 0), math.prod(shape)).view(shape),
+        sums(pairs, np.minimum(gains, 0), math.prod(shape)).view(shape),
+        counts,
+        sums(states, returns, observations) / counts,
+    )
+
+
+class Losses(NamedTuple):
+    """The parts of the loss, each a sum over steps."""
+
+    policy: float
+    """The negative clipped surrogate objective."""
+    value: float
+    """Half the squared error of the value, without the variance of the returns of an observation."""
+    entropy: float
+    """The entropy of the policy."""
+
+
+def losses(outputs: Tensor, batch: Batch, clip_range: float, vf_coef: float, ent_coef: float) -> tuple[Losses, Tensor]:
+    """Return the parts of PPO's loss, and the derivative of their weighted sum with respect to the outputs.
+
+    The loss is that of Schulman et al. (2017, equations 7 and 9). For a ratio r and an advantage A,
+    min(r A, clip(r, 1 - c, 1 + c) A) is min(r, 1 + c) A if A is positive, and max(r, 1 - c) A otherwise. All steps with
+    the same observation and action have the same ratio, so the sums of positive and of negative advantages determine
+    the sum over the steps.
+    """
+    low, high, counts = 1 - clip_range, 1 + clip_range, batch.counts.unsqueeze(1)
+    log_probs = torch.log_softmax(outputs[:, :-1], 1)
+    probs = log_probs.exp()
+    ratio = torch.exp(log_probs - batch.log_probs)
+    objective = ratio.clamp(max=high) * batch.gains + ratio.clamp(min=low) * batch.losses
+    by_log_prob = ratio * ((ratio < high) * batch.gains + (ratio > low) * batch.losses)
+    entropy = -(probs * log_probs).sum(1, keepdim=True)
+    error = outputs[:, -1] - batch.returns
+    derivative = torch.empty_like(outputs)
+    # The derivative of the logarithm of the probability i with respect to the logit k is [i = k] - probability k.
+    derivative[:, :-1] = probs * by_log_prob.sum(1, keepdim=True) - by_log_prob
+    derivative[:, :-1] += ent_coef * counts * probs * (log_probs + entropy)
+    derivative[:, -1] = vf_coef * batch.counts * error
+    value = 0.5 * torch.dot(batch.counts, error * error)
+    parts = Losses(-float(objective.sum()), float(value), float(torch.dot(batch.counts, entropy.squeeze(1))))
+    return parts, derivative
+
+
+class FastPPOPolicy(Policy):
+    """A policy of `ppo-fast`.
+
+    Attributes:
+        mode: The mode of the training.
+        settings: The settings of the training.
+    """
+
+    def __init__(
+        self, network: Network, slots: NDArray[np.int64], width: int, mode: str, settings: FastPPOSettings
+    ) -> None:
+        """Store the network, the entries that its slots select, and the length of an observation."""
+        self.mode, self.settings = mode, settings
+        self._network, self._slots, self._width = network, slots, width
+        self._random = np.random.default_rng(0)
+
+    def predict(
+        self, observation: Observations, state: Any = None, episode_start: Any = None, deterministic: bool = True
+    ) -> tuple[Actions, Any]:
+        """Return the most probable actions, or random ones with their probabilities.
+
+        Raises:
+            ValueError: If the observations have another width than those of the training.
+        """
+        native = self._network.native(self._width, self._slots)
+        logits = native.evaluate(np.ascontiguousarray(observation, np.float32))[:, :-1]
+        if not deterministic:
+            # The Gumbel-max trick.
+            logits = logits + self._random.gumbel(size=logits.shape)
+        return logits.argmax(1), None
+
+    def save(self, path: Path) -> None:
+        """Write the policy."""
+        content = {
+            "algorithm": NAME,
+            "format": FORMAT,
+            "mode": self.mode,
+            "observation": "groundings",
+            "settings": self.settings.model_dump(mode="json"),
+            "slots": torch.from_numpy(self._slots),
+            "width": self._width,
+            "weights": self._network.parameters,
+        }
+        torch.save(content, path)
+
+    @classmethod
+    def load(cls, path: Path) -> FastPPOPolicy:
+        """Read a policy that `save` wrote.
+
+        Raises:
+            OSError: If the file cannot be read.
+            ValueError: If the file is not such a policy.
+        """
+        try:
+            content = torch.load(path, map_location="cpu", weights_only=True)
+        except OSError:
+            raise
+        except Exception:
+            # Depending on the bytes, PyTorch raises almost any exception.
+            content = None
+        if not isinstance(content, dict) or content.get("algorithm") != NAME:
+            raise ValueError(f"{os.fspath(path)} is not a policy of `{NAME}`")
+        if content.get("format") != FORMAT:
+            raise ValueError(
+                f"{os.fspath(path)} has the format {content.get('format')!r}, but this version reads {FORMAT}"
+            )
+        try:
+            settings = FastPPOSettings.model_validate(content["settings"])
+            positions = content["slots"].numpy()
+            network = Network(positions.shape[1], settings.network)
+            network.parameters.copy_(content["weights"])
+            policy = cls(network, positions, content["width"], content["mode"], settings)
+            network.native(content["width"], positions)
+        except (AttributeError, IndexError, KeyError, OverflowError, RuntimeError, TypeError, ValueError) as error:
+            raise ValueError(f"{os.fspath(path)} is a damaged policy of `{NAME}`: {error}") from None
+        return policy
+
+
+class FastPPO(Learner):
+    """PPO with rollouts in Rust and an update over distinct observations.
+
+    Attributes:
+        seconds: The CPU seconds since the start or the last `restore`, by phase.
+    """
+
+    settings_class: ClassVar[type[LearnerSettings]] = FastPPOSettings
+    unit: ClassVar[Literal["environment steps", "updates"]] = "environment steps"
+    interacts: ClassVar[bool] = True
+    policy_class: ClassVar[type[Policy]] = FastPPOPolicy
+    starts: ClassVar[bool] = True
+
+    def __init__(self, config: TrainConfig, log: Path | None = None) -> None:
+        """Create the environments and the network.
+
+        Raises:
+            InputError: If the configuration of the mode or an override is invalid.
+            OSError: If the policy of `start` cannot be read.
+            ValueError: If it does not fit.
+        """
+        super().__init__(config, log)
+        assert isinstance(config.settings, FastPPOSettings)
+        self._settings = config.settings
+        description = _logicity.describe(load_task(config.mode, overrides=config.overrides))
+        self._slots = slots(description, self._settings.entities_per_slot)
+        self._width: int = description["width"]
+        with torch.random.fork_rng(devices=[]):
+            torch.manual_seed(config.seed)
+            self._network = Network(self._slots.shape[1], self._settings.network)
+        if config.start is not None:
+            self._start_from(Path(config.start))
+        self._random = np.random.default_rng(config.seed)
+        self._steps = self._updates = 0
+        self._envs = SPFVectorEnv(
+            config.envs,
+            config.mode,
+            split="train",
+            overrides=config.overrides,
+            autoreset_mode=AutoresetMode.SAME_STEP,
+            num_threads=config.threads,
+            copy=False,
+        )
+        self._envs.reset(seed=config.seed)
+        self._curves = None if log is None else SummaryWriter(str(log / NAME))
+        self._logged: dict[str, float] = {}
+        self.seconds = dict.fromkeys(("rollouts", "grouping", "updates"), 0.0)
+
+    def _start_from(self, path: Path) -> None:
+        policy = FastPPOPolicy.load(path)
+        if policy.settings.network != self._settings.network or not np.array_equal(policy._slots, self._slots):
+            raise ValueError(f"`start`: the layers of {path} do not fit the observations and the settings")
+        self._network.parameters.copy_(policy._network.parameters)
+
+    @property
+    def steps(self) -> int:
+        """The number of steps of all environments."""
+        return self._steps
+
+    def fit(self, steps: int, progress: Progress) -> None:
+        """Train until at least `steps` steps. Schedules end at the steps of the configuration."""
+        while self._steps < steps:
+            self._train_once()
+            progress()
+
+    def _train_once(self) -> None:
+        """Collect a batch, and update the network with it."""
+        settings, begun = self._settings, time.process_time()
+        random = self._random.random((self.config.envs, settings.rollout_steps), np.float32)
+        done = self._envs.collect(self._network.native(self._width, self._slots), random)
+        collected = time.process_time()
+        values, ended = done["outputs"][done["states"], -1], done["endings"] > 0
+        gains = advantages(done["rewards"], values, done["next_values"], ended, settings.gamma, settings.gae_lambda)
+        returns = gains + values
+        gains = (gains - gains.mean()) / (gains.std() + np.float32(1e-8))
+        batch = grouped(
+            done["inputs"],
+            done["outputs"],
+            *(each.ravel() for each in (done["states"], done["actions"], gains, returns)),
+        )
+        prepared = time.process_time()
+        last = self._update(batch, random.size)
+        self._steps += random.size
+        self._updates += 1
+        spent = (collected - begun, prepared - collected, time.process_time() - prepared)
+        for phase, seconds in zip(self.seconds, spent, strict=True):
+            self.seconds[phase] += seconds
+        if self._curves is not None:
+            self._log(done, batch, last)
+
+    def _update(self, batch: Batch, size: int) -> Losses:
+        """Take the gradient steps of a batch of `size` steps. Return the loss of the last one."""
+        settings = self._settings
+        learning_rate = self._scheduled(settings.learning_rate, settings.final_learning_rate)
+        ent_coef = self._scheduled(settings.ent_coef, settings.final_ent_coef)
+        scale = settings.minibatches / size
+        for _ in range(settings.epochs):
+            parts = [batch]
+            if settings.minibatches > 1:
+                order = torch.from_numpy(self._random.permutation(len(batch.counts)))
+                parts = [batch.part(chosen) for chosen in order.chunk(settings.minibatches)]
+            for part in parts:
+                outputs = self._network.forward(part.inputs)
+                loss, derivative = losses(outputs, part, settings.clip_range, settings.vf_coef, ent_coef)
+                self._network.backward(scale * derivative)
+                self._network.step(learning_rate, settings.max_grad_norm)
+        return loss
+
+    def _scheduled(self, first: float, last: float) -> float:
+        return first + (last - first) * min(1.0, self._steps / self.config.steps)
+
+    def _log(self, done: Mapping[str, NDArray[Any]], batch: Batch, loss: Losses) -> None:
+        """Add to the means of the training curves, and write them at intervals."""
+        assert self._curves is not None
+        endings = np.bincount(done["endings"].ravel(), minlength=4)
+        part = self._settings.minibatches / done["rewards"].size
+        now = {
+            "violation": endings[1],
+            "success": endings[2],
+            "horizon": endings[3],
+            "reward": done["rewards"].mean(),
+            "distinct": len(batch.counts) / done["rewards"].size,
+            "value_loss": loss.value * part,
+            "entropy": loss.entropy * part,
+        }
+        for name, value in now.items():
+            self._logged[name] = self._logged.get(name, 0.0) + float(value)
+        if self._updates % LOG_EVERY:
+            return
+        means = {name: value / LOG_EVERY for name, value in self._logged.items()}
+        episodes = sum(means[name] for name in ("violation", "success", "horizon"))
+        for name in ("violation", "success", "horizon"):
+            self._curves.add_scalar(f"episodes/{name}", means.pop(name) / max(episodes, 1e-9), self._steps)
+        for name, mean in means.items():
+            self._curves.add_scalar(f"batches/{name}", mean, self._steps)
+        for phase, seconds in self.seconds.items():
+            self._curves.add_scalar(f"cpu_seconds/{phase}", seconds, self._steps)
+        self._logged.clear()
+
+    def policy(self) -> FastPPOPolicy:
+        """Return the current policy."""
+        return FastPPOPolicy(self._network, self._slots, self._width, self.config.mode, self._settings)
+
+    def save(self, folder: Path) -> None:
+        """Write the weights, the optimizer, the environments and the random state."""
+        state = {
+            "network": (self._network.parameters, self._network.moments, self._network.updates),
+            "environments": self._envs,
+            "random": self._random.bit_generator.state,
+            "counts": (self._steps, self._updates),
+        }
+        (folder / "state.pkl").write_bytes(pickle.dumps(state))
+
+    def restore(self, folder: Path) -> None:
+        """Restore what `save` wrote. Only load checkpoints that you trust: they are pickles."""
+        state = pickle.loads((folder / "state.pkl").read_bytes())
+        parameters, moments, self._network.updates = state["network"]
+        self._network.parameters.copy_(parameters)
+        self._network.moments.copy_(moments)
+        self._random.bit_generator.state = state["random"]
+        self._steps, self._updates = state["counts"]
+        self._envs.close()
+        self._envs = state["environments"]
+
+    def close(self) -> None:
+        """Close the environments and the training curves."""
+        self._envs.close()
+        if self._curves is not None:
+            self._curves.close()
