@@ -40,6 +40,7 @@ TINY: dict[str, dict[str, Any]] = {
         "settings": {"deterministic": 8, "variables": 2, "classes": 2, "layers": 1, "width": 8, "random_steps": 100}
         | {"batch_size": 4, "updates": 1},
     },
+    "ppo-fast": {"settings": {"network": [8], "rollout_steps": 16}},
     "mlp": {"settings": {"network": [8], "batch_size": 32}},
     "gnn": {"settings": {"network": [8], "batch_size": 32}},
     "nlm": {"settings": {"depth": 1, "outputs": 2, "batch_size": 32}},

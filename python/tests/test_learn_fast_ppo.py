@@ -32,7 +32,7 @@ from logicity.learn.fast_ppo import (  # noqa: E402
 
 
 def learner(log: Path | None = None, **changes: Any) -> FastPPO:
-    settings = FastPPOSettings(**{"network": [16], "rollout_steps": 8, **changes.pop("settings", {})})
+    settings = FastPPOSettings(**{"network": (16,), "rollout_steps": 8, **changes.pop("settings", {})})
     keys = {"mode": "easy", "envs": 8, "seed": 0, "steps": 4096, "overrides": {}, "threads": 1, "start": None}
     config: Any = SimpleNamespace(**{**keys, **changes}, settings=settings)
     return FastPPO(config, log)
@@ -357,13 +357,14 @@ def test_wrong_files_are_named(tmp_path: Path) -> None:
         FastPPOPolicy.load(path)
     learner().policy().save(path)
     content = torch.load(path, weights_only=True)
-    for changes, message in [
+    wrong: list[tuple[dict[str, Any], str]] = [
         ({"algorithm": "mlp"}, "is not a policy of `ppo-fast`"),
         ({"format": 2}, "has the format 2"),
-        ({"weights": torch.zeros(3)}, "is a damaged policy"),
+        ({"weights": torch.zeros(1)}, "is a damaged policy"),
         ({"width": 10}, "is a damaged policy"),
         ({"settings": {"network": [0]}}, "is a damaged policy"),
-    ]:
+    ]
+    for changes, message in wrong:
         torch.save({**content, **changes}, path)
         with pytest.raises(ValueError, match=message):
             FastPPOPolicy.load(path)

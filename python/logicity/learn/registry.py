@@ -26,6 +26,7 @@ LEARNERS: dict[str, str] = {
     "nlm-dqn": "nlm_dqn:NlmDqnLearner",
     "mb-shooting": "shooting:Shooting",
     "dreamer": "dreamer:Dreamer",
+    "ppo-fast": "fast_ppo:FastPPO",
     "mlp": "cloning:MlpLearner",
     "gnn": "cloning:GnnLearner",
     "nlm": "cloning:NlmLearner",
