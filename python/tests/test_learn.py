@@ -39,11 +39,11 @@ TINY: dict[str, dict[str, Any]] = {
             **{"random_steps": 100, "train_interval": 20, "updates": 1, "imagination": 3, "buffer_size": 500},
         }
     },
-    "mlp": {"settings": {"network": [16, 8]}, "demonstrations": 0.1},
-    "gnn": {"settings": {"network": [8, 8]}, "demonstrations": 0.1},
-    "nlm": {"settings": {"depth": 2}, "demonstrations": 0.1},
-    "hri": {"settings": {"restarts": 2, "extract_every": 1}, "demonstrations": 0.1},
-    "ppo-fast": {"settings": {"network": [8], "rollout_steps": 8}},
+    "ppo-fast": {"settings": {"network": [8], "rollout_steps": 16}},
+    "mlp": {"settings": {"network": [8], "batch_size": 32}},
+    "gnn": {"settings": {"network": [8], "batch_size": 32}},
+    "nlm": {"settings": {"depth": 1, "outputs": 2, "batch_size": 32}},
+    "hri": {"settings": {"restarts": 2, "depth": 1, "batch": 16}, "demonstrations": 0.1},
 }
 #: The keys of a tiny run of every learner in environments.
 IN_ENVIRONMENTS = {"steps": 512, "envs": 2, "validate_every": 200, "overrides": {"task": {"reward": {"overtime": -6}}}}
