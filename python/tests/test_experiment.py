@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import json
 import os
-import signal
 import subprocess
 import sys
 import time
@@ -24,7 +23,7 @@ from logicity.commands import run as command  # noqa: E402
 from logicity.learn import LEARNERS, load_policy  # noqa: E402
 from logicity.learn.cells import Cell, finished, prepare, run_cell  # noqa: E402
 from logicity.learn.experiment import Experiment, Selection  # noqa: E402
-from logicity.learn.jobs import run_in_processes, run_on_ray  # noqa: E402
+from logicity.learn.jobs import run_in_processes  # noqa: E402
 from logicity.learn.report import Report, paper_table, paper_value, pooled, violation_rates  # noqa: E402
 from logicity.learn.results import check_rows, leaderboard, read_results, submit  # noqa: E402
 
@@ -280,12 +279,12 @@ def test_an_evaluation_can_use_new_episodes(tmp_path: Path) -> None:
     ]
 
 
+@pytest.mark.skipif(sys.platform != "linux", reason="reads /proc")
 def test_a_killed_experiment_gives_the_same_table(tiny: Path, tmp_path: Path) -> None:
     """The process is killed twice; the processes of its cells die with it."""
     root = tmp_path / "run"
     arguments = [str(tiny), "--run", str(root), "--jobs", "2"]
-    text = "import sys; from logicity.commands import run; sys.exit(run(('experiment',), sys.argv[1:]))"
-    once = [sys.executable, "-c", text, *arguments]
+    once = [sys.executable, "-m", "logicity", "experiment", *arguments]
     for kill in range(2):
         with subprocess.Popen(once, stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL) as process:
             # In the first run a cell has a checkpoint; in the second one a cell is finished.
@@ -327,6 +326,22 @@ def processes_with(text: str) -> list[int]:
     return found
 
 
+def test_the_quick_table_of_the_paper(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    root = tmp_path / "run"
+    only = ["--only", "ppo,easy", "--only", "a2c,expert", "--quick", "--jobs", "2", "--run", str(root)]
+    assert command(("experiment",), [str(EXPERIMENTS / "spf.yaml"), *only]) == 0
+    output = capsys.readouterr()
+    assert "[2/2] " in output.err and output.out.startswith("Safe Path Following\n\neasy\nlearner ")
+    table = json.loads((root / "table.json").read_text())
+    assert [(entry["row"], entry["mode"], entry["seeds"]) for entry in table["entries"]] == [
+        ("ppo", "easy", [0]),
+        ("a2c", "expert", [0]),
+    ]
+    assert [entry["paper"]["tsr"] for entry in table["entries"]] == [0.33, 0.12]
+    assert command(("experiment",), [str(EXPERIMENTS / "spf.yaml"), *only, "--submit", "rows.json"]) == 2
+    assert "remove `--quick` and `--set`" in capsys.readouterr().err
+
+
 def test_failed_cells_do_not_stop_the_others(tiny: Path, tmp_path: Path) -> None:
     text = TINY.replace("ppo: {}", "ppo: {optional: true, changes: {settings: {batch_size: 1}}}")
     experiment, cells = cells_of(write(tmp_path, text), seeds=(0,))
@@ -342,23 +357,39 @@ def test_failed_cells_do_not_stop_the_others(tiny: Path, tmp_path: Path) -> None
     assert said[0] == "1 of 2 cells are finished already"
 
 
+#: Runs the cells of an experiment on a local Ray cluster of two workers, and kills the first worker that is seen.
+ON_RAY = """
+import os, signal, sys
+from pathlib import Path
+from logicity.learn import jobs
+from logicity.learn.experiment import Experiment, Selection
+
+def watch(line):
+    if not killed:
+        for path in Path("/proc").glob("[0-9]*/cmdline"):
+            if b"ray::_in_worker" in path.read_bytes():
+                killed.append(int(path.parent.name))
+                os.kill(killed[0], signal.SIGKILL)
+                break
+
+killed, jobs.SECONDS = [], 0.0
+experiment, file = Experiment.load(sys.argv[1])
+failed = jobs.run(experiment.cells(file, Selection(seeds=(0,))), Path(sys.argv[2]), 2, watch, "local")
+assert killed and not failed, (killed, failed)
+"""
+
+
+@pytest.mark.skipif(sys.platform != "linux", reason="reads /proc")
 def test_ray_runs_the_cell_of_a_lost_worker_again(tiny: Path, tmp_path: Path) -> None:
     needs("ray", "ray")
+    done = subprocess.run(
+        [sys.executable, "-c", ON_RAY, str(tiny), str(tmp_path / "ray")],
+        stdout=subprocess.DEVNULL,
+        stderr=subprocess.PIPE,
+        text=True,
+    )
+    assert done.returncode == 0, done.stderr
     _, cells = cells_of(tiny, seeds=(0,))
-    killed: list[int] = []
-
-    def watch(line: str) -> None:
-        # The first cell is finished; the other one still runs, or its worker is idle.
-        if not killed and (workers := processes_with("ray::_in_worker")):
-            os.kill(workers[0], signal.SIGKILL)
-            killed.append(workers[0])
-
-    from logicity.learn import jobs
-
-    with pytest.MonkeyPatch.context() as patch:
-        patch.setattr(jobs, "SECONDS", 0.0)
-        failed = run_on_ray(cells, tmp_path / "ray", "local", 2, watch)
-    assert not failed and killed
     run_here(cells, tmp_path / "here")
     assert results_of(cells, tmp_path / "ray") == results_of(cells, tmp_path / "here")
 

@@ -5,6 +5,7 @@ import re
 import subprocess
 import sys
 from pathlib import Path
+from types import SimpleNamespace
 from typing import Any
 
 import numpy as np
@@ -327,6 +328,34 @@ def test_a_killed_process_resumes(tmp_path: Path) -> None:
     resumed = json.loads(json.dumps(train(config, tmp_path / "run", tensorboard=False)))
     whole = json.loads(json.dumps(train(config, tmp_path / "whole", tensorboard=False)))
     assert timeless(resumed) == timeless(whole)
+
+
+def test_curves_are_sent_to_weights_and_biases(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    sent: list[tuple[str, Any]] = []
+    stand_in = SimpleNamespace(
+        log=lambda values, step: sent.append(("log", (step, set(values)))),
+        summary=SimpleNamespace(update=lambda values: sent.append(("summary", set(values)))),
+        finish=lambda: sent.append(("finish", None)),
+    )
+
+    def init(**arguments: Any) -> Any:
+        sent.append(("init", (arguments["project"], arguments["name"], arguments["config"]["algorithm"])))
+        return stand_in
+
+    monkeypatch.setitem(sys.modules, "wandb", SimpleNamespace(init=init))
+    result = train(short("a2c"), tmp_path / "run", tensorboard=False, wandb="cities")
+    names = {"compliance", "tsr", "dsr", "score"}
+    steps = [point["steps"] for point in result["validations"]]
+    assert sent == [
+        ("init", ("cities", "run", "a2c")),
+        *(("log", (step, {f"validation/{name}" for name in names})) for step in steps),
+        ("summary", {f"test/{name}" for name in names}),
+        ("finish", None),
+    ]
+    monkeypatch.setitem(sys.modules, "wandb", None)
+    with pytest.raises(ImportError, match="`wandb` needs the package wandb: pip install wandb"):
+        train(short("a2c"), tmp_path / "other", wandb="cities")
+    assert not (tmp_path / "other").exists()
 
 
 def test_results_of_other_rules_are_not_mixed_in(tmp_path: Path) -> None:

@@ -162,6 +162,9 @@ def run_cell(
         else:
             evaluations[name] = benchmark.evaluate(policy, name=config.algorithm).to_dict()
         evaluations[name]["random_returns"] = benchmark.random_returns()
+    if config.start is not None:
+        # The path depends on the machine; the hash of the file is in the result.
+        result["config"]["start"] = Path(config.start).name
     measured = {
         "identity": document["identity"],
         "result": {key: value for key, value in result.items() if key != "test"},

@@ -11,7 +11,7 @@ from typing import Annotated, Any, Literal
 from pydantic import BaseModel, ConfigDict, Field, Strict, ValidationError
 
 from .. import _logicity
-from ..errors import did_you_mean
+from ..errors import InputError, did_you_mean
 from .cells import TEST, Cell
 from .config import TrainConfig, faults, merged
 from .learner import Count
@@ -168,7 +168,11 @@ class Experiment(_Model):
                 for name in sorted(spec.variants or self.variants, key=lambda name: bool(self.variants[name].start)):
                     variant = self.variants[name]
                     start = None if variant.start is None else found[row, mode, variant.start, seed]
-                    config = self._config(file, row, mode, variant, seed, selection)
+                    try:
+                        config = self._config(file, row, mode, variant, seed, selection)
+                    except InputError as error:
+                        note = f"with the changes of `{row}` in {file}"
+                        raise InputError(f"{str(error).rstrip()}\n |\n = note: {note}", error.diagnostics) from None
                     found[row, mode, name, seed] = Cell(
                         row=row,
                         mode=config.mode,

@@ -31,6 +31,9 @@ Say = Callable[[str], None]
 #: The interval between two lines of progress, in seconds.
 SECONDS = 30.0
 
+#: How often a cell runs again because its worker was lost.
+RETRIES = 20
+
 
 @dataclass
 class Watch:
@@ -41,6 +44,8 @@ class Watch:
     say: Say
     failed: dict[str, str] = field(default_factory=dict)
     done: int = 0
+    #: The cells that have not started.
+    pending: list[Cell] = field(default_factory=list)
 
     def __post_init__(self) -> None:
         """Start the clock."""
@@ -103,14 +108,10 @@ class Watch:
         if not known:
             return "no estimate yet"
         mean = sum(known.values()) / len(known)
-        waiting = {cell.identity: cell for cell in self.pending} if self.pending else {}
-        left += sum(known.get(cell.row, mean) for cell in waiting.values())
+        left += sum(known.get(cell.row, mean) for cell in self.pending)
         minutes = left / max(1, self.jobs) / 60
         hours, rest = divmod(round(minutes), 60)
         return f"about {f'{hours} h ' if hours else ''}{rest} min left"
-
-    #: The cells that have not started.
-    pending: list[Cell] = field(default_factory=list)
 
 
 def _unfinished(cells: Sequence[Cell], root: Path, watch: Watch) -> list[Cell]:
@@ -273,9 +274,13 @@ def run_on_ray(
         raise missing_extra("ray", error) from error
     threads = dict.fromkeys(("OMP_NUM_THREADS", "MKL_NUM_THREADS", "OPENBLAS_NUM_THREADS"), "1")
     options: dict[str, Any] = {"num_cpus": jobs, "include_dashboard": False} if address == "local" else {}
-    ray.init(address=address, log_to_driver=False, runtime_env={"env_vars": threads}, **options)
+    try:
+        ray.init(address=address, log_to_driver=False, runtime_env={"env_vars": threads}, **options)
+    except Exception as error:
+        # Ray raises a plain `Exception` if a local cluster takes too long to start.
+        raise ConnectionError(f"--ray: no cluster at `{address}`: {error}") from error
     # A new process for each cell, as in `run_in_processes`. Only the loss of a worker repeats a cell.
-    task = ray.remote(num_cpus=1, max_calls=1, max_retries=-1)(_in_worker)
+    task = ray.remote(num_cpus=1, max_calls=1, max_retries=RETRIES)(_in_worker)
     watch = Watch(cells, jobs, say)
     _unfinished(cells, root, watch)
     running: dict[Any, Cell] = {}

@@ -97,6 +97,7 @@ def train(
     val, test = (Benchmark(config.mode, split, observation=config.observation) for split in ("val", "test"))
     _check_overrides(config, val)
     log = run / "tensorboard" if tensorboard else None
+    tracker = None if wandb is None else _wandb()
     learner = config.learner(config, log)
     with ExitStack() as files:
         files.callback(learner.close)
@@ -109,7 +110,9 @@ def train(
         display = files.enter_context(_Display(config, learner, progress))
         begun = f"resumed after {state.steps:,} of" if checkpoints else "started:"
         display.say(f"{config.algorithm} in {config.mode}, {begun} {config.steps:,} steps; folder {run}")
-        curves = files.enter_context(_Curves(run, config, log, wandb))
+        curves = files.enter_context(_Curves(run, config, log))
+        if tracker is not None:
+            curves.track(tracker, str(wandb))
         training = _Training(run, config, learner, state, val, display, curves)
 
         def progress_and_report() -> None:
@@ -265,25 +268,37 @@ def _figures(measured: Evaluation) -> dict[str, Any]:
     return {name: measures[name] for name in (*MEASURES, "dsr_by_action", "mean_return", "mean_steps")}
 
 
+def _wandb() -> Any:
+    """Return the package of Weights & Biases.
+
+    Raises:
+        ImportError: If it is not installed.
+    """
+    try:
+        import wandb
+    except ImportError as error:
+        raise ImportError("`wandb` needs the package wandb: pip install wandb") from error
+    return wandb
+
+
 class _Curves:
     """The measures of validations as training curves, for TensorBoard and Weights & Biases."""
 
-    def __init__(self, run: Path, config: TrainConfig, log: Path | None, project: str | None) -> None:
-        """Start a run in the project.
+    def __init__(self, run: Path, config: TrainConfig, log: Path | None) -> None:
+        """Store the folder of TensorBoard."""
+        self._run, self._config, self._log, self._wandb = run, config, log, None
 
-        Raises:
-            ImportError: If a project is given, and Weights & Biases is not installed.
-        """
-        self._log, self._wandb = log, None
-        if project is not None:
-            try:
-                import wandb
-            except ImportError as error:
-                raise ImportError("`wandb` needs the package wandb: pip install wandb") from error
-            identity = hashlib.sha256(str(run.resolve()).encode()).hexdigest()[:16]
-            self._wandb = wandb.init(
-                project=project, name=run.name, id=identity, resume="allow", dir=str(run), config=config.to_dict()
-            )
+    def track(self, wandb: Any, project: str) -> None:
+        """Start or resume a run in a project of Weights & Biases."""
+        identity = hashlib.sha256(str(self._run.resolve()).encode()).hexdigest()[:16]
+        self._wandb = wandb.init(
+            project=project,
+            name=self._run.name,
+            id=identity,
+            resume="allow",
+            dir=str(self._run),
+            config=self._config.to_dict(),
+        )
 
     def __enter__(self) -> _Curves:
         return self
