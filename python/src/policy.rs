@@ -25,7 +25,9 @@ fn decide<'py>(
         let message = format!("expected observations of {width} numbers, not {}", array.ncols());
         return Err(PyValueError::new_err(message));
     }
-    let rows = observations.as_slice().map_err(|error| PyValueError::new_err(error.to_string()))?;
+    let rows = observations
+        .as_slice()
+        .map_err(|error| PyValueError::new_err(error.to_string()))?;
     let signals = Signals::new();
     let cancel = signals.cancel();
     let decided = signals.detach(py, || {

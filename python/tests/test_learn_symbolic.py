@@ -19,7 +19,7 @@ from numpy.typing import NDArray
 
 import logicity
 from logicity import ACTIONS, MODES, Benchmark, InputError
-from logicity._logicity import describe
+from logicity._logicity import ConfigFile, describe
 from logicity.describe import Atom, atoms_of
 from logicity.evaluation import load_task
 from logicity.offline import popper_names
@@ -236,6 +236,15 @@ def test_induced_rules_are_a_policy(tmp_path: Path) -> None:
         learner("induce", steps=2)
 
 
+@pytest.mark.parametrize("algorithm", ["induce", "popper", "maxsynth", "foldrm"])
+@pytest.mark.parametrize("mode", PLAIN)
+def test_training_files_have_valid_settings(algorithm: str, mode: str) -> None:
+    path = ROOT / "configs" / "baselines" / f"{algorithm}-{mode}.yaml"
+    values = ConfigFile(path, "configs/baselines").value()
+    assert (values["algorithm"], values["mode"], values["steps"]) == (algorithm, mode, 1)
+    learner(algorithm, mode, steps=values["steps"], **values["settings"])
+
+
 # --- FOLD-RM
 
 
@@ -302,9 +311,10 @@ def test_foldrm_learns_easy_rules() -> None:
 
 def fake_popper(folder: Path, code: str) -> list[str]:
     """Write a program in place of Popper: Python code that knows the folder of the task and the other arguments."""
+    if sys.platform == "win32":
+        pytest.skip("Windows does not run scripts by their first line")
     path = folder / "popper"
-    body = textwrap.indent(textwrap.dedent(code), "")
-    path.write_text(f"#!{sys.executable}\nimport os, sys, time\ntask, *rest = sys.argv[1:]\n{body}")
+    path.write_text(f"#!{sys.executable}\nimport os, sys, time\ntask, *rest = sys.argv[1:]\n{textwrap.dedent(code)}")
     path.chmod(path.stat().st_mode | stat.S_IXUSR)
     return [str(path)]
 

@@ -29,7 +29,9 @@ from pydantic import Field
 
 from ..city import ACTIONS
 from ..describe import Atom
+from ..errors import missing_extra
 from ..offline import Demonstrations
+from ..rule_policy import RulePolicy
 from .learner import LearnerSettings
 from .symbolic import BodyLiteral, SymbolicLearner, arities, clause
 
@@ -144,7 +146,7 @@ class FoldRMLearner(SymbolicLearner):
         try:
             from foldrm.algo import foldrm
         except ImportError as error:
-            raise type(error)(f"{error}; install it: pip install foldrm", name=error.name) from error
+            raise missing_extra("learn", error) from error
         settings = cast(FoldRMSettings, self.config.settings)
         observations = np.concatenate([trajectory.observations[:-1] for trajectory in data])
         actions = np.concatenate([trajectory.actions for trajectory in data])
@@ -162,8 +164,6 @@ class FoldRMLearner(SymbolicLearner):
 
 def _default_action(mode: str) -> str:
     """Return the action that an ego without a derived action takes."""
-    from ..rule_policy import RulePolicy
-
     policy = RulePolicy.from_text('.include "vocabulary.dl"\n', mode)
     return ACTIONS[int(policy(np.zeros((1, policy.width), np.float32))[0])]
 
