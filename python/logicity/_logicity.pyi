@@ -12,6 +12,7 @@ __all__ = [
     "check",
     "check_dataset",
     "ConfigFile",
+    "decide",
     "describe",
     "did_you_mean",
     "HEADINGS",
@@ -304,6 +305,7 @@ def restore_rules(
     text: str,
     report: str,
 ) -> LearnedRules: ...
+def decide(task: Task, observations: npt.NDArray[np.float32]) -> npt.NDArray[np.int64]: ...
 def describe(task: Task) -> dict[str, Any]: ...
 def read_world(
     folder: _Path, number: int, unary: list[str], binary: list[str]

@@ -16,7 +16,7 @@ use crate::datalog::Value;
 use crate::datalog::dense::members;
 use crate::diag::Diagnostic;
 use crate::predicate::{CellTable, Definition, PairRelation, Relation, Static, Views, with_relation};
-use crate::sim::observe::rule_monitor::{ActionConstraint, Atoms, Observed, RuleMonitor, Violations};
+use crate::sim::observe::rule_monitor::{ActionConstraint, Atoms, Entities, Observed, RuleMonitor, Violations};
 use crate::sim::tick::chance::{Chance, Draws};
 use crate::sim::tick::ground_state::GroundState;
 use crate::sim::tick::simulation::Simulation;
@@ -97,6 +97,11 @@ impl Oracle {
     /// Returns the clauses that demand an action, in source order, without the default.
     pub fn constraints(&self) -> &[ActionConstraint] {
         self.monitor.constraints()
+    }
+
+    /// Returns the clauses of the rules in the form that judges actions.
+    pub(super) fn monitor(&self) -> &RuleMonitor {
+        &self.monitor
     }
 
     /// Returns the field of view of the ego.
@@ -461,8 +466,10 @@ fn sort_by_distance(from: Cell, bodies: &mut [Body]) {
 fn observed<'a>(atoms: &'a Atoms, bodies: &'a [Body], city: &'a Simulation) -> Observed<'a> {
     Observed {
         atoms,
-        bodies,
-        agents: city.agents(),
+        entities: Entities::Agents {
+            bodies,
+            agents: city.agents(),
+        },
         given: None,
         cancel: city.cancel(),
     }
