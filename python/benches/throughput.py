@@ -1,14 +1,17 @@
 """Measure environment steps per CPU second with random actions: `python python/benches/throughput.py [MODE]`.
 
-With Stable-Baselines3 installed, the output also has the environment's share of the CPU time of training.
+On Linux, the output also has the memory that an environment of a vector takes. With Stable-Baselines3 installed, it has
+the environment's share of the CPU time of training.
 """
 
 from __future__ import annotations
 
 import importlib.util
+import os
 import sys
 import time
 from collections.abc import Callable
+from pathlib import Path
 
 import gymnasium
 import numpy as np
@@ -20,6 +23,12 @@ SECONDS = 3.0
 
 #: The number of training steps to measure.
 TRAINING_STEPS = 8000
+
+#: The number of environments whose memory is measured, and of their steps.
+MANY, MANY_STEPS = 8192, 100
+
+#: The resident memory of this process in pages is the second number of this file.
+MEMORY = Path("/proc/self/statm")
 
 
 def rate(steps: int, step: Callable[[int], None]) -> float:
@@ -60,6 +69,29 @@ def vector(mode: str, count: int, threads: int, autoreset: str = "NextStep", cop
         envs.step(actions[call % 64])
 
     return rate(count, step)
+
+
+def memory(mode: str) -> float:
+    """Return the growth of resident memory per environment of a vector, without the arrays of observations."""
+
+    def make(count: int) -> gymnasium.vector.VectorEnv:
+        envs = gymnasium.make_vec(f"logicity/SPF-{mode}-v0", num_envs=count, num_threads=1, copy=False)
+        envs.reset(seed=0)
+        return envs
+
+    def resident() -> int:
+        return int(MEMORY.read_text().split()[1]) * os.sysconf("SC_PAGESIZE")
+
+    # The first environments load what all share.
+    few = make(64)
+    before = resident()
+    envs = make(MANY)
+    actions = np.random.default_rng(0).integers(4, size=(MANY_STEPS, MANY))
+    before += actions.nbytes
+    for row in actions:
+        observations, *_ = envs.step(row)
+    few.close()
+    return (resident() - before - observations.nbytes) / MANY
 
 
 def stable_baselines(mode: str, count: int) -> float:
@@ -110,15 +142,19 @@ def main() -> None:
     print(f"| {mode}, random actions | steps per CPU second |\n|---|---|")
     rows: list[tuple[str, Callable[[], float]]] = [
         ("`make`, one environment", lambda: single(mode)),
+        ("`make_vec`, 64 environments, 1 thread", lambda: vector(mode, 64, 1)),
         ("`make_vec`, 256 environments, 1 thread", lambda: vector(mode, 256, 1)),
-        ("the same, `copy=False`", lambda: vector(mode, 256, 1, copy=False)),
-        ("the same, autoreset mode SameStep", lambda: vector(mode, 256, 1, "SameStep")),
+        ("`make_vec`, 1,024 environments, 1 thread", lambda: vector(mode, 1024, 1)),
+        ("256, `copy=False`", lambda: vector(mode, 256, 1, copy=False)),
+        ("256, autoreset mode SameStep", lambda: vector(mode, 256, 1, "SameStep")),
         ("`make_vec`, 256 environments, 2 threads", lambda: vector(mode, 256, 2)),
     ]
     if importlib.util.find_spec("stable_baselines3"):
         rows.append(("`sb3.make_vec_env`, 256 environments", lambda: stable_baselines(mode, 256)))
     for name, measure in rows:
         print(f"| {name} | {measure():,.0f} |", flush=True)
+    if MEMORY.exists():
+        print(f"\nThe memory of an environment of a vector: {memory(mode):,.0f} bytes")
     if not importlib.util.find_spec("stable_baselines3"):
         print("\nInstall Stable-Baselines3 (`pip install './python[learn]'`) to measure the share of training time.")
     elif mode in ("Easy", "Medium", "Hard", "Expert"):

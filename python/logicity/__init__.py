@@ -11,6 +11,7 @@ Where to start:
 - `observation_names` names the numbers of an observation.
 - `evaluate` measures one policy, `Benchmark` several. `demonstrations` returns trajectories of the oracle, and
   `induce` learns rules from them.
+- `RulePolicy` makes a policy of a rule file.
 - `logicity.questions` sends multiple-choice questions to a language model and grades the replies.
 - `logicity.vap` makes and reads data sets of Visual Action Prediction.
 
@@ -44,6 +45,7 @@ if TYPE_CHECKING:
     from .induction import InducedClause, InducedRules, induce
     from .modes import ENVIRONMENTS, MODES, parallel_env
     from .offline import Demonstrations, Trajectory, demonstrations
+    from .rule_policy import RulePolicy
     from .rules import Change, Column, Explanation, Program, Relation, Rows, Session, check
     from .types import (
         Action,
@@ -72,6 +74,7 @@ _NAMES = {
     "induction": ["InducedClause", "InducedRules", "induce"],
     "modes": ["ENVIRONMENTS", "MODES", "parallel_env"],
     "offline": ["Demonstrations", "Trajectory", "demonstrations"],
+    "rule_policy": ["RulePolicy"],
     "rules": ["Change", "Column", "Explanation", "Program", "Relation", "Rows", "Session", "check"],
     "types": [
         *["Action", "Agent", "Answer", "Clause", "Diagnostic", "EgoAnswer", "Executor", "Heading"],
@@ -116,6 +119,7 @@ __all__ = [
     "REASONS",
     "Relation",
     "Rows",
+    "RulePolicy",
     "RuleStats",
     "Scene",
     "Session",

@@ -12,6 +12,7 @@ __all__ = [
     "check",
     "check_dataset",
     "ConfigFile",
+    "decide",
     "describe",
     "did_you_mean",
     "HEADINGS",
@@ -184,6 +185,16 @@ class Task:
     ) -> None: ...
 
 @final
+class PolicyNetwork:
+    def __new__(
+        cls,
+        width: int,
+        slots: npt.NDArray[np.int64],
+        layers: list[tuple[npt.NDArray[np.float32], npt.NDArray[np.float32]]],
+    ) -> PolicyNetwork: ...
+    def evaluate(self, observations: npt.NDArray[np.float32]) -> npt.NDArray[np.float32]: ...
+
+@final
 class VectorEnv:
     def __new__(
         cls, task: Task, split: str, count: int, autoreset: str, observation: str, episodes: str, threads: int
@@ -201,6 +212,9 @@ class VectorEnv:
         outcomes: tuple[npt.NDArray[np.float64], npt.NDArray[np.bool_], npt.NDArray[np.bool_]],
         columns: _Columns,
     ) -> list[tuple[int, tuple[str, ...]]]: ...
+    def collect(
+        self, network: PolicyNetwork, random: npt.NDArray[np.float32], observations: npt.NDArray[np.float32]
+    ) -> dict[str, npt.NDArray[Any]]: ...
     def ended(self, columns: _Columns) -> list[tuple[int, npt.NDArray[np.float32], tuple[str, ...]]]: ...
     def info(self, at: int) -> dict[str, Any]: ...
     def atoms(self, at: int) -> tuple[str, ...]: ...
@@ -291,6 +305,7 @@ def restore_rules(
     text: str,
     report: str,
 ) -> LearnedRules: ...
+def decide(task: Task, observations: npt.NDArray[np.float32]) -> npt.NDArray[np.int64]: ...
 def describe(task: Task) -> dict[str, Any]: ...
 def read_world(
     folder: _Path, number: int, unary: list[str], binary: list[str]

@@ -110,7 +110,7 @@ def _add_evaluate(parser: argparse.ArgumentParser) -> _Command:
     parser.add_argument(
         "--policy",
         required=True,
-        help="oracle, random, the file of a policy (.zip of DQN, PPO or A2C, .pt of other learners), or the folder of "
+        help="oracle, random, the file of a policy (.zip, .pt, or .dl for rules), or the folder of "
         "a run of `logicity train`",
     )
     parser.add_argument(

@@ -191,8 +191,7 @@ class Demonstrations(Sequence[Trajectory]):
         examples = list(self._examples(distinct))
         facts = [line for step, (observation, _) in enumerate(examples) for line in self._facts(step, observation)]
         arities = {name: len(entities) for name, entities in self.atoms}
-        predicates = {"sees": 2}
-        predicates |= {f"{sign}{_snake(name)}": arity for name, arity in arities.items() for sign in ("", "not_")}
+        predicates = {"sees": 2, **{name: arity for name, (_, _, arity) in popper_names(arities).items()}}
         # Without this declaration, Prolog raises an error for a query of a predicate without facts.
         facts += [f":- dynamic {name}/{arity}." for name, arity in predicates.items()]
         written = []
@@ -279,6 +278,14 @@ class Demonstrations(Sequence[Trajectory]):
         table = pyarrow.table(columns).replace_schema_metadata(metadata)
         with replacing(path, overwrite=overwrite) as temporary:
             pyarrow.parquet.write_table(table, temporary)
+
+
+def popper_names(arities: Mapping[str, int]) -> dict[str, tuple[bool, str, int]]:
+    """Return the predicates of Popper's files: whether it is the negation of a predicate, that predicate, its arity."""
+    signs = ((False, ""), (True, "not_"))
+    return {
+        f"{sign}{_snake(name)}": (negated, name, arity) for name, arity in arities.items() for negated, sign in signs
+    }
 
 
 def _snake(name: str) -> str:

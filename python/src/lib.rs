@@ -22,6 +22,7 @@ mod evaluate;
 mod induce;
 mod multi_car;
 mod output;
+mod policy;
 mod task;
 mod vap;
 
@@ -396,6 +397,7 @@ fn _logicity(module: &Bound<'_, PyModule>) -> PyResult<()> {
     multi_car::register(module)?;
     evaluate::register(module)?;
     induce::register(module)?;
+    policy::register(module)?;
     vap::register(module)
 }
 

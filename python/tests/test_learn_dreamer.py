@@ -266,7 +266,7 @@ def test_sequences_are_parts_of_the_log(steps: int) -> None:
 class Toy:
     """Environments in which bit 0 says which action is right, and bit 1 is random. A wrong action ends the episode.
 
-    Action 3 is always right, but costs .2. Action 1 is right unless bit 0 is 1.
+    Action 3 is always right, but costs .3. Action 1 is right unless bit 0 is 1.
     """
 
     width = 2
@@ -282,7 +282,7 @@ class Toy:
     def step(self, actions: Any) -> Transitions:
         before = self.observations
         wrong = np.where(before[:, 0] > 0, actions != 3, (actions != 3) & (actions != 1))
-        rewards = np.where(wrong, -1.0, np.where(actions == 3, -0.2, 0.0)).astype(np.float32)
+        rewards = np.where(wrong, -1.0, np.where(actions == 3, -0.3, 0.0)).astype(np.float32)
         after = self._draw(len(actions))
         self.observations = np.where(wrong[:, None], self._draw(len(actions)), after)
         self.steps += len(actions)
@@ -294,20 +294,11 @@ class Toy:
 
 def test_learns_the_optimal_actions(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr("logicity.learn.dreamer.Interaction", Toy)
-    settings = small(
-        width=24,
-        batch_size=24,
-        random_steps=200,
-        updates=12,
-        discount=0.8,
-        buffer_size=4000,
-        model_learning_rate=3e-3,
-        actor_learning_rate=3e-3,
-        critic_learning_rate=3e-3,
-        target_interval=20,
-    )
+    rates = {"model_learning_rate": 5e-3, "actor_learning_rate": 2e-3, "critic_learning_rate": 5e-3}
+    training = {"random_steps": 200, "updates": 10, "batch_size": 40, "sequence_length": 3, "target_interval": 20}
+    settings = small(width=24, discount=0.5, entropy_scale=0.05, buffer_size=4000, **rates, **training)
     learner = Dreamer(config(settings, envs=10))
-    learner.fit(1100, lambda: None)
+    learner.fit(700, lambda: None)
     policy = learner.policy()
     memory, starts, right = None, np.ones(8, np.bool_), []
     random = np.random.default_rng(0)

@@ -32,7 +32,7 @@ from logicity.learn.fast_ppo import (  # noqa: E402
 
 
 def learner(log: Path | None = None, **changes: Any) -> FastPPO:
-    settings = FastPPOSettings(**{"network": [16], "rollout_steps": 8, **changes.pop("settings", {})})
+    settings = FastPPOSettings(**{"network": (16,), "rollout_steps": 8, **changes.pop("settings", {})})
     keys = {"mode": "easy", "envs": 8, "seed": 0, "steps": 4096, "overrides": {}, "threads": 1, "start": None}
     config: Any = SimpleNamespace(**{**keys, **changes}, settings=settings)
     return FastPPO(config, log)
@@ -186,9 +186,9 @@ def test_the_network_in_rust_equals_that_in_torch(others: int, route_length: boo
     description = _logicity.describe(load_task("medium", overrides={"task": {"route_length": route_length}}))
     chosen, width = slots(description, others), description["width"]
     network = network_of(chosen.shape[1], [16, 8])
-    observations = (np.random.default_rng(0).random((50, width)) < 0.15).astype(np.float32)
+    observations = (np.random.default_rng(0).random((65, width)) < 0.15).astype(np.float32)
     if route_length:
-        observations[:, -1] = np.linspace(0, 1, 50)
+        observations[:, -1] = np.linspace(0, 1, 65)
     expected = network.forward(torch.from_numpy(observations[:, chosen].copy()))
     found = network.native(width, chosen).evaluate(observations)
     np.testing.assert_allclose(found, expected, rtol=1e-4, atol=1e-5)
@@ -357,13 +357,14 @@ def test_wrong_files_are_named(tmp_path: Path) -> None:
         FastPPOPolicy.load(path)
     learner().policy().save(path)
     content = torch.load(path, weights_only=True)
-    for changes, message in [
+    wrong: list[tuple[dict[str, Any], str]] = [
         ({"algorithm": "mlp"}, "is not a policy of `ppo-fast`"),
         ({"format": 2}, "has the format 2"),
-        ({"weights": torch.zeros(3)}, "is a damaged policy"),
+        ({"weights": torch.zeros(1)}, "is a damaged policy"),
         ({"width": 10}, "is a damaged policy"),
         ({"settings": {"network": [0]}}, "is a damaged policy"),
-    ]:
+    ]
+    for changes, message in wrong:
         torch.save({**content, **changes}, path)
         with pytest.raises(ValueError, match=message):
             FastPPOPolicy.load(path)

@@ -154,12 +154,13 @@ def stops_by_the_engine(text: str, of: Layout, observations: NDArray[np.float32]
     return np.array([session.contains("Stop", (f"s{scene}e0",)) for scene in range(len(observations))])
 
 
-@pytest.mark.parametrize("unfold", [64, 1])
+@pytest.mark.parametrize("limits", [(64, 64), (1, 64), (64, 1)])
 @pytest.mark.parametrize("negation", [False, True])
 def test_rules_decide_as_the_discretized_model_and_as_the_engine(
-    monkeypatch: pytest.MonkeyPatch, negation: bool, unfold: int
+    monkeypatch: pytest.MonkeyPatch, negation: bool, limits: tuple[int, int]
 ) -> None:
-    monkeypatch.setattr(hri, "UNFOLD", unfold)
+    monkeypatch.setattr(hri, "CLAUSES", limits[0])
+    monkeypatch.setattr(hri, "LITERALS", limits[1])
     of = layout_of("easy")
     settings = HriSettings(negation=negation, depth=4)
     hypothesis = Hypothesis(of, settings, 4)
@@ -179,9 +180,9 @@ def test_rules_decide_as_the_discretized_model_and_as_the_engine(
         np.testing.assert_array_equal(stops_by_the_engine(text, of, observations), holds, err_msg=text)
         shares.append(holds.mean())
         defined += text.count(".decl")
-    # The test compares something: not all rules are constant, and the second case has definitions.
+    # The test compares something: not all rules are constant, and low limits lead to definitions.
     assert sum(0 < share < 1 for share in shares) > 8
-    assert (defined > 0) == (unfold == 1)
+    assert (defined > 0) == (1 in limits)
 
 
 def test_clauses_are_reduced_and_variables_are_bound() -> None:
@@ -244,7 +245,7 @@ def weights(learner: HRI) -> list[NDArray[Any]]:
 
 
 def test_an_interrupted_run_equals_an_uninterrupted_one(tmp_path: Path) -> None:
-    settings = {"restarts": 2, "batch": 16, "extract_every": 3}
+    settings = {"restarts": 2, "batch": 16, "generation": 3, "extract_every": 1}
     whole = HRI(config("expert", 8, 5, **settings))
     whole.fit(8, lambda: None)
     first = HRI(config("expert", 8, 5, **settings))
@@ -314,3 +315,14 @@ def test_policies_are_saved_and_actions_have_precedence(tmp_path: Path) -> None:
     torch.save(plain, tmp_path / "other.pt")
     with pytest.raises(ValueError, match="is not a policy of hri"):
         HriPolicy.load(tmp_path / "other.pt")
+
+
+def test_faulty_settings_are_errors() -> None:
+    with pytest.raises(ValueError, match="`Stop` occurs twice"):
+        HriSettings(order=["Stop", "Slow", "Stop"])
+    for faulty in ({"depth": 0}, {"noise": [0.1]}, {"rule_rates": [0.1, -1.0]}, {"unary": []}, {"binary": ["A00+"]}):
+        with pytest.raises(ValueError):
+            HriSettings.model_validate(faulty)
+    # As YAML and JSON have them.
+    settings = HriSettings(noise=(0.2, 0.1), depth_of={"Stop": 6})
+    assert HriSettings.model_validate(settings.model_dump(mode="json")) == settings

@@ -176,6 +176,14 @@ def test_gradients_equal_finite_differences(exclude_self: bool) -> None:
     assert torch.autograd.gradcheck(lambda one, two: machine([None, one, two], mask)[1], (unary, binary))
 
 
+def test_a_machine_that_was_used_for_inference_can_be_trained() -> None:
+    machine = NeuralLogicMachine([0, 1, 1], outputs=7)
+    groups, mask = [None, torch.rand(2, 6, 1), torch.rand(2, 6, 6, 1)], torch.ones(2, 6, dtype=torch.bool)
+    with torch.inference_mode():
+        machine(groups, mask)
+    machine(groups, mask)[1].sum().backward()
+
+
 def test_invalid_sizes_are_rejected() -> None:
     with pytest.raises(ValueError, match="breadth 1"):
         NeuralLogicMachine([0, 1, 1], breadth=1)

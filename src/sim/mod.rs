@@ -15,7 +15,7 @@ mod trace;
 pub use crate::predicate::Entity;
 pub use codes::{CATALOG, CODES};
 pub use load::{LoadError, LoadedCity};
-pub use observe::{ActionConstraint, OBSERVED_MAX, Observer, Oracle};
+pub use observe::{ActionConstraint, Decider, OBSERVED_MAX, Observer, Oracle};
 pub use scene::{
     Answer, CONFLICT_BUDGET, EgoAnswer, Finding, Inference, Overlap, SceneFacts, agent_lints, city_lints,
     conflict_lints, conflicts, scene_json,

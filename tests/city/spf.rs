@@ -2,12 +2,13 @@
 
 use crate::shipped_world::{SPF_MODES, task, task_of};
 use logicity::builtin::BuiltinFiles;
+use logicity::cancel::Cancel;
 use logicity::city::field_of_view;
 use logicity::city::{Action, AgentKind, Split};
 use logicity::datalog::{ClauseId, Literal, Rules, Term};
 use logicity::diag::{Code, Diagnostic, Sources};
 use logicity::rng::{Purpose, RngExt, Seed};
-use logicity::sim::{Chance, Entity, Facts, Observer, Settings, Simulation, ground};
+use logicity::sim::{Chance, Decider, Entity, Facts, Observer, Settings, Simulation, ground};
 use logicity::task::spf::{
     Autoreset, Baseline, BatchEvaluator, Begin, ControlMode, Env, EpisodeSet, EpisodeSource, MapIdentity,
     ObservationKind, Policy, RANDOM_RUNS, Rate, Rollout, Score, SpfTask, VectorEnv, describe, rollout, summarize,
@@ -185,7 +186,7 @@ fn apart(rules: &str) -> String {
 }
 
 /// Observations, wanted actions and violated clauses equal those of the definitions for every ego, with either executor
-/// and with one evaluation or two.
+/// and with one evaluation or two. Decisions on the written observations are the same.
 #[test]
 fn observers_agree_with_the_definitions() {
     for &mode in SPF_MODES {
@@ -196,6 +197,8 @@ fn observers_agree_with_the_definitions() {
         let rules = world.program.rules();
         let n = plain_task.oracle().entities();
         let mut seen = [0; 4];
+        let mut observation = vec![0.0; plain_task.oracle().width()];
+        let mut deciders = [&plain_task, &other, &twice].map(|task| Decider::new(Arc::clone(task.oracle())));
         for seed in 0..3 {
             let mut city = Simulation::new(Arc::clone(world), Split::Test, Seed(seed), Settings::default()).unwrap();
             let egos = 0..city.agents().len();
@@ -233,6 +236,11 @@ fn observers_agree_with_the_definitions() {
                     let derived = dense.derived(&city).unwrap();
                     assert_eq!(derived, slow.derived(&city).unwrap());
                     assert_eq!(derived, twice.derived(&city).unwrap());
+                    dense.write(&mut observation);
+                    let action = world.vocabulary.decide(derived);
+                    for decider in &mut deciders {
+                        assert_eq!(decider.action(&observation, &Cancel::never()).unwrap(), action);
+                    }
                     assert_eq!(
                         derived.iter().map(Action::name).collect::<Actions>(),
                         plain.derived(rules),

@@ -19,7 +19,7 @@ import math
 import os
 import pickle
 import time
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any, ClassVar, Literal, NamedTuple, TypeAlias
 
@@ -31,7 +31,7 @@ from ..errors import missing_extra
 try:
     import torch
     from gymnasium.vector import AutoresetMode
-    from pydantic import Field
+    from pydantic import Field, Strict
     from torch import Tensor, nn
     from torch.utils.tensorboard import SummaryWriter
 except ImportError as error:
@@ -42,7 +42,7 @@ from ..city import ACTIONS
 from ..describe import atoms_of
 from ..envs import SPFVectorEnv
 from ..evaluation import load_task
-from .learner import Actions, Learner, LearnerSettings, Observations, Policy, Progress
+from .learner import Actions, Count, Learner, LearnerSettings, Observations, Policy, Progress
 
 if TYPE_CHECKING:
     from .config import TrainConfig
@@ -58,7 +58,6 @@ FORMAT = 1
 #: The number of updates between two points of the training curves.
 LOG_EVERY = 50
 
-_Positive: TypeAlias = Annotated[int, Field(ge=1)]
 _Share: TypeAlias = Annotated[float, Field(ge=0, le=1)]
 _NotNegative: TypeAlias = Annotated[float, Field(ge=0)]
 _AboveZero: TypeAlias = Annotated[float, Field(gt=0)]
@@ -67,15 +66,15 @@ _AboveZero: TypeAlias = Annotated[float, Field(gt=0)]
 class FastPPOSettings(LearnerSettings):
     """The settings of `ppo-fast`."""
 
-    network: Annotated[list[_Positive], Field(min_length=1)] = [64, 64]
+    network: Annotated[tuple[Count, ...], Strict(False), Field(min_length=1)] = (64, 64)
     """The widths of the hidden layers. The policy and the value share them."""
-    entities_per_slot: _Positive = 2
+    entities_per_slot: Count = 2
     """The number of entities besides the ego in a slot of the first layer."""
-    rollout_steps: _Positive = 16
+    rollout_steps: Count = 16
     """The number of steps of each environment in a batch."""
-    epochs: _Positive = 1
+    epochs: Count = 1
     """How often an update uses a batch."""
-    minibatches: _Positive = 1
+    minibatches: Count = 1
     """The number of gradient steps per epoch. Each one uses a share of the distinct observations."""
     learning_rate: _AboveZero = 2e-3
     """The learning rate of Adam at the start."""
@@ -135,7 +134,7 @@ class Network:
         layers: The weights, of shape (inputs, outputs), and the biases of each layer. They are views of `parameters`.
     """
 
-    def __init__(self, inputs: int, widths: list[int]) -> None:
+    def __init__(self, inputs: int, widths: Sequence[int]) -> None:
         """Initialize orthogonally: gain sqrt(2) in the hidden layers, 0.01 for the logits and 1 for the value."""
         shapes = list(itertools.pairwise([inputs, *widths, len(ACTIONS) + 1]))
         self.parameters = torch.zeros(sum((before + 1) * after for before, after in shapes))
@@ -348,7 +347,7 @@ class FastPPOPolicy(Policy):
         logits = native.evaluate(np.ascontiguousarray(observation, np.float32))[:, :-1]
         if not deterministic:
             # The Gumbel-max trick.
-            logits = logits + self._random.gumbel(size=logits.shape)
+            logits += self._random.gumbel(size=logits.shape).astype(np.float32)
         return logits.argmax(1), None
 
     def save(self, path: Path) -> None:
@@ -390,6 +389,8 @@ class FastPPOPolicy(Policy):
             settings = FastPPOSettings.model_validate(content["settings"])
             positions = content["slots"].numpy()
             network = Network(positions.shape[1], settings.network)
+            if content["weights"].shape != network.parameters.shape:
+                raise ValueError("the number of weights does not match the settings")
             network.parameters.copy_(content["weights"])
             policy = cls(network, positions, content["width"], content["mode"], settings)
             network.native(content["width"], positions)

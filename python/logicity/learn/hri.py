@@ -22,7 +22,7 @@ from typing import TYPE_CHECKING, Annotated, Any, ClassVar, Literal, NamedTuple,
 import numpy as np
 import torch
 from numpy.typing import NDArray
-from pydantic import Field
+from pydantic import Field, field_validator
 
 from .. import _logicity
 from ..city import ACTIONS
@@ -67,7 +67,8 @@ class HriSettings(LearnerSettings):
     negation: bool = False
     """Whether slots can hold negations of observed predicates."""
     order: list[Name] = ["Stop", "Slow", "Fast"]
-    """The actions in the order of precedence, in case the rules derive several."""
+    """The actions in the order of precedence, in case the rules derive several. An action that is not in the list is
+    never chosen."""
     dimension: Annotated[int, Field(ge=2, le=4096)] | None = None
     """The dimension of embeddings. The default is the number of predicates of the model."""
     embedding_rates: Ends = (2.9e-3, 2.5e-4)
@@ -91,6 +92,14 @@ class HriSettings(LearnerSettings):
     the number of all updates. Validation chooses among the best rules of each generation."""
     extract_every: Annotated[int, Field(ge=1)] = 50
     """The number of updates between two extractions of rules."""
+
+    @field_validator("order")
+    @classmethod
+    def _each_once(cls, order: list[str]) -> list[str]:
+        repeated = [name for at, name in enumerate(order) if name in order[:at]]
+        if repeated:
+            raise ValueError(f"`{repeated[0]}` occurs twice")
+        return order
 
 
 def relations(layout: Layout, observations: Observations) -> tuple[Bools, Bools]:
@@ -357,8 +366,9 @@ class Rules:
     def bodies(self) -> tuple[list[Body], list[tuple[str, int, list[Body]]]]:
         """Unfold the layers into clauses over observed predicates.
 
-        A predicate with more than `UNFOLD` clauses keeps a definition of its own, with the ego as an additional first
-        argument, because variables range over the entities that the ego sees.
+        A predicate with more than `CLAUSES` clauses, or with more than `LITERALS` literals in one of them, keeps a
+        definition of its own, with the ego as an additional first argument, because variables range over the entities
+        that the ego sees.
 
         Returns:
             The bodies of the target, and such definitions: the name, the number of arguments, and the bodies.
@@ -388,7 +398,8 @@ class Rules:
             one, two = ((0, 2), (2, 1)) if layer.template == "B00+" else ((0, 1), (1, 0))
             bodies = [_joined(a, b) for a in unfold(held[0], *one) for b in unfold(held[1], *two)]
             bodies = _pruned(bodies + unfold(held[2], 0, 1), 1 if unary else 2)
-            if len(bodies) <= UNFOLD or predicate == self.hypothesis.predicates - 1:
+            small = len(bodies) <= CLAUSES and all(len(body) <= LITERALS for body in bodies)
+            if small or predicate == self.hypothesis.predicates - 1:
                 return bodies
             name = f"Part{len(definitions) + 1}"
             definitions.append((name, 2 if unary else 3, bodies))
@@ -398,13 +409,15 @@ class Rules:
 
 
 #: The largest number of clauses of a predicate that is unfolded.
-UNFOLD = 64
+CLAUSES = 16
+#: The largest number of literals of one of these clauses.
+LITERALS = 8
 #: The variable of the ego in the definitions of predicates that are not unfolded.
 EGO = -1
 
 
 def _renamed(body: Body, names: Mapping[int, int]) -> Body:
-    """Rename variables. The result shares only the new names with other bodies."""
+    """Rename variables, all at once."""
     return frozenset(
         (sign, name, tuple(names.get(variable, variable) for variable in arguments)) for sign, name, arguments in body
     )
@@ -539,7 +552,11 @@ class HriPolicy(Policy):
         return actions, None
 
     def rules(self) -> str:
-        """Return the rules as the text of a rule file, whose clauses derive the same actions as `predict`."""
+        """Return the text of a rule file whose clauses derive the same actions as `predict`.
+
+        The file includes the vocabulary of the modes. If several actions are derived, those with precedence exclude the
+        others by negated literals.
+        """
         lines = [f"// Rules learned by hierarchical rule induction from demonstrations of {self.mode}."]
         lines.append('.include "vocabulary.dl"')
         earlier: list[str] = []
@@ -773,7 +790,9 @@ class Examples:
         trajectories: NDArray[Any],
     ) -> None:
         """Prepare the truth values."""
-        rows, first, self._at = np.unique(observations, axis=0, return_index=True, return_inverse=True)
+        rows, first, inverse = np.unique(observations, axis=0, return_index=True, return_inverse=True)
+        # NumPy 2.0 returns a column.
+        self._at = inverse.reshape(-1)
         self.unary, self.binary = relations(layout, rows)
         self.taken, self._trajectories = taken[first], trajectories
         one, two = hypothesis.facts(self.unary, self.binary)

@@ -264,19 +264,21 @@ def _tuples(count: int, arity: int, width: int, distinct: bool) -> _Tuples:
     tuples = list(permutations(entities, arity) if distinct else product(entities, repeat=arity))
     index = {each: at for at, each in enumerate(tuples)}
     ways = _permutations(arity)
-    permuted = torch.tensor(
-        [[index[tuple(each[at] for at in way)] for way in ways] for each in tuples], dtype=torch.int64
-    ).view(len(tuples), len(ways))
-    output, way = torch.arange(width)[:, None, None], torch.arange(len(ways))
-    permuted = (permuted + len(tuples) * (output + width * way)).view(-1, len(ways))
     places = [sum(entity * count ** (arity - 1 - at) for at, entity in enumerate(each)) for each in tuples]
-    return _Tuples(
-        place=torch.tensor(places, dtype=torch.int64),
-        last=torch.tensor([each[-1] if each else 0 for each in tuples], dtype=torch.int64),
-        extensions=max(count - arity + 1, 0) if distinct else count,
-        permuted=permuted,
-        inverse=permuted.flatten().argsort() // len(ways),
-    )
+    # Training may use the result even if the first call is for inference.
+    with torch.inference_mode(False):
+        permuted = torch.tensor(
+            [[index[tuple(each[at] for at in way)] for way in ways] for each in tuples], dtype=torch.int64
+        ).view(len(tuples), len(ways))
+        output, way = torch.arange(width)[:, None, None], torch.arange(len(ways))
+        permuted = (permuted + len(tuples) * (output + width * way)).view(-1, len(ways))
+        return _Tuples(
+            place=torch.tensor(places, dtype=torch.int64),
+            last=torch.tensor([each[-1] if each else 0 for each in tuples], dtype=torch.int64),
+            extensions=max(count - arity + 1, 0) if distinct else count,
+            permuted=permuted,
+            inverse=permuted.flatten().argsort() // len(ways),
+        )
 
 
 class _SumOfPermutations(torch.autograd.Function):

@@ -12,6 +12,7 @@ from typing import TYPE_CHECKING, Any
 
 import torch
 
+from ..rule_policy import saved_by
 from .learner import Learner, Policy
 
 if TYPE_CHECKING:
@@ -31,6 +32,10 @@ LEARNERS: dict[str, str] = {
     "gnn": "cloning:GnnLearner",
     "nlm": "cloning:NlmLearner",
     "hri": "hri:HRI",
+    "popper": "popper:PopperLearner",
+    "maxsynth": "popper:MaxSynthLearner",
+    "foldrm": "fold_rm:FoldRMLearner",
+    "induce": "symbolic:InduceLearner",
 }
 """The module and the class of each learner, keyed by its name in training files."""
 
@@ -96,8 +101,11 @@ def load_policy(path: str | os.PathLike[str]) -> SavedPolicy:
         saved = {"algorithm": algorithm_of(file)}
     elif file.suffix == ".pt":
         saved = _header(file)
+    elif file.suffix == ".dl":
+        saved = saved_by(file)
+        _check_learner(file, saved["algorithm"])
     else:
-        raise ValueError(f"{file} is not a policy: its suffix must be .pt or .zip")
+        raise ValueError(f"{file} is not a policy: its suffix must be .dl, .pt or .zip")
     algorithm = str(saved["algorithm"])
     return SavedPolicy(
         policy=learner_class(algorithm).policy_class.load(file),
@@ -123,10 +131,15 @@ def _header(file: Path) -> dict[str, Any]:
         raise ValueError(f"{file} is not a policy: PyTorch cannot read it as plain data") from None
     header: dict[str, Any] = saved if isinstance(saved, dict) else {}
     name = header.get("algorithm")
+    _check_learner(file, name)
+    return header
+
+
+def _check_learner(file: Path, name: object) -> None:
+    """Raise `ValueError` if a file of a policy names no known learner."""
     if name not in LEARNERS:
         what = "names no learner" if name is None else f"has the unknown learner `{name}`"
         raise ValueError(f"{file} is not a policy: it {what}; known: {', '.join(LEARNERS)}")
-    return header
 
 
 def _recorded(file: Path) -> dict[str, Any]:

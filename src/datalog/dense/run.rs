@@ -9,6 +9,15 @@ use crate::datalog::dense::tree::{Tables, TooManySteps, TreeSearch};
 /// Programs with at most this number of sets run faster.
 const FEW: usize = 256;
 
+/// The numbers of sets of one word for which a run has its own code, so that the state of a small program is small.
+const FEWER: [usize; 2] = [64, 128];
+
+/// Returns the number of sets to allocate for a program with this many.
+fn allocated<const W: usize>(set_count: usize) -> usize {
+    let fewer = FEWER.into_iter().find(|&fewer| W == 1 && set_count <= fewer);
+    fewer.unwrap_or(set_count.max(FEW))
+}
+
 /// The sets of a [`BitState`] during a run.
 trait Sets<const W: usize>: AsRef<[Set<W>]> {
     fn get(&self, set: Reg) -> &Set<W>;
@@ -27,16 +36,16 @@ impl<const W: usize> Sets<W> for [Set<W>] {
     }
 }
 
-// The length covers all values of one byte, so that indexing needs no bounds check.
-impl<const W: usize> Sets<W> for [Set<W>; FEW] {
+// The length is a power of two and covers all numbers of sets, so that indexing needs no bounds check.
+impl<const W: usize, const N: usize> Sets<W> for [Set<W>; N] {
     #[inline(always)]
     fn get(&self, set: Reg) -> &Set<W> {
-        &self[set.index() % FEW]
+        &self[set.index() % N]
     }
 
     #[inline(always)]
     fn get_mut(&mut self, set: Reg) -> &mut Set<W> {
-        &mut self[set.index() % FEW]
+        &mut self[set.index() % N]
     }
 }
 
@@ -86,7 +95,7 @@ impl<const W: usize> BitState<W> {
     pub fn new(program: &Dense, count: usize) -> Self {
         let mut bit_state = BitState {
             count: 0,
-            sets: vec![[0; W]; program.set_count.max(FEW)],
+            sets: vec![[0; W]; allocated::<W>(program.set_count)],
             unsettled: true,
             rows: Vec::new(),
             tables: Tables::new(),
@@ -110,6 +119,17 @@ impl<const W: usize> BitState<W> {
         self.unsettled = true;
         self.sets[Reg::ALL.index()] = first(count);
         self.sets[Reg::EGOS.index()] = first(count);
+    }
+
+    /// Reads a word of each cache line that a run uses, and returns their sum. So it loads them into the cache while
+    /// other work proceeds.
+    #[inline]
+    pub fn prefetch(&self) -> u64 {
+        let step = 8_usize.div_ceil(W);
+        self.sets
+            .iter()
+            .step_by(step)
+            .fold(0, |sum, set| sum.wrapping_add(set[0]))
     }
 
     /// Returns the number of entities.
@@ -154,9 +174,20 @@ impl<const W: usize> BitState<W> {
         if !rows.is_empty() {
             rows.fill([0; W]);
         }
-        let mut execute = |ops: &[Op]| match sets.first_chunk_mut::<FEW>() {
-            Some(few) if program.set_count <= FEW => execute(program, ops, few, rows, tables, *count, pairs),
-            _ => execute(program, ops, &mut sets[..], rows, tables, *count, pairs),
+        let mut execute = |ops: &[Op]| {
+            // The length identifies the code: see `allocated`.
+            if W == 1 && sets.len() == FEWER[0] {
+                let few = sets.first_chunk_mut::<{ FEWER[0] }>().expect("its length");
+                return execute(program, ops, few, rows, tables, *count, pairs);
+            }
+            if W == 1 && sets.len() == FEWER[1] {
+                let few = sets.first_chunk_mut::<{ FEWER[1] }>().expect("its length");
+                return execute(program, ops, few, rows, tables, *count, pairs);
+            }
+            match sets.first_chunk_mut::<FEW>() {
+                Some(few) if program.set_count <= FEW => execute(program, ops, few, rows, tables, *count, pairs),
+                _ => execute(program, ops, &mut sets[..], rows, tables, *count, pairs),
+            }
         };
         if std::mem::take(unsettled) {
             execute(&program.settling);

@@ -16,7 +16,7 @@ use crate::datalog::Value;
 use crate::datalog::dense::members;
 use crate::diag::Diagnostic;
 use crate::predicate::{CellTable, Definition, PairRelation, Relation, Static, Views, with_relation};
-use crate::sim::observe::rule_monitor::{ActionConstraint, Atoms, Observed, RuleMonitor, Violations};
+use crate::sim::observe::rule_monitor::{ActionConstraint, Atoms, Entities, Observed, RuleMonitor, Violations};
 use crate::sim::tick::chance::{Chance, Draws};
 use crate::sim::tick::ground_state::GroundState;
 use crate::sim::tick::simulation::Simulation;
@@ -99,6 +99,11 @@ impl Oracle {
         self.monitor.constraints()
     }
 
+    /// Returns the clauses of the rules in the form that judges actions.
+    pub(super) fn monitor(&self) -> &RuleMonitor {
+        &self.monitor
+    }
+
     /// Returns the field of view of the ego.
     fn view(&self, ego: &Body) -> FieldOfView {
         FieldOfView::around(ego.at, self.views.of(ego.heading))
@@ -147,6 +152,11 @@ impl Observer {
     /// Creates an observer for an agent, given its position in the list. Call [`Observer::begin`] next.
     pub fn new(oracle: Arc<Oracle>, ego: usize) -> Observer {
         let predicates = oracle.how.len();
+        let first_pair = oracle
+            .how
+            .iter()
+            .position(|how| matches!(how, How::Pair(_)))
+            .unwrap_or(predicates);
         Observer {
             ego,
             steady: Vec::new(),
@@ -155,7 +165,8 @@ impl Observer {
             bodies: Vec::with_capacity(oracle.entities),
             atoms: Atoms {
                 unary: vec![0; predicates],
-                rows: vec![0; predicates * oracle.entities],
+                rows: vec![0; (predicates - first_pair) * oracle.entities],
+                first_pair,
                 entities: oracle.entities,
             },
             violations: Violations::new(&oracle.monitor),
@@ -212,6 +223,22 @@ impl Observer {
         }
     }
 
+    /// Loads what an observation uses into the cache, while other work proceeds. Returns a meaningless sum of what it
+    /// reads.
+    pub fn prefetch(&self) -> u64 {
+        let Atoms { unary, rows, .. } = &self.atoms;
+        let words =
+            [unary, rows, &self.steady].map(|words| words.iter().step_by(8).fold(0, |sum: u64, word| sum ^ word));
+        let bodies = self
+            .bodies
+            .iter()
+            .step_by(2)
+            .fold(0, |sum: u64, body| sum ^ u64::from(body.agent));
+        words
+            .into_iter()
+            .fold(self.violations.prefetch() ^ bodies, |sum, words| sum ^ words)
+    }
+
     /// Observes the present state of the city, on which the next tick will be decided.
     pub fn look(&mut self, city: &Simulation) {
         let draws = Draws {
@@ -246,9 +273,9 @@ impl Observer {
     /// Computes the facts about the observed entities.
     fn compute(&mut self, chance: &impl Chance) {
         let (oracle, bodies) = (&*self.oracle, &self.bodies);
+        self.atoms.rows.fill(0);
         let unary = &mut self.atoms.unary;
         unary.fill(0);
-        self.atoms.rows.fill(0);
         for (entity, body) in bodies.iter().enumerate() {
             let of = &self.steady[body.agent as usize * self.words..][..self.words];
             for predicate in of
@@ -264,12 +291,14 @@ impl Observer {
                 How::Static(_) => {}
                 How::Local(table) => {
                     let holds = bodies.iter().map(|body| table.holds(body.junction, body.kind));
-                    unary[predicate] = holds
+                    self.atoms.unary[predicate] = holds
                         .enumerate()
                         .fold(0, |set, (at, holds)| set | u64::from(holds) << at);
                 }
+                // `Sees` is the only predicate that relates an agent to itself.
+                How::Pair(relation) if bodies.len() == 1 && !matches!(relation, PairRelation::Sees(_)) => {}
                 How::Pair(relation) => {
-                    let rows = &mut self.atoms.rows[predicate * self.atoms.entities..][..bodies.len()];
+                    let rows = &mut self.atoms.rows_mut(predicate)[..bodies.len()];
                     let subjects = bodies.iter().map(Body::subject);
                     let draw = |first: usize, second: usize, probability| {
                         let [first, second] = [first, second].map(|entity| bodies[entity].agent as usize);
@@ -291,12 +320,8 @@ impl Observer {
     /// If `out` is shorter than [`Oracle::width`].
     pub fn write(&self, out: &mut [f32]) {
         let (n, sees) = (self.oracle.entities, self.oracle.world.vocabulary.sees);
-        let mut rest = &mut out[..self.oracle.width()];
-        let mut next = |bits| {
-            let (row, after) = std::mem::take(&mut rest).split_at_mut(n);
-            spread(bits, row);
-            rest = after;
-        };
+        let mut numbers = Spread::new(&mut out[..self.oracle.width()]);
+        let mut next = |bits| numbers.push(bits, n);
         for (predicate, how) in self.oracle.how.iter().enumerate() {
             match how {
                 _ if predicate == sees => {}
@@ -312,6 +337,7 @@ impl Observer {
                 _ => next(self.atoms.unary[predicate]),
             }
         }
+        numbers.finish();
     }
 
     /// Returns the length of a row of the `state` observation; see [`Observer::write_state`].
@@ -440,8 +466,10 @@ fn sort_by_distance(from: Cell, bodies: &mut [Body]) {
 fn observed<'a>(atoms: &'a Atoms, bodies: &'a [Body], city: &'a Simulation) -> Observed<'a> {
     Observed {
         atoms,
-        bodies,
-        agents: city.agents(),
+        entities: Entities::Agents {
+            bodies,
+            agents: city.agents(),
+        },
         given: None,
         cancel: city.cancel(),
     }
@@ -460,15 +488,46 @@ const FOUR_BITS: [[f32; 4]; 16] = {
     numbers
 };
 
-/// Writes one number per bit, lowest first. It has no branches, because the bits are hard to predict.
-fn spread(mut bits: u64, out: &mut [f32]) {
-    let (fours, rest) = out.as_chunks_mut::<4>();
-    for four in fours {
-        *four = FOUR_BITS[(bits & 15) as usize];
-        bits >>= 4;
+/// Writes one number per bit. It collects bits and writes four at a time, without branches on them, because they are
+/// hard to predict.
+struct Spread<'a> {
+    out: std::slice::IterMut<'a, [f32; 4]>,
+    /// The numbers after the last four.
+    rest: &'a mut [f32],
+    bits: u128,
+    count: usize,
+}
+
+impl<'a> Spread<'a> {
+    fn new(out: &'a mut [f32]) -> Self {
+        let (fours, rest) = out.as_chunks_mut::<4>();
+        Spread {
+            out: fours.iter_mut(),
+            rest,
+            bits: 0,
+            count: 0,
+        }
     }
-    for (at, number) in rest.iter_mut().enumerate() {
-        *number = FOUR_BITS[(bits & 15) as usize][at];
+
+    /// Appends the lowest `count` bits, at most 64, lowest first. The others are 0.
+    #[inline(always)]
+    fn push(&mut self, bits: u64, count: usize) {
+        self.bits |= u128::from(bits) << self.count;
+        self.count += count;
+        while self.count >= 4
+            && let Some(four) = self.out.next()
+        {
+            *four = FOUR_BITS[(self.bits & 15) as usize];
+            self.bits >>= 4;
+            self.count -= 4;
+        }
+    }
+
+    /// Writes the last bits.
+    fn finish(self) {
+        for (at, number) in self.rest.iter_mut().enumerate() {
+            *number = FOUR_BITS[(self.bits & 15) as usize][at];
+        }
     }
 }
 
@@ -480,12 +539,17 @@ mod tests {
     #[test]
     fn bits_are_spread_in_order() {
         let mut random = Seed(1).stream(Purpose::SCENE, 0, 0);
-        for width in 0..=OBSERVED_MAX {
-            let bits: u64 = random.random();
-            let mut numbers = vec![0.5; width];
-            spread(bits, &mut numbers);
-            let expected: Vec<f32> = (0..width).map(|at| f32::from((bits >> at & 1) as u8)).collect();
-            assert_eq!(numbers, expected);
+        for width in 1..=OBSERVED_MAX {
+            for rows in 1..6 {
+                let sets: Vec<u64> = (0..rows).map(|_| random.random::<u64>() >> (64 - width)).collect();
+                let mut numbers = vec![0.5; width * rows];
+                let mut spread = Spread::new(&mut numbers);
+                sets.iter().for_each(|&set| spread.push(set, width));
+                spread.finish();
+                let bit = |(set, at): (u64, usize)| f32::from((set >> at & 1) as u8);
+                let places = sets.iter().flat_map(|&set| (0..width).map(move |at| (set, at)));
+                assert_eq!(numbers, places.map(bit).collect::<Vec<_>>());
+            }
         }
     }
 }

@@ -290,7 +290,7 @@ impl DenseRules {
 
     /// Evaluates the rules for the first entity.
     fn run(&self, bit_state: &mut BitState<1>, observed: Observed<'_>) {
-        let (atoms, count) = (observed.atoms, observed.bodies.len());
+        let (atoms, count) = (observed.atoms, observed.entities.count());
         if bit_state.count() != count {
             bit_state.reset(&self.dense, count);
             if self.dense.is_local() {
@@ -365,15 +365,22 @@ impl RuleMonitor {
 pub(super) struct Atoms {
     /// The set of entities for which each predicate of the vocabulary holds.
     pub unary: Vec<u64>,
-    /// For each predicate, `entities` sets: the entities that each entity is related to.
+    /// For each predicate from `first_pair` on, `entities` sets: the entities that each entity is related to.
     pub rows: Vec<u64>,
+    /// The first predicate over two agents.
+    pub first_pair: usize,
     pub entities: usize,
 }
 
 impl Atoms {
     /// Returns the entities that a predicate relates to `entity`.
     pub fn row(&self, predicate: usize, entity: usize) -> u64 {
-        self.rows[predicate * self.entities + entity]
+        (predicate.checked_sub(self.first_pair)).map_or(0, |pair| self.rows[pair * self.entities + entity])
+    }
+
+    /// Returns the rows of a predicate over two agents.
+    pub fn rows_mut(&mut self, predicate: usize) -> &mut [u64] {
+        &mut self.rows[(predicate - self.first_pair) * self.entities..][..self.entities]
     }
 }
 
@@ -397,13 +404,47 @@ impl BinaryFacts<1> for Related<'_> {
     }
 }
 
+/// The observed entities, the ego first.
+#[derive(Clone, Copy)]
+pub(super) enum Entities<'a> {
+    /// Agents of a city. A body has its position in the list of agents.
+    Agents { bodies: &'a [Body], agents: &'a [Agent] },
+    /// The first `present` of at most `most` entities without a city.
+    Numbered { present: usize, most: usize },
+}
+
+impl Entities<'_> {
+    /// Returns the number of observed entities.
+    fn count(self) -> usize {
+        match self {
+            Entities::Agents { bodies, .. } => bodies.len(),
+            Entities::Numbered { present, .. } => present,
+        }
+    }
+
+    /// Returns the position of an entity in the list of agents.
+    fn position(self, entity: usize) -> u32 {
+        match self {
+            Entities::Agents { bodies, .. } => bodies[entity].agent,
+            Entities::Numbered { .. } => entity as u32,
+        }
+    }
+
+    /// Returns the names of all agents in list order.
+    fn names(self) -> Vec<String> {
+        match self {
+            Entities::Agents { agents, .. } => agents.iter().map(|agent| agent.name().to_string()).collect(),
+            Entities::Numbered { most, .. } => (0..most).map(|entity| format!("e{entity}")).collect(),
+        }
+    }
+}
+
 /// The input of an evaluation.
 #[derive(Clone, Copy)]
 pub(super) struct Observed<'a> {
     pub atoms: &'a Atoms,
     /// The observed entities, the ego first.
-    pub bodies: &'a [Body],
-    pub agents: &'a [Agent],
+    pub entities: Entities<'a>,
     /// The imposed action of the ego, if the rules take it as input.
     pub given: Option<Action>,
     /// Polled by the relational executor.
@@ -421,10 +462,10 @@ impl Observed<'_> {
 
     /// Returns the facts by the positions of agents in the list.
     pub fn facts(&self, predicates: usize) -> Facts {
-        let agent = |entity: usize| self.bodies[entity].agent;
+        let agent = |entity: usize| self.entities.position(entity);
         let rows = (0..predicates).map(|predicate| {
             let alone = members(&[self.unary(predicate)]).map(|entity| [agent(entity), 0]);
-            let pairs = (0..self.bodies.len())
+            let pairs = (0..self.entities.count())
                 .filter(|_| predicate < self.atoms.unary.len())
                 .flat_map(|x| members(&[self.atoms.row(predicate, x)]).map(move |y| (x, y)));
             let mut rows: Vec<[u32; 2]> = alone.chain(pairs.map(|(x, y)| [agent(x), agent(y)])).collect();
@@ -479,7 +520,7 @@ impl State {
                 },
             ) => {
                 let state = state.get_or_insert_with(|| {
-                    let names: Vec<String> = observed.agents.iter().map(|agent| agent.name().to_string()).collect();
+                    let names = observed.entities.names();
                     let names = names.iter().map(String::as_str);
                     Box::new(GroundState::over(program, relations.clone(), *limits, names))
                 });
@@ -536,6 +577,15 @@ impl Violations {
         }
     }
 
+    /// Loads what an evaluation uses into the cache: see [`BitState::prefetch`].
+    #[inline]
+    pub fn prefetch(&self) -> u64 {
+        match self {
+            Violations::Once { bit_state, .. } => bit_state.prefetch(),
+            Violations::Twice { .. } => 0,
+        }
+    }
+
     /// Invalidates the results after a change of the facts.
     pub fn forget(&mut self) {
         if let Violations::Once { known, .. } = self {
@@ -553,7 +603,7 @@ impl Violations {
         vocabulary: &Vocabulary,
         observed: Observed<'_>,
     ) -> Result<Actions, Diagnostic> {
-        let ego = observed.bodies[0].agent as usize;
+        let ego = observed.entities.position(0) as usize;
         match (self, &monitor.how) {
             (Violations::Once { bit_state, held, known }, How::Once(conditions)) => {
                 conditions.evaluate(bit_state, held, known, observed);
@@ -578,7 +628,7 @@ impl Violations {
         action: Action,
         broken: &mut Vec<usize>,
     ) -> Result<(), Diagnostic> {
-        let ego = observed.bodies[0].agent as usize;
+        let ego = observed.entities.position(0) as usize;
         broken.clear();
         match (self, &monitor.how) {
             (Violations::Once { bit_state, held, known }, How::Once(conditions)) => {

@@ -9,7 +9,7 @@ use crate::sim::tick::chance::Draws;
 use crate::sim::tick::executor::not_dense;
 use crate::sim::tick::vocabulary::{Actions, Vocabulary};
 use crate::sim::tick::width::{Width, in_words};
-use crate::sim::tick::window::{Body, Grounder, Position, Window};
+use crate::sim::tick::window::{Body, Grounder, Near, Position, Window};
 use crate::sim::tick::world::World;
 use rayon::prelude::*;
 use std::ops::Range;
@@ -97,6 +97,14 @@ struct Reading {
 }
 
 impl Reading {
+    /// Variant of `read` for a window that contains the whole city.
+    fn read_all<const W: usize>(&self, window: &Window<W>, out: &mut Decisions) {
+        let mut firings = std::mem::take(&mut out.firings);
+        let all = crate::datalog::dense::first(window.bodies.len());
+        self.read(window, &all, out, &mut firings);
+        out.firings = firings;
+    }
+
     /// Adds the decisions of a window for its `egos` to `out`, and the firings of its clauses to `firings`.
     fn read<const W: usize>(&self, window: &Window<W>, egos: &Set<W>, out: &Decisions, firings: &mut [usize]) {
         let dense = &self.grounder.dense;
@@ -141,6 +149,7 @@ pub(super) struct DenseExecutor {
 }
 
 enum Shape {
+    Few(Box<Window<1>>),
     One(Box<dyn OneWindow>),
     Tiles(Box<Tiles>),
 }
@@ -187,6 +196,12 @@ impl DenseExecutor {
         let mut bodies = Vec::new();
         list_bodies(&mut bodies, &mut reading.grounder, world.map(), agents);
         let shape = match width {
+            _ if agents.len() <= Near::MAX => {
+                let mut few = Window::new(&reading.grounder);
+                few.bodies = bodies;
+                few.fill_few(&reading.grounder);
+                Shape::Few(Box::new(few))
+            }
             Some(width) if agents.len() <= WHOLE_MAX || !in_tiles => {
                 Shape::One(in_words!(width, W => Box::new(One::<W>::new(&reading.grounder, world.map(), bodies))))
             }
@@ -199,6 +214,10 @@ impl DenseExecutor {
     pub fn restart(&mut self, map: &CityMap, agents: &[Agent]) {
         let grounder = &mut self.reading.grounder;
         match &mut self.shape {
+            Shape::Few(few) => {
+                list_bodies(&mut few.bodies, grounder, map, agents);
+                few.fill_few(grounder);
+            }
             Shape::One(one) => one.restart(grounder, map, agents),
             Shape::Tiles(tiles) => list_bodies(&mut tiles.bodies, grounder, map, agents),
         }
@@ -211,6 +230,13 @@ impl DenseExecutor {
     pub fn decide(&mut self, map: &CityMap, draws: Draws, out: &mut Decisions) -> Result<(), Undecided> {
         out.clear();
         let decided = match &mut self.shape {
+            Shape::Few(few) => match few.run_few(&self.reading.grounder, draws) {
+                Ok(()) => {
+                    self.reading.read_all(few, out);
+                    Ok(())
+                }
+                Err(error) => Err(Undecided::from(error)),
+            },
             Shape::One(one) => one.decide(&self.reading, draws, out).map_err(Undecided::from),
             Shape::Tiles(tiles) => tiles.decide(&self.reading, map, draws, out),
         };
@@ -223,14 +249,35 @@ impl DenseExecutor {
     /// Computes all facts that the rules may read and returns their number. `None` for a city in tiles.
     pub fn count_facts(&mut self, draws: Draws) -> Option<u64> {
         match &mut self.shape {
+            Shape::Few(few) => Some(few.count_few(&self.reading.grounder, draws)),
             Shape::One(one) => Some(one.count_facts(&self.reading.grounder, draws)),
             Shape::Tiles(_) => None,
         }
     }
 
-    /// Updates the positions of the agents.
-    pub fn follow(&mut self, map: &CityMap, positions: &[Position]) {
+    /// Loads what a decision in a small city uses into the cache: see [`BitState::prefetch`].
+    ///
+    /// [`BitState::prefetch`]: crate::datalog::dense::BitState::prefetch
+    pub fn prefetch(&self) -> u64 {
+        match &self.shape {
+            Shape::Few(few) => few.prefetch(),
+            Shape::One(_) | Shape::Tiles(_) => 0,
+        }
+    }
+
+    /// Returns whether [`follow`](DenseExecutor::follow) takes packed positions, since the city is large.
+    pub fn takes_positions(&self) -> bool {
+        !matches!(self.shape, Shape::Few(_))
+    }
+
+    /// Updates the positions of the agents: those of the agents themselves, if it takes no packed ones.
+    pub fn follow(&mut self, map: &CityMap, agents: &[Agent], positions: &[Position]) {
         match &mut self.shape {
+            Shape::Few(few) => {
+                for (entity, agent) in agents.iter().enumerate() {
+                    few.shift_few(&self.reading.grounder, map, entity, Position::of(agent));
+                }
+            }
             Shape::One(one) => one.follow(&self.reading.grounder, map, positions),
             Shape::Tiles(tiles) => tiles.follow(map, positions),
         }
@@ -257,14 +304,12 @@ trait OneWindow: Send + Sync {
 
 struct One<const W: usize> {
     window: Window<W>,
-    all: Set<W>,
 }
 
 impl<const W: usize> One<W> {
     fn new(grounder: &Grounder, map: &CityMap, bodies: Vec<Body>) -> Self {
         let mut one = One {
             window: Window::new(grounder),
-            all: crate::datalog::dense::first(bodies.len()),
         };
         one.window.bodies = bodies;
         one.fill(grounder, map);
@@ -284,9 +329,7 @@ impl<const W: usize> OneWindow for One<W> {
 
     fn decide(&mut self, reading: &Reading, draws: Draws, out: &mut Decisions) -> Result<(), TooManySteps> {
         self.window.run(&reading.grounder, draws)?;
-        let mut firings = std::mem::take(&mut out.firings);
-        reading.read(&self.window, &self.all, out, &mut firings);
-        out.firings = firings;
+        reading.read_all(&self.window, out);
         Ok(())
     }
 

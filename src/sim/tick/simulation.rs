@@ -53,7 +53,8 @@ pub struct Simulation {
     /// Ticks since the start of the run.
     tick: u64,
     agents: Vec<Agent>,
-    /// The changing part of each agent, packed because the dense executor reads it in the order of location.
+    /// The changing part of each agent in a large city, packed because the dense executor reads it in the order of
+    /// location.
     positions: Vec<Position>,
     /// The dense executor; `None` if `state` decides.
     dense: Option<DenseExecutor>,
@@ -65,11 +66,11 @@ pub struct Simulation {
     /// The action that the caller imposes on each agent. All `None` between ticks.
     given: Vec<Option<Action>>,
     /// The session with the facts on which tick `stated` was decided. Created on first use.
-    state: Option<GroundState>,
+    state: Option<Box<GroundState>>,
     stated: Option<u64>,
     report: TickReport,
     /// The clauses whose firings can be counted: [`World::clauses`].
-    clauses: Vec<ClauseId>,
+    clauses: Arc<[ClauseId]>,
     threads: Option<ThreadPool>,
     cancel: Cancel,
 }
@@ -205,7 +206,7 @@ impl Simulation {
         let scenario = &world.scenario;
         let set = agent_set(scenario, split)?;
         let places = world.places(split, set);
-        let clauses: Vec<ClauseId> = world.clauses().collect();
+        let clauses = world.counted_clauses();
         let to_count: &[ClauseId] = if settings.count_firings { &clauses } else { &[] };
         // Below this size, one thread is faster than waking a pool.
         let threads = match agents.len() > WHOLE_MAX {
@@ -244,7 +245,10 @@ impl Simulation {
             tick: 0,
             decisions: Decisions::new(agents.len(), to_count.len()),
             given: vec![None; agents.len()],
-            positions: agents.iter().map(Position::of).collect(),
+            positions: match &dense {
+                Some(dense) if !dense.takes_positions() => Vec::new(),
+                _ => agents.iter().map(Position::of).collect(),
+            },
             agents,
             dense,
             demanded: settings.executor,
@@ -268,8 +272,42 @@ impl Simulation {
     pub fn restart(&mut self, seed: Seed, agents: &mut Vec<Agent>) {
         assert!(agents.len() == self.agents.len(), "more or fewer agents");
         std::mem::swap(&mut self.agents, agents);
-        for ((agent, before), position) in self.agents.iter().zip(agents).zip(&mut self.positions) {
+        for (agent, before) in self.agents.iter().zip(agents) {
             assert!(agent.name() == before.name(), "agents named otherwise");
+        }
+        self.begin_run(seed);
+    }
+
+    /// Returns whether the agents have the names of all agents of the split, in list order.
+    pub fn has_all_agents(&self) -> bool {
+        let set = self.world.scenario.agent_set(self.split);
+        let names = set.into_iter().flat_map(AgentSet::members).map(|(name, _)| name);
+        names.eq(self.agents.iter().map(Agent::name))
+    }
+
+    /// Starts a new run at tick 0 with the agents that a new simulation with `seed` has, after `change`. Reuses the
+    /// memory of the agents, which are [all agents](Simulation::has_all_agents) of the split.
+    ///
+    /// # Panics
+    /// If there are more or fewer agents.
+    ///
+    /// # Errors
+    /// `no-start-cell`, `no-route`, `cancelled`; some agents are then those of the last run.
+    pub fn restart_drawn(&mut self, seed: Seed, change: impl FnOnce(&mut [Agent])) -> Result<(), Diagnostic> {
+        let set = agent_set(&self.world.scenario, self.split)?;
+        assert!(self.agents.len() == set.len(), "more or fewer agents");
+        let agents = &mut self.agents;
+        let drawn = place_agents_into(agents, set, &self.world.router, &self.places, seed, &self.cancel);
+        if drawn.is_ok() {
+            change(agents);
+        }
+        self.begin_run(seed);
+        drawn
+    }
+
+    /// Starts a run with the present agents.
+    fn begin_run(&mut self, seed: Seed) {
+        for (agent, position) in self.agents.iter().zip(&mut self.positions) {
             *position = Position::of(agent);
         }
         self.seed = seed;
@@ -383,6 +421,20 @@ impl Simulation {
         self.decisions.fired(agent)
     }
 
+    /// Loads what a tick of a small city uses into the cache, while other work proceeds. Returns a meaningless sum of
+    /// what it reads.
+    pub fn prefetch(&self) -> u64 {
+        let Some(dense) = self.dense.as_ref().filter(|dense| !dense.takes_positions()) else {
+            return 0;
+        };
+        let agents = self.agents.iter().fold(0, |sum: usize, agent| {
+            sum.wrapping_add(agent.position()).wrapping_add(agent.route().steps())
+        });
+        let ticks = self.report.agents.iter().step_by(2);
+        let ticks = ticks.fold(0, |sum: u64, tick| sum.wrapping_add(tick.action as u64));
+        dense.prefetch().wrapping_add(agents as u64).wrapping_add(ticks)
+    }
+
     /// Runs one tick: all agents decide, then all move.
     ///
     /// `controls` overrides the decisions of agents, given by their positions in the list. The last entry for an agent
@@ -442,10 +494,10 @@ impl Simulation {
         self.advance(controls);
         ended(Phase::Move);
         if let Some(dense) = &mut self.dense {
-            let (map, positions) = (self.world.map(), &self.positions);
+            let (map, agents, positions) = (self.world.map(), &self.agents, &self.positions);
             match &self.threads {
-                Some(pool) => pool.install(|| dense.follow(map, positions)),
-                None => dense.follow(map, positions),
+                Some(pool) => pool.install(|| dense.follow(map, agents, positions)),
+                None => dense.follow(map, agents, positions),
             }
         }
         ended(Phase::Note);
@@ -486,12 +538,21 @@ impl Simulation {
                     .zip(positions)
                     .zip(&mut report.agents)
                     .enumerate()
-                    .for_each(|(index, ((agent, position), done))| moving.step(index, agent, position, done));
+                    .for_each(|(index, ((agent, position), done))| {
+                        moving.step(index, agent, done);
+                        *position = Position::of(agent);
+                    });
             }),
+            None if positions.is_empty() => {
+                for (index, (agent, done)) in agents.iter_mut().zip(&mut report.agents).enumerate() {
+                    moving.step(index, agent, done);
+                }
+            }
             None => {
                 let agents = agents.iter_mut().zip(positions).zip(&mut report.agents);
                 for (index, ((agent, position), done)) in agents.enumerate() {
-                    moving.step(index, agent, position, done);
+                    moving.step(index, agent, done);
+                    *position = Position::of(agent);
                 }
             }
         }
@@ -711,10 +772,10 @@ struct Moving<'a> {
 }
 
 impl Moving<'_> {
-    /// Moves an agent and records its position and its tick.
+    /// Moves an agent and records its tick.
     // A call would take longer than most moves.
     #[inline(always)]
-    fn step(&self, index: usize, agent: &mut Agent, position: &mut Position, done: &mut AgentTick) {
+    fn step(&self, index: usize, agent: &mut Agent, done: &mut AgentTick) {
         let derived = self.decisions.derived(index);
         let action = self.controlled[index].unwrap_or_else(|| self.vocabulary.decide(derived));
         *done = AgentTick {
@@ -723,7 +784,6 @@ impl Moving<'_> {
             action,
             moved: advance(agent, index, action, &self.surroundings),
         };
-        *position = Position::of(agent);
     }
 }
 
@@ -756,10 +816,10 @@ fn agent_set(scenario: &Scenario, split: Split) -> Result<&AgentSet, Diagnostic>
     })
 }
 
-fn ground_state(world: &World, agents: &[Agent]) -> GroundState {
+fn ground_state(world: &World, agents: &[Agent]) -> Box<GroundState> {
     let names: Vec<String> = agents.iter().map(|agent| agent.name().to_string()).collect();
     let names = names.iter().map(String::as_str);
-    GroundState::new(&world.program, &world.vocabulary, world.limits, names)
+    Box::new(GroundState::new(&world.program, &world.vocabulary, world.limits, names))
 }
 
 fn entity(agent: &Agent) -> Entity<'_> {

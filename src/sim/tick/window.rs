@@ -1,7 +1,8 @@
 //! Part of a city as bits for the dense executor.
 //!
 //! Binary facts are computed lazily with the fast form of their predicate ([`Relation`]): row and column indexes select
-//! the entities in the rectangle that it reaches, and each is tested.
+//! the entities in the rectangle that it reaches, and each is tested. Of a few entities, pairwise distances select them
+//! ([`Near`]), which need no index to keep.
 
 use crate::city::AgentKind;
 use crate::city::{Agent, Cell, CityMap, Heading, Junction};
@@ -113,19 +114,23 @@ pub(super) struct Plan {
     always: Vec<usize>,
     lists: Vec<Requested>,
     views: Views,
+    /// The maximum number of cells that a bounded list reaches in any direction.
+    farthest_reach: i32,
+    /// The classes of the scenario's agents. Agents of one entry of an agent set share their concepts, so comparing
+    /// pointers is enough.
+    likely: Vec<(AgentKind, Arc<[String]>)>,
+    /// The inputs that hold for each of these classes.
+    likely_inputs: Vec<Vec<usize>>,
 }
 
-/// A plan and the classes of a city's agents.
+/// A plan and the further classes of a city's agents.
 #[derive(Clone, Debug)]
 pub(super) struct Grounder {
     plan: Arc<Plan>,
-    /// The numbers of the known classes.
+    /// The numbers of the classes that are not [likely](Plan::likely).
     known: BTreeMap<(AgentKind, Arc<[String]>), u32>,
-    /// The first [`Grounder::LIKELY`] of them. Agents of one entry of an agent set share their concepts, so comparing
-    /// pointers is enough.
-    likely: Vec<(AgentKind, Arc<[String]>)>,
-    /// The inputs that hold for each class.
-    classes: Vec<Vec<usize>>,
+    /// The inputs that hold for each of them.
+    inputs: Vec<Vec<usize>>,
 }
 
 impl Deref for Grounder {
@@ -137,8 +142,17 @@ impl Deref for Grounder {
 }
 
 impl Plan {
+    /// The maximum number of likely classes.
+    const LIKELY: usize = 64;
+
     /// Plans the computation of `dense`. All inputs of `dense` that have facts must be predicates of the vocabulary.
-    pub fn new(dense: Dense, vocabulary: &Vocabulary, view: u32) -> Self {
+    /// `agents` are the kinds and concepts of the agents to expect.
+    pub fn new<'a>(
+        dense: Dense,
+        vocabulary: &Vocabulary,
+        view: u32,
+        agents: impl Iterator<Item = (AgentKind, &'a Arc<[String]>)>,
+    ) -> Self {
         // A relation outside the vocabulary has no facts: binding rejects all others.
         let find = |relation| {
             let mut predicates = vocabulary.predicates.iter();
@@ -156,7 +170,7 @@ impl Plan {
                 Some((_, Definition::Pair(_))) | None => {}
             }
         }
-        let lists = (dense.lists().iter())
+        let lists: Vec<Requested> = (dense.lists().iter())
             .map(|&List(relation, axis)| {
                 let predicate = find(relation).and_then(|(position, definition)| match definition {
                     Definition::Pair(pair) => Some((position, pair)),
@@ -183,14 +197,41 @@ impl Plan {
                 }
             })
             .collect();
-        Plan {
+        let reaches = lists.iter().flat_map(|list| list.reaches.as_flattened());
+        let bounded = reaches.filter_map(|reach| match reach {
+            Reach::Within(cells) => cells.iter().copied().max(),
+            Reach::Nowhere | Reach::Anywhere => None,
+        });
+        let mut likely: Vec<(AgentKind, Arc<[String]>)> = Vec::new();
+        for (kind, concepts) in agents {
+            let is_new = likely.iter().all(|class| !is_class(class, kind, concepts));
+            if is_new && likely.len() < Plan::LIKELY {
+                likely.push((kind, Arc::clone(concepts)));
+            }
+        }
+        let mut plan = Plan {
+            farthest_reach: bounded.max().unwrap_or(0),
             fixed,
             local,
             always,
             lists,
             views,
             dense,
-        }
+            likely,
+            likely_inputs: Vec::new(),
+        };
+        let inputs = |(kind, concepts): &(AgentKind, Arc<[String]>)| plan.inputs_of(*kind, concepts);
+        plan.likely_inputs = plan.likely.iter().map(inputs).collect();
+        plan
+    }
+
+    /// Returns the inputs that hold for agents of this kind with these concepts.
+    fn inputs_of(&self, kind: AgentKind, concepts: &[String]) -> Vec<usize> {
+        let holds = self
+            .fixed
+            .iter()
+            .filter(|(_, predicate)| predicate.holds(kind, concepts));
+        holds.map(|(input, _)| *input).collect()
     }
 
     /// Returns the maximum number of cells that agents see in any direction.
@@ -205,35 +246,39 @@ impl Grounder {
         Grounder {
             plan,
             known: BTreeMap::new(),
-            likely: Vec::new(),
-            classes: Vec::new(),
+            inputs: Vec::new(),
         }
     }
-
-    const LIKELY: usize = 16;
 
     /// Returns the class of agents with this kind and these concepts.
     pub fn class_of(&mut self, kind: AgentKind, concepts: &Arc<[String]>) -> u32 {
-        let Grounder {
-            plan,
-            known,
-            likely,
-            classes,
-        } = self;
-        let same = |(of, carried): &(AgentKind, Arc<[String]>)| *of == kind && Arc::ptr_eq(carried, concepts);
-        if let Some(class) = likely.iter().position(same) {
-            return u32::try_from(class).expect("it is less than 16");
+        let Grounder { plan, known, inputs } = self;
+        let likely = plan.likely.iter().position(|class| is_class(class, kind, concepts));
+        let number = |class: usize| u32::try_from(class).expect("fewer classes than agents");
+        if let Some(class) = likely {
+            return number(class);
         }
-        let next = u32::try_from(known.len()).expect("fewer classes than agents");
+        let next = number(plan.likely.len() + known.len());
         *(known.entry((kind, Arc::clone(concepts)))).or_insert_with(|| {
-            if likely.len() < Self::LIKELY {
-                likely.push((kind, Arc::clone(concepts)));
-            }
-            let holds = (plan.fixed.iter()).filter(|(_, predicate)| predicate.holds(kind, concepts));
-            classes.push(holds.map(|(input, _)| *input).collect());
+            inputs.push(plan.inputs_of(kind, concepts));
             next
         })
     }
+
+    /// Returns the inputs that hold for a class.
+    #[inline]
+    fn inputs_of_class(&self, class: u32) -> &[usize] {
+        let class = class as usize;
+        match class.checked_sub(self.plan.likely.len()) {
+            None => &self.plan.likely_inputs[class],
+            Some(further) => &self.inputs[further],
+        }
+    }
+}
+
+/// Returns whether a class is that of agents with this kind and this list of concepts.
+fn is_class((of, carried): &(AgentKind, Arc<[String]>), kind: AgentKind, concepts: &Arc<[String]>) -> bool {
+    *of == kind && Arc::ptr_eq(carried, concepts)
 }
 
 /// Up to `64 * W` entities and their places.
@@ -328,8 +373,6 @@ impl<const W: usize> Window<W> {
     /// # Panics
     /// If the window cannot hold all bodies, or one is outside the area.
     pub fn fill(&mut self, grounder: &Grounder, first_cell: Cell, [rows, cols]: [i32; 2]) {
-        let count = self.bodies.len();
-        self.bit_state.reset(&grounder.dense, count);
         let Place {
             first: area_first,
             rows: row_lists,
@@ -344,11 +387,20 @@ impl<const W: usize> Window<W> {
             self.place.mark(entity, body.at);
         }
         self.place.sum();
+        self.fill_inputs(grounder);
+    }
 
+    /// Rebuilds the inputs from `bodies`.
+    ///
+    /// # Panics
+    /// If the window cannot hold all bodies.
+    fn fill_inputs(&mut self, grounder: &Grounder) {
+        let count = self.bodies.len();
+        self.bit_state.reset(&grounder.dense, count);
         self.inputs.clear();
         self.inputs.resize(grounder.dense.inputs().len(), [0; W]);
         for (entity, body) in self.bodies.iter().enumerate() {
-            for &input in &grounder.classes[body.class as usize] {
+            for &input in grounder.inputs_of_class(body.class) {
                 self.inputs[input][entity / 64] |= 1 << (entity % 64);
             }
         }
@@ -372,16 +424,22 @@ impl<const W: usize> Window<W> {
 
     /// Applies a move.
     pub fn shift(&mut self, grounder: &Grounder, map: &CityMap, entity: usize, to: Position) {
-        let body = &mut self.bodies[entity];
-        let (from, junction) = (body.at, body.junction);
-        body.shift(map, to);
+        let from = self.bodies[entity].at;
+        self.shift_body(grounder, map, entity, to);
         if from != to.cell {
-            // Most moves enter or leave no intersection.
-            let looks = body.junction != junction;
             self.place.shift(entity, from, to.cell);
-            if looks {
-                self.look(grounder, entity);
-            }
+        }
+    }
+
+    /// Applies a move to the body and the inputs of an entity.
+    #[inline]
+    fn shift_body(&mut self, grounder: &Grounder, map: &CityMap, entity: usize, to: Position) {
+        let body = &mut self.bodies[entity];
+        let junction = body.junction;
+        body.shift(map, to);
+        // Most moves enter or leave no intersection.
+        if body.junction != junction {
+            self.look(grounder, entity);
         }
     }
 
@@ -390,10 +448,15 @@ impl<const W: usize> Window<W> {
         let lines = |lists: &[Set<W>]| i32::try_from(lists.len() - 1).expect("an area has fewer than 2^31 lines");
         let size = [lines(&self.place.rows), lines(&self.place.cols)];
         self.fill(grounder, self.place.first, size);
+        self.count_in(grounder, draws, &self.place)
+    }
+
+    /// Returns the number of all facts that the rules may read.
+    fn count_in(&self, grounder: &Grounder, draws: Draws, place: &impl Surrounding<W>) -> u64 {
         let scene = Scene {
             plan: grounder,
             bodies: &self.bodies,
-            place: &self.place,
+            place,
             draws,
         };
         let all = first(self.bodies.len());
@@ -409,28 +472,151 @@ impl<const W: usize> Window<W> {
     /// # Errors
     /// As [`BitState::run`].
     pub fn run(&mut self, grounder: &Grounder, draws: Draws) -> Result<(), TooManySteps> {
-        for (input, set) in self.inputs.iter().enumerate() {
-            self.bit_state.set_input(&grounder.dense, input, *set);
+        let Window {
+            bodies,
+            bit_state,
+            inputs,
+            place,
+        } = self;
+        run_in(grounder, draws, (bodies, inputs), &*place, bit_state)
+    }
+}
+
+/// Evaluates the rules over entities with these inputs.
+#[inline(always)]
+fn run_in<const W: usize>(
+    grounder: &Grounder,
+    draws: Draws,
+    (bodies, inputs): (&[Body], &[Set<W>]),
+    place: &impl Surrounding<W>,
+    bit_state: &mut BitState<W>,
+) -> Result<(), TooManySteps> {
+    for (input, set) in inputs.iter().enumerate() {
+        bit_state.set_input(&grounder.dense, input, *set);
+    }
+    let scene = Scene {
+        plan: grounder,
+        bodies,
+        place,
+        draws,
+    };
+    bit_state.run(&grounder.dense, &scene)
+}
+
+/// Windows of at most [`Near::MAX`] entities that keep no index of places.
+impl Window<1> {
+    /// Rebuilds all sets from `bodies`.
+    ///
+    /// # Panics
+    /// If there are more than [`Near::MAX`] bodies.
+    pub fn fill_few(&mut self, grounder: &Grounder) {
+        assert!(self.bodies.len() <= Near::MAX, "{} bodies", self.bodies.len());
+        self.fill_inputs(grounder);
+    }
+
+    /// Loads what a run uses into the cache: see [`BitState::prefetch`].
+    #[inline]
+    pub fn prefetch(&self) -> u64 {
+        let bodies = self
+            .bodies
+            .iter()
+            .fold(0, |sum: u64, body| sum.wrapping_add(body.agent.into()));
+        let inputs = self
+            .inputs
+            .iter()
+            .step_by(8)
+            .fold(0, |sum: u64, set| sum.wrapping_add(set[0]));
+        (self.bit_state.prefetch()).wrapping_add(bodies).wrapping_add(inputs)
+    }
+
+    /// Applies a move.
+    #[inline]
+    pub fn shift_few(&mut self, grounder: &Grounder, map: &CityMap, entity: usize, to: Position) {
+        self.shift_body(grounder, map, entity, to);
+    }
+
+    /// Evaluates the rules.
+    ///
+    /// # Errors
+    /// As [`BitState::run`].
+    pub fn run_few(&mut self, grounder: &Grounder, draws: Draws) -> Result<(), TooManySteps> {
+        let near = Near::new(&self.bodies, grounder.farthest_reach);
+        let Window {
+            bodies,
+            bit_state,
+            inputs,
+            ..
+        } = self;
+        run_in(grounder, draws, (bodies, inputs), &near, bit_state)
+    }
+
+    /// Rebuilds all sets from `bodies`, computes all facts that the rules may read, and returns their number.
+    pub fn count_few(&mut self, grounder: &Grounder, draws: Draws) -> u64 {
+        self.fill_few(grounder);
+        self.count_in(grounder, draws, &Near::new(&self.bodies, grounder.farthest_reach))
+    }
+}
+
+/// Finds the entities around a cell.
+trait Surrounding<const W: usize> {
+    /// Returns the members of `among` at most this many cells up, down, left and right of entity `at`.
+    fn select(&self, bodies: &[Body], at: usize, cells: [i32; 4], among: Set<W>) -> Set<W>;
+}
+
+impl<const W: usize> Surrounding<W> for Place<W> {
+    #[inline(always)]
+    fn select(&self, bodies: &[Body], at: usize, cells: [i32; 4], among: Set<W>) -> Set<W> {
+        and(among, &self.around(bodies[at].at, cells))
+    }
+}
+
+/// The entities near each of a few entities: those within the farthest reach.
+pub(super) struct Near([u64; Near::MAX]);
+
+impl Near {
+    /// The maximum number of entities. The time for all pairs of them is that of an index.
+    pub const MAX: usize = 32;
+
+    /// Finds the entities at most this many cells away in rows and columns.
+    fn new(bodies: &[Body], cells: i32) -> Near {
+        let mut near = [0; Near::MAX];
+        let cells = cells.unsigned_abs();
+        for (at, body) in bodies.iter().enumerate() {
+            let mut set = 1 << at;
+            for (other, body_of_other) in bodies[..at].iter().enumerate() {
+                let (here, there) = (body.at, body_of_other.at);
+                let is_near = here.row.abs_diff(there.row) <= cells && here.col.abs_diff(there.col) <= cells;
+                set |= u64::from(is_near) << other;
+                near[other] |= u64::from(is_near) << at;
+            }
+            near[at] = set;
         }
-        let scene = Scene {
-            plan: grounder,
-            bodies: &self.bodies,
-            place: &self.place,
-            draws,
-        };
-        self.bit_state.run(&grounder.dense, &scene)
+        Near(near)
+    }
+}
+
+impl Surrounding<1> for Near {
+    #[inline(always)]
+    fn select(&self, bodies: &[Body], at: usize, [up, down, left, right]: [i32; 4], [among]: Set<1>) -> Set<1> {
+        let near = [self.0[at % Near::MAX] & among];
+        let here = bodies[at].at;
+        keep(near, |other| {
+            let there = bodies[other].at;
+            let (row, col) = (there.row - here.row, there.col - here.col);
+            -up <= row && row <= down && -left <= col && col <= right
+        })
     }
 }
 
 /// Computes binary facts for the executor.
-struct Scene<'a, const W: usize> {
+struct Scene<'a, S> {
     plan: &'a Plan,
     bodies: &'a [Body],
-    place: &'a Place<W>,
+    place: &'a S,
     draws: Draws,
 }
 
-impl<const W: usize> BinaryFacts<W> for Scene<'_, W> {
+impl<const W: usize, S: Surrounding<W>> BinaryFacts<W> for Scene<'_, S> {
     #[inline]
     fn narrow(&self, list: usize, at: usize, among: Set<W>) -> Set<W> {
         self.related(&self.plan.lists[list], at, among)
@@ -461,14 +647,17 @@ impl<const W: usize> BinaryFacts<W> for Scene<'_, W> {
     }
 }
 
-impl<const W: usize> Scene<'_, W> {
+impl<S> Scene<'_, S> {
     /// Returns the members of `among` that a list relates to entity `at`.
     #[inline(always)]
-    fn related(&self, list: &Requested, at: usize, among: Set<W>) -> Set<W> {
+    fn related<const W: usize>(&self, list: &Requested, at: usize, among: Set<W>) -> Set<W>
+    where
+        S: Surrounding<W>,
+    {
         let body = &self.bodies[at];
         let near = match list.reaches[body.kind as usize][body.heading.map_or(0, |heading| heading as usize + 1)] {
             Reach::Nowhere => [0; W],
-            Reach::Within(cells) => and(among, &self.place.around(body.at, cells)),
+            Reach::Within(cells) => self.place.select(self.bodies, at, cells, among),
             Reach::Anywhere => among,
         };
         match list.fills_reach || is_empty(&near) {
@@ -480,7 +669,7 @@ impl<const W: usize> Scene<'_, W> {
     /// Returns the members of `near` that a list relates to entity `at`, given that they are in reach.
     // Not inlined, because in most cases no entity is in reach.
     #[inline(never)]
-    fn refine(&self, list: &Requested, at: usize, near: Set<W>) -> Set<W> {
+    fn refine<const W: usize>(&self, list: &Requested, at: usize, near: Set<W>) -> Set<W> {
         let Some((predicate, relation)) = &list.predicate else {
             return [0; W];
         };
@@ -492,7 +681,7 @@ impl<const W: usize> Scene<'_, W> {
 
     /// Returns the `y` in `near` for which the relation holds of (`at`, `y`).
     #[inline(always)]
-    fn seconds<R: Relation>(&self, predicate: usize, relation: &R, at: usize, near: Set<W>) -> Set<W> {
+    fn seconds<const W: usize, R: Relation>(&self, predicate: usize, relation: &R, at: usize, near: Set<W>) -> Set<W> {
         let x = &self.bodies[at];
         keep(near, |other| {
             let y = &self.bodies[other];
@@ -506,7 +695,7 @@ impl<const W: usize> Scene<'_, W> {
 
     /// Returns the `x` in `near` for which the relation holds of (`x`, `at`).
     #[inline(always)]
-    fn firsts<R: Relation>(&self, predicate: usize, relation: &R, at: usize, near: Set<W>) -> Set<W> {
+    fn firsts<const W: usize, R: Relation>(&self, predicate: usize, relation: &R, at: usize, near: Set<W>) -> Set<W> {
         let y = &self.bodies[at];
         keep(near, |other| {
             let x = &self.bodies[other];
@@ -533,4 +722,51 @@ fn keep<const W: usize>(set: Set<W>, holds: impl Fn(usize) -> bool) -> Set<W> {
         }
     }
     kept
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::rng::{Purpose, RngExt, Seed};
+
+    #[test]
+    fn pairwise_distances_select_the_entities_of_the_index() {
+        const SIDE: i32 = 60;
+        let mut random = Seed(1).stream(Purpose::SCENE, 0, 0);
+        let mut counts = [0; 2];
+        for round in 0..400 {
+            let count = round % (Near::MAX + 1);
+            let body = |agent| Body {
+                at: Cell::new(random.random_range(0..SIDE), random.random_range(0..SIDE)),
+                priority: 0,
+                agent,
+                class: 0,
+                kind: AgentKind::Car,
+                heading: None,
+                junction: Junction::default(),
+            };
+            let bodies: Vec<Body> = (0..u32::try_from(count).expect("small")).map(body).collect();
+            let farthest = random.random_range(0..30);
+            let near = Near::new(&bodies, farthest);
+            let lines = vec![[0]; SIDE as usize + 1];
+            let mut place: Place<1> = Place {
+                first: Cell::new(0, 0),
+                rows: lines.clone(),
+                cols: lines,
+            };
+            for (entity, body) in bodies.iter().enumerate() {
+                place.mark(entity, body.at);
+            }
+            place.sum();
+            for at in 0..count {
+                let cells = [(); 4].map(|()| random.random_range(0..=farthest));
+                let among = [random.random()];
+                let found = near.select(&bodies, at, cells, among);
+                assert_eq!(found, place.select(&bodies, at, cells, among));
+                counts[0] += found[0].count_ones();
+                counts[1] += 1;
+            }
+        }
+        assert!(counts[0] > counts[1] / 4, "{counts:?}");
+    }
 }

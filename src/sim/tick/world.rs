@@ -1,6 +1,6 @@
 //! The immutable part of a run: scenario, map, roads and rules.
 
-use crate::city::{Action, AgentSet, Split};
+use crate::city::{Action, AgentKind, AgentSet, Split};
 use crate::city::{CityMap, Places, Router};
 use crate::config::Scenario;
 use crate::datalog::ClauseId;
@@ -37,6 +37,8 @@ pub struct World {
     places: [OnceLock<Arc<Places>>; 3],
     /// The dense plan without firing counts, compiled once and shared by all simulations.
     plan: OnceLock<Arc<Plan>>,
+    /// The clauses whose firings are counted, listed once and shared by all simulations.
+    counted: OnceLock<Arc<[ClauseId]>>,
 }
 
 impl World {
@@ -55,6 +57,7 @@ impl World {
             limits: TICK_LIMITS,
             places: Default::default(),
             plan: OnceLock::new(),
+            counted: OnceLock::new(),
         })
     }
 
@@ -67,6 +70,11 @@ impl World {
         Arc::clone(self.places[split as usize].get_or_init(make))
     }
 
+    /// Returns [`World::clauses`] as a list.
+    pub(super) fn counted_clauses(&self) -> Arc<[ClauseId]> {
+        Arc::clone(self.counted.get_or_init(|| self.clauses().collect()))
+    }
+
     /// Returns the plan of the dense executor.
     ///
     /// # Errors
@@ -75,7 +83,13 @@ impl World {
         if let (TrackFirings::Off, Some(plan)) = (counting, self.plan.get()) {
             return Ok(Arc::clone(plan));
         }
-        let plan = Plan::new(self.compile(counting)?, &self.vocabulary, self.scenario.view);
+        let sets = self.scenario.splits.iter().map(|(_, set)| set);
+        let kinds = sets.flat_map(|set| [(AgentKind::Car, &set.cars), (AgentKind::Pedestrian, &set.pedestrians)]);
+        let members = kinds.flat_map(|(kind, groups)| groups.iter().map(move |group| (kind, &group.concepts)));
+        let task = self.scenario.task.iter().flat_map(|task| &task.ego);
+        let egos = task.flat_map(|ego| ego.concepts.iter().map(|(_, concepts)| (AgentKind::Car, concepts)));
+        let agents = egos.chain(members);
+        let plan = Plan::new(self.compile(counting)?, &self.vocabulary, self.scenario.view, agents);
         let plan = Arc::new(plan);
         Ok(match counting {
             TrackFirings::Off => Arc::clone(self.plan.get_or_init(|| plan)),

@@ -353,9 +353,7 @@ impl<'w> Search<'w> {
         stream: &mut impl Rng,
     ) -> Result<(), Diagnostic> {
         let seed: u64 = stream.random();
-        let mut agents = Vec::new();
-        city.draw_agents(Seed(seed), &mut agents)?;
-        city.restart(Seed(seed), &mut agents);
+        city.restart_drawn(Seed(seed), |_| ())?;
         let carries = |concepts: &[String]| about.is_empty() || concepts.iter().any(|concept| about.contains(concept));
         // For each answer, the decisions with the lowest random keys.
         let mut drawn: [Vec<(u64, Question)>; 4] = Default::default();

@@ -46,8 +46,6 @@ pub struct Env {
     /// The actions of all controlled cars in each step of the episode.
     taken: Vec<Action>,
     episode: Episode,
-    /// The agents of the previous episode; the next one reuses their memory.
-    spare: Vec<Agent>,
 }
 
 /// A car under external control.
@@ -191,7 +189,6 @@ impl Env {
             controls: Vec::with_capacity(controlled_cars.len()),
             taken: Vec::new(),
             episode: Episode::of(0, city.agents()),
-            spare: Vec::new(),
             control,
             settings,
             judges: false,
@@ -256,7 +253,7 @@ impl Env {
     /// the configuration says so.
     ///
     /// # Errors
-    /// `no-start-cell`, `no-route`, `limit-exceeded`.
+    /// `no-start-cell`, `no-route`, `limit-exceeded`. The environment then needs another reset.
     pub fn reset(&mut self, seed: u64) -> Result<(), Diagnostic> {
         self.reset_with(seed, None)
     }
@@ -267,42 +264,22 @@ impl Env {
     /// # Errors
     /// As [`Env::reset`].
     pub fn reset_with(&mut self, seed: u64, agents: Option<usize>) -> Result<(), Diagnostic> {
-        self.city.draw_agents(Seed(seed), &mut self.spare)?;
-        let first = &mut self.spare[self.controlled_cars[0].agent()];
-        if let Some(ego) = &self.task.config().ego {
-            let mut stream = Seed(seed).stream(Purpose::EGO, 0, 0);
-            let most = ego.priority[self.city.split() as usize];
-            first.priority = stream.random_range(1..=most).cast_signed();
-            let sum: f64 = ego.concepts.iter().map(|(weight, _)| weight).sum();
-            let mut left = stream.random::<f64>() * sum;
-            // Rounding may leave a remainder after the last entry; it must not select one of weight 0.
-            let mut possible = ego.concepts.iter().filter(|(weight, _)| *weight > 0.0);
-            let drawn = possible.clone().find(|(weight, _)| {
-                left -= weight;
-                left < 0.0
-            });
-            let (_, concepts) = drawn.or(possible.next_back()).expect("a weight is not 0");
-            first.concepts = Arc::clone(concepts);
-        }
-        if let Some(agents) = agents {
-            self.select(seed, agents);
-        }
         self.horizon = self.task.config().horizon;
-        self.begin(seed)
-    }
-
-    /// Keeps the first agent, which is the ego, and others up to `agents`, each as probable as any (selection sampling,
-    /// Knuth 1997, algorithm 3.4.2 S).
-    fn select(&mut self, seed: u64, agents: usize) {
-        let mut stream = Seed(seed).stream(Purpose::CURRICULUM, 0, 0);
-        let (mut left, mut wanted) = (self.spare.len(), agents.max(1));
-        self.spare.retain(|_| {
-            let is_ego = wanted == agents.max(1);
-            let takes = is_ego || stream.random_range(0..left) < wanted;
-            left -= 1;
-            wanted -= usize::from(takes);
-            takes
-        });
+        let (task, first) = (&self.task, self.controlled_cars[0].agent());
+        let split = self.city.split();
+        if agents.is_none() && self.city.has_all_agents() {
+            let change = |agents: &mut [Agent]| draw_ego(task, split, seed, &mut agents[first]);
+            self.city.restart_drawn(Seed(seed), change)?;
+            self.note(seed);
+            return self.start();
+        }
+        let mut drawn = Vec::new();
+        self.city.draw_agents(Seed(seed), &mut drawn)?;
+        draw_ego(task, split, seed, &mut drawn[first]);
+        if let Some(agents) = agents {
+            select(seed, agents, &mut drawn);
+        }
+        self.begin(seed, drawn)
     }
 
     /// Begins a given episode. Its horizon is [`Episode::horizon`]; if every car is controlled, it is the configured
@@ -312,12 +289,12 @@ impl Env {
     /// `invalid-episode` if its agents differ from those of the split, have concepts without a predicate for their
     /// type, or have no route; `limit-exceeded`.
     pub fn reset_to(&mut self, episode: &Episode) -> Result<(), Diagnostic> {
-        self.spare = episode.place(&self.task, self.city.split(), self.control)?;
+        let agents = episode.place(&self.task, self.city.split(), self.control)?;
         self.horizon = match self.control {
             ControlMode::First => episode.horizon(self.task.config()),
             ControlMode::Cars => self.task.config().horizon.max(1),
         };
-        self.begin(episode.seed)?;
+        self.begin(episode.seed, agents)?;
         self.episode.oracle.clone_from(&episode.oracle);
         Ok(())
     }
@@ -327,19 +304,29 @@ impl Env {
         self.horizon = steps.max(1);
     }
 
-    /// Begins an episode with the agents in `spare`.
-    fn begin(&mut self, seed: u64) -> Result<(), Diagnostic> {
+    /// Begins an episode with these agents.
+    fn begin(&mut self, seed: u64, mut agents: Vec<Agent>) -> Result<(), Diagnostic> {
         let names = self.city.agents().iter().map(Agent::name);
-        if names.eq(self.spare.iter().map(Agent::name)) {
-            self.episode.seed = seed;
-            self.episode.oracle = None;
-            for (noted, agent) in self.episode.agents.iter_mut().zip(&self.spare) {
-                noted.note(agent);
-            }
-            self.city.restart(Seed(seed), &mut self.spare);
+        if names.eq(agents.iter().map(Agent::name)) {
+            self.city.restart(Seed(seed), &mut agents);
+            self.note(seed);
         } else {
-            self.replace_agents(seed)?;
+            self.replace_agents(seed, agents)?;
         }
+        self.start()
+    }
+
+    /// Updates the record of the episode from the agents that the city has just started with.
+    fn note(&mut self, seed: u64) {
+        self.episode.seed = seed;
+        self.episode.oracle = None;
+        for (noted, agent) in self.episode.agents.iter_mut().zip(self.city.agents()) {
+            noted.note(agent);
+        }
+    }
+
+    /// Starts the controlled cars and observes.
+    fn start(&mut self) -> Result<(), Diagnostic> {
         self.steps = 0;
         self.taken.clear();
         for controlled_car in &mut self.controlled_cars {
@@ -351,9 +338,9 @@ impl Env {
         self.look()
     }
 
-    /// Makes a city of the agents in `spare`, where others take part than in the last episode.
-    fn replace_agents(&mut self, seed: u64) -> Result<(), Diagnostic> {
-        let (split, agents) = (self.city.split(), std::mem::take(&mut self.spare));
+    /// Makes a city of these agents, where others take part than in the last episode.
+    fn replace_agents(&mut self, seed: u64, agents: Vec<Agent>) -> Result<(), Diagnostic> {
+        let split = self.city.split();
         let (world, cancel) = (Arc::clone(self.task.world()), self.city.cancel().clone());
         self.city = Simulation::resume(world, split, Seed(seed), self.settings, (0, agents), &cancel)?;
         self.episode = Episode::of(seed, self.city.agents());
@@ -447,6 +434,12 @@ impl Env {
         Ok(())
     }
 
+    /// Loads what a step uses into the cache, while other work proceeds. Returns a meaningless sum of what it reads.
+    pub fn prefetch(&self) -> u64 {
+        let observers = self.controlled_cars.iter().map(|car| car.observer.prefetch());
+        observers.fold(self.city.prefetch(), |sum, read| sum ^ read)
+    }
+
     /// Writes the observation of the groundings: the true atoms as [`Observer::write`] does and, if configured, the
     /// cells of the route divided by twice the side of the region, at most 1.
     ///
@@ -472,6 +465,38 @@ impl Env {
     pub fn progress(&self, controlled_car: usize) -> f64 {
         covered(&self.city.agents()[self.controlled_cars[controlled_car].agent()])
     }
+}
+
+/// Draws the priority and the concepts of the first car, if the configuration says so.
+fn draw_ego(task: &SpfTask, split: Split, seed: u64, first: &mut Agent) {
+    let Some(ego) = &task.config().ego else { return };
+    let mut stream = Seed(seed).stream(Purpose::EGO, 0, 0);
+    let most = ego.priority[split as usize];
+    first.priority = stream.random_range(1..=most).cast_signed();
+    let sum: f64 = ego.concepts.iter().map(|(weight, _)| weight).sum();
+    let mut left = stream.random::<f64>() * sum;
+    // Rounding may leave a remainder after the last entry; it must not select one of weight 0.
+    let mut possible = ego.concepts.iter().filter(|(weight, _)| *weight > 0.0);
+    let drawn = possible.clone().find(|(weight, _)| {
+        left -= weight;
+        left < 0.0
+    });
+    let (_, concepts) = drawn.or(possible.next_back()).expect("a weight is not 0");
+    first.concepts = Arc::clone(concepts);
+}
+
+/// Keeps the first agent, which is the ego, and others up to `count`, each as probable as any (selection sampling,
+/// Knuth 1997, algorithm 3.4.2 S).
+fn select(seed: u64, count: usize, agents: &mut Vec<Agent>) {
+    let mut stream = Seed(seed).stream(Purpose::CURRICULUM, 0, 0);
+    let (mut left, mut wanted) = (agents.len(), count.max(1));
+    agents.retain(|_| {
+        let is_ego = wanted == count.max(1);
+        let takes = is_ego || stream.random_range(0..left) < wanted;
+        left -= 1;
+        wanted -= usize::from(takes);
+        takes
+    });
 }
 
 /// Returns the fraction of its route that an agent has covered, 0 to 1.

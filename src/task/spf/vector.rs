@@ -12,6 +12,7 @@ use crate::sim::{Actions, run_polled, start_threads};
 use crate::task::spf::{ControlMode, Env, Episode, SpfTask, reset_demanding};
 use rayon::ThreadPool;
 use rayon::prelude::*;
+use std::hint::black_box;
 use std::sync::Arc;
 use std::sync::atomic::{AtomicBool, Ordering};
 
@@ -374,7 +375,10 @@ impl VectorEnv {
                 outcome: Outcome::default(),
                 info: Info::default(),
                 ended: Ended {
-                    observation: vec![0.0; width],
+                    observation: match autoreset {
+                        Autoreset::SameStep => vec![0.0; width],
+                        Autoreset::NextStep | Autoreset::Disabled => Vec::new(),
+                    },
                     ..Ended::default()
                 },
             })
@@ -518,7 +522,7 @@ impl VectorEnv {
             (a, b) => a.or(b),
         };
         let (cancel, cancelled) = (&self.cancel, AtomicBool::new(false));
-        let act = |(position, ((sub_env, given), row)): (usize, ((&mut SubEnv, &T), &mut [f32]))| {
+        let act = |(position, sub_env, given, row): (usize, &mut SubEnv, &T, &mut [f32])| {
             if position % SHARE == 0 && cancel.requested() {
                 cancelled.store(true, Ordering::Relaxed);
             }
@@ -531,17 +535,21 @@ impl VectorEnv {
                     .zip(given)
                     .zip(observations.par_chunks_exact_mut(width))
                     .enumerate()
-                    .map(act)
+                    .map(|(position, ((sub_env, given), row))| act((position, sub_env, given, row)))
                     .reduce(|| None, first)
             }),
-            None => (self
-                .sub_envs
-                .iter_mut()
-                .zip(given)
-                .zip(observations.chunks_exact_mut(width))
-                .enumerate())
-            .map(act)
-            .fold(None, first),
+            None => {
+                let mut fault = None;
+                let rows = given.iter().zip(observations.chunks_exact_mut(width));
+                for (position, (given, row)) in rows.enumerate() {
+                    // Many environments do not fit the cache. This loads the next one while this one takes its step.
+                    if let Some(next) = self.sub_envs.get(position + 1) {
+                        black_box(next.env.prefetch());
+                    }
+                    fault = first(fault, act((position, &mut self.sub_envs[position], given, row)));
+                }
+                fault
+            }
         };
         fault.map_or(Ok(()), |(_, fault)| Err(fault))
     }

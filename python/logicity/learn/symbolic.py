@@ -1,0 +1,178 @@
+"""Learners of rules: what they share, and the learner of `logicity induce`.
+
+A learner of rules reads the recorded demonstrations once, so that it trains in one update. Its policy is a rule file.
+"""
+
+from __future__ import annotations
+
+from abc import abstractmethod
+from collections.abc import Sequence
+from pathlib import Path
+from typing import TYPE_CHECKING, ClassVar, Literal, TypeAlias, cast
+
+from pydantic import Field
+
+from ..describe import Atom
+from ..evaluation import load_task
+from ..induction import induce
+from ..offline import Demonstrations, demonstrations
+from ..rule_policy import RulePolicy, header, saved_by
+from .learner import Learner, LearnerSettings, Policy, Progress
+
+if TYPE_CHECKING:
+    from .config import TrainConfig
+
+__all__ = ["InduceLearner", "InduceSettings", "SymbolicLearner", "SymbolicPolicy", "arities", "clause"]
+
+#: A literal of a body: whether it is negated, its predicate, and its variables. Variable 0 is the ego.
+BodyLiteral: TypeAlias = tuple[bool, str, tuple[int, ...]]
+
+#: The variables of printed clauses. Further ones are `V3`, `V4`, ...
+VARIABLES = ("X", "Y", "Z")
+
+
+class SymbolicPolicy(RulePolicy, Policy):
+    """Rules that a learner found."""
+
+    @classmethod
+    def load(cls, path: Path) -> SymbolicPolicy:
+        """Read the policy of a learner, whose file names the mode.
+
+        Raises:
+            InputError: If the rules are invalid.
+            OSError: If the file cannot be read.
+            ValueError: If the file does not name the mode.
+        """
+        return cls(path, saved_by(path)["mode"])
+
+
+class SymbolicLearner(Learner):
+    """A learner of rules.
+
+    A subclass implements `rules`. Training has one step. Its result depends on the demonstrations, the settings and the
+    seed only.
+    """
+
+    unit: ClassVar[Literal["environment steps", "updates"]] = "updates"
+    interacts: ClassVar[bool] = False
+    suffix: ClassVar[str] = ".dl"
+    policy_class: ClassVar[type[Policy]] = SymbolicPolicy
+
+    def __init__(self, config: TrainConfig, log: Path | None = None) -> None:
+        """Check the number of steps.
+
+        Raises:
+            ValueError: If it is not 1.
+        """
+        super().__init__(config, log)
+        if config.steps != 1:
+            raise ValueError(f"steps: expected 1, because `{config.algorithm}` learns in one step, not {config.steps}")
+        self._text: str | None = None
+
+    @abstractmethod
+    def rules(self, data: Demonstrations) -> str:
+        """Learn from demonstrations, and return the text of a rule file.
+
+        Raises:
+            OSError: If another program is missing or fails.
+            ValueError: If the settings do not fit the demonstrations.
+        """
+
+    @property
+    def steps(self) -> int:
+        """The number of steps so far: 1 after training."""
+        return int(self._text is not None)
+
+    def fit(self, steps: int, progress: Progress) -> None:
+        """Learn, unless the rules are known."""
+        if self._text is None and steps > 0:
+            recorded = load_task(self.config.mode).recorded("train")
+            data = demonstrations(self.config.mode, max(1, round(self.config.demonstrations * recorded)))
+            self._text = f"{header(self.config.algorithm, self.config.mode)}\n{self.rules(data)}"
+            progress()
+
+    def policy(self) -> SymbolicPolicy:
+        """Return the rules. Before training there are none, and the car takes the default action."""
+        empty = f'{header(self.config.algorithm, self.config.mode)}\n.include "vocabulary.dl"\n'
+        policy = SymbolicPolicy.from_text(self._text or empty, self.config.mode)
+        assert isinstance(policy, SymbolicPolicy)
+        return policy
+
+    def save(self, folder: Path) -> None:
+        """Write the rules, if training is over."""
+        if self._text is not None:
+            (folder / "rules.dl").write_text(self._text, encoding="utf-8")
+
+    def restore(self, folder: Path) -> None:
+        """Read the rules. There is no file if training had not ended."""
+        path = folder / "rules.dl"
+        if not path.exists():
+            self._text = None
+            return
+        saved = saved_by(path)
+        expected = {"algorithm": self.config.algorithm, "mode": self.config.mode}
+        if saved != expected:
+            raise ValueError(
+                f"{path} has rules of `{saved['algorithm']}` for {saved['mode']}, not of `{expected['algorithm']}` for "
+                f"{expected['mode']}"
+            )
+        self._text = path.read_text(encoding="utf-8")
+
+
+class InduceSettings(LearnerSettings):
+    """The settings of `logicity.induce`, with its defaults."""
+
+    variables: int = Field(default=3, ge=2)
+    """The largest number of variables of a clause."""
+    effort: int = Field(default=20_000, ge=1)
+    """The largest number of steps of the search for one clause."""
+    noise: float | Literal["auto"] | None = None
+    """The share of demonstrated actions that may be wrong, from 0 to 0.4, or `auto` to estimate it. By default (null)
+    all are right."""
+
+
+class InduceLearner(SymbolicLearner):
+    """`logicity.induce` on the demonstrations."""
+
+    settings_class: ClassVar[type[LearnerSettings]] = InduceSettings
+
+    def rules(self, data: Demonstrations) -> str:
+        """Return the induced rules."""
+        settings = cast(InduceSettings, self.config.settings)
+        induced = induce(
+            data,
+            self.config.mode,
+            variables=settings.variables,
+            effort=settings.effort,
+            noise=settings.noise,
+            seed=self.config.seed,
+            threads=self.config.threads,
+        )
+        return induced.text
+
+
+def clause(head: str, body: Sequence[BodyLiteral]) -> str:
+    """Return a clause in the syntax of rule files.
+
+    A variable that no positive literal binds ranges over what the ego sees, so that `Sees` binds it.
+
+    Args:
+        head: The predicate of the head. Its argument is the ego.
+        body: The literals.
+    """
+
+    def name(variable: int) -> str:
+        return VARIABLES[variable] if variable < len(VARIABLES) else f"V{variable}"
+
+    positive = {variable for negated, _, variables in body if not negated for variable in variables}
+    unbound = sorted({0, *(variable for _, _, variables in body for variable in variables)} - positive)
+    literals = [f"Sees(X, {name(variable)})" for variable in unbound]
+    for negated, predicate, variables in body:
+        atom = f"{predicate}({', '.join(map(name, variables))})"
+        literals.append(f"Not({atom})" if negated else atom)
+    return f"{head}(X) :- {', '.join(literals)}."
+
+
+def arities(atoms: tuple[Atom, ...]) -> dict[str, int]:
+    """Return the predicates of an observation with their arities, in order."""
+    return {name: len(entities) for name, entities in atoms}

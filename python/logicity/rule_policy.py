@@ -1,0 +1,176 @@
+"""Policies made of rules: a rule file decides on observations of the kind `groundings`."""
+
+from __future__ import annotations
+
+import os
+import re
+from collections.abc import Mapping, Sequence
+from pathlib import Path
+from tempfile import TemporaryDirectory
+from typing import Any, Final
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from . import _logicity
+from .env_config import EnvConfig
+from .errors import checked_path
+from .files import replacing
+from .modes import checked_mode
+from .types import Limits
+
+__all__ = ["RulePolicy", "rule_policies"]
+
+#: The first line of the file of a saved policy: its format version, the learner and the mode.
+HEADER: Final = re.compile(r"// logicity policy 1: (?P<algorithm>[\w-]+), (?P<mode>.+)")
+
+
+class RulePolicy:
+    """Rules as a policy for `evaluate` and for batches of observations.
+
+    The rules see the facts of an observation: a fact holds if its number exceeds 0.5. Observations contain neither the
+    number of entities nor the predicate `Sees`. The entities are the ego, those with a fact, and those before them, and
+    each of them sees all of them. In the built-in modes every entity has a fact, so that the decisions equal those of
+    `Inference` for the same scene. The configuration of the mode says which of several derived actions counts, and
+    which action an ego without a derived action takes.
+
+    A policy is picklable. It has no random choices and no memory.
+
+    Args:
+        path: The rule file.
+        mode: One of `logicity.ENVIRONMENTS`, such as `"expert"`, or the path of a configuration file. It determines the
+            order of the numbers in an observation.
+        overrides: Changes of the configuration, as in `gymnasium.make`.
+        limits: The limits of the evaluation of an observation, as in `gymnasium.make`.
+
+    Raises:
+        InputError: If the rules are invalid, or use a predicate that the mode does not define.
+        OSError: If a file cannot be read.
+        ValueError: If the mode is unknown.
+    """
+
+    def __init__(
+        self,
+        path: str | os.PathLike[str],
+        mode: str | os.PathLike[str],
+        *,
+        overrides: Mapping[str, Any] | None = None,
+        limits: Limits | None = None,
+    ) -> None:
+        """Compile the rules."""
+        self.mode = checked_mode(mode)
+        name = checked_path("path", path)
+        #: The text of the rule file.
+        self.text: str = _logicity.read_file(name)
+        self._task = EnvConfig(self.mode, rules=name, overrides=overrides, limits=limits).task()
+        #: The number of numbers in an observation.
+        self.width: int = self._task.shape("groundings")[0]
+
+    @classmethod
+    def from_text(
+        cls,
+        text: str,
+        mode: str | os.PathLike[str],
+        *,
+        overrides: Mapping[str, Any] | None = None,
+        limits: Limits | None = None,
+    ) -> RulePolicy:
+        """Return the policy of rules that are not in a file. They can include built-in rule files only.
+
+        The arguments and exceptions are those of the class.
+        """
+        with TemporaryDirectory() as folder:
+            path = Path(folder) / "rules.dl"
+            path.write_text(text, encoding="utf-8")
+            return cls(path, mode, overrides=overrides, limits=limits)
+
+    def __repr__(self) -> str:
+        """Show the mode."""
+        return f"<{type(self).__name__} of {self.mode}>"
+
+    def __call__(self, observations: ArrayLike) -> NDArray[np.int64]:
+        """Return the actions that the rules choose.
+
+        Args:
+            observations: Numbers of shape (N, width), of the kind `groundings`.
+
+        Returns:
+            int64 (N,): 0 Slow, 1 Normal, 2 Fast, 3 Stop.
+
+        Raises:
+            LimitError: If the rules derive too many rows.
+            ValueError: If the shape is wrong.
+        """
+        array = np.ascontiguousarray(observations, np.float32)
+        if array.ndim != 2 or array.shape[1] != self.width:
+            raise ValueError(
+                f"expected a batch of observations of `{self.mode}`, of shape (N, {self.width}), not an array of "
+                f"shape {array.shape}"
+            )
+        return _logicity.decide(self._task, array)
+
+    def predict(
+        self,
+        observation: ArrayLike,
+        state: Any = None,
+        episode_start: Any = None,
+        deterministic: bool = True,
+    ) -> tuple[NDArray[np.int64], None]:
+        """Return the actions that the rules choose, and no state, as `logicity.learn.learner.Policy` does.
+
+        The exceptions are those of a call.
+        """
+        return self(observation), None
+
+    def save(self, path: str | os.PathLike[str], *, overwrite: bool = False) -> None:
+        """Write the rule file, atomically.
+
+        Args:
+            path: The file to write.
+            overwrite: Whether to replace a file that this package did not write, or that has changed since.
+
+        Raises:
+            FileExistsError: If the file must not be replaced.
+            OSError: If the file cannot be written.
+        """
+        with replacing(path, overwrite=overwrite) as temporary:
+            Path(temporary).write_text(self.text, encoding="utf-8")
+
+
+def header(algorithm: str, mode: str) -> str:
+    """Return the first line of the file of a learner's policy."""
+    return f"// logicity policy 1: {algorithm}, {mode}"
+
+
+def saved_by(path: str | os.PathLike[str]) -> dict[str, str]:
+    """Return the `algorithm` and the `mode` in the file of a learner's policy.
+
+    Raises:
+        OSError: If the file cannot be read.
+        ValueError: If the file does not name them.
+    """
+    first = _logicity.read_file(checked_path("path", path)).partition("\n")[0]
+    match = HEADER.fullmatch(first.rstrip("\r"))
+    if match is None:
+        raise ValueError(
+            f"{os.fspath(path)} is not the policy of a learner: its first line must be "
+            f"`{header('LEARNER', 'MODE')}`; name the mode to use any rule file as a policy"
+        )
+    return match.groupdict()
+
+
+def rule_policies(
+    path: str | os.PathLike[str], modes: Sequence[str | os.PathLike[str]] | None = None
+) -> list[RulePolicy]:
+    """Return the policies of a rule file in several modes, for `logicity evaluate --policy FILE.dl`.
+
+    Args:
+        path: The rule file.
+        modes: The modes. The default is the mode that the file of a learner's policy names.
+
+    Raises:
+        InputError: If the rules are invalid, or use a predicate that a mode does not define.
+        OSError: If a file cannot be read.
+        ValueError: If a mode is unknown, or neither `modes` nor the file names one.
+    """
+    return [RulePolicy(path, mode) for mode in ([saved_by(path)["mode"]] if modes is None else modes)]

@@ -1,0 +1,81 @@
+//! Decides on observations without a city.
+
+use crate::cancel::Cancel;
+use crate::city::Action;
+use crate::diag::Diagnostic;
+use crate::sim::observe::observer::Oracle;
+use crate::sim::observe::rule_monitor::{Atoms, Entities, Observed, Violations};
+use std::sync::Arc;
+
+/// Applies rules to observations: vectors that [`Observer::write`](crate::sim::Observer::write) wrote.
+pub struct Decider {
+    oracle: Arc<Oracle>,
+    atoms: Atoms,
+    violations: Violations,
+}
+
+impl Decider {
+    /// Creates a decider with the rules of an oracle.
+    pub fn new(oracle: Arc<Oracle>) -> Decider {
+        let (predicates, entities) = (oracle.world().vocabulary.predicates.len(), oracle.entities());
+        Decider {
+            atoms: Atoms {
+                unary: vec![0; predicates],
+                rows: vec![0; predicates * entities],
+                entities,
+            },
+            violations: Violations::new(oracle.monitor()),
+            oracle,
+        }
+    }
+
+    /// Returns the action of the ego. A fact holds if its number exceeds 0.5.
+    ///
+    /// Observations have neither the number of entities nor `Sees`. The entities are the ego, those with a fact, and
+    /// those before them. Each of them sees all of them.
+    ///
+    /// # Errors
+    /// `limit-exceeded` if the rules derive too many rows; `cancelled` on cancellation.
+    ///
+    /// # Panics
+    /// If the observation is shorter than [`Oracle::width`].
+    pub fn action(&mut self, observation: &[f32], cancel: &Cancel) -> Result<Action, Diagnostic> {
+        let (oracle, atoms) = (&*self.oracle, &mut self.atoms);
+        let vocabulary = &oracle.world().vocabulary;
+        let most = oracle.entities();
+        let (mut rest, mut all) = (observation, 1_u64);
+        for (predicate, width) in oracle.columns() {
+            let (values, after) = rest.split_at(width);
+            rest = after;
+            if vocabulary.predicates[predicate].arity == 1 {
+                atoms.unary[predicate] = bits(values);
+                all |= atoms.unary[predicate];
+                continue;
+            }
+            let rows = &mut atoms.rows[predicate * most..][..most];
+            for (first, (row, values)) in rows.iter_mut().zip(values.chunks_exact(most)).enumerate() {
+                *row = bits(values);
+                all |= *row | u64::from(*row != 0) << first;
+            }
+        }
+        let present = 64 - all.leading_zeros() as usize;
+        let sees = &mut atoms.rows[vocabulary.sees * most..][..most];
+        sees.fill(0);
+        sees[..present].fill(u64::MAX >> (64 - present));
+        self.violations.forget();
+        let observed = Observed {
+            atoms: &self.atoms,
+            entities: Entities::Numbered { present, most },
+            given: None,
+            cancel,
+        };
+        let derived = self.violations.derived(oracle.monitor(), vocabulary, observed)?;
+        Ok(vocabulary.decide(derived))
+    }
+}
+
+/// Returns the positions of the numbers above 0.5.
+fn bits(values: &[f32]) -> u64 {
+    let set = |set, (at, value): (usize, &f32)| set | u64::from(*value > 0.5) << at;
+    values.iter().enumerate().fold(0, set)
+}
