@@ -137,11 +137,13 @@ class Experiment(_Model):
             and (each.start not in experiment.variants or experiment.variants[each.start].start is not None)
         ]
         for row, spec in experiment.learners.items():
-            for name in spec.variants or ():
-                start = experiment.variants[name].start if name in experiment.variants else name
-                if start is not None and start not in (spec.variants if name in experiment.variants else ()):
-                    unknown = f"unknown variant `{name}`{did_you_mean(name, experiment.variants)}"
-                    message = f"`{name}` starts from `{start}`" if name in experiment.variants else unknown
+            chosen = spec.variants or ()
+            for name in chosen:
+                if name not in experiment.variants:
+                    message = f"unknown variant `{name}`{did_you_mean(name, experiment.variants)}"
+                    wrong.append(("invalid-value", ["learners", row, "variants"], message, ""))
+                elif (start := experiment.variants[name].start) is not None and start not in chosen:
+                    message = f"`{name}` starts from `{start}`, which is not among the variants"
                     wrong.append(("invalid-value", ["learners", row, "variants"], message, ""))
         if wrong:
             raise file.error(wrong)
