@@ -110,8 +110,8 @@ def _add_evaluate(parser: argparse.ArgumentParser) -> _Command:
     parser.add_argument(
         "--policy",
         required=True,
-        help="oracle, random, the file of a policy (.zip of DQN, PPO or A2C, .pt of other learners), or the folder of "
-        "a run of `logicity train`",
+        help="oracle, random, the file of a policy (.zip of DQN, PPO or A2C, .pt of other learners, .dl of rules), or "
+        "the folder of a run of `logicity train`",
     )
     parser.add_argument(
         "--modes",
@@ -426,9 +426,20 @@ def _evaluate(given: argparse.Namespace) -> int:
     _check_json(given)
     if given.traces is not None:
         _check_folder("--traces", given.traces)
-    policy, name, trained, kind = _named_policy(given.policy)
     results: list[Evaluation] = []
-    modes = given.modes or ([checked_mode(trained)] if trained is not None else list(ENVIRONMENTS))
+    policies: Sequence[Policy]
+    policy: Policy
+    if Path(given.policy).suffix == ".dl":
+        from .rule_policy import rule_policies
+
+        # Rules are compiled for each mode.
+        policies = rules = rule_policies(given.policy, given.modes)
+        modes, policy, name = [each.mode for each in rules], policies[0], Path(given.policy).stem
+        trained, kind = None, None
+    else:
+        policy, name, trained, kind = _named_policy(given.policy)
+        modes = given.modes or ([checked_mode(trained)] if trained is not None else list(ENVIRONMENTS))
+        policies = [policy] * len(modes)
     stems = [Path(mode).stem for mode in modes]
     if given.traces is not None and len(set(stems)) < len(stems):
         raise _UsageError("modes with the same name would write traces to the same folder: evaluate one at a time")
@@ -442,8 +453,8 @@ def _evaluate(given: argparse.Namespace) -> int:
         # Check all folders before the first mode runs, so that no mode fails late.
         if folder is not None:
             benchmark.check_traces(folder, given.force)
-    for benchmark, folder in zip(benchmarks, folders, strict=True):
-        results.append(benchmark.evaluate(policy, name=name, traces=folder, overwrite=given.force))
+    for benchmark, folder, each in zip(benchmarks, folders, policies, strict=True):
+        results.append(benchmark.evaluate(each, name=name, traces=folder, overwrite=given.force))
     print(table(results))
     if given.json is not None:
         write_json(given.json, [result.to_dict() for result in results], overwrite=given.force)

@@ -45,7 +45,11 @@ TINY: dict[str, dict[str, Any]] = {
     "gnn": {"settings": {"network": [8], "batch_size": 32}},
     "nlm": {"settings": {"depth": 1, "outputs": 2, "batch_size": 32}},
     "hri": {"settings": {"restarts": 2, "depth": 1, "batch": 16}, "demonstrations": 0.1},
+    "foldrm": {"steps": 1, "settings": {}, "demonstrations": 0.1},
+    "induce": {"steps": 1, "settings": {}, "demonstrations": 0.1},
 }
+#: Learners that run another program, which test_learn_symbolic.py replaces.
+EXTERNAL = {"popper", "maxsynth"}
 #: The keys of a tiny run of every learner in environments.
 IN_ENVIRONMENTS = {"steps": 512, "envs": 2, "validate_every": 200, "overrides": {"task": {"reward": {"overtime": -6}}}}
 
@@ -105,7 +109,11 @@ def timeless(result: Any) -> Any:
     return [timeless(value) for value in result] if isinstance(result, (list, tuple)) else result
 
 
-@pytest.mark.parametrize("algorithm", list(LEARNERS))
+def test_every_learner_has_a_tiny_run() -> None:
+    assert LEARNERS.keys() == TINY.keys() | EXTERNAL
+
+
+@pytest.mark.parametrize("algorithm", list(TINY))
 def test_a_short_run_leaves_all_files(algorithm: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     run, config = tmp_path / "run", short(algorithm)
     result = train(config, run)
@@ -274,7 +282,7 @@ class Killed(Exception):
     pass
 
 
-@pytest.mark.parametrize("algorithm", list(LEARNERS))
+@pytest.mark.parametrize("algorithm", [name for name in TINY if TINY[name].get("steps") != 1])
 def test_an_interrupted_run_equals_an_uninterrupted_one(
     algorithm: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:

@@ -6,12 +6,14 @@ import errno
 import importlib
 import json
 import os
+from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import torch
 
+from ..rule_policy import saved_by
 from .learner import Learner, Policy
 
 if TYPE_CHECKING:
@@ -31,6 +33,10 @@ LEARNERS: dict[str, str] = {
     "gnn": "cloning:GnnLearner",
     "nlm": "cloning:NlmLearner",
     "hri": "hri:HRI",
+    "popper": "popper:PopperLearner",
+    "maxsynth": "popper:MaxSynthLearner",
+    "foldrm": "fold_rm:FoldRMLearner",
+    "induce": "symbolic:InduceLearner",
 }
 """The module and the class of each learner, keyed by its name in training files."""
 
@@ -93,11 +99,15 @@ def load_policy(path: str | os.PathLike[str]) -> SavedPolicy:
     if file.suffix == ".zip":
         from .stable_baselines import algorithm_of
 
-        saved = {"algorithm": algorithm_of(file)}
+        saved: Mapping[str, Any] = {"algorithm": algorithm_of(file)}
     elif file.suffix == ".pt":
         saved = _header(file)
+    elif file.suffix == ".dl":
+        saved = saved_by(file)
+        if saved["algorithm"] not in LEARNERS:
+            raise ValueError(f"{file} is not a policy: it has the unknown learner `{saved['algorithm']}`")
     else:
-        raise ValueError(f"{file} is not a policy: its suffix must be .pt or .zip")
+        raise ValueError(f"{file} is not a policy: its suffix must be .pt, .zip or .dl")
     algorithm = str(saved["algorithm"])
     return SavedPolicy(
         policy=learner_class(algorithm).policy_class.load(file),
