@@ -110,8 +110,8 @@ def _add_evaluate(parser: argparse.ArgumentParser) -> _Command:
     parser.add_argument(
         "--policy",
         required=True,
-        help="oracle, random, the file of a policy (.zip of DQN, PPO or A2C, .pt of other learners, .dl of rules), or "
-        "the folder of a run of `logicity train`",
+        help="oracle, random, the file of a policy (.zip, .pt), a rule file (.dl), or the folder of "
+        "a run of `logicity train`",
     )
     parser.add_argument(
         "--modes",
@@ -319,6 +319,13 @@ def _named_policy(text: str) -> tuple[Policy, str, str | None, ObservationKind |
     return saved.policy, saved.path.stem, saved.mode, saved.observation
 
 
+def _rule_file(text: str) -> Path | None:
+    """Return the rule file that `--policy` names, also as the best policy of a run, or `None` if it names another."""
+    path = Path(text)
+    file = path / "best.dl" if path.is_dir() else path
+    return file if file.suffix == ".dl" and file.is_file() else None
+
+
 def _check_fit(policy: Policy, trained: str | None, benchmarks: Sequence[Benchmark]) -> None:
     """Check that a model takes the observations of all modes.
 
@@ -422,24 +429,25 @@ def _object(text: str) -> dict[str, object]:
 
 def _evaluate(given: argparse.Namespace) -> int:
     from .evaluation import Benchmark, table
+    from .rule_policy import rule_policies
 
     _check_json(given)
     if given.traces is not None:
         _check_folder("--traces", given.traces)
     results: list[Evaluation] = []
-    policies: Sequence[Policy]
-    policy: Policy
-    if Path(given.policy).suffix == ".dl":
-        from .rule_policy import rule_policies
-
-        # Rules are compiled for each mode.
-        policies = rules = rule_policies(given.policy, given.modes)
-        modes, policy, name = [each.mode for each in rules], policies[0], Path(given.policy).stem
-        trained, kind = None, None
+    trained: str | None = None
+    kind: ObservationKind | None = None
+    rules = _rule_file(given.policy)
+    if rules is not None:
+        # The same rules read the observations of each mode in another order.
+        compiled = rule_policies(rules, given.modes)
+        name, modes = rules.stem, [each.mode for each in compiled]
+        policies: list[Policy] = list(compiled)
     else:
         policy, name, trained, kind = _named_policy(given.policy)
         modes = given.modes or ([checked_mode(trained)] if trained is not None else list(ENVIRONMENTS))
         policies = [policy] * len(modes)
+    policy = policies[0]
     stems = [Path(mode).stem for mode in modes]
     if given.traces is not None and len(set(stems)) < len(stems):
         raise _UsageError("modes with the same name would write traces to the same folder: evaluate one at a time")
@@ -453,7 +461,7 @@ def _evaluate(given: argparse.Namespace) -> int:
         # Check all folders before the first mode runs, so that no mode fails late.
         if folder is not None:
             benchmark.check_traces(folder, given.force)
-    for benchmark, folder, each in zip(benchmarks, folders, policies, strict=True):
+    for benchmark, each, folder in zip(benchmarks, policies, folders, strict=True):
         results.append(benchmark.evaluate(each, name=name, traces=folder, overwrite=given.force))
     print(table(results))
     if given.json is not None:

@@ -289,6 +289,23 @@ def test_a_model_needs_a_mode_that_fits(
         evaluate(EasyModel(), "expert", "val")
 
 
+def test_a_rule_file_is_a_policy_in_each_mode(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    rules = tmp_path / "mine.dl"
+    rules.write_text('.include "vocabulary.dl"\nStop(X) :- IsAtInter(X), IsInInter(Y).\n')
+    arguments = ["evaluate", "--policy", str(rules), "--split", "val"]
+    assert main([*arguments, "--modes", "easy,medium"]) == 0
+    for line, mode in zip(capsys.readouterr().out.splitlines()[1:], ["easy", "medium"], strict=True):
+        measured = evaluate(logicity.RulePolicy(rules, mode), mode, "val")
+        assert line.split()[:2] == ["mine", mode] and f"{measured.tsr}" in line
+    assert main(arguments) == 1
+    assert "is not the policy of a learner" in capsys.readouterr().err
+    saved = tmp_path / "run" / "best.dl"
+    saved.parent.mkdir()
+    saved.write_text("// logicity policy 1: induce, hard\n" + rules.read_text())
+    assert main(["evaluate", "--policy", str(saved.parent), "--split", "val"]) == 0
+    assert capsys.readouterr().out.splitlines()[1].split()[:2] == ["best", "hard"]
+
+
 def test_files_instead_of_folders_are_reported(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     file = tmp_path / "readme.py"
     file.touch()

@@ -6,7 +6,6 @@ import errno
 import importlib
 import json
 import os
-from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -99,15 +98,14 @@ def load_policy(path: str | os.PathLike[str]) -> SavedPolicy:
     if file.suffix == ".zip":
         from .stable_baselines import algorithm_of
 
-        saved: Mapping[str, Any] = {"algorithm": algorithm_of(file)}
+        saved = {"algorithm": algorithm_of(file)}
     elif file.suffix == ".pt":
         saved = _header(file)
     elif file.suffix == ".dl":
         saved = saved_by(file)
-        if saved["algorithm"] not in LEARNERS:
-            raise ValueError(f"{file} is not a policy: it has the unknown learner `{saved['algorithm']}`")
+        _check_learner(file, saved["algorithm"])
     else:
-        raise ValueError(f"{file} is not a policy: its suffix must be .pt, .zip or .dl")
+        raise ValueError(f"{file} is not a policy: its suffix must be .dl, .pt or .zip")
     algorithm = str(saved["algorithm"])
     return SavedPolicy(
         policy=learner_class(algorithm).policy_class.load(file),
@@ -133,10 +131,15 @@ def _header(file: Path) -> dict[str, Any]:
         raise ValueError(f"{file} is not a policy: PyTorch cannot read it as plain data") from None
     header: dict[str, Any] = saved if isinstance(saved, dict) else {}
     name = header.get("algorithm")
+    _check_learner(file, name)
+    return header
+
+
+def _check_learner(file: Path, name: object) -> None:
+    """Raise `ValueError` if a file of a policy names no known learner."""
     if name not in LEARNERS:
         what = "names no learner" if name is None else f"has the unknown learner `{name}`"
         raise ValueError(f"{file} is not a policy: it {what}; known: {', '.join(LEARNERS)}")
-    return header
 
 
 def _recorded(file: Path) -> dict[str, Any]:
