@@ -186,9 +186,9 @@ def test_the_network_in_rust_equals_that_in_torch(others: int, route_length: boo
     description = _logicity.describe(load_task("medium", overrides={"task": {"route_length": route_length}}))
     chosen, width = slots(description, others), description["width"]
     network = network_of(chosen.shape[1], [16, 8])
-    observations = (np.random.default_rng(0).random((50, width)) < 0.15).astype(np.float32)
+    observations = (np.random.default_rng(0).random((65, width)) < 0.15).astype(np.float32)
     if route_length:
-        observations[:, -1] = np.linspace(0, 1, 50)
+        observations[:, -1] = np.linspace(0, 1, 65)
     expected = network.forward(torch.from_numpy(observations[:, chosen].copy()))
     found = network.native(width, chosen).evaluate(observations)
     np.testing.assert_allclose(found, expected, rtol=1e-4, atol=1e-5)

@@ -229,19 +229,19 @@ struct Key {
 
 impl Key {
     fn of(observation: &[f32]) -> Key {
-        let mut other = 0;
+        let mut others = false;
         let words = observation.chunks(64).map(|chunk| {
             let mut word = 0;
             for (position, number) in chunk.iter().enumerate() {
                 let bits = number.to_bits();
-                other |= bits & !ONE;
+                others |= bits != 0 && bits != ONE;
                 word |= u64::from(bits == ONE) << position;
             }
             word
         });
         let words = words.collect();
         let mut numbers = Vec::new();
-        if other != 0 {
+        if others {
             let others = (0..)
                 .zip(observation)
                 .filter(|(_, number)| **number != 0.0 && **number != 1.0);
