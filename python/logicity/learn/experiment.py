@@ -137,9 +137,10 @@ class Experiment(_Model):
             and (each.start not in experiment.variants or experiment.variants[each.start].start is not None)
         ]
         for row, spec in experiment.learners.items():
-            for name in spec.variants or ():
+            used = spec.variants or ()
+            for name in used:
                 start = experiment.variants[name].start if name in experiment.variants else name
-                if start is not None and start not in (spec.variants if name in experiment.variants else ()):
+                if start is not None and start not in (used if name in experiment.variants else ()):
                     unknown = f"unknown variant `{name}`{did_you_mean(name, experiment.variants)}"
                     message = f"`{name}` starts from `{start}`" if name in experiment.variants else unknown
                     wrong.append(("invalid-value", ["learners", row, "variants"], message, ""))
