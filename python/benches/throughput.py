@@ -91,7 +91,7 @@ def memory(mode: str) -> float:
     for row in actions:
         observations, *_ = envs.step(row)
     few.close()
-    return (resident() - before - observations.nbytes) / MANY
+    return float(resident() - before - observations.nbytes) / MANY
 
 
 def stable_baselines(mode: str, count: int) -> float:

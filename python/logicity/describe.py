@@ -138,8 +138,8 @@ def _shaping(tasks: dict[str, Any]) -> str:
                 (mode, f"{terms['progress']:g}", f"{terms['goal']:g}", shape if potential["weight"] else "none")
             )
     text = (
-        "\nThe keys `progress`, `goal` and `potential` of `task.reward` add terms in the split `train`. Evaluations never "
-        "have them."
+        "\nThe keys `progress`, `goal` and `potential` of `task.reward` add terms in the split `train`. Evaluations "
+        "never have them."
     )
     if not rows:
         return text + " These modes have none.\n"

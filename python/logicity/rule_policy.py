@@ -153,8 +153,8 @@ def saved_by(path: str | os.PathLike[str]) -> dict[str, str]:
     match = HEADER.fullmatch(first.rstrip("\r"))
     if match is None:
         raise ValueError(
-            f"{os.fspath(path)} is not the policy of a learner: its first line must be "
-            f"`{header('LEARNER', 'MODE')}`; name the mode to use any rule file as a policy"
+            f"{os.fspath(path)} does not name a mode: its first line is not `{header('LEARNER', 'MODE')}`, which "
+            "learners write; name the modes with `--modes`"
         )
     return match.groupdict()
 

@@ -491,9 +491,9 @@ def test_invalid_arguments_raise() -> None:
         SPFEnv(observation="pixels")  # type: ignore[arg-type]
     for make in (SPFEnv, SPFVectorEnv):
         with pytest.raises(ValueError, match="known: `drawn`, `drawn-demanding`, `recorded`"):
-            make(episodes="all")
+            make(episodes="all")  # type: ignore[arg-type]
         with pytest.raises(ValueError, match="did you mean `drawn-demanding`"):
-            make(episodes="drawn_demanding")
+            make(episodes="drawn_demanding")  # type: ignore[arg-type]
     with pytest.raises(UnsupportedMode):
         SPFEnv(render_mode="human")
     with pytest.raises(ValueError, match="base"):
@@ -768,7 +768,7 @@ def test_a_vector_environment_needs_a_reset_first() -> None:
 
 def test_ctrl_c_ends_the_creation_of_many_environments(ctrl_c: Interrupt) -> None:
     task = _logicity.Task("expert", None, None, (None, None, None))
-    ctrl_c(lambda: _logicity.VectorEnv(task, "train", 1_000_000, "Disabled", "groundings", False, 1))
+    ctrl_c(lambda: _logicity.VectorEnv(task, "train", 1_000_000, "Disabled", "groundings", "drawn", 1))
 
 
 def test_recorded_seeds_keep_all_bits(tmp_path: Path) -> None:

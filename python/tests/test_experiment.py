@@ -229,7 +229,7 @@ def test_intervals_over_seeds_and_episodes_equal_a_slow_bootstrap() -> None:
 
 
 def test_violation_rates_count_episodes_by_clause() -> None:
-    runs = [
+    runs: list[dict[str, Any]] = [
         {"episodes": [{"violations": ["S10"]}, {"violations": ["S2", "S10"]}]},
         {"episodes": [{"violations": []}, {"violations": ["S2"]}]},
     ]

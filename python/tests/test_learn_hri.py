@@ -320,7 +320,14 @@ def test_policies_are_saved_and_actions_have_precedence(tmp_path: Path) -> None:
 def test_faulty_settings_are_errors() -> None:
     with pytest.raises(ValueError, match="`Stop` occurs twice"):
         HriSettings(order=["Stop", "Slow", "Stop"])
-    for faulty in ({"depth": 0}, {"noise": [0.1]}, {"rule_rates": [0.1, -1.0]}, {"unary": []}, {"binary": ["A00+"]}):
+    cases: list[dict[str, Any]] = [
+        {"depth": 0},
+        {"noise": [0.1]},
+        {"rule_rates": [0.1, -1.0]},
+        {"unary": []},
+        {"binary": ["A00+"]},
+    ]
+    for faulty in cases:
         with pytest.raises(ValueError):
             HriSettings.model_validate(faulty)
     # As YAML and JSON have them.

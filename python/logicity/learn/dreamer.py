@@ -7,6 +7,10 @@ imagines.
 
 A state includes the reward and the discount on arrival in it: action a_t leads from state s_t to s_t+1, and the reward
 r_t+1 and the discount are predicted from s_t+1. The names of equations refer to the paper.
+
+The package sheeprl (0.8.4) has a DreamerV2 of these sizes too. It is not used, because it decodes vectors as Gaussians
+instead of bits, owns the training loop, steps individual environments in Python, and depends on Lightning, Hydra and
+OpenCV.
 """
 
 from __future__ import annotations

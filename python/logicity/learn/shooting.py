@@ -68,7 +68,7 @@ class ShootingSettings(LearnerSettings):
     horizon: Count = 10
     """The length of the action sequences."""
     discount: Annotated[float, Field(ge=0, le=1)] = 0.9
-    """The discount per step in planning."""
+    """The discount per step in planning. Below 1, a delay of a violation has a value of its own."""
     random_steps: Annotated[int, Field(ge=0)] = 5000
     """The number of steps with random actions at the start."""
     exploration: Annotated[float, Field(ge=0, le=1)] = 0.05
@@ -78,7 +78,8 @@ class ShootingSettings(LearnerSettings):
     batch_size: Count = 128
     """The number of transitions of an update. Every member draws its own."""
     model_interval: Count = 16
-    """The number of environment steps per update of the networks that predict changes of bits."""
+    """The number of environment steps per update of the networks that predict changes of bits. An update takes several
+    times as long as one of the other networks, which decide about violations."""
     reward_interval: Count = 4
     """The number of environment steps per update of the networks that predict rewards and terminations."""
 

@@ -17,13 +17,8 @@ pub struct Decider {
 impl Decider {
     /// Creates a decider with the rules of an oracle.
     pub fn new(oracle: Arc<Oracle>) -> Decider {
-        let (predicates, entities) = (oracle.world().vocabulary.predicates.len(), oracle.entities());
         Decider {
-            atoms: Atoms {
-                unary: vec![0; predicates],
-                rows: vec![0; predicates * entities],
-                entities,
-            },
+            atoms: oracle.no_atoms(),
             violations: Violations::new(oracle.monitor()),
             oracle,
         }
@@ -52,14 +47,14 @@ impl Decider {
                 all |= atoms.unary[predicate];
                 continue;
             }
-            let rows = &mut atoms.rows[predicate * most..][..most];
+            let rows = atoms.rows_mut(predicate);
             for (first, (row, values)) in rows.iter_mut().zip(values.chunks_exact(most)).enumerate() {
                 *row = bits(values);
                 all |= *row | u64::from(*row != 0) << first;
             }
         }
         let present = 64 - all.leading_zeros() as usize;
-        let sees = &mut atoms.rows[vocabulary.sees * most..][..most];
+        let sees = atoms.rows_mut(vocabulary.sees);
         sees.fill(0);
         sees[..present].fill(u64::MAX >> (64 - present));
         self.violations.forget();

@@ -77,6 +77,19 @@ impl Oracle {
         })
     }
 
+    /// Returns the facts of an observation without facts.
+    pub(super) fn no_atoms(&self) -> Atoms {
+        let predicates = self.how.len();
+        let is_pair = |how: &How| matches!(how, How::Pair(_));
+        let first_pair = self.how.iter().position(is_pair).unwrap_or(predicates);
+        Atoms {
+            unary: vec![0; predicates],
+            rows: vec![0; (predicates - first_pair) * self.entities],
+            first_pair,
+            entities: self.entities,
+        }
+    }
+
     /// Orders observed entities by their distance from the ego, those at the same distance in list order. Without it,
     /// all are in list order. Observers see the same entities in both cases.
     #[must_use]
@@ -151,24 +164,13 @@ pub struct Observer {
 impl Observer {
     /// Creates an observer for an agent, given its position in the list. Call [`Observer::begin`] next.
     pub fn new(oracle: Arc<Oracle>, ego: usize) -> Observer {
-        let predicates = oracle.how.len();
-        let first_pair = oracle
-            .how
-            .iter()
-            .position(|how| matches!(how, How::Pair(_)))
-            .unwrap_or(predicates);
         Observer {
             ego,
             steady: Vec::new(),
             like: Vec::new(),
-            words: predicates.div_ceil(64),
+            words: oracle.how.len().div_ceil(64),
             bodies: Vec::with_capacity(oracle.entities),
-            atoms: Atoms {
-                unary: vec![0; predicates],
-                rows: vec![0; (predicates - first_pair) * oracle.entities],
-                first_pair,
-                entities: oracle.entities,
-            },
+            atoms: oracle.no_atoms(),
             violations: Violations::new(&oracle.monitor),
             broken: Vec::with_capacity(oracle.constraints().len()),
             oracle,
