@@ -69,8 +69,8 @@ class FastPPOSettings(LearnerSettings):
     network: Annotated[tuple[Count, ...], Strict(False), Field(min_length=1)] = (64, 64)
     """The widths of the hidden layers. The policy and the value share them."""
     entities_per_slot: Count = 1
-    """The number of entities besides the ego in a slot of the first layer. With all of them, the network is a multilayer
-    perceptron."""
+    """The number of entities besides the ego in a slot of the first layer. With all entities, the network is a
+    multilayer perceptron."""
     rollout_steps: Count = 16
     """The number of steps of each environment in a batch."""
     epochs: Count = 1
