@@ -290,16 +290,16 @@ def test_collect_rejects_what_does_not_fit() -> None:
 
 
 def test_it_learns_easy_mode() -> None:
-    """After 150,000 steps, most validation episodes break no rule; a random policy solves 2 % of the episodes."""
+    """After 150,000 steps the policy solves nearly all validation episodes; random actions solve about 2 %."""
     training = learner(
         envs=128,
         steps=300_000,
         overrides={"task": {"reward": {"progress": 5}}},
-        settings={"network": [64, 64], "rollout_steps": 16, "epochs": 4, "entities_per_slot": 1},
+        settings={"network": (64, 64), "rollout_steps": 16, "epochs": 4},
     )
     training.fit(150_000, lambda: None)
     assert training.steps >= 150_000
-    assert Benchmark("easy", "val").evaluate(training.policy()).dsr.value > 0.5
+    assert Benchmark("easy", "val").evaluate(training.policy()).tsr.value > 0.8
     training.close()
 
 

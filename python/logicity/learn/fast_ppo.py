@@ -68,13 +68,14 @@ class FastPPOSettings(LearnerSettings):
 
     network: Annotated[tuple[Count, ...], Strict(False), Field(min_length=1)] = (64, 64)
     """The widths of the hidden layers. The policy and the value share them."""
-    entities_per_slot: Count = 2
-    """The number of entities besides the ego in a slot of the first layer."""
+    entities_per_slot: Count = 1
+    """The number of entities besides the ego in a slot of the first layer. With all entities, the network is a
+    multilayer perceptron."""
     rollout_steps: Count = 16
     """The number of steps of each environment in a batch."""
     epochs: Count = 1
     """How often an update uses a batch."""
-    minibatches: Count = 1
+    minibatches: Count = 4
     """The number of gradient steps per epoch. Each one uses a share of the distinct observations."""
     learning_rate: _AboveZero = 2e-3
     """The learning rate of Adam at the start."""
@@ -173,15 +174,14 @@ class Network:
             torch.sum(derivative, 0, out=bias)
             derivative = derivative @ self.layers[at][0].T
             derivative *= torch.gt(values[at - 1], 0, out=torch.empty_like(derivative))
-        # Slots with the same maximum share the derivative. Units with a maximum below 0 have none.
+        weights, bias = self._gradients[0]
+        torch.sum(derivative, 0, out=bias)
+        # Slots with the same maximum share the derivative.
         highest = torch.eq(self._first, values[0].unsqueeze(1), out=torch.empty_like(self._first))
         if highest.shape[1] > 1:
             derivative /= highest.sum(1).clamp_(min=1)
-        weights, bias = self._gradients[0]
         highest *= derivative.unsqueeze(1)
-        highest = highest.view(-1, highest.shape[2])
-        torch.mm(inputs.view(-1, inputs.shape[2]).T, highest, out=weights)
-        torch.sum(highest, 0, out=bias)
+        torch.mm(inputs.view(-1, inputs.shape[2]).T, highest.view(-1, highest.shape[2]), out=weights)
 
     def step(self, learning_rate: float, max_grad_norm: float) -> None:
         """Take a step of Adam along the gradient, which is shortened to `max_grad_norm`."""
