@@ -50,8 +50,11 @@ def test_evaluations_have_no_reward_terms() -> None:
         env.reset(seed=1)
         return [env.step(3)[1] for _ in range(20)]
 
-    assert play(SHAPED, "val") == play(None, "val") and play(SHAPED, "test") == play(None, "test")
-    assert play(SHAPED, "train") != play(None, "train")
+    waiting = {"task": {"reward": {"potential": {"weight": 2}}}}
+    assert play(waiting, "val") == play(None, "val") and play(waiting, "test") == play(None, "test")
+    # With the potential of the remaining share, waiting has a reward of 2 - 0.99 x 2.
+    expected = [reward + 0.02 for reward in play(None, "train")]
+    assert play(waiting, "train") == pytest.approx(expected, abs=1e-12)
     results = [Benchmark("easy", "val", overrides=overrides).evaluate("oracle") for overrides in (None, SHAPED)]
     assert results[0].mean_return == results[1].mean_return and results[0].score == results[1].score
 
