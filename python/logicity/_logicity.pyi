@@ -23,6 +23,7 @@ __all__ = [
     "MultiCarEnv",
     "OutputFile",
     "PICTURE_SIDE",
+    "PolicyNetwork",
     "Program",
     "python_commands",
     "RandomBaseline",

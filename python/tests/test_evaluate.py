@@ -298,7 +298,7 @@ def test_a_rule_file_is_a_policy_in_each_mode(tmp_path: Path, capsys: pytest.Cap
         measured = evaluate(logicity.RulePolicy(rules, mode), mode, "val")
         assert line.split()[:2] == ["mine", mode] and f"{measured.tsr}" in line
     assert main(arguments) == 1
-    assert "is not the policy of a learner" in capsys.readouterr().err
+    assert "name the modes with `--modes`" in capsys.readouterr().err
     saved = tmp_path / "run" / "best.dl"
     saved.parent.mkdir()
     saved.write_text("// logicity policy 1: induce, hard\n" + rules.read_text())
@@ -433,7 +433,7 @@ def test_progress_is_shown_on_a_terminal(monkeypatch: pytest.MonkeyPatch, capsys
         (
             ["evaluate", "--policy", "foo"],
             2,
-            "unknown policy `foo`: expected oracle, random, or a model",
+            "unknown policy `foo`: expected oracle, random, the file of a policy",
         ),
         (["evaluate", "--policy", "oracle", "--modes", "easy", "--json", "no/such/folder.json"], 2, "error: "),
         (["evaluate", "--policy", "oracle", "--modes", "simple"], 2, "unknown mode `simple`"),

@@ -162,7 +162,7 @@ def test_faulty_rules_and_shapes_are_errors(tmp_path: Path) -> None:
 
 
 def test_only_files_of_learners_name_their_mode(tmp_path: Path) -> None:
-    with pytest.raises(ValueError, match=r"first line must be `// logicity policy 1: LEARNER, MODE`"):
+    with pytest.raises(ValueError, match=r"first line is not `// logicity policy 1: LEARNER, MODE`"):
         rule_policies(mode_rules("easy"))
     path = tmp_path / "best.dl"
     path.write_text(f"// logicity policy 1: induce, easy\n{mode_rules('easy').read_text()}")

@@ -8,20 +8,24 @@ from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
-from pydantic import (
-    BaseModel,
-    ConfigDict,
-    Field,
-    SerializeAsAny,
-    ValidationError,
-    ValidationInfo,
-    field_validator,
-)
-from pydantic_core import PydanticCustomError
-
 from .. import _logicity
 from ..env_config import ObservationKind
-from ..errors import did_you_mean
+from ..errors import did_you_mean, missing_extra
+
+try:
+    from pydantic import (
+        BaseModel,
+        ConfigDict,
+        Field,
+        SerializeAsAny,
+        ValidationError,
+        ValidationInfo,
+        field_validator,
+    )
+    from pydantic_core import PydanticCustomError
+except ImportError as error:
+    raise missing_extra("learn", error) from error
+
 from ..modes import ENVIRONMENTS, checked_mode
 from .learner import Count, Learner, LearnerSettings
 from .registry import LEARNERS, learner_class
