@@ -165,7 +165,7 @@ def public_objects() -> list[Any]:
         *[program, relation, relation.columns[0], session, change, change.added, session.explain("q(1)")],
         *[city, city.tick(), city.agents[0], city.explain(0), logicity.Inference("easy")],
         *[logicity.Benchmark("easy", "val"), measured, measured.episodes[0], measured.tsr, shown, shown[0], *errors],
-        *[rules, rules.clauses[0]],
+        *[rules, rules.clauses[0], logicity.RulePolicy.from_text(rules.text, "easy")],
     ]
 
 
