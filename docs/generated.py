@@ -420,6 +420,7 @@ MODULES = {
     "logicity.city": "Scenes and cities",
     "logicity.modes": "Modes",
     "logicity.evaluation": "Measures of policies",
+    "logicity.rule_policy": "Policies made of rules",
     "logicity.describe": "Observations",
     "logicity.offline": "Demonstrations",
     "logicity.induction": "Learned rules",

@@ -66,7 +66,7 @@ def ctrl_c() -> Interrupt:
             signal.setitimer(signal.ITIMER_REAL, 0)
             signal.signal(signal.SIGALRM, previous)
         # The goal is one second. The tolerance allows for other processes.
-        assert time.monotonic() - start < 3
+        assert time.monotonic() - start < 10
 
     return interrupt
 
