@@ -653,8 +653,8 @@ class SPFVectorEnv(VectorEnv[Observations, NDArray[np.int64], NDArray[Any]]):
             random: Uniform random numbers from 0 to 1, float32 of shape (num_envs, steps), that select the actions.
 
         Returns:
-            Arrays by name. `states` (uint32, the position of the observation among the distinct ones), `actions` (uint8),
-            `rewards` (float32), `endings` (uint8: 0 none, 1 violation, 2 success, 3 horizon) and `next_values`
+            Arrays by name. `states` (uint32, the position of the observation among the distinct ones), `actions`
+            (uint8), `rewards` (float32), `endings` (uint8: 0 none, 1 violation, 2 success, 3 horizon) and `next_values`
             (float32, the value of the state after the step, 0 if it is terminal), each of shape (num_envs, steps). The
             distinct observations: `inputs` (float32 of shape (observations, slots, inputs)) and `outputs` (float32 of
             shape (observations, 5): a logit per action, and the value).
