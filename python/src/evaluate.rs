@@ -195,7 +195,8 @@ fn report<'py, 'a>(
     to_python(py, &json!({"summary": summary, "episodes": episodes}))
 }
 
-/// Describes a task, with the number and the hash of the recorded episodes of each split.
+/// Describes a task, with the number and the hash of the recorded episodes of each split, and the hashes of its
+/// configuration and rules as in the headers of traces.
 #[pyfunction]
 fn describe<'py>(py: Python<'py>, task: &PyTask) -> PyResult<Bound<'py, PyAny>> {
     let (shared, world) = (&task.task, task.task.world());
@@ -230,7 +231,8 @@ fn describe<'py>(py: Python<'py>, task: &PyTask) -> PyResult<Bound<'py, PyAny>> 
         "width": shared.observation_width(), "state": shared.state_shape(), "view": world.scenario.view,
         "priority_scale": shared.priority_scale(), "route_length": config.route_length,
         "horizon": config.horizon, "patience": config.patience, "overtime": config.reward.overtime,
-        "shaping": config.reward.shaping,
+        "shaping": config.reward.shaping, "order": config.order.name(),
+        "config_hash": world.scenario.hash, "rules_hash": task.rules_hash,
         "actions": BTreeMap::from(by_action), "constraints": constraints.collect::<Vec<Value>>(), "splits": splits,
     });
     to_python(py, &description)

@@ -34,6 +34,8 @@ pub struct PyTask {
     sources: Mutex<Sources>,
     /// The rule files among the sources.
     rule_files: Vec<SourceId>,
+    /// The hash of the rule files.
+    pub rules_hash: String,
     /// The names of the clauses that actions can violate.
     labels: Vec<Py<PyString>>,
     recorded: [OnceLock<Arc<[Episode]>>; 3],
@@ -97,7 +99,7 @@ impl PyTask {
         let signals = Signals::new();
         let (named, replaced, merged) = (config.clone(), rules.clone(), overrides.clone());
         let Loaded { sources, city, files } = Loaded::new(py, &signals, named, replaced, limits, files, merged)?;
-        let rule_files = city.rule_files.clone();
+        let (rule_files, rules_hash) = (city.rule_files.clone(), city.rules_hash.clone());
         let (made, sources) = signals.on_thread(py, move || {
             let world = city.world().map(Arc::new);
             (world.and_then(|world| SpfTask::new(world, &sources)), sources)
@@ -111,6 +113,7 @@ impl PyTask {
             arguments: (config, rules, overrides, limits, Some(files)),
             sources: Mutex::new(sources),
             rule_files,
+            rules_hash,
             recorded: Default::default(),
             overview: OnceLock::new(),
             task: Arc::new(task),

@@ -14,6 +14,7 @@ from conftest import needs
 
 from logicity import ENVIRONMENTS, InputError, evaluate
 from logicity.__main__ import main
+from logicity.envs import SPFVectorEnv
 
 needs("stable_baselines3", "learn")
 import torch  # noqa: E402
@@ -271,11 +272,32 @@ def test_a_mode_can_be_a_configuration_file(tmp_path: Path, capsys: pytest.Captu
             assert not (tmp_path / name).exists()
 
 
-def test_overrides_must_not_change_observations(tmp_path: Path) -> None:
-    config = short("dqn").model_copy(update={"overrides": {"task": {"route_length": True}}})
-    with pytest.raises(ValueError, match=r"shape of observations from \(85,\) to \(86,\).*name it under `mode`"):
+@pytest.mark.parametrize(
+    ("change", "message"),
+    [
+        ({"route_length": True}, r"shape of observations from \(85,\) to \(86,\).*name it under `mode`"),
+        ({"order": "nearest"}, "order of entities from list to nearest.*name it under `mode`"),
+    ],
+)
+def test_overrides_must_not_change_observations(change: dict[str, Any], message: str, tmp_path: Path) -> None:
+    config = short("dqn").model_copy(update={"overrides": {"task": change}})
+    with pytest.raises(ValueError, match=message):
         train(config, tmp_path / "run")
     assert not (tmp_path / "run").exists()
+
+
+@pytest.mark.parametrize("algorithm", ["dqn", "mb-shooting", "ppo-fast"])
+def test_training_episodes_can_be_demanding(algorithm: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    made: list[str] = []
+    make = SPFVectorEnv.__init__
+
+    def spy(self: SPFVectorEnv, *positional: Any, **named: Any) -> None:
+        made.append(named["episodes"])
+        make(self, *positional, **named)
+
+    monkeypatch.setattr(SPFVectorEnv, "__init__", spy)
+    result = train(short(algorithm).model_copy(update={"episodes": "drawn-demanding"}), tmp_path)
+    assert made == ["drawn-demanding"] and result["config"]["episodes"] == "drawn-demanding"
 
 
 class Killed(Exception):
@@ -438,6 +460,8 @@ def test_the_network_has_the_layers_of_the_configuration(tmp_path: Path) -> None
         (GIVEN + "{seed: 3}", "`dqn` has no setting `seed`[^?]*`seed` is a key beside `settings`, not in it"),
         (GIVEN + "{network: [8]}\nnetwork: [8]", "unknown key `network`[^?]*a setting of `dqn`: write it under `sett"),
         (GIVEN + "{}", "the key `settings.network` is missing"),
+        (GIVEN + "{network: [8]}\nepisodes: drown", "`episodes` must be `drawn`, `drawn-demanding` or `recorded`"),
+        ("algorithm: mlp\nmode: easy\nepisodes: drawn", "`mlp` does not use the key `episodes`: it learns from demo"),
         (GIVEN + "{network: [8]}\ndemonstrations: 0.5", "`dqn` does not use the key `demonstrations`: it learns in"),
         ("algorithm: dqm\nmode: easy", "unknown learner `dqm`; did you mean `dqn`?"),
         ("algorithm: dqn", "the key `mode` is missing"),

@@ -9,7 +9,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
 from .. import _logicity
-from ..env_config import ObservationKind
+from ..env_config import Episodes, ObservationKind
 from ..errors import did_you_mean, missing_extra
 
 try:
@@ -61,6 +61,8 @@ class TrainConfig(BaseModel):
     Only `steps` may change when a run resumes."""
     envs: Count = 1
     """The number of parallel environments. For learners that step environments."""
+    episodes: Episodes = "drawn"
+    """The training episodes, as in `gymnasium.make`. For learners that step environments."""
     demonstrations: Annotated[float, Field(strict=True, gt=0, le=1)] = 1.0
     """The share of the recorded training episodes whose demonstrations are used. For learners from demonstrations."""
     start: str | None = None
@@ -110,7 +112,7 @@ class TrainConfig(BaseModel):
             raise _custom(f"`{algorithm}` takes observations of the kind {names}, not `{kind}`")
         return kind
 
-    @field_validator("overrides", "envs", "demonstrations", "start")
+    @field_validator("overrides", "envs", "episodes", "demonstrations", "start")
     @classmethod
     def _used_key(cls, value: Any, info: ValidationInfo) -> Any:
         algorithm, key = info.data.get("algorithm"), str(info.field_name)
@@ -220,7 +222,7 @@ def _unused(algorithm: str) -> dict[str, str]:
     if learner.interacts:
         unused["demonstrations"] = "it learns in environments, not from demonstrations"
     else:
-        unused |= dict.fromkeys(("overrides", "envs"), "it learns from demonstrations, not in environments")
+        unused |= dict.fromkeys(("overrides", "envs", "episodes"), "it learns from demonstrations, not in environments")
     if not learner.starts:
         unused["start"] = "its training cannot start from a policy"
     return unused

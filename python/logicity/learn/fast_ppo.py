@@ -437,6 +437,7 @@ class FastPPO(Learner):
             config.envs,
             config.mode,
             split="train",
+            episodes=config.episodes,
             overrides=config.overrides,
             autoreset_mode=AutoresetMode.SAME_STEP,
             num_threads=config.threads,

@@ -88,6 +88,7 @@ class Interaction:
             config.envs,
             config.mode,
             split="train",
+            episodes=config.episodes,
             overrides=config.overrides,
             observation=config.observation,
             autoreset_mode=AutoresetMode.SAME_STEP,

@@ -89,8 +89,8 @@ class Learner(ABC):
     settings_class: ClassVar[type[LearnerSettings]]
     #: What `steps` counts.
     unit: ClassVar[Literal["environment steps", "updates"]]
-    #: Whether the learner steps environments. Otherwise it learns from demonstrations. The keys `envs` and
-    #: `overrides` need the former, the key `demonstrations` needs the latter; elsewhere they are errors.
+    #: Whether the learner steps environments. Otherwise it learns from demonstrations. The keys `envs`,
+    #: `episodes` and `overrides` need the former, the key `demonstrations` needs the latter; elsewhere they are errors.
     interacts: ClassVar[bool]
     #: The kinds of observations that the learner can use.
     observations: ClassVar[tuple[ObservationKind, ...]] = ("groundings",)

@@ -23,6 +23,7 @@ from typing import Any
 import torch
 from tqdm import tqdm
 
+from .. import _logicity
 from .._logicity import __version__
 from ..evaluation import MEASURES, Benchmark, Evaluation, load_task, task_hashes
 from ..files import reserved, write_json
@@ -95,7 +96,7 @@ def train(
     torch.set_num_threads(config.threads)
     # Load the test episodes now, so that an error in them does not surface after hours of training.
     val, test = (Benchmark(config.mode, split, observation=config.observation) for split in ("val", "test"))
-    _check_overrides(config, val)
+    _check_overrides(config)
     log = run / "tensorboard" if tensorboard else None
     tracker = None if wandb is None else _wandb()
     learner = config.learner(config, log)
@@ -170,22 +171,24 @@ def _check_claim(run: Path, config: TrainConfig, state: State, hashes: Mapping[s
         )
 
 
-def _check_overrides(config: TrainConfig, benchmark: Benchmark) -> None:
-    """Check that the overrides keep the shape of observations.
+def _check_overrides(config: TrainConfig) -> None:
+    """Check that the overrides keep the observations.
 
     Raises:
         InputError: If an override is invalid.
-        ValueError: If the overrides change the shape.
+        ValueError: If the overrides change the shape of observations or the order of entities in them.
     """
     if not config.overrides:
         return
-    shape = tuple(load_task(config.mode, overrides=config.overrides).shape(config.observation))
-    if shape != benchmark.observation_shape:
-        raise ValueError(
-            f"the `overrides` change the shape of observations from {benchmark.observation_shape} to {shape}, but "
-            "validation and test use the mode without overrides: write a configuration file with these changes, and "
-            "name it under `mode`"
-        )
+    tasks = (load_task(config.mode), load_task(config.mode, overrides=config.overrides))
+    shapes = [tuple(task.shape(config.observation)) for task in tasks]
+    orders = [_logicity.describe(task)["order"] for task in tasks]
+    for what, (usual, changed) in {"shape of observations": shapes, "order of entities": orders}.items():
+        if usual != changed:
+            raise ValueError(
+                f"the `overrides` change the {what} from {usual} to {changed}, but validation and test use the mode "
+                "without overrides: write a configuration file with these changes, and name it under `mode`"
+            )
 
 
 class _Training:

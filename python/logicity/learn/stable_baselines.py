@@ -208,7 +208,12 @@ class StableBaselinesLearner(Learner):
         """
         super().__init__(config, log)
         env = make_vec_env(
-            config.mode, config.envs, split="train", overrides=config.overrides, observation=config.observation
+            config.mode,
+            config.envs,
+            split="train",
+            episodes=config.episodes,
+            overrides=config.overrides,
+            observation=config.observation,
         )
         try:
             # The model seeds the environments.

@@ -280,12 +280,10 @@ impl Observer {
         unary.fill(0);
         for (entity, body) in bodies.iter().enumerate() {
             let of = &self.steady[body.agent as usize * self.words..][..self.words];
-            for predicate in of
-                .iter()
-                .enumerate()
-                .flat_map(|(word, bits)| members(&[*bits]).map(move |bit| 64 * word + bit))
-            {
-                unary[predicate] |= 1 << entity;
+            for (word, bits) in of.iter().enumerate() {
+                for bit in members(&[*bits]) {
+                    unary[64 * word + bit] |= 1 << entity;
+                }
             }
         }
         for (predicate, how) in oracle.how.iter().enumerate() {
@@ -322,24 +320,25 @@ impl Observer {
     /// If `out` is shorter than [`Oracle::width`].
     pub fn write(&self, out: &mut [f32]) {
         let (n, sees) = (self.oracle.entities, self.oracle.world.vocabulary.sees);
-        let mut numbers = Spread::new(&mut out[..self.oracle.width()]);
-        let mut next = |bits| numbers.push(bits, n);
+        let out = &mut out[..self.oracle.width()];
+        // Few atoms hold.
+        out.fill(0.0);
+        let mut start = 0;
         for (predicate, how) in self.oracle.how.iter().enumerate() {
             match how {
                 _ if predicate == sees => {}
                 How::Pair(_) => {
-                    for first in 0..n {
-                        next(if first < self.bodies.len() {
-                            self.atoms.row(predicate, first)
-                        } else {
-                            0
-                        });
+                    for first in 0..self.bodies.len() {
+                        mark(self.atoms.row(predicate, first), &mut out[start + n * first..]);
                     }
+                    start += n * n;
                 }
-                _ => next(self.atoms.unary[predicate]),
+                How::Static(_) | How::Local(_) => {
+                    mark(self.atoms.unary[predicate], &mut out[start..]);
+                    start += n;
+                }
             }
         }
-        numbers.finish();
     }
 
     /// Returns the length of a row of the `state` observation; see [`Observer::write_state`].
@@ -477,81 +476,10 @@ fn observed<'a>(atoms: &'a Atoms, bodies: &'a [Body], city: &'a Simulation) -> O
     }
 }
 
-/// Four bits as numbers, lowest first.
-const FOUR_BITS: [[f32; 4]; 16] = {
-    let mut numbers = [[0.0; 4]; 16];
-    let mut bits = 0;
-    while bits < 64 {
-        if ((bits / 4) >> (bits % 4)) & 1 != 0 {
-            numbers[bits / 4][bits % 4] = 1.0;
-        }
-        bits += 1;
-    }
-    numbers
-};
-
-/// Writes one number per bit. It collects bits and writes four at a time, without branches on them, because they are
-/// hard to predict.
-struct Spread<'a> {
-    out: std::slice::IterMut<'a, [f32; 4]>,
-    /// The numbers after the last four.
-    rest: &'a mut [f32],
-    bits: u128,
-    count: usize,
-}
-
-impl<'a> Spread<'a> {
-    fn new(out: &'a mut [f32]) -> Self {
-        let (fours, rest) = out.as_chunks_mut::<4>();
-        Spread {
-            out: fours.iter_mut(),
-            rest,
-            bits: 0,
-            count: 0,
-        }
-    }
-
-    /// Appends the lowest `count` bits, at most 64, lowest first. The others are 0.
-    #[inline(always)]
-    fn push(&mut self, bits: u64, count: usize) {
-        self.bits |= u128::from(bits) << self.count;
-        self.count += count;
-        while self.count >= 4
-            && let Some(four) = self.out.next()
-        {
-            *four = FOUR_BITS[(self.bits & 15) as usize];
-            self.bits >>= 4;
-            self.count -= 4;
-        }
-    }
-
-    /// Writes the last bits.
-    fn finish(self) {
-        for (at, number) in self.rest.iter_mut().enumerate() {
-            *number = FOUR_BITS[(self.bits & 15) as usize][at];
-        }
-    }
-}
-
-#[cfg(test)]
-mod tests {
-    use super::*;
-    use crate::rng::{Purpose, RngExt, Seed};
-
-    #[test]
-    fn bits_are_spread_in_order() {
-        let mut random = Seed(1).stream(Purpose::SCENE, 0, 0);
-        for width in 1..=OBSERVED_MAX {
-            for rows in 1..6 {
-                let sets: Vec<u64> = (0..rows).map(|_| random.random::<u64>() >> (64 - width)).collect();
-                let mut numbers = vec![0.5; width * rows];
-                let mut spread = Spread::new(&mut numbers);
-                sets.iter().for_each(|&set| spread.push(set, width));
-                spread.finish();
-                let bit = |(set, at): (u64, usize)| f32::from((set >> at & 1) as u8);
-                let places = sets.iter().flat_map(|&set| (0..width).map(move |at| (set, at)));
-                assert_eq!(numbers, places.map(bit).collect::<Vec<_>>());
-            }
-        }
+/// Writes 1 at the positions of the members of a set.
+#[inline]
+fn mark(set: u64, out: &mut [f32]) {
+    for member in members(&[set]) {
+        out[member] = 1.0;
     }
 }

@@ -578,17 +578,26 @@ impl Near {
     pub const MAX: usize = 32;
 
     /// Finds the entities at most this many cells away in rows and columns.
+    ///
+    /// A difference takes half a word. Its bit 30 is set if it is at least 0: coordinates and `cells` are from 0 to
+    /// 2^28.
     fn new(bodies: &[Body], cells: i32) -> Near {
+        let both = |row: i32, col: i32| u64::from(row.cast_unsigned()) << 32 | u64::from(col.cast_unsigned());
+        let sign = both(1 << 30, 1 << 30);
+        let reach = both(cells, cells);
         let mut near = [0; Near::MAX];
-        let cells = cells.unsigned_abs();
+        let mut places = [0; Near::MAX];
         for (at, body) in bodies.iter().enumerate() {
+            let here = both(body.at.row, body.at.col);
             let mut set = 1 << at;
-            for (other, body_of_other) in bodies[..at].iter().enumerate() {
-                let (here, there) = (body.at, body_of_other.at);
-                let is_near = here.row.abs_diff(there.row) <= cells && here.col.abs_diff(there.col) <= cells;
-                set |= u64::from(is_near) << other;
-                near[other] |= u64::from(is_near) << at;
+            for (other, there) in places[..at].iter().enumerate() {
+                let low = here + sign + reach - there;
+                let high = 2 * (sign + reach) - low;
+                let is_near = u64::from(low & high & sign == sign);
+                set |= is_near << other;
+                near[other] |= is_near << at;
             }
+            places[at] = here;
             near[at] = set;
         }
         Near(near)
