@@ -13,9 +13,10 @@ use crate::induce::weights::Weights;
 use std::collections::BTreeSet;
 use std::rc::Rc;
 
-/// The most clauses of each length that are extended.
+/// The most clauses of each length that are extended. `cargo bench --bench induce_noise -- noise` measures it, as well
+/// as [`DOUBT`] and the constants of the module `noise`.
 const WIDTH: usize = 24;
-/// The most literals of a clause.
+/// The most literals of a clause. A clause for wrong actions alone would otherwise become as long as its examples allow.
 const LITERALS_MAX: usize = 10;
 
 /// The description lengths of examples and literals.
@@ -48,7 +49,7 @@ impl Scoring<'_> {
     }
 }
 
-/// The weight of a negative example beyond those that noise explains.
+/// The weight of a negative example beyond those that noise explains, in exceptions.
 const DOUBT: i64 = 10;
 
 /// The factor of the costs of literals in scores.

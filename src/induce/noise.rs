@@ -12,10 +12,11 @@ use crate::rng::{self, Purpose, RngExt, Seed};
 use rayon::prelude::*;
 use std::collections::BTreeMap;
 
-/// The most rounds of adding and revising clauses.
+/// The most rounds of adding and revising clauses. They end earlier when the description does not become shorter.
 const ROUNDS_MAX: usize = 5;
 
-/// Bits of a description per unit of the cost of a literal.
+/// Bits of a description per unit of the cost of a literal. A literal with one variable takes 6 bits, enough to choose
+/// one of 64 literals.
 const BITS: f64 = 0.375;
 
 /// Returns the description length of a wrong action, in the unit of costs times [`SCALE`].

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import json
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import asdict, dataclass
 from functools import cache
 from importlib.resources import files
@@ -13,7 +13,8 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from ..evaluation import Interval
+from .. import _logicity
+from ..evaluation import Interval, load_task
 from ..files import reserved, write_json
 from .cells import Cell, finished
 from .experiment import Experiment
@@ -53,7 +54,7 @@ class Entry:
         evaluation: The name of the evaluation.
         seeds: The seeds of the finished runs.
         measures: TSR, DSR and Score with their intervals; empty without a finished run.
-        violations: By clause, the share of episodes that end because the policy violates the clause.
+        violations: By clause of the mode, the share of episodes that end because the policy violates the clause.
         cpu_hours: The CPU time of all runs.
         paper: The paper's figures, a remark, or `None`.
         missing: Why there is no result; empty if there is one.
@@ -128,7 +129,7 @@ class Report:
             evaluation=evaluation,
             seeds=tuple(cell.seed for cell, _ in found),
             measures=intervals(results) if results else {},
-            violations=violation_rates(results),
+            violations=violation_rates(results, clauses_of(first.mode)) if results else {},
             cpu_hours=sum(each["result"]["cpu_seconds"] for _, each in found) / 3600,
             paper=paper_value(self.experiment.paper, spec.paper or first.row, first.variant, first.mode),
             missing=missing,
@@ -216,7 +217,8 @@ class Report:
         for name, entries in self._names():
             for mode, entry in entries.items():
                 if entry.measures:
-                    rates = [f"{entry.violations.get(clause, 0.0):.2f}" for clause in clauses]
+                    shares = [entry.violations.get(clause) for clause in clauses]
+                    rates = ["-" if share is None else f"{share:.2f}" for share in shares]
                     lines.append([name, Path(mode).stem, *rates])
         return lines if clauses else lines[:1]
 
@@ -390,15 +392,21 @@ def pooled(tables: Sequence[Mapping[str, NDArray[np.float64]]]) -> dict[str, Int
     return result
 
 
-def violation_rates(evaluations: Sequence[Mapping[str, Any]]) -> dict[str, float]:
-    """Return, by clause, the share of the episodes of all runs whose last action violates the clause."""
-    counts: dict[str, int] = {}
+@cache
+def clauses_of(mode: str) -> tuple[str, ...]:
+    """Return the names of the clauses of a mode that actions can violate."""
+    return tuple(each["clause"] for each in _logicity.describe(load_task(mode))["constraints"])
+
+
+def violation_rates(evaluations: Sequence[Mapping[str, Any]], clauses: Iterable[str]) -> dict[str, float]:
+    """Return, for each of the clauses, the share of the episodes of all runs whose last action violates it."""
+    counts = dict.fromkeys(clauses, 0)
     total = 0
     for evaluation in evaluations:
         for record in evaluation["episodes"]:
             total += 1
             for clause in record["violations"]:
-                counts[clause] = counts.get(clause, 0) + 1
+                counts[clause] += 1
     return {clause: counts[clause] / total for clause in sorted(counts, key=_by_name)}
 
 

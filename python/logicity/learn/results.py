@@ -16,7 +16,7 @@ from ..files import write_json
 from .cells import TEST, Cell, finished
 from .experiment import Experiment
 from .registry import load_policy
-from .report import MEASURES, paper_table, paper_value, per_episode, pooled, violation_rates
+from .report import MEASURES, clauses_of, paper_table, paper_value, per_episode, pooled, violation_rates
 
 __all__ = ["check_rows", "leaderboard", "read_results", "submit"]
 
@@ -149,7 +149,7 @@ def _row(file: Path, cell: Cell, root: Path, measured: Mapping[str, Any]) -> dic
         "best_after": result["best"]["steps"],
         "compliance": recorded["compliance"],
         **{name: recorded[name] for name in MEASURES},
-        "violations": violation_rates([recorded]),
+        "violations": violation_rates([recorded], clauses_of(cell.mode)),
         # What intervals over several seeds need: success, decision success and score of each episode.
         "episodes": {name: [round(float(value), 4) for value in values[name]] for name in MEASURES},
     }
