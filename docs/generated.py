@@ -425,6 +425,7 @@ MODULES = {
     "logicity.offline": "Demonstrations",
     "logicity.induction": "Learned rules",
     "logicity.envs": "Environments",
+    "logicity.layout": "Layouts of observations",
     "logicity.views": "Views of observations",
     "logicity.parallel": "Several controlled cars",
     "logicity.sb3": "Stable-Baselines3",

@@ -32,6 +32,7 @@ from .registration import register_with_gymnasium
 if TYPE_CHECKING:
     from . import envs as envs
     from . import icons as icons
+    from . import layout as layout
     from . import learn as learn
     from . import parallel as parallel
     from . import questions as questions
@@ -82,7 +83,7 @@ _NAMES = {
     ],
 }
 _HOMES = {name: module for module, names in _NAMES.items() for name in names}
-_MODULES = ("envs", "icons", "learn", "parallel", "questions", "sb3", "vap", "views")
+_MODULES = ("envs", "icons", "layout", "learn", "parallel", "questions", "sb3", "vap", "views")
 
 __all__ = [
     "ACTIONS",

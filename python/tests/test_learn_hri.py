@@ -15,10 +15,10 @@ needs("gymnasium", "learn")
 
 import logicity  # noqa: E402
 from logicity.city import ACTIONS  # noqa: E402
+from logicity.layout import Layout  # noqa: E402
 from logicity.learn import hri  # noqa: E402
 from logicity.learn.demonstrations import layout_of  # noqa: E402
 from logicity.learn.hri import HRI, HriPolicy, HriSettings, Hypothesis, Rules  # noqa: E402
-from logicity.views import Layout  # noqa: E402
 
 Bools = NDArray[np.bool_]
 
