@@ -429,6 +429,7 @@ MODULES = {
     "logicity.views": "Views of observations",
     "logicity.parallel": "Several controlled cars",
     "logicity.sb3": "Stable-Baselines3",
+    "logicity.torchrl": "TorchRL",
     "logicity.learn": "Learners",
     "logicity.vap": "Visual Action Prediction",
     "logicity.questions": "Questions for language models",
@@ -439,7 +440,7 @@ MODULES = {
 
 
 #: Optional dependencies of the package, which need not be installed to read its docstrings.
-OPTIONAL = ["PIL", "diffusers", "minari", "pettingzoo", "pyarrow", "stable_baselines3", "torch", "tqdm"]
+OPTIONAL = ["PIL", "diffusers", "minari", "pettingzoo", "pyarrow", "stable_baselines3", "tensordict", "torch", "torchrl", "tqdm"]
 
 
 @functools.cache

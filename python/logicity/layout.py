@@ -28,7 +28,7 @@ from .errors import missing_extra
 if TYPE_CHECKING:
     from gymnasium.spaces import Dict, Space
 
-__all__ = ["Layout", "View", "Views", "views_of"]
+__all__ = ["Layout", "View", "Views"]
 
 View = dict[str, NDArray[Any]]
 """An observation with named arrays."""
@@ -193,11 +193,11 @@ class Views:
         """Return the views of the last observations of episodes, computed in one batch.
 
         Args:
-            final: Objects of shape (num_envs,): the observation where an episode ended, as in `final_obs`.
-            ended: bool (num_envs,): where an episode ended, at least once.
+            final: An array of objects of shape (num_envs,), which has an observation where an episode ended.
+            ended: Where an episode ended, at least once; bool of shape (num_envs,).
 
         Returns:
-            Objects of shape (num_envs,): a view where an episode ended, and `None` elsewhere.
+            An array of objects of shape (num_envs,), which has a view where an episode ended, and `None` elsewhere.
         """
         views = np.empty(len(final), object)
         batch = self(np.stack(list(final[ended])))
