@@ -8,7 +8,7 @@ from pathlib import Path
 import pytest
 
 #: Scripts that train for about a minute. Tests of their frameworks run them.
-TRAINED = {"torchrl_ppo"}
+TRAINED = {"cleanrl_dqn", "cleanrl_ppo", "torchrl_ppo"}
 EXAMPLES = sorted(path for path in (Path(__file__).parents[1] / "examples").glob("*.py") if path.stem not in TRAINED)
 
 
