@@ -66,6 +66,10 @@ class Policy(ABC):
     def save(self, path: Path) -> None:
         """Write the policy to a file with the suffix `Learner.suffix`."""
 
+    def rules(self) -> str | None:
+        """Return the text of a rule file that decides as the policy, or `None` if the policy is not made of rules."""
+        return None
+
     @classmethod
     @abstractmethod
     def load(cls, path: Path) -> Policy:
