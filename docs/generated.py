@@ -440,7 +440,10 @@ MODULES = {
 
 
 #: Optional dependencies of the package, which need not be installed to read its docstrings.
-OPTIONAL = ["PIL", "diffusers", "minari", "pettingzoo", "pyarrow", "stable_baselines3", "tensordict", "torch", "torchrl", "tqdm"]
+OPTIONAL = [
+    *["PIL", "diffusers", "minari", "pettingzoo", "pyarrow", "stable_baselines3", "tensordict", "torch", "torchrl"],
+    "tqdm",
+]
 
 
 @functools.cache
