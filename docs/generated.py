@@ -425,9 +425,11 @@ MODULES = {
     "logicity.offline": "Demonstrations",
     "logicity.induction": "Learned rules",
     "logicity.envs": "Environments",
+    "logicity.layout": "Layouts of observations",
     "logicity.views": "Views of observations",
     "logicity.parallel": "Several controlled cars",
     "logicity.sb3": "Stable-Baselines3",
+    "logicity.torchrl": "TorchRL",
     "logicity.learn": "Learners",
     "logicity.vap": "Visual Action Prediction",
     "logicity.questions": "Questions for language models",
@@ -438,7 +440,10 @@ MODULES = {
 
 
 #: Optional dependencies of the package, which need not be installed to read its docstrings.
-OPTIONAL = ["PIL", "diffusers", "minari", "pettingzoo", "pyarrow", "stable_baselines3", "torch", "tqdm"]
+OPTIONAL = [
+    *["PIL", "diffusers", "minari", "pettingzoo", "pyarrow", "stable_baselines3", "tensordict", "torch", "torchrl"],
+    "tqdm",
+]
 
 
 @functools.cache

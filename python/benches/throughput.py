@@ -12,6 +12,7 @@ import sys
 import time
 from collections.abc import Callable
 from pathlib import Path
+from typing import Any
 
 import gymnasium
 import numpy as np
@@ -57,11 +58,9 @@ def single(mode: str) -> float:
     return rate(1, step)
 
 
-def vector(mode: str, count: int, threads: int, autoreset: str = "NextStep", copy: bool = True) -> float:
+def vector(mode: str, count: int, threads: int, **options: Any) -> float:
     """Measure a vectorized environment."""
-    envs = gymnasium.make_vec(
-        f"logicity/SPF-{mode}-v0", num_envs=count, num_threads=threads, autoreset_mode=autoreset, copy=copy
-    )
+    envs = gymnasium.make_vec(f"logicity/SPF-{mode}-v0", num_envs=count, num_threads=threads, **options)
     actions = np.random.default_rng(0).integers(4, size=(64, count))
     envs.reset(seed=0)
 
@@ -146,7 +145,9 @@ def main() -> None:
         ("`make_vec`, 256 environments, 1 thread", lambda: vector(mode, 256, 1)),
         ("`make_vec`, 1,024 environments, 1 thread", lambda: vector(mode, 1024, 1)),
         ("256, `copy=False`", lambda: vector(mode, 256, 1, copy=False)),
-        ("256, autoreset mode SameStep", lambda: vector(mode, 256, 1, "SameStep")),
+        ("256, autoreset mode SameStep", lambda: vector(mode, 256, 1, autoreset_mode="SameStep")),
+        ('256, `observation="relational"`', lambda: vector(mode, 256, 1, observation="relational")),
+        ('256, `observation="graph"`', lambda: vector(mode, 256, 1, observation="graph")),
         ("`make_vec`, 256 environments, 2 threads", lambda: vector(mode, 256, 2)),
     ]
     if importlib.util.find_spec("stable_baselines3"):

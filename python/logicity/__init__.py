@@ -16,7 +16,7 @@ Where to start:
 - `logicity.vap` makes and reads data sets of Visual Action Prediction.
 
 The core needs only numpy. Environments and `demonstrations` need the extra `gym`. `logicity.sb3`, `learn`,
-`parallel` and `icons` each need another extra. Modules are imported on first use.
+`parallel`, `torchrl` and `icons` each need another extra. Modules are imported on first use.
 
 Invalid input raises `InputError`, which lists every error with its location. The subclass `LimitError` means that a
 limit was exceeded. The subclass `UnsupportedError` means that the dense executor cannot evaluate the rules. Ctrl-C
@@ -32,10 +32,12 @@ from .registration import register_with_gymnasium
 if TYPE_CHECKING:
     from . import envs as envs
     from . import icons as icons
+    from . import layout as layout
     from . import learn as learn
     from . import parallel as parallel
     from . import questions as questions
     from . import sb3 as sb3
+    from . import torchrl as torchrl
     from . import vap as vap
     from . import views as views
     from .city import ACTIONS, HEADINGS, REASONS, AgentInfo, Decision, Inference, Simulation, Tick, infer
@@ -82,7 +84,7 @@ _NAMES = {
     ],
 }
 _HOMES = {name: module for module, names in _NAMES.items() for name in names}
-_MODULES = ("envs", "icons", "learn", "parallel", "questions", "sb3", "vap", "views")
+_MODULES = ("envs", "icons", "layout", "learn", "parallel", "questions", "sb3", "torchrl", "vap", "views")
 
 __all__ = [
     "ACTIONS",

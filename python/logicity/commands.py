@@ -20,7 +20,7 @@ from .modes import ENVIRONMENTS, checked_mode
 
 if TYPE_CHECKING:
     from .env_config import ObservationKind
-    from .evaluation import Benchmark, Evaluation, Policy
+    from .evaluation import Benchmark, Evaluation, Policy, Shape
 
 __all__ = ["SUMMARIES", "parser_of", "run"]
 
@@ -345,8 +345,10 @@ def _check_fit(policy: Policy, trained: str | None, benchmarks: Sequence[Benchma
     raise _UsageError(f"{message}\nhelp: name `--modes {','.join(modes)}`" if modes else message)
 
 
-def _numbers(shape: tuple[int, ...]) -> str:
+def _numbers(shape: Shape) -> str:
     """Describe the shape of an observation."""
+    if isinstance(shape, dict):
+        return ", ".join(f"`{name}` of {_numbers(each)}" for name, each in shape.items())
     return f"{shape[0]} numbers" if len(shape) == 1 else f"{' x '.join(map(str, shape))} numbers"
 
 
@@ -410,10 +412,15 @@ def _positive_float(text: str) -> float:
 
 
 def _observation_of(policy: Policy) -> ObservationKind:
-    """Return the kind of observation that a model was trained on: `state` has two axes, `groundings` has one."""
+    """Return the kind of observation that a model was trained on.
+
+    `state` has two axes, and `groundings` has one. The views are dictionaries of other names.
+    """
     from .evaluation import model_shape
 
     shape = model_shape(policy)
+    if isinstance(shape, dict):
+        return "graph" if "nodes" in shape else "relational"
     return "state" if shape is not None and len(shape) == 2 else "groundings"
 
 

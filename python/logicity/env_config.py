@@ -4,10 +4,10 @@ from __future__ import annotations
 
 import json
 import os
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from inspect import signature
 from pathlib import Path
-from typing import Any, Literal, TypeAlias, TypedDict
+from typing import Any, Literal, TypeAlias, TypedDict, cast, get_args
 
 import numpy as np
 
@@ -16,11 +16,16 @@ from .errors import checked_limits, checked_path, did_you_mean
 from .rules import rule_file
 from .types import Limits, Split
 
-__all__ = ["EnvConfig", "EnvOptions", "Episodes", "ObservationKind"]
+__all__ = ["ArrayKind", "EnvConfig", "EnvOptions", "Episodes", "ObservationKind", "ViewKind"]
 
-ObservationKind: TypeAlias = Literal["groundings", "state"]
-"""The kind of observation: truth values of ground atoms, or the exact state. See `logicity.envs.SPFEnv`."""
+ArrayKind: TypeAlias = Literal["groundings", "state"]
+"""A kind of observation that is one array: truth values of ground atoms, or the exact state."""
 
+ViewKind: TypeAlias = Literal["relational", "graph"]
+"""A kind of observation that is a dictionary of arrays, computed from `groundings`. See `logicity.layout`."""
+
+ObservationKind: TypeAlias = Literal["groundings", "state", "relational", "graph"]
+"""The kind of observation. See `logicity.envs.SPFEnv`."""
 
 Episodes: TypeAlias = Literal["drawn", "drawn-demanding", "recorded"]
 """The episodes of an environment. See `logicity.envs.SPFEnv`."""
@@ -55,8 +60,8 @@ class EnvConfig:
 
     Raises:
         TypeError: If an option is unknown, or has a wrong type.
-        ValueError: If `rules` is source text instead of a path, the overrides contain the key `base`, or a limit is
-            unknown or out of range.
+        ValueError: If the kind of observation is unknown, `rules` is source text instead of a path, the overrides
+            contain the key `base`, or a limit is unknown or out of range.
     """
 
     def __init__(
@@ -81,7 +86,7 @@ class EnvConfig:
             # Libraries such as TorchRL look for Python's own words to learn which arguments exist.
             of = f"{env_class.__name__}() " if env_class else ""
             raise TypeError(f"{of}got an unexpected keyword argument '{name}'{did_you_mean(name, known)}")
-        self.config, self.split, self.observation = checked_path("config", config), split, observation
+        self.config, self.split, self.observation = checked_path("config", config), split, checked_kind(observation)
         self.oracle, self.action_masks = oracle, action_masks
         self.rules, self.limits = rule_file(rules), checked_limits(limits)
         if overrides is not None and not isinstance(overrides, Mapping):
@@ -89,6 +94,11 @@ class EnvConfig:
         self.overrides = dict(overrides or {})
         if "base" in self.overrides:
             raise ValueError("`overrides` must not contain `base`: the argument `config` is the base")
+
+    @property
+    def array_kind(self) -> ArrayKind:
+        """The kind of array that the environments compute."""
+        return array_kind(self.observation)
 
     def task(self, **more: Any) -> _logicity.Task:
         """Load the task with additional overrides.
@@ -108,6 +118,27 @@ class EnvConfig:
         if len(base.parts) == 1 and not base.suffix and not base.exists():
             base = Path("configs") / f"{base}.yaml"
         return json.dumps({"base": base.as_posix(), **overrides}, default=to_json)
+
+
+def checked_kind(kind: str, known: Sequence[str] = get_args(ObservationKind)) -> ObservationKind:
+    """Check the name of a kind of observation.
+
+    Args:
+        kind: The name.
+        known: The kinds that the caller supports.
+
+    Raises:
+        ValueError: If `kind` is not one of them.
+    """
+    if kind not in known:
+        names = ", ".join(f'"{name}"' for name in known)
+        raise ValueError(f"observation must be one of {names}, not {kind!r}")
+    return cast(ObservationKind, kind)
+
+
+def array_kind(kind: ObservationKind) -> ArrayKind:
+    """Return the kind of array from which observations are made: `groundings` for views, else the kind itself."""
+    return "state" if kind == "state" else "groundings"
 
 
 def to_json(value: Any) -> Any:

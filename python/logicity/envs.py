@@ -34,7 +34,8 @@ try:
 except ImportError as error:
     raise missing_extra("gym", error) from error
 
-from .env_config import EnvConfig, EnvOptions, Episodes
+from .env_config import ArrayKind, EnvConfig, EnvOptions, Episodes
+from .layout import View, Views, views_of
 
 if TYPE_CHECKING:
     from typing_extensions import Unpack  # Python 3.11; only annotations use it
@@ -71,10 +72,11 @@ class EpisodeStart(TypedDict):
     oracle: OracleRun | None
 
 
-def observation_space(config: EnvConfig, task: _logicity.Task) -> Box:
-    """Return the observation space of a task."""
-    low = 0.0 if config.observation == "groundings" else -1.0
-    return Box(low, 1.0, tuple(task.shape(config.observation)), np.float32)
+def observation_space(task: _logicity.Task, kind: ArrayKind, views: Views | None) -> Space[Any]:
+    """Return the observation space of a task: that of the views if there are any."""
+    if views is not None:
+        return views.space()
+    return Box(0.0 if kind == "groundings" else -1.0, 1.0, tuple(task.shape(kind)), np.float32)
 
 
 def checked_seed(seed: int | None, generator: np.random.Generator) -> int:
@@ -114,21 +116,26 @@ class _HorizonSpec:
         if spec is not None:
             spec = copy(spec)
             spec.max_episode_steps = env._task.max_steps(env._config.split, env._recorded)
+            # `make_vec` adds it to the arguments if it gets such a spec.
+            spec.kwargs = {name: value for name, value in spec.kwargs.items() if name != "max_episode_steps"}
         setattr(env, self._name, spec)
 
 
-class SPFEnv(gymnasium.Env[Observations, np.int64]):
+class SPFEnv(gymnasium.Env[Any, np.int64]):
     """Safe Path Following with one controlled car.
 
-    Observations are float32 arrays:
+    Observations are float32 arrays, or dictionaries of arrays:
 
     - `observation="groundings"` (default): the truth values, 0 or 1, of the ground atoms over the ego and the first 4
       other agents in its view. The shape is (85,), (140,) or (205,), depending on the predicates of the mode. With
       `task: {route_length: true}` in the configuration, the array has one more number, from 0 to 1.
     - `observation="state"`: the exact state, values from -1 to 1, of shape (20, 15), (20, 16) or (20, 19). The first
       row is the ego. The other rows are the other agents in its field of view, up to the number of rows.
+    - `observation="relational"`: the truth values of `groundings` as tensors over the entities, see
+      `logicity.views.RelationalObservation`.
+    - `observation="graph"`: the same as a complete graph over the entities, see `logicity.views.GraphObservation`.
 
-    `logicity describe` prints the meaning of each number of both kinds.
+    `logicity describe` prints the meaning of each number of the first two kinds.
 
     The environment truncates episodes itself. `spec.max_episode_steps` is the horizon of the configuration, or the
     largest step limit of the recorded episodes.
@@ -179,12 +186,12 @@ class SPFEnv(gymnasium.Env[Observations, np.int64]):
     ) -> None:
         """Load the configuration and the rules."""
         self._config = EnvConfig(config, SPFEnv, **options)
-        self._atoms = atoms
+        self._kind, self._atoms = self._config.array_kind, atoms
         self._episodes, self._recorded = episodes, episodes == "recorded"
         self.render_mode = checked_render_mode(render_mode, self.metadata)
         self._task = self._config.task()
-        space = observation_space(self._config, self._task)
-        self.observation_space, self._shape = cast(Space[Observations], space), space.shape
+        self._views, self._shape = views_of(self._task, self._config.observation), tuple(self._task.shape(self._kind))
+        self.observation_space = observation_space(self._task, self._kind, self._views)
         self.action_space = Discrete(4)
         self._base = self._make_core(self._task)
         self._core, self._core_task = self._base, self._task
@@ -193,7 +200,7 @@ class SPFEnv(gymnasium.Env[Observations, np.int64]):
 
     def _make_core(self, task: _logicity.Task) -> _logicity.VectorEnv:
         config = self._config
-        core = _logicity.VectorEnv(task, config.split, 1, "Disabled", config.observation, self._episodes, 1)
+        core = _logicity.VectorEnv(task, config.split, 1, "Disabled", self._kind, self._episodes, 1)
         if config.action_masks:
             core.judge_actions()
         return core
@@ -201,9 +208,10 @@ class SPFEnv(gymnasium.Env[Observations, np.int64]):
     def _new_observation(self) -> Observations:
         return np.empty(self._shape, np.float32)
 
-    def reset(
-        self, *, seed: int | None = None, options: dict[str, Any] | None = None
-    ) -> tuple[Observations, dict[str, Any]]:
+    def _output(self, observation: Observations) -> Observations | View:
+        return observation if self._views is None else self._views(observation)
+
+    def reset(self, *, seed: int | None = None, options: dict[str, Any] | None = None) -> tuple[Any, dict[str, Any]]:
         """Start an episode.
 
         Args:
@@ -233,7 +241,7 @@ class SPFEnv(gymnasium.Env[Observations, np.int64]):
         if self._core is not self._base:
             self._base.seed(0, *self._core.source(0))
         self._begun = True
-        return observation, _env_info(self._core.info(0), self._config, self._core, 0, self._atoms)
+        return self._output(observation), _env_info(self._core.info(0), self._config, self._core, 0, self._atoms)
 
     def _apply_overrides(self, overrides: dict[str, Any]) -> None:
         """Switch to the configuration with these overrides, and continue the sequence of episodes."""
@@ -242,12 +250,12 @@ class SPFEnv(gymnasium.Env[Observations, np.int64]):
             return
         if self._core is self._base or overrides != self._overrides:
             task = self._config.task(**overrides)
-            if observation_space(self._config, task) != self.observation_space:
+            if tuple(task.shape(self._kind)) != self._shape:
                 raise ValueError("`map` and `agents` must not change the shape of observations")
             self._core, self._core_task, self._overrides = self._make_core(task), task, overrides
         self._core.seed(0, *self._base.source(0))
 
-    def step(self, action: np.int64 | int) -> tuple[Observations, float, bool, bool, dict[str, Any]]:
+    def step(self, action: np.int64 | int) -> tuple[Any, float, bool, bool, dict[str, Any]]:
         """Run one tick with an action of the controlled car.
 
         Args:
@@ -263,7 +271,8 @@ class SPFEnv(gymnasium.Env[Observations, np.int64]):
         self._check_begun()
         observation = self._new_observation()
         reward, terminated, truncated, info = self._core.step_one(checked_action(action), observation)
-        return observation, reward, terminated, truncated, _env_info(info, self._config, self._core, 0, self._atoms)
+        info = _env_info(info, self._config, self._core, 0, self._atoms)
+        return self._output(observation), reward, terminated, truncated, info
 
     def action_masks(self) -> NDArray[np.bool_]:
         """Return for each action whether it violates no clause in the current state. The shape is (4,).
@@ -468,13 +477,14 @@ def _rendered(core: _logicity.VectorEnv, at: int, mode: str) -> Any:
     return core.picture(at) if mode == "rgb_array" else core.text(at)
 
 
-class SPFVectorEnv(VectorEnv[Observations, NDArray[np.int64], NDArray[Any]]):
+class SPFVectorEnv(VectorEnv[Any, NDArray[np.int64], NDArray[Any]]):
     """A vectorized environment of Safe Path Following: one call steps all environments.
 
     Vectorized results equal those of individual `SPFEnv` environments with the same seeds. `reset(seed=s)` gives
     environment i the seed s + i. Not thread-safe: concurrent use raises `RuntimeError`.
 
-    Observations have shape (num_envs, ...). Rewards (float64), `terminated` (bool) and `truncated` (bool) have shape
+    Observations have shape (num_envs, ...), or are dictionaries of such arrays, computed for all environments at once.
+    Rewards (float64), `terminated` (bool) and `truncated` (bool) have shape
     (num_envs,). `infos` has one array per key of `SPFEnv`'s `info`, and its mask under `_key`. In the autoreset mode
     SameStep, `final_obs` and `final_info` have the last observations and infos of the episodes that ended.
 
@@ -487,14 +497,17 @@ class SPFVectorEnv(VectorEnv[Observations, NDArray[np.int64], NDArray[Any]]):
         autoreset_mode: An `AutoresetMode`, or its name or value in any case: `"SAME_STEP"`, `"SameStep"`.
         num_threads: The number of threads of a step.
         copy: Whether every call returns a new array of observations. `False` is faster: every call overwrites and
-            returns the same array.
+            returns the same array. Observations of the kinds `relational` and `graph` are always new.
+        max_episode_steps: The horizon, which `gymnasium.make_vec` passes if it gets the `spec` of such environments. It
+            cannot change the horizon: `overrides={"task": {"horizon": 100}}` does.
         options: As for `SPFEnv`.
 
     Raises:
         InputError: If the configuration, the rule file or an episode is invalid.
         OSError: If a file cannot be read.
         TypeError: If an option is unknown.
-        ValueError: If a name is unknown, or the number of environments or threads is below 1.
+        ValueError: If a name is unknown, the number of environments or threads is below 1, or `max_episode_steps` is
+            not the horizon.
     """
 
     metadata: dict[str, Any] = {"render_modes": ["rgb_array", "ansi"], "render_fps": 10}
@@ -511,6 +524,7 @@ class SPFVectorEnv(VectorEnv[Observations, NDArray[np.int64], NDArray[Any]]):
         autoreset_mode: AutoresetMode | str = AutoresetMode.NEXT_STEP,
         num_threads: int = 1,
         copy: bool = True,
+        max_episode_steps: int | None = None,
         **options: Unpack[EnvOptions],
     ) -> None:
         """Load the configuration and the rules."""
@@ -522,14 +536,21 @@ class SPFVectorEnv(VectorEnv[Observations, NDArray[np.int64], NDArray[Any]]):
         self.render_mode = checked_render_mode(render_mode, self.metadata)
         self._atoms, self.copy = atoms, copy
         self._config = EnvConfig(config, SPFVectorEnv, **options)
-        self._task = self._config.task()
-        self.single_observation_space = observation_space(self._config, self._task)
+        self._kind, self._task = self._config.array_kind, self._config.task()
+        self._views, self._shape = views_of(self._task, self._config.observation), tuple(self._task.shape(self._kind))
+        self.single_observation_space = observation_space(self._task, self._kind, self._views)
         self.single_action_space = Discrete(4)
         self.observation_space = batch_space(self.single_observation_space, num_envs)
         self.action_space = batch_space(self.single_action_space, num_envs)
         self._episodes, self._recorded = episodes, episodes == "recorded"
         self._core = self._make_core()
-        self._observations = np.zeros((num_envs, *(self.single_observation_space.shape or ())), np.float32)
+        horizon = self._task.max_steps(self._config.split, self._recorded)
+        if max_episode_steps not in (None, horizon):
+            raise ValueError(
+                f"max_episode_steps: the horizon is {horizon}, not {max_episode_steps}: set it with "
+                f'`overrides={{"task": {{"horizon": {max_episode_steps}}}}}`'
+            )
+        self._observations = np.zeros((num_envs, *self._shape), np.float32)
         self._seeded = np.zeros(num_envs, np.bool_)
         self._no_violations = np.empty(num_envs, object)
         self._no_violations.fill(())
@@ -537,7 +558,7 @@ class SPFVectorEnv(VectorEnv[Observations, NDArray[np.int64], NDArray[Any]]):
     def _make_core(self) -> _logicity.VectorEnv:
         config, mode = self._config, self.autoreset_mode.value
         core = _logicity.VectorEnv(
-            self._task, config.split, self.num_envs, mode, config.observation, self._episodes, self._num_threads
+            self._task, config.split, self.num_envs, mode, self._kind, self._episodes, self._num_threads
         )
         if config.action_masks:
             core.judge_actions()
@@ -547,7 +568,7 @@ class SPFVectorEnv(VectorEnv[Observations, NDArray[np.int64], NDArray[Any]]):
 
     def reset(
         self, *, seed: int | Sequence[int | None] | None = None, options: dict[str, Any] | None = None
-    ) -> tuple[Observations, dict[str, Any]]:
+    ) -> tuple[Any, dict[str, Any]]:
         """Start episodes.
 
         Args:
@@ -598,7 +619,9 @@ class SPFVectorEnv(VectorEnv[Observations, NDArray[np.int64], NDArray[Any]]):
             infos = self._add_info(infos, info, int(at))
         return self._output(), infos
 
-    def _output(self) -> Observations:
+    def _output(self) -> Observations | View:
+        if self._views is not None:
+            return self._views(self._observations)
         return self._observations.copy() if self.copy else self._observations
 
     def _mask(self, options: Mapping[str, Any]) -> NDArray[np.bool_]:
@@ -613,7 +636,7 @@ class SPFVectorEnv(VectorEnv[Observations, NDArray[np.int64], NDArray[Any]]):
 
     def step(
         self, actions: ArrayLike
-    ) -> tuple[Observations, NDArray[np.float64], NDArray[np.bool_], NDArray[np.bool_], dict[str, Any]]:
+    ) -> tuple[Any, NDArray[np.float64], NDArray[np.bool_], NDArray[np.bool_], dict[str, Any]]:
         """Run one tick in every environment.
 
         Args:
@@ -695,11 +718,12 @@ class SPFVectorEnv(VectorEnv[Observations, NDArray[np.int64], NDArray[Any]]):
         if self._atoms:
             info["true_atoms"] = np.empty(count, object)
         mask = np.zeros(count, np.bool_)
-        shape = self.single_observation_space.shape
         for at, observation, labels in ends:
-            observations[at], violations[at], mask[at] = observation.reshape(shape), labels, True
+            observations[at], violations[at], mask[at] = observation.reshape(self._shape), labels, True
             if self._atoms:
                 info["true_atoms"][at] = self._core.ended_atoms(at)
+        if self._views is not None:
+            infos["final_obs"] = self._views.of_ended(observations, mask)
         for key in tuple(info):
             info["_" + key] = mask.copy()
         infos["final_info"], infos["_final_info"], infos["_final_obs"] = info, mask.copy(), mask

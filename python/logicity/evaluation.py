@@ -19,7 +19,7 @@ from numpy.typing import NDArray
 
 from . import _logicity
 from .city import ACTIONS
-from .env_config import EnvConfig, ObservationKind
+from .env_config import EnvConfig, ObservationKind, array_kind, checked_kind
 from .errors import InputError, checked_path
 from .files import check_writable
 from .modes import checked_mode
@@ -28,10 +28,15 @@ from .types import Diagnostic, Limits
 if TYPE_CHECKING:
     from types import TracebackType
 
+    from .layout import View
+
 __all__ = ["Benchmark", "EpisodeRecord", "Evaluation", "Interval", "Policy", "evaluate"]
 
 Observations: TypeAlias = NDArray[np.float32]
 Actions: TypeAlias = NDArray[np.int64]
+
+#: The shape of an observation, or the shape of each array of an observation that is a dictionary.
+Shape: TypeAlias = tuple[int, ...] | dict[str, tuple[int, ...]]
 
 
 class Predictor(Protocol):
@@ -219,7 +224,7 @@ class Benchmark:
         rules: A rule file that replaces the mode's. The recorded episodes do not change, so the oracle may not reach
             the goal.
         overrides: Changes to the configuration, as in `gymnasium.make`.
-        observation: `"groundings"` or `"state"`, as in `gymnasium.make`.
+        observation: The kind of observation, as in `gymnasium.make`.
         limits: The limits of each evaluation of the rules, as in `gymnasium.make`.
 
     Raises:
@@ -240,10 +245,14 @@ class Benchmark:
         limits: Limits | None = None,
     ) -> None:
         """Load the task and its episodes."""
+        # That module needs `load_task`.
+        from .layout import views_of
+
         self.mode, self.split = checked_mode(mode), split
-        self._observation = observation
+        self._kind = array_kind(checked_kind(observation))
         self._config = EnvConfig(self.mode, rules=rules, overrides=overrides, limits=limits)
         self._task = self._config.task()
+        self._views = views_of(self._task, observation)
         self._random = _logicity.RandomBaseline(self._task, split)
         self.episodes_hash = self._random.hash()
         self._baseline_episodes = 0
@@ -253,9 +262,9 @@ class Benchmark:
         return len(self._random)
 
     @property
-    def observation_shape(self) -> tuple[int, ...]:
-        """The shape of an observation."""
-        return tuple(self._task.shape(self._observation))
+    def observation_shape(self) -> Shape:
+        """The shape of an observation, or that of each of its arrays by name."""
+        return tuple(self._task.shape(self._kind)) if self._views is None else self._views.shapes()
 
     def __getstate__(self) -> dict[str, Any]:
         """Return the arguments. A copy runs the random policy again."""
@@ -296,9 +305,10 @@ class Benchmark:
 
         Args:
             policy: `"oracle"`, `"random"`, a model of Stable-Baselines3, or a function. A model predicts
-                deterministically. A function maps one observation to one action, 0 to 3.
-            batched: Whether the function takes all observations, float32 of shape (episodes, ...), and returns integers
-                of shape (episodes,).
+                deterministically. A function maps one observation to one action, 0 to 3. If the kind of observation is
+                `relational` or `graph`, a model needs an `observation_space` with these arrays.
+            batched: Whether the function takes all observations, float32 of shape (episodes, ...) or a dictionary of
+                such arrays, and returns integers of shape (episodes,).
             name: The name of the policy in the result.
             traces: A folder for one trace per episode, which is created if it does not exist. `episode-7.jsonl` is the
                 trace of episode 7, see `SPFEnv.write_trace`. They replace traces that this package wrote and that
@@ -349,14 +359,9 @@ class Benchmark:
                     "the random policy runs every episode ten times and supports no traces: pass a function instead"
                 )
             return self._result(named, self._baseline().report())
-        shape = model_shape(policy)
-        if shape not in (None, self.observation_shape):
-            raise ValueError(
-                f"the model takes observations of shape {shape}, and those of `{self.mode}` have shape "
-                f"{self.observation_shape}: name the mode and the observation of its training"
-            )
-        evaluator = _logicity.BatchEvaluator(self._random, self._observation)
-        observations = np.zeros((len(evaluator), *self._task.shape(self._observation)), np.float32)
+        self._check_model(policy)
+        evaluator = _logicity.BatchEvaluator(self._random, self._kind)
+        observations = np.zeros((len(evaluator), *self._task.shape(self._kind)), np.float32)
         running = np.ones(len(evaluator), np.bool_)
         act = _actor(policy, batched, evaluator)
         if traces is not None:
@@ -366,7 +371,8 @@ class Benchmark:
         with Progress(f"{self.mode} {self.split}, {named}", len(evaluator)) as progress:
             while running.any():
                 evaluator.observe(observations)
-                actions = _checked(act(observations, running), len(evaluator))
+                given = observations if self._views is None else self._views(observations)
+                actions = _checked(act(given, running), len(evaluator))
                 evaluator.step(actions)
                 if traces is not None:
                     for at in np.flatnonzero(running):
@@ -376,6 +382,24 @@ class Benchmark:
         if traces is not None:
             self._write_traces(traces, evaluator, taken, overwrite)
         return self._result(named, evaluator.report(self._baseline()))
+
+    def _check_model(self, policy: Policy) -> None:
+        """Check that a model takes the observations.
+
+        Raises:
+            ValueError: If it takes others.
+        """
+        shape = model_shape(policy)
+        if shape not in (None, self.observation_shape):
+            raise ValueError(
+                f"the model takes observations of shape {shape}, and those of `{self.mode}` have shape "
+                f"{self.observation_shape}: name the mode and the observation of its training"
+            )
+        if shape is None and self._views is not None and hasattr(policy, "predict"):
+            raise ValueError(
+                f"{type(policy).__name__} has no `observation_space`, so it does not say that it takes observations of "
+                f"the kind `{self._views.kind}`: use `groundings`, or pass a function"
+            )
 
     def _write_traces(
         self, folder: Path, evaluator: _logicity.BatchEvaluator, taken: list[bytearray], overwrite: bool
@@ -410,9 +434,13 @@ class Benchmark:
         )
 
 
-def model_shape(policy: Any) -> tuple[int, ...] | None:
+def model_shape(policy: Any) -> Shape | None:
     """Return the shape of the observations that a model takes, or `None` if the policy has no such shape."""
-    shape = getattr(getattr(policy, "observation_space", None), "shape", None)
+    space = getattr(policy, "observation_space", None)
+    parts = getattr(space, "spaces", None)
+    if isinstance(parts, Mapping):
+        return {name: tuple(part.shape) for name, part in parts.items()}
+    shape = getattr(space, "shape", None)
     return None if shape is None else tuple(shape)
 
 
@@ -422,7 +450,7 @@ def _trace_name(episode: int) -> str:
 
 def _actor(
     policy: Policy, batched: bool, evaluator: _logicity.BatchEvaluator
-) -> Callable[[Observations, NDArray[np.bool_]], Any]:
+) -> Callable[[Observations | View, NDArray[np.bool_]], Any]:
     """Return a function from all observations and the mask of running episodes to actions."""
     if isinstance(policy, str):
         if policy != "oracle":
@@ -439,10 +467,10 @@ def _actor(
     if batched:
         return lambda observations, running: function(observations)
 
-    def one_by_one(observations: Observations, running: NDArray[np.bool_]) -> Any:
-        actions = np.zeros(len(observations), np.int64)
+    def one_by_one(observations: Observations | View, running: NDArray[np.bool_]) -> Any:
+        actions = np.zeros(len(running), np.int64)
         for at in np.flatnonzero(running):
-            action = np.asarray(function(observations[at].copy()))
+            action = np.asarray(function(_row(observations, at)))
             if action.size != 1:
                 raise ValueError(f"expected one action per observation, not an array of shape {action.shape}")
             actions[at] = _checked(action.reshape(1), 1)[0]
@@ -451,14 +479,22 @@ def _actor(
     return one_by_one
 
 
-def _predicting(model: Predictor) -> Callable[[Observations, NDArray[np.bool_]], Any]:
+def _row(observations: Observations | View, at: np.intp) -> Observations | View:
+    """Return a copy of the observation of one episode."""
+    if isinstance(observations, dict):
+        return {name: values[at].copy() for name, values in observations.items()}
+    row: Observations = observations[at].copy()
+    return row
+
+
+def _predicting(model: Predictor) -> Callable[[Observations | View, NDArray[np.bool_]], Any]:
     """Return a function that calls a model, and keeps the state of a recurrent model between steps."""
     state: Any = None
     first_step = True
 
-    def act(observations: Observations, running: NDArray[np.bool_]) -> Any:
+    def act(observations: Observations | View, running: NDArray[np.bool_]) -> Any:
         nonlocal state, first_step
-        starts = np.full(len(observations), first_step)
+        starts = np.full(len(running), first_step)
         first_step = False
         actions, state = model.predict(observations, state=state, episode_start=starts, deterministic=True)
         return actions

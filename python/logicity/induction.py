@@ -338,7 +338,7 @@ def induce(
 def _source(demonstrations: Any) -> _Source:
     """Return the episodes of demonstrations, and what is known about them."""
     if isinstance(demonstrations, Demonstrations):
-        _check_observation(bool(demonstrations.atoms))
+        _check_observation("groundings" if demonstrations.atoms else "state")
         return _Source(
             demonstrations,
             f"of {demonstrations.mode} ({demonstrations.split})",
@@ -356,9 +356,9 @@ def _source(demonstrations: Any) -> _Source:
     return _Source(demonstrations)
 
 
-def _check_observation(is_groundings: bool) -> None:
-    if not is_groundings:
-        raise ValueError("expected observations of the kind `groundings`, not `state`")
+def _check_observation(kind: str) -> None:
+    if kind != "groundings":
+        raise ValueError(f"expected observations of the kind `groundings`, not `{kind}`")
 
 
 def _load_minari(name: str | os.PathLike[str]) -> MinariDataset:
@@ -380,7 +380,7 @@ def _minari(dataset: MinariDataset) -> _Source:
     spec: gymnasium.envs.registration.EnvSpec | None = dataset.env_spec
     if spec is None or spec.namespace != "logicity":
         return _Source(dataset, f"of {dataset.id}")
-    _check_observation(spec.kwargs.get("observation", "groundings") == "groundings")
+    _check_observation(spec.kwargs.get("observation", "groundings"))
     return _Source(dataset, f"of {dataset.id}", spec.kwargs.get("config"), spec.kwargs)
 
 

@@ -13,7 +13,7 @@ from contextlib import ExitStack
 from copy import copy
 from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, overload
+from typing import TYPE_CHECKING, Any, get_args, overload
 
 import numpy as np
 from numpy.typing import NDArray
@@ -21,7 +21,7 @@ from numpy.typing import NDArray
 from . import _logicity
 from .city import ACTIONS
 from .describe import Atom, atoms_of
-from .env_config import ObservationKind
+from .env_config import ArrayKind, ViewKind, checked_kind
 from .errors import as_integer, checked_path, missing_extra
 from .evaluation import episodes_that_fit, load_task
 from .files import replacing, reserved
@@ -310,7 +310,7 @@ def demonstrations(
     n: int | None = None,
     split: str = "train",
     *,
-    observation: ObservationKind = "groundings",
+    observation: ArrayKind = "groundings",
     **options: Any,
 ) -> Demonstrations:
     """Run the oracle on the first n recorded episodes of a split.
@@ -320,7 +320,8 @@ def demonstrations(
             episodes make` records episodes for a configuration file.
         n: The number of episodes, by default all. The modes have 40 episodes for `"val"`, and 100 for each other split.
         split: `"train"`, `"val"` or `"test"`.
-        observation: `"groundings"` or `"state"`, as in `gymnasium.make`.
+        observation: `"groundings"` or `"state"`, as in `gymnasium.make`. `logicity.layout.Views` maps `groundings` to
+            the other kinds.
         options: Other options of `gymnasium.make`, such as `overrides`.
 
     Raises:
@@ -332,6 +333,7 @@ def demonstrations(
             episodes.
     """
     name = checked_mode(mode)
+    _check_array(observation)
     task = load_task(mode, options.get("rules"), options.get("overrides"))
     count = task.recorded(split)
     wanted = count if n is None else as_integer("n", n)
@@ -352,6 +354,20 @@ def demonstrations(
     asked = {constraint["action"] for constraint in description["constraints"]}
     named = tuple(action for action in ACTIONS if action in asked)
     return Demonstrations(name, split, description["splits"][split]["hash"], atoms, named, spec, trajectories)
+
+
+def _check_array(kind: str) -> None:
+    """Check that observations of a kind are single arrays.
+
+    Raises:
+        ValueError: If they are not.
+    """
+    if kind in get_args(ViewKind):
+        raise ValueError(
+            f"demonstrations have observations of the kind `groundings` or `state`, not `{kind}`: use `groundings`, "
+            "and map them with `logicity.layout.Views`"
+        )
+    checked_kind(kind)
 
 
 def _environment(mode: str, **options: Any) -> gymnasium.Env[Any, Any]:

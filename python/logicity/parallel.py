@@ -14,7 +14,7 @@ from .errors import missing_extra
 try:
     import gymnasium
     from gymnasium.error import InvalidAction, ResetNeeded
-    from gymnasium.spaces import Box, Discrete
+    from gymnasium.spaces import Discrete, Space
     from gymnasium.utils.seeding import np_random
     from pettingzoo import ParallelEnv
 except ImportError as error:
@@ -33,6 +33,7 @@ from .envs import (
     parse_episode,
 )
 from .errors import did_you_mean
+from .layout import View, views_of
 
 if TYPE_CHECKING:
     from typing_extensions import Unpack  # Python 3.11; only annotations use it
@@ -42,7 +43,7 @@ __all__ = ["SPFParallelEnv"]
 _T = TypeVar("_T")
 
 
-class SPFParallelEnv(ParallelEnv[str, Observations, "np.int64 | int"]):
+class SPFParallelEnv(ParallelEnv[str, Any, "np.int64 | int"]):
     """Safe Path Following in which every car is a controlled agent, named `Car_1`, `Car_2`, ...
 
     Observations, actions, rewards and `info` of a car are those of `SPFEnv`. When the episode of a car ends, the car
@@ -67,21 +68,25 @@ class SPFParallelEnv(ParallelEnv[str, Observations, "np.int64 | int"]):
         self.render_mode = checked_render_mode(render_mode, self.metadata)
         self._config = EnvConfig(config, SPFParallelEnv, **options)
         self._task = self._config.task()
+        self._kind = self._config.array_kind
+        self._views, self._shape = views_of(self._task, self._config.observation), tuple(self._task.shape(self._kind))
         self._cars = self._make_cars()
         self.possible_agents = self._cars.names()
         self.agents: list[str] = []
         self._index = {name: car for car, name in enumerate(self.possible_agents)}
         # Each car has its own space, so that seeding one does not affect the others.
-        self.observation_spaces = {name: observation_space(self._config, self._task) for name in self.possible_agents}
+        self.observation_spaces = {
+            name: observation_space(self._task, self._kind, self._views) for name in self.possible_agents
+        }
         self.action_spaces = {name: Discrete(4) for name in self.possible_agents}
         self._generator: np.random.Generator | None = None
         self._seeded = self._begun = False
 
     def _make_cars(self) -> _logicity.MultiCarEnv:
         config = self._config
-        return _logicity.MultiCarEnv(self._task, config.split, config.observation, config.action_masks)
+        return _logicity.MultiCarEnv(self._task, config.split, self._kind, config.action_masks)
 
-    def observation_space(self, agent: str) -> Box:
+    def observation_space(self, agent: str) -> Space[Any]:
         """Return the observation space of a car. Every call returns the same object.
 
         Raises:
@@ -108,7 +113,7 @@ class SPFParallelEnv(ParallelEnv[str, Observations, "np.int64 | int"]):
 
     def reset(
         self, seed: int | None = None, options: dict[str, Any] | None = None
-    ) -> tuple[dict[str, Observations], dict[str, dict[str, Any]]]:
+    ) -> tuple[dict[str, Any], dict[str, dict[str, Any]]]:
         """Start an episode, see `SPFEnv.reset`.
 
         Args:
@@ -138,14 +143,14 @@ class SPFParallelEnv(ParallelEnv[str, Observations, "np.int64 | int"]):
         infos = {name: info_dict(self._cars.outcome(self._index[name])[3], self._config) for name in self.agents}
         return {name: self._observe(name) for name in self.agents}, infos
 
-    def _observe(self, name: str) -> Observations:
-        observation = np.empty(self.observation_space(name).shape, np.float32)
+    def _observe(self, name: str) -> Observations | View:
+        observation = np.empty(self._shape, np.float32)
         self._cars.observe(self._index[name], observation)
-        return observation
+        return observation if self._views is None else self._views(observation)
 
     def step(
         self, actions: dict[str, np.int64 | int]
-    ) -> tuple[dict[str, Observations], dict[str, float], dict[str, bool], dict[str, bool], dict[str, dict[str, Any]]]:
+    ) -> tuple[dict[str, Any], dict[str, float], dict[str, bool], dict[str, bool], dict[str, dict[str, Any]]]:
         """Run one tick.
 
         Args:

@@ -18,7 +18,7 @@ try:
 except ImportError as error:
     raise missing_extra("learn", error) from error
 
-from .envs import Observations, SPFVectorEnv, check_options
+from .envs import SPFVectorEnv, check_options
 
 __all__ = ["SPFVecEnv", "make_vec_env"]
 
@@ -32,7 +32,8 @@ class SPFVecEnv(VecEnv):
     Rewards are float32. The `infos` of a step are dictionaries with the keys of `SPFEnv`'s `info`. When an episode
     ends, the environment starts the next one in the same step. The info then describes the end of the episode, with the
     additional keys `terminal_observation`, `TimeLimit.truncated` and `is_success`. `set_options` accepts the option
-    `episode` of `SPFEnv.reset`.
+    `episode` of `SPFEnv.reset`. Observations of the kinds `relational` and `graph` are dictionaries, which need the
+    policy `MultiInputPolicy`.
 
     Args:
         envs: Environments with the autoreset mode SameStep.
@@ -49,7 +50,7 @@ class SPFVecEnv(VecEnv):
         self._actions: NDArray[Any] | None = None
         super().__init__(envs.num_envs, envs.single_observation_space, envs.single_action_space)
 
-    def reset(self) -> Observations:
+    def reset(self) -> Any:
         """Start episodes, with the seeds of `seed` and the options of `set_options` if these were called before."""
         for options in self._options:
             check_options(options, ("episode",))
@@ -64,7 +65,7 @@ class SPFVecEnv(VecEnv):
         """Store the actions, of shape (num_envs,), for `step_wait`."""
         self._actions = actions
 
-    def step_wait(self) -> tuple[Observations, NDArray[np.float32], NDArray[np.bool_], list[dict[str, Any]]]:
+    def step_wait(self) -> tuple[Any, NDArray[np.float32], NDArray[np.bool_], list[dict[str, Any]]]:
         """Step with the stored actions.
 
         Raises:

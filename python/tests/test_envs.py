@@ -404,6 +404,8 @@ def test_the_spec_has_the_horizon_of_the_environment(tmp_path: Path) -> None:
         assert "TimeLimit" not in str(env)
         envs = gymnasium.make_vec(id, num_envs=2)
         assert envs.spec is not None and envs.spec.max_episode_steps == horizon
+    with pytest.raises(ValueError, match='the horizon is .*`overrides={"task": {"horizon": 50}}`'):
+        gymnasium.make_vec(IDS[0], num_envs=2, max_episode_steps=50)
     env = gymnasium.make(IDS[0], overrides={"task": {"horizon": 7}})
     assert env.spec is not None and env.spec.max_episode_steps == 7
     again = gymnasium.make(env.spec)

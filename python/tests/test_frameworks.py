@@ -30,7 +30,7 @@ def foreign_warnings() -> Iterator[None]:
 class TestTorchRL:
     @pytest.fixture(autouse=True)
     def torchrl(self) -> Any:
-        return needs("torchrl.envs", "test-all")
+        return needs("torchrl.envs", "torchrl")
 
     @pytest.mark.parametrize("options", [{}, {"observation": "state", "split": "test"}])
     def test_an_environment_by_its_id(self, torchrl: Any, options: dict[str, Any]) -> None:

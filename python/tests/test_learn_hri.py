@@ -15,10 +15,10 @@ needs("gymnasium", "learn")
 
 import logicity  # noqa: E402
 from logicity.city import ACTIONS  # noqa: E402
-from logicity.learn import hri  # noqa: E402
+from logicity.layout import Layout  # noqa: E402
+from logicity.learn import TrainConfig, hri, load_policy, train  # noqa: E402
 from logicity.learn.demonstrations import layout_of  # noqa: E402
 from logicity.learn.hri import HRI, HriPolicy, HriSettings, Hypothesis, Rules  # noqa: E402
-from logicity.views import Layout  # noqa: E402
 
 Bools = NDArray[np.bool_]
 
@@ -315,6 +315,19 @@ def test_policies_are_saved_and_actions_have_precedence(tmp_path: Path) -> None:
     torch.save(plain, tmp_path / "other.pt")
     with pytest.raises(ValueError, match="is not a policy of hri"):
         HriPolicy.load(tmp_path / "other.pt")
+
+
+def test_training_writes_a_rule_file_that_decides_as_the_policy(tmp_path: Path) -> None:
+    given = TrainConfig(algorithm="hri", mode="easy", steps=100, demonstrations=0.1, validate_every=100)
+    train(given, tmp_path, tensorboard=False)
+    saved = load_policy(tmp_path)
+    assert saved.path.name == "best.pt"
+    text = (tmp_path / "rules.dl").read_text(encoding="utf-8")
+    assert text == saved.policy.rules() and ":-" in text
+    rules = logicity.RulePolicy(tmp_path / "rules.dl", "easy")
+    steps = np.concatenate([each.observations for each in logicity.demonstrations("easy", 20, "test")])
+    actions, _ = saved.policy.predict(steps)
+    assert np.array_equal(rules(steps), actions) and len(set(actions.tolist())) > 1
 
 
 def test_faulty_settings_are_errors() -> None:

@@ -15,7 +15,7 @@ from conftest import needs
 
 import logicity
 from logicity import ENVIRONMENTS, Demonstrations, demonstrations
-from logicity.env_config import ObservationKind
+from logicity.env_config import ArrayKind
 
 
 @pytest.fixture(scope="module")
@@ -200,7 +200,7 @@ def test_state_observations_cannot_be_exported_to_popper(tmp_path: Path) -> None
 
 
 @pytest.mark.parametrize("observation", ["groundings", "state"])
-def test_a_table_has_every_step(observation: ObservationKind, tmp_path: Path) -> None:
+def test_a_table_has_every_step(observation: ArrayKind, tmp_path: Path) -> None:
     parquet = needs("pyarrow.parquet", "offline")
     trajectories = demonstrations("easy", 3, "val", observation=observation)
     trajectories.to_parquet(tmp_path / "steps.parquet")

@@ -2,6 +2,7 @@ from __future__ import annotations
 
 import copy
 import pickle
+from pathlib import Path
 from typing import Any
 
 import gymnasium
@@ -10,10 +11,12 @@ import pytest
 from conftest import needs
 
 import logicity
+from logicity.__main__ import main
 from logicity.envs import SPFEnv, SPFVectorEnv
 
 needs("stable_baselines3", "learn")
 from stable_baselines3 import DQN  # noqa: E402
+from stable_baselines3.common.buffers import DictReplayBuffer  # noqa: E402
 from stable_baselines3.common.env_checker import check_env  # noqa: E402
 from stable_baselines3.common.vec_env import DummyVecEnv, VecMonitor  # noqa: E402
 
@@ -66,6 +69,44 @@ def test_dqn_trains() -> None:
     model = DQN("MlpPolicy", envs, learning_starts=100, seed=0)
     model.learn(400)
     assert model.ep_info_buffer
+
+
+@pytest.mark.parametrize("kind", ["relational", "graph"])
+def test_a_model_trains_on_views(kind: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    envs = make_vec_env("easy", 4, seed=0, observation=kind)
+    model = DQN("MultiInputPolicy", envs, learning_starts=100, buffer_size=500, seed=0)
+    model.learn(400)
+    assert isinstance(model.replay_buffer, DictReplayBuffer)
+    assert "easy" in repr(logicity.evaluate(model, "easy", "val", observation=kind))  # type: ignore[arg-type]
+    with pytest.raises(ValueError, match="name the mode and the observation of its training"):
+        logicity.evaluate(model, "easy", "val")
+    model.save(tmp_path / "model.zip")
+    command = ["evaluate", "--policy", str(tmp_path / "model.zip"), "--split", "val", "--modes"]
+    assert main([*command, "easy,hard"]) == 2 and "help: name `--modes easy`" in capsys.readouterr().err
+    assert main([*command, "easy"]) == 0 and "easy" in capsys.readouterr().out
+    with pytest.raises(ValueError, match="MultiInputPolicy"):
+        DQN("MlpPolicy", envs)
+
+
+def test_infos_have_the_last_views_of_episodes() -> None:
+    ours = make_vec_env("hard", 3, seed=3, monitor=False, observation="relational")
+    theirs = DummyVecEnv([lambda: SPFEnv("hard", observation="relational")] * 3)
+    theirs.seed(3)
+    first, expected_first = ours.reset(), theirs.reset()
+    assert isinstance(first, dict) and isinstance(expected_first, dict)
+    assert all((first[name] == expected_first[name]).all() for name in first)
+    generator, ends = np.random.default_rng(0), 0
+    for _ in range(200):
+        actions = generator.integers(4, size=3)
+        one, other = ours.step(actions), theirs.step(actions)
+        assert isinstance(one[0], dict) and isinstance(other[0], dict) and one[0].keys() == other[0].keys()
+        assert all((one[0][name] == other[0][name]).all() for name in one[0])
+        for info, expected, done in zip(one[3], other[3], one[2], strict=True):
+            if done:
+                last, expected_last = info["terminal_observation"], expected["terminal_observation"]
+                assert all((last[name] == expected_last[name]).all() for name in expected_last)
+                ends += 1
+    assert ends > 10
 
 
 def test_maskable_ppo_trains() -> None:

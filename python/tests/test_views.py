@@ -1,29 +1,33 @@
 from __future__ import annotations
 
+import copy
+import pickle
 from typing import Any
 
 import gymnasium
 import numpy as np
 import pytest
+from gymnasium.envs.registration import EnvSpec
 from gymnasium.utils.env_checker import check_env
 from numpy.typing import NDArray
 
 import logicity
 from logicity import _logicity
 from logicity.describe import atoms_of
+from logicity.env_config import ViewKind
 from logicity.envs import SPFEnv, SPFVectorEnv
 from logicity.evaluation import load_task
+from logicity.layout import Layout, View, Views, views_of
 from logicity.views import (
     GraphObservation,
-    Layout,
     RelationalObservation,
     VectorGraphObservation,
     VectorRelationalObservation,
-    View,
-    Views,
 )
 
 MODES = list(logicity.ENVIRONMENTS)
+KINDS: list[ViewKind] = ["relational", "graph"]
+HARD = "logicity/SPF-Hard-v0"
 WRAPPERS = [
     pytest.param(RelationalObservation, VectorRelationalObservation, id="relational"),
     pytest.param(GraphObservation, VectorGraphObservation, id="graph"),
@@ -103,13 +107,18 @@ def test_wrapped_environments_pass_the_checker(single: type[Any]) -> None:
     check_env(single(SPFEnv("medium")), skip_render_check=True)
 
 
+@pytest.mark.parametrize("wrapped", [False, True], ids=["made", "wrapped"])
 @pytest.mark.parametrize("autoreset", ["NEXT_STEP", "SAME_STEP"])
 @pytest.mark.parametrize(("single", "vector"), WRAPPERS)
 def test_vectorized_views_equal_those_of_single_environments(
-    single: type[Any], vector: type[Any], autoreset: str
+    single: type[Any], vector: type[Any], autoreset: str, wrapped: bool
 ) -> None:
     count, random, ends = 4, np.random.default_rng(2), 0
-    envs = vector(SPFVectorEnv(count, "hard", autoreset_mode=autoreset, copy=False))
+    envs: Any
+    if wrapped:
+        envs = vector(SPFVectorEnv(count, "hard", autoreset_mode=autoreset, copy=False))
+    else:
+        envs = gymnasium.make_vec(HARD, num_envs=count, observation=single._kind, autoreset_mode=autoreset)
     singles = [single(SPFEnv("hard")) for _ in range(count)]
     observations, _ = envs.reset(seed=5)
     expected = [env.reset(seed=5 + at)[0] for at, env in enumerate(singles)]
@@ -153,7 +162,168 @@ def test_views_do_not_change_later() -> None:
     assert same(before, kept)
 
 
+@pytest.mark.parametrize("overrides", [None, {"task": {"route_length": True}}])
+@pytest.mark.parametrize("single", [RelationalObservation, GraphObservation])
+def test_made_views_equal_those_of_the_wrapper(single: type[Any], overrides: dict[str, Any] | None) -> None:
+    env = gymnasium.make(HARD, observation=single._kind, overrides=overrides)
+    wrapped = single(gymnasium.make(HARD, overrides=overrides))
+    assert env.observation_space == wrapped.observation_space
+    random, over = np.random.default_rng(3), True
+    for _ in range(200):
+        if over:
+            view, expected = env.reset(seed=7)[0], wrapped.reset(seed=7)[0]
+            assert same(view, expected)
+        action = random.integers(4)
+        view, reward, terminated, truncated, info = env.step(action)
+        expected, *rest = wrapped.step(action)
+        assert same(view, expected) and [reward, terminated, truncated, info] == rest
+        assert view in env.observation_space
+        over = terminated or truncated
+
+
+@pytest.mark.parametrize("kind", KINDS)
+def test_made_environments_pass_the_checker_and_remake_from_their_specs(kind: ViewKind) -> None:
+    env = gymnasium.make(HARD, observation=kind)
+    check_env(env.unwrapped, skip_render_check=True)
+    assert env.spec is not None
+    for spec in (env.spec, EnvSpec.from_json(env.spec.to_json())):
+        again = gymnasium.make(spec)
+        assert again.observation_space == env.observation_space
+        assert same(again.reset(seed=3)[0], env.reset(seed=3)[0])
+    envs = gymnasium.make_vec(HARD, num_envs=2, observation=kind)
+    assert envs.spec is not None and envs.spec.kwargs["observation"] == kind
+    again_envs = gymnasium.make_vec(envs.spec)
+    assert again_envs.observation_space == envs.observation_space and again_envs.spec == envs.spec
+
+
+@pytest.mark.parametrize("kind", KINDS)
+def test_made_environments_can_be_pickled_and_copied(kind: ViewKind) -> None:
+    actions = np.random.default_rng(4).integers(4, size=(60, 3))
+    env, envs = SPFEnv("hard", observation=kind), SPFVectorEnv(3, "hard", observation=kind, autoreset_mode="SameStep")
+    env.reset(seed=1)
+    envs.reset(seed=1)
+    env.step(1)
+    for row in actions[:20]:
+        envs.step(row)
+    ways: list[Any] = [lambda each: pickle.loads(pickle.dumps(each)), copy.deepcopy]
+    for again in ways:
+        twin, twins = again(env), again(envs)
+        assert same(twin.step(3)[0], copy.deepcopy(env).step(3)[0])
+        one = copy.deepcopy(envs)
+        for row in actions[20:]:
+            assert same(twins.step(row)[0], one.step(row)[0])
+
+
+@pytest.mark.parametrize("kind", KINDS)
+def test_native_views_equal_those_of_gymnasiums_vector_environment(kind: ViewKind) -> None:
+    native = gymnasium.make_vec(HARD, num_envs=3, observation=kind)
+    other = gymnasium.make_vec(HARD, num_envs=3, observation=kind, vectorization_mode="sync")
+    assert native.observation_space == other.observation_space
+    assert same(native.reset(seed=2)[0], other.reset(seed=2)[0])
+    for actions in np.random.default_rng(5).integers(4, size=(60, 3)):
+        assert same(native.step(actions)[0], other.step(actions)[0])
+
+
+def test_a_step_computes_all_views_at_once(monkeypatch: pytest.MonkeyPatch) -> None:
+    envs = SPFVectorEnv(64, "easy", observation="relational", autoreset_mode="SameStep")
+    envs.reset(seed=0)
+    shapes, call = [], Views.__call__
+
+    def count(self: Views, observations: NDArray[np.float32]) -> View:
+        shapes.append(observations.shape)
+        return call(self, observations)
+
+    monkeypatch.setattr(Views, "__call__", count)
+    ended = 0
+    for _ in range(60):
+        shapes.clear()
+        _, _, terminated, truncated, _ = envs.step(np.full(64, 2))
+        over = int((terminated | truncated).sum())
+        ended += over
+        assert sorted(shapes) == sorted([(64, 85), (over, 85)] if over else [(64, 85)])
+    assert ended > 64
+
+
+def test_every_car_has_views() -> None:
+    cars = logicity.parallel_env("easy", observation="graph")
+    plain = logicity.parallel_env("easy")
+    layout = Layout.of_description(_logicity.describe(load_task("easy")))
+    views = Views(layout, "graph")
+    observations, arrays = cars.reset(seed=1)[0], plain.reset(seed=1)[0]
+    for _ in range(5):
+        for name, observation in observations.items():
+            assert same(observation, views(arrays[name])) and observation in cars.observation_space(name)
+        observations, arrays = (env.step(dict.fromkeys(env.agents, 3))[0] for env in (cars, plain))
+
+
+def test_policies_are_measured_on_views() -> None:
+    def by_array(observation: Any) -> int:
+        return int(observation.sum()) % 4
+
+    def by_view(view: Any) -> int:
+        names = ("unary", "binary") if "unary" in view else ("nodes", "edges")
+        return int(sum(view[name].sum() for name in names)) % 4
+
+    def by_batch(view: Any) -> Any:
+        return (view["unary"].sum((1, 2)) + view["binary"].sum((1, 2, 3))).astype(int) % 4
+
+    expected = logicity.evaluate(by_array, "expert", "val")
+    assert len({record.steps for record in expected.episodes}) > 5
+    for kind in KINDS:
+        assert logicity.evaluate(by_view, "expert", "val", observation=kind).episodes == expected.episodes
+    found = logicity.evaluate(by_batch, "expert", "val", observation="relational", batched=True)
+    assert found.episodes == expected.episodes
+
+
+def test_measures_check_that_a_model_takes_views() -> None:
+    class Model:
+        observation_space = SPFEnv("easy", observation="relational").observation_space
+
+        def predict(
+            self, observation: View, state: Any = None, episode_start: Any = None, deterministic: bool = False
+        ) -> tuple[Any, None]:
+            return np.ones(len(observation["mask"]), int), None
+
+    benchmark = logicity.Benchmark("easy", "val", observation="relational")
+    assert benchmark.evaluate(Model()).episodes == benchmark.evaluate(lambda _: 1).episodes
+    with pytest.raises(ValueError, match="'unary': .*and those of `hard` have shape .*'unary'"):
+        logicity.evaluate(Model(), "hard", "val", observation="relational")
+    for kind in ("groundings", "graph"):
+        with pytest.raises(ValueError, match="name the mode and the observation of its training"):
+            logicity.evaluate(Model(), "easy", "val", observation=kind)
+    with pytest.raises(ValueError, match="RulePolicy has no `observation_space`.*`relational`: use `groundings`"):
+        benchmark.evaluate(logicity.RulePolicy("rules/easy.dl", "easy"))
+
+
+def test_demonstrations_are_arrays() -> None:
+    for kind in KINDS:
+        with pytest.raises(ValueError, match=f"`groundings` or `state`, not `{kind}`: use `groundings`"):
+            logicity.demonstrations("easy", 1, observation=kind)  # type: ignore[arg-type]
+
+
+def test_unknown_kinds_of_observations_are_rejected() -> None:
+    kinds = '"groundings", "state", "relational", "graph", not \'points\''
+    made: Any
+    for made in (SPFEnv, SPFVectorEnv, logicity.parallel_env, logicity.Benchmark, logicity.demonstrations):
+        with pytest.raises(ValueError, match=kinds):
+            made(**({"num_envs": 1} if made is SPFVectorEnv else {}), **named(made), observation="points")
+
+
+def named(made: Any) -> dict[str, str]:
+    return {"mode" if made in (logicity.Benchmark, logicity.demonstrations) else "config": "easy"}
+
+
+def test_only_views_have_layouts() -> None:
+    task = load_task("easy")
+    assert views_of(task, "groundings") is None and views_of(task, "state") is None
+    views = views_of(task, "graph")
+    assert views is not None and views.kind == "graph"
+    assert views.shapes() == {name: space.shape for name, space in views.space().items()}
+
+
 def test_unsuitable_environments_are_rejected() -> None:
+    with pytest.raises(ValueError, match="`relational`"):
+        RelationalObservation(SPFEnv("easy", observation="relational"))
     with pytest.raises(ValueError, match="groundings"):
         RelationalObservation(SPFEnv("easy", observation="state"))
     with pytest.raises(TypeError, match="SPFVectorEnv"):

@@ -9,7 +9,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
 from .. import _logicity
-from ..env_config import Episodes, ObservationKind
+from ..env_config import ArrayKind, Episodes
 from ..errors import did_you_mean, missing_extra
 
 try:
@@ -49,8 +49,9 @@ class TrainConfig(BaseModel):
     mode: str
     """The mode, or the path of a configuration file, which determines the rules and the episodes. In a YAML file, a
     path is relative to the folder of that file."""
-    observation: ObservationKind = "groundings"
-    """The kind of observation, as in `gymnasium.make`."""
+    observation: ArrayKind = "groundings"
+    """The kind of observation: `groundings` or `state`, as in `gymnasium.make`. Learners over entities compute their
+    tensors and graphs from `groundings`."""
     settings: SerializeAsAny[LearnerSettings] = Field(default_factory=LearnerSettings, validate_default=True)
     """The settings of the learner."""
     overrides: dict[str, Any] = Field(default_factory=dict)
@@ -104,7 +105,7 @@ class TrainConfig(BaseModel):
 
     @field_validator("observation")
     @classmethod
-    def _usable_observation(cls, kind: ObservationKind, info: ValidationInfo) -> ObservationKind:
+    def _usable_observation(cls, kind: ArrayKind, info: ValidationInfo) -> ArrayKind:
         algorithm = info.data.get("algorithm")
         usable = (kind,) if algorithm is None else learner_class(algorithm).observations
         if kind not in usable:

@@ -12,8 +12,8 @@ from .. import _logicity
 from ..city import ACTIONS
 from ..errors import missing_extra
 from ..evaluation import load_task
+from ..layout import Layout
 from ..offline import demonstrations
-from ..views import Layout
 
 try:
     import torch

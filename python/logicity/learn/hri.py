@@ -27,7 +27,7 @@ from pydantic import Field, field_validator
 from .. import _logicity
 from ..city import ACTIONS
 from ..evaluation import load_task
-from ..views import Layout
+from ..layout import Layout
 from .demonstrations import DemonstrationData
 from .learner import Actions, Learner, LearnerSettings, Observations, Policy, Progress
 

@@ -19,7 +19,7 @@ except ImportError as error:
     raise missing_extra("learn", error) from error
 
 if TYPE_CHECKING:
-    from ..env_config import ObservationKind
+    from ..env_config import ArrayKind
     from .config import TrainConfig
 
 __all__ = ["Actions", "Count", "Learner", "LearnerSettings", "Observations", "Policy", "Progress"]
@@ -66,6 +66,10 @@ class Policy(ABC):
     def save(self, path: Path) -> None:
         """Write the policy to a file with the suffix `Learner.suffix`."""
 
+    def rules(self) -> str | None:
+        """Return the text of a rule file that decides as the policy, or `None` if the policy is not made of rules."""
+        return None
+
     @classmethod
     @abstractmethod
     def load(cls, path: Path) -> Policy:
@@ -93,7 +97,7 @@ class Learner(ABC):
     #: `episodes` and `overrides` need the former, the key `demonstrations` needs the latter; elsewhere they are errors.
     interacts: ClassVar[bool]
     #: The kinds of observations that the learner can use.
-    observations: ClassVar[tuple[ObservationKind, ...]] = ("groundings",)
+    observations: ClassVar[tuple[ArrayKind, ...]] = ("groundings",)
     #: The suffix of the files of its policies.
     suffix: ClassVar[str] = ".pt"
     #: The class of its policies.

@@ -12,7 +12,7 @@ from .features import LogicFeatures
 from .stable_baselines import StableBaselinesLearner, settings_model
 
 if TYPE_CHECKING:
-    from ..env_config import ObservationKind
+    from ..env_config import ArrayKind
     from .config import TrainConfig
 
 __all__ = ["NlmDqnLearner", "NlmDqnSettings"]
@@ -31,7 +31,7 @@ class NlmDqnLearner(StableBaselinesLearner):
     """Deep Q-learning whose features are the predicates that a Neural Logic Machine invents for the ego."""
 
     settings_class = NlmDqnSettings
-    observations: ClassVar[tuple[ObservationKind, ...]] = ("groundings",)
+    observations: ClassVar[tuple[ArrayKind, ...]] = ("groundings",)
 
     @classmethod
     def policy_arguments(cls, config: TrainConfig, settings: dict[str, Any]) -> dict[str, Any]:

@@ -16,7 +16,7 @@ from ..rule_policy import saved_by
 from .learner import Learner, Policy
 
 if TYPE_CHECKING:
-    from ..env_config import ObservationKind
+    from ..env_config import ArrayKind
 
 __all__ = ["LEARNERS", "SavedPolicy", "learner_class", "load_policy"]
 
@@ -70,7 +70,7 @@ class SavedPolicy:
     path: Path
     algorithm: str
     mode: str | None
-    observation: ObservationKind | None
+    observation: ArrayKind | None
 
 
 def load_policy(path: str | os.PathLike[str]) -> SavedPolicy:

@@ -2,7 +2,8 @@
 
 Each run has a folder. `config.json` is the configuration. `checkpoint-STEPS` holds the state to resume from: the
 learner, the best policy so far, and the validation results. `tensorboard` has the training curves. At the end,
-`best.pt` (or another suffix) is the best policy, and `result.json` has its measures on the test episodes.
+`best.pt` (or another suffix) is the best policy, and `result.json` has its measures on the test episodes. If the
+policy is made of rules but is no rule file, `rules.dl` has the rules.
 """
 
 from __future__ import annotations
@@ -126,6 +127,9 @@ def train(
         suffix = learner.suffix
         shutil.copyfile(_checkpoints(run)[-1] / f"best{suffix}", run / f"best{suffix}")
         best = learner.policy_class.load(run / f"best{suffix}")
+        rules = best.rules()
+        if rules is not None and suffix != ".dl":
+            (run / "rules.dl").write_text(rules, encoding="utf-8")
         result = _result(config, learner, state, test.evaluate(best, name=config.algorithm))
         curves.finish(result)
         write_json(run / "result.json", result, output=output)

@@ -31,7 +31,7 @@ from . import random_state
 from .learner import Actions, Count, Learner, LearnerSettings, Observations, Policy, Progress
 
 if TYPE_CHECKING:
-    from ..env_config import ObservationKind
+    from ..env_config import ArrayKind
     from .config import TrainConfig
 
 __all__ = [
@@ -195,7 +195,7 @@ class StableBaselinesLearner(Learner):
 
     unit: ClassVar[Literal["environment steps", "updates"]] = "environment steps"
     interacts: ClassVar[bool] = True
-    observations: ClassVar[tuple[ObservationKind, ...]] = ("groundings", "state")
+    observations: ClassVar[tuple[ArrayKind, ...]] = ("groundings", "state")
     suffix: ClassVar[str] = ".zip"
     policy_class: ClassVar[type[Policy]] = StableBaselinesPolicy
     starts: ClassVar[bool] = True

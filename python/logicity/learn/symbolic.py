@@ -45,6 +45,10 @@ class SymbolicPolicy(RulePolicy, Policy):
         """
         return cls(path, saved_by(path)["mode"])
 
+    def rules(self) -> str:
+        """Return the text of the rule file."""
+        return self.text
+
 
 class SymbolicLearner(Learner):
     """A learner of rules.

@@ -1,0 +1,203 @@
+"""Batched environments for TorchRL. Needs the extra `torchrl`: `pip install './python[torchrl]'`."""
+
+from __future__ import annotations
+
+import os
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from .errors import missing_extra
+
+try:
+    import torch
+    from gymnasium.error import ResetNeeded
+    from gymnasium.spaces import Box, Dict, MultiBinary, Space
+    from gymnasium.vector import AutoresetMode
+    from tensordict import TensorDict, TensorDictBase
+    from torchrl.data import Binary, Bounded, Categorical, Composite, TensorSpec, Unbounded
+    from torchrl.envs import EnvBase
+except ImportError as error:
+    raise missing_extra("torchrl", error) from error
+
+from .city import ACTIONS
+from .envs import SPFVectorEnv
+
+__all__ = ["SPFTorchRLEnv"]
+
+
+class SPFTorchRLEnv(EnvBase):
+    """Environments of Safe Path Following as a batched TorchRL environment: one call steps all of them.
+
+    The batch size is (num_envs,). The results of each environment equal those of an `SPFEnv`: after `set_seed(s)`,
+    environment i has the seed s + i. `reset` supports `_reset` masks, and `step` supports the `_step` masks of
+    `rollout(break_when_all_done=True)`. A step of an environment whose episode has ended raises
+    `gymnasium.error.ResetNeeded`.
+
+    A tensordict has these entries:
+
+    - `action`: int64 (num_envs,), 0 Slow, 1 Normal, 2 Fast or 3 Stop.
+    - `observation`: float32 (num_envs, ...). Observations of the kinds `relational` and `graph` are several entries
+      instead, such as `unary`, `binary` and `mask`.
+    - `success`: bool (num_envs, 1), whether the car has reached the goal without violating a rule.
+    - `progress`: float32 (num_envs, 1), the completed share of the route.
+    - `oracle_action`, unless `oracle=False`: int64 (num_envs, 1), the action that the rules derive.
+    - `action_mask`, with `action_masks=True`: bool (num_envs, 4), the actions that violate no clause.
+    - `reward`: float32 (num_envs, 1), and `done`, `terminated`, `truncated`: bool (num_envs, 1).
+
+    `reset(options={"episodes": range(40)})` starts recorded episodes, see `SPFVectorEnv.reset`. After a partial reset
+    this option applies only to the environments that the mask selects.
+
+    Args:
+        num_envs: The number of environments.
+        config: A run configuration: a built-in name such as `expert`, or a path.
+        device: The device of the tensors. The environments run on the CPU.
+        arguments: Other parameters of `SPFVectorEnv`, except `autoreset_mode` and `copy`: TorchRL resets environments
+            itself.
+
+    Raises:
+        InputError: If the configuration, the rule file or an override is invalid.
+        OSError: If a file cannot be read.
+        TypeError: If an argument is unknown.
+        ValueError: If an argument is invalid.
+    """
+
+    def __init__(
+        self,
+        num_envs: int = 1,
+        config: str | os.PathLike[str] = "expert",
+        *,
+        device: torch.device | str | None = "cpu",
+        **arguments: Any,
+    ) -> None:
+        """Make the environments and their specs."""
+        for name in ("autoreset_mode", "copy"):
+            if name in arguments:
+                raise TypeError(f"SPFTorchRLEnv() got an unexpected keyword argument '{name}': TorchRL resets episodes")
+        # In this mode, a step of an environment whose episode has ended is possible, as `_step` masks need.
+        self.envs = SPFVectorEnv(num_envs, config, autoreset_mode=AutoresetMode.NEXT_STEP, **arguments)
+        super().__init__(device=device, batch_size=torch.Size([num_envs]))
+        self._seeds: list[int | None] = [None] * num_envs
+        self._ended = np.ones(num_envs, np.bool_)
+        #: The sources of episodes before steps that a mask skips, by environment.
+        self._sources: dict[int, tuple[int, int]] = {}
+        self._state: dict[str, NDArray[Any]] = {}
+        entries = {name: _spec(space, num_envs) for name, space in self._spaces().items()}
+        self.observation_spec = Composite(entries, shape=self.batch_size, device=self.device)
+        self.action_spec = Categorical(len(ACTIONS), (num_envs,), device=self.device, dtype=torch.int64)
+        self.reward_spec = Unbounded((num_envs, 1), device=self.device, dtype=torch.float32)
+        flag = Categorical(2, (num_envs, 1), device=self.device, dtype=torch.bool)
+        self.done_spec = Composite(
+            {name: flag.clone() for name in ("done", "terminated", "truncated")},
+            shape=self.batch_size,
+            device=self.device,
+        )
+
+    def _spaces(self) -> dict[str, Space[Any]]:
+        """Return the space of each entry of an observation, without the axis of the environments."""
+        space = self.envs.single_observation_space
+        config = self.envs._config
+        spaces = dict(space.spaces) if isinstance(space, Dict) else {"observation": space}
+        spaces["success"] = Box(0, 1, (1,), np.bool_)
+        spaces["progress"] = Box(0.0, 1.0, (1,), np.float32)
+        if config.oracle:
+            spaces["oracle_action"] = Box(0, len(ACTIONS) - 1, (1,), np.int64)
+        if config.action_masks:
+            spaces["action_mask"] = Box(0, 1, (len(ACTIONS),), np.bool_)
+        return spaces
+
+    def _set_seed(self, seed: int | None) -> None:
+        """Store the seeds of the environments for their next resets. `None` continues their sequences of episodes."""
+        count = self.envs.num_envs
+        self._seeds = [None if seed is None else seed + at for at in range(count)]
+
+    def _reset(self, tensordict: TensorDictBase | None = None, **options: Any) -> TensorDictBase:
+        """Start episodes in the environments that `_reset` selects, by default in all."""
+        given = dict(options.pop("options", None) or {})
+        if options:
+            raise TypeError(f"reset() got an unexpected keyword argument '{next(iter(options))}'; known: options")
+        mask = self._mask(tensordict, "_reset")
+        for at in np.flatnonzero(mask).tolist():
+            source = self._sources.pop(at, None)
+            if source is not None:
+                # The episodes that skipped steps have started do not count.
+                self.envs._core.seed(at, *source)
+        seeds = [seed if chosen else None for seed, chosen in zip(self._seeds, mask, strict=True)]
+        if mask.any():
+            observations, infos = self.envs.reset(seed=seeds, options={**given, "reset_mask": mask})
+            self._update(observations, infos, mask, np.zeros(len(mask)), {})
+            self._seeds = [None if chosen else seed for seed, chosen in zip(self._seeds, mask, strict=True)]
+        return self._tensors(reward=False)
+
+    def _step(self, tensordict: TensorDictBase) -> TensorDictBase:
+        """Run one tick in the environments that `_step` selects, by default in all."""
+        actions = tensordict.get("action").detach().cpu().numpy()
+        mask = self._mask(tensordict, "_step")
+        if (mask & self._ended).any():
+            raise ResetNeeded("an episode has ended, or none has started: call `reset`")
+        if not (mask | self._ended).all():
+            raise ValueError("`_step` can skip only environments whose episode has ended")
+        for at in np.flatnonzero(~mask).tolist():
+            if at not in self._sources:
+                seed, begun = self.envs._core.source(at)
+                self._sources[at] = (seed, begun)
+        observations, rewards, terminated, truncated, infos = self.envs.step(np.where(mask, actions, 0))
+        self._update(observations, infos, mask, rewards, {"terminated": terminated, "truncated": truncated})
+        return self._tensors(reward=True)
+
+    def _mask(self, tensordict: TensorDictBase | None, key: str) -> NDArray[np.bool_]:
+        """Return the environments that an entry of a tensordict selects, by default all."""
+        mask = None if tensordict is None else tensordict.get(key, None)
+        if mask is None:
+            return np.ones(self.envs.num_envs, np.bool_)
+        return np.array(mask.reshape(self.envs.num_envs).cpu().numpy(), np.bool_)
+
+    def _update(
+        self,
+        observations: Any,
+        infos: dict[str, Any],
+        mask: NDArray[np.bool_],
+        rewards: NDArray[np.float64],
+        ends: dict[str, NDArray[np.bool_]],
+    ) -> None:
+        """Replace the state of the selected environments."""
+        count = self.envs.num_envs
+        entries = dict(observations) if isinstance(observations, dict) else {"observation": observations}
+        for name in ("success", "progress", "oracle_action", "action_mask"):
+            if name in infos:
+                entries[name] = infos[name].reshape(count, -1)
+        entries["reward"] = rewards.astype(np.float32).reshape(count, 1)
+        for name in ("terminated", "truncated"):
+            entries[name] = ends.get(name, np.zeros(count, np.bool_)).reshape(count, 1)
+        entries["done"] = entries["terminated"] | entries["truncated"]
+        if mask.all() or not self._state:
+            self._state = entries
+        else:
+            self._state = {
+                name: np.where(mask.reshape(count, *[1] * (values.ndim - 1)), values, self._state[name])
+                for name, values in entries.items()
+            }
+        self._ended = self._state["done"][:, 0]
+
+    def _tensors(self, reward: bool) -> TensorDictBase:
+        """Return a copy of the state as tensors. A change of them does not affect the environments."""
+        types = {"progress": torch.float32}
+        entries = {
+            name: torch.tensor(values, dtype=types.get(name), device=self.device)
+            for name, values in self._state.items()
+            if reward or name != "reward"
+        }
+        return TensorDict(entries, batch_size=self.batch_size, device=self.device)
+
+
+def _spec(space: Space[Any], count: int) -> TensorSpec:
+    """Return the spec of a space with a first axis for the environments."""
+    shape = (count, *(space.shape or ()))
+    if isinstance(space, MultiBinary):
+        return Binary(shape=shape, dtype=torch.int8)
+    if space.dtype == np.bool_:
+        return Binary(shape=shape, dtype=torch.bool)
+    assert isinstance(space, Box)
+    low, high = (torch.from_numpy(np.broadcast_to(bound, shape).copy()) for bound in (space.low, space.high))
+    return Bounded(low, high, shape=shape, dtype=low.dtype)
