@@ -3,7 +3,6 @@ from __future__ import annotations
 import itertools
 import math
 from pathlib import Path
-from types import SimpleNamespace
 from typing import Any
 
 import numpy as np
@@ -18,6 +17,7 @@ from logicity import _logicity  # noqa: E402
 from logicity.describe import atoms_of  # noqa: E402
 from logicity.envs import SPFVectorEnv  # noqa: E402
 from logicity.evaluation import Benchmark, load_task  # noqa: E402
+from logicity.learn import TrainConfig  # noqa: E402
 from logicity.learn.fast_ppo import (  # noqa: E402
     Batch,
     FastPPO,
@@ -32,10 +32,9 @@ from logicity.learn.fast_ppo import (  # noqa: E402
 
 
 def learner(log: Path | None = None, **changes: Any) -> FastPPO:
-    settings = FastPPOSettings(**{"network": (16,), "rollout_steps": 8, **changes.pop("settings", {})})
-    keys = {"mode": "easy", "envs": 8, "seed": 0, "steps": 4096, "overrides": {}, "threads": 1, "start": None}
-    config: Any = SimpleNamespace(**{**keys, **changes}, settings=settings)
-    return FastPPO(config, log)
+    settings = {"network": (16,), "rollout_steps": 8, **changes.pop("settings", {})}
+    keys = {"mode": "easy", "envs": 8, "steps": 4096, **changes}
+    return FastPPO(TrainConfig(algorithm="ppo-fast", settings=FastPPOSettings(**settings), **keys), log)
 
 
 def network_of(inputs: int, widths: list[int], seed: int = 0) -> Network:
