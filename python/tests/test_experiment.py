@@ -368,7 +368,8 @@ from logicity.learn.experiment import Experiment, Selection
 def watch(line):
     if not killed:
         for path in Path("/proc").glob("[0-9]*/cmdline"):
-            if b"ray::_in_worker" in path.read_bytes():
+            # The arguments of this process contain this text, too.
+            if path.read_bytes().startswith(b"ray::_in_worker"):
                 killed.append(int(path.parent.name))
                 os.kill(killed[0], signal.SIGKILL)
                 break
