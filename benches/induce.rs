@@ -20,7 +20,7 @@ mod target;
 
 use logicity::cancel::Cancel;
 use logicity::induce::ask::{AskSettings, Event, Failure, Refinement};
-use logicity::induce::{Examples, Learned, Settings, State};
+use logicity::induce::{Examples, LearnedRules, Settings, State};
 use mode::Mode;
 use std::path::Path;
 use target::{ACTIONS, Clause, Task, action, city, city_over, clauses_of, difference};
@@ -32,9 +32,9 @@ const SEEDS: u64 = 10;
 
 /// Refines rules with questions to the true clauses, with several seeds. Prints the numbers of questions after which the
 /// learned rules stayed equivalent to the true ones. Returns the rules of the last seed.
-fn row(mode: &str, task: &Task, truth: &[Clause], examples: &Examples) -> Learned {
+fn row(mode: &str, task: &Task, truth: &[Clause], examples: &Examples) -> LearnedRules {
     let begin = cpu::seconds();
-    let (mut counts, mut last) = (Vec::new(), Learned::default());
+    let (mut counts, mut last) = (Vec::new(), LearnedRules::default());
     for seed in 0..SEEDS {
         let refinement = Refinement {
             examples: examples.clone(),

@@ -27,7 +27,7 @@ pub use constraints::{Constraints, Violation};
 pub use examples::{Contradiction, ENTITIES_MAX, Examples, State, Tally};
 pub use learner::{learn, learn_with};
 pub use noise::NOISE_MAX;
-pub use rules::{ActionRules, Learned, LearnedClause, Noise, Progress, Settings};
+pub use rules::{ActionRules, LearnedClause, LearnedRules, Noise, Progress, Settings};
 pub use support::{ClauseSupport, Conflict, Support, support};
 pub use vocabulary::{
     ARITY_MAX, Atom, Body, LITERAL_COST, Link, Literal, Predicate, VARIABLE_NAMES, VARIABLES_MAX, Vocabulary, tuples,

@@ -60,7 +60,7 @@ impl Default for Settings {
 
 /// Learned rules.
 #[derive(Clone, Debug, Default)]
-pub struct Learned {
+pub struct LearnedRules {
     /// The rules of each action but the default one, the one with the highest precedence first.
     pub actions: Vec<ActionRules>,
     /// Whether the learner finished. After cancellation, examples may be left without a clause.
@@ -107,7 +107,7 @@ pub struct Progress {
     pub clauses: usize,
 }
 
-impl Learned {
+impl LearnedRules {
     /// Returns the position of the action that the rules choose in each of some states.
     pub fn decide(&self, vocabulary: &Vocabulary, states: &[&State]) -> Vec<usize> {
         let mut chosen = vec![self.actions.len(); states.len()];

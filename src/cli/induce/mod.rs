@@ -13,7 +13,7 @@ use crate::cli::{
 };
 use crate::diag::Sources;
 use crate::files;
-use crate::induce::{Examples, Learned, NOISE_MAX, Noise, Progress, Settings, VARIABLES_MAX, learn_with, support};
+use crate::induce::{Examples, LearnedRules, NOISE_MAX, Noise, Progress, Settings, VARIABLES_MAX, learn_with, support};
 use crate::sim::LoadedCity;
 use crate::task::induction::{InductionTask, Inquiry, Origin, Questions, Recalls, report_json, rule_file};
 use ask::AskOptions;
@@ -250,7 +250,7 @@ pub fn run(arguments: &Arguments, sources: &mut Sources) -> Result<(), Failure> 
 /// Prints what was written, the measures on the test examples, and the number of questions.
 fn print_summary(
     arguments: &Arguments,
-    learned: &Learned,
+    learned: &LearnedRules,
     clauses: usize,
     questions: Option<&Questions>,
     measured: Option<String>,
@@ -277,7 +277,7 @@ fn print_summary(
 }
 
 /// Learns from examples alone.
-fn learn(task: &InductionTask, examples: &Examples, settings: &Settings, cancel: &Cancel) -> Learned {
+fn learn(task: &InductionTask, examples: &Examples, settings: &Settings, cancel: &Cancel) -> LearnedRules {
     let bar = ProgressBar::new(1);
     let template = "{bar:30} {msg} {pos} of {len} states";
     bar.set_style(ProgressStyle::with_template(template).expect("a valid template"));

@@ -8,7 +8,7 @@ use crate::induce::bits;
 use crate::induce::constraints::Constraints;
 use crate::induce::examples::{Examples, State, majority};
 use crate::induce::problem::{LabeledColumns, Problem};
-use crate::induce::rules::{Learned, clauses_hold};
+use crate::induce::rules::{LearnedRules, clauses_hold};
 use crate::induce::vocabulary::{ARITY_MAX, Atom, Body, Literal, Vocabulary};
 use entailment::Entailment;
 use std::collections::BTreeMap;
@@ -19,7 +19,7 @@ const NEGATIVE_MAX: usize = 100_000;
 /// What the examples say about learned rules.
 #[derive(Clone, Debug)]
 pub struct Support {
-    /// The clauses in the order of [`Learned::bodies`].
+    /// The clauses in the order of [`LearnedRules::bodies`].
     pub clauses: Vec<ClauseSupport>,
     /// Number of distinct states.
     pub states: usize,
@@ -80,7 +80,7 @@ pub struct ClauseSupport {
 
 /// Counts the examples that each clause explains, and finds the literals that neither the examples nor the constraints
 /// decide. It does not search for these literals in the rules of an interrupted learner.
-pub fn support(examples: &Examples, learned: &Learned, constraints: &Constraints) -> Support {
+pub fn support(examples: &Examples, learned: &LearnedRules, constraints: &Constraints) -> Support {
     let vocabulary = examples.vocabulary();
     let states: Vec<&State> = examples.states().map(|(state, _)| state).collect();
     let bodies = learned.bodies();

@@ -1,6 +1,6 @@
 //! The accuracy of learned rules on examples.
 
-use crate::induce::{Examples, Learned};
+use crate::induce::{Examples, LearnedRules};
 use serde_json::{Value, json};
 
 /// The examples in which learned rules choose the right action.
@@ -12,7 +12,7 @@ pub struct Recalls {
 
 impl Recalls {
     /// Counts the examples.
-    pub fn new(examples: &Examples, learned: &Learned) -> Recalls {
+    pub fn new(examples: &Examples, learned: &LearnedRules) -> Recalls {
         let states: Vec<_> = examples.states().map(|(state, _)| state).collect();
         let chosen = learned.decide(examples.vocabulary(), &states);
         let mut actions = vec![[0; 2]; examples.actions().len()];
