@@ -1,11 +1,11 @@
 //! Measures how many questions the learner needs, and how exactly it learns random rules.
 //!
-//! `cargo bench --bench induce -- questions` prints, for each rule set of the city, the questions until the learned rules
-//! are equivalent to the true ones: from nothing, and from the 100 training demonstrations. `-- nothing` and
-//! `-- demonstrations` print one of the two tables; names of modes choose rows.
+//! `cargo bench --bench induce -- questions` prints, for each rule set of the city, the questions until the learned
+//! rules are equivalent to the true ones: from nothing, and from the 100 training demonstrations. `-- nothing` and `--
+//! demonstrations` print one of the two tables; names of modes choose rows.
 //!
-//! `cargo bench --bench induce -- random` learns 50 random rule sets from 10,000 random scenes each, then with questions,
-//! then with a sweep. `-- random 10..20` learns ten of them.
+//! `cargo bench --bench induce -- random` learns 50 random rule sets from 10,000 random scenes each, then with
+//! questions, then with a sweep. `-- random 10..20` learns ten of them.
 //!
 //! The comparisons with the true rules are exact.
 
@@ -30,8 +30,8 @@ const MODES: [&str; 4] = ["easy", "medium", "hard", "expert"];
 /// Seeds of the choice of questions.
 const SEEDS: u64 = 10;
 
-/// Refines rules with questions to the true clauses, with several seeds. Prints the numbers of questions after which the
-/// learned rules stayed equivalent to the true ones. Returns the rules of the last seed.
+/// Refines rules with questions to the true clauses, with several seeds. Prints the numbers of questions after which
+/// the learned rules stayed equivalent to the true ones. Returns the rules of the last seed.
 fn row(mode: &str, task: &Task, truth: &[Clause], examples: &Examples) -> LearnedRules {
     let begin = cpu::seconds();
     let (mut counts, mut last) = (Vec::new(), LearnedRules::default());

@@ -1,5 +1,5 @@
-//! Learns rules from examples: for each action in the order of precedence, clauses that cover its examples and no example
-//! of an action of lower precedence.
+//! Learns rules from examples: for each action in the order of precedence, clauses that cover its examples and no
+//! example of an action of lower precedence.
 
 use crate::cancel::Cancel;
 use crate::induce::bits;
@@ -28,8 +28,8 @@ impl Purpose {
 
 /// Learns clauses for all actions except the default one. Each state counts once, with its most frequent action.
 ///
-/// If there are more states than [`Settings::working_states`], the learner begins with a sample. It adds states that the
-/// learned rules get wrong and learns again, until the rules are right in all states that any clauses can separate.
+/// If there are more states than [`Settings::working_states`], the learner begins with a sample. It adds states that
+/// the learned rules get wrong and learns again, until the rules are right in all states that any clauses can separate.
 ///
 /// # Panics
 /// If a setting is out of its range.
@@ -160,7 +160,8 @@ fn sample(labels: &[usize], actions: usize, most: usize) -> Vec<bool> {
         .collect()
 }
 
-/// Learns the clauses of one action: finds clauses until they cover the positive states, then chooses the cheapest cover.
+/// Learns the clauses of one action: finds clauses until they cover the positive states, then chooses the cheapest
+/// cover.
 fn learn_action(
     vocabulary: &Vocabulary,
     action: usize,

@@ -24,7 +24,10 @@ pub type Failure = Box<dyn Error + Send + Sync>;
 
 /// Knows the action that the rules to be learned take in a state.
 pub trait Oracle {
-    /// Returns the position of the action.
+    /// Returns the position of the action in [`Examples::actions`].
+    ///
+    /// # Errors
+    /// The reason why there is no answer. It ends the questions.
     fn action(&mut self, state: &State) -> Result<usize, Failure>;
 }
 

@@ -40,6 +40,14 @@ pub struct Support {
     pub unseen: Vec<Atom>,
 }
 
+impl Support {
+    /// Returns the position of the only action that has examples. `None` if there are several, or no examples.
+    pub fn only_action(&self) -> Option<usize> {
+        let mut taken = (0..self.by_action.len()).filter(|&action| self.by_action[action] > 0);
+        taken.next().filter(|_| taken.next().is_none())
+    }
+}
+
 /// Examples in which clauses of two actions hold.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct Conflict {
@@ -189,8 +197,8 @@ pub fn support(examples: &Examples, learned: &LearnedRules, constraints: &Constr
     }
 }
 
-/// Returns the atoms over the variables of the head that hold in no state, and one atom of each predicate that holds for
-/// no entities at all; without those that imply another one of them.
+/// Returns the atoms over the variables of the head that hold in no state, and one atom of each predicate that holds
+/// for no entities at all; without those that imply another one of them.
 fn unseen(vocabulary: &Vocabulary, constraints: &Constraints, states: &[&State]) -> Vec<Atom> {
     let egos = vocabulary.egos();
     let mut head: Vec<Atom> = vocabulary.atoms(egos);

@@ -32,8 +32,8 @@ impl Recalls {
         occur.map(|(action, [count, right])| (action, *right as f64 / *count as f64))
     }
 
-    /// Returns the accuracy and the weighted accuracy of the paper (wAcc), in which the recall of an action with n examples
-    /// has the weight 1/n.
+    /// Returns the accuracy and the weighted accuracy of the paper (wAcc), in which the recall of an action with n
+    /// examples has the weight 1/n.
     #[allow(clippy::cast_precision_loss)] // rates
     fn accuracies(&self) -> [f64; 2] {
         let sum = |at: usize| self.actions.iter().map(|counts| counts[at]).sum::<u64>() as f64;

@@ -149,6 +149,14 @@ pub(super) fn plural(count: u64, one: &str, many: &str) -> String {
     format!("{count} {}", if count == 1 { one } else { many })
 }
 
+/// Returns a sentence about examples that all have the same action.
+pub fn only_action(task: &InductionTask, support: &Support) -> Option<String> {
+    let name = task.actions()[support.only_action()?].name();
+    Some(format!(
+        "All examples have the action {name}: they do not show when another action is taken."
+    ))
+}
+
 /// Returns sentences about the whole result.
 fn summary(task: &InductionTask, learned: &LearnedRules, support: &Support, origin: &Origin) -> Vec<String> {
     let mut lines = Vec::new();
@@ -164,6 +172,7 @@ fn summary(task: &InductionTask, learned: &LearnedRules, support: &Support, orig
         plural(support.examples, "example", "examples"),
         counts.join(", ")
     ));
+    lines.extend(only_action(task, support));
     if support.wrong == 0 {
         lines.push("The rules choose the action of every example.".to_owned());
     } else {
