@@ -1,11 +1,11 @@
 //! Measures how many questions the learner needs, and how exactly it learns random rules.
 //!
-//! `cargo bench --bench induce -- questions` prints, for each rule set of the city, the questions until the learned rules
-//! are equivalent to the true ones: from nothing, and from the 100 training demonstrations. `-- nothing` and
-//! `-- demonstrations` print one of the two tables; names of modes choose rows.
+//! `cargo bench --bench induce -- questions` prints, for each rule set of the city, the questions until the learned
+//! rules are equivalent to the true ones: from nothing, and from the 100 training demonstrations. `-- nothing` and `--
+//! demonstrations` print one of the two tables; names of modes choose rows.
 //!
-//! `cargo bench --bench induce -- random` learns 50 random rule sets from 10,000 random scenes each, then with questions,
-//! then with a sweep. `-- random 10..20` learns ten of them.
+//! `cargo bench --bench induce -- random` learns 50 random rule sets from 10,000 random scenes each, then with
+//! questions, then with a sweep. `-- random 10..20` learns ten of them.
 //!
 //! The comparisons with the true rules are exact.
 
@@ -20,7 +20,7 @@ mod target;
 
 use logicity::cancel::Cancel;
 use logicity::induce::ask::{AskSettings, Event, Failure, Refinement};
-use logicity::induce::{Examples, Learned, Settings, State};
+use logicity::induce::{Examples, LearnedRules, Settings, State};
 use mode::Mode;
 use std::path::Path;
 use target::{ACTIONS, Clause, Task, action, city, city_over, clauses_of, difference};
@@ -30,11 +30,11 @@ const MODES: [&str; 4] = ["easy", "medium", "hard", "expert"];
 /// Seeds of the choice of questions.
 const SEEDS: u64 = 10;
 
-/// Refines rules with questions to the true clauses, with several seeds. Prints the numbers of questions after which the
-/// learned rules stayed equivalent to the true ones. Returns the rules of the last seed.
-fn row(mode: &str, task: &Task, truth: &[Clause], examples: &Examples) -> Learned {
+/// Refines rules with questions to the true clauses, with several seeds. Prints the numbers of questions after which
+/// the learned rules stayed equivalent to the true ones. Returns the rules of the last seed.
+fn row(mode: &str, task: &Task, truth: &[Clause], examples: &Examples) -> LearnedRules {
     let begin = cpu::seconds();
-    let (mut counts, mut last) = (Vec::new(), Learned::default());
+    let (mut counts, mut last) = (Vec::new(), LearnedRules::default());
     for seed in 0..SEEDS {
         let refinement = Refinement {
             examples: examples.clone(),

@@ -77,8 +77,8 @@ fn subsets() {
     }
 }
 
-/// Learns from random scenes of one to eight entities in which rules learned from the demonstrations decide, without wrong
-/// actions and with 1 % of them.
+/// Learns from random scenes of one to eight entities in which rules learned from the demonstrations decide, without
+/// wrong actions and with 1 % of them.
 fn million() {
     let mode = Mode::load("expert");
     let steps = mode.demonstrations().concat();

@@ -3,7 +3,7 @@
 use logicity::builtin::BuiltinFiles;
 use logicity::city::{Action, Split};
 use logicity::diag::Sources;
-use logicity::induce::{Examples, Learned, Predicate, State, Vocabulary};
+use logicity::induce::{Examples, LearnedRules, Predicate, State, Vocabulary};
 use logicity::sim::LoadedCity;
 use logicity::task::spf::{ControlMode, ControlledCar, Env, EpisodeSet, SpfTask};
 use std::path::Path;
@@ -96,7 +96,7 @@ impl Mode {
     }
 
     /// Returns the share of test episodes in which a car that follows the rules reaches the goal without a violation.
-    pub fn success(&self, rules: &Learned) -> f64 {
+    pub fn success(&self, rules: &LearnedRules) -> f64 {
         let mut env = Env::new(Arc::clone(&self.task), Split::Test, ControlMode::First).expect("an environment");
         let mut successes = 0;
         for episode in &self.test.episodes {

@@ -20,7 +20,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from . import _logicity
 from .city import ACTIONS
-from .describe import atoms_of
+from .describe import Atom, atoms_of
 from .errors import checked_integer, checked_path, missing_extra
 from .evaluation import load_task
 from .files import replacing
@@ -119,7 +119,11 @@ class InducedRules:
 
     def __repr__(self) -> str:
         """Show the numbers of clauses and examples."""
-        return f"<InducedRules: {len(self.clauses)} clauses from {self.report['examples']} examples>"
+        clauses, examples = len(self.clauses), self.report["examples"]
+        return (
+            f"<InducedRules: {clauses} clause{'' if clauses == 1 else 's'} from {examples} "
+            f"example{'' if examples == 1 else 's'}>"
+        )
 
     def __call__(self, observations: ArrayLike) -> NDArray[np.int64]:
         """Return the actions that the rules choose.
@@ -209,7 +213,7 @@ def induce(
     overrides: Mapping[str, Any] | None = None,
     ask: Callable[[SymbolicScene], str] | str | os.PathLike[str] | None = None,
     questions: SupportsIndex | None = None,
-    agreements: SupportsIndex = 400,
+    agreements: SupportsIndex | None = None,
     sweep: tuple[SupportsIndex, SupportsIndex] | None = None,
     log: str | os.PathLike[str] | None = None,
 ) -> InducedRules:
@@ -239,11 +243,13 @@ def induce(
         ask: The oracle: a function that takes a scene, as `infer` does, and returns the name of the ego's action, or
             the path of a rule file whose clauses the learner does not see. `noise` must be None.
         questions: The largest number of questions, those of an earlier run in the log included. None is 10 million.
-        agreements: The questions end when the rules agree with the oracle on this many random scenes in a row.
+        agreements: The questions end when the rules agree with the oracle on this many random scenes in a row. None is
+            400.
         sweep: Then all scenes of at most this many facts and entities are asked, for example `(3, 2)`: a certificate.
             Facts that follow from others and facts of `.covering` predicates do not count.
         log: A file to which each question is added at once with its answer. The same call with an existing log
-            continues where it stopped. A log of other questions is an error. Functions are known by their names.
+            continues where it stopped. A log of other questions is an error. A function is known by its name, as is
+            the class of an object, so another function of the same name needs another log.
 
     Returns:
         The rules. `report["questions"]` describes the questions and the certificate.
@@ -268,8 +274,10 @@ def induce(
     given = {"variables": variables, "effort": effort, "threads": threads}
     checked = {name: checked_integer(name, value, *limits[name]) for name, value in given.items()}
     checked_seed = checked_integer("seed", seed)
-    if ask is None and (questions, sweep, log) != (None, None, None):
-        raise ValueError("questions, sweep and log need an oracle: `ask`")
+    if ask is None and (questions, agreements, sweep, log) != (None, None, None, None):
+        raise ValueError("questions, agreements, sweep and log need an oracle: `ask`")
+    bound = _checked_sweep(sweep)
+    checked_order = _checked_order(order)
     if ask is not None and noise is not None:
         raise ValueError("noise: expected None, because the answers of an oracle are exact")
     if noise is not None and noise != "auto":
@@ -300,14 +308,11 @@ def induce(
     lines = [f"Rules learned by logicity {_logicity.__version__} from {origin}.", *source.lines]
     asking = None
     if ask is not None:
-        facts, entities = (None, None) if sweep is None else sweep
         asking = (
             *_oracle(ask, mode, overrides),
             checked_integer("questions", 10_000_000 if questions is None else questions),
-            checked_integer("agreements", agreements),
-            None
-            if facts is None or entities is None
-            else (checked_integer("sweep", facts, 0, 1000), checked_integer("sweep", entities, 1, 5)),
+            checked_integer("agreements", 400 if agreements is None else agreements),
+            bound,
             None if log is None else checked_path("log", log),
         )
     learned, fault = _logicity.induce(
@@ -316,7 +321,7 @@ def induce(
         actions,
         parts,
         lines,
-        list(order),
+        checked_order,
         checked["variables"],
         checked["effort"],
         checked_seed,
@@ -335,6 +340,28 @@ def induce(
     return induced
 
 
+def _checked_sweep(sweep: object) -> tuple[int, int] | None:
+    """Return the numbers of facts and entities of a sweep."""
+    if sweep is None:
+        return None
+    if not isinstance(sweep, Sequence) or len(sweep) != 2:
+        raise TypeError(f"sweep: expected the numbers of facts and entities, such as `(3, 2)`, not {sweep!r}")
+    return checked_integer("sweep", sweep[0], 0, 1000), checked_integer("sweep", sweep[1], 1, 5)
+
+
+def _checked_order(order: object) -> list[str]:
+    """Return the actions of an order of precedence."""
+    if isinstance(order, str) or not isinstance(order, Iterable):
+        raise TypeError(f"order: expected names of actions, not {type(order).__name__}")
+    names = list(order)
+    for at, name in enumerate(names):
+        if not isinstance(name, str):
+            raise TypeError(f"order: expected names of actions, not {type(name).__name__}")
+        if name in names[:at]:
+            raise ValueError(f"order: `{name}` occurs twice")
+    return names
+
+
 def _source(demonstrations: Any) -> _Source:
     """Return the episodes of demonstrations, and what is known about them."""
     if isinstance(demonstrations, Demonstrations):
@@ -345,6 +372,7 @@ def _source(demonstrations: Any) -> _Source:
             demonstrations.mode,
             demonstrations.env.kwargs,
             [f"Episodes {demonstrations.episodes_hash}."],
+            _atom_texts(demonstrations.atoms),
         )
     if isinstance(demonstrations, (str, os.PathLike)):
         path = Path(demonstrations)
@@ -353,6 +381,8 @@ def _source(demonstrations: Any) -> _Source:
         return _minari(_load_minari(demonstrations))
     if hasattr(demonstrations, "iterate_episodes") and hasattr(demonstrations, "env_spec"):
         return _minari(demonstrations)
+    if not isinstance(demonstrations, Iterable):
+        raise TypeError(f"demonstrations: expected episodes, not {type(demonstrations).__name__}")
     return _Source(demonstrations)
 
 
@@ -372,7 +402,13 @@ def _load_minari(name: str | os.PathLike[str]) -> MinariDataset:
     except ImportError as error:
         raise missing_extra("offline", error) from error
 
-    return minari.load_dataset(os.fspath(name)) if folder is None else minari.MinariDataset(folder)
+    if folder is not None:
+        return minari.MinariDataset(folder)
+    try:
+        return minari.load_dataset(os.fspath(name))
+    except FileNotFoundError as error:
+        message = f"neither a file nor a dataset of Minari on this machine: `{name}`"
+        raise FileNotFoundError(f"{message}; `minari download {name}` downloads a published one") from error
 
 
 def _minari(dataset: MinariDataset) -> _Source:
@@ -398,15 +434,20 @@ def _parquet(path: Path) -> _Source:
     )
 
 
+def _atom_texts(atoms: Iterable[Atom]) -> list[str]:
+    """Return atoms as a Parquet table names them, such as `IsCar(0)`."""
+    return [f"{name}({','.join(map(str, entities))})" for name, entities in atoms]
+
+
 def _check_atoms(source: _Source, task: _logicity.Task, name: str) -> None:
     """Check that the atoms of observations are those of a task."""
     if not source.atoms:
         return
-    expected = [f"{atom}({','.join(map(str, entities))})" for atom, entities in atoms_of(_logicity.describe(task))]
+    expected = _atom_texts(atoms_of(_logicity.describe(task)))
     for one, other in zip_longest(source.atoms, expected):
         if one != other:
             raise ValueError(
-                f"the table of {source.mode} does not fit {name}: it has the atom {one} instead of {other}"
+                f"the demonstrations of {source.mode} do not fit {name}: they have the atom {one} instead of {other}"
             )
 
 
@@ -443,6 +484,8 @@ def _stacked(
             raise ValueError(
                 f"episode {number}: observations of shape {seen.shape} do not fit actions of shape {taken.shape}"
             )
+        if not np.isfinite(seen).all():
+            raise ValueError(f"episode {number}: observations that are not finite")
         if not np.issubdtype(taken.dtype, np.integer):
             raise TypeError(f"episode {number}: expected integer actions, not {taken.dtype}")
         if len(taken) and not 0 <= taken.min() <= taken.max() < len(ACTIONS):

@@ -8,7 +8,7 @@ use logicity::diag::{Diagnostic, Sources};
 use logicity::files::{Journal, ReadError, read_bytes};
 use logicity::induce::ask::Bound as SweepBound;
 use logicity::induce::{
-    ActionRules, Atom, Body, Examples, Learned, LearnedClause, Literal, NOISE_MAX, Noise, Settings, State,
+    ActionRules, Atom, Body, Examples, LearnedClause, LearnedRules, Literal, NOISE_MAX, Noise, Settings, State,
     VARIABLES_MAX, learn_with, support,
 };
 use logicity::rng::Seed;
@@ -40,7 +40,7 @@ struct PyLearnedRules {
     /// The task of environments, for copies.
     shared: Py<PyTask>,
     task: Arc<InductionTask>,
-    learned: Learned,
+    learned: LearnedRules,
     /// Number of entities in an observation, and its length.
     shape: [usize; 2],
     #[pyo3(get)]
@@ -152,9 +152,9 @@ fn restore_rules(
         shape: shape_of(task.get()),
         shared: task,
         task: learning,
-        learned: Learned {
+        learned: LearnedRules {
             actions,
-            ..Learned::default()
+            ..LearnedRules::default()
         },
         text,
         report: serde_json::from_str(report).map_err(|_| invalid())?,

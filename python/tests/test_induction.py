@@ -310,6 +310,13 @@ def test_contradictions_of_functions_keep_the_rules() -> None:
     [
         ({"questions": 3}, ValueError, "need an oracle"),
         ({"log": "x"}, ValueError, "need an oracle"),
+        ({"agreements": 3}, ValueError, "need an oracle"),
+        ({"ask": ambulance, "sweep": 3}, TypeError, "sweep: expected the numbers of facts and entities"),
+        ({"ask": ambulance, "sweep": (3,)}, TypeError, "sweep: expected the numbers of facts and entities"),
+        ({"ask": ambulance, "sweep": (3, 2, 1)}, TypeError, "sweep: expected the numbers of facts and entities"),
+        ({"ask": ambulance, "order": "Stop"}, TypeError, "order: expected names of actions, not str"),
+        ({"ask": ambulance, "order": [1]}, TypeError, "order: expected names of actions, not int"),
+        ({"ask": ambulance, "order": ["Stop", "Stop"]}, ValueError, "order: `Stop` occurs twice"),
         ({"ask": ambulance, "noise": 0.1}, ValueError, "noise"),
         ({"ask": ambulance, "sweep": (1, 9)}, ValueError, "sweep"),
         ({"ask": ambulance, "agreements": -1}, ValueError, "agreements"),
@@ -321,6 +328,34 @@ def test_contradictions_of_functions_keep_the_rules() -> None:
 def test_bad_options_of_questions(options: Any, error: type[Exception], message: str) -> None:
     with pytest.raises(error, match=message):
         logicity.induce(mode="easy", **options)
+
+
+@pytest.mark.parametrize(
+    ("source", "error", "message"),
+    [
+        (None, TypeError, "expected episodes, not NoneType"),
+        (5, TypeError, "expected episodes, not int"),
+        ([5], TypeError, "expected episodes with `observations` and `actions`, not int"),
+        ([], ValueError, "no demonstrations"),
+    ],
+)
+def test_other_sources_are_refused(source: Any, error: type[Exception], message: str) -> None:
+    with pytest.raises(error, match=message):
+        logicity.induce(source, "easy")
+
+
+def test_demonstrations_of_another_mode_are_refused(demonstrations: logicity.Demonstrations) -> None:
+    with pytest.raises(
+        ValueError, match=r"of hard do not fit easy: they have the atom IsBus\(0\) instead of IsOld\(0\)"
+    ):
+        logicity.induce(demonstrations, "easy")
+
+
+def test_observations_are_finite(demonstrations: logicity.Demonstrations) -> None:
+    episode = demonstrations[0]
+    unknown = SimpleNamespace(observations=np.full_like(episode.observations, np.nan), actions=episode.actions)
+    with pytest.raises(ValueError, match="episode 0: observations that are not finite"):
+        logicity.induce([unknown], "hard")
 
 
 def test_a_batch_has_two_dimensions(demonstrations: logicity.Demonstrations) -> None:

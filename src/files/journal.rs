@@ -1,5 +1,6 @@
 //! Files of lines that grow while a process works: a killed process loses no line that it has added.
 
+use crate::files::folder_of;
 use std::fs::{self, File, OpenOptions, TryLockError};
 use std::io::{self, BufRead, BufReader, Read, Seek, SeekFrom, Write};
 use std::path::{Path, PathBuf};
@@ -35,6 +36,11 @@ impl Journal {
         let existing = fs::metadata(path).ok();
         if existing.as_ref().is_some_and(|found| !found.is_file()) {
             return Err(io::Error::new(io::ErrorKind::InvalidInput, "it is not a regular file"));
+        }
+        let folder = folder_of(path);
+        if !folder.is_dir() {
+            let message = format!("there is no folder `{}`", folder.display());
+            return Err(io::Error::new(io::ErrorKind::NotFound, message));
         }
         let mut file = OpenOptions::new().read(true).append(true).create(true).open(path)?;
         match file.try_lock() {
@@ -163,6 +169,9 @@ mod tests {
         assert_eq!(lines(&journal), ["one", "two", "new"]);
         drop(journal);
         assert_eq!(fs::read_to_string(&path).expect("text"), "one\ntwo\nnew\n");
+        let nowhere = Journal::open(&folder.path().join("none/log")).expect_err("no folder");
+        assert_eq!(nowhere.kind(), io::ErrorKind::NotFound);
+        assert!(nowhere.to_string().starts_with("there is no folder `"), "{nowhere}");
         let folder = Journal::open(folder.path()).expect_err("a folder");
         assert_eq!(folder.kind(), io::ErrorKind::InvalidInput);
         fs::write(&path, b"\xff\n").expect("writable");

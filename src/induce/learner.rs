@@ -1,5 +1,5 @@
-//! Learns rules from examples: for each action in the order of precedence, clauses that cover its examples and no example
-//! of an action of lower precedence.
+//! Learns rules from examples: for each action in the order of precedence, clauses that cover its examples and no
+//! example of an action of lower precedence.
 
 use crate::cancel::Cancel;
 use crate::induce::bits;
@@ -7,8 +7,8 @@ use crate::induce::cover::cheapest_cover;
 use crate::induce::examples::{Examples, State, majority};
 use crate::induce::noise;
 use crate::induce::problem::{LabeledColumns, Problem};
-use crate::induce::rules::{ActionRules, Learned, LearnedClause, Noise, Progress, Settings};
-use crate::induce::search::{Found, Search};
+use crate::induce::rules::{ActionRules, LearnedClause, LearnedRules, Noise, Progress, Settings};
+use crate::induce::search::{FoundClause, Search};
 use crate::induce::vocabulary::{Body, LITERAL_COST, VARIABLES_MAX, Vocabulary};
 use crate::rng::{self, Purpose, Seed};
 use rayon::prelude::*;
@@ -28,12 +28,12 @@ impl Purpose {
 
 /// Learns clauses for all actions except the default one. Each state counts once, with its most frequent action.
 ///
-/// If there are more states than [`Settings::working_states`], the learner begins with a sample. It adds states that the
-/// learned rules get wrong and learns again, until the rules are right in all states that any clauses can separate.
+/// If there are more states than [`Settings::working_states`], the learner begins with a sample. It adds states that
+/// the learned rules get wrong and learns again, until the rules are right in all states that any clauses can separate.
 ///
 /// # Panics
 /// If a setting is out of its range.
-pub fn learn(examples: &Examples, settings: &Settings, cancel: &Cancel) -> Learned {
+pub fn learn(examples: &Examples, settings: &Settings, cancel: &Cancel) -> LearnedRules {
     learn_with(examples, settings, &|_| (), cancel)
 }
 
@@ -46,7 +46,7 @@ pub fn learn_with(
     settings: &Settings,
     progress: &(dyn Fn(Progress) + Sync),
     cancel: &Cancel,
-) -> Learned {
+) -> LearnedRules {
     let range = examples.vocabulary().egos()..=VARIABLES_MAX;
     assert!(range.contains(&settings.variables), "variables not in {range:?}");
     assert!(
@@ -85,7 +85,7 @@ pub(crate) fn learn_here(
     settings: &Settings,
     progress: &(dyn Fn(Progress) + Sync),
     cancel: &Cancel,
-) -> Learned {
+) -> LearnedRules {
     if settings.noise != Noise::None
         && let Some(learned) = noise::learn_noisy(examples, settings, progress, cancel)
     {
@@ -113,7 +113,7 @@ pub(crate) fn learn_here(
                 )
             })
             .collect();
-        let learned = Learned {
+        let learned = LearnedRules {
             actions,
             is_complete: !cancel.requested(),
             working_states: working.len(),
@@ -160,7 +160,8 @@ fn sample(labels: &[usize], actions: usize, most: usize) -> Vec<bool> {
         .collect()
 }
 
-/// Learns the clauses of one action: finds clauses until they cover the positive states, then chooses the cheapest cover.
+/// Learns the clauses of one action: finds clauses until they cover the positive states, then chooses the cheapest
+/// cover.
 fn learn_action(
     vocabulary: &Vocabulary,
     action: usize,
@@ -200,7 +201,7 @@ fn learn_action(
         }
     }
     let variables_limit = Some(search.variables_max).filter(|limit| *limit < settings.variables);
-    let pool: Vec<Found> = search.pool.into_values().collect();
+    let pool: Vec<FoundClause> = search.pool.into_values().collect();
     ActionRules {
         variables_limit,
         ..cheapest_rules(vocabulary, &pool, positive.len(), cancel)
@@ -217,16 +218,16 @@ struct ClauseSearch<'a> {
     /// The most variables of a clause. The memory may allow fewer than the settings.
     variables_max: usize,
     /// All clauses found.
-    pool: BTreeMap<Body, Found>,
+    pool: BTreeMap<Body, FoundClause>,
 }
 
 impl ClauseSearch<'_> {
     /// Finds the best clause for one of some positive states, and adds each clause found to the pool. `uncovered` are
     /// the states in `open`. Another variable is tried only while the best clause covers few of them.
-    fn best(&mut self, tries: &[usize], uncovered: &[&State], open: &[u64], cancel: &Cancel) -> Option<Found> {
+    fn best(&mut self, tries: &[usize], uncovered: &[&State], open: &[u64], cancel: &Cancel) -> Option<FoundClause> {
         let uncovered = self.columns.columns(self.vocabulary, uncovered);
         let fewest = (self.vocabulary.egos() + 1).min(self.settings.variables);
-        let mut best: Option<Found> = None;
+        let mut best: Option<FoundClause> = None;
         for variables in fewest..=self.variables_max {
             if self.problems.len() <= variables - fewest {
                 // There are too many assignments for more variables.
@@ -239,7 +240,7 @@ impl ClauseSearch<'_> {
             let problem = &self.problems[variables - fewest];
             let counted = problem.open(&uncovered);
             let search = |seed| Search::new(problem, seed, &counted).best(self.settings.nodes, cancel);
-            let found: Vec<Found> = problem.all_seeds(tries).par_iter().filter_map(search).collect();
+            let found: Vec<FoundClause> = problem.all_seeds(tries).par_iter().filter_map(search).collect();
             for found in found {
                 if best.as_ref().is_none_or(|best| found.score > best.score) {
                     best = Some(found.clone());
@@ -258,13 +259,13 @@ impl ClauseSearch<'_> {
 }
 
 /// Returns the cheapest clauses of a pool that cover the positive states, the one that covers the most first.
-fn cheapest_rules(vocabulary: &Vocabulary, pool: &[Found], positive: usize, cancel: &Cancel) -> ActionRules {
+fn cheapest_rules(vocabulary: &Vocabulary, pool: &[FoundClause], positive: usize, cancel: &Cancel) -> ActionRules {
     let columns: Vec<(Vec<u64>, u32)> = pool
         .iter()
         .map(|found| (found.covered.clone(), found.body.cost(vocabulary) + LITERAL_COST))
         .collect();
     let cover = cheapest_cover(&columns, cancel);
-    let mut chosen: Vec<&Found> = cover.columns.iter().map(|&column| &pool[column]).collect();
+    let mut chosen: Vec<&FoundClause> = cover.columns.iter().map(|&column| &pool[column]).collect();
     chosen.sort_by_key(|found| std::cmp::Reverse(bits::count(&found.covered)));
     let mut uncovered = bits::full(positive);
     chosen

@@ -1,9 +1,9 @@
 //! Learns rules from demonstrations.
 //!
-//! An example is a state, what an ego sees, with the action taken in it. For each action in the order of precedence, the
-//! learner finds clauses that together cover the examples of the action and hold in no example of an action of lower
-//! precedence. The result is a set of clauses of least cost among those found. If some examples may have a wrong action, clauses may
-//! hold in a few negative examples and leave a few positive ones: see [`Noise`].
+//! An example is a state, what an ego sees, with the action taken in it. For each action in the order of precedence,
+//! the learner finds clauses that together cover the examples of the action and hold in no example of an action of
+//! lower precedence. The result is a set of clauses of least cost among those found. If some examples may have a wrong
+//! action, clauses may hold in a few negative examples and leave a few positive ones: see [`Noise`].
 
 pub mod ask;
 mod beam;
@@ -27,7 +27,7 @@ pub use constraints::{Constraints, Violation};
 pub use examples::{Contradiction, ENTITIES_MAX, Examples, State, Tally};
 pub use learner::{learn, learn_with};
 pub use noise::NOISE_MAX;
-pub use rules::{ActionRules, Learned, LearnedClause, Noise, Progress, Settings};
+pub use rules::{ActionRules, LearnedClause, LearnedRules, Noise, Progress, Settings};
 pub use support::{ClauseSupport, Conflict, Support, support};
 pub use vocabulary::{
     ARITY_MAX, Atom, Body, LITERAL_COST, Link, Literal, Predicate, VARIABLE_NAMES, VARIABLES_MAX, Vocabulary, tuples,

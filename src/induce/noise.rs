@@ -5,7 +5,7 @@ use crate::induce::beam::{Candidate, SCALE, Scoring, beam};
 use crate::induce::bits;
 use crate::induce::examples::{Examples, State, Tally};
 use crate::induce::problem::{LabeledColumns, Problem};
-use crate::induce::rules::{ActionRules, Learned, LearnedClause, Noise, Progress, Settings, clauses_hold};
+use crate::induce::rules::{ActionRules, LearnedClause, LearnedRules, Noise, Progress, Settings, clauses_hold};
 use crate::induce::vocabulary::{Body, LITERAL_COST, Literal, Vocabulary};
 use crate::induce::weights::Weights;
 use crate::rng::{self, Purpose, RngExt, Seed};
@@ -81,7 +81,7 @@ pub(crate) fn learn_noisy(
     settings: &Settings,
     progress: &(dyn Fn(Progress) + Sync),
     cancel: &Cancel,
-) -> Option<Learned> {
+) -> Option<LearnedRules> {
     let mut most = settings.working_states.max(1);
     loop {
         let sample = spread(examples, most);
@@ -121,7 +121,7 @@ fn spread(examples: &Examples, most: usize) -> Option<Examples> {
 }
 
 /// Returns the number of examples in which rules choose another action.
-fn wrong(rules: &Learned, examples: &Examples) -> u64 {
+fn wrong(rules: &LearnedRules, examples: &Examples) -> u64 {
     let states: Vec<&State> = examples.states().map(|(state, _)| state).collect();
     let decided = rules.decide(examples.vocabulary(), &states);
     let others = |((_, tallies), action): ((&State, &[Tally]), &usize)| -> u64 {
@@ -138,7 +138,7 @@ fn learn_tolerant(
     rate: f64,
     progress: &(dyn Fn(Progress) + Sync),
     cancel: &Cancel,
-) -> Learned {
+) -> LearnedRules {
     let (vocabulary, actions) = (examples.vocabulary(), examples.actions().len());
     let states: Vec<&State> = examples.states().map(|(state, _)| state).collect();
     let mut decided = vec![false; states.len()];
@@ -200,7 +200,7 @@ fn learn_tolerant(
             variables_limit: Some(search.variables()).filter(|limit| *limit < settings.variables),
         });
     }
-    Learned {
+    LearnedRules {
         actions: learned,
         is_complete: !cancel.requested(),
         working_states: states.len(),

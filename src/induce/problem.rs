@@ -1,8 +1,8 @@
 //! The examples of one action as columns of bits, and the rows in which a clause holds.
 //!
 //! A column holds, for one fact about numbered entities, the states in which it is true. An *assignment* gives an
-//! entity to each variable of a clause, so it turns the atoms of the clause into facts. The conjunction of their columns
-//! are the states in which the clause holds under the assignment.
+//! entity to each variable of a clause, so it turns the atoms of the clause into facts. The conjunction of their
+//! columns are the states in which the clause holds under the assignment.
 
 use crate::induce::bits::{self, Bits};
 use crate::induce::examples::State;
@@ -101,8 +101,10 @@ pub struct Problem<'a> {
     linked: Option<[Rows; 2]>,
 }
 
-/// The most assignments of a problem, and the most words of its rows.
+/// The most assignments of entities to the variables of a problem. They have 64 entities and three variables beside that
+/// of the head.
 const ASSIGNMENTS_MAX: usize = 1 << 18;
+/// The most 64-bit words of all rows of a problem: 256 MiB.
 const WORDS_MAX: usize = 1 << 25;
 
 /// The columns of the positive and the negative states of an action.

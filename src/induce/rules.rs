@@ -10,7 +10,8 @@ use std::ops::Range;
 /// Settings of a search.
 #[derive(Clone, Debug)]
 pub struct Settings {
-    /// The most variables of a clause, those in its head included: at most [`VARIABLES_MAX`](crate::induce::VARIABLES_MAX).
+    /// The most variables of a clause, those in its head included: at most
+    /// [`VARIABLES_MAX`](crate::induce::VARIABLES_MAX).
     pub variables: usize,
     /// The seed of the order in which examples are tried.
     pub seed: u64,
@@ -60,7 +61,7 @@ impl Default for Settings {
 
 /// Learned rules.
 #[derive(Clone, Debug, Default)]
-pub struct Learned {
+pub struct LearnedRules {
     /// The rules of each action but the default one, the one with the highest precedence first.
     pub actions: Vec<ActionRules>,
     /// Whether the learner finished. After cancellation, examples may be left without a clause.
@@ -78,8 +79,8 @@ pub struct ActionRules {
     pub clauses: Vec<LearnedClause>,
     /// Whether no cheaper set of the clauses found covers the examples.
     pub is_cheapest: bool,
-    /// The most variables of a clause that the memory allows, if these are fewer than in the settings: clauses with more
-    /// have too many assignments of entities.
+    /// The most variables of a clause that the memory allows, if these are fewer than in the settings: clauses with
+    /// more have too many assignments of entities.
     pub variables_limit: Option<usize>,
     /// Positive states that no clause covers: none separates them from the negative ones, or noise explains them.
     pub uncovered: usize,
@@ -107,7 +108,7 @@ pub struct Progress {
     pub clauses: usize,
 }
 
-impl Learned {
+impl LearnedRules {
     /// Returns the position of the action that the rules choose in each of some states.
     pub fn decide(&self, vocabulary: &Vocabulary, states: &[&State]) -> Vec<usize> {
         let mut chosen = vec![self.actions.len(); states.len()];

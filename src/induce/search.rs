@@ -29,7 +29,7 @@ const POLL_NODES: u32 = 64;
 
 /// A clause that a search found.
 #[derive(Clone, Debug)]
-pub struct Found {
+pub struct FoundClause {
     /// The body.
     pub body: Body,
     /// The positive states that the clause covers.
@@ -97,7 +97,7 @@ impl<'a> Search<'a> {
 
     /// Finds the clause with the highest score among those that hold in the example and in no negative row. `None` if
     /// there is none, or on cancellation. Stops after `nodes` nodes and completes a clause greedily.
-    pub fn best(mut self, nodes: u32, cancel: &Cancel) -> Option<Found> {
+    pub fn best(mut self, nodes: u32, cancel: &Cancel) -> Option<FoundClause> {
         let everything = self.problem.all(self.problem.negative);
         self.exclude(&everything, SAMPLE)?;
         let mut heap = BinaryHeap::new();
@@ -251,7 +251,7 @@ impl<'a> Search<'a> {
     }
 
     /// Completes a clause greedily: the literal that excludes the most rows comes first.
-    fn complete(mut self, mut node: Node) -> Option<Found> {
+    fn complete(mut self, mut node: Node) -> Option<FoundClause> {
         loop {
             while !node.open.is_empty() {
                 let mut gains = vec![0_u32; self.problem.atoms.len()];
@@ -279,7 +279,7 @@ impl<'a> Search<'a> {
     }
 
     /// Drops the literals that the clause does not need, negative ones first.
-    fn finish(&self, node: &Node, is_best: bool) -> Found {
+    fn finish(&self, node: &Node, is_best: bool) -> FoundClause {
         let mut chosen = node.chosen.clone();
         let mut order: Vec<usize> = bits::elements(&chosen).collect();
         order.sort_by_key(|&literal| (bits::contains(self.seed, literal), literal));
@@ -304,7 +304,7 @@ impl<'a> Search<'a> {
             atom: self.problem.atoms[literal].clone(),
         });
         let body = Body::normalized(literals.collect(), self.problem.vocabulary);
-        Found {
+        FoundClause {
             score: self.score(&counted, body.cost(self.problem.vocabulary)),
             covered: rows.states(self.problem.positive.words),
             body,

@@ -8,7 +8,8 @@ use crate::induce::rules::clauses_hold;
 use crate::induce::search::{EXAMPLE, Search};
 use crate::induce::vocabulary::{ARITY_MAX, tuples};
 use crate::induce::{
-    Body, Constraints, Examples, Learned, Link, Literal, Noise, Predicate, Settings, State, Vocabulary, learn, support,
+    Body, Constraints, Examples, LearnedRules, Link, Literal, Noise, Predicate, Settings, State, Vocabulary, learn,
+    support,
 };
 use crate::rng::{Purpose, Rng, RngExt, Seed};
 use proptest::prelude::*;
@@ -122,7 +123,7 @@ fn examples(vocabulary: &Vocabulary, actions: usize, labeled: impl Iterator<Item
 }
 
 /// The number of distinct states in which rules choose another action than an example.
-fn wrong(learned: &Learned, examples: &Examples) -> usize {
+fn wrong(learned: &LearnedRules, examples: &Examples) -> usize {
     let bodies: Vec<Vec<Body>> = (learned.actions.iter())
         .map(|rules| rules.clauses.iter().map(|clause| clause.body.clone()).collect())
         .collect();
@@ -132,7 +133,7 @@ fn wrong(learned: &Learned, examples: &Examples) -> usize {
     examples.states().filter(is_wrong).count()
 }
 
-fn texts(learned: &Learned, vocabulary: &Vocabulary) -> Vec<Vec<String>> {
+fn texts(learned: &LearnedRules, vocabulary: &Vocabulary) -> Vec<Vec<String>> {
     learned.bodies().iter().map(|body| body.texts(vocabulary)).collect()
 }
 

@@ -644,13 +644,15 @@ fn one_variable_of_a_type_is_that_of_the_head() {
 
 #[test]
 fn declarations_without_effect_are_warnings() {
-    let bias = format!("{BIAS} max_body(3). enable_pi. prop(x,y). :- clause(C), #count{{V : v(C,V)}} != 1.");
+    let bias = "max_vars(9). max_body(3). enable_pi. prop(x,y). :- clause(C), #count{V : v(C,V)} != 1.";
+    let bias = format!("{BIAS} {bias}");
     let (task, diagnostics, _) = parse(&[BACKGROUND, EXAMPLES, &bias], &Options::default());
     assert!(task.is_some());
     let found: Vec<&str> = diagnostics.iter().map(|fault| fault.message.as_str()).collect();
     assert_eq!(
         found,
         [
+            "`max_vars` above 7 has no effect",
             "`max_body` has no effect",
             "`enable_pi` has no effect",
             "`prop` has no effect",

@@ -335,7 +335,9 @@ fn pipes_teach_like_files() {
                 .unwrap();
             let learned = succeeds(&output);
             let start = learned.find("\n\n").unwrap();
-            learned[start..].replace(name, "-").replace("pipe", "-")
+            learned[start..]
+                .replace(name, "standard input")
+                .replace("pipe", "standard input")
         };
         let expected = clauses(&format!("> /dev/null; \"$PROGRAM\" induce {out}/{name}"));
         assert!(expected.contains(":-"), "{expected}");
@@ -517,6 +519,62 @@ fn bad_examples_are_refused() {
     fails(&unusable, 2, &["from 0 to 0.4"]);
     fails(&logicity(["induce", "no such file"]), 2, &["no such file"]);
     fails(&logicity(["induce", "--config", "metropolis"]), 1, &[]);
+}
+
+/// Clap does not check that an option requires another one while a third one excludes that.
+#[test]
+fn options_that_would_have_no_effect_are_refused() {
+    let folder = tempfile::tempdir().unwrap();
+    let scenes = folder.path().join("scenes.jsonl");
+    fs::write(&scenes, "").unwrap();
+    let scenes = scenes.to_str().unwrap();
+    for (options, part) in [
+        (&["--noise", "0.1", "--questions", "3"][..], "cannot be used with"),
+        (&["--noise", "0.1", "--log", "log.jsonl"], "cannot be used with"),
+        (&["--noise", "0.1", "--ask", "rules/easy.dl"], "cannot be used with"),
+        (&["--closed-world"], "cannot be used with"),
+        (&["--negation"], "cannot be used with"),
+        (&["--agreements", "3"], "--ask <ORACLE>"),
+        (&["--order", "Stop,Fast,Stop"], "--order: `Stop` occurs twice"),
+    ] {
+        fails(&run(&[&["induce", scenes], options].concat(), b""), 2, &[part]);
+    }
+}
+
+#[test]
+fn examples_of_one_action_are_noted() {
+    let folder = tempfile::tempdir().unwrap();
+    let path = |name: &str| folder.path().join(name).to_str().unwrap().to_owned();
+    let scene =
+        "{\"entities\": [\"a\"], \"ego\": \"a\", \"facts\": {\"IsCar\": [\"a\"]}, \"actions\": {\"a\": \"Slow\"}}\n";
+    fs::write(path("scenes.jsonl"), scene).unwrap();
+    let note = "All examples have the action Slow: they do not show when another action is taken.";
+    let said = succeeds(&logicity(["induce", &path("scenes.jsonl"), "-o", &path("learned.dl")]));
+    assert!(said.contains(note), "{said}");
+    let learned = fs::read_to_string(path("learned.dl")).unwrap();
+    assert!(learned.contains(&format!("// {note}\n")), "{learned}");
+}
+
+/// Runs write traces of the same name to different folders.
+#[test]
+fn places_distinguish_files_of_the_same_name() {
+    let folder = tempfile::tempdir().unwrap();
+    let path = |name: &str| folder.path().join(name).to_str().unwrap().to_owned();
+    for (name, action) in [("one", "Slow"), ("two", "Stop")] {
+        fs::create_dir(path(name)).unwrap();
+        let scene = "{\"entities\": [\"a\"], \"ego\": \"a\", \"facts\": {\"IsCar\": [\"a\"]}, \"actions\": {\"a\": ";
+        fs::write(
+            path(&format!("{name}/scenes.jsonl")),
+            format!("{scene}\"{action}\"}}}}\n"),
+        )
+        .unwrap();
+    }
+    let output = logicity(["induce", &path("one/scenes.jsonl"), &path("two/scenes.jsonl")]);
+    fails(
+        &output,
+        1,
+        &["one/scenes.jsonl, line 1, a; two/scenes.jsonl, line 1, a"],
+    );
 }
 
 #[test]

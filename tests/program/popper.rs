@@ -1,6 +1,6 @@
 //! `logicity induce --popper`: tasks in the format of the learner Popper.
 
-use super::cli::logicity;
+use super::cli::{logicity, run};
 use serde_json::{Value, json};
 use std::fs;
 use std::path::Path;
@@ -111,6 +111,26 @@ fn the_report_has_counts_and_seconds() {
     assert_eq!(clause["clause"], "served(X) :- reach(X, Y), station(Y), large(X).");
     assert_eq!(clause["is_best"], true);
     assert!(clause["alone"].as_u64() <= clause["examples"].as_u64());
+}
+
+#[test]
+fn options_that_would_have_no_effect_are_refused() {
+    let trains = fixture("trains");
+    for (options, part) in [
+        (&["--questions", "3"][..], "cannot be used with"),
+        (&["--log", "log.jsonl"], "cannot be used with"),
+        (&["--ask", "rules/easy.dl"], "cannot be used with"),
+        (&["--config", "easy"], "cannot be used with"),
+        (&["--variables", "7"], "--variables 7: the bias permits at most "),
+    ] {
+        let output = run(&[&["induce", "--popper", &trains], options].concat(), b"");
+        let said = text(&output.stderr);
+        assert_eq!(output.status.code(), Some(2), "{said}");
+        assert!(said.contains(part), "{said}");
+    }
+    let output = logicity(["induce", "--popper", &fixture("trains/bk.pl")]);
+    assert_eq!(output.status.code(), Some(2));
+    assert!(text(&output.stderr).contains("bk.pl` is not a folder with a task"));
 }
 
 #[test]

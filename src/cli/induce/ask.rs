@@ -23,12 +23,16 @@ use std::sync::mpsc::{Receiver, RecvTimeoutError, Sender, SyncSender, TryRecvErr
 use std::thread;
 use std::time::{Duration, Instant};
 
+/// The options about questions. Each but `ask` requires `ask`, but clap does not check that while another option
+/// excludes `ask`: such an option has to exclude all of them.
+pub const ASK_OPTIONS: [&str; 6] = ["ask", "questions", "agreements", "sweep", "answer_timeout", "log"];
+
 #[derive(clap::Args)]
 pub struct AskOptions {
     /// Ask an oracle which action it takes in scenes that the learner makes up. A value that ends in `.dl` is a rule
     /// file; the learner does not see its clauses. Any other value is a command for the shell, which runs once: it
     /// reads one scene per line, as `logicity infer` does, and answers each with a line such as `{"action": "Stop"}`
-    #[arg(long, value_name = "ORACLE", conflicts_with = "noise", value_parser = NonEmptyStringValueParser::new())]
+    #[arg(long, value_name = "ORACLE", value_parser = NonEmptyStringValueParser::new())]
     ask: Option<String>,
     /// The most questions, those of an earlier run in the log included
     #[arg(long, value_name = "COUNT", requires = "ask", value_parser = integer(0..=usize::MAX),

@@ -13,16 +13,16 @@ use crate::rng::Seed;
 use crate::sim::{Executor, Inference, LoadedCity};
 use crate::task::induction::{InductionTask, Origin, Steps};
 use crate::task::spf::{ControlMode, Env, EpisodeSet, SpfTask};
-use crate::task::vap::Dataset;
+use crate::task::vap::{Dataset, MANIFEST};
 use std::io::{BufRead, Cursor, Read};
-use std::path::{Path, PathBuf};
+use std::path::{Component, Path, PathBuf};
 use std::sync::Arc;
 
 /// The first bytes of Parquet and HDF5 files.
 const PARQUET: &[u8] = b"PAR1";
 const HDF5: &[u8] = b"\x89HDF";
 
-/// The number of steps of an episode between looks for an interrupt.
+/// The number of steps of an episode between two polls for cancellation.
 const CANCEL_STEPS: i32 = 1_024;
 
 /// Examples and their origin.
@@ -31,8 +31,8 @@ pub struct Collected {
     pub origin: Origin,
 }
 
-/// Returns the city of the traces among files of examples, or `None` if there is no trace with its configuration. A pipe
-/// is not read, because that is possible only once.
+/// Returns the city of the traces among files of examples, or `None` if there is no trace with its configuration. A
+/// pipe is not read, because that is possible only once.
 pub fn city_of_traces(
     paths: &[PathBuf],
     sources: &mut Sources,
@@ -159,8 +159,8 @@ impl FileCollector<'_> {
             examples: self.task.examples(),
             origin,
         };
-        for path in paths {
-            self.add(path, &mut collected)?;
+        for (path, name) in paths.iter().zip(short_names(paths)) {
+            self.add(path, &name, &mut collected)?;
         }
         if collected.examples.count() == 0 {
             let names: Vec<String> = paths.iter().map(|path| format!("`{}`", path.display())).collect();
@@ -170,8 +170,9 @@ impl FileCollector<'_> {
         Ok(collected)
     }
 
-    /// Adds the examples of a trace, of a table of steps, of labeled scenes or of a data set.
-    fn add(&mut self, path: &Path, to: &mut Collected) -> Result<(), Failure> {
+    /// Adds the examples of a trace, of a table of steps, of labeled scenes or of a data set. `name` is its name in
+    /// places.
+    fn add(&mut self, path: &Path, name: &str, to: &mut Collected) -> Result<(), Failure> {
         if path.is_dir() {
             // Minari keeps a dataset in a folder `data` in a folder with the name of the dataset.
             if ["data/metadata.json", "metadata.json"]
@@ -180,7 +181,12 @@ impl FileCollector<'_> {
             {
                 return Err(is_minari(path).into());
             }
-            return self.add_data_set(path, to);
+            if !path.join(MANIFEST).is_file() {
+                let message = format!("`{}` is no data set: it has no file `{MANIFEST}`", path.display());
+                let help = "`logicity vap make` writes data sets; for a trace, name its file";
+                return Err(Failure::Usage(format!("{message}\nhelp: {help}")));
+            }
+            return self.add_data_set(path, name, to);
         }
         // A pipe can be read once, so the reader of the rest gets the first line, too.
         let mut lines = open_input(path)?;
@@ -191,8 +197,7 @@ impl FileCollector<'_> {
         if is_table {
             let bytes = read_bytes(Cursor::new(first).chain(lines));
             let bytes = bytes.map_err(|error| Failure::file("read", path, error))?;
-            let added = self.add_steps(bytes, path, to);
-            return added;
+            return self.add_steps(bytes, path, name, to);
         }
         if first.starts_with(HDF5) {
             return Err(is_minari(path).into());
@@ -207,9 +212,9 @@ impl FileCollector<'_> {
             return Err(Failure::Usage(message));
         }
         if is_trace {
-            self.add_trace(TraceReader::new(lines, path, 0)?, path, to)
+            self.add_trace(TraceReader::new(lines, path, 0)?, path, name, to)
         } else {
-            self.add_scenes(SceneLines::new(lines, path), path, to)
+            self.add_scenes(SceneLines::new(lines, path), name, to)
         }
     }
 
@@ -221,8 +226,8 @@ impl FileCollector<'_> {
     }
 
     /// Adds the labeled cars of a data set of Visual Action Prediction.
-    fn add_data_set(&self, path: &Path, to: &mut Collected) -> Result<(), Failure> {
-        let (name, data) = (short_name(path), Dataset::open(Folder::new(path))?);
+    fn add_data_set(&self, path: &Path, name: &str, to: &mut Collected) -> Result<(), Failure> {
+        let data = Dataset::open(Folder::new(path))?;
         let vocabulary = &self.task.world().vocabulary;
         let translator = self.task.translator(vocabulary)?;
         for world in &data.manifest().worlds {
@@ -243,8 +248,7 @@ impl FileCollector<'_> {
     }
 
     /// Adds the steps of a Parquet table.
-    fn add_steps(&self, bytes: Vec<u8>, path: &Path, to: &mut Collected) -> Result<(), Failure> {
-        let name = short_name(path);
+    fn add_steps(&self, bytes: Vec<u8>, path: &Path, name: &str, to: &mut Collected) -> Result<(), Failure> {
         let placed = |fault: Diagnostic| fault.note(format!("in `{}`", path.display()));
         let steps = Steps::open(bytes).map_err(placed)?;
         let entities = self.task.observed_entities(&steps.atoms);
@@ -267,8 +271,7 @@ impl FileCollector<'_> {
     }
 
     /// Adds every decision of every agent in a trace.
-    fn add_trace(&self, mut trace: TraceReader, path: &Path, to: &mut Collected) -> Result<(), Failure> {
-        let name = short_name(path);
+    fn add_trace(&self, mut trace: TraceReader, path: &Path, name: &str, to: &mut Collected) -> Result<(), Failure> {
         let hash = &self.task.world().scenario.hash;
         if !self.is_configured && trace.header.archive.is_some() && trace.header.config_hash != *hash {
             let message = format!(
@@ -300,8 +303,7 @@ impl FileCollector<'_> {
     }
 
     /// Adds the labeled egos of scenes.
-    fn add_scenes(&mut self, mut lines: SceneLines, path: &Path, to: &mut Collected) -> Result<(), Failure> {
-        let name = short_name(path);
+    fn add_scenes(&mut self, mut lines: SceneLines, name: &str, to: &mut Collected) -> Result<(), Failure> {
         let vocabulary = self.scenes.vocabulary().clone();
         let translator = self.task.translator(&vocabulary)?;
         while let Some(SceneLine { number, sources, scene }) = lines.next()? {
@@ -349,7 +351,57 @@ fn is_minari(path: &Path) -> Diagnostic {
         .help("call `logicity.induce` in Python with the dataset, its name or its folder")
 }
 
-/// Returns the name of a file without its folder.
-fn short_name(path: &Path) -> String {
-    files::portable_name(&path.display().to_string())
+/// Returns names of files for outputs, which must not contain paths of this machine: without folders, or with as many
+/// as distinguish files of the same name.
+pub fn short_names(paths: &[PathBuf]) -> Vec<String> {
+    let parts = |path: &PathBuf| -> Vec<String> {
+        let names = path.components().rev().filter_map(|part| match part {
+            Component::Normal(name) => Some(files::portable_name(&name.to_string_lossy())),
+            _ => None,
+        });
+        names.collect()
+    };
+    let all: Vec<Vec<String>> = paths.iter().map(parts).collect();
+    let name = |(path, own): (&PathBuf, &Vec<String>)| {
+        if path == Path::new("-") {
+            return "standard input".to_owned();
+        }
+        let is_unique = |count: &usize| {
+            let is_same = |other: &Vec<String>| other != own && other.starts_with(&own[..*count]);
+            !all.iter().any(is_same)
+        };
+        let count = (1..own.len()).find(is_unique).unwrap_or(own.len());
+        match own[..count]
+            .iter()
+            .rev()
+            .map(String::as_str)
+            .collect::<Vec<_>>()
+            .join("/")
+        {
+            name if name.is_empty() => path.display().to_string(),
+            name => name,
+        }
+    };
+    paths.iter().zip(&all).map(name).collect()
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn names_of_files_have_the_folders_that_distinguish_them() {
+        let names = |paths: &[&str]| short_names(&paths.iter().map(PathBuf::from).collect::<Vec<_>>());
+        assert_eq!(names(&["/home/me/a.jsonl", "worlds/"]), ["a.jsonl", "worlds"]);
+        assert_eq!(
+            names(&["/runs/one/trace.jsonl", "/runs/two/trace.jsonl", "other.jsonl"]),
+            ["one/trace.jsonl", "two/trace.jsonl", "other.jsonl"]
+        );
+        assert_eq!(
+            names(&["trace.jsonl", "one/trace.jsonl"]),
+            ["trace.jsonl", "one/trace.jsonl"]
+        );
+        assert_eq!(names(&["trace.jsonl", "trace.jsonl"]), ["trace.jsonl", "trace.jsonl"]);
+        assert_eq!(names(&["-", ".."]), ["standard input", ".."]);
+    }
 }

@@ -12,11 +12,10 @@ use crate::cli::{
     one_of, plural, threads, unwritable,
 };
 use crate::diag::Sources;
-use crate::files;
-use crate::induce::{Examples, Learned, NOISE_MAX, Noise, Progress, Settings, VARIABLES_MAX, learn_with, support};
+use crate::induce::{Examples, LearnedRules, NOISE_MAX, Noise, Progress, Settings, VARIABLES_MAX, learn_with, support};
 use crate::sim::LoadedCity;
-use crate::task::induction::{InductionTask, Inquiry, Origin, Questions, Recalls, report_json, rule_file};
-use ask::AskOptions;
+use crate::task::induction::{InductionTask, Inquiry, Origin, Questions, Recalls, only_action, report_json, rule_file};
+use ask::{ASK_OPTIONS, AskOptions};
 use collect::{Collected, collect};
 use indicatif::{ProgressBar, ProgressStyle};
 use std::io::Write;
@@ -29,11 +28,11 @@ const CONFIG: &str = "configs/expert.yaml";
 #[derive(clap::Args)]
 pub struct Arguments {
     /// Examples: traces of `logicity run`, scenes with `actions` (one JSON object per line), Parquet tables of
-    /// `Demonstrations.to_parquet`, or data sets of `logicity vap make`; `-` means standard input [default: the recorded
-    /// episodes of the configuration, driven by its rules]
+    /// `Demonstrations.to_parquet`, or data sets of `logicity vap make`; `-` means standard input [default: the
+    /// recorded episodes of the configuration, driven by its rules]
     data: Vec<PathBuf>,
-    /// Configuration that defines the predicates. The learner does not read its clauses of actions [default: with traces
-    /// and without --rules, that of the traces, otherwise configs/expert.yaml]
+    /// Configuration that defines the predicates. The learner does not read its clauses of actions [default: with
+    /// traces and without --rules, that of the traces, otherwise configs/expert.yaml]
     #[arg(long)]
     config: Option<PathBuf>,
     /// Rule file to use instead of the configuration's, for its declarations
@@ -63,15 +62,15 @@ pub struct Arguments {
     /// configuration comes last [default: Stop,Slow,Fast]
     #[arg(long, value_name = "ACTIONS", value_delimiter = ',', value_parser = one_of(&Action::ALL, Action::name))]
     order: Vec<Action>,
-    /// The most variables of a clause [default: 3; with `--popper`, `max_vars` of the bias]
+    /// The most variables of a clause [default: 3; with `--popper`, `max_vars` of the bias, which also bounds it]
     #[arg(long, value_name = "COUNT", value_parser = integer(2..=VARIABLES_MAX))]
     variables: Option<usize>,
     /// The most steps of the search for one clause
     #[arg(long, value_name = "COUNT", value_parser = integer(1..=u32::MAX), default_value_t = Settings::default().nodes)]
     effort: u32,
-    /// Share of examples that may have a wrong action, from 0 to 0.4, or `auto` to estimate it. Without it, two examples
-    /// with the same facts and different actions are an error
-    #[arg(long, value_name = "RATE", value_parser = noise)]
+    /// Share of examples that may have a wrong action, from 0 to 0.4, or `auto` to estimate it. Without it, two
+    /// examples with the same facts and different actions are an error
+    #[arg(long, value_name = "RATE", value_parser = noise, conflicts_with_all = ASK_OPTIONS)]
     noise: Option<Noise>,
     /// Seed of the order in which the learner tries examples
     #[arg(long, value_parser = integer(0..=u64::MAX), default_value_t = 0)]
@@ -127,6 +126,11 @@ fn check(arguments: &Arguments) -> Result<(), Failure> {
         let message = "--page needs one trace in a file, as `logicity run` writes it, and --output with a file";
         return Err(Failure::Usage(message.to_owned()));
     }
+    let repeated = (1..arguments.order.len()).find(|&at| arguments.order[..at].contains(&arguments.order[at]));
+    if let Some(at) = repeated {
+        let message = format!("--order: `{}` occurs twice", arguments.order[at].name());
+        return Err(Failure::Usage(message));
+    }
     let inputs = arguments.data.iter().chain(&arguments.test);
     if inputs.filter(|path| path.as_path() == Path::new("-")).count() > 1 {
         let message = "standard input can be read once only; name a file for the other examples";
@@ -135,7 +139,8 @@ fn check(arguments: &Arguments) -> Result<(), Failure> {
     Ok(())
 }
 
-/// Loads the city that defines the predicates. Returns the number of sources that are files within a trace and not on disk.
+/// Loads the city that defines the predicates. Returns the number of sources that are files within a trace and not on
+/// disk.
 fn load(arguments: &Arguments, sources: &mut Sources) -> Result<(LoadedCity, usize), Failure> {
     if !arguments.is_configured()
         && let Some(city) = collect::city_of_traces(&arguments.data, sources, &arguments.limits)?
@@ -228,14 +233,9 @@ pub fn run(arguments: &Arguments, sources: &mut Sources) -> Result<(), Failure> 
         view::write_with(&arguments.data[0], (path, report), &mut out, page, &arguments.limits)?;
         finish(out, page)?;
     }
-    let clauses = support.clauses.len();
-    print_summary(
-        arguments,
-        &learned,
-        clauses,
-        questions.as_ref(),
-        measured.map(|it| it.text(&names)),
-    )?;
+    let mut remarks = only_action(&task, &support).map_or_else(String::new, |line| line + "\n");
+    remarks.extend(measured.map(|it| it.text(&names)));
+    print_summary(arguments, &learned, support.clauses.len(), &remarks, questions.as_ref())?;
     if let Some(questions) = questions {
         let ended = questions.check(&task, &examples, &origin);
         ended.map_err(|error| ask::failure(error, questions.asked()))?;
@@ -247,13 +247,13 @@ pub fn run(arguments: &Arguments, sources: &mut Sources) -> Result<(), Failure> 
     }
 }
 
-/// Prints what was written, the measures on the test examples, and the number of questions.
+/// Prints what was written, the remarks, and the number of questions.
 fn print_summary(
     arguments: &Arguments,
-    learned: &Learned,
+    learned: &LearnedRules,
     clauses: usize,
+    remarks: &str,
     questions: Option<&Questions>,
-    measured: Option<String>,
 ) -> Result<(), Failure> {
     let paths: Vec<&Path> = arguments.outputs().into_iter().map(|(_, path)| path).collect();
     let mut out = messages(&paths);
@@ -269,7 +269,7 @@ fn print_summary(
             arguments.output.display()
         )?;
     }
-    write!(out, "{}", measured.unwrap_or_default())?;
+    write!(out, "{remarks}")?;
     for line in questions.iter().flat_map(|questions| questions.lines()) {
         writeln!(out, "{line}")?;
     }
@@ -277,7 +277,7 @@ fn print_summary(
 }
 
 /// Learns from examples alone.
-fn learn(task: &InductionTask, examples: &Examples, settings: &Settings, cancel: &Cancel) -> Learned {
+fn learn(task: &InductionTask, examples: &Examples, settings: &Settings, cancel: &Cancel) -> LearnedRules {
     let bar = ProgressBar::new(1);
     let template = "{bar:30} {msg} {pos} of {len} states";
     bar.set_style(ProgressStyle::with_template(template).expect("a valid template"));
@@ -317,10 +317,5 @@ fn described(arguments: &Arguments, city: &LoadedCity) -> String {
         };
         return format!("{episodes} of {} ({})", city.scenario.name, arguments.split.name());
     }
-    let names: Vec<String> = arguments
-        .data
-        .iter()
-        .map(|path| files::portable_name(&path.display().to_string()))
-        .collect();
-    names.join(", ")
+    collect::short_names(&arguments.data).join(", ")
 }

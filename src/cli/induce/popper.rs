@@ -1,6 +1,7 @@
 //! `logicity induce --popper`: learns the target of a task in the format of Popper.
 
 use crate::cli::induce::Arguments;
+use crate::cli::induce::ask::ASK_OPTIONS;
 use crate::cli::{Failure, Inputs, cancel_on_interrupt, finish, is_stdout, messages, report, unreadable, unwritable};
 use crate::diag::{SourceId, Sources};
 use crate::files;
@@ -18,23 +19,27 @@ use std::time::Instant;
 pub struct PopperOptions {
     /// Learn the task in FOLDER: the files `bk.pl`, `exs.pl` and `bias.pl` of the learner Popper. Writes Prolog
     /// clauses, or a rule file with the facts of the task if the output ends in `.dl`
-    #[arg(long, value_name = "FOLDER", conflicts_with_all = CITY_OPTIONS)]
+    #[arg(long, value_name = "FOLDER", conflicts_with_all = CITY_OPTIONS, conflicts_with_all = ASK_OPTIONS)]
     pub popper: Option<PathBuf>,
     /// With `--popper`: all arguments of the target that are not in an example are negative examples
-    #[arg(long, requires = "popper")]
+    #[arg(long, requires = "popper", conflicts_with_all = CITY_OPTIONS, conflicts_with_all = ASK_OPTIONS)]
     closed_world: bool,
     /// With `--popper`: clauses may have negated literals
-    #[arg(long, requires = "popper")]
+    #[arg(long, requires = "popper", conflicts_with_all = CITY_OPTIONS, conflicts_with_all = ASK_OPTIONS)]
     negation: bool,
 }
 
-/// The options about a city, which a task in the format of Popper does not have.
-const CITY_OPTIONS: [&str; 10] = [
-    "data", "config", "rules", "split", "episodes", "test", "page", "order", "noise", "ask",
+/// The options about a city, which a task in the format of Popper does not have, beside [`ASK_OPTIONS`].
+const CITY_OPTIONS: [&str; 9] = [
+    "data", "config", "rules", "split", "episodes", "test", "page", "order", "noise",
 ];
 
 pub fn run(arguments: &Arguments, folder: &Path, sources: &mut Sources) -> Result<(), Failure> {
     let options = &arguments.popper;
+    if folder.exists() && !folder.is_dir() {
+        let message = format!("--popper: `{}` is not a folder with a task", folder.display());
+        return Err(Failure::Usage(message));
+    }
     let mut add = |name: &str| -> Result<SourceId, Failure> {
         let path = folder.join(name);
         let text = files::read_text(&path).map_err(|error| unreadable(&path, &error))?;
@@ -64,6 +69,14 @@ pub fn run(arguments: &Arguments, folder: &Path, sources: &mut Sources) -> Resul
         return Err(diagnostics.into());
     };
     report(&diagnostics, sources);
+    if let Some(wanted) = arguments.variables.filter(|wanted| *wanted != task.variables) {
+        let bound = task.variables;
+        let message = match wanted > bound {
+            true => format!("the bias permits at most {bound}\nhelp: change `max_vars` in `bias.pl`"),
+            false => format!("the target has {bound} arguments"),
+        };
+        return Err(Failure::Usage(format!("--variables {wanted}: {message}")));
+    }
     let read_seconds = begun.elapsed().as_secs_f64();
     let settings = Settings {
         nodes: arguments.effort,

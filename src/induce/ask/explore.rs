@@ -17,7 +17,8 @@ const DRAWN: usize = 48;
 /// Changes of a scene that are tried.
 const CHANGES: usize = 100;
 
-/// Asks random scenes until the rules agree in a number of consecutive ones. Asks about the clauses whenever they change.
+/// Asks random scenes until the rules agree in a number of consecutive ones. Asks about the clauses whenever they
+/// change.
 pub fn explore(session: &mut Session<'_>) -> Result<(), End> {
     let mut agreements = 0;
     let mut probes = Probes::new(session);
@@ -176,8 +177,8 @@ fn quiet(
         }
         space.add(&mut scene, choices[random.random_range(0..choices.len())]);
     }
-    // A density for each predicate, of the egos and of others: so scenes differ in what they lack. Egos of which little is
-    // true show clauses with negated literals.
+    // A density for each predicate, of the egos and of others: so scenes differ in what they lack. Egos of which little
+    // is true show clauses with negated literals.
     let is_sparse = random.random_bool(SPARSE);
     let mut densities: BTreeMap<(usize, bool), f64> = BTreeMap::new();
     let mut facts: Vec<usize> = (0..space.facts.len()).collect();

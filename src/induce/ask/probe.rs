@@ -1,5 +1,5 @@
-//! Random clauses that no answer has refuted. They stand for the clauses that are still unknown: the more of them hold in
-//! a scene, the more its answer says.
+//! Random clauses that no answer has refuted. They stand for the clauses that are still unknown: the more of them hold
+//! in a scene, the more its answer says.
 
 use crate::induce::ask::hypothesis::{Suspicions, ground};
 use crate::induce::ask::session::Session;

@@ -7,7 +7,7 @@ use crate::induce::ask::sweep::sweep;
 use crate::induce::ask::verify::verify;
 use crate::induce::constraints::Constraints;
 use crate::induce::examples::Examples;
-use crate::induce::rules::{Learned, Settings};
+use crate::induce::rules::{LearnedRules, Settings};
 
 /// What to learn, and from what.
 #[derive(Clone, Debug)]
@@ -29,7 +29,7 @@ pub struct Refinement {
 #[derive(Debug)]
 pub struct Refined {
     /// The rules that were learned last.
-    pub rules: Learned,
+    pub rules: LearnedRules,
     /// All questions with their answers, in order. Answers from an earlier log that this run asked for are included.
     pub log: Vec<Answer>,
     /// Why the questions ended.

@@ -7,7 +7,7 @@ use crate::induce::ask::support::{self, Support};
 use crate::induce::constraints::Constraints;
 use crate::induce::examples::{Examples, State, majority};
 use crate::induce::learner::learn;
-use crate::induce::rules::{Learned, Settings};
+use crate::induce::rules::{LearnedRules, Settings};
 use crate::induce::vocabulary::{Body, Literal};
 use crate::rng::{Purpose, Rng, RngExt, Seed};
 use std::collections::{HashMap, VecDeque};
@@ -24,7 +24,10 @@ pub type Failure = Box<dyn Error + Send + Sync>;
 
 /// Knows the action that the rules to be learned take in a state.
 pub trait Oracle {
-    /// Returns the position of the action.
+    /// Returns the position of the action in [`Examples::actions`].
+    ///
+    /// # Errors
+    /// The reason why there is no answer. It ends the questions.
     fn action(&mut self, state: &State) -> Result<usize, Failure>;
 }
 
@@ -154,7 +157,7 @@ pub enum Event<'a> {
         is_new: bool,
     },
     /// Rules were learned.
-    Learned(&'a Learned),
+    Learned(&'a LearnedRules),
     /// A sweep begins. The number is an upper bound of its questions.
     Sweep(Bound, u128),
 }
@@ -173,7 +176,7 @@ pub struct Session<'a> {
     pub constraints: &'a Constraints,
     pub asking: &'a AskSettings,
     pub cancel: &'a Cancel,
-    pub rules: Learned,
+    pub rules: LearnedRules,
     pub hypothesis: Hypothesis,
     /// For each clause of the hypothesis, what the examples say about it.
     pub supports: Vec<Support>,
@@ -222,7 +225,7 @@ impl<'a> Session<'a> {
             oracle,
             observe,
             earlier,
-            rules: Learned::default(),
+            rules: LearnedRules::default(),
             supports: Vec::new(),
             log: Vec::new(),
             is_example: Vec::new(),

@@ -73,8 +73,8 @@ fn is_kept(session: &mut Session<'_>, state: &State, action: usize, ignored: Opt
     Ok(session.ask(state, Reason::Shrink)? == action)
 }
 
-/// Finds the fact that keeps a clause from deciding a state in which it holds: bisects between the smallest scene of the
-/// clause and the state. If even the smallest scene has another answer, shrinks an example of the clause.
+/// Finds the fact that keeps a clause from deciding a state in which it holds: bisects between the smallest scene of
+/// the clause and the state. If even the smallest scene has another answer, shrinks an example of the clause.
 fn restrict(session: &mut Session<'_>, state: &State, instance: &Instance) -> Result<(), End> {
     let vocabulary = session.examples.vocabulary().clone();
     let mut kept: Vec<usize> = instance.assignment.iter().map(|&entity| entity.into()).collect();
@@ -126,8 +126,8 @@ fn restrict(session: &mut Session<'_>, state: &State, instance: &Instance) -> Re
     Ok(())
 }
 
-/// Returns the facts of a scene that can be added to a part of it one by one: no covering facts, and of facts that imply
-/// each other only the first.
+/// Returns the facts of a scene that can be added to a part of it one by one: no covering facts, and of facts that
+/// imply each other only the first.
 fn units(space: &Space, whole: &Bits, part: &Bits) -> Vec<usize> {
     let is_unit = |&fact: &usize| {
         let is_covering = space.covers.iter().any(|cover| bits::contains(cover, fact));
@@ -138,7 +138,8 @@ fn units(space: &Space, whole: &Bits, part: &Bits) -> Vec<usize> {
     bits::elements(whole).filter(is_unit).collect()
 }
 
-/// Returns the scene with a part of the facts of a larger one, further facts of it, and its covering facts where needed.
+/// Returns the scene with a part of the facts of a larger one, further facts of it, and its covering facts where
+/// needed.
 fn scene_within(space: &Space, part: &Bits, further: &[usize], whole: &Bits) -> State {
     let mut scene = part.clone();
     further.iter().for_each(|&fact| space.add(&mut scene, fact));

@@ -1,7 +1,7 @@
 //! The scenes of a fixed number of entities: which facts imply and exclude which.
 //!
-//! All constraints but the covering ones relate two facts. So a set of facts can be completed to a scene if it is closed,
-//! no two of its facts exclude each other, and a choice of covering facts fits.
+//! All constraints but the covering ones relate two facts. So a set of facts can be completed to a scene if it is
+//! closed, no two of its facts exclude each other, and a choice of covering facts fits.
 
 use crate::induce::bits::{self, Bits};
 use crate::induce::constraints::Constraints;

@@ -1,7 +1,7 @@
 //! What the examples say about a clause: the literals that are true in all examples that only the clause explains.
 //!
-//! A clause of the rules to be learned that explains these examples is a subset of these literals. The learned clause is
-//! exact if all of them follow from it.
+//! A clause of the rules to be learned that explains these examples is a subset of these literals. The learned clause
+//! is exact if all of them follow from it.
 
 use crate::induce::ask::hypothesis::Hypothesis;
 use crate::induce::ask::space::Space;
@@ -22,8 +22,8 @@ pub struct Support {
 }
 
 impl Support {
-    /// Returns the facts of the support that do not follow from a clause: those that hold in all examples, and those that
-    /// hold in none. `positive` and `negative` are the facts of the clause.
+    /// Returns the facts of the support that do not follow from a clause: those that hold in all examples, and those
+    /// that hold in none. `positive` and `negative` are the facts of the clause.
     pub fn gap(&self, space: &Space, positive: &Bits, negative: &Bits) -> (Bits, Bits) {
         let Some((all, none)) = &self.literals else {
             let empty = bits::empty(space.facts.len());

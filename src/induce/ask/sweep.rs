@@ -75,8 +75,8 @@ pub fn count_at_most(vocabulary: &Vocabulary, constraints: &Constraints, bound: 
         .fold(0, u128::saturating_add)
 }
 
-/// Returns the facts that count in the size of a scene, and the covering facts. Of facts that imply each other, only the
-/// first is included.
+/// Returns the facts that count in the size of a scene, and the covering facts. Of facts that imply each other, only
+/// the first is included.
 fn roles(space: &Space) -> (Vec<usize>, Vec<usize>) {
     let is_possible = |&fact: &usize| {
         let is_first = bits::elements(&space.implied[fact])

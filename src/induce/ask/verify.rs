@@ -1,7 +1,7 @@
 //! Questions about one learned clause.
 //!
-//! The examples that only this clause explains have literals in common. A question falsifies as many of these as possible
-//! that do not follow from the clause. If the action stays, the clause needs none of them.
+//! The examples that only this clause explains have literals in common. A question falsifies as many of these as
+//! possible that do not follow from the clause. If the action stays, the clause needs none of them.
 
 use crate::induce::ask::hypothesis::{Instance, Suspicions, own_instance};
 use crate::induce::ask::session::{End, Reason, Session};
@@ -313,7 +313,8 @@ fn without(
     None
 }
 
-/// Returns whether an example of an action of lower precedence has the true facts of a scene and none of the false ones.
+/// Returns whether an example of an action of lower precedence has the true facts of a scene and none of the false
+/// ones.
 fn is_refuted(session: &Session<'_>, space: &Space, subject: &Subject, scene: &Bits, false_: &Bits) -> bool {
     let vocabulary = session.examples.vocabulary();
     session.examples.states().any(|(state, tallies)| {

@@ -133,7 +133,14 @@ impl Bias {
                 }
                 self.body.entry(key).or_insert(head.span);
             }
-            ("max_vars", [count]) => self.variables = Some(number(count)?),
+            ("max_vars", [count]) => {
+                let count = number(count)?;
+                self.variables = Some(count);
+                if count > VARIABLES_MAX {
+                    let fault = ignored(head.span, &format!("`max_vars` above {VARIABLES_MAX}"));
+                    return Err(fault.note(format!("a clause has at most {VARIABLES_MAX} variables")));
+                }
+            }
             ("type", [name, types]) => {
                 let types = names(types)?;
                 self.types.insert((constant(name)?, types.len()), types);
@@ -164,7 +171,7 @@ impl Bias {
             }
             (name, _) if SIZES.contains(&name) => {
                 let fault = ignored(head.span, &format!("`{name}`"));
-                return Err(fault.note("the learner minimizes the size of the solution"));
+                return Err(fault.note("the learner prefers short clauses and few of them without a bound"));
             }
             (name, _) => return Err(ignored(head.span, &format!("`{name}`"))),
         }

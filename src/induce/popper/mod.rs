@@ -142,7 +142,8 @@ pub fn read(sources: &Sources, files: &Files, options: &Options) -> (Option<Task
                 _ => {
                     let (name, arity) = target;
                     let fault = Diagnostic::new(Code::INVALID_FACT, format!("expected an example of `{name}/{arity}`"));
-                    let help = format!("write `pos({name}(...)).` or `neg({name}(...)).` with {arity} arguments");
+                    let arguments = if *arity == 1 { "argument" } else { "arguments" };
+                    let help = format!("write `pos({name}(...)).` or `neg({name}(...)).` with {arity} {arguments}");
                     faults.push(fault.at(place, "not an example").help(help));
                 }
             }

@@ -343,5 +343,5 @@ impl Parser {
 pub fn unsupported(span: Span, what: &str) -> Diagnostic {
     Diagnostic::new(Code::UNSUPPORTED, format!("{what} is not supported"))
         .at(span, "")
-        .note("the learner reads facts and rules about constants: no lists, functions or arithmetic")
+        .note("a task is one target, with facts and rules about constants: no lists, functions or arithmetic")
 }

@@ -8,8 +8,8 @@ use smallvec::SmallVec;
 
 /// The consequences of literals over some variables.
 ///
-/// Variables count as different entities. This loses nothing: if a clause holds for a state in which two variables stand
-/// for one entity, it holds for the state in which a copy of this entity replaces one of them.
+/// Variables count as different entities. This loses nothing: if a clause holds for a state in which two variables
+/// stand for one entity, it holds for the state in which a copy of this entity replaces one of them.
 pub struct Entailment<'a> {
     vocabulary: &'a Vocabulary,
     variables: usize,

@@ -8,7 +8,7 @@ use crate::induce::bits;
 use crate::induce::constraints::Constraints;
 use crate::induce::examples::{Examples, State, majority};
 use crate::induce::problem::{LabeledColumns, Problem};
-use crate::induce::rules::{Learned, clauses_hold};
+use crate::induce::rules::{LearnedRules, clauses_hold};
 use crate::induce::vocabulary::{ARITY_MAX, Atom, Body, Literal, Vocabulary};
 use entailment::Entailment;
 use std::collections::BTreeMap;
@@ -19,7 +19,7 @@ const NEGATIVE_MAX: usize = 100_000;
 /// What the examples say about learned rules.
 #[derive(Clone, Debug)]
 pub struct Support {
-    /// The clauses in the order of [`Learned::bodies`].
+    /// The clauses in the order of [`LearnedRules::bodies`].
     pub clauses: Vec<ClauseSupport>,
     /// Number of distinct states.
     pub states: usize,
@@ -38,6 +38,14 @@ pub struct Support {
     /// Atoms over the variables of the head that hold in no example, and atoms of predicates that never hold at all.
     /// Atoms that imply another one of them by the constraints are left out.
     pub unseen: Vec<Atom>,
+}
+
+impl Support {
+    /// Returns the position of the only action that has examples. `None` if there are several, or no examples.
+    pub fn only_action(&self) -> Option<usize> {
+        let mut taken = (0..self.by_action.len()).filter(|&action| self.by_action[action] > 0);
+        taken.next().filter(|_| taken.next().is_none())
+    }
 }
 
 /// Examples in which clauses of two actions hold.
@@ -80,7 +88,7 @@ pub struct ClauseSupport {
 
 /// Counts the examples that each clause explains, and finds the literals that neither the examples nor the constraints
 /// decide. It does not search for these literals in the rules of an interrupted learner.
-pub fn support(examples: &Examples, learned: &Learned, constraints: &Constraints) -> Support {
+pub fn support(examples: &Examples, learned: &LearnedRules, constraints: &Constraints) -> Support {
     let vocabulary = examples.vocabulary();
     let states: Vec<&State> = examples.states().map(|(state, _)| state).collect();
     let bodies = learned.bodies();
@@ -189,8 +197,8 @@ pub fn support(examples: &Examples, learned: &Learned, constraints: &Constraints
     }
 }
 
-/// Returns the atoms over the variables of the head that hold in no state, and one atom of each predicate that holds for
-/// no entities at all; without those that imply another one of them.
+/// Returns the atoms over the variables of the head that hold in no state, and one atom of each predicate that holds
+/// for no entities at all; without those that imply another one of them.
 fn unseen(vocabulary: &Vocabulary, constraints: &Constraints, states: &[&State]) -> Vec<Atom> {
     let egos = vocabulary.egos();
     let mut head: Vec<Atom> = vocabulary.atoms(egos);

@@ -2,7 +2,7 @@ use crate::cancel::Cancel;
 use crate::induce::constraints::Constraints;
 use crate::induce::examples::{Examples, State};
 use crate::induce::learner::learn;
-use crate::induce::rules::{Learned, Settings};
+use crate::induce::rules::{LearnedRules, Settings};
 use crate::induce::support::entailment::Entailment;
 use crate::induce::support::support;
 use crate::induce::vocabulary::tuples;
@@ -192,7 +192,7 @@ fn compare(
     constraints: &Constraints,
     valid: &[State],
     examples: &Examples,
-    learned: &Learned,
+    learned: &LearnedRules,
     labeled: &[(State, usize)],
 ) -> Result<(), TestCaseError> {
     let found = support(examples, learned, constraints);

@@ -9,7 +9,7 @@ use crate::files::{Journal, ReadError};
 use crate::induce::ask::{
     Answer, AskSettings, End, Event, Failure, Observer, Oracle, Reason, Refined, Refinement, canonical,
 };
-use crate::induce::{Examples, Learned, Settings, State};
+use crate::induce::{Examples, LearnedRules, Settings, State};
 use crate::rng::Seed;
 use crate::sim::{Executor, Facts, Inference, SceneFacts};
 use crate::task::induction::text::plural;
@@ -463,7 +463,7 @@ fn position(reason: &Reason) -> usize {
 #[derive(Debug)]
 pub struct Asked {
     /// The rules.
-    pub learned: Learned,
+    pub learned: LearnedRules,
     /// The examples known at the beginning, and the answers from which the rules were learned.
     pub examples: Examples,
     /// The questions and their end.

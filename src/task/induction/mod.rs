@@ -16,7 +16,7 @@ pub use popper::TargetRules;
 pub use recalls::Recalls;
 #[cfg(feature = "parquet")]
 pub use steps::{Step, Steps};
-pub use text::{Origin, report_json, rule_file};
+pub use text::{Origin, only_action, report_json, rule_file};
 
 use crate::city::Action;
 use crate::datalog::{Constraint, RelId};
@@ -37,9 +37,10 @@ pub struct InductionTask {
 impl InductionTask {
     /// Creates the task of learning rules for a world. Clauses may use every base predicate that its rules declare.
     ///
-    /// Clauses are learned for the actions that the rules declare, except the default one. In learned rules the first of
-    /// `order` has precedence over the others; actions that it lacks follow in the order of [`Action::SAFEST_FIRST`].
-    /// Learned rules derive at most one action, so the precedence of the configuration does not matter.
+    /// Clauses are learned for the actions that the rules declare, except the default one. In learned rules the first
+    /// of `order` has precedence over the others; actions that it lacks follow in the order of
+    /// [`Action::SAFEST_FIRST`]. Learned rules derive at most one action, so the precedence of the configuration does
+    /// not matter.
     pub fn new(world: Arc<World>, order: &[Action]) -> InductionTask {
         let known = &world.vocabulary;
         let symmetric = |predicate: &sim::Predicate| {

@@ -1,7 +1,7 @@
 //! Rules learned from a task in the format of Popper: as Prolog, as a rule file and as JSON.
 
 use crate::induce::popper::{Solution, Task};
-use crate::induce::{ClauseSupport, Constraints, Examples, Learned, Literal, Settings, Support, support};
+use crate::induce::{ClauseSupport, Constraints, Examples, LearnedRules, Literal, Settings, Support, support};
 use crate::task::induction::text::{FEW, comment, listed, plural};
 use serde_json::{Value, json};
 
@@ -27,10 +27,10 @@ impl TargetRules<'_> {
         solution: &'a Solution,
         settings: &'a Settings,
     ) -> TargetRules<'a> {
-        let learned = Learned {
+        let learned = LearnedRules {
             actions: vec![solution.rules.clone()],
             is_complete: !solution.is_cut,
-            ..Learned::default()
+            ..LearnedRules::default()
         };
         let states: Vec<_> = task.cases.iter().map(|case| &case.state).collect();
         let mut counts = [[0; 2]; 2];

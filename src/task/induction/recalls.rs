@@ -1,6 +1,6 @@
 //! The accuracy of learned rules on examples.
 
-use crate::induce::{Examples, Learned};
+use crate::induce::{Examples, LearnedRules};
 use serde_json::{Value, json};
 
 /// The examples in which learned rules choose the right action.
@@ -12,7 +12,7 @@ pub struct Recalls {
 
 impl Recalls {
     /// Counts the examples.
-    pub fn new(examples: &Examples, learned: &Learned) -> Recalls {
+    pub fn new(examples: &Examples, learned: &LearnedRules) -> Recalls {
         let states: Vec<_> = examples.states().map(|(state, _)| state).collect();
         let chosen = learned.decide(examples.vocabulary(), &states);
         let mut actions = vec![[0; 2]; examples.actions().len()];
@@ -32,8 +32,8 @@ impl Recalls {
         occur.map(|(action, [count, right])| (action, *right as f64 / *count as f64))
     }
 
-    /// Returns the accuracy and the weighted accuracy of the paper (wAcc), in which the recall of an action with n examples
-    /// has the weight 1/n.
+    /// Returns the accuracy and the weighted accuracy of the paper (wAcc), in which the recall of an action with n
+    /// examples has the weight 1/n.
     #[allow(clippy::cast_precision_loss)] // rates
     fn accuracies(&self) -> [f64; 2] {
         let sum = |at: usize| self.actions.iter().map(|counts| counts[at]).sum::<u64>() as f64;

@@ -4,7 +4,7 @@ use crate::builtin;
 use crate::datalog::{self, ast};
 use crate::diag::{SourceId, Sources};
 use crate::files::BUILTIN_FOLDER;
-use crate::induce::{Atom, ClauseSupport, Learned, LearnedClause, Literal, Support, Vocabulary};
+use crate::induce::{Atom, ClauseSupport, LearnedClause, LearnedRules, Literal, Support, Vocabulary};
 use crate::task::induction::InductionTask;
 use serde_json::{Value, json};
 use std::collections::BTreeMap;
@@ -53,7 +53,7 @@ impl Origin {
 /// files in `sources`.
 pub fn rule_file(
     task: &InductionTask,
-    learned: &Learned,
+    learned: &LearnedRules,
     support: &Support,
     origin: &Origin,
     (sources, rule_files): (&Sources, &[SourceId]),
@@ -149,8 +149,16 @@ pub(super) fn plural(count: u64, one: &str, many: &str) -> String {
     format!("{count} {}", if count == 1 { one } else { many })
 }
 
+/// Returns a sentence about examples that all have the same action.
+pub fn only_action(task: &InductionTask, support: &Support) -> Option<String> {
+    let name = task.actions()[support.only_action()?].name();
+    Some(format!(
+        "All examples have the action {name}: they do not show when another action is taken."
+    ))
+}
+
 /// Returns sentences about the whole result.
-fn summary(task: &InductionTask, learned: &Learned, support: &Support, origin: &Origin) -> Vec<String> {
+fn summary(task: &InductionTask, learned: &LearnedRules, support: &Support, origin: &Origin) -> Vec<String> {
     let mut lines = Vec::new();
     let names: Vec<&str> = task.actions().iter().map(|action| action.name()).collect();
     let counts: Vec<String> = names
@@ -164,6 +172,7 @@ fn summary(task: &InductionTask, learned: &Learned, support: &Support, origin: &
         plural(support.examples, "example", "examples"),
         counts.join(", ")
     ));
+    lines.extend(only_action(task, support));
     if support.wrong == 0 {
         lines.push("The rules choose the action of every example.".to_owned());
     } else {
@@ -375,7 +384,7 @@ pub(super) fn listed(texts: &[String], word: &str) -> String {
 }
 
 /// Returns learned rules and their support as JSON.
-pub fn report_json(task: &InductionTask, learned: &Learned, support: &Support, origin: &Origin) -> Value {
+pub fn report_json(task: &InductionTask, learned: &LearnedRules, support: &Support, origin: &Origin) -> Value {
     let vocabulary = task.vocabulary();
     let names: Vec<&str> = task.actions().iter().map(|action| action.name()).collect();
     let texts = |literals: &[Literal]| {

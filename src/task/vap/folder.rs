@@ -20,7 +20,8 @@ pub(super) const DATA: &str = "logicity vap";
 /// The version of the format. It increases when a reader of the old version would misread the new one.
 pub(super) const VERSION: u32 = 3;
 
-pub(super) const MANIFEST: &str = "manifest.json";
+/// The file of a data set with its settings and worlds.
+pub const MANIFEST: &str = "manifest.json";
 const CARD: &str = "README.md";
 pub(super) const ENTITIES: &str = "entities.parquet";
 pub(super) const PAIRS: &str = "pairs.parquet";

@@ -18,7 +18,7 @@ pub use check::Dataset;
 pub use codes::{CATALOG, CODES};
 pub use dataset::{DatasetRequest, DatasetSummary, DatasetWriter, WORLDS_MAX};
 pub use error::{DatasetError, Occupied};
-pub use folder::{DatasetSettings, FileRecord, Manifest, WorldRecord};
+pub use folder::{DatasetSettings, FileRecord, MANIFEST, Manifest, WorldRecord};
 pub use stats::{Estimate, Statistics, WorldCounts};
 
 use crate::city::{Action, AgentGroup, AgentKind, AgentName, AgentSet, Split};
