@@ -231,7 +231,7 @@ def induce(
         order: The actions in the order in which the learned rules try them. The default action of the configuration
             comes last.
         variables: The largest number of variables of a clause, from 2 on.
-        effort: The largest number of steps of the search for one clause.
+        effort: The largest number of steps of the search for one clause. Without effect on examples with wrong actions.
         noise: The share of examples that may have a wrong action, from 0 to 0.4, or "auto" to estimate it by
             cross-validation. None means that all are right: then two examples with the same facts and different actions
             are an error.

@@ -65,7 +65,7 @@ pub struct Arguments {
     /// The most variables of a clause [default: 3; with `--popper`, `max_vars` of the bias, which also bounds it]
     #[arg(long, value_name = "COUNT", value_parser = integer(2..=VARIABLES_MAX))]
     variables: Option<usize>,
-    /// The most steps of the search for one clause
+    /// The most steps of the search for one clause; without effect on examples with wrong actions (`--noise`)
     #[arg(long, value_name = "COUNT", value_parser = integer(1..=u32::MAX), default_value_t = Settings::default().nodes)]
     effort: u32,
     /// Share of examples that may have a wrong action, from 0 to 0.4, or `auto` to estimate it. Without it, two

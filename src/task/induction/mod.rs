@@ -155,8 +155,11 @@ impl InductionTask {
         let scenario = &self.world.scenario;
         let hash: String = scenario.hash.chars().take(12).collect();
         format!(
-            "Configuration {} {hash}; at most {} variables, {} steps per search, seed {}.",
-            scenario.name, settings.variables, settings.nodes, settings.seed
+            "Configuration {} {hash}; at most {} variables, {} per search, seed {}.",
+            scenario.name,
+            settings.variables,
+            text::plural(settings.nodes.into(), "step", "steps"),
+            settings.seed
         )
     }
 
