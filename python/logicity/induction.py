@@ -306,6 +306,8 @@ def induce(
     observations, actions, parts = _stacked(source.episodes, width)
     origin = f"{len(parts)} episodes {source.title or f'for {name}'}" if parts else f"questions about scenes of {name}"
     lines = [f"Rules learned by logicity {_logicity.__version__} from {origin}.", *source.lines]
+    if rules is not None:
+        lines.append(f"The configuration has the rules in {os.path.basename(checked_path('rules', rules))}.")
     asking = None
     if ask is not None:
         asking = (

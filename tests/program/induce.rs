@@ -604,6 +604,10 @@ fn declarations_outside_the_built_in_files_are_kept() {
         rules.to_str().unwrap(),
     ]));
     assert!(learned.contains("/// Near an intersection."), "{learned}");
+    assert!(
+        learned.contains("\n// The configuration has the rules in own.dl.\n"),
+        "{learned}"
+    );
     assert!(learned.contains("NearInter(X) :- IsInInter(X)."), "{learned}");
     assert_eq!(learned.matches("Stop(X) :-").count(), 1, "{learned}");
 }
