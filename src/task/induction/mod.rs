@@ -1,6 +1,6 @@
 //! Learning rules for a city: examples from episodes, traces and scenes, and learned rules as a rule file.
 //!
-//! The room [`induce`](crate::induce) learns; this module translates between it and the city.
+//! The module [`induce`](crate::induce) learns. This one translates between it and the city.
 
 mod ask;
 mod codes;
