@@ -1,8 +1,8 @@
 //! Measures how many questions the learner needs, and how exactly it learns random rules.
 //!
 //! `cargo bench --bench induce -- questions` prints, for each rule set of the city, the questions until the learned
-//! rules are equivalent to the true ones: from nothing, and from the 100 training demonstrations. `-- nothing` and `--
-//! demonstrations` print one of the two tables; names of modes choose rows.
+//! rules are equivalent to the true ones: from nothing, and from the 100 training demonstrations. `-- nothing` and
+//! `-- demonstrations` print one of the two tables; names of modes choose rows.
 //!
 //! `cargo bench --bench induce -- random` learns 50 random rule sets from 10,000 random scenes each, then with
 //! questions, then with a sweep. `-- random 10..20` learns ten of them.

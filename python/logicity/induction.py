@@ -231,7 +231,7 @@ def induce(
         order: The actions in the order in which the learned rules try them. The default action of the configuration
             comes last.
         variables: The largest number of variables of a clause, from 2 on.
-        effort: The largest number of steps of the search for one clause.
+        effort: The largest number of steps of the search for one clause. Without effect on examples with wrong actions.
         noise: The share of examples that may have a wrong action, from 0 to 0.4, or "auto" to estimate it by
             cross-validation. None means that all are right: then two examples with the same facts and different actions
             are an error.
@@ -306,6 +306,8 @@ def induce(
     observations, actions, parts = _stacked(source.episodes, width)
     origin = f"{len(parts)} episodes {source.title or f'for {name}'}" if parts else f"questions about scenes of {name}"
     lines = [f"Rules learned by logicity {_logicity.__version__} from {origin}.", *source.lines]
+    if rules is not None:
+        lines.append(f"The configuration has the rules in {os.path.basename(checked_path('rules', rules))}.")
     asking = None
     if ask is not None:
         asking = (

@@ -351,6 +351,11 @@ def test_demonstrations_of_another_mode_are_refused(demonstrations: logicity.Dem
         logicity.induce(demonstrations, "easy")
 
 
+def test_the_rule_file_names_the_rules_of_the_configuration(demonstrations: logicity.Demonstrations) -> None:
+    rules = logicity.induce(demonstrations[:3], "hard", rules="rules/expert.dl")
+    assert "// The configuration has the rules in expert.dl.\n" in rules.text
+
+
 def test_observations_are_finite(demonstrations: logicity.Demonstrations) -> None:
     episode = demonstrations[0]
     unknown = SimpleNamespace(observations=np.full_like(episode.observations, np.nan), actions=episode.actions)

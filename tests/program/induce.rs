@@ -514,7 +514,8 @@ fn bad_examples_are_refused() {
     );
     // With noise, both are accepted.
     let tolerated = logicity(["induce", file.to_str().unwrap(), "--config", "easy", "--noise", "0.1"]);
-    assert!(succeeds(&tolerated).contains("// Noise: 10.00 % of the examples"));
+    let learned = succeeds(&tolerated);
+    assert!(learned.contains("// Noise: 10.00 % of the examples"), "{learned}");
     let unusable = logicity(["induce", file.to_str().unwrap(), "--config", "easy", "--noise", "0.7"]);
     fails(&unusable, 2, &["from 0 to 0.4"]);
     fails(&logicity(["induce", "no such file"]), 2, &["no such file"]);
@@ -539,6 +540,16 @@ fn options_that_would_have_no_effect_are_refused() {
     ] {
         fails(&run(&[&["induce", scenes], options].concat(), b""), 2, &[part]);
     }
+}
+
+/// A tolerant search has no limit that could cut it.
+#[test]
+fn clauses_learned_with_noise_are_not_cut() {
+    let episodes = ["induce", "--config", "easy", "--episodes", "10"];
+    let learned = |options: &[&str]| succeeds(&run(&[&episodes, options].concat(), b""));
+    assert!(!learned(&["--noise", "0.01"]).contains("// Cut: "));
+    assert!(!learned(&[]).contains("// Cut: "));
+    assert!(learned(&["--effort", "1"]).contains("// Cut: "));
 }
 
 #[test]
@@ -593,6 +604,10 @@ fn declarations_outside_the_built_in_files_are_kept() {
         rules.to_str().unwrap(),
     ]));
     assert!(learned.contains("/// Near an intersection."), "{learned}");
+    assert!(
+        learned.contains("\n// The configuration has the rules in own.dl.\n"),
+        "{learned}"
+    );
     assert!(learned.contains("NearInter(X) :- IsInInter(X)."), "{learned}");
     assert_eq!(learned.matches("Stop(X) :-").count(), 1, "{learned}");
 }

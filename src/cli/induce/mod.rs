@@ -12,6 +12,7 @@ use crate::cli::{
     one_of, plural, threads, unwritable,
 };
 use crate::diag::Sources;
+use crate::files;
 use crate::induce::{Examples, LearnedRules, NOISE_MAX, Noise, Progress, Settings, VARIABLES_MAX, learn_with, support};
 use crate::sim::LoadedCity;
 use crate::task::induction::{InductionTask, Inquiry, Origin, Questions, Recalls, only_action, report_json, rule_file};
@@ -65,7 +66,7 @@ pub struct Arguments {
     /// The most variables of a clause [default: 3; with `--popper`, `max_vars` of the bias, which also bounds it]
     #[arg(long, value_name = "COUNT", value_parser = integer(2..=VARIABLES_MAX))]
     variables: Option<usize>,
-    /// The most steps of the search for one clause
+    /// The most steps of the search for one clause; without effect on examples with wrong actions (`--noise`)
     #[arg(long, value_name = "COUNT", value_parser = integer(1..=u32::MAX), default_value_t = Settings::default().nodes)]
     effort: u32,
     /// Share of examples that may have a wrong action, from 0 to 0.4, or `auto` to estimate it. Without it, two
@@ -183,6 +184,10 @@ pub fn run(arguments: &Arguments, sources: &mut Sources) -> Result<(), Failure> 
         env!("CARGO_PKG_VERSION"),
         described(arguments, &city)
     ));
+    if let Some(rules) = &arguments.rules {
+        let name = files::portable_name(&rules.display().to_string());
+        origin.lines.push(format!("The configuration has the rules in {name}."));
+    }
     let settings = arguments.settings();
     let cancel = cancel_on_interrupt()?;
     let (task, collected, tests) = collect(arguments, city, sources, origin, &cancel)?;

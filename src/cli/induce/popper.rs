@@ -2,7 +2,9 @@
 
 use crate::cli::induce::Arguments;
 use crate::cli::induce::ask::ASK_OPTIONS;
-use crate::cli::{Failure, Inputs, cancel_on_interrupt, finish, is_stdout, messages, report, unreadable, unwritable};
+use crate::cli::{
+    Failure, Inputs, cancel_on_interrupt, finish, is_stdout, messages, plural, report, unreadable, unwritable,
+};
 use crate::diag::{SourceId, Sources};
 use crate::files;
 use crate::induce::Settings;
@@ -99,9 +101,9 @@ pub fn run(arguments: &Arguments, folder: &Path, sources: &mut Sources) -> Resul
             files::portable_name(&folder.display().to_string())
         ),
         format!(
-            "At most {} variables, {} steps per search, seed {}{}{}.",
+            "At most {} variables, {} per search, seed {}{}{}.",
             settings.variables,
-            settings.nodes,
+            plural(settings.nodes as usize, "step"),
             settings.seed,
             if options.negation { ", negated literals" } else { "" },
             if options.closed_world { ", closed world" } else { "" },
@@ -124,11 +126,10 @@ pub fn run(arguments: &Arguments, folder: &Path, sources: &mut Sources) -> Resul
     if !is_stdout(path) {
         let mut written = vec![path];
         written.extend(arguments.report.as_deref());
-        let count = rules.clauses();
-        let clauses = if count == 1 { "clause" } else { "clauses" };
         writeln!(
             messages(&written),
-            "wrote {count} {clauses} to {} in {:.2} s\n{}",
+            "wrote {} to {} in {:.2} s\n{}",
+            plural(rules.clauses(), "clause"),
             path.display(),
             read_seconds + learn_seconds,
             rules.outcome()

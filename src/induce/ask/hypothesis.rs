@@ -158,8 +158,9 @@ pub fn own_instance(hypothesis: &Hypothesis, clause: usize, space: &Space) -> (B
     (positive, instance.negative)
 }
 
-/// How likely a fact keeps a clause from holding, judged by the negated literals of the learned clauses.
-pub struct Suspicions {
+/// Estimates the probability that a clause negates a fact: the rate in the learned clauses, smoothed with the general
+/// rate of negated literals.
+pub struct NegationRates {
     egos: usize,
     clauses: usize,
     negated: usize,
@@ -167,8 +168,8 @@ pub struct Suspicions {
     roles: HashMap<(usize, SmallVec<[bool; ARITY_MAX]>), usize>,
 }
 
-impl Suspicions {
-    pub fn new(hypothesis: &Hypothesis) -> Suspicions {
+impl NegationRates {
+    pub fn new(hypothesis: &Hypothesis) -> NegationRates {
         let egos = hypothesis.vocabulary.egos();
         let mut roles = HashMap::new();
         let mut negated = 0;
@@ -184,7 +185,7 @@ impl Suspicions {
                 *roles.entry((literal.atom.predicate, role)).or_insert(0) += 1;
             }
         }
-        Suspicions {
+        NegationRates {
             egos,
             clauses: hypothesis.clauses.len(),
             negated,
@@ -199,9 +200,9 @@ impl Suspicions {
         let count = self.roles.get(&(*predicate, role)).copied().unwrap_or(0) as f64;
         let clauses = self.clauses as f64;
         let base = (self.negated as f64 + 1.0) / ((clauses + 1.0) * space.facts.len() as f64);
-        (count + PRIOR * base) / (clauses + PRIOR)
+        (count + PSEUDOCOUNT * base) / (clauses + PSEUDOCOUNT)
     }
 }
 
 /// The number of clauses that the general rate of negated literals counts as.
-const PRIOR: f64 = 3.0;
+const PSEUDOCOUNT: f64 = 3.0;

@@ -1,7 +1,7 @@
 //! Random clauses that no answer has refuted. They stand for the clauses that are still unknown: the more of them hold
 //! in a scene, the more its answer says.
 
-use crate::induce::ask::hypothesis::{Suspicions, ground};
+use crate::induce::ask::hypothesis::{NegationRates, ground};
 use crate::induce::ask::session::Session;
 use crate::induce::bits::{self, Bits};
 use crate::induce::examples::{State, majority, witnesses};
@@ -73,10 +73,10 @@ impl Probes {
         random: &mut impl Rng,
         draw: &mut dyn FnMut(&mut Session<'_>) -> Option<State>,
     ) {
-        let suspicions = Suspicions::new(&session.hypothesis);
+        let rates = NegationRates::new(&session.hypothesis);
         let space = session.space(session.variables().max(self.vocabulary.egos()));
         let weigh = |atom: &Atom| {
-            suspicions.probability(
+            rates.probability(
                 &space,
                 self.vocabulary.fact(space.entities, atom.predicate, &atom.own()),
             )

@@ -1,6 +1,6 @@
 //! Searches for the facts that matter in a scene with an unexpected answer.
 
-use crate::induce::ask::hypothesis::{Instance, Suspicions, firing};
+use crate::induce::ask::hypothesis::{Instance, NegationRates, firing};
 use crate::induce::ask::session::{End, Reason, Session};
 use crate::induce::ask::space::Space;
 use crate::induce::bits::{self, Bits};
@@ -100,8 +100,8 @@ fn restrict(session: &mut Session<'_>, state: &State, instance: &Instance) -> Re
     let mut units = units(&space, &whole, &low);
     let mut random = session.random(2);
     shuffle(&mut units, &mut random);
-    let suspicions = Suspicions::new(&session.hypothesis);
-    let weigh = |fact: &usize| suspicions.probability(&space, *fact);
+    let rates = NegationRates::new(&session.hypothesis);
+    let weigh = |fact: &usize| rates.probability(&space, *fact);
     let mut low = low;
     let mut high = space.state(&whole);
     while units.len() > 1 {

@@ -3,7 +3,7 @@
 //! The examples that only this clause explains have literals in common. A question falsifies as many of these as
 //! possible that do not follow from the clause. If the action stays, the clause needs none of them.
 
-use crate::induce::ask::hypothesis::{Instance, Suspicions, own_instance};
+use crate::induce::ask::hypothesis::{Instance, NegationRates, own_instance};
 use crate::induce::ask::session::{End, Reason, Session};
 use crate::induce::ask::shrink::{resolve, shuffle};
 use crate::induce::ask::space::Space;
@@ -82,9 +82,9 @@ fn question(session: &mut Session<'_>, index: usize) -> Option<(State, Reason)> 
         return None;
     }
     let weights: Vec<f64> = {
-        let suspicions = Suspicions::new(&session.hypothesis);
+        let rates = NegationRates::new(&session.hypothesis);
         (0..space.facts.len())
-            .map(|fact| suspicions.probability(&space, fact))
+            .map(|fact| rates.probability(&space, fact))
             .collect()
     };
     let mut best: Option<(u32, State)> = None;

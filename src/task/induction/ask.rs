@@ -657,14 +657,18 @@ impl Questions {
             End::Inseparable { state, action } => {
                 let name = task.actions()[*action].name();
                 let number = self.number(state, *action, false);
+                let (all, check) = match self.begin {
+                    0 => ("answers", "the answers of the oracle"),
+                    _ => ("examples and answers", "the examples and the answers of the oracle"),
+                };
                 let message = format!(
-                    "no clauses of at most {} variables agree with all answers, for example with {name}, the answer to \
+                    "no clauses of at most {} variables agree with all {all}, for example with {name}, the answer to \
                      question {number}",
                     self.variables
                 );
                 Diagnostic::new(Code::INSEPARABLE_ANSWERS, message)
                     .note(scene(state))
-                    .help("permit more variables with `--variables`, or check the answers of the oracle")
+                    .help(format!("permit more variables with `--variables`, or check {check}"))
             }
         };
         Err(OracleError::Invalid(fault.into()))

@@ -1,6 +1,6 @@
 //! Learning rules for a city: examples from episodes, traces and scenes, and learned rules as a rule file.
 //!
-//! The room [`induce`](crate::induce) learns; this module translates between it and the city.
+//! The module [`induce`](crate::induce) learns. This one translates between it and the city.
 
 mod ask;
 mod codes;
@@ -155,8 +155,11 @@ impl InductionTask {
         let scenario = &self.world.scenario;
         let hash: String = scenario.hash.chars().take(12).collect();
         format!(
-            "Configuration {} {hash}; at most {} variables, {} steps per search, seed {}.",
-            scenario.name, settings.variables, settings.nodes, settings.seed
+            "Configuration {} {hash}; at most {} variables, {} per search, seed {}.",
+            scenario.name,
+            settings.variables,
+            text::plural(settings.nodes.into(), "step", "steps"),
+            settings.seed
         )
     }
 

@@ -2,7 +2,7 @@
 
 use crate::induce::popper::{Solution, Task};
 use crate::induce::{ClauseSupport, Constraints, Examples, LearnedRules, Literal, Settings, Support, support};
-use crate::task::induction::text::{FEW, comment, listed, plural};
+use crate::task::induction::text::{comment, few, listed, plural};
 use serde_json::{Value, json};
 
 /// The clauses of a target, with what the examples say about them.
@@ -144,9 +144,7 @@ impl TargetRules<'_> {
             None => ", none alone.".to_owned(),
         };
         let mut lines = vec![first];
-        if support.alone < FEW {
-            lines.push(format!("Few examples: it alone explains {}.", support.alone));
-        }
+        lines.extend(few(support));
         let undecided: Vec<String> = self
             .undecided(support)
             .map(|literal| self.task.literal(literal))

@@ -12,8 +12,8 @@ use std::fmt::Write;
 
 /// The most literals that a comment of a rule file lists.
 const LISTED_MAX: usize = 8;
-/// The number of examples below which a comment warns.
-pub(super) const FEW: u64 = 5;
+/// The number of examples that a clause alone explains below which a comment warns.
+const FEW: u64 = 5;
 
 /// Where examples come from.
 #[derive(Clone, Debug, Default)]
@@ -94,7 +94,7 @@ pub fn rule_file(
                 literals.push("true".to_owned());
             }
             let _ = writeln!(text, "{}(X) :- {}.", names[action], literals.join(", "));
-            for line in doubts(clause, support, task.vocabulary()) {
+            for line in doubts(clause, support, learned.rate, task.vocabulary()) {
                 comment(&mut text, "// ", &line);
             }
         }
@@ -196,7 +196,8 @@ fn summary(task: &InductionTask, learned: &LearnedRules, support: &Support, orig
             format!("{percent:.2}")
         };
         lines.push(format!(
-            "Noise: {share} % of the examples are assumed to have a wrong action."
+            "Noise: {share} % of the examples are assumed to have a wrong action. The search is not complete, so \
+             there may be better clauses."
         ));
     }
     if !learned.is_complete {
@@ -318,10 +319,20 @@ fn explains(support: &ClauseSupport) -> String {
     }
 }
 
-/// Returns sentences about what the examples do not show of a clause.
-fn doubts(clause: &LearnedClause, support: &ClauseSupport, vocabulary: &Vocabulary) -> Vec<String> {
+/// Returns a sentence about a clause that few examples need.
+pub(super) fn few(support: &ClauseSupport) -> Option<String> {
+    match support.alone {
+        0 => Some("Few examples: other clauses explain all of them, too.".to_owned()),
+        alone if alone < FEW => Some(format!("Few examples: it alone explains {alone}.")),
+        _ => None,
+    }
+}
+
+/// Returns sentences about what the examples do not show of a clause. `rate` is the assumed share of wrong actions.
+fn doubts(clause: &LearnedClause, support: &ClauseSupport, rate: f64, vocabulary: &Vocabulary) -> Vec<String> {
     let mut lines = Vec::new();
-    if !clause.is_best {
+    // With noise, no search is complete.
+    if !clause.is_best && rate <= 0.0 {
         lines.push("Cut: the search for this clause ended early, so another one may explain more.".to_owned());
     }
     if support.outranked > 0 {
@@ -330,11 +341,7 @@ fn doubts(clause: &LearnedClause, support: &ClauseSupport, vocabulary: &Vocabula
             plural(support.outranked, "example", "examples")
         ));
     }
-    match support.alone {
-        0 => lines.push("Few examples: other clauses explain all of them, too.".to_owned()),
-        alone if alone < FEW => lines.push(format!("Few examples: it alone explains {alone}.")),
-        _ => {}
-    }
+    lines.extend(few(support));
     if support.against > 0 {
         lines.push(format!(
             "Noise: it also holds in {} of other actions.",
@@ -414,7 +421,7 @@ pub fn report_json(task: &InductionTask, learned: &LearnedRules, support: &Suppo
                 "is_best": clause.is_best,
                 "undecided": texts(&support.undecided),
                 "alternatives": alternatives,
-                "notes": doubts(clause, support, vocabulary),
+                "notes": doubts(clause, support, learned.rate, vocabulary),
             })
         });
     let actions = learned.actions.iter().enumerate().map(|(action, rules)| {
