@@ -914,7 +914,7 @@ const POPPER: &[Case] = &[
     ),
     ("induce --popper ''", 2, "a value is required"),
     ("induce --popper missing", 2, "missing/bk.pl"),
-    ("induce --popper good.dl", 2, "good.dl/bk.pl"),
+    ("induce --popper good.dl", 2, "`good.dl` is not a folder"),
     ("induce --popper folder", 2, "folder/bk.pl"),
     ("induce --popper popper/no-bias", 2, "popper/no-bias/bias.pl"),
     ("induce --popper popper/pipe", 2, "it is a pipe or a device"),

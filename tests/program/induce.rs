@@ -431,7 +431,7 @@ fn tables_of_steps_teach_like_the_episodes() {
     );
     // A pipe has no name that ends in `.parquet`.
     let piped = run(&["induce", "-", "--config", "easy"], &fs::read(STEPS).unwrap());
-    assert_eq!(succeeds(&piped), said.replace("easy-steps.parquet", "-"));
+    assert_eq!(succeeds(&piped), said.replace("easy-steps.parquet", "standard input"));
     let output = logicity(["induce", "--config", "easy", "--test", STEPS, "-o", "/dev/null"]);
     assert!(
         text(&output.stdout).contains("accuracy 1.0000"),
