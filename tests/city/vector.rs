@@ -5,6 +5,7 @@ use logicity::cancel::Cancel;
 use logicity::city::{Action, Split};
 use logicity::diag::Code;
 use logicity::rng::{Purpose, RngExt, Seed};
+use logicity::sim::Observer;
 use logicity::task::spf::{
     Autoreset, Begin, ControlMode, Env, EpisodeSource, Info, ObservationKind, SubEnv, VectorEnv,
 };
@@ -291,4 +292,48 @@ fn after_cancellation_the_rest_of_a_batch_needs_a_reset() {
         assert!(ready(&batch).iter().all(|ready| *ready));
         batch.step(&[Action::Stop; COUNT], &mut shown).unwrap();
     }
+}
+
+/// Environments of a batch share working memory and skip the rules where no observed fact has changed. They judge as an
+/// observer does that has just been made.
+#[test]
+fn a_batch_judges_as_fresh_observers() {
+    const COUNT: usize = 20;
+    let task = task("expert", None);
+    let view = ObservationKind::Groundings;
+    let sources = (0..COUNT).map(|sub_env| EpisodeSource::new(sub_env as u64, None));
+    let mut batch = VectorEnv::new(&task, Split::Train, sources, Autoreset::NextStep, view, 1).unwrap();
+    let mut shown = vec![0.0; COUNT * batch.width()];
+    batch.reset(&vec![Some(Begin::Next); COUNT], &mut shown).unwrap();
+    let mut random = Seed(2).stream(Purpose::POLICY, 0, 0);
+    let (mut unchanged, mut violated) = (0, 0);
+    for _ in 0..200 {
+        let before = shown.clone();
+        let actions: Vec<Action> = (0..COUNT).map(|_| Action::ALL[random.random_range(0..4)]).collect();
+        let judged = batch.sub_envs().iter().zip(&actions).map(|(sub_env, &action)| {
+            let env = sub_env.env();
+            let car = &env.controlled_cars()[0];
+            let mut fresh = Observer::new(Arc::clone(task.oracle()), car.agent());
+            fresh.begin(env.city());
+            fresh.look(env.city());
+            assert_eq!(car.derived(), fresh.derived(env.city()).unwrap());
+            car.is_running()
+                .then(|| fresh.violations(env.city(), action).unwrap().to_vec())
+        });
+        let judged: Vec<Option<Vec<usize>>> = judged.collect();
+        batch.step(&actions, &mut shown).unwrap();
+        for (sub_env, judged) in batch.sub_envs().iter().zip(judged) {
+            if let Some(judged) = judged {
+                assert_eq!(sub_env.info().broken, judged);
+                violated += usize::from(!judged.is_empty());
+            }
+        }
+        let width = batch.width();
+        let rows = before.chunks_exact(width).zip(shown.chunks_exact(width));
+        unchanged += rows.filter(|(before, after)| before == after).count();
+    }
+    assert!(
+        unchanged > 1000 && violated > 50,
+        "{unchanged} unchanged, {violated} violations"
+    );
 }

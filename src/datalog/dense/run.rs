@@ -121,17 +121,6 @@ impl<const W: usize> BitState<W> {
         self.sets[Reg::EGOS.index()] = first(count);
     }
 
-    /// Reads a word of each cache line that a run uses, and returns their sum. So it loads them into the cache while
-    /// other work proceeds.
-    #[inline]
-    pub fn prefetch(&self) -> u64 {
-        let step = 8_usize.div_ceil(W);
-        self.sets
-            .iter()
-            .step_by(step)
-            .fold(0, |sum, set| sum.wrapping_add(set[0]))
-    }
-
     /// Returns the number of entities.
     pub fn count(&self) -> usize {
         self.count

@@ -43,8 +43,8 @@ impl Decider {
             let (values, after) = rest.split_at(width);
             rest = after;
             if vocabulary.predicates[predicate].arity == 1 {
-                atoms.unary[predicate] = bits(values);
-                all |= atoms.unary[predicate];
+                atoms.words[predicate] = bits(values);
+                all |= atoms.unary(predicate);
                 continue;
             }
             let rows = atoms.rows_mut(predicate);

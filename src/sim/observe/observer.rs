@@ -16,7 +16,9 @@ use crate::datalog::Value;
 use crate::datalog::dense::members;
 use crate::diag::Diagnostic;
 use crate::predicate::{CellTable, Definition, PairRelation, Relation, Static, Views, with_relation};
-use crate::sim::observe::rule_monitor::{ActionConstraint, Atoms, Entities, Observed, RuleMonitor, Violations};
+use crate::sim::observe::rule_monitor::{
+    ActionConstraint, AtomLayout, Atoms, Entities, Observed, RuleMonitor, Violations,
+};
 use crate::sim::tick::chance::{Chance, Draws};
 use crate::sim::tick::ground_state::GroundState;
 use crate::sim::tick::simulation::Simulation;
@@ -38,6 +40,9 @@ pub struct Oracle {
     nearest_first: bool,
     /// Indexed by predicate of the vocabulary.
     how: Vec<How>,
+    layout: AtomLayout,
+    /// The sets of [`Atoms`] in the order of an observation, each with the place of its first number there.
+    columns: Vec<(usize, usize)>,
     views: Views,
     monitor: RuleMonitor,
 }
@@ -67,10 +72,28 @@ impl Oracle {
             Definition::Pair(pair) => How::Pair(pair.relation()),
         };
         let definitions = vocabulary.predicates.iter().map(|predicate| &predicate.definition);
+        let how: Vec<How> = definitions.map(how).collect();
+        let predicates = how.len();
+        let first_pair = how.iter().position(|how| matches!(how, How::Pair(_)));
+        let layout = AtomLayout {
+            predicates,
+            first_pair: first_pair.unwrap_or(predicates),
+            entities,
+        };
+        let observed = how
+            .iter()
+            .enumerate()
+            .filter(|(predicate, _)| *predicate != vocabulary.sees);
+        let sets = observed.flat_map(|(predicate, how)| match how {
+            How::Pair(_) => layout.rows(predicate)..layout.rows(predicate) + entities,
+            How::Static(_) | How::Local(_) => predicate..predicate + 1,
+        });
         Ok(Oracle {
             entities,
             nearest_first: false,
-            how: definitions.map(how).collect(),
+            layout,
+            columns: sets.zip((0..).step_by(entities)).collect(),
+            how,
             views: Views::new(world.scenario.view),
             monitor: RuleMonitor::new(&world.program, vocabulary, world.limits)?,
             world,
@@ -79,14 +102,9 @@ impl Oracle {
 
     /// Returns the facts of an observation without facts.
     pub(super) fn no_atoms(&self) -> Atoms {
-        let predicates = self.how.len();
-        let is_pair = |how: &How| matches!(how, How::Pair(_));
-        let first_pair = self.how.iter().position(is_pair).unwrap_or(predicates);
         Atoms {
-            unary: vec![0; predicates],
-            rows: vec![0; (predicates - first_pair) * self.entities],
-            first_pair,
-            entities: self.entities,
+            words: vec![0; self.layout.len()],
+            layout: self.layout,
         }
     }
 
@@ -125,7 +143,7 @@ impl Oracle {
     /// Returns the length of the vector that [`Observer::write`] fills: one number per predicate, except `Sees`, and
     /// entity or pair of entities.
     pub fn width(&self) -> usize {
-        self.columns().map(|(_, width)| width).sum()
+        self.columns.len() * self.entities
     }
 
     /// Returns the observed predicates, in order, with the length of each in the vector.
@@ -225,20 +243,21 @@ impl Observer {
         }
     }
 
+    /// Exchanges working memory. It has no state between observations, so that observers that take turns can share it
+    /// and keep it in the cache.
+    pub fn swap_memory(&mut self, other: &mut Observer) {
+        if Arc::ptr_eq(&self.oracle, &other.oracle) {
+            self.violations.swap_memory(&mut other.violations);
+        }
+    }
+
     /// Loads what an observation uses into the cache, while other work proceeds. Returns a meaningless sum of what it
     /// reads.
     pub fn prefetch(&self) -> u64 {
-        let Atoms { unary, rows, .. } = &self.atoms;
-        let words =
-            [unary, rows, &self.steady].map(|words| words.iter().step_by(8).fold(0, |sum: u64, word| sum ^ word));
-        let bodies = self
-            .bodies
-            .iter()
-            .step_by(2)
-            .fold(0, |sum: u64, body| sum ^ u64::from(body.agent));
-        words
-            .into_iter()
-            .fold(self.violations.prefetch() ^ bodies, |sum, words| sum ^ words)
+        let words = [&self.atoms.words[..], &self.steady];
+        let words = words.map(|words| words.iter().step_by(8).fold(0, |sum: u64, word| sum ^ word));
+        let bodies = self.bodies.iter().step_by(2);
+        bodies.fold(words[0] ^ words[1], |sum: u64, body| sum ^ u64::from(body.agent))
     }
 
     /// Observes the present state of the city, on which the next tick will be decided.
@@ -252,7 +271,7 @@ impl Observer {
 
     /// Variant of [`Observer::look`] with `chance` as the source of random draws.
     pub fn look_with(&mut self, city: &Simulation, chance: &impl Chance) {
-        let (oracle, map) = (&*self.oracle, self.oracle.world.map());
+        let (oracle, map, before) = (&*self.oracle, self.oracle.world.map(), self.bodies.len());
         self.bodies.clear();
         let ego = Body::new(map, self.ego, &city.agents()[self.ego]);
         let (view, ego_cell) = (oracle.view(&ego), ego.at);
@@ -268,46 +287,48 @@ impl Observer {
         if oracle.nearest_first {
             sort_by_distance(ego_cell, &mut self.bodies[1..]);
         }
-        self.violations.forget();
-        self.compute(chance);
+        let changed = self.compute(chance);
+        // In most steps nothing changes.
+        if changed || self.bodies.len() != before {
+            self.violations.forget();
+        }
     }
 
-    /// Computes the facts about the observed entities.
-    fn compute(&mut self, chance: &impl Chance) {
+    /// Computes the facts about the observed entities. Returns whether any fact has changed.
+    fn compute(&mut self, chance: &impl Chance) -> bool {
         let (oracle, bodies) = (&*self.oracle, &self.bodies);
-        self.atoms.rows.fill(0);
-        let unary = &mut self.atoms.unary;
-        unary.fill(0);
-        for (entity, body) in bodies.iter().enumerate() {
-            let of = &self.steady[body.agent as usize * self.words..][..self.words];
-            for (word, bits) in of.iter().enumerate() {
-                for bit in members(&[*bits]) {
-                    unary[64 * word + bit] |= 1 << entity;
-                }
-            }
-        }
+        let (mut changed, mut rows) = (false, [0; OBSERVED_MAX]);
+        let rows = &mut rows[..oracle.entities];
         for (predicate, how) in oracle.how.iter().enumerate() {
-            match how {
-                How::Static(_) => {}
-                How::Local(table) => {
-                    let holds = bodies.iter().map(|body| table.holds(body.junction, body.kind));
-                    self.atoms.unary[predicate] = holds
-                        .enumerate()
-                        .fold(0, |set, (at, holds)| set | u64::from(holds) << at);
+            let holds: u64 = match how {
+                How::Static(_) => {
+                    let holds = bodies
+                        .iter()
+                        .map(|body| is_steadily(&self.steady, self.words, body, predicate));
+                    mark(holds)
                 }
+                How::Local(table) => mark(bodies.iter().map(|body| table.holds(body.junction, body.kind))),
                 // `Sees` is the only predicate that relates an agent to itself.
-                How::Pair(relation) if bodies.len() == 1 && !matches!(relation, PairRelation::Sees(_)) => {}
                 How::Pair(relation) => {
-                    let rows = &mut self.atoms.rows_mut(predicate)[..bodies.len()];
-                    let subjects = bodies.iter().map(Body::subject);
-                    let draw = |first: usize, second: usize, probability| {
-                        let [first, second] = [first, second].map(|entity| bodies[entity].agent as usize);
-                        chance.decides(predicate, first, second, probability)
-                    };
-                    with_relation!(relation, relation => relation.relate(&oracle.views, subjects, draw, rows));
+                    rows.fill(0);
+                    if bodies.len() > 1 || matches!(relation, PairRelation::Sees(_)) {
+                        let subjects = bodies.iter().map(Body::subject);
+                        let draw = |first: usize, second: usize, probability| {
+                            let [first, second] = [first, second].map(|entity| bodies[entity].agent as usize);
+                            chance.decides(predicate, first, second, probability)
+                        };
+                        with_relation!(relation, relation => relation.relate(&oracle.views, subjects, draw, rows));
+                    }
+                    let known = self.atoms.rows_mut(predicate);
+                    changed |= known != rows;
+                    known.copy_from_slice(rows);
+                    continue;
                 }
-            }
+            };
+            changed |= self.atoms.words[predicate] != holds;
+            self.atoms.words[predicate] = holds;
         }
+        changed
     }
 
     /// Writes the observation: 1 for each true atom and 0 for each false one, by predicate in the order of the
@@ -319,24 +340,12 @@ impl Observer {
     /// # Panics
     /// If `out` is shorter than [`Oracle::width`].
     pub fn write(&self, out: &mut [f32]) {
-        let (n, sees) = (self.oracle.entities, self.oracle.world.vocabulary.sees);
-        let out = &mut out[..self.oracle.width()];
+        let oracle = &*self.oracle;
         // Few atoms hold.
-        out.fill(0.0);
-        let mut start = 0;
-        for (predicate, how) in self.oracle.how.iter().enumerate() {
-            match how {
-                _ if predicate == sees => {}
-                How::Pair(_) => {
-                    for first in 0..self.bodies.len() {
-                        mark(self.atoms.row(predicate, first), &mut out[start + n * first..]);
-                    }
-                    start += n * n;
-                }
-                How::Static(_) | How::Local(_) => {
-                    mark(self.atoms.unary[predicate], &mut out[start..]);
-                    start += n;
-                }
+        out[..oracle.width()].fill(0.0);
+        for &(set, start) in &oracle.columns {
+            for member in members(&[self.atoms.words[set]]) {
+                out[start + member] = 1.0;
             }
         }
     }
@@ -371,7 +380,7 @@ impl Observer {
             }
             row[7] = (body.priority as f32 / priority_scale).clamp(-1.0, 1.0);
             let unary = oracle.how.iter().enumerate().filter_map(|(predicate, how)| match how {
-                How::Static(_) => Some(self.is_steadily(body, predicate)),
+                How::Static(_) => Some(is_steadily(&self.steady, self.words, body, predicate)),
                 How::Local(table) => Some(table.holds(body.junction, body.kind)),
                 How::Pair(_) => None,
             });
@@ -395,10 +404,6 @@ impl Observer {
         }
     }
 
-    fn is_steadily(&self, body: &Body, predicate: usize) -> bool {
-        self.steady[body.agent as usize * self.words + predicate / 64] >> (predicate % 64) & 1 != 0
-    }
-
     /// Returns the true atoms without `Sees`: a predicate by its position in the vocabulary, and agents by their
     /// positions in the list.
     pub fn atoms(&self) -> impl Iterator<Item = (usize, Vec<usize>)> {
@@ -406,7 +411,7 @@ impl Observer {
         let agent = |entity: usize| self.bodies[entity].agent as usize;
         let predicates = (0..self.oracle.how.len()).filter(move |predicate| *predicate != sees);
         predicates.flat_map(move |predicate| {
-            let alone = members(&[self.atoms.unary[predicate]]).map(move |entity| vec![agent(entity)]);
+            let alone = members(&[self.atoms.unary(predicate)]).map(move |entity| vec![agent(entity)]);
             let pairs = (0..self.bodies.len())
                 .flat_map(move |x| members(&[self.atoms.row(predicate, x)]).map(move |y| vec![agent(x), agent(y)]));
             alone
@@ -456,6 +461,18 @@ impl Observer {
     }
 }
 
+/// Returns whether a static predicate holds for an agent. `steady` has `words` words per agent.
+#[inline]
+fn is_steadily(steady: &[u64], words: usize, body: &Body, predicate: usize) -> bool {
+    steady[body.agent as usize * words + predicate / 64] >> (predicate % 64) & 1 != 0
+}
+
+/// Returns the positions of the entities for which a predicate holds.
+#[inline]
+fn mark(holds: impl Iterator<Item = bool>) -> u64 {
+    (holds.enumerate()).fold(0, |set, (entity, holds)| set | u64::from(holds) << entity)
+}
+
 /// Sorts bodies by their distance from a cell; keeps the order of those at the same distance.
 fn sort_by_distance(from: Cell, bodies: &mut [Body]) {
     bodies.sort_by_key(|body| {
@@ -473,13 +490,5 @@ fn observed<'a>(atoms: &'a Atoms, bodies: &'a [Body], city: &'a Simulation) -> O
         },
         given: None,
         cancel: city.cancel(),
-    }
-}
-
-/// Writes 1 at the positions of the members of a set.
-#[inline]
-fn mark(set: u64, out: &mut [f32]) {
-    for member in members(&[set]) {
-        out[member] = 1.0;
     }
 }

@@ -215,10 +215,17 @@ impl Conditions {
     }
 
     /// Finds the conditions that hold, unless they are known.
-    fn evaluate(&self, bit_state: &mut BitState<1>, held: &mut Vec<usize>, known: &mut bool, observed: Observed<'_>) {
+    fn evaluate(
+        &self,
+        bit_state: &mut Option<Box<BitState<1>>>,
+        held: &mut Vec<usize>,
+        known: &mut bool,
+        observed: Observed<'_>,
+    ) {
         if *known {
             return;
         }
+        let bit_state = bit_state.get_or_insert_with(|| Box::new(BitState::new(&self.rules.dense, 0)));
         self.rules.run(bit_state, observed);
         let holds = |clause| {
             bit_state
@@ -363,24 +370,50 @@ impl RuleMonitor {
 /// The facts about up to 64 entities.
 #[derive(Clone, Debug, Default)]
 pub(super) struct Atoms {
-    /// The set of entities for which each predicate of the vocabulary holds.
-    pub unary: Vec<u64>,
-    /// For each predicate from `first_pair` on, `entities` sets: the entities that each entity is related to.
-    pub rows: Vec<u64>,
+    /// The sets of entities, see [`AtomLayout`].
+    pub words: Vec<u64>,
+    pub layout: AtomLayout,
+}
+
+/// The places of sets of entities: first one for each predicate of the vocabulary, the entities for which it holds;
+/// then `entities` sets for each predicate from `first_pair` on, those to which it relates each entity.
+#[derive(Clone, Copy, Debug, Default)]
+pub(super) struct AtomLayout {
+    pub predicates: usize,
     /// The first predicate over two agents.
     pub first_pair: usize,
     pub entities: usize,
 }
 
+impl AtomLayout {
+    /// Returns the number of sets.
+    pub fn len(self) -> usize {
+        self.predicates + (self.predicates - self.first_pair) * self.entities
+    }
+
+    /// Returns the place of the first set of a predicate over two agents.
+    pub fn rows(self, predicate: usize) -> usize {
+        self.predicates + (predicate - self.first_pair) * self.entities
+    }
+}
+
 impl Atoms {
+    /// Returns the entities for which a predicate holds.
+    pub fn unary(&self, predicate: usize) -> u64 {
+        self.words[predicate]
+    }
+
     /// Returns the entities that a predicate relates to `entity`.
     pub fn row(&self, predicate: usize, entity: usize) -> u64 {
-        (predicate.checked_sub(self.first_pair)).map_or(0, |pair| self.rows[pair * self.entities + entity])
+        match predicate < self.layout.first_pair {
+            true => 0,
+            false => self.words[self.layout.rows(predicate) + entity],
+        }
     }
 
     /// Returns the rows of a predicate over two agents.
     pub fn rows_mut(&mut self, predicate: usize) -> &mut [u64] {
-        &mut self.rows[(predicate - self.first_pair) * self.entities..][..self.entities]
+        &mut self.words[self.layout.rows(predicate)..][..self.layout.entities]
     }
 }
 
@@ -454,8 +487,8 @@ pub(super) struct Observed<'a> {
 impl Observed<'_> {
     /// Returns the entities for which a predicate of the vocabulary or, after those, an imposed action holds.
     fn unary(&self, predicate: usize) -> u64 {
-        match predicate.checked_sub(self.atoms.unary.len()) {
-            None => self.atoms.unary[predicate],
+        match predicate.checked_sub(self.atoms.layout.predicates) {
+            None => self.atoms.unary(predicate),
             Some(action) => u64::from(self.given.is_some_and(|given| given as usize == action)),
         }
     }
@@ -466,7 +499,7 @@ impl Observed<'_> {
         let rows = (0..predicates).map(|predicate| {
             let alone = members(&[self.unary(predicate)]).map(|entity| [agent(entity), 0]);
             let pairs = (0..self.entities.count())
-                .filter(|_| predicate < self.atoms.unary.len())
+                .filter(|_| predicate < self.atoms.layout.predicates)
                 .flat_map(|x| members(&[self.atoms.row(predicate, x)]).map(move |y| (x, y)));
             let mut rows: Vec<[u32; 2]> = alone.chain(pairs.map(|(x, y)| [agent(x), agent(y)])).collect();
             rows.sort_unstable();
@@ -479,7 +512,8 @@ impl Observed<'_> {
 /// The state of a [`RuleMonitor`] for one observation.
 pub(super) enum Violations {
     Once {
-        bit_state: Box<BitState<1>>,
+        /// The working memory, made on demand. It has no state between evaluations.
+        bit_state: Option<Box<BitState<1>>>,
         /// The conditions that hold, by position.
         held: Vec<usize>,
         /// Whether `held` is up to date.
@@ -566,7 +600,7 @@ impl Violations {
     pub fn new(monitor: &RuleMonitor) -> Violations {
         match &monitor.how {
             How::Once(conditions) => Violations::Once {
-                bit_state: Box::new(BitState::new(&conditions.rules.dense, 0)),
+                bit_state: None,
                 held: Vec::with_capacity(conditions.clauses.len()),
                 known: false,
             },
@@ -577,12 +611,10 @@ impl Violations {
         }
     }
 
-    /// Loads what an evaluation uses into the cache: see [`BitState::prefetch`].
-    #[inline]
-    pub fn prefetch(&self) -> u64 {
-        match self {
-            Violations::Once { bit_state, .. } => bit_state.prefetch(),
-            Violations::Twice { .. } => 0,
+    /// Exchanges the working memory with the violations of the same monitor.
+    pub fn swap_memory(&mut self, other: &mut Violations) {
+        if let (Violations::Once { bit_state, .. }, Violations::Once { bit_state: others, .. }) = (self, other) {
+            std::mem::swap(bit_state, others);
         }
     }
 

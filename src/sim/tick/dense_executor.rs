@@ -48,6 +48,11 @@ impl Decisions {
         }
     }
 
+    /// Returns the number of agents.
+    pub fn len(&self) -> usize {
+        self.derived.len()
+    }
+
     pub fn clear(&mut self) {
         self.derived.iter_mut().for_each(|bits| *bits.get_mut() = 0);
         self.firings.fill(0);
@@ -149,9 +154,27 @@ pub(super) struct DenseExecutor {
 }
 
 enum Shape {
-    Few(Box<Window<1>>),
+    Few(Few),
     One(Box<dyn OneWindow>),
     Tiles(Box<Tiles>),
+}
+
+/// A city of at most [`Near::MAX`] agents.
+#[derive(Default)]
+struct Few {
+    /// The inputs that do not depend on cells.
+    steady: Vec<Set<1>>,
+    /// The working memory, made on demand. It has no state between ticks.
+    window: Option<Box<Window<1>>>,
+}
+
+impl Few {
+    /// Returns the window with these agents.
+    fn load(&mut self, grounder: &Grounder, map: &CityMap, agents: &[Agent]) -> &mut Window<1> {
+        let window = (self.window).get_or_insert_with(|| Box::new(Window::new(grounder)));
+        window.load_few(grounder, map, agents, &self.steady);
+        window
+    }
 }
 
 impl DenseExecutor {
@@ -193,15 +216,15 @@ impl DenseExecutor {
             clauses: clauses.iter().map(|clause| (*clause, of_action(clause))).collect(),
             actions,
         };
+        if agents.len() <= Near::MAX {
+            let mut few = Few::default();
+            reading.grounder.steady_inputs(agents, &mut few.steady);
+            let shape = Shape::Few(few);
+            return Ok(DenseExecutor { reading, shape });
+        }
         let mut bodies = Vec::new();
         list_bodies(&mut bodies, &mut reading.grounder, world.map(), agents);
         let shape = match width {
-            _ if agents.len() <= Near::MAX => {
-                let mut few = Window::new(&reading.grounder);
-                few.bodies = bodies;
-                few.fill_few(&reading.grounder);
-                Shape::Few(Box::new(few))
-            }
             Some(width) if agents.len() <= WHOLE_MAX || !in_tiles => {
                 Shape::One(in_words!(width, W => Box::new(One::<W>::new(&reading.grounder, world.map(), bodies))))
             }
@@ -214,10 +237,7 @@ impl DenseExecutor {
     pub fn restart(&mut self, map: &CityMap, agents: &[Agent]) {
         let grounder = &mut self.reading.grounder;
         match &mut self.shape {
-            Shape::Few(few) => {
-                list_bodies(&mut few.bodies, grounder, map, agents);
-                few.fill_few(grounder);
-            }
+            Shape::Few(few) => grounder.steady_inputs(agents, &mut few.steady),
             Shape::One(one) => one.restart(grounder, map, agents),
             Shape::Tiles(tiles) => list_bodies(&mut tiles.bodies, grounder, map, agents),
         }
@@ -227,16 +247,25 @@ impl DenseExecutor {
     ///
     /// # Errors
     /// See [`Undecided`].
-    pub fn decide(&mut self, map: &CityMap, draws: Draws, out: &mut Decisions) -> Result<(), Undecided> {
+    pub fn decide(
+        &mut self,
+        map: &CityMap,
+        agents: &[Agent],
+        draws: Draws,
+        out: &mut Decisions,
+    ) -> Result<(), Undecided> {
         out.clear();
         let decided = match &mut self.shape {
-            Shape::Few(few) => match few.run_few(&self.reading.grounder, draws) {
-                Ok(()) => {
-                    self.reading.read_all(few, out);
-                    Ok(())
+            Shape::Few(few) => {
+                let window = few.load(&self.reading.grounder, map, agents);
+                match window.run_few(&self.reading.grounder, draws) {
+                    Ok(()) => {
+                        self.reading.read_all(window, out);
+                        Ok(())
+                    }
+                    Err(error) => Err(Undecided::from(error)),
                 }
-                Err(error) => Err(Undecided::from(error)),
-            },
+            }
             Shape::One(one) => one.decide(&self.reading, draws, out).map_err(Undecided::from),
             Shape::Tiles(tiles) => tiles.decide(&self.reading, map, draws, out),
         };
@@ -247,37 +276,33 @@ impl DenseExecutor {
     }
 
     /// Computes all facts that the rules may read and returns their number. `None` for a city in tiles.
-    pub fn count_facts(&mut self, draws: Draws) -> Option<u64> {
+    pub fn count_facts(&mut self, map: &CityMap, agents: &[Agent], draws: Draws) -> Option<u64> {
+        let grounder = &self.reading.grounder;
         match &mut self.shape {
-            Shape::Few(few) => Some(few.count_few(&self.reading.grounder, draws)),
-            Shape::One(one) => Some(one.count_facts(&self.reading.grounder, draws)),
+            Shape::Few(few) => Some(few.load(grounder, map, agents).count_few(grounder, draws)),
+            Shape::One(one) => Some(one.count_facts(grounder, draws)),
             Shape::Tiles(_) => None,
         }
     }
 
-    /// Loads what a decision in a small city uses into the cache: see [`BitState::prefetch`].
-    ///
-    /// [`BitState::prefetch`]: crate::datalog::dense::BitState::prefetch
-    pub fn prefetch(&self) -> u64 {
-        match &self.shape {
-            Shape::Few(few) => few.prefetch(),
-            Shape::One(_) | Shape::Tiles(_) => 0,
+    /// Exchanges the working memory of small cities, if the other one has the same rules.
+    pub fn swap_memory(&mut self, other: &mut DenseExecutor) {
+        if let (Shape::Few(few), Shape::Few(others)) = (&mut self.shape, &mut other.shape)
+            && self.reading.grounder.has_plan_of(&other.reading.grounder)
+        {
+            std::mem::swap(&mut few.window, &mut others.window);
         }
     }
 
-    /// Returns whether [`follow`](DenseExecutor::follow) takes packed positions, since the city is large.
+    /// Returns whether [`follow`](DenseExecutor::follow) takes positions, since the city is large.
     pub fn takes_positions(&self) -> bool {
         !matches!(self.shape, Shape::Few(_))
     }
 
-    /// Updates the positions of the agents: those of the agents themselves, if it takes no packed ones.
-    pub fn follow(&mut self, map: &CityMap, agents: &[Agent], positions: &[Position]) {
+    /// Updates the positions of the agents in a large city.
+    pub fn follow(&mut self, map: &CityMap, positions: &[Position]) {
         match &mut self.shape {
-            Shape::Few(few) => {
-                for (entity, agent) in agents.iter().enumerate() {
-                    few.shift_few(&self.reading.grounder, map, entity, Position::of(agent));
-                }
-            }
+            Shape::Few(_) => {}
             Shape::One(one) => one.follow(&self.reading.grounder, map, positions),
             Shape::Tiles(tiles) => tiles.follow(map, positions),
         }

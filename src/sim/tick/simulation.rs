@@ -421,18 +421,39 @@ impl Simulation {
         self.decisions.fired(agent)
     }
 
+    /// Exchanges the working memory of a small city. It has no state between ticks, so that cities that take turns can
+    /// share it and keep it in the cache.
+    pub fn swap_memory(&mut self, other: &mut Simulation) {
+        if let (Some(dense), Some(others)) = (&mut self.dense, &mut other.dense) {
+            dense.swap_memory(others);
+        }
+    }
+
+    /// Loads the addresses of what [`Simulation::prefetch`] reads. Returns a meaningless sum of what it reads.
+    pub fn prefetch_head(&self) -> u64 {
+        let lengths = [
+            self.agents.len(),
+            self.report.agents.len(),
+            self.given.len(),
+            self.decisions.len(),
+        ];
+        (lengths.iter()).fold(self.tick ^ u64::from(self.dense.is_some()), |sum, length| {
+            sum ^ *length as u64
+        })
+    }
+
     /// Loads what a tick of a small city uses into the cache, while other work proceeds. Returns a meaningless sum of
     /// what it reads.
     pub fn prefetch(&self) -> u64 {
-        let Some(dense) = self.dense.as_ref().filter(|dense| !dense.takes_positions()) else {
+        if !self.positions.is_empty() {
             return 0;
-        };
+        }
         let agents = self.agents.iter().fold(0, |sum: usize, agent| {
             sum.wrapping_add(agent.position()).wrapping_add(agent.route().steps())
         });
         let ticks = self.report.agents.iter().step_by(2);
         let ticks = ticks.fold(0, |sum: u64, tick| sum.wrapping_add(tick.action as u64));
-        dense.prefetch().wrapping_add(agents as u64).wrapping_add(ticks)
+        ticks.wrapping_add(agents as u64)
     }
 
     /// Runs one tick: all agents decide, then all move.
@@ -471,8 +492,8 @@ impl Simulation {
         if let Some(dense) = &mut self.dense {
             let decisions = &mut self.decisions;
             let decided = match &self.threads {
-                Some(pool) => pool.install(|| dense.decide(map, draws, decisions)),
-                None => dense.decide(map, draws, decisions),
+                Some(pool) => pool.install(|| dense.decide(map, &self.agents, draws, decisions)),
+                None => dense.decide(map, &self.agents, draws, decisions),
             };
             match decided {
                 Ok(()) => {}
@@ -494,10 +515,10 @@ impl Simulation {
         self.advance(controls);
         ended(Phase::Move);
         if let Some(dense) = &mut self.dense {
-            let (map, agents, positions) = (self.world.map(), &self.agents, &self.positions);
+            let (map, positions) = (self.world.map(), &self.positions);
             match &self.threads {
-                Some(pool) => pool.install(|| dense.follow(map, agents, positions)),
-                None => dense.follow(map, agents, positions),
+                Some(pool) => pool.install(|| dense.follow(map, positions)),
+                None => dense.follow(map, positions),
             }
         }
         ended(Phase::Note);
@@ -673,7 +694,7 @@ impl Simulation {
             seed: self.seed,
             time: self.tick,
         };
-        self.dense.as_mut()?.count_facts(draws)
+        self.dense.as_mut()?.count_facts(self.world.map(), &self.agents, draws)
     }
 
     /// Returns the agents as they were when the last tick was decided.

@@ -250,6 +250,11 @@ impl Grounder {
         }
     }
 
+    /// Returns whether both have the same plan.
+    pub fn has_plan_of(&self, other: &Grounder) -> bool {
+        Arc::ptr_eq(&self.plan, &other.plan)
+    }
+
     /// Returns the class of agents with this kind and these concepts.
     pub fn class_of(&mut self, kind: AgentKind, concepts: &Arc<[String]>) -> u32 {
         let Grounder { plan, known, inputs } = self;
@@ -263,6 +268,21 @@ impl Grounder {
             inputs.push(plan.inputs_of(kind, concepts));
             next
         })
+    }
+
+    /// Writes the inputs that do not depend on cells, as sets of agents. There are at most 64 agents.
+    pub fn steady_inputs(&mut self, agents: &[Agent], inputs: &mut Vec<Set<1>>) {
+        inputs.clear();
+        inputs.resize(self.dense.inputs().len(), [0]);
+        for (entity, agent) in agents.iter().enumerate() {
+            let class = self.class_of(agent.kind, &agent.concepts);
+            for &input in self.inputs_of_class(class) {
+                inputs[input][0] |= 1 << entity;
+            }
+        }
+        for &input in &self.always {
+            inputs[input] = first(agents.len());
+        }
     }
 
     /// Returns the inputs that hold for a class.
@@ -424,22 +444,15 @@ impl<const W: usize> Window<W> {
 
     /// Applies a move.
     pub fn shift(&mut self, grounder: &Grounder, map: &CityMap, entity: usize, to: Position) {
-        let from = self.bodies[entity].at;
-        self.shift_body(grounder, map, entity, to);
-        if from != to.cell {
-            self.place.shift(entity, from, to.cell);
-        }
-    }
-
-    /// Applies a move to the body and the inputs of an entity.
-    #[inline]
-    fn shift_body(&mut self, grounder: &Grounder, map: &CityMap, entity: usize, to: Position) {
         let body = &mut self.bodies[entity];
-        let junction = body.junction;
+        let (from, junction) = (body.at, body.junction);
         body.shift(map, to);
         // Most moves enter or leave no intersection.
         if body.junction != junction {
             self.look(grounder, entity);
+        }
+        if from != to.cell {
+            self.place.shift(entity, from, to.cell);
         }
     }
 
@@ -503,36 +516,28 @@ fn run_in<const W: usize>(
     bit_state.run(&grounder.dense, &scene)
 }
 
-/// Windows of at most [`Near::MAX`] entities that keep no index of places.
+/// Windows of at most [`Near::MAX`] entities that keep no index of places. Each run loads all agents first, so that the
+/// cities of a plan can share a window.
 impl Window<1> {
-    /// Rebuilds all sets from `bodies`.
+    /// Loads agents. `steady` has their [steady inputs](Grounder::steady_inputs).
     ///
     /// # Panics
-    /// If there are more than [`Near::MAX`] bodies.
-    pub fn fill_few(&mut self, grounder: &Grounder) {
-        assert!(self.bodies.len() <= Near::MAX, "{} bodies", self.bodies.len());
-        self.fill_inputs(grounder);
-    }
-
-    /// Loads what a run uses into the cache: see [`BitState::prefetch`].
-    #[inline]
-    pub fn prefetch(&self) -> u64 {
-        let bodies = self
-            .bodies
-            .iter()
-            .fold(0, |sum: u64, body| sum.wrapping_add(body.agent.into()));
-        let inputs = self
-            .inputs
-            .iter()
-            .step_by(8)
-            .fold(0, |sum: u64, set| sum.wrapping_add(set[0]));
-        (self.bit_state.prefetch()).wrapping_add(bodies).wrapping_add(inputs)
-    }
-
-    /// Applies a move.
-    #[inline]
-    pub fn shift_few(&mut self, grounder: &Grounder, map: &CityMap, entity: usize, to: Position) {
-        self.shift_body(grounder, map, entity, to);
+    /// If there are more than [`Near::MAX`] agents.
+    pub fn load_few(&mut self, grounder: &Grounder, map: &CityMap, agents: &[Agent], steady: &[Set<1>]) {
+        assert!(agents.len() <= Near::MAX, "{} agents", agents.len());
+        let Window { bodies, inputs, .. } = self;
+        bodies.clear();
+        bodies.extend((agents.iter().enumerate()).map(|(position, agent)| Body::new(map, position, agent)));
+        inputs.clear();
+        inputs.extend_from_slice(steady);
+        for &(input, table) in &grounder.local {
+            let holds = bodies.iter().map(|body| table.holds(body.junction, body.kind));
+            let mark = |set, (entity, holds)| set | u64::from(holds) << entity;
+            inputs[input] = [holds.enumerate().fold(0, mark)];
+        }
+        if self.bit_state.count() != agents.len() {
+            self.bit_state.reset(&grounder.dense, agents.len());
+        }
     }
 
     /// Evaluates the rules.
@@ -550,9 +555,8 @@ impl Window<1> {
         run_in(grounder, draws, (bodies, inputs), &near, bit_state)
     }
 
-    /// Rebuilds all sets from `bodies`, computes all facts that the rules may read, and returns their number.
-    pub fn count_few(&mut self, grounder: &Grounder, draws: Draws) -> u64 {
-        self.fill_few(grounder);
+    /// Computes all facts that the rules may read, and returns their number.
+    pub fn count_few(&self, grounder: &Grounder, draws: Draws) -> u64 {
         self.count_in(grounder, draws, &Near::new(&self.bodies, grounder.farthest_reach))
     }
 }
@@ -609,11 +613,14 @@ impl Surrounding<1> for Near {
     fn select(&self, bodies: &[Body], at: usize, [up, down, left, right]: [i32; 4], [among]: Set<1>) -> Set<1> {
         let near = [self.0[at % Near::MAX] & among];
         let here = bodies[at].at;
-        keep(near, |other| {
+        // Without branches, since about as many are inside as outside.
+        let is_between = |low: i32, cells: i32| u64::from(low.cast_unsigned() <= cells.cast_unsigned());
+        let inside = members(&near).fold(0, |set, other| {
             let there = bodies[other].at;
-            let (row, col) = (there.row - here.row, there.col - here.col);
-            -up <= row && row <= down && -left <= col && col <= right
-        })
+            let rows = is_between(there.row - here.row + up, up + down);
+            set | (rows & is_between(there.col - here.col + left, left + right)) << other
+        });
+        [inside]
     }
 }
 

@@ -434,6 +434,20 @@ impl Env {
         Ok(())
     }
 
+    /// Exchanges working memory. It has no state between steps, so that environments that take turns can share it and
+    /// keep it in the cache.
+    pub fn swap_memory(&mut self, other: &mut Env) {
+        self.city.swap_memory(&mut other.city);
+        for (car, others) in self.controlled_cars.iter_mut().zip(&mut other.controlled_cars) {
+            car.observer.swap_memory(&mut others.observer);
+        }
+    }
+
+    /// Loads the addresses of what [`Env::prefetch`] reads. Returns a meaningless sum of what it reads.
+    pub fn prefetch_head(&self) -> u64 {
+        self.city.prefetch_head() ^ u64::from(self.horizon) ^ self.episode.seed ^ self.controlled_cars.len() as u64
+    }
+
     /// Loads what a step uses into the cache, while other work proceeds. Returns a meaningless sum of what it reads.
     pub fn prefetch(&self) -> u64 {
         let observers = self.controlled_cars.iter().map(|car| car.observer.prefetch());

@@ -16,7 +16,7 @@ use std::hint::black_box;
 use std::sync::Arc;
 use std::sync::atomic::{AtomicBool, Ordering};
 
-/// The fewest environments per thread.
+/// The number of environments that a thread takes at once, and between two polls for cancellation.
 const SHARE: usize = 8;
 
 /// The episodes of one environment: each is a function of the seed and of the number of episodes before it.
@@ -322,6 +322,28 @@ impl SubEnv {
     }
 }
 
+/// Calls `act` with the position of each environment and the environment. The environments share working memory.
+fn in_turn(sub_envs: &mut [SubEnv], mut act: impl FnMut(usize, &mut SubEnv)) {
+    for at in 0..sub_envs.len() {
+        // Many environments do not fit the cache. This loads the next one while this one takes its step. It loads the
+        // addresses of its parts one step earlier.
+        if let Some(next) = sub_envs.get(at + 1) {
+            black_box(next.env.prefetch());
+        }
+        if let Some(after) = sub_envs.get(at + 2) {
+            black_box((after.stage, after.env.steps(), after.env.prefetch_head()));
+        }
+        if let Some([before, sub_env]) = at.checked_sub(1).and_then(|first| sub_envs[first..].first_chunk_mut()) {
+            sub_env.env.swap_memory(&mut before.env);
+        }
+        act(at, &mut sub_envs[at]);
+    }
+    // The first one begins the next turn.
+    if let [first, .., last] = sub_envs {
+        first.env.swap_memory(&mut last.env);
+    }
+}
+
 /// A vectorized environment. Results equal those of the individual environments, on any number of threads.
 pub struct VectorEnv {
     sub_envs: Vec<SubEnv>,
@@ -522,34 +544,30 @@ impl VectorEnv {
             (a, b) => a.or(b),
         };
         let (cancel, cancelled) = (&self.cancel, AtomicBool::new(false));
-        let act = |(position, sub_env, given, row): (usize, &mut SubEnv, &T, &mut [f32])| {
-            if position % SHARE == 0 && cancel.requested() {
-                cancelled.store(true, Ordering::Relaxed);
-            }
-            let cancelled = cancelled.load(Ordering::Relaxed);
-            act(sub_env, given, row, cancelled).err().map(|fault| (position, fault))
+        let act = |begin: usize, sub_envs: &mut [SubEnv], given: &[T], rows: &mut [f32]| {
+            let mut fault = None;
+            let mut given = given.iter().zip(rows.chunks_exact_mut(width));
+            in_turn(sub_envs, |at, sub_env| {
+                let (given, row) = given.next().expect("as many as environments");
+                if at % SHARE == 0 && cancel.requested() {
+                    cancelled.store(true, Ordering::Relaxed);
+                }
+                if let Err(error) = act(sub_env, given, row, cancelled.load(Ordering::Relaxed)) {
+                    fault.get_or_insert((begin + at, error));
+                }
+            });
+            fault
         };
         let fault = match &self.threads {
             Some(pool) => run_polled(pool, &|| _ = cancel.requested(), || {
-                (self.sub_envs.par_iter_mut().with_min_len(SHARE))
-                    .zip(given)
-                    .zip(observations.par_chunks_exact_mut(width))
+                (self.sub_envs.par_chunks_mut(SHARE))
+                    .zip(given.par_chunks(SHARE))
+                    .zip(observations.par_chunks_mut(SHARE * width))
                     .enumerate()
-                    .map(|(position, ((sub_env, given), row))| act((position, sub_env, given, row)))
+                    .map(|(share, ((sub_envs, given), rows))| act(share * SHARE, sub_envs, given, rows))
                     .reduce(|| None, first)
             }),
-            None => {
-                let mut fault = None;
-                let rows = given.iter().zip(observations.chunks_exact_mut(width));
-                for (position, (given, row)) in rows.enumerate() {
-                    // Many environments do not fit the cache. This loads the next one while this one takes its step.
-                    if let Some(next) = self.sub_envs.get(position + 1) {
-                        black_box(next.env.prefetch());
-                    }
-                    fault = first(fault, act((position, &mut self.sub_envs[position], given, row)));
-                }
-                fault
-            }
+            None => act(0, &mut self.sub_envs, given, observations),
         };
         fault.map_or(Ok(()), |(_, fault)| Err(fault))
     }
