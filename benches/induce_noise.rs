@@ -12,6 +12,7 @@ use logicity::cancel::Cancel;
 use logicity::induce::{Noise, Settings, State, learn};
 use logicity::rng::{Purpose, Rng, RngExt, Seed};
 use mode::Mode;
+use std::fs;
 
 const DRAWS: Purpose = Purpose::new(u64::MAX);
 
@@ -119,10 +120,18 @@ fn million() {
                 learned.working_states,
                 learned.bodies().len(),
                 right.count(),
-                cpu::peak_gib(),
+                peak_gib(),
             );
         }
     }
+}
+
+/// Returns the largest resident memory of this process so far, in GiB.
+fn peak_gib() -> f64 {
+    let text = fs::read_to_string("/proc/self/status").unwrap_or_default();
+    let line = text.lines().find_map(|line| line.strip_prefix("VmHWM:"));
+    let kib = line.and_then(|line| line.trim().trim_end_matches(" kB").parse::<f64>().ok());
+    kib.unwrap_or(f64::NAN) / f64::from(1 << 20)
 }
 
 /// Draws a scene of one to eight entities.

@@ -1,4 +1,4 @@
-//! CPU time and memory of the benches.
+//! The CPU time of the benches.
 
 use std::fs;
 
@@ -11,13 +11,4 @@ pub fn seconds() -> f64 {
         .nth(11)
         .and_then(|field| field.parse::<f64>().ok());
     ticks.unwrap_or(f64::NAN) / 100.0
-}
-
-/// Returns the largest resident memory of this process so far, in GiB.
-#[allow(dead_code, reason = "not every bench prints memory")]
-pub fn peak_gib() -> f64 {
-    let text = fs::read_to_string("/proc/self/status").unwrap_or_default();
-    let line = text.lines().find_map(|line| line.strip_prefix("VmHWM:"));
-    let kib = line.and_then(|line| line.trim().trim_end_matches(" kB").parse::<f64>().ok());
-    kib.unwrap_or(f64::NAN) / f64::from(1 << 20)
 }

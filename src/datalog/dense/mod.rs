@@ -36,5 +36,5 @@ pub use facts::BitFacts;
 pub use program::{Argument, Dense, Input, List, TrackFirings};
 pub use run::BitState;
 pub use search::BinaryFacts;
-pub use sets::{Set, and, first, has, is_empty, members, without};
+pub use sets::{Set, and, first, has, holding, is_empty, members, without};
 pub use tree::TooManySteps;

@@ -68,6 +68,12 @@ pub fn is_empty<const W: usize>(set: &Set<W>) -> bool {
     all == 0
 }
 
+/// Returns the set of the entities for which a value is true. There is one value per entity, at most 64.
+#[inline]
+pub fn holding(values: impl Iterator<Item = bool>) -> u64 {
+    (values.enumerate()).fold(0, |set, (entity, holds)| set | u64::from(holds) << entity)
+}
+
 /// Returns the entities of a set in ascending order.
 pub fn members<const W: usize>(set: &Set<W>) -> impl Iterator<Item = usize> + use<W> {
     let mut rest = *set;

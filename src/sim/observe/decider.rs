@@ -2,6 +2,7 @@
 
 use crate::cancel::Cancel;
 use crate::city::Action;
+use crate::datalog::dense::holding;
 use crate::diag::Diagnostic;
 use crate::sim::observe::observer::Oracle;
 use crate::sim::observe::rule_monitor::{Atoms, Entities, Observed, Violations};
@@ -71,6 +72,5 @@ impl Decider {
 
 /// Returns the positions of the numbers above 0.5.
 fn bits(values: &[f32]) -> u64 {
-    let set = |set, (at, value): (usize, &f32)| set | u64::from(*value > 0.5) << at;
-    values.iter().enumerate().fold(0, set)
+    holding(values.iter().map(|value| *value > 0.5))
 }

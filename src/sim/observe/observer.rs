@@ -13,7 +13,7 @@ use crate::city::{Action, AgentKind};
 use crate::city::{Cell, FieldOfView};
 use crate::datalog::Session;
 use crate::datalog::Value;
-use crate::datalog::dense::members;
+use crate::datalog::dense::{holding, members};
 use crate::diag::Diagnostic;
 use crate::predicate::{CellTable, Definition, PairRelation, Relation, Static, Views, with_relation};
 use crate::sim::observe::rule_monitor::{
@@ -305,9 +305,9 @@ impl Observer {
                     let holds = bodies
                         .iter()
                         .map(|body| is_steadily(&self.steady, self.words, body, predicate));
-                    mark(holds)
+                    holding(holds)
                 }
-                How::Local(table) => mark(bodies.iter().map(|body| table.holds(body.junction, body.kind))),
+                How::Local(table) => holding(bodies.iter().map(|body| table.holds(body.junction, body.kind))),
                 // `Sees` is the only predicate that relates an agent to itself.
                 How::Pair(relation) => {
                     rows.fill(0);
@@ -465,12 +465,6 @@ impl Observer {
 #[inline]
 fn is_steadily(steady: &[u64], words: usize, body: &Body, predicate: usize) -> bool {
     steady[body.agent as usize * words + predicate / 64] >> (predicate % 64) & 1 != 0
-}
-
-/// Returns the positions of the entities for which a predicate holds.
-#[inline]
-fn mark(holds: impl Iterator<Item = bool>) -> u64 {
-    (holds.enumerate()).fold(0, |set, (entity, holds)| set | u64::from(holds) << entity)
 }
 
 /// Sorts bodies by their distance from a cell; keeps the order of those at the same distance.

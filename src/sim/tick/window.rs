@@ -7,7 +7,8 @@
 use crate::city::AgentKind;
 use crate::city::{Agent, Cell, CityMap, Heading, Junction};
 use crate::datalog::dense::{
-    Argument, BinaryFacts, BitState, Dense, Input, List, Set, TooManySteps, and, first, is_empty, members, without,
+    Argument, BinaryFacts, BitState, Dense, Input, List, Set, TooManySteps, and, first, holding, is_empty, members,
+    without,
 };
 use crate::predicate::{
     CellTable, Definition, Pair, PairRelation, Reach, Relation, Static, Subject, Views, headings, with_relation,
@@ -270,18 +271,24 @@ impl Grounder {
         })
     }
 
-    /// Writes the inputs that do not depend on cells, as sets of agents. There are at most 64 agents.
+    /// Writes the inputs that do not depend on cells, as sets of agents, of which there are at most 64.
     pub fn steady_inputs(&mut self, agents: &[Agent], inputs: &mut Vec<Set<1>>) {
+        let classes = agents.iter().map(|agent| self.class_of(agent.kind, &agent.concepts));
+        let classes: Vec<u32> = classes.collect();
+        self.fill_steady(classes.into_iter(), inputs);
+    }
+
+    /// Writes the inputs that do not depend on cells, as sets of entities with these classes, and clears the others.
+    fn fill_steady<const W: usize>(&self, classes: impl ExactSizeIterator<Item = u32>, inputs: &mut Vec<Set<W>>) {
         inputs.clear();
-        inputs.resize(self.dense.inputs().len(), [0]);
-        for (entity, agent) in agents.iter().enumerate() {
-            let class = self.class_of(agent.kind, &agent.concepts);
-            for &input in self.inputs_of_class(class) {
-                inputs[input][0] |= 1 << entity;
-            }
-        }
+        inputs.resize(self.dense.inputs().len(), [0; W]);
         for &input in &self.always {
-            inputs[input] = first(agents.len());
+            inputs[input] = first(classes.len());
+        }
+        for (entity, class) in classes.enumerate() {
+            for &input in self.inputs_of_class(class) {
+                inputs[input][entity / 64] |= 1 << (entity % 64);
+            }
         }
     }
 
@@ -417,16 +424,7 @@ impl<const W: usize> Window<W> {
     fn fill_inputs(&mut self, grounder: &Grounder) {
         let count = self.bodies.len();
         self.bit_state.reset(&grounder.dense, count);
-        self.inputs.clear();
-        self.inputs.resize(grounder.dense.inputs().len(), [0; W]);
-        for (entity, body) in self.bodies.iter().enumerate() {
-            for &input in grounder.inputs_of_class(body.class) {
-                self.inputs[input][entity / 64] |= 1 << (entity % 64);
-            }
-        }
-        for &input in &grounder.always {
-            self.inputs[input] = first(count);
-        }
+        grounder.fill_steady(self.bodies.iter().map(|body| body.class), &mut self.inputs);
         for entity in 0..count {
             self.look(grounder, entity);
         }
@@ -532,8 +530,7 @@ impl Window<1> {
         inputs.extend_from_slice(steady);
         for &(input, table) in &grounder.local {
             let holds = bodies.iter().map(|body| table.holds(body.junction, body.kind));
-            let mark = |set, (entity, holds)| set | u64::from(holds) << entity;
-            inputs[input] = [holds.enumerate().fold(0, mark)];
+            inputs[input] = [holding(holds)];
         }
         if self.bit_state.count() != agents.len() {
             self.bit_state.reset(&grounder.dense, agents.len());
@@ -613,12 +610,12 @@ impl Surrounding<1> for Near {
     fn select(&self, bodies: &[Body], at: usize, [up, down, left, right]: [i32; 4], [among]: Set<1>) -> Set<1> {
         let near = [self.0[at % Near::MAX] & among];
         let here = bodies[at].at;
-        // Without branches, since about as many are inside as outside.
-        let is_between = |low: i32, cells: i32| u64::from(low.cast_unsigned() <= cells.cast_unsigned());
         let inside = members(&near).fold(0, |set, other| {
             let there = bodies[other].at;
-            let rows = is_between(there.row - here.row + up, up + down);
-            set | (rows & is_between(there.col - here.col + left, left + right)) << other
+            let (row, col) = (there.row - here.row, there.col - here.col);
+            // Without branches, since about as many are inside as outside.
+            let is_inside = (-up <= row) & (row <= down) & (-left <= col) & (col <= right);
+            set | u64::from(is_inside) << other
         });
         [inside]
     }

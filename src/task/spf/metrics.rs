@@ -62,7 +62,8 @@ fn wilson(p: f64, n: f64) -> [f64; 2] {
     }
     let middle = (p + Z * Z / (2.0 * n)) / (1.0 + Z * Z / n);
     let half = Z / (1.0 + Z * Z / n) * (p * (1.0 - p) / n + Z * Z / (4.0 * n * n)).sqrt();
-    [(middle - half).max(0.0), (middle + half).min(1.0)]
+    // Rounding errors must not move a bound across the proportion.
+    [(middle - half).clamp(0.0, p), (middle + half).clamp(p, 1.0)]
 }
 
 /// A mean with its normal approximation interval: the mean plus or minus 1.96 standard errors.
@@ -208,6 +209,10 @@ mod tests {
         );
         let none = once(0, 20);
         assert!(none.low == 0.0 && (none.high - 0.1611).abs() < 5e-5, "{none:?}");
+        for episodes in 1..300 {
+            let [none, all] = [once(0, episodes), once(episodes, episodes)];
+            assert_eq!([none.low, all.high], [0.0, 1.0], "{episodes}");
+        }
         let score = Score::of([1.0, 2.0, 3.0, 4.0].into_iter());
         assert!(
             (score.value - 2.5).abs() < 1e-12 && (score.high - 2.5 - Z * 0.645_497_224).abs() < 1e-8,
