@@ -1,7 +1,8 @@
 """Multiple-choice questions for language models: query a model over HTTP, parse its replies, and grade them.
 
 `logicity questions` generates the questions. `ask` sends them to a chat endpoint and stores the replies. `grade`
-compares replies from any source with the actions that the rules derive.
+compares replies from any source with the actions that the rules derive, and the rules that replies name with the
+clauses that derive these actions.
 """
 
 from __future__ import annotations
@@ -17,7 +18,7 @@ import urllib.parse
 import urllib.request
 from collections import Counter
 from collections.abc import Callable, Iterable, Mapping, Sequence
-from dataclasses import asdict, dataclass
+from dataclasses import asdict, dataclass, field
 from pathlib import Path
 from typing import Any
 
@@ -26,11 +27,48 @@ from .errors import checked_path
 from .evaluation import Interval, Progress
 from .files import reserved
 
-__all__ = ["Endpoint", "Grade", "Question", "Recall", "ask", "grade", "load_answers", "load_questions", "read_letter"]
+__all__ = [
+    "Calibration",
+    "Demonstration",
+    "Endpoint",
+    "Grade",
+    "Question",
+    "Recall",
+    "Reply",
+    "ask",
+    "calibrate",
+    "grade",
+    "load_answers",
+    "load_logprobs",
+    "load_questions",
+    "read_letter",
+    "read_rule",
+]
 
 LETTERS = "ABCD"
 UNREAD, MISSING = "unread", "missing"
+#: The name in place of a rule, for an action that no rule requires.
+NO_RULE = "none"
+#: The versions of files of questions. Version 1 has no clauses, and no scenes of demonstrations.
+VERSIONS = (1, 2)
 RESPONSE_BYTES = 16 << 20
+
+
+@dataclass(frozen=True)
+class Demonstration:
+    """A solved example.
+
+    Attributes:
+        text: The question.
+        answer: The letter of the correct action.
+        clauses: The labels of the clauses that derive the action, in source order; `None` in a file of version 1.
+        scene: The facts, as `infer` takes them; `None` in a file of version 1.
+    """
+
+    text: str
+    answer: str
+    clauses: tuple[str, ...] | None = None
+    scene: Mapping[str, Any] | None = None
 
 
 @dataclass(frozen=True)
@@ -40,28 +78,41 @@ class Question:
     Attributes:
         id: The unique name of the question.
         system: The system message: the instructions.
-        demonstrations: The few-shot examples: pairs of a question and the letter of its answer.
+        demonstrations: The few-shot examples.
         text: The question.
         options: The actions by letter.
         answer: The letter of the correct action.
+        clauses: The labels of the clauses that derive the action, in source order; `None` in a file of version 1.
+        labels: The labels of all rules of actions, if the question requests a rule; otherwise empty.
+        scene: The facts, as `infer` takes them; `None` if the file has none.
+        source: The configuration, the rules and the decision behind the question.
     """
 
     id: str
     system: str
-    demonstrations: tuple[tuple[str, str], ...]
+    demonstrations: tuple[Demonstration, ...]
     text: str
     options: Mapping[str, str]
     answer: str
+    clauses: tuple[str, ...] | None = None
+    labels: tuple[str, ...] = ()
+    scene: Mapping[str, Any] | None = None
+    source: Mapping[str, Any] = field(default_factory=dict)
 
     def messages(self) -> list[dict[str, str]]:
         """Return the messages for a chat model: the instructions, then the examples and the question."""
         options = "\n".join(f"({letter}) {action}" for letter, action in self.options.items())
         examples = [
-            f"Example {number}\n{text}\n{options}\nAnswer: {answer}"
-            for number, (text, answer) in enumerate(self.demonstrations, 1)
+            f"Example {number}\n{shown.text}\n{options}\n{self.reply(shown.answer, shown.clauses or ())}"
+            for number, shown in enumerate(self.demonstrations, 1)
         ]
         content = "\n\n".join([*examples, f"Question\n{self.text}\n{options}"])
         return [{"role": "system", "content": self.system}, {"role": "user", "content": content}]
+
+    def reply(self, answer: str, clauses: Sequence[str] = ()) -> str:
+        """Return a reply in the form that the instructions request: the first of the clauses, and a letter."""
+        rule = f"Rule: {clauses[0] if clauses else NO_RULE}\n" if self.labels else ""
+        return f"{rule}Answer: {answer}"
 
 
 def _lines(path: str | os.PathLike[str]) -> Iterable[tuple[str, dict[str, Any]]]:
@@ -90,14 +141,26 @@ def load_questions(path: str | os.PathLike[str]) -> list[Question]:
     """
     questions: dict[str, Question] = {}
     for place, line in _lines(path):
+        if line.get("version", 1) not in VERSIONS:
+            raise ValueError(
+                f"{place}: questions of version {line['version']}; this program reads the versions "
+                f"{' and '.join(map(str, VERSIONS))}: write them again with `logicity questions`"
+            )
         try:
             question = Question(
                 id=line["id"],
                 system=line["system"],
-                demonstrations=tuple((example["question"], example["answer"]) for example in line["demonstrations"]),
+                demonstrations=tuple(
+                    Demonstration(shown["question"], shown["answer"], _labels(shown), shown.get("scene"))
+                    for shown in line["demonstrations"]
+                ),
                 text=line["question"],
                 options=dict(line["options"]),
                 answer=line["answer"],
+                clauses=_labels(line),
+                labels=tuple(line.get("labels", ())),
+                scene=line.get("scene"),
+                source=line.get("source", {}),
             )
         except (KeyError, TypeError, ValueError) as error:
             raise ValueError(f"{place}: not a question of `logicity questions`: {error!r}") from None
@@ -111,6 +174,11 @@ def load_questions(path: str | os.PathLike[str]) -> list[Question]:
     if not questions:
         raise ValueError(f"{os.fspath(path)} has no questions")
     return list(questions.values())
+
+
+def _labels(line: Mapping[str, Any]) -> tuple[str, ...] | None:
+    """Return the labels of the clauses that derive the answer, if the file has them."""
+    return tuple(line["clauses"]) if "clauses" in line else None
 
 
 def load_answers(path: str | os.PathLike[str]) -> dict[str, str]:
@@ -130,6 +198,28 @@ def load_answers(path: str | os.PathLike[str]) -> dict[str, str]:
             raise ValueError(f"{place}: second answer to the question {line['id']!r}")
         answers[line["id"]] = line["answer"]
     return answers
+
+
+def load_logprobs(path: str | os.PathLike[str]) -> dict[str, dict[str, float]]:
+    """Return the log-probabilities of the options by the ids of the replies that have them.
+
+    The file is an output of `ask`. Options without a log-probability are missing.
+
+    Raises:
+        OSError: If the file cannot be read.
+        ValueError: If a line is invalid. The message names the line.
+    """
+    found: dict[str, dict[str, float]] = {}
+    for place, line in _lines(path):
+        values = line.get("logprobs")
+        if values is None:
+            continue
+        if not isinstance(values, dict) or not all(
+            letter in LETTERS and isinstance(value, (int, float)) and value <= 0 for letter, value in values.items()
+        ):
+            raise ValueError(f"{place}: `logprobs` is not a mapping from letters to numbers of at most 0")
+        found[line["id"]] = {letter: float(value) for letter, value in values.items()}
+    return found
 
 
 _NAMES = "|".join(ACTIONS)
@@ -175,6 +265,32 @@ def _option(text: str) -> str | None:
     return letter.upper() if letter else named
 
 
+_RULE = re.compile(r"\brule\b(?:\s+is)?\s*[:=]\s*([^\n]*)", flags=re.IGNORECASE)
+
+
+def read_rule(reply: str, labels: Sequence[str]) -> str | None:
+    """Read the rule that a reply names after its last "Rule:". Remarks may follow the name.
+
+    Args:
+        reply: The reply.
+        labels: The labels of the rules.
+
+    Returns:
+        One of the labels, or `"none"`, or `None` if the reply names no rule or several.
+    """
+    # Labels may contain characters of markup.
+    known = {_MARKUP.sub("", label).casefold(): label for label in [*labels, NO_RULE]}
+    names = "|".join(map(re.escape, sorted(known, key=len, reverse=True)))
+    first = re.compile(rf"[(\[\s]*({names})(?!\w)(.*)", flags=re.IGNORECASE)
+    another = re.compile(rf"\s*(?:,|/|&|\bor\b|\band\b)\s*\(?(?:{names})(?!\w)", flags=re.IGNORECASE)
+    text = re.sub(r"<(\w+)>", r"\1: ", re.sub(r"</\w+>", "\n", reply))
+    for line in reversed(_RULE.findall(_MARKUP.sub("", text))):
+        found = first.match(line)
+        if found is not None:
+            return None if another.match(found[2]) else known[found[1].casefold()]
+    return None
+
+
 @dataclass(frozen=True)
 class Recall:
     """The number of correct answers out of `total`, and their share with its confidence interval."""
@@ -196,6 +312,60 @@ class Recall:
 
 
 @dataclass(frozen=True)
+class Calibration:
+    """How well the probabilities of the options agree with the correct answers.
+
+    Attributes:
+        count: The number of replies with log-probabilities, to which the measures refer.
+        ece: The expected calibration error, from 0 to 1. Replies are sorted into ten bins of equal width by the
+            probability of their most probable option. The error is the mean over the replies of the absolute difference
+            between the mean of these probabilities and the accuracy in their bin (Naeini et al., 2015; Guo et al.,
+            2017).
+        brier: The Brier score, from 0 to 2: the mean of the squared distance between the probabilities of the options
+            and the indicator of the correct one (Brier, 1950). 0.75 for uniform probabilities over four options.
+    """
+
+    count: int
+    ece: float
+    brier: float
+
+
+#: The number of bins of the expected calibration error.
+BINS = 10
+
+
+def calibrate(questions: Sequence[Question], logprobs: Mapping[str, Mapping[str, float]]) -> Calibration | None:
+    """Measure the calibration of the replies with log-probabilities.
+
+    The probabilities of the options are normalized to a sum of 1. An option without a log-probability has probability
+    0.
+
+    Args:
+        questions: The questions.
+        logprobs: The log-probabilities by question and letter, as `load_logprobs` returns them.
+
+    Returns:
+        The measures, or `None` if no reply has log-probabilities.
+    """
+    bins: list[list[tuple[float, bool]]] = [[] for _ in range(BINS)]
+    squares: list[float] = []
+    for question in questions:
+        values = logprobs.get(question.id)
+        if not values:
+            continue
+        highest = max(values.values())
+        weights = {letter: math.exp(values[letter] - highest) if letter in values else 0.0 for letter in LETTERS}
+        shares = {letter: weight / sum(weights.values()) for letter, weight in weights.items()}
+        best = max(shares, key=lambda letter: shares[letter])
+        bins[min(int(shares[best] * BINS), BINS - 1)].append((shares[best], best == question.answer))
+        squares.append(sum((share - (letter == question.answer)) ** 2 for letter, share in shares.items()))
+    if not squares:
+        return None
+    gaps = [abs(sum(share for share, _ in each) - sum(right for _, right in each)) for each in bins]
+    return Calibration(len(squares), sum(gaps) / len(squares), sum(squares) / len(squares))
+
+
+@dataclass(frozen=True)
 class Grade:
     """The result of grading.
 
@@ -207,6 +377,11 @@ class Grade:
         missing: The ids of questions without a reply.
         unread: The ids of questions whose reply chooses no option or several.
         unknown: The ids of answers without a question.
+        rules: The share of replies that name a rule that derives the correct action, or `none` if no rule does. `None`
+            if the questions request no rule.
+        both: The share of replies with the correct action and such a rule. `None` if the questions request no rule.
+        named: The number of replies that name a rule or `none`.
+        calibration: The calibration, if replies have log-probabilities.
     """
 
     overall: Recall
@@ -215,6 +390,10 @@ class Grade:
     missing: tuple[str, ...]
     unread: tuple[str, ...]
     unknown: tuple[str, ...]
+    rules: Recall | None = None
+    both: Recall | None = None
+    named: int = 0
+    calibration: Calibration | None = None
 
     def to_dict(self) -> dict[str, Any]:
         """Return a dictionary for JSON."""
@@ -234,11 +413,26 @@ class Grade:
         rows.append(["all", str(self.overall.total), str(self.overall.accuracy), *chosen])
         widths = [max(len(row[place]) for row in [head, *rows]) for place in range(len(head))]
         lines = ["  ".join(cell.ljust(width) for cell, width in zip(row, widths, strict=True)) for row in [head, *rows]]
+        if self.rules is not None and self.both is not None:
+            lines.append(f"rule correct: {self.rules.accuracy}; action and rule correct: {self.both.accuracy}")
+        if self.calibration is not None:
+            ece, brier, count = self.calibration.ece, self.calibration.brier, self.calibration.count
+            lines.append(f"expected calibration error {ece:.3f}, Brier score {brier:.3f}, of {count} replies")
         return "\n".join(line.rstrip() for line in lines)
 
 
-def grade(questions: Sequence[Question], answers: Mapping[str, str]) -> Grade:
-    """Grade answers, which are letters or whole replies, by the ids of their questions."""
+def grade(
+    questions: Sequence[Question],
+    answers: Mapping[str, str],
+    logprobs: Mapping[str, Mapping[str, float]] | None = None,
+) -> Grade:
+    """Grade answers, which are letters or whole replies, by the ids of their questions.
+
+    Args:
+        questions: The questions. Those that request a rule all do.
+        answers: The answers by id.
+        logprobs: The log-probabilities of the options by id, as `load_logprobs` returns them.
+    """
     confusion = {letter: dict.fromkeys([*LETTERS, UNREAD, MISSING], 0) for letter in LETTERS}
     missing: list[str] = []
     unread: list[str] = []
@@ -251,6 +445,10 @@ def grade(questions: Sequence[Question], answers: Mapping[str, str]) -> Grade:
         if chosen == UNREAD:
             unread.append(question.id)
     totals = Counter(question.answer for question in questions)
+    why = [question for question in questions if question.labels]
+    named = {question.id: read_rule(answers.get(question.id, ""), question.labels) for question in why}
+    derived = {question.id: named[question.id] in (question.clauses or (NO_RULE,)) for question in why}
+    right = [question for question in why if read_letter(answers.get(question.id, "")) == question.answer]
     known = {question.id for question in questions}
     return Grade(
         overall=Recall.of(sum(confusion[letter][letter] for letter in LETTERS), len(questions)),
@@ -263,6 +461,10 @@ def grade(questions: Sequence[Question], answers: Mapping[str, str]) -> Grade:
         missing=tuple(missing),
         unread=tuple(unread),
         unknown=tuple(name for name in answers if name not in known),
+        rules=Recall.of(sum(derived.values()), len(why)) if why else None,
+        both=Recall.of(sum(derived[question.id] for question in right), len(why)) if why else None,
+        named=sum(label is not None for label in named.values()),
+        calibration=calibrate(questions, logprobs or {}),
     )
 
 
@@ -282,6 +484,21 @@ class _NoRedirect(urllib.request.HTTPRedirectHandler):
 
 
 @dataclass(frozen=True)
+class Reply:
+    """A reply of a model.
+
+    Attributes:
+        text: The text; empty if the reply has none.
+        logprobs: The log-probabilities of the options by letter, at the token with the letter or name of the chosen
+            option; `None` if the server returns none, or the reply chooses no option. Options outside the most
+            probable tokens that the server lists are missing.
+    """
+
+    text: str
+    logprobs: Mapping[str, float] | None = None
+
+
+@dataclass(frozen=True)
 class Endpoint:
     """A chat endpoint with an OpenAI-compatible interface.
 
@@ -289,7 +506,8 @@ class Endpoint:
         url: The base URL, such as `http://localhost:8000/v1`. `/chat/completions` is appended if it is missing.
         model: The name of the model on the server.
         key: The bearer token, if the server requires one.
-        settings: More fields of the request, such as a temperature.
+        settings: More fields of the request, such as a temperature. `{"logprobs": true, "top_logprobs": 20}` requests
+            log-probabilities.
         timeout: The timeout of a request, in seconds without data.
         tries: The number of attempts.
         pause: The delay before the second attempt, in seconds. It doubles for each later attempt, up to 60 seconds,
@@ -321,8 +539,8 @@ class Endpoint:
         if not (self.timeout > 0 and self.tries >= 1 and self.pause >= 0):
             raise ValueError("`timeout` and `tries` must be positive, and `pause` must not be negative")
 
-    def reply(self, messages: list[dict[str, str]]) -> str:
-        """Send a request, and return the reply of the model, or `""` if the reply has no text.
+    def reply(self, messages: list[dict[str, str]]) -> Reply:
+        """Send a request, and return the reply of the model.
 
         Raises:
             ConnectionError: If the server rejects the request, or every attempt fails.
@@ -337,7 +555,7 @@ class Endpoint:
                 time.sleep(delay if error.wait is None else error.wait)
         raise AssertionError("`tries` is at least 1")
 
-    def _once(self, messages: list[dict[str, str]]) -> str:
+    def _once(self, messages: list[dict[str, str]]) -> Reply:
         url = self.url.rstrip("/")
         url = url if url.endswith("/chat/completions") else f"{url}/chat/completions"
         request_body = json.dumps({"model": self.model, "messages": messages, **(self.settings or {})}).encode()
@@ -358,10 +576,63 @@ class Endpoint:
         except (OSError, http.client.HTTPException) as error:
             raise _RetryableError(str(getattr(error, "reason", None) or error) or type(error).__name__) from None
         try:
-            content = json.loads(text)["choices"][0]["message"].get("content")
+            choice = json.loads(text)["choices"][0]
+            content = choice["message"].get("content")
         except (ValueError, KeyError, IndexError, TypeError, AttributeError):
             raise _RetryableError(f"not a reply of a chat endpoint: {text[:200].decode(errors='replace')}") from None
-        return content if isinstance(content, str) else ""
+        content = content if isinstance(content, str) else ""
+        return Reply(content, _option_logprobs(content, choice.get("logprobs")))
+
+
+def _option_logprobs(reply: str, logprobs: Any) -> dict[str, float] | None:
+    """Return the log-probabilities of the options at the token of the chosen option.
+
+    Args:
+        reply: The text of the reply.
+        logprobs: The field `logprobs` of a choice: `content` lists the tokens, each with `token`, `logprob` and
+            `top_logprobs`, the most probable tokens in its place.
+    """
+    letter = read_letter(reply)
+    if letter is None:
+        return None
+    try:
+        tokens = [(str(token["token"]), token) for token in logprobs["content"]]
+        # The token after the last "answer:", or in the last line.
+        text = "".join(token for token, _ in tokens)
+        begins = [found.end() for found in _MARKER.finditer(text)]
+        starts = sorted({len(text.rstrip()[: text.rstrip().rfind("\n") + 1]), *begins}, reverse=True)
+        for start in starts:
+            end = 0
+            for token, values in tokens:
+                end += len(token)
+                if end > start and _chosen(token) == letter:
+                    return _by_letter([values, *values.get("top_logprobs", [])])
+    except (KeyError, TypeError, ValueError, AttributeError):
+        # Servers differ in this field. A reply without log-probabilities is still a reply.
+        return None
+    return None
+
+
+#: The option that a token names, by its letter or its action.
+_TOKENS = {
+    name.casefold(): letter for letter, action in zip(LETTERS, ACTIONS, strict=True) for name in (letter, action)
+}
+
+
+def _chosen(token: str) -> str | None:
+    """Return the option that a token names alone, by its letter or its action."""
+    return _TOKENS.get(token.strip(" \t\r\n()[]{}*_`$.,:;\"'").casefold())
+
+
+def _by_letter(tokens: Iterable[Mapping[str, Any]]) -> dict[str, float]:
+    """Add the probabilities of the different tokens that name the same option."""
+    shares: dict[str, dict[str, float]] = {}
+    for each in tokens:
+        letter, value = _chosen(str(each["token"])), float(each["logprob"])
+        if letter is not None and math.isfinite(value):
+            # The chosen token is also among the most probable ones.
+            shares.setdefault(letter, {})[str(each["token"])] = math.exp(min(value, 0.0))
+    return {letter: min(0.0, math.log(total)) for letter in LETTERS if (total := sum(shares.get(letter, {}).values()))}
 
 
 def _seconds(header: str | None) -> float | None:
@@ -381,7 +652,8 @@ def ask(
 ) -> dict[str, str]:
     """Send every question that has no reply in a file to an endpoint, and append each reply to the file.
 
-    Each line of the file is `{"id": .., "model": .., "answer": ..}`. After an interruption, the next call resumes.
+    Each line of the file is `{"id": .., "model": .., "answer": ..}`, and `"logprobs": {LETTER: ..}` if the endpoint
+    returns log-probabilities. After an interruption, the next call resumes.
 
     Args:
         questions: The questions.
@@ -415,8 +687,10 @@ def ask(
         for question in questions:
             if question.id in answers:
                 continue
-            answers[question.id] = endpoint.reply(question.messages())
-            json.dump({"id": question.id, "model": endpoint.model, "answer": answers[question.id]}, file)
+            reply = endpoint.reply(question.messages())
+            answers[question.id] = reply.text
+            record: dict[str, Any] = {"id": question.id, "model": endpoint.model, "answer": reply.text}
+            json.dump(record if reply.logprobs is None else {**record, "logprobs": reply.logprobs}, file)
             file.write("\n")
             file.flush()
             watch(len(answers))

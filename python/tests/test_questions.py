@@ -3,13 +3,12 @@ from __future__ import annotations
 import json
 import random
 import threading
-from collections.abc import Callable, Iterator
-from dataclasses import dataclass, field
-from http.server import BaseHTTPRequestHandler, ThreadingHTTPServer
+from http.server import BaseHTTPRequestHandler
 from pathlib import Path
 from typing import Any
 
 import pytest
+from conftest import Serve, say, send
 
 from logicity import infer
 from logicity.__main__ import main
@@ -188,60 +187,6 @@ def test_invalid_answers_are_reported_with_their_line(tmp_path: Path) -> None:
         path.write_text(text, encoding="utf-8")
         with pytest.raises(ValueError, match=message):
             load_answers(path)
-
-
-@dataclass
-class Server:
-    """A local chat endpoint. `act` replies to each request, and receives the number of the request."""
-
-    act: Callable[[BaseHTTPRequestHandler, int, dict[str, Any]], None]
-    requests: list[dict[str, Any]] = field(default_factory=list)
-    keys: list[str | None] = field(default_factory=list)
-    url: str = ""
-
-
-def send(handler: BaseHTTPRequestHandler, code: int, body: bytes, **headers: str) -> None:
-    handler.send_response(code)
-    for name, value in {"Content-Length": str(len(body)), **headers}.items():
-        handler.send_header(name.replace("_", "-"), value)
-    handler.end_headers()
-    handler.wfile.write(body)
-
-
-def say(handler: BaseHTTPRequestHandler, text: object) -> None:
-    send(handler, 200, json.dumps({"choices": [{"message": {"role": "assistant", "content": text}}]}).encode())
-
-
-@pytest.fixture
-def serve() -> Iterator[Callable[[Callable[[BaseHTTPRequestHandler, int, dict[str, Any]], None]], Server]]:
-    running: list[ThreadingHTTPServer] = []
-
-    def start(act: Callable[[BaseHTTPRequestHandler, int, dict[str, Any]], None]) -> Server:
-        server = Server(act)
-
-        class Handler(BaseHTTPRequestHandler):
-            def do_POST(self) -> None:
-                body = json.loads(self.rfile.read(int(self.headers["Content-Length"])))
-                server.requests.append({"path": self.path, **body})
-                server.keys.append(self.headers.get("Authorization"))
-                server.act(self, len(server.requests) - 1, body)
-
-            def log_message(self, *message: Any) -> None:
-                pass
-
-        http = ThreadingHTTPServer(("127.0.0.1", 0), Handler)
-        running.append(http)
-        threading.Thread(target=http.serve_forever, daemon=True).start()
-        server.url = f"http://127.0.0.1:{http.server_port}/v1"
-        return server
-
-    yield start
-    for http in running:
-        http.shutdown()
-        http.server_close()
-
-
-Serve = Callable[[Callable[[BaseHTTPRequestHandler, int, dict[str, Any]], None]], Server]
 
 
 def test_all_questions_are_asked_and_graded(

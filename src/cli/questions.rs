@@ -7,7 +7,9 @@ use crate::cli::{
 };
 use crate::diag::{Code, Sources};
 use crate::files::Output;
-use crate::task::questions::{Extent, QUESTIONS_MAX, QuestionSet, Request, RulesFile, SHOTS_MAX, Style, askable};
+use crate::task::questions::{
+    Extent, Prompt, QUESTIONS_MAX, QuestionSet, Request, RulesFile, SHOTS_MAX, Style, askable,
+};
 use std::io::{self, Write};
 use std::path::{Path, PathBuf};
 use std::sync::Arc;
@@ -46,6 +48,10 @@ pub struct Arguments {
     /// Form of the facts: a list of atoms as in the paper, or English sentences
     #[arg(long, value_parser = one_of(&Style::ALL, Style::name), default_value = "atoms")]
     style: Style,
+    /// What the instructions state and request: only the solved examples; also the rules, in words; or also the rule
+    /// that requires the action
+    #[arg(long, value_parser = one_of(&Prompt::ALL, Prompt::name), default_value = "examples")]
+    prompt: Prompt,
     /// Only ask about cars with one of these concepts, separated by commas
     #[arg(long, value_delimiter = ',', value_name = "CONCEPTS")]
     about: Vec<String>,
@@ -97,6 +103,7 @@ pub fn run(arguments: &Arguments, sources: &mut Sources) -> Result<(), Failure> 
         demonstrations: arguments.demonstrations,
         entities: arguments.entities,
         style: arguments.style,
+        prompt: arguments.prompt,
         about,
         seed: arguments.seed,
     };
@@ -119,6 +126,7 @@ pub fn run(arguments: &Arguments, sources: &mut Sources) -> Result<(), Failure> 
     let rules = RulesFile {
         name: sources.name(rule_file),
         hash: &hash,
+        sources,
     };
     write(table, arguments.csv.as_deref(), |out| set.write_table(out))?;
     write(demonstrations, arguments.demonstrations_csv.as_deref(), |out| {

@@ -501,6 +501,216 @@ fn slow_impossible_requests_are_errors() {
     refused(&["-o", "no/such/folder/q.jsonl", "--count", "4"], 2, &["cannot write"]);
 }
 
+/// Parses the sentences of a system message as rules, by their labels.
+fn read_rules(system: &str, words: bool) -> Vec<(String, String)> {
+    let (_, listed) = system.split_once("the same entity.\n").unwrap();
+    let (listed, _) = listed.split_once("\nIf rules require several actions").unwrap();
+    let atom = |text: &str| {
+        if !words {
+            return text.to_owned();
+        }
+        let (subject, said) = text.split_once(' ').unwrap();
+        if let Some((name, _)) = WORDS.iter().find(|(_, verb)| *verb == said) {
+            return format!("{name}({subject})");
+        }
+        let (verb, object) = said.rsplit_once(' ').unwrap();
+        let (name, _) = WORDS.iter().find(|(_, known)| *known == verb).expect(text);
+        let object = if object == "itself" { subject } else { object };
+        format!("{name}({subject}, {object})")
+    };
+    let literal = |text: &str| match (
+        text.strip_prefix("no rule requires "),
+        text.split_once(" is not "),
+        text.strip_prefix("not "),
+    ) {
+        (Some(action), ..) => format!("Not({})", action.replace(" of ", "(") + ")"),
+        (_, Some((subject, said)), _) => format!("Not({})", atom(&format!("{subject} is {said}"))),
+        (_, _, Some(negated)) => format!("Not({})", atom(negated)),
+        _ => atom(text),
+    };
+    let rules = listed.lines().map(|line| {
+        let (head, body) = line.trim_end_matches('.').split_once(": ").unwrap();
+        let [label, "requires", action, "of", "X", "if" | "if,", ..] = head.split(' ').collect::<Vec<_>>()[..] else {
+            panic!("{line}")
+        };
+        let body: Vec<String> = body.split("; ").map(literal).collect();
+        (label.to_owned(), format!("{action}(X) :- {}.\n", body.join(", ")))
+    });
+    rules.collect()
+}
+
+/// Writes rules without their labels, and returns the decisions of `logicity infer` by them.
+fn infer_with(rules: &str, config: &str, scenes: &[Value]) -> Vec<Value> {
+    let folder = tempfile::tempdir().unwrap();
+    let file = folder.path().join("read.dl");
+    fs::write(&file, format!(".include \"vocabulary.dl\"\n{rules}")).unwrap();
+    let lines: String = scenes.iter().map(|scene| format!("{scene}\n")).collect();
+    let output = run(
+        &["infer", "--config", config, "--rules", file.to_str().unwrap()],
+        &lines,
+    );
+    assert!(output.status.success(), "{}", String::from_utf8_lossy(&output.stderr));
+    let answers = String::from_utf8(output.stdout).unwrap();
+    let answers = answers.lines().zip(scenes).map(|(line, scene)| {
+        let answer: Value = serde_json::from_str(line).unwrap();
+        answer["egos"][string(&scene["ego"])].clone()
+    });
+    answers.collect()
+}
+
+#[test]
+fn slow_the_rules_in_words_decide_as_the_rules() {
+    for (config, style) in [("vap-hard", "atoms"), ("vap-hard", "words"), ("expert", "words")] {
+        let arguments = [
+            config, "--count", "100", "--seed", "3", "--style", style, "--prompt", "why",
+        ];
+        let questions = questions(&arguments);
+        let rules = read_rules(string(&questions[0]["system"]), style == "words");
+        // The vocabulary has the rule N of the default action.
+        let text = |keep: &dyn Fn(&str) -> bool| -> String {
+            let kept = rules.iter().filter(|(label, _)| label != "N" && keep(label));
+            kept.map(|(_, rule)| rule.as_str()).collect()
+        };
+        let scenes: Vec<Value> = questions.iter().map(|question| question["scene"].clone()).collect();
+        let all = infer_with(&text(&|_| true), config, &scenes);
+        let actions: Vec<&Value> = all.iter().map(|answer| &answer["action"]).collect();
+        let wanted: Vec<&Value> = questions.iter().map(|question| &question["action"]).collect();
+        assert_eq!(actions, wanted, "{config}, {style}");
+
+        let labels: Vec<&str> = questions[0]["labels"].as_array().unwrap().iter().map(string).collect();
+        let read: Vec<&str> = rules.iter().map(|(label, _)| label.as_str()).collect();
+        assert_eq!(labels, read);
+        // Each of the clauses derives the action alone; the other clauses of the action do not.
+        let action_of = |label: &str| {
+            let (_, rule) = rules.iter().find(|(known, _)| known == label).unwrap();
+            rule.split_once('(').unwrap().0.to_owned()
+        };
+        let mut alone = 0;
+        for label in labels.iter().filter(|label| **label != "N") {
+            let action = action_of(label);
+            let kept = infer_with(
+                &text(&|other| other == *label || action_of(other) != action),
+                config,
+                &scenes,
+            );
+            for (question, answer) in questions.iter().zip(&kept) {
+                if question["action"] == action.as_str() {
+                    let clauses = question["clauses"].as_array().unwrap();
+                    let derived = answer["derived"].as_array().unwrap().contains(&question["action"]);
+                    assert_eq!(
+                        clauses.contains(&json!(label)),
+                        derived,
+                        "{label} in {}",
+                        question["id"]
+                    );
+                    alone += usize::from(derived);
+                }
+            }
+        }
+        assert!(alone > 50, "{alone}");
+        let defaults = questions.iter().filter(|question| question["action"] == "Normal");
+        assert!(defaults.clone().count() > 10 && defaults.clone().all(|question| question["clauses"] == json!(["N"])));
+    }
+}
+
+#[test]
+fn prompts_ask_the_same_questions() {
+    let of = |prompt: &str| questions(&["--count", "8", "--shots", "4", "--prompt", prompt]);
+    let [examples, rules, why] = ["examples", "rules", "why"].map(of);
+    for (others, prompt) in [(&rules, "rules"), (&why, "why")] {
+        for (one, other) in examples.iter().zip(others) {
+            for key in [
+                "question",
+                "answer",
+                "clauses",
+                "demonstrations",
+                "scene",
+                "source",
+                "options",
+                "version",
+            ] {
+                assert_eq!(one[key], other[key], "{key}");
+            }
+            assert_eq!(
+                string(&other["id"]),
+                string(&one["id"]).replace("-0-", &format!("-0-{prompt}-"))
+            );
+            assert_eq!((&one["prompt"], &other["prompt"]), (&json!("examples"), &json!(prompt)));
+            assert!(string(&one["system"]).contains("not shown to you"));
+            assert!(
+                string(&other["system"])
+                    .contains("VS7 requires Stop of X if, for some Y that X sees: CollidingClose(X, Y).")
+            );
+            assert_eq!(string(&other["system"]).contains("`Rule: `"), prompt == "why");
+            assert_eq!(other["labels"].is_array(), prompt == "why");
+        }
+        assert_eq!(others.len(), 8);
+    }
+}
+
+#[test]
+fn any_rules_have_sentences() {
+    let folder = tempfile::tempdir().unwrap();
+    let file = folder.path().join("own.dl");
+    let rules = r#".include "vocabulary.dl"
+.decl crowded(x: agent)
+.decl near(x: agent, y: agent)
+near(X, Y) :- IsClose(X, Y).
+/// C: a crowd
+crowded(X) :- IsCar(X), N = count : { near(X, _) }, N > 2.
+/// A1: any entity
+Stop(X) :- IsCar(X), IsClose(X, _), Not(LeftOf(X, _)).
+/// A2: alternatives
+Stop(X) :- IsBus(X), (IsAtInter(X); IsInInter(X), Not(IsPolice(X))).
+/// A3: constants
+Slow(X) :- Not(Stop(X)), IsCar(Y), X != Y, Y != "Car_1", HigherPri(Y, X), Not(HigherPri(Y, Y)).
+Fast(X) :- Not(Stop(X)), crowded(X), Not(IsTiro(X)).
+"#;
+    fs::write(&file, rules).unwrap();
+    let first = |style: &str| {
+        let arguments = [
+            "expert", "--count", "3", "--shots", "0", "--prompt", "rules", "--style", style, "--rules",
+        ];
+        let system = string(&questions(&[&arguments[..], &[file.to_str().unwrap()]].concat())[0]["system"]).to_owned();
+        let (_, listed) = system.split_once("the same entity.\n").unwrap();
+        let (listed, _) = listed.split_once(" You may reason").unwrap();
+        listed.to_owned()
+    };
+    let default = "If rules require several actions, the first of Stop, Slow, Fast, Normal counts. If no rule requires an \
+                   action, the action is Normal.\nYou are given a scene as facts; use the rules to choose what the car does.";
+    let atoms = [
+        "N requires Normal of X if: Sees(X, X); no rule requires Stop of X; no rule requires Slow of X; no rule requires \
+         Fast of X.",
+        "own.dl:4 makes near(X, Y) true if: IsClose(X, Y); Sees(X, Y).",
+        "C makes crowded(X) true if, for some N: IsCar(X); N = count : { near(X, _) in view }; N > 2.",
+        "A1 requires Stop of X if, for some E1 that X sees: IsCar(X); IsClose(X, E1); it is false that (for some E2 that \
+         X sees: LeftOf(X, E2)).",
+        "A2 requires Stop of X if: IsBus(X); IsAtInter(X).",
+        "A2 requires Stop of X if: IsBus(X); IsInInter(X); not IsPolice(X).",
+        "A3 requires Slow of X if, for some Y that X sees: no rule requires Stop of X; IsCar(Y); X is not the same as Y; \
+         Y is not the same as \"Car_1\"; HigherPri(Y, X); not HigherPri(Y, Y).",
+        "own.dl:13 requires Fast of X if: no rule requires Stop of X; crowded(X); not IsTiro(X).",
+        default,
+    ];
+    assert_eq!(first("atoms"), atoms.join("\n"));
+    let words = [
+        "N requires Normal of X if: X sees itself; no rule requires Stop of X; no rule requires Slow of X; no rule \
+         requires Fast of X.",
+        "own.dl:4 makes near(X, Y) true if: X is more than 12 and at most 20 cells away from Y; X sees Y.",
+        "C makes crowded(X) true if, for some N: X is a car; N = count : { near(X, _) in view }; N > 2.",
+        "A1 requires Stop of X if, for some E1 that X sees: X is a car; X is more than 12 and at most 20 cells away from \
+         E1; it is false that (for some E2 that X sees: X is to the left of E2).",
+        "A2 requires Stop of X if: X is a bus; X is at the edge of an intersection.",
+        "A2 requires Stop of X if: X is a bus; X is inside an intersection; X is not a police car.",
+        "A3 requires Slow of X if, for some Y that X sees: no rule requires Stop of X; Y is a car; X is not the same as \
+         Y; Y is not the same as \"Car_1\"; Y has priority over X; Y does not have priority over itself.",
+        "own.dl:13 requires Fast of X if: no rule requires Stop of X; crowded(X); X does not have a beginner at the \
+         wheel.",
+        default,
+    ];
+    assert_eq!(first("words"), words.join("\n"));
+}
+
 /// The Python tests read this file. `cargo run -- questions --count 8 --shots 4 --force --output
 /// tests/fixtures/questions.jsonl` writes it.
 #[test]

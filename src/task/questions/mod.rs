@@ -1,19 +1,22 @@
 //! Language questions: given entities and the facts about them, what does this car do next?
 //!
 //! [`QuestionSet::draw`] simulates cities and samples decisions of cars; `wording` formats them as text. A question
-//! does not state the rules. Its reader must infer them from demonstrations, which come from another agent set than the
-//! questions.
+//! does not state the rules, unless its [`Prompt`] does. Its reader must infer them from demonstrations, which come from
+//! another agent set than the questions.
 
+mod statement;
 mod wording;
 mod words;
 
 pub use wording::{RulesFile, letter};
 
 use crate::city::{Action, AgentKind, AgentName, AgentSet, Split};
+use crate::datalog::ClauseId;
+use crate::datalog::explain::Explainer;
 use crate::diag::{Code, Diagnostic, did_you_mean};
 use crate::predicate::Definition;
 use crate::rng::{Purpose, Rng, RngExt, Seed};
-use crate::sim::{Facts, MAX_ENTITIES, Settings, Simulation, World};
+use crate::sim::{Facts, GroundState, MAX_ENTITIES, Settings, Simulation, World};
 use std::collections::BTreeSet;
 use std::sync::Arc;
 
@@ -55,6 +58,8 @@ pub struct Request {
     pub entities: Extent,
     /// The form of the facts in the text.
     pub style: Style,
+    /// What the instructions state and request.
+    pub prompt: Prompt,
     /// Restricts questions to cars with one of these concepts, unless empty.
     pub about: Vec<String>,
     /// Seed of the set.
@@ -105,6 +110,31 @@ impl Style {
     }
 }
 
+/// What the instructions of a question state and request. It does not affect which questions a set has.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Prompt {
+    /// Only the demonstrations show what the rules are, as in the paper.
+    Examples,
+    /// The instructions state the rules.
+    Rules,
+    /// The instructions state the rules, and request the rule that requires the action.
+    Why,
+}
+
+impl Prompt {
+    /// All values.
+    pub const ALL: [Prompt; 3] = [Prompt::Examples, Prompt::Rules, Prompt::Why];
+
+    /// Returns the name: `examples`, `rules` or `why`.
+    pub const fn name(self) -> &'static str {
+        match self {
+            Prompt::Examples => "examples",
+            Prompt::Rules => "rules",
+            Prompt::Why => "why",
+        }
+    }
+}
+
 /// Questions, and the demonstrations that precede each of them.
 #[derive(Clone, Debug)]
 pub struct QuestionSet {
@@ -131,6 +161,8 @@ pub struct Question {
     pub facts: Facts,
     /// The action that the rules want.
     pub answer: Action,
+    /// The clauses that derive the action for the ego, in source order; none if it is the default without a clause.
+    pub clauses: Vec<ClauseId>,
     /// The origin of the question.
     pub source: Source,
 }
@@ -165,7 +197,7 @@ impl QuestionSet {
         check(world, &request)?;
         let mut known = Known::default();
         let mut shown = Search::new(world, &request, request.demonstrations, request.shots);
-        let demonstrations = match request.shots {
+        let mut demonstrations = match request.shots {
             0 => Vec::new(),
             _ => shown.run(&[], &mut known, |_| ()).map_err(|fault| vec![fault])?,
         };
@@ -174,7 +206,7 @@ impl QuestionSet {
             .map(|question| composition(world, question))
             .collect();
         let mut search = Search::new(world, &request, request.split, request.count);
-        let questions = search
+        let mut questions = search
             .run(&request.about, &mut known, &mut watch)
             .map_err(|fault| vec![fault])?;
         let lacking = |action: &Action| {
@@ -188,6 +220,9 @@ impl QuestionSet {
                 Diagnostic::new(Code::LIMIT_EXCEEDED, message)
                     .help("use another split for the demonstrations, or none"),
             ]);
+        }
+        for question in demonstrations.iter_mut().chain(&mut questions) {
+            question.clauses = deriving(world, question).map_err(|fault| vec![fault])?;
         }
         let predicates = &world.vocabulary.predicates;
         Ok(QuestionSet {
@@ -219,6 +254,26 @@ pub fn askable(world: &World) -> Vec<Action> {
         derived || *action == world.vocabulary.default_action()
     };
     Action::ALL.into_iter().filter(asked).collect()
+}
+
+/// Returns the clauses that derive the answer from the facts of a question, in source order.
+fn deriving(world: &World, question: &Question) -> Result<Vec<ClauseId>, Diagnostic> {
+    let Some(relation) = world.vocabulary.action(question.answer) else {
+        return Ok(Vec::new());
+    };
+    let names: Vec<String> = (0..question.entities).map(wording::entity).collect();
+    let mut state = GroundState::new(
+        &world.program,
+        &world.vocabulary,
+        world.limits,
+        names.iter().map(String::as_str),
+    );
+    (state.set(&question.facts)).map_err(|error| error.diagnostic(world.program.rules()))?;
+    let found = Explainer::new(state.session()).derivations(relation, &[state.value(question.ego)]);
+    let found = found.map_err(Diagnostic::from)?;
+    let mut clauses: Vec<ClauseId> = found.into_iter().map(|(clause, _)| clause).collect();
+    clauses.dedup();
+    Ok(clauses)
 }
 
 /// Checks a request for contradictions.
@@ -429,6 +484,7 @@ impl<'w> Search<'w> {
             entities: named.len(),
             facts,
             answer,
+            clauses: Vec::new(),
             source,
         }
     }

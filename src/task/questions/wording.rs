@@ -1,10 +1,14 @@
 //! Formats questions as text, JSON lines and CSV.
 
 use crate::city::{Action, Split};
+use crate::diag::Sources;
 use crate::sim::World;
-use crate::task::questions::{Question, QuestionSet, Request, Style, words};
+use crate::task::questions::{Prompt, Question, QuestionSet, Request, Style, statement, words};
 use serde_json::{Map, Value, json};
 use std::io::{self, Write};
+
+/// The version of the format. Version 1 had no `version`, `prompt` and `clauses`, and no `scene` of demonstrations.
+const VERSION: u32 = 2;
 
 /// The rules that determine the answers.
 #[derive(Clone, Copy, Debug)]
@@ -13,6 +17,8 @@ pub struct RulesFile<'a> {
     pub name: &'a str,
     /// [Hash](crate::sim::hash_sources) of the file and its includes.
     pub hash: &'a str,
+    /// The sources of the rules, for the labels of clauses.
+    pub sources: &'a Sources,
 }
 
 /// Returns the letter of an option: A to D, in the order of [`Action::ALL`].
@@ -31,17 +37,37 @@ impl QuestionSet {
             Style::Atoms => "",
             Style::Words => "-words",
         };
-        let Request { split, seed, .. } = &self.request;
-        let set = format!("{}-{}-{seed}{style}", scenario.name, split.name());
+        let Request {
+            split, seed, prompt, ..
+        } = &self.request;
+        let variant = match prompt {
+            Prompt::Examples => String::new(),
+            _ => format!("-{}", prompt.name()),
+        };
+        let set = format!("{}-{}-{seed}{style}{variant}", scenario.name, split.name());
+        let clauses = |question: &Question| -> Value {
+            let labels = question.clauses.iter();
+            let mut labels: Vec<String> = labels
+                .map(|clause| statement::label(world, rules.sources, *clause))
+                .collect();
+            labels.dedup();
+            labels.into()
+        };
         let shown = self.demonstrations.iter().map(|shown| {
             json!({
                 "question": self.text(shown),
                 "answer": letter(shown.answer),
                 "action": shown.answer.name(),
+                "clauses": clauses(shown),
+                "scene": self.scene(shown),
                 "source": source(shown),
             })
         });
-        let (system, shown) = (self.instructions(), shown.collect::<Vec<_>>());
+        let (system, shown) = (self.instructions(world, rules.sources), shown.collect::<Vec<_>>());
+        let labels = match prompt {
+            Prompt::Why => statement::labels(world, rules.sources),
+            Prompt::Examples | Prompt::Rules => Vec::new(),
+        };
         let options: Map<String, Value> = Action::ALL
             .iter()
             .map(|&action| (letter(action).into(), action.name().into()))
@@ -57,17 +83,23 @@ impl QuestionSet {
             ] {
                 from.insert(key.to_owned(), value);
             }
-            let line = json!({
+            let mut line = json!({
+                "version": VERSION,
                 "id": format!("{set}-{number}"),
+                "prompt": prompt.name(),
                 "system": system,
                 "demonstrations": shown,
                 "question": self.text(question),
                 "options": options,
                 "answer": letter(question.answer),
                 "action": question.answer.name(),
+                "clauses": clauses(question),
                 "scene": self.scene(question),
                 "source": from,
             });
+            if *prompt == Prompt::Why {
+                line["labels"] = labels.clone().into();
+            }
             writeln!(out, "{line}")?;
         }
         Ok(())
@@ -100,20 +132,43 @@ impl QuestionSet {
     }
 
     /// Returns the system prompt.
-    fn instructions(&self) -> String {
-        let task = "Cars in a simulated city follow rules of first-order logic that are not shown to you. What a car \
-                    does next depends only on facts about itself and about the entities that it sees.";
-        let work = match self.demonstrations.len() {
-            0 => "You are given a scene as facts; choose what the car does.",
-            _ => {
+    fn instructions(&self, world: &World, sources: &Sources) -> String {
+        let prompt = self.request.prompt;
+        let hidden = match prompt {
+            Prompt::Examples => " that are not shown to you",
+            Prompt::Rules | Prompt::Why => "",
+        };
+        let mut text = format!(
+            "Cars in a simulated city follow rules of first-order logic{hidden}. What a car does next depends only on \
+             facts about itself and about the entities that it sees. "
+        );
+        if prompt != Prompt::Examples {
+            let statement = statement::statement(world, sources, self.request.style);
+            text += &format!("These are the rules; different letters may stand for the same entity.\n{statement}\n");
+        }
+        text += match (self.demonstrations.is_empty(), prompt) {
+            (true, Prompt::Examples) => "You are given a scene as facts; choose what the car does.",
+            (true, _) => "You are given a scene as facts; use the rules to choose what the car does.",
+            (false, Prompt::Examples) => {
                 "Scenes with the car's action are given first. Find rules that explain all of them, then use them to \
                  choose what the car in the last scene does."
             }
+            (false, _) => {
+                "Scenes with the car's action are given first. Use the rules to choose what the car in the last scene \
+                 does."
+            }
         };
-        format!(
-            "{task} {work} You may reason step by step; the last line of your reply must be `Answer: ` and one letter: \
-             A, B, C or D."
-        )
+        text += " You may reason step by step; ";
+        text += match prompt {
+            Prompt::Examples | Prompt::Rules => {
+                "the last line of your reply must be `Answer: ` and one letter: A, B, C or D."
+            }
+            Prompt::Why => {
+                "the last two lines of your reply must be `Rule: ` and the name of a rule that requires the action, or \
+                 `none` if no rule requires it, and `Answer: ` and one letter: A, B, C or D."
+            }
+        };
+        text
     }
 
     /// Returns a question without its options.
@@ -173,7 +228,8 @@ impl QuestionSet {
     }
 }
 
-fn entity(place: usize) -> String {
+/// Returns the name of an entity.
+pub(super) fn entity(place: usize) -> String {
     format!("Entity_{place}")
 }
 
