@@ -9,7 +9,8 @@ use logicity::city::{Action, Split};
 use logicity::diag::{Code, Diagnostic, Sources};
 use logicity::files::{FileError, Folder, ReadError, read_folders};
 use logicity::render::{
-    Difficulty, Icons, Mode as PackMode, PACK_FILE_MAX, PACK_FILES_MAX, Pack, PackFault, PixelBox, read_png_into,
+    Difficulty, DrawingVersion, Icons, Mode as PackMode, PACK_FILE_MAX, PACK_FILES_MAX, Pack, PackFault, PixelBox,
+    read_png_into,
 };
 use logicity::sim::LoadedCity;
 use logicity::task::vap::table::{Table, boxes, sample_rows, visible};
@@ -253,9 +254,10 @@ fn begin(
     request: DatasetRequest,
     city: LoadedCity,
     difficulty: Difficulty,
+    version: DrawingVersion,
     pack: Option<(PathBuf, PackMode)>,
 ) -> Result<DatasetWriter, BeginError> {
-    let mut icons = Icons::new(request.icon_seed(), difficulty);
+    let mut icons = Icons::new(request.icon_seed(), difficulty).with_version(version);
     if let Some((folder, mode)) = pack {
         let files = read_folders(&folder, PACK_FILES_MAX, PACK_FILE_MAX as u64);
         let files = files.map_err(|(path, error)| BeginError::Unread(path, error))?;
@@ -304,6 +306,7 @@ fn make_dataset(
     pack: Option<PathBuf>,
     pack_mode: &str,
     difficulty: u8,
+    drawing_version: u8,
     threads: usize,
     progress: Option<Py<PyAny>>,
     overwrite: bool,
@@ -313,6 +316,8 @@ fn make_dataset(
     let pack_mode = one_of("pack_mode", pack_mode, &PackMode::ALL, PackMode::name)?;
     let out_of_range = || PyValueError::new_err(format!("difficulty: expected 0 to 100, not {difficulty}"));
     let difficulty = Difficulty::percent(difficulty).ok_or_else(out_of_range)?;
+    let unknown = || PyValueError::new_err(format!("drawing_version: expected 1 or 2, not {drawing_version}"));
+    let version = DrawingVersion::from_number(drawing_version).ok_or_else(unknown)?;
     let worlds = worlds.unwrap_or(published_worlds(split));
     let request = DatasetRequest {
         mode,
@@ -326,7 +331,7 @@ fn make_dataset(
     let signals = Signals::new();
     let Loaded { city, sources, .. } = load(py, &signals, mode)?;
     let pack = pack.map(|folder| (folder, pack_mode));
-    let begun = signals.on_thread(py, move || begin(request, city, difficulty, pack))?;
+    let begun = signals.on_thread(py, move || begin(request, city, difficulty, version, pack))?;
     let writer = begun.map_err(|error| match error {
         BeginError::Unread(path, error) => read_error(py, &path, &error),
         BeginError::Pack(message) => PyValueError::new_err(message),

@@ -70,6 +70,16 @@ def test_pictures_equal_those_of_the_command(tmp_path: Path) -> None:
     assert made[0].world == 7 and made[0].image is not None
 
 
+def test_the_drawing_version_is_that_of_the_command(tmp_path: Path) -> None:
+    options = "--mode hard --split test --worlds 1 --no-pictures --drawing-version 1".split()
+    command("make", *options, "--out", str(tmp_path / "command"))
+    made = make_dataset(tmp_path / "python", "hard", "test", worlds=1, images=False, drawing_version=1)
+    assert contents(made.folder) == contents(tmp_path / "command")
+    newest = make_dataset(tmp_path / "newest", "hard", "test", worlds=1, images=False)
+    sides = [{tuple(box[2:]) for sample in samples for box in sample.boxes.tolist()} for samples in (made, newest)]
+    assert len(sides[1]) > 2 * len(sides[0])
+
+
 def test_an_exception_in_progress_cancels(sets: Path, tmp_path: Path) -> None:
     expected = contents(sets / "random")
 
@@ -162,6 +172,7 @@ def test_folders_with_other_content_are_refused(sets: Path, tmp_path: Path) -> N
         ({"worlds": 0}, ValueError, "worlds: expected 1 to 100000, not 0"),
         ({"first_world": 100_000}, ValueError, "first_world: expected 0 to 99999"),
         ({"difficulty": 101}, ValueError, "difficulty: expected 0 to 100, not 101"),
+        ({"drawing_version": 3}, ValueError, "drawing_version: expected 1 to 2, not 3"),
         ({"threads": 1025}, ValueError, "threads: expected 0 to 1024"),
         ({"seed": -1}, ValueError, r"seed: expected 0 to 2\*\*64 - 1, not -1"),
         ({"worlds": -1}, ValueError, "worlds: expected 1 to 100000, not -1"),

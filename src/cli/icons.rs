@@ -1,8 +1,11 @@
 //! `logicity icons`, and the icon options of other commands.
 
+use crate::city::Split;
 use crate::cli::{Failure, ForceOption, Inputs, finish, integer, one_of, unwritable};
 use crate::files;
-use crate::render::{Class, Difficulty, Icons, Mode, PACK_FILE_MAX, PACK_FILES_MAX, Pack, PackFault, sheet, write_png};
+use crate::render::{
+    Class, Difficulty, DrawingVersion, Icons, Mode, PACK_FILE_MAX, PACK_FILES_MAX, Pack, PackFault, sheet, write_png,
+};
 use crate::rng::Seed;
 use std::io::Write;
 use std::path::{Path, PathBuf};
@@ -17,9 +20,14 @@ pub struct IconOptions {
     /// classes that the pack has
     #[arg(long, value_parser = one_of(&Mode::ALL, Mode::name), default_value = "extend", requires = "pack")]
     pack_mode: Mode,
-    /// Visual variation from 0 (clean) to 100 (noisy), in percent: colors, light, sharpness, markings and clutter
+    /// Difficulty of pictures from 0 (clean) to 100, in percent: colors, light, sharpness, weather, markings and clutter
+    /// vary more. In data sets, the sides of boxes are independent of the class from 50 on, and the style of the test
+    /// split is new at 100
     #[arg(long, value_name = "PERCENT", value_parser = difficulty, default_value = "0")]
     difficulty: Difficulty,
+    /// Version of the drawing code: 2, or 1 to make a data set of format 3 again
+    #[arg(long, value_name = "NUMBER", value_parser = drawing_version, default_value = "2")]
+    drawing_version: DrawingVersion,
 }
 
 impl Default for IconOptions {
@@ -28,6 +36,7 @@ impl Default for IconOptions {
             pack: None,
             pack_mode: Mode::Extend,
             difficulty: Difficulty::default(),
+            drawing_version: DrawingVersion::default(),
         }
     }
 }
@@ -35,6 +44,11 @@ impl Default for IconOptions {
 fn difficulty(text: &str) -> Result<Difficulty, String> {
     let percent = text.parse().ok().and_then(Difficulty::percent);
     percent.ok_or_else(|| "expected an integer from 0 to 100".to_owned())
+}
+
+fn drawing_version(text: &str) -> Result<DrawingVersion, String> {
+    let version = text.parse().ok().and_then(DrawingVersion::from_number);
+    version.ok_or_else(|| "expected 1 or 2".to_owned())
 }
 
 impl IconOptions {
@@ -49,7 +63,7 @@ impl IconOptions {
 
     /// The icons of a seed. A note on standard error names the classes that a pack lacks.
     pub fn load(&self, seed: Seed) -> Result<Icons, Failure> {
-        let icons = Icons::new(seed, self.difficulty);
+        let icons = Icons::new(seed, self.difficulty).with_version(self.drawing_version);
         let Some(folder) = &self.pack else {
             return Ok(icons);
         };
@@ -101,6 +115,9 @@ struct SheetArguments {
     /// Seed of the icons
     #[arg(long, value_parser = integer(0..=u64::MAX), default_value_t = 0)]
     seed: u64,
+    /// Split whose style the icons have; from difficulty 50 on, that of the test split differs
+    #[arg(long, value_parser = one_of(&Split::ALL, Split::name), default_value = "train")]
+    split: Split,
     /// Additional class, for example bus+tiro or car+taxi; can be repeated
     #[arg(long = "class", value_name = "CLASS", value_parser = class)]
     classes: Vec<Class>,
@@ -125,7 +142,7 @@ pub fn run(arguments: &Arguments) -> Result<(), Failure> {
     let path = &sheet_of.output;
     let inputs = Inputs(sheet_of.icons.files());
     let mut out = sheet_of.force.create(path, &inputs)?;
-    let icons = sheet_of.icons.load(Seed(sheet_of.seed))?;
+    let icons = sheet_of.icons.load(Seed(sheet_of.seed))?.with_split(sheet_of.split);
     let picture = sheet(&icons, &sheet_of.classes);
     write_png(&picture, &mut out).map_err(|error| unwritable(path, &error))?;
     finish(out, path)

@@ -307,7 +307,7 @@ fn unwritable(path: &Path, error: &io::Error) -> Failure {
 }
 
 /// The commands that the Python package implements, as words of the command line, and their summaries.
-pub const PYTHON_COMMANDS: [(&[&str], &str); 9] = [
+pub const PYTHON_COMMANDS: [(&[&str], &str); 10] = [
     (
         &["evaluate"],
         "Measure a policy on recorded episodes with the metrics of the paper",
@@ -340,6 +340,10 @@ pub const PYTHON_COMMANDS: [(&[&str], &str); 9] = [
     (
         &["vap", "baselines"],
         "Measure the baselines: the majority action, a small network, and the rules",
+    ),
+    (
+        &["vap", "features"],
+        "Compute and store what perception sees of the boxes of a data set, or resume it",
     ),
 ];
 

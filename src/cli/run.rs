@@ -65,7 +65,7 @@ pub struct Arguments {
     #[arg(long, value_name = "FILE", conflicts_with = "no_trace")]
     html: Option<PathBuf>,
     /// Write the trace but no pictures
-    #[arg(long, conflicts_with_all = ["pack", "difficulty"])]
+    #[arg(long, conflicts_with_all = ["pack", "difficulty", "drawing_version"])]
     no_pictures: bool,
     #[command(flatten)]
     icons: IconOptions,

@@ -1,6 +1,7 @@
 //! Parametric drawings of cars from above. A car is one unit wide and heads up; its center is the origin.
 
-use crate::render::sketch::{Dice, Ink, Sketch};
+use crate::render::icon::Style;
+use crate::render::sketch::{Dice, Edges, Ink, Sketch};
 use crate::rng::Rng;
 
 /// The concepts of a car. It may have several; the drawing shows all.
@@ -49,14 +50,27 @@ const SPORTS_PAINTS: [u32; 8] = [
 const POLICE_PAINTS: [u32; 5] = [0x1c1f27, 0x1b3368, 0xf2f4f5, 0x23498f, 0xe6e9ec];
 const AMBULANCE_PAINTS: [u32; 5] = [0xf7f7f3, 0xf4f1e4, 0xe9e33a, 0xf0c419, 0xfafafa];
 
+// The palettes of the test style.
+const TEST_PAINTS: [u32; 12] = [
+    0x8fc9b4, 0xb7a3d6, 0xd9c58a, 0x74803f, 0x2f8f96, 0xd98fa6, 0x4f3527, 0xa3c44a, 0x6b7f99, 0xe3d3c0, 0x8a5a72,
+    0x3c4a3f,
+];
+const TEST_BUS_PAINTS: [u32; 7] = [0x1f5a3c, 0x6e1f34, 0xb9bec3, 0x1d2a4d, 0x2b2c30, 0xcfe3d0, 0x8a6a3f];
+const TEST_SPORTS_PAINTS: [u32; 7] = [0x3d2a66, 0x17e0c8, 0xc9a227, 0x2b3a2c, 0xf25fa0, 0x8f9499, 0x6a1616];
+const TEST_POLICE_PAINTS: [u32; 5] = [0xc2c7cb, 0x2d6b45, 0x8f7a55, 0x54595f, 0xdfe6c8];
+const TEST_AMBULANCE_PAINTS: [u32; 5] = [0xff7a2a, 0xc9e04a, 0xd6423a, 0x9fd0e8, 0xefe6da];
+
 const GLASS: Ink = Ink::hex(0x0023_303d);
+const TEST_GLASS: Ink = Ink::hex(0x0086_a5b3);
 const RED: Ink = Ink::hex(0x00d8_1f2a);
 const BLUE: Ink = Ink::hex(0x0022_58e0);
 const AMBER: Ink = Ink::hex(0x00ff_b020);
 const TYRE: Ink = Ink::hex(0x0018_191c);
 
 /// Draws a car. `noise` is the difficulty, 0..=1: more of it makes car types share colors and wears markings.
-pub(super) fn draw<R: Rng>(features: &Features, dice: &mut Dice<R>, noise: f32) -> Drawing {
+///
+/// Shapes are those of the concepts in both styles. The test style has other colors, light, windows and markings.
+pub(super) fn draw<R: Rng>(features: &Features, dice: &mut Dice<R>, noise: f32, style: Style) -> Drawing {
     let shape = match features {
         Features { bus: true, .. } => Shape::Bus,
         Features { ambulance: true, .. } => Shape::Van,
@@ -74,27 +88,30 @@ pub(super) fn draw<R: Rng>(features: &Features, dice: &mut Dice<R>, noise: f32) 
         Shape::Van => dice.between(2.15, 2.4),
         Shape::Bus => dice.between(2.65, 2.95),
     };
+    let paints = style.choose(&PAINTS[..], &TEST_PAINTS[..]);
     let usual = match features {
-        Features { bus: true, .. } => dice.ink(&BUS_PAINTS),
-        Features { ambulance: true, .. } => dice.ink(&AMBULANCE_PAINTS),
-        Features { police: true, .. } => dice.ink(&POLICE_PAINTS),
-        Features { reckless: true, .. } => dice.ink(&SPORTS_PAINTS),
-        _ => dice.ink(&PAINTS),
+        Features { bus: true, .. } => dice.ink(style.choose(&BUS_PAINTS[..], &TEST_BUS_PAINTS[..])),
+        Features { ambulance: true, .. } => dice.ink(style.choose(&AMBULANCE_PAINTS[..], &TEST_AMBULANCE_PAINTS[..])),
+        Features { police: true, .. } => dice.ink(style.choose(&POLICE_PAINTS[..], &TEST_POLICE_PAINTS[..])),
+        Features { reckless: true, .. } => dice.ink(style.choose(&SPORTS_PAINTS[..], &TEST_SPORTS_PAINTS[..])),
+        _ => dice.ink(paints),
     };
-    let other = dice.ink(&PAINTS);
+    let other = dice.ink(paints);
     let mut car = Car {
         length,
         paint: usual.mix(other, noise * dice.between(0.0, 0.8)),
         wear: noise * dice.between(0.0, 0.75),
+        style,
         dice,
         body: Sketch::default(),
         ground: Sketch::default(),
     };
     car.hull(shape);
     car.body.stay_inside();
-    match shape {
-        Shape::Bus => car.bus_roof(),
-        Shape::Van => car.van_roof(),
+    match (shape, style) {
+        (Shape::Bus, Style::Common) => car.bus_roof(),
+        (Shape::Bus, Style::Test) => car.coach_roof(),
+        (Shape::Van, _) => car.van_roof(),
         _ => car.cabin(shape),
     }
     car.lamps();
@@ -123,6 +140,7 @@ struct Car<'a, R> {
     paint: Ink,
     /// The faintness of markings, 0..=1.
     wear: f32,
+    style: Style,
     dice: &'a mut Dice<R>,
     body: Sketch,
     ground: Sketch,
@@ -132,6 +150,11 @@ impl<R: Rng> Car<'_, R> {
     /// Returns the coordinate of a share of the length: 0 is the front, 1 the rear.
     fn along(&self, share: f32) -> f32 {
         places(self.length)(share)
+    }
+
+    /// Returns the color of windows.
+    fn glass(&self) -> Ink {
+        self.style.choose(GLASS, TEST_GLASS)
     }
 
     /// Fades a marking by the wear.
@@ -158,7 +181,7 @@ impl<R: Rng> Car<'_, R> {
                 self.body.round([x - 0.07, y - long, x + 0.07, y + long], 0.04, TYRE);
             }
         }
-        let dark = self.paint.lit(-0.62);
+        let dark = self.paint.lit(self.style.choose(-0.62, 0.55));
         let edge = 0.03;
         for (grow, ink) in [(0.0, dark), (-edge, self.paint)] {
             match shape {
@@ -188,10 +211,16 @@ impl<R: Rng> Car<'_, R> {
             }
         }
         self.body.stay_inside();
-        let shade = [-0.5, -half, 0.0, half];
-        (self.body).fade(shade, Ink::BLACK.faint(0.28), Ink::BLACK.faint(0.0), false);
-        let shade = [0.0, -half, 0.5, half];
-        (self.body).fade(shade, Ink::WHITE.faint(0.0), Ink::WHITE.faint(0.22), false);
+        if self.style == Style::Test {
+            // Lit from the rear.
+            let shade = [-0.5, -half, 0.5, half];
+            (self.body).fade(shade, Ink::BLACK.faint(0.35), Ink::WHITE.faint(0.2), true);
+        } else {
+            let shade = [-0.5, -half, 0.0, half];
+            (self.body).fade(shade, Ink::BLACK.faint(0.28), Ink::BLACK.faint(0.0), false);
+            let shade = [0.0, -half, 0.5, half];
+            (self.body).fade(shade, Ink::WHITE.faint(0.0), Ink::WHITE.faint(0.22), false);
+        }
         self.body.go_outside();
         if !matches!(shape, Shape::Bus) {
             // Mirrors.
@@ -213,7 +242,10 @@ impl<R: Rng> Car<'_, R> {
         };
         let at = places(self.length);
         let [screen, roof, rear, tail, bonnet] = [screen, roof, rear, tail, 0.06].map(at);
-        let (crease, glass) = (self.paint.lit(-0.3).faint(0.7), GLASS.lit(self.dice.between(0.0, 0.2)));
+        let (crease, glass) = (
+            self.paint.lit(-0.3).faint(0.7),
+            self.glass().lit(self.dice.between(0.0, 0.2)),
+        );
         for side in [-1.0, 1.0] {
             (self.body).line(&[(side * 0.2, bonnet), (side * 0.26, screen)], 0.025, crease);
         }
@@ -238,10 +270,12 @@ impl<R: Rng> Car<'_, R> {
             ],
             glass.lit(0.25),
         );
-        let top = match self.dice.below(6) {
-            0 => Ink::hex(0x0020_2226),
-            1 => self.paint.lit(0.25),
-            _ => self.paint.lit(0.08),
+        let top = match (self.dice.below(6), self.style) {
+            (0, Style::Common) => Ink::hex(0x0020_2226),
+            (1, Style::Common) => self.paint.lit(0.25),
+            (_, Style::Common) => self.paint.lit(0.08),
+            (0 | 1, Style::Test) => Ink::hex(0x00ec_e8de),
+            (_, Style::Test) => self.paint.lit(-0.3),
         };
         self.body.round([-0.335, roof, 0.335, rear], 0.07, top);
         match (shape, self.dice.below(4)) {
@@ -273,7 +307,10 @@ impl<R: Rng> Car<'_, R> {
 
     fn lamps(&mut self) {
         let (front, rear) = (self.along(0.02), self.along(0.985));
-        let lit = self.dice.ink(&[0xfff4c2, 0xf4f8ff, 0xffe08a]);
+        let lamps = self
+            .style
+            .choose([0xfff4c2, 0xf4f8ff, 0xffe08a], [0xbfe4ff, 0x9fb0ba, 0xe8f6ff]);
+        let lit = self.dice.ink(&lamps);
         for side in [-1.0, 1.0] {
             self.body.oval(side * 0.32, front, 0.1, 0.05, lit);
             self.body.oval(side * 0.33, rear, 0.1, 0.045, RED.lit(-0.1));
@@ -333,25 +370,68 @@ impl<R: Rng> Car<'_, R> {
         }
     }
 
+    /// Draws the roof of a bus with one long pane along each side, and domes.
+    fn coach_roof(&mut self) {
+        let at = places(self.length);
+        let [front, glass, first, last] = [0.02, 0.11, 0.14, 0.97].map(at);
+        self.body.round([-0.4, front, 0.4, glass], 0.1, self.glass());
+        for side in [-1.0_f32, 1.0] {
+            let (x0, x1) = (side * 0.455, side * 0.36);
+            (self.body).rect([x0.min(x1), first, x0.max(x1), last], self.glass());
+            (self.body).line(&[(x1, first), (x1, last)], 0.02, self.paint.lit(0.5));
+        }
+        let top = self.paint.lit(self.dice.between(-0.3, 0.0));
+        self.body.round([-0.34, first, 0.34, last], 0.03, top);
+        let band = self.dice.ink(&TEST_BUS_PAINTS);
+        let (from, to) = (self.dice.between(0.2, 0.5), self.dice.between(0.6, 0.9));
+        (self.body).polygon(
+            &[
+                (-0.34, at(from)),
+                (0.34, at(from + 0.06)),
+                (0.34, at(to)),
+                (-0.34, at(to - 0.06)),
+            ],
+            band,
+        );
+        for share in [0.24, 0.42, 0.6, 0.78] {
+            let radius = self.dice.between(0.09, 0.13);
+            self.body
+                .oval(0.0, at(share), radius + 0.025, radius + 0.025, top.lit(-0.5));
+            self.body.oval(0.0, at(share), radius, radius, self.glass().lit(0.2));
+        }
+    }
+
     fn van_roof(&mut self) {
         let at = places(self.length);
         let [screen, cab, box_front, end] = [0.09, 0.2, 0.31, 0.985].map(at);
-        (self.body).polygon(&[(-0.37, screen), (0.37, screen), (0.32, cab), (-0.32, cab)], GLASS);
+        let glass = self.glass();
+        (self.body).polygon(&[(-0.37, screen), (0.37, screen), (0.32, cab), (-0.32, cab)], glass);
         (self.body).round([-0.31, cab, 0.31, box_front], 0.04, self.paint.lit(0.15));
-        (self.body).round([-0.44, box_front, 0.44, end], 0.04, self.paint.lit(0.3));
+        let top = self.paint.lit(self.style.choose(0.3, -0.12));
+        (self.body).round([-0.44, box_front, 0.44, end], 0.04, top);
         (self.body).line(&[(-0.46, box_front), (0.46, box_front)], 0.03, self.paint.lit(-0.4));
     }
 
     /// Draws the marks of all concepts, each in its place along the car so that none hides another.
     fn liveries(&mut self, features: &Features, shape: Shape) {
+        let is_common = self.style == Style::Common;
         if features.police {
-            self.police(shape);
+            match is_common {
+                true => self.police(shape),
+                false => self.patrol(shape),
+            }
         }
         if features.ambulance {
-            self.ambulance(shape);
+            match is_common {
+                true => self.ambulance(shape),
+                false => self.rescue(shape),
+            }
         }
         if features.reckless {
-            self.stripes(shape);
+            match is_common {
+                true => self.stripes(shape),
+                false => self.racing_number(shape),
+            }
         }
         if features.tiro {
             self.learner(shape, features.ambulance || features.police);
@@ -438,6 +518,97 @@ impl<R: Rng> Car<'_, R> {
             }),
         );
         self.body.letters(sign, (0.0, text), 0.11, 0.022, ink);
+    }
+
+    /// Draws the marks of police in the test style: slanted bands, a badge on the hood, a light bar and a number.
+    fn patrol(&mut self, shape: Shape) {
+        let light = u32::from(self.paint.rgb[1]) > 130;
+        let contrast = match light {
+            true => self.dice.ink(&[0x14532d, 0x5a4a1e, 0x30343a]),
+            false => self.dice.ink(&[0xe9d94a, 0xd8e0e4, 0xf0b53a]),
+        };
+        let band = self.worn(contrast);
+        let (roof, from) = match shape {
+            Shape::Bus => (0.3, 0.4),
+            Shape::Van => (0.36, 0.4),
+            _ => (0.46, 0.3),
+        };
+        let at = places(self.length);
+        for (number, side) in [-1.0_f32, 1.0, -1.0, 1.0, -1.0, 1.0].into_iter().enumerate() {
+            #[allow(clippy::cast_precision_loss)]
+            let y = at(from) + 0.2 * (number / 2) as f32;
+            let slant = [
+                (side * 0.5, y),
+                (side * 0.4, y + 0.1),
+                (side * 0.4, y + 0.2),
+                (side * 0.5, y + 0.1),
+            ];
+            self.body.polygon(&slant, band);
+        }
+        let lights = [(BLUE, AMBER), (BLUE, Ink::WHITE), (AMBER, BLUE), (BLUE, BLUE)];
+        let (left, right) = self.dice.pick(&lights);
+        self.light_bar(at(roof), left, right);
+        let sign = self.dice.pick(&["911", "K2", "POLIS", "44"]);
+        let ink = self.worn(contrast.lit(if light { -0.3 } else { 0.3 }));
+        self.body.letters(sign, (0.0, at(roof + 0.13)), 0.13, 0.03, ink);
+        let radius = self.dice.between(0.11, 0.15);
+        self.star((0.0, at(0.13)), radius, band);
+    }
+
+    /// Draws a star with six points.
+    fn star(&mut self, (x, y): (f32, f32), radius: f32, ink: Ink) {
+        let (far, near) = (0.866 * radius, 0.5 * radius);
+        for up in [-1.0, 1.0] {
+            let points = [(x, y + up * radius), (x + far, y - up * near), (x - far, y - up * near)];
+            self.body.polygon(&points, ink);
+        }
+    }
+
+    /// Draws the marks of an ambulance in the test style: chevrons across the rear, a crescent or a heart, and lights.
+    fn rescue(&mut self, shape: Shape) {
+        let is_red = self.paint.rgb[0] > 190 && self.paint.rgb[1] < 140;
+        let marking = match is_red {
+            true => self.dice.ink(&[0xf6f2e6, 0xf4e04a]),
+            false => self.dice.ink(&[0xc21f3a, 0x0f6e4a, 0x9a1f6a]),
+        };
+        let marking = self.worn(marking);
+        let at = places(self.length);
+        let bus = shape == Shape::Bus;
+        for share in [0.82, 0.88, 0.94] {
+            let y = at(share);
+            self.body
+                .line(&[(-0.42, y + 0.06), (0.0, y - 0.06), (0.42, y + 0.06)], 0.055, marking);
+        }
+        let [from, to] = [if bus { 0.45 } else { 0.34 }, 0.78].map(at);
+        for x in [-0.45_f32, 0.4] {
+            let edges: Edges = [x, from, x + 0.05, to];
+            self.body.rect(edges, marking);
+        }
+        let (middle, radius) = (at(if bus { 0.62 } else { 0.58 }), self.dice.between(0.22, 0.27));
+        let (disc, inner) = (self.worn(Ink::hex(0x00f4_f1ea)), radius * 0.8);
+        self.body.oval(0.0, middle, radius + 0.05, radius + 0.05, disc);
+        if self.dice.chance(0.5) {
+            self.body.oval(0.0, middle, inner, inner, marking);
+            self.body.oval(inner * 0.35, middle, inner * 0.78, inner * 0.78, disc);
+        } else {
+            for side in [-1.0, 1.0] {
+                self.body.oval(
+                    side * inner * 0.42,
+                    middle - inner * 0.3,
+                    inner * 0.5,
+                    inner * 0.5,
+                    marking,
+                );
+            }
+            let low = [
+                (-inner * 0.88, middle - inner * 0.1),
+                (inner * 0.88, middle - inner * 0.1),
+                (0.0, middle + inner),
+            ];
+            self.body.polygon(&low, marking);
+        }
+        let (left, right) = self.dice.pick(&[(AMBER, AMBER), (BLUE, AMBER), (RED, Ink::WHITE)]);
+        self.light_bar(at(if bus { 0.4 } else { 0.36 }), left, right);
     }
 
     fn ambulance(&mut self, shape: Shape) {
@@ -535,6 +706,26 @@ impl<R: Rng> Car<'_, R> {
         }
     }
 
+    /// Draws a number in a disc, and checks across the hood or the trunk.
+    fn racing_number(&mut self, shape: Shape) {
+        let at = places(self.length);
+        let wide = matches!(shape, Shape::Bus | Shape::Van);
+        let rows = if self.dice.chance(0.5) { 0.06 } else { 0.86 };
+        for (row, ink) in [(0, Ink::WHITE), (1, Ink::BLACK)] {
+            for square in 0..8_u8 {
+                let ink = if (square + row) % 2 == 0 { ink } else { Ink::BLACK };
+                let ink = if row == 1 && square % 2 == 0 { Ink::WHITE } else { ink };
+                let x = -0.4 + 0.1 * f32::from(square);
+                let y = at(rows) + 0.1 * f32::from(row);
+                self.body.rect([x, y, x + 0.1, y + 0.1], self.worn(ink));
+            }
+        }
+        let y = at(if wide { 0.5 } else { 0.6 });
+        let number = self.dice.pick(&["7", "13", "22", "88", "5"]);
+        self.body.oval(0.0, y, 0.22, 0.22, self.worn(Ink::hex(0x00f2_efe2)));
+        self.body.letters(number, (0.0, y), 0.2, 0.05, Ink::BLACK);
+    }
+
     /// Draws a wing across the rear.
     fn spoiler(&mut self) {
         let y = self.along(0.95);
@@ -607,6 +798,17 @@ impl<R: Rng> Car<'_, R> {
     }
 
     fn plate(&mut self, x: f32, y: f32, half: f32) {
+        if self.style == Style::Test {
+            let (ground, letter) = self.dice.pick(&[
+                (Ink::hex(0x001d_6fd0), Ink::WHITE),
+                (Ink::hex(0x00f2_c81e), Ink::BLACK),
+                (Ink::hex(0x0023_9a55), Ink::WHITE),
+            ]);
+            self.body.oval(x, y, half * 1.08, half * 1.08, Ink::WHITE);
+            self.body.oval(x, y, half * 0.94, half * 0.94, ground);
+            (self.body).letters("L", (x, y), half * 1.1, half * 0.32, self.worn(letter));
+            return;
+        }
         self.body
             .round([x - half, y - half, x + half, y + half], 0.03, Ink::hex(0x0030_3236));
         let inner = half * 0.9;

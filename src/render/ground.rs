@@ -7,6 +7,7 @@ use crate::city::{Cell, CityMap, Ground, Heading};
 use crate::render::class::{Class, Facing};
 use crate::render::clutter;
 use crate::render::icon::Icons;
+use crate::render::lattice::Lattice;
 use crate::render::picture::{Picture, Rgb};
 use crate::render::view::{Scale, Viewport};
 use crate::rng::{Purpose, RngExt, Seed};
@@ -25,7 +26,7 @@ pub(super) const PAINT: Rgb = [236, 236, 230];
 #[derive(Clone, Copy, Debug)]
 pub(super) struct Look {
     /// Seed of the textures.
-    seed: Seed,
+    pub(super) seed: Seed,
     /// The instance of the map's first building; each following building shows the next instance.
     first_building: u32,
 }
@@ -56,7 +57,7 @@ pub(super) struct Texture {
     pub(super) curb: Rgb,
     meadow: Rgb,
     /// Varies textures of equal colors.
-    salt: u32,
+    lattice: Lattice,
     /// The difficulty, 0..=256.
     noise: i32,
 }
@@ -144,46 +145,25 @@ impl Texture {
             sidewalk: tone([206, 200, 188], 12),
             curb: tone([158, 152, 142], 8),
             meadow: tone([150, 184, 116], 10),
-            salt: stream.random(),
+            lattice: Lattice(stream.random()),
             #[allow(clippy::cast_possible_truncation)]
             noise: (difficulty * 256.0) as i32,
         }
     }
 
-    /// Hashes a place and a layer to 32 bits.
-    fn hash(self, x: i64, y: i64, layer: u32) -> u32 {
-        let mut word = self.salt ^ layer.wrapping_mul(0x9e37_79b9);
-        for part in [x as u32, y as u32] {
-            word = (word ^ part).wrapping_mul(0x85eb_ca6b);
-            word ^= word >> 15;
-            word = word.wrapping_mul(0xc2b2_ae35);
-            word ^= word >> 13;
-        }
-        word
-    }
-
-    /// Returns a value from -256 to 256 that varies smoothly between the corners of a lattice of `lattice` pixels.
-    fn wave(self, x: i64, y: i64, lattice: i64, layer: u32) -> i32 {
-        let (col, row) = (x.div_euclid(lattice), y.div_euclid(lattice));
-        let (right, down) = (x.rem_euclid(lattice), y.rem_euclid(lattice));
-        let corner = |dx: i64, dy: i64| i64::from(self.hash(col + dx, row + dy, layer) & 511) - 256;
-        let along = |dy: i64| corner(0, dy) * (lattice - right) + corner(1, dy) * right;
-        ((along(0) * (lattice - down) + along(1) * down) / (lattice * lattice)) as i32
-    }
-
     /// Varies the lightness of a color by place: clouds over some cells, specks, and uneven light under noise.
     fn weathered(self, rgb: Rgb, x: i64, y: i64, scale: Scale, layer: u32) -> Rgb {
         let cell = i64::from(scale.pixels);
-        let mut light = (self.wave(x, y, 6 * cell, layer) * (5 * 256 + 18 * self.noise)) >> 16;
+        let mut light = (self.lattice.wave(x, y, 6 * cell, layer) * (5 * 256 + 18 * self.noise)) >> 16;
         // Specks under noise are 2 x 2 pixels, because single pixels would dominate the size of a PNG.
         let fine = i64::from(self.noise > 0);
-        let speck = self.hash(x >> fine, y >> fine, layer);
+        let speck = self.lattice.hash(x >> fine, y >> fine, layer);
         // Clean textures have few specks, which keeps PNG files small.
         if (speck & 255) < 14 + ((self.noise as u32 * 150) >> 8) {
             light += (((speck >> 8) as i32 % 19 - 9) * (256 + self.noise)) >> 8;
         }
         if self.noise > 0 {
-            light += (self.wave(x, y, 37 * cell, layer + 1) * self.noise * 50) >> 16;
+            light += (self.lattice.wave(x, y, 37 * cell, layer + 1) * self.noise * 50) >> 16;
         }
         rgb.map(|channel| (i32::from(channel) + light).clamp(0, 255) as u8)
     }
@@ -205,7 +185,11 @@ impl Texture {
                 }
                 let slab = if side >= 6 { 2 } else { 5 };
                 let joint = right == 0 && cell.col % slab == 0 || down == 0 && cell.row % slab == 0;
-                let tint = (self.hash(i64::from(cell.col / slab), i64::from(cell.row / slab), 30) & 7) as i32 - 4;
+                let tint = (self
+                    .lattice
+                    .hash(i64::from(cell.col / slab), i64::from(cell.row / slab), 30)
+                    & 7) as i32
+                    - 4;
                 let tint = if joint && side > 2 { -16 } else { tint };
                 let stone = self
                     .sidewalk
@@ -230,7 +214,7 @@ impl Texture {
 
     /// Returns the color of white paint, which is worn in places under noise.
     fn paint(self, x: i64, y: i64) -> Rgb {
-        let worn = ((self.hash(x >> 1, y >> 1, 50) & 255) as i32) < self.noise / 6;
+        let worn = ((self.lattice.hash(x >> 1, y >> 1, 50) & 255) as i32) < self.noise / 6;
         if worn { self.asphalt } else { PAINT }
     }
 }
@@ -252,7 +236,7 @@ pub(super) fn draw(map: &CityMap, icons: &Icons, view: &Viewport, look: Look) ->
     let mut picture = Picture::new(width, height, [0; 3]);
     let texture = Texture::new(look.seed, icons.difficulty().share());
     let scale = view.scale;
-    let (left, top) = (scale.start(view.corner.col), scale.start(view.corner.row));
+    let (left, top) = view.start();
     let side = scale.pixels as usize;
     // Steps from the cell of one pixel to that of the next; if a pixel covers several cells, takes the middle one.
     for (row, y) in (0..height as usize).step_by(side).enumerate() {

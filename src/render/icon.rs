@@ -1,7 +1,8 @@
 //! Icons: maps a class, an instance, a facing and a size to pixels.
 
-use crate::city::AgentKind;
+use crate::city::{AgentKind, Split};
 use crate::render::class::{Class, Facing, Subject};
+use crate::render::framing::Framing;
 use crate::render::pack::{Mode, Pack, shrunk};
 use crate::render::picture::{Body, PixelBox, Stamp};
 use crate::render::sketch::{Dice, Ink, Sketch, byte};
@@ -14,16 +15,24 @@ use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
 impl Purpose {
     /// The look of an icon; index: its class, tick: the instance.
     pub const ICON: Purpose = Purpose::new(10);
+
+    /// Whether an icon of the test split has the style of that split; index: its class, tick: the instance.
+    pub const STYLE: Purpose = Purpose::new(18);
 }
 
-/// The difficulty of distinguishing icons, in percent: 0 is clean. Higher values vary colors, light, sharpness and
-/// markings more, and add clutter.
+/// The difficulty of recognizing agents in a picture, in percent: 0 is clean.
+///
+/// Higher values vary colors, light, sharpness, weather and markings more, hide parts of agents and add clutter. From 0
+/// to 50, boxes become loose until their sides are independent of the class. From 50 to 100, more and more icons of the
+/// test split have a style that the training split lacks.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, PartialOrd, Ord)]
 pub struct Difficulty(u8);
 
 impl Difficulty {
     /// Only class and instance differ.
     pub const CLEAN: Difficulty = Difficulty(0);
+    /// The difficulty from which on boxes are independent of the class.
+    pub const HALF: Difficulty = Difficulty(50);
     /// The highest difficulty.
     pub const NOISY: Difficulty = Difficulty(100);
 
@@ -40,6 +49,57 @@ impl Difficulty {
     /// Returns the difficulty as a share, 0..=1.
     pub(super) fn share(self) -> f32 {
         f32::from(self.0) / 100.0
+    }
+}
+
+/// The version of the drawing code. Data sets record it, so that old ones can be made again.
+///
+/// At difficulty 0 both versions draw the same.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, PartialOrd, Ord)]
+pub enum DrawingVersion {
+    /// Boxes fit the icons, and all splits have the same style. Pictures have no weather.
+    V1,
+    /// Difficulty also affects boxes, style and weather.
+    #[default]
+    V2,
+}
+
+impl DrawingVersion {
+    /// All versions.
+    pub const ALL: [DrawingVersion; 2] = [DrawingVersion::V1, DrawingVersion::V2];
+
+    /// Returns the number: 1 or 2.
+    pub const fn number(self) -> u8 {
+        match self {
+            DrawingVersion::V1 => 1,
+            DrawingVersion::V2 => 2,
+        }
+    }
+
+    /// Returns the version with this number; `None` if there is none.
+    pub fn from_number(number: u8) -> Option<DrawingVersion> {
+        DrawingVersion::ALL
+            .into_iter()
+            .find(|version| version.number() == number)
+    }
+}
+
+/// The style of a generated icon: palette, light and markings.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub(super) enum Style {
+    /// That of all splits.
+    Common,
+    /// That of the test split only.
+    Test,
+}
+
+impl Style {
+    /// Returns the first value for the common style, the second one for that of the test split.
+    pub(super) const fn choose<T: Copy>(self, common: T, test: T) -> T {
+        match self {
+            Style::Common => common,
+            Style::Test => test,
+        }
     }
 }
 
@@ -69,12 +129,14 @@ struct Kept {
     body_bytes: usize,
 }
 
-/// All icons: generated, from a pack, or both. Each is a function of seed, difficulty, pack, class, instance, facing
-/// and size. A bounded cache holds drawn icons. Several threads can share one `Icons`.
+/// All icons: generated, from a pack, or both. Each is a function of seed, difficulty, version, split, pack, class,
+/// instance, facing and size. A bounded cache holds drawn icons. Several threads can share one `Icons`.
 #[derive(Debug)]
 pub struct Icons {
     seed: Seed,
     difficulty: Difficulty,
+    version: DrawingVersion,
+    split: Split,
     pack: Option<Pack>,
     kept: Mutex<Kept>,
 }
@@ -97,11 +159,13 @@ impl Default for Icons {
 }
 
 impl Icons {
-    /// Returns generated icons.
+    /// Returns generated icons of the training split, in the newest version.
     pub fn new(seed: Seed, difficulty: Difficulty) -> Icons {
         Icons {
             seed,
             difficulty,
+            version: DrawingVersion::default(),
+            split: Split::Train,
             pack: None,
             kept: Mutex::default(),
         }
@@ -114,6 +178,55 @@ impl Icons {
             pack: Some(pack),
             kept: Mutex::default(),
             ..self
+        }
+    }
+
+    /// Returns these icons as another version draws them.
+    #[must_use]
+    pub fn with_version(self, version: DrawingVersion) -> Icons {
+        Icons {
+            version,
+            kept: Mutex::default(),
+            ..self
+        }
+    }
+
+    /// Returns these icons as another split shows them. The seed stays.
+    #[must_use]
+    pub fn with_split(self, split: Split) -> Icons {
+        Icons {
+            split,
+            kept: Mutex::default(),
+            ..self
+        }
+    }
+
+    /// Returns the version of the drawing code.
+    pub fn version(&self) -> DrawingVersion {
+        self.version
+    }
+
+    /// Returns the difficulty as far as it concerns boxes, style and weather: 0 in version 1.
+    pub(super) fn disguise(&self) -> Difficulty {
+        match self.version {
+            DrawingVersion::V1 => Difficulty::CLEAN,
+            DrawingVersion::V2 => self.difficulty,
+        }
+    }
+
+    /// Draws how a picture shows an agent, independently of its class. `None` at difficulty 0 and in version 1.
+    pub fn framing(&self, stream: &mut impl Rng) -> Option<Framing> {
+        Framing::drawn(self.disguise(), &mut Dice(stream))
+    }
+
+    /// Returns the style of an instance of a class, by the hash of its name. From difficulty 50 to 100, the share of
+    /// the instances of the test split in its style rises from none to all.
+    fn style(&self, class: u64, instance: u32) -> Style {
+        let share = 2.0 * self.disguise().share() - 1.0;
+        let mut dice = Dice(self.seed.stream(Purpose::STYLE, class, instance.into()));
+        match self.split == Split::Test && dice.chance(share) {
+            true => Style::Test,
+            false => Style::Common,
         }
     }
 
@@ -195,7 +308,7 @@ impl Icons {
         let (drawing, mut dice) = self.drawing(class, instance % self.instances(class), facing);
         let is_agent = matches!(class.0, Subject::Agent(..));
         let layers = drawing.layers(facing, size);
-        layers.finish(&mut dice, self.difficulty.share(), size, is_agent)
+        layers.finish(&mut dice, self.difficulty.share(), self.version, size, is_agent)
     }
 
     /// Returns the parts of an icon, and the random numbers for its noise. `instance` is less than
@@ -207,7 +320,7 @@ impl Icons {
             (hash ^ u64::from(byte)).wrapping_mul(0x0000_0100_0000_01b3)
         });
         let mut dice = Dice(self.seed.stream(Purpose::ICON, hash, instance.into()));
-        let noise = self.difficulty.share();
+        let (noise, style) = (self.difficulty.share(), self.style(hash, instance));
         let drawing = match (&class.0, self.art(class).get(instance as usize)) {
             (Subject::Agent(AgentKind::Car, _), Some(art)) => Drawing::CarArt(art),
             (Subject::Agent(AgentKind::Pedestrian, _), Some(art)) => Drawing::PedestrianArt(art),
@@ -215,13 +328,13 @@ impl Icons {
             (Subject::Building(building), None) => Drawing::Square(building::draw(*building, &mut dice, noise)),
             (Subject::Agent(AgentKind::Pedestrian, concepts), None) => {
                 let (_, features) = Class::features(concepts);
-                let mut sketch = pedestrian::draw(&features, facing.side(), &mut dice, noise);
+                let mut sketch = pedestrian::draw(&features, facing.side(), &mut dice, noise, style);
                 badges(&mut sketch, AgentKind::Pedestrian, concepts, (0.0, 0.12), 0.14);
                 Drawing::Square(sketch)
             }
             (Subject::Agent(AgentKind::Car, concepts), None) => {
                 let (features, _) = Class::features(concepts);
-                let mut car = car::draw(&features, &mut dice, noise);
+                let mut car = car::draw(&features, &mut dice, noise, style);
                 badges(&mut car.body, AgentKind::Car, concepts, (0.0, 0.36 * car.length), 0.19);
                 Drawing::Car(car)
             }
@@ -469,11 +582,18 @@ impl Drawing<'_> {
 #[allow(clippy::cast_precision_loss)]
 impl Layers {
     /// Adds noise and a shadow, and crops the result.
-    fn finish<R: Rng>(mut self, dice: &mut Dice<R>, noise: f32, size: u32, shadow: bool) -> Stamp {
+    fn finish<R: Rng>(
+        mut self,
+        dice: &mut Dice<R>,
+        noise: f32,
+        version: DrawingVersion,
+        size: u32,
+        shadow: bool,
+    ) -> Stamp {
         let (width, height) = (self.body.width(), self.body.height());
         let body = Arc::new(body_of(&self.body));
         if noise > 0.0 {
-            disturb(&mut self.body, dice, noise, size);
+            disturb(&mut self.body, dice, noise, version, size);
         }
         let mut all = self.ground;
         if shadow {
@@ -561,7 +681,7 @@ fn bounds(pixmap: &Pixmap, least: u8) -> Option<PixelBox> {
 
 /// Varies colors, light and sharpness, and adds grain.
 #[allow(clippy::cast_precision_loss)]
-fn disturb<R: Rng>(pixmap: &mut Pixmap, dice: &mut Dice<R>, noise: f32, size: u32) {
+fn disturb<R: Rng>(pixmap: &mut Pixmap, dice: &mut Dice<R>, noise: f32, version: DrawingVersion, size: u32) {
     let tint = [0; 3].map(|_| 1.0 + noise * dice.between(-0.22, 0.22));
     let light = 1.0 + noise * dice.between(-0.35, 0.25);
     let slope = [0; 2].map(|_| noise * dice.between(-0.45, 0.45));
@@ -581,7 +701,11 @@ fn disturb<R: Rng>(pixmap: &mut Pixmap, dice: &mut Dice<R>, noise: f32, size: u3
             pixel[channel] = byte(f32::from(pixel[channel]) * shade.max(0.2) * tint + rough).min(pixel[3]);
         }
     }
-    let radius = (noise * dice.between(0.0, 0.045) * side).round();
+    let most = match version {
+        DrawingVersion::V1 => 0.045,
+        DrawingVersion::V2 => 0.075,
+    };
+    let radius = (noise * dice.between(0.0, most) * side).round();
     #[allow(clippy::cast_possible_truncation, clippy::cast_sign_loss)]
     blur(pixmap, radius as usize);
 }

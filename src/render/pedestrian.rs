@@ -1,5 +1,6 @@
 //! Parametric drawings of pedestrians. A figure stands in a square of side 1 around the origin.
 
+use crate::render::icon::Style;
 use crate::render::sketch::{Dice, Ink, Sketch};
 use crate::rng::Rng;
 
@@ -34,14 +35,25 @@ const BRIGHT: [u32; 8] = [
 const MUTED: [u32; 7] = [0x7b6a57, 0x5f6b5d, 0x6a6f7c, 0x8c7d6a, 0x74596a, 0xa39a86, 0x4d5a68];
 const TROUSERS: [u32; 6] = [0x2b3346, 0x3c3a38, 0x54606f, 0x6b5a48, 0x1f2226, 0x7d828a];
 
+// The palettes of the test style.
+const TEST_CLOTHES: [u32; 8] = [
+    0xd9d2e0, 0x1f6b66, 0xc24f86, 0x8fb8d6, 0x5c3a2a, 0xe0c04a, 0x34405e, 0xa4b88a,
+];
+const TEST_BRIGHT: [u32; 6] = [0x9ed8c6, 0xd3b3e6, 0xf3c6a5, 0x6b8f3a, 0xc9dcf2, 0x8c5a3c];
+const TEST_MUTED: [u32; 6] = [0x2b2b30, 0x5a1f2c, 0xe6e0d2, 0x1f3a4a, 0x46361f, 0x9fb0c0];
+
 /// Draws a pedestrian. `noise` is the difficulty, 0..=1: more of it makes the types share clothes.
-pub(super) fn draw<R: Rng>(features: &Features, side: Side, dice: &mut Dice<R>, noise: f32) -> Sketch {
+///
+/// Figures have the proportions of their concepts in both styles. The test style has other colors, light and things.
+pub(super) fn draw<R: Rng>(features: &Features, side: Side, dice: &mut Dice<R>, noise: f32, style: Style) -> Sketch {
     let Features { old, young } = *features;
-    let adult_coat = dice.ink(&CLOTHES);
+    let clothes = style.choose(&CLOTHES[..], &TEST_CLOTHES[..]);
+    let bright = style.choose(&BRIGHT[..], &TEST_BRIGHT[..]);
+    let adult_coat = dice.ink(clothes);
     let coat = match (young, old) {
-        (true, _) => dice.ink(&BRIGHT),
-        (_, true) => dice.ink(&MUTED),
-        _ => dice.ink(&CLOTHES),
+        (true, _) => dice.ink(bright),
+        (_, true) => dice.ink(style.choose(&MUTED[..], &TEST_MUTED[..])),
+        _ => dice.ink(clothes),
     };
     let hair = if old {
         dice.ink(&[0xf4f4f2, 0xd9d9d6, 0xbfc0c2])
@@ -70,26 +82,32 @@ pub(super) fn draw<R: Rng>(features: &Features, side: Side, dice: &mut Dice<R>, 
         stride: dice.between(0.04, 0.1) * if old { 0.6 } else { 1.0 },
         wide: dice.between(0.15, 0.19) * if young { 0.85 } else { 1.0 },
         coat: coat.mix(adult_coat, noise * dice.between(0.0, 0.8)),
-        trousers: dice.ink(if young { &BRIGHT } else { &TROUSERS }),
+        trousers: dice.ink(if young { bright } else { &TROUSERS }),
         skin: dice.ink(&SKINS),
         hair,
         side,
+        style,
         dice,
         sketch: Sketch::default(),
     };
-    if young {
+    let is_common = style == Style::Common;
+    if young && is_common {
         figure.satchel_behind();
     }
     figure.legs(young);
     figure.body(young, old);
     figure.face(old);
-    if old {
-        figure.cane();
-    } else if !young {
-        figure.carried();
+    match (old, young, is_common) {
+        (true, _, true) => figure.cane(),
+        (true, _, false) => figure.frame_and_hat(),
+        (false, false, true) => figure.carried(),
+        (false, false, false) => figure.umbrella(),
+        (false, true, _) => {}
     }
-    if young {
-        figure.toy();
+    match (young, is_common) {
+        (true, true) => figure.toy(),
+        (true, false) => figure.scooter(),
+        (false, _) => {}
     }
     figure.sketch
 }
@@ -110,6 +128,7 @@ struct Figure<'a, R> {
     skin: Ink,
     hair: Ink,
     side: Side,
+    style: Style,
     dice: &'a mut Dice<R>,
     sketch: Sketch,
 }
@@ -173,7 +192,7 @@ impl<R: Rng> Figure<'_, R> {
         let long = !young && self.dice.chance(0.35);
         let hem = if long { hip + 0.13 } else { hip + 0.03 };
         let flare = if long { 1.12 } else { 0.92 };
-        let outline = self.coat.lit(-0.5);
+        let outline = self.coat.lit(self.style.choose(-0.5, 0.45));
         let swing = if self.in_profile() { 0.1 } else { 0.03 };
         let arm = |side: f32| {
             let out = if swing > 0.05 { 0.0 } else { side * (wide + 0.02) };
@@ -399,6 +418,69 @@ impl<R: Rng> Figure<'_, R> {
             }
             _ => {}
         }
+    }
+
+    /// Draws the walking frame and the flat hat of an old figure in the test style.
+    fn frame_and_hat(&mut self) {
+        let (ahead, hip, foot) = (self.ahead(), self.hip(), self.foot);
+        let metal = self.dice.ink(&[0x8a949c, 0x3a3f45, 0xb23a3a]);
+        let (near, far) = (ahead * 0.17, ahead * self.dice.between(0.31, 0.37));
+        let top = hip - 0.05;
+        self.sketch.line(&[(near, top), (far, top), (far, foot)], 0.035, metal);
+        self.sketch
+            .line(&[(near + ahead * 0.03, top), (near + ahead * 0.03, foot)], 0.03, metal);
+        (self.sketch).oval(far, foot - 0.02, 0.04, 0.04, Ink::hex(0x0022_2426));
+        let shoulder = self.shoulder();
+        let arm = [(ahead * 0.1, shoulder + 0.07), (ahead * 0.17, hip - 0.1), (near, top)];
+        self.sketch.line(&arm, 0.08, self.coat.lit(-0.2));
+        let ((x, y), r) = (self.head_middle(), self.head);
+        let hat = self.dice.ink(&TEST_MUTED);
+        let brim = [x - r * 1.25, y - r * 0.7, x + r * 1.25, y - r * 0.45];
+        self.sketch.round(brim, r * 0.12, hat.lit(-0.25));
+        self.sketch
+            .round([x - r, y - r * 1.15, x + r, y - r * 0.55], r * 0.35, hat);
+    }
+
+    /// Draws the closed umbrella or the rucksack of an adult in the test style.
+    fn umbrella(&mut self) {
+        let (ahead, hip, shoulder) = (self.ahead(), self.hip(), self.shoulder());
+        let ink = self.dice.ink(&TEST_CLOTHES);
+        if self.dice.chance(0.5) {
+            let x = ahead * (self.wide + 0.06);
+            self.sketch
+                .line(&[(x, hip - 0.02), (x + ahead * 0.03, hip + 0.24)], 0.05, ink.lit(-0.3));
+        } else {
+            let x = -ahead * self.wide * 0.9;
+            let edges = [x - 0.08, shoulder + 0.03, x + 0.08, hip - 0.02];
+            self.sketch.round(edges, 0.05, ink.lit(-0.2));
+        }
+    }
+
+    /// Draws the scooter and the helmet of a child in the test style.
+    fn scooter(&mut self) {
+        let (ahead, hip, foot) = (self.ahead(), self.hip(), self.foot);
+        let metal = self.dice.ink(&[0x4a5560, 0xc23a5a, 0x2a7ab0]);
+        let (rear, front) = (-ahead * 0.22, ahead * 0.24);
+        self.sketch.line(&[(rear, foot), (front, foot)], 0.04, metal);
+        self.sketch
+            .line(&[(front, foot), (front - ahead * 0.04, hip - 0.08)], 0.035, metal);
+        for x in [rear, front] {
+            self.sketch.oval(x, foot, 0.04, 0.04, Ink::hex(0x0022_2428));
+        }
+        let ((x, y), r) = (self.head_middle(), self.head);
+        let helmet = self.dice.ink(&TEST_BRIGHT).lit(-0.1);
+        let dome = [
+            (x - r * 1.12, y - r * 0.2),
+            (x - r * 0.95, y - r * 1.25),
+            (x + r * 0.95, y - r * 1.25),
+            (x + r * 1.12, y - r * 0.2),
+        ];
+        self.sketch.blob(&dome.map(|point| [point, point]).concat(), helmet);
+        (self.sketch).line(
+            &[(x - r * 0.4, y - r * 0.95), (x + r * 0.4, y - r * 0.95)],
+            r * 0.16,
+            helmet.lit(-0.4),
+        );
     }
 
     /// Draws the satchel on a child's back.

@@ -186,6 +186,17 @@ impl Picture {
         }
     }
 
+    /// Copies a rectangle from another picture of the same size; both contain it.
+    pub(super) fn copy_area(&mut self, other: &Picture, area: PixelBox) {
+        let Some((left, top, width, height)) = self.clip(area) else {
+            return;
+        };
+        for row in top..top + height {
+            let start = 3 * (row * self.width as usize + left);
+            self.pixels[start..start + 3 * width].copy_from_slice(&other.pixels[start..start + 3 * width]);
+        }
+    }
+
     /// Copies a picture onto a part of this one.
     pub(super) fn lay(&mut self, other: &Picture, x: i32, y: i32) {
         let area = PixelBox {

@@ -9,6 +9,7 @@ use crate::render::picture::Picture;
 use crate::render::picture::{Body, PixelBox, Stamp};
 use crate::render::sprite::Sprite;
 use crate::render::view::Viewport;
+use crate::render::weather::Weather;
 use crate::rng::Seed;
 use std::sync::Arc;
 
@@ -42,16 +43,30 @@ impl Placement {
     }
 
     fn pixel_box(&self, agent: &Sprite<'_>) -> Option<PixelBox> {
-        self.clipped(&self.body(agent)?)
+        let body = self.body(agent)?;
+        match &agent.framing {
+            None => self.clipped(&body),
+            Some(framing) => framing.loosened(body.area(), self.view.car, self.view.size()),
+        }
     }
 
     /// Returns the fraction of each agent that the picture shows: of the pixels of its icon inside the picture, those
-    /// that no icon drawn later covers. Pixels count where an icon is at least half opaque, without its shadow. `None`
-    /// if the agent has no box.
+    /// that nothing drawn later covers. Pixels count where an icon or a cover is at least half opaque, without shadows.
+    /// `None` if the agent has no box.
     pub fn visible(&self, agents: &[Sprite<'_>]) -> Vec<Option<f32>> {
         let mut fractions = vec![None; agents.len()];
         // From the top down: each body, with its box.
         let mut above: Vec<(PlacedBody, PixelBox)> = Vec::new();
+        let covers = self.covers(agents).filter_map(|Placed { stamp, x, y }| {
+            let body = PlacedBody {
+                body: Arc::clone(&stamp.body),
+                x,
+                y,
+            };
+            let area = self.clipped(&body)?;
+            Some((body, area))
+        });
+        above.extend(covers);
         for at in drawing_order(agents).rev() {
             let Some(body) = self.body(&agents[at]) else { continue };
             let Some(area) = self.clipped(&body) else { continue };
@@ -86,15 +101,21 @@ impl Placement {
         Some(PlacedBody { body, x, y })
     }
 
+    /// Returns what hides parts of agents, in the order in which it is drawn.
+    fn covers<'a>(&'a self, agents: &'a [Sprite<'_>]) -> impl Iterator<Item = Placed> + 'a {
+        drawing_order(agents).filter_map(|at| {
+            let agent = &agents[at];
+            let framing = agent.framing.as_ref()?;
+            let PlacedBody { body, x, y } = self.body(agent)?;
+            let stamp = Arc::new(framing.cover(body.area)?);
+            Some(Placed { stamp, x, y })
+        })
+    }
+
     /// Returns the part of a body's box that is in the picture.
-    fn clipped(&self, PlacedBody { body, x, y }: &PlacedBody) -> Option<PixelBox> {
+    fn clipped(&self, body: &PlacedBody) -> Option<PixelBox> {
         let (width, height) = self.view.size();
-        PixelBox {
-            x: x + body.area.x,
-            y: y + body.area.y,
-            ..body.area
-        }
-        .clipped(width, height)
+        body.area().clipped(width, height)
     }
 
     fn stamp(&self, agent: &Sprite<'_>) -> Option<Placed> {
@@ -110,11 +131,17 @@ impl Placement {
         on_map.then(|| self.view.middle(agent.at))?
     }
 
+    /// Returns the size of an agent's icon.
     fn size(&self, agent: &Sprite<'_>) -> u32 {
-        match agent.kind {
+        let usual = match agent.kind {
             AgentKind::Car => self.view.car,
             AgentKind::Pedestrian => self.view.pedestrian,
-        }
+        };
+        let Some(framing) = &agent.framing else { return usual };
+        let class = agent.class();
+        framing.size(usual, self.view.car, |size| {
+            (self.icons).body(&class, agent.instance, agent.facing, size).area
+        })
     }
 }
 
@@ -125,7 +152,10 @@ impl Placement {
 #[derive(Clone, Debug)]
 pub struct Renderer {
     placement: Placement,
+    /// The picture without agents.
     ground: Picture,
+    /// The weather, and the ground without it.
+    weather: Option<(Weather, Picture)>,
 }
 
 /// Returns the agents in the order in which they are drawn: cars, then pedestrians.
@@ -143,6 +173,15 @@ struct PlacedBody {
 }
 
 impl PlacedBody {
+    /// Returns its box in the picture, which may extend beyond the picture.
+    fn area(&self) -> PixelBox {
+        PixelBox {
+            x: self.x + self.body.area.x,
+            y: self.y + self.body.area.y,
+            ..self.body.area
+        }
+    }
+
     /// Whether a pixel of the picture belongs to the body.
     fn contains(&self, x: i32, y: i32) -> bool {
         self.body.contains(x - self.x, y - self.y)
@@ -155,6 +194,50 @@ struct Placed {
     /// Its center.
     x: i32,
     y: i32,
+}
+
+impl Placed {
+    /// Returns its pixels in the picture, which may extend beyond the picture.
+    fn area(&self) -> PixelBox {
+        PixelBox {
+            x: self.x.saturating_add(self.stamp.area.x),
+            y: self.y.saturating_add(self.stamp.area.y),
+            ..self.stamp.area
+        }
+    }
+}
+
+/// Returns rectangles with the pixels of the given ones, each pixel once.
+fn disjoint(areas: &[PixelBox]) -> Vec<PixelBox> {
+    let ends = |area: &PixelBox| (area.y, area.y + area.height.cast_signed());
+    let mut cuts: Vec<i32> = areas.iter().flat_map(|area| <[i32; 2]>::from(ends(area))).collect();
+    cuts.sort_unstable();
+    cuts.dedup();
+    let mut found: Vec<PixelBox> = Vec::new();
+    // Between two cuts, the same rectangles cover every row.
+    for (&top, &bottom) in cuts.iter().zip(cuts.iter().skip(1)) {
+        let of_band = areas
+            .iter()
+            .filter(|area| ends(area).0 <= top && bottom <= ends(area).1);
+        let mut spans: Vec<(i32, i32)> = of_band
+            .map(|area| (area.x, area.x + area.width.cast_signed()))
+            .collect();
+        spans.sort_unstable();
+        let mut reached = i32::MIN;
+        for (left, right) in spans {
+            let left = left.max(reached);
+            if left < right {
+                found.push(PixelBox {
+                    x: left,
+                    y: top,
+                    width: (right - left).cast_unsigned(),
+                    height: (bottom - top).cast_unsigned(),
+                });
+                reached = right;
+            }
+        }
+    }
+    found
 }
 
 impl Renderer {
@@ -170,9 +253,18 @@ impl Renderer {
     }
 
     fn with_look(map: &CityMap, placement: Placement, look: Look) -> Renderer {
+        let mut ground = ground::draw(map, &placement.icons, &placement.view, look);
+        let noise = placement.icons.disguise().share();
+        let weather = (noise > 0.0).then(|| {
+            let weather = Weather::drawn(look.seed, noise, placement.view.start(), placement.view.size());
+            let dry = ground.clone();
+            weather.apply(&mut ground, placement.view.area());
+            (weather, dry)
+        });
         Renderer {
-            ground: ground::draw(map, &placement.icons, &placement.view, look),
             placement,
+            ground,
+            weather,
         }
     }
 
@@ -205,15 +297,34 @@ impl Renderer {
     }
 
     fn add_agents(&self, agents: &[Sprite<'_>], picture: &mut Picture) {
-        for at in drawing_order(agents) {
-            if let Some(Placed { stamp, x, y }) = self.placement.stamp(&agents[at]) {
-                picture.stamp(&stamp, x, y);
+        let icons = drawing_order(agents).filter_map(|at| self.placement.stamp(&agents[at]));
+        let stamps: Vec<Placed> = icons.chain(self.placement.covers(agents)).collect();
+        let areas: Vec<PixelBox> = match &self.weather {
+            None => Vec::new(),
+            Some(_) => {
+                let (width, height) = self.placement.view.size();
+                let areas = stamps.iter().filter_map(|placed| placed.area().clipped(width, height));
+                areas.collect()
+            }
+        };
+        // Where there are agents, the weather applies to them and the ground together.
+        if let Some((_, dry)) = &self.weather {
+            areas.iter().for_each(|&area| picture.copy_area(dry, area));
+        }
+        for Placed { stamp, x, y } in stamps {
+            picture.stamp(&stamp, x, y);
+        }
+        if let Some((weather, _)) = &self.weather {
+            for area in disjoint(&areas) {
+                weather.apply(picture, area);
             }
         }
     }
 
-    /// Returns the box of each agent, without shadow and skid marks, clipped to the picture; `None` if it is off the
-    /// map or the picture.
+    /// Returns the box of each agent, in the picture; `None` if the agent is off the map or the picture.
+    ///
+    /// A box contains the part of the icon in the picture, without shadow and skid marks. Without a framing it touches
+    /// that part on all sides; a framing makes it larger.
     pub fn boxes(&self, agents: &[Sprite<'_>]) -> Vec<Option<PixelBox>> {
         self.placement.boxes(agents)
     }
@@ -232,10 +343,10 @@ impl Renderer {
 mod tests {
     use super::*;
     use crate::city::Cell;
-    use crate::city::{Building, Buildings, MapConfig, Widths};
+    use crate::city::{Building, Buildings, MapConfig, Split, Widths};
     use crate::diag::Located;
     use crate::diag::{Sources, Span};
-    use crate::render::{Class, Difficulty, Facing, Scale};
+    use crate::render::{Difficulty, DrawingVersion, Facing, Scale};
     use crate::rng::{Purpose, RngExt, Seed};
 
     fn map() -> CityMap {
@@ -262,6 +373,45 @@ mod tests {
         CityMap::generate(&config).unwrap_or_else(|fault| panic!("{fault:?}"))
     }
 
+    /// Returns the icon of an agent, drawn anew, and its box in a picture.
+    fn drawn(icons: &Icons, view: &Viewport, agent: &Sprite<'_>) -> (Stamp, Option<PixelBox>) {
+        let draw = |size| icons.draw(&agent.class(), agent.instance, agent.facing, size);
+        let usual = match agent.kind {
+            AgentKind::Car => view.car,
+            AgentKind::Pedestrian => view.pedestrian,
+        };
+        let body = |stamp: &Stamp| {
+            let (x, y) = center(view, agent);
+            let area = stamp.body.area;
+            PixelBox {
+                x: x + area.x,
+                y: y + area.y,
+                ..area
+            }
+        };
+        let (width, height) = view.size();
+        match &agent.framing {
+            None => {
+                let stamp = draw(usual);
+                let area = body(&stamp).clipped(width, height);
+                (stamp, area)
+            }
+            Some(framing) => {
+                let stamp = draw(framing.size(usual, view.car, |size| draw(size).body.area));
+                let area = framing.loosened(body(&stamp), view.car, (width, height));
+                (stamp, area)
+            }
+        }
+    }
+
+    fn center(view: &Viewport, agent: &Sprite<'_>) -> (i32, i32) {
+        let middle = |cell: i32, corner: i32| (cell - corner) * view.scale.pixels + view.scale.pixels / 2;
+        (
+            middle(agent.at.col, view.corner.col),
+            middle(agent.at.row, view.corner.row),
+        )
+    }
+
     /// Reference implementation: draws pixel by pixel without caches.
     fn slowly(map: &CityMap, icons: &dyn Fn() -> Icons, view: &Viewport, look: Look, agents: &[Sprite<'_>]) -> Vec<u8> {
         let (width, height) = view.size();
@@ -280,21 +430,17 @@ mod tests {
         }
         let mut order: Vec<&Sprite<'_>> = agents.iter().filter(|agent| map.contains(agent.at)).collect();
         order.sort_by_key(|agent| agent.kind == AgentKind::Pedestrian);
-        for agent in order {
-            let size = if agent.kind == AgentKind::Car {
-                view.car
-            } else {
-                view.pedestrian
-            };
-            let Stamp { area, pixels: icon, .. } = icons().draw(
-                &Class::agent(agent.kind, agent.concepts),
-                agent.instance,
-                agent.facing,
-                size,
-            );
-            let middle = |cell: i32, corner: i32| (cell - corner) * view.scale.pixels + view.scale.pixels / 2;
-            let left = middle(agent.at.col, view.corner.col) + area.x;
-            let top = middle(agent.at.row, view.corner.row) + area.y;
+        let stamps = order
+            .iter()
+            .map(|agent| (center(view, agent), drawn(&icons(), view, agent).0));
+        let mut stamps: Vec<((i32, i32), Stamp)> = stamps.collect();
+        for (at, agent) in order.iter().enumerate() {
+            let (center, body) = (stamps[at].0, stamps[at].1.body.area);
+            let cover = agent.framing.and_then(|framing| framing.cover(body));
+            stamps.extend(cover.map(|cover| (center, cover)));
+        }
+        for ((x, y), Stamp { area, pixels: icon, .. }) in stamps {
+            let (left, top) = (x + area.x, y + area.y);
             for (at, pixel) in pixels.chunks_exact_mut(3).enumerate() {
                 let (x, y) = (at as i32 % width as i32 - left, at as i32 / width as i32 - top);
                 if (0..area.width as i32).contains(&x) && (0..area.height as i32).contains(&y) {
@@ -306,7 +452,12 @@ mod tests {
                 }
             }
         }
-        pixels
+        let noise = icons().disguise().share();
+        let mut picture = Picture::from_pixels(width, height, pixels);
+        if noise > 0.0 {
+            Weather::drawn(look.seed, noise, view.start(), view.size()).apply(&mut picture, view.area());
+        }
+        picture.into_pixels()
     }
 
     /// Reference implementation of [`Placement::visible`]: paints the number of each agent over its body, pixel by
@@ -315,25 +466,34 @@ mod tests {
         let (width, height) = view.size();
         let mut owner = vec![None; (width * height) as usize];
         let mut counts = vec![(0, 0); agents.len()];
+        let mut covers = Vec::new();
         let mut order: Vec<usize> = (0..agents.len()).collect();
         order.sort_by_key(|&at| agents[at].kind == AgentKind::Pedestrian);
         for at in order.into_iter().filter(|&at| map.contains(agents[at].at)) {
             let agent = &agents[at];
-            let size = match agent.kind {
-                AgentKind::Car => view.car,
-                AgentKind::Pedestrian => view.pedestrian,
-            };
-            let stamp = icons.draw(&agent.class(), agent.instance, agent.facing, size);
-            let middle = |cell: i32, corner: i32| (cell - corner) * view.scale.pixels + view.scale.pixels / 2;
-            let (x, y) = (
-                middle(agent.at.col, view.corner.col),
-                middle(agent.at.row, view.corner.row),
+            let (stamp, _) = drawn(icons, view, agent);
+            let (x, y) = center(view, agent);
+            covers.extend(
+                agent
+                    .framing
+                    .and_then(|framing| framing.cover(stamp.body.area))
+                    .map(|cover| (cover, x, y)),
             );
             for (place, owner) in owner.iter_mut().enumerate() {
                 let place = ((place as u32 % width) as i32 - x, (place as u32 / width) as i32 - y);
                 if stamp.body.contains(place.0, place.1) {
                     counts[at].1 += 1;
                     *owner = Some(at);
+                }
+            }
+        }
+        for (cover, x, y) in covers {
+            for (place, owner) in owner.iter_mut().enumerate() {
+                if cover
+                    .body
+                    .contains((place as u32 % width) as i32 - x, (place as u32 / width) as i32 - y)
+                {
+                    *owner = None;
                 }
             }
         }
@@ -346,10 +506,16 @@ mod tests {
         let map = map();
         let concepts = ["bus", "tiro", "ambulance", "taxi", "old", "young"].map(str::to_owned);
         let mut covered = 0;
-        for case in 0..6 {
+        for case in 0..8 {
             let mut stream = Seed(9).stream(Purpose::SCENE, case, 0);
             let percent = stream.random_range(0..=100);
-            let icons = || Icons::new(Seed(case), Difficulty::percent(percent).expect("a percentage"));
+            let version = DrawingVersion::ALL[case as usize % 4 / 2];
+            let icons = || {
+                let difficulty = Difficulty::percent(percent).expect("a percentage");
+                Icons::new(Seed(case), difficulty)
+                    .with_version(version)
+                    .with_split(Split::Test)
+            };
             let corner = Cell::new(stream.random_range(-3..20), stream.random_range(-3..20));
             let scale = Scale::pixels(stream.random_range(1..9)).expect("a scale");
             let view = Viewport::new(corner, 14, 11, scale).expect("a view");
@@ -375,6 +541,7 @@ mod tests {
                             ),
                             facing: Facing::ALL[stream.random_range(0..8)],
                             instance: stream.random_range(0..3),
+                            framing: placement.icons().framing(&mut stream),
                             action: None,
                         }
                     })
@@ -384,6 +551,10 @@ mod tests {
                     "case {case}"
                 );
                 assert_eq!(renderer.boxes(&agents), placement.boxes(&agents), "case {case}");
+                for (agent, found) in agents.iter().zip(placement.boxes(&agents)) {
+                    let expected = map.contains(agent.at).then(|| drawn(&icons(), &view, agent).1);
+                    assert_eq!(found, expected.flatten(), "case {case}");
+                }
                 let counts = slowly_visible(&icons(), &view, &map, &agents);
                 let visible = placement.visible(&agents);
                 assert_eq!(renderer.visible(&agents), visible, "case {case}");
@@ -396,5 +567,37 @@ mod tests {
             }
         }
         assert!(covered > 5, "{covered} agents are partly covered");
+    }
+
+    #[test]
+    fn disjoint_rectangles_have_each_pixel_once() {
+        let mut stream = Seed(4).stream(Purpose::SCENE, 0, 0);
+        for _ in 0..200 {
+            let areas: Vec<PixelBox> = (0..stream.random_range(0..6))
+                .map(|_| PixelBox {
+                    x: stream.random_range(0..20),
+                    y: stream.random_range(0..20),
+                    width: stream.random_range(1..12),
+                    height: stream.random_range(1..12),
+                })
+                .collect();
+            let holds = |area: &PixelBox, x: i32, y: i32| {
+                area.overlaps(PixelBox {
+                    x,
+                    y,
+                    width: 1,
+                    height: 1,
+                })
+            };
+            let parts = disjoint(&areas);
+            for (x, y) in (0..32).flat_map(|y| (0..32).map(move |x| (x, y))) {
+                let count = parts.iter().filter(|part| holds(part, x, y)).count();
+                assert_eq!(
+                    count,
+                    usize::from(areas.iter().any(|area| holds(area, x, y))),
+                    "{areas:?}"
+                );
+            }
+        }
     }
 }

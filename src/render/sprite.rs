@@ -3,6 +3,7 @@
 use crate::city::{Action, AgentKind};
 use crate::city::{Agent, Cell};
 use crate::render::class::{Class, Facing};
+use crate::render::framing::Framing;
 
 /// An agent as a picture shows it.
 #[derive(Clone, Copy, Debug)]
@@ -19,6 +20,8 @@ pub struct Sprite<'a> {
     pub facing: Facing,
     /// Instance of the class.
     pub instance: u32,
+    /// How a picture shows the agent; `None` shows it in its usual size, with a box that fits.
+    pub framing: Option<Framing>,
     /// Action, `None` before the first decision. Only an [`Overview`](super::Overview) shows it.
     pub action: Option<Action>,
 }
@@ -34,6 +37,7 @@ impl<'a> Sprite<'a> {
             at: agent.cell,
             facing: Facing::turning(agent.heading.unwrap_or(agent.ahead()), agent.ahead()),
             instance: agent.number,
+            framing: None,
             action,
         }
     }

@@ -2,6 +2,7 @@
 
 use crate::city::{Cell, CityMap};
 use crate::render::icon::ICON_MAX;
+use crate::render::picture::PixelBox;
 use std::fmt;
 
 /// The scale of a picture: a cell is a square of pixels, or a pixel is a square of cells.
@@ -175,6 +176,22 @@ impl Viewport {
             u32::try_from(length).expect("views are bounded")
         };
         (side(self.corner.col, self.cols), side(self.corner.row, self.rows))
+    }
+
+    /// Returns the whole picture as a rectangle.
+    pub(super) fn area(&self) -> PixelBox {
+        let (width, height) = self.size();
+        PixelBox {
+            x: 0,
+            y: 0,
+            width,
+            height,
+        }
+    }
+
+    /// Returns the place of the first pixel on the map, as column and row.
+    pub(super) fn start(&self) -> (i64, i64) {
+        (self.scale.start(self.corner.col), self.scale.start(self.corner.row))
     }
 
     /// Returns the pixel in the middle of a cell, as column and row; `None` if it is far off the picture.

@@ -83,6 +83,7 @@ impl Agent {
             at: self.at,
             facing: self.facing,
             instance: self.instance,
+            framing: None,
             action: self.action,
         }
     }

@@ -6,7 +6,7 @@ use logicity::cancel::Cancel;
 use logicity::city::{AgentKind, Split};
 use logicity::diag::{Code, Sources};
 use logicity::files::{Folder, Overwrite};
-use logicity::render::{Difficulty, Icons, Picture, PixelBox, read_png, write_png};
+use logicity::render::{Difficulty, DrawingVersion, Icons, Picture, PixelBox, read_png, write_png};
 use logicity::rng::{Purpose, RngExt, Seed};
 use logicity::sim::LoadedCity;
 use logicity::task::vap::table::{Sample, Table, Values, samples};
@@ -252,10 +252,10 @@ fn parts_equal_the_whole() {
     let old = fs::read_to_string(part.join("world-00002/world.json")).unwrap();
     fs::write(
         part.join("world-00002/world.json"),
-        old.replace("\"version\": 3", "\"version\": 2"),
+        old.replace("\"version\": 4", "\"version\": 2"),
     )
     .unwrap();
-    fails(2, &again, &["version 2; this program reads version 3"]);
+    fails(2, &again, &["version 2; this program reads versions 3 and 4"]);
 
     tampered_sets_are_found_out(&whole);
 }
@@ -464,6 +464,38 @@ fn a_cancelled_data_set_is_resumed() {
     assert!(refused.to_string().contains("other rules"), "{refused}");
 }
 
+/// Sets the visible fraction of the last pedestrian of the first frame, which is drawn last.
+fn set_visible(table: &mut Table, fraction: f32) {
+    let (_, Values::MaybeFloat(visible)) = table.columns.iter_mut().find(|(name, _)| name == "visible").unwrap() else {
+        panic!("a fraction that is not a number")
+    };
+    visible[6] = Some(fraction);
+}
+
+/// Without covers, `check` knows which agents are wholly visible. With covers, any agent may be partly hidden.
+#[test]
+fn wrong_visible_fractions_are_found_out() {
+    for (difficulty, is_refused) in [("0", true), ("50", false)] {
+        let folder = tempfile::tempdir().unwrap();
+        let folder = folder.path();
+        make(folder, &["--worlds", "2", "--difficulty", difficulty]);
+        let entities = "world-00001/entities.parquet";
+        let mut table = Table::read(fs::read(folder.join(entities)).unwrap()).unwrap();
+        set_visible(&mut table, 0.25);
+        let mut bytes = Vec::new();
+        table.write(&mut bytes).unwrap();
+        put(folder, entities, &bytes);
+        let check = ["check", folder.to_str().unwrap()];
+        match is_refused {
+            true => refused(
+                &check,
+                &["row 6 of the entities is 0.25 visible, but nothing covers it"],
+            ),
+            false => assert!(stdout_of(&check).starts_with("worlds: 2, ")),
+        }
+    }
+}
+
 /// Changes a file of world 1, with or without the matching counts and hashes.
 fn tampered_sets_are_found_out(folder: &Path) {
     let path = folder.to_str().unwrap();
@@ -528,23 +560,13 @@ fn tampered_sets_are_found_out(folder: &Path) {
         concepts[0] = "taxi".to_owned();
     };
     type Change<'a> = &'a dyn Fn(&mut Table);
-    let visible = |table: &mut Table, fraction: f32| {
-        let (_, Values::MaybeFloat(visible)) = table.columns.iter_mut().find(|(name, _)| name == "visible").unwrap()
-        else {
-            panic!("a fraction that is not a number")
-        };
-        // The last pedestrian of the first frame, which is drawn last.
-        visible[6] = Some(fraction);
-    };
-    let covered = |table: &mut Table| visible(table, 0.25);
-    let too_visible = |table: &mut Table| visible(table, 1.5);
-    let faults: [(Change<'_>, &str); 8] = [
+    let too_visible = |table: &mut Table| set_visible(table, 1.5);
+    let faults: [(Change<'_>, &str); 7] = [
         (&label, "is labeled"),
         (&fact, "is labeled"),
         (&order, "in order"),
         (&column, "there is no column `IsInInter`"),
         (&corner, "does not lie in the picture"),
-        (&covered, "row 6 of the entities is 0.25 visible, but nothing covers it"),
         (&too_visible, "row 6 of the entities has a wrong visible fraction"),
         (&concept, "has counts that differ from its tables"),
     ];
@@ -575,10 +597,10 @@ fn tampered_sets_are_found_out(folder: &Path) {
     refused(&["check", path], &["is not in the folder of the world"]);
     fs::write(
         folder.join("manifest.json"),
-        manifest.replace("\"version\": 3", "\"version\": 2"),
+        manifest.replace("\"version\": 4", "\"version\": 2"),
     )
     .unwrap();
-    refused(&["check", path], &["version 2; this program reads version 3"]);
+    refused(&["check", path], &["version 2; this program reads versions 3 and 4"]);
     fs::write(
         folder.join("manifest.json"),
         manifest.replace("\"rules_hash\": \"", "\"rules_hash\": \"0"),
@@ -868,6 +890,219 @@ fn boxes_are_where_agents_are_in_the_picture() {
         assert!(read_png(&bytes).unwrap() == renderer.draw(&sprites));
     }
     assert!(checked > 30, "{checked}");
+}
+
+/// Worlds of a data set with seed 0, in hard mode.
+fn worlds_at(percent: u8, version: DrawingVersion, agents: Agents, split: Split) -> Worlds {
+    let icons = Icons::new(icon_seed(0, split), Difficulty::percent(percent).unwrap());
+    let icons = icons.with_version(version).with_split(split);
+    let city = hard_mode();
+    Worlds::new(city.scenario, city.program, Arc::new(icons), agents, split, 0).unwrap()
+}
+
+fn sha256(bytes: &[u8]) -> String {
+    format!("{:x}", Sha256::digest(bytes))
+}
+
+/// Data sets of format 3 can be made again. The hashes are those of the last program without drawing versions.
+#[test]
+fn the_first_drawing_version_keeps_its_bytes() {
+    const TABLE: &str = "ef19e0bbade47f19059c59fe7c3d43e8edd8543a4a76d1d07f7a5b00534d5664";
+    for (percent, specimen, picture) in [
+        (
+            0,
+            "438f353cbc0fece4718330ebf3e8d246e8cc8c1ffed6c4ad73734dfee8de70cc",
+            "7998d56367553dc45d3b621984c6aa84496b6e1ebdb57f4518daf1401215becd",
+        ),
+        (
+            50,
+            "45e9d46372da8a4f9447a5f4bb6384cbd3d176522c4d7bc58408ff4fa74fa1e3",
+            "01792dfc49d793b21d10d52df852f1303afa3d3dea5e2bc30564d0097a7d4cd0",
+        ),
+        (
+            100,
+            "9487bd8638853c563ed3bd3f2664fd087e97108d7c3dcdc66cdb461f611cf106",
+            "0fde1e3660676c85da7a0cebe0bc145b094654268f079931c95f03310a1505ec",
+        ),
+    ] {
+        for version in DrawingVersion::ALL {
+            let worlds = worlds_at(percent, version, Agents::Fixed, Split::Test);
+            let frames = worlds.frames(0).unwrap();
+            let mut bytes = Vec::new();
+            write_png(&worlds.renderer(0).draw(&frames[0].sprites()), &mut bytes).unwrap();
+            let mut table = Vec::new();
+            Table::entities(&worlds, 0, &frames).write(&mut table).unwrap();
+            let found = [sha256(worlds.specimen().pixels()), sha256(&bytes), sha256(&table)];
+            // At difficulty 0, the versions draw the same.
+            let is_same = percent == 0 || version == DrawingVersion::V1;
+            assert_eq!(
+                found == [specimen, picture, TABLE],
+                is_same,
+                "{percent}, {version:?}: {found:?}"
+            );
+        }
+    }
+    // So are the descriptions.
+    let folder = tempfile::tempdir().unwrap();
+    let version = ["--worlds", "1", "--drawing-version", "1"];
+    make(folder.path(), &version);
+    let manifest = fs::read(folder.path().join("manifest.json")).unwrap();
+    assert_eq!(
+        sha256(&manifest),
+        "056bada718fb7a9a7a4b3c7ffa91105993a3b62bb7bf69dcc5156d9e9499dede"
+    );
+    let path = folder.path().to_str().unwrap();
+    assert!(stdout_of(&["check", path]).starts_with("worlds: 1, "));
+    // A data set has one version.
+    let again = [&MAKE[..], &["--worlds", "1", "--out", path]].concat();
+    fails(2, &again, &["manifest.json", "other settings"]);
+    let text = String::from_utf8(manifest).unwrap();
+    for (from, to, word) in [
+        ("\"version\": 3", "\"version\": 4", "version 4 with drawing version 1"),
+        (
+            "\"pack_mode\": null,",
+            "\"pack_mode\": null, \"drawing_version\": 3,",
+            "drawing version 3",
+        ),
+    ] {
+        fs::write(folder.path().join("manifest.json"), text.replacen(from, to, 1)).unwrap();
+        refused(&["check", path], &["error[invalid-data-set]", word]);
+    }
+}
+
+/// The kind, the concepts, the facing and the box of every agent in the frames of some worlds.
+fn boxes_of(worlds: &Worlds, numbers: std::ops::Range<u32>) -> Vec<(String, usize, PixelBox)> {
+    let mut found = Vec::new();
+    for number in numbers {
+        for frame in worlds.frames(number).unwrap() {
+            for (agent, area) in frame.agents.iter().zip(worlds.boxes(&frame)) {
+                let class = agent.sprite("").class().to_string();
+                found.extend(area.map(|area| (class, agent.facing as usize, area)));
+            }
+        }
+    }
+    found
+}
+
+/// Pearson's statistic of a table of counts, and its degrees of freedom.
+fn chi_square(counts: &BTreeMap<(usize, usize), f64>) -> (f64, f64) {
+    let sum = |keep: &dyn Fn(&(usize, usize)) -> bool| -> f64 {
+        let kept = counts.iter().filter(|(cell, _)| keep(cell));
+        kept.map(|(_, count)| count).sum()
+    };
+    let [rows, cols] = [
+        counts.keys().map(|cell| cell.0).collect::<BTreeSet<_>>(),
+        counts.keys().map(|cell| cell.1).collect::<BTreeSet<_>>(),
+    ];
+    let all = sum(&|_| true);
+    let mut statistic = 0.0;
+    for &row in &rows {
+        for &col in &cols {
+            let expected = sum(&|cell| cell.0 == row) * sum(&|cell| cell.1 == col) / all;
+            let found = counts.get(&(row, col)).copied().unwrap_or(0.0);
+            statistic += (found - expected).powi(2) / expected;
+        }
+    }
+    (statistic, ((rows.len() - 1) * (cols.len() - 1)) as f64)
+}
+
+/// From difficulty 50 on, the sides of a box are independent of class and facing, by Pearson's test; below, they are
+/// not. Under independence the statistic has its degrees of freedom as mean and twice that as variance.
+#[test]
+fn sides_of_boxes_are_independent_of_the_class_from_50_on() {
+    for (percent, is_independent) in [(0, false), (25, false), (50, true), (75, true), (100, true)] {
+        let worlds = worlds_at(percent, DrawingVersion::V2, Agents::Random, Split::Train);
+        let boxes = boxes_of(&worlds, 0..6);
+        let classes: Vec<&String> = boxes
+            .iter()
+            .map(|(class, ..)| class)
+            .collect::<BTreeSet<_>>()
+            .into_iter()
+            .collect();
+        assert_eq!(classes.len(), 9, "{classes:?}");
+        let sides: [fn(&PixelBox) -> u32; 2] = [|area| area.width, |area| area.height];
+        for side in sides {
+            let by_class = |(class, _, area): &(String, usize, PixelBox)| {
+                let class = classes.binary_search(&class).unwrap();
+                (class, (side(area).clamp(72, 119) - 72) as usize / 8)
+            };
+            let by_facing = |(_, facing, area): &(String, usize, PixelBox)| {
+                (*facing, (side(area).clamp(72, 119) - 72) as usize / 8)
+            };
+            let mut counts = [BTreeMap::new(), BTreeMap::new()];
+            for one in &boxes {
+                *counts[0].entry(by_class(one)).or_insert(0.0) += 1.0;
+                *counts[1].entry(by_facing(one)).or_insert(0.0) += 1.0;
+            }
+            for counts in counts {
+                let (statistic, freedom) = chi_square(&counts);
+                // Four standard deviations.
+                let most = freedom + 4.0 * (2.0 * freedom).sqrt();
+                assert_eq!(
+                    statistic < most,
+                    is_independent,
+                    "{percent}: {statistic} with {freedom}"
+                );
+            }
+            if is_independent {
+                assert!(boxes.iter().all(|(.., area)| (72..=120).contains(&side(area))));
+            }
+        }
+    }
+}
+
+/// A box contains the part of the icon in the picture: where the icon is, the picture with it differs from that
+/// without it.
+#[test]
+fn boxes_contain_what_is_drawn() {
+    for percent in [20, 50, 100] {
+        let worlds = worlds_at(percent, DrawingVersion::V2, Agents::Fixed, Split::Test);
+        let renderer = worlds.renderer(1);
+        let frames = worlds.frames(1).unwrap();
+        let (mut loose, mut checked, mut hidden) = (0, 0, 0);
+        for frame in frames.iter().step_by(30) {
+            let sprites = frame.sprites();
+            let boxes = worlds.boxes(frame);
+            assert_eq!(boxes, renderer.boxes(&sprites));
+            hidden += worlds
+                .visible(frame)
+                .iter()
+                .flatten()
+                .filter(|fraction| **fraction < 1.0)
+                .count();
+            for (agent, area) in frame.agents.iter().zip(boxes) {
+                let Some(area) = area else { continue };
+                assert_eq!(area.clipped(SIDE, SIDE), Some(area));
+                // Clean icons have no shadow of noise; the same framing draws them in the same size.
+                let alone = renderer.draw(&[agent.sprite("")]);
+                let ground = renderer.ground();
+                let inside = differs(&alone, ground, area)
+                    .into_iter()
+                    .filter(|changed| *changed)
+                    .count();
+                let around = PixelBox {
+                    x: area.x - 60,
+                    y: area.y - 60,
+                    width: area.width + 120,
+                    height: area.height + 120,
+                };
+                let around = around.clipped(SIDE, SIDE).unwrap();
+                let all = differs(&alone, ground, around)
+                    .into_iter()
+                    .filter(|changed| *changed)
+                    .count();
+                // Shadows, skid marks and covers may extend beyond the box.
+                assert!(
+                    inside > 100 && 10 * inside > 6 * all,
+                    "{percent}: {inside} of {all}: {agent:?}"
+                );
+                loose += usize::from(inside < (area.width * area.height) as usize / 2);
+                checked += 1;
+            }
+        }
+        assert!(checked > 30 && hidden > 0, "{checked} {hidden}");
+        assert!(percent < 50 || 2 * loose > checked, "{loose} of {checked}");
+    }
 }
 
 #[test]

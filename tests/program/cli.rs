@@ -2251,6 +2251,19 @@ fn slow_icons_come_from_a_pack_and_its_faults_are_reported() {
         .1 != drawn
     );
 
+    // Only above difficulty 50, the test split has a style of its own; version 1 has none.
+    for (more, differs) in [
+        (&["--difficulty", "50"][..], false),
+        (&["--difficulty", "100"], true),
+        (&["--difficulty", "100", "--drawing-version", "1"], false),
+    ] {
+        let [train, test] = ["train", "test"].map(|split| {
+            let name = format!("{split}{}.png", more.join(""));
+            sheet(&[more, &["--split", split]].concat(), &name).1
+        });
+        assert_eq!(train != test, differs, "{more:?}");
+    }
+
     let pack = folder.path().join("pack");
     fs::create_dir_all(pack.join("police")).unwrap();
     let svg = r#"<svg xmlns="http://www.w3.org/2000/svg" viewBox="0 0 2 4"><rect width="2" height="4"/></svg>"#;
@@ -2294,6 +2307,7 @@ fn slow_icons_come_from_a_pack_and_its_faults_are_reported() {
     fails(&output, 2, &["`nowhere`", "no such folder"]);
     for (option, value, printed) in [
         ("--difficulty", "101", "0 to 100"),
+        ("--drawing-version", "3", "expected 1 or 2"),
         ("--class", "plane", "concepts joined by `+`"),
     ] {
         let (output, _) = sheet(&[option, value], "wrong.png");

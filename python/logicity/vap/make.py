@@ -53,6 +53,7 @@ def make_dataset(
     pack: str | os.PathLike[str] | None = None,
     pack_mode: Literal["extend", "replace"] = "extend",
     difficulty: int = 50,
+    drawing_version: Literal[1, 2] = 2,
     threads: int = 0,
     progress: Callable[[int, int], object] | None = None,
     overwrite: bool = False,
@@ -75,7 +76,11 @@ def make_dataset(
         pack: A folder of icons, such as `logicity.icons.fill` creates. Built-in icons represent classes that it lacks.
         pack_mode: `"extend"` adds the icons of the pack to the built-in icons. `"replace"` uses only the icons of the
             pack for its classes.
-        difficulty: The variation of colors, light, sharpness, markings and surroundings, from 0 (clean) to 100 (noisy).
+        difficulty: The difficulty of the pictures, from 0 (clean) to 100: how much colors, light, sharpness, weather,
+            markings and surroundings vary. From 50 on, the sides of boxes are independent of the agents. Above 50,
+            icons of the test split increasingly have a style that the other splits lack.
+        drawing_version: The version of the drawing code: 2, or 1 for boxes that fit the icons, one style for all
+            splits and no weather, as in data sets of format 3.
         threads: The number of threads, up to 1024; 0 means one per core. It does not affect the files.
         progress: A function that receives the number of finished frames and the total, on the calling thread.
         overwrite: Whether to replace a `README.md` or `manifest.json` that is not of a data set with these arguments.
@@ -109,6 +114,7 @@ def make_dataset(
         None if pack is None else checked_path("pack", pack),
         pack_mode,
         checked_integer("difficulty", difficulty, 0, 100),
+        checked_integer("drawing_version", drawing_version, 1, 2),
         checked_threads(threads),
         progress,
         overwrite,

@@ -56,7 +56,8 @@ fn command(manifest: &Manifest, which: &str) -> String {
     if let Some(first) = manifest.worlds.first().filter(|first| first.world > 0) {
         write!(command, " --first-world {}", first.world).expect("memory");
     }
-    write!(command, " --difficulty {}", settings.difficulty).expect("memory");
+    let (difficulty, drawing) = (settings.difficulty, settings.drawing_version);
+    write!(command, " --difficulty {difficulty} --drawing-version {drawing}").expect("memory");
     if let Some(mode) = &settings.pack_mode {
         write!(command, " --pack FOLDER --pack-mode {mode}").expect("memory");
     }
@@ -93,6 +94,12 @@ fn pictures(manifest: &Manifest) -> String {
         settings.difficulty
     )
     .expect("memory");
+    if settings.drawing_version > 1 && settings.difficulty > 0 {
+        text += "Each frame also draws anew the size of an agent, the sides of its box, and what hides a part of it.\n\
+                 A box contains the icon but is larger. At difficulties from 50 on, its sides are from 72 to 120\n\
+                 pixels, independent of each other and of the agent. Each world has its own weather. Above 50,\n\
+                 icons of the test split increasingly have a style that the other splits lack.\n";
+    }
     if let (Some(hash), Some(mode)) = (&settings.pack_hash, &settings.pack_mode) {
         let relation = if mode == "replace" {
             "instead of"

@@ -166,7 +166,9 @@ impl Dataset {
         for path in folder::unknown_world_entries(&folder, record)? {
             faults.push(wrong(&path, folder::OTHER_IN_WORLD).help(MOVE));
         }
-        let read = read_tables(inference, record, tables).and_then(|(entities, samples)| {
+        let settings = &self.manifest.settings;
+        let has_covers = settings.drawing_version > 1 && settings.difficulty > 0;
+        let read = read_tables(inference, record, tables, has_covers).and_then(|(entities, samples)| {
             let mut actions = [0; 4];
             for sample in &samples {
                 actions = add(actions, check_sample(inference, sample)?);
@@ -250,6 +252,7 @@ fn read_tables(
     inference: &Inference,
     record: &WorldRecord,
     mut files: BTreeMap<&str, Vec<u8>>,
+    has_covers: bool,
 ) -> Result<(Table, Vec<Sample>), Diagnostic> {
     let mut table = |name: &str| {
         let missing = || Diagnostic::new(Code::INVALID_DATA_SET, format!("there is no `{name}`"));
@@ -262,14 +265,14 @@ fn read_tables(
             format!("`{name}` is neither a table nor a picture"),
         ));
     }
-    check_visible(&entities)?;
+    check_visible(&entities, has_covers)?;
     let samples = samples(inference.vocabulary(), record.world, &entities, &pairs)?;
     Ok((entities, samples))
 }
 
-/// Checks visible fractions. An agent is whole unless the box of an agent that is drawn later overlaps its own, or its
-/// box is cut off by the edge of the picture.
-fn check_visible(entities: &Table) -> Result<(), Diagnostic> {
+/// Checks visible fractions. An agent is whole unless the box of an agent that is drawn later overlaps its own, its box
+/// is cut off by the edge of the picture, or the pictures have other things that cover agents.
+fn check_visible(entities: &Table, has_covers: bool) -> Result<(), Diagnostic> {
     let (boxes, fractions) = (boxes(entities)?, visible(entities)?);
     let (ticks, kinds) = (entities.ints("tick")?, entities.texts("type")?);
     let drawn = |row: usize| (kinds[row] == AgentKind::Pedestrian.name(), row);
@@ -288,7 +291,8 @@ fn check_visible(entities: &Table) -> Result<(), Diagnostic> {
         let right = pixels.x + pixels.width.cast_signed();
         let bottom = pixels.y + pixels.height.cast_signed();
         let at_edge = pixels.x.min(pixels.y) == 0 || right.max(bottom) == SIDE.cast_signed();
-        if fraction < 1.0 && !is_covered() && !(fraction == 0.0 && at_edge) {
+        let is_outside = fraction == 0.0 && at_edge;
+        if fraction < 1.0 && !has_covers && !is_outside && !is_covered() {
             let message = format!("row {row} of the entities is {fraction} visible, but nothing covers it");
             return Err(Diagnostic::new(Code::INVALID_DATA_SET, message));
         }

@@ -80,12 +80,13 @@ pub struct DatasetWriter {
 
 impl DatasetWriter {
     /// Prepares the common part of all worlds. `city` must have the configuration [`Mode::config`], and `icons` the
-    /// seed [`DatasetRequest::icon_seed`].
+    /// seed [`DatasetRequest::icon_seed`]. The icons get the split of the request.
     ///
     /// # Errors
     /// As [`Worlds::new`].
     pub fn new(request: DatasetRequest, city: LoadedCity, icons: Icons) -> Result<DatasetWriter, Vec<Diagnostic>> {
-        let difficulty = icons.difficulty().as_percent();
+        let icons = icons.with_split(request.split);
+        let (difficulty, drawing) = (icons.difficulty().as_percent(), icons.version());
         let pack = icons
             .pack()
             .map(|pack| (pack.hash().to_owned(), pack.mode().name().to_owned()));
@@ -101,7 +102,7 @@ impl DatasetWriter {
         )?;
         let settings = DatasetSettings {
             data: folder::DATA.to_owned(),
-            version: folder::VERSION,
+            version: folder::format_version(drawing),
             mode: request.mode.name().to_owned(),
             agents: request.agents.name().to_owned(),
             split: request.split.name().to_owned(),
@@ -112,6 +113,7 @@ impl DatasetWriter {
             difficulty,
             pack_hash,
             pack_mode,
+            drawing_version: drawing.number(),
             drawing_hash: folder::hash(worlds.specimen().pixels()),
         };
         Ok(DatasetWriter {

@@ -6,19 +6,39 @@
 
 use crate::diag::{Code, Diagnostic, json_error};
 use crate::files::{FileError, Folder, Output, Overwrite};
+use crate::render::DrawingVersion;
 use crate::task::vap::error::{DatasetError, Occupied};
 use serde::{Deserialize, Serialize};
 use sha2::{Digest, Sha256};
 use std::collections::BTreeMap;
 use std::ffi::OsStr;
 use std::io::ErrorKind;
+use std::ops::RangeInclusive;
 use std::path::{Path, PathBuf};
 
 /// The value of [`DatasetSettings::data`].
 pub(super) const DATA: &str = "logicity vap";
 
-/// The version of the format. It increases when a reader of the old version would misread the new one.
-pub(super) const VERSION: u32 = 3;
+/// The versions of the format. It increases when a reader of the old version would misread the new one: from version 4
+/// on, boxes may be loose.
+const VERSIONS: RangeInclusive<u32> = 3..=4;
+
+/// Returns the version of the format for pictures of a version. The first drawing version has a format without a field
+/// for it, so data sets with this version stay the same.
+pub(super) fn format_version(drawing: DrawingVersion) -> u32 {
+    match drawing {
+        DrawingVersion::V1 => 3,
+        DrawingVersion::V2 => 4,
+    }
+}
+
+fn first_drawing() -> u8 {
+    DrawingVersion::V1.number()
+}
+
+fn is_first_drawing(number: &u8) -> bool {
+    *number == first_drawing()
+}
 
 /// The file of a data set with its settings and worlds.
 pub const MANIFEST: &str = "manifest.json";
@@ -50,12 +70,15 @@ pub struct DatasetSettings {
     pub rules_hash: String,
     /// Whether there are pictures. Without pictures the boxes are the same.
     pub pictures: bool,
-    /// The difficulty of the icons in percent.
+    /// The difficulty of the pictures in percent.
     pub difficulty: u8,
     /// The hash of the icon pack.
     pub pack_hash: Option<String>,
     /// The mode of the icon pack.
     pub pack_mode: Option<String>,
+    /// The number of the [`DrawingVersion`]. Files of format 3 lack it; it is then 1.
+    #[serde(default = "first_drawing", skip_serializing_if = "is_first_drawing")]
+    pub drawing_version: u8,
     /// The SHA-256 of the pixels of [`Worlds::specimen`](crate::task::vap::Worlds::specimen). It changes with the
     /// drawing code.
     pub drawing_hash: String,
@@ -441,6 +464,8 @@ fn read_json<T: for<'de> Deserialize<'de>>(folder: &Folder, name: &str) -> Resul
     struct Version {
         data: String,
         version: u32,
+        #[serde(default = "first_drawing")]
+        drawing_version: u8,
     }
     let fail = |error: serde_json::Error| {
         let place = format!("line {}, column {}", error.line(), error.column());
@@ -448,11 +473,21 @@ fn read_json<T: for<'de> Deserialize<'de>>(folder: &Folder, name: &str) -> Resul
     };
     let text = folder.read_text(name)?;
     let parse = || {
-        let Version { data, version } = serde_json::from_str::<Versioned>(&text).map_err(fail)?.settings;
-        match data == DATA && version == VERSION {
+        let Version {
+            data,
+            version,
+            drawing_version,
+        } = serde_json::from_str::<Versioned>(&text).map_err(fail)?.settings;
+        let (first, last) = VERSIONS.into_inner();
+        if data != DATA || !VERSIONS.contains(&version) {
+            return Err(format!(
+                "a data set `{data}`, version {version}; this program reads versions {first} and {last}"
+            ));
+        }
+        match DrawingVersion::from_number(drawing_version).map(format_version) == Some(version) {
             true => serde_json::from_str(&text).map_err(fail),
             false => Err(format!(
-                "a data set `{data}`, version {version}; this program reads version {VERSION}"
+                "a data set of version {version} with drawing version {drawing_version}, which this program does not know"
             )),
         }
     };

@@ -26,7 +26,7 @@ use crate::city::{Cell, Heading};
 use crate::config::Scenario;
 use crate::datalog::Program;
 use crate::diag::{Code, Diagnostic};
-use crate::render::{Class, Facing, Icons, Picture, PixelBox, Placement, Renderer, Scale, Sprite, Viewport};
+use crate::render::{Class, Facing, Framing, Icons, Picture, PixelBox, Placement, Renderer, Scale, Sprite, Viewport};
 use crate::rng::{Purpose, Rng, RngExt, Seed};
 use crate::sim::{Facts, Settings, Simulation, Vocabulary, World};
 use std::collections::BTreeMap;
@@ -167,6 +167,8 @@ pub struct FrameAgent {
     pub facing: Facing,
     /// The instance of its class in the picture, from 0; less than [`Icons::instances`].
     pub instance: u32,
+    /// How the picture shows it.
+    pub framing: Option<Framing>,
     /// The action that the rules choose.
     pub action: Action,
 }
@@ -181,6 +183,7 @@ impl FrameAgent {
             at: self.at,
             facing: self.facing,
             instance: self.instance,
+            framing: self.framing,
             action: None,
         }
     }
@@ -194,7 +197,7 @@ impl Frame {
 }
 
 impl Worlds {
-    /// Prepares the common part of all worlds. The icons should have the seed [`icon_seed`].
+    /// Prepares the common part of all worlds. The icons should have the seed [`icon_seed`] and the same split.
     ///
     /// # Errors
     /// As [`World::new`] and [`Simulation::new`].
@@ -248,6 +251,7 @@ impl Worlds {
                 .enumerate()
                 .map(move |(turn, facing)| (place, turn, facing))
         };
+        let mut stream = Seed(self.seed(0)).stream(Purpose::LOOK, 0, TICKS);
         let agents = (0..classes.len())
             .flat_map(facings)
             .filter_map(|(place, turn, facing)| {
@@ -259,6 +263,7 @@ impl Worlds {
                     at: Cell::new(1 + 2 * turn as i32, 2 + 4 * place as i32),
                     facing,
                     instance: place as u32,
+                    framing: self.placement.icons().framing(&mut stream),
                     action: None,
                 })
             });
@@ -288,7 +293,8 @@ impl Worlds {
             // A frame shows the agents before they move, in the state of the decision.
             let agents = city.agents().iter().enumerate().map(|(index, agent)| {
                 let sprite = Sprite::of(agent, "", None);
-                let drawn: u32 = seed.stream(Purpose::LOOK, index as u64, tick).random();
+                let mut look = seed.stream(Purpose::LOOK, index as u64, tick);
+                let drawn: u32 = look.random();
                 FrameAgent {
                     name: agent.name(),
                     concepts: Arc::clone(&agent.concepts),
@@ -297,6 +303,7 @@ impl Worlds {
                     heading: agent.heading,
                     facing: sprite.facing,
                     instance: drawn % self.placement.icons().instances(&sprite.class()),
+                    framing: self.placement.icons().framing(&mut look),
                     action: Action::Stop,
                 }
             });
@@ -317,7 +324,7 @@ impl Worlds {
         Ok(frames)
     }
 
-    /// Returns the box of each agent of a frame in pixels; `None` outside the picture.
+    /// Returns the box of each agent of a frame in pixels, as [`Placement::boxes`]; `None` outside the picture.
     pub fn boxes(&self, frame: &Frame) -> Vec<Option<PixelBox>> {
         self.placement.boxes(&frame.sprites())
     }

@@ -120,7 +120,8 @@ pub const ENTITY_NUMBERS: [EntityColumn; 11] = [
     ),
     (
         "x",
-        "left edge of its box in the picture, in pixels; the whole box is null outside the picture",
+        "left edge of its box in the picture, in pixels; the box contains its icon and may be larger; the whole box is \
+         null outside the picture",
         |_, pixels| pixels.map(|pixels| pixels.x),
     ),
     ("y", "upper edge of the box, in pixels", |_, pixels| {
@@ -142,8 +143,8 @@ pub const ENTITY_NUMBERS: [EntityColumn; 11] = [
 /// The last column before the unary predicates.
 pub const VISIBLE: (&str, &str) = (
     "visible",
-    "fraction of its icon inside the picture that no icon drawn later covers, 0 to 1, without shadows; cars are drawn \
-     before pedestrians, both in order of `agent`; null outside the picture",
+    "fraction of its icon inside the picture that nothing drawn later covers, 0 to 1, without shadows; cars are drawn \
+     before pedestrians, both in order of `agent`, and then the things that hide agents; null outside the picture",
 );
 
 /// The columns that identify a row of the table of pairs, with their descriptions. The binary predicates follow them.
