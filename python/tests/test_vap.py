@@ -252,7 +252,7 @@ def test_invalid_data_sets_raise(own: Path, tmp_path: Path) -> None:
         VapDataset(own)
     manifest = (own / "manifest.json").read_text()
     for text, message in [
-        (manifest.replace('"version": 3', '"version": 2'), "version 2; this package reads version 3"),
+        (manifest.replace('"version": 4', '"version": 2'), "version 2; this package reads versions 3 and 4"),
         (manifest.replace('"logicity vap"', '"photographs"'), "a data set `photographs`"),
         ("{", "not a manifest"),
         ("[]", "not a manifest"),
@@ -726,15 +726,15 @@ class FewCars(VapDataset):
 
 def test_samples_without_cars_do_not_affect_training(hard: VapDataset, monkeypatch: pytest.MonkeyPatch) -> None:
     needs_torch()
-    from logicity.vap.network import train_network
+    from logicity.vap.training import train_on_facts
 
     def predictions(with_cars: range, epochs: int) -> list[int]:
-        learned: list[int] = train_network(FewCars(hard.folder, with_cars), hard, 0, epochs, lambda done: None).tolist()
-        return learned
+        learned = train_on_facts(FewCars(hard.folder, with_cars), hard, 0, epochs, lambda done: None)
+        return list(map(int, learned))
 
     # With only two samples with cars, some of three batches of 64 samples would have none.
     assert len(set(predictions(range(2), 20))) > 1
-    assert predictions(range(2), 20) != predictions(range(2), 0)
+    assert predictions(range(2), 20) != predictions(range(2), 1)
 
     for train, test in [(0, 2), (2, 0)]:
         with_cars = iter([range(train), range(test)])

@@ -39,7 +39,7 @@ def measure_baselines(
     """Measure three predictors on a data set. They do not use pictures.
 
     - `majority` predicts the most frequent action of `train`.
-    - `network` is trained on the facts of `train`. It passes two rounds of messages between entities in view.
+    - `network` is the paper's graph network (`GraphReasoner`), trained on the facts of `train`.
     - `rules` predicts the action that the rules derive from the facts, which is always correct in a valid data set.
 
     The tensors of both data sets are in memory at once. Each sample is padded to the number N of entities in the
@@ -62,7 +62,7 @@ def measure_baselines(
     """
     seed, epochs = checked_integer("seed", seed), checked_integer("epochs", epochs, 1)
     # Import PyTorch before reading the data sets, to fail early if it is missing.
-    from .network import train_network
+    from .training import train_on_facts
 
     train_set, test_set = VapDataset(train, images=False), VapDataset(test, images=False)
     if train_set.mode != test_set.mode:
@@ -73,7 +73,7 @@ def measure_baselines(
     frames = np.repeat(np.arange(len(test_set)), [int(sample.mask.sum()) for sample in test_set])
     majority = np.bincount(train_labels, minlength=len(ACTIONS)).argmax()
     with Progress("epoch", epochs) as progress:
-        learned = train_network(train_set, test_set, seed, epochs, progress.update)
+        learned = train_on_facts(train_set, test_set, seed, epochs, progress.update)
     predictions = {"majority": np.full_like(labels, majority), "network": learned, "rules": rule_actions(test_set)}
     return [
         BaselineResult(name, test_set.mode, vap_metrics(labels, predicted, frames))

@@ -8,7 +8,7 @@ from bisect import bisect_right
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
 from functools import lru_cache
-from itertools import accumulate
+from itertools import accumulate, pairwise
 from operator import index as as_index
 from pathlib import Path
 from typing import Any, NamedTuple, SupportsIndex, cast
@@ -43,8 +43,8 @@ BINARY = ("IsClose", "HigherPri", "CollidingClose", "LeftOf", "RightOf", "NextTo
 PICTURE_SIDE = _logicity.PICTURE_SIDE
 """The side length of a picture in pixels, 1024."""
 
-#: The supported version of the data set format.
-VERSION = 3
+#: The supported versions of the data set format. From version 4 on, boxes may be larger than icons.
+VERSIONS = (3, 4)
 
 
 @dataclass(frozen=True, eq=False)
@@ -198,6 +198,11 @@ class VapDataset(Sequence[VapSample]):
             mask=actions >= 0,
         )
 
+    def worlds(self) -> dict[int, range]:
+        """Return the positions of the samples of each world, by the number of the world."""
+        begins = [0, *self._ends]
+        return {world: range(*ends) for world, ends in zip(self._worlds, pairwise(begins), strict=True)}
+
     def picture_path(self, index: SupportsIndex) -> Path:
         """Return the path of a sample's picture, a PNG file."""
         tables, world, place = self._locate(index)
@@ -275,9 +280,10 @@ def _read_manifest(folder: Path) -> tuple[dict[str, Any], dict[int, int]]:
         data, version = settings["data"], settings["version"]
     except (KeyError, TypeError, ValueError) as error:
         raise ValueError(f"`{path}` is not a manifest of `logicity vap make`: {error!r}") from None
-    if (data, version) != ("logicity vap", VERSION):
+    if data != "logicity vap" or version not in VERSIONS:
         raise ValueError(
-            f"`{path}` belongs to a data set `{data}` of version {version}; this package reads version {VERSION}"
+            f"`{path}` belongs to a data set `{data}` of version {version}; "
+            f"this package reads versions {VERSIONS[0]} and {VERSIONS[1]}"
         )
     try:
         counts = {int(world["world"]): int(world["frames"]) for world in manifest["worlds"]}

@@ -1,0 +1,229 @@
+"""Perception: the truth values of predicates from pictures, boxes and headings. Needs the extra `vap`.
+
+A `ConceptModel` has three parts. The *appearance* part predicts unary predicates from what is inside a box. The
+*places* part predicts `IsAtInter` and `IsInInter` from a position: the map of all worlds is the same. The *pairs* part
+predicts binary predicates from two node vectors.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping, Sequence
+from typing import Annotated, Literal
+
+from pydantic import BaseModel, ConfigDict, Field
+
+from ..errors import missing_extra
+from .data import BINARY, PICTURE_SIDE, UNARY
+
+try:
+    import torch
+    from torch import Tensor, nn
+except ImportError as error:
+    raise missing_extra("vap", error) from error
+
+from .crops import as_images
+
+__all__ = ["RELATIONS", "ConceptModel", "ConceptSettings"]
+
+#: The binary predicates of the models: those of the paper and the field of view.
+RELATIONS = (*BINARY, "Sees")
+
+#: The unary predicates that a position determines; the others are classes.
+PLACES = ("IsAtInter", "IsInInter")
+CLASSES = tuple(name for name in UNARY if name not in PLACES)
+
+#: The number of pixels per cell of the map.
+CELL = 8
+
+#: The wavelengths of the Fourier features of positions in the picture and of relative positions, in cells.
+POSITION_WAVES = (128.0, 64.0, 32.0, 16.0, 8.0, 4.0, 2.0)
+RELATIVE_WAVES = (64.0, 32.0, 16.0, 8.0, 4.0, 2.0)
+
+#: The directions of the headings of node vectors in the picture: right and down. The order is left, right, up, down.
+DIRECTIONS = ((-1.0, 0.0), (1.0, 0.0), (0.0, -1.0), (0.0, 1.0))
+
+
+class ConceptSettings(BaseModel):
+    """The architecture of a `ConceptModel`."""
+
+    model_config = ConfigDict(extra="forbid", frozen=True, strict=True, use_attribute_docstrings=True)
+
+    perception: Literal["crops", "features", "sides"] = "crops"
+    """What the appearance part sees: crops of the boxes, stored features of a backbone, or only the sides of boxes."""
+    spatial: Literal["geometric", "plain"] = "geometric"
+    """The spatial parts: perceptrons on Fourier features and on relative positions in the frames of headings; or, as in
+    the paper, one of the widths 128 and 128 on concatenated node vectors, with all unary predicates from the appearance
+    part."""
+    priority: bool = False
+    """Whether all spatial parts see priorities, as in the paper. With fixed agents, a priority identifies an agent and
+    so its class. By default, only `HigherPri` sees them."""
+    width: Annotated[int, Field(ge=1)] = 16
+    """The number of channels of the first convolutions."""
+    features: Annotated[int, Field(ge=1)] = 512
+    """The number of stored features of a box."""
+
+
+class ConceptModel(nn.Module):
+    """Predicts the logits of all predicates of all entities.
+
+    Args:
+        settings: The architecture.
+    """
+
+    def __init__(self, settings: ConceptSettings) -> None:
+        """Create the parts."""
+        super().__init__()
+        self.settings = settings
+        plain = settings.spatial == "plain"
+        classes = len(UNARY) if plain else len(CLASSES)
+        self.appearance: nn.Module
+        if settings.perception == "crops":
+            self.appearance = CropNetwork(settings.width, classes)
+        elif settings.perception == "features":
+            self.appearance = feature_network(settings.features, classes)
+        else:
+            self.appearance = perceptron(6, (64, 64), classes)
+        node = 9 if settings.priority else 8
+        if plain:
+            # HigherPri needs priorities, so they are not left out.
+            self.pairs = perceptron(18, (128, 128), len(RELATIONS))
+        else:
+            self.places = perceptron(4 * len(POSITION_WAVES) + node - 4 + 2, (128, 128), len(PLACES))
+            width = 10 * len(RELATIVE_WAVES) + 9 + 2 * (node - 4) + 4
+            self.pairs = perceptron(width, (128, 64), len(RELATIONS) - 1)
+            self.higher = perceptron(1, (8,), 1)
+
+    def forward(self, batch: Mapping[str, Tensor]) -> tuple[Tensor, Tensor]:
+        """Return the logits of the unary and the binary predicates.
+
+        Args:
+            batch: `h` (B, N, 9) and `valid` (B, N) as in `collate`, and for the entities with `valid`, in their order,
+                `crops` uint8 (E, side, side, 3), or `features` (E, F), or neither, as the settings need.
+
+        Returns:
+            Logits of the shapes (B, N, 11) and (B, N, N, 7), in the orders of `UNARY` and `RELATIONS`.
+        """
+        nodes, valid = batch["h"], batch["valid"]
+        seen = self._appearance(batch)
+        logits = seen.new_zeros(*valid.shape, seen.shape[-1]).masked_scatter(valid[..., None], seen)
+        if self.settings.spatial == "plain":
+            return logits, self.pairs(_concatenated(nodes))
+        types = torch.sigmoid(logits[..., :2])
+        extra = nodes[..., 4:] if self.settings.priority else nodes[..., 4:8]
+        return self.spatial(nodes, extra, types, logits)
+
+    def spatial(self, nodes: Tensor, extra: Tensor, types: Tensor, logits: Tensor) -> tuple[Tensor, Tensor]:
+        """Return all logits, with those of the geometric parts."""
+        centers = (nodes[..., :2] + nodes[..., 2:4] / 2) * (PICTURE_SIDE / CELL)
+        places = self.places(torch.cat([waves(centers, POSITION_WAVES), extra, types], -1))
+        unary = torch.cat([logits, places], -1)
+        pairs = self.pairs(self._pair_features(centers, nodes[..., 4:8], extra, types))
+        priority = nodes[..., 8]
+        # A sharp step: the smallest difference of two normalized priorities is about 1 / 14.
+        higher = self.higher((priority[:, None, :] - priority[:, :, None])[..., None] * 10)
+        at = RELATIONS.index("HigherPri")
+        return unary, torch.cat([pairs[..., :at], higher, pairs[..., at:]], -1)
+
+    def _appearance(self, batch: Mapping[str, Tensor]) -> Tensor:
+        """Return the logits of the classes, (E, classes)."""
+        if self.settings.perception == "crops":
+            logits: Tensor = self.appearance(batch["crops"])
+        elif self.settings.perception == "features":
+            logits = self.appearance(batch["features"])
+        else:
+            # Sides of 48 pixels are 1. The heading says which side is the length.
+            nodes = batch["h"][batch["valid"]]
+            logits = self.appearance(torch.cat([nodes[:, 2:4] * (PICTURE_SIDE / 48), nodes[:, 4:8]], -1))
+        return logits
+
+    @staticmethod
+    def _pair_features(centers: Tensor, headings: Tensor, extra: Tensor, types: Tensor) -> Tensor:
+        """Return the features of each pair: the relative position in both frames, the distance, headings and types."""
+        count = centers.shape[1]
+        relative = centers[:, None, :, :] - centers[:, :, None, :]
+        directions = headings @ headings.new_tensor(DIRECTIONS)
+        # Forward and sideways parts of the other's position in the frame of the first and of the second entity. Both
+        # are 0 for an entity that has not moved yet.
+        own, other = _in_frame(relative, directions[:, :, None]), _in_frame(-relative, directions[:, None, :])
+        distance = relative.norm(dim=-1, keepdim=True)
+        angles = torch.cat([torch.atan2(each[..., 1:], each[..., :1]) for each in (own, other)], -1)
+        parts = torch.cat([own, other, distance], -1)
+        # The rows of an entity describe it as the first, the columns as the second of a pair.
+        nodes = torch.cat([extra, types], -1)
+        shape = (len(centers), count, count, nodes.shape[-1])
+        return torch.cat(
+            [
+                waves(parts, RELATIVE_WAVES),
+                torch.tanh(parts / 25),
+                angles,
+                torch.tanh(10 * angles),
+                nodes[:, :, None].expand(shape),
+                nodes[:, None].expand(shape),
+            ],
+            -1,
+        )
+
+
+class CropNetwork(nn.Module):
+    """Six convolutions on crops of boxes. On processors with bfloat16, training is several times faster with it.
+
+    Args:
+        width: The number of channels of the first convolutions. The last ones have four times as many.
+        outputs: The number of logits.
+    """
+
+    def __init__(self, width: int, outputs: int) -> None:
+        """Create the layers."""
+        super().__init__()
+        layers: list[nn.Module] = []
+        before = 3
+        for after, stride in ((width, 2), (width, 1), (2 * width, 2), (2 * width, 1), (4 * width, 2), (4 * width, 1)):
+            layers += [nn.Conv2d(before, after, 3, stride, 1, bias=False), nn.BatchNorm2d(after), nn.ReLU()]
+            before = after
+        self.layers = nn.Sequential(*layers).to(memory_format=torch.channels_last)
+        self.readout = nn.Linear(2 * before, outputs)
+
+    def forward(self, crops: Tensor) -> Tensor:
+        """Return logits of crops, uint8 (E, side, side, 3)."""
+        images = as_images(crops)
+        with torch.autocast(images.device.type, torch.bfloat16):
+            maps = self.layers(images)
+        maps = maps.float()
+        result: Tensor = self.readout(torch.cat([maps.mean((2, 3)), maps.amax((2, 3))], -1))
+        return result
+
+
+def feature_network(inputs: int, outputs: int) -> nn.Sequential:
+    """Return the paper's head of region features: 512-256-128 with batch normalization and dropout."""
+    layers: list[nn.Module] = []
+    for before, after in ((inputs, 512), (512, 256), (256, 128)):
+        layers += [nn.Linear(before, after), nn.BatchNorm1d(after), nn.ReLU(), nn.Dropout(0.1)]
+    return nn.Sequential(*layers, nn.Linear(128, outputs))
+
+
+def perceptron(inputs: int, widths: Sequence[int], outputs: int) -> nn.Sequential:
+    """Return a perceptron with ReLU."""
+    layers: list[nn.Module] = []
+    for before, after in zip((inputs, *widths), widths, strict=False):
+        layers += [nn.Linear(before, after), nn.ReLU()]
+    return nn.Sequential(*layers, nn.Linear(widths[-1], outputs))
+
+
+def waves(values: Tensor, wavelengths: Sequence[float]) -> Tensor:
+    """Return sines and cosines of values, (..., C), at each wavelength: (..., 2 C W)."""
+    phases = values[..., None] * (2 * math.pi / values.new_tensor(wavelengths))
+    return torch.cat([phases.sin(), phases.cos()], -1).flatten(-2)
+
+
+def _in_frame(relative: Tensor, directions: Tensor) -> Tensor:
+    """Return the parts of positions along directions and at right angles to them, to the right."""
+    forward = (relative * directions).sum(-1)
+    sideways = relative[..., 1] * directions[..., 0] - relative[..., 0] * directions[..., 1]
+    return torch.stack([forward, sideways], -1)
+
+
+def _concatenated(nodes: Tensor) -> Tensor:
+    count = nodes.shape[1]
+    shape = (len(nodes), count, count, nodes.shape[-1])
+    return torch.cat([nodes[:, :, None].expand(shape), nodes[:, None].expand(shape)], -1)

@@ -1,0 +1,68 @@
+"""Crops of the boxes of agents, the default input of the perception. Needs the extra `vap`."""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+from numpy.typing import NDArray
+
+from ..errors import missing_extra
+from .data import PICTURE_SIDE, VapDataset
+
+try:
+    import torch
+    from torch import Tensor, nn
+except ImportError as error:
+    raise missing_extra("vap", error) from error
+
+__all__ = ["CROP_SIDE", "crop_boxes", "crop_samples"]
+
+CROP_SIDE = 48
+"""The side length of a crop in pixels."""
+
+
+def crop_boxes(image: NDArray[np.uint8], boxes: NDArray[np.float32], side: int = CROP_SIDE) -> NDArray[np.uint8]:
+    """Cut the boxes out of a picture, and scale each to a square.
+
+    Boxes are cut at whole pixels that contain them, and at the edges of the picture. Scaling interpolates linearly and
+    averages over the pixels that a smaller crop merges.
+
+    Args:
+        image: uint8 (rows, columns, 3).
+        boxes: float (N, 4): left edge, upper edge, width and height in pixels, as in `VapSample.boxes`. Boxes with NaN
+            are outside the picture.
+        side: The side length of the crops in pixels.
+
+    Returns:
+        uint8 (N, side, side, 3), zeros for boxes outside the picture.
+    """
+    crops = np.zeros((len(boxes), side, side, 3), np.uint8)
+    rows, columns = image.shape[:2]
+    pixels = torch.from_numpy(image).permute(2, 0, 1)
+    for crop, (left, top, width, height) in zip(crops, boxes.tolist(), strict=True):
+        if math.isnan(left):
+            continue
+        first_row, first_column = max(0, math.floor(top)), max(0, math.floor(left))
+        last_row, last_column = min(rows, math.ceil(top + height)), min(columns, math.ceil(left + width))
+        if first_row >= last_row or first_column >= last_column:
+            continue
+        part = pixels[None, :, first_row:last_row, first_column:last_column]
+        scaled = nn.functional.interpolate(part, (side, side), mode="bilinear", antialias=True)
+        crop[:] = scaled[0].permute(1, 2, 0).numpy()
+    return crops
+
+
+def crop_samples(samples: VapDataset, indices: range) -> NDArray[np.uint8]:
+    """Return the crops of all entities of some samples, (E, side, side, 3), in the order of samples and entities."""
+    picture = np.empty((PICTURE_SIDE, PICTURE_SIDE, 3), np.uint8)
+    crops = []
+    for index in indices:
+        samples.read_picture(index, picture)
+        crops.append(crop_boxes(picture, samples.facts(index).boxes))
+    return np.concatenate(crops) if crops else np.zeros((0, CROP_SIDE, CROP_SIDE, 3), np.uint8)
+
+
+def as_images(crops: Tensor) -> Tensor:
+    """Convert crops, uint8 (N, side, side, 3), to float (N, 3, side, side) around 0, in the format channels_last."""
+    return (crops.permute(0, 3, 1, 2).float() - 127.5) / 64.0

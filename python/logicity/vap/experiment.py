@@ -1,0 +1,712 @@
+"""Experiments of Visual Action Prediction, from a YAML file with `task: vap`. Needs the extras `learn` and `vap`.
+
+A cell makes its data, trains one model, and measures it on the fixed test worlds. Its stages:
+
+| stage | what it trains | what predicts actions |
+|---|---|---|
+| `concepts` | a `ConceptModel`, on the truth values of predicates | the rules on the predicted concepts |
+| `reasoning` | a reasoner on the concepts that the cell `start` predicts, or on the true ones | the reasoner |
+| `end-to-end` | a `ConceptModel` and a reasoner together, on actions only | both |
+| `induction` | rules, on thresholded concepts that the cell `start` predicts | the learned rules |
+"""
+
+from __future__ import annotations
+
+import hashlib
+import json
+import os
+import platform
+import tempfile
+import time
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from dataclasses import dataclass
+from functools import cache
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated, Any, Literal, cast
+
+import numpy as np
+from pydantic import BaseModel, ConfigDict, Field, ValidationError
+
+from .. import _logicity
+from .._logicity import __version__
+from ..city import ACTIONS, Inference
+from ..errors import did_you_mean, missing_extra
+from ..files import write_json
+from ..learn.cells import Job
+from ..learn.config import faults, merged
+from ..learn.experiment import Selection, read_experiment
+from ..rules import Program
+from .data import BINARY, UNARY
+from .features import DataSpec, prepared
+from .metrics import vap_metrics
+
+try:
+    import torch
+    from torch import Tensor
+except ImportError as error:
+    raise missing_extra("vap", error) from error
+
+from .concepts import RELATIONS, ConceptModel, ConceptSettings
+from .reasoners import make_reasoner
+from .soft_rules import SoftRules
+from .training import (
+    Budget,
+    Samples,
+    concept_loss,
+    concept_recall,
+    end_to_end_loss,
+    fit,
+    groundings,
+    predict_actions,
+    reasoning_loss,
+    save,
+)
+
+if TYPE_CHECKING:
+    from .report import VapReport
+
+__all__ = ["VapCell", "VapExperiment", "VapSettings", "run_cell"]
+
+#: The version of the format of the files of a cell.
+FORMAT = 1
+
+_Model = ConfigDict(extra="forbid", frozen=True, strict=True, use_attribute_docstrings=True)
+_Seed = Annotated[int, Field(ge=0, lt=2**32)]
+_Worlds = Annotated[int, Field(ge=1, le=100_000)]
+
+
+class Worlds(BaseModel):
+    """The numbers of worlds, of 89 pictures each."""
+
+    model_config = _Model
+
+    train: _Worlds = 30
+    """For training."""
+    val: _Worlds = 5
+    """For the choice of the best epoch."""
+    test: _Worlds = 20
+    """For the test, always with the fixed agents. The paper has 20."""
+
+
+class VapSettings(BaseModel):
+    """The settings of a cell."""
+
+    model_config = _Model
+
+    stage: Literal["concepts", "reasoning", "end-to-end", "induction"] = "concepts"
+    """What is trained, see the module."""
+    agents: Literal["fixed", "random"] = "random"
+    """The agents of the worlds for training and validation."""
+    worlds: Worlds = Worlds()
+    """The numbers of worlds."""
+    difficulty: Annotated[int, Field(ge=0, le=100)] = 50
+    """The difficulty of the pictures for training and validation, in percent."""
+    test_difficulty: Annotated[int, Field(ge=0, le=100)] | None = None
+    """The difficulty of the test pictures. By default that of training."""
+    drawing_version: Literal[1, 2] = 2
+    """The version of the drawing code, see `logicity.vap.make_dataset`."""
+    data_seed: _Seed = 0
+    """The seed of the worlds."""
+    fraction: Annotated[float, Field(gt=0, le=1)] = 1.0
+    """The part of the training samples that is used. The seed of the cell draws it."""
+    concepts: ConceptSettings = ConceptSettings()
+    """The architecture of the perception."""
+    weights: str | None = None
+    """For `perception: features`, the file of the backbone's weights."""
+    reasoner: Literal["gnn", "nlm"] = "gnn"
+    """The reasoner."""
+    groundings: Literal["predicted", "exact"] = "predicted"
+    """The truth values on which a reasoner is trained and tested."""
+    training: Budget = Budget()
+    """How long and how to train."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class VapCell(Job):
+    """A cell of an experiment of Visual Action Prediction.
+
+    Attributes:
+        settings: The settings.
+    """
+
+    settings: VapSettings
+
+    @property
+    def steps(self) -> int:
+        """The number of epochs."""
+        return 1 if self.settings.stage == "induction" else self.settings.training.epochs
+
+    def spec(self) -> dict[str, Any]:
+        """Return what determines the result of the cell."""
+        return {
+            "format": FORMAT,
+            "version": __version__,
+            "mode": self.mode,
+            "seed": self.seed,
+            "settings": self.settings.model_dump(mode="json"),
+            "rules": _rules_hash(self.mode),
+            "start": None if self.start is None else self.start.identity,
+        }
+
+    def document(self, root: Path) -> dict[str, Any]:
+        """Return the content of `cell.json`. Experiments beside each other share their data."""
+        return {"task": "vap", "spec": self.spec(), "data": str(root.resolve().parent / "vap-data")}
+
+    def model(self, root: Path) -> Path:
+        """Return the file of the model."""
+        return self.folder(root) / "model.pt"
+
+    def headline(self, measured: Mapping[str, Any]) -> str:
+        """Return the weighted accuracy of the first predictor."""
+        name, evaluation = next(iter(measured["evaluations"].items()))
+        return f"wAcc {evaluation['w_acc']:.3f}{f' ({name})' if name else ''}"
+
+
+class Row(BaseModel):
+    """A row of the table: a model with its settings."""
+
+    model_config = _Model
+
+    settings: dict[str, Any] = Field(default_factory=dict)
+    """The settings."""
+    start: str | None = None
+    """The row from whose model, of the same mode, variant and seed, the training starts."""
+    modes: Annotated[tuple[str, ...], Field(strict=False, min_length=1)] | None = None
+    """The modes; by default those of the experiment."""
+    variants: Annotated[tuple[str, ...], Field(strict=False, min_length=1)] | None = None
+    """The variants; by default all."""
+    paper: str | None = None
+    """The name of the paper's row. By default that of the row."""
+    quick: dict[str, Any] = Field(default_factory=dict)
+    """Changes to the settings for `--quick`."""
+    hidden: bool = False
+    """Whether tables omit the row."""
+
+
+class Variant(BaseModel):
+    """A variant of every row."""
+
+    model_config = _Model
+
+    settings: dict[str, Any] = Field(default_factory=dict)
+    """Changes to the settings."""
+    mode: Literal["easy", "hard"] | None = None
+    """The mode of the worlds and rules, instead of that of the column."""
+    start: str | None = None
+    """The variant from whose models, of the same row and seed, the training starts, with the concepts and the reasoner
+    of that model."""
+    hidden: bool = False
+    """Whether tables omit the variant."""
+    group: str | None = None
+    """The line of the figure to which the variant belongs."""
+    x: float | None = None
+    """The place on that line."""
+
+
+class VapExperiment(BaseModel):
+    """An experiment of Visual Action Prediction: what `logicity experiment` runs."""
+
+    model_config = _Model
+
+    task: Literal["vap"]
+    """The task."""
+    title: str
+    """The title of the table."""
+    paper: str | None = None
+    """The table of the paper beside which the results are shown."""
+    learners: Annotated[dict[str, Row], Field(min_length=1)]
+    """The rows, each after the row that it starts from."""
+    modes: Annotated[tuple[Literal["easy", "hard"], ...], Field(strict=False, min_length=1)]
+    """The modes: the rules and the agents."""
+    seeds: Annotated[tuple[_Seed, ...], Field(strict=False, min_length=1)] = (0,)
+    """The seeds."""
+    variants: Annotated[dict[str, Variant], Field(min_length=1)] = Field(default_factory=lambda: {"": Variant()})
+    """The variants of every row."""
+    settings: dict[str, Any] = Field(default_factory=dict)
+    """Changes to the settings of every row."""
+    quick: dict[str, Any] = Field(default_factory=dict)
+    """Changes to the settings of every row for `--quick`."""
+    x: str = "x"
+    """The label of the horizontal axis of the figure with lines."""
+
+    @classmethod
+    def load(cls, name: str | os.PathLike[str]) -> tuple[VapExperiment, Path]:
+        """Read a YAML file.
+
+        Args:
+            name: The file, or the bare name of a built-in experiment such as `vap`.
+
+        Returns:
+            The experiment, and the path of its file.
+
+        Raises:
+            InputError: If the file is not YAML, has an unknown key or invalid value, or lacks a key.
+            OSError: If the file cannot be read.
+        """
+        path, file, values = read_experiment(name)
+        try:
+            experiment = cls.model_validate(values)
+        except ValidationError as error:
+            raise file.error(faults(error, _unknown, depth=3)) from None
+        wrong = list(experiment._faults())
+        if wrong:
+            raise file.error(wrong)
+        return experiment, path
+
+    def _faults(self) -> Iterator[tuple[str, list[str], str, str]]:
+        """Yield the errors in the names of rows, modes and variants, and in settings."""
+        known: list[str] = []
+        for row, spec in self.learners.items():
+            if spec.start is not None and spec.start not in known:
+                message = f"`{row}` starts from `{spec.start}`, which is no row before it"
+                yield "invalid-value", ["learners", row, "start"], message + did_you_mean(spec.start, known), ""
+            for mode in spec.modes or ():
+                if mode not in self.modes:
+                    yield "invalid-value", ["learners", row, "modes"], f"unknown mode `{mode}`", ""
+            for name in spec.variants or ():
+                if name not in self.variants:
+                    message = f"unknown variant `{name}`{did_you_mean(name, self.variants)}"
+                    yield "invalid-value", ["learners", row, "variants"], message, ""
+            known.append(row)
+        for name, variant in self.variants.items():
+            if variant.start is not None and (
+                variant.start not in self.variants or self.variants[variant.start].start is not None
+            ):
+                yield "invalid-value", ["variants", name, "start"], f"unknown variant `{variant.start}`", ""
+        for row, spec in self.learners.items():
+            for name in spec.variants or self.variants:
+                try:
+                    self._settings(row, self.variants.get(name, Variant()), Selection())
+                except ValidationError as error:
+                    first = error.errors()[0]
+                    where = ".".join(map(str, first["loc"]))
+                    yield "invalid-value", ["learners", row], f"setting `{where}`: {first['msg']}", ""
+                    break
+
+    def _settings(self, row: str, variant: Variant, selection: Selection) -> VapSettings:
+        spec = self.learners[row]
+        parts: list[Mapping[str, Any]] = [self.settings, spec.settings, variant.settings]
+        if selection.quick:
+            parts += [self.quick, spec.quick]
+        values: dict[str, Any] = {}
+        for part in (*parts, selection.changes):
+            values = merged(values, part)
+        return VapSettings.model_validate(values)
+
+    def cells(self, file: Path, selection: Selection) -> list[VapCell]:
+        """Return the selected cells, and those that they start from, each after the cell that it starts from.
+
+        Args:
+            file: The file of the experiment.
+            selection: The cells to return, and changes to them.
+
+        Raises:
+            ValueError: If the selection names an unknown row or mode, or a change is invalid.
+        """
+        for row, mode in selection.only:
+            if row not in self.learners:
+                raise ValueError(f"--only: unknown learner `{row}`{did_you_mean(row, self.learners)}")
+            modes = self.learners[row].modes or self.modes
+            if mode is not None and mode not in modes:
+                raise ValueError(f"--only: `{row}` has no mode `{mode}`{did_you_mean(mode, modes)}")
+        seeds = selection.seeds or (self.seeds[:1] if selection.quick else self.seeds)
+        found: dict[tuple[str, str, str, int], VapCell] = {}
+        for row, spec in self.learners.items():
+            for mode in spec.modes or self.modes:
+                if not selection.only or (row, None) in selection.only or (row, mode) in selection.only:
+                    for variant in spec.variants or self.variants:
+                        for seed in seeds:
+                            self._add(found, (row, mode, variant, seed), selection)
+        return list(found.values())
+
+    def _add(
+        self, found: dict[tuple[str, str, str, int], VapCell], key: tuple[str, str, str, int], selection: Selection
+    ) -> VapCell:
+        """Add a cell after the one that it starts from."""
+        if key in found:
+            return found[key]
+        row, mode, name, seed = key
+        spec, variant = self.learners[row], self.variants[name]
+        start: VapCell | None = None
+        if variant.start is not None:
+            start = self._add(found, (row, mode, variant.start, seed), selection)
+        elif spec.start is not None:
+            start = self._add(found, (spec.start, mode, name, seed), selection)
+        try:
+            settings = self._settings(row, variant, selection)
+        except ValidationError as error:
+            first = error.errors()[0]
+            where = ".".join(map(str, first["loc"]))
+            raise ValueError(f"--set: setting `{where}` of `{row}`: {first['msg']}") from None
+        found[key] = VapCell(
+            row=row,
+            mode=variant.mode or mode,
+            variant=name,
+            seed=seed,
+            settings=settings,
+            start=start,
+            hidden=spec.hidden or variant.hidden,
+        )
+        return found[key]
+
+    def report(self, cells: Sequence[Job], root: Path, failed: Mapping[str, str]) -> VapReport:
+        """Return the results of cells, see `VapReport`."""
+        from .report import VapReport
+
+        return VapReport(self, cast(Sequence[VapCell], cells), root, failed)
+
+    def submit(self, file: Path, cells: Sequence[Job], root: Path, results: Path) -> Iterator[str]:
+        """Write rows of the published results, see `report.submit`."""
+        from .report import submit
+
+        return submit(self, file, cast(Sequence[VapCell], cells), root, results)
+
+
+def _unknown(path: tuple[str, ...]) -> tuple[str, str]:
+    """Return the message and the help for an unknown key."""
+    models: dict[str, type[BaseModel]] = {"learners": Row, "variants": Variant}
+    model = VapExperiment if len(path) == 1 else models[path[0]]
+    return f"unknown key `{path[-1]}`", did_you_mean(path[-1], model.model_fields).removeprefix("; ")
+
+
+@cache
+def _rules_hash(mode: str) -> str:
+    """Return the SHA-256 of the configuration of a mode and its rules, with all their files.
+
+    The names of the files depend on the working directory, and are left out.
+    """
+    files = Inference(f"configs/vap-{mode}.yaml")._inference.files()
+    return hashlib.sha256(json.dumps(sorted(files.values())).encode()).hexdigest()
+
+
+# --- running a cell
+
+
+@dataclass
+class Work:
+    """What a cell works with.
+
+    Attributes:
+        mode: The mode.
+        seed: The seed.
+        settings: The settings.
+        folder: The folder of the cell.
+        data: The folder for data sets.
+        report: Receives the number of finished epochs.
+    """
+
+    mode: Literal["easy", "hard"]
+    seed: int
+    settings: VapSettings
+    folder: Path
+    data: Path
+    report: Callable[[int], None] | None
+
+    @property
+    def checkpoint(self) -> Path:
+        """The file of the checkpoint."""
+        return self.folder / "checkpoint.pt"
+
+    def samples(self, split: Literal["train", "val", "test"]) -> Samples:
+        """Return the samples of a split, made if they do not exist."""
+        settings = self.settings
+        pictures = settings.groundings == "predicted" or settings.stage != "reasoning"
+        kinds: dict[str, Any] = {"crops": "crops", "features": "resnet50", "sides": None}
+        kind = kinds[settings.concepts.perception] if pictures else None
+        test = split == "test" and settings.test_difficulty is not None
+        spec = DataSpec(
+            mode=self.mode,
+            split=split,
+            agents="fixed" if split == "test" else settings.agents,
+            worlds=getattr(settings.worlds, split),
+            difficulty=cast(int, settings.test_difficulty) if test else settings.difficulty,
+            drawing_version=settings.drawing_version,
+            seed=settings.data_seed,
+            kind=kind,
+            weights=settings.weights,
+        )
+        tables, features = prepared(spec, self.data, f"{__version__} {_rules_hash(self.mode)}")
+        name = settings.concepts.perception
+        samples = Samples.load(tables, {} if features is None else {name: features})
+        return samples.subset(settings.fraction, self.seed) if split == "train" and settings.fraction < 1 else samples
+
+    def rules(self) -> SoftRules:
+        """Return the rules of the mode."""
+        return SoftRules(Program.load(f"rules/vap-{self.mode}.dl"))
+
+    def concepts(self) -> ConceptModel:
+        """Return a concept model with random weights, which the seed determines."""
+        with torch.random.fork_rng(devices=[]):
+            torch.manual_seed(self.seed)
+            return ConceptModel(self.settings.concepts)
+
+    def reasoner(self) -> torch.nn.Module:
+        """Return a reasoner with random weights, which the seed determines."""
+        with torch.random.fork_rng(devices=[]):
+            torch.manual_seed(self.seed)
+            return make_reasoner(self.settings.reasoner)
+
+    def started(self) -> dict[str, Any]:
+        """Return the model that the cell starts from, or an empty one."""
+        path = self.folder / "start.pt"
+        return torch.load(path, weights_only=True) if path.exists() else {}
+
+
+#: What a stage returns: the model, and the history of its training.
+Trained = tuple[dict[str, Any], list[dict[str, float]]]
+
+
+def run_cell(
+    folder: Path, report: Callable[[int], None] | None = None, *, progress: bool = False, wandb: str | None = None
+) -> dict[str, Any]:
+    """Run the cell that `prepare` wrote to a folder, or resume it from its last checkpoint.
+
+    The arguments are those of `logicity.learn.cells.run_cell`. Nothing is sent to Weights & Biases.
+
+    Returns:
+        The content of `measured.json`: the identity, the result of the training, the measures of each predictor, and
+        the recalls of concepts.
+
+    Raises:
+        OSError: If a file cannot be read or written.
+        ValueError: If the model to start from does not fit.
+    """
+    if wandb is not None:
+        raise ValueError("--wandb: experiments of Visual Action Prediction send no curves")
+    document = json.loads((folder / "cell.json").read_text(encoding="utf-8"))
+    spec = document["spec"]
+    data = Path(document["data"])
+    if not data.parent.is_dir():
+        # Another machine of a cluster makes its own data.
+        data = Path(tempfile.gettempdir()) / "logicity-vap-data"
+    work = Work(spec["mode"], spec["seed"], VapSettings.model_validate(spec["settings"]), folder, data, report)
+    torch.set_num_threads(1)
+    begun = time.process_time()
+    stages = {
+        "concepts": _train_concepts,
+        "reasoning": _train_reasoner,
+        "end-to-end": _train_end_to_end,
+        "induction": _induce,
+    }
+    model, history = stages[work.settings.stage](work)
+    save(model, folder / "model.pt")
+    evaluations, concepts = _measured(work, model)
+    trained = sum(each["cpu_seconds"] for each in history)
+    measured = {
+        "identity": document["identity"],
+        "result": {
+            "settings": spec["settings"],
+            "seed": spec["seed"],
+            # Epochs before an interruption took their time in another process.
+            "cpu_seconds": round(max(time.process_time() - begun, trained), 1),
+            "versions": {"logicity": __version__, "torch": torch.__version__, "python": platform.python_version()},
+            "hashes": {"rules": spec["rules"]},
+            "model_sha256": hashlib.sha256((folder / "model.pt").read_bytes()).hexdigest(),
+            "history": [{name: each[name] for name in ("loss", "score")} for each in history],
+        },
+        "evaluations": evaluations,
+        "concepts": concepts,
+    }
+    write_json(folder / "measured.json", measured, overwrite=True)
+    work.checkpoint.unlink(missing_ok=True)
+    return measured
+
+
+def measure_again(cell: VapCell, root: Path) -> tuple[dict[str, Any], dict[str, Any]]:
+    """Return the measures of the model of a finished cell on the test worlds, as `measured.json` has them.
+
+    Raises:
+        OSError: If a file cannot be read or written.
+    """
+    data = Path(cell.document(root)["data"])
+    work = Work(cast(Literal["easy", "hard"], cell.mode), cell.seed, cell.settings, cell.folder(root), data, None)
+    return _measured(work, torch.load(cell.model(root), weights_only=True))
+
+
+def _measured(work: Work, model: dict[str, Any]) -> tuple[dict[str, Any], dict[str, Any]]:
+    """Return the measures of each predictor, and the recalls of concepts."""
+    test = work.samples("test")
+    actions, atoms = predict(work, model, test)
+    concepts = {} if atoms is None else concept_recall(*atoms, test)
+    return {name: evaluation(predicted, test) for name, predicted in actions.items()}, concepts
+
+
+def predict(
+    work: Work, model: dict[str, Any], samples: Samples
+) -> tuple[dict[str, Tensor], tuple[Tensor, Tensor] | None]:
+    """Return the predicted actions, int64 (B, N), by predictor, and the probabilities of concepts that were trained.
+
+    Args:
+        work: What the cell works with.
+        model: The content of `model.pt`.
+        samples: The samples.
+    """
+    stage, valid = work.settings.stage, samples.facts["valid"]
+    atoms = _groundings(work, model, samples)
+    if stage == "concepts":
+        return _by_rules(work.rules(), *atoms, samples), atoms
+    if stage == "induction":
+        return _by_rules(SoftRules(Program(model["rules"])), *atoms, samples), None
+    reasoner = work.reasoner()
+    reasoner.load_state_dict(model["reasoner"])
+    return {"": predict_actions(reasoner, *atoms, valid)}, None
+
+
+def evaluation(predicted: Tensor, samples: Samples) -> dict[str, Any]:
+    """Return the measures of predicted actions, int64 (B, N): the paper's, and for each world what intervals need."""
+    cars = samples.facts["mask"].numpy()
+    actual, chosen = samples.facts["actions"].numpy(), predicted.numpy()
+    frames = np.broadcast_to(np.arange(len(cars))[:, None], cars.shape)
+    metrics = vap_metrics(actual[cars], chosen[cars], frames[cars])
+    worlds = []
+    of_frame = samples.facts["world"].numpy()
+    hits = (actual == chosen) & cars
+    with_cars = cars.any(1)
+    share = hits.sum(1) / np.maximum(cars.sum(1), 1)
+    for world in np.unique(of_frame):
+        own = of_frame == world
+        worlds.append(
+            {
+                "world": int(world),
+                "frames": int((own & with_cars).sum()),
+                "a_acc": round(float(share[own & with_cars].sum()), 6),
+                "counts": np.bincount(actual[own][cars[own]], minlength=len(ACTIONS)).tolist(),
+                "correct": np.bincount(actual[own][hits[own]], minlength=len(ACTIONS)).tolist(),
+            }
+        )
+    return {"recall": dict(metrics.recall), "a_acc": metrics.a_acc, "w_acc": metrics.w_acc, "worlds": worlds}
+
+
+def _score(predicted: Tensor, samples: Samples) -> float:
+    """Return the mean recall over the actions that occur, which chooses the best epoch."""
+    recall = evaluation(predicted, samples)["recall"]
+    return float(np.mean(list(recall.values())))
+
+
+def _by_rules(rules: SoftRules, unary: Tensor, binary: Tensor, samples: Samples) -> dict[str, Tensor]:
+    """Return the actions of the rules on thresholded facts, and on probabilities."""
+    valid = samples.facts["valid"]
+    facts = ((unary > 0.5).float(), (binary > 0.5).float())
+    return {
+        "threshold": rules.degrees(*facts, valid, "max-min").argmax(-1),
+        "product": rules.degrees(unary, binary, valid, "product").argmax(-1),
+    }
+
+
+def _train_concepts(work: Work) -> Trained:
+    """Train a concept model."""
+    train, val, budget = work.samples("train"), work.samples("val"), work.settings.training
+    model = work.concepts()
+    if start := work.started():
+        model.load_state_dict(start["concepts"])
+    rules = work.rules()
+
+    def score() -> float:
+        return _score(_by_rules(rules, *groundings(model, val), val)["threshold"], val)
+
+    loss = concept_loss(model, train, budget.class_power)
+    history = fit(model, loss, len(train), budget, work.seed, score, work.checkpoint, work.report)
+    return {"concepts": model.state_dict()}, history
+
+
+def _groundings(work: Work, model: dict[str, Any], samples: Samples) -> tuple[Tensor, Tensor]:
+    """Return the true groundings, or those that the concept model predicts from which a cell starts."""
+    if work.settings.groundings == "exact":
+        return samples.facts["unary"].float(), samples.relations.float()
+    if "concepts" not in model:
+        raise ValueError("`groundings: predicted` needs the concepts of another row: set its `start`")
+    concepts = work.concepts()
+    concepts.load_state_dict(model["concepts"])
+    return groundings(concepts, samples)
+
+
+def _train_reasoner(work: Work) -> Trained:
+    """Train a reasoner on given concepts, which stay as they are."""
+    train, val, budget = work.samples("train"), work.samples("val"), work.settings.training
+    start = work.started()
+    reasoner = work.reasoner()
+    if "reasoner" in start:
+        reasoner.load_state_dict(start["reasoner"])
+    unary, binary = _groundings(work, start, train)
+    of_val = _groundings(work, start, val)
+
+    def score() -> float:
+        return _score(predict_actions(reasoner, *of_val, val.facts["valid"]), val)
+
+    loss = reasoning_loss(reasoner, unary, binary, train, budget.class_power)
+    history = fit(reasoner, loss, len(train), budget, work.seed, score, work.checkpoint, work.report)
+    return {**{name: start[name] for name in start if name == "concepts"}, "reasoner": reasoner.state_dict()}, history
+
+
+def _train_end_to_end(work: Work) -> Trained:
+    """Train a concept model and a reasoner together, on actions only."""
+    train, val, budget = work.samples("train"), work.samples("val"), work.settings.training
+    both = torch.nn.ModuleDict({"concepts": work.concepts(), "reasoner": work.reasoner()})
+    concepts, reasoner = cast(ConceptModel, both["concepts"]), both["reasoner"]
+    if start := work.started():
+        for name, part in both.items():
+            part.load_state_dict(start[name])
+
+    def score() -> float:
+        return _score(predict_actions(reasoner, *groundings(concepts, val), val.facts["valid"]), val)
+
+    loss = end_to_end_loss(concepts, reasoner, train, budget.class_power)
+    history = fit(both, loss, len(train), budget, work.seed, score, work.checkpoint, work.report)
+    return {name: part.state_dict() for name, part in both.items()}, history
+
+
+def _induce(work: Work) -> Trained:
+    """Learn rules from thresholded concepts and actions, with wrong examples."""
+    start = work.started()
+    train = work.samples("train")
+    unary, binary = _groundings(work, start, train)
+    scenes, learned = work.folder / "scenes.jsonl", work.folder / "learned.dl"
+    with open(scenes, "w", encoding="utf-8") as out:
+        for scene in scenes_of(unary > 0.5, binary > 0.5, train):
+            out.write(json.dumps(scene) + "\n")
+    options = ["--config", f"configs/vap-{work.mode}.yaml", "--noise", "auto", "--threads", "1", "--force"]
+    command = ["induce", str(scenes), *options, "--seed", str(work.seed), "-o", str(learned)]
+    code, _, _ = _logicity.run_command_line(command)
+    if code:
+        raise ValueError(f"`logicity {' '.join(command)}` failed")
+    scenes.unlink()
+    if work.report is not None:
+        work.report(1)
+    return {"concepts": start["concepts"], "rules": learned.read_text(encoding="utf-8")}, []
+
+
+def scenes_of(unary: Tensor, binary: Tensor, samples: Samples) -> Iterator[dict[str, Any]]:
+    """Yield a labeled scene for each car: the entities in its view, their facts, and its action.
+
+    Args:
+        unary: bool (B, N, 11), the facts of `UNARY`.
+        binary: bool (B, N, N, 7), those of `RELATIONS`.
+        samples: The samples, which have the actions.
+    """
+    truths, pairs = unary.numpy(), binary.numpy()
+    at = RELATIONS.index("Sees")
+    for frame, (cars, valid, actions) in enumerate(
+        zip(
+            samples.facts["mask"].numpy(), samples.facts["valid"].numpy(), samples.facts["actions"].numpy(), strict=True
+        )
+    ):
+        for car in np.flatnonzero(cars):
+            others = np.flatnonzero(valid & pairs[frame, car, :, at])
+            seen = [int(car), *(int(other) for other in others if other != car)]
+            yield {
+                "entities": [f"e{entity}" for entity in seen],
+                "ego": f"e{car}",
+                "facts": facts_of(truths[frame], pairs[frame], seen),
+                "actions": {f"e{car}": ACTIONS[actions[car]]},
+            }
+
+
+def facts_of(unary: np.ndarray[Any, Any], binary: np.ndarray[Any, Any], seen: Sequence[int]) -> dict[str, list[Any]]:
+    """Return the facts of some entities of a sample, as scenes have them. Every entity sees itself."""
+    facts: dict[str, list[Any]] = {
+        name: [f"e{entity}" for entity in seen if unary[entity, at]] for at, name in enumerate(UNARY)
+    }
+    for at, name in enumerate(BINARY):
+        facts[name] = [[f"e{a}", f"e{b}"] for a in seen for b in seen if a != b and binary[a, b, at]]
+    facts["Sees"] = [[f"e{seen[0]}", f"e{entity}"] for entity in seen]
+    return facts

@@ -1,0 +1,443 @@
+"""What perception sees of the boxes of a data set, computed once and stored. Needs the extra `vap`.
+
+Two kinds exist. `crops` are the pixels of each box, scaled to 48 x 48, for a small network that is trained. `resnet50`
+are features of a frozen ResNet50 with a feature pyramid and ROIAlign, as in the paper: the mean and the maximum of each
+of the 256 channels over the 7 x 7 cells of a box.
+"""
+
+from __future__ import annotations
+
+import hashlib
+import json
+import os
+import shutil
+import time
+from collections.abc import Callable, Sequence
+from concurrent.futures import ThreadPoolExecutor
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any, Literal, Protocol
+
+import numpy as np
+from numpy.typing import NDArray
+
+from ..errors import checked_path, checked_threads, missing_extra
+from ..files import reserved, write_json
+from .data import PICTURE_SIDE, VapDataset
+from .make import make_dataset
+
+try:
+    import torch
+    from torch import Tensor
+except ImportError as error:
+    raise missing_extra("vap", error) from error
+
+from .crops import CROP_SIDE, crop_boxes
+
+__all__ = ["Backbone", "DataSpec", "Extractor", "compute_features", "extractor", "load_features", "prepared"]
+
+Kind = Literal["crops", "resnet50"]
+
+#: The version of the format of `features.json`.
+FORMAT = 1
+
+#: The files of weights that torchvision downloads, in the order in which they are looked up.
+WEIGHTS = ("fasterrcnn_resnet50_fpn_coco-258fb6c6.pth", "resnet50-0676ba61.pth", "resnet50-11ad3fa6.pth")
+
+#: The mean and the standard deviation of the channels of ImageNet, with which the backbones are trained.
+MEAN, DEVIATION = (0.485, 0.456, 0.406), (0.229, 0.224, 0.225)
+
+
+class Extractor(Protocol):
+    """Turns the boxes of a picture into arrays.
+
+    Attributes:
+        kind: The kind of features.
+        shape: The shape of the features of a box.
+        identity: The SHA-256 of what determines the features of a picture.
+    """
+
+    kind: Kind
+    shape: tuple[int, ...]
+    identity: str
+
+    def __call__(self, image: NDArray[np.uint8], boxes: NDArray[np.float32]) -> NDArray[Any]:
+        """Return the features, (N, *shape), of the boxes, (N, 4), of a picture, (rows, columns, 3)."""
+
+
+class Crops:
+    """Crops of the boxes, see `crop_boxes`."""
+
+    kind: Kind = "crops"
+    shape: tuple[int, ...] = (CROP_SIDE, CROP_SIDE, 3)
+    identity = hashlib.sha256(f"crops {CROP_SIDE} bilinear antialias".encode()).hexdigest()
+
+    def __call__(self, image: NDArray[np.uint8], boxes: NDArray[np.float32]) -> NDArray[Any]:
+        """Return uint8 (N, 48, 48, 3)."""
+        return crop_boxes(image, boxes)
+
+
+class Backbone:
+    """A frozen ResNet50 with a feature pyramid and ROIAlign.
+
+    Args:
+        weights: A file with the weights of torchvision's ResNet50, or of its Faster R-CNN with ResNet50 and a feature
+            pyramid. By default, one of these files in torchvision's cache. Weights of ResNet50 alone have no pyramid:
+            its convolutions are then random, the same in every run.
+        device: A device of PyTorch, such as `cpu` or `cuda`.
+
+    Raises:
+        FileNotFoundError: If there are no weights.
+        ImportError: If torchvision is not installed.
+        ValueError: If the file has other weights, or the device does not exist.
+    """
+
+    kind: Kind = "resnet50"
+    shape: tuple[int, ...] = (512,)
+
+    def __init__(self, weights: str | os.PathLike[str] | None = None, device: str = "cpu") -> None:
+        """Read the weights."""
+        try:
+            from torchvision.models.detection.backbone_utils import resnet_fpn_backbone
+            from torchvision.ops import MultiScaleRoIAlign
+        except ImportError as error:
+            raise missing_extra("vap", error) from error
+        path = _cached_weights() if weights is None else Path(checked_path("weights", weights))
+        state = torch.load(path, map_location="cpu", weights_only=True)
+        with torch.random.fork_rng(devices=[]):
+            torch.manual_seed(0)
+            network = resnet_fpn_backbone(backbone_name="resnet50", weights=None)
+        pyramid = {name.removeprefix("backbone."): each for name, each in state.items() if name.startswith("backbone.")}
+        module, values = (network, pyramid) if pyramid else (network.body, state)
+        wanted = set(module.state_dict())
+        missing = sorted(name for name in wanted - set(values) if not name.endswith("num_batches_tracked"))
+        if missing:
+            raise ValueError(
+                f"{path}: not the weights of ResNet50 or of Faster R-CNN with ResNet50: `{missing[0]}` is missing"
+            )
+        module.load_state_dict({name: each for name, each in values.items() if name in wanted}, strict=False)
+        try:
+            self._device = torch.device(device)
+            self._network = network.to(self._device).eval().requires_grad_(False)
+        except (AssertionError, RuntimeError) as error:
+            raise ValueError(f"device `{device}`: {str(error).splitlines()[0]}") from None
+        self._align = MultiScaleRoIAlign(["0", "1", "2", "3"], output_size=7, sampling_ratio=2)
+        parts = [hashlib.sha256(each.cpu().numpy().tobytes()).hexdigest() for each in network.state_dict().values()]
+        self.identity = hashlib.sha256(json.dumps(["resnet50", "mean max 7", *parts]).encode()).hexdigest()
+
+    def __call__(self, image: NDArray[np.uint8], boxes: NDArray[np.float32]) -> NDArray[Any]:
+        """Return float16 (N, 512), zeros for boxes outside the picture."""
+        result = np.zeros((len(boxes), *self.shape), np.float16)
+        inside = ~np.isnan(boxes[:, 0])
+        if not inside.any():
+            return result
+        corners = torch.from_numpy(np.concatenate([boxes[inside, :2], boxes[inside, :2] + boxes[inside, 2:]], 1))
+        with torch.inference_mode():
+            pixels = torch.from_numpy(image).to(self._device).permute(2, 0, 1)[None].float() / 255
+            mean, deviation = (pixels.new_tensor(each)[:, None, None] for each in (MEAN, DEVIATION))
+            maps = self._network((pixels - mean) / deviation)
+            regions: Tensor = self._align(maps, [corners.to(self._device)], [image.shape[:2]])
+            pooled = torch.cat([regions.mean((2, 3)), regions.amax((2, 3))], 1)
+        result[inside] = pooled.half().cpu().numpy()
+        return result
+
+
+def _cached_weights() -> Path:
+    folder = Path(torch.hub.get_dir()) / "checkpoints"
+    for name in WEIGHTS:
+        if (folder / name).exists():
+            return folder / name
+    raise FileNotFoundError(
+        f"no weights of ResNet50 in torchvision's cache `{folder}`: name a file with `--weights` (`weights=`), or put "
+        f"{', '.join(f'`{name}`' for name in WEIGHTS[:-1])} or `{WEIGHTS[-1]}` there"
+    )
+
+
+def extractor(kind: Kind, weights: str | os.PathLike[str] | None = None, device: str = "cpu") -> Extractor:
+    """Return the extractor of a kind. `weights` and `device` are those of `Backbone`."""
+    if kind == "resnet50":
+        return Backbone(weights, device)
+    if weights is not None:
+        raise ValueError("crops have no weights: remove `--weights`, or choose `--backbone resnet50`")
+    return Crops()
+
+
+def compute_features(
+    folder: str | os.PathLike[str],
+    out: str | os.PathLike[str] | None = None,
+    *,
+    kind: Kind = "crops",
+    weights: str | os.PathLike[str] | None = None,
+    device: str = "cpu",
+    threads: int = 1,
+    ray: str | None = None,
+    progress: Callable[[int, int], object] | None = None,
+) -> Path:
+    """Compute the features of all boxes of a data set, and store them in one file per world.
+
+    Worlds whose file exists are kept, so an interrupted call can be resumed. Files are the same on any number of
+    threads and workers.
+
+    Args:
+        folder: A data set with pictures.
+        out: The folder to write. By default, the name of the data set followed by `-` and the kind.
+        kind: `"crops"` or `"resnet50"`.
+        weights: As for `Backbone`.
+        device: As for `Backbone`.
+        threads: The number of threads, each of which works on one world. 0 means one per core.
+        ray: The address of a Ray cluster whose workers compute the worlds, or `"local"`. All workers must see the
+            folder.
+        progress: A function that receives the number of finished worlds and the total.
+
+    Returns:
+        The folder with `features.json` and a file `world-00000.npy` per world: (E, *shape), the E entities of all
+        samples of the world in their order.
+
+    Raises:
+        FileNotFoundError: If there are no weights.
+        ImportError: If a package is not installed.
+        OSError: If a file cannot be read or written.
+        ValueError: If the folder has features of other data or of another backbone, or as for `Backbone`.
+    """
+    samples = VapDataset(folder, images=True)
+    threads = checked_threads(threads) or os.cpu_count() or 1
+    target = Path(f"{samples.folder}-{kind}") if out is None else Path(checked_path("out", out))
+    extract = extractor(kind, weights, device)
+    target.mkdir(parents=True, exist_ok=True)
+    _begin(target, extract, _data_hash(samples.folder))
+    worlds = samples.worlds()
+    left = [world for world in worlds if not (target / f"world-{world:05}.npy").exists()]
+    done = len(worlds) - len(left)
+
+    def advance() -> None:
+        nonlocal done
+        done += 1
+        if progress is not None:
+            progress(done, len(worlds))
+
+    if ray is not None:
+        _on_ray(ray, samples.folder, target, kind, weights, device, {world: worlds[world] for world in left}, advance)
+        return target
+    with ThreadPoolExecutor(threads) as pool:
+        jobs = [pool.submit(_store, samples, worlds[world], target, world, extract) for world in left]
+        try:
+            for job in jobs:
+                job.result()
+                advance()
+        finally:
+            for job in jobs:
+                job.cancel()
+    return target
+
+
+def load_features(folder: Path, samples: VapDataset) -> Tensor:
+    """Read the stored features of all entities of a data set.
+
+    Raises:
+        OSError: If a file cannot be read.
+        ValueError: If the features are those of other data, or not complete.
+    """
+    document = _read(folder)
+    if document["data_hash"] != _data_hash(samples.folder):
+        raise ValueError(f"`{folder}` has the features of another data set than `{samples.folder}`")
+    return _stacked(folder, list(samples.worlds()))
+
+
+def _stacked(folder: Path, worlds: Sequence[int]) -> Tensor:
+    parts = [np.load(folder / f"world-{world:05}.npy", mmap_mode="r") for world in worlds]
+    values = np.empty((sum(map(len, parts)), *parts[0].shape[1:]), parts[0].dtype)
+    np.concatenate(parts, out=values)
+    tensor = torch.from_numpy(values)
+    return tensor if tensor.dtype == torch.uint8 else tensor.float()
+
+
+def _data_hash(folder: Path) -> str:
+    return hashlib.sha256((folder / "manifest.json").read_bytes()).hexdigest()
+
+
+def _begin(target: Path, extract: Extractor, data_hash: str) -> None:
+    """Write `features.json`, or check that it describes the same features."""
+    document = {
+        "format": FORMAT,
+        "kind": extract.kind,
+        "shape": list(extract.shape),
+        "backbone_hash": extract.identity,
+        "data_hash": data_hash,
+    }
+    path = target / "features.json"
+    if path.exists():
+        found = _read(target)
+        different = [name for name, value in document.items() if found[name] != value]
+        if different:
+            raise ValueError(f"`{target}` has features with another `{different[0]}`: choose another folder")
+        return
+    write_json(path, document)
+
+
+def _read(folder: Path) -> dict[str, Any]:
+    path = folder / "features.json"
+    try:
+        document = json.loads(path.read_text(encoding="utf-8"))
+    except ValueError as error:
+        raise ValueError(f"{path}: not JSON: {error}") from None
+    if not isinstance(document, dict) or document.get("format") != FORMAT:
+        raise ValueError(f"{path}: expected the description of features, of the format {FORMAT}")
+    return document
+
+
+def _store(samples: VapDataset, indices: range, target: Path, world: int, extract: Extractor) -> None:
+    """Compute and write the features of a world."""
+    picture = np.empty((PICTURE_SIDE, PICTURE_SIDE, 3), np.uint8)
+    parts = []
+    for index in indices:
+        samples.read_picture(index, picture)
+        parts.append(extract(picture, samples.facts(index).boxes))
+    temporary = target / f".world-{world:05}-{os.getpid()}.npy"
+    np.save(temporary, np.concatenate(parts))
+    temporary.replace(target / f"world-{world:05}.npy")
+
+
+def _on_ray(
+    address: str,
+    folder: Path,
+    target: Path,
+    kind: Kind,
+    weights: str | os.PathLike[str] | None,
+    device: str,
+    worlds: dict[int, range],
+    advance: Callable[[], None],
+) -> None:
+    """Compute worlds on Ray. If a worker is lost, its world is computed again."""
+    try:
+        import ray
+    except ImportError as error:
+        raise missing_extra("ray", error) from error
+
+    def work(indices: range, world: int) -> None:
+        torch.set_num_threads(1)
+        _store(VapDataset(folder.resolve()), indices, target.resolve(), world, extractor(kind, weights, device))
+
+    ray.init(address=address, log_to_driver=False)
+    try:
+        task = ray.remote(num_cpus=1, num_gpus=float(device.startswith("cuda")), max_retries=20)(work)
+        running = [task.remote(indices, world) for world, indices in worlds.items()]
+        while running:
+            ready, running = ray.wait(running, num_returns=1)
+            ray.get(ready)
+            advance()
+    finally:
+        ray.shutdown()
+
+
+@dataclass(frozen=True)
+class DataSpec:
+    """A data set that an experiment makes, with the features of its boxes.
+
+    Attributes:
+        mode: The mode, `easy` or `hard`.
+        split: The split.
+        agents: The sets of agents.
+        worlds: The number of worlds.
+        difficulty: The difficulty of the pictures.
+        drawing_version: The version of the drawing code, see `make_dataset`.
+        seed: The seed.
+        kind: The kind of features, or `None` for tables only.
+        weights: The weights of the backbone, see `Backbone`.
+    """
+
+    mode: Literal["easy", "hard"]
+    split: Literal["train", "val", "test"]
+    agents: Literal["fixed", "random"]
+    worlds: int
+    difficulty: int
+    drawing_version: Literal[1, 2]
+    seed: int
+    kind: Kind | None
+    weights: str | None = None
+
+    @property
+    def name(self) -> str:
+        """The name of the folder of the tables."""
+        return f"{self._drawn}-{self.worlds}"
+
+    def pictures(self, extract: Extractor) -> str:
+        """Return the name of the folder of the features."""
+        return f"{self._drawn}-{extract.kind}-{extract.identity[:8]}"
+
+    @property
+    def _drawn(self) -> str:
+        # The boxes in the tables depend on the drawing, too.
+        drawing = f"difficulty{self.difficulty}-drawing{self.drawing_version}"
+        return f"{self.mode}-{self.agents}-{self.split}-seed{self.seed}-{drawing}"
+
+
+def prepared(spec: DataSpec, root: Path, version: str) -> tuple[VapDataset, Tensor | None]:
+    """Make the tables and features of a data set if they do not exist, and read them.
+
+    Pictures are made and removed world by world, as a set needs about 80 MB per world. Processes that need the same
+    data wait for the one that makes it.
+
+    Args:
+        spec: The data set.
+        root: The folder for data sets.
+        version: What else determines the data. Other versions have other folders.
+
+    Returns:
+        The tables, and the features of all entities, or `None` without a kind.
+    """
+    folder = root / hashlib.sha256(version.encode()).hexdigest()[:8]
+    tables = folder / spec.name
+    with _alone(folder / f"{spec.name}.lock"):
+        samples = _made(tables, spec, 0, spec.worlds, images=False)
+    if spec.kind is None:
+        return samples, None
+    extract = extractor(spec.kind, spec.weights)
+    features = folder / spec.pictures(extract)
+    for world in range(spec.worlds):
+        if (features / f"world-{world:05}.npy").exists():
+            continue
+        with _alone(features / f"world-{world:05}.lock"):
+            if not (features / f"world-{world:05}.npy").exists():
+                pictures = features / f"pictures-{world:05}"
+                made = _made(pictures, spec, world, 1, images=True)
+                _store(made, range(len(made)), features, world, extract)
+                shutil.rmtree(pictures)
+    return samples, _stacked(features, range(spec.worlds))
+
+
+def _made(folder: Path, spec: DataSpec, first: int, worlds: int, *, images: bool) -> VapDataset:
+    return make_dataset(
+        folder,
+        spec.mode,
+        spec.split,
+        agents=spec.agents,
+        first_world=first,
+        worlds=worlds,
+        seed=spec.seed,
+        images=images,
+        difficulty=spec.difficulty,
+        drawing_version=spec.drawing_version,
+        threads=1,
+    )
+
+
+class _alone:
+    """Holds a lock file. Waits while another process holds it; a process that ends releases its locks."""
+
+    def __init__(self, path: Path) -> None:
+        path.parent.mkdir(parents=True, exist_ok=True)
+        self._path = path
+
+    def __enter__(self) -> None:
+        while True:
+            self._reserved = reserved(self._path, record=False)
+            try:
+                self._reserved.__enter__()
+                return
+            except PermissionError:
+                raise
+            except OSError:
+                time.sleep(0.5)
+
+    def __exit__(self, *exception: Any) -> None:
+        self._reserved.__exit__(None, None, None)

@@ -1,0 +1,93 @@
+"""Reasoners: networks that predict actions from the truth values of predicates. Needs the extra `vap`."""
+
+from __future__ import annotations
+
+from typing import Literal
+
+from ..city import ACTIONS
+from ..errors import missing_extra
+from .data import UNARY
+
+try:
+    import torch
+    from torch import Tensor, nn
+except ImportError as error:
+    raise missing_extra("vap", error) from error
+
+from .concepts import RELATIONS
+
+__all__ = ["GraphReasoner", "LogicReasoner", "make_reasoner"]
+
+
+def make_reasoner(name: Literal["gnn", "nlm"]) -> nn.Module:
+    """Create a reasoner with random weights. It maps groundings and the mask of entities to logits of actions.
+
+    Its arguments are truth degrees of the shapes (B, N, 11) and (B, N, N, 7), in the orders of `UNARY` and `RELATIONS`,
+    and the mask bool (B, N) of the entities that are present. The result has the shape (B, N, 4).
+    """
+    return GraphReasoner() if name == "gnn" else LogicReasoner()
+
+
+class GraphReasoner(nn.Module):
+    """GINE convolutions over all pairs of entities, with loops, and a linear layer.
+
+    A convolution computes h((1 + eps) x_i + sum over j of m_ij, max over j of m_ij) with the messages m_ij =
+    s_ij ReLU(x_j + W e_ij), from node features x and edge features e, both directions of the binary predicates. With
+    the sum alone and s_ij = 1, this is GINE of Hu et al. (2020), "Strategies for Pre-training Graph Neural Networks",
+    ICLR. Here s_ij is the degree to which i sees j, and the maximum stands for "there is": a sum of many small
+    probabilities looks like one certain fact.
+
+    Args:
+        width: The number of node features of the layers.
+        layers: The number of convolutions.
+    """
+
+    def __init__(self, width: int = 128, layers: int = 2) -> None:
+        """Create the layers."""
+        super().__init__()
+        self.encoder = nn.Linear(len(UNARY), width)
+        self.edges = nn.ModuleList(nn.Linear(2 * len(RELATIONS), width) for _ in range(layers))
+        self.updates = nn.ModuleList(
+            nn.Sequential(nn.Linear(2 * width, width), nn.ReLU(), nn.Linear(width, width), nn.ReLU())
+            for _ in range(layers)
+        )
+        self.eps = nn.Parameter(torch.zeros(layers))
+        self.readout = nn.Linear(width, len(ACTIONS))
+
+    def forward(self, unary: Tensor, binary: Tensor, valid: Tensor) -> Tensor:
+        """Return the logits of the actions, see `make_reasoner`."""
+        both = valid[:, :, None] & valid[:, None, :]
+        eye = torch.eye(valid.shape[1], dtype=torch.bool, device=valid.device)
+        sees = (binary[..., RELATIONS.index("Sees")].masked_fill(eye, 1.0) * both)[..., None]
+        features = torch.cat([binary, binary.transpose(1, 2)], -1)
+        nodes = self.encoder(unary)
+        for layer, (edge, update) in enumerate(zip(self.edges, self.updates, strict=True)):
+            messages = sees * torch.relu(nodes[:, None] + edge(features))
+            # Messages are not negative, so that 0 is the maximum of none.
+            total = (1 + self.eps[layer]) * nodes + messages.sum(2)
+            nodes = update(torch.cat([total, messages.amax(2)], -1))
+        logits: Tensor = self.readout(nodes)
+        return logits
+
+
+class LogicReasoner(nn.Module):
+    """A Neural Logic Machine of depth 4, breadth 3 and 8 outputs, and a linear layer.
+
+    The binary predicates between an entity and one that it does not see are false: existential variables of the rules
+    range over the entities in view.
+    """
+
+    def __init__(self) -> None:
+        """Create the layers."""
+        super().__init__()
+        # `logicity.learn` needs more packages than a graph network.
+        from ..learn.nlm import NeuralLogicMachine
+
+        self.machine = NeuralLogicMachine([0, len(UNARY), len(RELATIONS)], depth=4, breadth=3, outputs=8)
+        self.readout = nn.Linear(self.machine.counts[1], len(ACTIONS))
+
+    def forward(self, unary: Tensor, binary: Tensor, valid: Tensor) -> Tensor:
+        """Return the logits of the actions, see `make_reasoner`."""
+        values = self.machine([None, unary, binary], valid)[1]
+        logits: Tensor = self.readout(values)
+        return logits

@@ -1,0 +1,522 @@
+"""Reports and published results of experiments of Visual Action Prediction: tables beside the paper's, and figures."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import asdict, dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from ..city import ACTIONS
+from ..evaluation import Interval
+from ..files import reserved, write_json
+from ..learn.cells import finished
+from ..learn.report import SAMPLES, aligned, escaped, markdown_table, paper_table
+from .experiment import VapCell, VapExperiment, measure_again
+
+__all__ = ["VapEntry", "VapReport", "leaderboard", "pooled", "read_results", "submit"]
+
+#: The measures of the paper's table: the recalls of actions, aAcc and wAcc.
+MEASURES = (*ACTIONS, "aAcc", "wAcc")
+
+#: The version of the format of the published results.
+FORMAT = 1
+
+#: The keys of a published row. `command` trains and measures it again.
+KEYS = (
+    *("experiment", "learner", "predictor", "paper", "mode", "variant", "seed", "settings", "command", "note"),
+    *("versions", "hashes", "model_sha256", "cpu_seconds", "recall", "a_acc", "w_acc", "worlds", "concepts"),
+)
+
+
+@dataclass(frozen=True)
+class VapEntry:
+    """One line of a table: the runs of a row and variant in a mode, with one predictor.
+
+    Attributes:
+        row: The name of the row.
+        predictor: The name of the predictor, or an empty text if the row has only one.
+        mode: The mode of the column.
+        variant: The name of the variant, or an empty text.
+        seeds: The seeds of the finished runs.
+        measures: The measures that occur, with their intervals; empty without a finished run.
+        concepts: The mean recall of each concept over the runs; empty if the row does not train concepts.
+        cpu_hours: The CPU time of all runs.
+        paper: The paper's figures by measure, or `None`.
+        missing: Why there is no result; empty if there is one.
+        identities: The identities of the runs.
+        group: The line of the figure to which the variant belongs.
+        x: The place on that line.
+    """
+
+    row: str
+    predictor: str
+    mode: str
+    variant: str
+    seeds: tuple[int, ...]
+    measures: Mapping[str, Interval]
+    concepts: Mapping[str, float]
+    cpu_hours: float
+    paper: Mapping[str, float] | None
+    missing: str
+    identities: tuple[str, ...]
+    group: str | None = None
+    x: float | None = None
+
+    @property
+    def label(self) -> str:
+        """The row with its predictor and variant."""
+        return ", ".join(part for part in (self.row, self.predictor, self.variant) if part)
+
+
+class VapReport:
+    """The results of the cells of an experiment.
+
+    Args:
+        experiment: The experiment.
+        cells: The cells.
+        root: The folder of the experiment.
+        failed: The messages of the cells that failed, by identity.
+    """
+
+    def __init__(
+        self,
+        experiment: VapExperiment,
+        cells: Sequence[VapCell],
+        root: Path,
+        failed: Mapping[str, str] | None = None,
+    ) -> None:
+        """Read the results. Those of other settings, rules or versions have another identity."""
+        self.experiment = experiment
+        groups: dict[tuple[str, str, str], list[VapCell]] = {}
+        for cell in cells:
+            if not cell.hidden:
+                groups.setdefault((cell.mode, cell.row, cell.variant), []).append(cell)
+        self.entries = [entry for group in groups.values() for entry in self._entries(group, root, failed or {})]
+        found = [measured for cell in cells if (measured := finished(cell, root)) is not None]
+        self.cpu_hours = sum(each["result"]["cpu_seconds"] for each in found) / 3600
+        self.complete = all(not entry.missing for entry in self.entries)
+
+    def _entries(self, cells: Sequence[VapCell], root: Path, failed: Mapping[str, str]) -> Iterator[VapEntry]:
+        first = cells[0]
+        found = [(cell, measured) for cell in cells if (measured := finished(cell, root)) is not None]
+        missing = ""
+        if len(found) < len(cells):
+            messages = [failed[cell.identity] for cell in cells if cell.identity in failed]
+            missing = next(iter(messages[0].splitlines()), "failed") if messages else "not run"
+        variant = self.experiment.variants[first.variant]
+        predictors = list(found[0][1]["evaluations"]) if found else [""]
+        for predictor in predictors:
+            results = [measured["evaluations"][predictor] for _, measured in found]
+            recalls = [measured["concepts"] for _, measured in found] if predictor == predictors[0] else []
+            yield VapEntry(
+                row=first.row,
+                predictor=predictor,
+                mode=first.mode,
+                variant=first.variant,
+                seeds=tuple(cell.seed for cell, _ in found),
+                measures=pooled([each["worlds"] for each in results]) if results else {},
+                concepts=mean_recalls(recalls),
+                cpu_hours=sum(each["result"]["cpu_seconds"] for _, each in found) / 3600,
+                paper=paper_figures(
+                    self.experiment.paper,
+                    self.experiment.learners[first.row].paper or first.row,
+                    first.variant,
+                    first.mode,
+                ),
+                missing=missing,
+                identities=tuple(cell.identity for cell, _ in found),
+                group=variant.group,
+                x=variant.x,
+            )
+
+    @property
+    def modes(self) -> list[str]:
+        """The modes with an entry."""
+        return list(dict.fromkeys(entry.mode for entry in self.entries))
+
+    def table(self, mode: str) -> list[list[str]]:
+        """Return the table of a mode: a head, then for each entry its measures, and the paper's below if it has any."""
+        lines = [["learner", *MEASURES, "seeds"]]
+        for entry in self.entries:
+            if entry.mode == mode:
+                figures = [str(entry.measures[name]) if name in entry.measures else "-" for name in MEASURES]
+                lines.append([entry.label, *figures, ",".join(map(str, entry.seeds)) or entry.missing[:60]])
+                if entry.paper is not None:
+                    paper = [f"{entry.paper[name]:.2f}" if name in entry.paper else "-" for name in MEASURES]
+                    lines.append(["  the paper's", *paper, ""])
+        return lines
+
+    def concept_table(self) -> list[list[str]]:
+        """Return the recalls of concepts: a head, then a line for each predicate. Only a head without concepts."""
+        shown = [entry for entry in self.entries if entry.concepts]
+        paper = paper_table("vap-concepts")["concepts"]
+        lines = [["predicate", *(f"{entry.mode}, {entry.row}, {entry.variant}" for entry in shown), "the paper's"]]
+        for name in dict.fromkeys(name for entry in shown for name in entry.concepts):
+            recalls = [f"{entry.concepts[name]:.3f}" if name in entry.concepts else "-" for entry in shown]
+            lines.append([name, *recalls, f"{paper[name]:.3f}" if name in paper else "-"])
+        return lines
+
+    def notes(self) -> list[str]:
+        """Return sentences on intervals, missing cells, the paper and the CPU time."""
+        notes = ["Intervals (95 %): bootstrap over seeds and, independently, over test worlds."]
+        if table := paper_table(self.experiment.paper):
+            notes.append(f"The paper's figures: {table['source']}. {table['note']}")
+        for entry in self.entries:
+            if entry.missing:
+                notes.append(f"{entry.label}, {entry.mode}: {entry.missing}.")
+        notes.append(f"CPU time: {self.cpu_hours:.2f} hours, without the making of data.")
+        return list(dict.fromkeys(notes))
+
+    def text(self) -> str:
+        """Return everything for a terminal: a table per mode, the recalls of concepts, and notes."""
+        parts = [self.experiment.title]
+        for mode in self.modes:
+            parts += [f"\n{mode}", aligned(self.table(mode))]
+        if len(concepts := self.concept_table()) > 1:
+            parts += ["\nrecall of concepts at the threshold 0.5", aligned(concepts)]
+        return "\n".join([*parts, "", *self.notes()])
+
+    def markdown(self) -> str:
+        """Return the report as Markdown."""
+        parts = [f"# {self.experiment.title}\n"]
+        for mode in self.modes:
+            parts += [f"## {mode.capitalize()}\n", markdown_table(self.table(mode))]
+        if len(concepts := self.concept_table()) > 1:
+            parts += ["## Recall of concepts at the threshold 0.5\n", markdown_table(concepts)]
+        parts += ["## Notes\n", *(f"- {note}" for note in self.notes())]
+        return "\n".join(parts) + "\n"
+
+    def latex(self) -> str:
+        """Return the tables of the modes as LaTeX, with the rules of the package booktabs."""
+        lines = [f"% {self.experiment.title}"]
+        for mode in self.modes:
+            table = self.table(mode)
+            lines += [f"% {mode}", f"\\begin{{tabular}}{{l{'c' * (len(table[0]) - 1)}}}", "\\toprule"]
+            for at, row in enumerate(table):
+                lines.append(" & ".join(escaped(cell.strip()) for cell in row) + " \\\\")
+                if at == 0:
+                    lines.append("\\midrule")
+            lines += ["\\bottomrule", "\\end{tabular}"]
+        return "\n".join(lines) + "\n"
+
+    def to_dict(self) -> dict[str, Any]:
+        """Return the entries for JSON."""
+        return {
+            "title": self.experiment.title,
+            "paper": paper_table(self.experiment.paper).get("source"),
+            "entries": [asdict(entry) for entry in self.entries],
+            "cpu_hours": round(self.cpu_hours, 4),
+            "notes": self.notes(),
+        }
+
+    def write(self, root: Path) -> list[Path]:
+        """Write the tables and the figures to a folder, and return their paths.
+
+        Raises:
+            OSError: If a file cannot be written.
+        """
+        written = []
+        for name, text in [("table.md", self.markdown()), ("table.tex", self.latex())]:
+            with reserved(root / name, record=False) as output:
+                Path(output.temporary).write_text(text, encoding="utf-8")
+                output.finish()
+            written.append(root / name)
+        write_json(root / "table.json", self.to_dict(), overwrite=True)
+        written.append(root / "table.json")
+        if any(entry.measures for entry in self.entries):
+            written += self._figures(root)
+        return written
+
+    def _figures(self, root: Path) -> list[Path]:
+        import matplotlib
+
+        # Figures are files: no display is needed.
+        from matplotlib.backends.backend_agg import FigureCanvasAgg
+        from matplotlib.figure import Figure
+
+        written = []
+        drawings = {"bars": self._bars}
+        if any(entry.x is not None for entry in self.entries):
+            drawings["lines"] = self._lines
+        # The same results give the same bytes.
+        with matplotlib.rc_context({"svg.hashsalt": "logicity"}):
+            for name, draw in drawings.items():
+                count = len(self.modes)
+                rows = max(sum(entry.mode == mode for entry in self.entries) for mode in self.modes)
+                height = max(4.2, 0.22 * rows) if name == "bars" else 4.2
+                figure = Figure(figsize=(7.2 * count, height), layout="constrained")
+                FigureCanvasAgg(figure)
+                for at, mode in enumerate(self.modes):
+                    axes = figure.add_subplot(1, count, at + 1)
+                    axes.set_title(f"{self.experiment.title}: {mode}", fontsize=10)
+                    draw(axes, mode)
+                for ending, metadata in (("png", {"Software": None}), ("svg", {"Date": None})):
+                    path = root / f"{name}.{ending}"
+                    with reserved(path, record=False) as output:
+                        figure.savefig(output.temporary, format=ending, dpi=150, metadata=metadata)
+                        output.finish()
+                    written.append(path)
+        return written
+
+    def _bars(self, axes: Any, mode: str) -> None:
+        """Draw the wAcc of each entry with its interval, and the paper's as a diamond."""
+        shown = [entry for entry in self.entries if entry.mode == mode]
+        for at, entry in enumerate(shown):
+            if entry.measures:
+                value = entry.measures["wAcc"]
+                reach = [[max(0.0, value.value - value.low)], [max(0.0, value.high - value.value)]]
+                axes.barh(at, value.value, xerr=reach, color="#4878a8", error_kw={"linewidth": 1})
+            if entry.paper is not None:
+                axes.plot(entry.paper["wAcc"], at, "D", color="#c44e52", markersize=5)
+        axes.plot([], [], "D", color="#c44e52", markersize=5, label="paper")
+        axes.set_yticks(range(len(shown)), [entry.label for entry in shown], fontsize=8)
+        axes.invert_yaxis()
+        axes.set_xlim(0, 1.02)
+        axes.set_xlabel("wAcc on test worlds")
+        axes.legend(fontsize=8, loc="lower right")
+
+    def _lines(self, axes: Any, mode: str) -> None:
+        """Draw the wAcc over `x`, one line for each row, predictor and group."""
+        lines: dict[str, list[VapEntry]] = {}
+        for entry in self.entries:
+            if entry.mode == mode and entry.x is not None and entry.measures:
+                name = ", ".join(part for part in (entry.row, entry.predictor, entry.group) if part)
+                lines.setdefault(name, []).append(entry)
+        for name, entries in lines.items():
+            entries.sort(key=lambda entry: entry.x or 0.0)
+            xs = [entry.x for entry in entries]
+            values = [entry.measures["wAcc"] for entry in entries]
+            (line,) = axes.plot(xs, [each.value for each in values], marker="o", markersize=3, linewidth=1, label=name)
+            axes.fill_between(
+                xs, [each.low for each in values], [each.high for each in values], color=line.get_color(), alpha=0.12
+            )
+        axes.set_xlabel(self.experiment.x)
+        axes.set_ylabel("wAcc on test worlds")
+        axes.set_ylim(-0.02, 1.02)
+        if lines:
+            axes.legend(fontsize=7)
+
+
+def paper_figures(table: str | None, row: str, variant: str, mode: str) -> dict[str, float] | None:
+    """Return the paper's figures of a cell by measure, or `None` if it has no such cell."""
+    values = paper_table(table).get("rows", {}).get(row, {}).get(variant, {}).get(mode)
+    if values is None:
+        return None
+    return {name: value for name, value in zip(MEASURES, values, strict=True) if value is not None}
+
+
+def mean_recalls(runs: Sequence[Mapping[str, Mapping[str, Any]]]) -> dict[str, float]:
+    """Return the mean recall of each concept that occurs over runs."""
+    names = dict.fromkeys(name for run in runs for name, each in run.items() if each["count"])
+    return {name: float(np.mean([run[name]["recall"] for run in runs])) for name in names}
+
+
+def pooled(runs: Sequence[Sequence[Mapping[str, Any]]]) -> dict[str, Interval]:
+    """Return the measures of several runs on the same worlds, with 95 % intervals.
+
+    The values are means over the runs. The intervals are percentiles of a bootstrap that draws runs and, independently,
+    worlds, because the pictures of a world are alike. Actions that do not occur have no recall.
+
+    Args:
+        runs: For each run, the `worlds` of its evaluation.
+    """
+    generator = np.random.default_rng(0)
+    worlds = len(runs[0])
+    tables = {
+        name: np.array([[world[name] for world in run] for run in runs], np.float64)
+        for name in ("counts", "correct", "a_acc", "frames")
+    }
+    # The weight of a run or a world is how often a sample draws it. The first sample has the weights of the data.
+    of_runs = generator.multinomial(len(runs), np.full(len(runs), 1 / len(runs)), SAMPLES) / len(runs)
+    of_worlds = generator.multinomial(worlds, np.full(worlds, 1 / worlds), SAMPLES) / worlds
+    plain = _measures(tables, np.full((1, len(runs)), 1 / len(runs)), np.full((1, worlds), 1 / worlds))
+    samples = _measures(tables, of_runs, of_worlds)
+    result = {}
+    for name, values in samples.items():
+        known = values[~np.isnan(values)]
+        if not np.isnan(plain[name][0]) and len(known):
+            low, high = np.percentile(known, [2.5, 97.5])
+            result[name] = Interval(float(plain[name][0]), float(low), float(high))
+    return result
+
+
+def _measures(
+    tables: Mapping[str, NDArray[np.float64]], of_runs: NDArray[np.float64], of_worlds: NDArray[np.float64]
+) -> dict[str, NDArray[np.float64]]:
+    """Return each measure for each sample (S,), NaN where an action does not occur.
+
+    Args:
+        tables: `counts` and `correct` (R, W, 4), `a_acc` and `frames` (R, W).
+        of_runs: The weights of runs (S, R).
+        of_worlds: The weights of worlds (S, W).
+    """
+    counts, correct = (np.einsum("sw,rwa->sra", of_worlds, tables[name]) for name in ("counts", "correct"))
+    with np.errstate(invalid="ignore", divide="ignore"):
+        recall = correct / counts
+        inverse = np.where(counts > 0, 1 / counts, 0.0)
+        w_acc = (np.nan_to_num(recall) * inverse).sum(2) / inverse.sum(2)
+        a_acc = (of_worlds @ tables["a_acc"].T) / (of_worlds @ tables["frames"].T)
+    values: dict[str, NDArray[np.float64]] = {"aAcc": (of_runs * a_acc).sum(1), "wAcc": (of_runs * w_acc).sum(1)}
+    for at, name in enumerate(ACTIONS):
+        values[name] = (of_runs * recall[:, :, at]).sum(1)
+    return values
+
+
+# --- published results
+
+
+def read_results(path: Path) -> dict[str, Any]:
+    """Read the published results.
+
+    Returns:
+        `format` and `rows`; a file that does not exist has no rows.
+
+    Raises:
+        OSError: If the file cannot be read.
+        ValueError: If the file is not such a file.
+    """
+    if not path.exists():
+        return {"format": FORMAT, "rows": []}
+    try:
+        results = json.loads(path.read_text(encoding="utf-8"))
+    except ValueError as error:
+        raise ValueError(f"{path}: not JSON: {error}") from None
+    if not isinstance(results, dict) or results.get("format") != FORMAT or not isinstance(results.get("rows"), list):
+        raise ValueError(f"{path}: expected results of the format {FORMAT}")
+    for at, row in enumerate(results["rows"]):
+        missing = [key for key in KEYS if key not in row]
+        if missing:
+            raise ValueError(f"{path}: row {at} has no `{missing[0]}`")
+    return results
+
+
+def submit(experiment: VapExperiment, file: Path, cells: Sequence[VapCell], root: Path, results: Path) -> Iterator[str]:
+    """Measure the models of finished cells again, and write a row for each predictor.
+
+    A row replaces that of the same experiment, learner, predictor, mode, variant and seed.
+
+    Args:
+        experiment: The experiment.
+        file: The file of the experiment.
+        cells: The cells. Those that are not finished are skipped.
+        root: The folder of the experiment.
+        results: The file of results.
+
+    Yields:
+        A line for each cell.
+
+    Raises:
+        OSError: If a file cannot be read or written.
+        ValueError: If a model does not give the recorded measures.
+    """
+    document = read_results(results)
+    rows = {_key(row): row for row in document["rows"]}
+    for cell in cells:
+        if cell.hidden:
+            continue
+        measured = finished(cell, root)
+        if measured is None:
+            yield f"{cell.name}: not finished"
+            continue
+        again, _ = measure_again(cell, root)
+        for predictor, recorded in measured["evaluations"].items():
+            if again[predictor] != recorded:
+                raise ValueError(
+                    f"{cell.name}: the model {cell.model(root)} has wAcc {again[predictor]['w_acc']}, not the recorded "
+                    f"{recorded['w_acc']}"
+                )
+            row = _row(experiment, file, cell, predictor, measured)
+            rows[_key(row)] = row
+        yield f"{cell.name}: {cell.headline(measured)}, as recorded"
+    ordered = [rows[key] for key in sorted(rows)]
+    results.parent.mkdir(parents=True, exist_ok=True)
+    write_json(results, {"format": FORMAT, "rows": ordered}, overwrite=True)
+    yield f"{len(ordered)} rows in {results}"
+
+
+def _key(row: Mapping[str, Any]) -> tuple[str, str, str, str, str, int]:
+    return row["experiment"], row["mode"], row["learner"], row["variant"], row["predictor"], row["seed"]
+
+
+def _row(
+    experiment: VapExperiment, file: Path, cell: VapCell, predictor: str, measured: Mapping[str, Any]
+) -> dict[str, Any]:
+    recorded, result = measured["evaluations"][predictor], measured["result"]
+    first = predictor == next(iter(measured["evaluations"]))
+    return {
+        "experiment": file.stem,
+        "learner": cell.row,
+        "predictor": predictor,
+        "paper": experiment.learners[cell.row].paper or cell.row,
+        "mode": cell.mode,
+        "variant": cell.variant,
+        "seed": cell.seed,
+        "settings": result["settings"],
+        "command": f"logicity experiment {file.stem} --only {cell.row} --seeds {cell.seed}",
+        "note": "",
+        "versions": result["versions"],
+        "hashes": result["hashes"],
+        "model_sha256": result["model_sha256"],
+        "cpu_seconds": result["cpu_seconds"],
+        **{name: recorded[name] for name in ("recall", "a_acc", "w_acc", "worlds")},
+        "concepts": measured["concepts"] if first else {},
+    }
+
+
+def leaderboard(results: Mapping[str, Any]) -> str:
+    """Return the published results as Markdown: for each experiment and mode, a table beside the paper's figures."""
+    rows = results["rows"]
+    if not rows:
+        return "The file `results/vap.json` has no row yet.\n"
+    parts = []
+    for experiment, mode in dict.fromkeys((row["experiment"], row["mode"]) for row in rows):
+        own = [row for row in rows if (row["experiment"], row["mode"]) == (experiment, mode)]
+        groups: dict[tuple[str, str, str], list[Mapping[str, Any]]] = {}
+        for row in own:
+            groups.setdefault((row["learner"], row["predictor"], row["variant"]), []).append(row)
+        lines = [["learner", "predictor", "variant", *MEASURES, "paper: wAcc", "seeds", "CPU min"]]
+        for (learner, predictor, variant), group in groups.items():
+            measures = pooled([row["worlds"] for row in group])
+            paper = paper_figures(experiment, group[0]["paper"], variant, mode)
+            lines.append(
+                [
+                    f"`{learner}`",
+                    predictor,
+                    variant,
+                    *(str(measures[name]) if name in measures else "" for name in MEASURES),
+                    "" if paper is None else f"{paper['wAcc']:.2f}",
+                    ", ".join(str(row["seed"]) for row in group),
+                    f"{sum(row['cpu_seconds'] for row in group) / len(group) / 60:.1f}",
+                ]
+            )
+        parts.append(f"## `{experiment}`, {mode}\n\n{markdown_table(lines)}")
+        parts += _concepts(own)
+        parts.append(f"`logicity experiment {experiment}` makes these rows.\n")
+    notes = sorted({f"- `{row['learner']}`, {row['mode']}: {row['note']}" for row in rows if row["note"]})
+    tables = dict.fromkeys(row["experiment"] for row in rows)
+    sources = [f"{table['source']}. {table['note']}" for name in tables if (table := paper_table(name))]
+    parts.append("The paper's figures:\n\n" + "\n".join(f"- {each}" for each in sources) + "\n")
+    return "\n".join([*parts, *(["\n".join(notes) + "\n"] if notes else [])])
+
+
+def _concepts(rows: Sequence[Mapping[str, Any]]) -> Iterator[str]:
+    """Yield the table of the recalls of concepts, if rows have any."""
+    groups: dict[str, list[Mapping[str, Any]]] = {}
+    for row in rows:
+        if row["concepts"]:
+            name = ", ".join(part for part in (row["learner"], row["variant"]) if part)
+            groups.setdefault(name, []).append(row["concepts"])
+    if not groups:
+        return
+    means = {name: mean_recalls(group) for name, group in groups.items()}
+    paper = paper_table("vap-concepts")["concepts"]
+    lines = [["recall of", *means, "the paper's"]]
+    for predicate in dict.fromkeys(name for each in means.values() for name in each):
+        figures = [f"{each[predicate]:.3f}" if predicate in each else "" for each in means.values()]
+        lines.append([f"`{predicate}`", *figures, f"{paper[predicate]:.3f}" if predicate in paper else ""])
+    yield markdown_table(lines)

@@ -1,0 +1,171 @@
+"""Rules on truth degrees from 0 to 1, as t-norm fuzzy logic defines them. Needs the extra `vap`.
+
+A clause `Stop(X) :- IsAtInter(X), HigherPri(Y, X).` has the degree of the conjunction of its literals, and an
+existential variable the disjunction over the entities in the view of X:
+
+| semantics | conjunction | disjunction | negation |
+|---|---|---|---|
+| `product` | a b | 1 - (1 - a)(1 - b) | 1 - a |
+| `max-min` | min(a, b) | max(a, b) | 1 - a |
+
+With the degrees 0 and 1, both are the rules themselves. With probabilities of independent facts, `product` is the
+probability of a clause whose literals are independent (noisy-or); it counts a fact that several clauses share several
+times. `max-min` (Gödel's t-norm) does not. Its degree is above 0.5 exactly if the facts above 0.5 derive the atom, so
+its answers are those of the rules on thresholded facts.
+"""
+
+from __future__ import annotations
+
+import re
+from dataclasses import dataclass
+from typing import Literal
+
+from ..city import ACTIONS
+from ..errors import missing_extra
+from ..rules import Program
+from .data import UNARY
+
+try:
+    import torch
+    from torch import Tensor
+except ImportError as error:
+    raise missing_extra("vap", error) from error
+
+from .concepts import RELATIONS
+
+__all__ = ["Semantics", "SoftRules"]
+
+Semantics = Literal["product", "max-min"]
+
+_LITERAL = re.compile(r"\s*(Not\()?\s*(\w+)\(\s*(\w+)\s*(?:,\s*(\w+)\s*)?\)(\))?\s*")
+
+
+@dataclass(frozen=True)
+class Atom:
+    """A literal of a body."""
+
+    predicate: str
+    variables: tuple[str, ...]
+    negated: bool
+
+
+@dataclass(frozen=True)
+class Rule:
+    """A clause for an action."""
+
+    head: str
+    body: tuple[Atom, ...]
+    variables: tuple[str, ...]
+
+
+class SoftRules:
+    """The clauses of a program that derive actions, on truth degrees.
+
+    Args:
+        program: The rules: clauses for actions, whose bodies have literals of unary and binary predicates and of other
+            actions of the same agent.
+        precedence: The order of actions if several are derived, as the configuration gives it.
+        default: The action of an agent for which no clause holds.
+
+    Raises:
+        ValueError: If a clause has another form.
+    """
+
+    def __init__(self, program: Program, precedence: tuple[str, ...] = ACTIONS, default: str = "Normal") -> None:
+        """Read the clauses."""
+        self.precedence, self.default = precedence, default
+        order = [name for stratum in program.strata for name in stratum if name in ACTIONS and name != default]
+        rules = [_rule(each["head"], each["text"]) for each in program.clauses if each["head"] in order]
+        self.rules = {head: [rule for rule in rules if rule.head == head] for head in order}
+
+    def degrees(self, unary: Tensor, binary: Tensor, valid: Tensor, semantics: Semantics = "product") -> Tensor:
+        """Return the degree to which each action is the answer.
+
+        Args:
+            unary: (B, N, 11), the degrees of the atoms of `UNARY`.
+            binary: (B, N, N, 7), those of `RELATIONS`: the six binary predicates and `Sees`.
+            valid: bool (B, N): the entities that are present.
+            semantics: The t-norm.
+
+        Returns:
+            (B, N, 4) in the order of `logicity.ACTIONS`. The action with the largest degree is the answer. With degrees
+            0 and 1, exactly one action has the degree 1.
+        """
+        both = valid[:, :, None] & valid[:, None, :]
+        # An entity sees itself.
+        eye = torch.eye(valid.shape[1], dtype=torch.bool, device=valid.device)
+        sees = binary[..., RELATIONS.index("Sees")].masked_fill(eye, 1.0) * both
+        values = {name: unary[..., at] for at, name in enumerate(UNARY)}
+        # Binary predicates other than Sees are irreflexive.
+        values |= {name: binary[..., at].masked_fill(eye, 0.0) for at, name in enumerate(RELATIONS)}
+        values["Sees"] = sees
+        derived: dict[str, Tensor] = {}
+        for head, rules in self.rules.items():
+            bodies = [_degree(rule, {**values, **derived}, sees, semantics) for rule in rules]
+            derived[head] = _any(torch.stack(bodies, -1), semantics) if bodies else torch.zeros_like(unary[..., 0])
+        # An action is the answer if it is derived, and none that comes before it.
+        answers = dict.fromkeys(ACTIONS, torch.zeros_like(unary[..., 0]))
+        left = torch.ones_like(unary[..., 0])
+        for action in self.precedence:
+            if action in derived:
+                answers[action] = _both(left, derived[action], semantics)
+                left = _both(left, 1 - derived[action], semantics)
+        answers[self.default] = left
+        return torch.stack([answers[action] for action in ACTIONS], -1)
+
+
+def _rule(head: str, text: str) -> Rule:
+    """Parse the text of a clause."""
+    body_text = text.partition(":-")[2].strip().removesuffix(".")
+    body, end = [], 0
+    while end < len(body_text):
+        match = _LITERAL.match(body_text, end)
+        if match is None or bool(match[1]) != bool(match[5]):
+            raise ValueError(
+                f"only literals of predicates can have truth degrees, not `{body_text[end:].strip()}` in `{text}`"
+            )
+        variables = tuple(each for each in (match[3], match[4]) if each)
+        body.append(Atom(match[2], variables, bool(match[1])))
+        end = match.end()
+        if end < len(body_text):
+            if body_text[end] != ",":
+                raise ValueError(f"only literals of predicates can have truth degrees, not `{body_text[end:].strip()}`")
+            end += 1
+    ego = text.partition("(")[2].partition(")")[0].strip()
+    known = {*UNARY, *RELATIONS, *ACTIONS}
+    for atom in body:
+        if atom.predicate not in known or (atom.predicate in ACTIONS and atom.variables != (ego,)):
+            raise ValueError(f"`{atom.predicate}({', '.join(atom.variables)})` has no truth degree, in `{text}`")
+    others = sorted({name for atom in body for name in atom.variables} - {ego})
+    return Rule(head, tuple(body), (ego, *others))
+
+
+def _degree(rule: Rule, values: dict[str, Tensor], sees: Tensor, semantics: Semantics) -> Tensor:
+    """Return the degree of a body, (B, N): the disjunction over the entities in view of the conjunction of literals."""
+    places = {name: at for at, name in enumerate(rule.variables)}
+    atoms = [*rule.body, *(Atom("Sees", (rule.variables[0], name), False) for name in rule.variables[1:])]
+    total: Tensor | None = None
+    for atom in atoms:
+        value = sees if atom.predicate == "Sees" else values[atom.predicate]
+        value = 1 - value if atom.negated else value
+        axes = [places[name] for name in atom.variables]
+        if len(axes) == 2 and axes[0] == axes[1]:
+            value, axes = value.diagonal(dim1=1, dim2=2), axes[:1]
+        elif len(axes) == 2 and axes[0] > axes[1]:
+            value, axes = value.transpose(1, 2), axes[::-1]
+        for axis in range(len(rule.variables)):
+            if axis not in axes:
+                value = value.unsqueeze(axis + 1)
+        total = value if total is None else _both(total, value, semantics)
+    assert total is not None  # a body has at least one literal
+    for _ in rule.variables[1:]:
+        total = _any(total, semantics)
+    return total
+
+
+def _both(first: Tensor, second: Tensor, semantics: Semantics) -> Tensor:
+    return first * second if semantics == "product" else torch.minimum(first, second)
+
+
+def _any(values: Tensor, semantics: Semantics) -> Tensor:
+    return 1 - (1 - values).prod(-1) if semantics == "product" else values.amax(-1)

@@ -1,0 +1,365 @@
+"""Training of the models of Visual Action Prediction. Needs the extra `vap`.
+
+`fit` trains for a number of epochs and writes a checkpoint after each. A run that was interrupted continues from its
+last checkpoint, and ends with the same weights as one that was not: the order of samples and every random number of an
+epoch follow from the seed and the number of the epoch.
+"""
+
+from __future__ import annotations
+
+import os
+import time
+from collections.abc import Callable
+from copy import deepcopy
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Annotated, Any, Literal
+
+import numpy as np
+from numpy.typing import NDArray
+from pydantic import BaseModel, ConfigDict, Field
+
+from ..city import ACTIONS
+from ..errors import missing_extra
+from .data import UNARY, VapDataset
+
+try:
+    import torch
+    from torch import Tensor, nn
+except ImportError as error:
+    raise missing_extra("vap", error) from error
+
+from .concepts import RELATIONS, ConceptModel
+from .loader import as_tensors, padded_batch
+from .reasoners import GraphReasoner
+
+__all__ = ["Budget", "Samples", "concept_loss", "end_to_end_loss", "fit", "groundings", "predict_actions"]
+
+#: The number of samples that models predict at once.
+BATCH = 64
+
+
+class Budget(BaseModel):
+    """How long and how to train."""
+
+    model_config = ConfigDict(extra="forbid", frozen=True, strict=True, use_attribute_docstrings=True)
+
+    epochs: Annotated[int, Field(ge=1)] = 10
+    """The number of passes over the samples."""
+    batch: Annotated[int, Field(ge=1)] = 16
+    """The number of pictures of an update."""
+    learning_rate: Annotated[float, Field(gt=0)] = 1e-3
+    """The learning rate, which falls to 0 along a half cosine."""
+    optimizer: Literal["adam", "adamw"] = "adam"
+    """The optimizer."""
+    weight_decay: Annotated[float, Field(ge=0)] = 0.01
+    """The weight decay of `adamw`."""
+    class_power: Annotated[float, Field(ge=0, le=1)] = 0.5
+    """The weight of a class of n examples is n to the power of minus this: 0 weighs examples alike, 1 classes."""
+
+
+@dataclass
+class Samples:
+    """All samples of a data set in memory.
+
+    Attributes:
+        facts: Tensors in the format of `collate`, without names and concepts.
+        inputs: What the appearance part sees of the entities, in the order of samples and entities: `crops` uint8
+            (E, side, side, 3) or `features` float (E, F). Empty for models that see only the sides of boxes.
+    """
+
+    facts: dict[str, Tensor]
+    inputs: dict[str, Tensor] = field(default_factory=dict)
+
+    @classmethod
+    def load(cls, samples: VapDataset, inputs: dict[str, Tensor] | None = None) -> Samples:
+        """Read the tables of a data set."""
+        facts = padded_batch([as_tensors(samples.facts(at)) for at in range(len(samples))])
+        return cls({name: each for name, each in facts.items() if isinstance(each, Tensor)}, inputs or {})
+
+    def __post_init__(self) -> None:
+        """Count the entities."""
+        counts = self.facts["valid"].sum(1)
+        self._starts = counts.cumsum(0) - counts
+        entities = int(counts.sum())
+        for name, values in self.inputs.items():
+            if len(values) != entities:
+                raise ValueError(f"{len(values)} {name} do not fit {entities} entities")
+
+    def __len__(self) -> int:
+        """Return the number of samples."""
+        return len(self.facts["valid"])
+
+    @property
+    def relations(self) -> Tensor:
+        """The truth values of `RELATIONS`, bool (B, N, N, 7)."""
+        return torch.cat([self.facts["binary"], self.facts["sees"][..., None]], -1)
+
+    def batch(self, chosen: Tensor) -> dict[str, Tensor]:
+        """Return the tensors of some samples, which models take."""
+        batch = {name: values[chosen] for name, values in self.facts.items()}
+        if self.inputs:
+            # The valid entities of a sample come first.
+            places = (self._starts[chosen][:, None] + torch.arange(batch["valid"].shape[1]))[batch["valid"]]
+            batch |= {name: values[places] for name, values in self.inputs.items()}
+        return batch
+
+    def subset(self, fraction: float, seed: int) -> Samples:
+        """Return a random part of the samples, at least one."""
+        count = max(1, round(fraction * len(self)))
+        order = torch.randperm(len(self), generator=torch.Generator().manual_seed(seed))
+        chosen = order[:count].sort().values
+        facts = {name: values[chosen] for name, values in self.facts.items()}
+        batch = self.batch(chosen)
+        return Samples(facts, {name: batch[name] for name in self.inputs})
+
+
+def concept_weights(samples: Samples, power: float) -> tuple[Tensor, Tensor]:
+    """Return the weights of true atoms relative to false ones, for each unary and each binary predicate.
+
+    A predicate without true atoms has the weight 1.
+    """
+    valid = samples.facts["valid"]
+    pairs = valid[:, :, None] & valid[:, None, :]
+    weights = []
+    for truths in (samples.facts["unary"][valid], samples.relations[pairs]):
+        true = truths.sum(0).double()
+        false = len(truths) - true
+        weights.append(torch.where(true > 0, (false / true.clamp(min=1)).clamp(1, 1e4) ** power, 1.0).float())
+    return weights[0], weights[1]
+
+
+def action_weights(actions: Tensor, power: float) -> Tensor:
+    """Return the weights of the actions, with the mean 1 over the examples. Actions without examples have 0."""
+    counts = torch.bincount(actions, minlength=len(ACTIONS)).double()
+    weights = torch.where(counts > 0, counts.clamp(min=1) ** -power, 0.0)
+    return (weights * counts.sum() / (weights * counts).sum()).float()
+
+
+def concept_loss(model: ConceptModel, samples: Samples, power: float) -> Callable[[Tensor, torch.Generator], Tensor]:
+    """Return the loss of concepts on some samples: the weighted binary cross entropy of all atoms."""
+    unary_weights, binary_weights = concept_weights(samples, power)
+
+    def loss(chosen: Tensor, generator: torch.Generator) -> Tensor:
+        batch = _augmented(samples.batch(chosen), generator)
+        unary, binary = model(batch)
+        valid = batch["valid"]
+        pairs = valid[:, :, None] & valid[:, None, :]
+        truths = torch.cat([batch["binary"], batch["sees"][..., None]], -1)
+        cross_entropy = nn.functional.binary_cross_entropy_with_logits
+        of_unary = cross_entropy(unary[valid], batch["unary"][valid].float(), pos_weight=unary_weights)
+        return of_unary + cross_entropy(binary[pairs], truths[pairs].float(), pos_weight=binary_weights)
+
+    return loss
+
+
+def reasoning_loss(
+    reasoner: nn.Module, unary: Tensor, binary: Tensor, samples: Samples, power: float
+) -> Callable[[Tensor, torch.Generator], Tensor]:
+    """Return the loss of a reasoner on given groundings: the weighted cross entropy of the actions of cars."""
+    facts = samples.facts
+    weights = action_weights(facts["actions"][facts["mask"]], power)
+
+    def loss(chosen: Tensor, generator: torch.Generator) -> Tensor:
+        logits = reasoner(unary[chosen], binary[chosen], facts["valid"][chosen])
+        return _action_loss(logits, facts["actions"][chosen], facts["mask"][chosen], weights)
+
+    return loss
+
+
+def end_to_end_loss(
+    concepts: ConceptModel, reasoner: nn.Module, samples: Samples, power: float
+) -> Callable[[Tensor, torch.Generator], Tensor]:
+    """Return the loss of the actions of cars, for a concept model and a reasoner together."""
+    facts = samples.facts
+    weights = action_weights(facts["actions"][facts["mask"]], power)
+
+    def loss(chosen: Tensor, generator: torch.Generator) -> Tensor:
+        batch = _augmented(samples.batch(chosen), generator)
+        unary, binary = concepts(batch)
+        logits = reasoner(torch.sigmoid(unary), torch.sigmoid(binary), batch["valid"])
+        return _action_loss(logits, batch["actions"], batch["mask"], weights)
+
+    return loss
+
+
+def _action_loss(logits: Tensor, actions: Tensor, cars: Tensor, weights: Tensor) -> Tensor:
+    """Return the weighted cross entropy of the actions of cars, 0 if there are none."""
+    each = nn.functional.cross_entropy(logits[cars], actions[cars], weights, reduction="sum")
+    return each / weights[actions[cars]].sum().clamp(min=1e-6)
+
+
+def _augmented(batch: dict[str, Tensor], generator: torch.Generator) -> dict[str, Tensor]:
+    """Turn and mirror all crops of a batch alike: an agent looks the same from all sides."""
+    if "crops" not in batch:
+        return batch
+    turn, mirrored = torch.randint(4, (), generator=generator), torch.randint(2, (), generator=generator)
+    crops = torch.rot90(batch["crops"], int(turn), (1, 2))
+    return {**batch, "crops": crops.flip(2) if mirrored else crops}
+
+
+def fit(
+    network: nn.Module,
+    loss: Callable[[Tensor, torch.Generator], Tensor],
+    count: int,
+    budget: Budget,
+    seed: int,
+    score: Callable[[], float],
+    checkpoint: Path | None = None,
+    report: Callable[[int], None] | None = None,
+) -> list[dict[str, float]]:
+    """Train a network, and keep the weights of the epoch with the best score.
+
+    Args:
+        network: The network.
+        loss: Returns the loss of some samples. Receives their numbers and a generator of random numbers.
+        count: The number of samples.
+        budget: How long and how to train.
+        seed: The seed.
+        score: Returns the score of the current weights on the validation samples; larger is better.
+        checkpoint: A file from which to resume, and to which to write after each epoch.
+        report: Receives the number of finished epochs.
+
+    Returns:
+        For each epoch, `loss`, `score` and `cpu_seconds`.
+    """
+    kinds = {"adam": torch.optim.Adam, "adamw": torch.optim.AdamW}
+    decay = {"weight_decay": budget.weight_decay} if budget.optimizer == "adamw" else {}
+    optimizer = kinds[budget.optimizer](network.parameters(), budget.learning_rate, **decay)
+    steps = budget.epochs * -(-count // budget.batch)
+    schedule = torch.optim.lr_scheduler.CosineAnnealingLR(optimizer, steps)
+    history: list[dict[str, float]] = []
+    best = deepcopy(network.state_dict())
+    if checkpoint is not None and checkpoint.exists():
+        saved = torch.load(checkpoint, weights_only=True)
+        network.load_state_dict(saved["network"])
+        optimizer.load_state_dict(saved["optimizer"])
+        schedule.load_state_dict(saved["schedule"])
+        history, best = saved["history"], saved["best"]
+    for epoch in range(len(history), budget.epochs):
+        generator = torch.Generator().manual_seed(seed * 100_003 + epoch)
+        torch.manual_seed(seed * 100_003 + epoch)
+        begun = time.process_time()
+        network.train()
+        total = 0.0
+        for chosen in torch.randperm(count, generator=generator).split(budget.batch):
+            value = loss(chosen, generator)
+            optimizer.zero_grad()
+            value.backward()
+            optimizer.step()
+            schedule.step()
+            total += float(value.detach()) * len(chosen)
+        network.eval()
+        with torch.no_grad():
+            reached = score()
+        if not history or reached >= max(each["score"] for each in history):
+            best = deepcopy(network.state_dict())
+        history.append({"loss": total / count, "score": reached, "cpu_seconds": time.process_time() - begun})
+        if checkpoint is not None:
+            state = {
+                "network": network.state_dict(),
+                "optimizer": optimizer.state_dict(),
+                "schedule": schedule.state_dict(),
+                "history": history,
+                "best": best,
+            }
+            save(state, checkpoint)
+        if report is not None:
+            report(epoch + 1)
+    network.load_state_dict(best)
+    network.eval()
+    return history
+
+
+def save(state: dict[str, Any], path: Path) -> None:
+    """Write a state to a file, which is replaced only when it is complete."""
+    temporary = path.with_name(f".{path.name}.{os.getpid()}")
+    torch.save(state, temporary)
+    temporary.replace(path)
+
+
+def groundings(model: ConceptModel, samples: Samples) -> tuple[Tensor, Tensor]:
+    """Return the predicted probabilities of all atoms: (B, N, 11) and (B, N, N, 7)."""
+    model.eval()
+    parts = []
+    with torch.no_grad():
+        for chosen in torch.arange(len(samples)).split(BATCH):
+            unary, binary = model(samples.batch(chosen))
+            parts.append((torch.sigmoid(unary), torch.sigmoid(binary)))
+    return torch.cat([unary for unary, _ in parts]), torch.cat([binary for _, binary in parts])
+
+
+def predict_actions(reasoner: nn.Module, unary: Tensor, binary: Tensor, valid: Tensor) -> Tensor:
+    """Return the predicted actions of all entities, int64 (B, N)."""
+    reasoner.eval()
+    with torch.no_grad():
+        parts = [
+            reasoner(unary[chosen], binary[chosen], valid[chosen]).argmax(-1)
+            for chosen in torch.arange(len(valid)).split(BATCH)
+        ]
+    return torch.cat(parts)
+
+
+def concept_recall(unary: Tensor, binary: Tensor, samples: Samples) -> dict[str, dict[str, float | None]]:
+    """Return `recall`, `precision` and `count` of each predicate at the threshold 0.5, `None` for what is undefined.
+
+    As in the paper, the pairs of a binary predicate are those whose first entity sees the second. `CollidingClose
+    (cars)` has only the pairs whose first entity is a car: that of a pedestrian is drawn at random.
+    """
+    valid, sees = samples.facts["valid"], samples.facts["sees"]
+    result = {
+        name: _recall(unary[..., at][valid] > 0.5, samples.facts["unary"][..., at][valid])
+        for at, name in enumerate(UNARY)
+    }
+    relations = samples.relations
+    cars = samples.facts["mask"][:, :, None] & sees
+    for at, name in enumerate(RELATIONS):
+        pairs = valid[:, :, None] & valid[:, None, :] if name == "Sees" else sees
+        result[name] = _recall(binary[..., at][pairs] > 0.5, relations[..., at][pairs])
+        if name == "CollidingClose":
+            result[f"{name} (cars)"] = _recall(binary[..., at][cars] > 0.5, relations[..., at][cars])
+    return result
+
+
+def _recall(predicted: Tensor, truth: Tensor) -> dict[str, float | None]:
+    hits, true, positive = int((predicted & truth).sum()), int(truth.sum()), int(predicted.sum())
+    return {
+        "recall": hits / true if true else None,
+        "precision": hits / positive if positive else None,
+        "count": true,
+    }
+
+
+def train_on_facts(
+    train: VapDataset, test: VapDataset, seed: int, epochs: int, progress: Callable[[int], None]
+) -> NDArray[np.int64]:
+    """Train a graph network on the facts of a data set, and predict the actions of the cars in another.
+
+    Args:
+        train: The data set to train on, which must have cars.
+        test: The data set to predict on.
+        seed: The seed.
+        epochs: The number of epochs.
+        progress: A function that receives the number of finished epochs after each epoch.
+
+    Returns:
+        The predicted actions, int64 of shape (M,) for M cars in all samples of `test`.
+    """
+    facts, queries = Samples.load(train), Samples.load(test)
+    budget = Budget(epochs=epochs, batch=64, learning_rate=3e-3, optimizer="adamw", class_power=0.0)
+    threads = torch.get_num_threads()
+    # The tensors are so small that synchronizing several threads costs more than it saves.
+    torch.set_num_threads(1)
+    try:
+        with torch.random.fork_rng(devices=[]):
+            torch.manual_seed(seed)
+            reasoner = GraphReasoner(width=64)
+            inputs = [(each.facts["unary"].float(), each.relations.float()) for each in (facts, queries)]
+            loss = reasoning_loss(reasoner, *inputs[0], facts, budget.class_power)
+            # Without validation, the last epoch counts.
+            fit(reasoner, loss, len(facts), budget, seed, lambda: 0.0, report=progress)
+        predicted = predict_actions(reasoner, *inputs[1], queries.facts["valid"])
+    finally:
+        torch.set_num_threads(threads)
+    chosen: NDArray[np.int64] = predicted[queries.facts["mask"]].numpy()
+    return chosen

@@ -1,0 +1,608 @@
+"""Models and experiments of Visual Action Prediction: perception, rules on probabilities, reasoners, and the runner."""
+
+from __future__ import annotations
+
+import json
+import random
+import signal
+import subprocess
+import sys
+import time
+from collections.abc import Callable
+from copy import deepcopy
+from itertools import pairwise
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+from conftest import ROOT, needs
+
+from logicity import ACTIONS, Inference, InputError
+from logicity.rules import Program
+from logicity.types import Split
+from logicity.vap import UNARY, VapDataset, make_dataset
+
+torch: Any = needs("torch", "vap")
+needs("stable_baselines3", "learn")
+from logicity.commands import run as command  # noqa: E402
+from logicity.learn.cells import finished, prepare, run_cell  # noqa: E402
+from logicity.learn.experiment import Selection, load_experiment  # noqa: E402
+from logicity.learn.jobs import run_in_processes  # noqa: E402
+from logicity.learn.report import paper_table  # noqa: E402
+from logicity.vap.concepts import RELATIONS, ConceptModel, ConceptSettings  # noqa: E402
+from logicity.vap.crops import crop_boxes  # noqa: E402
+from logicity.vap.experiment import VapCell, VapExperiment, facts_of, scenes_of  # noqa: E402
+from logicity.vap.features import compute_features, load_features  # noqa: E402
+from logicity.vap.reasoners import make_reasoner  # noqa: E402
+from logicity.vap.report import (  # noqa: E402
+    VapReport,
+    leaderboard,
+    paper_figures,
+    pooled,
+    read_results,
+    submit,
+)
+from logicity.vap.soft_rules import SoftRules  # noqa: E402
+from logicity.vap.training import Budget, Samples, concept_loss, concept_recall, fit, groundings  # noqa: E402
+
+EXPERIMENTS = ROOT / "configs" / "experiments"
+#: Every stage, without pictures but for one row.
+TINY = """
+task: vap
+title: Tiny
+paper: vap
+modes: [hard]
+variants: {random: {}}
+settings: {worlds: {train: 1, val: 1, test: 1}, fraction: 0.3, training: {epochs: 2}}
+learners:
+  rules: {settings: {concepts: {perception: sides}}}
+  modular-gnn: {start: rules, settings: {stage: reasoning, concepts: {perception: sides}, training: {epochs: 3}}}
+  e2e-nlm: {settings: {stage: end-to-end, reasoner: nlm, concepts: {perception: sides}}}
+"""
+
+
+@pytest.fixture(scope="module")
+def pictures(tmp_path_factory: pytest.TempPathFactory) -> VapDataset:
+    """A world with clean pictures."""
+    folder = tmp_path_factory.mktemp("vap") / "set"
+    return make_dataset(folder, "hard", "test", worlds=1, difficulty=0, threads=1)
+
+
+@pytest.fixture(scope="module")
+def samples(pictures: VapDataset) -> Samples:
+    return Samples.load(pictures)
+
+
+@pytest.fixture
+def tiny(tmp_path: Path) -> Path:
+    file = tmp_path / "tiny.yaml"
+    file.write_text(TINY)
+    return file
+
+
+def cells_of(file: Path, **selection: Any) -> tuple[VapExperiment, list[VapCell]]:
+    experiment, path = VapExperiment.load(file)
+    return experiment, experiment.cells(path, Selection(**selection))
+
+
+def timeless(measured: Any) -> Any:
+    """Return a result without times."""
+    copy = deepcopy(measured)
+    del copy["result"]["cpu_seconds"]
+    return copy
+
+
+# --- pictures and features
+
+
+def test_boxes_and_pictures_have_one_orientation(pictures: VapDataset) -> None:
+    # What changes between two pictures of a world are agents, so it is in their boxes.
+    for first, second in pairwise([pictures[10], pictures[30], pictures[60]]):
+        assert first.image is not None and second.image is not None
+        changed = np.abs(first.image.astype(int) - second.image.astype(int)).max(2) > 8
+        shares = []
+        for order in ([0, 1, 2, 3], [1, 0, 3, 2]):
+            inside = np.zeros_like(changed)
+            for left, top, width, height in np.concatenate([first.boxes, second.boxes])[:, order]:
+                inside[int(top) : int(np.ceil(top + height)), int(left) : int(np.ceil(left + width))] = True
+            shares.append(changed[inside].sum() / changed.sum())
+        assert shares[0] > 0.9 and shares[1] < 0.5
+
+
+def test_crops_are_what_the_boxes_contain() -> None:
+    image = np.zeros((1024, 1024, 3), np.uint8)
+    # Left half red, right half green, blue below.
+    image[300:348, 100:124, 0] = 200
+    image[300:348, 124:148, 1] = 150
+    image[348:372, 100:148, 2] = 100
+    boxes = np.array([[100, 300, 48, 72], [100, 300, 24, 48], [1000, 1000, 48, 48], [np.nan] * 4], np.float32)
+    crops = crop_boxes(image, boxes)
+    assert crops.shape == (4, 48, 48, 3)
+    assert (crops[0, 5, 5].tolist(), crops[0, 5, 40].tolist(), crops[0, 44, 20].tolist()) == (
+        [200, 0, 0],
+        [0, 150, 0],
+        [0, 0, 100],
+    )
+    assert (crops[1] == [200, 0, 0]).all() and not crops[2:].any()
+
+
+def test_stored_crops_are_resumed_and_checked(pictures: VapDataset, tmp_path: Path) -> None:
+    out = compute_features(pictures.folder, tmp_path / "crops")
+    values = load_features(out, pictures)
+    entities = sum(len(sample.names) for sample in map(pictures.facts, range(len(pictures))))
+    assert values.shape == (entities, 48, 48, 3) and values.dtype == torch.uint8
+    sample = pictures[0]
+    assert sample.image is not None
+    assert (values[: len(sample.names)].numpy() == crop_boxes(sample.image, sample.boxes)).all()
+    begun = (out / "world-00000.npy").stat().st_mtime_ns
+    assert compute_features(pictures.folder, out) == out
+    assert (out / "world-00000.npy").stat().st_mtime_ns == begun, "finished worlds are not computed again"
+    document = json.loads((out / "features.json").read_text())
+    (out / "features.json").write_text(json.dumps({**document, "data_hash": "0" * 64}))
+    with pytest.raises(ValueError, match="features with another `data_hash`"):
+        compute_features(pictures.folder, out)
+    with pytest.raises(ValueError, match="features of another data set"):
+        load_features(out, pictures)
+
+
+def test_the_backbone_reads_regions_where_the_boxes_are(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    torchvision = needs("torchvision", "vap")
+    from logicity.vap.features import Backbone
+
+    monkeypatch.setenv("TORCH_HOME", str(tmp_path))
+    with pytest.raises(FileNotFoundError, match=r"no weights of ResNet50 in torchvision's cache .*--weights"):
+        Backbone()
+    torch.manual_seed(0)
+    weights = tmp_path / "resnet50.pth"
+    torch.save(torchvision.models.resnet50(weights=None).state_dict(), weights)
+    extract = Backbone(weights)
+    assert extract.identity == Backbone(weights).identity
+    image = np.zeros((256, 512, 3), np.uint8)
+    image[40:80, 400:440] = 255
+    # The box of the bright square, one in the same rows, one in the same columns, and none.
+    boxes = np.array([[400, 40, 40, 40], [40, 40, 40, 40], [400, 200, 40, 40], [np.nan] * 4], np.float32)
+    found = extract(image, boxes)
+    assert found.shape == (4, 512) and found.dtype == np.float16 and not found[3].any()
+    # What the square changes, it changes most in its box.
+    changes = np.abs(found.astype(np.float32) - extract(np.zeros_like(image), boxes).astype(np.float32)).sum(1)
+    assert changes[0] > 1.5 * changes[1:].max()
+    torch.save({"a": torch.zeros(1)}, tmp_path / "other.pth")
+    with pytest.raises(ValueError, match=r"other\.pth: not the weights of ResNet50"):
+        Backbone(tmp_path / "other.pth")
+    with pytest.raises(ValueError, match="device `cuda:99`"):
+        Backbone(weights, "cuda:99")
+
+
+# --- rules on probabilities
+
+
+@pytest.mark.parametrize("mode", ["easy", "hard"])
+def test_the_rules_on_true_facts_are_exact(mode: Any, tmp_path: Path) -> None:
+    made = make_dataset(tmp_path / "set", mode, "train", agents="random", worlds=2, images=False, threads=1)
+    samples = Samples.load(made)
+    rules = SoftRules(Program.load(f"rules/vap-{mode}.dl"))
+    cars = samples.facts["mask"]
+    for semantics in ("product", "max-min"):
+        degrees = rules.degrees(
+            samples.facts["unary"].float(), samples.relations.float(), samples.facts["valid"], semantics
+        )
+        assert (degrees.argmax(-1)[cars] == samples.facts["actions"][cars]).all()
+        assert set(degrees[cars].unique().tolist()) == {0.0, 1.0} and (degrees[cars].sum(-1) == 1).all()
+
+
+def test_the_rules_on_wrong_facts_are_those_of_inference(samples: Samples) -> None:
+    rules, inference = SoftRules(Program.load("rules/vap-hard.dl")), Inference("configs/vap-hard.yaml")
+    generator = torch.Generator().manual_seed(3)
+    chosen = torch.arange(0, len(samples), 8)
+    batch = samples.batch(chosen)
+    unary = batch["unary"] ^ (torch.rand(batch["unary"].shape, generator=generator) < 0.05)
+    relations = torch.cat([batch["binary"], batch["sees"][..., None]], -1)
+    binary = relations ^ (torch.rand(relations.shape, generator=generator) < 0.03)
+    # An agent is a car or a pedestrian; the engine rejects both.
+    unary[..., UNARY.index("IsPedestrian")] = ~unary[..., UNARY.index("IsCar")]
+    part = Samples({name: batch[name] for name in samples.facts})
+    expected = [
+        ACTIONS.index(
+            inference.answer({"entities": scene["entities"], "ego": scene["ego"], "facts": scene["facts"]})["egos"][
+                scene["ego"]
+            ]["action"]
+        )
+        for scene in scenes_of(unary, binary, part)
+    ]
+    degrees = rules.degrees(unary.float(), binary.float(), batch["valid"], "max-min")
+    assert degrees.argmax(-1)[batch["mask"]].tolist() == expected and len(set(expected)) == 4
+
+
+def test_probabilities_are_carried_through_the_rules() -> None:
+    rules = SoftRules(Program.load("rules/vap-easy.dl"))
+    unary, binary = torch.zeros(1, 3, len(UNARY)), torch.zeros(1, 3, 3, len(RELATIONS))
+    valid = torch.tensor([[True, True, True]])
+    unary[0, 0, UNARY.index("IsAtInter")] = 0.9
+    unary[0, 1:, UNARY.index("IsInInter")] = torch.tensor([0.5, 0.25])
+    binary[0, 0, :, RELATIONS.index("Sees")] = torch.tensor([0.0, 0.8, 0.4])
+    # Stop: 0.9 x 0.5 x 0.8 = 0.36 for the second entity, 0.9 x 0.25 x 0.4 = 0.09 for the third.
+    stop = ACTIONS.index("Stop")
+    assert rules.degrees(unary, binary, valid, "product")[0, 0, stop] == pytest.approx(1 - 0.64 * 0.91)
+    assert rules.degrees(unary, binary, valid, "max-min")[0, 0, stop] == pytest.approx(0.5)
+    absent = torch.tensor([[True, False, True]])
+    assert rules.degrees(unary, binary, absent, "product")[0, 0, stop] == pytest.approx(0.09)
+
+
+def test_max_min_answers_are_those_of_thresholded_facts() -> None:
+    rules = SoftRules(Program.load("rules/vap-hard.dl"))
+    generator = torch.Generator().manual_seed(0)
+    unary = torch.rand(50, 6, len(UNARY), generator=generator)
+    binary = torch.rand(50, 6, 6, len(RELATIONS), generator=generator) ** 3
+    valid = torch.ones(50, 6, dtype=torch.bool)
+    soft = rules.degrees(unary, binary, valid, "max-min").argmax(-1)
+    hard = rules.degrees((unary > 0.5).float(), (binary > 0.5).float(), valid, "product").argmax(-1)
+    assert (soft == hard).all() and len(soft.unique()) == 4
+
+
+def test_clauses_without_truth_degrees_are_reported() -> None:
+    text = '.include "rules/vocabulary.dl"\n'
+    with pytest.raises(ValueError, match=r"only literals of predicates can have truth degrees, not `X != Y`"):
+        SoftRules(Program(text + "Stop(X) :- IsClose(X, Y), X != Y."))
+
+
+# --- models
+
+
+def inputs(count: int = 5, seed: int = 0) -> tuple[Any, Any, Any]:
+    generator = torch.Generator().manual_seed(seed)
+    unary = torch.rand(3, count, len(UNARY), generator=generator)
+    binary = torch.rand(3, count, count, len(RELATIONS), generator=generator)
+    binary[:, range(count), range(count)] = 0
+    return unary, binary, torch.ones(3, count, dtype=torch.bool)
+
+
+@pytest.mark.parametrize("name", ["gnn", "nlm"])
+def test_reasoners_do_not_depend_on_order_and_padding(name: Any) -> None:
+    torch.manual_seed(0)
+    reasoner = make_reasoner(name)
+    unary, binary, valid = inputs()
+    with torch.no_grad():
+        logits = reasoner(unary, binary, valid)
+        order = torch.tensor([3, 0, 4, 1, 2])
+        permuted = reasoner(unary[:, order], binary[:, order][:, :, order], valid)
+        assert torch.allclose(permuted, logits[:, order], atol=1e-5)
+        more, wider, _ = inputs(7, 1)
+        more[:, :5], wider[:, :5, :5] = unary, binary
+        present = torch.arange(7).expand(3, 7) < 5
+        assert torch.allclose(reasoner(more, wider, present)[:, :5], logits, atol=1e-5)
+        assert logits.shape == (3, 5, len(ACTIONS)) and logits.std() > 0
+
+
+def test_only_higher_priority_depends_on_priorities(samples: Samples) -> None:
+    batch = samples.batch(torch.arange(4))
+    other = {**batch, "h": batch["h"].clone()}
+    other["h"][..., 8] = torch.rand(other["h"].shape[:2])
+    at = RELATIONS.index("HigherPri")
+    for priority in (False, True):
+        torch.manual_seed(0)
+        model = ConceptModel(ConceptSettings(perception="sides", priority=priority))
+        with torch.no_grad():
+            (unary, binary), (unary_2, binary_2) = model(batch), model(other)
+        changed = {RELATIONS[k] for k in range(len(RELATIONS)) if not torch.equal(binary[..., k], binary_2[..., k])}
+        assert changed == (set(RELATIONS) if priority else {RELATIONS[at]})
+        assert torch.equal(unary, unary_2) is not priority
+
+
+@pytest.mark.parametrize(
+    ("perception", "spatial", "shape"),
+    [("crops", "geometric", (48, 48, 3)), ("features", "plain", (512,)), ("sides", "plain", None)],
+)
+def test_concept_models_take_crops_features_or_sides(
+    samples: Samples, perception: Any, spatial: Any, shape: tuple[int, ...] | None
+) -> None:
+    entities = int(samples.facts["valid"].sum())
+    kinds = {"crops": torch.uint8, "features": torch.float32}
+    given = {} if shape is None else {perception: torch.zeros(entities, *shape, dtype=kinds[perception])}
+    part = Samples(samples.facts, given)
+    model = ConceptModel(ConceptSettings(perception=perception, spatial=spatial, width=2)).eval()
+    unary, binary = model(part.batch(torch.tensor([5, 2])))
+    count = samples.facts["valid"].shape[1]
+    assert unary.shape == (2, count, 11) and binary.shape == (2, count, count, 7)
+    with pytest.raises(ValueError, match="do not fit"):
+        Samples(samples.facts, {"features": torch.zeros(3, 512)})
+
+
+def test_spatial_concepts_are_learned_in_a_minute(tmp_path: Path) -> None:
+    splits: list[tuple[Split, int]] = [("train", 8), ("test", 2)]
+    made = [
+        Samples.load(make_dataset(tmp_path / split, "hard", split, worlds=worlds, images=False, threads=1))
+        for split, worlds in splits
+    ]
+    torch.manual_seed(0)
+    model = ConceptModel(ConceptSettings(perception="sides"))
+    budget = Budget(epochs=6, learning_rate=2e-3)
+    history = fit(model, concept_loss(model, made[0], 0.5), len(made[0]), budget, 0, lambda: 0.0)
+    assert history[-1]["loss"] < history[0]["loss"]
+    recall = concept_recall(*groundings(model, made[1]), made[1])
+    for name in ("IsAtInter", "IsInInter", "IsClose", "NextTo", "LeftOf", "RightOf", "HigherPri", "Sees"):
+        value = recall[name]["recall"]
+        assert value is not None and value > 0.85, (name, recall[name])
+
+
+def test_training_resumes_to_the_same_weights(samples: Samples, tmp_path: Path) -> None:
+    budget = Budget(epochs=4, batch=32)
+
+    def train(checkpoint: Path | None, stop_after: int = 99) -> tuple[Any, Any]:
+        torch.manual_seed(7)
+        model = ConceptModel(ConceptSettings(perception="sides"))
+
+        def report(epoch: int) -> None:
+            if epoch == stop_after:
+                raise KeyboardInterrupt
+
+        history = fit(
+            model,
+            concept_loss(model, samples, 0.5),
+            len(samples),
+            budget,
+            7,
+            lambda: float(model.pairs[0].weight.std()),
+            checkpoint,
+            report,
+        )
+        return model.state_dict(), [{"loss": each["loss"], "score": each["score"]} for each in history]
+
+    whole = train(None)
+    checkpoint = tmp_path / "checkpoint.pt"
+    for epoch in (1, 2, 3):
+        with pytest.raises(KeyboardInterrupt):
+            train(checkpoint, epoch)
+    resumed = train(checkpoint)
+    assert resumed[1] == whole[1] and len(whole[1]) == 4
+    assert all(torch.equal(resumed[0][name], value) for name, value in whole[0].items())
+
+
+# --- experiments
+
+
+def test_the_shipped_experiments_have_cells() -> None:
+    for name, rows in [("vap", 8), ("vap-continual", 5), ("vap-concepts", 2)]:
+        file = EXPERIMENTS / f"{name}.yaml"
+        loaded, _ = load_experiment(file)
+        experiment, cells = cells_of(file)
+        assert loaded == experiment and len(experiment.learners) == rows
+        assert experiment.paper == name and paper_table(name)["source"].startswith("LogiCity (NeurIPS 2024")
+        assert len({cell.identity for cell in cells}) == len(cells)
+        places = {cell.identity: at for at, cell in enumerate(cells)}
+        assert all(cell.start is None or places[cell.start.identity] < places[cell.identity] for cell in cells)
+        assert all(cell.settings.training.epochs == 1 for cell in cells_of(file, quick=True)[1])
+    _, cells = cells_of(EXPERIMENTS / "vap-continual.yaml", seeds=(0,), only=[("modular-nlm", None)])
+    last = next(cell for cell in cells if cell.variant == "5 %")
+    assert last.start is not None and (last.start.mode, last.start.row) == ("easy", "modular-nlm")
+    assert last.start.start is not None and last.start.start.row == "rules"
+
+
+def test_the_papers_figures_are_those_of_its_table() -> None:
+    assert paper_figures("vap", "modular-nlm", "fixed", "hard") == {
+        **{"Slow": 0.39, "Normal": 0.54, "Fast": 0.11, "Stop": 0.48},
+        **{"aAcc": 0.45, "wAcc": 0.24},
+    }
+    assert paper_figures("vap", "e2e-gnn", "random", "easy") == {
+        **{"Slow": 0.88, "Normal": 0.64, "Stop": 1.0, "aAcc": 0.87, "wAcc": 0.82}
+    }
+    assert paper_figures("vap", "rules", "fixed", "hard") is None
+    concepts = paper_table("vap-concepts")["concepts"]
+    assert len(concepts) == 17 and concepts["CollidingClose"] == 0.05
+
+
+@pytest.mark.parametrize(
+    ("text", "message"),
+    [
+        (TINY.replace("task: vap", "task: vpa"), "unknown task `vpa`; did you mean `vap`"),
+        (TINY.replace("title: Tiny", ""), "the key `title` is missing"),
+        (TINY.replace("paper:", "papr:"), "unknown key `papr`[^?]*did you mean `paper`"),
+        (TINY.replace("start: rules", "start: rule"), "`rule`, which is no row before it; did you mean `rules`"),
+        (TINY.replace("fraction: 0.3", "fraction: 3"), "setting `fraction`: Input should be less than or equal to 1"),
+        (
+            TINY.replace("stage: reasoning", "stage: reason"),
+            "`modular-gnn`|setting `stage`: Input should be 'concepts'",
+        ),
+        (TINY.replace("{random: {}}", "{random: {start: a}}"), "unknown variant `a`"),
+        (TINY.replace("modes: [hard]", "modes: [expert]"), "`modes.0` must be `easy` or `hard`, not `expert`"),
+    ],
+)
+def test_faulty_experiments_are_reported(text: str, message: str, tmp_path: Path) -> None:
+    (tmp_path / "tiny.yaml").write_text(text)
+    with pytest.raises(InputError, match=message):
+        load_experiment(tmp_path / "tiny.yaml")
+
+
+def test_unknown_selections_are_reported(tiny: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    for arguments, message in [
+        (["--only", "rule"], "--only: unknown learner `rule`; did you mean `rules`?"),
+        (["--only", "rules,easy"], "--only: `rules` has no mode `easy`"),
+        (["--set", "training.epochs=0"], "setting `training.epochs` of `rules`: Input should be greater than"),
+    ]:
+        assert command(("experiment",), [str(tiny), "--run", str(tiny.parent / "run"), *arguments]) == 2
+        assert message in capsys.readouterr().err
+
+
+def test_a_cell_needs_the_model_that_it_starts_from(tiny: Path, tmp_path: Path) -> None:
+    tiny.write_text(TINY.replace("start: rules, ", ""))
+    _, cells = cells_of(tiny, only=[("modular-gnn", None)])
+    with pytest.raises(ValueError, match="`groundings: predicted` needs the concepts of another row: set its `start`"):
+        run_cell(prepare(cells[0], tmp_path / "run"))
+
+
+def test_intervals_draw_runs_and_worlds() -> None:
+    world = {"world": 0, "frames": 4, "a_acc": 2.0, "counts": [4, 4, 0, 8], "correct": [2, 4, 0, 4]}
+    better = {**world, "world": 1, "a_acc": 4.0, "correct": [4, 4, 0, 8]}
+    alone = pooled([[world]])
+    assert set(alone) == {"Slow", "Normal", "Stop", "aAcc", "wAcc"}
+    # wAcc: (0.5 / 4 + 1 / 4 + 0.5 / 8) / (1 / 4 + 1 / 4 + 1 / 8)
+    assert alone["wAcc"].value == pytest.approx(0.7) and alone["wAcc"].low == alone["wAcc"].high
+    both = pooled([[world, better], [better, better]])
+    assert both["Slow"].value == pytest.approx(0.875) and both["aAcc"].value == pytest.approx(0.875)
+    assert both["Slow"].low < both["Slow"].value < both["Slow"].high == 1.0
+
+
+@pytest.fixture(scope="module")
+def undisturbed(tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, Path]:
+    """The file and the folder of the tiny experiment, run in this process."""
+    folder = tmp_path_factory.mktemp("undisturbed")
+    (folder / "tiny.yaml").write_text(TINY)
+    for cell in cells_of(folder / "tiny.yaml")[1]:
+        run_cell(prepare(cell, folder / "run"))
+    return folder / "tiny.yaml", folder / "run"
+
+
+def test_the_table_stands_beside_the_papers(undisturbed: tuple[Path, Path], tmp_path: Path) -> None:
+    file, root = undisturbed
+    experiment, cells = cells_of(file)
+    report = VapReport(experiment, cells, root)
+    assert [(entry.row, entry.predictor) for entry in report.entries] == [
+        ("rules", "threshold"),
+        ("rules", "product"),
+        ("modular-gnn", ""),
+        ("e2e-nlm", ""),
+    ]
+    assert report.complete and report.entries[2].paper == paper_figures("vap", "modular-gnn", "random", "hard")
+    written = {path.name: path for path in report.write(tmp_path)}
+    assert set(written) == {"table.md", "table.tex", "table.json", "bars.png", "bars.svg"}
+    markdown = written["table.md"].read_text()
+    assert "| the paper's | 0.26 | 0.51 | 0.19 | 0.63 | 0.48 | 0.28 |" in markdown and "| IsAtInter | " in markdown
+    text = report.text()
+    assert "modular-gnn, random" in text and "recall of concepts" in text and "CPU time: " in text
+    missing = VapReport(experiment, cells, tmp_path / "none", {cells[1].identity: "it failed\nhere"})
+    assert not missing.complete and "modular-gnn, random, hard: it failed." in missing.notes()
+
+
+def test_published_rows_are_measured_again(undisturbed: tuple[Path, Path], tmp_path: Path) -> None:
+    file, root = undisturbed
+    experiment, cells = cells_of(file)
+    results = tmp_path / "vap.json"
+    lines = list(submit(experiment, file, cells, root, results))
+    assert lines[-1] == f"4 rows in {results}"
+    page = leaderboard(read_results(results))
+    assert "## `tiny`, hard" in page and "| `modular-gnn` |  | random | " in page and "| `IsAtInter` | " in page
+    folder = cells[0].folder(root)
+    measured = finished(cells[0], root)
+    assert measured is not None
+    changed = deepcopy(measured)
+    changed["evaluations"]["threshold"]["w_acc"] += 0.1
+    (folder / "measured.json").write_text(json.dumps(changed))
+    try:
+        with pytest.raises(ValueError, match=r"rules, random, hard, seed 0: the model .* has wAcc"):
+            list(submit(experiment, file, cells, root, results))
+    finally:
+        (folder / "measured.json").write_text(json.dumps(measured))
+    results.write_text('{"format": 1, "rows": [{}]}')
+    with pytest.raises(ValueError, match="row 0 has no `experiment`"):
+        read_results(results)
+
+
+@pytest.mark.skipif(sys.platform == "win32", reason="needs SIGKILL")
+def test_an_experiment_killed_five_times_is_complete_and_the_same(
+    undisturbed: tuple[Path, Path], tmp_path: Path
+) -> None:
+    file, root = undisturbed
+    other = tmp_path / "run"
+    _, cells = cells_of(file)
+    place = random.Random(5)
+    words = [sys.executable, "-m", "logicity", "experiment", str(file), "--run", str(other), "--jobs", "2"]
+
+    def progress() -> list[Path]:
+        return [path for pattern in ("cell.json", "checkpoint.pt", "measured.json") for path in other.rglob(pattern)]
+
+    for _ in range(5):
+        before = len(progress())
+        process = subprocess.Popen(words, stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL)
+        wait_for(lambda: process.poll() is not None or len(progress()) != before)  # noqa: B023
+        time.sleep(place.random())
+        process.send_signal(signal.SIGKILL)
+        process.wait()
+    done = subprocess.run(words, capture_output=True, text=True)
+    assert done.returncode == 0, done.stderr
+    for cell in cells:
+        first, second = finished(cell, root), finished(cell, other)
+        assert first is not None and timeless(first) == timeless(second)
+
+
+#: Runs the cells of an experiment on a local Ray cluster of two workers, and kills the first worker that is seen.
+ON_RAY = """
+import os, signal, sys
+from pathlib import Path
+from logicity.learn import jobs
+from logicity.learn.experiment import Selection, load_experiment
+
+def watch(line):
+    if not killed:
+        for path in Path("/proc").glob("[0-9]*/cmdline"):
+            if path.read_bytes().startswith(b"ray::_in_worker"):
+                killed.append(int(path.parent.name))
+                os.kill(killed[0], signal.SIGKILL)
+                break
+
+killed, jobs.SECONDS = [], 0.0
+experiment, file = load_experiment(sys.argv[1])
+failed = jobs.run(experiment.cells(file, Selection()), Path(sys.argv[2]), 2, watch, "local")
+assert killed and not failed, (killed, failed)
+"""
+
+
+@pytest.mark.skipif(sys.platform != "linux", reason="reads /proc")
+def test_ray_runs_the_cell_of_a_lost_worker_again(undisturbed: tuple[Path, Path], tmp_path: Path) -> None:
+    needs("ray", "ray")
+    file, root = undisturbed
+    words = [sys.executable, "-c", ON_RAY, str(file), str(tmp_path / "run")]
+    done = subprocess.run(words, stdout=subprocess.DEVNULL, stderr=subprocess.PIPE, text=True)
+    assert done.returncode == 0, done.stderr
+    for cell in cells_of(file)[1]:
+        first, second = finished(cell, root), finished(cell, tmp_path / "run")
+        assert first is not None and second is not None and timeless(first) == timeless(second)
+
+
+def wait_for(condition: Callable[[], object]) -> None:
+    deadline = time.monotonic() + 300
+    while not condition():
+        assert time.monotonic() < deadline, "waited for 300 seconds"
+        time.sleep(0.05)
+
+
+def test_the_quick_table_of_the_paper(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    """From made pictures to the table, with every row."""
+    root = tmp_path / "run"
+    resource = pytest.importorskip("resource", reason="Windows does not count the time of processes")
+
+    def used() -> float:
+        usage = resource.getrusage(resource.RUSAGE_CHILDREN)
+        return float(usage.ru_utime + usage.ru_stime)
+
+    begun = used()
+    arguments = [str(EXPERIMENTS / "vap.yaml"), "--quick", "--jobs", "2", "--run", str(root)]
+    assert command(("experiment",), arguments) == 0
+    assert used() - begun < 600, "five minutes of two processors"
+    output = capsys.readouterr()
+    assert "[32/32] " in output.err and output.out.startswith("Visual Action Prediction\n\neasy\nlearner ")
+    table = json.loads((root / "table.json").read_text())
+    assert {(entry["row"], entry["mode"]) for entry in table["entries"]} == {
+        (row, mode)
+        for mode in ("easy", "hard")
+        for row in ("rules", "no-pixels", "induced", "modular-gnn", "modular-nlm", "e2e-gnn", "e2e-nlm", "true-gnn")
+    }
+    assert not any(entry["missing"] for entry in table["entries"]) and (root / "bars.png").exists()
+    assert not list((tmp_path / "vap-data").rglob("*.png")), "pictures are removed after use"
+
+
+def test_facts_of_a_scene_are_those_of_the_sample(samples: Samples) -> None:
+    unary, binary = samples.facts["unary"].numpy(), samples.relations.numpy()
+    facts = facts_of(unary[4], binary[4], range(len(unary[4])))
+    assert facts["IsCar"] == [f"e{at}" for at in np.flatnonzero(unary[4, :, UNARY.index("IsCar")])]
+    pairs = [[f"e{a}", f"e{b}"] for a, b in np.argwhere(binary[4, :, :, RELATIONS.index("LeftOf")])]
+    assert sorted(facts["LeftOf"]) == sorted(pairs)
+
+
+def test_failures_of_cells_are_reported(tiny: Path, tmp_path: Path) -> None:
+    tiny.write_text(
+        TINY.replace("start: rules, settings: {stage: reasoning", "start: rules, settings: {stage: end-to-end")
+    )
+    _, cells = cells_of(tiny, only=[("modular-gnn", None)])
+    said: list[str] = []
+    failed = run_in_processes(cells, tmp_path / "run", 1, said.append)
+    assert list(failed) == [cells[1].identity]
