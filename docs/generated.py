@@ -348,10 +348,19 @@ def kinds(value: dict[str, Any]) -> str:
 # --- results
 
 
-def results() -> str:
-    """Return the leaderboard."""
-    module = imported("logicity.learn.results")
-    text: str = module.leaderboard(module.read_results(ROOT / "results" / "spf.json"))
+#: The files of `results`.
+RESULTS = ("spf", "transfer", "composition", "observations", "vap")
+
+
+def results(name: str) -> str:
+    """Return the tables of a file of results. One page has those of all smaller experiments of Safe Path Following."""
+    file = ROOT / "results" / f"{name}.json"
+    if name == "vap":
+        module = imported("logicity.vap.report")
+        text: str = module.leaderboard(module.read_results(file))
+    else:
+        module = imported("logicity.learn.results")
+        text = module.leaderboard(module.read_results(file, name), 2 if name == "spf" else 3)
     return text
 
 
@@ -494,10 +503,10 @@ GENERATORS: dict[str, Callable[[], str]] = {
     "warnings": lambda: messages("warning"),
     "configuration": configuration,
     "training": training,
-    "leaderboard": results,
     "environments": environments,
     "python": python,
     "playground": playground,
     "rust": rust,
+    **{f"results-{name}": functools.partial(results, name) for name in RESULTS},
     **{Path(name).stem.lower(): functools.partial(repository_file, name) for name in REPOSITORY_FILES},
 }

@@ -335,6 +335,7 @@ def make_dataset(
     pack: _Path | None,
     pack_mode: str,
     difficulty: int,
+    drawing_version: int,
     threads: int,
     progress: Callable[[int, int], object] | None,
     overwrite: bool,

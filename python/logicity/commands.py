@@ -8,10 +8,11 @@ import json
 import math
 import os
 import sys
+import time
 from collections.abc import Callable, Sequence
 from difflib import get_close_matches
 from pathlib import Path
-from typing import TYPE_CHECKING, cast
+from typing import TYPE_CHECKING, Literal, cast
 
 from . import _logicity
 from .errors import InputError
@@ -153,7 +154,10 @@ def _add_wandb(parser: argparse.ArgumentParser) -> None:
 
 
 def _add_experiment(parser: argparse.ArgumentParser) -> _Command:
-    parser.add_argument("experiment", help="spf, transfer, composition, observations, or a YAML file")
+    parser.add_argument(
+        "experiment",
+        help="spf, transfer, composition, observations, vap, vap-continual, vap-concepts, language, or a YAML file",
+    )
     parser.add_argument("--list", action="store_true", help="list the cells and which are finished, and run none")
     parser.add_argument("--report", action="store_true", help="print the table of the finished cells, and run none")
     parser.add_argument("--quick", action="store_true", help="tiny budgets and one seed: a test of every cell")
@@ -163,7 +167,7 @@ def _add_experiment(parser: argparse.ArgumentParser) -> _Command:
         action="append",
         default=[],
         metavar="LEARNER[,MODE]",
-        help="run only the cells of a row, or of a row in one mode; can be repeated",
+        help="run only the cells of a row, or of a row in one mode (for `language` with one prompt); can be repeated",
     )
     parser.add_argument("--seeds", type=_seeds, metavar="LIST", help="replace the seeds, for example 0,1,2")
     parser.add_argument(
@@ -172,7 +176,8 @@ def _add_experiment(parser: argparse.ArgumentParser) -> _Command:
         action="append",
         default=[],
         metavar="KEY=VALUE",
-        help="change a key of every training configuration, for example steps=1000 or settings.gamma=0.9",
+        help="change a key of every training configuration, for example steps=1000 or settings.gamma=0.9; for "
+        "`language` a key of the experiment, for example models.NAME.url=http://localhost:8000/v1",
     )
     parser.add_argument("--jobs", type=_positive, metavar="N", help="processes; default: the number of processors")
     parser.add_argument(
@@ -262,6 +267,35 @@ def _add_baselines(parser: argparse.ArgumentParser) -> _Command:
     return _baselines
 
 
+def _add_features(parser: argparse.ArgumentParser) -> _Command:
+    parser.add_argument("folder", type=Path, help="a data set with pictures")
+    parser.add_argument("-o", "--out", type=Path, metavar="FOLDER", help="folder to write; default: FOLDER-BACKBONE")
+    parser.add_argument(
+        "--backbone",
+        choices=["crops", "resnet50"],
+        default="crops",
+        help="crops of the boxes, or region features of a frozen ResNet50 with a feature pyramid; default: crops",
+    )
+    parser.add_argument(
+        "--weights",
+        type=Path,
+        metavar="FILE",
+        help="weights of torchvision's ResNet50 or Faster R-CNN with ResNet50; default: those in torchvision's cache",
+    )
+    parser.add_argument("--device", default="cpu", help="device of PyTorch, for example cuda; default: cpu")
+    parser.add_argument(
+        "--threads", type=_threads, default=1, metavar="N", help="number of threads; 0 means one per core; default: 1"
+    )
+    parser.add_argument(
+        "--ray",
+        nargs="?",
+        const="local",
+        metavar="ADDRESS",
+        help="compute the worlds on the Ray cluster at ADDRESS, whose machines share FOLDER, or on this machine",
+    )
+    return _features
+
+
 def _add_force(parser: argparse.ArgumentParser) -> None:
     parser.add_argument(
         "--force",
@@ -286,6 +320,7 @@ _COMMANDS: dict[tuple[str, ...], Callable[[argparse.ArgumentParser], _Command]] 
     ("vap", "webdataset"): _add_webdataset,
     ("vap", "coco"): _add_coco,
     ("vap", "baselines"): _add_baselines,
+    ("vap", "features"): _add_features,
 }
 
 
@@ -371,6 +406,10 @@ def _whole(text: str, least: int) -> int:
 
 def _positive(text: str) -> int:
     return _whole(text, 1)
+
+
+def _threads(text: str) -> int:
+    return _whole(text, 0)
 
 
 def _seed(text: str) -> int:
@@ -500,10 +539,12 @@ def _train(given: argparse.Namespace) -> int:
 def _experiment(given: argparse.Namespace) -> int:
     from .learn.cells import finished
     from .learn.config import merged
-    from .learn.experiment import Experiment, Selection
-    from .learn.report import Report
+    from .learn.experiment import Selection, load_experiment
+    from .learn.language import is_language
 
-    experiment, file = Experiment.load(given.experiment)
+    if is_language(given.experiment):
+        return _language(given)
+    experiment, file = load_experiment(given.experiment)
     changes: dict[str, object] = {}
     for each in given.set:
         changes = merged(changes, each)
@@ -520,11 +561,9 @@ def _experiment(given: argparse.Namespace) -> int:
             print(f"{'finished' if finished(cell, root) else 'not run ':8}  {cell.name}  {cell.identity[:12]}")
         return 0
     if given.submit is not None:
-        from .learn.results import submit
-
         if given.quick or given.set:
             raise _UsageError("--submit: rows have the budgets of the experiment: remove `--quick` and `--set`")
-        for line in submit(experiment, file, cells, root, given.submit):
+        for line in experiment.submit(file, cells, root, given.submit):
             print(line)
         return 0
     failed: dict[str, str] = {}
@@ -533,7 +572,7 @@ def _experiment(given: argparse.Namespace) -> int:
 
         jobs = given.jobs or os.cpu_count() or 1
         failed = run(cells, root, jobs, lambda line: print(line, file=sys.stderr, flush=True), given.ray, given.wandb)
-    report = Report(experiment, cells, root, failed)
+    report = experiment.report(cells, root, failed)
     root.mkdir(parents=True, exist_ok=True)
     written = report.write(root)
     print(report.text())
@@ -541,8 +580,29 @@ def _experiment(given: argparse.Namespace) -> int:
     return int(any(cell.identity in failed and not cell.optional for cell in cells))
 
 
+def _language(given: argparse.Namespace) -> int:
+    from .learn.config import merged
+    from .learn.language import LanguageExperiment, run
+
+    for option in ("ray", "wandb", "submit"):
+        if getattr(given, option) is not None:
+            raise _UsageError(f"--{option}: an experiment of language questions does not support this option")
+    changes: dict[str, object] = {}
+    for each in given.set:
+        changes = merged(changes, each)
+    experiment, file = LanguageExperiment.load(given.experiment, changes, quick=given.quick)
+    try:
+        units = experiment.units(given.only, given.seeds)
+    except ValueError as error:
+        raise _UsageError(str(error)) from None
+    root = given.run or Path("runs") / (f"{file.stem}-quick" if given.quick else file.stem)
+    _check_folder("--run", root)
+    action: Literal["run", "list", "report"] = "list" if given.list else "report" if given.report else "run"
+    return run(experiment, file, units, root, given.jobs or os.cpu_count() or 1, action)
+
+
 def _ask(given: argparse.Namespace) -> int:
-    from .questions import Endpoint, ask_with_progress, grade, load_questions
+    from .questions import Endpoint, ask_with_progress, grade, load_logprobs, load_questions
 
     key = None
     if given.key_from is not None:
@@ -551,19 +611,20 @@ def _ask(given: argparse.Namespace) -> int:
             raise _UsageError(f"the environment variable `{given.key_from}` is not set")
     questions = load_questions(given.questions)
     endpoint = Endpoint(given.url, given.model, key, given.settings, given.timeout, given.tries)
-    print(grade(questions, ask_with_progress(questions, endpoint, given.output)))
+    answers = ask_with_progress(questions, endpoint, given.output)
+    print(grade(questions, answers, load_logprobs(given.output)))
     return 0
 
 
 def _grade(given: argparse.Namespace) -> int:
-    from .questions import grade, load_answers, load_questions
+    from .questions import grade, load_answers, load_logprobs, load_questions
 
     _check_json(given)
     answers = load_answers(given.answers)
     if not given.questions.exists():
         help = "name the questions with --questions; `logicity questions --output questions.jsonl` writes some"
         raise _UsageError(f"cannot read `{given.questions}`: no such file\nhelp: {help}")
-    graded = grade(load_questions(given.questions), answers)
+    graded = grade(load_questions(given.questions), answers, load_logprobs(given.answers))
     print(graded)
     for what, ids in [
         ("counted as wrong, no answer", graded.missing),
@@ -611,4 +672,22 @@ def _baselines(given: argparse.Namespace) -> int:
     if set(by_rules.metrics.recall.values()) != {1.0}:
         print(f"error: {given.test} has labels that the rules do not derive from its facts", file=sys.stderr)
         return 1
+    return 0
+
+
+def _features(given: argparse.Namespace) -> int:
+    from .vap.features import compute_features
+
+    begun = time.monotonic()
+    out = compute_features(
+        given.folder,
+        given.out,
+        kind=given.backbone,
+        weights=given.weights,
+        device=given.device,
+        threads=given.threads,
+        ray=given.ray,
+        progress=lambda done, total: print(f"[{done}/{total}] worlds", file=sys.stderr, flush=True),
+    )
+    print(f"written: {out}, in {time.monotonic() - begun:.0f} s")
     return 0

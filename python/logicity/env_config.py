@@ -24,7 +24,7 @@ ArrayKind: TypeAlias = Literal["groundings", "state"]
 ViewKind: TypeAlias = Literal["relational", "graph"]
 """A kind of observation that is a dictionary of arrays, computed from `groundings`. See `logicity.layout`."""
 
-ObservationKind: TypeAlias = Literal["groundings", "state", "relational", "graph"]
+ObservationKind: TypeAlias = Literal[ArrayKind, ViewKind]
 """The kind of observation. See `logicity.envs.SPFEnv`."""
 
 Episodes: TypeAlias = Literal["drawn", "drawn-demanding", "recorded"]

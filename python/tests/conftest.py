@@ -1,13 +1,17 @@
 from __future__ import annotations
 
+import json
 import shutil
 import signal
 import struct
 import subprocess
 import sys
+import threading
 import time
 import zlib
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
+from dataclasses import dataclass, field
+from http.server import BaseHTTPRequestHandler, ThreadingHTTPServer
 from pathlib import Path
 from typing import Any
 
@@ -135,3 +139,68 @@ def shown(sets: Path, tmp_path_factory: pytest.TempPathFactory) -> Path:
     for index, sample in enumerate(samples):
         samples.picture_path(index).write_bytes(png(picture(sample.world, sample.tick)))
     return folder
+
+
+#: Replies to a request, given its number and its body.
+Act = Callable[[BaseHTTPRequestHandler, int, dict[str, Any]], None]
+
+
+@dataclass
+class Server:
+    """A local chat endpoint. `act` replies to each request."""
+
+    act: Act
+    requests: list[dict[str, Any]] = field(default_factory=list)
+    keys: list[str | None] = field(default_factory=list)
+    url: str = ""
+
+
+Serve = Callable[[Act], Server]
+
+
+def send(handler: BaseHTTPRequestHandler, code: int, body: bytes, **headers: str) -> None:
+    """Send a response."""
+    handler.send_response(code)
+    for name, value in {"Content-Length": str(len(body)), **headers}.items():
+        handler.send_header(name.replace("_", "-"), value)
+    handler.end_headers()
+    handler.wfile.write(body)
+
+
+def say(handler: BaseHTTPRequestHandler, text: object, **choice: Any) -> None:
+    """Send a reply of a chat endpoint, with more fields of its choice."""
+    message = {"role": "assistant", "content": text}
+    send(handler, 200, json.dumps({"choices": [{"message": message, **choice}]}).encode())
+
+
+@pytest.fixture
+def serve() -> Iterator[Serve]:
+    """Return a function that starts a server."""
+    running: list[ThreadingHTTPServer] = []
+
+    def start(act: Act) -> Server:
+        server = Server(act)
+        lock = threading.Lock()
+
+        class Handler(BaseHTTPRequestHandler):
+            def do_POST(self) -> None:
+                body = json.loads(self.rfile.read(int(self.headers["Content-Length"])))
+                with lock:
+                    server.requests.append({"path": self.path, **body})
+                    server.keys.append(self.headers.get("Authorization"))
+                    number = len(server.requests) - 1
+                server.act(self, number, body)
+
+            def log_message(self, *message: Any) -> None:
+                pass
+
+        http = ThreadingHTTPServer(("127.0.0.1", 0), Handler)
+        running.append(http)
+        threading.Thread(target=http.serve_forever, daemon=True).start()
+        server.url = f"http://127.0.0.1:{http.server_port}/v1"
+        return server
+
+    yield start
+    for http in running:
+        http.shutdown()
+        http.server_close()

@@ -12,6 +12,7 @@ gymnasium = needs("gymnasium", "learn")
 needs("stable_baselines3", "learn")
 
 from logicity.learn import TrainConfig, load_policy, train  # noqa: E402
+from logicity.learn.cloning import LogicNetwork  # noqa: E402
 from logicity.learn.demonstrations import layout_of  # noqa: E402
 from logicity.learn.features import LogicFeatures  # noqa: E402
 from logicity.learn.nlm_dqn import NlmDqnLearner  # noqa: E402
@@ -42,10 +43,34 @@ def test_the_features_are_the_predicates_of_the_ego() -> None:
     result = features(observations)
     assert result.shape == (20, 5) and features.features_dim == 5
     unary, binary, mask = features.network.view(observations)
-    assert torch.equal(result, features.network.machine([None, unary, binary], mask)[1][:, 0])
+    assert torch.allclose(result, features.network.machine([None, unary, binary], mask)[1][:, 0])
     assert features.network.machine.layers[0].linear["3"].in_features == 6 * len(layout.binary)
     with pytest.raises(ValueError, match=r"shape \(140,\), not \(85,\)"):
         LogicFeatures(gymnasium.spaces.Box(0.0, 1.0, (85,), np.float32), layout.atoms())
+
+
+@pytest.mark.parametrize("density", [0.002, 0.02, 0.2])
+@pytest.mark.parametrize("options", [{"depth": 3}, {"depth": 4, "exclude_self": False}, {"depth": 2, "residual": True}])
+def test_few_entities_and_equal_observations_take_less_work_for_the_same_result(
+    density: float, options: dict[str, Any]
+) -> None:
+    layout = layout_of("hard")
+    torch.manual_seed(3)
+    network = LogicNetwork(layout, outputs=4, **options)
+    observations = (torch.rand(40, layout.width) < density).float()
+    observations = torch.cat([observations, observations[:10], torch.zeros(2, layout.width)])
+    factors = torch.rand(len(observations), network.width)
+    results, gradients = [], []
+    for evaluate in (network.padded, network.forward):
+        network.zero_grad()
+        result = evaluate(observations)
+        (result * factors).sum().backward()
+        results.append(result.detach())
+        gradients.append(torch.cat([each.grad.flatten() for each in network.parameters() if each.grad is not None]))
+    torch.testing.assert_close(results[1], results[0])
+    torch.testing.assert_close(gradients[1], gradients[0], rtol=1e-4, atol=1e-4)
+    for row in (0, 51):
+        torch.testing.assert_close(network(observations[row : row + 1]), results[0][row : row + 1])
 
 
 def test_the_network_has_the_layers_of_the_settings() -> None:

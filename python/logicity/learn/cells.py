@@ -1,5 +1,7 @@
 """The cells of experiments: each is one training run and its evaluations, in a folder of its own.
 
+A `Job` is a cell of any task, `Cell` one of Safe Path Following.
+
 `python -m logicity.learn.cells FOLDER` runs the cell in a folder. It ends when its standard input is closed, so that it
 does not outlive the process that started it.
 """
@@ -7,6 +9,7 @@ does not outlive the process that started it.
 from __future__ import annotations
 
 import hashlib
+import importlib
 import json
 import os
 import shutil
@@ -15,6 +18,7 @@ import sys
 import threading
 import time
 import traceback
+from abc import ABC, abstractmethod
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
 from functools import cache, cached_property
@@ -29,7 +33,7 @@ from .config import TrainConfig
 from .registry import load_policy
 from .run import train
 
-__all__ = ["Cell", "finished", "prepare", "run_cell"]
+__all__ = ["Cell", "Job", "benchmark_of", "finished", "prepare", "run_cell"]
 
 #: The version of the format of `cell.json` and `measured.json`. Cells of another version are run again.
 FORMAT = 1
@@ -38,19 +42,20 @@ FORMAT = 1
 TEST = {"split": "test", "fresh": None, "seed": 0}
 
 
-@dataclass(frozen=True)
-class Cell:
-    """A training run of an experiment, and the evaluations of its policy.
+#: The modules whose function `run_cell` runs the cells of a task. Its arguments are those of `run_cell` here.
+RUNNERS = {"spf": __name__, "vap": "logicity.vap.experiment"}
+
+
+@dataclass(frozen=True, kw_only=True)
+class Job(ABC):
+    """A unit of work of an experiment, whose result depends on nothing but `spec`.
 
     Attributes:
         row: The name of the row: a learner with its settings.
         mode: The mode of the column.
         variant: The name of the variant, or an empty text.
         seed: The seed.
-        config: The training configuration, without `start`.
-        start: The cell from whose policy the training starts.
-        evaluations: The evaluations by name: the split of the agents, the number of new episodes or `None` for the
-            recorded ones, and the seed of the new episodes.
+        start: The cell from whose model the training starts.
         optional: Whether the learner may be missing on this machine.
         hidden: Whether tables omit the cell.
     """
@@ -59,9 +64,7 @@ class Cell:
     mode: str
     variant: str
     seed: int
-    config: TrainConfig
-    start: Cell | None = None
-    evaluations: Mapping[str, Mapping[str, Any]] = field(default_factory=lambda: {"test": TEST})
+    start: Job | None = None
     optional: bool = False
     hidden: bool = False
 
@@ -69,6 +72,61 @@ class Cell:
     def name(self) -> str:
         """A name for people, such as `dqn, easy, seed 0`."""
         return ", ".join(part for part in (self.row, self.variant, Path(self.mode).stem, f"seed {self.seed}") if part)
+
+    @property
+    @abstractmethod
+    def steps(self) -> int:
+        """The number of training steps."""
+
+    @abstractmethod
+    def spec(self) -> dict[str, Any]:
+        """Return what determines the result of the cell, for JSON."""
+
+    @abstractmethod
+    def document(self, root: Path) -> dict[str, Any]:
+        """Return the content of `cell.json`: everything that `run_cell` needs. `task` is a key of `RUNNERS`.
+
+        Args:
+            root: The folder of the experiment.
+        """
+
+    @abstractmethod
+    def model(self, root: Path) -> Path:
+        """Return the file of the trained model in the folder of the experiment, from which other cells start."""
+
+    @abstractmethod
+    def headline(self, measured: Mapping[str, Any]) -> str:
+        """Return the most important measure as text, such as `TSR 0.75 (test)`."""
+
+    @cached_property
+    def identity(self) -> str:
+        """The SHA-256 of `spec`."""
+        return hashlib.sha256(json.dumps(self.spec(), sort_keys=True).encode()).hexdigest()
+
+    def folder(self, root: Path) -> Path:
+        """Return the folder of the cell in that of an experiment. Another identity has another folder."""
+        parts = (self.row, Path(self.mode).stem, self.variant, str(self.seed), self.identity[:12])
+        name = "-".join(part for part in parts if part)
+        return root / "cells" / "".join(each if each.isalnum() or each in "-._" else "_" for each in name)
+
+
+@dataclass(frozen=True, kw_only=True)
+class Cell(Job):
+    """A training run of a learner of Safe Path Following, and the evaluations of its policy.
+
+    Attributes:
+        config: The training configuration, without `start`.
+        evaluations: The evaluations by name: the split of the agents, the number of new episodes or `None` for the
+            recorded ones, and the seed of the new episodes.
+    """
+
+    config: TrainConfig
+    evaluations: Mapping[str, Mapping[str, Any]] = field(default_factory=lambda: {"test": TEST})
+
+    @property
+    def steps(self) -> int:
+        """The number of training steps."""
+        return self.config.steps
 
     def spec(self) -> dict[str, Any]:
         """Return what determines the result of the cell: settings, rules, episodes, evaluations and version."""
@@ -84,16 +142,18 @@ class Cell:
             "start": None if self.start is None else self.start.identity,
         }
 
-    @cached_property
-    def identity(self) -> str:
-        """The SHA-256 of `spec`."""
-        return hashlib.sha256(json.dumps(self.spec(), sort_keys=True).encode()).hexdigest()
+    def document(self, root: Path) -> dict[str, Any]:
+        """Return the content of `cell.json`."""
+        return {"task": "spf", "spec": self.spec(), "config": self.config.to_dict()}
 
-    def folder(self, root: Path) -> Path:
-        """Return the folder of the cell in that of an experiment. Another identity has another folder."""
-        parts = (self.row, Path(self.mode).stem, self.variant, str(self.seed), self.identity[:12])
-        name = "-".join(part for part in parts if part)
-        return root / "cells" / "".join(each if each.isalnum() or each in "-._" else "_" for each in name)
+    def model(self, root: Path) -> Path:
+        """Return the file of the best policy."""
+        return load_policy(self.folder(root)).path
+
+    def headline(self, measured: Mapping[str, Any]) -> str:
+        """Return the TSR of the first evaluation."""
+        name, evaluation = next(iter(measured["evaluations"].items()))
+        return f"TSR {evaluation['tsr']['value']:.2f} ({name})"
 
 
 @cache
@@ -101,26 +161,25 @@ def _hashes(mode: str) -> dict[str, Any]:
     return task_hashes(mode)
 
 
-def prepare(cell: Cell, root: Path) -> Path:
+def prepare(cell: Job, root: Path) -> Path:
     """Create the folder of a cell, whose file `cell.json` contains everything that `run_cell` needs.
 
     Raises:
-        OSError: If the folder cannot be written, or the policy to start from cannot be read.
+        OSError: If the folder cannot be written, or the model to start from cannot be read.
     """
     folder = cell.folder(root)
     folder.mkdir(parents=True, exist_ok=True)
     if cell.start is not None and not list(folder.glob("start.*")):
-        best = load_policy(cell.start.folder(root)).path
+        best = cell.start.model(root)
         temporary = folder / f".start{best.suffix}"
         shutil.copyfile(best, temporary)
         temporary.rename(folder / f"start{best.suffix}")
-    config = cell.config.to_dict()
-    document = {"identity": cell.identity, "row": cell.row, "variant": cell.variant, "spec": cell.spec()}
-    write_json(folder / "cell.json", {**document, "config": config}, overwrite=True)
+    document = {"identity": cell.identity, "row": cell.row, "variant": cell.variant, **cell.document(root)}
+    write_json(folder / "cell.json", document, overwrite=True)
     return folder
 
 
-def finished(cell: Cell, root: Path) -> dict[str, Any] | None:
+def finished(cell: Job, root: Path) -> dict[str, Any] | None:
     """Return the content of `measured.json` of a cell, or `None` if the cell is not finished."""
     try:
         measured = json.loads((cell.folder(root) / "measured.json").read_text(encoding="utf-8"))
@@ -144,9 +203,13 @@ def run_cell(
         The content of `measured.json`: the identity, the result of the training, and the evaluations by name.
 
     Raises:
-        Exception: Those of `train` and of `Benchmark`.
+        Exception: Those of the training and of the evaluations.
     """
     document = json.loads((folder / "cell.json").read_text(encoding="utf-8"))
+    if document["task"] != "spf":
+        runner = importlib.import_module(RUNNERS[document["task"]])
+        measured: dict[str, Any] = runner.run_cell(folder, report, progress=progress, wandb=wandb)
+        return measured
     values = document["config"]
     for start in folder.glob("start.*"):
         values["start"] = str(start)
@@ -155,8 +218,7 @@ def run_cell(
     policy = load_policy(folder).policy
     evaluations = {}
     for name, each in document["spec"]["evaluations"].items():
-        mode = config.mode if each["fresh"] is None else _fresh(folder, config.mode, each)
-        benchmark = Benchmark(mode, each["split"], observation=config.observation)
+        benchmark = benchmark_of(folder, config, each)
         if each == TEST:
             evaluations[name] = dict(result["test"])
         else:
@@ -174,6 +236,12 @@ def run_cell(
     for checkpoint in folder.glob("checkpoint-*"):
         shutil.rmtree(checkpoint)
     return measured
+
+
+def benchmark_of(folder: Path, config: TrainConfig, evaluation: Mapping[str, Any]) -> Benchmark:
+    """Return the benchmark of an evaluation. New episodes are made in the folder of the cell, once."""
+    mode = config.mode if evaluation["fresh"] is None else _fresh(folder, config.mode, evaluation)
+    return Benchmark(mode, evaluation["split"], observation=config.observation)
 
 
 def _fresh(folder: Path, mode: str, evaluation: Mapping[str, Any]) -> str:

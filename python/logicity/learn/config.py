@@ -9,7 +9,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
 from .. import _logicity
-from ..env_config import ArrayKind, Episodes
+from ..env_config import ArrayKind, EnvOptions, Episodes
 from ..errors import did_you_mean, missing_extra
 
 try:
@@ -34,6 +34,12 @@ if TYPE_CHECKING:
     from pydantic_core import ErrorDetails
 
 __all__ = ["TrainConfig", "faults", "merged"]
+
+
+class TrainingOptions(EnvOptions):
+    """The options of training environments."""
+
+    episodes: Episodes
 
 
 class TrainConfig(BaseModel):
@@ -75,6 +81,12 @@ class TrainConfig(BaseModel):
     """The number of steps between validations. Each validation writes a checkpoint."""
     threads: Count = 1
     """The number of PyTorch threads."""
+
+    def env_options(self) -> TrainingOptions:
+        """Return the options of the training environments."""
+        return TrainingOptions(
+            split="train", episodes=self.episodes, overrides=self.overrides, observation=self.observation
+        )
 
     @field_validator("algorithm")
     @classmethod

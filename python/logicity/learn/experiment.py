@@ -1,22 +1,32 @@
-"""Experiments: learners x modes x variants x seeds, from a YAML file."""
+"""Experiments: learners x modes x variants x seeds, from a YAML file.
+
+`load_experiment` reads an experiment of any task. `Experiment` is one of Safe Path Following.
+"""
 
 from __future__ import annotations
 
+import importlib
 import os
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import Annotated, Any, Literal
+from typing import Annotated, Any, Literal, Protocol, cast
 
 from pydantic import BaseModel, ConfigDict, Field, Strict, ValidationError
 
 from .. import _logicity
 from ..errors import InputError, did_you_mean
-from .cells import TEST, Cell
+from .cells import TEST, Cell, Job
 from .config import TrainConfig, faults, merged
 from .learner import Count
 
-__all__ = ["Experiment", "Selection"]
+__all__ = ["AnyExperiment", "AnyReport", "Experiment", "Selection", "load_experiment", "read_experiment"]
+
+#: The module and the class of the experiments of each task, the value of the key `task`.
+TASKS = {
+    "spf": ("logicity.learn.experiment", "Experiment"),
+    "vap": ("logicity.vap.experiment", "VapExperiment"),
+}
 
 #: The keys of a short run of a learner in environments, and of another learner.
 QUICK: dict[bool, dict[str, Any]] = {
@@ -80,9 +90,70 @@ class EvaluationSpec(_Model):
     """The seed of the new episodes."""
 
 
-class Experiment(_Model):
-    """An experiment: what `logicity experiment` runs."""
+class AnyReport(Protocol):
+    """The results of the cells of an experiment, as tables."""
 
+    def text(self) -> str:
+        """Return everything for a terminal."""
+
+    def write(self, root: Path) -> list[Path]:
+        """Write the tables and the figures to a folder, and return their paths."""
+
+
+class AnyExperiment(Protocol):
+    """An experiment of any task: what `logicity experiment` runs."""
+
+    def cells(self, file: Path, selection: Selection) -> Sequence[Job]:
+        """Return the selected cells, each after the cell that it starts from. See `Experiment.cells`."""
+
+    def report(self, cells: Sequence[Job], root: Path, failed: Mapping[str, str]) -> AnyReport:
+        """Return the results of cells in a folder, with the messages of those that failed, by identity."""
+
+    def submit(self, file: Path, cells: Sequence[Job], root: Path, results: Path) -> Iterator[str]:
+        """Write rows of the published results, and yield a line for each cell."""
+
+
+def load_experiment(name: str | os.PathLike[str]) -> tuple[AnyExperiment, Path]:
+    """Read the YAML file of an experiment of any task.
+
+    Args:
+        name: The file, or the bare name of a built-in experiment such as `spf`.
+
+    Returns:
+        The experiment, and the path of its file.
+
+    Raises:
+        ImportError: If a package that the task needs is not installed.
+        InputError: If the file is not YAML, has an unknown key or invalid value, or lacks a key.
+        OSError: If the file cannot be read.
+    """
+    path, file, values = read_experiment(name)
+    task = values.get("task", "spf")
+    if not isinstance(task, str) or task not in TASKS:
+        suggestion = did_you_mean(str(task), TASKS)
+        raise file.error([("invalid-value", ["task"], f"unknown task `{task}`{suggestion}", "")])
+    module, kind = TASKS[task]
+    loaded = getattr(importlib.import_module(module), kind).load(path)
+    return cast(tuple[AnyExperiment, Path], loaded)
+
+
+def read_experiment(name: str | os.PathLike[str]) -> tuple[Path, _logicity.ConfigFile, dict[str, Any]]:
+    """Return the path, the file and the content of an experiment."""
+    path = Path(name)
+    if not path.suffix and len(path.parts) == 1:
+        path = Path("configs") / "experiments" / f"{path}.yaml"
+    file = _logicity.ConfigFile(path, "configs/experiments")
+    values = file.value()
+    if not isinstance(values, dict):
+        raise file.error([("invalid-value", [], "an experiment must be a mapping", "")])
+    return path, file, values
+
+
+class Experiment(_Model):
+    """An experiment of Safe Path Following: what `logicity experiment` runs."""
+
+    task: Literal["spf"] = "spf"
+    """The task, Safe Path Following."""
     title: str
     """The title of the table."""
     paper: str | None = None
@@ -119,13 +190,7 @@ class Experiment(_Model):
             InputError: If the file is not YAML, has an unknown key or invalid value, or lacks a key.
             OSError: If the file cannot be read.
         """
-        path = Path(name)
-        if not path.suffix and len(path.parts) == 1:
-            path = Path("configs") / "experiments" / f"{path}.yaml"
-        file = _logicity.ConfigFile(path, "configs/experiments")
-        values = file.value()
-        if not isinstance(values, dict):
-            raise file.error([("invalid-value", [], "an experiment must be a mapping", "")])
+        path, file, values = read_experiment(name)
         try:
             experiment = cls.model_validate(values)
         except ValidationError as error:
@@ -187,6 +252,18 @@ class Experiment(_Model):
                         hidden=variant.hidden,
                     )
         return list(found.values())
+
+    def report(self, cells: Sequence[Job], root: Path, failed: Mapping[str, str]) -> AnyReport:
+        """Return the results of cells, see `Report`."""
+        from .report import Report
+
+        return Report(self, cast(Sequence[Cell], cells), root, failed)
+
+    def submit(self, file: Path, cells: Sequence[Job], root: Path, results: Path) -> Iterator[str]:
+        """Write rows of the published results, see `results.submit`."""
+        from .results import submit
+
+        return submit(self, file, cast(Sequence[Cell], cells), root, results)
 
     def _columns(self, selection: Selection) -> list[tuple[str, str]]:
         """Return the selected pairs of a row and a mode."""

@@ -436,12 +436,10 @@ class FastPPO(Learner):
         self._envs = SPFVectorEnv(
             config.envs,
             config.mode,
-            split="train",
-            episodes=config.episodes,
-            overrides=config.overrides,
             autoreset_mode=AutoresetMode.SAME_STEP,
             num_threads=config.threads,
             copy=False,
+            **config.env_options(),
         )
         self._envs.reset(seed=config.seed)
         self._curves = None if log is None else SummaryWriter(str(log / NAME))

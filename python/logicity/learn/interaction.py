@@ -87,12 +87,9 @@ class Interaction:
         self.envs = SPFVectorEnv(
             config.envs,
             config.mode,
-            split="train",
-            episodes=config.episodes,
-            overrides=config.overrides,
-            observation=config.observation,
             autoreset_mode=AutoresetMode.SAME_STEP,
             copy=False,
+            **config.env_options(),
         )
         self.observations: Bits = as_bits(self.envs.reset(seed=config.seed)[0])
         self.steps = 0

@@ -21,7 +21,7 @@ from typing import IO, Any
 
 from ..errors import missing_extra
 from ..files import reserved
-from .cells import Cell, finished, prepare
+from .cells import Job, finished, prepare
 
 __all__ = ["run", "run_in_processes", "run_on_ray"]
 
@@ -39,39 +39,38 @@ RETRIES = 20
 class Watch:
     """The state of a run: which cells are done, and how long the others will take."""
 
-    cells: Sequence[Cell]
+    cells: Sequence[Job]
     jobs: int
     say: Say
     failed: dict[str, str] = field(default_factory=dict)
     done: int = 0
     #: The cells that have not started.
-    pending: list[Cell] = field(default_factory=list)
+    pending: list[Job] = field(default_factory=list)
 
     def __post_init__(self) -> None:
         """Start the clock."""
         self._durations: dict[str, list[float]] = {}
-        self._running: dict[str, tuple[Cell, float, int, int]] = {}
+        self._running: dict[str, tuple[Job, float, int, int]] = {}
         self._shown = time.monotonic()
 
-    def started(self, cell: Cell) -> None:
+    def started(self, cell: Job) -> None:
         """Note that a cell has started."""
         self._running[cell.identity] = (cell, time.monotonic(), 0, 0)
 
-    def reported(self, cell: Cell, steps: int) -> None:
+    def reported(self, cell: Job, steps: int) -> None:
         """Note the number of training steps of a cell."""
         _, begun, first, _ = self._running[cell.identity]
         self._running[cell.identity] = (cell, begun, first or steps, steps)
 
-    def finished(self, cell: Cell, measured: dict[str, Any]) -> None:
-        """Note the end of a cell, and print its TSR."""
+    def finished(self, cell: Job, measured: dict[str, Any]) -> None:
+        """Note the end of a cell, and print its result."""
         begun = self._running.pop(cell.identity)[1]
         self._durations.setdefault(cell.row, []).append(time.monotonic() - begun)
         self.done += 1
-        name, evaluation = next(iter(measured["evaluations"].items()))
-        tsr, cpu = evaluation["tsr"]["value"], measured["result"]["cpu_seconds"] / 60
-        self.say(f"{self._count()} {cell.name}: TSR {tsr:.2f} ({name}), {cpu:.1f} CPU min; {self.left()}")
+        cpu = measured["result"]["cpu_seconds"] / 60
+        self.say(f"{self._count()} {cell.name}: {cell.headline(measured)}, {cpu:.1f} CPU min; {self.left()}")
 
-    def failure(self, cell: Cell, message: str) -> None:
+    def failure(self, cell: Job, message: str) -> None:
         """Note that a cell has failed."""
         self._running.pop(cell.identity, None)
         self.done += 1
@@ -85,9 +84,7 @@ class Watch:
         if now - self._shown < SECONDS:
             return
         self._shown = now
-        parts = [
-            f"{cell.name} {min(1.0, steps / cell.config.steps):.0%}" for cell, _, _, steps in self._running.values()
-        ]
+        parts = [f"{cell.name} {min(1.0, steps / cell.steps):.0%}" for cell, _, _, steps in self._running.values()]
         self.say(f"{self._count()} running: {'; '.join(parts) or 'none'}; {self.left()}")
 
     def _count(self) -> str:
@@ -100,7 +97,7 @@ class Watch:
         left = 0.0
         for cell, begun, first, steps in self._running.values():
             if steps > first:
-                whole = (now - begun) * (cell.config.steps - first) / (steps - first)
+                whole = (now - begun) * (cell.steps - first) / (steps - first)
                 known.setdefault(cell.row, whole)
                 left += max(0.0, whole - (now - begun))
             elif cell.row in known:
@@ -114,7 +111,7 @@ class Watch:
         return f"about {f'{hours} h ' if hours else ''}{rest} min left"
 
 
-def _unfinished(cells: Sequence[Cell], root: Path, watch: Watch) -> list[Cell]:
+def _unfinished(cells: Sequence[Job], root: Path, watch: Watch) -> list[Job]:
     """Return the cells that have no result yet."""
     pending = [cell for cell in cells if finished(cell, root) is None]
     watch.done = len(cells) - len(pending)
@@ -124,7 +121,7 @@ def _unfinished(cells: Sequence[Cell], root: Path, watch: Watch) -> list[Cell]:
     return pending
 
 
-def _startable(watch: Watch, root: Path) -> Iterator[Cell]:
+def _startable(watch: Watch, root: Path) -> Iterator[Job]:
     """Yield and remove pending cells whose start is finished. Report those whose start has failed."""
     for cell in list(watch.pending):
         if cell.start is not None and cell.start.identity in watch.failed:
@@ -136,7 +133,7 @@ def _startable(watch: Watch, root: Path) -> Iterator[Cell]:
 
 
 def run(
-    cells: Sequence[Cell], root: Path, jobs: int, say: Say, address: str | None = None, wandb: str | None = None
+    cells: Sequence[Job], root: Path, jobs: int, say: Say, address: str | None = None, wandb: str | None = None
 ) -> dict[str, str]:
     """Run cells in processes, or on Ray if an address is given. No other process may run the experiment meanwhile.
 
@@ -151,7 +148,7 @@ def run(
 
 
 def run_in_processes(
-    cells: Sequence[Cell], root: Path, jobs: int, say: Say, *, wandb: str | None = None
+    cells: Sequence[Job], root: Path, jobs: int, say: Say, *, wandb: str | None = None
 ) -> dict[str, str]:
     """Run cells, each in a process with one thread.
 
@@ -170,8 +167,8 @@ def run_in_processes(
     """
     watch = Watch(cells, jobs, say)
     _unfinished(cells, root, watch)
-    messages: queue.Queue[tuple[Cell, dict[str, Any] | None]] = queue.Queue()
-    processes: dict[str, tuple[Cell, subprocess.Popen[str]]] = {}
+    messages: queue.Queue[tuple[Job, dict[str, Any] | None]] = queue.Queue()
+    processes: dict[str, tuple[Job, subprocess.Popen[str]]] = {}
     errors: dict[str, str] = {}
     try:
         while watch.pending or processes:
@@ -229,9 +226,7 @@ def _start(folder: Path, log: IO[str], wandb: str | None) -> subprocess.Popen[st
     )
 
 
-def _read(
-    cell: Cell, process: subprocess.Popen[str], messages: queue.Queue[tuple[Cell, dict[str, Any] | None]]
-) -> None:
+def _read(cell: Job, process: subprocess.Popen[str], messages: queue.Queue[tuple[Job, dict[str, Any] | None]]) -> None:
     """Forward the lines of a process, and then `None`."""
     assert process.stdout is not None
     for line in process.stdout:
@@ -248,7 +243,7 @@ def _close(process: subprocess.Popen[str]) -> None:
 
 
 def run_on_ray(
-    cells: Sequence[Cell], root: Path, address: str, jobs: int, say: Say, *, wandb: str | None = None
+    cells: Sequence[Job], root: Path, address: str, jobs: int, say: Say, *, wandb: str | None = None
 ) -> dict[str, str]:
     """Run cells on Ray, each as a task with one CPU. If a worker is lost, its cell runs again.
 
@@ -283,7 +278,7 @@ def run_on_ray(
     task = ray.remote(num_cpus=1, max_calls=1, max_retries=RETRIES)(_in_worker)
     watch = Watch(cells, jobs, say)
     _unfinished(cells, root, watch)
-    running: dict[Any, Cell] = {}
+    running: dict[Any, Job] = {}
     try:
         while watch.pending or running:
             for cell in _startable(watch, root):

@@ -19,7 +19,7 @@ from ..files import reserved, write_json
 from .cells import Cell, finished
 from .experiment import Experiment
 
-__all__ = ["Entry", "Report", "paper_table", "paper_value"]
+__all__ = ["Entry", "Report", "aligned", "escaped", "markdown_table", "paper_table", "paper_value", "save_figure"]
 
 #: The measures of the paper's tables.
 MEASURES = ("tsr", "dsr", "score")
@@ -188,10 +188,10 @@ class Report:
                     figures = [str(entry.measures[each]) if entry.measures else "-" for each in MEASURES]
                     seeds = ",".join(map(str, entry.seeds)) or entry.missing[:60]
                     lines.append([name, *figures, *_paper_cells(entry.paper), seeds, f"{entry.cpu_hours:.2f}"])
-            parts += [f"\n{Path(mode).stem}", _aligned(lines)]
+            parts += [f"\n{Path(mode).stem}", aligned(lines)]
         violations = self._violation_lines()
         if len(violations) > 1:
-            parts += ["\nshare of episodes that end with a violation, by clause", _aligned(violations)]
+            parts += ["\nshare of episodes that end with a violation, by clause", aligned(violations)]
         parts += ["", *self.notes()]
         return "\n".join(parts)
 
@@ -224,23 +224,23 @@ class Report:
 
     def markdown(self) -> str:
         """Return the report as Markdown."""
-        parts = [f"# {self.experiment.title}\n", _markdown(self.table())]
+        parts = [f"# {self.experiment.title}\n", markdown_table(self.table())]
         violations = self._violation_lines()
         if len(violations) > 1:
             parts += ["## Violated clauses\n", "The share of episodes that end with a violation of the clause.\n"]
-            parts.append(_markdown(violations))
+            parts.append(markdown_table(violations))
         parts += ["## Notes\n", *(f"- {note}" for note in self.notes())]
         return "\n".join(parts) + "\n"
 
     def latex(self) -> str:
         """Return the table as LaTeX, with the rules of the package booktabs."""
-        groups = " & ".join(f"\\multicolumn{{3}}{{c}}{{{_escaped(Path(mode).stem)}}}" for mode in self.modes)
+        groups = " & ".join(f"\\multicolumn{{3}}{{c}}{{{escaped(Path(mode).stem)}}}" for mode in self.modes)
         rules = "".join(f"\\cmidrule(lr){{{2 + 3 * at}-{4 + 3 * at}}}" for at in range(len(self.modes)))
         heads = " & ".join(["learner"] + [_HEADS[name] for _ in self.modes for name in MEASURES])
         lines = [f"% {self.experiment.title}", f"\\begin{{tabular}}{{l{'ccc' * len(self.modes)}}}", "\\toprule"]
         lines += [f" & {groups} \\\\", rules, f"{heads} \\\\", "\\midrule"]
         for row in self.table()[1:]:
-            lines.append(" & ".join(_escaped(cell.strip()) for cell in row) + " \\\\")
+            lines.append(" & ".join(escaped(cell.strip()) for cell in row) + " \\\\")
         return "\n".join([*lines, "\\bottomrule", "\\end{tabular}"]) + "\n"
 
     def to_dict(self) -> dict[str, Any]:
@@ -292,12 +292,7 @@ class Report:
                     axes = figure.add_subplot((count + 1) // 2, min(count, 2), at + 1)
                     axes.set_title(f"{self.experiment.title}: {Path(mode).stem}", fontsize=10)
                     draw(axes, mode)
-                for ending, metadata in (("png", {"Software": None}), ("svg", {"Date": None})):
-                    path = root / f"{name}.{ending}"
-                    with reserved(path, record=False) as output:
-                        figure.savefig(output.temporary, format=ending, dpi=150, metadata=metadata)
-                        output.finish()
-                    written.append(path)
+                written += save_figure(figure, root, name)
         return written
 
     def _bars(self, axes: Any, mode: str) -> None:
@@ -431,17 +426,35 @@ def _paper_cells(paper: dict[str, float] | str | None) -> list[str]:
     return [paper, "", ""] if isinstance(paper, str) else [f"{paper[name]:.2f}" for name in MEASURES]
 
 
-def _aligned(lines: Sequence[Sequence[str]]) -> str:
+def save_figure(figure: Any, root: Path, name: str) -> list[Path]:
+    """Write a figure of matplotlib to a folder as PNG and SVG, without dates, and return the paths.
+
+    Raises:
+        OSError: If a file cannot be written.
+    """
+    written = []
+    for ending, metadata in (("png", {"Software": None}), ("svg", {"Date": None})):
+        path = root / f"{name}.{ending}"
+        with reserved(path, record=False) as output:
+            figure.savefig(output.temporary, format=ending, dpi=150, metadata=metadata)
+            output.finish()
+        written.append(path)
+    return written
+
+
+def aligned(lines: Sequence[Sequence[str]]) -> str:
+    """Return a table as text with aligned columns."""
     widths = [max(len(line[at]) for line in lines) for at in range(len(lines[0]))]
     rows = ["  ".join(cell.ljust(width) for cell, width in zip(line, widths, strict=True)) for line in lines]
     return "\n".join(row.rstrip() for row in rows)
 
 
-def _markdown(lines: Sequence[Sequence[str]]) -> str:
+def markdown_table(lines: Sequence[Sequence[str]]) -> str:
+    """Return a table as Markdown. The first line is the head."""
     rows = ["| " + " | ".join(cell.strip() for cell in line) + " |" for line in lines]
     return "\n".join([rows[0], "|" + "---|" * len(lines[0]), *rows[1:]]) + "\n"
 
 
-def _escaped(text: str) -> str:
+def escaped(text: str) -> str:
     """Escape text for LaTeX."""
     return "".join(f"\\{each}" if each in "&%$#_{}" else each for each in text)

@@ -1,4 +1,4 @@
-"""The published results: rows of `results/spf.json`, each with the settings and the hash of its policy."""
+"""The published results: the files `results/EXPERIMENT.json`. A row has its settings and the hash of its policy."""
 
 from __future__ import annotations
 
@@ -11,62 +11,65 @@ from typing import Any
 
 import numpy as np
 
-from ..evaluation import Benchmark, task_hashes
-from ..files import write_json
-from .cells import TEST, Cell, finished
+from ..evaluation import task_hashes
+from ..files import replacing
+from .cells import Cell, benchmark_of, finished
 from .experiment import Experiment
 from .registry import load_policy
 from .report import MEASURES, clauses_of, paper_table, paper_value, per_episode, pooled, violation_rates
 
-__all__ = ["check_rows", "leaderboard", "read_results", "submit"]
+__all__ = ["as_text", "check_rows", "leaderboard", "read_results", "submit"]
 
 #: The version of the format.
-FORMAT = 1
+FORMAT = 2
 
 #: The keys of a row. `command` trains and evaluates it again.
 KEYS = (
-    *(
-        "learner",
-        "paper",
-        "mode",
-        "seed",
-        "config",
-        "command",
-        "note",
-        "versions",
-        "hashes",
-        "policy_sha256",
-        "steps",
-        "unit",
-    ),
-    *("cpu_seconds", "best_after", "compliance", *MEASURES, "violations", "episodes"),
+    *("learner", "variant", "paper", "mode", "evaluation", "seed", "config", "command", "note", "versions", "hashes"),
+    *("policy_sha256", "steps", "unit", "cpu_seconds", "best_after", "compliance", *MEASURES, "violations", "episodes"),
 )
 
 
-def read_results(path: str | os.PathLike[str]) -> dict[str, Any]:
+def read_results(path: str | os.PathLike[str], experiment: str | None = None) -> dict[str, Any]:
     """Read a file of results.
 
+    Args:
+        path: The file.
+        experiment: The name of the experiment. Only then the file may be absent.
+
     Returns:
-        `format` and `rows`; a file that does not exist has no rows.
+        `format`, `experiment`, `paper` (the name of the paper's table) and `rows`.
 
     Raises:
         OSError: If the file cannot be read.
-        ValueError: If the file is not such a file.
+        ValueError: If the file has not this format, or is that of another experiment.
     """
     file = Path(path)
-    if not file.exists():
-        return {"format": FORMAT, "rows": []}
+    if experiment is not None and not file.exists():
+        return {"format": FORMAT, "experiment": experiment, "paper": None, "rows": []}
     try:
         results = json.loads(file.read_text(encoding="utf-8"))
     except ValueError as error:
         raise ValueError(f"{file}: not JSON: {error}") from None
     if not isinstance(results, dict) or results.get("format") != FORMAT or not isinstance(results.get("rows"), list):
         raise ValueError(f"{file}: expected results of the format {FORMAT}")
+    for key in ("experiment", "paper"):
+        if key not in results:
+            raise ValueError(f"{file}: expected the key `{key}`")
+    if experiment is not None and results["experiment"] != experiment:
+        raise ValueError(f"{file}: expected results of `{experiment}`, not of `{results['experiment']}`")
     for at, row in enumerate(results["rows"]):
         missing = [key for key in KEYS if key not in row]
         if missing:
             raise ValueError(f"{file}: row {at} has no `{missing[0]}`")
     return results
+
+
+def as_text(results: Mapping[str, Any]) -> str:
+    """Return the text of a file of results: JSON with one line per row."""
+    head = {key: results[key] for key in ("format", "experiment", "paper")}
+    lines = ",\n".join(json.dumps(row, allow_nan=False) for row in results["rows"])
+    return f'{json.dumps(head)[:-1]}, "rows": [\n{lines}\n]}}\n'
 
 
 def check_rows(results: Mapping[str, Any]) -> list[str]:
@@ -83,9 +86,9 @@ def check_rows(results: Mapping[str, Any]) -> list[str]:
 
 
 def submit(experiment: Experiment, file: Path, cells: Sequence[Cell], root: Path, results: Path) -> Iterator[str]:
-    """Evaluate the policies of finished cells again, and write a row for each.
+    """Evaluate the policies of finished cells again, and write a row for each evaluation.
 
-    A row replaces that of the same learner, mode and seed.
+    A row replaces that of the same learner, variant, mode, evaluation and seed. Cells that tables omit have no row.
 
     Args:
         experiment: The experiment.
@@ -95,47 +98,72 @@ def submit(experiment: Experiment, file: Path, cells: Sequence[Cell], root: Path
         results: The file of results.
 
     Yields:
-        A line for each cell.
+        A line for each evaluation.
 
     Raises:
         OSError: If a file cannot be read or written.
-        ValueError: If a policy does not give the recorded measures, or a cell is not one of the main table.
+        ValueError: If a policy does not give the recorded measures, or the file has results of another experiment.
     """
-    document = read_results(results)
-    rows = {(row["learner"], row["mode"], row["seed"]): row for row in document["rows"]}
+    document = read_results(results, file.stem)
+    rows = {_key(row): row for row in document["rows"]}
     for cell in cells:
+        if cell.hidden:
+            continue
         measured = finished(cell, root)
         if measured is None:
             yield f"{cell.name}: not finished"
             continue
         paper = experiment.learners[cell.row].paper or cell.row
-        row = {"learner": cell.row, "paper": paper, **_row(file, cell, root, measured)}
-        rows[cell.row, cell.mode, cell.seed] = row
-        yield f"{cell.name}: TSR {row['tsr']['value']:.2f}, as recorded"
-    ordered = sorted(rows.values(), key=lambda row: (row["mode"], row["learner"], row["seed"]))
+        for name in cell.evaluations:
+            row = {
+                "learner": cell.row,
+                "variant": cell.variant,
+                "paper": paper,
+                **_row(file, cell, root, measured, name),
+            }
+            rows[_key(row)] = row
+            yield f"{cell.name}, {name}: TSR {row['tsr']['value']:.2f}, as recorded"
+    order = {
+        "mode": list(experiment.modes),
+        "learner": list(experiment.learners),
+        "variant": list(experiment.variants),
+        "evaluation": list(experiment.evaluations),
+    }
+
+    def place(row: Mapping[str, Any]) -> tuple[int, ...]:
+        """Return the place of a row in the order of the experiment. Names that it has no more come last."""
+        places = [names.index(row[key]) if row[key] in names else len(names) for key, names in order.items()]
+        return (*places, row["seed"])
+
+    ordered = sorted(rows.values(), key=place)
     results.parent.mkdir(parents=True, exist_ok=True)
-    write_json(results, {"format": FORMAT, "rows": ordered}, overwrite=True)
+    with replacing(results, overwrite=True) as path, open(path, "w", encoding="utf-8") as out:
+        out.write(as_text({**document, "paper": experiment.paper, "rows": ordered}))
     yield f"{len(ordered)} rows in {results}"
 
 
-def _row(file: Path, cell: Cell, root: Path, measured: Mapping[str, Any]) -> dict[str, Any]:
+def _key(row: Mapping[str, Any]) -> tuple[str, str, str, str, int]:
+    return row["learner"], row["variant"], row["mode"], row["evaluation"], row["seed"]
+
+
+def _row(file: Path, cell: Cell, root: Path, measured: Mapping[str, Any], evaluation: str) -> dict[str, Any]:
     """Evaluate the policy of a cell, and return its row."""
-    recorded = measured["evaluations"].get("test")
-    if recorded is None or cell.evaluations["test"] != TEST or cell.variant or cell.start is not None:
-        raise ValueError(f"{cell.name} has no evaluation on the recorded test episodes alone, as the results need it")
-    saved = load_policy(cell.folder(root))
-    benchmark = Benchmark(cell.mode, "test", observation=cell.config.observation)
+    folder = cell.folder(root)
+    saved = load_policy(folder)
+    recorded = measured["evaluations"][evaluation]
+    benchmark = benchmark_of(folder, cell.config, cell.evaluations[evaluation])
     again = benchmark.evaluate(saved.policy, name=cell.config.algorithm).to_dict()
     for name in MEASURES:
-        if again[name] != recorded[name]:
+        if again[name]["value"] != recorded[name]["value"]:
             raise ValueError(
-                f"{cell.name}: the policy {saved.path} has {name} {again[name]['value']}, not the recorded "
-                f"{recorded[name]['value']}"
+                f"{cell.name}, {evaluation}: the policy {saved.path} has {name} {again[name]['value']}, not the "
+                f"recorded {recorded[name]['value']}"
             )
     result = measured["result"]
     values = per_episode(recorded)
     return {
         "mode": cell.mode,
+        "evaluation": evaluation,
         "seed": cell.seed,
         "config": result["config"],
         "command": f"logicity experiment {file.stem} --only {cell.row},{cell.mode} --seeds {cell.seed}",
@@ -147,45 +175,55 @@ def _row(file: Path, cell: Cell, root: Path, measured: Mapping[str, Any]) -> dic
         "unit": result["unit"],
         "cpu_seconds": result["cpu_seconds"],
         "best_after": result["best"]["steps"],
-        "compliance": recorded["compliance"],
-        **{name: recorded[name] for name in MEASURES},
+        "compliance": again["compliance"],
+        **{name: again[name] for name in MEASURES},
         "violations": violation_rates([recorded], clauses_of(cell.mode)),
         # What intervals over several seeds need: success, decision success and score of each episode.
         "episodes": {name: [round(float(value), 4) for value in values[name]] for name in MEASURES},
     }
 
 
-def leaderboard(results: Mapping[str, Any]) -> str:
-    """Return the leaderboard as Markdown: a table per mode, beside the figures of the paper, and notes."""
+def leaderboard(results: Mapping[str, Any], level: int = 2) -> str:
+    """Return the results as Markdown: a table per mode, beside the figures of the paper, and notes.
+
+    Args:
+        results: The results.
+        level: The level of the headings, 2 for `##`.
+    """
     rows = results["rows"]
     if not rows:
-        return "The file `results/spf.json` has no row yet.\n"
+        return f"The file `results/{results['experiment']}.json` has no row yet.\n"
     parts = []
-    paper = paper_table("spf")
-    for mode in dict.fromkeys(sorted((row["mode"] for row in rows), key=_mode_order)):
-        groups: dict[str, list[Mapping[str, Any]]] = {}
+    paper = paper_table(results["paper"])
+    several = len({row["evaluation"] for row in rows}) > 1
+    for mode in dict.fromkeys(row["mode"] for row in rows):
+        groups: dict[tuple[str, str, str], list[Mapping[str, Any]]] = {}
         for row in rows:
             if row["mode"] == mode:
-                groups.setdefault(row["learner"], []).append(row)
-        best = sorted(groups.items(), key=lambda item: -_mean(item[1], "tsr"))
-        lines = ["| learner | TSR | DSR | Score | paper: TSR | seeds | steps | CPU min | command |", "|" + "---|" * 9]
-        for learner, group in best:
+                groups.setdefault((row["learner"], row["variant"], row["evaluation"]), []).append(row)
+        shown = list(groups.items())
+        if not several and all(not variant for _, variant, _ in groups):
+            shown.sort(key=lambda item: -_mean(item[1], "tsr"))
+        heads = ["learner", "TSR", "DSR", "Score", "paper: TSR", "seeds", "steps", "CPU min", "command"]
+        lines = ["| " + " | ".join(heads) + " |", "|" + "---|" * len(heads)]
+        for (learner, variant, evaluation), group in shown:
             measures = _pooled(group)
-            published = paper_value("spf", group[0]["paper"], "", mode)
+            published = paper_value(results["paper"], group[0]["paper"], variant, mode)
             figure = f"{published['tsr']:.2f}" if isinstance(published, dict) else published or ""
             seeds = ", ".join(str(row["seed"]) for row in group)
             command = group[0]["command"].partition(" --seeds")[0] + f" --seeds {seeds.replace(' ', '')}"
             minutes = sum(row["cpu_seconds"] for row in group) / len(group) / 60
-            cells = [f"`{learner}`", *(measures[name] for name in MEASURES), figure, seeds, f"{group[0]['steps']:,}"]
+            name = ", ".join([f"`{learner}`", *([variant] if variant else []), *([evaluation] if several else [])])
+            cells = [name, *(measures[each] for each in MEASURES), figure, seeds, f"{group[0]['steps']:,}"]
             lines.append("| " + " | ".join([*cells, f"{minutes:.1f}", f"`{command}`"]) + " |")
-        parts.append(f"## {mode.capitalize()}\n\n" + "\n".join(lines) + "\n")
+        parts.append(f"{'#' * level} {mode.capitalize()}\n\n" + "\n".join(lines) + "\n")
     notes = sorted({f"- `{row['learner']}`, {row['mode']}: {row['note']}" for row in rows if row["note"]})
     versions = ", ".join(sorted({row["versions"]["logicity"] for row in rows}))
-    hours = sum(row["cpu_seconds"] for row in rows) / 3600
-    parts.append(
-        f"The paper's figures: {paper['source']}. {paper['note']} Version {versions} of logicity; {hours:.2f} CPU "
-        "hours in all.\n"
-    )
+    # The evaluations of a cell share its training.
+    seconds = {(row["learner"], row["variant"], row["mode"], row["seed"]): row["cpu_seconds"] for row in rows}
+    sources = f"The paper's figures: {paper['source']}. {paper['note']} " if paper else ""
+    hours = sum(seconds.values()) / 3600
+    parts.append(f"{sources}Version {versions} of logicity; {hours:.2f} CPU hours in all.\n")
     return "\n".join([*parts, *(["\n".join(notes) + "\n"] if notes else [])])
 
 
@@ -203,8 +241,3 @@ def _shown(interval: Mapping[str, float]) -> str:
 
 def _mean(group: Sequence[Mapping[str, Any]], name: str) -> float:
     return sum(float(row[name]["value"]) for row in group) / len(group)
-
-
-def _mode_order(mode: str) -> int:
-    modes = ("easy", "medium", "hard", "expert")
-    return modes.index(mode) if mode in modes else len(modes)

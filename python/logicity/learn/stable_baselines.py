@@ -207,14 +207,7 @@ class StableBaselinesLearner(Learner):
             ValueError: If the algorithm rejects the settings, or the model of `start` does not fit.
         """
         super().__init__(config, log)
-        env = make_vec_env(
-            config.mode,
-            config.envs,
-            split="train",
-            episodes=config.episodes,
-            overrides=config.overrides,
-            observation=config.observation,
-        )
+        env = make_vec_env(config.mode, config.envs, **config.env_options())
         try:
             # The model seeds the environments.
             self._model = new_model(config, env, None if log is None else str(log))
