@@ -20,6 +20,7 @@ from logicity.learn.dreamer import (  # noqa: E402
     Dreamer,
     DreamerPolicy,
     DreamerSettings,
+    Elu,
     EpisodeReplay,
     State,
     WorldModel,
@@ -54,6 +55,17 @@ def config(settings: DreamerSettings, **more: Any) -> TrainConfig:
         "seed": 3,
     }
     return TrainConfig(**{**values, **more})
+
+
+def test_elu_and_its_gradient_are_those_of_torch() -> None:
+    ends = torch.tensor([-200.0, -1e-4, -0.0, 0.0, 1e-4, 200.0])
+    inputs = torch.cat([ends, 5 * torch.randn(1000, generator=generator())]).requires_grad_()
+    outputs, expected = Elu()(inputs), torch.nn.functional.elu(inputs)
+    # exp(x) - 1 has an error of 6e-8 where expm1(x) has none.
+    assert torch.allclose(outputs, expected, rtol=1e-6, atol=1e-7)
+    weights = torch.randn(len(inputs), generator=generator(1))
+    gradients = [torch.autograd.grad((values * weights).sum(), inputs)[0] for values in (outputs, expected)]
+    assert torch.allclose(*gradients, rtol=1e-6, atol=1e-7)
 
 
 def test_lambda_returns_equal_the_recursion_of_the_paper() -> None:

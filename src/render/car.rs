@@ -1,6 +1,6 @@
 //! Parametric drawings of cars from above. A car is one unit wide and heads up; its center is the origin.
 
-use crate::render::icon::Style;
+use crate::render::difficulty::Style;
 use crate::render::sketch::{Dice, Edges, Ink, Sketch};
 use crate::rng::Rng;
 

@@ -1,7 +1,7 @@
 //! How a picture shows an agent under difficulty: the sides of its box, the size and the place of its icon in the box,
 //! and what hides a part of the icon. None of it depends on the class.
 
-use crate::render::icon::Difficulty;
+use crate::render::difficulty::Difficulty;
 use crate::render::picture::{Body, PixelBox, Stamp};
 use crate::render::sketch::{Dice, Ink, Sketch};
 use crate::rng::{Purpose, Rng, RngExt, Seed};

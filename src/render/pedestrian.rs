@@ -1,6 +1,6 @@
 //! Parametric drawings of pedestrians. A figure stands in a square of side 1 around the origin.
 
-use crate::render::icon::Style;
+use crate::render::difficulty::Style;
 use crate::render::sketch::{Dice, Ink, Sketch};
 use crate::rng::Rng;
 
