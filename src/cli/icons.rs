@@ -21,8 +21,8 @@ pub struct IconOptions {
     #[arg(long, value_parser = one_of(&Mode::ALL, Mode::name), default_value = "extend", requires = "pack")]
     pack_mode: Mode,
     /// Difficulty of pictures from 0 (clean) to 100, in percent: colors, light, sharpness, weather, markings and clutter
-    /// vary more. In data sets, the sides of boxes are independent of the class from 50 on, and the style of the test
-    /// split is new at 100
+    /// vary more. In data sets, the sides of boxes are independent of the class from 50 on. From 50 to 100, the share
+    /// of icons of the test split in a style of its own increases from none to all
     #[arg(long, value_name = "PERCENT", value_parser = difficulty, default_value = "0")]
     difficulty: Difficulty,
     /// Version of the drawing code: 2, or 1 to make a data set of format 3 again
@@ -115,7 +115,7 @@ struct SheetArguments {
     /// Seed of the icons
     #[arg(long, value_parser = integer(0..=u64::MAX), default_value_t = 0)]
     seed: u64,
-    /// Split whose style the icons have; from difficulty 50 on, that of the test split differs
+    /// Split whose style the icons have; that of the test split differs above difficulty 50
     #[arg(long, value_parser = one_of(&Split::ALL, Split::name), default_value = "train")]
     split: Split,
     /// Additional class, for example bus+tiro or car+taxi; can be repeated

@@ -343,7 +343,7 @@ pub const PYTHON_COMMANDS: [(&[&str], &str); 10] = [
     ),
     (
         &["vap", "features"],
-        "Compute and store what perception sees of the boxes of a data set, or resume it",
+        "Compute and store the features of the boxes of a data set, or resume",
     ),
 ];
 

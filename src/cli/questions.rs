@@ -48,8 +48,8 @@ pub struct Arguments {
     /// Form of the facts: a list of atoms as in the paper, or English sentences
     #[arg(long, value_parser = one_of(&Style::ALL, Style::name), default_value = "atoms")]
     style: Style,
-    /// What the instructions state and request: only the solved examples; also the rules, in words; or also the rule
-    /// that requires the action
+    /// What the instructions state and request. examples: only the solved examples show the rules, as in the paper.
+    /// rules: state the rules in English. why: also request the rule that requires the action
     #[arg(long, value_parser = one_of(&Prompt::ALL, Prompt::name), default_value = "examples")]
     prompt: Prompt,
     /// Only ask about cars with one of these concepts, separated by commas
@@ -133,7 +133,10 @@ pub fn run(arguments: &Arguments, sources: &mut Sources) -> Result<(), Failure> 
         set.write_demonstrations(out)
     })?;
     let Some(path) = output else {
-        set.write_json(&world, rules, &mut io::BufWriter::new(io::stdout().lock()))?;
+        let mut out = io::BufWriter::new(io::stdout().lock());
+        set.write_json(&world, rules, &mut out)?;
+        // Dropping the buffer would ignore errors.
+        out.flush()?;
         return Ok(());
     };
     write(questions, output, |out| set.write_json(&world, rules, out))?;

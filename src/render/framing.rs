@@ -73,7 +73,7 @@ impl Framing {
         self.sides.map(|side| (side * width as f32).round() as u32)
     }
 
-    /// Returns the size of an icon whose body at its usual size, `size`, has the box `area`.
+    /// Returns the size of an icon in pixels, at least 1. `size` is its usual size, `width` that of a car.
     ///
     /// `body` returns the box of the body at a size. From a share of 1 on, the body fits into the sides of the box.
     #[allow(
@@ -197,11 +197,11 @@ fn sign<R: Rng>(sketch: &mut Sketch, dice: &mut Dice<R>) {
     sketch.rect([-wide, -high, wide, high], ink.lit(-0.45));
     sketch.rect([-wide + 0.07, -high + 0.07, wide - 0.07, high - 0.07], ink);
     for share in [-0.5, 0.0, 0.5] {
-        let (x, y) = (share * (wide - 0.3), share * (high - 0.3));
+        let (x, y) = (3.0 * share * (wide - 0.3), 3.0 * share * (high - 0.3));
         let ends = if wide > high {
-            [(-wide + 0.2, 0.0), (wide - 0.2, 0.0)].map(|(end, _)| (end, y * 3.0))
+            [(-wide + 0.2, y), (wide - 0.2, y)]
         } else {
-            [(x * 3.0, -high + 0.2), (x * 3.0, high - 0.2)]
+            [(x, -high + 0.2), (x, high - 0.2)]
         };
         sketch.line(&ends, 0.06, ink.lit(0.35));
     }
@@ -229,4 +229,57 @@ fn umbrella<R: Rng>(sketch: &mut Sketch, dice: &mut Dice<R>) {
         sketch.polygon(&[(0.0, 0.0), corner, next], sector);
     }
     sketch.oval(0.0, 0.0, 0.08, 0.08, ink.lit(-0.5));
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn boxes_contain_the_visible_part_of_the_body() {
+        let (mut inside, mut outside) = (0, 0);
+        for case in 0..2000 {
+            let mut stream = Seed(case).stream(Purpose::SCENE, 0, 0);
+            let percent = stream.random_range(1..=100);
+            let difficulty = Difficulty::percent(percent).expect("a percentage");
+            let framing = Framing::drawn(difficulty, &mut Dice(&mut stream)).expect("it is not clean");
+            let car = stream.random_range(1..60);
+            let picture = (stream.random_range(1..800), stream.random_range(1..800));
+            // A body is `long` times as long as wide.
+            let long = stream.random_range(1..=3);
+            let body = |size: u32| PixelBox {
+                x: 0,
+                y: 0,
+                width: size,
+                height: long * size,
+            };
+            let size = framing.size(car, car, body);
+            let body = PixelBox {
+                x: stream.random_range(-200..600),
+                y: stream.random_range(-200..600),
+                ..body(size)
+            };
+            let area = framing.loosened(body, car, picture);
+            let Some(part) = body.clipped(picture.0, picture.1) else {
+                assert_eq!(area, None, "case {case}");
+                outside += 1;
+                continue;
+            };
+            let area = area.expect("a part of the body is in the picture");
+            assert_eq!(area.clipped(picture.0, picture.1), Some(area), "case {case}");
+            let both = PixelBox {
+                x: part.x - area.x,
+                y: part.y - area.y,
+                ..part
+            };
+            assert_eq!(both.clipped(area.width, area.height), Some(both), "case {case}");
+            if difficulty >= Difficulty::HALF {
+                let [wide, high] = framing.sides(car);
+                let sides = (wide.max(1).min(picture.0), high.max(long).min(picture.1));
+                assert_eq!((area.width, area.height), sides, "case {case}");
+            }
+            inside += 1;
+        }
+        assert!(inside > 500 && outside > 500, "{inside} {outside}");
+    }
 }

@@ -619,6 +619,7 @@ fn disturb<R: Rng>(pixmap: &mut Pixmap, dice: &mut Dice<R>, noise: f32, version:
             pixel[channel] = byte(f32::from(pixel[channel]) * shade.max(0.2) * tint + rough).min(pixel[3]);
         }
     }
+    // The largest radius, in sizes of the icon.
     let most = match version {
         DrawingVersion::V1 => 0.045,
         DrawingVersion::V2 => 0.075,

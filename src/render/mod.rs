@@ -5,8 +5,9 @@
 //! [`Icons`] draws single icons, and [`sheet`] shows instances of all classes. A [`GroundPlan`] describes the ground
 //! for drawing at any scale. [`write_png`] encodes a [`Picture`] as PNG, and [`Animation`] a sequence of them as GIF.
 //!
-//! Icons are generated, each as a function of seed, class and instance, or come from a [`Pack`]. The same input gives
-//! the same bytes on any number of threads.
+//! Icons are generated, each as a function of seed, class and instance, or come from a [`Pack`]. A [`Difficulty`] from
+//! 0 to 100 percent makes agents harder to recognize; a [`Framing`] then varies the size and the box of an agent. The
+//! same input gives the same bytes on any number of threads.
 //!
 //! ```
 //! use logicity::builtin::BuiltinFiles;

@@ -147,8 +147,9 @@ impl Placement {
 
 /// Draws pictures of one view of one map.
 ///
-/// Draws the ground once and every icon once; a picture is a copy of the ground with icons on top. It depends only on
-/// map, icons, view, ground and agents, not on earlier pictures or the number of threads.
+/// Draws the ground once and every icon once; a picture is a copy of the ground with icons on top, in the weather of
+/// the ground. It depends only on map, icons, view, ground and agents, not on earlier pictures or the number of
+/// threads.
 #[derive(Clone, Debug)]
 pub struct Renderer {
     placement: Placement,
@@ -283,7 +284,8 @@ impl Renderer {
         &self.ground
     }
 
-    /// Draws agents. Pedestrians cover cars, and later agents cover earlier ones of the same type.
+    /// Draws agents. Pedestrians cover cars, and later agents cover earlier ones of the same type. What hides parts of
+    /// agents covers all of them.
     pub fn draw(&self, agents: &[Sprite<'_>]) -> Picture {
         let mut picture = self.ground.clone();
         self.add_agents(agents, &mut picture);

@@ -711,6 +711,27 @@ Fast(X) :- Not(Stop(X)), crowded(X), Not(IsTiro(X)).
     assert_eq!(first("words"), words.join("\n"));
 }
 
+#[test]
+fn clauses_with_one_label_count_once() {
+    let folder = tempfile::tempdir().unwrap();
+    let file = folder.path().join("own.dl");
+    let rules = "\
+.include \"vocabulary.dl\"
+/// A: a car
+Stop(X) :- IsCar(X).
+/// B: a car that sees itself
+Stop(X) :- IsCar(X), Sees(X, X).
+/// A: a car that does not walk
+Stop(X) :- IsCar(X), Not(IsPedestrian(X)).
+";
+    fs::write(&file, rules).unwrap();
+    let arguments = ["expert", "--count", "2", "--shots", "0", "--prompt", "why", "--rules"];
+    for question in questions(&[&arguments[..], &[file.to_str().unwrap()]].concat()) {
+        assert_eq!(question["clauses"], json!(["A", "B"]));
+        assert_eq!(question["labels"], json!(["N", "A", "B"]));
+    }
+}
+
 /// The Python tests read this file. `cargo run -- questions --count 8 --shots 4 --force --output
 /// tests/fixtures/questions.jsonl` writes it.
 #[test]

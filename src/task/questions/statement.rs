@@ -8,8 +8,8 @@
 //! ```
 //!
 //! Facts of the city take the form of the question: atoms, or the phrases of the configuration. Other predicates,
-//! comparisons other than equality, expressions and aggregates stay in the notation of rules. So does what a rule file
-//! hides more than [`DEPTH_MAX`] levels deep.
+//! comparisons other than equality, expressions and aggregates stay in the notation of rules. A sentence unfolds the
+//! predicates that the checker generates (hidden predicates), up to [`DEPTH_MAX`] levels deep.
 
 use crate::datalog::explain::ExplanationPrinter;
 use crate::datalog::{Atom, BaseType, Clause, ClauseId, Comparison, Literal, RelId, Rules, Term};
@@ -38,21 +38,22 @@ pub(super) fn statement(world: &World, sources: &Sources, style: Style) -> Strin
     )
 }
 
-/// Returns the labels of the clauses that derive actions, in source order without repetition.
-pub(super) fn labels(world: &World, sources: &Sources) -> Vec<String> {
+/// Returns the clauses that derive actions, in source order.
+pub(super) fn of_actions(world: &World) -> impl Iterator<Item = ClauseId> + '_ {
+    let clauses = world.clause_actions();
+    clauses.filter_map(|(clause, action)| action.and(Some(clause)))
+}
+
+/// Returns the labels of clauses, in their order without repetition.
+pub(super) fn labels(world: &World, sources: &Sources, clauses: impl Iterator<Item = ClauseId>) -> Vec<String> {
+    let printer = printer(world.program.rules(), sources);
     let mut labels = Vec::new();
-    for (clause, action) in world.clause_actions() {
-        let label = label(world, sources, clause);
-        if action.is_some() && !labels.contains(&label) {
+    for label in clauses.map(|clause| printer.label(clause)) {
+        if !labels.contains(&label) {
             labels.push(label);
         }
     }
     labels
-}
-
-/// Returns the label of a clause.
-pub(super) fn label(world: &World, sources: &Sources, clause: ClauseId) -> String {
-    printer(world.program.rules(), sources).label(clause)
 }
 
 fn printer<'a>(rules: &'a Rules, sources: &'a Sources) -> ExplanationPrinter<'a> {
@@ -86,10 +87,8 @@ impl<'a> Writer<'a> {
 
     /// Returns the visible clauses on which an action depends, in source order.
     fn used(&self) -> Vec<ClauseId> {
-        let actions = self.world.clause_actions().filter(|(_, action)| action.is_some());
-        let mut open: Vec<RelId> = actions
-            .map(|(clause, _)| self.rules.clauses[clause.index()].head.relation)
-            .collect();
+        let head = |clause: ClauseId| self.rules.clauses[clause.index()].head.relation;
+        let mut open: Vec<RelId> = of_actions(self.world).map(head).collect();
         let mut known: BTreeSet<RelId> = open.iter().copied().collect();
         while let Some(relation) = open.pop() {
             let clauses = self
@@ -103,10 +102,9 @@ impl<'a> Writer<'a> {
                 }
             }
         }
-        let head = |clause: &ClauseId| self.rules.clauses[clause.index()].head.relation;
         self.world
             .clauses()
-            .filter(|clause| known.contains(&head(clause)))
+            .filter(|&clause| known.contains(&head(clause)))
             .collect()
     }
 

@@ -46,12 +46,8 @@ impl QuestionSet {
         };
         let set = format!("{}-{}-{seed}{style}{variant}", scenario.name, split.name());
         let clauses = |question: &Question| -> Value {
-            let labels = question.clauses.iter();
-            let mut labels: Vec<String> = labels
-                .map(|clause| statement::label(world, rules.sources, *clause))
-                .collect();
-            labels.dedup();
-            labels.into()
+            let clauses = question.clauses.iter().copied();
+            statement::labels(world, rules.sources, clauses).into()
         };
         let shown = self.demonstrations.iter().map(|shown| {
             json!({
@@ -65,7 +61,7 @@ impl QuestionSet {
         });
         let (system, shown) = (self.instructions(world, rules.sources), shown.collect::<Vec<_>>());
         let labels = match prompt {
-            Prompt::Why => statement::labels(world, rules.sources),
+            Prompt::Why => statement::labels(world, rules.sources, statement::of_actions(world)),
             Prompt::Examples | Prompt::Rules => Vec::new(),
         };
         let options: Map<String, Value> = Action::ALL

@@ -94,7 +94,7 @@ fn pictures(manifest: &Manifest) -> String {
         settings.difficulty
     )
     .expect("memory");
-    if settings.drawing_version > 1 && settings.difficulty > 0 {
+    if settings.has_framings() {
         text += "Each frame also draws anew the size of an agent, the sides of its box, and what hides a part of it.\n\
                  A box contains the icon but is larger. At difficulties from 50 on, its sides are from 72 to 120\n\
                  pixels, independent of each other and of the agent. Each world has its own weather. Above 50,\n\

@@ -166,8 +166,7 @@ impl Dataset {
         for path in folder::unknown_world_entries(&folder, record)? {
             faults.push(wrong(&path, folder::OTHER_IN_WORLD).help(MOVE));
         }
-        let settings = &self.manifest.settings;
-        let has_covers = settings.drawing_version > 1 && settings.difficulty > 0;
+        let has_covers = self.manifest.settings.has_framings();
         let read = read_tables(inference, record, tables, has_covers).and_then(|(entities, samples)| {
             let mut actions = [0; 4];
             for sample in &samples {

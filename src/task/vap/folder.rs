@@ -19,8 +19,8 @@ use std::path::{Path, PathBuf};
 /// The value of [`DatasetSettings::data`].
 pub(super) const DATA: &str = "logicity vap";
 
-/// The versions of the format. It increases when a reader of the old version would misread the new one: from version 4
-/// on, boxes may be loose.
+/// The versions of the format that this program reads. The version increases when a reader of the old one would misread
+/// the new one: from version 4 on, boxes may be loose.
 const VERSIONS: RangeInclusive<u32> = 3..=4;
 
 /// Returns the version of the format for pictures of a version. The first drawing version has a format without a field
@@ -82,6 +82,13 @@ pub struct DatasetSettings {
     /// The SHA-256 of the pixels of [`Worlds::specimen`](crate::task::vap::Worlds::specimen). It changes with the
     /// drawing code.
     pub drawing_hash: String,
+}
+
+impl DatasetSettings {
+    /// Whether agents have a [`Framing`](crate::render::Framing): loose boxes, and things that hide parts of them.
+    pub(super) fn has_framings(&self) -> bool {
+        self.drawing_version > 1 && self.difficulty > 0
+    }
 }
 
 /// The counts and files of a world.

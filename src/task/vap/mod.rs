@@ -39,7 +39,7 @@ impl Purpose {
     /// The drawn agents of a world.
     pub const CAST: Purpose = Purpose::new(14);
 
-    /// The choice among the instances of a class in a picture; index: agent.
+    /// How a picture shows an agent: the instance of its class, and its framing; index: agent, tick: the tick.
     pub const LOOK: Purpose = Purpose::new(15);
 }
 
@@ -167,7 +167,7 @@ pub struct FrameAgent {
     pub facing: Facing,
     /// The instance of its class in the picture, from 0; less than [`Icons::instances`].
     pub instance: u32,
-    /// How the picture shows it.
+    /// How the picture shows it; `None` at difficulty 0 and in drawing version 1.
     pub framing: Option<Framing>,
     /// The action that the rules choose.
     pub action: Action,
@@ -197,7 +197,7 @@ impl Frame {
 }
 
 impl Worlds {
-    /// Prepares the common part of all worlds. The icons should have the seed [`icon_seed`] and the same split.
+    /// Prepares the common part of all worlds. The icons should have the seed [`icon_seed`] and the split `split`.
     ///
     /// # Errors
     /// As [`World::new`] and [`Simulation::new`].
