@@ -158,8 +158,16 @@ def _add_experiment(parser: argparse.ArgumentParser) -> _Command:
         "experiment",
         help="spf, transfer, composition, observations, vap, vap-continual, vap-concepts, language, or a YAML file",
     )
-    parser.add_argument("--list", action="store_true", help="list the cells and which are finished, and run none")
-    parser.add_argument("--report", action="store_true", help="print the table of the finished cells, and run none")
+    instead = parser.add_mutually_exclusive_group()
+    instead.add_argument("--list", action="store_true", help="list the cells and which are finished, and run none")
+    instead.add_argument("--report", action="store_true", help="print the table of the finished cells, and run none")
+    instead.add_argument(
+        "--submit",
+        type=Path,
+        metavar="RESULTS",
+        help="evaluate the policies of the finished cells again, and write their rows to a file such as "
+        "results/spf.json; run none",
+    )
     parser.add_argument("--quick", action="store_true", help="tiny budgets and one seed: a test of every cell")
     parser.add_argument(
         "--only",
@@ -189,13 +197,6 @@ def _add_experiment(parser: argparse.ArgumentParser) -> _Command:
     )
     _add_wandb(parser)
     parser.add_argument("--run", type=Path, metavar="FOLDER", help="folder of the results; default: runs/EXPERIMENT")
-    parser.add_argument(
-        "--submit",
-        type=Path,
-        metavar="RESULTS",
-        help="evaluate the policies of the finished cells again, and write their rows to a file such as "
-        "results/spf.json; run none",
-    )
     return _experiment
 
 
@@ -217,7 +218,11 @@ def _add_ask(parser: argparse.ArgumentParser) -> _Command:
         help='more fields of the request; default: {"temperature": 0}',
     )
     parser.add_argument(
-        "--timeout", type=_positive_float, default=120.0, metavar="SECONDS", help="timeout of a request; default: 120"
+        "--timeout",
+        type=_positive_float,
+        default=120.0,
+        metavar="SECONDS",
+        help="timeout of a request without data; default: 120",
     )
     parser.add_argument("--tries", type=_positive, default=6, help="attempts per request; default: 6")
     return _ask
@@ -538,24 +543,20 @@ def _train(given: argparse.Namespace) -> int:
 
 def _experiment(given: argparse.Namespace) -> int:
     from .learn.cells import finished
-    from .learn.config import merged
     from .learn.experiment import Selection, load_experiment
     from .learn.language import is_language
 
     if is_language(given.experiment):
         return _language(given)
     experiment, file = load_experiment(given.experiment)
-    changes: dict[str, object] = {}
-    for each in given.set:
-        changes = merged(changes, each)
+    selection = Selection(tuple(given.only), given.seeds, _changes(given), given.quick)
     try:
-        cells = experiment.cells(file, Selection(tuple(given.only), given.seeds, changes, given.quick))
+        cells = experiment.cells(file, selection)
     except InputError:
         raise
     except ValueError as error:
         raise _UsageError(str(error)) from None
-    root = given.run or Path("runs") / (f"{file.stem}-quick" if given.quick else file.stem)
-    _check_folder("--run", root)
+    root = _results_folder(given, file)
     if given.list:
         for cell in cells:
             print(f"{'finished' if finished(cell, root) else 'not run ':8}  {cell.name}  {cell.identity[:12]}")
@@ -580,23 +581,39 @@ def _experiment(given: argparse.Namespace) -> int:
     return int(any(cell.identity in failed and not cell.optional for cell in cells))
 
 
-def _language(given: argparse.Namespace) -> int:
+def _changes(given: argparse.Namespace) -> dict[str, object]:
+    """Return the changes of all options `--set`."""
     from .learn.config import merged
+
+    changes: dict[str, object] = {}
+    for each in given.set:
+        changes = merged(changes, each)
+    return changes
+
+
+def _results_folder(given: argparse.Namespace, file: Path) -> Path:
+    """Return the folder of the results of an experiment.
+
+    Raises:
+        _UsageError: If it or a folder above it is a file.
+    """
+    folder: Path = given.run or Path("runs") / (f"{file.stem}-quick" if given.quick else file.stem)
+    _check_folder("--run", folder)
+    return folder
+
+
+def _language(given: argparse.Namespace) -> int:
     from .learn.language import LanguageExperiment, run
 
     for option in ("ray", "wandb", "submit"):
         if getattr(given, option) is not None:
             raise _UsageError(f"--{option}: an experiment of language questions does not support this option")
-    changes: dict[str, object] = {}
-    for each in given.set:
-        changes = merged(changes, each)
-    experiment, file = LanguageExperiment.load(given.experiment, changes, quick=given.quick)
+    experiment, file = LanguageExperiment.load(given.experiment, _changes(given), quick=given.quick)
     try:
         units = experiment.units(given.only, given.seeds)
     except ValueError as error:
         raise _UsageError(str(error)) from None
-    root = given.run or Path("runs") / (f"{file.stem}-quick" if given.quick else file.stem)
-    _check_folder("--run", root)
+    root = _results_folder(given, file)
     action: Literal["run", "list", "report"] = "list" if given.list else "report" if given.report else "run"
     return run(experiment, file, units, root, given.jobs or os.cpu_count() or 1, action)
 

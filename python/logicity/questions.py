@@ -16,9 +16,11 @@ import time
 import urllib.error
 import urllib.parse
 import urllib.request
+from bisect import bisect_right
 from collections import Counter
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import asdict, dataclass, field
+from itertools import accumulate
 from pathlib import Path
 from typing import Any
 
@@ -52,6 +54,16 @@ NO_RULE = "none"
 #: The versions of files of questions. Version 1 has no clauses, and no scenes of demonstrations.
 VERSIONS = (1, 2)
 RESPONSE_BYTES = 16 << 20
+#: The largest timeout of a request, in seconds: a day.
+TIMEOUT_MAX = 86_400.0
+
+#: Waits before another attempt of a request. Receives the delay in seconds, and why the last attempt failed.
+Wait = Callable[[float, str], None]
+
+
+def _sleep(seconds: float, reason: str) -> None:
+    """Wait for some seconds: the default `Wait`."""
+    time.sleep(seconds)
 
 
 @dataclass(frozen=True)
@@ -118,14 +130,14 @@ class Question:
 def _lines(path: str | os.PathLike[str]) -> Iterable[tuple[str, dict[str, Any]]]:
     """Yield the objects of a JSON Lines file, each with its location."""
     name = checked_path("path", path)
-    with open(name, encoding="utf-8") as file:
+    with open(name, "rb") as file:
         for number, line in enumerate(file, 1):
             if not line.strip():
                 continue
             place = f"{name}:{number}"
             try:
-                value = json.loads(line)
-            except json.JSONDecodeError as error:
+                value = json.loads(line.decode())
+            except (ValueError, RecursionError) as error:
                 raise ValueError(f"{place}: not JSON: {error}") from None
             if not isinstance(value, dict) or not isinstance(value.get("id"), str):
                 raise ValueError(f"{place}: expected an object with a string `id`")
@@ -149,21 +161,24 @@ def load_questions(path: str | os.PathLike[str]) -> list[Question]:
         try:
             question = Question(
                 id=line["id"],
-                system=line["system"],
+                system=_text(line, "system"),
                 demonstrations=tuple(
-                    Demonstration(shown["question"], shown["answer"], _labels(shown), shown.get("scene"))
+                    Demonstration(
+                        _text(shown, "question"), _text(shown, "answer"), _labels(shown, "clauses"), shown.get("scene")
+                    )
                     for shown in line["demonstrations"]
                 ),
-                text=line["question"],
+                text=_text(line, "question"),
                 options=dict(line["options"]),
-                answer=line["answer"],
-                clauses=_labels(line),
-                labels=tuple(line.get("labels", ())),
+                answer=_text(line, "answer"),
+                clauses=_labels(line, "clauses"),
+                labels=_labels(line, "labels") or (),
                 scene=line.get("scene"),
                 source=line.get("source", {}),
             )
         except (KeyError, TypeError, ValueError) as error:
-            raise ValueError(f"{place}: not a question of `logicity questions`: {error!r}") from None
+            what = f"the key {error} is missing" if isinstance(error, KeyError) else str(error)
+            raise ValueError(f"{place}: not a question of `logicity questions`: {what}") from None
         if list(question.options.items()) != list(zip(LETTERS, ACTIONS, strict=True)):
             raise ValueError(f"{place}: the options are not {', '.join(ACTIONS)}")
         if question.answer not in question.options:
@@ -176,9 +191,19 @@ def load_questions(path: str | os.PathLike[str]) -> list[Question]:
     return list(questions.values())
 
 
-def _labels(line: Mapping[str, Any]) -> tuple[str, ...] | None:
-    """Return the labels of the clauses that derive the answer, if the file has them."""
-    return tuple(line["clauses"]) if "clauses" in line else None
+def _text(line: Mapping[str, Any], key: str) -> str:
+    """Return the text of a key."""
+    if not isinstance(line[key], str):
+        raise TypeError(f"`{key}` is not text")
+    return str(line[key])
+
+
+def _labels(line: Mapping[str, Any], key: str) -> tuple[str, ...] | None:
+    """Return the list of labels of a key, if the file has it."""
+    labels = line.get(key)
+    if labels is not None and not (isinstance(labels, list) and all(isinstance(label, str) for label in labels)):
+        raise TypeError(f"`{key}` is not a list of texts")
+    return None if labels is None else tuple(labels)
 
 
 def load_answers(path: str | os.PathLike[str]) -> dict[str, str]:
@@ -215,9 +240,10 @@ def load_logprobs(path: str | os.PathLike[str]) -> dict[str, dict[str, float]]:
         if values is None:
             continue
         if not isinstance(values, dict) or not all(
-            letter in LETTERS and isinstance(value, (int, float)) and value <= 0 for letter, value in values.items()
+            letter in LETTERS and isinstance(value, (int, float)) and -math.inf < value <= 0
+            for letter, value in values.items()
         ):
-            raise ValueError(f"{place}: `logprobs` is not a mapping from letters to numbers of at most 0")
+            raise ValueError(f"{place}: `logprobs` is not a mapping from letters to finite numbers of at most 0")
         found[line["id"]] = {letter: float(value) for letter, value in values.items()}
     return found
 
@@ -231,6 +257,8 @@ _OPTION = re.compile(
     rf"[(\[]?\s*(?:([A-D])\b\s*[)\]]?|(?=(?:{_NAMES})\b))([\s.:)\-–—]*)((?:{_NAMES})\b)?(.*)", flags=re.IGNORECASE
 )
 _ALTERNATIVE = re.compile(r"\s*(?:(?:,|/|&|\bor\b|\band\b)\s*\(?[A-D]\b|[A-D]\W*$)", flags=re.IGNORECASE)
+#: The number of characters after "answer" in which an option is read, so that long replies are read in linear time.
+_REACH = 1000
 _REMARK = re.compile(r"\s*(?:$|[.,;:!)\]]|\(|because\b|since\b)", flags=re.IGNORECASE)
 
 
@@ -242,7 +270,7 @@ def read_letter(reply: str) -> str | None:
     text = re.sub(r"<(\w+)>", r"\1: ", re.sub(r"</\w+>", "\n", reply))
     text = _MARKUP.sub("", text)
     for marker in reversed(list(_MARKER.finditer(text))):
-        letter = _option(text[marker.end() :].lstrip().split("\n", 1)[0])
+        letter = _option(text[marker.end() : marker.end() + _REACH].lstrip().split("\n", 1)[0])
         if letter is not None:
             return letter
     lines = [line for line in text.splitlines() if line.strip()]
@@ -308,7 +336,9 @@ class Recall:
         share = correct / total
         center = (share + z * z / (2 * total)) / (1 + z * z / total)
         spread = z / (1 + z * z / total) * math.sqrt(share * (1 - share) / total + z * z / (4 * total * total))
-        return cls(correct, total, Interval(share, max(0.0, center - spread), min(1.0, center + spread)))
+        # Rounding errors must not exclude a share of 0 or 1.
+        low, high = min(share, max(0.0, center - spread)), max(share, min(1.0, center + spread))
+        return cls(correct, total, Interval(share, low, high))
 
 
 @dataclass(frozen=True)
@@ -503,19 +533,20 @@ class Endpoint:
     """A chat endpoint with an OpenAI-compatible interface.
 
     Args:
-        url: The base URL, such as `http://localhost:8000/v1`. `/chat/completions` is appended if it is missing.
+        url: The base URL, such as `http://localhost:8000/v1`. `/chat/completions` is appended to its path if it is
+            missing.
         model: The name of the model on the server.
         key: The bearer token, if the server requires one.
         settings: More fields of the request, such as a temperature. `{"logprobs": true, "top_logprobs": 20}` requests
             log-probabilities.
-        timeout: The timeout of a request, in seconds without data.
+        timeout: The timeout of a request, in seconds without data, at most a day.
         tries: The number of attempts.
         pause: The delay before the second attempt, in seconds. It doubles for each later attempt, up to 60 seconds,
             unless the server requests another delay.
 
     Raises:
-        ValueError: If the URL is not http or https, the key has invalid characters, `settings` contains `model`,
-            `messages` or `stream`, or a number is out of range.
+        ValueError: If the URL is invalid, not http or https, or contains a password, the key has invalid characters,
+            `settings` is not JSON or contains `model`, `messages` or `stream`, or a number is out of range.
     """
 
     url: str
@@ -528,19 +559,42 @@ class Endpoint:
 
     def __post_init__(self) -> None:
         """Check the arguments."""
-        parts = urllib.parse.urlsplit(self.url)
-        if parts.scheme not in ("http", "https") or not parts.hostname:
-            raise ValueError(f"expected a URL of http or https, not `{self.url}`")
+        self._check_url()
         # The message must not reveal the key.
         if self.key is not None and not re.fullmatch(r"[\x21-\x7e]+", self.key):
             raise ValueError("the key is empty, or has characters other than printable ASCII")
         if set(self.settings or ()) & {"model", "messages", "stream"}:
             raise ValueError("`settings` must not contain `model`, `messages` or `stream`")
-        if not (self.timeout > 0 and self.tries >= 1 and self.pause >= 0):
-            raise ValueError("`timeout` and `tries` must be positive, and `pause` must not be negative")
+        try:
+            json.dumps(dict(self.settings or {}), allow_nan=False)
+        except (TypeError, ValueError) as error:
+            raise ValueError(f"`settings` is not JSON: {error}") from None
+        if not 0 < self.timeout <= TIMEOUT_MAX:
+            raise ValueError(f"`timeout` must be positive and at most {TIMEOUT_MAX:,.0f} seconds, not {self.timeout}")
+        if not (self.tries >= 1 and 0 <= self.pause < math.inf):
+            raise ValueError("`tries` must be positive, and `pause` must be finite and not negative")
 
-    def reply(self, messages: list[dict[str, str]]) -> Reply:
+    def _check_url(self) -> None:
+        """Raise `ValueError` if no request can be sent to the URL."""
+        if "@" in self.url.partition("//")[2].partition("/")[0]:
+            # The message must not reveal the password.
+            raise ValueError("the URL contains a user name or password: send the key as a bearer token instead")
+        try:
+            parts = urllib.parse.urlsplit(self.url)
+            host, _ = (parts.hostname or "").encode("idna"), parts.port
+        except ValueError as error:
+            raise ValueError(f"expected a URL of http or https, not `{self.url}`: {error}") from None
+        if parts.scheme not in ("http", "https") or not host:
+            raise ValueError(f"expected a URL of http or https, not `{self.url}`")
+        if not re.fullmatch(r"[\x21-\x7e]+", self.url):
+            raise ValueError(f"the URL `{self.url}` has characters other than printable ASCII: percent-encode them")
+
+    def reply(self, messages: list[dict[str, str]], wait: Wait = _sleep) -> Reply:
         """Send a request, and return the reply of the model.
+
+        Args:
+            messages: The messages, see `Question.messages`.
+            wait: Waits before another attempt.
 
         Raises:
             ConnectionError: If the server rejects the request, or every attempt fails.
@@ -552,12 +606,13 @@ class Endpoint:
                 if attempt == self.tries:
                     raise ConnectionError(f"no reply from {self.url} in {attempt} attempts: {error}") from None
                 delay = min(self.pause * 2 ** (attempt - 1), 60.0)
-                time.sleep(delay if error.wait is None else error.wait)
+                wait(delay if error.wait is None else error.wait, str(error))
         raise AssertionError("`tries` is at least 1")
 
     def _once(self, messages: list[dict[str, str]]) -> Reply:
-        url = self.url.rstrip("/")
-        url = url if url.endswith("/chat/completions") else f"{url}/chat/completions"
+        parts = urllib.parse.urlsplit(self.url)
+        path = parts.path.rstrip("/").removesuffix("/chat/completions") + "/chat/completions"
+        url = urllib.parse.urlunsplit(parts._replace(path=path, fragment=""))
         request_body = json.dumps({"model": self.model, "messages": messages, **(self.settings or {})}).encode()
         headers = {"Content-Type": "application/json", "Accept": "application/json"}
         if self.key is not None:
@@ -568,7 +623,7 @@ class Endpoint:
                 text = response.read(RESPONSE_BYTES)
         except urllib.error.HTTPError as error:
             with error:
-                body = error.read(2000).decode(errors="replace").strip()
+                body = _beginning(error)
             reason = f"{error.code} {error.reason}" + (f": {body}" if body else "")
             if error.code in (408, 409, 425, 429) or error.code >= 500:
                 raise _RetryableError(reason, _seconds(error.headers.get("Retry-After"))) from None
@@ -578,10 +633,19 @@ class Endpoint:
         try:
             choice = json.loads(text)["choices"][0]
             content = choice["message"].get("content")
-        except (ValueError, KeyError, IndexError, TypeError, AttributeError):
+            if not isinstance(content, str | None):
+                raise TypeError
+        except (ValueError, KeyError, IndexError, TypeError, AttributeError, RecursionError):
             raise _RetryableError(f"not a reply of a chat endpoint: {text[:200].decode(errors='replace')}") from None
-        content = content if isinstance(content, str) else ""
-        return Reply(content, _option_logprobs(content, choice.get("logprobs")))
+        return Reply(content or "", _option_logprobs(content or "", choice.get("logprobs")))
+
+
+def _beginning(error: urllib.error.HTTPError) -> str:
+    """Return the beginning of the body of an error; empty if the server does not send it."""
+    try:
+        return error.read(2000).decode(errors="replace").strip()
+    except (OSError, http.client.HTTPException):
+        return ""
 
 
 def _option_logprobs(reply: str, logprobs: Any) -> dict[str, float] | None:
@@ -597,16 +661,16 @@ def _option_logprobs(reply: str, logprobs: Any) -> dict[str, float] | None:
         return None
     try:
         tokens = [(str(token["token"]), token) for token in logprobs["content"]]
+        ends = accumulate(len(token) for token, _ in tokens)
+        chosen = [(end, values) for end, (token, values) in zip(ends, tokens, strict=True) if _chosen(token) == letter]
         # The token after the last "answer:", or in the last line.
         text = "".join(token for token, _ in tokens)
-        begins = [found.end() for found in _MARKER.finditer(text)]
-        starts = sorted({len(text.rstrip()[: text.rstrip().rfind("\n") + 1]), *begins}, reverse=True)
-        for start in starts:
-            end = 0
-            for token, values in tokens:
-                end += len(token)
-                if end > start and _chosen(token) == letter:
-                    return _by_letter([values, *values.get("top_logprobs", [])])
+        starts = {text.rstrip().rfind("\n") + 1, *(found.end() for found in _MARKER.finditer(text))}
+        for start in sorted(starts, reverse=True):
+            at = bisect_right(chosen, start, key=lambda each: each[0])
+            if at < len(chosen):
+                values = chosen[at][1]
+                return _by_letter([values, *values.get("top_logprobs", [])])
     except (KeyError, TypeError, ValueError, AttributeError):
         # Servers differ in this field. A reply without log-probabilities is still a reply.
         return None
@@ -649,6 +713,7 @@ def ask(
     endpoint: Endpoint,
     path: str | os.PathLike[str],
     watch: Callable[[int], None] = lambda answered: None,
+    wait: Wait = _sleep,
 ) -> dict[str, str]:
     """Send every question that has no reply in a file to an endpoint, and append each reply to the file.
 
@@ -660,6 +725,7 @@ def ask(
         endpoint: The endpoint.
         path: The file of replies.
         watch: A function that receives the number of answered questions at the start and after each reply.
+        wait: Waits before another attempt of a request.
 
     Returns:
         All replies by id.
@@ -687,7 +753,7 @@ def ask(
         for question in questions:
             if question.id in answers:
                 continue
-            reply = endpoint.reply(question.messages())
+            reply = endpoint.reply(question.messages(), wait)
             answers[question.id] = reply.text
             record: dict[str, Any] = {"id": question.id, "model": endpoint.model, "answer": reply.text}
             json.dump(record if reply.logprobs is None else {**record, "logprobs": reply.logprobs}, file)

@@ -22,9 +22,17 @@ needs("stable_baselines3", "learn")
 from logicity.commands import run as command  # noqa: E402
 from logicity.learn import LEARNERS, load_policy  # noqa: E402
 from logicity.learn.cells import Cell, finished, prepare, run_cell  # noqa: E402
-from logicity.learn.experiment import Experiment, Selection  # noqa: E402
-from logicity.learn.jobs import run_in_processes  # noqa: E402
-from logicity.learn.report import Report, paper_table, paper_value, pooled, violation_rates  # noqa: E402
+from logicity.learn.experiment import Experiment, Selection, load_experiment, read_experiment  # noqa: E402
+from logicity.learn.jobs import exclusive, run_in_processes  # noqa: E402
+from logicity.learn.report import (  # noqa: E402
+    Report,
+    escaped,
+    markdown_table,
+    paper_table,
+    paper_value,
+    pooled,
+    violation_rates,
+)
 from logicity.learn.results import as_text, check_rows, leaderboard, read_results, submit  # noqa: E402
 
 EXPERIMENTS = ROOT / "configs" / "experiments"
@@ -83,15 +91,15 @@ def results_of(cells: Sequence[Cell], root: Path) -> list[Any]:
 
 
 def test_the_shipped_experiments_name_existing_configurations() -> None:
-    for file in sorted(EXPERIMENTS.glob("*.yaml")):
-        if "\ntask: " in file.read_text():
-            continue  # tests of other tasks read them
+    # Tests of other tasks read their files.
+    files = [file for file in sorted(EXPERIMENTS.glob("*.yaml")) if "task" not in read_experiment(file)[2]]
+    assert [file.stem for file in files] == ["composition", "observations", "spf", "transfer"]
+    for file in files:
         experiment, _ = Experiment.load(file)
         assert experiment.paper == file.stem and paper_table(file.stem)["source"].startswith("LogiCity (NeurIPS 2024")
-        known = [row for row in experiment.learners if row.removesuffix("-tuned") in LEARNERS]
-        for row in known:
-            columns = [(row, None)]
-            assert cells_of(file, only=columns)[1] and cells_of(file, only=columns, quick=True)[1]
+        assert {row.removesuffix("-tuned") for row in experiment.learners} <= set(LEARNERS)
+        for quick in (False, True):
+            assert {cell.row for cell in cells_of(file, quick=quick)[1]} == set(experiment.learners)
     spf, _ = Experiment.load(EXPERIMENTS / "spf.yaml")
     assert set(paper_table("spf")["rows"]) <= set(spf.learners)
     assert set(spf.modes) == {"easy", "medium", "hard", "expert"}
@@ -141,7 +149,12 @@ def test_the_identity_follows_from_settings_rules_episodes_and_version(
         (TINY.replace("modes: [easy]", ""), "the key `modes` is missing"),
         (TINY.replace("[0, 1]", "[-1]"), "`seeds.0` must be at least 0, not `-1`"),
         (TINY.replace("[0, 1]", "[]"), "`seeds` must be a list of 1 or more values"),
+        (TINY.replace("[easy]", "[eazy]"), "unknown mode `eazy`[^?]*did you mean `easy`"),
+        (TINY.replace("paper: spf", "paper: spff"), "`paper` must be `spf`, `transfer`, `composition` or `obs"),
+        (TINY + "changes: {seed: 3}", "each cell has its own seed: write the seeds under `seeds`"),
+        (TINY.replace("ppo: {}", "ppo: {quick: {seed: 3}}"), "each cell has its own seed"),
         (TINY + "variants: {a: {start: b}}", "unknown variant `b`"),
+        (TINY + "variants: {a: {}, b: {start: a}, c: {start: b}}", "`b` itself starts from another variant"),
         (TINY.replace("ppo: {}", "ppo: {variants: [b]}") + "variants: {a: {}}", "unknown variant `b`"),
         (TINY.replace("ppo: {}", "ppo: {variants: [b]}") + "variants: {a: {}, b: {start: a}}", "`b` starts from `a`"),
         (TINY + "evaluations: {a: {split: tset}}", "`evaluations.a.split` must be `train`, `val` or `test`, not"),
@@ -157,7 +170,9 @@ def test_faulty_experiments_are_reported(text: str, message: str, tmp_path: Path
         cells_of(write(tmp_path, text))
 
 
-def test_unknown_selections_are_reported(tiny: Path, capsys: pytest.CaptureFixture[str]) -> None:
+def test_unknown_selections_are_reported(
+    tiny: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
     words = ("experiment",)
     run = ["--run", str(tiny.parent / "run")]
     for arguments, message in [
@@ -166,16 +181,52 @@ def test_unknown_selections_are_reported(tiny: Path, capsys: pytest.CaptureFixtu
     ]:
         assert command(words, [str(tiny), *run, *arguments]) == 2
         assert message in capsys.readouterr().err
+    for change, message in [
+        ("seed=3", "--set: each cell has its own `seed`: use `--seeds`"),
+        ("mode=hard", "--set: each cell has its own `mode`: use `--only LEARNER,MODE`"),
+    ]:
+        assert command(words, [str(tiny), *run, "--list", "--set", change]) == 2
+        assert message in capsys.readouterr().err
+    assert command(words, [str(tiny), *run, "--list", "--set", "step=3"]) == 1
+    assert "with the changes of `ppo` in" in (shown := capsys.readouterr().err) and "and of `--set`" in shown
     assert command(words, ["spff"]) == 2
     assert "spff.yaml" in capsys.readouterr().err
     with pytest.raises(SystemExit):
         command(words, [str(tiny), "--set", "steps"])
     assert "expected KEY=VALUE" in capsys.readouterr().err
+    with pytest.raises(SystemExit):
+        command(words, [str(tiny), "--list", "--report"])
+    assert "not allowed with argument --list" in capsys.readouterr().err
+    monkeypatch.setattr("logicity.learn.jobs.find_spec", lambda name: None)
+    assert command(words, [str(tiny), *run, "--wandb", "project"]) == 2
+    assert "--wandb: the package wandb is not installed" in capsys.readouterr().err
     assert command(words, [str(tiny), *run, "--list", "--only", "ppo", "--seeds", "5"]) == 0
     assert capsys.readouterr().out.startswith("not run   ppo, easy, seed 5  ")
 
 
-def test_a_table_stands_beside_the_papers(tiny: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+def test_faults_that_appear_with_the_cells_are_reported(tmp_path: Path) -> None:
+    for text, error, message in [
+        (TINY.replace("ppo: {}", 'ppo: {config: "{rwo}.yaml"}'), FileNotFoundError, "key `config` of the row `ppo` in"),
+        (TINY.replace("ppo: {}", "pp0: {}"), FileNotFoundError, r"pp0\.yaml(.|\n)*key `config` of the row `pp0`"),
+        (
+            TINY.replace("ppo: {}", "a: {config: ppo.yaml}\n  b: {config: ppo.yaml}"),
+            ValueError,
+            "have the same settings",
+        ),
+    ]:
+        with pytest.raises(error, match=message):
+            cells_of(write(tmp_path, text))
+    file = write(tmp_path, "task: langauge\n" + TINY)
+    with pytest.raises(InputError, match="unknown task `langauge`; did you mean `language`"):
+        load_experiment(file)
+
+
+def test_names_are_escaped_in_tables() -> None:
+    assert escaped("a_b ~ 1 % \\x^2") == r"a\_b \textasciitilde{} 1 \% \textbackslash{}x\textasciicircum{}2"
+    assert markdown_table([["a", "b"], ["c|d", "e"]]).splitlines()[2] == r"| c\|d | e |"
+
+
+def test_the_table_shows_the_papers_figures(tiny: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     experiment, cells = cells_of(tiny)
     root = tmp_path / "run"
     run_here(cells[:3], root)
@@ -183,7 +234,8 @@ def test_a_table_stands_beside_the_papers(tiny: Path, tmp_path: Path, capsys: py
     run_here(cells_of(tiny, changes={"steps": 64}, only=[("quick-a2c", None)], seeds=(1,))[1], root)
     report = Report(experiment, cells, root, {cells[3].identity: "it failed\nhere"})
     ppo, a2c = report.entries
-    assert (ppo.seeds, ppo.missing, a2c.seeds, a2c.missing) == ((0, 1), "", (0,), "it failed")
+    assert (ppo.seeds, ppo.missing, a2c.seeds, a2c.missing) == ((0, 1), "", (0,), "it failed (seed 1)")
+    assert Report(experiment, cells, root / "empty").entries[1].missing == "not run"
     assert not report.complete and ppo.paper == {"tsr": 0.33, "dsr": 0.36, "score": 2.83}
     single = finished(cells[2], root)
     assert single is not None
@@ -194,7 +246,7 @@ def test_a_table_stands_beside_the_papers(tiny: Path, tmp_path: Path, capsys: py
     assert set(written) == {"table.md", "table.tex", "table.json", "bars.png", "bars.svg", "curves.png", "curves.svg"}
     assert written["bars.png"].read_bytes()[:4] == b"\x89PNG" and "<svg" in written["curves.svg"].read_text()
     markdown, latex = written["table.md"].read_text(), written["table.tex"].read_text()
-    assert "| the paper's | 0.33 | 0.36 | 2.83 |" in markdown and "quick-a2c, easy: it failed." in markdown
+    assert "| the paper's | 0.33 | 0.36 | 2.83 |" in markdown and "quick-a2c, easy: it failed (seed 1)." in markdown
     assert "the paper's & 0.33 & 0.36 & 2.83 \\\\" in latex and latex.count("{") == latex.count("}")
     assert json.loads(written["table.json"].read_text())["entries"][0]["seeds"] == [0, 1]
     assert command(("experiment",), [str(tiny), "--run", str(root), "--report"]) == 0
@@ -254,6 +306,8 @@ variants:
     root = tmp_path / "run"
     with pytest.raises(FileNotFoundError):
         prepare(cells[2], root)
+    with pytest.raises(ValueError, match="a2c, more, .* starts from a2c, easy, .*, which is not among the cells"):
+        run_in_processes(cells[1:], root, 1, print)
     run_here(cells, root)
     started, other = finished(cells[2], root), finished(cells[1], root)
     assert started is not None and other is not None
@@ -266,8 +320,12 @@ variants:
     assert "lines.svg" in {path.name for path in report.write(root)}
 
 
-def test_an_evaluation_can_use_new_episodes(tmp_path: Path) -> None:
-    text = TINY + "evaluations: {agents of training: {split: train, fresh: 5, seed: 7}, agents of test: {}}\n"
+@pytest.mark.parametrize("mode", ["easy", "own.yaml"])
+def test_an_evaluation_can_use_new_episodes(mode: str, tmp_path: Path) -> None:
+    """A mode can be a file beside that of the experiment."""
+    (tmp_path / "own.yaml").write_text("base: configs/easy.yaml\n")
+    text = TINY.replace("[easy]", f"[{mode}]")
+    text += "evaluations: {agents of training: {split: train, fresh: 5, seed: 7}, agents of test: {}}\n"
     experiment, cells = cells_of(write(tmp_path, text), only=[("quick-a2c", None)], seeds=(0,))
     root = tmp_path / "run"
     run_here(cells, root)
@@ -282,6 +340,37 @@ def test_an_evaluation_can_use_new_episodes(tmp_path: Path) -> None:
     ]
 
 
+def test_a_cell_runs_only_with_its_version_rules_and_episodes(tiny: Path, tmp_path: Path) -> None:
+    _, cells = cells_of(tiny, only=[("quick-a2c", None)], seeds=(0,))
+    folder = prepare(cells[0], tmp_path / "run")
+    document = json.loads((folder / "cell.json").read_text())
+    faulty: list[tuple[dict[str, Any], str]] = [
+        ({"version": "0.0.0"}, "the cell is of version 0.0.0 of logicity"),
+        ({"hashes": {**cells[0].spec()["hashes"], "rules": "0" * 64}}, "`easy` has another content of rules than"),
+    ]
+    for spec, message in faulty:
+        (folder / "cell.json").write_text(json.dumps({**document, "spec": {**document["spec"], **spec}}))
+        with pytest.raises(ValueError, match=message):
+            run_cell(folder)
+    assert finished(cells[0], tmp_path / "run") is None
+    # A process that is lost after the last file leaves a finished cell.
+    measured = {"identity": document["identity"], "result": {}, "evaluations": {}}
+    (folder / "measured.json").write_text(json.dumps(measured))
+    assert run_cell(folder) == measured == finished(cells[0], tmp_path / "run")
+
+
+def test_one_process_at_a_time_runs_an_experiment(
+    tiny: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    arguments = [str(tiny), "--run", str(tmp_path / "run")]
+    with exclusive(tmp_path / "run"):
+        assert command(("experiment",), arguments) == 2
+        assert "help: one process at a time runs an experiment in a folder; `--run`" in capsys.readouterr().err
+        assert command(("experiment",), [*arguments, "--list"]) == 0
+    with exclusive(tmp_path / "run"):
+        pass
+
+
 @pytest.mark.skipif(sys.platform != "linux", reason="reads /proc")
 def test_a_killed_experiment_gives_the_same_table(tiny: Path, tmp_path: Path) -> None:
     """The process is killed twice; the processes of its cells die with it."""
@@ -293,6 +382,7 @@ def test_a_killed_experiment_gives_the_same_table(tiny: Path, tmp_path: Path) ->
             # In the first run a cell has a checkpoint; in the second one a cell is finished.
             pattern = "cells/*/checkpoint-*" if kill == 0 else "cells/*/measured.json"
             wait_for_file(root, pattern, process)
+            assert process.poll() is None
             process.kill()
         wait_for(lambda: not processes_with(str(root)))
     assert subprocess.run(once, stdout=subprocess.DEVNULL, stderr=subprocess.PIPE, check=True).stderr
@@ -412,24 +502,46 @@ def test_published_rows_are_evaluated_again(tiny: Path, tmp_path: Path) -> None:
     assert "## Easy" in page and "| `ppo` | " in page and "| 0.33 | 0, 1 | 256 |" in page
     results["rows"][1]["hashes"]["rules"] = "0" * 64
     assert check_rows(results) == ["ppo in easy, seed 1: other rules"]
+    # A new row replaces the old one, and keeps its note.
+    first = {**results["rows"][0], "tsr": None, "note": "remarkable"}
+    file.write_text(as_text({**results, "rows": [first]}))
+    list(submit(experiment, tiny, cells[:2], root, file))
+    assert [(row["note"], row["tsr"] is None) for row in read_results(file)["rows"]] == [
+        ("remarkable", False),
+        ("", False),
+    ]
     # Another policy than the recorded one is refused.
     other, mine = load_policy(cells[1].folder(root)).path, load_policy(cells[0].folder(root)).path
-    measured = json.loads((cells[0].folder(root) / "measured.json").read_text())
-    measured["evaluations"]["test"]["tsr"]["value"] += 0.5
-    (cells[0].folder(root) / "measured.json").write_text(json.dumps(measured))
-    with pytest.raises(ValueError, match=r"ppo, easy, seed 0, test: the policy .* has tsr"):
+    mine.write_bytes(other.read_bytes())
+    before = file.read_bytes()
+    with pytest.raises(ValueError, match=r"ppo, easy, seed 0, test: the policy .* has (tsr|dsr|score) .*, not the rec"):
         list(submit(experiment, tiny, cells, root, file))
-    assert other != mine
-    file.write_text("{}")
-    with pytest.raises(ValueError, match="expected results of the format 2"):
-        read_results(file)
+    assert file.read_bytes() == before
+    (tmp_path / "own.yaml").write_text("base: configs/easy.yaml\n")
+    own, of_file = cells_of(write(tmp_path, TINY.replace("[easy]", "[own.yaml]")))
+    with pytest.raises(ValueError, match="published results are of built-in modes, not of"):
+        list(submit(own, tiny, of_file, root, file))
+    row = results["rows"][0]
+    for faulty, message in [
+        ("{", "not JSON"),
+        ("[" * 100_000, "not JSON"),
+        ("{}", "expected results of the format 2"),
+        (as_text({**results, "rows": [3]}), "row 0 is not a mapping"),
+        (as_text({**results, "rows": [row, {"learner": "ppo"}]}), "row 1 has no `variant`"),
+        (as_text({**results, "rows": [{**row, "mode": ["easy"]}]}), "row 0 has an invalid `mode`"),
+    ]:
+        file.write_text(faulty)
+        with pytest.raises(ValueError, match=message):
+            read_results(file)
     assert "no row yet" in leaderboard(read_results(tmp_path / "none.json", "tiny"))
     with pytest.raises(ValueError, match="expected results of `transfer`, not of `spf`"):
         read_results(ROOT / "results" / "spf.json", "transfer")
 
 
 @pytest.mark.parametrize(
-    "file", sorted(set((ROOT / "results").glob("*.json")) - {ROOT / "results" / "vap.json"}), ids=lambda file: file.stem
+    "file",
+    sorted(set((ROOT / "results").glob("[a-z]*.json")) - {ROOT / "results" / "vap.json"}),
+    ids=lambda file: file.stem,
 )
 def test_the_pages_of_results_follow_from_the_published_rows(file: Path) -> None:
     """The rules and episodes of the rows are those of this version, and a page is made from them."""

@@ -33,9 +33,11 @@ from logicity.questions import (
 )
 
 needs("pydantic", "learn")
+from logicity.learn.jobs import exclusive  # noqa: E402
 from logicity.learn.language import (  # noqa: E402
     SOLVERS,
     LanguageExperiment,
+    LanguageReport,
     ModelSpec,
     Unit,
     Work,
@@ -220,9 +222,18 @@ def test_unusual_log_probabilities_do_not_lose_a_reply(serve: Serve) -> None:
     assert Endpoint(server.url, "stub", tries=1).reply([]) == Reply("I do not know.")
 
 
+def test_log_probabilities_of_long_replies_are_read(serve: Serve) -> None:
+    """In linear time: a quadratic one would take minutes."""
+    text = ["answer "] * 40_000 + ["x B."]
+    server = serve(
+        lambda handler, *_: say(handler, "".join(text) + "\nAnswer: B", logprobs=tokens(text, 0, {"answer ": 1}))
+    )
+    assert Endpoint(server.url, "stub", tries=1).reply([]).logprobs is None
+
+
 def test_invalid_log_probabilities_are_reported_with_their_line(tmp_path: Path) -> None:
     path = tmp_path / "replies.jsonl"
-    for value in ([1], {"E": -1.0}, {"A": "x"}, {"A": 0.5}):
+    for value in ([1], {"E": -1.0}, {"A": "x"}, {"A": 0.5}, {"A": -math.inf}, {"A": math.nan}):
         path.write_text(json.dumps({"id": "0", "answer": "A", "logprobs": value}) + "\n", encoding="utf-8")
         with pytest.raises(ValueError, match=":1: `logprobs` is not"):
             load_logprobs(path)
@@ -401,13 +412,76 @@ def test_ctrl_c_stops_after_the_running_requests(serve: Serve, tmp_path: Path) -
         raise KeyboardInterrupt
 
     with pytest.raises(KeyboardInterrupt):
-        answer(spec, tmp_path / "own.yaml", work, tmp_path, 1, say_and_stop)
+        answer(spec, tmp_path / "own.yaml", work, 1, say_and_stop)
     # The first unit was complete when the interrupt came; the others stopped after at most one request.
     assert work[0].stored() == 8 and work[1].stored() + work[2].stored() <= 1
     lines: list[str] = []
-    assert answer(spec, tmp_path / "own.yaml", work, tmp_path, 1, lines.append) == {}
+    assert answer(spec, tmp_path / "own.yaml", work, 1, lines.append) == {}
     assert [each.stored() for each in work] == [8] * 3
     assert lines[-1] == "[3/3] m, examples, seed 2"
+
+
+def test_an_interrupt_does_not_wait_for_the_next_attempt(serve: Serve, tmp_path: Path) -> None:
+    server = serve(lambda handler, *_: send(handler, 503, b"full\nindeed", Retry_After="600"))
+    spec = LanguageExperiment(task="language", title="Own", models={"m": ModelSpec(url=server.url, model="m")})
+    work = [Work(Unit("m", "examples", seed), made_up(2), tmp_path / "m" / f"{seed}.jsonl") for seed in range(2)]
+    lines: list[str] = []
+
+    def say_and_stop(line: str) -> None:
+        lines.append(line)
+        if len(lines) == 2:
+            raise KeyboardInterrupt
+
+    with pytest.raises(KeyboardInterrupt):
+        answer(spec, tmp_path / "own.yaml", work, 2, say_and_stop)
+    assert sorted(lines[:2]) == [
+        f"m, examples, seed {seed}: 503 Service Unavailable: full; next attempt in 600 s" for seed in range(2)
+    ]
+
+
+def test_a_selection_has_each_unit_once(tmp_path: Path) -> None:
+    spec = LanguageExperiment(
+        task="language", title="Own", seeds=(1, 1), prompts=("why", "why"), solvers=("oracle", "oracle")
+    )
+    assert spec.units() == [Unit("oracle", "why", 1)]
+
+
+def test_other_content_of_a_file_of_replies_is_reported(serve: Serve, tmp_path: Path) -> None:
+    server = serve(lambda handler, *_: say(handler, "A"))
+    spec = LanguageExperiment(task="language", title="Own", models={"m": ModelSpec(url=server.url, model="m")})
+    work = Work(Unit("m", "examples", 0), made_up(2), tmp_path / "0.jsonl")
+    for text in ("{}", "[]", "rubbish", '{"id": []}', "[" * 100_000):
+        work.path.write_text(text + "\n", encoding="utf-8")
+        with pytest.raises(ValueError, match=r"0\.jsonl:1: not a reply\nhelp: remove `.*0\.jsonl`"):
+            work.stored()
+        with pytest.raises(ValueError, match=r"0\.jsonl:1: (.|\n)*help: remove `.*0\.jsonl`"):
+            answer(spec, tmp_path / "own.yaml", [work], 1, print)
+    work.path.unlink()
+    assert work.stored() == 0 and answer(spec, tmp_path / "own.yaml", [work], 1, print) == {}
+    assert work.stored() == 2
+
+
+def test_a_running_experiment_can_be_listed(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    with exclusive(tmp_path / "run"):
+        assert experiment(tmp_path / "run", "--only", "majority,why") == 2
+        assert "one process at a time runs an experiment" in capsys.readouterr().err
+        assert experiment(tmp_path / "run", "--only", "majority,why", "--list") == 0
+        assert experiment(tmp_path / "run", "--only", "majority,why", "--report") == 0
+        assert "0 of 8 replies are stored" in capsys.readouterr().out
+
+
+def test_a_perfect_row_of_any_size_is_drawn(tmp_path: Path) -> None:
+    """Rounding errors must not make an error bar negative."""
+    needs("matplotlib", "learn")
+    questions = made_up(10)
+    work = Work(Unit("oracle", "examples", 0), questions, tmp_path / "0.jsonl")
+    spec = LanguageExperiment(task="language", title="Own")
+    work.path.write_text(
+        "".join(json.dumps({"id": each.id, "answer": each.answer}) + "\n" for each in questions), encoding="utf-8"
+    )
+    report = LanguageReport(spec, [work])
+    assert report.entries[0].grade is not None and report.entries[0].grade.overall.correct == 10
+    assert "accuracy.svg" in {path.name for path in report.write(tmp_path)}
 
 
 def test_the_shipped_experiment_asks_the_papers_questions() -> None:
@@ -440,6 +514,7 @@ def test_the_documented_tables_are_those_of_the_command(tmp_path: Path, capsys: 
         ("counts: 3", "did you mean `count`"),
         ("solvers: [oracel]", "`solvers"),
         ("prompts: [hints]", "`prompts"),
+        ("paper: spf", "`paper` must be `language`, not `spf`"),
         ("models: {gpt: {url: x}}", "the key `models.gpt.model` is missing"),
         ("models: {gpt: {url: x, model: y, key: z}}", "unknown key `key`"),
         ("models: {oracle: {url: x, model: y}}", "is the name of a solver"),

@@ -3,6 +3,7 @@ from __future__ import annotations
 import json
 import random
 import threading
+import time
 from http.server import BaseHTTPRequestHandler
 from pathlib import Path
 from typing import Any
@@ -12,10 +13,15 @@ from conftest import Serve, say, send
 
 from logicity import infer
 from logicity.__main__ import main
-from logicity.questions import Endpoint, Question, ask, grade, load_answers, load_questions, read_letter
+from logicity.questions import Endpoint, Question, Recall, Reply, ask, grade, load_answers, load_questions, read_letter
 
 QUESTIONS = Path(__file__).parents[2] / "tests" / "fixtures" / "questions.jsonl"
 ACTIONS = {"A": "Slow", "B": "Normal", "C": "Fast", "D": "Stop"}
+
+
+def changed(**values: Any) -> str:
+    """The first question of the fixture with other values."""
+    return json.dumps({**json.loads(QUESTIONS.read_text(encoding="utf-8").splitlines()[0]), **values})
 
 
 def made_up(count: int) -> list[Question]:
@@ -126,6 +132,19 @@ def test_any_text_is_a_reply() -> None:
         assert read_letter(reply) in (None, "A", "B", "C", "D")
 
 
+def test_long_replies_are_read() -> None:
+    """In linear time: a quadratic one would take minutes."""
+    assert read_letter("answer " * 300_000) is None
+    assert read_letter("answer " * 300_000 + "is (C)") == "C"
+
+
+def test_an_interval_contains_its_share() -> None:
+    for total in range(1, 130):
+        for correct in range(total + 1):
+            accuracy = Recall.of(correct, total).accuracy
+            assert 0 <= accuracy.low <= accuracy.value == correct / total <= accuracy.high <= 1
+
+
 def test_the_oracle_scores_one_and_guessing_a_quarter() -> None:
     questions = made_up(2000)
     oracle = grade(questions, {question.id: question.answer for question in questions})
@@ -160,7 +179,14 @@ def test_a_grade_counts_every_question_once() -> None:
         ("", "no questions"),
         ("{", ":1: not JSON"),
         ("[]", ":1: expected an object"),
-        ('{"id": "x"}', ":1: not a question"),
+        ("[" * 100_000, ":1: not JSON"),
+        ('{"id": ' + "1" * 5000 + "}", ":1: not JSON"),
+        ('{"id": "x"}', ":1: not a question of `logicity questions`: the key 'system' is missing"),
+        (changed(answer=[]), ":1: not a question of `logicity questions`: `answer` is not text"),
+        (changed(system=3), "`system` is not text"),
+        (changed(labels=[1]), "`labels` is not a list of texts"),
+        (changed(clauses="abc"), "`clauses` is not a list of texts"),
+        (changed(demonstrations=[1]), ":1: not a question"),
         (
             json.dumps({"id": "x", "system": "", "demonstrations": [], "question": "", "options": {}, "answer": "A"}),
             "options",
@@ -170,6 +196,7 @@ def test_a_grade_counts_every_question_once() -> None:
             ":2: duplicate id",
         ),
     ],
+    ids=lambda value: repr(value)[:60],
 )
 def test_invalid_questions_are_reported_with_their_line(text: str, message: str, tmp_path: Path) -> None:
     path = tmp_path / "questions.jsonl"
@@ -187,6 +214,9 @@ def test_invalid_answers_are_reported_with_their_line(tmp_path: Path) -> None:
         path.write_text(text, encoding="utf-8")
         with pytest.raises(ValueError, match=message):
             load_answers(path)
+    path.write_bytes(b'{"id": "a", "answer": "A"}\n{"id": "\xff", "answer": "A"}\n')
+    with pytest.raises(ValueError, match="answers.jsonl:2: not JSON: .* can't decode"):
+        load_answers(path)
 
 
 def test_all_questions_are_asked_and_graded(
@@ -248,6 +278,55 @@ def test_transient_failures_are_retried(serve: Serve, tmp_path: Path) -> None:
     assert server.keys == [None] * 10
 
 
+@pytest.mark.parametrize(
+    ("response", "message"),
+    [
+        (b"hello", "BadStatusLine|hello"),
+        (b"HTTP/1.1 200 OK\r\nTransfer-Encoding: chunked\r\n\r\n5\r\nab", "IncompleteRead"),
+        (b"HTTP/1.1 200 OK\r\n\r\n" + b"[" * 100_000, "not a reply of a chat endpoint: \\["),
+        (b'HTTP/1.1 200 OK\r\n\r\n{"choices": ["B"]}', "not a reply of a chat endpoint"),
+        (b'HTTP/1.1 200 OK\r\n\r\n{"choices": [{"message": "B"}]}', "not a reply of a chat endpoint"),
+        (b'HTTP/1.1 200 OK\r\n\r\n{"choices": [{"message": {"content": ["B"]}}]}', "not a reply of a chat endpoint"),
+        (b"HTTP/1.1 500 Oops\r\nTransfer-Encoding: chunked\r\n\r\nzz\r\n", "500 Oops$"),
+        (b"HTTP/1.1 429 Slow down\r\nRetry-After: nan\r\nContent-Length: 0\r\n\r\n", "429 Slow down$"),
+    ],
+    ids=lambda value: repr(value)[:60],
+)
+def test_invalid_responses_are_retried(response: bytes, message: str, serve: Serve) -> None:
+    def act(handler: BaseHTTPRequestHandler, number: int, body: dict[str, Any]) -> None:
+        if number > 2:
+            say(handler, "Answer: B")
+        else:
+            handler.wfile.write(response)
+            handler.close_connection = True
+
+    server = serve(act)
+    waits: list[tuple[float, str]] = []
+    endpoint = Endpoint(server.url, "stub", tries=2)
+    with pytest.raises(ConnectionError, match=f"no reply from .* in 2 attempts: .*({message})"):
+        endpoint.reply([], lambda seconds, reason: waits.append((seconds, reason)))
+    assert endpoint.reply([], lambda seconds, reason: waits.append((seconds, reason))) == Reply("Answer: B")
+    assert [seconds for seconds, _ in waits] == [1.0, 1.0] and len(server.requests) == 4
+
+
+def test_the_body_of_an_error_may_stall(serve: Serve) -> None:
+    def act(handler: BaseHTTPRequestHandler, number: int, body: dict[str, Any]) -> None:
+        handler.wfile.write(b"HTTP/1.1 400 Bad Request\r\nContent-Length: 100\r\n\r\n{")
+        handler.wfile.flush()
+        time.sleep(1.0)
+
+    with pytest.raises(ConnectionError, match="rejects the request: 400 Bad Request$"):
+        Endpoint(serve(act).url, "stub", timeout=0.2).reply([])
+
+
+def test_the_query_of_a_url_is_kept(serve: Serve) -> None:
+    server = serve(lambda handler, *_: say(handler, "B"))
+    for url in (server.url, f"{server.url}/", f"{server.url}/chat/completions/"):
+        for query in ("", "?api-version=1"):
+            Endpoint(url + query, "stub").reply([])
+            assert server.requests[-1]["path"] == f"/v1/chat/completions{query}"
+
+
 def test_earlier_replies_are_kept_when_the_server_fails(
     serve: Serve, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
@@ -282,6 +361,17 @@ def test_errors_of_endpoints_do_not_show_the_key(
     for faulty in (
         {"url": "file:///etc/passwd"},
         {"url": "localhost:8000"},
+        {"url": "http://localhost:port/v1"},
+        {"url": "http://[::1"},
+        {"url": "http://.../v1"},
+        {"url": "http://localhost/a b"},
+        {"url": "http://localhost/\u00e9"},
+        {"url": "http://user:two words@localhost/v1"},
+        {"timeout": 1e9},
+        {"timeout": float("nan")},
+        {"pause": float("inf")},
+        {"settings": {"temperature": float("nan")}},
+        {"settings": {"stop": {"a", "b"}}},
         {"key": "two words"},
         {"settings": {"model": "another"}},
         {"tries": 0},

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import random
+import re
 import signal
 import subprocess
 import sys
@@ -33,7 +34,7 @@ from logicity.learn.report import paper_table  # noqa: E402
 from logicity.vap.concepts import RELATIONS, ConceptModel, ConceptSettings  # noqa: E402
 from logicity.vap.crops import crop_boxes  # noqa: E402
 from logicity.vap.experiment import VapCell, VapExperiment, facts_of, scenes_of  # noqa: E402
-from logicity.vap.features import compute_features, load_features  # noqa: E402
+from logicity.vap.features import DataSpec, compute_features, load_features, prepared  # noqa: E402
 from logicity.vap.reasoners import make_reasoner  # noqa: E402
 from logicity.vap.report import (  # noqa: E402
     VapReport,
@@ -144,6 +145,59 @@ def test_stored_crops_are_resumed_and_checked(pictures: VapDataset, tmp_path: Pa
         compute_features(pictures.folder, out)
     with pytest.raises(ValueError, match="features of another data set"):
         load_features(out, pictures)
+    (out / "features.json").write_text(json.dumps(document))
+    (out / "world-00000.npy").unlink()
+    with pytest.raises(ValueError, match="no features of world 0 yet: run `logicity vap features` again"):
+        load_features(out, pictures)
+    (out / "features.json").write_text('{"format": 1}')
+    with pytest.raises(ValueError, match=r"features\.json: expected the key `kind`"):
+        load_features(out, pictures)
+
+
+@pytest.mark.skipif(sys.platform == "win32", reason="Ctrl-C needs POSIX signals")
+def test_features_are_made_on_the_command_line(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    made = make_dataset(tmp_path / "set", "easy", "test", worlds=2, difficulty=0, threads=1)
+    assert command(("vap", "features"), [str(made.folder), "-o", str(tmp_path / "whole")]) == 0
+    captured = capsys.readouterr()
+    assert captured.err.splitlines() == ["[1/2] worlds", "[2/2] worlds"] and f"written: {tmp_path}" in captured.out
+    # Ctrl-C ends the work, and the next call finishes it.
+    words = [sys.executable, "-m", "logicity", "vap", "features", str(made.folder)]
+    process = subprocess.Popen(words, stderr=subprocess.PIPE, text=True)
+    wait_for(lambda: process.poll() is not None or (tmp_path / "set-crops" / "features.json").exists())
+    process.send_signal(signal.SIGINT)
+    _, printed = process.communicate()
+    assert (process.returncode, printed.splitlines()[-1]) == (130, "interrupted")
+    monkeypatch.chdir(made.folder)
+    assert command(("vap", "features"), [".", "--threads", "2"]) == 0
+    for world in ("world-00000.npy", "world-00001.npy"):
+        assert (tmp_path / "set-crops" / world).read_bytes() == (tmp_path / "whole" / world).read_bytes()
+    make_dataset(tmp_path / "tables", "easy", "test", worlds=1, images=False, threads=1)
+    for arguments, message in [
+        (["../tables"], "error: `../tables` has no pictures: make it without `--no-pictures`"),
+        ([".", "-o", "crops"], "error: `crops` is in the data set"),
+        ([".", "--device", "cuda"], "error: crops are cut on the CPU: remove `--device`"),
+        ([".", "--weights", "a"], "error: crops have no weights"),
+    ]:
+        assert command(("vap", "features"), arguments) == 1
+        assert message in capsys.readouterr().err
+    with pytest.raises(ValueError, match="unknown kind of features `crop`; known: crops, resnet50"):
+        compute_features(made.folder, kind="crop")  # type: ignore[arg-type]
+
+
+def test_pictures_of_an_interrupted_experiment_are_removed(tmp_path: Path) -> None:
+    spec = DataSpec("easy", "test", "fixed", 1, 0, 2, 0, "crops")
+    tables, features = prepared(spec, tmp_path, "a")
+    assert features is not None and len(features) == sum(len(each.names) for each in tables)
+    (stored,) = tmp_path.rglob("world-00000.npy")
+    pictures = stored.parent / "pictures-00000"
+    pictures.mkdir()
+    assert torch.equal(features, prepared(spec, tmp_path, "a")[1]) and not pictures.exists()
+    # Other versions have other data.
+    assert len(list(tmp_path.iterdir())) == 1
+    prepared(DataSpec("easy", "test", "fixed", 1, 0, 2, 0, None), tmp_path, "b")
+    assert len(list(tmp_path.iterdir())) == 2
 
 
 def test_the_backbone_reads_regions_where_the_boxes_are(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
@@ -167,8 +221,25 @@ def test_the_backbone_reads_regions_where_the_boxes_are(tmp_path: Path, monkeypa
     # What the square changes, it changes most in its box.
     changes = np.abs(found.astype(np.float32) - extract(np.zeros_like(image), boxes).astype(np.float32)).sum(1)
     assert changes[0] > 1.5 * changes[1:].max()
-    torch.save({"a": torch.zeros(1)}, tmp_path / "other.pth")
-    with pytest.raises(ValueError, match=r"other\.pth: not the weights of ResNet50"):
+    detector = torchvision.models.detection.fasterrcnn_resnet50_fpn(weights=None, weights_backbone=None).state_dict()
+    torch.save(detector, weights)
+    extract = Backbone(weights)
+    # Files of older versions of torchvision have other names in the pyramid.
+    older = {re.sub(r"(inner_blocks|layer_blocks)\.(\d)\.0", r"\1.\2", name): each for name, each in detector.items()}
+    assert older.keys() != detector.keys()
+    torch.save(older, weights)
+    assert Backbone(weights).identity == extract.identity
+    small = torchvision.models.resnet18(weights=None).state_dict()
+    for content, message in [
+        ({"a": torch.zeros(1)}, "not the weights of ResNet50 .*: `bn1.bias` is missing"),
+        (small, "not the weights of ResNet50 .*: a weight has another shape"),
+        ([1], "expected tensors by name"),
+    ]:
+        torch.save(content, tmp_path / "other.pth")
+        with pytest.raises(ValueError, match=rf"other\.pth: .*{message}"):
+            Backbone(tmp_path / "other.pth")
+    (tmp_path / "other.pth").write_text("hello")
+    with pytest.raises(ValueError, match=r"other\.pth: .*cannot read it as plain data"):
         Backbone(tmp_path / "other.pth")
     with pytest.raises(ValueError, match="device `cuda:99`"):
         Backbone(weights, "cuda:99")
@@ -240,10 +311,40 @@ def test_max_min_answers_are_those_of_thresholded_facts() -> None:
     assert (soft == hard).all() and len(soft.unique()) == 4
 
 
-def test_clauses_without_truth_degrees_are_reported() -> None:
-    text = '.include "rules/vocabulary.dl"\n'
-    with pytest.raises(ValueError, match=r"only literals of predicates can have truth degrees, not `X != Y`"):
-        SoftRules(Program(text + "Stop(X) :- IsClose(X, Y), X != Y."))
+@pytest.mark.parametrize(
+    ("text", "message"),
+    [
+        ("Stop(X) :- IsClose(X, Y), X != Y.", "only literals of predicates can have truth degrees, not `X != Y` in"),
+        ('Stop("Car_1").', "only clauses with a body have truth degrees"),
+        ("Stop(X) :- IsCar(X), Not(IsClose(X, _)).", "`Not(IsClose(X, _))` has no truth degree, in"),
+        ("Stop(X) :- IsClose(X, Y), Stop(Y).", "`Stop(Y)` has no truth degree"),
+        ("Slow(X) :- IsBus(X), Fast(X).\nFast(X) :- Slow(X).", "`Fast(X)` has no truth degree"),
+        (
+            "Normal(X) :- IsBus(X).",
+            "`Normal` holds if no other action does: `Normal(X) :- IsBus(X).` has no truth degree",
+        ),
+    ],
+)
+def test_clauses_without_truth_degrees_are_reported(text: str, message: str) -> None:
+    program = Program(f'.include "rules/vocabulary.dl"\n{text}')
+    with pytest.raises(ValueError, match=re.escape(message)):
+        SoftRules(program)
+
+
+def test_clauses_may_have_comments_other_negations_and_anonymous_variables() -> None:
+    program = Program(
+        """.include "rules/vocabulary.dl"
+        Stop(X) :- // IsBus(X),
+            IsCar(X), not IsBus(X), !IsOld(X), Not( Fast(X) ), IsClose(X, _), NextTo(X, _).
+        """
+    )
+    unary, binary = torch.zeros(1, 3, len(UNARY)), torch.zeros(1, 3, 3, len(RELATIONS))
+    unary[0, 0, UNARY.index("IsCar")], unary[0, 0, UNARY.index("IsBus")] = 1.0, 0.5
+    binary[0, 0, 1:, RELATIONS.index("Sees")] = 1.0
+    # The two anonymous variables are different entities.
+    binary[0, 0, 1, RELATIONS.index("IsClose")], binary[0, 0, 2, RELATIONS.index("NextTo")] = 0.8, 0.5
+    degrees = SoftRules(program).degrees(unary, binary, torch.ones(1, 3, dtype=torch.bool))
+    assert degrees[0, 0].tolist() == pytest.approx([0.0, 0.8, 0.0, 0.2])
 
 
 # --- models
@@ -310,9 +411,10 @@ def test_concept_models_take_crops_features_or_sides(
 
 def test_spatial_concepts_are_learned_in_a_minute(tmp_path: Path) -> None:
     splits: list[tuple[Split, int]] = [("train", 8), ("test", 2)]
+    # The boxes of version 1 fit the icons, so their centers are the places of the agents.
+    tables: Any = {"images": False, "drawing_version": 1, "threads": 1}
     made = [
-        Samples.load(make_dataset(tmp_path / split, "hard", split, worlds=worlds, images=False, threads=1))
-        for split, worlds in splits
+        Samples.load(make_dataset(tmp_path / split, "hard", split, worlds=worlds, **tables)) for split, worlds in splits
     ]
     torch.manual_seed(0)
     model = ConceptModel(ConceptSettings(perception="sides"))
@@ -322,7 +424,7 @@ def test_spatial_concepts_are_learned_in_a_minute(tmp_path: Path) -> None:
     recall = concept_recall(*groundings(model, made[1]), made[1])
     for name in ("IsAtInter", "IsInInter", "IsClose", "NextTo", "LeftOf", "RightOf", "HigherPri", "Sees"):
         value = recall[name]["recall"]
-        assert value is not None and value > 0.85, (name, recall[name])
+        assert value is not None and value > 0.9, (name, recall[name])
 
 
 def test_training_resumes_to_the_same_weights(samples: Samples, tmp_path: Path) -> None:
@@ -398,12 +500,17 @@ def test_the_papers_figures_are_those_of_its_table() -> None:
         (TINY.replace("title: Tiny", ""), "the key `title` is missing"),
         (TINY.replace("paper:", "papr:"), "unknown key `papr`[^?]*did you mean `paper`"),
         (TINY.replace("start: rules", "start: rule"), "`rule`, which is no row before it; did you mean `rules`"),
-        (TINY.replace("fraction: 0.3", "fraction: 3"), "setting `fraction`: Input should be less than or equal to 1"),
+        (TINY.replace("fraction: 0.3", "fraction: 3"), "settings of `rules`: `fraction` must be at most 1"),
+        (TINY.replace("fraction: 0.3", "fractoin: 1"), "unknown key `fractoin`; did you mean `fraction`"),
+        (TINY.replace("{epochs: 2}", "{epoch: 2}"), r"unknown key `training\.epoch`; did you mean `epochs`"),
         (
             TINY.replace("stage: reasoning", "stage: reason"),
-            "`modular-gnn`|setting `stage`: Input should be 'concepts'",
+            "settings of `modular-gnn`: `stage` must be `concepts`, `reasoning`",
         ),
-        (TINY.replace("{random: {}}", "{random: {start: a}}"), "unknown variant `a`"),
+        (TINY.replace("fraction: 0.3", "groundings: exact"), "`groundings: exact` needs the stage `reasoning` or"),
+        (TINY.replace("fraction: 0.3", "weights: a"), "`weights` are those of a backbone: they need"),
+        (TINY.replace("{random: {}}", "{random: {start: randm}}"), "unknown variant `randm`; did you mean `random`"),
+        (TINY.replace("{random: {}}", "{random: {start: random}}"), "`random` itself starts from another variant"),
         (TINY.replace("modes: [hard]", "modes: [expert]"), "`modes.0` must be `easy` or `hard`, not `expert`"),
     ],
 )
@@ -413,11 +520,19 @@ def test_faulty_experiments_are_reported(text: str, message: str, tmp_path: Path
         load_experiment(tmp_path / "tiny.yaml")
 
 
-def test_unknown_selections_are_reported(tiny: Path, capsys: pytest.CaptureFixture[str]) -> None:
+def test_unknown_selections_are_reported(
+    tiny: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setenv("TORCH_HOME", str(tiny.parent))
     for arguments, message in [
         (["--only", "rule"], "--only: unknown learner `rule`; did you mean `rules`?"),
         (["--only", "rules,easy"], "--only: `rules` has no mode `easy`"),
-        (["--set", "training.epochs=0"], "setting `training.epochs` of `rules`: Input should be greater than"),
+        (["--set", "training.epochs=0"], "--set: settings of `rules`: `training.epochs` must be at least 1, not `0`"),
+        (
+            ["--set", "stage=end-to-end", "--set", "reasoner=nlm", "--set", "training.epochs=2"],
+            "have the same settings",
+        ),
+        (["--set", "concepts.perception=features"], "no weights of ResNet50"),
     ]:
         assert command(("experiment",), [str(tiny), "--run", str(tiny.parent / "run"), *arguments]) == 2
         assert message in capsys.readouterr().err
@@ -428,6 +543,47 @@ def test_a_cell_needs_the_model_that_it_starts_from(tiny: Path, tmp_path: Path) 
     _, cells = cells_of(tiny, only=[("modular-gnn", None)])
     with pytest.raises(ValueError, match="`groundings: predicted` needs the concepts of another row: set its `start`"):
         run_cell(prepare(cells[0], tmp_path / "run"))
+
+
+def test_a_cell_belongs_to_the_weights_of_its_backbone(tiny: Path) -> None:
+    weights = tiny.parent / "weights.pth"
+    changes = {"weights": str(weights), "concepts": {"perception": "features"}}
+    identities = set()
+    for content in ("a", "b"):
+        weights.write_text(content)
+        identities.add(cells_of(tiny, only=[("rules", None)], changes=changes)[1][0].identity)
+        weights = tiny.parent / "other.pth"
+        changes["weights"] = str(weights)
+    assert len(identities) == 2
+
+
+def test_a_cell_runs_with_the_rules_of_its_experiment(tiny: Path, tmp_path: Path) -> None:
+    _, cells = cells_of(tiny, only=[("rules", None)])
+    folder = prepare(cells[0], tmp_path / "run")
+    document = json.loads((folder / "cell.json").read_text())
+    document["spec"]["rules"] = "0" * 64
+    (folder / "cell.json").write_text(json.dumps(document))
+    with pytest.raises(ValueError, match="the rules changed after the experiment had begun"):
+        run_cell(folder)
+
+
+def test_a_variant_with_a_mode_has_one_cell(tiny: Path) -> None:
+    tiny.write_text(TINY.replace("[hard]", "[easy, hard]").replace("{random: {}}", "{a: {mode: easy}, b: {}}"))
+    with pytest.raises(
+        ValueError, match="`rules, a, easy, seed 0` and `rules, b, easy, seed 0` have the same settings"
+    ):
+        cells_of(tiny, only=[("rules", None)])
+    tiny.write_text(tiny.read_text().replace("b: {}", "b: {settings: {fraction: 0.5}}"))
+    cells = cells_of(tiny, only=[("rules", None)])[1]
+    assert [(cell.mode, cell.variant) for cell in cells] == [("easy", "a"), ("easy", "b"), ("hard", "b")]
+
+
+def test_rules_are_learned_from_true_concepts(tiny: Path, tmp_path: Path) -> None:
+    tiny.write_text(TINY.replace("{concepts: {perception: sides}}", "{stage: induction, groundings: exact}"))
+    _, cells = cells_of(tiny, only=[("rules", None)])
+    measured = run_cell(prepare(cells[0], tmp_path / "run"))
+    assert measured["evaluations"]["threshold"] == measured["evaluations"]["product"]
+    assert measured["evaluations"]["threshold"]["a_acc"] > 0.7 and not measured["concepts"]
 
 
 def test_intervals_draw_runs_and_worlds() -> None:
@@ -492,9 +648,30 @@ def test_published_rows_are_measured_again(undisturbed: tuple[Path, Path], tmp_p
             list(submit(experiment, file, cells, root, results))
     finally:
         (folder / "measured.json").write_text(json.dumps(measured))
-    results.write_text('{"format": 1, "rows": [{}]}')
-    with pytest.raises(ValueError, match="row 0 has no `experiment`"):
-        read_results(results)
+    # Rows of other experiments stay. Those of other seeds with other settings do not.
+    rows = read_results(results)["rows"]
+    assert [(row["learner"], row["predictor"]) for row in rows] == [
+        *(("rules", "threshold"), ("rules", "product")),
+        *(("modular-gnn", ""), ("e2e-nlm", "")),
+    ]
+    assert rows[0]["command"] == "logicity experiment tiny --only rules,hard --seeds 0"
+    older = {**rows[2], "seed": 1, "settings": {}}
+    others = [{**rows[3], "experiment": "zoo"}, {**rows[3], "experiment": "ant"}, {**rows[3], "seed": 1}]
+    rows[1]["note"] = "It counts shared facts several times."
+    results.write_text(json.dumps({"format": 1, "rows": [*others, older, *rows]}))
+    assert list(submit(experiment, file, cells, root, results))[-1] == f"7 rows in {results}"
+    kept = read_results(results)["rows"]
+    assert kept == [others[1], *rows, others[2], others[0]]
+    assert len(results.read_text().splitlines()) == 9, "one line per row"
+    wrong = json.dumps([{**rows[0], "seed": "a"}])
+    for content, message in [
+        ("[{}]", "row 0 has no `experiment`"),
+        ("[1]", "row 0 is not a mapping"),
+        (wrong, "row 0 has an invalid `seed`"),
+    ]:
+        results.write_text(f'{{"format": 1, "rows": {content}}}')
+        with pytest.raises(ValueError, match=message):
+            read_results(results)
 
 
 @pytest.mark.skipif(sys.platform == "win32", reason="needs SIGKILL")
@@ -510,13 +687,16 @@ def test_an_experiment_killed_five_times_is_complete_and_the_same(
     def progress() -> list[Path]:
         return [path for pattern in ("cell.json", "checkpoint.pt", "measured.json") for path in other.rglob(pattern)]
 
+    killed = 0
     for _ in range(5):
         before = len(progress())
         process = subprocess.Popen(words, stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL)
         wait_for(lambda: process.poll() is not None or len(progress()) != before)  # noqa: B023
         time.sleep(place.random())
+        killed += process.poll() is None
         process.send_signal(signal.SIGKILL)
         process.wait()
+    assert killed
     done = subprocess.run(words, capture_output=True, text=True)
     assert done.returncode == 0, done.stderr
     for cell in cells:
@@ -605,4 +785,10 @@ def test_failures_of_cells_are_reported(tiny: Path, tmp_path: Path) -> None:
     _, cells = cells_of(tiny, only=[("modular-gnn", None)])
     said: list[str] = []
     failed = run_in_processes(cells, tmp_path / "run", 1, said.append)
-    assert list(failed) == [cells[1].identity]
+    assert failed == {cells[1].identity: "the model to start from has no part `reasoner`"}
+    tiny.write_text(
+        TINY.replace("stage: reasoning, concepts: {perception: sides", "stage: reasoning, concepts: {width: 2")
+    )
+    _, cells = cells_of(tiny, only=[("modular-gnn", None)])
+    with pytest.raises(ValueError, match="the part `concepts` of the model to start from has other settings"):
+        run_cell(prepare(cells[1], tmp_path / "run"))

@@ -23,12 +23,13 @@ from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
 from functools import cache, cached_property
 from pathlib import Path
-from typing import Any
+from typing import Any, cast
 
 from .. import _logicity
 from .._logicity import __version__
 from ..evaluation import Benchmark, task_hashes
 from ..files import write_json
+from ..modes import ENVIRONMENTS
 from .config import TrainConfig
 from .registry import load_policy
 from .run import train
@@ -180,12 +181,21 @@ def prepare(cell: Job, root: Path) -> Path:
 
 
 def finished(cell: Job, root: Path) -> dict[str, Any] | None:
-    """Return the content of `measured.json` of a cell, or `None` if the cell is not finished."""
+    """Return the content of `measured.json` of a cell, or `None` if the cell is not finished.
+
+    Raises:
+        OSError: If the file cannot be read.
+    """
+    return _measured(cell.folder(root), cell.identity)
+
+
+def _measured(folder: Path, identity: str) -> dict[str, Any] | None:
+    """Return the content of `measured.json` in a folder if it is that of the cell with an identity."""
     try:
-        measured = json.loads((cell.folder(root) / "measured.json").read_text(encoding="utf-8"))
-    except (OSError, ValueError):
+        measured = json.loads((folder / "measured.json").read_text(encoding="utf-8"))
+    except (FileNotFoundError, NotADirectoryError, ValueError):
         return None
-    return measured if isinstance(measured, dict) and measured.get("identity") == cell.identity else None
+    return measured if isinstance(measured, dict) and measured.get("identity") == identity else None
 
 
 def run_cell(
@@ -203,21 +213,38 @@ def run_cell(
         The content of `measured.json`: the identity, the result of the training, and the evaluations by name.
 
     Raises:
+        ValueError: If this process has another version of the package, rules or episodes than the cell.
         Exception: Those of the training and of the evaluations.
     """
     document = json.loads((folder / "cell.json").read_text(encoding="utf-8"))
+    spec = document["spec"]
+    # The process that ran the cell may have been lost after its last file.
+    measured = _measured(folder, document["identity"])
+    if measured is not None:
+        return measured
+    if spec["version"] != __version__:
+        raise ValueError(
+            f"the cell is of version {spec['version']} of logicity, this process of {__version__}: install one version "
+            "on all machines"
+        )
     if document["task"] != "spf":
         runner = importlib.import_module(RUNNERS[document["task"]])
-        measured: dict[str, Any] = runner.run_cell(folder, report, progress=progress, wandb=wandb)
-        return measured
+        measured = runner.run_cell(folder, report, progress=progress, wandb=wandb)
+        return cast("dict[str, Any]", measured)
     values = document["config"]
     for start in folder.glob("start.*"):
         values["start"] = str(start)
     config = TrainConfig.model_validate(values)
+    changed = [name for name, value in task_hashes(config.mode).items() if spec["hashes"].get(name) != value]
+    if changed:
+        raise ValueError(
+            f"`{config.mode}` has another content of {', '.join(changed)} than when the experiment began: run the same "
+            "command again"
+        )
     result = train(config, folder, progress=progress, report=report, wandb=wandb)
     policy = load_policy(folder).policy
     evaluations = {}
-    for name, each in document["spec"]["evaluations"].items():
+    for name, each in spec["evaluations"].items():
         benchmark = benchmark_of(folder, config, each)
         if each == TEST:
             evaluations[name] = dict(result["test"])
@@ -254,7 +281,10 @@ def _fresh(folder: Path, mode: str, evaluation: Mapping[str, Any]) -> str:
         if code:
             raise OSError(f"`logicity episodes make {mode} {' '.join(options)}` failed")
     config = episodes.with_suffix(".yaml")
-    base = mode if Path(mode).suffix else f"configs/{mode}.yaml"
+    if mode in ENVIRONMENTS:
+        base = f"configs/{mode}.yaml"
+    else:
+        base = str(Path(mode).resolve()) if Path(mode).is_file() else mode
     config.write_text(f"base: {json.dumps(base)}\ntask: {{episodes: {{{split}: {episodes.name}}}}}\n", encoding="utf-8")
     return str(config)
 

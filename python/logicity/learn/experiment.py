@@ -16,6 +16,7 @@ from pydantic import BaseModel, ConfigDict, Field, Strict, ValidationError
 
 from .. import _logicity
 from ..errors import InputError, did_you_mean
+from ..modes import ENVIRONMENTS, checked_mode
 from .cells import TEST, Cell, Job
 from .config import TrainConfig, faults, merged
 from .learner import Count
@@ -57,7 +58,7 @@ class Row(_Model):
     seeds: _Seeds | None = None
     """The seeds; by default those of the experiment."""
     changes: dict[str, Any] = Field(default_factory=dict)
-    """Changes to the training configuration."""
+    """Changes to the training configuration, except `seed`."""
     quick: dict[str, Any] = Field(default_factory=dict)
     """Changes to the training configuration for `--quick`."""
     optional: bool = False
@@ -114,7 +115,7 @@ class AnyExperiment(Protocol):
 
 
 def load_experiment(name: str | os.PathLike[str]) -> tuple[AnyExperiment, Path]:
-    """Read the YAML file of an experiment of any task.
+    """Read the YAML file of an experiment of any task of `TASKS`.
 
     Args:
         name: The file, or the bare name of a built-in experiment such as `spf`.
@@ -130,7 +131,8 @@ def load_experiment(name: str | os.PathLike[str]) -> tuple[AnyExperiment, Path]:
     path, file, values = read_experiment(name)
     task = values.get("task", "spf")
     if not isinstance(task, str) or task not in TASKS:
-        suggestion = did_you_mean(str(task), TASKS)
+        # `logicity.learn.language` reads the files with the task `language`.
+        suggestion = did_you_mean(str(task), [*TASKS, "language"])
         raise file.error([("invalid-value", ["task"], f"unknown task `{task}`{suggestion}", "")])
     module, kind = TASKS[task]
     loaded = getattr(importlib.import_module(module), kind).load(path)
@@ -138,7 +140,12 @@ def load_experiment(name: str | os.PathLike[str]) -> tuple[AnyExperiment, Path]:
 
 
 def read_experiment(name: str | os.PathLike[str]) -> tuple[Path, _logicity.ConfigFile, dict[str, Any]]:
-    """Return the path, the file and the content of an experiment."""
+    """Return the path, the file and the content of an experiment.
+
+    Raises:
+        InputError: If the file is not YAML, or not a mapping.
+        OSError: If the file cannot be read.
+    """
     path = Path(name)
     if not path.suffix and len(path.parts) == 1:
         path = Path("configs") / "experiments" / f"{path}.yaml"
@@ -156,7 +163,7 @@ class Experiment(_Model):
     """The task, Safe Path Following."""
     title: str
     """The title of the table."""
-    paper: str | None = None
+    paper: Literal["spf", "transfer", "composition", "observations"] | None = None
     """The table of the paper beside which the results are shown."""
     config: str = "{row}-{mode}"
     """The training configuration of each row: the name of a file in `configs/baselines`, or a path relative to this
@@ -164,7 +171,7 @@ class Experiment(_Model):
     learners: Annotated[dict[str, Row], Field(min_length=1)]
     """The rows."""
     modes: _Names
-    """The modes."""
+    """The modes: names, or paths relative to this file."""
     seeds: _Seeds = (0,)
     """The seeds."""
     variants: Annotated[dict[str, Variant], Field(min_length=1)] = Field(default_factory=lambda: {"": Variant()})
@@ -195,24 +202,47 @@ class Experiment(_Model):
             experiment = cls.model_validate(values)
         except ValidationError as error:
             raise file.error(faults(error, _unknown, depth=3)) from None
-        wrong = [
-            ("invalid-value", ["variants", variant, "start"], f"unknown variant `{each.start}`", "")
-            for variant, each in experiment.variants.items()
-            if each.start is not None
-            and (each.start not in experiment.variants or experiment.variants[each.start].start is not None)
-        ]
-        for row, spec in experiment.learners.items():
-            chosen = spec.variants or ()
-            for name in chosen:
-                if name not in experiment.variants:
-                    message = f"unknown variant `{name}`{did_you_mean(name, experiment.variants)}"
-                    wrong.append(("invalid-value", ["learners", row, "variants"], message, ""))
-                elif (start := experiment.variants[name].start) is not None and start not in chosen:
-                    message = f"`{name}` starts from `{start}`, which is not among the variants"
-                    wrong.append(("invalid-value", ["learners", row, "variants"], message, ""))
+        wrong = [("invalid-value", path, message, "") for path, message in experiment._faults()]
         if wrong:
             raise file.error(wrong)
         return experiment, path
+
+    def _faults(self) -> Iterator[tuple[list[str], str]]:
+        """Yield the paths and the messages of unknown modes and variants, and of changes that have no effect."""
+        modes = [(["modes"], mode) for mode in self.modes]
+        for row, spec in self.learners.items():
+            modes += [(["learners", row, "modes"], mode) for mode in spec.modes or ()]
+        for where, mode in modes:
+            try:
+                checked_mode(mode)
+            except ValueError as error:
+                yield where, str(error)
+        changes: dict[tuple[str, ...], Mapping[str, Any]] = {("changes",): self.changes}
+        for name, variant in self.variants.items():
+            changes["variants", name, "changes"] = variant.changes
+            if variant.start is None:
+                continue
+            if variant.start not in self.variants:
+                message = f"unknown variant `{variant.start}`{did_you_mean(variant.start, self.variants)}"
+                yield ["variants", name, "start"], message
+            elif self.variants[variant.start].start is not None:
+                yield ["variants", name, "start"], f"`{variant.start}` itself starts from another variant"
+        for row, spec in self.learners.items():
+            changes["learners", row, "changes"] = spec.changes
+            changes["learners", row, "quick"] = spec.quick
+            chosen = spec.variants or ()
+            for name in chosen:
+                if name not in self.variants:
+                    message = f"unknown variant `{name}`{did_you_mean(name, self.variants)}"
+                    yield ["learners", row, "variants"], message
+                elif (start := self.variants[name].start) is not None and start not in chosen:
+                    yield (
+                        ["learners", row, "variants"],
+                        f"`{name}` starts from `{start}`, which is not among the variants",
+                    )
+        for path, values in changes.items():
+            if "seed" in values:
+                yield [*path, "seed"], "each cell has its own seed: write the seeds under `seeds`"
 
     def cells(self, file: Path, selection: Selection) -> list[Cell]:
         """Return the selected cells, each after the cell that it starts from.
@@ -224,8 +254,12 @@ class Experiment(_Model):
         Raises:
             InputError: If a training configuration is invalid.
             OSError: If a training configuration cannot be read.
-            ValueError: If the selection names an unknown row, mode or variant.
+            ValueError: If the selection names an unknown row or mode, its changes contain the seed or the mode, or two
+                rows or variants have the same settings.
         """
+        for key, option in {"seed": "--seeds", "mode": "--only LEARNER,MODE"}.items():
+            if key in selection.changes:
+                raise ValueError(f"--set: each cell has its own `{key}`: use `{option}`")
         found: dict[tuple[str, str, str, int], Cell] = {}
         for row, mode in self._columns(selection):
             spec = self.learners[row]
@@ -238,8 +272,11 @@ class Experiment(_Model):
                     try:
                         config = self._config(file, row, mode, variant, seed, selection)
                     except InputError as error:
-                        note = f"with the changes of `{row}` in {file}"
+                        note = f"with the changes of `{row}` in {file}{' and of `--set`' if selection.changes else ''}"
                         raise InputError(f"{str(error).rstrip()}\n |\n = note: {note}", error.diagnostics) from None
+                    except FileNotFoundError as error:
+                        help = f"the key `config` of the row `{row}` in {file} names its training configuration"
+                        raise FileNotFoundError(f"{error}\nhelp: {help}") from None
                     found[row, mode, name, seed] = Cell(
                         row=row,
                         mode=config.mode,
@@ -251,6 +288,11 @@ class Experiment(_Model):
                         optional=spec.optional,
                         hidden=variant.hidden,
                     )
+        unique: dict[str, Cell] = {}
+        for cell in found.values():
+            same = unique.setdefault(cell.identity, cell)
+            if same is not cell:
+                raise ValueError(f"`{same.name}` and `{cell.name}` have the same settings: change or omit one of them")
         return list(found.values())
 
     def report(self, cells: Sequence[Job], root: Path, failed: Mapping[str, str]) -> AnyReport:
@@ -285,8 +327,10 @@ class Experiment(_Model):
     ) -> TrainConfig:
         """Return the training configuration of a cell."""
         spec = self.learners[row]
-        path = _training_file(file, (spec.config or self.config).format(row=row, mode=Path(mode).stem))
-        changes = merged({"mode": mode}, self.changes)
+        name = (spec.config or self.config).replace("{row}", row).replace("{mode}", Path(mode).stem)
+        path, city = _training_file(file, name), file.parent / mode
+        is_file = mode not in ENVIRONMENTS and city.is_file()
+        changes = merged({"mode": str(city.resolve()) if is_file else mode}, self.changes)
         for more in (spec.changes, variant.changes):
             changes = merged(changes, more)
         config = TrainConfig.load(path, seed=seed, changes=merged(changes, selection.changes))

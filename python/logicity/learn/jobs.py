@@ -2,11 +2,13 @@
 
 from __future__ import annotations
 
+import hashlib
 import io
 import json
 import os
 import queue
 import shutil
+import socket
 import subprocess
 import sys
 import tempfile
@@ -14,8 +16,9 @@ import threading
 import time
 import zipfile
 from collections.abc import Callable, Iterator, Sequence
-from contextlib import suppress
+from contextlib import ExitStack, contextmanager, suppress
 from dataclasses import dataclass, field
+from importlib.util import find_spec
 from pathlib import Path
 from typing import IO, Any
 
@@ -23,7 +26,7 @@ from ..errors import missing_extra
 from ..files import reserved
 from .cells import Job, finished, prepare
 
-__all__ = ["run", "run_in_processes", "run_on_ray"]
+__all__ = ["exclusive", "run", "run_in_processes", "run_on_ray"]
 
 #: Receives a line of progress.
 Say = Callable[[str], None]
@@ -31,7 +34,7 @@ Say = Callable[[str], None]
 #: The interval between two lines of progress, in seconds.
 SECONDS = 30.0
 
-#: How often a cell runs again because its worker was lost.
+#: The largest number of times that a cell runs again because its worker is lost.
 RETRIES = 20
 
 
@@ -79,7 +82,7 @@ class Watch:
         self.say(f"{self._count()} {cell.name}: {'not run' if cell.optional else 'failed'}: {first}")
 
     def tick(self) -> None:
-        """Print a line about the running cells if the last one is some time old."""
+        """Print a line about the running cells every `SECONDS`."""
         now = time.monotonic()
         if now - self._shown < SECONDS:
             return
@@ -111,14 +114,22 @@ class Watch:
         return f"about {f'{hours} h ' if hours else ''}{rest} min left"
 
 
-def _unfinished(cells: Sequence[Job], root: Path, watch: Watch) -> list[Job]:
-    """Return the cells that have no result yet."""
-    pending = [cell for cell in cells if finished(cell, root) is None]
-    watch.done = len(cells) - len(pending)
-    watch.pending = pending
+def _watch(cells: Sequence[Job], root: Path, jobs: int, say: Say) -> Watch:
+    """Return the state at the beginning of a run: the cells without a result are pending.
+
+    Raises:
+        ValueError: If a pending cell starts from one that is neither finished nor among the cells.
+    """
+    watch = Watch(cells, jobs, say)
+    watch.pending = [cell for cell in cells if finished(cell, root) is None]
+    known = {cell.identity for cell in cells}
+    for cell in watch.pending:
+        if cell.start is not None and cell.start.identity not in known and finished(cell.start, root) is None:
+            raise ValueError(f"{cell.name} starts from {cell.start.name}, which is not among the cells")
+    watch.done = len(cells) - len(watch.pending)
     if watch.done:
-        watch.say(f"{watch.done} of {len(cells)} cells are finished already")
-    return pending
+        say(f"{watch.done} of {len(cells)} cells are finished already")
+    return watch
 
 
 def _startable(watch: Watch, root: Path) -> Iterator[Job]:
@@ -132,16 +143,32 @@ def _startable(watch: Watch, root: Path) -> Iterator[Job]:
             yield cell
 
 
+@contextmanager
+def exclusive(root: Path) -> Iterator[None]:
+    """Create the folder of an experiment, and keep other processes from running it there.
+
+    Raises:
+        OSError: If another process runs the experiment, or the folder cannot be written.
+    """
+    root.mkdir(parents=True, exist_ok=True)
+    with ExitStack() as stack:
+        try:
+            # The reservation ends with this process, even if it is killed.
+            stack.enter_context(reserved(root / "running", record=False))
+        except OSError as error:
+            help = "help: one process at a time runs an experiment in a folder; `--run` names another folder"
+            raise type(error)(f"{error}\n{help}") from None
+        yield
+
+
 def run(
     cells: Sequence[Job], root: Path, jobs: int, say: Say, address: str | None = None, wandb: str | None = None
 ) -> dict[str, str]:
-    """Run cells in processes, or on Ray if an address is given. No other process may run the experiment meanwhile.
+    """Run cells in processes, or on Ray if an address is given, as the only process that runs the experiment.
 
     The arguments, the result and the exceptions are those of `run_in_processes` and `run_on_ray`.
     """
-    root.mkdir(parents=True, exist_ok=True)
-    # The reservation ends with this process, even if it is killed.
-    with reserved(root / "running", record=False):
+    with exclusive(root):
         if address is None:
             return run_in_processes(cells, root, jobs, say, wandb=wandb)
         return run_on_ray(cells, root, address, jobs, say, wandb=wandb)
@@ -153,7 +180,7 @@ def run_in_processes(
     """Run cells, each in a process with one thread.
 
     Args:
-        cells: The cells.
+        cells: The cells, with different identities.
         root: The folder of the experiment.
         jobs: The number of processes.
         say: Receives lines of progress.
@@ -163,10 +190,13 @@ def run_in_processes(
         The messages of the cells that failed, by identity.
 
     Raises:
+        ImportError: If Weights & Biases is requested and not installed.
         OSError: If a folder cannot be written.
+        ValueError: If a cell starts from one that is neither finished nor among the cells.
     """
-    watch = Watch(cells, jobs, say)
-    _unfinished(cells, root, watch)
+    if wandb is not None and find_spec("wandb") is None:
+        raise ImportError("--wandb: the package wandb is not installed: pip install wandb")
+    watch = _watch(cells, root, jobs, say)
     messages: queue.Queue[tuple[Job, dict[str, Any] | None]] = queue.Queue()
     processes: dict[str, tuple[Job, subprocess.Popen[str]]] = {}
     errors: dict[str, str] = {}
@@ -189,8 +219,7 @@ def run_in_processes(
                 continue
             if message is None:
                 _, process = processes.pop(cell.identity)
-                code = process.wait()
-                _close(process)
+                code = _wait(process)
                 measured = finished(cell, root)
                 if measured is not None:
                     watch.finished(cell, measured)
@@ -203,10 +232,8 @@ def run_in_processes(
                 errors[cell.identity] = message["error"]
             watch.tick()
     finally:
-        # Closing the standard input ends a process and what it started.
         for _, process in processes.values():
-            _close(process)
-            process.wait()
+            _wait(process)
     return watch.failed
 
 
@@ -229,17 +256,19 @@ def _start(folder: Path, log: IO[str], wandb: str | None) -> subprocess.Popen[st
 def _read(cell: Job, process: subprocess.Popen[str], messages: queue.Queue[tuple[Job, dict[str, Any] | None]]) -> None:
     """Forward the lines of a process, and then `None`."""
     assert process.stdout is not None
-    for line in process.stdout:
-        with suppress(ValueError):
-            messages.put((cell, json.loads(line)))
+    with process.stdout:
+        for line in process.stdout:
+            with suppress(ValueError):
+                messages.put((cell, json.loads(line)))
     messages.put((cell, None))
 
 
-def _close(process: subprocess.Popen[str]) -> None:
-    for stream in (process.stdin, process.stdout):
-        if stream is not None:
-            with suppress(OSError):
-                stream.close()
+def _wait(process: subprocess.Popen[str]) -> int:
+    """Close the standard input of a process, which ends it and what it started, and return its exit code."""
+    assert process.stdin is not None
+    with suppress(OSError):
+        process.stdin.close()
+    return process.wait()
 
 
 def run_on_ray(
@@ -262,6 +291,7 @@ def run_on_ray(
         ConnectionError: If the cluster does not answer.
         ImportError: If Ray is not installed.
         OSError: If a folder cannot be written.
+        ValueError: If a cell starts from one that is neither finished nor among the cells.
     """
     try:
         import ray
@@ -276,15 +306,16 @@ def run_on_ray(
         raise ConnectionError(f"--ray: no cluster at `{address}`: {error}") from error
     # A new process for each cell, as in `run_in_processes`. Only the loss of a worker repeats a cell.
     task = ray.remote(num_cpus=1, max_calls=1, max_retries=RETRIES)(_in_worker)
-    watch = Watch(cells, jobs, say)
-    _unfinished(cells, root, watch)
+    watch = _watch(cells, root, jobs, say)
     running: dict[Any, Job] = {}
     try:
         while watch.pending or running:
             for cell in _startable(watch, root):
                 folder = prepare(cell, root)
                 files = {path.name: path.read_bytes() for path in (folder / "cell.json", *folder.glob("start.*"))}
-                running[task.remote(cell.identity, files, wandb)] = cell
+                # The same folder if the cell runs again, and another one for each experiment.
+                name = hashlib.sha256(f"{socket.gethostname()}:{folder.resolve()}".encode()).hexdigest()[:16]
+                running[task.remote(f"logicity-{name}", files, wandb)] = cell
                 watch.started(cell)
             ready, _ = ray.wait(list(running), num_returns=1, timeout=1.0) if running else ([], [])
             for reference in ready:
@@ -304,15 +335,15 @@ def run_on_ray(
     return watch.failed
 
 
-def _in_worker(identity: str, files: dict[str, bytes], wandb: str | None) -> bytes:
+def _in_worker(name: str, files: dict[str, bytes], wandb: str | None) -> bytes:
     """Run a cell in a worker, and return its files as a zip archive.
 
     The folder is temporary, but stays if the worker is lost, so that the cell resumes if it runs again on this machine.
     """
     from .cells import run_cell
 
-    folder = Path(tempfile.gettempdir()) / "logicity-cells" / identity
-    folder.mkdir(parents=True, exist_ok=True)
+    folder = Path(tempfile.gettempdir()) / name
+    folder.mkdir(exist_ok=True)
     for name, content in files.items():
         temporary = folder / f".{name}"
         temporary.write_bytes(content)

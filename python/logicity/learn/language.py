@@ -17,7 +17,8 @@ import threading
 import time
 from collections import Counter
 from collections.abc import Callable, Iterator, Mapping, Sequence
-from concurrent.futures import ThreadPoolExecutor
+from concurrent.futures import ThreadPoolExecutor, as_completed
+from contextlib import nullcontext
 from dataclasses import dataclass
 from functools import partial
 from pathlib import Path
@@ -28,7 +29,7 @@ from pydantic import BaseModel, ConfigDict, Field, Strict, ValidationError, fiel
 from .. import _logicity
 from ..city import ACTIONS, Inference
 from ..errors import did_you_mean
-from ..files import reserved, write_json
+from ..files import reserved
 from ..questions import (
     LETTERS,
     NO_RULE,
@@ -44,7 +45,9 @@ from ..questions import (
 )
 from ..rules import Program, Session
 from .config import faults, merged
-from .report import aligned, escaped, markdown_table, paper_table, save_figure
+from .experiment import read_experiment
+from .jobs import exclusive
+from .report import aligned, escaped, markdown_table, paper_table, save_figure, write_tables
 
 __all__ = ["SOLVERS", "LanguageExperiment", "LanguageReport", "ModelSpec", "Unit", "is_language", "run"]
 
@@ -88,7 +91,7 @@ class ModelSpec(_Model):
     logprobs: bool = False
     """Whether to request log-probabilities of the 20 most probable tokens, for the measures of calibration."""
     timeout: Annotated[float, Field(strict=False, gt=0)] = 120.0
-    """The timeout of a request, in seconds."""
+    """The timeout of a request, in seconds without data."""
     tries: _Positive = 6
     """The number of attempts of a request."""
 
@@ -114,7 +117,7 @@ class LanguageExperiment(_Model):
     """Distinguishes this experiment from those of other tasks."""
     title: str
     """The title of the table."""
-    paper: str | None = None
+    paper: Literal["language"] | None = None
     """The table of the paper beside which the results are shown."""
     config: str = "vap-hard"
     """The configuration: the name of a built-in one, or a path relative to this file."""
@@ -165,10 +168,7 @@ class LanguageExperiment(_Model):
             InputError: If the file is not YAML, has an unknown key or invalid value, or lacks a key.
             OSError: If the file cannot be read.
         """
-        path, file = _open(name)
-        values = file.value()
-        if not isinstance(values, dict):
-            raise file.error([("invalid-value", [], "an experiment must be a mapping", "")])
+        path, file, values = read_experiment(name)
         if quick:
             values = merged(values, QUICK)
             if isinstance(values.get("seeds"), list):
@@ -193,7 +193,7 @@ class LanguageExperiment(_Model):
         Raises:
             ValueError: If the selection names an unknown row or prompt.
         """
-        rows = [*self.solvers, *self.models]
+        rows = dict.fromkeys([*self.solvers, *self.models])
         for row, prompt in only:
             if row not in rows:
                 raise ValueError(f"--only: unknown row `{row}`{did_you_mean(row, rows)}")
@@ -201,7 +201,7 @@ class LanguageExperiment(_Model):
                 raise ValueError(f"--only: unknown prompt `{prompt}`{did_you_mean(prompt, self.prompts)}")
         return [
             Unit(row, prompt, seed)
-            for prompt in self.prompts
+            for prompt in dict.fromkeys(self.prompts)
             for row in rows
             if not only or (row, None) in only or (row, prompt) in only
             for seed in dict.fromkeys(seeds or self.seeds)
@@ -221,23 +221,14 @@ class Unit:
         return f"{self.row}, {self.prompt}, seed {self.seed}"
 
 
-def _open(name: str | os.PathLike[str]) -> tuple[Path, _logicity.ConfigFile]:
-    """Open the file of an experiment, or a built-in one by its bare name."""
-    path = Path(name)
-    if not path.suffix and len(path.parts) == 1:
-        path = Path("configs") / "experiments" / f"{path}.yaml"
-    return path, _logicity.ConfigFile(path, "configs/experiments")
-
-
 def is_language(name: str | os.PathLike[str]) -> bool:
     """Return whether the file of an experiment has `task: language`.
 
     Raises:
-        InputError: If the file is not YAML.
+        InputError: If the file is not YAML, or not a mapping.
         OSError: If the file cannot be read.
     """
-    values = _open(name)[1].value()
-    return isinstance(values, dict) and values.get("task") == "language"
+    return read_experiment(name)[2].get("task") == "language"
 
 
 def _unknown(path: tuple[str, ...]) -> tuple[str, str]:
@@ -433,13 +424,27 @@ class Work:
     path: Path
 
     def stored(self) -> int:
-        """Return the number of stored replies."""
+        """Return the number of stored replies.
+
+        Raises:
+            OSError: If the file cannot be read.
+            ValueError: If a line is no reply.
+        """
         if not self.path.exists():
             return 0
-        known = {question.id for question in self.questions}
+        found = set()
         # An interrupted process may leave an incomplete last line, which `ask` removes.
-        lines = self.path.read_text(encoding="utf-8").split("\n")[:-1]
-        return len(known & {json.loads(line)["id"] for line in lines if line})
+        for number, line in enumerate(self.path.read_bytes().split(b"\n")[:-1], 1):
+            try:
+                found.add(json.loads(line)["id"])
+            except (ValueError, TypeError, KeyError, RecursionError):
+                raise ValueError(f"{self.path}:{number}: not a reply\n{_remedy(self.path)}") from None
+        return len(found & {question.id for question in self.questions})
+
+
+def _remedy(path: Path) -> str:
+    """Return the help for a file of replies with other content."""
+    return f"help: remove `{path}`; the same command answers its questions again"
 
 
 def prepare(experiment: LanguageExperiment, file: Path, units: Sequence[Unit], root: Path, jobs: int) -> list[Work]:
@@ -472,7 +477,7 @@ def prepare(experiment: LanguageExperiment, file: Path, units: Sequence[Unit], r
 
 
 def answer(
-    experiment: LanguageExperiment, file: Path, work: Sequence[Work], root: Path, jobs: int, say: Callable[[str], None]
+    experiment: LanguageExperiment, file: Path, work: Sequence[Work], jobs: int, say: Callable[[str], None]
 ) -> dict[str, str]:
     """Answer the questions of all units that have no replies yet. Replies of models are stored one by one.
 
@@ -480,7 +485,6 @@ def answer(
         experiment: The experiment.
         file: Its file.
         work: The units.
-        root: The folder of the results.
         jobs: The number of units whose questions are answered at the same time.
         say: Receives lines of progress.
 
@@ -504,7 +508,7 @@ def answer(
     done, shown = 0, time.monotonic()
 
     def watch(each: Work, answered: int) -> None:
-        """Report the progress now and then, and stop between two requests."""
+        """Report the progress every `SECONDS`, and stop between two requests."""
         nonlocal shown
         if stop.is_set():
             raise InterruptedError
@@ -512,6 +516,13 @@ def answer(
             if time.monotonic() - shown >= SECONDS:
                 shown = time.monotonic()
                 say(f"[{done}/{len(work)}] {each.unit}: {answered} of {len(each.questions)} replies")
+
+    def wait(each: Work, seconds: float, reason: str) -> None:
+        """Report a failed attempt, and wait before the next one."""
+        if not stop.is_set():
+            say(f"{each.unit}: {next(iter(reason.splitlines()), '')}; next attempt in {seconds:.0f} s")
+        if stop.wait(seconds):
+            raise InterruptedError
 
     def run_one(each: Work) -> None:
         nonlocal done
@@ -521,10 +532,12 @@ def answer(
                 return
             each.path.parent.mkdir(parents=True, exist_ok=True)
             try:
-                ask(each.questions, endpoints[unit.row], each.path, partial(watch, each))
+                ask(each.questions, endpoints[unit.row], each.path, partial(watch, each), partial(wait, each))
             except ConnectionError as error:
                 failed[unit.row] = str(error)
                 note = f": failed: {error}"
+            except ValueError as error:
+                raise ValueError(f"{error}\n{_remedy(each.path)}") from None
         elif each.stored() < len(each.questions):
             each.path.parent.mkdir(parents=True, exist_ok=True)
             replies = SOLVERS[unit.row](each.questions, config, each.path.with_suffix(""))
@@ -541,12 +554,13 @@ def answer(
 
     with ThreadPoolExecutor(max_workers=jobs) as pool:
         try:
-            for _ in pool.map(run_one, work):
-                pass
+            for future in as_completed([pool.submit(run_one, each) for each in work]):
+                future.result()
         except BaseException:
             # The stored replies remain.
             stop.set()
-            pool.shutdown(cancel_futures=True)
+            pool.shutdown(wait=False, cancel_futures=True)
+            say("stopping after the running requests")
             raise
     return failed
 
@@ -574,18 +588,17 @@ def run(
 
     Raises:
         OSError: If a file cannot be read or written, or another process runs the experiment.
-        ValueError: If the settings of a model are invalid, or a solver fails.
+        ValueError: If the settings of a model are invalid, a solver fails, or a file of replies has other content.
     """
-    root.mkdir(parents=True, exist_ok=True)
     failed: dict[str, str] = {}
-    with reserved(root / "running", record=False):
+    with exclusive(root) if action == "run" else nullcontext():
         work = prepare(experiment, file, units, root, jobs)
         if action == "list":
             for each in work:
                 print(f"{each.stored():4} of {len(each.questions)} replies  {each.unit}  {each.path}")
             return 0
         if action == "run":
-            failed = answer(experiment, file, work, root, jobs, lambda line: print(line, file=sys.stderr, flush=True))
+            failed = answer(experiment, file, work, jobs, lambda line: print(line, file=sys.stderr, flush=True))
         report = LanguageReport(experiment, work, failed)
         written = report.write(root)
     print(report.text())
@@ -761,14 +774,7 @@ class LanguageReport:
         Raises:
             OSError: If a file cannot be written.
         """
-        written = []
-        for name, text in [("table.md", self.markdown()), ("table.tex", self.latex())]:
-            with reserved(root / name, record=False) as output:
-                Path(output.temporary).write_text(text, encoding="utf-8")
-                output.finish()
-            written.append(root / name)
-        write_json(root / "table.json", self.to_dict(), overwrite=True)
-        written.append(root / "table.json")
+        written = write_tables(root, self.markdown(), self.latex(), self.to_dict())
         if any(entry.grade is not None for entry in self.entries):
             written += self._figure(root)
         return written

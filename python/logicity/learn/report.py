@@ -19,7 +19,17 @@ from ..files import reserved, write_json
 from .cells import Cell, finished
 from .experiment import Experiment
 
-__all__ = ["Entry", "Report", "aligned", "escaped", "markdown_table", "paper_table", "paper_value", "save_figure"]
+__all__ = [
+    "Entry",
+    "Report",
+    "aligned",
+    "escaped",
+    "markdown_table",
+    "paper_table",
+    "paper_value",
+    "save_figure",
+    "write_tables",
+]
 
 #: The measures of the paper's tables.
 MEASURES = ("tsr", "dsr", "score")
@@ -118,10 +128,13 @@ class Report:
         found = [(cell, measured) for cell in cells if (measured := finished(cell, root)) is not None]
         results = [measured["evaluations"][evaluation] for _, measured in found]
         spec, variant = self.experiment.learners[first.row], self.experiment.variants[first.variant]
-        missing = ""
-        if len(found) < len(cells):
-            messages = [failed[cell.identity] for cell in cells if cell.identity in failed]
+        done = {cell.identity for cell, _ in found}
+        missing, left = "", [cell for cell in cells if cell.identity not in done]
+        if left:
+            messages = [failed[cell.identity] for cell in left if cell.identity in failed]
             missing = next(iter(messages[0].splitlines()), "failed") if messages else "not run"
+            if found:
+                missing += f" (seed{'s' * (len(left) > 1)} {', '.join(str(cell.seed) for cell in left)})"
         return Entry(
             row=first.row,
             mode=first.mode,
@@ -259,14 +272,7 @@ class Report:
         Raises:
             OSError: If a file cannot be written.
         """
-        written = []
-        for name, text in [("table.md", self.markdown()), ("table.tex", self.latex())]:
-            with reserved(root / name, record=False) as output:
-                Path(output.temporary).write_text(text, encoding="utf-8")
-                output.finish()
-            written.append(root / name)
-        write_json(root / "table.json", self.to_dict(), overwrite=True)
-        written.append(root / "table.json")
+        written = write_tables(root, self.markdown(), self.latex(), self.to_dict())
         if any(entry.measures for entry in self.entries):
             written += self._figures(root)
         return written
@@ -426,6 +432,21 @@ def _paper_cells(paper: dict[str, float] | str | None) -> list[str]:
     return [paper, "", ""] if isinstance(paper, str) else [f"{paper[name]:.2f}" for name in MEASURES]
 
 
+def write_tables(root: Path, markdown: str, latex: str, values: Mapping[str, Any]) -> list[Path]:
+    """Write `table.md`, `table.tex` and `table.json` to a folder, and return their paths.
+
+    Raises:
+        OSError: If a file cannot be written.
+    """
+    texts = {root / "table.md": markdown, root / "table.tex": latex}
+    for path, text in texts.items():
+        with reserved(path, record=False) as output:
+            Path(output.temporary).write_text(text, encoding="utf-8")
+            output.finish()
+    write_json(root / "table.json", values, overwrite=True)
+    return [*texts, root / "table.json"]
+
+
 def save_figure(figure: Any, root: Path, name: str) -> list[Path]:
     """Write a figure of matplotlib to a folder as PNG and SVG, without dates, and return the paths.
 
@@ -451,10 +472,14 @@ def aligned(lines: Sequence[Sequence[str]]) -> str:
 
 def markdown_table(lines: Sequence[Sequence[str]]) -> str:
     """Return a table as Markdown. The first line is the head."""
-    rows = ["| " + " | ".join(cell.strip() for cell in line) + " |" for line in lines]
+    rows = ["| " + " | ".join(cell.strip().replace("|", "\\|") for cell in line) + " |" for line in lines]
     return "\n".join([rows[0], "|" + "---|" * len(lines[0]), *rows[1:]]) + "\n"
 
 
 def escaped(text: str) -> str:
     """Escape text for LaTeX."""
-    return "".join(f"\\{each}" if each in "&%$#_{}" else each for each in text)
+    return "".join(f"\\{each}" if each in "&%$#_{}" else _LATEX.get(each, each) for each in text)
+
+
+#: The commands of LaTeX for characters that a backslash does not escape.
+_LATEX = {"\\": "\\textbackslash{}", "~": "\\textasciitilde{}", "^": "\\textasciicircum{}"}

@@ -5,14 +5,15 @@ from __future__ import annotations
 import hashlib
 import json
 import os
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
 from ..evaluation import task_hashes
-from ..files import replacing
+from ..files import reserved
+from ..modes import ENVIRONMENTS
 from .cells import Cell, benchmark_of, finished
 from .experiment import Experiment
 from .registry import load_policy
@@ -28,6 +29,9 @@ KEYS = (
     *("learner", "variant", "paper", "mode", "evaluation", "seed", "config", "command", "note", "versions", "hashes"),
     *("policy_sha256", "steps", "unit", "cpu_seconds", "best_after", "compliance", *MEASURES, "violations", "episodes"),
 )
+
+#: The keys that identify a row.
+_KEY = ("learner", "variant", "mode", "evaluation", "seed")
 
 
 def read_results(path: str | os.PathLike[str], experiment: str | None = None) -> dict[str, Any]:
@@ -49,7 +53,7 @@ def read_results(path: str | os.PathLike[str], experiment: str | None = None) ->
         return {"format": FORMAT, "experiment": experiment, "paper": None, "rows": []}
     try:
         results = json.loads(file.read_text(encoding="utf-8"))
-    except ValueError as error:
+    except (ValueError, RecursionError) as error:
         raise ValueError(f"{file}: not JSON: {error}") from None
     if not isinstance(results, dict) or results.get("format") != FORMAT or not isinstance(results.get("rows"), list):
         raise ValueError(f"{file}: expected results of the format {FORMAT}")
@@ -59,9 +63,14 @@ def read_results(path: str | os.PathLike[str], experiment: str | None = None) ->
     if experiment is not None and results["experiment"] != experiment:
         raise ValueError(f"{file}: expected results of `{experiment}`, not of `{results['experiment']}`")
     for at, row in enumerate(results["rows"]):
+        if not isinstance(row, dict):
+            raise ValueError(f"{file}: row {at} is not a mapping")
         missing = [key for key in KEYS if key not in row]
         if missing:
             raise ValueError(f"{file}: row {at} has no `{missing[0]}`")
+        for key in _KEY:
+            if not isinstance(row[key], int if key == "seed" else str):
+                raise ValueError(f"{file}: row {at} has an invalid `{key}`")
     return results
 
 
@@ -88,7 +97,8 @@ def check_rows(results: Mapping[str, Any]) -> list[str]:
 def submit(experiment: Experiment, file: Path, cells: Sequence[Cell], root: Path, results: Path) -> Iterator[str]:
     """Evaluate the policies of finished cells again, and write a row for each evaluation.
 
-    A row replaces that of the same learner, variant, mode, evaluation and seed. Cells that tables omit have no row.
+    A row replaces that of the same learner, variant, mode, evaluation and seed, and keeps its note. Cells that tables
+    omit have no row.
 
     Args:
         experiment: The experiment.
@@ -101,28 +111,49 @@ def submit(experiment: Experiment, file: Path, cells: Sequence[Cell], root: Path
         A line for each evaluation.
 
     Raises:
-        OSError: If a file cannot be read or written.
-        ValueError: If a policy does not give the recorded measures, or the file has results of another experiment.
+        OSError: If a file cannot be read or written, or another process writes the file of results.
+        ValueError: If a policy does not give the recorded measures, the file has results of another experiment, or the
+            mode of a cell is not a built-in one.
     """
-    document = read_results(results, file.stem)
-    rows = {_key(row): row for row in document["rows"]}
-    for cell in cells:
-        if cell.hidden:
-            continue
-        measured = finished(cell, root)
-        if measured is None:
-            yield f"{cell.name}: not finished"
-            continue
-        paper = experiment.learners[cell.row].paper or cell.row
-        for name in cell.evaluations:
-            row = {
-                "learner": cell.row,
-                "variant": cell.variant,
-                "paper": paper,
-                **_row(file, cell, root, measured, name),
-            }
-            rows[_key(row)] = row
-            yield f"{cell.name}, {name}: TSR {row['tsr']['value']:.2f}, as recorded"
+    shown = [cell for cell in cells if not cell.hidden]
+    for cell in shown:
+        if cell.mode not in ENVIRONMENTS:
+            raise ValueError(f"{cell.name}: published results are of built-in modes, not of `{cell.mode}`")
+    results.parent.mkdir(parents=True, exist_ok=True)
+    # No other process can add rows in the meantime.
+    with reserved(results, record=False) as output:
+        document = read_results(results, file.stem)
+        rows = {_key(row): row for row in document["rows"]}
+        for cell in shown:
+            yield from _update(rows, experiment, file, cell, root)
+        text = as_text({**document, "paper": experiment.paper, "rows": _ordered(experiment, rows.values())})
+        Path(output.temporary).write_text(text, encoding="utf-8")
+        output.finish()
+    yield f"{len(rows)} rows in {results}"
+
+
+def _update(
+    rows: dict[tuple[Any, ...], Mapping[str, Any]], experiment: Experiment, file: Path, cell: Cell, root: Path
+) -> Iterator[str]:
+    """Add the rows of a cell if it is finished, and yield a line for each evaluation."""
+    measured = finished(cell, root)
+    if measured is None:
+        yield f"{cell.name}: not finished"
+        return
+    for name in cell.evaluations:
+        row = {
+            "learner": cell.row,
+            "variant": cell.variant,
+            "paper": experiment.learners[cell.row].paper or cell.row,
+            **_row(file, cell, root, measured, name),
+        }
+        row["note"] = rows.get(_key(row), row)["note"]
+        rows[_key(row)] = row
+        yield f"{cell.name}, {name}: TSR {row['tsr']['value']:.2f}, as recorded"
+
+
+def _ordered(experiment: Experiment, rows: Iterable[Mapping[str, Any]]) -> list[Mapping[str, Any]]:
+    """Return rows in the order of the experiment. Those with names that it lacks come last."""
     order = {
         "mode": list(experiment.modes),
         "learner": list(experiment.learners),
@@ -131,19 +162,14 @@ def submit(experiment: Experiment, file: Path, cells: Sequence[Cell], root: Path
     }
 
     def place(row: Mapping[str, Any]) -> tuple[int, ...]:
-        """Return the place of a row in the order of the experiment. Names that it has no more come last."""
         places = [names.index(row[key]) if row[key] in names else len(names) for key, names in order.items()]
         return (*places, row["seed"])
 
-    ordered = sorted(rows.values(), key=place)
-    results.parent.mkdir(parents=True, exist_ok=True)
-    with replacing(results, overwrite=True) as path, open(path, "w", encoding="utf-8") as out:
-        out.write(as_text({**document, "paper": experiment.paper, "rows": ordered}))
-    yield f"{len(ordered)} rows in {results}"
+    return sorted(rows, key=place)
 
 
-def _key(row: Mapping[str, Any]) -> tuple[str, str, str, str, int]:
-    return row["learner"], row["variant"], row["mode"], row["evaluation"], row["seed"]
+def _key(row: Mapping[str, Any]) -> tuple[Any, ...]:
+    return tuple(row[key] for key in _KEY)
 
 
 def _row(file: Path, cell: Cell, root: Path, measured: Mapping[str, Any], evaluation: str) -> dict[str, Any]:

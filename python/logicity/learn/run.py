@@ -108,7 +108,7 @@ def train(
         run.mkdir(parents=True, exist_ok=True)
         # Keeps other processes from the run until its end.
         output = files.enter_context(reserved(run / "result.json", record=False))
-        write_json(run / "config.json", config.to_dict())
+        write_json(run / "config.json", config.to_dict(), overwrite=True)
         display = files.enter_context(_Display(config, learner, progress))
         begun = f"resumed after {state.steps:,} of" if checkpoints else "started:"
         display.say(f"{config.algorithm} in {config.mode}, {begun} {config.steps:,} steps; folder {run}")

@@ -56,8 +56,9 @@ class ConceptSettings(BaseModel):
     the paper, one of the widths 128 and 128 on concatenated node vectors, with all unary predicates from the appearance
     part."""
     priority: bool = False
-    """Whether all spatial parts see priorities, as in the paper. With fixed agents, a priority identifies an agent and
-    so its class. By default, only `HigherPri` sees them."""
+    """Whether all parts of `spatial: geometric` see priorities, as in the paper. With fixed agents, a priority
+    identifies an agent and so its class. By default, only `HigherPri` sees them. The pairs of `spatial: plain` always
+    see them."""
     width: Annotated[int, Field(ge=1)] = 16
     """The number of channels of the first convolutions."""
     features: Annotated[int, Field(ge=1)] = 512

@@ -8,7 +8,6 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ..errors import missing_extra
-from .data import PICTURE_SIDE, VapDataset
 
 try:
     import torch
@@ -16,7 +15,7 @@ try:
 except ImportError as error:
     raise missing_extra("vap", error) from error
 
-__all__ = ["CROP_SIDE", "crop_boxes", "crop_samples"]
+__all__ = ["CROP_SIDE", "crop_boxes"]
 
 CROP_SIDE = 48
 """The side length of a crop in pixels."""
@@ -51,16 +50,6 @@ def crop_boxes(image: NDArray[np.uint8], boxes: NDArray[np.float32], side: int =
         scaled = nn.functional.interpolate(part, (side, side), mode="bilinear", antialias=True)
         crop[:] = scaled[0].permute(1, 2, 0).numpy()
     return crops
-
-
-def crop_samples(samples: VapDataset, indices: range) -> NDArray[np.uint8]:
-    """Return the crops of all entities of some samples, (E, side, side, 3), in the order of samples and entities."""
-    picture = np.empty((PICTURE_SIDE, PICTURE_SIDE, 3), np.uint8)
-    crops = []
-    for index in indices:
-        samples.read_picture(index, picture)
-        crops.append(crop_boxes(picture, samples.facts(index).boxes))
-    return np.concatenate(crops) if crops else np.zeros((0, CROP_SIDE, CROP_SIDE, 3), np.uint8)
 
 
 def as_images(crops: Tensor) -> Tensor:

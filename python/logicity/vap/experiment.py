@@ -25,7 +25,8 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any, Literal, cast
 
 import numpy as np
-from pydantic import BaseModel, ConfigDict, Field, ValidationError
+from pydantic import BaseModel, ConfigDict, Field, ValidationError, model_validator
+from pydantic_core import PydanticCustomError
 
 from .. import _logicity
 from .._logicity import __version__
@@ -37,7 +38,7 @@ from ..learn.config import faults, merged
 from ..learn.experiment import Selection, read_experiment
 from ..rules import Program
 from .data import BINARY, UNARY
-from .features import DataSpec, prepared
+from .features import Backbone, DataSpec, Kind, prepared, weights_file
 from .metrics import vap_metrics
 
 try:
@@ -116,9 +117,35 @@ class VapSettings(BaseModel):
     reasoner: Literal["gnn", "nlm"] = "gnn"
     """The reasoner."""
     groundings: Literal["predicted", "exact"] = "predicted"
-    """The truth values on which a reasoner is trained and tested."""
+    """The truth values on which a reasoner is trained and tested, or from which rules are learned."""
     training: Budget = Budget()
     """How long and how to train."""
+
+    @model_validator(mode="after")
+    def _consistent(self) -> VapSettings:
+        fault = ""
+        if self.groundings == "exact" and self.stage not in ("reasoning", "induction"):
+            fault = "`groundings: exact` needs the stage `reasoning` or `induction`, as others predict the concepts"
+        elif self.weights is not None and self.concepts.perception != "features":
+            fault = "`weights` are those of a backbone: they need `concepts.perception: features`"
+        elif self.concepts.perception == "features" and self.concepts.features != Backbone.shape[0]:
+            fault = f"the backbone has {Backbone.shape[0]} features: `concepts.features` cannot change this"
+        if fault:
+            raise PydanticCustomError("custom", "{message}", {"message": fault})
+        return self
+
+    @property
+    def kind(self) -> Kind | None:
+        """The kind of stored features that the model sees, or `None`."""
+        if self.groundings == "exact":
+            return None
+        kinds: dict[str, Kind | None] = {"crops": "crops", "features": "resnet50", "sides": None}
+        return kinds[self.concepts.perception]
+
+    @property
+    def backbone_hash(self) -> str | None:
+        """The SHA-256 of the file of the backbone's weights, or `None` without a backbone."""
+        return _file_hash(weights_file(self.weights)) if self.kind == "resnet50" else None
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -146,6 +173,7 @@ class VapCell(Job):
             "settings": self.settings.model_dump(mode="json"),
             "rules": _rules_hash(self.mode),
             "start": None if self.start is None else self.start.identity,
+            **({} if self.settings.backbone_hash is None else {"backbone": self.settings.backbone_hash}),
         }
 
     def document(self, root: Path) -> dict[str, Any]:
@@ -269,18 +297,18 @@ class VapExperiment(BaseModel):
                     yield "invalid-value", ["learners", row, "variants"], message, ""
             known.append(row)
         for name, variant in self.variants.items():
-            if variant.start is not None and (
-                variant.start not in self.variants or self.variants[variant.start].start is not None
-            ):
-                yield "invalid-value", ["variants", name, "start"], f"unknown variant `{variant.start}`", ""
+            path = ["variants", name, "start"]
+            if variant.start is not None and variant.start not in self.variants:
+                message = f"unknown variant `{variant.start}`{did_you_mean(variant.start, self.variants)}"
+                yield "invalid-value", path, message, ""
+            elif variant.start is not None and self.variants[variant.start].start is not None:
+                yield "invalid-value", path, f"`{variant.start}` itself starts from another variant", ""
         for row, spec in self.learners.items():
             for name in spec.variants or self.variants:
                 try:
                     self._settings(row, self.variants.get(name, Variant()), Selection())
                 except ValidationError as error:
-                    first = error.errors()[0]
-                    where = ".".join(map(str, first["loc"]))
-                    yield "invalid-value", ["learners", row], f"setting `{where}`: {first['msg']}", ""
+                    yield "invalid-value", ["learners", row], f"settings of `{row}`: {_fault(error)}", ""
                     break
 
     def _settings(self, row: str, variant: Variant, selection: Selection) -> VapSettings:
@@ -301,7 +329,9 @@ class VapExperiment(BaseModel):
             selection: The cells to return, and changes to them.
 
         Raises:
-            ValueError: If the selection names an unknown row or mode, or a change is invalid.
+            FileNotFoundError: If a backbone has no file of weights.
+            ValueError: If the selection names an unknown row or mode, a change is invalid, or two rows or variants have
+                the same settings.
         """
         for row, mode in selection.only:
             if row not in self.learners:
@@ -317,7 +347,13 @@ class VapExperiment(BaseModel):
                     for variant in spec.variants or self.variants:
                         for seed in seeds:
                             self._add(found, (row, mode, variant, seed), selection)
-        return list(found.values())
+        # A variant with a mode of its own has the same cell in each column.
+        unique: dict[str, VapCell] = {}
+        for cell in found.values():
+            same = unique.setdefault(cell.identity, cell)
+            if (same.row, same.variant) != (cell.row, cell.variant):
+                raise ValueError(f"`{same.name}` and `{cell.name}` have the same settings: change or omit one of them")
+        return list(unique.values())
 
     def _add(
         self, found: dict[tuple[str, str, str, int], VapCell], key: tuple[str, str, str, int], selection: Selection
@@ -335,9 +371,7 @@ class VapExperiment(BaseModel):
         try:
             settings = self._settings(row, variant, selection)
         except ValidationError as error:
-            first = error.errors()[0]
-            where = ".".join(map(str, first["loc"]))
-            raise ValueError(f"--set: setting `{where}` of `{row}`: {first['msg']}") from None
+            raise ValueError(f"--set: settings of `{row}`: {_fault(error)}") from None
         found[key] = VapCell(
             row=row,
             mode=variant.mode or mode,
@@ -367,6 +401,29 @@ def _unknown(path: tuple[str, ...]) -> tuple[str, str]:
     models: dict[str, type[BaseModel]] = {"learners": Row, "variants": Variant}
     model = VapExperiment if len(path) == 1 else models[path[0]]
     return f"unknown key `{path[-1]}`", did_you_mean(path[-1], model.model_fields).removeprefix("; ")
+
+
+def _fault(error: ValidationError) -> str:
+    """Return the message of the first error in settings."""
+    _, _, message, help = faults(error, _unknown_setting)[0]
+    return f"{message}; {help}" if help else message
+
+
+def _unknown_setting(path: tuple[str, ...]) -> tuple[str, str]:
+    """Return the message and the help for an unknown setting."""
+    model: type[BaseModel] = VapSettings
+    for name in path[:-1]:
+        model = cast(type[BaseModel], model.model_fields[name].annotation)
+    return f"unknown key `{'.'.join(path)}`", did_you_mean(path[-1], model.model_fields).removeprefix("; ")
+
+
+@cache
+def _file_hash(path: Path) -> str:
+    with open(path, "rb") as file:
+        digest = hashlib.sha256()
+        while block := file.read(1 << 20):
+            digest.update(block)
+    return digest.hexdigest()
 
 
 @cache
@@ -410,9 +467,6 @@ class Work:
     def samples(self, split: Literal["train", "val", "test"]) -> Samples:
         """Return the samples of a split, made if they do not exist."""
         settings = self.settings
-        pictures = settings.groundings == "predicted" or settings.stage != "reasoning"
-        kinds: dict[str, Any] = {"crops": "crops", "features": "resnet50", "sides": None}
-        kind = kinds[settings.concepts.perception] if pictures else None
         test = split == "test" and settings.test_difficulty is not None
         spec = DataSpec(
             mode=self.mode,
@@ -422,7 +476,7 @@ class Work:
             difficulty=cast(int, settings.test_difficulty) if test else settings.difficulty,
             drawing_version=settings.drawing_version,
             seed=settings.data_seed,
-            kind=kind,
+            kind=settings.kind,
             weights=settings.weights,
         )
         tables, features = prepared(spec, self.data, f"{__version__} {_rules_hash(self.mode)}")
@@ -469,7 +523,8 @@ def run_cell(
 
     Raises:
         OSError: If a file cannot be read or written.
-        ValueError: If the model to start from does not fit.
+        ValueError: If the model to start from does not fit, or this process has other rules or weights of a backbone
+            than the cell.
     """
     if wandb is not None:
         raise ValueError("--wandb: experiments of Visual Action Prediction send no curves")
@@ -479,7 +534,11 @@ def run_cell(
     if not data.parent.is_dir():
         # Another machine of a cluster makes its own data.
         data = Path(tempfile.gettempdir()) / "logicity-vap-data"
-    work = Work(spec["mode"], spec["seed"], VapSettings.model_validate(spec["settings"]), folder, data, report)
+    settings = VapSettings.model_validate(spec["settings"])
+    for name, today in {"rules": _rules_hash(spec["mode"]), "backbone": settings.backbone_hash}.items():
+        if today != spec.get(name):
+            raise ValueError(f"the {name} changed after the experiment had begun: run the same command again")
+    work = Work(spec["mode"], spec["seed"], settings, folder, data, report)
     torch.set_num_threads(1)
     begun = time.process_time()
     stages = {
@@ -500,7 +559,7 @@ def run_cell(
             # Epochs before an interruption took their time in another process.
             "cpu_seconds": round(max(time.process_time() - begun, trained), 1),
             "versions": {"logicity": __version__, "torch": torch.__version__, "python": platform.python_version()},
-            "hashes": {"rules": spec["rules"]},
+            "hashes": {name: spec[name] for name in ("rules", "backbone") if name in spec},
             "model_sha256": hashlib.sha256((folder / "model.pt").read_bytes()).hexdigest(),
             "history": [{name: each[name] for name in ("loss", "score")} for each in history],
         },
@@ -518,6 +577,8 @@ def measure_again(cell: VapCell, root: Path) -> tuple[dict[str, Any], dict[str, 
     Raises:
         OSError: If a file cannot be read or written.
     """
+    # One thread, as in `run_cell`: with several, measures could differ.
+    torch.set_num_threads(1)
     data = Path(cell.document(root)["data"])
     work = Work(cast(Literal["easy", "hard"], cell.mode), cell.seed, cell.settings, cell.folder(root), data, None)
     return _measured(work, torch.load(cell.model(root), weights_only=True))
@@ -598,7 +659,7 @@ def _train_concepts(work: Work) -> Trained:
     train, val, budget = work.samples("train"), work.samples("val"), work.settings.training
     model = work.concepts()
     if start := work.started():
-        model.load_state_dict(start["concepts"])
+        _restore(model, start, "concepts")
     rules = work.rules()
 
     def score() -> float:
@@ -616,8 +677,27 @@ def _groundings(work: Work, model: dict[str, Any], samples: Samples) -> tuple[Te
     if "concepts" not in model:
         raise ValueError("`groundings: predicted` needs the concepts of another row: set its `start`")
     concepts = work.concepts()
-    concepts.load_state_dict(model["concepts"])
+    _restore(concepts, model, "concepts")
     return groundings(concepts, samples)
+
+
+def _restore(part: torch.nn.Module, model: Mapping[str, Any], name: str) -> None:
+    """Load the weights of a part of a model.
+
+    Raises:
+        ValueError: If the model has no such part, or one of another architecture.
+    """
+    if name not in model:
+        raise ValueError(f"the model to start from has no part `{name}`")
+    try:
+        part.load_state_dict(model[name])
+    except RuntimeError:
+        raise ValueError(f"the part `{name}` of the model to start from has other settings than this row") from None
+
+
+def _kept(start: Mapping[str, Any]) -> dict[str, Any]:
+    """Return the concepts of the model to start from, if it has any."""
+    return {name: start[name] for name in start if name == "concepts"}
 
 
 def _train_reasoner(work: Work) -> Trained:
@@ -626,7 +706,7 @@ def _train_reasoner(work: Work) -> Trained:
     start = work.started()
     reasoner = work.reasoner()
     if "reasoner" in start:
-        reasoner.load_state_dict(start["reasoner"])
+        _restore(reasoner, start, "reasoner")
     unary, binary = _groundings(work, start, train)
     of_val = _groundings(work, start, val)
 
@@ -635,7 +715,7 @@ def _train_reasoner(work: Work) -> Trained:
 
     loss = reasoning_loss(reasoner, unary, binary, train, budget.class_power)
     history = fit(reasoner, loss, len(train), budget, work.seed, score, work.checkpoint, work.report)
-    return {**{name: start[name] for name in start if name == "concepts"}, "reasoner": reasoner.state_dict()}, history
+    return {**_kept(start), "reasoner": reasoner.state_dict()}, history
 
 
 def _train_end_to_end(work: Work) -> Trained:
@@ -645,7 +725,7 @@ def _train_end_to_end(work: Work) -> Trained:
     concepts, reasoner = cast(ConceptModel, both["concepts"]), both["reasoner"]
     if start := work.started():
         for name, part in both.items():
-            part.load_state_dict(start[name])
+            _restore(part, start, name)
 
     def score() -> float:
         return _score(predict_actions(reasoner, *groundings(concepts, val), val.facts["valid"]), val)
@@ -672,7 +752,7 @@ def _induce(work: Work) -> Trained:
     scenes.unlink()
     if work.report is not None:
         work.report(1)
-    return {"concepts": start["concepts"], "rules": learned.read_text(encoding="utf-8")}, []
+    return {**_kept(start), "rules": learned.read_text(encoding="utf-8")}, []
 
 
 def scenes_of(unary: Tensor, binary: Tensor, samples: Samples) -> Iterator[dict[str, Any]]:

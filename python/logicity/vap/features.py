@@ -11,18 +11,19 @@ import hashlib
 import json
 import os
 import shutil
-import time
-from collections.abc import Callable, Sequence
-from concurrent.futures import ThreadPoolExecutor
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from concurrent.futures import ThreadPoolExecutor, as_completed
+from contextlib import contextmanager
 from dataclasses import dataclass
 from pathlib import Path
+from threading import Event
 from typing import Any, Literal, Protocol
 
 import numpy as np
 from numpy.typing import NDArray
 
 from ..errors import checked_path, checked_threads, missing_extra
-from ..files import reserved, write_json
+from ..files import write_json
 from .data import PICTURE_SIDE, VapDataset
 from .make import make_dataset
 
@@ -40,6 +41,9 @@ Kind = Literal["crops", "resnet50"]
 
 #: The version of the format of `features.json`.
 FORMAT = 1
+
+#: The other keys of `features.json`.
+KEYS = ("kind", "shape", "backbone_hash", "data_hash")
 
 #: The files of weights that torchvision downloads, in the order in which they are looked up.
 WEIGHTS = ("fasterrcnn_resnet50_fpn_coco-258fb6c6.pth", "resnet50-0676ba61.pth", "resnet50-11ad3fa6.pth")
@@ -102,20 +106,21 @@ class Backbone:
             from torchvision.ops import MultiScaleRoIAlign
         except ImportError as error:
             raise missing_extra("vap", error) from error
-        path = _cached_weights() if weights is None else Path(checked_path("weights", weights))
-        state = torch.load(path, map_location="cpu", weights_only=True)
+        path = weights_file(weights)
+        state = _state(path)
         with torch.random.fork_rng(devices=[]):
             torch.manual_seed(0)
             network = resnet_fpn_backbone(backbone_name="resnet50", weights=None)
         pyramid = {name.removeprefix("backbone."): each for name, each in state.items() if name.startswith("backbone.")}
         module, values = (network, pyramid) if pyramid else (network.body, state)
-        wanted = set(module.state_dict())
-        missing = sorted(name for name in wanted - set(values) if not name.endswith("num_batches_tracked"))
-        if missing:
-            raise ValueError(
-                f"{path}: not the weights of ResNet50 or of Faster R-CNN with ResNet50: `{missing[0]}` is missing"
-            )
-        module.load_state_dict({name: each for name, each in values.items() if name in wanted}, strict=False)
+        message = f"{path}: not the weights of ResNet50 or of Faster R-CNN with ResNet50"
+        try:
+            # Converts the names that older versions of torchvision gave to the pyramid.
+            missing = module.load_state_dict(values, strict=False).missing_keys
+        except RuntimeError:
+            raise ValueError(f"{message}: a weight has another shape") from None
+        if missing := [name for name in missing if not name.endswith("num_batches_tracked")]:
+            raise ValueError(f"{message}: `{min(missing)}` is missing")
         try:
             self._device = torch.device(device)
             self._network = network.to(self._device).eval().requires_grad_(False)
@@ -142,23 +147,60 @@ class Backbone:
         return result
 
 
-def _cached_weights() -> Path:
+def weights_file(weights: str | os.PathLike[str] | None) -> Path:
+    """Return the file of the backbone's weights, by default one in torchvision's cache.
+
+    Raises:
+        FileNotFoundError: If the cache has no such file.
+    """
+    if weights is not None:
+        return Path(checked_path("weights", weights))
     folder = Path(torch.hub.get_dir()) / "checkpoints"
     for name in WEIGHTS:
         if (folder / name).exists():
             return folder / name
     raise FileNotFoundError(
-        f"no weights of ResNet50 in torchvision's cache `{folder}`: name a file with `--weights` (`weights=`), or put "
+        f"no weights of ResNet50 in torchvision's cache `{folder}`: name a file with `--weights` (in experiments "
+        "`weights`), or put "
         f"{', '.join(f'`{name}`' for name in WEIGHTS[:-1])} or `{WEIGHTS[-1]}` there"
     )
 
 
+def _state(path: Path) -> Mapping[str, Tensor]:
+    """Return the weights in a file of `torch.save`."""
+    try:
+        state: Any = torch.load(path, map_location="cpu", weights_only=True)
+    except OSError:
+        raise
+    except Exception:
+        # Depending on the bytes, PyTorch raises almost any exception.
+        raise ValueError(f"{path}: not a file of weights: PyTorch cannot read it as plain data") from None
+    if not isinstance(state, Mapping) or not all(isinstance(name, str) for name in state):
+        raise ValueError(f"{path}: not a file of weights: expected tensors by name")
+    return state
+
+
 def extractor(kind: Kind, weights: str | os.PathLike[str] | None = None, device: str = "cpu") -> Extractor:
-    """Return the extractor of a kind. `weights` and `device` are those of `Backbone`."""
+    """Return the extractor of a kind.
+
+    Args:
+        kind: `"crops"` or `"resnet50"`.
+        weights: As for `Backbone`.
+        device: As for `Backbone`.
+
+    Raises:
+        FileNotFoundError: As for `Backbone`.
+        ImportError: As for `Backbone`.
+        ValueError: As for `Backbone`, or if the kind is unknown, or crops are given weights or a device.
+    """
     if kind == "resnet50":
         return Backbone(weights, device)
+    if kind != "crops":
+        raise ValueError(f"unknown kind of features `{kind}`; known: crops, resnet50")
     if weights is not None:
         raise ValueError("crops have no weights: remove `--weights`, or choose `--backbone resnet50`")
+    if device != "cpu":
+        raise ValueError("crops are cut on the CPU: remove `--device`, or choose `--backbone resnet50`")
     return Crops()
 
 
@@ -176,17 +218,18 @@ def compute_features(
     """Compute the features of all boxes of a data set, and store them in one file per world.
 
     Worlds whose file exists are kept, so an interrupted call can be resumed. Files are the same on any number of
-    threads and workers.
+    threads and workers. Features of a backbone depend on the device and the version of PyTorch in their last bits.
 
     Args:
         folder: A data set with pictures.
-        out: The folder to write. By default, the name of the data set followed by `-` and the kind.
+        out: The folder to write, outside of the data set. By default, the name of the data set followed by `-` and the
+            kind.
         kind: `"crops"` or `"resnet50"`.
         weights: As for `Backbone`.
         device: As for `Backbone`.
         threads: The number of threads, each of which works on one world. 0 means one per core.
         ray: The address of a Ray cluster whose workers compute the worlds, or `"local"`. All workers must see the
-            folder.
+            folders and the file of weights.
         progress: A function that receives the number of finished worlds and the total.
 
     Returns:
@@ -194,19 +237,23 @@ def compute_features(
         samples of the world in their order.
 
     Raises:
+        ConnectionError: If the Ray cluster does not answer, or loses too many workers.
         FileNotFoundError: If there are no weights.
         ImportError: If a package is not installed.
         OSError: If a file cannot be read or written.
-        ValueError: If the folder has features of other data or of another backbone, or as for `Backbone`.
+        ValueError: If the data set has no pictures, the output folder is in it or has features of other data or of
+            another backbone, or as for `extractor`.
     """
-    samples = VapDataset(folder, images=True)
+    samples = VapDataset(folder, images=False)
+    if not samples.has_pictures:
+        raise ValueError(f"`{samples.folder}` has no pictures: make it without `--no-pictures`")
     threads = checked_threads(threads) or os.cpu_count() or 1
-    target = Path(f"{samples.folder}-{kind}") if out is None else Path(checked_path("out", out))
     extract = extractor(kind, weights, device)
+    target = _target(samples.folder, kind, out)
     target.mkdir(parents=True, exist_ok=True)
     _begin(target, extract, _data_hash(samples.folder))
     worlds = samples.worlds()
-    left = [world for world in worlds if not (target / f"world-{world:05}.npy").exists()]
+    left = [world for world in worlds if not _world_file(target, world).exists()]
     done = len(worlds) - len(left)
 
     def advance() -> None:
@@ -218,15 +265,34 @@ def compute_features(
     if ray is not None:
         _on_ray(ray, samples.folder, target, kind, weights, device, {world: worlds[world] for world in left}, advance)
         return target
-    with ThreadPoolExecutor(threads) as pool:
-        jobs = [pool.submit(_store, samples, worlds[world], target, world, extract) for world in left]
-        try:
-            for job in jobs:
-                job.result()
-                advance()
-        finally:
-            for job in jobs:
-                job.cancel()
+    stopped = Event()
+    torch_threads = torch.get_num_threads()
+    # Each world has one thread. With several threads of PyTorch, features could differ in their last bits.
+    torch.set_num_threads(1)
+    try:
+        with ThreadPoolExecutor(threads) as pool:
+            jobs = [pool.submit(_store, samples, worlds[world], target, world, extract, stopped) for world in left]
+            try:
+                for job in as_completed(jobs):
+                    job.result()
+                    advance()
+            finally:
+                stopped.set()
+                for job in jobs:
+                    job.cancel()
+    finally:
+        torch.set_num_threads(torch_threads)
+    return target
+
+
+def _target(folder: Path, kind: Kind, out: str | os.PathLike[str] | None) -> Path:
+    """Return the folder of the features of a data set."""
+    if out is None:
+        # `.` and `..` are no names.
+        return Path(f"{folder if folder.name not in ('', '..') else folder.resolve()}-{kind}")
+    target = Path(checked_path("out", out))
+    if target.resolve().is_relative_to(folder.resolve()):
+        raise ValueError(f"`{target}` is in the data set, which must have no other files: choose another folder")
     return target
 
 
@@ -240,11 +306,19 @@ def load_features(folder: Path, samples: VapDataset) -> Tensor:
     document = _read(folder)
     if document["data_hash"] != _data_hash(samples.folder):
         raise ValueError(f"`{folder}` has the features of another data set than `{samples.folder}`")
-    return _stacked(folder, list(samples.worlds()))
+    worlds = list(samples.worlds())
+    for world in worlds:
+        if not _world_file(folder, world).exists():
+            raise ValueError(f"`{folder}` has no features of world {world} yet: run `logicity vap features` again")
+    return _stacked(folder, worlds)
+
+
+def _world_file(folder: Path, world: int) -> Path:
+    return folder / f"world-{world:05}.npy"
 
 
 def _stacked(folder: Path, worlds: Sequence[int]) -> Tensor:
-    parts = [np.load(folder / f"world-{world:05}.npy", mmap_mode="r") for world in worlds]
+    parts = [np.load(_world_file(folder, world), mmap_mode="r") for world in worlds]
     values = np.empty((sum(map(len, parts)), *parts[0].shape[1:]), parts[0].dtype)
     np.concatenate(parts, out=values)
     tensor = torch.from_numpy(values)
@@ -282,19 +356,31 @@ def _read(folder: Path) -> dict[str, Any]:
         raise ValueError(f"{path}: not JSON: {error}") from None
     if not isinstance(document, dict) or document.get("format") != FORMAT:
         raise ValueError(f"{path}: expected the description of features, of the format {FORMAT}")
+    missing = [name for name in KEYS if name not in document]
+    if missing:
+        raise ValueError(f"{path}: expected the key `{missing[0]}`")
     return document
 
 
-def _store(samples: VapDataset, indices: range, target: Path, world: int, extract: Extractor) -> None:
-    """Compute and write the features of a world."""
+def _store(
+    samples: VapDataset,
+    indices: range,
+    target: Path,
+    world: int,
+    extract: Extractor,
+    stopped: Event | None = None,
+) -> None:
+    """Compute and write the features of a world. Nothing is written after `stopped` is set."""
     picture = np.empty((PICTURE_SIDE, PICTURE_SIDE, 3), np.uint8)
     parts = []
     for index in indices:
+        if stopped is not None and stopped.is_set():
+            return
         samples.read_picture(index, picture)
         parts.append(extract(picture, samples.facts(index).boxes))
     temporary = target / f".world-{world:05}-{os.getpid()}.npy"
     np.save(temporary, np.concatenate(parts))
-    temporary.replace(target / f"world-{world:05}.npy")
+    temporary.replace(_world_file(target, world))
 
 
 def _on_ray(
@@ -312,19 +398,32 @@ def _on_ray(
         import ray
     except ImportError as error:
         raise missing_extra("ray", error) from error
+    from ..learn.jobs import RETRIES
+
+    data, out = folder.resolve(), target.resolve()
+    file = None if weights is None else Path(weights).resolve()
 
     def work(indices: range, world: int) -> None:
         torch.set_num_threads(1)
-        _store(VapDataset(folder.resolve()), indices, target.resolve(), world, extractor(kind, weights, device))
+        _store(VapDataset(data), indices, out, world, extractor(kind, file, device))
 
-    ray.init(address=address, log_to_driver=False)
+    options: dict[str, Any] = {"include_dashboard": False} if address == "local" else {}
     try:
-        task = ray.remote(num_cpus=1, num_gpus=float(device.startswith("cuda")), max_retries=20)(work)
+        ray.init(address=address, log_to_driver=False, **options)
+    except Exception as error:
+        # Ray raises a plain `Exception` if a local cluster takes too long to start.
+        raise ConnectionError(f"--ray: no cluster at `{address}`: {error}") from error
+    try:
+        task = ray.remote(num_cpus=1, num_gpus=float(device.startswith("cuda")), max_retries=RETRIES)(work)
         running = [task.remote(indices, world) for world, indices in worlds.items()]
         while running:
             ready, running = ray.wait(running, num_returns=1)
             ray.get(ready)
             advance()
+    except ray.exceptions.RayTaskError as error:
+        raise error.cause or error from None
+    except ray.exceptions.RayError as error:
+        raise ConnectionError(f"--ray: {error}") from error
     finally:
         ray.shutdown()
 
@@ -393,15 +492,17 @@ def prepared(spec: DataSpec, root: Path, version: str) -> tuple[VapDataset, Tens
         return samples, None
     extract = extractor(spec.kind, spec.weights)
     features = folder / spec.pictures(extract)
+    features.mkdir(exist_ok=True)
     for world in range(spec.worlds):
-        if (features / f"world-{world:05}.npy").exists():
+        file, pictures = _world_file(features, world), features / f"pictures-{world:05}"
+        # Pictures beside their features are those of an interrupted process.
+        if file.exists() and not pictures.exists():
             continue
-        with _alone(features / f"world-{world:05}.lock"):
-            if not (features / f"world-{world:05}.npy").exists():
-                pictures = features / f"pictures-{world:05}"
+        with _alone(folder / f"{features.name}.lock"):
+            if not file.exists():
                 made = _made(pictures, spec, world, 1, images=True)
                 _store(made, range(len(made)), features, world, extract)
-                shutil.rmtree(pictures)
+            shutil.rmtree(pictures, ignore_errors=True)
     return samples, _stacked(features, range(spec.worlds))
 
 
@@ -421,23 +522,13 @@ def _made(folder: Path, spec: DataSpec, first: int, worlds: int, *, images: bool
     )
 
 
-class _alone:
-    """Holds a lock file. Waits while another process holds it; a process that ends releases its locks."""
+@contextmanager
+def _alone(path: Path) -> Iterator[None]:
+    """Hold a lock file. Waits while another process holds it; a process that ends releases its locks."""
+    # Windows has no such module.
+    import fcntl
 
-    def __init__(self, path: Path) -> None:
-        path.parent.mkdir(parents=True, exist_ok=True)
-        self._path = path
-
-    def __enter__(self) -> None:
-        while True:
-            self._reserved = reserved(self._path, record=False)
-            try:
-                self._reserved.__enter__()
-                return
-            except PermissionError:
-                raise
-            except OSError:
-                time.sleep(0.5)
-
-    def __exit__(self, *exception: Any) -> None:
-        self._reserved.__exit__(None, None, None)
+    path.parent.mkdir(parents=True, exist_ok=True)
+    with open(path, "a") as file:
+        fcntl.flock(file, fcntl.LOCK_EX)
+        yield

@@ -73,8 +73,8 @@ class GraphReasoner(nn.Module):
 class LogicReasoner(nn.Module):
     """A Neural Logic Machine of depth 4, breadth 3 and 8 outputs, and a linear layer.
 
-    The binary predicates between an entity and one that it does not see are false: existential variables of the rules
-    range over the entities in view.
+    The existential variables of the rules range over the entities in view. The machine learns this from `Sees`, which
+    is one of the binary predicates.
     """
 
     def __init__(self) -> None:

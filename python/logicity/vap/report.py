@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import json
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import Any
@@ -13,9 +13,9 @@ from numpy.typing import NDArray
 
 from ..city import ACTIONS
 from ..evaluation import Interval
-from ..files import reserved, write_json
+from ..files import reserved
 from ..learn.cells import finished
-from ..learn.report import SAMPLES, aligned, escaped, markdown_table, paper_table
+from ..learn.report import SAMPLES, aligned, escaped, markdown_table, paper_table, save_figure, write_tables
 from .experiment import VapCell, VapExperiment, measure_again
 
 __all__ = ["VapEntry", "VapReport", "leaderboard", "pooled", "read_results", "submit"]
@@ -31,6 +31,9 @@ KEYS = (
     *("experiment", "learner", "predictor", "paper", "mode", "variant", "seed", "settings", "command", "note"),
     *("versions", "hashes", "model_sha256", "cpu_seconds", "recall", "a_acc", "w_acc", "worlds", "concepts"),
 )
+
+#: The keys that identify a row.
+_KEY = ("experiment", "mode", "learner", "variant", "predictor", "seed")
 
 
 @dataclass(frozen=True)
@@ -104,10 +107,12 @@ class VapReport:
     def _entries(self, cells: Sequence[VapCell], root: Path, failed: Mapping[str, str]) -> Iterator[VapEntry]:
         first = cells[0]
         found = [(cell, measured) for cell in cells if (measured := finished(cell, root)) is not None]
-        missing = ""
-        if len(found) < len(cells):
-            messages = [failed[cell.identity] for cell in cells if cell.identity in failed]
+        missing, left = "", [cell for cell in cells if finished(cell, root) is None]
+        if left:
+            messages = [failed[cell.identity] for cell in left if cell.identity in failed]
             missing = next(iter(messages[0].splitlines()), "failed") if messages else "not run"
+            if found:
+                missing += f" (seed{'s' * (len(left) > 1)} {', '.join(str(cell.seed) for cell in left)})"
         variant = self.experiment.variants[first.variant]
         predictors = list(found[0][1]["evaluations"]) if found else [""]
         for predictor in predictors:
@@ -155,7 +160,8 @@ class VapReport:
         """Return the recalls of concepts: a head, then a line for each predicate. Only a head without concepts."""
         shown = [entry for entry in self.entries if entry.concepts]
         paper = paper_table("vap-concepts")["concepts"]
-        lines = [["predicate", *(f"{entry.mode}, {entry.row}, {entry.variant}" for entry in shown), "the paper's"]]
+        names = [", ".join(part for part in (entry.mode, entry.row, entry.variant) if part) for entry in shown]
+        lines = [["predicate", *names, "the paper's"]]
         for name in dict.fromkeys(name for entry in shown for name in entry.concepts):
             recalls = [f"{entry.concepts[name]:.3f}" if name in entry.concepts else "-" for entry in shown]
             lines.append([name, *recalls, f"{paper[name]:.3f}" if name in paper else "-"])
@@ -165,6 +171,9 @@ class VapReport:
         """Return sentences on intervals, missing cells, the paper and the CPU time."""
         notes = ["Intervals (95 %): bootstrap over seeds and, independently, over test worlds."]
         if table := paper_table(self.experiment.paper):
+            notes.append(f"The paper's figures: {table['source']}. {table['note']}")
+        if any(entry.concepts for entry in self.entries):
+            table = paper_table("vap-concepts")
             notes.append(f"The paper's figures: {table['source']}. {table['note']}")
         for entry in self.entries:
             if entry.missing:
@@ -220,14 +229,7 @@ class VapReport:
         Raises:
             OSError: If a file cannot be written.
         """
-        written = []
-        for name, text in [("table.md", self.markdown()), ("table.tex", self.latex())]:
-            with reserved(root / name, record=False) as output:
-                Path(output.temporary).write_text(text, encoding="utf-8")
-                output.finish()
-            written.append(root / name)
-        write_json(root / "table.json", self.to_dict(), overwrite=True)
-        written.append(root / "table.json")
+        written = write_tables(root, self.markdown(), self.latex(), self.to_dict())
         if any(entry.measures for entry in self.entries):
             written += self._figures(root)
         return written
@@ -255,12 +257,7 @@ class VapReport:
                     axes = figure.add_subplot(1, count, at + 1)
                     axes.set_title(f"{self.experiment.title}: {mode}", fontsize=10)
                     draw(axes, mode)
-                for ending, metadata in (("png", {"Software": None}), ("svg", {"Date": None})):
-                    path = root / f"{name}.{ending}"
-                    with reserved(path, record=False) as output:
-                        figure.savefig(output.temporary, format=ending, dpi=150, metadata=metadata)
-                        output.finish()
-                    written.append(path)
+                written += save_figure(figure, root, name)
         return written
 
     def _bars(self, axes: Any, mode: str) -> None:
@@ -384,21 +381,27 @@ def read_results(path: Path) -> dict[str, Any]:
         return {"format": FORMAT, "rows": []}
     try:
         results = json.loads(path.read_text(encoding="utf-8"))
-    except ValueError as error:
+    except (ValueError, RecursionError) as error:
         raise ValueError(f"{path}: not JSON: {error}") from None
     if not isinstance(results, dict) or results.get("format") != FORMAT or not isinstance(results.get("rows"), list):
         raise ValueError(f"{path}: expected results of the format {FORMAT}")
     for at, row in enumerate(results["rows"]):
+        if not isinstance(row, dict):
+            raise ValueError(f"{path}: row {at} is not a mapping")
         missing = [key for key in KEYS if key not in row]
         if missing:
             raise ValueError(f"{path}: row {at} has no `{missing[0]}`")
+        for key in _KEY:
+            if not isinstance(row[key], int if key == "seed" else str):
+                raise ValueError(f"{path}: row {at} has an invalid `{key}`")
     return results
 
 
 def submit(experiment: VapExperiment, file: Path, cells: Sequence[VapCell], root: Path, results: Path) -> Iterator[str]:
     """Measure the models of finished cells again, and write a row for each predictor.
 
-    A row replaces that of the same experiment, learner, predictor, mode, variant and seed.
+    A row replaces that of the same experiment, learner, predictor, mode, variant and seed, and keeps its note. It also
+    replaces rows of other seeds with other settings or rules. Cells that tables omit have no row.
 
     Args:
         experiment: The experiment.
@@ -411,36 +414,67 @@ def submit(experiment: VapExperiment, file: Path, cells: Sequence[VapCell], root
         A line for each cell.
 
     Raises:
-        OSError: If a file cannot be read or written.
-        ValueError: If a model does not give the recorded measures.
+        OSError: If a file cannot be read or written, or another process writes the file of results.
+        ValueError: If a model does not give the recorded measures, or the file of results is invalid.
     """
-    document = read_results(results)
-    rows = {_key(row): row for row in document["rows"]}
-    for cell in cells:
-        if cell.hidden:
-            continue
-        measured = finished(cell, root)
-        if measured is None:
-            yield f"{cell.name}: not finished"
-            continue
-        again, _ = measure_again(cell, root)
-        for predictor, recorded in measured["evaluations"].items():
-            if again[predictor] != recorded:
-                raise ValueError(
-                    f"{cell.name}: the model {cell.model(root)} has wAcc {again[predictor]['w_acc']}, not the recorded "
-                    f"{recorded['w_acc']}"
-                )
-            row = _row(experiment, file, cell, predictor, measured)
-            rows[_key(row)] = row
-        yield f"{cell.name}: {cell.headline(measured)}, as recorded"
-    ordered = [rows[key] for key in sorted(rows)]
     results.parent.mkdir(parents=True, exist_ok=True)
-    write_json(results, {"format": FORMAT, "rows": ordered}, overwrite=True)
-    yield f"{len(ordered)} rows in {results}"
+    # No other process can add rows in the meantime.
+    with reserved(results, record=False) as output:
+        rows = {_key(row): row for row in read_results(results)["rows"]}
+        for cell in cells:
+            if not cell.hidden:
+                yield from _update(rows, experiment, file, cell, root)
+        lines = ",\n".join(json.dumps(row, allow_nan=False) for row in _ordered(experiment, file.stem, rows.values()))
+        text = f'{{"format": {FORMAT}, "rows": [\n{lines}\n]}}\n'
+        Path(output.temporary).write_text(text, encoding="utf-8")
+        output.finish()
+    yield f"{len(rows)} rows in {results}"
 
 
-def _key(row: Mapping[str, Any]) -> tuple[str, str, str, str, str, int]:
-    return row["experiment"], row["mode"], row["learner"], row["variant"], row["predictor"], row["seed"]
+def _update(
+    rows: dict[tuple[Any, ...], Mapping[str, Any]], experiment: VapExperiment, file: Path, cell: VapCell, root: Path
+) -> Iterator[str]:
+    """Add the rows of a cell if it is finished, and yield a line."""
+    measured = finished(cell, root)
+    if measured is None:
+        yield f"{cell.name}: not finished"
+        return
+    again, _ = measure_again(cell, root)
+    for predictor, recorded in measured["evaluations"].items():
+        if again[predictor] != recorded:
+            raise ValueError(
+                f"{cell.name}: the model {cell.model(root)} has wAcc {again[predictor]['w_acc']}, not the recorded "
+                f"{recorded['w_acc']}"
+            )
+        row = _row(experiment, file, cell, predictor, measured)
+        row["note"] = rows.get(_key(row), row)["note"]
+        group = [key for key in rows if key[:-1] == _key(row)[:-1]]
+        for key in group:
+            if any(rows[key][name] != row[name] for name in ("settings", "hashes")):
+                del rows[key]
+        rows[_key(row)] = row
+    yield f"{cell.name}: {cell.headline(measured)}, as recorded"
+
+
+def _ordered(experiment: VapExperiment, name: str, rows: Iterable[Mapping[str, Any]]) -> Sequence[Mapping[str, Any]]:
+    """Return rows by experiment, and those of this experiment in its order. Names that it has no more come last."""
+    order: dict[str, list[str]] = {
+        "mode": list(experiment.modes),
+        "learner": list(experiment.learners),
+        "variant": list(experiment.variants),
+    }
+
+    def place(row: Mapping[str, Any]) -> tuple[Any, ...]:
+        if row["experiment"] != name:
+            return (row["experiment"],)
+        places = [names.index(row[key]) if row[key] in names else len(names) for key, names in order.items()]
+        return name, *places, row["seed"]
+
+    return sorted(rows, key=place)
+
+
+def _key(row: Mapping[str, Any]) -> tuple[Any, ...]:
+    return tuple(row[name] for name in _KEY)
 
 
 def _row(
@@ -448,6 +482,8 @@ def _row(
 ) -> dict[str, Any]:
     recorded, result = measured["evaluations"][predictor], measured["result"]
     first = predictor == next(iter(measured["evaluations"]))
+    # A variant with a mode of its own is in every column.
+    column = cell.row if experiment.variants[cell.variant].mode else f"{cell.row},{cell.mode}"
     return {
         "experiment": file.stem,
         "learner": cell.row,
@@ -457,7 +493,7 @@ def _row(
         "variant": cell.variant,
         "seed": cell.seed,
         "settings": result["settings"],
-        "command": f"logicity experiment {file.stem} --only {cell.row} --seeds {cell.seed}",
+        "command": f"logicity experiment {file.stem} --only {column} --seeds {cell.seed}",
         "note": "",
         "versions": result["versions"],
         "hashes": result["hashes"],
@@ -474,6 +510,7 @@ def leaderboard(results: Mapping[str, Any]) -> str:
     if not rows:
         return "The file `results/vap.json` has no row yet.\n"
     parts = []
+    recalls = any(row["concepts"] for row in rows)
     for experiment, mode in dict.fromkeys((row["experiment"], row["mode"]) for row in rows):
         own = [row for row in rows if (row["experiment"], row["mode"]) == (experiment, mode)]
         groups: dict[tuple[str, str, str], list[Mapping[str, Any]]] = {}
@@ -498,9 +535,10 @@ def leaderboard(results: Mapping[str, Any]) -> str:
         parts += _concepts(own)
         parts.append(f"`logicity experiment {experiment}` makes these rows.\n")
     notes = sorted({f"- `{row['learner']}`, {row['mode']}: {row['note']}" for row in rows if row["note"]})
-    tables = dict.fromkeys(row["experiment"] for row in rows)
-    sources = [f"{table['source']}. {table['note']}" for name in tables if (table := paper_table(name))]
-    parts.append("The paper's figures:\n\n" + "\n".join(f"- {each}" for each in sources) + "\n")
+    tables = dict.fromkeys([*(row["experiment"] for row in rows), *(["vap-concepts"] if recalls else [])])
+    sources = [f"- {table['source']}. {table['note']}" for name in tables if (table := paper_table(name))]
+    if sources:
+        parts.append("The paper's figures:\n\n" + "\n".join(sources) + "\n")
     return "\n".join([*parts, *(["\n".join(notes) + "\n"] if notes else [])])
 
 

@@ -17,12 +17,15 @@ its answers are those of the rules on thresholded facts.
 from __future__ import annotations
 
 import re
+from collections.abc import Collection
 from dataclasses import dataclass
+from itertools import count
 from typing import Literal
 
 from ..city import ACTIONS
 from ..errors import missing_extra
 from ..rules import Program
+from ..types import Clause
 from .data import UNARY
 
 try:
@@ -37,7 +40,10 @@ __all__ = ["Semantics", "SoftRules"]
 
 Semantics = Literal["product", "max-min"]
 
-_LITERAL = re.compile(r"\s*(Not\()?\s*(\w+)\(\s*(\w+)\s*(?:,\s*(\w+)\s*)?\)(\))?\s*")
+#: A literal of a clause that is free of syntax errors: its negation, predicate and arguments.
+_LITERAL = re.compile(r"\s*(Not\(|not\s|!)?\s*([\w?]+)\(\s*([\w?]+)\s*(?:,\s*([\w?]+)\s*)?\)\s*\)?\s*(?:,|$)")
+_VARIABLE = re.compile(r"[\w?]+")
+_COMMENT = re.compile(r"//[^\n]*|/\*.*?\*/", re.DOTALL)
 
 
 @dataclass(frozen=True)
@@ -63,9 +69,9 @@ class SoftRules:
 
     Args:
         program: The rules: clauses for actions, whose bodies have literals of unary and binary predicates and of other
-            actions of the same agent.
+            actions of the same agent, without recursion.
         precedence: The order of actions if several are derived, as the configuration gives it.
-        default: The action of an agent for which no clause holds.
+        default: The action of an agent for which no clause holds. Its clause may only say that no other action holds.
 
     Raises:
         ValueError: If a clause has another form.
@@ -74,9 +80,18 @@ class SoftRules:
     def __init__(self, program: Program, precedence: tuple[str, ...] = ACTIONS, default: str = "Normal") -> None:
         """Read the clauses."""
         self.precedence, self.default = precedence, default
-        order = [name for stratum in program.strata for name in stratum if name in ACTIONS and name != default]
-        rules = [_rule(each["head"], each["text"]) for each in program.clauses if each["head"] in order]
-        self.rules = {head: [rule for rule in rules if rule.head == head] for head in order}
+        strata = [[name for name in stratum if name in ACTIONS and name != default] for stratum in program.strata]
+        # Actions without clauses are false.
+        known = set(ACTIONS).difference([default], *strata)
+        self.rules: dict[str, list[Rule]] = {}
+        for stratum in strata:
+            for head in stratum:
+                self.rules[head] = [_rule(head, each["text"], known) for each in _clauses(program, head)]
+            known |= set(stratum)
+        for each in _clauses(program, default):
+            rule = _rule(default, each["text"], known)
+            if not all(atom.predicate in ("Sees", *ACTIONS) and len(rule.variables) == 1 for atom in rule.body):
+                raise ValueError(f"`{default}` holds if no other action does: `{each['text']}` has no truth degree")
 
     def degrees(self, unary: Tensor, binary: Tensor, valid: Tensor, semantics: Semantics = "product") -> Tensor:
         """Return the degree to which each action is the answer.
@@ -99,10 +114,11 @@ class SoftRules:
         # Binary predicates other than Sees are irreflexive.
         values |= {name: binary[..., at].masked_fill(eye, 0.0) for at, name in enumerate(RELATIONS)}
         values["Sees"] = sees
+        values |= {name: torch.zeros_like(unary[..., 0]) for name in ACTIONS if name not in self.rules}
         derived: dict[str, Tensor] = {}
         for head, rules in self.rules.items():
             bodies = [_degree(rule, {**values, **derived}, sees, semantics) for rule in rules]
-            derived[head] = _any(torch.stack(bodies, -1), semantics) if bodies else torch.zeros_like(unary[..., 0])
+            derived[head] = _any(torch.stack(bodies, -1), semantics)
         # An action is the answer if it is derived, and none that comes before it.
         answers = dict.fromkeys(ACTIONS, torch.zeros_like(unary[..., 0]))
         left = torch.ones_like(unary[..., 0])
@@ -114,28 +130,33 @@ class SoftRules:
         return torch.stack([answers[action] for action in ACTIONS], -1)
 
 
-def _rule(head: str, text: str) -> Rule:
-    """Parse the text of a clause."""
-    body_text = text.partition(":-")[2].strip().removesuffix(".")
-    body, end = [], 0
+def _clauses(program: Program, head: str) -> list[Clause]:
+    return [each for each in program.clauses if each["head"] == head]
+
+
+def _rule(head: str, text: str, actions: Collection[str]) -> Rule:
+    """Parse the text of a clause, whose body may contain some actions."""
+    beginning, _, body_text = _COMMENT.sub("", text).partition(":-")
+    body_text = body_text.strip().removesuffix(".")
+    ego = beginning.partition("(")[2].partition(")")[0].strip()
+    if not body_text or not _VARIABLE.fullmatch(ego):
+        raise ValueError(f"only clauses with a body have truth degrees, not `{text}`")
+    body: list[Atom] = []
+    anonymous = count()
+    end = 0
     while end < len(body_text):
         match = _LITERAL.match(body_text, end)
-        if match is None or bool(match[1]) != bool(match[5]):
-            raise ValueError(
-                f"only literals of predicates can have truth degrees, not `{body_text[end:].strip()}` in `{text}`"
-            )
-        variables = tuple(each for each in (match[3], match[4]) if each)
-        body.append(Atom(match[2], variables, bool(match[1])))
+        if match is None:
+            rest = body_text[end:].strip()
+            raise ValueError(f"only literals of predicates can have truth degrees, not `{rest}` in `{text}`")
         end = match.end()
-        if end < len(body_text):
-            if body_text[end] != ",":
-                raise ValueError(f"only literals of predicates can have truth degrees, not `{body_text[end:].strip()}`")
-            end += 1
-    ego = text.partition("(")[2].partition(")")[0].strip()
-    known = {*UNARY, *RELATIONS, *ACTIONS}
-    for atom in body:
-        if atom.predicate not in known or (atom.predicate in ACTIONS and atom.variables != (ego,)):
-            raise ValueError(f"`{atom.predicate}({', '.join(atom.variables)})` has no truth degree, in `{text}`")
+        # Each `_` is a variable that occurs nowhere else.
+        names = [each if each != "_" else f"_ {next(anonymous)}" for each in (match[3], match[4]) if each]
+        atom = Atom(match[2], tuple(names), bool(match[1]))
+        known = atom.predicate in (*UNARY, *RELATIONS) or (atom.predicate in actions and names == [ego])
+        if not known or (atom.negated and "_" in match.group(3, 4)):
+            raise ValueError(f"`{match[0].strip(' ,')}` has no truth degree, in `{text}`")
+        body.append(atom)
     others = sorted({name for atom in body for name in atom.variables} - {ego})
     return Rule(head, tuple(body), (ego, *others))
 
