@@ -197,6 +197,12 @@ def _add_experiment(parser: argparse.ArgumentParser) -> _Command:
     )
     _add_wandb(parser)
     parser.add_argument("--run", type=Path, metavar="FOLDER", help="folder of the results; default: runs/EXPERIMENT")
+    parser.add_argument(
+        "--reuse",
+        type=Path,
+        metavar="FOLDER",
+        help="copy equal trainings from the folder of another experiment of Safe Path Following, for example runs/spf",
+    )
     return _experiment
 
 
@@ -542,7 +548,7 @@ def _train(given: argparse.Namespace) -> int:
 
 
 def _experiment(given: argparse.Namespace) -> int:
-    from .learn.cells import finished
+    from .learn.cells import Cell, finished
     from .learn.experiment import Selection, load_experiment
     from .learn.language import is_language
 
@@ -572,13 +578,19 @@ def _experiment(given: argparse.Namespace) -> int:
         from .learn.jobs import run
 
         jobs = given.jobs or os.cpu_count() or 1
-        failed = run(cells, root, jobs, lambda line: print(line, file=sys.stderr, flush=True), given.ray, given.wandb)
+        if given.reuse is not None and not all(isinstance(cell, Cell) for cell in cells):
+            raise _UsageError("--reuse: only experiments of Safe Path Following can reuse trainings")
+        failed = run(cells, root, jobs, _say, given.ray, given.wandb, given.reuse)
     report = experiment.report(cells, root, failed)
     root.mkdir(parents=True, exist_ok=True)
     written = report.write(root)
     print(report.text())
     print(f"written: {', '.join(str(path) for path in written)}")
     return int(any(cell.identity in failed and not cell.optional for cell in cells))
+
+
+def _say(line: str) -> None:
+    print(line, file=sys.stderr, flush=True)
 
 
 def _changes(given: argparse.Namespace) -> dict[str, object]:
@@ -605,7 +617,7 @@ def _results_folder(given: argparse.Namespace, file: Path) -> Path:
 def _language(given: argparse.Namespace) -> int:
     from .learn.language import LanguageExperiment, run
 
-    for option in ("ray", "wandb", "submit"):
+    for option in ("ray", "reuse", "wandb", "submit"):
         if getattr(given, option) is not None:
             raise _UsageError(f"--{option}: an experiment of language questions does not support this option")
     experiment, file = LanguageExperiment.load(given.experiment, _changes(given), quick=given.quick)

@@ -21,7 +21,8 @@ from logicity.evaluation import Interval
 needs("stable_baselines3", "learn")
 from logicity.commands import run as command  # noqa: E402
 from logicity.learn import LEARNERS, load_policy  # noqa: E402
-from logicity.learn.cells import Cell, finished, prepare, run_cell  # noqa: E402
+from logicity.learn.cells import Cell, finished, prepare, reuse, run_cell  # noqa: E402
+from logicity.learn.config import TrainConfig  # noqa: E402
 from logicity.learn.experiment import Experiment, Selection, load_experiment, read_experiment  # noqa: E402
 from logicity.learn.jobs import exclusive, run_in_processes  # noqa: E402
 from logicity.learn.report import (  # noqa: E402
@@ -34,6 +35,7 @@ from logicity.learn.report import (  # noqa: E402
     violation_rates,
 )
 from logicity.learn.results import as_text, check_rows, leaderboard, read_results, submit  # noqa: E402
+from logicity.learn.run import train  # noqa: E402
 
 EXPERIMENTS = ROOT / "configs" / "experiments"
 #: Two learners with two seeds each.
@@ -340,6 +342,35 @@ def test_an_evaluation_can_use_new_episodes(mode: str, tmp_path: Path) -> None:
     ]
 
 
+def test_a_training_of_another_experiment_is_reused(
+    tiny: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """The result is that of training again. Other seeds, and cells that have begun, are trained."""
+    selection: dict[str, Any] = {"only": [("quick-a2c", None)]}
+    _, known = cells_of(tiny, **selection, seeds=(0, 2))
+    run_here(known, tmp_path / "known")
+    with pytest.raises(FileNotFoundError, match="not the folder of an experiment"):
+        reuse(known, tmp_path / "run", tmp_path)
+    text = TINY + "evaluations: {new: {split: train, fresh: 5}, test: {}}\n"
+    _, cells = cells_of(write(tmp_path, text), **selection, seeds=(0, 1, 2))
+    run_here(cells, tmp_path / "trained")
+    root = tmp_path / "run"
+    prepare(cells[2], root)
+    [line] = reuse(cells, root, tmp_path / "known")
+    assert line.startswith("quick-a2c, easy, seed 0: the training of ")
+    assert reuse(cells, root, tmp_path / "known") == []
+    begun: list[int] = []
+
+    def counted(config: TrainConfig, *arguments: Any, **options: Any) -> dict[str, Any]:
+        begun.append(config.seed)
+        return train(config, *arguments, **options)
+
+    monkeypatch.setattr("logicity.learn.cells.train", counted)
+    run_here(cells, root)
+    assert begun == [1, 2]
+    assert results_of(cells, root) == results_of(cells, tmp_path / "trained")
+
+
 def test_a_cell_runs_only_with_its_version_rules_and_episodes(tiny: Path, tmp_path: Path) -> None:
     _, cells = cells_of(tiny, only=[("quick-a2c", None)], seeds=(0,))
     folder = prepare(cells[0], tmp_path / "run")
@@ -455,6 +486,7 @@ ON_RAY = """
 import os, signal, sys
 from pathlib import Path
 from logicity.learn import jobs
+from logicity.learn.config import TrainConfig  # noqa: E402
 from logicity.learn.experiment import Experiment, Selection
 
 def watch(line):

@@ -19,7 +19,7 @@ import threading
 import time
 import traceback
 from abc import ABC, abstractmethod
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
 from functools import cache, cached_property
 from pathlib import Path
@@ -34,7 +34,7 @@ from .config import TrainConfig
 from .registry import load_policy
 from .run import train
 
-__all__ = ["Cell", "Job", "benchmark_of", "finished", "prepare", "run_cell"]
+__all__ = ["Cell", "Job", "benchmark_of", "finished", "inputs", "prepare", "reuse", "run_cell"]
 
 #: The version of the format of `cell.json` and `measured.json`. Cells of another version are run again.
 FORMAT = 1
@@ -180,6 +180,65 @@ def prepare(cell: Job, root: Path) -> Path:
     return folder
 
 
+#: A file in the folder of a cell that names the cell of another experiment whose training it has.
+_REUSED = "reused.json"
+
+
+def inputs(folder: Path) -> list[Path]:
+    """Return the files in the folder of a cell that `run_cell` needs, apart from checkpoints."""
+    patterns = ["cell.json", "start.*"]
+    if (folder / _REUSED).exists():
+        patterns += [_REUSED, "config.json", "result.json", "best.*", "rules.dl"]
+    return [path for pattern in patterns for path in folder.glob(pattern)]
+
+
+def reuse(cells: Sequence[Job], root: Path, other: Path) -> list[str]:
+    """Copy the trainings of finished cells of another experiment to the cells that have not begun and train the same.
+
+    Only their evaluations can differ, so that the result is that of training again, except for the times.
+
+    Args:
+        cells: The cells.
+        root: The folder of the experiment.
+        other: The folder of the other experiment.
+
+    Returns:
+        A line for each copied training.
+
+    Raises:
+        OSError: If the other folder has no cells, or a file cannot be read or written.
+    """
+    trained = {}
+    if not (other / "cells").is_dir():
+        raise FileNotFoundError(f"{other}: not the folder of an experiment: it has no folder `cells`")
+    for path in sorted(other.glob("cells/*/cell.json")):
+        try:
+            document = json.loads(path.read_text(encoding="utf-8"))
+            if document["task"] == "spf" and _measured(path.parent, document["identity"]) is not None:
+                trained[_training(document["spec"])] = path.parent
+        except (ValueError, KeyError, TypeError):
+            continue  # of another version, or of another program
+    lines = []
+    for cell in cells:
+        folder = cell.folder(root)
+        source = trained.get(_training(cell.spec())) if isinstance(cell, Cell) else None
+        if source is None or folder.exists():
+            continue
+        temporary = folder.with_name(f".{folder.name}")
+        shutil.rmtree(temporary, ignore_errors=True)
+        left_out = shutil.ignore_patterns("cell.json", "measured.json", "log.txt", "fresh-*", "start.*")
+        shutil.copytree(source, temporary, ignore=left_out)
+        write_json(temporary / _REUSED, {"cell": source.name}, overwrite=True)
+        temporary.rename(folder)
+        lines.append(f"{cell.name}: the training of {source}")
+    return lines
+
+
+def _training(spec: Mapping[str, Any]) -> str:
+    """Return what determines the training of a cell of Safe Path Following."""
+    return json.dumps({key: value for key, value in spec.items() if key != "evaluations"}, sort_keys=True)
+
+
 def finished(cell: Job, root: Path) -> dict[str, Any] | None:
     """Return the content of `measured.json` of a cell, or `None` if the cell is not finished.
 
@@ -241,7 +300,10 @@ def run_cell(
             f"`{config.mode}` has another content of {', '.join(changed)} than when the experiment began: run the same "
             "command again"
         )
-    result = train(config, folder, progress=progress, report=report, wandb=wandb)
+    if (folder / _REUSED).exists():
+        result = json.loads((folder / "result.json").read_text(encoding="utf-8"))
+    else:
+        result = train(config, folder, progress=progress, report=report, wandb=wandb)
     policy = load_policy(folder).policy
     evaluations = {}
     for name, each in spec["evaluations"].items():
@@ -250,6 +312,8 @@ def run_cell(
             evaluations[name] = dict(result["test"])
         else:
             evaluations[name] = benchmark.evaluate(policy, name=config.algorithm).to_dict()
+            # Not the path of the file of new episodes, which depends on the machine.
+            evaluations[name]["mode"] = spec["mode"]
         evaluations[name]["random_returns"] = benchmark.random_returns()
     if config.start is not None:
         # The path depends on the machine; the hash of the file is in the result.

@@ -24,7 +24,7 @@ from typing import IO, Any
 
 from ..errors import missing_extra
 from ..files import reserved
-from .cells import Job, finished, prepare
+from .cells import Job, finished, inputs, prepare, reuse
 
 __all__ = ["exclusive", "run", "run_in_processes", "run_on_ray"]
 
@@ -162,13 +162,23 @@ def exclusive(root: Path) -> Iterator[None]:
 
 
 def run(
-    cells: Sequence[Job], root: Path, jobs: int, say: Say, address: str | None = None, wandb: str | None = None
+    cells: Sequence[Job],
+    root: Path,
+    jobs: int,
+    say: Say,
+    address: str | None = None,
+    wandb: str | None = None,
+    other: Path | None = None,
 ) -> dict[str, str]:
     """Run cells in processes, or on Ray if an address is given, as the only process that runs the experiment.
 
-    The arguments, the result and the exceptions are those of `run_in_processes` and `run_on_ray`.
+    The arguments, the result and the exceptions are those of `run_in_processes` and `run_on_ray`, and for the folder of
+    another experiment those of `reuse`.
     """
     with exclusive(root):
+        if other is not None:
+            for line in reuse(cells, root, other):
+                say(line)
         if address is None:
             return run_in_processes(cells, root, jobs, say, wandb=wandb)
         return run_on_ray(cells, root, address, jobs, say, wandb=wandb)
@@ -312,7 +322,7 @@ def run_on_ray(
         while watch.pending or running:
             for cell in _startable(watch, root):
                 folder = prepare(cell, root)
-                files = {path.name: path.read_bytes() for path in (folder / "cell.json", *folder.glob("start.*"))}
+                files = {path.name: path.read_bytes() for path in inputs(folder)}
                 # The same folder if the cell runs again, and another one for each experiment.
                 name = hashlib.sha256(f"{socket.gethostname()}:{folder.resolve()}".encode()).hexdigest()[:16]
                 running[task.remote(f"logicity-{name}", files, wandb)] = cell
