@@ -1,4 +1,4 @@
-"""Atomic writes: a file is either complete or absent. Files of other programs are protected."""
+"""Files: atomic writes, which protect the files of other programs, and tensors that are plain data."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ from typing import Any
 from . import _logicity
 from .errors import checked_path
 
-__all__ = ["check_writable", "replacing", "reserved", "write_json"]
+__all__ = ["check_writable", "read_tensors", "replacing", "reserved", "write_json"]
 
 
 @contextmanager
@@ -70,3 +70,25 @@ def write_json(
         json.dump(value, out, indent=1, allow_nan=False)
         out.write("\n")
     output.finish()
+
+
+def read_tensors(path: str | os.PathLike[str], expected: str) -> Any:
+    """Return the content of a file of `torch.save` that has only tensors and plain data.
+
+    Args:
+        path: The file.
+        expected: What it should be, for messages: `a policy`.
+
+    Raises:
+        OSError: If the file cannot be read.
+        ValueError: If PyTorch cannot read it as such.
+    """
+    import torch
+
+    try:
+        return torch.load(path, map_location="cpu", weights_only=True)
+    except OSError:
+        raise
+    except Exception:
+        # Depending on the bytes, PyTorch raises almost any exception.
+        raise ValueError(f"{os.fspath(path)} is not {expected}: PyTorch cannot read it as plain data") from None

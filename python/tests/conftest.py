@@ -53,6 +53,56 @@ def needs(module: str, extra: str) -> Any:
     )
 
 
+def timeless(value: Any) -> Any:
+    """Return results without times."""
+    if isinstance(value, dict):
+        return {
+            key: timeless(each) for key, each in value.items() if key not in ("cpu_seconds", "minutes", "cpu_hours")
+        }
+    if isinstance(value, (list, tuple)):
+        return [timeless(each) for each in value if not (isinstance(each, str) and each.startswith("CPU time"))]
+    return value
+
+
+def wait_for(condition: Callable[[], object]) -> None:
+    """Wait until a condition holds."""
+    deadline = time.monotonic() + 300
+    while not condition():
+        assert time.monotonic() < deadline, "waited for 300 seconds"
+        time.sleep(0.05)
+
+
+#: Runs the cells of an experiment on a local Ray cluster of two workers, and kills the first worker that is seen.
+ON_RAY = """
+import os, signal, sys
+from pathlib import Path
+from logicity.learn import jobs
+from logicity.learn.experiment import Selection, load_experiment
+
+def watch(line):
+    if not killed:
+        for path in Path("/proc").glob("[0-9]*/cmdline"):
+            # The arguments of this process contain this text, too.
+            if path.read_bytes().startswith(b"ray::_in_worker"):
+                killed.append(int(path.parent.name))
+                os.kill(killed[0], signal.SIGKILL)
+                break
+
+killed, jobs.SECONDS = [], 0.0
+experiment, file = load_experiment(sys.argv[1])
+failed = jobs.run(experiment.cells(file, Selection()), Path(sys.argv[2]), 2, watch, "local")
+assert killed and not failed, (killed, failed)
+"""
+
+
+def run_with_a_lost_worker(file: Path, root: Path) -> None:
+    """Run all cells of an experiment on Ray. One worker is killed."""
+    needs("ray", "ray")
+    words = [sys.executable, "-c", ON_RAY, str(file), str(root)]
+    done = subprocess.run(words, stdout=subprocess.DEVNULL, stderr=subprocess.PIPE, text=True)
+    assert done.returncode == 0, done.stderr
+
+
 @pytest.fixture
 def ctrl_c() -> Interrupt:
     """Return a function that runs long work, interrupts it as Ctrl-C does, and checks that it stops promptly."""

@@ -6,14 +6,13 @@ import json
 import os
 import subprocess
 import sys
-import time
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 import pytest
-from conftest import ROOT, needs
+from conftest import ROOT, needs, run_with_a_lost_worker, timeless, wait_for
 
 from logicity import InputError
 from logicity.evaluation import Interval
@@ -25,17 +24,11 @@ from logicity.learn.cells import Cell, finished, prepare, reuse, run_cell  # noq
 from logicity.learn.config import TrainConfig  # noqa: E402
 from logicity.learn.experiment import Experiment, Selection, load_experiment, read_experiment  # noqa: E402
 from logicity.learn.jobs import exclusive, run_in_processes  # noqa: E402
-from logicity.learn.report import (  # noqa: E402
-    Report,
-    escaped,
-    markdown_table,
-    paper_table,
-    paper_value,
-    pooled,
-    violation_rates,
-)
-from logicity.learn.results import as_text, check_rows, leaderboard, read_results, submit  # noqa: E402
+from logicity.learn.report import escaped, markdown_table, paper_table  # noqa: E402
+from logicity.learn.result_files import as_text  # noqa: E402
+from logicity.learn.results import check_rows, leaderboard, read_results, submit  # noqa: E402
 from logicity.learn.run import train  # noqa: E402
+from logicity.learn.spf_report import Report, paper_value, pooled, violation_rates  # noqa: E402
 
 EXPERIMENTS = ROOT / "configs" / "experiments"
 #: Two learners with two seeds each.
@@ -75,17 +68,6 @@ def run_here(cells: Sequence[Cell], root: Path) -> None:
     """Run cells in this process."""
     for cell in cells:
         run_cell(prepare(cell, root))
-
-
-def timeless(value: Any) -> Any:
-    """Return JSON without times."""
-    if isinstance(value, dict):
-        return {
-            key: timeless(each) for key, each in value.items() if key not in ("cpu_seconds", "minutes", "cpu_hours")
-        }
-    if isinstance(value, list):
-        return [timeless(each) for each in value if not (isinstance(each, str) and each.startswith("CPU time"))]
-    return value
 
 
 def results_of(cells: Sequence[Cell], root: Path) -> list[Any]:
@@ -430,13 +412,6 @@ def wait_for_file(root: Path, pattern: str, process: subprocess.Popen[bytes]) ->
     wait_for(lambda: list(root.glob(pattern)) or process.poll() is not None)
 
 
-def wait_for(condition: Callable[[], object]) -> None:
-    deadline = time.monotonic() + 300
-    while not condition():
-        assert time.monotonic() < deadline, "waited for 300 seconds"
-        time.sleep(0.05)
-
-
 def processes_with(text: str) -> list[int]:
     """Return the processes whose command line contains a text, on Linux."""
     found = []
@@ -481,41 +456,10 @@ def test_failed_cells_do_not_stop_the_others(tiny: Path, tmp_path: Path) -> None
     assert said[0] == "1 of 2 cells are finished already"
 
 
-#: Runs the cells of an experiment on a local Ray cluster of two workers, and kills the first worker that is seen.
-ON_RAY = """
-import os, signal, sys
-from pathlib import Path
-from logicity.learn import jobs
-from logicity.learn.config import TrainConfig  # noqa: E402
-from logicity.learn.experiment import Experiment, Selection
-
-def watch(line):
-    if not killed:
-        for path in Path("/proc").glob("[0-9]*/cmdline"):
-            # The arguments of this process contain this text, too.
-            if path.read_bytes().startswith(b"ray::_in_worker"):
-                killed.append(int(path.parent.name))
-                os.kill(killed[0], signal.SIGKILL)
-                break
-
-killed, jobs.SECONDS = [], 0.0
-experiment, file = Experiment.load(sys.argv[1])
-failed = jobs.run(experiment.cells(file, Selection(seeds=(0,))), Path(sys.argv[2]), 2, watch, "local")
-assert killed and not failed, (killed, failed)
-"""
-
-
 @pytest.mark.skipif(sys.platform != "linux", reason="reads /proc")
 def test_ray_runs_the_cell_of_a_lost_worker_again(tiny: Path, tmp_path: Path) -> None:
-    needs("ray", "ray")
-    done = subprocess.run(
-        [sys.executable, "-c", ON_RAY, str(tiny), str(tmp_path / "ray")],
-        stdout=subprocess.DEVNULL,
-        stderr=subprocess.PIPE,
-        text=True,
-    )
-    assert done.returncode == 0, done.stderr
-    _, cells = cells_of(tiny, seeds=(0,))
+    run_with_a_lost_worker(tiny, tmp_path / "ray")
+    _, cells = cells_of(tiny)
     run_here(cells, tmp_path / "here")
     assert results_of(cells, tmp_path / "ray") == results_of(cells, tmp_path / "here")
 

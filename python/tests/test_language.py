@@ -34,17 +34,9 @@ from logicity.questions import (
 
 needs("pydantic", "learn")
 from logicity.learn.jobs import exclusive  # noqa: E402
-from logicity.learn.language import (  # noqa: E402
-    SOLVERS,
-    LanguageExperiment,
-    LanguageReport,
-    ModelSpec,
-    Unit,
-    Work,
-    answer,
-    features,
-    similarity,
-)
+from logicity.learn.language import LanguageExperiment, ModelSpec, Unit, Work, answer  # noqa: E402
+from logicity.learn.language_report import LanguageReport  # noqa: E402
+from logicity.learn.question_solvers import SOLVERS, features, similarity  # noqa: E402
 from logicity.learn.report import paper_table  # noqa: E402
 
 FIXTURE = ROOT / "tests" / "fixtures" / "questions.jsonl"

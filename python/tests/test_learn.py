@@ -10,7 +10,7 @@ from typing import Any
 
 import numpy as np
 import pytest
-from conftest import needs
+from conftest import needs, timeless
 
 from logicity import ENVIRONMENTS, InputError, evaluate
 from logicity.__main__ import main
@@ -105,13 +105,6 @@ def equal(one: Any, other: Any) -> bool:
     if isinstance(one, (list, tuple)):
         return len(one) == len(other) and all(map(equal, one, other))
     return torch.equal(one, other) if isinstance(one, torch.Tensor) else bool(one == other)
-
-
-def timeless(result: Any) -> Any:
-    """Return a result without times."""
-    if isinstance(result, dict):
-        return {key: timeless(value) for key, value in result.items() if key not in ("cpu_seconds", "minutes")}
-    return [timeless(value) for value in result] if isinstance(result, (list, tuple)) else result
 
 
 @pytest.mark.parametrize("algorithm", [name for name in LEARNERS if name not in WITH_PROGRAMS])

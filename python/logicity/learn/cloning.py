@@ -7,7 +7,6 @@ Logic Machine (`nlm`).
 from __future__ import annotations
 
 import math
-import pickle
 from abc import abstractmethod
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any, ClassVar, Literal
@@ -16,6 +15,7 @@ import numpy as np
 
 from ..city import ACTIONS
 from ..errors import missing_extra
+from ..files import read_tensors
 
 try:
     import torch
@@ -484,10 +484,7 @@ def _loaded(path: Path, what: str) -> dict[str, Any]:
         OSError: If the file cannot be read.
         ValueError: If it is no such file.
     """
-    try:
-        saved = torch.load(path, map_location="cpu", weights_only=True)
-    except (EOFError, RuntimeError, pickle.UnpicklingError) as error:
-        raise ValueError(f"{path} is not a {what}: PyTorch cannot read it") from error
+    saved = read_tensors(path, f"a {what}")
     if not isinstance(saved, dict) or saved.get("format") != FORMAT:
         version = saved.get("format") if isinstance(saved, dict) else None
         raise ValueError(f"{path} is not a {what} of format {FORMAT}, but of format {version!r}")

@@ -7,10 +7,10 @@ from __future__ import annotations
 
 import importlib
 import os
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import Annotated, Any, Literal, Protocol, cast
+from typing import Annotated, Any, Literal, Protocol, TypeVar, cast
 
 from pydantic import BaseModel, ConfigDict, Field, Strict, ValidationError
 
@@ -21,7 +21,7 @@ from .cells import TEST, Cell, Job
 from .config import TrainConfig, faults, merged
 from .learner import Count
 
-__all__ = ["AnyExperiment", "AnyReport", "Experiment", "Selection", "load_experiment", "read_experiment"]
+__all__ = ["AnyExperiment", "AnyReport", "Experiment", "Selection", "load_experiment", "read_experiment", "validated"]
 
 #: The module and the class of the experiments of each task, the value of the key `task`.
 TASKS = {
@@ -156,6 +156,26 @@ def read_experiment(name: str | os.PathLike[str]) -> tuple[Path, _logicity.Confi
     return path, file, values
 
 
+M = TypeVar("M", bound=BaseModel)
+
+
+def validated(
+    model: type[M],
+    file: _logicity.ConfigFile,
+    values: Mapping[str, Any],
+    unknown: Callable[[tuple[str, ...]], tuple[str, str]],
+) -> M:
+    """Return the experiment with the content of a file. `unknown` is that of `faults`.
+
+    Raises:
+        InputError: If the content has an unknown key or invalid value, or lacks a key.
+    """
+    try:
+        return model.model_validate(values)
+    except ValidationError as error:
+        raise file.error(faults(error, unknown, depth=3)) from None
+
+
 class Experiment(_Model):
     """An experiment of Safe Path Following: what `logicity experiment` runs."""
 
@@ -198,10 +218,7 @@ class Experiment(_Model):
             OSError: If the file cannot be read.
         """
         path, file, values = read_experiment(name)
-        try:
-            experiment = cls.model_validate(values)
-        except ValidationError as error:
-            raise file.error(faults(error, _unknown, depth=3)) from None
+        experiment = validated(cls, file, values, _unknown)
         wrong = [("invalid-value", path, message, "") for path, message in experiment._faults()]
         if wrong:
             raise file.error(wrong)
@@ -297,7 +314,7 @@ class Experiment(_Model):
 
     def report(self, cells: Sequence[Job], root: Path, failed: Mapping[str, str]) -> AnyReport:
         """Return the results of cells, see `Report`."""
-        from .report import Report
+        from .spf_report import Report
 
         return Report(self, cast(Sequence[Cell], cells), root, failed)
 

@@ -42,6 +42,7 @@ from ..city import ACTIONS
 from ..describe import atoms_of
 from ..envs import SPFVectorEnv
 from ..evaluation import load_task
+from ..files import read_tensors
 from .learner import Actions, Count, Learner, LearnerSettings, Observations, Policy, Progress
 
 if TYPE_CHECKING:
@@ -372,13 +373,7 @@ class FastPPOPolicy(Policy):
             OSError: If the file cannot be read.
             ValueError: If the file is not such a policy.
         """
-        try:
-            content = torch.load(path, map_location="cpu", weights_only=True)
-        except OSError:
-            raise
-        except Exception:
-            # Depending on the bytes, PyTorch raises almost any exception.
-            content = None
+        content = read_tensors(path, f"a policy of `{NAME}`")
         if not isinstance(content, dict) or content.get("algorithm") != NAME:
             raise ValueError(f"{os.fspath(path)} is not a policy of `{NAME}`")
         if content.get("format") != FORMAT:

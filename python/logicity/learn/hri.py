@@ -27,6 +27,7 @@ from pydantic import Field, field_validator
 from .. import _logicity
 from ..city import ACTIONS
 from ..evaluation import load_task
+from ..files import read_tensors
 from ..layout import Layout
 from .demonstrations import DemonstrationData
 from .learner import Actions, Learner, LearnerSettings, Observations, Policy, Progress
@@ -645,12 +646,7 @@ def _load(path: Path, expected: str) -> dict[str, Any]:
         OSError: If the file cannot be read.
         ValueError: If the file has another format.
     """
-    try:
-        plain = torch.load(path, weights_only=True)
-    except OSError:
-        raise
-    except Exception as error:
-        raise ValueError(f"{path} is not a file of hri: {error}") from error
+    plain = read_tensors(path, "a file of hri")
     found = plain.get("format") if isinstance(plain, dict) else None
     if found != expected:
         raise ValueError(f"{path} is not a file of hri: expected the format `{expected}`, not `{found}`")

@@ -23,6 +23,7 @@ except ImportError as error:
 
 from ..city import ACTIONS
 from ..envs import SPFVectorEnv
+from ..files import read_tensors
 from .learner import Actions, Observations
 
 if TYPE_CHECKING:
@@ -249,13 +250,7 @@ def load_policy(path: Path, algorithm: str, build: Callable[[dict[str, Any], dic
         OSError: If the file cannot be read.
         ValueError: If the file is not a policy of the algorithm.
     """
-    try:
-        saved = torch.load(path, map_location="cpu", weights_only=True)
-    except OSError:
-        raise
-    except Exception as error:
-        # A file of any content can be named, so that reading it raises exceptions of many types.
-        raise ValueError(f"{path} is not a policy: {_first_line(error)}") from None
+    saved = read_tensors(path, "a policy")
     if not isinstance(saved, dict) or not {"format", "algorithm", "config", "weights"} <= saved.keys():
         raise ValueError(f"{path} is not a policy")
     if saved["algorithm"] != algorithm:

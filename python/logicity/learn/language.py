@@ -9,57 +9,34 @@ from __future__ import annotations
 
 import hashlib
 import json
-import math
 import os
-import subprocess
 import sys
 import threading
 import time
-from collections import Counter
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from concurrent.futures import ThreadPoolExecutor, as_completed
 from contextlib import nullcontext
 from dataclasses import dataclass
 from functools import partial
 from pathlib import Path
-from typing import Annotated, Any, Literal, cast
+from typing import Annotated, Any, Literal
 
-from pydantic import BaseModel, ConfigDict, Field, Strict, ValidationError, field_validator
+from pydantic import BaseModel, ConfigDict, Field, Strict, field_validator
 
 from .. import _logicity
-from ..city import ACTIONS, Inference
 from ..errors import did_you_mean
 from ..files import reserved
-from ..questions import (
-    LETTERS,
-    NO_RULE,
-    Demonstration,
-    Endpoint,
-    Grade,
-    Question,
-    ask,
-    grade,
-    load_answers,
-    load_logprobs,
-    load_questions,
-)
-from ..rules import Program, Session
-from .config import faults, merged
-from .experiment import read_experiment
+from ..questions import Endpoint, Question, ask, load_questions
+from .config import merged
+from .experiment import read_experiment, validated
 from .jobs import exclusive
-from .report import aligned, escaped, markdown_table, paper_table, save_figure, write_tables
+from .language_report import LanguageReport
+from .question_solvers import SOLVERS, run_command
 
-__all__ = ["SOLVERS", "LanguageExperiment", "LanguageReport", "ModelSpec", "Unit", "is_language", "run"]
+__all__ = ["LanguageExperiment", "ModelSpec", "Unit", "is_language", "run"]
 
 #: What the instructions of a question state and request: the values of `logicity questions --prompt`.
 Prompt = Literal["examples", "rules", "why"]
-
-#: The headings of the tables.
-TITLES: dict[str, str] = {
-    "examples": "Only solved examples show the rules",
-    "rules": "The instructions state the rules in words",
-    "why": "The instructions state the rules and request the rule that requires the action",
-}
 
 #: The interval between two lines of progress, in seconds.
 SECONDS = 30.0
@@ -174,10 +151,7 @@ class LanguageExperiment(_Model):
             if isinstance(values.get("seeds"), list):
                 values["seeds"] = values["seeds"][:1]
         values = merged(values, changes or {})
-        try:
-            return cls.model_validate(values), path
-        except ValidationError as error:
-            raise file.error(faults(error, _unknown, depth=3)) from None
+        return validated(cls, file, values, _unknown), path
 
     def config_path(self, file: Path) -> str:
         """Return the configuration as commands take it."""
@@ -237,20 +211,6 @@ def _unknown(path: tuple[str, ...]) -> tuple[str, str]:
     return f"unknown key `{path[-1]}`", did_you_mean(path[-1], model.model_fields).removeprefix("; ")
 
 
-# --- questions
-
-
-def _command(*arguments: str) -> None:
-    """Run a command of this program.
-
-    Raises:
-        ValueError: If the command fails. The message is that of the command.
-    """
-    done = subprocess.run([sys.executable, "-m", "logicity", *arguments], capture_output=True, text=True, check=False)
-    if done.returncode != 0:
-        raise ValueError(f"`logicity {' '.join(arguments)}` failed:\n{done.stderr.strip()}")
-
-
 def write_questions(experiment: LanguageExperiment, file: Path, prompt: str, seed: int, path: Path) -> list[Question]:
     """Write a set of questions with `logicity questions`, and return it.
 
@@ -269,7 +229,7 @@ def write_questions(experiment: LanguageExperiment, file: Path, prompt: str, see
     }
     options = [text for name, value in values.items() for text in (f"--{name}", str(value))]
     about = ["--about", ",".join(experiment.about)] if experiment.about else []
-    _command("questions", experiment.config_path(file), *options, *about, "--output", str(path), "--force")
+    run_command("questions", experiment.config_path(file), *options, *about, "--output", str(path), "--force")
     return load_questions(path)
 
 
@@ -278,141 +238,6 @@ def _identity(questions: Sequence[Question], more: Mapping[str, Any]) -> str:
     content = [[question.id, question.messages()] for question in questions]
     text = json.dumps([content, more], sort_keys=True)
     return hashlib.sha256(text.encode()).hexdigest()[:12]
-
-
-# --- solvers
-
-
-#: Answers questions by a configuration: replies by id. The path, without its ending, is that of files to write.
-Solver = Callable[[Sequence[Question], str, Path], dict[str, str]]
-
-
-def _majority(questions: Sequence[Question], config: str, path: Path) -> dict[str, str]:
-    """Choose the most frequent answer of the examples; of equally frequent ones, the first option."""
-    replies = {}
-    for question in questions:
-        shown = question.demonstrations
-        counts = Counter(each.answer for each in shown)
-        answer = max(LETTERS, key=lambda letter: counts[letter])
-        rules = Counter(each.clauses[0] if each.clauses else NO_RULE for each in shown if each.answer == answer)
-        replies[question.id] = question.reply(answer, [rule for rule, _ in rules.most_common(1)])
-    return replies
-
-
-def _nearest(questions: Sequence[Question], config: str, path: Path) -> dict[str, str]:
-    """Choose the answer of the example with the most similar scene; of equally similar ones, the first."""
-    replies = {}
-    for question in questions:
-        if not question.demonstrations:
-            replies[question.id] = question.reply(LETTERS[0])
-            continue
-        asked = features(_scene(question))
-        best = max(question.demonstrations, key=lambda shown: similarity(asked, features(_scene(shown))))
-        replies[question.id] = question.reply(best.answer, best.clauses or ())
-    return replies
-
-
-def _induced(questions: Sequence[Question], config: str, path: Path) -> dict[str, str]:
-    """Learn rules from the examples with `logicity induce`, and apply them."""
-    learned: dict[str, Inference] = {}
-    replies = {}
-    for question in questions:
-        scenes = [
-            {**_scene(shown), "actions": {_scene(shown)["ego"]: question.options[shown.answer]}}
-            for shown in question.demonstrations
-        ]
-        if not scenes:
-            raise ValueError("the solver `induced` needs solved examples: set `shots`, or leave it out of `solvers`")
-        text = "".join(json.dumps(scene) + "\n" for scene in scenes)
-        if text not in learned:
-            learned[text] = Inference(config, _learn(text, config, path.with_name(f"{path.stem}-{len(learned)}")))
-        answer = learned[text].answer(cast("Any", _scene(question)))
-        # The learned clauses have no names in the rules, so the reply names none.
-        replies[question.id] = f"Answer: {_letter(answer['egos'][_scene(question)['ego']]['action'])}"
-    return replies
-
-
-def _learn(scenes: str, config: str, path: Path) -> Path:
-    """Learn rules from labeled scenes, and return the rule file."""
-    examples, rules = path.with_suffix(".scenes"), path.with_suffix(".dl")
-    with reserved(examples, record=False) as output:
-        Path(output.temporary).write_text(scenes, encoding="utf-8")
-        output.finish()
-    _command("induce", str(examples), "--config", config, "--threads", "1", "--output", str(rules), "--force")
-    return rules
-
-
-def _oracle(questions: Sequence[Question], config: str, path: Path) -> dict[str, str]:
-    """Apply the rules, and name the clause at the root of a shortest proof of the action."""
-    inference = Inference(config)
-    program = Program.load(questions[0].source["rules"])
-    labels = {(Path(clause["file"]).name, clause["line"]): clause["label"] for clause in program.clauses}
-    replies = {}
-    for question in questions:
-        scene = _scene(question)
-        action = inference.answer(cast("Any", scene))["egos"][scene["ego"]]["action"]
-        rules = []
-        if question.labels and action in program.relations:
-            session = Session(program)
-            for name, rows in scene["facts"].items():
-                if name in program.relations:
-                    session.insert(name, [(row,) if isinstance(row, str) else tuple(row) for row in rows])
-            session.commit()
-            proof = session.explain(action, [scene["ego"]])
-            if proof.holds:
-                clause = proof.nodes[0]["clause"]
-                rules = [labels[Path(clause["file"]).name, clause["line"]]]
-        replies[question.id] = question.reply(_letter(action), rules)
-    return replies
-
-
-#: The solvers by name.
-SOLVERS: dict[str, Solver] = {"majority": _majority, "nearest": _nearest, "induced": _induced, "oracle": _oracle}
-
-
-def _letter(action: str) -> str:
-    return LETTERS[ACTIONS.index(cast("Any", action))]
-
-
-def _scene(question: Question | Demonstration) -> Mapping[str, Any]:
-    """Return the facts of a question or an example."""
-    if question.scene is None:
-        raise ValueError("the questions lack scenes: write them again with `logicity questions`")
-    return question.scene
-
-
-def features(scene: Mapping[str, Any]) -> Counter[Any]:
-    """Return the features of a scene: the number of entities with each label.
-
-    The labels are those of the Weisfeiler-Lehman subtree kernel with one iteration (Shervashidze et al., 2011): first
-    whether the entity is the ego, and its unary predicates; then also the labels of the entities to which a binary
-    predicate relates it. They do not depend on the names of entities.
-    """
-    first: dict[str, list[str]] = {entity: ["ego"] if entity == scene["ego"] else [] for entity in scene["entities"]}
-    pairs: list[tuple[str, str, str]] = []
-    for predicate in sorted(scene["facts"]):
-        for row in scene["facts"][predicate]:
-            if isinstance(row, str):
-                first[row].append(predicate)
-            elif len(row) == 1:
-                first[row[0]].append(predicate)
-            else:
-                pairs.append((predicate, *row))
-    labels = {entity: tuple(sorted(names)) for entity, names in first.items()}
-    around: dict[str, list[tuple[str, bool, tuple[str, ...]]]] = {entity: [] for entity in labels}
-    for predicate, one, other in pairs:
-        around[one].append((predicate, True, labels[other]))
-        around[other].append((predicate, False, labels[one]))
-    return Counter([*labels.values(), *((labels[entity], tuple(sorted(around[entity]))) for entity in labels)])
-
-
-def similarity(one: Counter[Any], other: Counter[Any]) -> float:
-    """Return the cosine of two vectors of features, from 0 to 1."""
-    product = sum(count * other[label] for label, count in one.items())
-    return product / math.sqrt(sum(n * n for n in one.values()) * sum(n * n for n in other.values()))
-
-
-# --- runs
 
 
 @dataclass(frozen=True)
@@ -604,226 +429,3 @@ def run(
     print(report.text())
     print(f"written: {', '.join(map(str, written))}")
     return int(bool(failed))
-
-
-# --- report
-
-
-@dataclass(frozen=True)
-class Entry:
-    """A row of a table.
-
-    Attributes:
-        row: The name of the solver or model.
-        prompt: The prompt.
-        seeds: The seeds of the sets of questions.
-        grade: The measures over all sets; `None` if replies are missing.
-        missing: Why there are no measures; empty if there are.
-    """
-
-    row: str
-    prompt: str
-    seeds: tuple[int, ...]
-    grade: Grade | None
-    missing: str
-
-
-class LanguageReport:
-    """The results of an experiment of language questions.
-
-    Args:
-        experiment: The experiment.
-        work: The units, finished or not.
-        failed: The messages of the models that failed, by row.
-    """
-
-    def __init__(
-        self, experiment: LanguageExperiment, work: Sequence[Work], failed: Mapping[str, str] | None = None
-    ) -> None:
-        """Grade the replies. A row has measures if the replies to all its questions are stored."""
-        self.experiment = experiment
-        groups: dict[tuple[str, str], list[Work]] = {}
-        for each in work:
-            groups.setdefault((each.unit.prompt, each.unit.row), []).append(each)
-        self.entries = [self._entry(group, failed or {}) for group in groups.values()]
-
-    @staticmethod
-    def _entry(group: Sequence[Work], failed: Mapping[str, str]) -> Entry:
-        unit, seeds = group[0].unit, tuple(each.unit.seed for each in group)
-        stored, total = sum(each.stored() for each in group), sum(len(each.questions) for each in group)
-        if stored < total:
-            reason = failed[unit.row].splitlines()[0] + "; " if unit.row in failed else ""
-            return Entry(unit.row, unit.prompt, seeds, None, f"{reason}{stored} of {total} replies are stored")
-        answers: dict[str, str] = {}
-        logprobs: dict[str, dict[str, float]] = {}
-        for each in group:
-            answers |= load_answers(each.path)
-            logprobs |= load_logprobs(each.path)
-        questions = [question for each in group for question in each.questions]
-        return Entry(unit.row, unit.prompt, seeds, grade(questions, answers, logprobs), "")
-
-    @property
-    def prompts(self) -> list[str]:
-        """The prompts with an entry."""
-        return list(dict.fromkeys(entry.prompt for entry in self.entries))
-
-    def _paper(self, prompt: str) -> dict[str, list[float]]:
-        """Return the rows of the paper. Its prompts have only solved examples."""
-        rows: dict[str, list[float]] = paper_table(self.experiment.paper).get("rows", {})
-        return rows if prompt == "examples" else {}
-
-    def table(self, prompt: str) -> list[list[str]]:
-        """Return the table of a prompt as text: a head, the rows of the experiment, and those of the paper."""
-        entries = [entry for entry in self.entries if entry.prompt == prompt]
-        grades = [entry.grade for entry in entries if entry.grade is not None]
-        is_why = any(each.rules is not None for each in grades)
-        is_calibrated = any(each.calibration is not None for each in grades)
-        head = ["solver", *ACTIONS, "overall"]
-        head += ["rule", "action and rule"] if is_why else []
-        head += ["ECE", "Brier"] if is_calibrated else []
-        lines = [[*head, "unread", "questions"]]
-        for entry in entries:
-            lines.append([entry.row, *_cells(entry.grade, is_why, is_calibrated)])
-        for row, values in self._paper(prompt).items():
-            shares = [f"{value / 100:.2f}" for value in values]
-            lines.append([f"{row} (paper)", *shares, *[""] * (len(lines[0]) - 1 - len(shares))])
-        return lines
-
-    def text(self) -> str:
-        """Return everything for a terminal."""
-        parts = [self.experiment.title]
-        for prompt in self.prompts:
-            parts += [f"\n{TITLES[prompt]}", aligned(self.table(prompt))]
-        return "\n".join([*parts, "", *self.notes()])
-
-    def notes(self) -> list[str]:
-        """Return sentences on the measures, missing rows and the paper."""
-        sets = max((len(entry.seeds) for entry in self.entries), default=1)
-        notes = [
-            "Accuracy by correct action, with 95 % Wilson intervals over questions. Unread replies count as wrong."
-            + (
-                f" The questions of {sets} sets are pooled; sets have other solved examples, and the intervals do not "
-                "account for differences between sets."
-                if sets > 1
-                else ""
-            )
-        ]
-        if "why" in self.prompts:
-            notes.append(
-                "rule: the reply names a clause that derives the action, or `none` if the action is the default. "
-                "A solver that names none has no figure."
-            )
-        if any(entry.grade is not None and entry.grade.calibration for entry in self.entries):
-            notes.append(
-                "ECE: expected calibration error in ten bins. Brier: mean squared distance of the probabilities of the "
-                "options from the correct one, 0.75 for uniform ones. Both from log-probabilities."
-            )
-        table = paper_table(self.experiment.paper)
-        if table and "examples" in self.prompts:
-            notes.append(f"The paper's figures: {table['source']}. {table['note']}")
-        notes += [f"{entry.row}, {entry.prompt}: {entry.missing}." for entry in self.entries if entry.missing]
-        return notes
-
-    def markdown(self) -> str:
-        """Return the report as Markdown."""
-        parts = [f"# {self.experiment.title}\n"]
-        for prompt in self.prompts:
-            parts += [f"## {TITLES[prompt]}\n", markdown_table(self.table(prompt))]
-        parts += ["## Notes\n", *(f"- {note}" for note in self.notes())]
-        return "\n".join(parts) + "\n"
-
-    def latex(self) -> str:
-        """Return one table per prompt as LaTeX, with the rules of the package booktabs."""
-        tables = []
-        for prompt in self.prompts:
-            head, *rows = self.table(prompt)
-            columns = "l" + "c" * (len(head) - 1)
-            lines = [f"% {self.experiment.title}: {TITLES[prompt]}", f"\\begin{{tabular}}{{{columns}}}", "\\toprule"]
-            lines += [" & ".join(map(escaped, head)) + " \\\\", "\\midrule"]
-            lines += [" & ".join(map(escaped, row)) + " \\\\" for row in rows]
-            tables.append("\n".join([*lines, "\\bottomrule", "\\end{tabular}"]) + "\n")
-        return "\n".join(tables)
-
-    def to_dict(self) -> dict[str, Any]:
-        """Return the entries for JSON."""
-        values = self.experiment.model_dump(mode="json", exclude={"models"})
-        models = {
-            name: spec.model_dump(mode="json", include={"model", "settings", "logprobs"})
-            for name, spec in self.experiment.models.items()
-        }
-        return {
-            "title": self.experiment.title,
-            "experiment": {**values, "models": models},
-            "entries": [
-                {
-                    "row": entry.row,
-                    "prompt": entry.prompt,
-                    "seeds": list(entry.seeds),
-                    "grade": None if entry.grade is None else entry.grade.to_dict(),
-                    "missing": entry.missing,
-                }
-                for entry in self.entries
-            ],
-            "paper": paper_table(self.experiment.paper),
-            "notes": self.notes(),
-        }
-
-    def write(self, root: Path) -> list[Path]:
-        """Write the tables, and the figure if matplotlib is installed.
-
-        Raises:
-            OSError: If a file cannot be written.
-        """
-        written = write_tables(root, self.markdown(), self.latex(), self.to_dict())
-        if any(entry.grade is not None for entry in self.entries):
-            written += self._figure(root)
-        return written
-
-    def _figure(self, root: Path) -> list[Path]:
-        """Draw the accuracy of each row by prompt, and the paper's."""
-        try:
-            import matplotlib
-            from matplotlib.figure import Figure
-        except ImportError:
-            return []
-        with matplotlib.rc_context({"svg.hashsalt": "logicity"}):
-            shown = [(prompt, list(self._bars(prompt))) for prompt in self.prompts]
-            tallest = max(len(bars) for _, bars in shown)
-            figure = Figure(figsize=(4.6 * len(shown), 1.2 + 0.32 * tallest), layout="constrained")
-            for at, (prompt, bars) in enumerate(shown, 1):
-                axes = figure.add_subplot(1, len(shown), at)
-                axes.set_title(f"prompt: {prompt}", fontsize=10)
-                for place, (_, value, low, high, color) in enumerate(bars):
-                    reach = None if low is None or high is None else [[value - low], [high - value]]
-                    axes.barh(place, value, xerr=reach, color=color, error_kw={"linewidth": 1})
-                axes.axvline(0.25, color="#888888", linewidth=1, linestyle=":")
-                axes.set_yticks(range(len(bars)), [name for name, *_ in bars], fontsize=8)
-                axes.set_ylim(tallest - 0.5, -0.5)
-                axes.set_xlim(0, 1.02)
-                axes.set_xlabel("accuracy (dotted: chance)")
-            return save_figure(figure, root, "accuracy")
-
-    def _bars(self, prompt: str) -> Iterator[tuple[str, float, float | None, float | None, str]]:
-        """Yield the name, the accuracy, its interval if any, and the color of each bar."""
-        for entry in self.entries:
-            if entry.prompt == prompt and entry.grade is not None:
-                accuracy = entry.grade.overall.accuracy
-                yield entry.row, accuracy.value, accuracy.low, accuracy.high, "#4878a8"
-        for row, values in self._paper(prompt).items():
-            yield f"{row} (paper)", values[-1] / 100, None, None, "#c44e52"
-
-
-def _cells(measured: Grade | None, is_why: bool, is_calibrated: bool) -> list[str]:
-    """Return the cells of a row after its name."""
-    if measured is None:
-        return ["-"] * (len(ACTIONS) + 3 + 2 * is_why + 2 * is_calibrated)
-    by_action = [measured.by_action.get(action) for action in ACTIONS]
-    cells = ["-" if recall is None else str(recall.accuracy) for recall in by_action]
-    cells.append(str(measured.overall.accuracy))
-    if is_why:
-        named = [None if measured.named == 0 else each for each in (measured.rules, measured.both)]
-        cells += ["-" if each is None else str(each.accuracy) for each in named]
-    if is_calibrated:
-        calibration = measured.calibration
-        cells += ["-", "-"] if calibration is None else [f"{calibration.ece:.3f}", f"{calibration.brier:.3f}"]
-    return [*cells, str(len(measured.unread)), str(measured.overall.total)]

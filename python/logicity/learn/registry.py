@@ -10,8 +10,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-import torch
-
+from ..files import read_tensors
 from ..rule_policy import saved_by
 from .learner import Learner, Policy
 
@@ -122,13 +121,7 @@ def _header(file: Path) -> dict[str, Any]:
     Raises:
         ValueError: If the file is not a policy of a known learner.
     """
-    try:
-        saved: Any = torch.load(file, map_location="cpu", weights_only=True)
-    except OSError:
-        raise
-    except Exception:
-        # Depending on the bytes, PyTorch raises almost any exception.
-        raise ValueError(f"{file} is not a policy: PyTorch cannot read it as plain data") from None
+    saved = read_tensors(file, "a policy")
     header: dict[str, Any] = saved if isinstance(saved, dict) else {}
     name = header.get("algorithm")
     _check_learner(file, name)

@@ -3,23 +3,23 @@
 from __future__ import annotations
 
 import hashlib
-import json
 import os
-from collections.abc import Iterable, Iterator, Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
 from ..evaluation import task_hashes
-from ..files import reserved
 from ..modes import ENVIRONMENTS
 from .cells import Cell, benchmark_of, finished
 from .experiment import Experiment
 from .registry import load_policy
-from .report import MEASURES, clauses_of, paper_table, paper_value, per_episode, pooled, violation_rates
+from .report import paper_table
+from .result_files import place_of, read_file, row_key, updating
+from .spf_report import MEASURES, clauses_of, paper_value, per_episode, pooled, violation_rates
 
-__all__ = ["as_text", "check_rows", "leaderboard", "read_results", "submit"]
+__all__ = ["check_rows", "leaderboard", "read_results", "submit"]
 
 #: The version of the format.
 FORMAT = 2
@@ -48,37 +48,17 @@ def read_results(path: str | os.PathLike[str], experiment: str | None = None) ->
         OSError: If the file cannot be read.
         ValueError: If the file has not this format, or is that of another experiment.
     """
-    file = Path(path)
-    if experiment is not None and not file.exists():
+    results = read_file(path, FORMAT, KEYS, _KEY)
+    if results is None:
+        if experiment is None:
+            raise FileNotFoundError(f"{path}: the file does not exist")
         return {"format": FORMAT, "experiment": experiment, "paper": None, "rows": []}
-    try:
-        results = json.loads(file.read_text(encoding="utf-8"))
-    except (ValueError, RecursionError) as error:
-        raise ValueError(f"{file}: not JSON: {error}") from None
-    if not isinstance(results, dict) or results.get("format") != FORMAT or not isinstance(results.get("rows"), list):
-        raise ValueError(f"{file}: expected results of the format {FORMAT}")
     for key in ("experiment", "paper"):
         if key not in results:
-            raise ValueError(f"{file}: expected the key `{key}`")
+            raise ValueError(f"{path}: expected the key `{key}`")
     if experiment is not None and results["experiment"] != experiment:
-        raise ValueError(f"{file}: expected results of `{experiment}`, not of `{results['experiment']}`")
-    for at, row in enumerate(results["rows"]):
-        if not isinstance(row, dict):
-            raise ValueError(f"{file}: row {at} is not a mapping")
-        missing = [key for key in KEYS if key not in row]
-        if missing:
-            raise ValueError(f"{file}: row {at} has no `{missing[0]}`")
-        for key in _KEY:
-            if not isinstance(row[key], int if key == "seed" else str):
-                raise ValueError(f"{file}: row {at} has an invalid `{key}`")
+        raise ValueError(f"{path}: expected results of `{experiment}`, not of `{results['experiment']}`")
     return results
-
-
-def as_text(results: Mapping[str, Any]) -> str:
-    """Return the text of a file of results: JSON with one line per row."""
-    head = {key: results[key] for key in ("format", "experiment", "paper")}
-    lines = ",\n".join(json.dumps(row, allow_nan=False) for row in results["rows"])
-    return f'{json.dumps(head)[:-1]}, "rows": [\n{lines}\n]}}\n'
 
 
 def check_rows(results: Mapping[str, Any]) -> list[str]:
@@ -119,16 +99,17 @@ def submit(experiment: Experiment, file: Path, cells: Sequence[Cell], root: Path
     for cell in shown:
         if cell.mode not in ENVIRONMENTS:
             raise ValueError(f"{cell.name}: published results are of built-in modes, not of `{cell.mode}`")
-    results.parent.mkdir(parents=True, exist_ok=True)
-    # No other process can add rows in the meantime.
-    with reserved(results, record=False) as output:
-        document = read_results(results, file.stem)
-        rows = {_key(row): row for row in document["rows"]}
+    with updating(results, lambda: read_results(results, file.stem)) as document:
+        rows = {row_key(row, _KEY): row for row in document["rows"]}
         for cell in shown:
             yield from _update(rows, experiment, file, cell, root)
-        text = as_text({**document, "paper": experiment.paper, "rows": _ordered(experiment, rows.values())})
-        Path(output.temporary).write_text(text, encoding="utf-8")
-        output.finish()
+        order = {
+            "mode": list(experiment.modes),
+            "learner": list(experiment.learners),
+            "variant": list(experiment.variants),
+            "evaluation": list(experiment.evaluations),
+        }
+        document |= {"paper": experiment.paper, "rows": sorted(rows.values(), key=lambda row: place_of(row, order))}
     yield f"{len(rows)} rows in {results}"
 
 
@@ -147,29 +128,9 @@ def _update(
             "paper": experiment.learners[cell.row].paper or cell.row,
             **_row(file, cell, root, measured, name),
         }
-        row["note"] = rows.get(_key(row), row)["note"]
-        rows[_key(row)] = row
+        row["note"] = rows.get(row_key(row, _KEY), row)["note"]
+        rows[row_key(row, _KEY)] = row
         yield f"{cell.name}, {name}: TSR {row['tsr']['value']:.2f}, as recorded"
-
-
-def _ordered(experiment: Experiment, rows: Iterable[Mapping[str, Any]]) -> list[Mapping[str, Any]]:
-    """Return rows in the order of the experiment. Those with names that it lacks come last."""
-    order = {
-        "mode": list(experiment.modes),
-        "learner": list(experiment.learners),
-        "variant": list(experiment.variants),
-        "evaluation": list(experiment.evaluations),
-    }
-
-    def place(row: Mapping[str, Any]) -> tuple[int, ...]:
-        places = [names.index(row[key]) if row[key] in names else len(names) for key, names in order.items()]
-        return (*places, row["seed"])
-
-    return sorted(rows, key=place)
-
-
-def _key(row: Mapping[str, Any]) -> tuple[Any, ...]:
-    return tuple(row[key] for key in _KEY)
 
 
 def _row(file: Path, cell: Cell, root: Path, measured: Mapping[str, Any], evaluation: str) -> dict[str, Any]:

@@ -35,7 +35,7 @@ from ..errors import did_you_mean, missing_extra
 from ..files import write_json
 from ..learn.cells import Job
 from ..learn.config import faults, merged
-from ..learn.experiment import Selection, read_experiment
+from ..learn.experiment import Selection, read_experiment, validated
 from ..rules import Program
 from .data import BINARY, UNARY
 from .features import Backbone, DataSpec, Kind, prepared, weights_file
@@ -272,10 +272,7 @@ class VapExperiment(BaseModel):
             OSError: If the file cannot be read.
         """
         path, file, values = read_experiment(name)
-        try:
-            experiment = cls.model_validate(values)
-        except ValidationError as error:
-            raise file.error(faults(error, _unknown, depth=3)) from None
+        experiment = validated(cls, file, values, _unknown)
         wrong = list(experiment._faults())
         if wrong:
             raise file.error(wrong)

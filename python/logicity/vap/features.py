@@ -23,7 +23,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ..errors import checked_path, checked_threads, missing_extra
-from ..files import write_json
+from ..files import read_tensors, write_json
 from .data import PICTURE_SIDE, VapDataset
 from .make import make_dataset
 
@@ -168,15 +168,9 @@ def weights_file(weights: str | os.PathLike[str] | None) -> Path:
 
 def _state(path: Path) -> Mapping[str, Tensor]:
     """Return the weights in a file of `torch.save`."""
-    try:
-        state: Any = torch.load(path, map_location="cpu", weights_only=True)
-    except OSError:
-        raise
-    except Exception:
-        # Depending on the bytes, PyTorch raises almost any exception.
-        raise ValueError(f"{path}: not a file of weights: PyTorch cannot read it as plain data") from None
+    state = read_tensors(path, "a file of weights")
     if not isinstance(state, Mapping) or not all(isinstance(name, str) for name in state):
-        raise ValueError(f"{path}: not a file of weights: expected tensors by name")
+        raise ValueError(f"{path} is not a file of weights: expected tensors by name")
     return state
 
 

@@ -2,9 +2,8 @@
 
 from __future__ import annotations
 
-import json
-from collections.abc import Iterable, Iterator, Mapping, Sequence
-from dataclasses import asdict, dataclass
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
@@ -13,9 +12,21 @@ from numpy.typing import NDArray
 
 from ..city import ACTIONS
 from ..evaluation import Interval
-from ..files import reserved
 from ..learn.cells import finished
-from ..learn.report import SAMPLES, aligned, escaped, markdown_table, paper_table, save_figure, write_tables
+from ..learn.report import (
+    CellEntry,
+    CellReport,
+    aligned,
+    bootstrap_weights,
+    draw_bars,
+    draw_lines,
+    draw_panels,
+    latex_table,
+    markdown_table,
+    paper_table,
+    why_missing,
+)
+from ..learn.result_files import place_of, read_file, row_key, updating
 from .experiment import VapCell, VapExperiment, measure_again
 
 __all__ = ["VapEntry", "VapReport", "leaderboard", "pooled", "read_results", "submit"]
@@ -36,39 +47,19 @@ KEYS = (
 _KEY = ("experiment", "mode", "learner", "variant", "predictor", "seed")
 
 
-@dataclass(frozen=True)
-class VapEntry:
+@dataclass(frozen=True, kw_only=True)
+class VapEntry(CellEntry):
     """One line of a table: the runs of a row and variant in a mode, with one predictor.
 
     Attributes:
-        row: The name of the row.
         predictor: The name of the predictor, or an empty text if the row has only one.
-        mode: The mode of the column.
-        variant: The name of the variant, or an empty text.
-        seeds: The seeds of the finished runs.
-        measures: The measures that occur, with their intervals; empty without a finished run.
         concepts: The mean recall of each concept over the runs; empty if the row does not train concepts.
-        cpu_hours: The CPU time of all runs.
         paper: The paper's figures by measure, or `None`.
-        missing: Why there is no result; empty if there is one.
-        identities: The identities of the runs.
-        group: The line of the figure to which the variant belongs.
-        x: The place on that line.
     """
 
-    row: str
     predictor: str
-    mode: str
-    variant: str
-    seeds: tuple[int, ...]
-    measures: Mapping[str, Interval]
     concepts: Mapping[str, float]
-    cpu_hours: float
     paper: Mapping[str, float] | None
-    missing: str
-    identities: tuple[str, ...]
-    group: str | None = None
-    x: float | None = None
 
     @property
     def label(self) -> str:
@@ -76,7 +67,7 @@ class VapEntry:
         return ", ".join(part for part in (self.row, self.predictor, self.variant) if part)
 
 
-class VapReport:
+class VapReport(CellReport):
     """The results of the cells of an experiment.
 
     Args:
@@ -94,25 +85,21 @@ class VapReport:
         failed: Mapping[str, str] | None = None,
     ) -> None:
         """Read the results. Those of other settings, rules or versions have another identity."""
-        self.experiment = experiment
+        self.experiment, self.title, self.paper = experiment, experiment.title, experiment.paper
         groups: dict[tuple[str, str, str], list[VapCell]] = {}
         for cell in cells:
             if not cell.hidden:
                 groups.setdefault((cell.mode, cell.row, cell.variant), []).append(cell)
-        self.entries = [entry for group in groups.values() for entry in self._entries(group, root, failed or {})]
+        self.entries: list[VapEntry] = [
+            entry for group in groups.values() for entry in self._entries(group, root, failed or {})
+        ]
         found = [measured for cell in cells if (measured := finished(cell, root)) is not None]
         self.cpu_hours = sum(each["result"]["cpu_seconds"] for each in found) / 3600
-        self.complete = all(not entry.missing for entry in self.entries)
 
     def _entries(self, cells: Sequence[VapCell], root: Path, failed: Mapping[str, str]) -> Iterator[VapEntry]:
         first = cells[0]
         found = [(cell, measured) for cell in cells if (measured := finished(cell, root)) is not None]
-        missing, left = "", [cell for cell in cells if finished(cell, root) is None]
-        if left:
-            messages = [failed[cell.identity] for cell in left if cell.identity in failed]
-            missing = next(iter(messages[0].splitlines()), "failed") if messages else "not run"
-            if found:
-                missing += f" (seed{'s' * (len(left) > 1)} {', '.join(str(cell.seed) for cell in left)})"
+        identities = tuple(cell.identity for cell, _ in found)
         variant = self.experiment.variants[first.variant]
         predictors = list(found[0][1]["evaluations"]) if found else [""]
         for predictor in predictors:
@@ -133,16 +120,11 @@ class VapReport:
                     first.variant,
                     first.mode,
                 ),
-                missing=missing,
-                identities=tuple(cell.identity for cell, _ in found),
+                missing=why_missing(cells, identities, failed),
+                identities=identities,
                 group=variant.group,
                 x=variant.x,
             )
-
-    @property
-    def modes(self) -> list[str]:
-        """The modes with an entry."""
-        return list(dict.fromkeys(entry.mode for entry in self.entries))
 
     def table(self, mode: str) -> list[list[str]]:
         """Return the table of a mode: a head, then for each entry its measures, and the paper's below if it has any."""
@@ -202,101 +184,39 @@ class VapReport:
 
     def latex(self) -> str:
         """Return the tables of the modes as LaTeX, with the rules of the package booktabs."""
-        lines = [f"% {self.experiment.title}"]
+        lines = [f"% {self.title}"]
         for mode in self.modes:
-            table = self.table(mode)
-            lines += [f"% {mode}", f"\\begin{{tabular}}{{l{'c' * (len(table[0]) - 1)}}}", "\\toprule"]
-            for at, row in enumerate(table):
-                lines.append(" & ".join(escaped(cell.strip()) for cell in row) + " \\\\")
-                if at == 0:
-                    lines.append("\\midrule")
-            lines += ["\\bottomrule", "\\end{tabular}"]
+            lines += [f"% {mode}", *latex_table(self.table(mode))]
         return "\n".join(lines) + "\n"
 
-    def to_dict(self) -> dict[str, Any]:
-        """Return the entries for JSON."""
-        return {
-            "title": self.experiment.title,
-            "paper": paper_table(self.experiment.paper).get("source"),
-            "entries": [asdict(entry) for entry in self.entries],
-            "cpu_hours": round(self.cpu_hours, 4),
-            "notes": self.notes(),
-        }
-
-    def write(self, root: Path) -> list[Path]:
-        """Write the tables and the figures to a folder, and return their paths.
-
-        Raises:
-            OSError: If a file cannot be written.
-        """
-        written = write_tables(root, self.markdown(), self.latex(), self.to_dict())
-        if any(entry.measures for entry in self.entries):
-            written += self._figures(root)
-        return written
-
     def _figures(self, root: Path) -> list[Path]:
-        import matplotlib
-
-        # Figures are files: no display is needed.
-        from matplotlib.backends.backend_agg import FigureCanvasAgg
-        from matplotlib.figure import Figure
-
-        written = []
-        drawings = {"bars": self._bars}
+        rows = max(sum(entry.mode == mode for entry in self.entries) for mode in self.modes)
+        drawings = {"bars": (self._bars, max(4.2, 0.22 * rows))}
         if any(entry.x is not None for entry in self.entries):
-            drawings["lines"] = self._lines
-        # The same results give the same bytes.
-        with matplotlib.rc_context({"svg.hashsalt": "logicity"}):
-            for name, draw in drawings.items():
-                count = len(self.modes)
-                rows = max(sum(entry.mode == mode for entry in self.entries) for mode in self.modes)
-                height = max(4.2, 0.22 * rows) if name == "bars" else 4.2
-                figure = Figure(figsize=(7.2 * count, height), layout="constrained")
-                FigureCanvasAgg(figure)
-                for at, mode in enumerate(self.modes):
-                    axes = figure.add_subplot(1, count, at + 1)
-                    axes.set_title(f"{self.experiment.title}: {mode}", fontsize=10)
-                    draw(axes, mode)
-                written += save_figure(figure, root, name)
+            drawings["lines"] = (self._lines, 4.2)
+        titles = {mode: f"{self.title}: {mode}" for mode in self.modes}
+        written = []
+        for name, (draw, height) in drawings.items():
+            written += draw_panels(root, name, titles, draw, columns=len(titles), size=(7.2, height))
         return written
 
     def _bars(self, axes: Any, mode: str) -> None:
-        """Draw the wAcc of each entry with its interval, and the paper's as a diamond."""
-        shown = [entry for entry in self.entries if entry.mode == mode]
-        for at, entry in enumerate(shown):
-            if entry.measures:
-                value = entry.measures["wAcc"]
-                reach = [[max(0.0, value.value - value.low)], [max(0.0, value.high - value.value)]]
-                axes.barh(at, value.value, xerr=reach, color="#4878a8", error_kw={"linewidth": 1})
-            if entry.paper is not None:
-                axes.plot(entry.paper["wAcc"], at, "D", color="#c44e52", markersize=5)
-        axes.plot([], [], "D", color="#c44e52", markersize=5, label="paper")
-        axes.set_yticks(range(len(shown)), [entry.label for entry in shown], fontsize=8)
-        axes.invert_yaxis()
-        axes.set_xlim(0, 1.02)
-        axes.set_xlabel("wAcc on test worlds")
-        axes.legend(fontsize=8, loc="lower right")
+        """Draw the wAcc of each entry with its interval, and the paper's."""
+        bars = [
+            (entry.label, entry.measures.get("wAcc"), None if entry.paper is None else entry.paper["wAcc"])
+            for entry in self.entries
+            if entry.mode == mode
+        ]
+        draw_bars(axes, bars, "wAcc on test worlds")
 
     def _lines(self, axes: Any, mode: str) -> None:
         """Draw the wAcc over `x`, one line for each row, predictor and group."""
-        lines: dict[str, list[VapEntry]] = {}
+        lines: dict[str, list[tuple[float, Interval]]] = {}
         for entry in self.entries:
             if entry.mode == mode and entry.x is not None and entry.measures:
                 name = ", ".join(part for part in (entry.row, entry.predictor, entry.group) if part)
-                lines.setdefault(name, []).append(entry)
-        for name, entries in lines.items():
-            entries.sort(key=lambda entry: entry.x or 0.0)
-            xs = [entry.x for entry in entries]
-            values = [entry.measures["wAcc"] for entry in entries]
-            (line,) = axes.plot(xs, [each.value for each in values], marker="o", markersize=3, linewidth=1, label=name)
-            axes.fill_between(
-                xs, [each.low for each in values], [each.high for each in values], color=line.get_color(), alpha=0.12
-            )
-        axes.set_xlabel(self.experiment.x)
-        axes.set_ylabel("wAcc on test worlds")
-        axes.set_ylim(-0.02, 1.02)
-        if lines:
-            axes.legend(fontsize=7)
+                lines.setdefault(name, []).append((entry.x, entry.measures["wAcc"]))
+        draw_lines(axes, lines, (self.experiment.x, "wAcc on test worlds"))
 
 
 def paper_figures(table: str | None, row: str, variant: str, mode: str) -> dict[str, float] | None:
@@ -328,9 +248,7 @@ def pooled(runs: Sequence[Sequence[Mapping[str, Any]]]) -> dict[str, Interval]:
         name: np.array([[world[name] for world in run] for run in runs], np.float64)
         for name in ("counts", "correct", "a_acc", "frames")
     }
-    # The weight of a run or a world is how often a sample draws it. The first sample has the weights of the data.
-    of_runs = generator.multinomial(len(runs), np.full(len(runs), 1 / len(runs)), SAMPLES) / len(runs)
-    of_worlds = generator.multinomial(worlds, np.full(worlds, 1 / worlds), SAMPLES) / worlds
+    of_runs, of_worlds = bootstrap_weights(generator, len(runs)), bootstrap_weights(generator, worlds)
     plain = _measures(tables, np.full((1, len(runs)), 1 / len(runs)), np.full((1, worlds), 1 / worlds))
     samples = _measures(tables, of_runs, of_worlds)
     result = {}
@@ -377,24 +295,7 @@ def read_results(path: Path) -> dict[str, Any]:
         OSError: If the file cannot be read.
         ValueError: If the file is not such a file.
     """
-    if not path.exists():
-        return {"format": FORMAT, "rows": []}
-    try:
-        results = json.loads(path.read_text(encoding="utf-8"))
-    except (ValueError, RecursionError) as error:
-        raise ValueError(f"{path}: not JSON: {error}") from None
-    if not isinstance(results, dict) or results.get("format") != FORMAT or not isinstance(results.get("rows"), list):
-        raise ValueError(f"{path}: expected results of the format {FORMAT}")
-    for at, row in enumerate(results["rows"]):
-        if not isinstance(row, dict):
-            raise ValueError(f"{path}: row {at} is not a mapping")
-        missing = [key for key in KEYS if key not in row]
-        if missing:
-            raise ValueError(f"{path}: row {at} has no `{missing[0]}`")
-        for key in _KEY:
-            if not isinstance(row[key], int if key == "seed" else str):
-                raise ValueError(f"{path}: row {at} has an invalid `{key}`")
-    return results
+    return read_file(path, FORMAT, KEYS, _KEY) or {"format": FORMAT, "rows": []}
 
 
 def submit(experiment: VapExperiment, file: Path, cells: Sequence[VapCell], root: Path, results: Path) -> Iterator[str]:
@@ -417,17 +318,23 @@ def submit(experiment: VapExperiment, file: Path, cells: Sequence[VapCell], root
         OSError: If a file cannot be read or written, or another process writes the file of results.
         ValueError: If a model does not give the recorded measures, or the file of results is invalid.
     """
-    results.parent.mkdir(parents=True, exist_ok=True)
-    # No other process can add rows in the meantime.
-    with reserved(results, record=False) as output:
-        rows = {_key(row): row for row in read_results(results)["rows"]}
+    with updating(results, lambda: read_results(results)) as document:
+        rows = {row_key(row, _KEY): row for row in document["rows"]}
         for cell in cells:
             if not cell.hidden:
                 yield from _update(rows, experiment, file, cell, root)
-        lines = ",\n".join(json.dumps(row, allow_nan=False) for row in _ordered(experiment, file.stem, rows.values()))
-        text = f'{{"format": {FORMAT}, "rows": [\n{lines}\n]}}\n'
-        Path(output.temporary).write_text(text, encoding="utf-8")
-        output.finish()
+        order: dict[str, list[str]] = {
+            "mode": list(experiment.modes),
+            "learner": list(experiment.learners),
+            "variant": list(experiment.variants),
+        }
+
+        def place(row: Mapping[str, Any]) -> tuple[Any, ...]:
+            """Sort by experiment; the rows of this one have its order."""
+            own = row["experiment"] == file.stem
+            return row["experiment"], *(place_of(row, order) if own else ())
+
+        document["rows"] = sorted(rows.values(), key=place)
     yield f"{len(rows)} rows in {results}"
 
 
@@ -447,34 +354,13 @@ def _update(
                 f"{recorded['w_acc']}"
             )
         row = _row(experiment, file, cell, predictor, measured)
-        row["note"] = rows.get(_key(row), row)["note"]
-        group = [key for key in rows if key[:-1] == _key(row)[:-1]]
+        row["note"] = rows.get(row_key(row, _KEY), row)["note"]
+        group = [key for key in rows if key[:-1] == row_key(row, _KEY)[:-1]]
         for key in group:
             if any(rows[key][name] != row[name] for name in ("settings", "hashes")):
                 del rows[key]
-        rows[_key(row)] = row
+        rows[row_key(row, _KEY)] = row
     yield f"{cell.name}: {cell.headline(measured)}, as recorded"
-
-
-def _ordered(experiment: VapExperiment, name: str, rows: Iterable[Mapping[str, Any]]) -> Sequence[Mapping[str, Any]]:
-    """Return rows by experiment, and those of this experiment in its order. Names that it has no more come last."""
-    order: dict[str, list[str]] = {
-        "mode": list(experiment.modes),
-        "learner": list(experiment.learners),
-        "variant": list(experiment.variants),
-    }
-
-    def place(row: Mapping[str, Any]) -> tuple[Any, ...]:
-        if row["experiment"] != name:
-            return (row["experiment"],)
-        places = [names.index(row[key]) if row[key] in names else len(names) for key, names in order.items()]
-        return name, *places, row["seed"]
-
-    return sorted(rows, key=place)
-
-
-def _key(row: Mapping[str, Any]) -> tuple[Any, ...]:
-    return tuple(row[name] for name in _KEY)
 
 
 def _row(

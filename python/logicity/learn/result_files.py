@@ -1,0 +1,83 @@
+"""Files of published results: JSON with one row per line."""
+
+from __future__ import annotations
+
+import json
+import os
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from contextlib import contextmanager
+from pathlib import Path
+from typing import Any
+
+from ..files import reserved
+
+__all__ = ["as_text", "place_of", "read_file", "row_key", "updating"]
+
+
+def read_file(
+    path: str | os.PathLike[str], version: int, keys: Sequence[str], identity: Sequence[str]
+) -> dict[str, Any] | None:
+    """Read a file of results; return `None` if it does not exist.
+
+    Args:
+        path: The file.
+        version: The version of its format.
+        keys: The keys that each row must have.
+        identity: Those that identify a row: texts, and the seed.
+
+    Raises:
+        OSError: If the file cannot be read.
+        ValueError: If the file is not such a file.
+    """
+    file = Path(path)
+    if not file.exists():
+        return None
+    try:
+        results = json.loads(file.read_text(encoding="utf-8"))
+    except (ValueError, RecursionError) as error:
+        raise ValueError(f"{file}: not JSON: {error}") from None
+    if not isinstance(results, dict) or results.get("format") != version or not isinstance(results.get("rows"), list):
+        raise ValueError(f"{file}: expected results of the format {version}")
+    for at, row in enumerate(results["rows"]):
+        if not isinstance(row, dict):
+            raise ValueError(f"{file}: row {at} is not a mapping")
+        missing = [key for key in keys if key not in row]
+        if missing:
+            raise ValueError(f"{file}: row {at} has no `{missing[0]}`")
+        for key in identity:
+            if not isinstance(row[key], int if key == "seed" else str):
+                raise ValueError(f"{file}: row {at} has an invalid `{key}`")
+    return results
+
+
+def as_text(results: Mapping[str, Any]) -> str:
+    """Return the text of a file of results: JSON with one line per row."""
+    head = {key: value for key, value in results.items() if key != "rows"}
+    lines = ",\n".join(json.dumps(row, allow_nan=False) for row in results["rows"])
+    return f'{json.dumps(head)[:-1]}, "rows": [\n{lines}\n]}}\n'
+
+
+@contextmanager
+def updating(path: Path, read: Callable[[], dict[str, Any]]) -> Iterator[dict[str, Any]]:
+    """Yield the results that `read` returns, and write them back at the end. No other process can add rows meanwhile.
+
+    Raises:
+        OSError: If the file cannot be written, or another process writes it.
+    """
+    path.parent.mkdir(parents=True, exist_ok=True)
+    with reserved(path, record=False) as output:
+        results = read()
+        yield results
+        Path(output.temporary).write_text(as_text(results), encoding="utf-8")
+        output.finish()
+
+
+def row_key(row: Mapping[str, Any], identity: Sequence[str]) -> tuple[Any, ...]:
+    """Return the values of the keys that identify a row."""
+    return tuple(row[key] for key in identity)
+
+
+def place_of(row: Mapping[str, Any], order: Mapping[str, Sequence[str]]) -> tuple[int, ...]:
+    """Return the place of a row: that of each of its names in `order`, and its seed. Unknown names come last."""
+    places = [list(names).index(row[key]) if row[key] in names else len(names) for key, names in order.items()]
+    return (*places, row["seed"])
