@@ -158,15 +158,21 @@ def _add_experiment(parser: argparse.ArgumentParser) -> _Command:
         "experiment",
         help="spf, transfer, composition, observations, vap, vap-continual, vap-concepts, language, or a YAML file",
     )
-    instead = parser.add_mutually_exclusive_group()
-    instead.add_argument("--list", action="store_true", help="list the cells and which are finished, and run none")
-    instead.add_argument("--report", action="store_true", help="print the table of the finished cells, and run none")
-    instead.add_argument(
+    exclusive = parser.add_mutually_exclusive_group()
+    exclusive.add_argument("--list", action="store_true", help="list the cells and which are finished, and run none")
+    exclusive.add_argument("--report", action="store_true", help="print the table of the finished cells, and run none")
+    exclusive.add_argument(
         "--submit",
         type=Path,
         metavar="RESULTS",
         help="evaluate the policies of the finished cells again, and write their rows to a file such as "
         "results/spf.json; run none",
+    )
+    exclusive.add_argument(
+        "--reuse",
+        type=Path,
+        metavar="FOLDER",
+        help="copy equal trainings from the folder of another experiment of Safe Path Following, for example runs/spf",
     )
     parser.add_argument("--quick", action="store_true", help="tiny budgets and one seed: a test of every cell")
     parser.add_argument(
@@ -197,12 +203,6 @@ def _add_experiment(parser: argparse.ArgumentParser) -> _Command:
     )
     _add_wandb(parser)
     parser.add_argument("--run", type=Path, metavar="FOLDER", help="folder of the results; default: runs/EXPERIMENT")
-    parser.add_argument(
-        "--reuse",
-        type=Path,
-        metavar="FOLDER",
-        help="copy equal trainings from the folder of another experiment of Safe Path Following, for example runs/spf",
-    )
     return _experiment
 
 
@@ -562,6 +562,8 @@ def _experiment(given: argparse.Namespace) -> int:
         raise
     except ValueError as error:
         raise _UsageError(str(error)) from None
+    if given.reuse is not None and not all(isinstance(cell, Cell) for cell in cells):
+        raise _UsageError("--reuse: only experiments of Safe Path Following can reuse trainings")
     root = _results_folder(given, file)
     if given.list:
         for cell in cells:
@@ -578,8 +580,6 @@ def _experiment(given: argparse.Namespace) -> int:
         from .learn.jobs import run
 
         jobs = given.jobs or os.cpu_count() or 1
-        if given.reuse is not None and not all(isinstance(cell, Cell) for cell in cells):
-            raise _UsageError("--reuse: only experiments of Safe Path Following can reuse trainings")
         failed = run(cells, root, jobs, _say, given.ray, given.wandb, given.reuse)
     report = experiment.report(cells, root, failed)
     root.mkdir(parents=True, exist_ok=True)

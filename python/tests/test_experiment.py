@@ -181,6 +181,13 @@ def test_unknown_selections_are_reported(
     with pytest.raises(SystemExit):
         command(words, [str(tiny), "--list", "--report"])
     assert "not allowed with argument --list" in capsys.readouterr().err
+    with pytest.raises(SystemExit):
+        command(words, [str(tiny), "--list", "--reuse", "runs/spf"])
+    assert "not allowed with argument --list" in capsys.readouterr().err
+    assert command(words, [str(tiny), *run, "--reuse", str(tiny.parent)]) == 2
+    assert "not the folder of an experiment" in capsys.readouterr().err
+    assert command(words, ["vap", *run, "--reuse", str(tiny.parent)]) == 2
+    assert "--reuse: only experiments of Safe Path Following" in capsys.readouterr().err
     monkeypatch.setattr("logicity.learn.jobs.find_spec", lambda name: None)
     assert command(words, [str(tiny), *run, "--wandb", "project"]) == 2
     assert "--wandb: the package wandb is not installed" in capsys.readouterr().err
