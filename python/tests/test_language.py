@@ -32,7 +32,7 @@ from logicity.questions import (
     read_rule,
 )
 
-needs("pydantic", "learn")
+needs("torch", "learn")
 from logicity.learn.jobs import exclusive  # noqa: E402
 from logicity.learn.language import LanguageExperiment, ModelSpec, Unit, Work, answer  # noqa: E402
 from logicity.learn.language_report import LanguageReport  # noqa: E402
