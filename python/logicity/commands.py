@@ -562,8 +562,11 @@ def _experiment(given: argparse.Namespace) -> int:
         raise
     except ValueError as error:
         raise _UsageError(str(error)) from None
-    if given.reuse is not None and not all(isinstance(cell, Cell) for cell in cells):
-        raise _UsageError("--reuse: only experiments of Safe Path Following can reuse trainings")
+    if not all(isinstance(cell, Cell) for cell in cells):
+        if given.reuse is not None:
+            raise _UsageError("--reuse: only experiments of Safe Path Following can reuse trainings")
+        if given.wandb is not None:
+            raise _UsageError("--wandb: only experiments of Safe Path Following send curves")
     root = _results_folder(given, file)
     if given.list:
         for cell in cells:

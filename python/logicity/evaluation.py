@@ -6,6 +6,7 @@ is the baseline of the score, only once.
 
 from __future__ import annotations
 
+import math
 import os
 import sys
 from collections.abc import Callable, Iterator, Mapping
@@ -63,6 +64,18 @@ class Interval:
     value: float
     low: float
     high: float
+
+    @classmethod
+    def of_share(cls, successes: int, trials: int) -> Interval:
+        """Return the share of successes with its Wilson score interval (1927). For no trials, 0 and [0, 1]."""
+        if trials == 0:
+            return cls(0.0, 0.0, 1.0)
+        z = 1.959963984540054
+        share = successes / trials
+        center = (share + z * z / (2 * trials)) / (1 + z * z / trials)
+        spread = z / (1 + z * z / trials) * math.sqrt(share * (1 - share) / trials + z * z / (4 * trials * trials))
+        # Rounding errors must not exclude a share of 0 or 1.
+        return cls(share, min(share, max(0.0, center - spread)), max(share, min(1.0, center + spread)))
 
     def __str__(self) -> str:
         """Format the value and, in brackets, the interval."""

@@ -330,15 +330,7 @@ class Recall:
     @classmethod
     def of(cls, correct: int, total: int) -> Recall:
         """Compute the share and its 95 % Wilson score interval (1927). For a total of 0, they are 0 and [0, 1]."""
-        if total == 0:
-            return cls(0, 0, Interval(0.0, 0.0, 1.0))
-        z = 1.959963984540054
-        share = correct / total
-        center = (share + z * z / (2 * total)) / (1 + z * z / total)
-        spread = z / (1 + z * z / total) * math.sqrt(share * (1 - share) / total + z * z / (4 * total * total))
-        # Rounding errors must not exclude a share of 0 or 1.
-        low, high = min(share, max(0.0, center - spread)), max(share, min(1.0, center + spread))
-        return cls(correct, total, Interval(share, low, high))
+        return cls(correct, total, Interval.of_share(correct, total))
 
 
 @dataclass(frozen=True)

@@ -188,6 +188,8 @@ def test_unknown_selections_are_reported(
     assert "not the folder of an experiment" in capsys.readouterr().err
     assert command(words, ["vap", *run, "--reuse", str(tiny.parent)]) == 2
     assert "--reuse: only experiments of Safe Path Following" in capsys.readouterr().err
+    assert command(words, ["vap", *run, "--wandb", "project"]) == 2
+    assert "--wandb: only experiments of Safe Path Following" in capsys.readouterr().err
     monkeypatch.setattr("logicity.learn.jobs.find_spec", lambda name: None)
     assert command(words, [str(tiny), *run, "--wandb", "project"]) == 2
     assert "--wandb: the package wandb is not installed" in capsys.readouterr().err
@@ -271,6 +273,14 @@ def test_intervals_over_seeds_and_episodes_equal_a_slow_bootstrap() -> None:
         assert np.allclose([interval.low, interval.high], np.percentile(means, [2.5, 97.5]))
         assert interval.value == pytest.approx(np.mean([table[name] for table in tables]))
         assert interval.low <= interval.value <= interval.high
+
+
+def test_a_rate_of_zero_in_all_runs_has_an_interval() -> None:
+    failed = {"tsr": np.zeros(100), "dsr": np.ones(100), "score": np.full(100, 2.0)}
+    measures = pooled([failed, failed])
+    assert measures["tsr"] == Interval.of_share(0, 100) and 0.03 < measures["tsr"].high < 0.05
+    assert measures["dsr"] == Interval.of_share(100, 100) and 0.95 < measures["dsr"].low < 0.97
+    assert [measures["score"].low, measures["score"].high] == pytest.approx([2.0, 2.0])
 
 
 def test_violation_rates_count_episodes_by_clause() -> None:
@@ -479,7 +489,7 @@ def test_published_rows_are_evaluated_again(tiny: Path, tmp_path: Path) -> None:
     assert lines[-1] == f"2 rows in {file}" and "quick-a2c, easy, seed 0: not finished" in lines
     results = read_results(file)
     assert [(row["learner"], row["seed"]) for row in results["rows"]] == [("ppo", 0), ("ppo", 1)]
-    assert results["rows"][0]["command"] == "logicity experiment tiny --only ppo,easy --seeds 0"
+    assert results["rows"][0]["command"] == f"logicity experiment {tiny} --only ppo,easy --seeds 0"
     assert check_rows(results) == []
     page = leaderboard(results)
     assert "## Easy" in page and "| `ppo` | " in page and "| 0.33 | 0, 1 | 256 |" in page

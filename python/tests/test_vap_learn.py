@@ -646,7 +646,7 @@ def test_published_rows_are_measured_again(undisturbed: tuple[Path, Path], tmp_p
         *(("rules", "threshold"), ("rules", "product")),
         *(("modular-gnn", ""), ("e2e-nlm", "")),
     ]
-    assert rows[0]["command"] == "logicity experiment tiny --only rules,hard --seeds 0"
+    assert rows[0]["command"] == f"logicity experiment {file} --only rules,hard --seeds 0"
     older = {**rows[2], "seed": 1, "settings": {}}
     others = [{**rows[3], "experiment": "zoo"}, {**rows[3], "experiment": "ant"}, {**rows[3], "seed": 1}]
     rows[1]["note"] = "It counts shared facts several times."

@@ -7,6 +7,7 @@ from __future__ import annotations
 
 import importlib
 import os
+import shlex
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
@@ -21,7 +22,10 @@ from .cells import TEST, Cell, Job
 from .config import TrainConfig, faults, merged
 from .learner import Count
 
-__all__ = ["AnyExperiment", "AnyReport", "Experiment", "Selection", "load_experiment", "read_experiment", "validated"]
+__all__ = [
+    *("AnyExperiment", "AnyReport", "Experiment", "Selection"),
+    *("load_experiment", "name_of", "read_experiment", "validated"),
+]
 
 #: The module and the class of the experiments of each task, the value of the key `task`.
 TASKS = {
@@ -154,6 +158,11 @@ def read_experiment(name: str | os.PathLike[str]) -> tuple[Path, _logicity.Confi
     if not isinstance(values, dict):
         raise file.error([("invalid-value", [], "an experiment must be a mapping", "")])
     return path, file, values
+
+
+def name_of(file: Path) -> str:
+    """Return what a command names to run the experiment of a file: its bare name if it is built in, or the file."""
+    return file.stem if file == Path("configs") / "experiments" / f"{file.stem}.yaml" else shlex.quote(file.as_posix())
 
 
 M = TypeVar("M", bound=BaseModel)

@@ -13,7 +13,7 @@ import numpy as np
 from ..evaluation import task_hashes
 from ..modes import ENVIRONMENTS
 from .cells import Cell, benchmark_of, finished
-from .experiment import Experiment
+from .experiment import Experiment, name_of
 from .registry import load_policy
 from .report import paper_table
 from .result_files import place_of, read_file, row_key, updating
@@ -153,7 +153,7 @@ def _row(file: Path, cell: Cell, root: Path, measured: Mapping[str, Any], evalua
         "evaluation": evaluation,
         "seed": cell.seed,
         "config": result["config"],
-        "command": f"logicity experiment {file.stem} --only {cell.row},{cell.mode} --seeds {cell.seed}",
+        "command": f"logicity experiment {name_of(file)} --only {cell.row},{cell.mode} --seeds {cell.seed}",
         "note": "",
         "versions": result["versions"],
         "hashes": result["hashes"],

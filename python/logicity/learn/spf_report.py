@@ -172,7 +172,7 @@ class Report(CellReport):
         table = paper_table(self.experiment.paper)
         notes = [
             "Intervals (95 %): over episodes for one seed (Wilson, or 1.96 standard errors for the score), over seeds "
-            "and episodes for several (bootstrap)."
+            "and episodes for several (bootstrap; Wilson for rates of 0 or 1)."
         ]
         if table:
             notes.append(f"The paper's figures: {table['source']}. {table['note']}")
@@ -276,7 +276,8 @@ def intervals(evaluations: Sequence[Mapping[str, Any]]) -> dict[str, Interval]:
     """Return the measures of the runs with 95 % intervals.
 
     For one run, the intervals are those of the evaluation, over its episodes. For several, the values are means over
-    the runs, and the intervals are percentiles of a bootstrap that draws runs and, independently, episodes.
+    the runs, and the intervals are percentiles of a bootstrap that draws runs and, independently, episodes. A rate of 0
+    or 1, of which a bootstrap says nothing, has the Wilson interval over the episodes of one run.
     """
     if len(evaluations) == 1:
         return {name: Interval(**evaluations[0][name]) for name in MEASURES}
@@ -294,6 +295,9 @@ def pooled(tables: Sequence[Mapping[str, NDArray[np.float64]]]) -> dict[str, Int
         samples = np.einsum("sr,re,se->s", of_runs, values, of_episodes, optimize=True)
         low, high = np.percentile(samples, [2.5, 97.5])
         result[name] = Interval(float(values.mean()), float(low), float(high))
+        if name != "score" and values.min() == values.max():
+            # The runs share their episodes, so their number does not count.
+            result[name] = Interval.of_share(int(values[0].sum()), episodes)
     return result
 
 

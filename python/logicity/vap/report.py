@@ -13,6 +13,7 @@ from numpy.typing import NDArray
 from ..city import ACTIONS
 from ..evaluation import Interval
 from ..learn.cells import finished
+from ..learn.experiment import name_of
 from ..learn.report import (
     CellEntry,
     CellReport,
@@ -379,7 +380,7 @@ def _row(
         "variant": cell.variant,
         "seed": cell.seed,
         "settings": result["settings"],
-        "command": f"logicity experiment {file.stem} --only {column} --seeds {cell.seed}",
+        "command": f"logicity experiment {name_of(file)} --only {column} --seeds {cell.seed}",
         "note": "",
         "versions": result["versions"],
         "hashes": result["hashes"],
