@@ -499,7 +499,11 @@ def test_the_papers_figures_are_those_of_its_table() -> None:
             TINY.replace("stage: reasoning", "stage: reason"),
             "settings of `modular-gnn`: `stage` must be `concepts`, `reasoning`",
         ),
-        (TINY.replace("fraction: 0.3", "groundings: exact"), "`groundings: exact` needs the stage `reasoning` or"),
+        (
+            TINY.replace("fraction: 0.3", "groundings: exact"),
+            "`groundings: exact` cannot be combined with the stage `concepts`",
+        ),
+        (TINY.replace("stage: reasoning", "stage: bound"), "the stage `bound` needs `groundings: exact`"),
         (TINY.replace("fraction: 0.3", "weights: a"), "`weights` are those of a backbone: they need"),
         (TINY.replace("{random: {}}", "{random: {start: randm}}"), "unknown variant `randm`; did you mean `random`"),
         (TINY.replace("{random: {}}", "{random: {start: random}}"), "`random` itself starts from another variant"),
@@ -576,6 +580,20 @@ def test_rules_are_learned_from_true_concepts(tiny: Path, tmp_path: Path) -> Non
     measured = run_cell(prepare(cells[0], tmp_path / "run"))
     assert measured["evaluations"]["threshold"] == measured["evaluations"]["product"]
     assert measured["evaluations"]["threshold"]["a_acc"] > 0.7 and not measured["concepts"]
+
+
+def test_the_bound_lacks_classes_that_training_does_not_show(tiny: Path, tmp_path: Path) -> None:
+    text = TINY.replace("{concepts: {perception: sides}}", "{stage: bound, groundings: exact}")
+    tiny.write_text(text.replace("{random: {}}", "{fixed: {settings: {agents: fixed}}, random: {}}"))
+    _, cells = cells_of(tiny, only=[("rules", None)])
+    found = {}
+    for cell in cells:
+        measured = run_cell(prepare(cell, tmp_path / "run"))
+        absent = torch.load(cell.model(tmp_path / "run"), weights_only=True)["absent"]
+        found[cell.variant] = (absent, measured["evaluations"][""])
+    assert found["fixed"][0] == ["IsBus"] and found["fixed"][1]["recall"]["Fast"] < 0.8
+    # A few worlds with random agents show every class.
+    assert found["random"][0] == [] and set(found["random"][1]["recall"].values()) == {1.0}
 
 
 def test_intervals_draw_runs_and_worlds() -> None:
@@ -719,12 +737,15 @@ def test_the_quick_table_of_the_paper(tmp_path: Path, capsys: pytest.CaptureFixt
     assert command(("experiment",), arguments) == 0
     assert used() - begun < 600, "five minutes of two processors"
     output = capsys.readouterr()
-    assert "[32/32] " in output.err and output.out.startswith("Visual Action Prediction\n\neasy\nlearner ")
+    assert "[36/36] " in output.err and output.out.startswith("Visual Action Prediction\n\neasy\nlearner ")
     table = json.loads((root / "table.json").read_text())
     assert {(entry["row"], entry["mode"]) for entry in table["entries"]} == {
         (row, mode)
         for mode in ("easy", "hard")
-        for row in ("rules", "no-pixels", "induced", "modular-gnn", "modular-nlm", "e2e-gnn", "e2e-nlm", "true-gnn")
+        for row in (
+            *("rules", "no-pixels", "induced", "modular-gnn", "modular-nlm", "e2e-gnn", "e2e-nlm"),
+            *("bound", "true-gnn"),
+        )
     }
     assert not any(entry["missing"] for entry in table["entries"]) and (root / "bars.png").exists()
     assert not list((tmp_path / "vap-data").rglob("*.png")), "pictures are removed after use"

@@ -8,6 +8,7 @@ A cell makes its data, trains one model, and measures it on the fixed test world
 | `reasoning` | a reasoner on the concepts that the cell `start` predicts, or on the true ones | the reasoner |
 | `end-to-end` | a `ConceptModel` and a reasoner together, on actions only | both |
 | `induction` | rules, on thresholded concepts that the cell `start` predicts | the learned rules |
+| `bound` | nothing | the rules on the true concepts, without classes that no training picture shows |
 """
 
 from __future__ import annotations
@@ -94,7 +95,7 @@ class VapSettings(BaseModel):
 
     model_config = _Model
 
-    stage: Literal["concepts", "reasoning", "end-to-end", "induction"] = "concepts"
+    stage: Literal["concepts", "reasoning", "end-to-end", "induction", "bound"] = "concepts"
     """What is trained, see the module."""
     agents: Literal["fixed", "random"] = "random"
     """The agents of the worlds for training and validation."""
@@ -124,8 +125,10 @@ class VapSettings(BaseModel):
     @model_validator(mode="after")
     def _consistent(self) -> VapSettings:
         fault = ""
-        if self.groundings == "exact" and self.stage not in ("reasoning", "induction"):
-            fault = "`groundings: exact` needs the stage `reasoning` or `induction`, as others predict the concepts"
+        if self.groundings == "exact" and self.stage in ("concepts", "end-to-end"):
+            fault = f"`groundings: exact` cannot be combined with the stage `{self.stage}`, which predicts the concepts"
+        elif self.groundings == "predicted" and self.stage == "bound":
+            fault = "the stage `bound` needs `groundings: exact`"
         elif self.weights is not None and self.concepts.perception != "features":
             fault = "`weights` are those of a backbone: they need `concepts.perception: features`"
         elif self.concepts.perception == "features" and self.concepts.features != Backbone.shape[0]:
@@ -161,7 +164,7 @@ class VapCell(Job):
     @property
     def steps(self) -> int:
         """The number of epochs."""
-        return 1 if self.settings.stage == "induction" else self.settings.training.epochs
+        return 1 if self.settings.stage in ("induction", "bound") else self.settings.training.epochs
 
     def spec(self) -> dict[str, Any]:
         """Return what determines the result of the cell."""
@@ -543,6 +546,7 @@ def run_cell(
         "reasoning": _train_reasoner,
         "end-to-end": _train_end_to_end,
         "induction": _induce,
+        "bound": _bound,
     }
     model, history = stages[work.settings.stage](work)
     save(model, folder / "model.pt")
@@ -603,6 +607,9 @@ def predict(
     atoms = _groundings(work, model, samples)
     if stage == "concepts":
         return _by_rules(work.rules(), *atoms, samples), atoms
+    if stage == "bound":
+        shown = torch.tensor([name not in model["absent"] for name in UNARY])
+        return {"": work.rules().degrees(atoms[0] * shown, atoms[1], valid, "max-min").argmax(-1)}, None
     if stage == "induction":
         return _by_rules(SoftRules(Program(model["rules"])), *atoms, samples), None
     reasoner = work.reasoner()
@@ -750,6 +757,14 @@ def _induce(work: Work) -> Trained:
     if work.report is not None:
         work.report(1)
     return {**_kept(start), "rules": learned.read_text(encoding="utf-8")}, []
+
+
+def _bound(work: Work) -> Trained:
+    """Find the unary predicates that hold for no agent of the training samples."""
+    shown = work.samples("train").facts["unary"].flatten(0, 1).any(0)
+    if work.report is not None:
+        work.report(1)
+    return {"absent": [name for name, each in zip(UNARY, shown.tolist(), strict=True) if not each]}, []
 
 
 def scenes_of(unary: Tensor, binary: Tensor, samples: Samples) -> Iterator[dict[str, Any]]:
