@@ -493,6 +493,8 @@ def test_published_rows_are_evaluated_again(tiny: Path, tmp_path: Path) -> None:
     assert check_rows(results) == []
     page = leaderboard(results)
     assert "## Easy" in page and "| `ppo` | " in page and "| 0.33 | 0, 1 | 256 |" in page
+    assert "| `maxsynth`, the paper's figures | 1.00 | 1.00 | 8.51 | 1.00 |  |  |  |  |" in page
+    assert page.count("the paper's figures |") == 11, "one of twelve learners has rows"
     results["rows"][1]["hashes"]["rules"] = "0" * 64
     assert check_rows(results) == ["ppo in easy, seed 1: other rules"]
     # A new row replaces the old one, and keeps its note.

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import hashlib
 import os
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Collection, Iterator, Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -203,6 +203,8 @@ def leaderboard(results: Mapping[str, Any], level: int = 2) -> str:
             name = ", ".join([f"`{learner}`", *([variant] if variant else []), *([evaluation] if several else [])])
             cells = [name, *(measures[each] for each in MEASURES), figure, seeds, f"{group[0]['steps']:,}"]
             lines.append("| " + " | ".join([*cells, f"{minutes:.1f}", f"`{command}`"]) + " |")
+        found = {(group[0]["paper"], variant) for (_, variant, _), group in groups.items()}
+        lines += _only_in_paper(results["paper"], mode, found)
         parts.append(f"{'#' * level} {mode.capitalize()}\n\n" + "\n".join(lines) + "\n")
     notes = sorted({f"- `{row['learner']}`, {row['mode']}: {row['note']}" for row in rows if row["note"]})
     versions = ", ".join(sorted({row["versions"]["logicity"] for row in rows}))
@@ -212,6 +214,17 @@ def leaderboard(results: Mapping[str, Any], level: int = 2) -> str:
     hours = sum(seconds.values()) / 3600
     parts.append(f"{sources}Version {versions} of logicity; {hours:.2f} CPU hours in all.\n")
     return "\n".join([*parts, *(["\n".join(notes) + "\n"] if notes else [])])
+
+
+def _only_in_paper(table: str | None, mode: str, found: Collection[tuple[str, str]]) -> Iterator[str]:
+    """Yield a line for each row of the paper that is not among the names and variants of the published rows."""
+    for learner, variants in paper_table(table).get("rows", {}).items():
+        for variant in variants:
+            value = paper_value(table, learner, variant, mode)
+            if value is not None and (learner, variant) not in found:
+                figures = [f"{value[name]:.2f}" for name in MEASURES] if isinstance(value, dict) else [value, "", ""]
+                name = ", ".join([f"`{learner}`", *([variant] if variant else []), "the paper's figures"])
+                yield "| " + " | ".join([name, *figures, figures[0], "", "", "", ""]) + " |"
 
 
 def _pooled(group: Sequence[Mapping[str, Any]]) -> dict[str, str]:
