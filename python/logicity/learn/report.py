@@ -8,19 +8,21 @@ from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import asdict, dataclass
 from functools import cache
 from importlib.resources import files
+from operator import attrgetter
 from pathlib import Path
-from typing import Any
+from typing import Any, Generic, Protocol, TypeVar
 
 import numpy as np
 from numpy.typing import NDArray
 
 from ..evaluation import Interval
 from ..files import reserved, write_json
-from .cells import Job
+from .cells import Job, finished
 
 __all__ = [
     "CellEntry",
     "CellReport",
+    "Runs",
     "aligned",
     "bootstrap_weights",
     "draw_bars",
@@ -30,7 +32,6 @@ __all__ = [
     "latex_table",
     "markdown_table",
     "paper_table",
-    "why_missing",
     "write_tables",
 ]
 
@@ -73,6 +74,73 @@ class CellEntry:
     identities: tuple[str, ...]
     group: str | None = None
     x: float | None = None
+
+
+C = TypeVar("C", bound=Job)
+
+
+class _Variant(Protocol):
+    """The part of a variant that figures need."""
+
+    @property
+    def group(self) -> str | None: ...
+    @property
+    def x(self) -> float | None: ...
+
+
+class Runs(Generic[C]):
+    """The cells of an experiment that belong together, and what was measured in those that are finished.
+
+    Args:
+        cells: The cells.
+        root: The folder of the experiment.
+
+    Attributes:
+        cells: The cells.
+        measured: For each finished cell, the content of `measured.json`.
+    """
+
+    def __init__(self, cells: Sequence[C], root: Path) -> None:
+        """Read the results. Those of other settings, rules, episodes or versions have another identity."""
+        self._root = root
+        self.cells = cells
+        found = [(cell, measured) for cell in cells if (measured := finished(cell, root)) is not None]
+        self._finished = [cell for cell, _ in found]
+        self.measured = [measured for _, measured in found]
+
+    @property
+    def cpu_hours(self) -> float:
+        """The CPU time of the finished cells."""
+        return float(sum(each["result"]["cpu_seconds"] for each in self.measured)) / 3600
+
+    def grouped(self, *names: str) -> list[Runs[C]]:
+        """Return the runs that tables show, by their values of attributes such as `row` and `mode`."""
+        groups: dict[Any, list[C]] = {}
+        for cell in self.cells:
+            if not cell.hidden:
+                groups.setdefault(attrgetter(*names)(cell), []).append(cell)
+        return [Runs(group, self._root) for group in groups.values()]
+
+    def fields(self, variant: _Variant, failed: Mapping[str, str]) -> dict[str, Any]:
+        """Return the fields of the entry of a row, variant and mode, except its measures.
+
+        Args:
+            variant: The variant.
+            failed: The messages of the cells that failed, by identity.
+        """
+        first = self.cells[0]
+        identities = tuple(cell.identity for cell in self._finished)
+        return {
+            "row": first.row,
+            "mode": first.mode,
+            "variant": first.variant,
+            "seeds": tuple(cell.seed for cell in self._finished),
+            "cpu_hours": self.cpu_hours,
+            "missing": _why_missing(self.cells, identities, failed),
+            "identities": identities,
+            "group": variant.group,
+            "x": variant.x,
+        }
 
 
 class CellReport(ABC):
@@ -138,7 +206,7 @@ class CellReport(ABC):
         return written
 
 
-def why_missing(cells: Sequence[Job], done: Iterable[str], failed: Mapping[str, str]) -> str:
+def _why_missing(cells: Sequence[Job], done: Iterable[str], failed: Mapping[str, str]) -> str:
     """Return why runs are missing: the first message of those that failed, and the seeds if others are finished.
 
     Args:

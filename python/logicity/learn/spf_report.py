@@ -13,11 +13,12 @@ from numpy.typing import NDArray
 
 from .. import _logicity
 from ..evaluation import Interval, load_task
-from .cells import Cell, finished
+from .cells import Cell
 from .experiment import Experiment
 from .report import (
     CellEntry,
     CellReport,
+    Runs,
     aligned,
     bootstrap_weights,
     draw_bars,
@@ -26,7 +27,6 @@ from .report import (
     escaped,
     markdown_table,
     paper_table,
-    why_missing,
 )
 
 __all__ = ["Entry", "Report", "paper_value", "per_episode", "pooled", "violation_rates"]
@@ -79,41 +79,27 @@ class Report(CellReport):
     def __init__(
         self, experiment: Experiment, cells: Sequence[Cell], root: Path, failed: Mapping[str, str] | None = None
     ) -> None:
-        """Read the results. Those of other settings, rules, episodes or versions have another identity."""
+        """Read the results."""
         self.experiment, self.title, self.paper = experiment, experiment.title, experiment.paper
-        columns: dict[tuple[str, str, str], list[Cell]] = {}
-        for cell in cells:
-            if not cell.hidden:
-                columns.setdefault((cell.row, cell.variant, cell.mode), []).append(cell)
+        runs = Runs(cells, root)
         self.entries: list[Entry] = [
-            self._entry(evaluation, group, root, failed or {})
-            for group in columns.values()
+            self._entry(evaluation, group, failed or {})
+            for group in runs.grouped("row", "variant", "mode")
             for evaluation in experiment.evaluations
         ]
-        found = [measured for cell in cells if (measured := finished(cell, root)) is not None]
-        self.cpu_hours = sum(each["result"]["cpu_seconds"] for each in found) / 3600
+        self.cpu_hours = runs.cpu_hours
 
-    def _entry(self, evaluation: str, cells: Sequence[Cell], root: Path, failed: Mapping[str, str]) -> Entry:
-        first = cells[0]
-        found = [(cell, measured) for cell in cells if (measured := finished(cell, root)) is not None]
-        results = [measured["evaluations"][evaluation] for _, measured in found]
-        identities = tuple(cell.identity for cell, _ in found)
+    def _entry(self, evaluation: str, runs: Runs[Cell], failed: Mapping[str, str]) -> Entry:
+        first = runs.cells[0]
+        results = [measured["evaluations"][evaluation] for measured in runs.measured]
         spec, variant = self.experiment.learners[first.row], self.experiment.variants[first.variant]
         return Entry(
-            row=first.row,
-            mode=first.mode,
-            variant=first.variant,
+            **runs.fields(variant, failed),
             evaluation=evaluation,
-            seeds=tuple(cell.seed for cell, _ in found),
             measures=intervals(results) if results else {},
             violations=violation_rates(results, clauses_of(first.mode)) if results else {},
-            cpu_hours=sum(each["result"]["cpu_seconds"] for _, each in found) / 3600,
             paper=paper_value(self.experiment.paper, spec.paper or first.row, first.variant, first.mode),
-            missing=why_missing(cells, identities, failed),
-            identities=identities,
-            curve=_curve([each["result"]["validations"] for _, each in found]),
-            group=variant.group,
-            x=variant.x,
+            curve=_curve([each["result"]["validations"] for each in runs.measured]),
         )
 
     @property

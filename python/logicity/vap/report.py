@@ -17,6 +17,7 @@ from ..learn.experiment import name_of
 from ..learn.report import (
     CellEntry,
     CellReport,
+    Runs,
     aligned,
     bootstrap_weights,
     draw_bars,
@@ -25,7 +26,6 @@ from ..learn.report import (
     latex_table,
     markdown_table,
     paper_table,
-    why_missing,
 )
 from ..learn.result_files import place_of, read_file, row_key, updating
 from .experiment import VapCell, VapExperiment, measure_again
@@ -85,46 +85,27 @@ class VapReport(CellReport):
         root: Path,
         failed: Mapping[str, str] | None = None,
     ) -> None:
-        """Read the results. Those of other settings, rules or versions have another identity."""
+        """Read the results."""
         self.experiment, self.title, self.paper = experiment, experiment.title, experiment.paper
-        groups: dict[tuple[str, str, str], list[VapCell]] = {}
-        for cell in cells:
-            if not cell.hidden:
-                groups.setdefault((cell.mode, cell.row, cell.variant), []).append(cell)
+        runs = Runs(cells, root)
         self.entries: list[VapEntry] = [
-            entry for group in groups.values() for entry in self._entries(group, root, failed or {})
+            entry for group in runs.grouped("mode", "row", "variant") for entry in self._entries(group, failed or {})
         ]
-        found = [measured for cell in cells if (measured := finished(cell, root)) is not None]
-        self.cpu_hours = sum(each["result"]["cpu_seconds"] for each in found) / 3600
+        self.cpu_hours = runs.cpu_hours
 
-    def _entries(self, cells: Sequence[VapCell], root: Path, failed: Mapping[str, str]) -> Iterator[VapEntry]:
-        first = cells[0]
-        found = [(cell, measured) for cell in cells if (measured := finished(cell, root)) is not None]
-        identities = tuple(cell.identity for cell, _ in found)
-        variant = self.experiment.variants[first.variant]
-        predictors = list(found[0][1]["evaluations"]) if found else [""]
+    def _entries(self, runs: Runs[VapCell], failed: Mapping[str, str]) -> Iterator[VapEntry]:
+        first = runs.cells[0]
+        spec, variant = self.experiment.learners[first.row], self.experiment.variants[first.variant]
+        predictors = list(runs.measured[0]["evaluations"]) if runs.measured else [""]
         for predictor in predictors:
-            results = [measured["evaluations"][predictor] for _, measured in found]
-            recalls = [measured["concepts"] for _, measured in found] if predictor == predictors[0] else []
+            results = [measured["evaluations"][predictor] for measured in runs.measured]
+            recalls = [measured["concepts"] for measured in runs.measured] if predictor == predictors[0] else []
             yield VapEntry(
-                row=first.row,
+                **runs.fields(variant, failed),
                 predictor=predictor,
-                mode=first.mode,
-                variant=first.variant,
-                seeds=tuple(cell.seed for cell, _ in found),
                 measures=pooled([each["worlds"] for each in results]) if results else {},
                 concepts=mean_recalls(recalls),
-                cpu_hours=sum(each["result"]["cpu_seconds"] for _, each in found) / 3600,
-                paper=paper_figures(
-                    self.experiment.paper,
-                    self.experiment.learners[first.row].paper or first.row,
-                    first.variant,
-                    first.mode,
-                ),
-                missing=why_missing(cells, identities, failed),
-                identities=identities,
-                group=variant.group,
-                x=variant.x,
+                paper=paper_figures(self.experiment.paper, spec.paper or first.row, first.variant, first.mode),
             )
 
     def table(self, mode: str) -> list[list[str]]:
