@@ -14,7 +14,7 @@ from ..city import ACTIONS, Inference
 from ..errors import checked_integer
 from ..evaluation import Progress
 from ..types import SymbolicScene
-from .data import BINARY, UNARY, VapDataset, VapSample
+from .data import VapDataset, symbolic_facts
 from .metrics import VapMetrics, vap_metrics
 
 __all__ = ["BaselineResult", "baseline_table", "measure_baselines", "rule_actions"]
@@ -99,26 +99,13 @@ def rule_actions(samples: VapDataset) -> NDArray[np.int64]:
     derived: list[int] = []
     with Progress("sample", len(samples)) as progress:
         for done, sample in enumerate(samples, 1):
-            facts = _facts(sample)
+            facts = symbolic_facts(sample.names, sample.unary, sample.binary, sample.sees)
             for car in np.flatnonzero(sample.mask):
                 ego = sample.names[car]
                 scene: SymbolicScene = {"entities": list(sample.names), "ego": ego, "facts": facts}
                 derived.append(ACTIONS.index(inference.answer(scene)["egos"][ego]["action"]))
             progress.update(done)
     return np.array(derived, np.int64)
-
-
-def _facts(sample: VapSample) -> dict[str, list[Any]]:
-    """Return the facts of a sample in the format of `SymbolicScene`."""
-    names = sample.names
-    facts: dict[str, list[Any]] = {
-        predicate: [names[entity] for entity in np.flatnonzero(holds)]
-        for predicate, holds in zip(UNARY, sample.unary.T, strict=True)
-    }
-    matrices = [*np.moveaxis(sample.binary, -1, 0), sample.sees]
-    for predicate, holds in zip((*BINARY, "Sees"), matrices, strict=True):
-        facts[predicate] = [[names[first], names[second]] for first, second in np.argwhere(holds)]
-    return facts
 
 
 def baseline_table(results: Sequence[BaselineResult]) -> str:

@@ -1,7 +1,7 @@
 """Perception: the truth values of predicates from pictures, boxes and headings. Needs the extra `vap`.
 
 A `ConceptModel` has three parts. The *appearance* part predicts unary predicates from what is inside a box. The
-*places* part predicts `IsAtInter` and `IsInInter` from a position: the map of all worlds is the same. The *pairs* part
+*places* part predicts `IsAtInter` and `IsInInter` from a position: all worlds have the same map. The *pairs* part
 predicts binary predicates from two node vectors.
 """
 
@@ -11,13 +11,12 @@ import math
 from collections.abc import Mapping, Sequence
 from typing import Annotated, Literal
 
-from pydantic import BaseModel, ConfigDict, Field
-
 from ..errors import missing_extra
 from .data import BINARY, PICTURE_SIDE, UNARY
 
 try:
     import torch
+    from pydantic import BaseModel, ConfigDict, Field
     from torch import Tensor, nn
 except ImportError as error:
     raise missing_extra("vap", error) from error
@@ -40,7 +39,7 @@ CELL = 8
 POSITION_WAVES = (128.0, 64.0, 32.0, 16.0, 8.0, 4.0, 2.0)
 RELATIVE_WAVES = (64.0, 32.0, 16.0, 8.0, 4.0, 2.0)
 
-#: The directions of the headings of node vectors in the picture: right and down. The order is left, right, up, down.
+#: The unit vectors (x, y) of the headings left, right, up and down. y points down.
 DIRECTIONS = ((-1.0, 0.0), (1.0, 0.0), (0.0, -1.0), (0.0, 1.0))
 
 
@@ -50,7 +49,8 @@ class ConceptSettings(BaseModel):
     model_config = ConfigDict(extra="forbid", frozen=True, strict=True, use_attribute_docstrings=True)
 
     perception: Literal["crops", "features", "sides"] = "crops"
-    """What the appearance part sees: crops of the boxes, stored features of a backbone, or only the sides of boxes."""
+    """What the appearance part sees: `crops` of the boxes, stored `features` of a backbone, or `sides`: the width and
+    the height of the box, with the heading."""
     spatial: Literal["geometric", "plain"] = "geometric"
     """The spatial parts: perceptrons on Fourier features and on relative positions in the frames of headings; or, as in
     the paper, one of the widths 128 and 128 on concatenated node vectors, with all unary predicates from the appearance
@@ -115,7 +115,17 @@ class ConceptModel(nn.Module):
         return self.spatial(nodes, extra, types, logits)
 
     def spatial(self, nodes: Tensor, extra: Tensor, types: Tensor, logits: Tensor) -> tuple[Tensor, Tensor]:
-        """Return all logits, with those of the geometric parts."""
+        """Return all logits of `spatial: geometric`: those of the classes, with those of the geometric parts.
+
+        Args:
+            nodes: (B, N, 9), the node vectors.
+            extra: (B, N, 4 or 5), the headings, with the priority if all parts see it.
+            types: (B, N, 2), the probabilities of `IsPedestrian` and `IsCar`.
+            logits: (B, N, 9), the logits of `CLASSES`.
+
+        Returns:
+            As for `forward`.
+        """
         centers = (nodes[..., :2] + nodes[..., 2:4] / 2) * (PICTURE_SIDE / CELL)
         places = self.places(torch.cat([waves(centers, POSITION_WAVES), extra, types], -1))
         unary = torch.cat([logits, places], -1)

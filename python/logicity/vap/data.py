@@ -267,6 +267,30 @@ class VapDataset(Sequence[VapSample]):
         return self.folder / f"world-{world:05}"
 
 
+def symbolic_facts(
+    names: Sequence[str], unary: NDArray[np.bool_], binary: NDArray[np.bool_], sees: NDArray[np.bool_]
+) -> dict[str, list[Any]]:
+    """Return the facts of n entities in the format of `SymbolicScene`.
+
+    Args:
+        names: The names of the entities.
+        unary: (n, 11), the truth values of `UNARY`.
+        binary: (n, n, 6), those of `BINARY`.
+        sees: (n, n), those of `Sees`.
+
+    Returns:
+        For each predicate, the names or the pairs of names for which it holds, in the order of the entities.
+    """
+    facts: dict[str, list[Any]] = {
+        predicate: [names[entity] for entity in np.flatnonzero(holds).tolist()]
+        for predicate, holds in zip(UNARY, unary.T, strict=True)
+    }
+    matrices = [*np.moveaxis(binary, -1, 0), sees]
+    for predicate, holds in zip((*BINARY, "Sees"), matrices, strict=True):
+        facts[predicate] = [[names[first], names[second]] for first, second in np.argwhere(holds).tolist()]
+    return facts
+
+
 def _restore(folder: Path, images: bool, cached_worlds: int) -> VapDataset:
     return VapDataset(folder, images, cached_worlds=cached_worlds)
 
@@ -283,7 +307,8 @@ def _read_manifest(folder: Path) -> tuple[dict[str, Any], dict[int, int]]:
     if data != "logicity vap" or version not in VERSIONS:
         raise ValueError(
             f"`{path}` belongs to a data set `{data}` of version {version}; "
-            f"this package reads versions {VERSIONS[0]} and {VERSIONS[1]}"
+            f"this package reads versions {VERSIONS[0]} and {VERSIONS[1]}; make the data set again with "
+            "`logicity vap make`"
         )
     try:
         counts = {int(world["world"]): int(world["frames"]) for world in manifest["worlds"]}

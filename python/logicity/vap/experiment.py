@@ -38,7 +38,7 @@ from ..learn.cells import Job
 from ..learn.config import faults, merged
 from ..learn.experiment import Selection, read_experiment, validated
 from ..rules import Program
-from .data import BINARY, UNARY
+from .data import BINARY, UNARY, symbolic_facts
 from .features import Backbone, DataSpec, Kind, prepared, weights_file
 from .metrics import vap_metrics
 
@@ -52,8 +52,8 @@ from .concepts import RELATIONS, ConceptModel, ConceptSettings
 from .reasoners import make_reasoner
 from .soft_rules import SoftRules
 from .training import (
-    Budget,
     Samples,
+    TrainingSettings,
     concept_loss,
     concept_recall,
     end_to_end_loss,
@@ -96,7 +96,7 @@ class VapSettings(BaseModel):
     model_config = _Model
 
     stage: Literal["concepts", "reasoning", "end-to-end", "induction", "bound"] = "concepts"
-    """What is trained, see the module."""
+    """The stage: which parts are trained, and what predicts the actions; see the module."""
     agents: Literal["fixed", "random"] = "random"
     """The agents of the worlds for training and validation."""
     worlds: Worlds = Worlds()
@@ -116,11 +116,11 @@ class VapSettings(BaseModel):
     weights: str | None = None
     """For `perception: features`, the file of the backbone's weights."""
     reasoner: Literal["gnn", "nlm"] = "gnn"
-    """The reasoner."""
+    """A graph network (`gnn`) or a Neural Logic Machine (`nlm`), for the stages `reasoning` and `end-to-end`."""
     groundings: Literal["predicted", "exact"] = "predicted"
     """The truth values on which a reasoner is trained and tested, or from which rules are learned."""
-    training: Budget = Budget()
-    """How long and how to train."""
+    training: TrainingSettings = TrainingSettings()
+    """The hyperparameters of training."""
 
     @model_validator(mode="after")
     def _consistent(self) -> VapSettings:
@@ -174,7 +174,7 @@ class VapCell(Job):
             "mode": self.mode,
             "seed": self.seed,
             "settings": self.settings.model_dump(mode="json"),
-            "rules": _rules_hash(self.mode),
+            "rules": rules_hash(self.mode),
             "start": None if self.start is None else self.start.identity,
             **({} if self.settings.backbone_hash is None else {"backbone": self.settings.backbone_hash}),
         }
@@ -286,8 +286,11 @@ class VapExperiment(BaseModel):
         known: list[str] = []
         for row, spec in self.learners.items():
             if spec.start is not None and spec.start not in known:
-                message = f"`{row}` starts from `{spec.start}`, which is no row before it"
-                yield "invalid-value", ["learners", row, "start"], message + did_you_mean(spec.start, known), ""
+                # A row that exists may be in the wrong place; another name may be misspelled.
+                move = spec.start in self.learners and spec.start != row
+                help = f": move `{row}` below it" if move else did_you_mean(spec.start, known)
+                message = f"`{row}` starts from `{spec.start}`, but no earlier row has this name{help}"
+                yield "invalid-value", ["learners", row, "start"], message, ""
             for mode in spec.modes or ():
                 if mode not in self.modes:
                     yield "invalid-value", ["learners", row, "modes"], f"unknown mode `{mode}`", ""
@@ -302,17 +305,29 @@ class VapExperiment(BaseModel):
                 message = f"unknown variant `{variant.start}`{did_you_mean(variant.start, self.variants)}"
                 yield "invalid-value", path, message, ""
             elif variant.start is not None and self.variants[variant.start].start is not None:
-                yield "invalid-value", path, f"`{variant.start}` itself starts from another variant", ""
+                message = f"`{variant.start}` itself starts from another variant: name a variant without `start`"
+                yield "invalid-value", path, message, ""
         for row, spec in self.learners.items():
             for name in spec.variants or self.variants:
                 try:
-                    self._settings(row, self.variants.get(name, Variant()), Selection())
+                    self.settings_of(row, self.variants.get(name, Variant()))
                 except ValidationError as error:
                     yield "invalid-value", ["learners", row], f"settings of `{row}`: {_fault(error)}", ""
                     break
 
-    def _settings(self, row: str, variant: Variant, selection: Selection) -> VapSettings:
+    def settings_of(self, row: str, variant: Variant, selection: Selection | None = None) -> VapSettings:
+        """Return the settings of a row and a variant.
+
+        Args:
+            row: The name of the row.
+            variant: The variant.
+            selection: Changes to the settings.
+
+        Raises:
+            ValidationError: If a setting is invalid.
+        """
         spec = self.learners[row]
+        selection = selection or Selection()
         parts: list[Mapping[str, Any]] = [self.settings, spec.settings, variant.settings]
         if selection.quick:
             parts += [self.quick, spec.quick]
@@ -347,7 +362,7 @@ class VapExperiment(BaseModel):
                     for variant in spec.variants or self.variants:
                         for seed in seeds:
                             self._add(found, (row, mode, variant, seed), selection)
-        # A variant with a mode of its own has the same cell in each column.
+        # A variant that sets a mode has the same cell in each column.
         unique: dict[str, VapCell] = {}
         for cell in found.values():
             same = unique.setdefault(cell.identity, cell)
@@ -369,7 +384,7 @@ class VapExperiment(BaseModel):
         elif spec.start is not None:
             start = self._add(found, (spec.start, mode, name, seed), selection)
         try:
-            settings = self._settings(row, variant, selection)
+            settings = self.settings_of(row, variant, selection)
         except ValidationError as error:
             raise ValueError(f"--set: settings of `{row}`: {_fault(error)}") from None
         found[key] = VapCell(
@@ -427,7 +442,7 @@ def _file_hash(path: Path) -> str:
 
 
 @cache
-def _rules_hash(mode: str) -> str:
+def rules_hash(mode: str) -> str:
     """Return the SHA-256 of the configuration of a mode and its rules, with all their files.
 
     The names of the files depend on the working directory, and are left out.
@@ -441,7 +456,7 @@ def _rules_hash(mode: str) -> str:
 
 @dataclass
 class Work:
-    """What a cell works with.
+    """The inputs and folders of a running cell.
 
     Attributes:
         mode: The mode.
@@ -479,7 +494,7 @@ class Work:
             kind=settings.kind,
             weights=settings.weights,
         )
-        tables, features = prepared(spec, self.data, f"{__version__} {_rules_hash(self.mode)}")
+        tables, features = prepared(spec, self.data, f"{__version__} {rules_hash(self.mode)}")
         name = settings.concepts.perception
         samples = Samples.load(tables, {} if features is None else {name: features})
         return samples.subset(settings.fraction, self.seed) if split == "train" and settings.fraction < 1 else samples
@@ -506,7 +521,7 @@ class Work:
         return torch.load(path, weights_only=True) if path.exists() else {}
 
 
-#: What a stage returns: the model, and the history of its training.
+#: The model and its training history.
 Trained = tuple[dict[str, Any], list[dict[str, float]]]
 
 
@@ -527,7 +542,7 @@ def run_cell(
             than the cell.
     """
     if wandb is not None:
-        raise ValueError("--wandb: experiments of Visual Action Prediction send no curves")
+        raise ValueError("--wandb: experiments of Visual Action Prediction send no curves: remove the option")
     document = json.loads((folder / "cell.json").read_text(encoding="utf-8"))
     spec = document["spec"]
     data = Path(document["data"])
@@ -535,7 +550,7 @@ def run_cell(
         # Another machine of a cluster makes its own data.
         data = Path(tempfile.gettempdir()) / "logicity-vap-data"
     settings = VapSettings.model_validate(spec["settings"])
-    for name, today in {"rules": _rules_hash(spec["mode"]), "backbone": settings.backbone_hash}.items():
+    for name, today in {"rules": rules_hash(spec["mode"]), "backbone": settings.backbone_hash}.items():
         if today != spec.get(name):
             raise ValueError(f"the {name} changed after the experiment had begun: run the same command again")
     work = Work(spec["mode"], spec["seed"], settings, folder, data, report)
@@ -599,7 +614,7 @@ def predict(
     """Return the predicted actions, int64 (B, N), by predictor, and the probabilities of concepts that were trained.
 
     Args:
-        work: What the cell works with.
+        work: The inputs and folders of the cell.
         model: The content of `model.pt`.
         samples: The samples.
     """
@@ -660,7 +675,7 @@ def _by_rules(rules: SoftRules, unary: Tensor, binary: Tensor, samples: Samples)
 
 def _train_concepts(work: Work) -> Trained:
     """Train a concept model."""
-    train, val, budget = work.samples("train"), work.samples("val"), work.settings.training
+    train, val, settings = work.samples("train"), work.samples("val"), work.settings.training
     model = work.concepts()
     if start := work.started():
         _restore(model, start, "concepts")
@@ -669,8 +684,8 @@ def _train_concepts(work: Work) -> Trained:
     def score() -> float:
         return _score(_by_rules(rules, *groundings(model, val), val)["threshold"], val)
 
-    loss = concept_loss(model, train, budget.class_power)
-    history = fit(model, loss, len(train), budget, work.seed, score, work.checkpoint, work.report)
+    loss = concept_loss(model, train, settings.class_power)
+    history = fit(model, loss, len(train), settings, work.seed, score, work.checkpoint, work.report)
     return {"concepts": model.state_dict()}, history
 
 
@@ -692,11 +707,14 @@ def _restore(part: torch.nn.Module, model: Mapping[str, Any], name: str) -> None
         ValueError: If the model has no such part, or one of another architecture.
     """
     if name not in model:
-        raise ValueError(f"the model to start from has no part `{name}`")
+        raise ValueError(f"the model to start from has no part `{name}`: start from a row that trains it")
     try:
         part.load_state_dict(model[name])
     except RuntimeError:
-        raise ValueError(f"the part `{name}` of the model to start from has other settings than this row") from None
+        raise ValueError(
+            f"the part `{name}` of the model to start from has another architecture: give both rows the same "
+            "`concepts` and `reasoner`"
+        ) from None
 
 
 def _kept(start: Mapping[str, Any]) -> dict[str, Any]:
@@ -706,7 +724,7 @@ def _kept(start: Mapping[str, Any]) -> dict[str, Any]:
 
 def _train_reasoner(work: Work) -> Trained:
     """Train a reasoner on given concepts, which stay as they are."""
-    train, val, budget = work.samples("train"), work.samples("val"), work.settings.training
+    train, val, settings = work.samples("train"), work.samples("val"), work.settings.training
     start = work.started()
     reasoner = work.reasoner()
     if "reasoner" in start:
@@ -717,14 +735,14 @@ def _train_reasoner(work: Work) -> Trained:
     def score() -> float:
         return _score(predict_actions(reasoner, *of_val, val.facts["valid"]), val)
 
-    loss = reasoning_loss(reasoner, unary, binary, train, budget.class_power)
-    history = fit(reasoner, loss, len(train), budget, work.seed, score, work.checkpoint, work.report)
+    loss = reasoning_loss(reasoner, unary, binary, train, settings.class_power)
+    history = fit(reasoner, loss, len(train), settings, work.seed, score, work.checkpoint, work.report)
     return {**_kept(start), "reasoner": reasoner.state_dict()}, history
 
 
 def _train_end_to_end(work: Work) -> Trained:
     """Train a concept model and a reasoner together, on actions only."""
-    train, val, budget = work.samples("train"), work.samples("val"), work.settings.training
+    train, val, settings = work.samples("train"), work.samples("val"), work.settings.training
     both = torch.nn.ModuleDict({"concepts": work.concepts(), "reasoner": work.reasoner()})
     concepts, reasoner = cast(ConceptModel, both["concepts"]), both["reasoner"]
     if start := work.started():
@@ -734,8 +752,8 @@ def _train_end_to_end(work: Work) -> Trained:
     def score() -> float:
         return _score(predict_actions(reasoner, *groundings(concepts, val), val.facts["valid"]), val)
 
-    loss = end_to_end_loss(concepts, reasoner, train, budget.class_power)
-    history = fit(both, loss, len(train), budget, work.seed, score, work.checkpoint, work.report)
+    loss = end_to_end_loss(concepts, reasoner, train, settings.class_power)
+    history = fit(both, loss, len(train), settings, work.seed, score, work.checkpoint, work.report)
     return {name: part.state_dict() for name, part in both.items()}, history
 
 
@@ -794,11 +812,19 @@ def scenes_of(unary: Tensor, binary: Tensor, samples: Samples) -> Iterator[dict[
 
 
 def facts_of(unary: np.ndarray[Any, Any], binary: np.ndarray[Any, Any], seen: Sequence[int]) -> dict[str, list[Any]]:
-    """Return the facts of some entities of a sample, as scenes have them. Every entity sees itself."""
-    facts: dict[str, list[Any]] = {
-        name: [f"e{entity}" for entity in seen if unary[entity, at]] for at, name in enumerate(UNARY)
-    }
-    for at, name in enumerate(BINARY):
-        facts[name] = [[f"e{a}", f"e{b}"] for a in seen for b in seen if a != b and binary[a, b, at]]
-    facts["Sees"] = [[f"e{seen[0]}", f"e{entity}"] for entity in seen]
-    return facts
+    """Return the facts of the entities in the view of one of them, as scenes have them.
+
+    `Sees` has only the pairs of the viewer with each of the entities, itself included, whatever `binary` has.
+
+    Args:
+        unary: bool (N, 11), the facts of `UNARY` of a sample.
+        binary: bool (N, N, 7), those of `RELATIONS`.
+        seen: The numbers of the entities, each once, beginning with the viewer. Entity i has the name `ei`.
+    """
+    chosen = np.array(seen, np.int64)
+    # An entity has no relation to itself, but a model can predict one.
+    apart = ~np.eye(len(chosen), dtype=bool)
+    pairs = binary[np.ix_(chosen, chosen)][..., : len(BINARY)] & apart[..., None]
+    sees = np.zeros_like(apart)
+    sees[0] = True
+    return symbolic_facts([f"e{entity}" for entity in seen], unary[chosen], pairs, sees)

@@ -1,4 +1,4 @@
-"""What perception sees of the boxes of a data set, computed once and stored. Needs the extra `vap`.
+"""Stored inputs of the perception: crops or backbone features of each box. Needs the extra `vap`.
 
 Two kinds exist. `crops` are the pixels of each box, scaled to 48 x 48, for a small network that is trained. `resnet50`
 are features of a frozen ResNet50 with a feature pyramid and ROIAlign, as in the paper: the mean and the maximum of each
@@ -299,7 +299,10 @@ def load_features(folder: Path, samples: VapDataset) -> Tensor:
     """
     document = _read(folder)
     if document["data_hash"] != _data_hash(samples.folder):
-        raise ValueError(f"`{folder}` has the features of another data set than `{samples.folder}`")
+        raise ValueError(
+            f"`{folder}` has the features of another data set than `{samples.folder}`: run `logicity vap features "
+            f"{samples.folder}` with another folder"
+        )
     worlds = list(samples.worlds())
     for world in worlds:
         if not _world_file(folder, world).exists():

@@ -63,7 +63,7 @@ class GraphReasoner(nn.Module):
         nodes = self.encoder(unary)
         for layer, (edge, update) in enumerate(zip(self.edges, self.updates, strict=True)):
             messages = sees * torch.relu(nodes[:, None] + edge(features))
-            # Messages are not negative, so that 0 is the maximum of none.
+            # Messages are not negative, so 0 is the maximum of none.
             total = (1 + self.eps[layer]) * nodes + messages.sum(2)
             nodes = update(torch.cat([total, messages.amax(2)], -1))
         logits: Tensor = self.readout(nodes)
@@ -71,10 +71,10 @@ class GraphReasoner(nn.Module):
 
 
 class LogicReasoner(nn.Module):
-    """A Neural Logic Machine of depth 4, breadth 3 and 8 outputs, and a linear layer.
+    """A Neural Logic Machine (NLM) of depth 4, breadth 3 and 8 outputs, and a linear layer.
 
-    The existential variables of the rules range over the entities in view. The machine learns this from `Sees`, which
-    is one of the binary predicates.
+    The existential variables of the rules range over the entities in view. The NLM learns this from `Sees`, which is
+    one of the binary predicates.
     """
 
     def __init__(self) -> None:

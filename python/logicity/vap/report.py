@@ -28,9 +28,9 @@ from ..learn.report import (
     paper_table,
 )
 from ..learn.result_files import place_of, read_file, row_key, updating
-from .experiment import VapCell, VapExperiment, measure_again
+from .experiment import VapCell, VapExperiment, measure_again, rules_hash
 
-__all__ = ["VapEntry", "VapReport", "leaderboard", "pooled", "read_results", "submit"]
+__all__ = ["VapEntry", "VapReport", "check_rows", "leaderboard", "pooled", "read_results", "submit"]
 
 #: The measures of the paper's table: the recalls of actions, aAcc and wAcc.
 MEASURES = (*ACTIONS, "aAcc", "wAcc")
@@ -43,6 +43,9 @@ KEYS = (
     *("experiment", "learner", "predictor", "paper", "mode", "variant", "seed", "settings", "command", "note"),
     *("versions", "hashes", "model_sha256", "cpu_seconds", "recall", "a_acc", "w_acc", "worlds", "concepts"),
 )
+
+#: The keys of each world of a row, see `evaluation`.
+WORLD_KEYS = ("world", "frames", "a_acc", "counts", "correct")
 
 #: The keys that identify a row.
 _KEY = ("experiment", "mode", "learner", "variant", "predictor", "seed")
@@ -225,13 +228,9 @@ def pooled(runs: Sequence[Sequence[Mapping[str, Any]]]) -> dict[str, Interval]:
         runs: For each run, the `worlds` of its evaluation.
     """
     generator = np.random.default_rng(0)
-    worlds = len(runs[0])
-    tables = {
-        name: np.array([[world[name] for world in run] for run in runs], np.float64)
-        for name in ("counts", "correct", "a_acc", "frames")
-    }
-    of_runs, of_worlds = bootstrap_weights(generator, len(runs)), bootstrap_weights(generator, worlds)
-    plain = _measures(tables, np.full((1, len(runs)), 1 / len(runs)), np.full((1, worlds), 1 / worlds))
+    tables = _tables(runs)
+    of_runs, of_worlds = bootstrap_weights(generator, len(runs)), bootstrap_weights(generator, len(runs[0]))
+    plain = _means(tables)
     samples = _measures(tables, of_runs, of_worlds)
     result = {}
     for name, values in samples.items():
@@ -240,6 +239,20 @@ def pooled(runs: Sequence[Sequence[Mapping[str, Any]]]) -> dict[str, Interval]:
             low, high = np.percentile(known, [2.5, 97.5])
             result[name] = Interval(float(plain[name][0]), float(low), float(high))
     return result
+
+
+def _tables(runs: Sequence[Sequence[Mapping[str, Any]]]) -> dict[str, NDArray[np.float64]]:
+    """Return what `_measures` needs of the `worlds` of runs."""
+    return {
+        name: np.array([[world[name] for world in run] for run in runs], np.float64)
+        for name in ("counts", "correct", "a_acc", "frames")
+    }
+
+
+def _means(tables: Mapping[str, NDArray[np.float64]]) -> dict[str, NDArray[np.float64]]:
+    """Return each measure with equal weights of all runs and worlds, (1,)."""
+    runs, worlds = tables["frames"].shape
+    return _measures(tables, np.full((1, runs), 1 / runs), np.full((1, worlds), 1 / worlds))
 
 
 def _measures(
@@ -278,6 +291,78 @@ def read_results(path: Path) -> dict[str, Any]:
         ValueError: If the file is not such a file.
     """
     return read_file(path, FORMAT, KEYS, _KEY) or {"format": FORMAT, "rows": []}
+
+
+def check_rows(results: Mapping[str, Any], experiments: Mapping[str, VapExperiment] | None = None) -> list[str]:
+    """Check published rows against the experiments, the rules and their own counts.
+
+    Args:
+        results: The results, as `read_results` returns them.
+        experiments: Experiments by name. The names of other rows are those of built-in experiments.
+
+    Returns:
+        A line for each fault: a row that occurs twice or that its experiment does not have; other keys, rules or
+        settings than today's; other worlds than those of the settings; or measures that do not follow from the counts
+        of the worlds.
+
+    Raises:
+        InputError: If the file of an experiment is invalid.
+        OSError: If the file of an experiment cannot be read.
+    """
+    known = dict(experiments or {})
+    keys = [row_key(row, _KEY) for row in results["rows"]]
+    found = []
+    for row, key in zip(results["rows"], keys, strict=True):
+        name = row["experiment"]
+        if name not in known:
+            known[name], _ = VapExperiment.load(name)
+        faults = ["it occurs twice"] if keys.count(key) > 1 else []
+        faults += _row_faults(row, known[name])
+        place = ", ".join(part for part in (row["learner"], row["predictor"], row["variant"]) if part)
+        found += [f"{name}: {place}, {row['mode']}, seed {row['seed']}: {fault}" for fault in faults]
+    return found
+
+
+def _row_faults(row: Mapping[str, Any], experiment: VapExperiment) -> Iterator[str]:
+    """Yield the faults of a published row, see `check_rows`."""
+    if row.keys() != set(KEYS) or any(each.keys() != set(WORLD_KEYS) for each in row["worlds"]):
+        yield "other keys"
+        return
+    if row["hashes"].get("rules") != rules_hash(row["mode"]):
+        yield "other rules"
+    yield from _experiment_faults(row, experiment)
+    if row["worlds"]:
+        yield from _measure_faults(row)
+
+
+def _experiment_faults(row: Mapping[str, Any], experiment: VapExperiment) -> Iterator[str]:
+    """Yield what differs between a row and its experiment."""
+    spec, variant = experiment.learners.get(row["learner"]), experiment.variants.get(row["variant"])
+    if spec is None or variant is None or row["variant"] not in (spec.variants or experiment.variants):
+        yield "no such learner or variant"
+        return
+    if row["mode"] not in ((variant.mode,) if variant.mode else spec.modes or experiment.modes):
+        yield "no such mode"
+    settings = experiment.settings_of(row["learner"], variant)
+    if row["settings"] != settings.model_dump(mode="json"):
+        yield "other settings"
+    if [each["world"] for each in row["worlds"]] != list(range(settings.worlds.test)):
+        yield "other worlds"
+    if row["paper"] != (spec.paper or row["learner"]):
+        yield "another row of the paper"
+
+
+def _measure_faults(row: Mapping[str, Any]) -> Iterator[str]:
+    """Yield the measures that do not follow from the counts of the worlds, and impossible recalls of concepts."""
+    means = {name: float(each[0]) for name, each in _means(_tables([row["worlds"]])).items()}
+    recorded = {**row["recall"], "aAcc": row["a_acc"], "wAcc": row["w_acc"]}
+    for name, value in means.items():
+        # The sums over the frames of a world have six decimals. An action that does not occur has no recall.
+        if not np.isclose(recorded.get(name, np.nan), value, rtol=0, atol=1e-6, equal_nan=True):
+            yield f"another {name}"
+    for name, each in row["concepts"].items():
+        if (each["recall"] is None) != (each["count"] == 0) or not 0 <= (each["recall"] or 0) <= 1:
+            yield f"an impossible recall of {name}"
 
 
 def submit(experiment: VapExperiment, file: Path, cells: Sequence[VapCell], root: Path, results: Path) -> Iterator[str]:
@@ -350,7 +435,7 @@ def _row(
 ) -> dict[str, Any]:
     recorded, result = measured["evaluations"][predictor], measured["result"]
     first = predictor == next(iter(measured["evaluations"]))
-    # A variant with a mode of its own is in every column.
+    # A variant that sets a mode is in every column.
     column = cell.row if experiment.variants[cell.variant].mode else f"{cell.row},{cell.mode}"
     return {
         "experiment": file.stem,

@@ -47,8 +47,8 @@ _COMMENT = re.compile(r"//[^\n]*|/\*.*?\*/", re.DOTALL)
 
 
 @dataclass(frozen=True)
-class Atom:
-    """A literal of a body."""
+class BodyLiteral:
+    """A literal of a clause body."""
 
     predicate: str
     variables: tuple[str, ...]
@@ -60,7 +60,7 @@ class Rule:
     """A clause for an action."""
 
     head: str
-    body: tuple[Atom, ...]
+    body: tuple[BodyLiteral, ...]
     variables: tuple[str, ...]
 
 
@@ -70,8 +70,10 @@ class SoftRules:
     Args:
         program: The rules: clauses for actions, whose bodies have literals of unary and binary predicates and of other
             actions of the same agent, without recursion.
-        precedence: The order of actions if several are derived, as the configuration gives it.
-        default: The action of an agent for which no clause holds. Its clause may only say that no other action holds.
+        precedence: The order of actions if several are derived. The default is that of `actions.priority` in
+            `configs/vap-easy.yaml`, on which `configs/vap-hard.yaml` is based; the file is not read.
+        default: The action of an agent for which no clause holds. The default is `actions.default` of
+            `configs/common.yaml`. Clauses for this action may only say that no other action holds.
 
     Raises:
         ValueError: If a clause has another form.
@@ -90,7 +92,7 @@ class SoftRules:
             known |= set(stratum)
         for each in _clauses(program, default):
             rule = _rule(default, each["text"], known)
-            if not all(atom.predicate in ("Sees", *ACTIONS) and len(rule.variables) == 1 for atom in rule.body):
+            if not all(each.predicate in ("Sees", *ACTIONS) and len(rule.variables) == 1 for each in rule.body):
                 raise ValueError(f"`{default}` holds if no other action does: `{each['text']}` has no truth degree")
 
     def degrees(self, unary: Tensor, binary: Tensor, valid: Tensor, semantics: Semantics = "product") -> Tensor:
@@ -141,7 +143,7 @@ def _rule(head: str, text: str, actions: Collection[str]) -> Rule:
     ego = beginning.partition("(")[2].partition(")")[0].strip()
     if not body_text or not _VARIABLE.fullmatch(ego):
         raise ValueError(f"only clauses with a body have truth degrees, not `{text}`")
-    body: list[Atom] = []
+    body: list[BodyLiteral] = []
     anonymous = count()
     end = 0
     while end < len(body_text):
@@ -152,24 +154,24 @@ def _rule(head: str, text: str, actions: Collection[str]) -> Rule:
         end = match.end()
         # Each `_` is a variable that occurs nowhere else.
         names = [each if each != "_" else f"_ {next(anonymous)}" for each in (match[3], match[4]) if each]
-        atom = Atom(match[2], tuple(names), bool(match[1]))
-        known = atom.predicate in (*UNARY, *RELATIONS) or (atom.predicate in actions and names == [ego])
-        if not known or (atom.negated and "_" in match.group(3, 4)):
+        literal = BodyLiteral(match[2], tuple(names), bool(match[1]))
+        known = literal.predicate in (*UNARY, *RELATIONS) or (literal.predicate in actions and names == [ego])
+        if not known or (literal.negated and "_" in match.group(3, 4)):
             raise ValueError(f"`{match[0].strip(' ,')}` has no truth degree, in `{text}`")
-        body.append(atom)
-    others = sorted({name for atom in body for name in atom.variables} - {ego})
+        body.append(literal)
+    others = sorted({name for literal in body for name in literal.variables} - {ego})
     return Rule(head, tuple(body), (ego, *others))
 
 
 def _degree(rule: Rule, values: dict[str, Tensor], sees: Tensor, semantics: Semantics) -> Tensor:
     """Return the degree of a body, (B, N): the disjunction over the entities in view of the conjunction of literals."""
     places = {name: at for at, name in enumerate(rule.variables)}
-    atoms = [*rule.body, *(Atom("Sees", (rule.variables[0], name), False) for name in rule.variables[1:])]
+    seen = [BodyLiteral("Sees", (rule.variables[0], name), False) for name in rule.variables[1:]]
     total: Tensor | None = None
-    for atom in atoms:
-        value = sees if atom.predicate == "Sees" else values[atom.predicate]
-        value = 1 - value if atom.negated else value
-        axes = [places[name] for name in atom.variables]
+    for literal in (*rule.body, *seen):
+        value = sees if literal.predicate == "Sees" else values[literal.predicate]
+        value = 1 - value if literal.negated else value
+        axes = [places[name] for name in literal.variables]
         if len(axes) == 2 and axes[0] == axes[1]:
             value, axes = value.diagonal(dim1=1, dim2=2), axes[:1]
         elif len(axes) == 2 and axes[0] > axes[1]:

@@ -1,7 +1,7 @@
 """Training of the models of Visual Action Prediction. Needs the extra `vap`.
 
-`fit` trains for a number of epochs and writes a checkpoint after each. A run that was interrupted continues from its
-last checkpoint, and ends with the same weights as one that was not: the order of samples and every random number of an
+`fit` trains for a number of epochs and writes a checkpoint after each. An interrupted run continues from its last
+checkpoint, and ends with the same weights as an uninterrupted one. The order of samples and every random number of an
 epoch follow from the seed and the number of the epoch.
 """
 
@@ -17,7 +17,6 @@ from typing import Annotated, Any, Literal
 
 import numpy as np
 from numpy.typing import NDArray
-from pydantic import BaseModel, ConfigDict, Field
 
 from ..city import ACTIONS
 from ..errors import missing_extra
@@ -25,6 +24,7 @@ from .data import UNARY, VapDataset
 
 try:
     import torch
+    from pydantic import BaseModel, ConfigDict, Field
     from torch import Tensor, nn
 except ImportError as error:
     raise missing_extra("vap", error) from error
@@ -33,14 +33,14 @@ from .concepts import RELATIONS, ConceptModel
 from .loader import as_tensors, padded_batch
 from .reasoners import GraphReasoner
 
-__all__ = ["Budget", "Samples", "concept_loss", "end_to_end_loss", "fit", "groundings", "predict_actions"]
+__all__ = ["Samples", "TrainingSettings", "concept_loss", "end_to_end_loss", "fit", "groundings", "predict_actions"]
 
 #: The number of samples that models predict at once.
 BATCH = 64
 
 
-class Budget(BaseModel):
-    """How long and how to train."""
+class TrainingSettings(BaseModel):
+    """The hyperparameters of training."""
 
     model_config = ConfigDict(extra="forbid", frozen=True, strict=True, use_attribute_docstrings=True)
 
@@ -51,11 +51,13 @@ class Budget(BaseModel):
     learning_rate: Annotated[float, Field(gt=0)] = 1e-3
     """The learning rate, which falls to 0 along a half cosine."""
     optimizer: Literal["adam", "adamw"] = "adam"
-    """The optimizer."""
+    """Adam, or AdamW with decoupled weight decay."""
     weight_decay: Annotated[float, Field(ge=0)] = 0.01
     """The weight decay of `adamw`."""
     class_power: Annotated[float, Field(ge=0, le=1)] = 0.5
-    """The weight of a class of n examples is n to the power of minus this: 0 weighs examples alike, 1 classes."""
+    """The exponent p of the class weights. An action with n examples has a weight proportional to n^-p. A true atom of
+    a predicate has the weight (false atoms / true atoms)^p, with the ratio limited to 1 to 10,000, and a false atom the
+    weight 1. With 0, all examples weigh alike."""
 
 
 @dataclass
@@ -66,6 +68,9 @@ class Samples:
         facts: Tensors in the format of `collate`, without names and concepts.
         inputs: What the appearance part sees of the entities, in the order of samples and entities: `crops` uint8
             (E, side, side, 3) or `features` float (E, F). Empty for models that see only the sides of boxes.
+
+    Raises:
+        ValueError: If the inputs are not as many as the entities of all samples.
     """
 
     facts: dict[str, Tensor]
@@ -96,7 +101,14 @@ class Samples:
         return torch.cat([self.facts["binary"], self.facts["sees"][..., None]], -1)
 
     def batch(self, chosen: Tensor) -> dict[str, Tensor]:
-        """Return the tensors of some samples, which models take."""
+        """Return the tensors of some samples, which models take.
+
+        Args:
+            chosen: int64 (B,), the positions of the samples.
+
+        Returns:
+            The facts of the B samples, and the inputs of their E entities: a valid entity has one row.
+        """
         batch = {name: values[chosen] for name, values in self.facts.items()}
         if self.inputs:
             # The valid entities of a sample come first.
@@ -105,7 +117,12 @@ class Samples:
         return batch
 
     def subset(self, fraction: float, seed: int) -> Samples:
-        """Return a random part of the samples, at least one."""
+        """Return a random part of the samples, in their order.
+
+        Args:
+            fraction: The part of the samples to return, above 0 and at most 1. At least one sample is returned.
+            seed: The seed, which determines the part.
+        """
         count = max(1, round(fraction * len(self)))
         order = torch.randperm(len(self), generator=torch.Generator().manual_seed(seed))
         chosen = order[:count].sort().values
@@ -117,7 +134,12 @@ class Samples:
 def concept_weights(samples: Samples, power: float) -> tuple[Tensor, Tensor]:
     """Return the weights of true atoms relative to false ones, for each unary and each binary predicate.
 
-    A predicate without true atoms has the weight 1.
+    Args:
+        samples: The samples.
+        power: `TrainingSettings.class_power`.
+
+    Returns:
+        float (11,) and (7,), in the orders of `UNARY` and `RELATIONS`. A predicate without true atoms has the weight 1.
     """
     valid = samples.facts["valid"]
     pairs = valid[:, :, None] & valid[:, None, :]
@@ -130,14 +152,32 @@ def concept_weights(samples: Samples, power: float) -> tuple[Tensor, Tensor]:
 
 
 def action_weights(actions: Tensor, power: float) -> Tensor:
-    """Return the weights of the actions, with the mean 1 over the examples. Actions without examples have 0."""
+    """Return the weights of the actions, with the mean 1 over the examples.
+
+    Args:
+        actions: int64 (M,), the actions of the examples, as indices into `ACTIONS`.
+        power: `TrainingSettings.class_power`.
+
+    Returns:
+        float (4,). Actions without examples have the weight 0.
+    """
     counts = torch.bincount(actions, minlength=len(ACTIONS)).double()
     weights = torch.where(counts > 0, counts.clamp(min=1) ** -power, 0.0)
     return (weights * counts.sum() / (weights * counts).sum()).float()
 
 
 def concept_loss(model: ConceptModel, samples: Samples, power: float) -> Callable[[Tensor, torch.Generator], Tensor]:
-    """Return the loss of concepts on some samples: the weighted binary cross entropy of all atoms."""
+    """Return the loss of concepts: the weighted binary cross entropy of all atoms.
+
+    Args:
+        model: The concept model.
+        samples: The samples, which determine the weights.
+        power: `TrainingSettings.class_power`.
+
+    Returns:
+        A function for `fit`. From positions of samples, int64 (B,), and a generator, which chooses how crops are turned
+        and mirrored, it computes the sum of the means over unary and over binary atoms: a scalar.
+    """
     unary_weights, binary_weights = concept_weights(samples, power)
 
     def loss(chosen: Tensor, generator: torch.Generator) -> Tensor:
@@ -156,7 +196,19 @@ def concept_loss(model: ConceptModel, samples: Samples, power: float) -> Callabl
 def reasoning_loss(
     reasoner: nn.Module, unary: Tensor, binary: Tensor, samples: Samples, power: float
 ) -> Callable[[Tensor, torch.Generator], Tensor]:
-    """Return the loss of a reasoner on given groundings: the weighted cross entropy of the actions of cars."""
+    """Return the loss of a reasoner on given groundings: the weighted cross entropy of the actions of cars.
+
+    Args:
+        reasoner: The reasoner, see `make_reasoner`.
+        unary: float (S, N, 11), the truth degrees of `UNARY` in all S samples.
+        binary: float (S, N, N, 7), those of `RELATIONS`.
+        samples: The samples, with the actions. They determine the weights.
+        power: `TrainingSettings.class_power`.
+
+    Returns:
+        A function for `fit`. From positions of samples, int64 (B,), and a generator, which is not used, it computes the
+        weighted mean over the cars: a scalar.
+    """
     facts = samples.facts
     weights = action_weights(facts["actions"][facts["mask"]], power)
 
@@ -170,7 +222,18 @@ def reasoning_loss(
 def end_to_end_loss(
     concepts: ConceptModel, reasoner: nn.Module, samples: Samples, power: float
 ) -> Callable[[Tensor, torch.Generator], Tensor]:
-    """Return the loss of the actions of cars, for a concept model and a reasoner together."""
+    """Return the loss of the actions of cars, for a concept model and a reasoner together.
+
+    Args:
+        concepts: The concept model.
+        reasoner: The reasoner, see `make_reasoner`. Its inputs are the probabilities that `concepts` predicts.
+        samples: The samples, with the actions. They determine the weights.
+        power: `TrainingSettings.class_power`.
+
+    Returns:
+        A function for `fit`. From positions of samples, int64 (B,), and a generator, which chooses how crops are turned
+        and mirrored, it computes the weighted mean over the cars: a scalar.
+    """
     facts = samples.facts
     weights = action_weights(facts["actions"][facts["mask"]], power)
 
@@ -202,7 +265,7 @@ def fit(
     network: nn.Module,
     loss: Callable[[Tensor, torch.Generator], Tensor],
     count: int,
-    budget: Budget,
+    settings: TrainingSettings,
     seed: int,
     score: Callable[[], float],
     checkpoint: Path | None = None,
@@ -212,9 +275,10 @@ def fit(
 
     Args:
         network: The network.
-        loss: Returns the loss of some samples. Receives their numbers and a generator of random numbers.
+        loss: Returns the loss of some samples, a scalar. Receives their positions, int64 (B,), and a generator of
+            random numbers.
         count: The number of samples.
-        budget: How long and how to train.
+        settings: The hyperparameters.
         seed: The seed.
         score: Returns the score of the current weights on the validation samples; larger is better.
         checkpoint: A file from which to resume, and to which to write after each epoch.
@@ -224,9 +288,9 @@ def fit(
         For each epoch, `loss`, `score` and `cpu_seconds`.
     """
     kinds = {"adam": torch.optim.Adam, "adamw": torch.optim.AdamW}
-    decay = {"weight_decay": budget.weight_decay} if budget.optimizer == "adamw" else {}
-    optimizer = kinds[budget.optimizer](network.parameters(), budget.learning_rate, **decay)
-    steps = budget.epochs * -(-count // budget.batch)
+    decay = {"weight_decay": settings.weight_decay} if settings.optimizer == "adamw" else {}
+    optimizer = kinds[settings.optimizer](network.parameters(), settings.learning_rate, **decay)
+    steps = settings.epochs * -(-count // settings.batch)
     schedule = torch.optim.lr_scheduler.CosineAnnealingLR(optimizer, steps)
     history: list[dict[str, float]] = []
     best = deepcopy(network.state_dict())
@@ -236,13 +300,13 @@ def fit(
         optimizer.load_state_dict(saved["optimizer"])
         schedule.load_state_dict(saved["schedule"])
         history, best = saved["history"], saved["best"]
-    for epoch in range(len(history), budget.epochs):
+    for epoch in range(len(history), settings.epochs):
         generator = torch.Generator().manual_seed(seed * 100_003 + epoch)
         torch.manual_seed(seed * 100_003 + epoch)
         begun = time.process_time()
         network.train()
         total = 0.0
-        for chosen in torch.randperm(count, generator=generator).split(budget.batch):
+        for chosen in torch.randperm(count, generator=generator).split(settings.batch):
             value = loss(chosen, generator)
             optimizer.zero_grad()
             value.backward()
@@ -279,7 +343,15 @@ def save(state: dict[str, Any], path: Path) -> None:
 
 
 def groundings(model: ConceptModel, samples: Samples) -> tuple[Tensor, Tensor]:
-    """Return the predicted probabilities of all atoms: (B, N, 11) and (B, N, N, 7)."""
+    """Return the probabilities of all atoms that a model predicts. Sets the model to evaluation mode.
+
+    Args:
+        model: The concept model.
+        samples: The samples, with the inputs that the model needs.
+
+    Returns:
+        float (S, N, 11) and (S, N, N, 7) for S samples, in the orders of `UNARY` and `RELATIONS`.
+    """
     model.eval()
     parts = []
     with torch.no_grad():
@@ -290,7 +362,17 @@ def groundings(model: ConceptModel, samples: Samples) -> tuple[Tensor, Tensor]:
 
 
 def predict_actions(reasoner: nn.Module, unary: Tensor, binary: Tensor, valid: Tensor) -> Tensor:
-    """Return the predicted actions of all entities, int64 (B, N)."""
+    """Return the actions of all entities that a reasoner predicts. Sets the reasoner to evaluation mode.
+
+    Args:
+        reasoner: The reasoner, see `make_reasoner`.
+        unary: float (S, N, 11), the truth degrees of `UNARY`.
+        binary: float (S, N, N, 7), those of `RELATIONS`.
+        valid: bool (S, N), the entities that are present.
+
+    Returns:
+        int64 (S, N), indices into `ACTIONS`. Those of pedestrians and of absent entities have no meaning.
+    """
     reasoner.eval()
     with torch.no_grad():
         parts = [
@@ -301,10 +383,19 @@ def predict_actions(reasoner: nn.Module, unary: Tensor, binary: Tensor, valid: T
 
 
 def concept_recall(unary: Tensor, binary: Tensor, samples: Samples) -> dict[str, dict[str, float | None]]:
-    """Return `recall`, `precision` and `count` of each predicate at the threshold 0.5, `None` for what is undefined.
+    """Return the recall and the precision of each predicate at the threshold 0.5.
 
     As in the paper, the pairs of a binary predicate are those whose first entity sees the second. `CollidingClose
     (cars)` has only the pairs whose first entity is a car: that of a pedestrian is drawn at random.
+
+    Args:
+        unary: float (S, N, 11), the predicted probabilities of `UNARY`.
+        binary: float (S, N, N, 7), those of `RELATIONS`.
+        samples: The samples, with the true facts.
+
+    Returns:
+        For each predicate, `recall`, `precision`, and `count`, the number of true atoms. A ratio without atoms is
+        `None`.
     """
     valid, sees = samples.facts["valid"], samples.facts["sees"]
     result = {
@@ -346,7 +437,7 @@ def train_on_facts(
         The predicted actions, int64 of shape (M,) for M cars in all samples of `test`.
     """
     facts, queries = Samples.load(train), Samples.load(test)
-    budget = Budget(epochs=epochs, batch=64, learning_rate=3e-3, optimizer="adamw", class_power=0.0)
+    settings = TrainingSettings(epochs=epochs, batch=64, learning_rate=3e-3, optimizer="adamw", class_power=0.0)
     threads = torch.get_num_threads()
     # The tensors are so small that synchronizing several threads costs more than it saves.
     torch.set_num_threads(1)
@@ -355,9 +446,9 @@ def train_on_facts(
             torch.manual_seed(seed)
             reasoner = GraphReasoner(width=64)
             inputs = [(each.facts["unary"].float(), each.relations.float()) for each in (facts, queries)]
-            loss = reasoning_loss(reasoner, *inputs[0], facts, budget.class_power)
+            loss = reasoning_loss(reasoner, *inputs[0], facts, settings.class_power)
             # Without validation, the last epoch counts.
-            fit(reasoner, loss, len(facts), budget, seed, lambda: 0.0, report=progress)
+            fit(reasoner, loss, len(facts), settings, seed, lambda: 0.0, report=progress)
         predicted = predict_actions(reasoner, *inputs[1], queries.facts["valid"])
     finally:
         torch.set_num_threads(threads)
