@@ -24,6 +24,7 @@ from logicity.learn.cells import Cell, finished, prepare, reuse, run_cell  # noq
 from logicity.learn.config import TrainConfig  # noqa: E402
 from logicity.learn.experiment import Experiment, Selection, load_experiment, read_experiment  # noqa: E402
 from logicity.learn.jobs import exclusive, run_in_processes  # noqa: E402
+from logicity.learn.messages import first_line  # noqa: E402
 from logicity.learn.report import escaped, markdown_table, paper_table  # noqa: E402
 from logicity.learn.result_files import as_text  # noqa: E402
 from logicity.learn.results import check_rows, leaderboard, read_results, submit  # noqa: E402
@@ -138,7 +139,7 @@ def test_the_identity_follows_from_settings_rules_episodes_and_version(
         (TINY + "changes: {seed: 3}", "each cell has its own seed: write the seeds under `seeds`"),
         (TINY.replace("ppo: {}", "ppo: {quick: {seed: 3}}"), "each cell has its own seed"),
         (TINY + "variants: {a: {start: b}}", "unknown variant `b`"),
-        (TINY + "variants: {a: {}, b: {start: a}, c: {start: b}}", "`b` itself starts from another variant"),
+        (TINY + "variants: {a: {}, b: {start: a}, c: {start: b}}", "`b` itself starts from another variant: name a"),
         (TINY.replace("ppo: {}", "ppo: {variants: [b]}") + "variants: {a: {}}", "unknown variant `b`"),
         (TINY.replace("ppo: {}", "ppo: {variants: [b]}") + "variants: {a: {}, b: {start: a}}", "`b` starts from `a`"),
         (TINY + "evaluations: {a: {split: tset}}", "`evaluations.a.split` must be `train`, `val` or `test`, not"),
@@ -212,6 +213,11 @@ def test_faults_that_appear_with_the_cells_are_reported(tmp_path: Path) -> None:
     file = write(tmp_path, "task: langauge\n" + TINY)
     with pytest.raises(InputError, match="unknown task `langauge`; did you mean `language`"):
         load_experiment(file)
+
+
+def test_an_empty_message_has_a_first_line() -> None:
+    assert first_line("one\ntwo") == "one"
+    assert first_line("") == "no message" and first_line("", "failed") == "failed"
 
 
 def test_names_are_escaped_in_tables() -> None:

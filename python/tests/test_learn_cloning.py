@@ -157,7 +157,7 @@ def test_a_saved_policy_acts_alike(algorithm: str, tmp_path: Path) -> None:
     assert np.array_equal(actions[7:8], loaded.predict(observations[7:8])[0])
     measured = Benchmark("medium", "val").evaluate(loaded)
     assert 0 <= measured.tsr.value <= 1
-    with pytest.raises(ValueError, match=r"shape \(batch, 140\)"):
+    with pytest.raises(ValueError, match=r"shape \(batch, 140\), not \(50, 139\): the policy was trained in `medium`"):
         loaded.predict(observations[:, 1:])
 
 
@@ -246,6 +246,7 @@ def test_training_curves_are_written(tmp_path: Path) -> None:
     reader = needs("tensorboard.backend.event_processing.event_accumulator", "learn")
     learner = MlpLearner(config("mlp", SMALL["mlp"]), tmp_path)
     learner.fit(100, nothing)
+    learner.close()
     curves = reader.EventAccumulator(str(tmp_path)).Reload()
     assert [point.step for point in curves.Scalars("train/loss")] == [50, 100]
     assert curves.Scalars("train/loss")[1].value < curves.Scalars("train/loss")[0].value

@@ -187,9 +187,9 @@ def test_the_loss_of_the_world_model_is_that_of_single_observations() -> None:
             sums["observations"] -= math.log(probability if bits[step, row, bit] else 1 - probability)
         if not truncated[step, row]:
             sums["rewards"] += 0.5 * (float(model.reward(features)) - float(rewards[step, row])) ** 2
-        goes_on = 1 / (1 + math.exp(-float(model.discount(features))))
+        continuation = 1 / (1 + math.exp(-float(model.discount(features))))
         target = 0.0 if terminated[step, row] else 0.9
-        sums["discounts"] -= target * math.log(goes_on) + (1 - target) * math.log(1 - goes_on)
+        sums["discounts"] -= target * math.log(continuation) + (1 - target) * math.log(1 - continuation)
         embedded = model.encoder(bits[step, row])
         posterior = model.posterior(torch.cat([states.deterministic[step, row], embedded])).view(3, 4)
         prior = model.prior(states.deterministic[step, row]).view(3, 4)
@@ -405,7 +405,7 @@ def test_curves_are_written(tmp_path: Path) -> None:
 
 
 def test_too_small_a_buffer_raises() -> None:
-    with pytest.raises(ValueError, match="`buffer_size` 10 is too small for 4 environments"):
+    with pytest.raises(ValueError, match="`buffer_size` 10 is too small for 4 environments .*: use at least 20"):
         Dreamer(config(small(buffer_size=10)))
     assert Interaction(config(small())).width == 85
 

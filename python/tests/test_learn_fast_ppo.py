@@ -19,6 +19,7 @@ from logicity.envs import SPFVectorEnv  # noqa: E402
 from logicity.evaluation import Benchmark, load_task  # noqa: E402
 from logicity.learn import TrainConfig  # noqa: E402
 from logicity.learn.fast_ppo import (  # noqa: E402
+    ENDINGS,
     Batch,
     FastPPO,
     FastPPOPolicy,
@@ -143,8 +144,8 @@ def test_grouping_adds_up_the_steps_of_an_observation() -> None:
         assert batch.returns[state] == pytest.approx(returns[of].mean(), abs=1e-5)
         for action in range(4):
             some = gains[of & (actions == action)]
-            assert batch.gains[state, action] == pytest.approx(some[some > 0].sum(), abs=1e-5)
-            assert batch.losses[state, action] == pytest.approx(some[some < 0].sum(), abs=1e-5)
+            assert batch.positive_advantages[state, action] == pytest.approx(some[some > 0].sum(), abs=1e-5)
+            assert batch.negative_advantages[state, action] == pytest.approx(some[some < 0].sum(), abs=1e-5)
     assert isinstance(batch.part(torch.tensor([3, 1])), Batch)
     assert batch.part(torch.tensor([3, 1])).counts.tolist() == [batch.counts[3], batch.counts[1]]
 
@@ -343,7 +344,7 @@ def test_policies_survive_files(tmp_path: Path) -> None:
     assert torch.equal(started._network.parameters, training._network.parameters)
     with pytest.raises(ValueError, match="`start`: the layers of"):
         learner(start=str(path), settings={"network": [8]})
-    with pytest.raises(ValueError, match="observations of 85 numbers"):
+    with pytest.raises(ValueError, match=r"shape \(batch, 85\), not \(30, 80\): the policy was trained in `easy`"):
         loaded.predict(observations[:, :80])
 
 
@@ -374,3 +375,55 @@ def test_training_curves_are_written(tmp_path: Path) -> None:
     training.fit(64 * 50, lambda: None)
     training.close()
     assert list((tmp_path / "ppo-fast").glob("events*"))
+
+
+def test_a_resumed_run_continues_its_training_curves(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """No point repeats. The first means after the resume are over its updates, not over all of the interval."""
+    reader = needs("tensorboard.backend.event_processing.event_accumulator", "learn")
+
+    def curves(folder: Path) -> dict[str, dict[int, float]]:
+        read = reader.EventAccumulator(str(folder / "ppo-fast")).Reload()
+        points = {tag: read.Scalars(tag) for tag in read.Tags()["scalars"]}
+        for found in points.values():
+            assert len({point.step for point in found}) == len(found)
+        return {tag: {point.step: point.value for point in found} for tag, found in points.items()}
+
+    changes: dict[str, Any] = {"overrides": {"task": {"horizon": 20}}}
+    size = 64  # steps of a batch
+    whole = learner(tmp_path / "whole", **changes)
+    whole.fit(200 * size, lambda: None)
+    whole.close()
+
+    # It stops after 170 updates. Its last checkpoint is at 80 updates, so the points at 100 and 150 updates repeat.
+    killed = learner(tmp_path / "resumed", **changes)
+    killed.fit(80 * size, lambda: None)
+    killed.save(tmp_path)
+    killed.fit(170 * size, lambda: None)
+    killed.close()
+    resumed = learner(tmp_path / "resumed", **changes)
+    resumed.restore(tmp_path)
+    resumed.fit(200 * size, lambda: None)
+    resumed.close()
+
+    # The reference for the point at 100 updates: the values of the 20 updates since the checkpoint.
+    since: dict[str, list[float]] = {}
+    part = learner(tmp_path / "part", **changes)
+    part.restore(tmp_path)
+
+    def record(values: dict[str, float]) -> None:
+        for name, value in values.items():
+            since.setdefault(name, []).append(float(value))
+
+    monkeypatch.setattr(part._curves, "add", record)
+    part.fit(100 * size, lambda: None)
+
+    expected, found = curves(tmp_path / "whole"), curves(tmp_path / "resumed")
+    assert found.keys() == expected.keys() == since.keys()
+    for tag, points in found.items():
+        assert list(points) == [50 * size, 100 * size, 150 * size, 200 * size]
+        if tag.startswith("cpu_seconds"):
+            continue
+        assert len(since[tag]) == (20 if tag.startswith("batches") else 1)
+        assert points.pop(100 * size) == pytest.approx(np.mean(since[tag]), rel=1e-5)
+        assert points.items() <= expected[tag].items()
+    assert sum(since[f"episodes/{name}"][0] for name in ENDINGS.values()) == pytest.approx(1)

@@ -18,7 +18,7 @@ from logicity.city import ACTIONS  # noqa: E402
 from logicity.layout import Layout  # noqa: E402
 from logicity.learn import TrainConfig, hri, load_policy, train  # noqa: E402
 from logicity.learn.demonstrations import layout_of  # noqa: E402
-from logicity.learn.hri import HRI, HriPolicy, HriSettings, Hypothesis, Rules  # noqa: E402
+from logicity.learn.hri import HRI, HriPolicy, HriSettings, Hypothesis, ProgramTemplate  # noqa: E402
 
 Bools = NDArray[np.bool_]
 
@@ -55,9 +55,9 @@ def scenes(random: np.random.Generator, of: Layout, count: int, density: float =
 
 
 def slow_inference(
-    hypothesis: Hypothesis, degrees: Any, unary: Bools, binary: Bools, exist: Bools, conjunction: str
+    program: ProgramTemplate, degrees: Any, unary: Bools, binary: Bools, exist: Bools, conjunction: str
 ) -> float:
-    """Soft inference on one scene by loops over layers, entities and predicates, as the docstring of `Layer` says."""
+    """Soft inference on one scene by loops over layers, entities and predicates, as `InventedPredicate` says."""
     n = len(exist)
 
     def both(a: float, b: float) -> float:
@@ -65,32 +65,32 @@ def slow_inference(
 
     values: list[dict[tuple[int, int], float]] = []
     # The unary symbols, then the binary ones.
-    for negated in (False, True) if hypothesis.negation else (False,):
+    for negated in (False, True) if program.negation else (False,):
         for p in range(unary.shape[-1]):
             values.append({(x, y): float(unary[x, p] != negated) for x in range(n) for y in range(n)})
     values += [{(x, y): constant for x in range(n) for y in range(n)} for constant in (1.0, 0.0)]
-    for negated in (False, True) if hypothesis.negation else (False,):
+    for negated in (False, True) if program.negation else (False,):
         for p in range(binary.shape[-1]):
             values.append({(x, y): float(binary[x, y, p] != negated) for x in range(n) for y in range(n)})
     slot = 0
-    for layer in hypothesis.layers:
+    for invented in program.invented:
         held = []
-        for _ in range(1 if layer.template == "Inv" else 3):
+        for _ in range(1 if invented.template == "Inv" else 3):
             pairs = {}
             for x, y in itertools.product(range(n), repeat=2):
-                visible = values[: layer.visible]
+                visible = values[: invented.visible]
                 pairs[x, y] = sum(float(degrees[slot, p]) * value[x, y] for p, value in enumerate(visible))
             held.append(pairs)
             slot += 1
         defined = {}
         for x, y in itertools.product(range(n), repeat=2):
-            if layer.template == "Inv":
+            if invented.template == "Inv":
                 defined[x, y] = held[0][y, x]
                 continue
             one, two, alternative = held
-            if layer.template == "A00+":
+            if invented.template == "A00+":
                 defined[x, y] = max(max(both(one[x, z], two[z, x]), alternative[x, z]) for z in range(n) if exist[z])
-            elif layer.template == "B00+":
+            elif invented.template == "B00+":
                 chain = max(both(one[x, z], two[z, y]) for z in range(n) if exist[z])
                 defined[x, y] = max(chain, alternative[x, y])
             else:
@@ -113,30 +113,30 @@ def slow_inference(
 )
 def test_soft_inference_agrees_with_loops_over_entities(settings: HriSettings, conjunction: Any) -> None:
     of = layout(3, ["P", "Q"], ["R"])
-    hypothesis = Hypothesis(of, settings, settings.depth)
+    program = ProgramTemplate(of, settings, settings.depth)
     random = np.random.default_rng(1)
     observations = scenes(random, of, 5, 0.5)
     unary, binary = hri.relations(of, observations)
     exist = hri.present(unary, binary)
-    one, two = (torch.from_numpy(values).float() for values in hypothesis.facts(unary, binary))
+    one, two = (torch.from_numpy(values).float() for values in program.facts(unary, binary))
     generator = torch.Generator().manual_seed(2)
-    weights = torch.randn(2, hypothesis.slots, hypothesis.predicates, generator=generator)
-    degrees = torch.softmax(weights.masked_fill(~hypothesis.visible(), -torch.inf), -1)
-    fast = hypothesis.infer(degrees, one, two, torch.from_numpy(exist).float(), conjunction)
+    weights = torch.randn(2, program.slots, program.predicates, generator=generator)
+    degrees = torch.softmax(weights.masked_fill(~program.visible(), -torch.inf), -1)
+    fast = program.infer(degrees, one, two, torch.from_numpy(exist).float(), conjunction)
     for model, scene in itertools.product(range(2), range(5)):
-        slow = slow_inference(hypothesis, degrees[model], unary[scene], binary[scene], exist[scene], conjunction)
+        slow = slow_inference(program, degrees[model], unary[scene], binary[scene], exist[scene], conjunction)
         assert float(fast[model, scene]) == pytest.approx(slow, abs=1e-5)
 
 
-def random_rules(random: np.random.Generator, hypothesis: Hypothesis) -> Rules:
+def random_rules(random: np.random.Generator, program: ProgramTemplate) -> Hypothesis:
     """Random choices, which prefer predicates of lower layers to symbols."""
-    first = len(hypothesis.unary) + len(hypothesis.binary)
+    first = len(program.unary) + len(program.binary)
     choices = []
-    for layer in hypothesis.layers:
-        for _ in range(layer.slots.start, layer.slots.stop):
-            below = layer.visible > first and random.random() < 0.6
-            choices.append(int(random.integers(first if below else 0, layer.visible if below else first)))
-    return Rules(hypothesis, tuple(choices))
+    for invented in program.invented:
+        for _ in range(invented.slots.start, invented.slots.stop):
+            below = invented.visible > first and random.random() < 0.6
+            choices.append(int(random.integers(first if below else 0, invented.visible if below else first)))
+    return Hypothesis(program, tuple(choices))
 
 
 def stops_by_the_engine(text: str, of: Layout, observations: NDArray[np.float32]) -> Bools:
@@ -163,18 +163,18 @@ def test_rules_decide_as_the_discretized_model_and_as_the_engine(
     monkeypatch.setattr(hri, "LITERALS", limits[1])
     of = layout_of("easy")
     settings = HriSettings(negation=negation, depth=4)
-    hypothesis = Hypothesis(of, settings, 4)
+    program = ProgramTemplate(of, settings, 4)
     random = np.random.default_rng(3)
     observations = scenes(random, of, 60, 0.25)
     unary, binary = hri.relations(of, observations)
-    one, two = (torch.from_numpy(values).float() for values in hypothesis.facts(unary, binary))
+    one, two = (torch.from_numpy(values).float() for values in program.facts(unary, binary))
     exist = torch.from_numpy(hri.present(unary, binary)).float()
     shares, defined = [], 0
     for _ in range(25):
-        rules = random_rules(random, hypothesis)
+        rules = random_rules(random, program)
         holds = rules.holds(unary, binary)
-        degrees = torch.nn.functional.one_hot(torch.tensor([rules.choices]), hypothesis.predicates).float()
-        np.testing.assert_array_equal(hypothesis.infer(degrees, one, two, exist, "min")[0].numpy() > 0.5, holds)
+        degrees = torch.nn.functional.one_hot(torch.tensor([rules.choices]), program.predicates).float()
+        np.testing.assert_array_equal(program.infer(degrees, one, two, exist, "min")[0].numpy() > 0.5, holds)
         text = HriPolicy("easy", of, settings, {"Stop": rules}).rules()
         assert not [fault for fault in logicity.check(text) if fault["severity"] == "error"], text
         np.testing.assert_array_equal(stops_by_the_engine(text, of, observations), holds, err_msg=text)
@@ -222,10 +222,10 @@ def test_a_synthetic_rule_is_learned_exactly() -> None:
     bus, old, at, inside = np.moveaxis(unary, -1, 0)
     next_to = binary[..., 0]
     wanted = at[:, 0] & (inside | (old & next_to[:, 0])).any(1)
-    hypothesis = Hypothesis(of, settings, settings.depth)
-    examples = hri.Examples(hypothesis, of, observations, wanted, np.arange(len(wanted)) // 20)
+    program = ProgramTemplate(of, settings, settings.depth)
+    examples = hri.Examples(program, of, observations, wanted, np.arange(len(wanted)) // 20)
     generator = torch.Generator().manual_seed(0)
-    model = hri._Model(hypothesis, settings, generator)
+    model = hri._ActionTrainer(program, settings, generator)
     for step in range(400):
         model.update(examples, step / 400, generator)
         if step % 50 == 49:
@@ -241,7 +241,7 @@ def test_a_synthetic_rule_is_learned_exactly() -> None:
 
 
 def weights(learner: HRI) -> list[NDArray[Any]]:
-    return [w.detach().numpy() for model in learner._models.values() for w in (model.predicates, model.rules)]
+    return [w.detach().numpy() for model in learner._trainers.values() for w in (model.predicates, model.rules)]
 
 
 def test_an_interrupted_run_equals_an_uninterrupted_one(tmp_path: Path) -> None:
@@ -277,13 +277,13 @@ def test_an_interrupted_run_equals_an_uninterrupted_one(tmp_path: Path) -> None:
 def test_policies_are_saved_and_actions_have_precedence(tmp_path: Path) -> None:
     of = layout_of("expert")
     settings = HriSettings(depth=2)
-    hypothesis = Hypothesis(of, settings, 2)
-    names = [name for name, _ in hypothesis.unary]
+    program = ProgramTemplate(of, settings, 2)
+    names = [name for name, _ in program.unary]
     true, false = len(names) - 2, len(names) - 1
     models = {}
     for action, predicate in (("Stop", "IsAtInter"), ("Slow", "IsTiro"), ("Fast", "IsBus")):
         at = names.index(predicate)
-        models[action] = Rules(hypothesis, (*[false] * (hypothesis.slots - 3), at, true, false))
+        models[action] = Hypothesis(program, (*[false] * (program.slots - 3), at, true, false))
     policy = HriPolicy("expert", of, settings, models)
     policy.save(tmp_path / "policy.pt")
     loaded = HriPolicy.load(tmp_path / "policy.pt")
@@ -305,7 +305,7 @@ def test_policies_are_saved_and_actions_have_precedence(tmp_path: Path) -> None:
     assert [ACTIONS[action] for action in actions] == [
         "Normal", "Stop", "Slow", "Stop", "Fast", "Stop", "Slow", "Stop",
     ]  # fmt: skip
-    with pytest.raises(ValueError, match="shape"):
+    with pytest.raises(ValueError, match=r"shape \(batch, 205\), not \(8, 204\): the policy was trained in `expert`"):
         loaded.predict(observations[:, :-1])
     torch.save({"format": "another"}, tmp_path / "other.pt")
     with pytest.raises(ValueError, match="expected the format"):
@@ -314,6 +314,10 @@ def test_policies_are_saved_and_actions_have_precedence(tmp_path: Path) -> None:
     plain["models"][0][2][0] = 10_000
     torch.save(plain, tmp_path / "other.pt")
     with pytest.raises(ValueError, match="is not a policy of hri"):
+        HriPolicy.load(tmp_path / "other.pt")
+    plain["models"][0] = ("Stop", 17, [])
+    torch.save(plain, tmp_path / "other.pt")
+    with pytest.raises(ValueError, match="expected 1 to 16 layers, not 17"):
         HriPolicy.load(tmp_path / "other.pt")
 
 

@@ -314,7 +314,7 @@ def test_other_files_are_not_policies(tmp_path: Path) -> None:
     with pytest.raises(ValueError, match="has version 9 of the format"):
         ShootingPolicy.load(path)
     torch.save({"format": 1, "algorithm": "mb-shooting", "config": {}, "weights": {}}, path)
-    with pytest.raises(ValueError, match="is no complete policy of mb-shooting: 'settings'"):
+    with pytest.raises(ValueError, match="is not a complete policy of mb-shooting: 'settings'"):
         ShootingPolicy.load(path)
 
 

@@ -453,7 +453,10 @@ def test_failures_of_popper_are_clear(code: str, message: str, tmp_path: Path) -
 
 def test_missing_popper_names_the_versions(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
     monkeypatch.setenv("PATH", str(tmp_path))
-    expected = "there is no command `popper-ilp` or `popper`; Popper 5 needs Python >= 3.14 and SWI-Prolog >= 9.2"
+    expected = (
+        "there is no command `popper-ilp` or `popper`; Popper 5 needs Python >= 3.14 and SWI-Prolog >= 9.2; "
+        "install it, or name its command under `settings.program`"
+    )
     with pytest.raises(FileNotFoundError, match=expected):
         learner("maxsynth").rules(None)
     with pytest.raises(FileNotFoundError, match="there is no command `/none/popper`"):

@@ -1,9 +1,9 @@
-"""The cells of experiments: each is one training run and its evaluations, in a folder of its own.
+"""The cells of experiments: each is one training run and its evaluations, in a separate folder.
 
 A `Job` is a cell of any task, `Cell` one of Safe Path Following.
 
-`python -m logicity.learn.cells FOLDER` runs the cell in a folder. It ends when its standard input is closed, so that it
-does not outlive the process that started it.
+`python -m logicity.learn.cells FOLDER` runs the cell in a folder. It ends when its standard input is closed. So it does
+not outlive the process that started it.
 """
 
 from __future__ import annotations
@@ -42,9 +42,9 @@ FORMAT = 1
 #: The evaluation on the recorded test episodes, which every training run makes at its end.
 TEST = {"split": "test", "fresh": None, "seed": 0}
 
-
-#: The modules whose function `run_cell` runs the cells of a task. Its arguments are those of `run_cell` here.
-RUNNERS = {"spf": __name__, "vap": "logicity.vap.experiment"}
+#: The modules whose function `run_cell` runs the cells of tasks other than `spf`. Its arguments are those of `run_cell`
+#: here.
+RUNNERS = {"vap": "logicity.vap.experiment"}
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -85,7 +85,7 @@ class Job(ABC):
 
     @abstractmethod
     def document(self, root: Path) -> dict[str, Any]:
-        """Return the content of `cell.json`: everything that `run_cell` needs. `task` is a key of `RUNNERS`.
+        """Return the content of `cell.json`: everything that `run_cell` needs. `task` is `spf` or a key of `RUNNERS`.
 
         Args:
             root: The folder of the experiment.
@@ -195,7 +195,7 @@ def inputs(folder: Path) -> list[Path]:
 def reuse(cells: Sequence[Job], root: Path, other: Path) -> list[str]:
     """Copy the trainings of finished cells of another experiment to the cells that have not begun and train the same.
 
-    Only their evaluations can differ, so that the result is that of training again, except for the times.
+    Only their evaluations can differ, so the result is that of training again, except for the times.
 
     Args:
         cells: The cells.

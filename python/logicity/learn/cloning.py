@@ -24,8 +24,21 @@ try:
 except ImportError as error:
     raise missing_extra("learn", error) from error
 
+from .curves import Curves
 from .demonstrations import DemonstrationData, Layout, RelationalView, Sampler
-from .learner import Actions, Learner, LearnerSettings, Observations, Policy, Progress
+from .learner import (
+    Actions,
+    Count,
+    Learner,
+    LearnerSettings,
+    NonNegative,
+    Observations,
+    Policy,
+    Positive,
+    Progress,
+    Share,
+    check_shape,
+)
 from .nlm import NeuralLogicMachine
 
 if TYPE_CHECKING:
@@ -52,18 +65,17 @@ FORMAT = 1
 #: The interval between two points of the training curves, in updates.
 CURVE_EVERY = 50
 
-Count = Annotated[int, Field(ge=1)]
 Widths = Annotated[tuple[Count, ...], Field(min_length=1), Strict(False)]
 
 
 class CloningSettings(LearnerSettings):
     """The settings that all learners of behavior cloning share."""
 
-    learning_rate: Annotated[float, Field(gt=0)] = 1e-4
+    learning_rate: Positive = 1e-4
     """The learning rate of Adam."""
     schedule: Literal["constant", "cosine"] = "constant"
     """The learning rate over the training: constant, or falling to 0 as a cosine."""
-    weight_decay: Annotated[float, Field(ge=0)] = 0.0
+    weight_decay: NonNegative = 0.0
     """The decoupled weight decay (AdamW)."""
     batch_size: Count = 256
     """The number of steps of demonstrations in an update."""
@@ -71,11 +83,12 @@ class CloningSettings(LearnerSettings):
     """Whether to use each pair of observation and action once."""
     balanced: bool = False
     """Whether batches contain every action equally often."""
-    class_power: Annotated[float, Field(ge=0, le=1)] = 0.0
-    """The weight of an action in the loss is this power of the mean count of actions divided by the action's count."""
+    class_power: Share = 0.0
+    """The exponent p of the weights in the loss. A step with an action that has n steps weighs (m / n) ** p, where m is
+    the mean of n over the actions that occur. With p = 1 these actions have the same total weight."""
     shuffle_entities: bool = False
     """Whether to permute the entities other than the ego at random in each batch."""
-    gradient_clip: Annotated[float, Field(gt=0)] | None = None
+    gradient_clip: Positive | None = None
     """The largest norm of the gradient, or null."""
     average: Annotated[float, Field(ge=0, lt=1)] = 0.0
     """The decay of the moving average of the weights that policies use; 0 uses the weights themselves."""
@@ -125,10 +138,9 @@ class NlmSettings(CloningSettings, LogicSettings):
 
 
 class LogicNetwork(nn.Module):
-    """A Neural Logic Machine over an observation. Its result are the predicates of the ego in the last layer.
+    """A Neural Logic Machine (NLM) over an observation. It returns the predicates of the ego in the last layer.
 
-    It evaluates equal observations of a batch once, and those with at most two entities without triples of entities:
-    in drawn episodes these are two thirds of the observations.
+    It evaluates equal observations of a batch once, and those with at most two entities without triples of entities.
 
     Args:
         layout: The layout of the observations.
@@ -139,7 +151,7 @@ class LogicNetwork(nn.Module):
     """
 
     def __init__(self, layout: Layout, **options: Any) -> None:
-        """Create the machine. The route length, if the task observes it, is a predicate without arguments."""
+        """Create the NLM. The route length, if the task observes it, is a predicate without arguments."""
         super().__init__()
         self.view = RelationalView(layout)
         inputs = [int(layout.route_length is not None), len(layout.unary), len(layout.binary)]
@@ -164,14 +176,14 @@ class LogicNetwork(nn.Module):
                     binary[rows, :count, :count],
                 ]
                 part = self.machine(groups, mask[rows, :count])[1]
-                assert part is not None  # the machine returns the predicates of one entity
+                assert part is not None  # the NLM returns the predicates of one entity
                 order.append(rows.nonzero()[:, 0])
                 parts.append(part[:, 0])
         place = torch.cat(order).argsort()[inverse]
         return torch.cat(parts).index_select(0, place)
 
     def padded(self, observations: Tensor) -> Tensor:
-        """Return what `forward` does, from a machine over all entities of the padded observations."""
+        """Return the result of `forward`, from an NLM over all entities of the padded observations."""
         unary, binary, mask = self.view(observations)
         result: Tensor = self.machine([self.view.route_length(observations), unary, binary], mask)[1][:, 0]
         return result
@@ -202,11 +214,12 @@ class ClonedPolicy(Policy):
         episode_start: Any = None,
         deterministic: bool = True,
     ) -> tuple[Actions, Any]:
-        """Return the actions with the largest scores, or draw actions with the softmax of the scores."""
-        if observation.ndim != 2 or observation.shape[1] != self.layout.width:
-            raise ValueError(
-                f"the policy takes observations of shape (batch, {self.layout.width}), not {observation.shape}"
-            )
+        """Return the actions with the largest scores, or draw actions with the softmax of the scores.
+
+        Raises:
+            ValueError: If the observations have another shape than those of the training.
+        """
+        check_shape(observation, self.layout.width, self.mode)
         with torch.no_grad():
             scores = self.network(torch.from_numpy(np.ascontiguousarray(observation, np.float32)))
             if deterministic:
@@ -293,6 +306,7 @@ class CloningLearner(Learner):
             self._network.parameters(), self._settings.learning_rate, weight_decay=self._settings.weight_decay
         )
         self._steps = 0
+        self._curves = Curves(log)
 
     @staticmethod
     @abstractmethod
@@ -317,26 +331,13 @@ class CloningLearner(Learner):
 
     def fit(self, steps: int, progress: Progress) -> None:
         """Train until `steps` updates. The schedule `cosine` ends at `steps`."""
-        writer = self._writer()
-        try:
-            while self._steps < steps:
-                loss, accuracy = self._update(self._steps / steps)
-                self._steps += 1
-                if writer is not None and self._steps % CURVE_EVERY == 0:
-                    writer.add_scalar("train/loss", loss, self._steps)
-                    writer.add_scalar("train/accuracy", accuracy, self._steps)
-                progress()
-        finally:
-            if writer is not None:
-                writer.close()
-
-    def _writer(self) -> Any:
-        if self.log is None:
-            return None
-        from torch.utils.tensorboard import SummaryWriter
-
-        # A run that resumes repeats the steps since its last checkpoint.
-        return SummaryWriter(str(self.log), purge_step=self._steps + 1)
+        while self._steps < steps:
+            loss, accuracy = self._update(self._steps / steps)
+            self._steps += 1
+            if self._steps % CURVE_EVERY == 0:
+                self._curves.add({"train/loss": loss, "train/accuracy": accuracy})
+                self._curves.write(self._steps)
+            progress()
 
     def _update(self, done: float) -> tuple[float, float]:
         """Run one update, and return the loss and the accuracy of the batch.
@@ -404,6 +405,10 @@ class CloningLearner(Learner):
         except (KeyError, RuntimeError, TypeError, ValueError) as error:
             raise ValueError(f"{path} does not fit the configuration: {error}") from error
 
+    def close(self) -> None:
+        """Close the training curves."""
+        self._curves.close()
+
 
 class MlpLearner(CloningLearner):
     """Behavior cloning of a multilayer perceptron over the whole observation."""
@@ -448,7 +453,7 @@ class NlmLearner(CloningLearner):
 
     @staticmethod
     def new_network(layout: Layout, settings: NlmSettings) -> nn.Module:
-        """Create a machine, and a linear layer on the predicates of the ego."""
+        """Create an NLM, and a linear layer on the predicates of the ego."""
         logic = LogicNetwork(layout, **settings.model_dump(include=set(LogicSettings.model_fields)))
         return nn.Sequential(logic, nn.Linear(logic.width, len(ACTIONS)))
 
@@ -482,7 +487,7 @@ def _loaded(path: Path, what: str) -> dict[str, Any]:
 
     Raises:
         OSError: If the file cannot be read.
-        ValueError: If it is no such file.
+        ValueError: If it is not such a file.
     """
     saved = read_tensors(path, f"a {what}")
     if not isinstance(saved, dict) or saved.get("format") != FORMAT:

@@ -27,7 +27,7 @@ except ImportError as error:
     raise missing_extra("learn", error) from error
 
 from ..modes import ENVIRONMENTS, checked_mode
-from .learner import Count, Learner, LearnerSettings
+from .learner import Count, Learner, LearnerSettings, Seed
 from .registry import LEARNERS, learner_class
 
 if TYPE_CHECKING:
@@ -75,7 +75,7 @@ class TrainConfig(BaseModel):
     start: str | None = None
     """The file of a policy of the same learner. Training starts from its weights. In a YAML file, a path is relative to
     the folder of that file. For neural learners."""
-    seed: Annotated[int, Field(strict=True, ge=0, lt=2**32)] = 0
+    seed: Seed = 0
     """The seed of networks, exploration and episodes."""
     validate_every: Count = 10_000
     """The number of steps between validations. Each validation writes a checkpoint."""
@@ -264,7 +264,7 @@ _BUILTIN_MODES = {f"configs/{name}.yaml" for name in ENVIRONMENTS}
 def _settings_schema(name: str, settings: type[LearnerSettings]) -> dict[str, Any]:
     """Return the schema of the settings of a learner."""
     schema = settings.model_json_schema()
-    # Models within the settings become part of the schema, so that it has no definitions of its own.
+    # Models within the settings become part of the schema, so it needs no definitions.
     properties = _inlined(schema.get("properties", {}), schema.get("$defs", {}))
     return {
         "title": f"Settings of `{name}`",

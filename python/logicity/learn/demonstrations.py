@@ -13,7 +13,7 @@ from ..city import ACTIONS
 from ..errors import missing_extra
 from ..evaluation import load_task
 from ..layout import Layout
-from ..offline import demonstrations
+from ..offline import Demonstrations, demonstrations
 
 try:
     import torch
@@ -21,7 +21,7 @@ try:
 except ImportError as error:
     raise missing_extra("learn", error) from error
 
-__all__ = ["DemonstrationData", "GraphView", "Layout", "RelationalView", "Sampler", "layout_of"]
+__all__ = ["DemonstrationData", "GraphView", "Layout", "RelationalView", "Sampler", "first_demonstrations", "layout_of"]
 
 
 def layout_of(mode: str | os.PathLike[str]) -> Layout:
@@ -33,6 +33,25 @@ def layout_of(mode: str | os.PathLike[str]) -> Layout:
         ValueError: If the mode is unknown, or has a predicate of three or more entities.
     """
     return Layout.of_description(_logicity.describe(load_task(mode)))
+
+
+def first_demonstrations(mode: str | os.PathLike[str], share: float = 1.0, split: str = "train") -> Demonstrations:
+    """Run the oracle on the first recorded episodes of a mode or of a configuration file.
+
+    Args:
+        mode: As for `logicity.demonstrations`.
+        share: The share of the recorded episodes, 0 < share <= 1. Their number is rounded to the nearest one, and at
+            least 1.
+        split: The split of the episodes.
+
+    Raises:
+        InputError: If the configuration is invalid, or no episodes are recorded.
+        OSError: If a file cannot be read.
+        ValueError: If the mode is unknown, or the share is out of range.
+    """
+    if not 0 < share <= 1:
+        raise ValueError(f"the share of the demonstrations must be above 0 and at most 1, not {share}")
+    return demonstrations(mode, max(1, round(share * load_task(mode).recorded(split))), split)
 
 
 @dataclass(frozen=True, eq=False)
@@ -53,23 +72,8 @@ class DemonstrationData:
 
     @classmethod
     def load(cls, mode: str | os.PathLike[str], share: float = 1.0, split: str = "train") -> DemonstrationData:
-        """Run the oracle on the recorded episodes of a mode or of a configuration file.
-
-        Args:
-            mode: As for `logicity.demonstrations`.
-            share: The share of the trajectories, 0 < share <= 1. The first ones are taken, rounded to the nearest
-                number, and at least one.
-            split: The split of the episodes.
-
-        Raises:
-            InputError: If the configuration is invalid, or no episodes are recorded.
-            OSError: If a file cannot be read.
-            ValueError: If the mode is unknown, or the share is out of range.
-        """
-        if not 0 < share <= 1:
-            raise ValueError(f"the share of the demonstrations must be above 0 and at most 1, not {share}")
-        recorded = len(_logicity.RandomBaseline(load_task(mode), split))
-        chosen = demonstrations(mode, max(1, round(share * recorded)), split)
+        """Run the oracle on recorded episodes. The arguments and errors are those of `first_demonstrations`."""
+        chosen = first_demonstrations(mode, share, split)
         lengths = torch.tensor([len(trajectory) for trajectory in chosen])
         return cls(
             layout_of(mode),
@@ -161,7 +165,7 @@ class RelationalView(nn.Module):
     """
 
     def __init__(self, layout: Layout) -> None:
-        """Store the positions as tensors. They are no part of a saved state."""
+        """Store the positions as tensors. A saved state omits them."""
         super().__init__()
         self.layout = layout
         self.register_buffer("_unary", torch.from_numpy(layout.unary_at).flatten(), persistent=False)

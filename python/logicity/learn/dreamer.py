@@ -19,7 +19,7 @@ from collections.abc import Iterable, Sequence
 from copy import deepcopy
 from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any, ClassVar, Literal, NamedTuple, TypeAlias
+from typing import TYPE_CHECKING, Annotated, Any, ClassVar, Literal, NamedTuple
 
 import numpy as np
 from pydantic import Field
@@ -34,17 +34,29 @@ except ImportError as error:
     raise missing_extra("learn", error) from error
 
 from ..city import ACTIONS
+from .curves import Curves
 from .interaction import (
-    Curves,
     Interaction,
     Transitions,
     as_bits,
-    check_shape,
     load_policy,
     random_actions,
     save_policy,
+    step_generator,
 )
-from .learner import Actions, Count, Learner, LearnerSettings, Observations, Policy, Progress
+from .learner import (
+    Actions,
+    Count,
+    Learner,
+    LearnerSettings,
+    NonNegative,
+    Observations,
+    Policy,
+    Positive,
+    Progress,
+    Share,
+    check_shape,
+)
 
 if TYPE_CHECKING:
     from .config import TrainConfig
@@ -60,9 +72,6 @@ __all__ = [
     "lambda_returns",
 ]
 
-Rate: TypeAlias = Annotated[float, Field(gt=0)]
-Share: TypeAlias = Annotated[float, Field(ge=0, le=1)]
-
 
 class DreamerSettings(LearnerSettings):
     """Settings of DreamerV2."""
@@ -77,11 +86,11 @@ class DreamerSettings(LearnerSettings):
     """The number of hidden layers of the encoder, of the decoder and of each head."""
     width: Count = 100
     """The width of hidden layers."""
-    model_learning_rate: Rate = 2e-4
+    model_learning_rate: Positive = 2e-4
     """The learning rate of the world model."""
-    actor_learning_rate: Rate = 4e-5
+    actor_learning_rate: Positive = 4e-5
     """The learning rate of the actor."""
-    critic_learning_rate: Rate = 1e-4
+    critic_learning_rate: Positive = 1e-4
     """The learning rate of the critic."""
     batch_size: Count = 50
     """The number of sequences of an update."""
@@ -93,15 +102,15 @@ class DreamerSettings(LearnerSettings):
     """The discount per step."""
     trace_decay: Share = 0.95
     """The weight lambda of longer returns in the targets of the critic."""
-    kl_scale: Annotated[float, Field(ge=0)] = 0.1
+    kl_scale: NonNegative = 0.1
     """The weight of the divergence between posterior and prior in the loss of the world model."""
     kl_balance: Share = 0.8
     """The share of the divergence that trains the prior."""
-    entropy_scale: Annotated[float, Field(ge=0)] = 1e-3
+    entropy_scale: NonNegative = 1e-3
     """The weight of the entropy of the actor in its loss."""
     target_interval: Count = 100
     """The number of updates after which the slow target critic becomes a copy of the critic."""
-    gradient_clip: Rate = 100.0
+    gradient_clip: Positive = 100.0
     """The largest norm of the gradients of the world model, of the actor and of the critic."""
     random_steps: Annotated[int, Field(ge=0)] = 5000
     """The number of steps with random actions at the start."""
@@ -152,7 +161,7 @@ class _EluFunction(torch.autograd.Function):
 
 
 class Elu(nn.Module):
-    """The activation ELU, about seven times as fast as PyTorch's `ELU` on one core, which computes `expm1`."""
+    """The activation ELU. PyTorch's `ELU` is slower on one core, because it computes `expm1`."""
 
     def forward(self, inputs: Tensor) -> Tensor:
         """Return the inputs, or exp(x) - 1 where they are negative."""
@@ -172,7 +181,12 @@ def mlp(inputs: int, settings: DreamerSettings, outputs: int) -> nn.Sequential:
 def one_hot_samples(logits: Tensor, generator: torch.Generator | None) -> Tensor:
     """Sample one-hot vectors of categorical variables, with straight-through gradients (algorithm 1).
 
-    Without a generator, the most probable classes are returned.
+    Args:
+        logits: The logits, of shape (..., classes).
+        generator: The source of samples. Without it, the most probable classes are returned.
+
+    Returns:
+        The vectors, of shape (..., classes).
     """
     probabilities = logits.softmax(-1)
     if generator is None:
@@ -261,14 +275,19 @@ class WorldModel(nn.Module):
         self.discount = mlp(deterministic + stochastic, settings, 1)
 
     def start(self, count: int) -> State:
-        """Return the states before the first observation."""
+        """Return the states before the first observation: zeros for a batch of `count` environments."""
         settings = self._settings
         return State(
             torch.zeros(count, settings.deterministic), torch.zeros(count, settings.variables * settings.classes)
         )
 
     def advance(self, state: State, actions: Tensor) -> Tensor:
-        """Return the deterministic part after one-hot actions."""
+        """Return the deterministic part after actions, of shape (batch, deterministic).
+
+        Args:
+            state: The states before the actions.
+            actions: The one-hot actions, of shape (batch, actions).
+        """
         inputs = self.input(torch.cat([state.stochastic, actions], -1))
         after: Tensor = self.gru(inputs, state.deterministic)
         return after
@@ -286,13 +305,13 @@ class WorldModel(nn.Module):
 
         Args:
             state: The states of the step before.
-            actions: The one-hot actions that led to the observations.
-            embedded: The encoded observations.
+            actions: The one-hot actions that led to the observations, of shape (batch, actions).
+            embedded: The encoded observations, of shape (batch, width).
             first: Whether the observations are the first of their episodes, as floats of shape (batch, 1).
             generator: The source of samples. Without it, the most probable states are returned.
 
         Returns:
-            The states, and the logits of the posterior.
+            The states, and the logits of the posterior, of shape (batch, variables, classes).
         """
         kept = 1 - first
         state, actions = State(state.deterministic * kept, state.stochastic * kept), actions * kept
@@ -301,7 +320,13 @@ class WorldModel(nn.Module):
         return self._sample(deterministic, logits, generator), logits
 
     def imagine(self, state: State, actions: Tensor, generator: torch.Generator | None) -> State:
-        """Predict the states after one-hot actions."""
+        """Predict the states after actions.
+
+        Args:
+            state: The states before the actions.
+            actions: The one-hot actions, of shape (batch, actions).
+            generator: The source of samples. Without it, the most probable states are returned.
+        """
         deterministic = self.advance(state, actions)
         return self._sample(deterministic, self._logits(self.prior(deterministic)), generator)
 
@@ -318,13 +343,13 @@ class WorldModel(nn.Module):
         sequence = State(*(torch.stack(parts) for parts in zip(*states, strict=True)))
         prior = self._logits(self.prior(sequence.deterministic))
         features = sequence.features()
-        entropy = functional.binary_cross_entropy_with_logits
-        # The observation has no clock, so that the overtime cost of a truncated episode cannot be predicted.
+        cross_entropy = functional.binary_cross_entropy_with_logits
+        # The observation has no clock, so the overtime cost of a truncated episode cannot be predicted.
         errors = torch.where(batch.truncated, 0.0, (self.reward(features)[..., 0] - batch.rewards) ** 2 / 2)
         return sequence, Losses(
-            entropy(self.decoder(features), batch.observations, reduction="none").sum(-1).mean(),
+            cross_entropy(self.decoder(features), batch.observations, reduction="none").sum(-1).mean(),
             errors.mean(),
-            entropy(self.discount(features)[..., 0], settings.discount * (1 - batch.terminated)),
+            cross_entropy(self.discount(features)[..., 0], settings.discount * (1 - batch.terminated)),
             balanced_kl(torch.stack(logits), prior, settings.kl_balance).mean(),
         )
 
@@ -406,7 +431,12 @@ class EpisodeReplay:
     def sample(self, count: int, length: int, generator: torch.Generator) -> Batch:
         """Draw sequences of consecutive observations, which can contain the ends of episodes.
 
-        Every environment must have `length` observations.
+        Every environment must have `length` observations, see `ready`.
+
+        Args:
+            count: The number of sequences, the batch size of the result.
+            length: The number of observations of a sequence.
+            generator: The source of the sequences.
         """
         size = self.rewards.shape[1]
         envs = torch.randint(len(self.added), (count,), generator=generator)
@@ -453,8 +483,8 @@ class Memory(NamedTuple):
     """The memory of a policy.
 
     Attributes:
-        state: The last states.
-        actions: The last actions, one-hot.
+        state: The last states, one per environment.
+        actions: The last actions, one-hot, of shape (environments, actions).
         steps: The number of steps, which determines the random samples.
     """
 
@@ -492,7 +522,7 @@ class DreamerPolicy(Policy):
         Raises:
             ValueError: If the observations have another shape than those of the training, or are not binary.
         """
-        check_shape(observation, self.model.bits)
+        check_shape(observation, self.model.bits, self.mode)
         count = len(observation)
         memory = Memory(self.model.start(count), torch.zeros(count, len(ACTIONS)), 0) if state is None else state
         starts = np.full(count, state is None) if episode_start is None else np.asarray(episode_start)
@@ -504,7 +534,14 @@ class DreamerPolicy(Policy):
     def act(
         self, observations: Tensor, memory: Memory, first: Tensor, generator: torch.Generator | None
     ) -> tuple[Tensor, Memory]:
-        """Return actions and the next memory, with samples from a generator if there is one."""
+        """Return actions, int64 of shape (batch,), and the next memory.
+
+        Args:
+            observations: Bits as floats, of shape (batch, bits).
+            memory: The memory after the last step.
+            first: Whether the observations are the first of their episodes, as floats of shape (batch, 1).
+            generator: The source of samples. Without it, states and actions are the most probable ones.
+        """
         with torch.no_grad():
             embedded = self.model.encoder(observations)
             state, _ = self.model.observe(memory.state, memory.actions, embedded, first, generator)
@@ -541,12 +578,6 @@ class DreamerPolicy(Policy):
         return load_policy(path, cls.algorithm, build)
 
 
-def step_generator(seed: int, step: int) -> torch.Generator:
-    """Return the source of the samples of a step."""
-    # Consecutive steps of a run must not have the seeds of consecutive runs.
-    return torch.Generator().manual_seed(int(np.random.SeedSequence([seed, step]).generate_state(1)[0]))
-
-
 def head(settings: DreamerSettings, outputs: int) -> nn.Sequential:
     """Create a network on the features of states."""
     return mlp(settings.deterministic + settings.variables * settings.classes, settings, outputs)
@@ -574,7 +605,7 @@ class Dreamer(Learner):
         if settings.buffer_size < config.envs * settings.sequence_length:
             raise ValueError(
                 f"`buffer_size` {settings.buffer_size} is too small for {config.envs} environments with sequences of "
-                f"{settings.sequence_length} observations"
+                f"{settings.sequence_length} observations: use at least {config.envs * settings.sequence_length}"
             )
         self._settings = settings
         self._interaction = Interaction(config)
@@ -624,7 +655,7 @@ class Dreamer(Learner):
         if self.steps < self._settings.random_steps:
             actions = random_actions(len(observations), self._generator)
             chosen = functional.one_hot(torch.from_numpy(actions), len(ACTIONS)).float()
-            # The states follow the random actions, so that the first actions of the actor have a memory.
+            # The states follow the random actions, so the first actions of the actor have a memory.
             _, memory = self.policy().act(observations, self._memory, self._first, self._generator)
             self._memory = memory._replace(actions=chosen)
             return actions
@@ -718,7 +749,7 @@ class Dreamer(Learner):
             OSError: If the file cannot be read.
             ValueError: If the file does not fit the configuration.
         """
-        # The checkpoint is the run's own, and has environments, which are no plain data.
+        # The checkpoint is the run's own, and has environments, which are not plain data.
         state = torch.load(folder / "learner.pt", weights_only=False)
         if state.get("algorithm") != DreamerPolicy.algorithm:
             raise ValueError(f"{folder} has no checkpoint of {DreamerPolicy.algorithm}")

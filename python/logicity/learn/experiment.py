@@ -13,14 +13,14 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Annotated, Any, Literal, Protocol, TypeVar, cast
 
-from pydantic import BaseModel, ConfigDict, Field, Strict, ValidationError
+from pydantic import BaseModel, Field, Strict, ValidationError
 
 from .. import _logicity
 from ..errors import InputError, did_you_mean
 from ..modes import ENVIRONMENTS, checked_mode
 from .cells import TEST, Cell, Job
 from .config import TrainConfig, faults, merged
-from .learner import Count
+from .learner import Count, Seed, StrictModel
 
 __all__ = [
     *("AnyExperiment", "AnyReport", "Experiment", "Selection"),
@@ -39,16 +39,11 @@ QUICK: dict[bool, dict[str, Any]] = {
     False: {"steps": 8, "validate_every": 4},
 }
 
-_Seed = Annotated[int, Field(strict=True, ge=0, lt=2**32)]
-_Seeds = Annotated[tuple[_Seed, ...], Strict(False), Field(min_length=1)]
+_Seeds = Annotated[tuple[Seed, ...], Strict(False), Field(min_length=1)]
 _Names = Annotated[tuple[str, ...], Strict(False), Field(min_length=1)]
 
 
-class _Model(BaseModel):
-    model_config = ConfigDict(extra="forbid", frozen=True, strict=True, use_attribute_docstrings=True)
-
-
-class Row(_Model):
+class Row(StrictModel):
     """A row of the table: a learner with its settings."""
 
     config: str | None = None
@@ -69,7 +64,7 @@ class Row(_Model):
     """Whether the learner needs a program that may be missing. Then the row has only the figures of the paper."""
 
 
-class Variant(_Model):
+class Variant(StrictModel):
     """A variant of every row."""
 
     changes: dict[str, Any] = Field(default_factory=dict)
@@ -84,14 +79,14 @@ class Variant(_Model):
     """The place on that line."""
 
 
-class EvaluationSpec(_Model):
+class EvaluationSpec(StrictModel):
     """The episodes of an evaluation."""
 
     split: Literal["train", "val", "test"] = "test"
     """The set of agents."""
     fresh: Count | None = None
     """The number of new episodes; by default the recorded ones."""
-    seed: _Seed = 1000
+    seed: Seed = 1000
     """The seed of the new episodes."""
 
 
@@ -185,7 +180,7 @@ def validated(
         raise file.error(faults(error, unknown, depth=3)) from None
 
 
-class Experiment(_Model):
+class Experiment(StrictModel):
     """An experiment of Safe Path Following: what `logicity experiment` runs."""
 
     task: Literal["spf"] = "spf"
@@ -202,7 +197,7 @@ class Experiment(_Model):
     modes: _Names
     """The modes: names, or paths relative to this file."""
     seeds: _Seeds = (0,)
-    """The seeds."""
+    """One run per seed."""
     variants: Annotated[dict[str, Variant], Field(min_length=1)] = Field(default_factory=lambda: {"": Variant()})
     """The variants of every row."""
     evaluations: Annotated[dict[str, EvaluationSpec], Field(min_length=1)] = Field(
@@ -252,7 +247,10 @@ class Experiment(_Model):
                 message = f"unknown variant `{variant.start}`{did_you_mean(variant.start, self.variants)}"
                 yield ["variants", name, "start"], message
             elif self.variants[variant.start].start is not None:
-                yield ["variants", name, "start"], f"`{variant.start}` itself starts from another variant"
+                yield (
+                    ["variants", name, "start"],
+                    f"`{variant.start}` itself starts from another variant: name a variant without `start`",
+                )
         for row, spec in self.learners.items():
             changes["learners", row, "changes"] = spec.changes
             changes["learners", row, "quick"] = spec.quick

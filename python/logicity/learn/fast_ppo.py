@@ -33,7 +33,6 @@ try:
     from gymnasium.vector import AutoresetMode
     from pydantic import Field, Strict
     from torch import Tensor, nn
-    from torch.utils.tensorboard import SummaryWriter
 except ImportError as error:
     raise missing_extra("learn", error) from error
 
@@ -43,7 +42,20 @@ from ..describe import atoms_of
 from ..envs import SPFVectorEnv
 from ..evaluation import load_task
 from ..files import read_tensors
-from .learner import Actions, Count, Learner, LearnerSettings, Observations, Policy, Progress
+from .curves import Curves
+from .learner import (
+    Actions,
+    Count,
+    Learner,
+    LearnerSettings,
+    NonNegative,
+    Observations,
+    Policy,
+    Positive,
+    Progress,
+    Share,
+    check_shape,
+)
 
 if TYPE_CHECKING:
     from .config import TrainConfig
@@ -59,9 +71,8 @@ FORMAT = 1
 #: The number of updates between two points of the training curves.
 LOG_EVERY = 50
 
-_Share: TypeAlias = Annotated[float, Field(ge=0, le=1)]
-_NotNegative: TypeAlias = Annotated[float, Field(ge=0)]
-_AboveZero: TypeAlias = Annotated[float, Field(gt=0)]
+#: The endings of episodes in the training curves, by their number in `SPFVectorEnv.collect`.
+ENDINGS = {1: "violation", 2: "success", 3: "horizon"}
 
 
 class FastPPOSettings(LearnerSettings):
@@ -78,23 +89,23 @@ class FastPPOSettings(LearnerSettings):
     """How often an update uses a batch."""
     minibatches: Count = 4
     """The number of gradient steps per epoch. Each one uses a share of the distinct observations."""
-    learning_rate: _AboveZero = 2e-3
+    learning_rate: Positive = 2e-3
     """The learning rate of Adam at the start."""
-    final_learning_rate: _NotNegative = 0.0
+    final_learning_rate: NonNegative = 0.0
     """The learning rate at the end. It changes linearly with the number of steps."""
-    gamma: _Share = 0.9
+    gamma: Share = 0.9
     """The discount factor."""
-    gae_lambda: _Share = 0.95
+    gae_lambda: Share = 0.95
     """The weight of longer returns in the generalized advantage estimation."""
-    clip_range: _AboveZero = 0.2
+    clip_range: Positive = 0.2
     """The largest change of a probability that an update rewards, relative to 1."""
-    ent_coef: _NotNegative = 0.01
+    ent_coef: NonNegative = 0.01
     """The coefficient of the entropy in the loss at the start."""
-    final_ent_coef: _NotNegative = 0.0
+    final_ent_coef: NonNegative = 0.0
     """The coefficient of the entropy at the end. It changes linearly with the number of steps."""
-    vf_coef: _NotNegative = 0.1
+    vf_coef: NonNegative = 0.1
     """The coefficient of the value's squared error in the loss."""
-    max_grad_norm: _AboveZero = 0.5
+    max_grad_norm: Positive = 0.5
     """The largest norm of a gradient. Longer ones are shortened."""
 
 
@@ -127,8 +138,8 @@ class Network:
     """The network of the policy and the value, with its gradient and Adam (Kingma and Ba, 2015).
 
     It computes the same as `_logicity.PolicyNetwork`. The input has shape (batch, slots, inputs). The output has shape
-    (batch, 5): a logit per action, and the value. Without automatic differentiation an update takes a third of the
-    time, because the layers are small.
+    (batch, 5): a logit per action, and the value. It avoids automatic differentiation, whose overhead is large for
+    small layers.
 
     Attributes:
         parameters: All weights and biases in one vector.
@@ -238,9 +249,9 @@ class Batch(NamedTuple):
     """The inputs of the network for each distinct observation, of shape (observations, slots, inputs)."""
     log_probs: Tensor
     """The logarithms of the probabilities of the actions in the rollouts, of shape (observations, 4)."""
-    gains: Tensor
+    positive_advantages: Tensor
     """The sum of the positive advantages of each action, of shape (observations, 4)."""
-    losses: Tensor
+    negative_advantages: Tensor
     """The sum of the negative advantages of each action, of shape (observations, 4)."""
     counts: Tensor
     """The number of steps, of shape (observations,)."""
@@ -253,7 +264,12 @@ class Batch(NamedTuple):
 
 
 def grouped(
-    inputs: Floats, outputs: Floats, states: NDArray[Any], actions: NDArray[Any], gains: Floats, returns: Floats
+    inputs: Floats,
+    outputs: Floats,
+    states: NDArray[Any],
+    actions: NDArray[Any],
+    step_advantages: Floats,
+    returns: Floats,
 ) -> Batch:
     """Group steps by observation.
 
@@ -262,7 +278,7 @@ def grouped(
         outputs: Its outputs in the rollouts, of shape (observations, 5).
         states: The position of each step's observation. This and the following arrays have shape (steps,).
         actions: The actions.
-        gains: The advantages.
+        step_advantages: The advantages.
         returns: The returns.
     """
     observations = len(outputs)
@@ -276,8 +292,8 @@ def grouped(
     return Batch(
         torch.from_numpy(inputs),
         torch.log_softmax(torch.from_numpy(outputs)[:, :-1], 1),
-        sums(pairs, np.maximum(gains, 0), math.prod(shape)).view(shape),
-        sums(pairs, np.minimum(gains, 0), math.prod(shape)).view(shape),
+        sums(pairs, np.maximum(step_advantages, 0), math.prod(shape)).view(shape),
+        sums(pairs, np.minimum(step_advantages, 0), math.prod(shape)).view(shape),
         counts,
         sums(states, returns, observations) / counts,
     )
@@ -306,8 +322,9 @@ def losses(outputs: Tensor, batch: Batch, clip_range: float, vf_coef: float, ent
     log_probs = torch.log_softmax(outputs[:, :-1], 1)
     probs = log_probs.exp()
     ratio = torch.exp(log_probs - batch.log_probs)
-    objective = ratio.clamp(max=high) * batch.gains + ratio.clamp(min=low) * batch.losses
-    by_log_prob = ratio * ((ratio < high) * batch.gains + (ratio > low) * batch.losses)
+    positive, negative = batch.positive_advantages, batch.negative_advantages
+    objective = ratio.clamp(max=high) * positive + ratio.clamp(min=low) * negative
+    by_log_prob = ratio * ((ratio < high) * positive + (ratio > low) * negative)
     entropy = -(probs * log_probs).sum(1, keepdim=True)
     error = outputs[:, -1] - batch.returns
     derivative = torch.empty_like(outputs)
@@ -342,8 +359,9 @@ class FastPPOPolicy(Policy):
         """Return the most probable actions, or random ones with their probabilities.
 
         Raises:
-            ValueError: If the observations have another width than those of the training.
+            ValueError: If the observations have another shape than those of the training.
         """
+        check_shape(observation, self._width, self.mode)
         native = self._network.native(self._width, self._slots)
         logits = native.evaluate(np.ascontiguousarray(observation, np.float32))[:, :-1]
         if not deterministic:
@@ -437,8 +455,8 @@ class FastPPO(Learner):
             **config.env_options(),
         )
         self._envs.reset(seed=config.seed)
-        self._curves = None if log is None else SummaryWriter(str(log / NAME))
-        self._logged: dict[str, float] = {}
+        self._curves = Curves(None if log is None else log / NAME)
+        self._ended = np.zeros(len(ENDINGS) + 1, np.int64)
         self.seconds = dict.fromkeys(("rollouts", "grouping", "updates"), 0.0)
 
     def _start_from(self, path: Path) -> None:
@@ -465,13 +483,13 @@ class FastPPO(Learner):
         done = self._envs.collect(self._network.native(self._width, self._slots), random)
         collected = time.process_time()
         values, ended = done["outputs"][done["states"], -1], done["endings"] > 0
-        gains = advantages(done["rewards"], values, done["next_values"], ended, settings.gamma, settings.gae_lambda)
-        returns = gains + values
-        gains = (gains - gains.mean()) / (gains.std() + np.float32(1e-8))
+        estimates = advantages(done["rewards"], values, done["next_values"], ended, settings.gamma, settings.gae_lambda)
+        returns = estimates + values
+        estimates = (estimates - estimates.mean()) / (estimates.std() + np.float32(1e-8))
         batch = grouped(
             done["inputs"],
             done["outputs"],
-            *(each.ravel() for each in (done["states"], done["actions"], gains, returns)),
+            *(each.ravel() for each in (done["states"], done["actions"], estimates, returns)),
         )
         prepared = time.process_time()
         last = self._update(batch, random.size)
@@ -480,8 +498,8 @@ class FastPPO(Learner):
         spent = (collected - begun, prepared - collected, time.process_time() - prepared)
         for phase, seconds in zip(self.seconds, spent, strict=True):
             self.seconds[phase] += seconds
-        if self._curves is not None:
-            self._log(done, batch, last)
+        if self.log is not None:
+            self._add_to_curves(done, batch, last)
 
     def _update(self, batch: Batch, size: int) -> Losses:
         """Take the gradient steps of a batch of `size` steps. Return the loss of the last one."""
@@ -504,33 +522,26 @@ class FastPPO(Learner):
     def _scheduled(self, first: float, last: float) -> float:
         return first + (last - first) * min(1.0, self._steps / self.config.steps)
 
-    def _log(self, done: Mapping[str, NDArray[Any]], batch: Batch, loss: Losses) -> None:
-        """Add to the means of the training curves, and write them at intervals."""
-        assert self._curves is not None
-        endings = np.bincount(done["endings"].ravel(), minlength=4)
-        part = self._settings.minibatches / done["rewards"].size
-        now = {
-            "violation": endings[1],
-            "success": endings[2],
-            "horizon": endings[3],
-            "reward": done["rewards"].mean(),
-            "distinct": len(batch.counts) / done["rewards"].size,
-            "value_loss": loss.value * part,
-            "entropy": loss.entropy * part,
-        }
-        for name, value in now.items():
-            self._logged[name] = self._logged.get(name, 0.0) + float(value)
+    def _add_to_curves(self, done: Mapping[str, NDArray[Any]], batch: Batch, loss: Losses) -> None:
+        """Add a batch to the training curves, and write them every `LOG_EVERY` updates."""
+        size = done["rewards"].size
+        part = self._settings.minibatches / size
+        self._ended += np.bincount(done["endings"].ravel(), minlength=len(self._ended))
+        self._curves.add(
+            {
+                "batches/reward": done["rewards"].mean(),
+                "batches/distinct": len(batch.counts) / size,
+                "batches/value_loss": loss.value * part,
+                "batches/entropy": loss.entropy * part,
+            }
+        )
         if self._updates % LOG_EVERY:
             return
-        means = {name: value / LOG_EVERY for name, value in self._logged.items()}
-        episodes = sum(means[name] for name in ("violation", "success", "horizon"))
-        for name in ("violation", "success", "horizon"):
-            self._curves.add_scalar(f"episodes/{name}", means.pop(name) / max(episodes, 1e-9), self._steps)
-        for name, mean in means.items():
-            self._curves.add_scalar(f"batches/{name}", mean, self._steps)
-        for phase, seconds in self.seconds.items():
-            self._curves.add_scalar(f"cpu_seconds/{phase}", seconds, self._steps)
-        self._logged.clear()
+        episodes = max(self._ended[1:].sum(), 1)
+        self._curves.add({f"episodes/{name}": self._ended[ending] / episodes for ending, name in ENDINGS.items()})
+        self._curves.add({f"cpu_seconds/{phase}": seconds for phase, seconds in self.seconds.items()})
+        self._curves.write(self._steps)
+        self._ended[:] = 0
 
     def policy(self) -> FastPPOPolicy:
         """Return the current policy."""
@@ -556,9 +567,10 @@ class FastPPO(Learner):
         self._steps, self._updates = state["counts"]
         self._envs.close()
         self._envs = state["environments"]
+        self._curves.begin(self._steps)
+        self._ended[:] = 0
 
     def close(self) -> None:
         """Close the environments and the training curves."""
         self._envs.close()
-        if self._curves is not None:
-            self._curves.close()
+        self._curves.close()

@@ -24,7 +24,7 @@ class LogicFeatures(BaseFeaturesExtractor):
     """The predicates that a Neural Logic Machine invents for the ego.
 
     Use it as `policy_kwargs={"features_extractor_class": LogicFeatures, "features_extractor_kwargs": {...}}`. The
-    arguments are plain data, so that Stable-Baselines3 can save them.
+    arguments are plain data, which Stable-Baselines3 can save.
 
     Args:
         observation_space: The space of the `groundings` observations.
@@ -43,7 +43,7 @@ class LogicFeatures(BaseFeaturesExtractor):
         route_length: bool = False,
         **options: Any,
     ) -> None:
-        """Create the machine."""
+        """Create the Neural Logic Machine."""
         layout = Layout.of_atoms(atoms, route_length)
         if observation_space.shape != (layout.width,):
             raise ValueError(

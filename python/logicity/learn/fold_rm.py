@@ -32,7 +32,7 @@ from ..describe import Atom
 from ..errors import missing_extra
 from ..offline import Demonstrations
 from ..rule_policy import RulePolicy
-from .learner import LearnerSettings
+from .learner import LearnerSettings, Positive
 from .symbolic import BodyLiteral, SymbolicLearner, arities, clause
 
 __all__ = ["FoldRMLearner", "FoldRMSettings", "Pattern", "Relations", "patterns", "rule_file"]
@@ -47,7 +47,7 @@ FoldRule: TypeAlias = tuple[Any, list[tuple[int, str, str]], list[Any], int]
 class FoldRMSettings(LearnerSettings):
     """The settings of FOLD-RM."""
 
-    ratio: Annotated[float, Field(gt=0)] = 0.5
+    ratio: Positive = 0.5
     """The largest ratio of false to true positives of a rule without exceptions, the default of the package."""
     atoms: Annotated[int, Field(ge=1, le=3)] = 2
     """The largest number of atoms about one entity in a pattern."""

@@ -8,7 +8,8 @@ holds its most similar predicate, so the model is a set of Datalog rules: `HriPo
 `HriPolicy.predict` evaluates them.
 
 Each action that the rules can require has its own model. An action is chosen if its rules derive it. If several are
-derived, the first one in `HriSettings.order` is chosen; if none is, the default action Normal.
+derived, the first one in `HriSettings.order` is chosen; if none is, `DEFAULT`. Both repeat `actions.priority` and
+`actions.default` of `configs/common.yaml`, because the description of a task lacks them.
 """
 
 from __future__ import annotations
@@ -29,13 +30,24 @@ from ..city import ACTIONS
 from ..evaluation import load_task
 from ..files import read_tensors
 from ..layout import Layout
+from .curves import Curves
 from .demonstrations import DemonstrationData
-from .learner import Actions, Learner, LearnerSettings, Observations, Policy, Progress
+from .learner import (
+    Actions,
+    Learner,
+    LearnerSettings,
+    NonNegative,
+    Observations,
+    Policy,
+    Positive,
+    Progress,
+    check_shape,
+)
 
 if TYPE_CHECKING:
     from .config import TrainConfig
 
-__all__ = ["HRI", "HriPolicy", "HriSettings", "Hypothesis", "Layer", "Rules"]
+__all__ = ["HRI", "Hypothesis", "HriPolicy", "HriSettings", "InventedPredicate", "ProgramTemplate"]
 
 Bools: TypeAlias = NDArray[np.bool_]
 
@@ -46,7 +58,9 @@ FORMAT = "logicity hri policy 1"
 #: The format of checkpoints.
 CHECKPOINT = "logicity hri checkpoint 1"
 
-Positive: TypeAlias = Annotated[float, Field(gt=0)]
+#: The action if the rules derive none: `actions.default` of `configs/common.yaml`.
+DEFAULT = "Normal"
+
 #: Two values. YAML has lists, which strict validation does not accept as tuples.
 Ends: TypeAlias = Annotated[tuple[Positive, Positive], Field(strict=False)]
 Name: TypeAlias = Literal["Stop", "Slow", "Fast", "Normal"]
@@ -82,7 +96,7 @@ class HriSettings(LearnerSettings):
     """The scale of the Gumbel noise that is added to similarities."""
     conjunction: Literal["min", "product"] = "min"
     """The soft conjunction."""
-    regularization: Annotated[float, Field(ge=0)] = 0.01
+    regularization: NonNegative = 0.01
     """The weight of the paper's interpretability term, the mean of p (1 - p) over the degrees p."""
     batch: Annotated[int, Field(ge=2)] = 256
     """The number of examples of an update: half of them positive, half of them negative."""
@@ -117,8 +131,8 @@ def present(unary: Bools, binary: Bools) -> Bools:
 
 
 @dataclass(frozen=True)
-class Layer:
-    """A predicate that the model defines.
+class InventedPredicate:
+    """A predicate that a model invents, with its rule template.
 
     With the slots P, Q and R, the templates are as follows. A unary predicate in a slot ignores its second argument.
 
@@ -146,18 +160,20 @@ class Layer:
         return slice(self.slot, self.slot + SLOTS[self.template])
 
 
-class Hypothesis:
-    """The predicates and templates of a model, without its weights.
+class ProgramTemplate:
+    """The predicates and rule templates of a model, without its weights.
 
-    The predicates are, in this order: the unary symbols, the binary symbols, and those that the layers define. Symbols
-    are observed predicates, their negations, and the constants true and false, which count as unary. The last predicate
-    is the target.
+    The predicates are, in this order: the unary symbols, the binary symbols, and the invented ones. Symbols are
+    observed predicates, their negations, and the constants true and false, which count as unary. The last predicate is
+    the target.
 
     Attributes:
         unary: The names of the unary symbols, with their signs.
         binary: The names of the binary symbols, with their signs.
-        levels: The predicates that the layers define, by layer.
+        layers: The invented predicates by layer.
+        invented: The invented predicates.
         slots: The number of slots.
+        predicates: The number of predicates.
     """
 
     def __init__(self, layout: Layout, settings: HriSettings, depth: int) -> None:
@@ -166,32 +182,32 @@ class Hypothesis:
         self.unary = [(name, sign) for sign in signs for name in layout.unary] + [("", True), ("", False)]
         self.binary = [(name, sign) for sign in signs for name in layout.binary]
         self.negation = settings.negation
-        self.levels: list[list[Layer]] = []
+        self.layers: list[list[InventedPredicate]] = []
         self.slots = 0
         visible = len(self.unary) + len(self.binary)
-        for level in range(1, depth + 1):
-            target = level == depth
+        for number in range(1, depth + 1):
+            target = number == depth
             templates = settings.unary[:1] if target else [*settings.unary, *settings.binary]
-            layers = []
+            layer = []
             for template in templates:
                 for _ in range(1 if target else settings.copies):
-                    layers.append(Layer(template, self.slots, visible))
+                    layer.append(InventedPredicate(template, self.slots, visible))
                     self.slots += SLOTS[template]
-            visible += len(layers)
-            self.levels.append(layers)
-        self.layers = [layer for layers in self.levels for layer in layers]
+            visible += len(layer)
+            self.layers.append(layer)
+        self.invented = [invented for layer in self.layers for invented in layer]
         self.predicates = visible
 
     def is_unary(self, predicate: int) -> bool:
         """Return whether a predicate is unary."""
         at = predicate - len(self.unary) - len(self.binary)
-        return predicate < len(self.unary) or (at >= 0 and self.layers[at].template == "A00+")
+        return predicate < len(self.unary) or (at >= 0 and self.invented[at].template == "A00+")
 
     def visible(self) -> torch.Tensor:
         """Return which predicates each slot can hold, bool of shape (slots, predicates)."""
         mask = torch.zeros(self.slots, self.predicates, dtype=torch.bool)
-        for layer in self.layers:
-            mask[layer.slots, : layer.visible] = True
+        for invented in self.invented:
+            mask[invented.slots, : invented.visible] = True
         return mask
 
     def facts(self, unary: Bools, binary: Bools) -> tuple[Bools, Bools]:
@@ -248,10 +264,10 @@ class Hypothesis:
             return total.expand(-1, -1, -1, -1, len(range(n)[columns]))
 
         number = sum(parts)
-        for layers in self.levels[:-1]:
-            kinds = [(template, len(list(group))) for template, group in groupby(layer.template for layer in layers)]
+        for layer in self.layers[:-1]:
+            kinds = [(template, len(list(group))) for template, group in groupby(each.template for each in layer)]
             sizes = [SLOTS[template] * size for template, size in kinds]
-            values = held(degrees[:, layers[0].slot : layers[0].slot + sum(sizes)]).split(sizes, 1)
+            values = held(degrees[:, layer[0].slot : layer[0].slot + sum(sizes)]).split(sizes, 1)
             new_ones, new_twos = [], []
             for (template, size), value in zip(kinds, values, strict=True):
                 numbers = list(range(number, number + size))
@@ -277,7 +293,7 @@ class Hypothesis:
             two_values += new_twos
         # The target is computed for the ego only.
         ego, everyone = slice(1), slice(None)
-        p, q, r = degrees[:, self.layers[-1].slots].split(1, 1)
+        p, q, r = degrees[:, self.invented[-1].slots].split(1, 1)
         p, q, r = held(p, ego), held(q, everyone, ego).transpose(-1, -2), held(r, ego)
         values = (torch.maximum(both(p, q), r)[:, 0, :, 0] * exist).amax(-1)
         assert values.shape == (len(degrees), len(exist))
@@ -297,27 +313,28 @@ def _weighted(degrees: torch.Tensor, values: torch.Tensor, models: bool = False)
     return sums.unflatten(-1, values.shape[first:])
 
 
-#: A literal of a body: its sign, its predicate, and its variables. 0 and 1 are the arguments of the head.
-Atom: TypeAlias = tuple[bool, str, tuple[int, ...]]
+#: A literal of a body: whether it is positive, its predicate, and its variables. 0 and 1 are the arguments of the head.
+#: (`symbolic.BodyLiteral` says whether it is negated.)
+SignedLiteral: TypeAlias = tuple[bool, str, tuple[int, ...]]
 #: The literals of a body.
-Body: TypeAlias = frozenset[Atom]
+Body: TypeAlias = frozenset[SignedLiteral]
 
 
 @dataclass(frozen=True)
-class Rules:
+class Hypothesis:
     """A model in which each slot holds one predicate.
 
     Attributes:
-        hypothesis: The predicates and templates.
+        program: The predicates and rule templates.
         choices: The predicate that each slot holds.
     """
 
-    hypothesis: Hypothesis
+    program: ProgramTemplate
     choices: tuple[int, ...]
 
     def is_valid(self) -> bool:
         """Return whether each slot holds a predicate that it can hold."""
-        limits = [layer.visible for layer in self.hypothesis.layers for _ in range(SLOTS[layer.template])]
+        limits = [each.visible for each in self.program.invented for _ in range(SLOTS[each.template])]
         return len(self.choices) == len(limits) and all(
             isinstance(choice, int) and 0 <= choice < limit for choice, limit in zip(self.choices, limits, strict=True)
         )
@@ -333,7 +350,7 @@ class Rules:
             bool (batch,).
         """
         exist = present(unary, binary)
-        one, two = self.hypothesis.facts(unary, binary)
+        one, two = self.program.facts(unary, binary)
         known: dict[int, Bools] = {}
 
         def pairs(predicate: int) -> Bools:
@@ -348,35 +365,35 @@ class Rules:
             at = predicate - len(one)
             if at < len(two):
                 return np.asarray(two[at])
-            layer = self.hypothesis.layers[at - len(two)]
-            held = [pairs(self.choices[slot]) for slot in range(layer.slots.start, layer.slots.stop)]
+            invented = self.program.invented[at - len(two)]
+            held = [pairs(choice) for choice in self.choices[invented.slots]]
             p = held[0]
-            if layer.template == "Inv":
+            if invented.template == "Inv":
                 return p.swapaxes(1, 2)
             q, r = held[1:]
-            if layer.template == "B00+":
+            if invented.template == "B00+":
                 some = (p[..., None] & q[:, None] & exist[:, None, :, None]).any(2)
                 return np.asarray(some | r)
             either = np.asarray((p & q.swapaxes(1, 2)) | r)
-            if layer.template == "C00+":
+            if invented.template == "C00+":
                 return either
             return np.asarray((either & exist[:, None]).any(2, keepdims=True))
 
-        return np.broadcast_to(pairs(self.hypothesis.predicates - 1), (len(one[0]), exist.shape[1], 1))[:, 0, 0]
+        return np.broadcast_to(pairs(self.program.predicates - 1), (len(one[0]), exist.shape[1], 1))[:, 0, 0]
 
     def bodies(self) -> tuple[list[Body], list[tuple[str, int, list[Body]]]]:
         """Unfold the layers into clauses over observed predicates.
 
-        A predicate with more than `CLAUSES` clauses, or with more than `LITERALS` literals in one of them, keeps a
-        definition of its own, with the ego as an additional first argument, because variables range over the entities
-        that the ego sees.
+        A predicate with more than `CLAUSES` clauses, or with more than `LITERALS` literals in one of them, keeps its
+        definition. The ego is its additional first argument, because variables range over the entities that the ego
+        sees.
 
         Returns:
-            The bodies of the target, and such definitions: the name, the number of arguments, and the bodies.
+            The bodies of the target, and the kept definitions: the name, the number of arguments, and the bodies.
         """
         known: dict[int, list[Body]] = {}
         definitions: list[tuple[str, int, list[Body]]] = []
-        symbols = [*self.hypothesis.unary, *self.hypothesis.binary]
+        symbols = [*self.program.unary, *self.program.binary]
 
         def unfold(predicate: int, first: int, second: int) -> list[Body]:
             """Return the bodies of a predicate for two variables."""
@@ -385,28 +402,28 @@ class Rules:
             return [_renamed(body, {0: first, 1: second}) for body in known[predicate]]
 
         def define(predicate: int) -> list[Body]:
-            unary = self.hypothesis.is_unary(predicate)
+            unary = self.program.is_unary(predicate)
             if predicate < len(symbols):
                 name, sign = symbols[predicate]
                 if not name:
                     return [frozenset()] if sign else []
                 return [frozenset({(sign, name, (0,) if unary else (0, 1))})]
-            layer = self.hypothesis.layers[predicate - len(symbols)]
-            held = self.choices[layer.slots]
-            if layer.template == "Inv":
+            invented = self.program.invented[predicate - len(symbols)]
+            held = self.choices[invented.slots]
+            if invented.template == "Inv":
                 return unfold(held[0], 1, 0)
-            # The additional variable of B is 2, before it gets a name of its own.
-            one, two = ((0, 2), (2, 1)) if layer.template == "B00+" else ((0, 1), (1, 0))
+            # The additional variable of B is 2, before it gets a unique name.
+            one, two = ((0, 2), (2, 1)) if invented.template == "B00+" else ((0, 1), (1, 0))
             bodies = [_joined(a, b) for a in unfold(held[0], *one) for b in unfold(held[1], *two)]
             bodies = _pruned(bodies + unfold(held[2], 0, 1), 1 if unary else 2)
             small = len(bodies) <= CLAUSES and all(len(body) <= LITERALS for body in bodies)
-            if small or predicate == self.hypothesis.predicates - 1:
+            if small or predicate == self.program.predicates - 1:
                 return bodies
             name = f"Part{len(definitions) + 1}"
             definitions.append((name, 2 if unary else 3, bodies))
             return [frozenset({(True, name, (EGO, 0) if unary else (EGO, 0, 1))})]
 
-        return unfold(self.hypothesis.predicates - 1, 0, 1), definitions
+        return unfold(self.program.predicates - 1, 0, 1), definitions
 
 
 #: The largest number of clauses of a predicate that is unfolded.
@@ -475,7 +492,7 @@ def _numbered(body: Body, arity: int) -> Body:
 def _subsumes(general: Body, special: Body, arity: int) -> bool:
     """Return whether some values of the local variables turn all literals of one body into literals of another."""
 
-    def match(literals: Sequence[Atom], names: Mapping[int, int]) -> bool:
+    def match(literals: Sequence[SignedLiteral], names: Mapping[int, int]) -> bool:
         if not literals:
             return True
         sign, name, arguments = literals[0]
@@ -530,22 +547,29 @@ class HriPolicy(Policy):
         models: The rules of each action, in the order of precedence.
     """
 
-    def __init__(self, mode: str, layout: Layout, settings: HriSettings, models: Mapping[str, Rules]) -> None:
+    def __init__(self, mode: str, layout: Layout, settings: HriSettings, models: Mapping[str, Hypothesis]) -> None:
         """Store the arguments."""
         self.mode, self.layout, self.settings, self.models = mode, layout, settings, dict(models)
 
     def derived(self, observation: Observations) -> Bools:
-        """Return which actions the rules derive, (actions of `models`, batch), without precedence among them."""
-        if observation.ndim != 2 or observation.shape[1] != self.layout.width:
-            raise ValueError(f"expected observations of shape (batch, {self.layout.width}), not {observation.shape}")
+        """Return which actions the rules derive, bool (actions of `models`, batch), without precedence among them.
+
+        Raises:
+            ValueError: If the observations have another shape than those of the training.
+        """
+        check_shape(observation, self.layout.width, self.mode)
         values = relations(self.layout, observation)
-        return np.array([rules.holds(*values) for rules in self.models.values()], np.bool_)
+        return np.array([hypothesis.holds(*values) for hypothesis in self.models.values()], np.bool_)
 
     def predict(
         self, observation: Observations, state: Any = None, episode_start: Any = None, deterministic: bool = True
     ) -> tuple[Actions, Any]:
-        """Return the first derived action, or Normal."""
-        actions = np.full(len(observation), ACTIONS.index("Normal"), np.int64)
+        """Return the first derived action, or the default one.
+
+        Raises:
+            ValueError: If the observations have another shape than those of the training.
+        """
+        actions = np.full(len(observation), ACTIONS.index(DEFAULT), np.int64)
         if self.models:
             derived = self.derived(observation)
             for name, chosen in reversed(list(zip(self.models, derived, strict=True))):
@@ -561,8 +585,8 @@ class HriPolicy(Policy):
         lines = [f"// Rules learned by hierarchical rule induction from demonstrations of {self.mode}."]
         lines.append('.include "vocabulary.dl"')
         earlier: list[str] = []
-        for action, rules in self.models.items():
-            bodies, definitions = rules.bodies()
+        for action, hypothesis in self.models.items():
+            bodies, definitions = hypothesis.bodies()
             for name, arguments, parts in definitions:
                 columns = ", ".join(f"{column}: agent" for column in ("e", "x", "y")[:arguments])
                 lines += [
@@ -587,7 +611,8 @@ class HriPolicy(Policy):
             "layout": _plain(self.layout),
             "settings": self.settings.model_dump(),
             "models": [
-                (action, len(rules.hypothesis.levels), list(rules.choices)) for action, rules in self.models.items()
+                (action, len(hypothesis.program.layers), list(hypothesis.choices))
+                for action, hypothesis in self.models.items()
             ],
         }
         torch.save(plain, path)
@@ -607,9 +632,9 @@ class HriPolicy(Policy):
             models = {}
             for action, depth, choices in plain["models"]:
                 if depth not in range(1, 17):
-                    raise ValueError(f"{depth} layers")
-                hypothesis = Hypothesis(layout, settings, depth)
-                models[action] = Rules(hypothesis, tuple(choices))
+                    raise ValueError(f"expected 1 to 16 layers, not {depth}")
+                program = ProgramTemplate(layout, settings, depth)
+                models[action] = Hypothesis(program, tuple(choices))
                 if action not in ACTIONS or not models[action].is_valid():
                     raise ValueError(f"invalid rules for {action}")
             return cls(plain["mode"], layout, settings, models)
@@ -658,7 +683,7 @@ class Quality(NamedTuple):
 
     Attributes:
         reproduced: The share of trajectories in which they agree in every step. A wrong step can end an episode, or
-            stop the car forever. So this share estimates the success rate better than the accuracy.
+            stop the car until the horizon. So this share estimates the success rate better than the accuracy.
         accuracy: The mean of the shares of positive and of negative examples that they decide right.
     """
 
@@ -666,27 +691,27 @@ class Quality(NamedTuple):
     accuracy: float
 
 
-class _Model:
-    """The models of one action in training: `restarts` of them, which differ in their first weights and in the noise.
+class _ActionTrainer:
+    """Trains `restarts` models of one action, which differ in their first weights and in the noise.
 
     Attributes:
         best: The best rules of this generation on the demonstrations; at its start, those of the last one.
         quality: The quality of `best`; negative at the start of a generation.
     """
 
-    def __init__(self, hypothesis: Hypothesis, settings: HriSettings, generator: torch.Generator) -> None:
+    def __init__(self, program: ProgramTemplate, settings: HriSettings, generator: torch.Generator) -> None:
         """Draw the embeddings."""
-        self.hypothesis, self.settings = hypothesis, settings
-        self.hidden = ~hypothesis.visible()
+        self.program, self.settings = program, settings
+        self.hidden = ~program.visible()
         self.start(generator)
-        self.best = Rules(hypothesis, tuple(self._extract()[0]))
+        self.best = Hypothesis(program, tuple(self._extract()[0]))
 
     def start(self, generator: torch.Generator) -> None:
         """Start a generation: draw the embeddings."""
-        restarts, hypothesis = self.settings.restarts, self.hypothesis
-        dimension = self.settings.dimension or hypothesis.predicates
-        self.predicates = torch.randn(restarts, hypothesis.predicates, dimension, generator=generator)
-        self.rules = torch.randn(restarts, hypothesis.slots, dimension, generator=generator)
+        restarts, program = self.settings.restarts, self.program
+        dimension = self.settings.dimension or program.predicates
+        self.predicates = torch.randn(restarts, program.predicates, dimension, generator=generator)
+        self.rules = torch.randn(restarts, program.slots, dimension, generator=generator)
         for weights in (self.predicates, self.rules):
             weights.requires_grad_()
         self.optimizer = torch.optim.Adam([{"params": [self.predicates]}, {"params": [self.rules]}], lr=1.0)
@@ -707,10 +732,10 @@ class _Model:
     def extract(self, examples: Examples) -> None:
         """Discretize all models, and keep the best one if it improves on `best`."""
         for choices in dict.fromkeys(map(tuple, self._extract())):
-            rules = Rules(self.hypothesis, choices)
-            quality = examples.quality(rules)
+            hypothesis = Hypothesis(self.program, choices)
+            quality = examples.quality(hypothesis)
             if quality > self.quality:
-                self.best, self.quality = rules, quality
+                self.best, self.quality = hypothesis, quality
 
     def state(self) -> dict[str, Any]:
         """Return the weights, the state of the optimizer, and the best rules as plain data."""
@@ -728,7 +753,7 @@ class _Model:
         Raises:
             ValueError: If the sizes are those of other settings.
         """
-        best = Rules(self.hypothesis, tuple(state["choices"]))
+        best = Hypothesis(self.program, tuple(state["choices"]))
         weights = {"predicates": self.predicates, "rules": self.rules}
         if not best.is_valid() or any(state[name].shape != weight.shape for name, weight in weights.items()):
             raise ValueError(f"{place}: the sizes are those of other settings")
@@ -749,7 +774,7 @@ class _Model:
         uniform = torch.rand(similarities.shape, generator=generator).clamp_(1e-10, 1 - 1e-7)
         noise = -torch.log(-torch.log(uniform)) * _between(settings.noise, progress)
         degrees = torch.softmax((similarities + noise) / _between(settings.temperatures, progress), -1)
-        values = self.hypothesis.infer(degrees, unary, binary, exist, settings.conjunction)
+        values = self.program.infer(degrees, unary, binary, exist, settings.conjunction)
         fit = torch.nn.functional.binary_cross_entropy(
             values.clamp(1e-6, 1 - 1e-6), wanted.expand_as(values), reduction="none"
         ).mean(1)
@@ -770,7 +795,7 @@ class Examples:
     """The distinct observations of demonstrations, and in which of them the oracle takes an action.
 
     Args:
-        hypothesis: The predicates.
+        program: The predicates and rule templates.
         layout: The positions of truth values in observations.
         observations: The observation of each step.
         taken: Whether the oracle takes the action, by step.
@@ -779,7 +804,7 @@ class Examples:
 
     def __init__(
         self,
-        hypothesis: Hypothesis,
+        program: ProgramTemplate,
         layout: Layout,
         observations: Observations,
         taken: Bools,
@@ -791,7 +816,7 @@ class Examples:
         self._at = inverse.reshape(-1)
         self.unary, self.binary = relations(layout, rows)
         self.taken, self._trajectories = taken[first], trajectories
-        one, two = hypothesis.facts(self.unary, self.binary)
+        one, two = program.facts(self.unary, self.binary)
         self._unary, self._binary = torch.from_numpy(one).float(), torch.from_numpy(two).float()
         self._exist = torch.from_numpy(present(self.unary, self.binary)).float()
         self._parts = [torch.from_numpy(np.flatnonzero(self.taken == sign)) for sign in (True, False)]
@@ -799,7 +824,16 @@ class Examples:
     def sample(
         self, batch: int, generator: torch.Generator
     ) -> tuple[torch.Tensor, torch.Tensor, torch.Tensor, torch.Tensor]:
-        """Draw examples, half of them positive. Returns values of symbols, which entities exist, and the labels."""
+        """Draw examples, half of them positive, or fewer if there are only positive or only negative ones.
+
+        Args:
+            batch: The number of examples.
+            generator: The source of the examples.
+
+        Returns:
+            The values of the unary symbols, float32 (U, batch, N), and of the binary symbols, float32 (B, batch, N, N);
+            which entities exist, float32 (batch, N); and whether each example is positive, float32 (batch,).
+        """
         sizes = (batch // 2, batch - batch // 2)
         draws = [
             part[torch.randint(len(part), (size,), generator=generator)] if len(part) else part
@@ -809,9 +843,9 @@ class Examples:
         wanted = torch.cat([torch.ones(len(draws[0])), torch.zeros(len(draws[1]))])
         return self._unary[:, at], self._binary[:, at], self._exist[at], wanted
 
-    def quality(self, rules: Rules) -> Quality:
+    def quality(self, hypothesis: Hypothesis) -> Quality:
         """Measure rules on the demonstrations."""
-        right = rules.holds(self.unary, self.binary) == self.taken
+        right = hypothesis.holds(self.unary, self.binary) == self.taken
         rates = [float(right[self.taken == sign].mean()) for sign in (True, False) if (self.taken == sign).any()]
         wrong = np.bincount(self._trajectories, ~right[self._at])
         return Quality(float((wrong == 0).mean()), sum(rates) / len(rates))
@@ -834,22 +868,22 @@ class HRI(Learner):
         data = DemonstrationData.load(config.mode, config.demonstrations)
         self._layout = data.layout
         self._generator = torch.Generator().manual_seed(config.seed)
-        self._models: dict[str, _Model] = {}
+        self._trainers: dict[str, _ActionTrainer] = {}
         self._examples: dict[str, Examples] = {}
         for action in settings.order:
             if action not in asked:
                 continue
-            hypothesis = Hypothesis(self._layout, settings, settings.depth_of.get(action, settings.depth))
+            program = ProgramTemplate(self._layout, settings, settings.depth_of.get(action, settings.depth))
             self._examples[action] = Examples(
-                hypothesis,
+                program,
                 self._layout,
                 data.observations.numpy(),
                 data.actions.numpy() == ACTIONS.index(action),
                 data.trajectories.numpy(),
             )
-            self._models[action] = _Model(hypothesis, settings, self._generator)
+            self._trainers[action] = _ActionTrainer(program, settings, self._generator)
         self._steps = 0
-        self._writer: Any = None
+        self._curves = Curves(log)
 
     @property
     def steps(self) -> int:
@@ -861,31 +895,26 @@ class HRI(Learner):
         while self._steps < steps:
             length = self._settings.generation or self.config.steps
             if self._steps and self._steps % length == 0:
-                for model in self._models.values():
-                    model.start(self._generator)
+                for trainer in self._trainers.values():
+                    trainer.start(self._generator)
             done = self._steps % length / length
             losses = {
-                action: model.update(self._examples[action], done, self._generator)
-                for action, model in self._models.items()
+                action: trainer.update(self._examples[action], done, self._generator)
+                for action, trainer in self._trainers.items()
             }
             self._steps += 1
             if self._steps % self._settings.extract_every == 0 or self._steps == self.config.steps:
-                for action, model in self._models.items():
-                    model.extract(self._examples[action])
-                    self._write(f"loss/{action}", losses[action])
-                    self._write(f"accuracy/{action}", model.quality.accuracy)
-                    self._write(f"reproduced/{action}", model.quality.reproduced)
+                for action, trainer in self._trainers.items():
+                    trainer.extract(self._examples[action])
+                    self._curves.add(
+                        {
+                            f"loss/{action}": losses[action],
+                            f"accuracy/{action}": trainer.quality.accuracy,
+                            f"reproduced/{action}": trainer.quality.reproduced,
+                        }
+                    )
+                self._curves.write(self._steps)
             progress()
-
-    def _write(self, name: str, value: float) -> None:
-        """Add a value to the training curves."""
-        if self.log is None:
-            return
-        if self._writer is None:
-            from torch.utils.tensorboard.writer import SummaryWriter
-
-            self._writer = SummaryWriter(str(self.log), purge_step=self._steps)
-        self._writer.add_scalar(name, value, self._steps)
 
     def policy(self) -> HriPolicy:
         """Return the best rules so far."""
@@ -893,7 +922,7 @@ class HRI(Learner):
             self.config.mode,
             self._layout,
             self._settings,
-            {action: model.best for action, model in self._models.items()},
+            {action: trainer.best for action, trainer in self._trainers.items()},
         )
 
     def save(self, folder: Path) -> None:
@@ -902,7 +931,7 @@ class HRI(Learner):
             "format": CHECKPOINT,
             "steps": self._steps,
             "generator": self._generator.get_state(),
-            "models": {action: model.state() for action, model in self._models.items()},
+            "models": {action: trainer.state() for action, trainer in self._trainers.items()},
         }
         torch.save(plain, folder / "hri.pt")
 
@@ -915,14 +944,13 @@ class HRI(Learner):
         """
         path = folder / "hri.pt"
         plain = _load(path, CHECKPOINT)
-        if list(plain["models"]) != list(self._models):
+        if list(plain["models"]) != list(self._trainers):
             raise ValueError(f"{path} has models of other actions: {', '.join(plain['models'])}")
-        for action, model in self._models.items():
-            model.restore(plain["models"][action], f"{path}, {action}")
+        for action, trainer in self._trainers.items():
+            trainer.restore(plain["models"][action], f"{path}, {action}")
         self._generator.set_state(plain["generator"])
         self._steps = plain["steps"]
 
     def close(self) -> None:
-        """Close the log."""
-        if self._writer is not None:
-            self._writer.close()
+        """Close the training curves."""
+        self._curves.close()

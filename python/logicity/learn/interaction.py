@@ -1,8 +1,7 @@
-"""What learners share that store transitions: environments, training curves and files of policies."""
+"""Training environments, random numbers and files of policies, for learners that store transitions."""
 
 from __future__ import annotations
 
-import os
 import pickle
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
@@ -17,7 +16,6 @@ from ..errors import missing_extra
 try:
     import torch
     from gymnasium.vector import AutoresetMode
-    from torch.utils.tensorboard import SummaryWriter
 except ImportError as error:
     raise missing_extra("learn", error) from error
 
@@ -25,25 +23,25 @@ from ..city import ACTIONS
 from ..envs import SPFVectorEnv
 from ..files import read_tensors
 from .learner import Actions, Observations
+from .messages import first_line
 
 if TYPE_CHECKING:
     from .config import TrainConfig
 
 __all__ = [
     "Bits",
-    "Curves",
     "Interaction",
     "Transitions",
     "as_bits",
-    "check_shape",
     "load_policy",
     "random_actions",
     "save_policy",
+    "step_generator",
 ]
 
 Bits = NDArray[np.uint8]
 
-#: What `load_policy` returns.
+#: The class of the policy that `load_policy` returns.
 Built = TypeVar("Built")
 
 #: The version of the files of policies.
@@ -175,68 +173,13 @@ def as_bits(observations: Observations) -> Bits:
     return bits
 
 
-def check_shape(observation: Observations, bits: int) -> None:
-    """Check the shape of a batch of observations.
-
-    Raises:
-        ValueError: If it is not (batch, bits).
-    """
-    if observation.ndim != 2 or observation.shape[1] != bits:
-        raise ValueError(f"the policy takes observations of shape (batch, {bits}), not {observation.shape}")
-
-
-class Curves:
-    """Training curves for TensorBoard: means over intervals of steps. Without a folder, nothing is written."""
-
-    #: The number of steps between two points.
-    INTERVAL = 1000
-
-    def __init__(self, log: Path | None) -> None:
-        """Store the folder."""
-        self._log = None if log is None else os.fspath(log)
-        self._writer: SummaryWriter | None = None
-        self._sums: dict[str, tuple[float, int]] = {}
-        self._written = 0
-
-    def add(self, values: Mapping[str, float]) -> None:
-        """Add values to the means of the current interval."""
-        for name, value in values.items():
-            total, count = self._sums.get(name, (0.0, 0))
-            self._sums[name] = total + float(value), count + 1
-
-    def due(self, steps: int) -> bool:
-        """Return whether the interval has ended."""
-        return steps // self.INTERVAL > self._written // self.INTERVAL
-
-    def write(self, steps: int) -> None:
-        """Write the means of the interval, and begin the next one."""
-        if self._log is not None:
-            if self._writer is None:
-                # Points that an interrupted run wrote after its last checkpoint disappear.
-                self._writer = SummaryWriter(self._log, purge_step=steps)
-            for name, (total, count) in self._sums.items():
-                self._writer.add_scalar(name, total / count, steps)
-        self.begin(steps)
-
-    def begin(self, steps: int) -> None:
-        """Begin an interval."""
-        self._sums.clear()
-        self._written = steps
-
-    def close(self) -> None:
-        """Close the file."""
-        if self._writer is not None:
-            self._writer.close()
-            self._writer = None
-
-
 def save_policy(path: Path, algorithm: str, config: Mapping[str, Any], weights: Mapping[str, Any]) -> None:
     """Write a policy of groundings.
 
     Args:
         path: The file.
         algorithm: The name of the learner.
-        config: What is needed to build the policy, as plain data. `mode` is the mode of the training.
+        config: The arguments from which to build the policy, as plain data. `mode` is the mode of the training.
         weights: The weights.
     """
     header = {"format": FORMAT, "algorithm": algorithm, "mode": config["mode"], "observation": "groundings"}
@@ -244,7 +187,7 @@ def save_policy(path: Path, algorithm: str, config: Mapping[str, Any], weights: 
 
 
 def load_policy(path: Path, algorithm: str, build: Callable[[dict[str, Any], dict[str, Any]], Built]) -> Built:
-    """Return what `build` makes of the configuration and the weights that `save_policy` wrote.
+    """Return the result of `build` for the configuration and the weights that `save_policy` wrote.
 
     Raises:
         OSError: If the file cannot be read.
@@ -260,14 +203,22 @@ def load_policy(path: Path, algorithm: str, build: Callable[[dict[str, Any], dic
     try:
         return build(saved["config"], saved["weights"])
     except (KeyError, TypeError, ValueError, RuntimeError) as error:
-        raise ValueError(f"{path} is no complete policy of {algorithm}: {_first_line(error)}") from None
-
-
-def _first_line(error: Exception) -> str:
-    return (str(error).splitlines() or [repr(error)])[0]
+        reason = first_line(str(error), repr(error))
+        raise ValueError(f"{path} is not a complete policy of {algorithm}: {reason}") from None
 
 
 def random_actions(count: int, generator: torch.Generator) -> Actions:
     """Return uniformly distributed actions."""
     actions: Actions = torch.randint(len(ACTIONS), (count,), generator=generator).numpy()
     return actions
+
+
+def step_generator(seed: int, step: int) -> torch.Generator:
+    """Return the source of the random numbers of a policy in a step of the episode.
+
+    Args:
+        seed: The seed of the policy.
+        step: The number of steps before.
+    """
+    # Consecutive steps of a run must not have the seeds of consecutive runs.
+    return torch.Generator().manual_seed(int(np.random.SeedSequence([seed, step]).generate_state(1)[0]))

@@ -20,13 +20,15 @@ from contextlib import ExitStack, contextmanager, suppress
 from dataclasses import dataclass, field
 from importlib.util import find_spec
 from pathlib import Path
+from types import ModuleType
 from typing import IO, Any
 
 from ..errors import missing_extra
 from ..files import reserved
 from .cells import Job, finished, inputs, prepare, reuse
+from .messages import first_line
 
-__all__ = ["exclusive", "run", "run_in_processes", "run_on_ray"]
+__all__ = ["connect", "exclusive", "run", "run_in_processes", "run_on_ray"]
 
 #: Receives a line of progress.
 Say = Callable[[str], None]
@@ -36,6 +38,9 @@ SECONDS = 30.0
 
 #: The largest number of times that a cell runs again because its worker is lost.
 RETRIES = 20
+
+#: The environment variables that give a process one thread. Cells and worlds run in parallel.
+ONE_THREAD = dict.fromkeys(("OMP_NUM_THREADS", "MKL_NUM_THREADS", "OPENBLAS_NUM_THREADS"), "1")
 
 
 @dataclass
@@ -78,8 +83,7 @@ class Watch:
         self._running.pop(cell.identity, None)
         self.done += 1
         self.failed[cell.identity] = message
-        first = next(iter(message.splitlines()), "no message")
-        self.say(f"{self._count()} {cell.name}: {'not run' if cell.optional else 'failed'}: {first}")
+        self.say(f"{self._count()} {cell.name}: {'not run' if cell.optional else 'failed'}: {first_line(message)}")
 
     def tick(self) -> None:
         """Print a line about the running cells every `SECONDS`."""
@@ -249,15 +253,13 @@ def run_in_processes(
 
 def _start(folder: Path, log: IO[str], wandb: str | None) -> subprocess.Popen[str]:
     command = [sys.executable, "-m", "logicity.learn.cells", str(folder), *([wandb] if wandb else [])]
-    # One thread per cell: the cells themselves run in parallel.
-    threads = dict.fromkeys(("OMP_NUM_THREADS", "MKL_NUM_THREADS", "OPENBLAS_NUM_THREADS"), "1")
     return subprocess.Popen(
         command,
         stdin=subprocess.PIPE,
         stdout=subprocess.PIPE,
         stderr=log,
         text=True,
-        env={**os.environ, **threads},
+        env={**os.environ, **ONE_THREAD},
         # Ctrl-C reaches only this process, which then ends the others.
         start_new_session=True,
     )
@@ -279,6 +281,36 @@ def _wait(process: subprocess.Popen[str]) -> int:
     with suppress(OSError):
         process.stdin.close()
     return process.wait()
+
+
+def connect(address: str, workers: int | None = None) -> ModuleType:
+    """Connect to a Ray cluster, or start a local one. Each worker has one thread.
+
+    The caller ends the connection with `shutdown` of the module.
+
+    Args:
+        address: The address of a cluster, or `local` for a new one on this machine.
+        workers: The number of CPUs of a local cluster; by default those of this machine.
+
+    Returns:
+        The module `ray`.
+
+    Raises:
+        ConnectionError: If the cluster does not answer.
+        ImportError: If Ray is not installed.
+    """
+    try:
+        import ray
+    except ImportError as error:
+        raise missing_extra("ray", error) from error
+    options: dict[str, Any] = {"num_cpus": workers, "include_dashboard": False} if address == "local" else {}
+    try:
+        ray.init(address=address, log_to_driver=False, runtime_env={"env_vars": ONE_THREAD}, **options)
+    except Exception as error:
+        # Ray raises a plain `Exception` if a local cluster takes too long to start.
+        raise ConnectionError(f"--ray: no cluster at `{address}`: {error}") from error
+    module: ModuleType = ray
+    return module
 
 
 def run_on_ray(
@@ -303,17 +335,7 @@ def run_on_ray(
         OSError: If a folder cannot be written.
         ValueError: If a cell starts from one that is neither finished nor among the cells.
     """
-    try:
-        import ray
-    except ImportError as error:
-        raise missing_extra("ray", error) from error
-    threads = dict.fromkeys(("OMP_NUM_THREADS", "MKL_NUM_THREADS", "OPENBLAS_NUM_THREADS"), "1")
-    options: dict[str, Any] = {"num_cpus": jobs, "include_dashboard": False} if address == "local" else {}
-    try:
-        ray.init(address=address, log_to_driver=False, runtime_env={"env_vars": threads}, **options)
-    except Exception as error:
-        # Ray raises a plain `Exception` if a local cluster takes too long to start.
-        raise ConnectionError(f"--ray: no cluster at `{address}`: {error}") from error
+    ray = connect(address, jobs)
     # A new process for each cell, as in `run_in_processes`. Only the loss of a worker repeats a cell.
     task = ray.remote(num_cpus=1, max_calls=1, max_retries=RETRIES)(_in_worker)
     watch = _watch(cells, root, jobs, say)
@@ -348,7 +370,7 @@ def run_on_ray(
 def _in_worker(name: str, files: dict[str, bytes], wandb: str | None) -> bytes:
     """Run a cell in a worker, and return its files as a zip archive.
 
-    The folder is temporary, but stays if the worker is lost, so that the cell resumes if it runs again on this machine.
+    The folder is temporary, but stays if the worker is lost. Then the cell resumes if it runs again on this machine.
     """
     from .cells import run_cell
 

@@ -21,7 +21,7 @@ from functools import partial
 from pathlib import Path
 from typing import Annotated, Any, Literal
 
-from pydantic import BaseModel, ConfigDict, Field, Strict, field_validator
+from pydantic import BaseModel, Field, Strict, field_validator
 
 from .. import _logicity
 from ..errors import did_you_mean
@@ -31,6 +31,8 @@ from .config import merged
 from .experiment import read_experiment, validated
 from .jobs import exclusive
 from .language_report import LanguageReport
+from .learner import Count, StrictModel
+from .messages import first_line
 from .question_solvers import SOLVERS, run_command
 
 __all__ = ["LanguageExperiment", "ModelSpec", "Unit", "is_language", "run"]
@@ -44,17 +46,13 @@ SECONDS = 30.0
 #: Changes for `--quick`.
 QUICK: dict[str, Any] = {"count": 8}
 
-_Seed = Annotated[int, Field(strict=True, ge=0, lt=2**64)]
-_Positive = Annotated[int, Field(strict=True, ge=1)]
+#: A seed of `logicity questions`.
+_QuestionSeed = Annotated[int, Field(strict=True, ge=0, lt=2**64)]
 _Names = Annotated[tuple[str, ...], Strict(False)]
 _Solver = Literal["majority", "nearest", "induced", "oracle"]
 
 
-class _Model(BaseModel):
-    model_config = ConfigDict(extra="forbid", frozen=True, strict=True, use_attribute_docstrings=True)
-
-
-class ModelSpec(_Model):
+class ModelSpec(StrictModel):
     """A language model with an OpenAI-compatible endpoint."""
 
     url: str
@@ -69,7 +67,7 @@ class ModelSpec(_Model):
     """Whether to request log-probabilities of the 20 most probable tokens, for the measures of calibration."""
     timeout: Annotated[float, Field(strict=False, gt=0)] = 120.0
     """The timeout of a request, in seconds without data."""
-    tries: _Positive = 6
+    tries: Count = 6
     """The number of attempts of a request."""
 
     def endpoint(self) -> Endpoint:
@@ -87,7 +85,7 @@ class ModelSpec(_Model):
         return Endpoint(self.url, self.model, key, settings, self.timeout, self.tries)
 
 
-class LanguageExperiment(_Model):
+class LanguageExperiment(StrictModel):
     """The experiment: what `logicity experiment` runs for a file with `task: language`."""
 
     task: Literal["language"]
@@ -98,7 +96,7 @@ class LanguageExperiment(_Model):
     """The table of the paper beside which the results are shown."""
     config: str = "vap-hard"
     """The configuration: the name of a built-in one, or a path relative to this file."""
-    count: _Positive = 117
+    count: Count = 117
     """The number of questions of a set."""
     about: _Names = ()
     """Restricts the questions to cars with one of these concepts, unless empty."""
@@ -108,7 +106,7 @@ class LanguageExperiment(_Model):
     """The form of the facts."""
     entities: Literal["view", "city"] = "view"
     """The entities of a question."""
-    seeds: Annotated[tuple[_Seed, ...], Strict(False), Field(min_length=1)] = (0,)
+    seeds: Annotated[tuple[_QuestionSeed, ...], Strict(False), Field(min_length=1)] = (0,)
     """The seeds. Each is a set with other questions and other solved examples."""
     prompts: Annotated[tuple[Prompt, ...], Strict(False), Field(min_length=1)] = ("examples", "rules", "why")
     """What the instructions state and request. The questions are the same."""
@@ -253,7 +251,7 @@ class Work:
 
         Raises:
             OSError: If the file cannot be read.
-            ValueError: If a line is no reply.
+            ValueError: If a line is not a reply.
         """
         if not self.path.exists():
             return 0
@@ -345,7 +343,7 @@ def answer(
     def wait(each: Work, seconds: float, reason: str) -> None:
         """Report a failed attempt, and wait before the next one."""
         if not stop.is_set():
-            say(f"{each.unit}: {next(iter(reason.splitlines()), '')}; next attempt in {seconds:.0f} s")
+            say(f"{each.unit}: {first_line(reason)}; next attempt in {seconds:.0f} s")
         if stop.wait(seconds):
             raise InterruptedError
 

@@ -10,6 +10,7 @@ from typing import TYPE_CHECKING, Any
 
 from ..city import ACTIONS
 from ..questions import Grade, grade, load_answers, load_logprobs
+from .messages import first_line
 from .report import aligned, draw_panels, latex_table, markdown_table, paper_table, write_tables
 
 if TYPE_CHECKING:
@@ -68,7 +69,7 @@ class LanguageReport:
         unit, seeds = group[0].unit, tuple(each.unit.seed for each in group)
         stored, total = sum(each.stored() for each in group), sum(len(each.questions) for each in group)
         if stored < total:
-            reason = failed[unit.row].splitlines()[0] + "; " if unit.row in failed else ""
+            reason = first_line(failed[unit.row]) + "; " if unit.row in failed else ""
             return Entry(unit.row, unit.prompt, seeds, None, f"{reason}{stored} of {total} replies are stored")
         answers: dict[str, str] = {}
         logprobs: dict[str, dict[str, float]] = {}

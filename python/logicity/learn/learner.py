@@ -22,7 +22,10 @@ if TYPE_CHECKING:
     from ..env_config import ArrayKind
     from .config import TrainConfig
 
-__all__ = ["Actions", "Count", "Learner", "LearnerSettings", "Observations", "Policy", "Progress"]
+__all__ = [
+    *("Actions", "Count", "Learner", "LearnerSettings", "NonNegative", "Observations", "Policy", "Positive"),
+    *("Progress", "Seed", "Share", "StrictModel", "check_shape"),
+]
 
 Observations: TypeAlias = NDArray[np.float32]
 Actions: TypeAlias = NDArray[np.int64]
@@ -30,16 +33,50 @@ Actions: TypeAlias = NDArray[np.int64]
 #: A positive integer. Booleans and strings are invalid.
 Count: TypeAlias = Annotated[int, Field(strict=True, ge=1)]
 
+#: A seed of random generators. Booleans and strings are invalid.
+Seed: TypeAlias = Annotated[int, Field(strict=True, ge=0, lt=2**32)]
+
+#: A number from 0 to 1.
+Share: TypeAlias = Annotated[float, Field(ge=0, le=1)]
+
+#: A number above 0.
+Positive: TypeAlias = Annotated[float, Field(gt=0)]
+
+#: A number of at least 0.
+NonNegative: TypeAlias = Annotated[float, Field(ge=0)]
+
 #: A learner calls it after each step. It validates the learner and writes checkpoints at intervals.
 Progress: TypeAlias = Callable[[], None]
 
 
-class LearnerSettings(BaseModel):
+class StrictModel(BaseModel):
+    """A part of a YAML file. Unknown keys and values of other types are errors."""
+
+    model_config = ConfigDict(extra="forbid", frozen=True, strict=True, use_attribute_docstrings=True)
+
+
+class LearnerSettings(StrictModel):
     """The settings of a learner: the values under `settings` in a training file."""
 
-    model_config = ConfigDict(
-        extra="forbid", frozen=True, strict=True, allow_inf_nan=False, use_attribute_docstrings=True
-    )
+    model_config = ConfigDict(allow_inf_nan=False)
+
+
+def check_shape(observation: Observations, width: int, mode: str) -> None:
+    """Check the shape of a batch of observations.
+
+    Args:
+        observation: The observations.
+        width: The width of an observation in the training.
+        mode: The mode of the training, for the message.
+
+    Raises:
+        ValueError: If the shape is not (batch, width).
+    """
+    if observation.ndim != 2 or observation.shape[1] != width:
+        raise ValueError(
+            f"expected observations of shape (batch, {width}), not {observation.shape}: the policy was trained in "
+            f"`{mode}`"
+        )
 
 
 class Policy(ABC):
@@ -58,7 +95,7 @@ class Policy(ABC):
         Args:
             observation: float32 of shape (batch, ...).
             state: The state that the last call returned; `None` at the start. A policy without memory returns `None`.
-            episode_start: bool of shape (batch,): where an episode starts, so that its state is reset.
+            episode_start: bool of shape (batch,): where an episode starts. The state is reset there.
             deterministic: Whether to take the most probable action.
         """
 
@@ -67,7 +104,10 @@ class Policy(ABC):
         """Write the policy to a file with the suffix `Learner.suffix`."""
 
     def rules(self) -> str | None:
-        """Return the text of a rule file that decides as the policy, or `None` if the policy is not made of rules."""
+        """Return the text of a rule file that makes the same decisions as the policy.
+
+        A policy that is not made of rules returns `None`.
+        """
         return None
 
     @classmethod
@@ -91,7 +131,7 @@ class Learner(ABC):
 
     #: The class of the values under `settings` in a training file.
     settings_class: ClassVar[type[LearnerSettings]]
-    #: What `steps` counts.
+    #: The unit of `steps`.
     unit: ClassVar[Literal["environment steps", "updates"]]
     #: Whether the learner steps environments. Otherwise it learns from demonstrations. The keys `envs`,
     #: `episodes` and `overrides` need the former, the key `demonstrations` needs the latter; elsewhere they are errors.

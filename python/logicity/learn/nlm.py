@@ -1,9 +1,10 @@
 """The Neural Logic Machine of Dong et al. (2019), "Neural Logic Machines", ICLR, section 2.
 
-A Neural Logic Machine is a network over the truth values of predicates. Its values are *groups*: the group of arity r
-holds the truth values of C predicates for every tuple of r entities. Each layer computes the group of arity r from the
-groups of arities r - 1, r and r + 1 of the layer before: it expands the first, reduces the last by "exists" and "for
-all", permutes the entities in every way, and applies the same perceptron with a sigmoid to every tuple.
+A Neural Logic Machine (NLM) is a network over the truth values of predicates. Its values are *groups*: the group of
+arity r holds the truth values of C predicates for every tuple of r entities. Each layer computes the group of arity r
+from the groups of arities r - 1, r and r + 1 of the layer before. It expands the first, and reduces the last by
+"exists" and "for all". Then it permutes the entities in every way, and applies the same perceptron with a sigmoid to
+every tuple.
 """
 
 from __future__ import annotations
@@ -156,7 +157,7 @@ class NeuralLogicMachine(nn.Module):
         if depth < 1 or outputs < 1 or (hidden is not None and hidden < 1):
             raise ValueError("the depth, the number of outputs and the hidden width must be at least 1")
         if len(inputs) > breadth + 1 or not all(0 <= arity <= breadth for arity in returned):
-            raise ValueError(f"a machine of breadth {breadth} has only the arities 0 to {breadth}")
+            raise ValueError(f"an NLM of breadth {breadth} has only the arities 0 to {breadth}")
         arities = range(breadth + 1)
         needed = [set(returned)]
         for _ in range(depth - 1):
@@ -211,7 +212,7 @@ def _linear(inputs: int, outputs: int, center: float, relu: bool) -> nn.Linear:
 
     The weights are those of Glorot and Bengio (2010), "Understanding the difficulty of training deep feedforward neural
     networks", equation 16, times a gain. The gain of a sigmoid, whose slope is at most 1/4, is 4. With smaller weights,
-    the layers of a deep machine are nearly constant, and it does not learn.
+    the layers of a deep NLM are nearly constant, and it does not learn.
     """
     linear = nn.Linear(inputs, outputs)
     nn.init.xavier_uniform_(linear.weight, 2**0.5 if relu else 4.0)

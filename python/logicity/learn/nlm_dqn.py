@@ -21,9 +21,9 @@ _DqnSettings: Any = settings_model(DQN)
 
 
 class NlmDqnSettings(_DqnSettings, LogicSettings):
-    """The settings of `nlm-dqn`: those of DQN, and those of the machine.
+    """The settings of `nlm-dqn`: those of DQN, and those of the Neural Logic Machine.
 
-    `network` are the widths of the layers with ReLU between the predicates of the ego and the values of the actions.
+    `network` lists the widths of the layers with ReLU between the predicates of the ego and the values of the actions.
     """
 
 
@@ -35,15 +35,15 @@ class NlmDqnLearner(StableBaselinesLearner):
 
     @classmethod
     def policy_arguments(cls, config: TrainConfig, settings: dict[str, Any]) -> dict[str, Any]:
-        """Return the machine as features, and the layers after it."""
+        """Return the Neural Logic Machine as features, and the layers after it."""
         layout = layout_of(config.mode)
-        machine = {name: settings.pop(name) for name in LogicSettings.model_fields}
+        options = {name: settings.pop(name) for name in LogicSettings.model_fields}
         return {
             "features_extractor_class": LogicFeatures,
             "features_extractor_kwargs": {
                 "atoms": layout.atoms(),
                 "route_length": layout.route_length is not None,
-                **machine,
+                **options,
             },
             "net_arch": list(settings.pop("network")),
         }

@@ -2,7 +2,7 @@
 
 Popper [1] searches for a program that derives all positive examples and no negative one. MaxSynth [2] is Popper's noisy
 mode: it minimizes the description length of the program and of its errors. As in the LogiCity paper (appendix "Detailed
-Baseline Configurations"), each action is a task of its own, the time limit is 300 seconds, and other parameters have
+Baseline Configurations"), each action is a separate task, the time limit is 300 seconds, and other parameters have
 their defaults. Popper has no negated literals, so each false observed atom is a fact of a predicate with `not_` before
 its name (`Demonstrations.to_popper`).
 
@@ -24,7 +24,7 @@ from typing import Annotated, ClassVar, cast
 from pydantic import Field
 
 from ..offline import Demonstrations, popper_names
-from .learner import LearnerSettings
+from .learner import LearnerSettings, Positive
 from .symbolic import SymbolicLearner, arities, clause
 
 __all__ = ["MaxSynthLearner", "PopperLearner", "PopperSettings", "read_output", "run_popper"]
@@ -50,7 +50,7 @@ class PopperSettings(LearnerSettings):
     program: Annotated[list[str], Field(strict=False)] = []
     """The words of the command that runs Popper, such as `[python3.14, /opt/Popper/popper.py]`. By default the command
     `popper-ilp` or `popper`."""
-    timeout: Annotated[float, Field(gt=0)] = 300.0
+    timeout: Positive = 300.0
     """The time limit of each action in seconds, that of the paper."""
     distinct: bool = True
     """Whether demonstrated steps with the same observation and action are one example."""
@@ -103,7 +103,10 @@ def find_popper(program: Sequence[str] = ()) -> list[str]:
     found = next((path for name in names if (path := shutil.which(name))), None)
     if found is None:
         listed = " or ".join(f"`{name}`" for name in names)
-        raise FileNotFoundError(f"Popper is not installed: there is no command {listed}; {NEEDS}")
+        raise FileNotFoundError(
+            f"Popper is not installed: there is no command {listed}; {NEEDS}; "
+            "install it, or name its command under `settings.program`"
+        )
     return [found, *program[1:]]
 
 
@@ -175,8 +178,8 @@ def read_output(text: str, action: str, predicates: Mapping[str, int]) -> list[s
 
     The solution is a block between lines of stars. Without one, the last `New best hypothesis` of the log counts.
 
-    A literal `sees(A,B)` holds for the ego A and any B, so that A becomes the ego and the literal vanishes: in rule
-    files, variables range over what the ego sees.
+    A literal `sees(A,B)` holds for the ego A and any B, so A becomes the ego and the literal vanishes: in rule files,
+    variables range over what the ego sees.
 
     Args:
         text: The output and the log.

@@ -1,4 +1,4 @@
-"""What the reports of all experiments share: tables, figures, the figures of the paper, and bootstrap samples."""
+"""Parts that the reports of all experiments share: tables, figures, the figures of the paper, bootstrap samples."""
 
 from __future__ import annotations
 
@@ -18,6 +18,7 @@ from numpy.typing import NDArray
 from ..evaluation import Interval
 from ..files import reserved, write_json
 from .cells import Job, finished
+from .messages import first_line
 
 __all__ = [
     "CellEntry",
@@ -219,14 +220,14 @@ def _why_missing(cells: Sequence[Job], done: Iterable[str], failed: Mapping[str,
     if not left:
         return ""
     messages = [failed[cell.identity] for cell in left if cell.identity in failed]
-    missing = next(iter(messages[0].splitlines()), "failed") if messages else "not run"
+    missing = first_line(messages[0], "failed") if messages else "not run"
     if len(left) < len(cells):
         missing += f" (seed{'s' * (len(left) > 1)} {', '.join(str(cell.seed) for cell in left)})"
     return missing
 
 
 def bootstrap_weights(generator: np.random.Generator, count: int) -> NDArray[np.float64]:
-    """Return how often each bootstrap sample draws each of `count` things, as shares (`SAMPLES`, count)."""
+    """Return bootstrap weights, float64 (`SAMPLES`, count). Each row sums to 1."""
     drawn = generator.multinomial(count, np.full(count, 1 / count), SAMPLES)
     weights: NDArray[np.float64] = drawn / count
     return weights

@@ -15,7 +15,7 @@ from ..modes import ENVIRONMENTS
 from .cells import Cell, benchmark_of, finished
 from .experiment import Experiment, name_of
 from .registry import load_policy
-from .report import paper_table
+from .report import markdown_table, paper_table
 from .result_files import place_of, read_file, row_key, updating
 from .spf_report import MEASURES, clauses_of, paper_value, per_episode, pooled, violation_rates
 
@@ -39,14 +39,14 @@ def read_results(path: str | os.PathLike[str], experiment: str | None = None) ->
 
     Args:
         path: The file.
-        experiment: The name of the experiment. Only then the file may be absent.
+        experiment: The name of the experiment. If given, the file may be absent.
 
     Returns:
         `format`, `experiment`, `paper` (the name of the paper's table) and `rows`.
 
     Raises:
         OSError: If the file cannot be read.
-        ValueError: If the file has not this format, or is that of another experiment.
+        ValueError: If the file does not have this format, or is that of another experiment.
     """
     results = read_file(path, FORMAT, KEYS, _KEY)
     if results is None:
@@ -144,7 +144,7 @@ def _row(file: Path, cell: Cell, root: Path, measured: Mapping[str, Any], evalua
         if again[name]["value"] != recorded[name]["value"]:
             raise ValueError(
                 f"{cell.name}, {evaluation}: the policy {saved.path} has {name} {again[name]['value']}, not the "
-                f"recorded {recorded[name]['value']}"
+                f"recorded {recorded[name]['value']}: delete the folder of the cell and train it again"
             )
     result = measured["result"]
     values = per_episode(recorded)
@@ -192,7 +192,7 @@ def leaderboard(results: Mapping[str, Any], level: int = 2) -> str:
         if not several and all(not variant for _, variant, _ in groups):
             shown.sort(key=lambda item: -_mean(item[1], "tsr"))
         heads = ["learner", "TSR", "DSR", "Score", "paper: TSR", "seeds", "steps", "CPU min", "command"]
-        lines = ["| " + " | ".join(heads) + " |", "|" + "---|" * len(heads)]
+        lines = [heads]
         for (learner, variant, evaluation), group in shown:
             measures = _pooled(group)
             published = paper_value(results["paper"], group[0]["paper"], variant, mode)
@@ -202,10 +202,10 @@ def leaderboard(results: Mapping[str, Any], level: int = 2) -> str:
             minutes = sum(row["cpu_seconds"] for row in group) / len(group) / 60
             name = ", ".join([f"`{learner}`", *([variant] if variant else []), *([evaluation] if several else [])])
             cells = [name, *(measures[each] for each in MEASURES), figure, seeds, f"{group[0]['steps']:,}"]
-            lines.append("| " + " | ".join([*cells, f"{minutes:.1f}", f"`{command}`"]) + " |")
+            lines.append([*cells, f"{minutes:.1f}", f"`{command}`"])
         found = {(group[0]["paper"], variant) for (_, variant, _), group in groups.items()}
         lines += _only_in_paper(results["paper"], mode, found)
-        parts.append(f"{'#' * level} {mode.capitalize()}\n\n" + "\n".join(lines) + "\n")
+        parts.append(f"{'#' * level} {mode.capitalize()}\n\n{markdown_table(lines)}")
     notes = sorted({f"- `{row['learner']}`, {row['mode']}: {row['note']}" for row in rows if row["note"]})
     versions = ", ".join(sorted({row["versions"]["logicity"] for row in rows}))
     # The evaluations of a cell share its training.
@@ -216,15 +216,15 @@ def leaderboard(results: Mapping[str, Any], level: int = 2) -> str:
     return "\n".join([*parts, *(["\n".join(notes) + "\n"] if notes else [])])
 
 
-def _only_in_paper(table: str | None, mode: str, found: Collection[tuple[str, str]]) -> Iterator[str]:
-    """Yield a line for each row of the paper that is not among the names and variants of the published rows."""
+def _only_in_paper(table: str | None, mode: str, found: Collection[tuple[str, str]]) -> Iterator[list[str]]:
+    """Yield the cells of each row of the paper that is not among the names and variants of the published rows."""
     for learner, variants in paper_table(table).get("rows", {}).items():
         for variant in variants:
             value = paper_value(table, learner, variant, mode)
             if value is not None and (learner, variant) not in found:
                 figures = [f"{value[name]:.2f}" for name in MEASURES] if isinstance(value, dict) else [value, "", ""]
                 name = ", ".join([f"`{learner}`", *([variant] if variant else []), "the paper's figures"])
-                yield "| " + " | ".join([name, *figures, figures[0], "", "", "", ""]) + " |"
+                yield [name, *figures, figures[0], "", "", "", ""]
 
 
 def _pooled(group: Sequence[Mapping[str, Any]]) -> dict[str, str]:

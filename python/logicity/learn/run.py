@@ -3,7 +3,7 @@
 Each run has a folder. `config.json` is the configuration. `checkpoint-STEPS` holds the state to resume from: the
 learner, the best policy so far, and the validation results. `tensorboard` has the training curves. At the end,
 `best.pt` (or another suffix) is the best policy, and `result.json` has its measures on the test episodes. If the
-policy is made of rules but is no rule file, `rules.dl` has the rules.
+policy is made of rules but is not a rule file, `rules.dl` has the rules.
 """
 
 from __future__ import annotations
@@ -95,7 +95,7 @@ def train(
     _check_claim(run, config, state, hashes)
     state.hashes = hashes
     torch.set_num_threads(config.threads)
-    # Load the test episodes now, so that an error in them does not surface after hours of training.
+    # Load the test episodes now: an error in them must not surface after hours of training.
     val, test = (Benchmark(config.mode, split, observation=config.observation) for split in ("val", "test"))
     _check_overrides(config)
     log = run / "tensorboard" if tensorboard else None
@@ -112,7 +112,7 @@ def train(
         display = files.enter_context(_Display(config, learner, progress))
         begun = f"resumed after {state.steps:,} of" if checkpoints else "started:"
         display.say(f"{config.algorithm} in {config.mode}, {begun} {config.steps:,} steps; folder {run}")
-        curves = files.enter_context(_Curves(run, config, log))
+        curves = files.enter_context(_ValidationCurves(run, config, log))
         if tracker is not None:
             curves.track(tracker, str(wandb))
         training = _Training(run, config, learner, state, val, display, curves)
@@ -137,7 +137,7 @@ def train(
 
 
 def _hashes(config: TrainConfig) -> dict[str, Any]:
-    """Return the hashes of what a result depends on besides the configuration: the rules, the episodes, and `start`."""
+    """Return the hashes of the rules, the episodes and `start`, on which a result depends besides the configuration."""
     hashes = task_hashes(config.mode)
     if config.start is not None:
         hashes["start"] = hashlib.sha256(Path(config.start).read_bytes()).hexdigest()
@@ -206,7 +206,7 @@ class _Training:
         state: State,
         benchmark: Benchmark,
         display: _Display,
-        curves: _Curves,
+        curves: _ValidationCurves,
     ) -> None:
         """Start from a state."""
         self._run, self._config, self._learner, self._state = run, config, learner, state
@@ -288,7 +288,7 @@ def _wandb() -> Any:
     return wandb
 
 
-class _Curves:
+class _ValidationCurves:
     """The measures of validations as training curves, for TensorBoard and Weights & Biases."""
 
     def __init__(self, run: Path, config: TrainConfig, log: Path | None) -> None:
@@ -307,7 +307,7 @@ class _Curves:
             config=self._config.to_dict(),
         )
 
-    def __enter__(self) -> _Curves:
+    def __enter__(self) -> _ValidationCurves:
         return self
 
     def __exit__(self, *error: object) -> None:
@@ -322,7 +322,8 @@ class _Curves:
         if self._log is not None:
             from torch.utils.tensorboard.writer import SummaryWriter
 
-            with SummaryWriter(str(self._log / "validation")) as writer:
+            # A run that was interrupted before the checkpoint repeats its last validation.
+            with SummaryWriter(str(self._log / "validation"), purge_step=point["steps"]) as writer:
                 for name, value in values.items():
                     writer.add_scalar(name, value, point["steps"])
 

@@ -1,14 +1,16 @@
 """Model-based reinforcement learning with an ensemble and random shooting (Nagabandi et al., 2018 and 2020).
 
-The learner fits a model of the environment to all transitions so far, and plans with it. At every step it draws random
-action sequences, predicts their returns with every member of the ensemble, and takes the first action of the sequence
-with the best mean return ("random shooting", section IV-C of Nagabandi et al., "Neural Network Dynamics for Model-Based
-Deep Reinforcement Learning with Model-Free Fine-Tuning", ICRA 2018; with an ensemble in "Deep Dynamics Models for
-Learning Dexterous Manipulation", CoRL 2020).
+The learner fits a model of the environment to all transitions so far, and plans with it by random shooting [1, section
+IV-C]. At every step it draws random action sequences, and predicts their returns with every member of the ensemble. It
+takes the first action of the sequence with the best mean return. The ensemble is that of [2].
 
 A member predicts, for each bit of the observation, whether it falls, stays or rises; the reward; and the probability
 that the episode terminates, since no rewards follow a violation or the goal. It takes the most probable change of every
-bit, so that a state has one successor per action. The planner expands every state that a member reaches only once.
+bit, so a state has one successor per action. The planner expands every state that a member reaches only once.
+
+[1] Nagabandi et al.: Neural Network Dynamics for Model-Based Deep Reinforcement Learning with Model-Free Fine-Tuning.
+ICRA 2018.
+[2] Nagabandi et al.: Deep Dynamics Models for Learning Dexterous Manipulation. CoRL 2020.
 """
 
 from __future__ import annotations
@@ -30,18 +32,29 @@ except ImportError as error:
     raise missing_extra("learn", error) from error
 
 from ..city import ACTIONS
+from .curves import Curves
 from .interaction import (
     Bits,
-    Curves,
     Interaction,
     Transitions,
     as_bits,
-    check_shape,
     load_policy,
     random_actions,
     save_policy,
+    step_generator,
 )
-from .learner import Actions, Count, Learner, LearnerSettings, Observations, Policy, Progress
+from .learner import (
+    Actions,
+    Count,
+    Learner,
+    LearnerSettings,
+    Observations,
+    Policy,
+    Positive,
+    Progress,
+    Share,
+    check_shape,
+)
 
 if TYPE_CHECKING:
     from .config import TrainConfig
@@ -59,19 +72,19 @@ class ShootingSettings(LearnerSettings):
     """The number of members of the ensemble."""
     width: Count = 64
     """The width of the two hidden layers of each network."""
-    model_learning_rate: Annotated[float, Field(gt=0)] = 1e-5
+    model_learning_rate: Positive = 1e-5
     """The learning rate of the networks that predict changes of bits."""
-    reward_learning_rate: Annotated[float, Field(gt=0)] = 1e-4
+    reward_learning_rate: Positive = 1e-4
     """The learning rate of the networks that predict rewards and terminations."""
     sequences: Count = 100
     """The number of random action sequences per decision."""
     horizon: Count = 10
     """The length of the action sequences."""
-    discount: Annotated[float, Field(ge=0, le=1)] = 0.9
-    """The discount per step in planning. Below 1, a delay of a violation has a value of its own."""
+    discount: Share = 0.9
+    """The discount per step in planning. Below 1, a later violation costs less than an earlier one."""
     random_steps: Annotated[int, Field(ge=0)] = 5000
     """The number of steps with random actions at the start."""
-    exploration: Annotated[float, Field(ge=0, le=1)] = 0.05
+    exploration: Share = 0.05
     """The probability of a random action after the start."""
     buffer_size: Count = 200_000
     """The number of transitions that the learner stores."""
@@ -132,7 +145,7 @@ class Ensemble(nn.Module):
             The outputs, of shape (members, batch, actions, outputs).
         """
         members, batch, width = bits.shape
-        # The layer is linear, so that its values for the bits are computed once for all actions.
+        # The layer is linear, so its values for the bits are computed once for all actions.
         of_bits = torch.baddbmm(self.biases[0], bits, self.weights[0][:, :width])
         hidden = of_bits[:, :, None] + self.weights[0][:, None, width:]
         outputs = self._upper(hidden.view(members, batch * len(ACTIONS), -1))
@@ -161,8 +174,8 @@ class WorldModel(nn.Module):
         self.members, self.bits = settings.members, bits
         self.changes = Ensemble(settings.members, bits, settings.width, 3 * bits, generator)
         with torch.no_grad():
-            # About 2 % of the bits change in a step. Learning this prior would take most of the updates at the paper's
-            # learning rate, and meanwhile the planner would search through random states.
+            # Few bits change in a step. Learning this prior would take most of the updates at the paper's learning
+            # rate, and meanwhile the planner would search through random states.
             self.changes.biases[-1].view(settings.members, 3, bits)[:, self.STAYS] += STAYS_LOGIT
         self.outcomes = Ensemble(settings.members, bits, settings.width, 2, generator)
 
@@ -192,7 +205,13 @@ class WorldModel(nn.Module):
         return torch.where(states[:, :, None] > 0, falls, rises) > stays
 
     def changes_loss(self, bits: Tensor, actions: Tensor, next_bits: Tensor) -> Tensor:
-        """Return the mean cross entropy of the changes of bits, summed over the members."""
+        """Return the mean cross entropy of the changes of bits, summed over the members, of shape ().
+
+        Args:
+            bits: Bits as floats, of shape (members, batch, bits).
+            actions: Integers of shape (members, batch).
+            next_bits: The bits after the actions, of the shape of `bits`.
+        """
         members, batch, width = bits.shape
         logits = self.changes(bits, actions).view(members * batch, 3, width)
         targets = (next_bits - bits).to(torch.int64).view(members * batch, width) + self.STAYS
@@ -205,11 +224,21 @@ class WorldModel(nn.Module):
 
         The observation has no clock, so the overtime cost of a truncated episode cannot be predicted. The error leaves
         its reward out.
+
+        Args:
+            bits: Bits as floats, of shape (members, batch, bits).
+            actions: Integers of shape (members, batch). The other arguments have this shape too.
+            rewards: The rewards.
+            terminated: Whether the episode terminated, as floats.
+            truncated: Whether the episode was truncated, as bools.
+
+        Returns:
+            Two values of shape ().
         """
         predicted, terminates = self.outcomes(bits, actions).unbind(-1)
         errors = torch.where(truncated, 0.0, (predicted - rewards) ** 2)
-        entropy = functional.binary_cross_entropy_with_logits(terminates, terminated)
-        return errors.mean() * self.members, entropy * self.members
+        cross_entropy = functional.binary_cross_entropy_with_logits(terminates, terminated)
+        return errors.mean() * self.members, cross_entropy * self.members
 
 
 #: Evaluates the outcomes or flips of states, of shape (members, batch, bits).
@@ -346,7 +375,7 @@ def planned_actions(
 ) -> Actions:
     """Return the first action of the best random sequence for each observation.
 
-    All observations share the sequences, so that equal observations get the same action and are evaluated once.
+    All observations share the sequences, so equal observations get the same action and are evaluated once.
 
     Args:
         model: The model.
@@ -390,10 +419,9 @@ class ShootingPolicy(Policy):
         Raises:
             ValueError: If the observations have another shape than those of the training, or are not binary.
         """
-        check_shape(observation, self.model.bits)
+        check_shape(observation, self.model.bits, self.mode)
         step = 0 if state is None else int(state)
-        # Seeds of consecutive steps must not be those of consecutive runs.
-        generator = torch.Generator().manual_seed(int(np.random.SeedSequence([self.seed, step]).generate_state(1)[0]))
+        generator = step_generator(self.seed, step)
         return planned_actions(self.model, as_bits(observation), self.settings, generator), step + 1
 
     def save(self, path: Path) -> None:
@@ -553,16 +581,16 @@ class Shooting(Learner):
 
     def _update_outcomes(self) -> None:
         replay, at = self._replay, self._batch()
-        errors, entropy = self._model.outcomes_loss(
+        errors, cross_entropy = self._model.outcomes_loss(
             replay.observations[at].float(),
             replay.actions[at].long(),
             replay.rewards[at],
             replay.terminated[at].float(),
             replay.truncated[at],
         )
-        _minimize(errors + entropy, self._outcomes_optimizer)
+        _minimize(errors + cross_entropy, self._outcomes_optimizer)
         members = self._settings.members
-        self._curves.add({"loss/rewards": errors.item() / members, "loss/terminations": entropy.item() / members})
+        self._curves.add({"loss/rewards": errors.item() / members, "loss/terminations": cross_entropy.item() / members})
 
     def policy(self) -> ShootingPolicy:
         """Return the current policy."""
@@ -588,7 +616,7 @@ class Shooting(Learner):
             OSError: If the file cannot be read.
             ValueError: If the file does not fit the configuration.
         """
-        # The checkpoint is the run's own, and has environments, which are no plain data.
+        # The checkpoint is the run's own, and has environments, which are not plain data.
         state = torch.load(folder / "learner.pt", weights_only=False)
         if state.get("algorithm") != ShootingPolicy.algorithm:
             raise ValueError(f"{folder} has no checkpoint of {ShootingPolicy.algorithm}")

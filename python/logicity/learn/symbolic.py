@@ -1,6 +1,6 @@
 """Learners of rules: what they share, and the learner of `logicity induce`.
 
-A learner of rules reads the recorded demonstrations once, so that it trains in one update. Its policy is a rule file.
+A learner of rules reads the recorded demonstrations once, so it trains in one update. Its policy is a rule file.
 """
 
 from __future__ import annotations
@@ -13,10 +13,10 @@ from typing import TYPE_CHECKING, ClassVar, Literal, TypeAlias, cast
 from pydantic import Field
 
 from ..describe import Atom
-from ..evaluation import load_task
 from ..induction import induce
-from ..offline import Demonstrations, demonstrations
+from ..offline import Demonstrations
 from ..rule_policy import RulePolicy, header, saved_by
+from .demonstrations import first_demonstrations
 from .learner import Learner, LearnerSettings, Policy, Progress
 
 if TYPE_CHECKING:
@@ -90,8 +90,7 @@ class SymbolicLearner(Learner):
     def fit(self, steps: int, progress: Progress) -> None:
         """Learn, unless the rules are known."""
         if self._text is None and steps > 0:
-            recorded = load_task(self.config.mode).recorded("train")
-            data = demonstrations(self.config.mode, max(1, round(self.config.demonstrations * recorded)))
+            data = first_demonstrations(self.config.mode, self.config.demonstrations)
             self._text = f"{header(self.config.algorithm, self.config.mode)}\n{self.rules(data)}"
             progress()
 
@@ -158,7 +157,7 @@ class InduceLearner(SymbolicLearner):
 def clause(head: str, body: Sequence[BodyLiteral]) -> str:
     """Return a clause in the syntax of rule files.
 
-    A variable that no positive literal binds ranges over what the ego sees, so that `Sees` binds it.
+    A variable that no positive literal binds ranges over what the ego sees, so `Sees` binds it.
 
     Args:
         head: The predicate of the head. Its argument is the ego.
