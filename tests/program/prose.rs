@@ -1,4 +1,5 @@
-//! The prose of the repository is plain English: no file contains the idioms in [`IDIOMS`] or British spellings.
+//! The prose of the repository is plain English: no file contains the idioms in [`IDIOMS`] or British spellings. The
+//! prose of Markdown files wraps at 100 columns.
 
 use std::fs;
 use std::path::{Path, PathBuf};
@@ -51,7 +52,7 @@ const SKIPPED: &[&str] = &[
 ];
 
 /// Each line is a regular expression for whole words, and what to write instead. A space also matches a line break
-/// inside a comment.
+/// inside a comment, and the underscore of a name.
 const IDIOMS: &[(&str, &str)] = &[
     (
         "tells?|telling|told",
@@ -110,6 +111,21 @@ const IDIOMS: &[(&str, &str)] = &[
 /// Hits that are right: the end of a path, and text of the line. At most ten.
 const ALLOWED: &[(&str, &str)] = &[];
 
+/// Markdown files and folders of them whose prose wraps at 100 columns. The program prints the texts in `src`, and
+/// generators write those in `tests`.
+const WRAPPED: &[&str] = &[
+    "ARCHITECTURE.md",
+    "README.md",
+    "configs",
+    "docs",
+    "editors",
+    "python",
+    "rules",
+];
+
+/// The number of columns of prose in Markdown.
+const COLUMNS: usize = 100;
+
 fn root() -> PathBuf {
     PathBuf::from(env!("CARGO_MANIFEST_DIR"))
 }
@@ -149,10 +165,12 @@ impl Patterns {
 }
 
 /// Turns a line of [`IDIOMS`] into a pattern of whole words. Between two words may be a line break, with the sign of a
-/// comment at the start of the next line. The boundaries of words are those of ASCII, which match much faster.
+/// comment at the start of the next line, or an underscore: several words may be a part of a name. The boundaries of
+/// words are those of ASCII, which match much faster.
 fn pattern(idiom: &str) -> Regex {
-    let gap = r#"(?:[ \t]+|[ \t]*\\?\r?\n[ \t]*(?:(?://[/!]?|#:?|\*|>|"|')[ \t]*)*)"#;
-    Regex::new(&format!(r"(?i-u)\b(?:{})\b", idiom.replace(' ', gap))).unwrap()
+    let gap = r#"(?:[ \t]+|_|[ \t]*\\?\r?\n[ \t]*(?:(?://[/!]?|#:?|\*|>|"|')[ \t]*)*)"#;
+    let edge = if idiom.contains(' ') { r"(?:\b|_)" } else { r"\b" };
+    Regex::new(&format!(r"(?i-u){edge}(?:{}){edge}", idiom.replace(' ', gap))).unwrap()
 }
 
 /// Adds the files below a place to `found`, in the order of their names.
@@ -176,6 +194,33 @@ fn collect(place: &Path, found: &mut Vec<PathBuf>) {
             found.push(place.to_owned());
         }
     }
+}
+
+/// Returns the numbers of the lines of prose in a Markdown text that are too long. Code, tables, HTML and lines without
+/// a space, such as links, do not count.
+fn long_lines(text: &str) -> Vec<usize> {
+    let mut found = Vec::new();
+    // The backquotes that end the current block of code.
+    let mut fence: Option<usize> = None;
+    for (line, number) in text.lines().zip(1..) {
+        let content = line.trim_start();
+        let backquotes = content.len() - content.trim_start_matches('`').len();
+        match fence {
+            Some(opened) => {
+                if backquotes >= opened && content.trim_end().len() == backquotes {
+                    fence = None;
+                }
+            }
+            None if backquotes >= 3 => fence = Some(backquotes),
+            None => {
+                let words = content.trim_start_matches("- ").split_whitespace().count();
+                if line.chars().count() > COLUMNS && words > 1 && !content.starts_with(['|', '<']) {
+                    found.push(number);
+                }
+            }
+        }
+    }
+    found
 }
 
 #[test]
@@ -226,6 +271,10 @@ fn idioms_are_found_across_lines_and_similar_words_are_not() {
     assert_eq!(found("# what the search is about"), [(1, "what the search is about")]);
     assert_eq!(found("It is asked for."), [(1, "is asked for")]);
     assert_eq!(found("The colours of a grey car"), [(1, "colours"), (1, "grey")]);
+    assert_eq!(
+        found("fn the_run_goes_on(by_hand: u8)"),
+        [(1, "_goes_on"), (1, "by_hand")]
+    );
     for fine in [
         "it is about 20 cells long",
         "x is about to run into y",
@@ -240,4 +289,36 @@ fn idioms_are_found_across_lines_and_similar_words_are_not() {
     ] {
         assert_eq!(found(fine), [], "{fine}");
     }
+}
+
+#[test]
+fn prose_of_markdown_files_wraps() {
+    let mut files = Vec::new();
+    for place in WRAPPED {
+        collect(&root().join(place), &mut files);
+    }
+    files.retain(|path| path.extension().is_some_and(|ending| ending == "md"));
+    assert!(files.len() > 100, "only {} files read", files.len());
+    let mut faults = Vec::new();
+    for path in &files {
+        let shown = path.strip_prefix(root()).unwrap().display().to_string();
+        let lines = long_lines(&fs::read_to_string(path).unwrap());
+        faults.extend(lines.iter().map(|line| format!("{shown}:{line}")));
+    }
+    assert!(
+        faults.is_empty(),
+        "{} lines of more than {COLUMNS} columns\n{}",
+        faults.len(),
+        faults.join("\n")
+    );
+}
+
+#[test]
+fn long_lines_are_found_outside_of_code_and_tables() {
+    let words = "word ".repeat(30);
+    let text = format!("{words}\n````text\n```\n{words}\n````\n| {words} |\n<p>{words}\n- {words}\n");
+    assert_eq!(long_lines(&text), [1, 8]);
+    let link = format!("- [{}](page.md)", "x".repeat(99));
+    assert!(long_lines(&format!("{} é\n{link}\n", "é".repeat(98))).is_empty());
+    assert_eq!(long_lines(&format!("```sh\n{words}\n```\n{words}")), [4]);
 }

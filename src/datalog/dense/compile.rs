@@ -145,7 +145,7 @@ impl<'a> Compiler<'a> {
             if let Lit::Is(property, _, holds) = *literal {
                 *self.uses.entry((property, holds)).or_default() += 1;
             }
-            let (relation, asked_of_head) = match *literal {
+            let (relation, of_head) = match *literal {
                 Lit::Is(Property::Related(relation, axis), var, _) => (relation, var == 0 && axis == Argument::First),
                 Lit::Is(property @ (Property::Holds(relation) | Property::Diagonal(relation)), var, _) => {
                     if self.is_given(property) {
@@ -156,7 +156,7 @@ impl<'a> Compiler<'a> {
                 Lit::Pair(relation, left, _, _) => (relation, left == 0),
                 Lit::Same(..) => continue,
             };
-            self.out.local &= asked_of_head || !self.derived[relation.index()];
+            self.out.local &= of_head || !self.derived[relation.index()];
         }
         let guards_all = |guard: &RelId| bodies.iter().all(|(_, body)| body.is_guarded_by(*guard));
         self.out.guards = self.guards.iter().copied().filter(guards_all).collect();

@@ -80,7 +80,7 @@ impl<'c> Check<'_, 'c> {
         let values = making.predicate("values of `range`", COLUMNS);
         let around: Vec<Literal> = near.into_iter().chain(context).collect();
         let mut ways = Vec::new();
-        for (terms, condition, way) in asked_of(&arguments, base, span) {
+        for (terms, condition, way) in requests(&arguments, base, span) {
             let body = condition.into_iter().chain(around.iter().cloned()).collect();
             making.clause(asked, terms, body, finish.variables.clone());
             ways.push(way);
@@ -147,7 +147,7 @@ enum Way {
 }
 
 /// Returns the possible requests for these arguments: start, end and step, the condition, and the direction.
-fn asked_of(arguments: &[Term], base: BaseType, span: Span) -> Vec<(Vec<Term>, Option<Literal>, Way)> {
+fn requests(arguments: &[Term], base: BaseType, span: Span) -> Vec<(Vec<Term>, Option<Literal>, Way)> {
     let [from, to, rest @ ..] = arguments else {
         return Vec::new();
     };
