@@ -26,7 +26,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any, Literal, cast
 
 import numpy as np
-from pydantic import BaseModel, ConfigDict, Field, ValidationError, model_validator
+from pydantic import BaseModel, Field, ValidationError, model_validator
 from pydantic_core import PydanticCustomError
 
 from .. import _logicity
@@ -37,6 +37,7 @@ from ..files import write_json
 from ..learn.cells import Job
 from ..learn.config import faults, merged
 from ..learn.experiment import Selection, read_experiment, validated
+from ..learn.learner import Seed, StrictModel
 from ..rules import Program
 from .data import BINARY, UNARY, symbolic_facts
 from .features import Backbone, DataSpec, Kind, prepared, weights_file
@@ -72,15 +73,11 @@ __all__ = ["VapCell", "VapExperiment", "VapSettings", "run_cell"]
 #: The version of the format of the files of a cell.
 FORMAT = 1
 
-_Model = ConfigDict(extra="forbid", frozen=True, strict=True, use_attribute_docstrings=True)
-_Seed = Annotated[int, Field(ge=0, lt=2**32)]
 _Worlds = Annotated[int, Field(ge=1, le=100_000)]
 
 
-class Worlds(BaseModel):
+class Worlds(StrictModel):
     """The numbers of worlds, of 89 pictures each."""
-
-    model_config = _Model
 
     train: _Worlds = 30
     """For training."""
@@ -90,10 +87,8 @@ class Worlds(BaseModel):
     """For the test, always with the fixed agents. The paper has 20."""
 
 
-class VapSettings(BaseModel):
+class VapSettings(StrictModel):
     """The settings of a cell."""
-
-    model_config = _Model
 
     stage: Literal["concepts", "reasoning", "end-to-end", "induction", "bound"] = "concepts"
     """The stage: which parts are trained, and what predicts the actions; see the module."""
@@ -107,7 +102,7 @@ class VapSettings(BaseModel):
     """The difficulty of the test pictures. By default that of training."""
     drawing_version: Literal[1, 2] = 2
     """The version of the drawing code, see `logicity.vap.make_dataset`."""
-    data_seed: _Seed = 0
+    data_seed: Seed = 0
     """The seed of the worlds."""
     fraction: Annotated[float, Field(gt=0, le=1)] = 1.0
     """The part of the training samples that is used. The seed of the cell draws it."""
@@ -193,10 +188,8 @@ class VapCell(Job):
         return f"wAcc {evaluation['w_acc']:.3f}{f' ({name})' if name else ''}"
 
 
-class Row(BaseModel):
+class Row(StrictModel):
     """A row of the table: a model with its settings."""
-
-    model_config = _Model
 
     settings: dict[str, Any] = Field(default_factory=dict)
     """The settings."""
@@ -214,10 +207,8 @@ class Row(BaseModel):
     """Whether tables omit the row."""
 
 
-class Variant(BaseModel):
+class Variant(StrictModel):
     """A variant of every row."""
-
-    model_config = _Model
 
     settings: dict[str, Any] = Field(default_factory=dict)
     """Changes to the settings."""
@@ -234,10 +225,8 @@ class Variant(BaseModel):
     """The place on that line."""
 
 
-class VapExperiment(BaseModel):
+class VapExperiment(StrictModel):
     """An experiment of Visual Action Prediction: what `logicity experiment` runs."""
-
-    model_config = _Model
 
     task: Literal["vap"]
     """The task."""
@@ -249,7 +238,7 @@ class VapExperiment(BaseModel):
     """The rows, each after the row that it starts from."""
     modes: Annotated[tuple[Literal["easy", "hard"], ...], Field(strict=False, min_length=1)]
     """The modes: the rules and the agents."""
-    seeds: Annotated[tuple[_Seed, ...], Field(strict=False, min_length=1)] = (0,)
+    seeds: Annotated[tuple[Seed, ...], Field(strict=False, min_length=1)] = (0,)
     """The seeds."""
     variants: Annotated[dict[str, Variant], Field(min_length=1)] = Field(default_factory=lambda: {"": Variant()})
     """The variants of every row."""

@@ -391,11 +391,7 @@ def _on_ray(
     advance: Callable[[], None],
 ) -> None:
     """Compute worlds on Ray. If a worker is lost, its world is computed again."""
-    try:
-        import ray
-    except ImportError as error:
-        raise missing_extra("ray", error) from error
-    from ..learn.jobs import RETRIES
+    from ..learn.jobs import RETRIES, connect
 
     data, out = folder.resolve(), target.resolve()
     file = None if weights is None else Path(weights).resolve()
@@ -404,12 +400,7 @@ def _on_ray(
         torch.set_num_threads(1)
         _store(VapDataset(data), indices, out, world, extractor(kind, file, device))
 
-    options: dict[str, Any] = {"include_dashboard": False} if address == "local" else {}
-    try:
-        ray.init(address=address, log_to_driver=False, **options)
-    except Exception as error:
-        # Ray raises a plain `Exception` if a local cluster takes too long to start.
-        raise ConnectionError(f"--ray: no cluster at `{address}`: {error}") from error
+    ray = connect(address)
     try:
         task = ray.remote(num_cpus=1, num_gpus=float(device.startswith("cuda")), max_retries=RETRIES)(work)
         running = [task.remote(indices, world) for world, indices in worlds.items()]
