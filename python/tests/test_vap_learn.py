@@ -155,6 +155,15 @@ def test_stored_crops_are_resumed_and_checked(pictures: VapDataset, tmp_path: Pa
         load_features(out, pictures)
 
 
+def test_features_on_ray_are_those_of_one_thread(tmp_path: Path) -> None:
+    needs("ray", "ray")
+    made = make_dataset(tmp_path / "set", "hard", "test", worlds=2, threads=1)
+    plain = compute_features(made.folder, tmp_path / "plain")
+    on_ray = compute_features(made.folder, tmp_path / "ray", ray="local")
+    for name in ("features.json", "world-00000.npy", "world-00001.npy"):
+        assert (plain / name).read_bytes() == (on_ray / name).read_bytes()
+
+
 @pytest.mark.skipif(sys.platform == "win32", reason="Ctrl-C needs POSIX signals")
 def test_features_are_made_on_the_command_line(
     tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
