@@ -309,11 +309,7 @@ def code(value: Any) -> str:
 def training() -> str:
     """Return the keys of training files, and a section with the settings of each algorithm."""
     schema = json.loads(run("schema", "training"))
-    entries = []
-    for key, value in schema["properties"].items():
-        default = f", default {code(value['default'])}" if value.get("default") not in (None, {}) else ""
-        entries.append(f"`{key}`\n: *{kinds(value)}*{default}. {value['description']}\n")
-    parts = ["## Keys\n\n" + "\n".join(entries)]
+    parts = [f"## Keys\n\n{keys_of(schema)}"]
     for definition in schema["$defs"].values():
         described = any("description" in value for value in definition["properties"].values())
         columns = ["setting", "values", "default", *["meaning"] * described]
@@ -326,8 +322,36 @@ def training() -> str:
     return "\n".join(parts)
 
 
+def keys_of(schema: dict[str, Any]) -> str:
+    """Return an entry for each key of a mapping, in the schema of training files or experiment files."""
+    entries = []
+    for key, value in schema["properties"].items():
+        required = ", required" if key in schema.get("required", []) else ""
+        # The section of a mapping shows the defaults of its keys.
+        default = value.get("default")
+        stated = "" if default is None or isinstance(default, dict) else f", default {code(default)}"
+        entries.append(f"`{key}`\n: *{kinds(value)}*{required}{stated}. {value['description']}\n")
+    return "\n".join(entries)
+
+
+def experiment_files(task: str) -> str:
+    """Return the keys of experiment files of a task, with a section for each mapping inside them."""
+    schema = json.loads(run("schema", "experiment"))
+    parts = [keys_of(schema["$defs"][task])]
+    for key, value in schema["$defs"][task]["properties"].items():
+        inner = value.get("additionalProperties")
+        if isinstance(inner, dict):
+            parts.append(f"### `{key}.NAME`\n\n{inner['description']}\n\n{keys_of(inner)}")
+        elif "properties" in value:
+            parts.append(f"### `{key}`\n\n{value['description']}\n\n{keys_of(value)}")
+    return "\n".join(parts)
+
+
 def kinds(value: dict[str, Any]) -> str:
-    """Describe the values that a part of the schema of training files accepts."""
+    """Describe the values that a part of the schema of training files or experiment files accepts."""
+    if "$ref" in value:
+        # Only mappings are references.
+        return "mapping"
     if "anyOf" in value:
         return " or ".join(dict.fromkeys(kinds(one) for one in value["anyOf"]))
     if "enum" in value:
@@ -343,6 +367,10 @@ def kinds(value: dict[str, Any]) -> str:
         return "list of " + ", ".join(kinds(item) for item in items)
     words = {"string": "text", "boolean": "`true` or `false`", "object": "mapping", "null": "`~`"}
     return words[value["type"]]
+
+
+#: The definitions of the schema of experiment files: three tasks, and the settings of one of them.
+EXPERIMENT_PARTS = ("spf", "vap", "vap-settings", "language")
 
 
 # --- results
@@ -503,6 +531,7 @@ GENERATORS: dict[str, Callable[[], str]] = {
     "warnings": lambda: messages("warning"),
     "configuration": configuration,
     "training": training,
+    **{f"experiment-files-{name}": functools.partial(experiment_files, name) for name in EXPERIMENT_PARTS},
     "environments": environments,
     "python": python,
     "playground": playground,

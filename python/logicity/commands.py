@@ -14,6 +14,8 @@ from difflib import get_close_matches
 from pathlib import Path
 from typing import TYPE_CHECKING, Literal, cast
 
+import numpy as np
+
 from . import _logicity
 from .errors import InputError
 from .files import check_writable, write_json
@@ -156,7 +158,8 @@ def _add_wandb(parser: argparse.ArgumentParser) -> None:
 def _add_experiment(parser: argparse.ArgumentParser) -> _Command:
     parser.add_argument(
         "experiment",
-        help="spf, transfer, composition, observations, vap, vap-continual, vap-concepts, language, or a YAML file",
+        help="spf, transfer, composition, observations, vap, vap-continual, vap-concepts, language, or a YAML file; "
+        "`logicity schema experiment` prints its keys",
     )
     exclusive = parser.add_mutually_exclusive_group()
     exclusive.add_argument("--list", action="store_true", help="list the cells and which are finished, and run none")
@@ -366,10 +369,61 @@ def _named_policy(text: str) -> tuple[Policy, str, str | None, ObservationKind |
 
 
 def _rule_file(text: str) -> Path | None:
-    """Return the rule file that `--policy` names, also as the best policy of a run, or `None` if it names another."""
+    """Return the rule file that `--policy` names, or `None` if it names no rule file.
+
+    The file can be a built-in one, or the best policy of a run.
+    """
     path = Path(text)
     file = path / "best.dl" if path.is_dir() else path
-    return file if file.suffix == ".dl" and file.is_file() else None
+    if file.suffix != ".dl":
+        return None
+    try:
+        _logicity.read_file(os.fspath(file))
+    except FileNotFoundError:
+        return None
+    return file
+
+
+def _check_kind(given: ObservationKind | None, trained: ObservationKind | None, policy: Policy) -> ObservationKind:
+    """Return the kind of observation of an evaluation.
+
+    Args:
+        given: The value of `--observation`.
+        trained: The kind that the file of the policy records.
+        policy: The policy.
+
+    Raises:
+        _UsageError: If the policy takes another kind than that of `--observation`.
+    """
+    if isinstance(policy, str):
+        return given or "groundings"
+    expected = trained or _observation_of(policy)
+    if given not in (None, expected):
+        raise _UsageError(
+            f"--observation: this policy takes observations of the kind `{expected}`, not `{given}`\n"
+            f"help: leave out `--observation {given}`"
+        )
+    return expected
+
+
+def _check_prediction(policy: Policy, name: str, trained: str | None, benchmark: Benchmark) -> None:
+    """Check with one observation that a policy without an observation space takes those of a mode.
+
+    Raises:
+        _UsageError: If it does not.
+    """
+    from .evaluation import model_shape
+
+    predict, shape = getattr(policy, "predict", None), benchmark.observation_shape
+    if predict is None or isinstance(shape, dict) or model_shape(policy) is not None:
+        return
+    try:
+        predict(np.zeros((1, *shape), np.float32), state=None, episode_start=np.ones(1, np.bool_), deterministic=True)
+    except InputError:
+        raise
+    except ValueError as error:
+        message = f"the policy `{name}` cannot act in `{benchmark.mode}`: {error}"
+        raise _UsageError(message if trained is None else f"{message}\nhelp: name `--modes {trained}`") from None
 
 
 def _check_fit(policy: Policy, trained: str | None, benchmarks: Sequence[Benchmark]) -> None:
@@ -510,39 +564,47 @@ def _evaluate(given: argparse.Namespace) -> int:
         raise _UsageError("modes with the same name would write traces to the same folder: evaluate one at a time")
     if given.traces is not None and policy == "random":
         raise _UsageError("the random policy runs every episode ten times and supports no traces")
-    observation = given.observation or kind or _observation_of(policy)
+    observation = _check_kind(given.observation, kind, policy)
     benchmarks = [Benchmark(mode, given.split, observation=observation) for mode in modes]
     _check_fit(policy, trained, benchmarks)
+    for benchmark, each in zip(benchmarks, policies, strict=True):
+        _check_prediction(each, given.policy, trained, benchmark)
     folders = [None if given.traces is None else given.traces / stem for stem in stems]
     for benchmark, folder in zip(benchmarks, folders, strict=True):
         # Check all folders before the first mode runs, so that no mode fails late.
         if folder is not None:
             benchmark.check_traces(folder, given.force)
-    for benchmark, each, folder in zip(benchmarks, policies, folders, strict=True):
-        results.append(benchmark.evaluate(each, name=name, traces=folder, overwrite=given.force))
-    print(table(results))
+    try:
+        for benchmark, each, folder in zip(benchmarks, policies, folders, strict=True):
+            results.append(benchmark.evaluate(each, name=name, traces=folder, overwrite=given.force))
+    finally:
+        # An error must not hide the results of the modes before.
+        if results:
+            print(table(results))
     if given.json is not None:
         write_json(given.json, [result.to_dict() for result in results], overwrite=given.force)
     return 0
 
 
 def _train(given: argparse.Namespace) -> int:
+    from .evaluation import Interval
     from .learn import TrainConfig, train
+    from .learn.config import located
+    from .learn.run import FolderError
 
     config = TrainConfig.load(given.config, seed=given.seed)
     run = given.run or Path("runs") / f"{given.config.stem}-{config.seed}"
     _check_folder("--run", run)
     try:
         result = train(config, run, progress=True, wandb=given.wandb)
-    except InputError:
+    except FolderError:
         raise
     except ValueError as error:
-        raise ValueError(f"{given.config}: {error}") from error
+        raise located(given.config, config, error) from error
     spent = f"{result['cpu_seconds']:,.0f} CPU seconds"
     print(f"{result['steps']} {result['unit']} in {spent}; best after {result['best']['steps']}")
     for name, label in {"compliance": "compliance", "tsr": "TSR", "dsr": "DSR"}.items():
-        rate = result["test"][name]
-        print(f"{label} on test episodes: {rate['value']:.2f} [{rate['low']:.2f}, {rate['high']:.2f}]")
+        print(f"{label} on test episodes: {Interval(**result['test'][name])}")
     print(f"all results in {run / 'result.json'}")
     return 0
 
@@ -575,6 +637,9 @@ def _experiment(given: argparse.Namespace) -> int:
     if given.submit is not None:
         if given.quick or given.set:
             raise _UsageError("--submit: rows have the budgets of the experiment: remove `--quick` and `--set`")
+        if not any(finished(cell, root) for cell in cells if not cell.hidden):
+            help = "run the experiment first, or name its folder with `--run`"
+            raise _UsageError(f"--submit: none of the cells is finished in `{root}`\nhelp: {help}")
         for line in experiment.submit(file, cells, root, given.submit):
             print(line)
         return 0
@@ -708,12 +773,16 @@ def _baselines(given: argparse.Namespace) -> int:
 
 
 def _features(given: argparse.Namespace) -> int:
-    from .vap.features import compute_features
+    from .vap.features import compute_features, output_folder
 
+    try:
+        folder = output_folder(given.folder, given.backbone, given.out, given.weights, given.device)
+    except ValueError as error:
+        raise _UsageError(str(error)) from None
     begun = time.monotonic()
     out = compute_features(
         given.folder,
-        given.out,
+        folder,
         kind=given.backbone,
         weights=given.weights,
         device=given.device,

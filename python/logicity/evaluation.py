@@ -78,7 +78,9 @@ class Interval:
         return cls(share, min(share, max(0.0, center - spread)), max(share, min(1.0, center + spread)))
 
     def __str__(self) -> str:
-        """Format the value and, in brackets, the interval."""
+        """Format the value and, in brackets, the interval; `-` for the share of no trials."""
+        if (self.value, self.low, self.high) == (0, 0, 1):
+            return "-"
         # Adding 0.0 turns a rounded -0.0 into 0.0.
         value, low, high = (f"{round(number, 2) + 0.0:.2f}" for number in (self.value, self.low, self.high))
         return f"{value} [{low}, {high}]"

@@ -306,6 +306,32 @@ def test_a_rule_file_is_a_policy_in_each_mode(tmp_path: Path, capsys: pytest.Cap
     assert capsys.readouterr().out.splitlines()[1].split()[:2] == ["best", "hard"]
 
 
+def test_built_in_rule_files_are_policies(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    monkeypatch.chdir(tmp_path)
+    assert main(["evaluate", "--policy", "rules/easy.dl", "--modes", "easy", "--split", "val"]) == 0
+    assert capsys.readouterr().out.splitlines()[1].split()[:3] == ["easy", "easy", "1.00"]
+    assert main(["evaluate", "--policy", "rules/none.dl", "--modes", "easy"]) == 2
+    assert capsys.readouterr().err.startswith("error: cannot read `rules/none.dl`: no such file")
+
+
+def test_an_error_does_not_hide_finished_results(
+    monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    measure = Benchmark.evaluate
+
+    def fail(self: Benchmark, *arguments: Any, **named: Any) -> Any:
+        if self.mode == "medium":
+            raise ValueError("broken")
+        return measure(self, *arguments, **named)
+
+    monkeypatch.setattr(Benchmark, "evaluate", fail)
+    assert main(["evaluate", "--policy", "oracle", "--modes", "easy,medium", "--split", "val"]) == 1
+    output = capsys.readouterr()
+    assert output.out.splitlines()[1].split()[:2] == ["oracle", "easy"] and output.err == "error: broken\n"
+
+
 def test_files_instead_of_folders_are_reported(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     file = tmp_path / "readme.py"
     file.touch()

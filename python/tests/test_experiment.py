@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import os
+import socket
 import subprocess
 import sys
 from collections.abc import Sequence
@@ -23,7 +24,7 @@ from logicity.learn import LEARNERS, load_policy  # noqa: E402
 from logicity.learn.cells import Cell, finished, prepare, reuse, run_cell  # noqa: E402
 from logicity.learn.config import TrainConfig  # noqa: E402
 from logicity.learn.experiment import Experiment, Selection, load_experiment, read_experiment  # noqa: E402
-from logicity.learn.jobs import exclusive, run_in_processes  # noqa: E402
+from logicity.learn.jobs import _check_listening, exclusive, run_in_processes  # noqa: E402
 from logicity.learn.messages import first_line  # noqa: E402
 from logicity.learn.report import escaped, markdown_table, paper_table  # noqa: E402
 from logicity.learn.result_files import as_text  # noqa: E402
@@ -144,6 +145,11 @@ def test_the_identity_follows_from_settings_rules_episodes_and_version(
         (TINY.replace("ppo: {}", "ppo: {variants: [b]}") + "variants: {a: {}, b: {start: a}}", "`b` starts from `a`"),
         (TINY + "evaluations: {a: {split: tset}}", "`evaluations.a.split` must be `train`, `val` or `test`, not"),
         (TINY + "evaluations: {a: {fresh: 0}}", "`evaluations.a.fresh` must be at least 1"),
+        (TINY.replace("[0, 1]", "[0, 1, 0]"), r"`0` occurs twice(.|\n)*tiny\.yaml"),
+        (TINY.replace("[easy]", "[easy, easy]"), "`easy` occurs twice"),
+        (TINY[: TINY.index("learners")] + "learners: {}", "`learners` must be a mapping with 1 or more keys"),
+        (TINY + "changes: {stepz: 3}", r"unknown key `stepz`(.|\n)*tiny\.yaml(.|\n)*did you mean `steps`"),
+        (TINY + "variants: {a: {changes: {envs: 0}}}", r"`envs` must be at least 1, not `0`(.|\n)*tiny\.yaml"),
         ("[]", "an experiment must be a mapping"),
         (TINY.replace("{steps: 96}", "{step: 96}"), "unknown key `step`[^?]*did you mean `steps`"),
         (TINY.replace("{steps: 96}", "{algorithm: sarsa}"), "unknown learner `sarsa`"),
@@ -169,11 +175,15 @@ def test_unknown_selections_are_reported(
     for change, message in [
         ("seed=3", "--set: each cell has its own `seed`: use `--seeds`"),
         ("mode=hard", "--set: each cell has its own `mode`: use `--only LEARNER,MODE`"),
+        ("algorithm=dqn", "--set: each cell has its own `algorithm`: write another experiment"),
+        ("step=3", "--set step: unknown key `step`\nhelp: did you mean `steps`?"),
+        ("settings.gama=3", "--set settings.gama: `ppo` has no setting `gama`\nhelp: did you mean `gamma`?"),
     ]:
         assert command(words, [str(tiny), *run, "--list", "--set", change]) == 2
         assert message in capsys.readouterr().err
-    assert command(words, [str(tiny), *run, "--list", "--set", "step=3"]) == 1
-    assert "with the changes of `ppo` in" in (shown := capsys.readouterr().err) and "and of `--set`" in shown
+    assert command(words, [str(tiny), *run, "--submit", str(tiny.parent / "results.json")]) == 2
+    assert "--submit: none of the cells is finished" in capsys.readouterr().err
+    assert not (tiny.parent / "results.json").exists()
     assert command(words, ["spff"]) == 2
     assert "spff.yaml" in capsys.readouterr().err
     with pytest.raises(SystemExit):
@@ -200,12 +210,16 @@ def test_unknown_selections_are_reported(
 
 def test_faults_that_appear_with_the_cells_are_reported(tmp_path: Path) -> None:
     for text, error, message in [
-        (TINY.replace("ppo: {}", 'ppo: {config: "{rwo}.yaml"}'), FileNotFoundError, "key `config` of the row `ppo` in"),
-        (TINY.replace("ppo: {}", "pp0: {}"), FileNotFoundError, r"pp0\.yaml(.|\n)*key `config` of the row `pp0`"),
+        (
+            TINY.replace("ppo: {}", 'ppo: {config: "{rwo}.yaml"}'),
+            InputError,
+            r"tiny\.yaml:8:17(.|\n)*key `config` names",
+        ),
+        (TINY.replace("ppo: {}", "pp0: {}"), InputError, r"pp0\.yaml(.|\n)*tiny\.yaml:8:8(.|\n)*key `config` names"),
         (
             TINY.replace("ppo: {}", "a: {config: ppo.yaml}\n  b: {config: ppo.yaml}"),
-            ValueError,
-            "have the same settings",
+            InputError,
+            r"have the same settings(.|\n)*tiny\.yaml:9:",
         ),
     ]:
         with pytest.raises(error, match=message):
@@ -392,6 +406,7 @@ def test_a_cell_runs_only_with_its_version_rules_and_episodes(tiny: Path, tmp_pa
     # A process that is lost after the last file leaves a finished cell.
     measured = {"identity": document["identity"], "result": {}, "evaluations": {}}
     (folder / "measured.json").write_text(json.dumps(measured))
+    (folder / "best.zip").write_bytes(b"the policy")
     assert run_cell(folder) == measured == finished(cells[0], tmp_path / "run")
 
 
@@ -556,3 +571,14 @@ def test_the_pages_of_results_follow_from_the_published_rows(file: Path) -> None
         assert 0 <= low <= value <= high <= 1
     texts = [path.read_text(encoding="utf-8") for path in (ROOT / "docs").rglob("*.md")]
     assert any(f"<!-- generated: results-{file.stem} -->" in text for text in texts)
+
+
+def test_an_address_where_nothing_listens_is_an_error() -> None:
+    with socket.create_server(("127.0.0.1", 0)) as server:
+        address = f"127.0.0.1:{server.getsockname()[1]}"
+        _check_listening(address)
+        _check_listening(f"ray://{address}")
+    for closed in (address, f"ray://{address}"):
+        with pytest.raises(ConnectionError, match=f"no cluster at `{closed}`.*\nhelp: start a cluster"):
+            _check_listening(closed)
+    _check_listening("local")

@@ -15,6 +15,7 @@ from conftest import needs, timeless
 from logicity import ENVIRONMENTS, InputError, evaluate
 from logicity.__main__ import main
 from logicity.envs import SPFVectorEnv
+from logicity.files import reserved
 
 needs("stable_baselines3", "learn")
 import torch  # noqa: E402
@@ -514,7 +515,9 @@ def test_a_base_is_merged_mapping_by_mapping(tmp_path: Path) -> None:
     ("algorithm", "setting", "message"),
     [
         ("ppo", {"batch_size": 1}, "PPO rejects the `settings`: `batch_size` must be greater than 1"),
-        ("dqn", {"learning_rate": -1.0}, "DQN rejects the `settings`: Invalid learning rate: -1.0"),
+        ("dqn", {"optimize_memory_usage": True}, "DQN rejects the `settings`: ReplayBuffer does not support"),
+        ("dqn", {"buffer_size": 10**12}, "`settings.buffer_size`: 1000000000000 needs too much memory: Unable"),
+        ("ppo-fast", {"rollout_steps": 10**12}, "`settings.rollout_steps`: 1000000000000 needs too much memory"),
     ],
 )
 def test_rejected_settings_leave_no_run(
@@ -524,14 +527,156 @@ def test_rejected_settings_leave_no_run(
     config = short(algorithm).to_dict()
     file.write_text(json.dumps({**config, "settings": {**config["settings"], **setting}}))
     assert main(["train", str(file), "--run", str(run)]) == 1
-    assert capsys.readouterr().err.startswith(f"error: {file}: {message}") and not run.exists()
+    errors = capsys.readouterr().err
+    assert f"error[invalid-value]: {message}" in errors and f"--> {file}:" in errors and not run.exists()
     file.write_text(json.dumps(config))
     assert main(["train", str(file), "--run", str(run)]) == 0 and (run / "result.json").exists()
 
 
 @pytest.mark.parametrize(
+    ("algorithm", "settings", "messages"),
+    [
+        (
+            "dqn",
+            {"gamma": 5, "batch_size": 0, "buffer_size": 0, "exploration_fraction": -2, "tau": 2, "train_freq": 0},
+            [
+                "`settings.buffer_size` must be at least 1, not `0`",
+                "`settings.batch_size` must be at least 1, not `0`",
+                "`settings.tau` must be at most 1.0, not `2`",
+                "`settings.gamma` must be at most 1.0, not `5`",
+                "`settings.train_freq` must be an integer of at least 1, or such an integer with a unit: [4, step] or "
+                "[1, episode], not `0`",
+                "`settings.exploration_fraction` must be at least 0.0, not `-2`",
+            ],
+        ),
+        ("nlm-dqn", {"target_update_interval": 0}, ["`settings.target_update_interval` must be at least 1, not `0`"]),
+        ("ppo", {"clip_range": -4}, ["`settings.clip_range` must be greater than 0.0, not `-4`"]),
+        ("ppo", {"clip_range_vf": 0}, ["`settings.clip_range_vf` must be greater than 0.0, not `0`"]),
+        ("a2c", {"n_steps": 0}, ["`settings.n_steps` must be at least 1, not `0`"]),
+        ("dqn", {"gradient_steps": -1, "learning_starts": 0, "train_freq": [1, "episode"]}, []),
+        ("ppo", {"sde_sample_freq": -1, "target_kl": None, "gae_lambda": 1}, []),
+    ],
+)
+def test_settings_of_stable_baselines_have_ranges(
+    algorithm: str, settings: dict[str, Any], messages: list[str], tmp_path: Path
+) -> None:
+    file = tmp_path / "config.json"
+    file.write_text(json.dumps({"algorithm": algorithm, "mode": "easy", "settings": {"network": [8], **settings}}))
+    if not messages:
+        TrainConfig.load(file)
+        return
+    with pytest.raises(InputError) as caught:
+        TrainConfig.load(file)
+    assert [fault["message"] for fault in caught.value.diagnostics] == messages
+
+
+def test_too_many_environments_are_refused(tmp_path: Path) -> None:
+    with pytest.raises(ValueError, match=r"`envs`: 100000000 environments need more than 572\.2 GiB of memory"):
+        train(short("ppo-fast", envs=10**8), tmp_path / "run")
+    assert not (tmp_path / "run").exists()
+
+
+@pytest.mark.parametrize(
+    ("algorithm", "name"),
+    [("dqn", name) for name in ("state.json", "replay.pkl", "state.pkl", "model.zip", "best.zip")]
+    + [("ppo-fast", "state.pkl"), ("ppo-fast", "best.pt")],
+)
+def test_damaged_checkpoints_are_named(
+    algorithm: str, name: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    config, run = tmp_path / "config.json", tmp_path / "run"
+    config.write_text(json.dumps(short(algorithm).to_dict()))
+    train(TrainConfig.load(config), run, tensorboard=False)
+    (checkpoint,) = run.glob("checkpoint-*")
+    path = checkpoint / name
+    path.write_bytes(path.read_bytes()[:150])
+    capsys.readouterr()
+    assert main(["train", str(config), "--run", str(run)]) == 1
+    errors = capsys.readouterr().err
+    assert errors.startswith(f"error: {path} is damaged: ") and errors.count("\n") == 1
+    assert f"; remove the folder {checkpoint} to train from the beginning" in errors
+    path.unlink()
+    assert main(["train", str(config), "--run", str(run)]) == 1
+    assert capsys.readouterr().err.startswith(f"error: {checkpoint} has no file `{name}`; remove the folder")
+    (run / "config.json").write_text('{"algorithm"')
+    assert main(["train", str(config), "--run", str(run)]) == 1
+    # The state of the run is read before its configuration.
+    assert "is damaged" in (errors := capsys.readouterr().err) or name == "state.json"
+    assert str(config) not in errors and (run / "result.json").exists()
+
+
+def test_only_one_process_reads_a_run(tmp_path: Path) -> None:
+    run = tmp_path / "run"
+    run.mkdir()
+    (run / "config.json").write_text("incomplete")
+    with reserved(run / "result.json", record=False), pytest.raises(OSError, match="this process already writes it"):
+        train(short("ppo"), run)
+    with pytest.raises(training.FolderError, match=r"config\.json is damaged"):
+        train(short("ppo"), run)
+
+
+def test_runs_that_fail_leave_no_folder(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    config = short("popper", settings={"program": ["no-such-program"]})
+    with pytest.raises(FileNotFoundError, match="Popper is not installed"):
+        train(config, tmp_path / "a" / "b")
+    assert not list(tmp_path.iterdir())
+    cell = tmp_path / "cell"
+    cell.mkdir()
+    for name in ("cell.json", "start.zip", "log.txt"):
+        (cell / name).touch()
+    with pytest.raises(FileNotFoundError, match="Popper is not installed"):
+        train(config, cell, tensorboard=False)
+    assert sorted(path.name for path in cell.glob("[!.]*")) == ["cell.json", "log.txt", "start.zip"]
+
+
+@pytest.mark.parametrize("entry", ["readme.md", "cells", "best.zip", "start.zip"])
+def test_folders_of_other_files_are_refused(entry: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    (tmp_path / entry).mkdir()
+    assert main(["train", "ppo-easy", "--run", str(tmp_path)]) == 1
+    message = f"error: {tmp_path} is not empty (`{entry}`) and has no run: choose another folder\n"
+    assert capsys.readouterr().err == message
+    assert [path.name for path in tmp_path.iterdir()] == [entry]
+
+
+@pytest.mark.skipif(not Path("/proc/self").exists(), reason="needs /proc")
+def test_folders_that_cannot_be_created_are_named(capsys: pytest.CaptureFixture[str]) -> None:
+    assert main(["train", "ppo-easy", "--run", "/proc/x"]) == 2
+    assert capsys.readouterr().err == "error: cannot create the folder `/proc/x`: no such file or directory\n"
+
+
+def test_errors_of_a_run_have_a_location(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    (tmp_path / "bad.zip").write_text("text")
+    file = tmp_path / "config.yaml"
+    network = "algorithm: ppo\nmode: easy\nsettings: {network: [8]}\n"
+    for text, message, line, column in [
+        (f"{network}start: bad.zip", "`start`: .* is not a Stable-Baselines3 model", 4, 8),
+        ("algorithm: induce\nmode: easy\nsteps: 5", "steps: expected 1, because `induce` learns in one step", 3, 8),
+        (f"{network}overrides:\n  task:\n    reward: {{overtimee: 1}}", "unknown key `overtimee`", 6, 14),
+        (f"{network}overrides:\n  view: 30\n  task: {{reward: {{}}, patience: x}}", "found the text `x`", 6, 32),
+        (f"{network}overrides:\n  task: {{route_length: true}}", "the `overrides` change the shape", 4, 1),
+    ]:
+        file.write_text(text)
+        assert main(["train", str(file), "--run", str(tmp_path / "run")]) == 1
+        errors = capsys.readouterr().err
+        assert re.match(rf"error\[[\w-]+\]: {message}|error\[[\w-]+\]: .*{message}", errors), errors
+        assert f"--> {file}:{line}:{column}\n" in errors and not (tmp_path / "run").exists()
+
+
+def test_a_policy_is_evaluated_only_where_it_fits(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    train(short("ppo-fast"), tmp_path / "run", tensorboard=False)
+    policy = str(tmp_path / "run" / "best.pt")
+    assert main(["evaluate", "--policy", policy, "--modes", "easy,hard", "--split", "val"]) == 2
+    errors = capsys.readouterr().err
+    assert errors.startswith(f"error: the policy `{policy}` cannot act in `hard`: expected observations of shape")
+    assert errors.endswith("the policy was trained in `easy`\nhelp: name `--modes easy`\n")
+    assert main(["evaluate", "--policy", policy, "--observation", "state", "--split", "val"]) == 2
+    message = "error: --observation: this policy takes observations of the kind `groundings`, not `state`\n"
+    assert capsys.readouterr().err == f"{message}help: leave out `--observation state`\n"
+
+
+@pytest.mark.parametrize(
     ("text", "number"),
-    [("3e-5", 3e-5), ("3E5", 3e5), ("-1e+2", -100.0), (".5e1", 5.0), ("2.e1", 20.0), ("3.0e-5", 3e-5), ("1", 1)],
+    [("3e-5", 3e-5), ("3E5", 3e5), ("1e+2", 100.0), (".5e1", 5.0), ("2.e1", 20.0), ("3.0e-5", 3e-5), ("1", 1)],
 )
 def test_numbers_in_scientific_notation_are_floats(text: str, number: float, tmp_path: Path) -> None:
     (tmp_path / "config.yaml").write_text(

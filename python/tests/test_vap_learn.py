@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import re
+import shutil
 import signal
 import subprocess
 import sys
@@ -141,18 +142,71 @@ def test_stored_crops_are_resumed_and_checked(pictures: VapDataset, tmp_path: Pa
     assert compute_features(pictures.folder, out) == out
     assert (out / "world-00000.npy").stat().st_mtime_ns == begun, "finished worlds are not computed again"
     document = json.loads((out / "features.json").read_text())
-    (out / "features.json").write_text(json.dumps({**document, "data_hash": "0" * 64}))
-    with pytest.raises(ValueError, match="features with another `data_hash`"):
+    (out / "features.json").write_text(json.dumps({**document, "backbone_hash": "0" * 64}))
+    with pytest.raises(ValueError, match="features with another `backbone_hash`"):
         compute_features(pictures.folder, out)
-    with pytest.raises(ValueError, match="features of another data set than .*: run `logicity vap features .* with an"):
-        load_features(out, pictures)
     (out / "features.json").write_text(json.dumps(document))
     (out / "world-00000.npy").unlink()
-    with pytest.raises(ValueError, match="no features of world 0 yet: run `logicity vap features` again"):
+    with pytest.raises(ValueError, match="no features of world 0 yet, or .* later: run `logicity vap features` again"):
         load_features(out, pictures)
-    (out / "features.json").write_text('{"format": 1}')
+    (out / "features.json").write_text('{"format": 2}')
     with pytest.raises(ValueError, match=r"features\.json: expected the key `kind`"):
         load_features(out, pictures)
+    (out / "features.json").write_text('{"format": 1}')
+    with pytest.raises(ValueError, match=r"features\.json: .* compute features of an earlier version again"):
+        load_features(out, pictures)
+    with pytest.raises(TypeError, match="folder: expected str"):
+        load_features(0, pictures)  # type: ignore[arg-type]
+
+
+def test_damaged_and_exchanged_features_are_found(tmp_path: Path) -> None:
+    made = make_dataset(tmp_path / "set", "easy", "test", worlds=2, difficulty=0, threads=1)
+    out = compute_features(made.folder)
+    assert str(out) == f"{made.folder}-crops"
+    # A folder may be a text.
+    whole = load_features(str(out), made)
+    first, second = out / "world-00000.npy", out / "world-00001.npy"
+    content, record = second.read_bytes(), second.with_suffix(".json").read_bytes()
+    # Files of another world have the same number of entities.
+    for damaged in (content[:100_000], content[:10], b"", first.read_bytes()):
+        second.write_bytes(damaged)
+        with pytest.raises(ValueError, match=r"world-00001\.npy` is damaged: .*: run `logicity vap features` again"):
+            load_features(out, made)
+        kept = first.stat().st_mtime_ns
+        compute_features(made.folder)
+        assert second.read_bytes() == content and first.stat().st_mtime_ns == kept
+    second.with_suffix(".json").write_bytes(record[:50])
+    compute_features(made.folder)
+    assert second.with_suffix(".json").read_bytes() == record
+    shutil.copy(first, second)
+    shutil.copy(first.with_suffix(".json"), second.with_suffix(".json"))
+    for work in (lambda: load_features(out, made), lambda: compute_features(made.folder)):
+        with pytest.raises(
+            ValueError, match=r"world-00001\.npy` has the features of another data set .* changed since"
+        ):
+            work()
+    second.unlink()
+    # More worlds are added to the data set.
+    make_dataset(made.folder, "easy", "test", worlds=3, difficulty=0, threads=1)
+    more = VapDataset(made.folder)
+    second.with_suffix(".json").unlink()
+    with pytest.raises(ValueError, match="no features of world 1 yet, or the world was added to"):
+        load_features(out, more)
+    kept = first.stat().st_mtime_ns
+    compute_features(made.folder)
+    assert first.stat().st_mtime_ns == kept and torch.equal(load_features(out, more)[: len(whole)], whole)
+
+
+def test_features_need_the_files_of_the_manifest(tmp_path: Path) -> None:
+    made = make_dataset(tmp_path / "set", "easy", "test", worlds=1, difficulty=0, threads=1)
+    world = made.folder / "world-00000"
+    for name in ("frame-012.png", "entities.parquet"):
+        content = (world / name).read_bytes()
+        (world / name).write_bytes(content + b" ")
+        with pytest.raises(ValueError, match=rf"{name}` has changed since it was made: .* run `logicity vap make` ag"):
+            compute_features(made.folder, tmp_path / "out")
+        (world / name).write_bytes(content)
+        assert not (tmp_path / "out" / "world-00000.npy").exists()
 
 
 def test_features_on_ray_are_those_of_one_thread(tmp_path: Path) -> None:
@@ -160,7 +214,7 @@ def test_features_on_ray_are_those_of_one_thread(tmp_path: Path) -> None:
     made = make_dataset(tmp_path / "set", "hard", "test", worlds=2, threads=1)
     plain = compute_features(made.folder, tmp_path / "plain")
     on_ray = compute_features(made.folder, tmp_path / "ray", ray="local")
-    for name in ("features.json", "world-00000.npy", "world-00001.npy"):
+    for name in ("features.json", *(f"world-0000{world}.{end}" for world in (0, 1) for end in ("npy", "json"))):
         assert (plain / name).read_bytes() == (on_ray / name).read_bytes()
 
 
@@ -184,13 +238,14 @@ def test_features_are_made_on_the_command_line(
     for world in ("world-00000.npy", "world-00001.npy"):
         assert (tmp_path / "set-crops" / world).read_bytes() == (tmp_path / "whole" / world).read_bytes()
     make_dataset(tmp_path / "tables", "easy", "test", worlds=1, images=False, threads=1)
-    for arguments, message in [
-        (["../tables"], "error: `../tables` has no pictures: make it without `--no-pictures`"),
-        ([".", "-o", "crops"], "error: `crops` is in the data set"),
-        ([".", "--device", "cuda"], "error: crops are cut on the CPU: remove `--device`"),
-        ([".", "--weights", "a"], "error: crops have no weights"),
+    for arguments, code, message in [
+        (["../tables"], 1, "error: `../tables` has no pictures: make it without `--no-pictures`"),
+        ([".", "-o", "crops"], 2, "error: `crops` is in the data set"),
+        ([".", "-o", "."], 2, "error: `.` is in the data set"),
+        ([".", "--device", "cuda"], 2, "error: crops are cut on the CPU: remove `--device`"),
+        ([".", "--weights", "a"], 2, "error: crops have no weights"),
     ]:
-        assert command(("vap", "features"), arguments) == 1
+        assert command(("vap", "features"), arguments) == code
         assert message in capsys.readouterr().err
     with pytest.raises(ValueError, match="unknown kind of features `crop`; known: crops, resnet50"):
         compute_features(made.folder, kind="crop")  # type: ignore[arg-type]
@@ -204,6 +259,15 @@ def test_pictures_of_an_interrupted_experiment_are_removed(tmp_path: Path) -> No
     pictures = stored.parent / "pictures-00000"
     pictures.mkdir()
     assert torch.equal(features, prepared(spec, tmp_path, "a")[1]) and not pictures.exists()
+    # Features of earlier versions have no record. Damaged features are made again.
+    content = stored.read_bytes()
+    stored.with_suffix(".json").unlink()
+    assert torch.equal(features, prepared(spec, tmp_path, "a")[1])
+    assert not stored.with_suffix(".json").exists(), "whole features are kept"
+    stored.write_bytes(content[:-1])
+    assert torch.equal(features, prepared(spec, tmp_path, "a")[1])
+    stored.write_bytes(content[:-1] + bytes([content[-1] ^ 1]))
+    assert torch.equal(features, prepared(spec, tmp_path, "a")[1]) and stored.read_bytes() == content
     # Other versions have other data.
     assert len(list(tmp_path.iterdir())) == 1
     prepared(DataSpec("easy", "test", "fixed", 1, 0, 2, 0, None), tmp_path, "b")
@@ -525,17 +589,25 @@ def test_the_papers_figures_are_those_of_its_table() -> None:
             "`modular-gnn` starts from `e2e-nlm`, but no earlier row has this name: move `modular-gnn` below it",
         ),
         (TINY.replace("start: rules", "start: modular-gnn"), "but no earlier row has this name; known: rules"),
-        (TINY.replace("fraction: 0.3", "fraction: 3"), "settings of `rules`: `fraction` must be at most 1"),
-        (TINY.replace("fraction: 0.3", "fractoin: 1"), "unknown key `fractoin`; did you mean `fraction`"),
-        (TINY.replace("{epochs: 2}", "{epoch: 2}"), r"unknown key `training\.epoch`; did you mean `epochs`"),
+        (TINY.replace("fraction: 0.3", "fraction: 3"), r"`fraction` must be at most 1(.|\n)*tiny\.yaml:7:59"),
+        (
+            TINY.replace("fraction: 0.3", "fractoin: 1"),
+            r"unknown key `fractoin`(.|\n)*tiny\.yaml:7:49(.|\n)*did you mean `fraction`",
+        ),
+        (TINY.replace("{epochs: 2}", "{epoch: 2}"), r"unknown key `training\.epoch`(.|\n)*did you mean `epochs`"),
         (
             TINY.replace("stage: reasoning", "stage: reason"),
-            "settings of `modular-gnn`: `stage` must be `concepts`, `reasoning`",
+            r"settings of `modular-gnn`: `stage` must be `concepts`, `reasoning`(.|\n)*tiny\.yaml:10:49",
         ),
         (
             TINY.replace("fraction: 0.3", "groundings: exact"),
-            "`groundings: exact` cannot be combined with the stage `concepts`",
+            r"`groundings: exact` cannot be combined with the stage `concepts`(.|\n)*tiny\.yaml:7:61",
         ),
+        (
+            TINY.replace("{random: {}}", "{random: {settings: {fraction: 2}}}"),
+            r"error\[invalid-value\]: `fraction` must be at most 1(.|\n)*tiny\.yaml:6:42",
+        ),
+        (TINY + "quick: {fraction: 2}", r"`fraction` must be at most 1(.|\n)*tiny\.yaml:12:19"),
         (TINY.replace("stage: reasoning", "stage: bound"), "the stage `bound` needs `groundings: exact`"),
         (TINY.replace("fraction: 0.3", "weights: a"), "`weights` are those of a backbone: they need"),
         (TINY.replace("{random: {}}", "{random: {start: randm}}"), "unknown variant `randm`; did you mean `random`"),
@@ -543,6 +615,10 @@ def test_the_papers_figures_are_those_of_its_table() -> None:
             TINY.replace("{random: {}}", "{random: {start: random}}"),
             "`random` itself starts from another variant: name",
         ),
+        (TINY.replace("[hard]", "[hard, hard]"), r"`hard` occurs twice(.|\n)*tiny\.yaml:5:8"),
+        (TINY + "seeds: [0, 0]", r"`0` occurs twice(.|\n)*tiny\.yaml:12:8"),
+        (TINY.replace("start: rules,", "variants: [random, random],"), "`random` occurs twice"),
+        (TINY.partition("learners:")[0] + "learners: {}", "`learners` must be a mapping with 1 or more keys"),
         (TINY.replace("modes: [hard]", "modes: [expert]"), "`modes.0` must be `easy` or `hard`, not `expert`"),
     ],
 )
@@ -669,6 +745,11 @@ def test_the_table_includes_the_papers_figures(undisturbed: tuple[Path, Path], t
     assert set(written) == {"table.md", "table.tex", "table.json", "bars.png", "bars.svg"}
     markdown = written["table.md"].read_text()
     assert "| the paper's | 0.26 | 0.51 | 0.19 | 0.63 | 0.48 | 0.28 |" in markdown and "| IsAtInter | " in markdown
+    # One seed and one test world have no interval.
+    assert "Intervals (95 %)" not in markdown and re.search(
+        r"\| modular-gnn, random \|( \d\.\d\d \|| - \|){6} 0 \|", markdown
+    )
+    assert "one seed and one test world have no interval" in markdown
     text = report.text()
     assert "modular-gnn, random" in text and "recall of concepts" in text and "CPU time: " in text
     missing = VapReport(experiment, cells, tmp_path / "none", {cells[1].identity: "it failed\nhere"})
@@ -682,7 +763,12 @@ def test_published_rows_are_measured_again(undisturbed: tuple[Path, Path], tmp_p
     lines = list(submit(experiment, file, cells, root, results))
     assert lines[-1] == f"4 rows in {results}"
     page = leaderboard(read_results(results))
-    assert "## `tiny`, hard" in page and "| `modular-gnn` |  | random | " in page and "| `IsAtInter` | " in page
+    assert (
+        "[" not in page.partition("recall of")[0]
+        and "## `tiny`, hard" in page
+        and "| `modular-gnn` |  | random | " in page
+        and "| `IsAtInter` | " in page
+    )
     folder = cells[0].folder(root)
     measured = finished(cells[0], root)
     assert measured is not None

@@ -256,7 +256,13 @@ impl Show {
             "policy", "compliance", "TSR", "DSR", "Score", "return", "steps"
         )?;
         for (name, summary) in [("oracle", &wanted), ("random", &drawn)] {
-            let rate = |rate: crate::task::spf::Rate| format!("{:.2} [{:.2}, {:.2}]", rate.value, rate.low, rate.high);
+            let rate = |rate: crate::task::spf::Rate| {
+                if rate.runs > 0 {
+                    format!("{:.2} [{:.2}, {:.2}]", rate.value, rate.low, rate.high)
+                } else {
+                    "-".to_owned()
+                }
+            };
             let score = summary.score.map_or_else(String::new, |score| {
                 format!("{:.2} [{:.2}, {:.2}]", score.value, score.low, score.high)
             });

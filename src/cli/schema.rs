@@ -1,4 +1,4 @@
-//! `logicity schema`: prints the JSON Schema of configuration files and of training configurations.
+//! `logicity schema`: prints the JSON Schema of configuration files, training configurations and experiments.
 
 use crate::builtin;
 use crate::cli::{Failure, one_of};
@@ -8,31 +8,39 @@ use std::io::{self, Write};
 /// The paths of the schemas among the built-in files.
 const SCHEMA: &str = "configs/schema.json";
 const TRAINING_SCHEMA: &str = "configs/baselines/schema.json";
+const EXPERIMENT_SCHEMA: &str = "configs/experiments/schema.json";
 
-/// The content of a file; the name is that of the definition in the schema, except for [`TRAINING`].
+/// The content of a file; the name is that of the definition in [`SCHEMA`], unless the content has its own schema.
 #[derive(Clone, Copy, PartialEq, Eq)]
 struct Part(&'static str);
 
 const TRAINING: Part = Part("training");
-const PARTS: [Part; 6] = [
+const EXPERIMENT: Part = Part("experiment");
+const PARTS: [Part; 7] = [
     Part("run"),
     Part("map"),
     Part("agents"),
     Part("predicates"),
     Part("task"),
     TRAINING,
+    EXPERIMENT,
 ];
 
 #[derive(clap::Args)]
 pub struct Arguments {
-    /// Content of the files: a run configuration, a part of one, or a training configuration
+    /// Content of the files: a run configuration, a part of one, a training configuration, or an experiment
     #[arg(value_parser = one_of(&PARTS, |part| part.0), default_value = "run")]
     part: Part,
 }
 
 pub fn run(arguments: &Arguments) -> Result<(), Failure> {
-    if arguments.part == TRAINING {
-        let text = builtin::text(TRAINING_SCHEMA).expect("a built-in file");
+    let own = match arguments.part {
+        TRAINING => Some(TRAINING_SCHEMA),
+        EXPERIMENT => Some(EXPERIMENT_SCHEMA),
+        _ => None,
+    };
+    if let Some(path) = own {
+        let text = builtin::text(path).expect("a built-in file");
         write!(io::stdout(), "{text}")?;
         return Ok(());
     }

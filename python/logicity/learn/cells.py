@@ -240,7 +240,7 @@ def _training(spec: Mapping[str, Any]) -> str:
 
 
 def finished(cell: Job, root: Path) -> dict[str, Any] | None:
-    """Return the content of `measured.json` of a cell, or `None` if the cell is not finished.
+    """Return the content of `measured.json` of a cell, or `None` if the cell is not finished or has no model.
 
     Raises:
         OSError: If the file cannot be read.
@@ -249,10 +249,12 @@ def finished(cell: Job, root: Path) -> dict[str, Any] | None:
 
 
 def _measured(folder: Path, identity: str) -> dict[str, Any] | None:
-    """Return the content of `measured.json` in a folder if it is that of the cell with an identity."""
+    """Return the content of `measured.json` in a folder with a model, if it is that of the cell with an identity."""
     try:
         measured = json.loads((folder / "measured.json").read_text(encoding="utf-8"))
     except (FileNotFoundError, NotADirectoryError, ValueError):
+        return None
+    if not any(folder.glob("best.*")) and not (folder / "model.pt").exists():
         return None
     return measured if isinstance(measured, dict) and measured.get("identity") == identity else None
 

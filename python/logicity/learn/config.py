@@ -4,13 +4,14 @@ from __future__ import annotations
 
 import json
 import os
+import re
 from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any
+from typing import TYPE_CHECKING, Annotated, Any, TypeAlias, cast
 
 from .. import _logicity
-from ..env_config import ArrayKind, EnvOptions, Episodes
-from ..errors import did_you_mean, missing_extra
+from ..env_config import ArrayKind, EnvConfig, EnvOptions, Episodes
+from ..errors import InputError, did_you_mean, missing_extra
 
 try:
     from pydantic import (
@@ -33,7 +34,12 @@ from .registry import LEARNERS, learner_class
 if TYPE_CHECKING:
     from pydantic_core import ErrorDetails
 
-__all__ = ["TrainConfig", "faults", "merged"]
+    from ..types import Diagnostic
+
+__all__ = ["Fault", "TrainConfig", "contains", "faults", "inlined", "located", "merged", "tidy"]
+
+#: An error in a YAML file: its code, the path of keys to the value, the message, and the help, which may be empty.
+Fault: TypeAlias = tuple[str, list[str], str, str]
 
 
 class TrainingOptions(EnvOptions):
@@ -146,7 +152,7 @@ class TrainConfig(BaseModel):
     @classmethod
     def json_schema(cls) -> dict[str, Any]:
         """Return the JSON Schema of YAML files. No key is required, since the file that `base` names may contain it."""
-        keys = {key: _tidy(value) for key, value in cls.model_json_schema()["properties"].items()}
+        keys = {key: tidy(value) for key, value in cls.model_json_schema()["properties"].items()}
         keys["algorithm"] = {"enum": list(LEARNERS), "description": keys["algorithm"]["description"]}
         keys["settings"] = {"type": "object", "default": {}, "description": keys["settings"]["description"]}
         learners = {name: learner_class(name) for name in LEARNERS}
@@ -186,6 +192,7 @@ class TrainConfig(BaseModel):
         *,
         seed: int | None = None,
         changes: Mapping[str, Any] | None = None,
+        rejected: Callable[[list[Fault]], BaseException] | None = None,
     ) -> TrainConfig:
         """Read a YAML file.
 
@@ -196,10 +203,13 @@ class TrainConfig(BaseModel):
             path: The file.
             seed: A seed that replaces the seed in the file.
             changes: Values that replace those in the file. Mappings merge key by key.
+            rejected: Receives the errors in `changes` and returns the exception to raise, which can name the origin of
+                the changes. By default, they are errors of the file.
 
         Raises:
             InputError: If the file is not YAML, has an unknown key or invalid value, or lacks a key. The diagnostics
                 list all errors.
+            Exception: The result of `rejected`.
             OSError: If a file cannot be read.
         """
         file = _logicity.ConfigFile(path, "configs/baselines")
@@ -216,7 +226,78 @@ class TrainConfig(BaseModel):
         try:
             return cls.model_validate(values)
         except ValidationError as error:
-            raise file.error(faults(error, _unknown_key(values.get("algorithm")))) from None
+            wrong = faults(error, _unknown_key(values.get("algorithm")))
+            changed = [each for each in wrong if contains(changes or {}, each[1])]
+            raise (rejected(changed) if rejected is not None and changed else file.error(wrong)) from None
+
+
+def contains(values: Mapping[str, Any], path: Sequence[str]) -> bool:
+    """Return whether values have a path of keys, or a value other than a mapping on the way to it."""
+    for key in path:
+        if not isinstance(values, Mapping):
+            return True
+        if key not in values:
+            return False
+        values = values[key]
+    return bool(path)
+
+
+def located(path: str | os.PathLike[str], config: TrainConfig, error: ValueError) -> ValueError:
+    """Return an error of a training run with its location in the YAML file.
+
+    The location is the first key that the message names between backticks or before a colon. An error in `overrides` is
+    at the overridden key.
+
+    Args:
+        path: The YAML file.
+        config: The configuration in it.
+        error: The error.
+
+    Returns:
+        An `InputError`, or an error that names the file if the message names no key of the file.
+    """
+    file = _logicity.ConfigFile(path, "configs/baselines")
+    if isinstance(error, InputError):
+        faults = [_fault_of_override(config, fault) for fault in error.diagnostics]
+        known = [fault for fault in faults if fault is not None]
+        # The other errors are in other files, and have a location there.
+        return cast(InputError, file.error(known)) if len(known) == len(faults) else error
+    message = str(error)
+    named = [(quoted or first).split(".") for quoted, first in re.findall(r"`([\w.]+)`|^(\w+)(?=:)", message)]
+    key = next((each for each in named if each[0] in TrainConfig.model_fields), None)
+    if key is None:
+        return ValueError(f"{os.fspath(path)}: {message}")
+    if key == ["settings"]:
+        key += next((each for each in named if each[0] in type(config.settings).model_fields), [])
+    return cast(InputError, file.error([("invalid-value", key, message, "")]))
+
+
+def _fault_of_override(config: TrainConfig, fault: Diagnostic) -> Fault | None:
+    """Return an error in `overrides`, or `None` for an error elsewhere."""
+    label = next(iter(fault["labels"]), None)
+    if label is None or label["file"] != "<overrides>":
+        return None
+    document = json.loads(EnvConfig(config.mode, overrides=config.overrides)._as_json({}) or "{}")
+    path = ["overrides", *_path_at(document, label["column"] - 1)]
+    return fault["code"], path, fault["message"], "; ".join([*fault["notes"], *fault["help"]])
+
+
+def _path_at(value: Any, column: int, start: int = 0) -> list[str]:
+    """Return the path of the key or value at a column of the text that `json.dumps` writes.
+
+    Args:
+        value: The document.
+        column: The column, from 0.
+        start: The column at which the document starts.
+    """
+    at = start + 1
+    for key, each in value.items() if isinstance(value, dict) else enumerate(value) if isinstance(value, list) else ():
+        begin = at + len(f"{json.dumps(key)}: ") * isinstance(value, dict)
+        end = begin + len(json.dumps(each))
+        if column < end:
+            return [str(key), *(_path_at(each, column, begin) if column >= begin else [])]
+        at = end + len(", ")
+    return []
 
 
 def merged(values: Mapping[str, Any], changes: Mapping[str, Any]) -> dict[str, Any]:
@@ -265,32 +346,32 @@ def _settings_schema(name: str, settings: type[LearnerSettings]) -> dict[str, An
     """Return the schema of the settings of a learner."""
     schema = settings.model_json_schema()
     # Models within the settings become part of the schema, so it needs no definitions.
-    properties = _inlined(schema.get("properties", {}), schema.get("$defs", {}))
+    properties = inlined(schema.get("properties", {}), schema.get("$defs", {}))
     return {
         "title": f"Settings of `{name}`",
         "type": "object",
         "additionalProperties": False,
-        "properties": {key: _tidy(value) for key, value in properties.items()},
+        "properties": {key: tidy(value) for key, value in properties.items()},
     }
 
 
-def _inlined(schema: Any, definitions: Mapping[str, Any]) -> Any:
+def inlined(schema: Any, definitions: Mapping[str, Any]) -> Any:
     """Return a schema with the definitions in place of references to them."""
     if isinstance(schema, dict):
         if "$ref" in schema:
             rest = {key: value for key, value in schema.items() if key != "$ref"}
-            return _inlined({**definitions[schema["$ref"].rpartition("/")[2]], **rest}, definitions)
-        return {key: _inlined(value, definitions) for key, value in schema.items()}
-    return [_inlined(value, definitions) for value in schema] if isinstance(schema, list) else schema
+            return inlined({**definitions[schema["$ref"].rpartition("/")[2]], **rest}, definitions)
+        return {key: inlined(value, definitions) for key, value in schema.items()}
+    return [inlined(value, definitions) for value in schema] if isinstance(schema, list) else schema
 
 
-def _tidy(schema: Any) -> Any:
+def tidy(schema: Any) -> Any:
     """Return a part of a schema without the titles that pydantic makes from names and without line breaks."""
     if isinstance(schema, dict):
-        return {key: _tidy(value) for key, value in schema.items() if key != "title" or not isinstance(value, str)}
+        return {key: tidy(value) for key, value in schema.items() if key != "title" or not isinstance(value, str)}
     if isinstance(schema, str):
         return " ".join(schema.split())
-    return [_tidy(value) for value in schema] if isinstance(schema, list) else schema
+    return [tidy(value) for value in schema] if isinstance(schema, list) else schema
 
 
 def _custom(message: str) -> PydanticCustomError:
@@ -299,8 +380,8 @@ def _custom(message: str) -> PydanticCustomError:
 
 def faults(
     error: ValidationError, unknown: Callable[[tuple[str, ...]], tuple[str, str]], depth: int = 2
-) -> list[tuple[str, list[str], str, str]]:
-    """Return the code, path, message and help of each error.
+) -> list[Fault]:
+    """Return all errors.
 
     Args:
         error: The errors of pydantic.
@@ -322,7 +403,7 @@ _AT_KEYS = ("extra_forbidden", "missing")
 
 def _fault(
     path: tuple[str, ...], errors: Sequence[ErrorDetails], unknown: Callable[[tuple[str, ...]], tuple[str, str]]
-) -> tuple[str, list[str], str, str]:
+) -> Fault:
     first, name = errors[0], ".".join(path)
     if first["type"] == "extra_forbidden":
         return "unknown-key", list(path), *unknown(path)
@@ -389,6 +470,8 @@ def _expected(error: ErrorDetails) -> str:
     kind, context = error["type"], error.get("ctx", {})
     if kind in _EXPECTED:
         return _EXPECTED[kind]
+    if kind == "too_short" and context["field_type"] == "Dictionary":
+        return f"a mapping with {context['min_length']} or more keys"
     if kind in _BOUNDS:
         return _BOUNDS[kind].format(**context)
     if kind == "literal_error":

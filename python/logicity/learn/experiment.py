@@ -16,15 +16,15 @@ from typing import Annotated, Any, Literal, Protocol, TypeVar, cast
 from pydantic import BaseModel, Field, Strict, ValidationError
 
 from .. import _logicity
-from ..errors import InputError, did_you_mean
+from ..errors import did_you_mean
 from ..modes import ENVIRONMENTS, checked_mode
 from .cells import TEST, Cell, Job
-from .config import TrainConfig, faults, merged
+from .config import Fault, TrainConfig, contains, faults, merged
 from .learner import Count, Seed, StrictModel
 
 __all__ = [
     *("AnyExperiment", "AnyReport", "Experiment", "Selection"),
-    *("load_experiment", "name_of", "read_experiment", "validated"),
+    *("load_experiment", "name_of", "read_experiment", "repeated", "validated"),
 ]
 
 #: The module and the class of the experiments of each task, the value of the key `task`.
@@ -47,9 +47,9 @@ class Row(StrictModel):
     """A row of the table: a learner with its settings."""
 
     config: str | None = None
-    """The training configuration; `{mode}` stands for the mode. By default that of the experiment."""
+    """The training configuration, in the form of `config` of the experiment, which it replaces."""
     paper: str | None = None
-    """The name of the paper's row. By default that of the row."""
+    """The row of the paper's table beside which the row is shown. By default the row of the same name."""
     modes: _Names | None = None
     """The modes; by default those of the experiment."""
     variants: _Names | None = None
@@ -57,35 +57,36 @@ class Row(StrictModel):
     seeds: _Seeds | None = None
     """The seeds; by default those of the experiment."""
     changes: dict[str, Any] = Field(default_factory=dict)
-    """Changes to the training configuration, except `seed`."""
+    """Changes to the training configuration, except `seed`, after those of the experiment."""
     quick: dict[str, Any] = Field(default_factory=dict)
-    """Changes to the training configuration for `--quick`."""
+    """More changes to the training configuration for `--quick`, which runs only a few steps."""
     optional: bool = False
-    """Whether the learner needs a program that may be missing. Then the row has only the figures of the paper."""
+    """Whether the learner needs a program that may be missing. Without it, the row has only the figures of the
+    paper."""
 
 
 class Variant(StrictModel):
     """A variant of every row."""
 
     changes: dict[str, Any] = Field(default_factory=dict)
-    """Changes to the training configuration."""
+    """Changes to the training configuration, after those of the experiment and the row."""
     start: str | None = None
-    """The variant from whose policies, of the same row and seed, the training starts."""
+    """The variant from whose policies, of the same row, mode and seed, the training starts."""
     hidden: bool = False
-    """Whether tables omit the variant."""
+    """Whether tables and figures omit the variant, for one that only others start from."""
     group: str | None = None
-    """The line of the figure to which the variant belongs."""
+    """The line of the figure over `x` to which the variant belongs: variants of a row with the same group form one."""
     x: float | None = None
-    """The place on that line."""
+    """The position on the horizontal axis of that figure, which omits variants without it."""
 
 
 class EvaluationSpec(StrictModel):
     """The episodes of an evaluation."""
 
     split: Literal["train", "val", "test"] = "test"
-    """The set of agents."""
+    """The split whose agents and episodes are used."""
     fresh: Count | None = None
-    """The number of new episodes; by default the recorded ones."""
+    """The number of new episodes to generate. By default the recorded episodes of the split are used."""
     seed: Seed = 1000
     """The seed of the new episodes."""
 
@@ -160,6 +161,12 @@ def name_of(file: Path) -> str:
     return file.stem if file == Path("configs") / "experiments" / f"{file.stem}.yaml" else shlex.quote(file.as_posix())
 
 
+def repeated(values: Sequence[object]) -> str | None:
+    """Return a message about the first value that occurs twice, or `None`."""
+    twice = next((value for at, value in enumerate(values) if value in values[:at]), None)
+    return None if twice is None else f"`{twice}` occurs twice"
+
+
 M = TypeVar("M", bound=BaseModel)
 
 
@@ -188,24 +195,24 @@ class Experiment(StrictModel):
     title: str
     """The title of the table."""
     paper: Literal["spf", "transfer", "composition", "observations"] | None = None
-    """The table of the paper beside which the results are shown."""
+    """The table of the paper whose figures are shown beside the results."""
     config: str = "{row}-{mode}"
     """The training configuration of each row: the name of a file in `configs/baselines`, or a path relative to this
     file. `{row}` and `{mode}` stand for the row and the mode."""
     learners: Annotated[dict[str, Row], Field(min_length=1)]
-    """The rows."""
+    """The rows of the table, by name: learners with their settings."""
     modes: _Names
     """The modes: names, or paths relative to this file."""
     seeds: _Seeds = (0,)
-    """One run per seed."""
+    """The seeds of training. Each row, mode and variant is trained once with each seed."""
     variants: Annotated[dict[str, Variant], Field(min_length=1)] = Field(default_factory=lambda: {"": Variant()})
-    """The variants of every row."""
+    """The variants of every row, by name: changes that multiply the rows. By default one without changes."""
     evaluations: Annotated[dict[str, EvaluationSpec], Field(min_length=1)] = Field(
         default_factory=lambda: {"test": EvaluationSpec()}
     )
-    """The evaluations of every policy; by default the recorded test episodes."""
+    """The evaluations of every policy, by name. By default one on the recorded test episodes."""
     changes: dict[str, Any] = Field(default_factory=dict)
-    """Changes to every training configuration."""
+    """Changes to every training configuration, except `seed`."""
 
     @classmethod
     def load(cls, name: str | os.PathLike[str]) -> tuple[Experiment, Path]:
@@ -231,8 +238,14 @@ class Experiment(StrictModel):
     def _faults(self) -> Iterator[tuple[list[str], str]]:
         """Yield the paths and the messages of unknown modes and variants, and of changes that have no effect."""
         modes = [(["modes"], mode) for mode in self.modes]
+        lists: dict[tuple[str, ...], Sequence[object]] = {("modes",): self.modes, ("seeds",): self.seeds}
         for row, spec in self.learners.items():
             modes += [(["learners", row, "modes"], mode) for mode in spec.modes or ()]
+            for key in ("modes", "seeds", "variants"):
+                lists["learners", row, key] = getattr(spec, key) or ()
+        for path, values in lists.items():
+            if message := repeated(values):
+                yield list(path), message
         for where, mode in modes:
             try:
                 checked_mode(mode)
@@ -264,8 +277,8 @@ class Experiment(StrictModel):
                         ["learners", row, "variants"],
                         f"`{name}` starts from `{start}`, which is not among the variants",
                     )
-        for path, values in changes.items():
-            if "seed" in values:
+        for path, changed in changes.items():
+            if "seed" in changed:
                 yield [*path, "seed"], "each cell has its own seed: write the seeds under `seeds`"
 
     def cells(self, file: Path, selection: Selection) -> list[Cell]:
@@ -276,14 +289,18 @@ class Experiment(StrictModel):
             selection: The cells to return, and changes to them.
 
         Raises:
-            InputError: If a training configuration is invalid.
+            InputError: If a training configuration is missing or invalid, or two cells have the same settings.
             OSError: If a training configuration cannot be read.
-            ValueError: If the selection names an unknown row or mode, its changes contain the seed or the mode, or two
-                rows or variants have the same settings.
+            ValueError: If the selection names an unknown row or mode, or its changes are invalid.
         """
-        for key, option in {"seed": "--seeds", "mode": "--only LEARNER,MODE"}.items():
+        instead = {
+            "seed": "use `--seeds`",
+            "mode": "use `--only LEARNER,MODE`",
+            "algorithm": "write another experiment",
+        }
+        for key, help in instead.items():
             if key in selection.changes:
-                raise ValueError(f"--set: each cell has its own `{key}`: use `{option}`")
+                raise ValueError(f"--set: each cell has its own `{key}`: {help}")
         found: dict[tuple[str, str, str, int], Cell] = {}
         for row, mode in self._columns(selection):
             spec = self.learners[row]
@@ -294,13 +311,11 @@ class Experiment(StrictModel):
                     variant = self.variants[name]
                     start = None if variant.start is None else found[row, mode, variant.start, seed]
                     try:
-                        config = self._config(file, row, mode, variant, seed, selection)
-                    except InputError as error:
-                        note = f"with the changes of `{row}` in {file}{' and of `--set`' if selection.changes else ''}"
-                        raise InputError(f"{str(error).rstrip()}\n |\n = note: {note}", error.diagnostics) from None
+                        config = self._config(file, row, mode, name, seed, selection)
                     except FileNotFoundError as error:
-                        help = f"the key `config` of the row `{row}` in {file} names its training configuration"
-                        raise FileNotFoundError(f"{error}\nhelp: {help}") from None
+                        at = ["learners", row, *(["config"] if spec.config else [])]
+                        help = "the key `config` names the training configuration"
+                        raise read_experiment(file)[1].error([("missing-file", at, str(error), help)]) from None
                     found[row, mode, name, seed] = Cell(
                         row=row,
                         mode=config.mode,
@@ -315,8 +330,12 @@ class Experiment(StrictModel):
         unique: dict[str, Cell] = {}
         for cell in found.values():
             same = unique.setdefault(cell.identity, cell)
-            if same is not cell:
-                raise ValueError(f"`{same.name}` and `{cell.name}` have the same settings: change or omit one of them")
+            if same is cell:
+                continue
+            message = f"`{same.name}` and `{cell.name}` have the same settings: change or omit one of them"
+            if selection.changes:
+                raise ValueError(f"--set: {message}")
+            raise read_experiment(file)[1].error([("invalid-value", ["learners", cell.row], message, "")])
         return list(found.values())
 
     def report(self, cells: Sequence[Job], root: Path, failed: Mapping[str, str]) -> AnyReport:
@@ -346,23 +365,39 @@ class Experiment(StrictModel):
             if not selection.only or (row, None) in selection.only or (row, mode) in selection.only
         ]
 
-    def _config(
-        self, file: Path, row: str, mode: str, variant: Variant, seed: int, selection: Selection
-    ) -> TrainConfig:
-        """Return the training configuration of a cell."""
+    def _config(self, file: Path, row: str, mode: str, name: str, seed: int, selection: Selection) -> TrainConfig:
+        """Return the training configuration of a cell. `name` is that of the variant."""
         spec = self.learners[row]
-        name = (spec.config or self.config).replace("{row}", row).replace("{mode}", Path(mode).stem)
-        path, city = _training_file(file, name), file.parent / mode
+        training = (spec.config or self.config).replace("{row}", row).replace("{mode}", Path(mode).stem)
+        path, city = _training_file(file, training), file.parent / mode
         is_file = mode not in ENVIRONMENTS and city.is_file()
-        changes = merged({"mode": str(city.resolve()) if is_file else mode}, self.changes)
-        for more in (spec.changes, variant.changes):
+        changes: dict[str, Any] = {"mode": str(city.resolve()) if is_file else mode}
+        sources: dict[tuple[str, ...], Mapping[str, Any]] = {
+            ("changes",): self.changes,
+            ("learners", row, "changes"): spec.changes,
+            ("variants", name, "changes"): self.variants[name].changes,
+        }
+        for more in sources.values():
             changes = merged(changes, more)
-        config = TrainConfig.load(path, seed=seed, changes=merged(changes, selection.changes))
+
+        def rejected(wrong: list[Fault]) -> BaseException:
+            for _, at, message, help in wrong:
+                if contains(selection.changes, at):
+                    return ValueError(f"--set {'.'.join(at)}: {message}" + f"\nhelp: {help}" * bool(help))
+            located = []
+            for code, at, message, help in wrong:
+                # Later changes replace earlier ones.
+                where = [place for place, values in sources.items() if contains(values, at)]
+                located.append((code, [*(where[-1] if where else ()), *at], message, help))
+            return read_experiment(file)[1].error(located)
+
+        config = TrainConfig.load(path, seed=seed, changes=merged(changes, selection.changes), rejected=rejected)
         if not selection.quick:
             return config
+        sources["learners", row, "quick"] = spec.quick
         short = merged(QUICK[config.learner.interacts], spec.quick)
         changes = merged(merged(changes, short), selection.changes)
-        return TrainConfig.load(path, seed=seed, changes=changes)
+        return TrainConfig.load(path, seed=seed, changes=changes, rejected=rejected)
 
 
 @dataclass(frozen=True)

@@ -39,6 +39,9 @@ SECONDS = 30.0
 #: The largest number of times that a cell runs again because its worker is lost.
 RETRIES = 20
 
+#: The time for a Ray cluster to accept a connection, in seconds.
+CONNECT_SECONDS = 10.0
+
 #: The environment variables that give a process one thread. Cells and worlds run in parallel.
 ONE_THREAD = dict.fromkeys(("OMP_NUM_THREADS", "MKL_NUM_THREADS", "OPENBLAS_NUM_THREADS"), "1")
 
@@ -303,6 +306,7 @@ def connect(address: str, workers: int | None = None) -> ModuleType:
         import ray
     except ImportError as error:
         raise missing_extra("ray", error) from error
+    _check_listening(address)
     options: dict[str, Any] = {"num_cpus": workers, "include_dashboard": False} if address == "local" else {}
     try:
         ray.init(address=address, log_to_driver=False, runtime_env={"env_vars": ONE_THREAD}, **options)
@@ -311,6 +315,24 @@ def connect(address: str, workers: int | None = None) -> ModuleType:
         raise ConnectionError(f"--ray: no cluster at `{address}`: {error}") from error
     module: ModuleType = ray
     return module
+
+
+def _check_listening(address: str) -> None:
+    """Check that a program listens at an address of the form `HOST:PORT` or `ray://HOST:PORT`.
+
+    Where none does, Ray itself would try again for minutes.
+
+    Raises:
+        ConnectionError: If no program listens.
+    """
+    host, separator, port = address.removeprefix("ray://").rpartition(":")
+    if not separator or not port.isdecimal():
+        return
+    try:
+        socket.create_connection((host.strip("[]"), int(port)), CONNECT_SECONDS).close()
+    except (OSError, OverflowError) as error:
+        help = "start a cluster with `ray start --head`, or give `--ray` without an address for one on this machine"
+        raise ConnectionError(f"--ray: no cluster at `{address}`: {error}\nhelp: {help}") from None
 
 
 def run_on_ray(

@@ -62,7 +62,7 @@ class ModelSpec(StrictModel):
     key_from: str | None = None
     """The environment variable with the API key. By default no key is sent."""
     settings: dict[str, Any] = Field(default_factory=lambda: {"temperature": 0})
-    """More fields of the request."""
+    """More fields of the request. By default `temperature: 0`."""
     logprobs: bool = False
     """Whether to request log-probabilities of the 20 most probable tokens, for the measures of calibration."""
     timeout: Annotated[float, Field(strict=False, gt=0)] = 120.0
@@ -89,11 +89,11 @@ class LanguageExperiment(StrictModel):
     """The experiment: what `logicity experiment` runs for a file with `task: language`."""
 
     task: Literal["language"]
-    """Distinguishes this experiment from those of other tasks."""
+    """The task, language questions."""
     title: str
     """The title of the table."""
     paper: Literal["language"] | None = None
-    """The table of the paper beside which the results are shown."""
+    """The table of the paper whose figures are shown beside the results."""
     config: str = "vap-hard"
     """The configuration: the name of a built-in one, or a path relative to this file."""
     count: Count = 117
@@ -103,13 +103,14 @@ class LanguageExperiment(StrictModel):
     shots: Annotated[int, Field(strict=True, ge=0)] = 5
     """The number of solved examples before each question."""
     style: Literal["atoms", "words"] = "atoms"
-    """The form of the facts."""
+    """The form of the facts: ground atoms, or English sentences."""
     entities: Literal["view", "city"] = "view"
-    """The entities of a question."""
+    """The entities of a question: those that the car sees, or all of the city."""
     seeds: Annotated[tuple[_QuestionSeed, ...], Strict(False), Field(min_length=1)] = (0,)
     """The seeds. Each is a set with other questions and other solved examples."""
     prompts: Annotated[tuple[Prompt, ...], Strict(False), Field(min_length=1)] = ("examples", "rules", "why")
-    """What the instructions state and request. The questions are the same."""
+    """What the instructions state and request: solved examples only, also the rules in words, or also a request for the
+    rule of the action. The questions are the same."""
     solvers: Annotated[tuple[_Solver, ...], Strict(False)] = ("majority", "nearest", "induced", "oracle")
     """The solvers of this package."""
     models: dict[str, ModelSpec] = Field(default_factory=dict)

@@ -136,7 +136,10 @@ def _update(
 def _row(file: Path, cell: Cell, root: Path, measured: Mapping[str, Any], evaluation: str) -> dict[str, Any]:
     """Evaluate the policy of a cell, and return its row."""
     folder = cell.folder(root)
-    saved = load_policy(folder)
+    try:
+        saved = load_policy(folder)
+    except ValueError as error:
+        raise ValueError(f"{cell.name}: {error}: delete `{folder}` and train the cell again") from None
     recorded = measured["evaluations"][evaluation]
     benchmark = benchmark_of(folder, cell.config, cell.evaluations[evaluation])
     again = benchmark.evaluate(saved.policy, name=cell.config.algorithm).to_dict()

@@ -11,11 +11,14 @@ from __future__ import annotations
 import hashlib
 import json
 import os
+import pickle
+import re
 import shutil
 import sys
 import time
-from collections.abc import Callable, Mapping
-from contextlib import ExitStack
+import zipfile
+from collections.abc import Callable, Iterator, Mapping
+from contextlib import ExitStack, contextmanager
 from dataclasses import asdict, dataclass, field
 from importlib.metadata import PackageNotFoundError, version
 from pathlib import Path
@@ -31,11 +34,27 @@ from ..files import reserved, write_json
 from . import random_state
 from .config import TrainConfig
 from .learner import Learner
+from .messages import first_line
+from .registry import load_policy
 
-__all__ = ["train"]
+__all__ = ["FolderError", "train"]
 
 #: The packages whose versions `result.json` records, besides logicity, if they are installed.
 PACKAGES = ("torch", "stable-baselines3", "torch-geometric", "numpy")
+
+
+#: The memory of an environment without its observation, in bytes: a lower bound.
+ENV_BYTES = 6 * 1024
+
+#: The entries that a failed run may leave in a folder that it did not create.
+_REMAINS = re.compile(r"\..*|tensorboard|wandb")
+
+#: The inputs of a cell of an experiment, which are in the folder before its run.
+_CELL = re.compile(r"cell\.json|log\.txt|start\..*")
+
+
+class FolderError(ValueError):
+    """The folder of a run has another run, other files or damaged files. The configuration may be valid."""
 
 
 @dataclass
@@ -85,29 +104,31 @@ def train(
         ImportError: If a package is missing.
         InputError: If the configuration of the mode or an override is invalid, or no episodes are recorded.
         OSError: If another process trains in the folder, or a file cannot be written.
-        ValueError: If the folder has another run or files of a run, the rules or episodes of the run have changed, the
-            overrides change the shape of observations, or the learner rejects the settings. Then no run starts.
+        ValueError: If the folder has another run, files of no run, or damaged files; the rules or episodes of the run
+            have changed; the overrides change the shape of observations; the learner rejects the settings; or the
+            memory does not suffice. A run that fails before its first checkpoint leaves no files.
     """
     run = Path(run)
-    checkpoints = _checkpoints(run)
-    state = State(**json.loads((checkpoints[-1] / "state.json").read_text())) if checkpoints else State()
-    hashes = _hashes(config)
-    _check_claim(run, config, state, hashes)
-    state.hashes = hashes
-    torch.set_num_threads(config.threads)
-    # Load the test episodes now: an error in them must not surface after hours of training.
-    val, test = (Benchmark(config.mode, split, observation=config.observation) for split in ("val", "test"))
-    _check_overrides(config)
-    log = run / "tensorboard" if tensorboard else None
-    tracker = None if wandb is None else _wandb()
-    learner = config.learner(config, log)
     with ExitStack() as files:
+        output = files.enter_context(_claimed(run))
+        checkpoints = _checkpoints(run)
+        state = _state(checkpoints[-1]) if checkpoints else State()
+        _check_folder(run, config, state)
+        _check_start(config)
+        hashes = _hashes(config)
+        _check_hashes(run, state, hashes)
+        state.hashes = hashes
+        torch.set_num_threads(config.threads)
+        # Load the test episodes now: an error in them must not surface after hours of training.
+        val, test = (Benchmark(config.mode, split, observation=config.observation) for split in ("val", "test"))
+        _check_overrides(config)
+        log = run / "tensorboard" if tensorboard else None
+        tracker = None if wandb is None else _wandb()
+        files.enter_context(_enough_memory(config))
+        learner = config.learner(config, log)
         files.callback(learner.close)
         if checkpoints:
-            learner.restore(checkpoints[-1])
-        run.mkdir(parents=True, exist_ok=True)
-        # Keeps other processes from the run until its end.
-        output = files.enter_context(reserved(run / "result.json", record=False))
+            _restore(learner, checkpoints[-1])
         write_json(run / "config.json", config.to_dict(), overwrite=True)
         display = files.enter_context(_Display(config, learner, progress))
         begun = f"resumed after {state.steps:,} of" if checkpoints else "started:"
@@ -136,6 +157,52 @@ def train(
     return result
 
 
+@contextmanager
+def _claimed(run: Path) -> Iterator[_logicity.OutputFile]:
+    """Create the folder of a run, and keep other processes from it.
+
+    If the run fails before its first checkpoint, the new folders, or the new `config.json`, are removed.
+
+    Yields:
+        The output file `result.json`.
+
+    Raises:
+        OSError: If another process trains in the folder, or the folder cannot be created.
+    """
+    missing = [folder for folder in (run, *run.parents) if not folder.exists()]
+    try:
+        run.mkdir(parents=True, exist_ok=True)
+    except OSError as error:
+        raise type(error)(f"cannot create the folder `{run}`: {str(error.strerror).lower()}") from None
+    stored = run / "config.json"
+    is_new = not stored.exists()
+    claimed = False
+    try:
+        with reserved(run / "result.json", record=False) as output:
+            claimed = True
+            yield output
+    except BaseException as error:
+        # An interrupted run can resume, also without a checkpoint.
+        stopped = not isinstance(error, Exception) and stored.exists()
+        if claimed and is_new and not stopped and not _checkpoints(run):
+            stored.unlink(missing_ok=True)
+            if missing:
+                shutil.rmtree(run, ignore_errors=True)
+        _remove_empty(missing)
+        raise
+
+
+def _remove_empty(folders: list[Path]) -> None:
+    """Remove folders, the innermost first, as long as they are empty."""
+    for folder in folders:
+        try:
+            folder.rmdir()
+        except FileNotFoundError:
+            continue
+        except OSError:
+            return
+
+
 def _hashes(config: TrainConfig) -> dict[str, Any]:
     """Return the hashes of the rules, the episodes and `start`, on which a result depends besides the configuration."""
     hashes = task_hashes(config.mode)
@@ -144,35 +211,180 @@ def _hashes(config: TrainConfig) -> dict[str, Any]:
     return hashes
 
 
-def _check_claim(run: Path, config: TrainConfig, state: State, hashes: Mapping[str, Any]) -> None:
-    """Check that the folder has no run, or a run of this configuration with at most as many steps.
+def _read_json(path: Path, remedy: str) -> dict[str, Any]:
+    """Read a JSON object of a run.
 
     Raises:
-        ValueError: If the folder has another run.
+        FolderError: If the file has other content.
+        OSError: If the file cannot be read.
+    """
+    try:
+        value = json.loads(path.read_text(encoding="utf-8"))
+    except FileNotFoundError:
+        raise FolderError(f"{path.parent} has no file `{path.name}`; {remedy}") from None
+    except ValueError as error:
+        raise FolderError(f"{path} is damaged: {error}; {remedy}") from None
+    if not isinstance(value, dict):
+        raise FolderError(f"{path} is damaged: it is not a JSON object; {remedy}")
+    return value
+
+
+def _remedy(checkpoint: Path) -> str:
+    """Return what to do about a damaged checkpoint."""
+    return f"remove the folder {checkpoint} to train from the beginning, or choose another folder for the run"
+
+
+def _state(checkpoint: Path) -> State:
+    """Read the progress of a run.
+
+    Raises:
+        FolderError: If the file is damaged.
+        OSError: If the file cannot be read.
+    """
+    path = checkpoint / "state.json"
+    values = _read_json(path, _remedy(checkpoint))
+    if not values.keys() <= asdict(State()).keys() or not isinstance(values.get("steps"), int):
+        raise FolderError(f"{path} is damaged: it is not the state of a run; {_remedy(checkpoint)}")
+    return State(**values)
+
+
+def _restore(learner: Learner, checkpoint: Path) -> None:
+    """Restore a learner, and check that the best policy of the checkpoint can be loaded.
+
+    Raises:
+        FolderError: If a file is damaged, or does not fit.
+        OSError: If a file cannot be read.
+    """
+    best = checkpoint / f"best{learner.suffix}"
+    try:
+        with random_state.keep():
+            learner.policy_class.load(best)
+        learner.restore(checkpoint)
+    except Exception as error:
+        damaged = next((path for path in sorted(checkpoint.iterdir()) if not _readable(path)), None)
+        missing = isinstance(error, FileNotFoundError)
+        if damaged is None and isinstance(error, (OSError, MemoryError)) and not missing:
+            raise
+        if isinstance(error, FileNotFoundError):
+            # Stable-Baselines3 appends the suffix again to the name of a missing file.
+            name = re.sub(r"(\.\w+)\1$", r"\1", Path(str(error.filename)).name)
+            raise FolderError(f"{checkpoint} has no file `{name}`; {_remedy(checkpoint)}") from error
+        reason = first_line(str(error), type(error).__name__)
+        if damaged is None:
+            raise FolderError(f"cannot resume from {checkpoint}: {reason}; {_remedy(checkpoint)}") from error
+        raise FolderError(f"{damaged} is damaged: {reason}; {_remedy(checkpoint)}") from error
+
+
+def _readable(path: Path) -> bool:
+    """Return whether a file of a checkpoint is complete, as far as its format shows."""
+    try:
+        if path.suffix == ".pkl":
+            with path.open("rb") as file:
+                pickle.load(file)
+        elif path.suffix in (".zip", ".pt"):
+            with zipfile.ZipFile(path) as archive:
+                return archive.testzip() is None
+    except OSError:
+        raise
+    except Exception:
+        # Depending on the bytes, pickle raises almost any exception.
+        return False
+    return True
+
+
+def _check_folder(run: Path, config: TrainConfig, state: State) -> None:
+    """Check that the folder has no run and no other files, or a run of this configuration with at most as many steps.
+
+    Raises:
+        FolderError: If the folder has another run or other files.
     """
     stored = run / "config.json"
     if not stored.exists():
-        policies = sorted(run.glob("best.*"))
-        foreign = [path.name for path in (run / "result.json", *policies, *_checkpoints(run)) if path.exists()]
+        expected = [_REMAINS, _CELL] if (run / "cell.json").exists() else [_REMAINS]
+        names = sorted(path.name for path in run.iterdir())
+        foreign = [name for name in names if not any(each.fullmatch(name) for each in expected)]
         if foreign:
-            raise ValueError(f"{run} has {foreign[0]}, but no run: choose another folder")
+            raise FolderError(f"{run} is not empty (`{foreign[0]}`) and has no run: choose another folder")
         return
-    old, new = json.loads(stored.read_text(encoding="utf-8")), config.to_dict()
+    old, new = _read_json(stored, f"remove {run} or choose another folder"), config.to_dict()
     changed = [name for name in {**old, **new} if name != "steps" and new.get(name) != old.get(name)]
     if changed:
-        raise ValueError(
+        raise FolderError(
             f"{run} has a run of another configuration ({', '.join(f'`{name}`' for name in changed)} differ); "
             "remove it or choose another folder"
         )
-    different = [name for name in hashes if state.hashes and state.hashes.get(name) != hashes[name]]
-    if different:
-        raise ValueError(
-            f"{run} has a run with another content of {', '.join(different)}; remove it or choose another folder"
-        )
-    if new["steps"] < old["steps"] and new["steps"] < state.steps:
-        raise ValueError(
+    if new["steps"] < state.steps and new["steps"] < old.get("steps", 0):
+        raise FolderError(
             f"{run} has a run of {state.steps} steps: `steps` can be raised, not lowered to {new['steps']}"
         )
+
+
+def _check_hashes(run: Path, state: State, hashes: Mapping[str, Any]) -> None:
+    """Check that a run began with the same rules and episodes.
+
+    Raises:
+        FolderError: If they have changed.
+    """
+    different = [name for name in hashes if state.hashes and state.hashes.get(name) != hashes[name]]
+    if different:
+        raise FolderError(
+            f"{run} has a run with another content of {', '.join(different)}; remove it or choose another folder"
+        )
+
+
+def _check_start(config: TrainConfig) -> None:
+    """Check that `start` is the file of a policy.
+
+    Raises:
+        OSError: If the file cannot be read.
+        ValueError: If the file is not a policy.
+    """
+    if config.start is not None:
+        try:
+            with random_state.keep():
+                load_policy(config.start)
+        except ValueError as error:
+            raise ValueError(f"`start`: {error}") from None
+
+
+@contextmanager
+def _enough_memory(config: TrainConfig) -> Iterator[None]:
+    """Name the largest setting if the memory does not suffice.
+
+    Raises:
+        ValueError: If it does not suffice.
+    """
+    if config.learner.interacts and hasattr(os, "sysconf"):
+        needed, total = config.envs * ENV_BYTES, os.sysconf("SC_PAGE_SIZE") * os.sysconf("SC_PHYS_PAGES")
+        if needed > total:
+            raise ValueError(
+                f"`envs`: {config.envs} environments need more than {_gib(needed)} of memory, and this machine has "
+                f"{_gib(total)}"
+            )
+    try:
+        yield
+    except (MemoryError, RuntimeError) as error:
+        # PyTorch raises a plain `RuntimeError`.
+        asked = re.search(r"allocate (\d+) bytes", str(error))
+        if not isinstance(error, MemoryError) and asked is None:
+            raise
+        reason = f"it asks for {_gib(int(asked[1]))}" if asked else first_line(str(error), "the system has none left")
+        name, value = max(_sizes(config).items(), key=lambda item: item[1])
+        raise ValueError(f"`{name}`: {value} needs too much memory: {reason}") from error
+
+
+def _gib(size: int) -> str:
+    return f"{size / 2**30:,.1f} GiB"
+
+
+def _sizes(config: TrainConfig) -> dict[str, int]:
+    """Return the integers of a configuration that may determine its use of memory."""
+    sizes = {"envs": config.envs}
+    for name, value in config.settings.model_dump().items():
+        numbers = [each for each in (value if isinstance(value, tuple) else [value]) if type(each) is int]
+        if numbers:
+            sizes[f"settings.{name}"] = max(numbers)
+    return sizes
 
 
 def _check_overrides(config: TrainConfig) -> None:

@@ -8,7 +8,7 @@ import pickle
 from inspect import signature
 from pathlib import Path
 from types import NoneType, UnionType
-from typing import TYPE_CHECKING, Annotated, Any, ClassVar, Literal, Union, get_args, get_origin
+from typing import TYPE_CHECKING, Annotated, Any, ClassVar, Literal, TypeAlias, Union, get_args, get_origin
 from zipfile import BadZipFile, ZipFile
 
 from ..errors import missing_extra
@@ -16,7 +16,8 @@ from ..errors import missing_extra
 try:
     import gymnasium
     import torch
-    from pydantic import Field, Strict, create_model
+    from pydantic import Field, Strict, ValidationError, ValidatorFunctionWrapHandler, WrapValidator, create_model
+    from pydantic_core import PydanticCustomError
     from stable_baselines3 import A2C, DQN, PPO
     from stable_baselines3.common.base_class import BaseAlgorithm
     from stable_baselines3.common.callbacks import BaseCallback
@@ -28,7 +29,18 @@ except ImportError as error:
 
 from ..sb3 import make_vec_env
 from . import random_state
-from .learner import Actions, Count, Learner, LearnerSettings, Observations, Policy, Progress
+from .learner import (
+    Actions,
+    Count,
+    Learner,
+    LearnerSettings,
+    NonNegative,
+    Observations,
+    Policy,
+    Positive,
+    Progress,
+    Share,
+)
 
 if TYPE_CHECKING:
     from ..env_config import ArrayKind
@@ -71,12 +83,61 @@ class _SharedSettings(LearnerSettings):
     """The widths of the layers between the observation and the heads."""
 
 
+#: An integer of at least 0.
+_Natural: TypeAlias = Annotated[int, Field(strict=True, ge=0)]
+
+#: An integer of at least 0, or -1 for a value that the algorithm chooses.
+_NaturalOrAutomatic: TypeAlias = Annotated[int, Field(strict=True, ge=-1)]
+
+
+def _valid_train_freq(value: Any, validate: ValidatorFunctionWrapHandler) -> Any:
+    """Describe the values of `train_freq` in one message; pydantic would describe only the type of each alternative."""
+    try:
+        return validate(value)
+    except ValidationError:
+        expected = "an integer of at least 1, or such an integer with a unit: [4, step] or [1, episode]"
+        message = f"`settings.train_freq` must be {expected}, not `{json.dumps(value, default=repr):.40}`"
+        raise PydanticCustomError("custom", "{message}", {"message": message}) from None
+
+
+#: The types of the settings with a range. Stable-Baselines3 does not check most ranges.
+_RANGES: dict[str, Any] = {
+    "batch_size": Count,
+    "buffer_size": Count,
+    "clip_range": Positive,
+    "clip_range_vf": Positive,
+    "ent_coef": NonNegative,
+    "exploration_final_eps": Share,
+    "exploration_fraction": Share,
+    "exploration_initial_eps": Share,
+    "gae_lambda": Share,
+    "gamma": Share,
+    "gradient_steps": _NaturalOrAutomatic,
+    "learning_rate": Positive,
+    "learning_starts": _Natural,
+    "max_grad_norm": Positive,
+    "n_epochs": Count,
+    "n_steps": Count,
+    "rms_prop_eps": NonNegative,
+    "sde_sample_freq": _NaturalOrAutomatic,
+    "stats_window_size": Count,
+    "target_kl": Positive,
+    "target_update_interval": Count,
+    "tau": Share,
+    "train_freq": Annotated[
+        Count | Annotated[tuple[Count, Literal["step", "episode"]], Strict(False)], WrapValidator(_valid_train_freq)
+    ],
+    "verbose": _Natural,
+    "vf_coef": NonNegative,
+}
+
+
 def settings_model(algorithm: type[BaseAlgorithm]) -> type[LearnerSettings]:
-    """Create the model of an algorithm's settings from the signature of its class."""
+    """Create the model of an algorithm's settings from the signature of its class, with the ranges of `_RANGES`."""
     set_elsewhere = {"policy", "env", "policy_kwargs", "seed", "tensorboard_log", "device"}
     fields: dict[str, Any] = {}
     for each in signature(algorithm).parameters.values():
-        hint = _expressible(each.annotation)
+        hint = _in_range(_expressible(each.annotation), _RANGES.get(each.name))
         if hint not in (None, NoneType) and each.name not in set_elsewhere and not each.name.startswith("_"):
             fields[each.name] = (hint, each.default)
     model: type[LearnerSettings] = create_model(
@@ -97,6 +158,13 @@ def _expressible(hint: Any) -> Any:
         # YAML has lists instead of tuples.
         return Annotated[hint, Strict(False)]
     return hint if get_origin(hint) is dict or hint in (bool, dict, float, int, str, NoneType) else None
+
+
+def _in_range(hint: Any, known: Any) -> Any:
+    """Return the type of `_RANGES` if there is one. The setting can be null if its class says so."""
+    if hint is None or known is None:
+        return hint
+    return known | None if NoneType in get_args(hint) else known
 
 
 #: The class of each algorithm in Stable-Baselines3, and a setting that only its models have.
@@ -283,7 +351,8 @@ class StableBaselinesLearner(Learner):
         self._model = algorithm.load(folder / "model.zip", device="cpu", tensorboard_log=log, force_reset=False)
         self._model.set_env(state["environments"], force_reset=False)
         if isinstance(self._model, OffPolicyAlgorithm):
-            self._model.load_replay_buffer(folder / "replay.pkl")
+            with (folder / "replay.pkl").open("rb") as file:
+                self._model.load_replay_buffer(file)
         self._model.action_space.np_random.bit_generator.state = state["actions"]
         random_state.put(state["random"])
 

@@ -35,12 +35,12 @@ from ..city import ACTIONS, Inference
 from ..errors import did_you_mean, missing_extra
 from ..files import write_json
 from ..learn.cells import Job
-from ..learn.config import faults, merged
-from ..learn.experiment import Selection, read_experiment, validated
+from ..learn.config import Fault, contains, faults, merged
+from ..learn.experiment import Selection, read_experiment, repeated, validated
 from ..learn.learner import Seed, StrictModel
 from ..rules import Program
 from .data import BINARY, UNARY, symbolic_facts
-from .features import Backbone, DataSpec, Kind, prepared, weights_file
+from .features import Backbone, DataSpec, Kind, file_hash, prepared, weights_file
 from .metrics import vap_metrics
 
 try:
@@ -91,7 +91,7 @@ class VapSettings(StrictModel):
     """The settings of a cell."""
 
     stage: Literal["concepts", "reasoning", "end-to-end", "induction", "bound"] = "concepts"
-    """The stage: which parts are trained, and what predicts the actions; see the module."""
+    """Which parts are trained, and what predicts the actions."""
     agents: Literal["fixed", "random"] = "random"
     """The agents of the worlds for training and validation."""
     worlds: Worlds = Worlds()
@@ -119,17 +119,21 @@ class VapSettings(StrictModel):
 
     @model_validator(mode="after")
     def _consistent(self) -> VapSettings:
-        fault = ""
+        key = fault = ""
         if self.groundings == "exact" and self.stage in ("concepts", "end-to-end"):
+            key = "groundings"
             fault = f"`groundings: exact` cannot be combined with the stage `{self.stage}`, which predicts the concepts"
         elif self.groundings == "predicted" and self.stage == "bound":
-            fault = "the stage `bound` needs `groundings: exact`"
+            key, fault = "stage", "the stage `bound` needs `groundings: exact`"
         elif self.weights is not None and self.concepts.perception != "features":
+            key = "weights"
             fault = "`weights` are those of a backbone: they need `concepts.perception: features`"
         elif self.concepts.perception == "features" and self.concepts.features != Backbone.shape[0]:
+            key = "concepts.features"
             fault = f"the backbone has {Backbone.shape[0]} features: `concepts.features` cannot change this"
         if fault:
-            raise PydanticCustomError("custom", "{message}", {"message": fault})
+            # Errors of a whole model have no path, so the context has the key.
+            raise PydanticCustomError("custom", "{message}", {"message": fault, "key": key})
         return self
 
     @property
@@ -143,7 +147,7 @@ class VapSettings(StrictModel):
     @property
     def backbone_hash(self) -> str | None:
         """The SHA-256 of the file of the backbone's weights, or `None` without a backbone."""
-        return _file_hash(weights_file(self.weights)) if self.kind == "resnet50" else None
+        return _weights_hash(weights_file(self.weights)) if self.kind == "resnet50" else None
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -192,7 +196,7 @@ class Row(StrictModel):
     """A row of the table: a model with its settings."""
 
     settings: dict[str, Any] = Field(default_factory=dict)
-    """The settings."""
+    """Changes to the settings, after those of the experiment."""
     start: str | None = None
     """The row from whose model, of the same mode, variant and seed, the training starts."""
     modes: Annotated[tuple[str, ...], Field(strict=False, min_length=1)] | None = None
@@ -200,54 +204,54 @@ class Row(StrictModel):
     variants: Annotated[tuple[str, ...], Field(strict=False, min_length=1)] | None = None
     """The variants; by default all."""
     paper: str | None = None
-    """The name of the paper's row. By default that of the row."""
+    """The row of the paper's table beside which the row is shown. By default the row of the same name."""
     quick: dict[str, Any] = Field(default_factory=dict)
     """Changes to the settings for `--quick`."""
     hidden: bool = False
-    """Whether tables omit the row."""
+    """Whether tables and figures omit the row, for one that only others start from."""
 
 
 class Variant(StrictModel):
     """A variant of every row."""
 
     settings: dict[str, Any] = Field(default_factory=dict)
-    """Changes to the settings."""
+    """Changes to the settings, after those of the experiment and the row."""
     mode: Literal["easy", "hard"] | None = None
     """The mode of the worlds and rules, instead of that of the column."""
     start: str | None = None
     """The variant from whose models, of the same row and seed, the training starts, with the concepts and the reasoner
     of that model."""
     hidden: bool = False
-    """Whether tables omit the variant."""
+    """Whether tables and figures omit the variant, for one that only others start from."""
     group: str | None = None
-    """The line of the figure to which the variant belongs."""
+    """The line of the figure over `x` to which the variant belongs: variants of a row with the same group form one."""
     x: float | None = None
-    """The place on that line."""
+    """The position on the horizontal axis of that figure, which omits variants without it."""
 
 
 class VapExperiment(StrictModel):
     """An experiment of Visual Action Prediction: what `logicity experiment` runs."""
 
     task: Literal["vap"]
-    """The task."""
+    """The task, Visual Action Prediction."""
     title: str
     """The title of the table."""
     paper: str | None = None
-    """The table of the paper beside which the results are shown."""
+    """The table of the paper whose figures are shown beside the results."""
     learners: Annotated[dict[str, Row], Field(min_length=1)]
-    """The rows, each after the row that it starts from."""
+    """The rows of the table, by name, each after the row that it starts from: models with their settings."""
     modes: Annotated[tuple[Literal["easy", "hard"], ...], Field(strict=False, min_length=1)]
     """The modes: the rules and the agents."""
     seeds: Annotated[tuple[Seed, ...], Field(strict=False, min_length=1)] = (0,)
-    """The seeds."""
+    """The seeds of training. Each row, mode and variant is trained once with each seed."""
     variants: Annotated[dict[str, Variant], Field(min_length=1)] = Field(default_factory=lambda: {"": Variant()})
-    """The variants of every row."""
+    """The variants of every row, by name: changes that multiply the rows. By default one without changes."""
     settings: dict[str, Any] = Field(default_factory=dict)
     """Changes to the settings of every row."""
     quick: dict[str, Any] = Field(default_factory=dict)
     """Changes to the settings of every row for `--quick`."""
     x: str = "x"
-    """The label of the horizontal axis of the figure with lines."""
+    """The label of the horizontal axis of the figure over the `x` of variants."""
 
     @classmethod
     def load(cls, name: str | os.PathLike[str]) -> tuple[VapExperiment, Path]:
@@ -270,8 +274,15 @@ class VapExperiment(StrictModel):
             raise file.error(wrong)
         return experiment, path
 
-    def _faults(self) -> Iterator[tuple[str, list[str], str, str]]:
-        """Yield the errors in the names of rows, modes and variants, and in settings."""
+    def _faults(self) -> Iterator[Fault]:
+        """Yield the errors in the names of rows, modes and variants, in seeds, and in settings."""
+        lists: list[tuple[list[str], Sequence[object]]] = [(["modes"], self.modes), (["seeds"], self.seeds)]
+        for row, spec in self.learners.items():
+            lists += [(["learners", row, "modes"], spec.modes or ())]
+            lists += [(["learners", row, "variants"], spec.variants or ())]
+        for path, values in lists:
+            if message := repeated(values):
+                yield "invalid-value", path, message, ""
         known: list[str] = []
         for row, spec in self.learners.items():
             if spec.start is not None and spec.start not in known:
@@ -296,13 +307,39 @@ class VapExperiment(StrictModel):
             elif variant.start is not None and self.variants[variant.start].start is not None:
                 message = f"`{variant.start}` itself starts from another variant: name a variant without `start`"
                 yield "invalid-value", path, message, ""
-        for row, spec in self.learners.items():
-            for name in spec.variants or self.variants:
-                try:
-                    self.settings_of(row, self.variants.get(name, Variant()))
-                except ValidationError as error:
-                    yield "invalid-value", ["learners", row], f"settings of `{row}`: {_fault(error)}", ""
-                    break
+        yield from self._settings_faults()
+
+    def _settings_faults(self) -> Iterator[Fault]:
+        """Yield the errors in settings, each once, where its value is written."""
+        # A value of the experiment is part of many cells.
+        seen: set[tuple[str, ...]] = set()
+        for quick in (False, True):
+            for row, spec in self.learners.items():
+                for name in spec.variants or self.variants:
+                    variant = self.variants.get(name, Variant())
+                    try:
+                        self.settings_of(row, variant, Selection(quick=quick))
+                    except ValidationError as error:
+                        for code, path, message, help in faults(error, _unknown_setting):
+                            at = self._written(row, name, path or _key_of(error), quick)
+                            if tuple(at) not in seen:
+                                seen.add(tuple(at))
+                                cell = f"settings of `{row}`: " if not path or at[:2] == ["learners", row] else ""
+                                yield code, at, f"{cell}{message}", help
+
+    def _written(self, row: str, name: str, path: Sequence[str], quick: bool) -> list[str]:
+        """Return the path in the file of the setting with a path, or the path of the row if no key has it."""
+        spec, variant = self.learners[row], self.variants.get(name, Variant())
+        parts: list[tuple[list[str], Mapping[str, Any]]] = [
+            (["settings"], self.settings),
+            (["learners", row, "settings"], spec.settings),
+            (["variants", name, "settings"], variant.settings),
+        ]
+        if quick:
+            parts += [(["quick"], self.quick), (["learners", row, "quick"], spec.quick)]
+        written = [[*prefix, *path] for prefix, values in parts if contains(values, path)]
+        # The last one overrides the others.
+        return written[-1] if written else ["learners", row]
 
     def settings_of(self, row: str, variant: Variant, selection: Selection | None = None) -> VapSettings:
         """Return the settings of a row and a variant.
@@ -413,6 +450,11 @@ def _fault(error: ValidationError) -> str:
     return f"{message}; {help}" if help else message
 
 
+def _key_of(error: ValidationError) -> list[str]:
+    """Return the path of the setting that an error of a whole model is about."""
+    return str(error.errors()[0]["ctx"]["key"]).split(".")
+
+
 def _unknown_setting(path: tuple[str, ...]) -> tuple[str, str]:
     """Return the message and the help for an unknown setting."""
     model: type[BaseModel] = VapSettings
@@ -422,12 +464,8 @@ def _unknown_setting(path: tuple[str, ...]) -> tuple[str, str]:
 
 
 @cache
-def _file_hash(path: Path) -> str:
-    with open(path, "rb") as file:
-        digest = hashlib.sha256()
-        while block := file.read(1 << 20):
-            digest.update(block)
-    return digest.hexdigest()
+def _weights_hash(path: Path) -> str:
+    return file_hash(path)
 
 
 @cache

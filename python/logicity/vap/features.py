@@ -40,10 +40,14 @@ __all__ = ["Backbone", "DataSpec", "Extractor", "compute_features", "extractor",
 Kind = Literal["crops", "resnet50"]
 
 #: The version of the format of `features.json`.
-FORMAT = 1
+FORMAT = 2
 
 #: The other keys of `features.json`.
-KEYS = ("kind", "shape", "backbone_hash", "data_hash")
+KEYS = ("kind", "shape", "backbone_hash")
+
+#: The keys of the record `world-00000.json` of each world, all SHA-256: of the file of features, of the list of the
+#: world's files and their hashes, and the identity of the extractor.
+RECORD_KEYS = ("sha256", "data_hash", "backbone_hash")
 
 #: The files of weights that torchvision downloads, in the order in which they are looked up.
 WEIGHTS = ("fasterrcnn_resnet50_fpn_coco-258fb6c6.pth", "resnet50-0676ba61.pth", "resnet50-11ad3fa6.pth")
@@ -58,11 +62,13 @@ class Extractor(Protocol):
     Attributes:
         kind: The kind of features.
         shape: The shape of the features of a box.
+        dtype: Their type.
         identity: The SHA-256 of what determines the features of a picture.
     """
 
     kind: Kind
     shape: tuple[int, ...]
+    dtype: np.dtype[Any]
     identity: str
 
     def __call__(self, image: NDArray[np.uint8], boxes: NDArray[np.float32]) -> NDArray[Any]:
@@ -74,6 +80,7 @@ class Crops:
 
     kind: Kind = "crops"
     shape: tuple[int, ...] = (CROP_SIDE, CROP_SIDE, 3)
+    dtype: np.dtype[Any] = np.dtype(np.uint8)
     identity = hashlib.sha256(f"crops {CROP_SIDE} bilinear antialias".encode()).hexdigest()
 
     def __call__(self, image: NDArray[np.uint8], boxes: NDArray[np.float32]) -> NDArray[Any]:
@@ -98,6 +105,7 @@ class Backbone:
 
     kind: Kind = "resnet50"
     shape: tuple[int, ...] = (512,)
+    dtype: np.dtype[Any] = np.dtype(np.float16)
 
     def __init__(self, weights: str | os.PathLike[str] | None = None, device: str = "cpu") -> None:
         """Read the weights."""
@@ -132,7 +140,7 @@ class Backbone:
 
     def __call__(self, image: NDArray[np.uint8], boxes: NDArray[np.float32]) -> NDArray[Any]:
         """Return float16 (N, 512), zeros for boxes outside the picture."""
-        result = np.zeros((len(boxes), *self.shape), np.float16)
+        result = np.zeros((len(boxes), *self.shape), self.dtype)
         inside = ~np.isnan(boxes[:, 0])
         if not inside.any():
             return result
@@ -187,15 +195,18 @@ def extractor(kind: Kind, weights: str | os.PathLike[str] | None = None, device:
         ImportError: As for `Backbone`.
         ValueError: As for `Backbone`, or if the kind is unknown, or crops are given weights or a device.
     """
-    if kind == "resnet50":
-        return Backbone(weights, device)
-    if kind != "crops":
+    _check_options(kind, weights, device)
+    return Backbone(weights, device) if kind == "resnet50" else Crops()
+
+
+def _check_options(kind: Kind, weights: str | os.PathLike[str] | None, device: str) -> None:
+    """Raise `ValueError` if the kind is unknown, or crops are given weights or a device."""
+    if kind not in ("crops", "resnet50"):
         raise ValueError(f"unknown kind of features `{kind}`; known: crops, resnet50")
-    if weights is not None:
+    if kind == "crops" and weights is not None:
         raise ValueError("crops have no weights: remove `--weights`, or choose `--backbone resnet50`")
-    if device != "cpu":
+    if kind == "crops" and device != "cpu":
         raise ValueError("crops are cut on the CPU: remove `--device`, or choose `--backbone resnet50`")
-    return Crops()
 
 
 def compute_features(
@@ -211,8 +222,9 @@ def compute_features(
 ) -> Path:
     """Compute the features of all boxes of a data set, and store them in one file per world.
 
-    Worlds whose file exists are kept, so an interrupted call can be resumed. Files are the same on any number of
-    threads and workers. Features of a backbone depend on the device and the version of PyTorch in their last bits.
+    Finished worlds are kept, so an interrupted call can be resumed, and a data set can be extended. Worlds with damaged
+    files are computed again. Files are the same on any number of threads and workers. Features of a backbone depend on
+    the device and the version of PyTorch in their last bits.
 
     Args:
         folder: A data set with pictures.
@@ -228,26 +240,26 @@ def compute_features(
 
     Returns:
         The folder with `features.json` and a file `world-00000.npy` per world: (E, *shape), the E entities of all
-        samples of the world in their order.
+        samples of the world in their order. `world-00000.json` has its hashes.
 
     Raises:
         ConnectionError: If the Ray cluster does not answer, or loses too many workers.
         FileNotFoundError: If there are no weights.
         ImportError: If a package is not installed.
         OSError: If a file cannot be read or written.
-        ValueError: If the data set has no pictures, the output folder is in it or has features of other data or of
-            another backbone, or as for `extractor`.
+        ValueError: If the data set has no pictures, or one of its files has changed since it was made; if the output
+            folder is in the data set, or has features of other data or of another backbone; or as for `extractor`.
     """
+    target = output_folder(folder, kind, out, weights, device)
     samples = VapDataset(folder, images=False)
     if not samples.has_pictures:
         raise ValueError(f"`{samples.folder}` has no pictures: make it without `--no-pictures`")
     threads = checked_threads(threads) or os.cpu_count() or 1
     extract = extractor(kind, weights, device)
-    target = _target(samples.folder, kind, out)
+    worlds = _worlds(samples)
     target.mkdir(parents=True, exist_ok=True)
-    _begin(target, extract, _data_hash(samples.folder))
-    worlds = samples.worlds()
-    left = [world for world in worlds if not _world_file(target, world).exists()]
+    _begin(target, extract)
+    left = [world for world in worlds if not _finished(target, world, extract.identity, samples.folder)]
     done = len(worlds) - len(left)
 
     def advance() -> None:
@@ -257,7 +269,7 @@ def compute_features(
             progress(done, len(worlds))
 
     if ray is not None:
-        _on_ray(ray, samples.folder, target, kind, weights, device, {world: worlds[world] for world in left}, advance)
+        _on_ray(ray, samples.folder, target, kind, weights, device, left, advance)
         return target
     stopped = Event()
     torch_threads = torch.get_num_threads()
@@ -265,7 +277,7 @@ def compute_features(
     torch.set_num_threads(1)
     try:
         with ThreadPoolExecutor(threads) as pool:
-            jobs = [pool.submit(_store, samples, worlds[world], target, world, extract, stopped) for world in left]
+            jobs = [pool.submit(_store, samples, world, target, extract, stopped) for world in left]
             try:
                 for job in as_completed(jobs):
                     job.result()
@@ -279,61 +291,193 @@ def compute_features(
     return target
 
 
-def _target(folder: Path, kind: Kind, out: str | os.PathLike[str] | None) -> Path:
-    """Return the folder of the features of a data set."""
+def output_folder(
+    folder: str | os.PathLike[str],
+    kind: Kind,
+    out: str | os.PathLike[str] | None = None,
+    weights: str | os.PathLike[str] | None = None,
+    device: str = "cpu",
+) -> Path:
+    """Check the arguments of `compute_features` that fit or do not fit each other, and return the folder to write.
+
+    Raises:
+        TypeError: If a folder is not a path.
+        ValueError: If the output folder is in the data set, the kind is unknown, or crops are given weights or a
+            device.
+    """
+    _check_options(kind, weights, device)
+    data = Path(checked_path("folder", folder))
     if out is None:
         # `.` and `..` are no names.
-        return Path(f"{folder if folder.name not in ('', '..') else folder.resolve()}-{kind}")
+        return Path(f"{data if data.name not in ('', '..') else data.resolve()}-{kind}")
     target = Path(checked_path("out", out))
-    if target.resolve().is_relative_to(folder.resolve()):
+    if target.resolve().is_relative_to(data.resolve()):
         raise ValueError(f"`{target}` is in the data set, which must have no other files: choose another folder")
     return target
 
 
-def load_features(folder: Path, samples: VapDataset) -> Tensor:
+def load_features(folder: str | os.PathLike[str], samples: VapDataset) -> Tensor:
     """Read the stored features of all entities of a data set.
+
+    Args:
+        folder: A folder that `compute_features` wrote. It may have more worlds than the data set.
+        samples: The data set.
+
+    Returns:
+        (E, *shape), the E entities of all samples in their order: uint8 crops, or float32 features.
 
     Raises:
         OSError: If a file cannot be read.
-        ValueError: If the features are those of other data, or not complete.
+        TypeError: If the folder is not a path.
+        ValueError: If the features are those of other data, damaged, or not complete.
     """
-    document = _read(folder)
-    if document["data_hash"] != _data_hash(samples.folder):
-        raise ValueError(
-            f"`{folder}` has the features of another data set than `{samples.folder}`: run `logicity vap features "
-            f"{samples.folder}` with another folder"
-        )
-    worlds = list(samples.worlds())
+    target = Path(checked_path("folder", folder))
+    document = _read(target)
+    worlds = _worlds(samples)
     for world in worlds:
-        if not _world_file(folder, world).exists():
-            raise ValueError(f"`{folder}` has no features of world {world} yet: run `logicity vap features` again")
-    return _stacked(folder, worlds)
+        _check_world(target, world, document["backbone_hash"], samples.folder)
+    return _stacked([_mapped(_world_file(target, world.number)) for world in worlds])
+
+
+@dataclass(frozen=True)
+class _World:
+    """What a data set has of a world.
+
+    Attributes:
+        number: The number of the world.
+        samples: The positions of its samples.
+        entities: The number of entities of all samples.
+        files: The SHA-256 of its files, by name, from the manifest.
+    """
+
+    number: int
+    samples: range
+    entities: int
+    files: Mapping[str, str]
+
+    @property
+    def data_hash(self) -> str:
+        """The SHA-256 of the list of files and hashes."""
+        return hashlib.sha256(json.dumps(self.files, sort_keys=True).encode()).hexdigest()
+
+
+def _worlds(samples: VapDataset) -> list[_World]:
+    """Return the worlds of a data set."""
+    path = samples.folder / "manifest.json"
+    try:
+        listed = {int(world["world"]): world for world in json.loads(path.read_text(encoding="utf-8"))["worlds"]}
+        return [
+            _World(
+                number,
+                positions,
+                int(listed[number]["agents"]),
+                {name: str(file["sha256"]) for name, file in listed[number]["files"].items()},
+            )
+            for number, positions in samples.worlds().items()
+        ]
+    except (AttributeError, KeyError, TypeError, ValueError) as error:
+        raise ValueError(f"`{path}` is not a manifest of `logicity vap make`: {error!r}") from None
+
+
+def file_hash(path: Path) -> str:
+    """Return the SHA-256 of a file."""
+    digest = hashlib.sha256()
+    with open(path, "rb") as file:
+        while block := file.read(1 << 20):
+            digest.update(block)
+    return digest.hexdigest()
+
+
+class _UnfinishedError(ValueError):
+    """The features of a world are missing or damaged."""
+
+
+def _finished(folder: Path, world: _World, identity: str, data: Path) -> bool:
+    """Return whether the features of a world are complete. Raises `ValueError` if they are those of other data."""
+    try:
+        _check_world(folder, world, identity, data)
+    except _UnfinishedError:
+        return False
+    return True
+
+
+def _check_world(folder: Path, world: _World, identity: str, data: Path) -> None:
+    """Check the stored features of a world.
+
+    Args:
+        folder: The folder of the features.
+        world: The world in the data set.
+        identity: The identity of the extractor.
+        data: The folder of the data set, for messages.
+
+    Raises:
+        OSError: If a file cannot be read.
+        ValueError: If the features are missing, damaged, or those of other data.
+    """
+    path = _world_file(folder, world.number)
+    record = _record(path)
+    again = "run `logicity vap features` again with the same options, which computes only such worlds"
+    if record is None or not path.exists():
+        raise _UnfinishedError(
+            f"`{folder}` has no features of world {world.number} yet, or the world was added to `{data}` later: {again}"
+        )
+    if record["data_hash"] != world.data_hash or record["backbone_hash"] != identity:
+        raise ValueError(
+            f"`{path}` has the features of another data set or backbone, or world {world.number} of `{data}` has "
+            f"changed since: run `logicity vap features {data}` with another folder"
+        )
+    if record["sha256"] != file_hash(path):
+        raise _UnfinishedError(f"`{path}` is damaged: it differs from its SHA-256 in `{_record_file(path)}`: {again}")
 
 
 def _world_file(folder: Path, world: int) -> Path:
     return folder / f"world-{world:05}.npy"
 
 
-def _stacked(folder: Path, worlds: Sequence[int]) -> Tensor:
-    parts = [np.load(_world_file(folder, world), mmap_mode="r") for world in worlds]
+def _record_file(path: Path) -> Path:
+    """Return the file with the record of a file of features."""
+    return path.with_suffix(".json")
+
+
+def _record(path: Path) -> dict[str, Any] | None:
+    """Return the record of a file of features, or `None` if it is missing or damaged."""
+    try:
+        record = json.loads(_record_file(path).read_text(encoding="utf-8"))
+    except (FileNotFoundError, ValueError):
+        return None
+    return record if isinstance(record, dict) and record.keys() == set(RECORD_KEYS) else None
+
+
+def _mapped(path: Path) -> NDArray[Any]:
+    """Map a file of features into memory.
+
+    Raises:
+        OSError: If the file cannot be read.
+        ValueError: If it is not a file of an array, or too short.
+    """
+    try:
+        return np.lib.format.open_memmap(path, mode="r")
+    except OSError:
+        raise
+    except Exception as error:
+        # Depending on the bytes, numpy raises almost any exception.
+        raise ValueError(f"`{path}` is not a file of features: {error}") from None
+
+
+def _stacked(parts: Sequence[NDArray[Any]]) -> Tensor:
     values = np.empty((sum(map(len, parts)), *parts[0].shape[1:]), parts[0].dtype)
     np.concatenate(parts, out=values)
     tensor = torch.from_numpy(values)
     return tensor if tensor.dtype == torch.uint8 else tensor.float()
 
 
-def _data_hash(folder: Path) -> str:
-    return hashlib.sha256((folder / "manifest.json").read_bytes()).hexdigest()
-
-
-def _begin(target: Path, extract: Extractor, data_hash: str) -> None:
+def _begin(target: Path, extract: Extractor) -> None:
     """Write `features.json`, or check that it describes the same features."""
     document = {
         "format": FORMAT,
         "kind": extract.kind,
         "shape": list(extract.shape),
         "backbone_hash": extract.identity,
-        "data_hash": data_hash,
     }
     path = target / "features.json"
     if path.exists():
@@ -352,32 +496,50 @@ def _read(folder: Path) -> dict[str, Any]:
     except ValueError as error:
         raise ValueError(f"{path}: not JSON: {error}") from None
     if not isinstance(document, dict) or document.get("format") != FORMAT:
-        raise ValueError(f"{path}: expected the description of features, of the format {FORMAT}")
+        raise ValueError(
+            f"{path}: expected the description of features, of the format {FORMAT}: compute features of an earlier "
+            "version again, in another folder"
+        )
     missing = [name for name in KEYS if name not in document]
     if missing:
         raise ValueError(f"{path}: expected the key `{missing[0]}`")
     return document
 
 
-def _store(
-    samples: VapDataset,
-    indices: range,
-    target: Path,
-    world: int,
-    extract: Extractor,
-    stopped: Event | None = None,
-) -> None:
-    """Compute and write the features of a world. Nothing is written after `stopped` is set."""
+def _store(samples: VapDataset, world: _World, target: Path, extract: Extractor, stopped: Event | None = None) -> None:
+    """Compute and write the features of a world. Nothing is written after `stopped` is set.
+
+    Raises:
+        ValueError: If a file of the world has changed since it was made.
+    """
     picture = np.empty((PICTURE_SIDE, PICTURE_SIDE, 3), np.uint8)
-    parts = []
-    for index in indices:
+    parts: list[NDArray[Any]] = []
+    # The table has the boxes.
+    _check_source(samples.folder / f"world-{world.number:05}" / "entities.parquet", world)
+    for index in world.samples:
         if stopped is not None and stopped.is_set():
             return
+        path = samples.picture_path(index)
+        _check_source(path, world)
         samples.read_picture(index, picture)
         parts.append(extract(picture, samples.facts(index).boxes))
-    temporary = target / f".world-{world:05}-{os.getpid()}.npy"
+    file = _world_file(target, world.number)
+    temporary = target / f".{file.stem}-{os.getpid()}.npy"
     np.save(temporary, np.concatenate(parts))
-    temporary.replace(_world_file(target, world))
+    record = {"sha256": file_hash(temporary), "data_hash": world.data_hash, "backbone_hash": extract.identity}
+    temporary.replace(file)
+    # The record comes last: features without one are not finished.
+    temporary = temporary.with_suffix(".json")
+    temporary.write_text(json.dumps(record, indent=1) + "\n", encoding="utf-8")
+    temporary.replace(_record_file(file))
+
+
+def _check_source(path: Path, world: _World) -> None:
+    """Raise `ValueError` if a file of a data set differs from its hash in the manifest."""
+    if world.files.get(path.name) != file_hash(path):
+        raise ValueError(
+            f"`{path}` has changed since it was made: remove the folder of the world and run `logicity vap make` again"
+        )
 
 
 def _on_ray(
@@ -387,7 +549,7 @@ def _on_ray(
     kind: Kind,
     weights: str | os.PathLike[str] | None,
     device: str,
-    worlds: dict[int, range],
+    worlds: Sequence[_World],
     advance: Callable[[], None],
 ) -> None:
     """Compute worlds on Ray. If a worker is lost, its world is computed again."""
@@ -396,14 +558,14 @@ def _on_ray(
     data, out = folder.resolve(), target.resolve()
     file = None if weights is None else Path(weights).resolve()
 
-    def work(indices: range, world: int) -> None:
+    def work(world: _World) -> None:
         torch.set_num_threads(1)
-        _store(VapDataset(data), indices, out, world, extractor(kind, file, device))
+        _store(VapDataset(data), world, out, extractor(kind, file, device))
 
     ray = connect(address)
     try:
         task = ray.remote(num_cpus=1, num_gpus=float(device.startswith("cuda")), max_retries=RETRIES)(work)
-        running = [task.remote(indices, world) for world, indices in worlds.items()]
+        running = [task.remote(world) for world in worlds]
         while running:
             ready, running = ray.wait(running, num_returns=1)
             ray.get(ready)
@@ -462,7 +624,7 @@ def prepared(spec: DataSpec, root: Path, version: str) -> tuple[VapDataset, Tens
     """Make the tables and features of a data set if they do not exist, and read them.
 
     Pictures are made and removed world by world, as a set needs about 80 MB per world. Processes that need the same
-    data wait for the one that makes it.
+    data wait for the one that makes it. Damaged files of features are made again.
 
     Args:
         spec: The data set.
@@ -481,17 +643,33 @@ def prepared(spec: DataSpec, root: Path, version: str) -> tuple[VapDataset, Tens
     extract = extractor(spec.kind, spec.weights)
     features = folder / spec.pictures(extract)
     features.mkdir(exist_ok=True)
-    for world in range(spec.worlds):
-        file, pictures = _world_file(features, world), features / f"pictures-{world:05}"
+    worlds = _worlds(samples)
+    for world in worlds:
+        pictures = features / f"pictures-{world.number:05}"
         # Pictures beside their features are those of an interrupted process.
-        if file.exists() and not pictures.exists():
+        if _readable(features, world, extract) and not pictures.exists():
             continue
         with _alone(folder / f"{features.name}.lock"):
-            if not file.exists():
-                made = _made(pictures, spec, world, 1, images=True)
-                _store(made, range(len(made)), features, world, extract)
+            if not _readable(features, world, extract):
+                made = _made(pictures, spec, world.number, 1, images=True)
+                _store(made, _worlds(made)[0], features, extract)
             shutil.rmtree(pictures, ignore_errors=True)
-    return samples, _stacked(features, range(spec.worlds))
+    return samples, _stacked([_mapped(_world_file(features, world.number)) for world in worlds])
+
+
+def _readable(folder: Path, world: _World, extract: Extractor) -> bool:
+    """Return whether the features of a world have the right size, and their checksum if they have a record.
+
+    Features of earlier versions have no record.
+    """
+    path = _world_file(folder, world.number)
+    try:
+        values = _mapped(path)
+        record = _record(path)
+        whole = record is None or record["sha256"] == file_hash(path)
+    except (FileNotFoundError, ValueError):
+        return False
+    return whole and values.shape == (world.entities, *extract.shape) and values.dtype == extract.dtype
 
 
 def _made(folder: Path, spec: DataSpec, first: int, worlds: int, *, images: bool) -> VapDataset:

@@ -57,11 +57,13 @@ class VapEntry(CellEntry):
 
     Attributes:
         predictor: The name of the predictor, or an empty text if the row has only one.
+        worlds: The number of test worlds of each run, or 0 without a finished run.
         concepts: The mean recall of each concept over the runs; empty if the row does not train concepts.
         paper: The paper's figures by measure, or `None`.
     """
 
     predictor: str
+    worlds: int
     concepts: Mapping[str, float]
     paper: Mapping[str, float] | None
 
@@ -69,6 +71,10 @@ class VapEntry(CellEntry):
     def label(self) -> str:
         """The row with its predictor and variant."""
         return ", ".join(part for part in (self.row, self.predictor, self.variant) if part)
+
+    def figures(self) -> list[str]:
+        """Return the texts of `MEASURES`."""
+        return [_figure(self.measures.get(name), len(self.seeds), self.worlds, "-") for name in MEASURES]
 
 
 class VapReport(CellReport):
@@ -106,6 +112,7 @@ class VapReport(CellReport):
             yield VapEntry(
                 **runs.fields(variant, failed),
                 predictor=predictor,
+                worlds=len(results[0]["worlds"]) if results else 0,
                 measures=pooled([each["worlds"] for each in results]) if results else {},
                 concepts=mean_recalls(recalls),
                 paper=paper_figures(self.experiment.paper, spec.paper or first.row, first.variant, first.mode),
@@ -116,8 +123,7 @@ class VapReport(CellReport):
         lines = [["learner", *MEASURES, "seeds"]]
         for entry in self.entries:
             if entry.mode == mode:
-                figures = [str(entry.measures[name]) if name in entry.measures else "-" for name in MEASURES]
-                lines.append([entry.label, *figures, ",".join(map(str, entry.seeds)) or entry.missing[:60]])
+                lines.append([entry.label, *entry.figures(), ",".join(map(str, entry.seeds)) or entry.missing[:60]])
                 if entry.paper is not None:
                     paper = [f"{entry.paper[name]:.2f}" if name in entry.paper else "-" for name in MEASURES]
                     lines.append(["  the paper's", *paper, ""])
@@ -136,7 +142,11 @@ class VapReport(CellReport):
 
     def notes(self) -> list[str]:
         """Return sentences on intervals, missing cells, the paper and the CPU time."""
-        notes = ["Intervals (95 %): bootstrap over seeds and, independently, over test worlds."]
+        notes = []
+        if any(_repeated(len(entry.seeds), entry.worlds) for entry in self.entries):
+            notes.append("Intervals (95 %): bootstrap over seeds and, independently, over test worlds.")
+        if any(entry.seeds and not _repeated(len(entry.seeds), entry.worlds) for entry in self.entries):
+            notes.append("Values of one seed and one test world have no interval.")
         if table := paper_table(self.experiment.paper):
             notes.append(f"The paper's figures: {table['source']}. {table['note']}")
         if any(entry.concepts for entry in self.entries):
@@ -210,6 +220,18 @@ def paper_figures(table: str | None, row: str, variant: str, mode: str) -> dict[
     if values is None:
         return None
     return {name: value for name, value in zip(MEASURES, values, strict=True) if value is not None}
+
+
+def _repeated(runs: int, worlds: int) -> bool:
+    """Return whether there is a spread from which an interval follows."""
+    return runs > 1 or worlds > 1
+
+
+def _figure(measure: Interval | None, runs: int, worlds: int, missing: str) -> str:
+    """Format a measure, with its interval unless it is that of one run on one world."""
+    if measure is None:
+        return missing
+    return str(measure) if _repeated(runs, worlds) else f"{measure.value:.2f}"
 
 
 def mean_recalls(runs: Sequence[Mapping[str, Mapping[str, Any]]]) -> dict[str, float]:
@@ -478,7 +500,7 @@ def leaderboard(results: Mapping[str, Any]) -> str:
                     f"`{learner}`",
                     predictor,
                     variant,
-                    *(str(measures[name]) if name in measures else "" for name in MEASURES),
+                    *(_figure(measures.get(name), len(group), len(group[0]["worlds"]), "") for name in MEASURES),
                     "" if paper is None else f"{paper['wAcc']:.2f}",
                     ", ".join(str(row["seed"]) for row in group),
                     f"{sum(row['cpu_seconds'] for row in group) / len(group) / 60:.1f}",
