@@ -193,8 +193,9 @@ def _add_experiment(parser: argparse.ArgumentParser) -> _Command:
         action="append",
         default=[],
         metavar="KEY=VALUE",
-        help="change a key of every training configuration, for example steps=1000 or settings.gamma=0.9; for "
-        "`language` a key of the experiment, for example models.NAME.url=http://localhost:8000/v1",
+        help="change a key of every training configuration, for example steps=1000 or settings.gamma=0.9; for `vap` a "
+        "setting, for example training.epochs=3; for `language` a key of the experiment, for example "
+        "models.NAME.url=http://localhost:8000/v1",
     )
     parser.add_argument("--jobs", type=_positive, metavar="N", help="processes; default: the number of processors")
     parser.add_argument(
@@ -202,7 +203,8 @@ def _add_experiment(parser: argparse.ArgumentParser) -> _Command:
         nargs="?",
         const="local",
         metavar="ADDRESS",
-        help="run the cells on the Ray cluster at ADDRESS, or on a new one on this machine with N workers",
+        help="run the cells on the Ray cluster at ADDRESS, or on a new one on this machine with as many workers as "
+        "`--jobs`",
     )
     _add_wandb(parser)
     parser.add_argument("--run", type=Path, metavar="FOLDER", help="folder of the results; default: runs/EXPERIMENT")

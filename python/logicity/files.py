@@ -6,12 +6,13 @@ import json
 import os
 from collections.abc import Iterator
 from contextlib import contextmanager
+from pathlib import Path
 from typing import Any
 
 from . import _logicity
 from .errors import checked_path
 
-__all__ = ["check_writable", "read_tensors", "replacing", "reserved", "write_json"]
+__all__ = ["check_writable", "read_tensors", "replacing", "reserved", "write_json", "write_text"]
 
 
 @contextmanager
@@ -70,6 +71,17 @@ def write_json(
         json.dump(value, out, indent=1, allow_nan=False)
         out.write("\n")
     output.finish()
+
+
+def write_text(path: str | os.PathLike[str], text: str) -> None:
+    """Write text to a file, in UTF-8, and replace an existing one.
+
+    Raises:
+        OSError: If the file cannot be written, or another process writes it.
+    """
+    with reserved(path, record=False) as output:
+        Path(output.temporary).write_text(text, encoding="utf-8")
+        output.finish()
 
 
 def read_tensors(path: str | os.PathLike[str], expected: str) -> Any:

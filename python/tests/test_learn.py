@@ -601,7 +601,8 @@ def test_damaged_checkpoints_are_named(
     (run / "config.json").write_text('{"algorithm"')
     assert main(["train", str(config), "--run", str(run)]) == 1
     # The state of the run is read before its configuration.
-    assert "is damaged" in (errors := capsys.readouterr().err) or name == "state.json"
+    fault = f"{checkpoint} has no file `{name}`" if name == "state.json" else f"{run / 'config.json'} is damaged"
+    assert (errors := capsys.readouterr().err).startswith(f"error: {fault}")
     assert str(config) not in errors and (run / "result.json").exists()
 
 

@@ -327,14 +327,23 @@ def test_curves_are_written(tmp_path: Path) -> None:
         assert name in file.read_bytes()
 
 
-def test_transitions_have_the_last_observation_of_an_episode() -> None:
+def test_transitions_have_the_last_observation_of_an_episode(monkeypatch: pytest.MonkeyPatch) -> None:
     interaction = Interaction(config(small()))
+    infos: list[dict[str, Any]] = []
+    step = interaction.envs.step
+
+    def watched(actions: Any) -> Any:
+        result = step(actions)
+        infos.append(result[-1])
+        return result
+
+    monkeypatch.setattr(interaction.envs, "step", watched)
     ends = 0
     while ends < 10:
         transitions = interaction.step(np.ones(4, np.int64))
         for at in np.flatnonzero(transitions.terminated | transitions.truncated):
             ends += 1
-            assert transitions.next_observations[at] is not interaction.observations[at]
+            assert (transitions.next_observations[at] == infos[-1]["final_obs"][at]).all()
         still = ~(transitions.terminated | transitions.truncated)
         assert (transitions.next_observations[still] == interaction.observations[still]).all()
     assert interaction.episodes().keys() == {"episode/return", "episode/length", "episode/success"}

@@ -51,7 +51,7 @@ from logicity.vap.training import (  # noqa: E402
     Samples,
     TrainingSettings,
     concept_loss,
-    concept_recall,
+    concept_measures,
     fit,
     groundings,
 )
@@ -142,8 +142,8 @@ def test_stored_crops_are_resumed_and_checked(pictures: VapDataset, tmp_path: Pa
     assert compute_features(pictures.folder, out) == out
     assert (out / "world-00000.npy").stat().st_mtime_ns == begun, "finished worlds are not computed again"
     document = json.loads((out / "features.json").read_text())
-    (out / "features.json").write_text(json.dumps({**document, "backbone_hash": "0" * 64}))
-    with pytest.raises(ValueError, match="features with another `backbone_hash`"):
+    (out / "features.json").write_text(json.dumps({**document, "extractor_hash": "0" * 64}))
+    with pytest.raises(ValueError, match="features with another `extractor_hash`"):
         compute_features(pictures.folder, out)
     (out / "features.json").write_text(json.dumps(document))
     (out / "world-00000.npy").unlink()
@@ -259,11 +259,11 @@ def test_pictures_of_an_interrupted_experiment_are_removed(tmp_path: Path) -> No
     pictures = stored.parent / "pictures-00000"
     pictures.mkdir()
     assert torch.equal(features, prepared(spec, tmp_path, "a")[1]) and not pictures.exists()
-    # Features of earlier versions have no record. Damaged features are made again.
+    # Features that are damaged or have no record are made again.
     content = stored.read_bytes()
     stored.with_suffix(".json").unlink()
     assert torch.equal(features, prepared(spec, tmp_path, "a")[1])
-    assert not stored.with_suffix(".json").exists(), "whole features are kept"
+    assert stored.with_suffix(".json").exists()
     stored.write_bytes(content[:-1])
     assert torch.equal(features, prepared(spec, tmp_path, "a")[1])
     stored.write_bytes(content[:-1] + bytes([content[-1] ^ 1]))
@@ -295,6 +295,20 @@ def test_the_backbone_reads_regions_where_the_boxes_are(tmp_path: Path, monkeypa
     # What the square changes, it changes most in its box.
     changes = np.abs(found.astype(np.float32) - extract(np.zeros_like(image), boxes).astype(np.float32)).sum(1)
     assert changes[0] > 1.5 * changes[1:].max()
+    # The same network with separate batch normalizations, in float32.
+    with torch.random.fork_rng():
+        torch.manual_seed(0)
+        slow = torchvision.models.detection.backbone_utils.resnet_fpn_backbone(backbone_name="resnet50", weights=None)
+    slow.body.load_state_dict(torch.load(weights, weights_only=True), strict=False)
+    normal = torchvision.transforms.functional.normalize(
+        torch.from_numpy(image).permute(2, 0, 1) / 255, [0.485, 0.456, 0.406], [0.229, 0.224, 0.225]
+    )
+    corners = torch.from_numpy(np.concatenate([boxes[:3, :2], boxes[:3, :2] + boxes[:3, 2:]], 1))
+    align = torchvision.ops.MultiScaleRoIAlign(["0", "1", "2", "3"], output_size=7, sampling_ratio=2)
+    with torch.inference_mode():
+        regions = align(slow.eval()(normal[None]), [corners], [(256, 512)])
+    expected = torch.cat([regions.mean((2, 3)), regions.amax((2, 3))], 1).numpy()
+    assert np.abs(found[:3] - expected).mean() < 0.03 * np.abs(expected).mean()
     detector = torchvision.models.detection.fasterrcnn_resnet50_fpn(weights=None, weights_backbone=None).state_dict()
     torch.save(detector, weights)
     extract = Backbone(weights)
@@ -502,7 +516,7 @@ def test_spatial_concepts_reach_a_recall_of_0_9(tmp_path: Path) -> None:
     settings = TrainingSettings(epochs=6, learning_rate=2e-3)
     history = fit(model, concept_loss(model, made[0], 0.5), len(made[0]), settings, 0, lambda: 0.0)
     assert history[-1]["loss"] < history[0]["loss"]
-    recall = concept_recall(*groundings(model, made[1]), made[1])
+    recall = concept_measures(*groundings(model, made[1]), made[1])
     for name in ("IsAtInter", "IsInInter", "IsClose", "NextTo", "LeftOf", "RightOf", "HigherPri", "Sees"):
         value = recall[name]["recall"]
         assert value is not None and value > 0.9, (name, recall[name])
@@ -677,9 +691,8 @@ def test_a_cell_runs_with_the_rules_of_its_experiment(tiny: Path, tmp_path: Path
 
 def test_a_variant_with_a_mode_has_one_cell(tiny: Path) -> None:
     tiny.write_text(TINY.replace("[hard]", "[easy, hard]").replace("{random: {}}", "{a: {mode: easy}, b: {}}"))
-    with pytest.raises(
-        ValueError, match="`rules, a, easy, seed 0` and `rules, b, easy, seed 0` have the same settings"
-    ):
+    message = r"`rules, a, easy, seed 0` and `rules, b, easy, seed 0` have the same settings(.|\n)*tiny\.yaml:\d+:"
+    with pytest.raises(InputError, match=message):
         cells_of(tiny, only=[("rules", None)])
     tiny.write_text(tiny.read_text().replace("b: {}", "b: {settings: {fraction: 0.5}}"))
     cells = cells_of(tiny, only=[("rules", None)])[1]

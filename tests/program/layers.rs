@@ -1,10 +1,10 @@
-//! The rooms of the library form layers: a room imports only what the table in ARCHITECTURE.md allows.
+//! The components of the library form layers: a component imports only what the table in ARCHITECTURE.md allows.
 
 use std::collections::{BTreeMap, BTreeSet};
 use std::fs;
 use std::path::PathBuf;
 
-/// Rooms that do no input or output and read no clock, with all rooms inside them.
+/// Components that do no input or output and read no clock, with all components inside them.
 const PURE: &[&str] = &[
     "datalog",
     "config",
@@ -30,7 +30,7 @@ const ONLY_IN: &[(&str, &str)] = &[
     ("serde_yaml", "src/config/yaml.rs"),
 ];
 
-/// Rooms that may contain paths of shipped files.
+/// Components that may contain paths of shipped files.
 const PRODUCT_PATHS_IN: &[&str] = &["builtin", "cli"];
 
 fn root() -> PathBuf {
@@ -42,7 +42,7 @@ struct Source {
     path: PathBuf,
     /// Its module, for example `["datalog", "check", "body"]`.
     module: Vec<String>,
-    room: String,
+    component: String,
     /// The text of the file, without comments and without the tests at its end.
     code: String,
 }
@@ -73,9 +73,10 @@ fn sources() -> Vec<Source> {
                 let code: Vec<&str> = (text.lines())
                     .filter(|line| !line.trim_start().starts_with("//"))
                     .collect();
-                let room = room(&levels, &module).unwrap_or_else(|| panic!("{} is in no room", path.display()));
+                let component =
+                    component(&levels, &module).unwrap_or_else(|| panic!("{} is in no component", path.display()));
                 found.push(Source {
-                    room,
+                    component,
                     code: code.join("\n"),
                     module,
                     path,
@@ -87,8 +88,8 @@ fn sources() -> Vec<Source> {
     found
 }
 
-/// The room of a path from the root of the crate: its longest prefix in the table.
-fn room(levels: &BTreeMap<String, u32>, path: &[String]) -> Option<String> {
+/// The component of a path from the root of the crate: its longest prefix in the table.
+fn component(levels: &BTreeMap<String, u32>, path: &[String]) -> Option<String> {
     let beginnings = (1..=path.len()).rev().map(|length| path[..length].join("::"));
     beginnings.into_iter().find(|beginning| levels.contains_key(beginning))
 }
@@ -148,7 +149,7 @@ fn tree<'a>(mut rest: &'a str, mut path: Vec<String>, found: &mut Vec<Vec<String
     }
 }
 
-/// The level of each room, from the table in ARCHITECTURE.md.
+/// The level of each component, from the table in ARCHITECTURE.md.
 fn levels() -> BTreeMap<String, u32> {
     let text = fs::read_to_string(root().join("ARCHITECTURE.md")).unwrap();
     let row = |line: &str| {
@@ -163,15 +164,18 @@ fn levels() -> BTreeMap<String, u32> {
 fn rooms_import_only_lower_rooms() {
     let levels = levels();
     let sources = sources();
-    let rooms: BTreeSet<&String> = sources.iter().map(|source| &source.room).collect();
-    assert!(levels.keys().eq(rooms), "the table has no row for a room without files");
+    let components: BTreeSet<&String> = sources.iter().map(|source| &source.component).collect();
+    assert!(
+        levels.keys().eq(components),
+        "the table has no row for a component without files"
+    );
     let mut faults = Vec::new();
     for source in &sources {
         for import in imports(source) {
-            let Some(other) = room(&levels, &import) else {
+            let Some(other) = component(&levels, &import) else {
                 continue;
             };
-            if other != source.room && levels[&other] >= levels[&source.room] {
+            if other != source.component && levels[&other] >= levels[&source.component] {
                 faults.push(format!("{} imports {}", source.path.display(), import.join("::")));
             }
         }
@@ -179,14 +183,14 @@ fn rooms_import_only_lower_rooms() {
     assert!(faults.is_empty(), "{}", faults.join("\n"));
 }
 
-/// Checks that a room uses the constants `{kind}::{NAME}` only of itself and of lower rooms.
+/// Checks that a component uses the constants `{kind}::{NAME}` only of itself and of lower components.
 fn constants_come_from_below(kind: &str, declares: impl Fn(&str) -> Vec<String>) {
     let levels = levels();
     let sources = sources();
     let mut home: BTreeMap<String, &str> = BTreeMap::new();
     for source in &sources {
         for name in declares(&source.code) {
-            let former = home.insert(name.clone(), &source.room);
+            let former = home.insert(name.clone(), &source.component);
             assert_eq!(former, None, "{kind}::{name} is declared twice");
         }
     }
@@ -198,10 +202,12 @@ fn constants_come_from_below(kind: &str, declares: impl Fn(&str) -> Vec<String>)
             let end = rest
                 .find(|c: char| !(c.is_alphanumeric() || c == '_'))
                 .unwrap_or(rest.len());
-            let Some(room) = home.get(&rest[..end]) else { continue };
-            if *room != source.room && levels[*room] >= levels[&source.room] {
+            let Some(component) = home.get(&rest[..end]) else {
+                continue;
+            };
+            if *component != source.component && levels[*component] >= levels[&source.component] {
                 faults.push(format!(
-                    "{} uses {kind}::{} of {room}",
+                    "{} uses {kind}::{} of {component}",
                     source.path.display(),
                     &rest[..end]
                 ));

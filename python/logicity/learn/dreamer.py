@@ -39,8 +39,9 @@ from .interaction import (
     Interaction,
     Transitions,
     as_bits,
-    load_policy,
+    build_policy,
     random_actions,
+    read_checkpoint,
     save_policy,
     step_generator,
 )
@@ -575,7 +576,7 @@ class DreamerPolicy(Policy):
             actor.load_state_dict(weights["actor"])
             return cls(model, actor, settings, config["mode"], config["seed"])
 
-        return load_policy(path, cls.algorithm, build)
+        return build_policy(path, cls.algorithm, build)
 
 
 def head(settings: DreamerSettings, outputs: int) -> nn.Sequential:
@@ -749,10 +750,7 @@ class Dreamer(Learner):
             OSError: If the file cannot be read.
             ValueError: If the file does not fit the configuration.
         """
-        # The checkpoint is the run's own, and has environments, which are not plain data.
-        state = torch.load(folder / "learner.pt", weights_only=False)
-        if state.get("algorithm") != DreamerPolicy.algorithm:
-            raise ValueError(f"{folder} has no checkpoint of {DreamerPolicy.algorithm}")
+        state = read_checkpoint(folder, DreamerPolicy.algorithm)
         self._interaction.restore(state["interaction"])
         for module, weights in zip(self._networks, state["networks"], strict=True):
             module.load_state_dict(weights)

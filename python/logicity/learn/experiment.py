@@ -24,7 +24,8 @@ from .learner import Count, Seed, StrictModel
 
 __all__ = [
     *("AnyExperiment", "AnyReport", "Experiment", "Selection"),
-    *("load_experiment", "name_of", "read_experiment", "repeated", "validated"),
+    *("load_experiment", "name_of", "read_experiment", "repeated", "selected"),
+    *("start_faults", "unknown_key", "validated"),
 ]
 
 #: The module and the class of the experiments of each task, the value of the key `task`.
@@ -49,7 +50,7 @@ class Row(StrictModel):
     config: str | None = None
     """The training configuration, in the form of `config` of the experiment, which it replaces."""
     paper: str | None = None
-    """The row of the paper's table beside which the row is shown. By default the row of the same name."""
+    """The row of the paper's table whose figures are shown beside this row. By default the row of the same name."""
     modes: _Names | None = None
     """The modes; by default those of the experiment."""
     variants: _Names | None = None
@@ -73,7 +74,7 @@ class Variant(StrictModel):
     start: str | None = None
     """The variant from whose policies, of the same row, mode and seed, the training starts."""
     hidden: bool = False
-    """Whether tables and figures omit the variant, for one that only others start from."""
+    """Whether tables and figures omit the variant, for example because it only provides a start for others."""
     group: str | None = None
     """The line of the figure over `x` to which the variant belongs: variants of a row with the same group form one."""
     x: float | None = None
@@ -111,7 +112,7 @@ class AnyExperiment(Protocol):
         """Return the results of cells in a folder, with the messages of those that failed, by identity."""
 
     def submit(self, file: Path, cells: Sequence[Job], root: Path, results: Path) -> Iterator[str]:
-        """Write rows of the published results, and yield a line for each cell."""
+        """Write rows of the published results, and yield lines of progress."""
 
 
 def load_experiment(name: str | os.PathLike[str]) -> tuple[AnyExperiment, Path]:
@@ -165,6 +166,66 @@ def repeated(values: Sequence[object]) -> str | None:
     """Return a message about the first value that occurs twice, or `None`."""
     twice = next((value for at, value in enumerate(values) if value in values[:at]), None)
     return None if twice is None else f"`{twice}` occurs twice"
+
+
+class Startable(Protocol):
+    """A variant of an experiment."""
+
+    @property
+    def start(self) -> str | None:
+        """The variant from which training starts."""
+
+
+def start_faults(variants: Mapping[str, Startable]) -> Iterator[Fault]:
+    """Yield the errors in the key `start` of variants: unknown names, and chains of more than two variants."""
+    for name, variant in variants.items():
+        path = ["variants", name, "start"]
+        if variant.start is not None and variant.start not in variants:
+            message = f"unknown variant `{variant.start}`{did_you_mean(variant.start, variants)}"
+            yield "invalid-value", path, message, ""
+        elif variant.start is not None and variants[variant.start].start is not None:
+            message = f"`{variant.start}` itself starts from another variant: name a variant without `start`"
+            yield "invalid-value", path, message, ""
+
+
+def selected(only: Sequence[tuple[str, str | None]], modes: Mapping[str, Sequence[str]]) -> list[tuple[str, str]]:
+    """Return the selected pairs of a row and a mode, in the order of the rows.
+
+    Args:
+        only: `Selection.only`.
+        modes: The modes of each row.
+
+    Raises:
+        ValueError: If the selection names an unknown row or mode.
+    """
+    for row, mode in only:
+        if row not in modes:
+            raise ValueError(f"--only: unknown learner `{row}`{did_you_mean(row, modes)}")
+        if mode is not None and mode not in modes[row]:
+            raise ValueError(f"--only: `{row}` has no mode `{mode}`{did_you_mean(mode, modes[row])}")
+    return [
+        (row, mode)
+        for row, known in modes.items()
+        for mode in known
+        if not only or (row, None) in only or (row, mode) in only
+    ]
+
+
+def unknown_key(
+    model: type[BaseModel], parts: Mapping[str, type[BaseModel]]
+) -> Callable[[tuple[str, ...]], tuple[str, str]]:
+    """Return a function that gives the message and the help for an unknown key, see `faults`.
+
+    Args:
+        model: The class of the experiment.
+        parts: The classes of the values of its mappings, such as `learners`, by key.
+    """
+
+    def unknown(path: tuple[str, ...]) -> tuple[str, str]:
+        known = model if len(path) == 1 else parts[path[0]]
+        return f"unknown key `{path[-1]}`", did_you_mean(path[-1], known.model_fields).removeprefix("; ")
+
+    return unknown
 
 
 M = TypeVar("M", bound=BaseModel)
@@ -230,13 +291,14 @@ class Experiment(StrictModel):
         """
         path, file, values = read_experiment(name)
         experiment = validated(cls, file, values, _unknown)
-        wrong = [("invalid-value", path, message, "") for path, message in experiment._faults()]
+        wrong = [*start_faults(experiment.variants)]
+        wrong += [("invalid-value", path, message, "") for path, message in experiment._faults()]
         if wrong:
             raise file.error(wrong)
         return experiment, path
 
     def _faults(self) -> Iterator[tuple[list[str], str]]:
-        """Yield the paths and the messages of unknown modes and variants, and of changes that have no effect."""
+        """Yield the paths and messages of errors: unknown modes and variants, repeated values, changes of `seed`."""
         modes = [(["modes"], mode) for mode in self.modes]
         lists: dict[tuple[str, ...], Sequence[object]] = {("modes",): self.modes, ("seeds",): self.seeds}
         for row, spec in self.learners.items():
@@ -254,16 +316,6 @@ class Experiment(StrictModel):
         changes: dict[tuple[str, ...], Mapping[str, Any]] = {("changes",): self.changes}
         for name, variant in self.variants.items():
             changes["variants", name, "changes"] = variant.changes
-            if variant.start is None:
-                continue
-            if variant.start not in self.variants:
-                message = f"unknown variant `{variant.start}`{did_you_mean(variant.start, self.variants)}"
-                yield ["variants", name, "start"], message
-            elif self.variants[variant.start].start is not None:
-                yield (
-                    ["variants", name, "start"],
-                    f"`{variant.start}` itself starts from another variant: name a variant without `start`",
-                )
         for row, spec in self.learners.items():
             changes["learners", row, "changes"] = spec.changes
             changes["learners", row, "quick"] = spec.quick
@@ -302,7 +354,8 @@ class Experiment(StrictModel):
             if key in selection.changes:
                 raise ValueError(f"--set: each cell has its own `{key}`: {help}")
         found: dict[tuple[str, str, str, int], Cell] = {}
-        for row, mode in self._columns(selection):
+        modes = {row: spec.modes or self.modes for row, spec in self.learners.items()}
+        for row, mode in selected(selection.only, modes):
             spec = self.learners[row]
             seeds = selection.seeds or spec.seeds or self.seeds
             for seed in seeds[:1] if selection.quick and selection.seeds is None else seeds:
@@ -349,21 +402,6 @@ class Experiment(StrictModel):
         from .results import submit
 
         return submit(self, file, cast(Sequence[Cell], cells), root, results)
-
-    def _columns(self, selection: Selection) -> list[tuple[str, str]]:
-        """Return the selected pairs of a row and a mode."""
-        for row, mode in selection.only:
-            if row not in self.learners:
-                raise ValueError(f"--only: unknown learner `{row}`{did_you_mean(row, self.learners)}")
-            known = self.learners[row].modes or self.modes
-            if mode is not None and mode not in known:
-                raise ValueError(f"--only: `{row}` has no mode `{mode}`{did_you_mean(mode, known)}")
-        return [
-            (row, mode)
-            for row, spec in self.learners.items()
-            for mode in spec.modes or self.modes
-            if not selection.only or (row, None) in selection.only or (row, mode) in selection.only
-        ]
 
     def _config(self, file: Path, row: str, mode: str, name: str, seed: int, selection: Selection) -> TrainConfig:
         """Return the training configuration of a cell. `name` is that of the variant."""
@@ -431,8 +469,4 @@ def _training_file(file: Path, name: str) -> Path:
     return beside if beside.exists() else Path("configs") / "baselines" / f"{name}.yaml"
 
 
-def _unknown(path: tuple[str, ...]) -> tuple[str, str]:
-    """Return the message and the help for an unknown key."""
-    models: dict[str, type[BaseModel]] = {"learners": Row, "variants": Variant, "evaluations": EvaluationSpec}
-    model = Experiment if len(path) == 1 else models[path[0]]
-    return f"unknown key `{path[-1]}`", did_you_mean(path[-1], model.model_fields).removeprefix("; ")
+_unknown = unknown_key(Experiment, {"learners": Row, "variants": Variant, "evaluations": EvaluationSpec})

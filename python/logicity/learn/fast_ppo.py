@@ -86,7 +86,7 @@ class FastPPOSettings(LearnerSettings):
     rollout_steps: Count = 16
     """The number of steps of each environment in a batch."""
     epochs: Count = 1
-    """How often an update uses a batch."""
+    """The number of passes over a batch in an update."""
     minibatches: Count = 4
     """The number of gradient steps per epoch. Each one uses a share of the distinct observations."""
     learning_rate: Positive = 2e-3
@@ -98,7 +98,7 @@ class FastPPOSettings(LearnerSettings):
     gae_lambda: Share = 0.95
     """The weight of longer returns in the generalized advantage estimation."""
     clip_range: Positive = 0.2
-    """The largest change of a probability that an update rewards, relative to 1."""
+    """The clip range c: an update clips the ratio of new to old probabilities to 1 - c and 1 + c."""
     ent_coef: NonNegative = 0.01
     """The coefficient of the entropy in the loss at the start."""
     final_ent_coef: NonNegative = 0.0
@@ -106,7 +106,7 @@ class FastPPOSettings(LearnerSettings):
     vf_coef: NonNegative = 0.1
     """The coefficient of the value's squared error in the loss."""
     max_grad_norm: Positive = 0.5
-    """The largest norm of a gradient. Longer ones are shortened."""
+    """The norm to which larger gradients are clipped."""
 
 
 def slots(description: Mapping[str, Any], others: int) -> NDArray[np.int64]:

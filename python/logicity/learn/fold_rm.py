@@ -204,25 +204,25 @@ def rule_file(learned: Sequence[FoldRule], known: Sequence[Pattern], default: st
 
 
 class _Printer:
-    """Prints rules with auxiliary predicates. Equal patterns, rules and exceptions have one predicate."""
+    """Prints rules with auxiliary predicates. Equal patterns share one predicate, and so do equal exceptions."""
 
     def __init__(self, known: Sequence[Pattern]) -> None:
         self.lines: list[str] = []
         self._known = known
         self._patterns: dict[int, str] = {}
         self._counts: dict[str, int] = {}
-        self._rules: dict[Any, str] = {}
+        self._exceptions: dict[tuple[BodyLiteral, ...], str] = {}
 
     def rule(self, kind: str, conditions: Sequence[tuple[int, str, str]], exceptions: Sequence[Any]) -> str:
         """Print a rule after its exceptions, and return its predicate."""
         body = [self._literal(condition) for condition in conditions]
         body += [(True, self.rule("Exception", of, but), (0,)) for _, of, but, _ in exceptions]
-        key = (kind, tuple(body))
-        if kind == "Exception" and key in self._rules:
-            return self._rules[key]
-        return (
-            self._rules.setdefault(key, self._define(kind, body)) if kind == "Exception" else self._define(kind, body)
-        )
+        if kind != "Exception":
+            return self._define(kind, body)
+        key = tuple(body)
+        if key not in self._exceptions:
+            self._exceptions[key] = self._define(kind, body)
+        return self._exceptions[key]
 
     def _literal(self, condition: tuple[int, str, str]) -> BodyLiteral:
         column, relation, value = condition

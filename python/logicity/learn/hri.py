@@ -764,7 +764,13 @@ class _ActionTrainer:
         self.best, self.quality = best, Quality(*state["quality"])
 
     def update(self, examples: Examples, progress: float, generator: torch.Generator) -> float:
-        """Do one update. `progress` is the share of the updates that are done. Returns the mean loss."""
+        """Run one update, and return the mean cross entropy of the models, without the regularization.
+
+        Args:
+            examples: The examples to draw from.
+            progress: The completed share of the updates.
+            generator: The source of random numbers.
+        """
         settings = self.settings
         rates = (settings.embedding_rates, settings.rule_rates)
         for group, rate in zip(self.optimizer.param_groups, rates, strict=True):

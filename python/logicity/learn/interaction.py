@@ -33,8 +33,9 @@ __all__ = [
     "Interaction",
     "Transitions",
     "as_bits",
-    "load_policy",
+    "build_policy",
     "random_actions",
+    "read_checkpoint",
     "save_policy",
     "step_generator",
 ]
@@ -95,10 +96,6 @@ class Interaction:
         self._returns = np.zeros(config.envs)
         self._lengths = np.zeros(config.envs, np.int64)
         self._ended: list[tuple[float, int, bool]] = []
-
-    def __len__(self) -> int:
-        """Return the number of environments."""
-        return len(self.observations)
 
     @property
     def width(self) -> int:
@@ -186,7 +183,7 @@ def save_policy(path: Path, algorithm: str, config: Mapping[str, Any], weights: 
     torch.save({**header, "config": dict(config), "weights": dict(weights)}, path)
 
 
-def load_policy(path: Path, algorithm: str, build: Callable[[dict[str, Any], dict[str, Any]], Built]) -> Built:
+def build_policy(path: Path, algorithm: str, build: Callable[[dict[str, Any], dict[str, Any]], Built]) -> Built:
     """Return the result of `build` for the configuration and the weights that `save_policy` wrote.
 
     Raises:
@@ -205,6 +202,19 @@ def load_policy(path: Path, algorithm: str, build: Callable[[dict[str, Any], dic
     except (KeyError, TypeError, ValueError, RuntimeError) as error:
         reason = first_line(str(error), repr(error))
         raise ValueError(f"{path} is not a complete policy of {algorithm}: {reason}") from None
+
+
+def read_checkpoint(folder: Path, algorithm: str) -> dict[str, Any]:
+    """Return the content of `learner.pt`. It is a pickle, since it has environments: read only checkpoints you trust.
+
+    Raises:
+        OSError: If the file cannot be read.
+        ValueError: If it is a checkpoint of another learner.
+    """
+    state: dict[str, Any] = torch.load(folder / "learner.pt", weights_only=False)
+    if state.get("algorithm") != algorithm:
+        raise ValueError(f"{folder} has no checkpoint of {algorithm}")
+    return state
 
 
 def random_actions(count: int, generator: torch.Generator) -> Actions:

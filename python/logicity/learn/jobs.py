@@ -320,7 +320,7 @@ def connect(address: str, workers: int | None = None) -> ModuleType:
 def _check_listening(address: str) -> None:
     """Check that a program listens at an address of the form `HOST:PORT` or `ray://HOST:PORT`.
 
-    Where none does, Ray itself would try again for minutes.
+    Without this check, Ray retries for minutes.
 
     Raises:
         ConnectionError: If no program listens.

@@ -25,10 +25,10 @@ from pydantic import BaseModel, Field, Strict, field_validator
 
 from .. import _logicity
 from ..errors import did_you_mean
-from ..files import reserved
+from ..files import write_text
 from ..questions import Endpoint, Question, ask, load_questions
 from .config import merged
-from .experiment import read_experiment, validated
+from .experiment import read_experiment, repeated, validated
 from .jobs import exclusive
 from .language_report import LanguageReport
 from .learner import Count, StrictModel
@@ -68,7 +68,7 @@ class ModelSpec(StrictModel):
     timeout: Annotated[float, Field(strict=False, gt=0)] = 120.0
     """The timeout of a request, in seconds without data."""
     tries: Count = 6
-    """The number of attempts of a request."""
+    """The largest number of attempts per request."""
 
     def endpoint(self) -> Endpoint:
         """Return the endpoint.
@@ -86,7 +86,7 @@ class ModelSpec(StrictModel):
 
 
 class LanguageExperiment(StrictModel):
-    """The experiment: what `logicity experiment` runs for a file with `task: language`."""
+    """An experiment of language questions: what `logicity experiment` runs."""
 
     task: Literal["language"]
     """The task, language questions."""
@@ -99,7 +99,7 @@ class LanguageExperiment(StrictModel):
     count: Count = 117
     """The number of questions of a set."""
     about: _Names = ()
-    """Restricts the questions to cars with one of these concepts, unless empty."""
+    """The concepts of the cars in the questions: each car has at least one of them. Empty for all cars."""
     shots: Annotated[int, Field(strict=True, ge=0)] = 5
     """The number of solved examples before each question."""
     style: Literal["atoms", "words"] = "atoms"
@@ -107,7 +107,7 @@ class LanguageExperiment(StrictModel):
     entities: Literal["view", "city"] = "view"
     """The entities of a question: those that the car sees, or all of the city."""
     seeds: Annotated[tuple[_QuestionSeed, ...], Strict(False), Field(min_length=1)] = (0,)
-    """The seeds. Each is a set with other questions and other solved examples."""
+    """The seeds of the sets of questions. Each set has other questions and other solved examples."""
     prompts: Annotated[tuple[Prompt, ...], Strict(False), Field(min_length=1)] = ("examples", "rules", "why")
     """What the instructions state and request: solved examples only, also the rules in words, or also a request for the
     rule of the action. The questions are the same."""
@@ -125,6 +125,13 @@ class LanguageExperiment(StrictModel):
             if not name or name.startswith(".") or "/" in name or "\\" in name:
                 raise ValueError(f"`{name}` cannot be the name of a folder: choose another name")
         return models
+
+    @field_validator("prompts", "seeds", "solvers")
+    @classmethod
+    def _check_repeated(cls, values: tuple[Any, ...]) -> tuple[Any, ...]:
+        if message := repeated(values):
+            raise ValueError(message)
+        return values
 
     @classmethod
     def load(
@@ -174,10 +181,10 @@ class LanguageExperiment(StrictModel):
                 raise ValueError(f"--only: unknown prompt `{prompt}`{did_you_mean(prompt, self.prompts)}")
         return [
             Unit(row, prompt, seed)
-            for prompt in dict.fromkeys(self.prompts)
+            for prompt in self.prompts
             for row in rows
             if not only or (row, None) in only or (row, prompt) in only
-            for seed in dict.fromkeys(seeds or self.seeds)
+            for seed in seeds or self.seeds
         ]
 
 
@@ -369,9 +376,7 @@ def answer(
                 json.dumps({"id": question.id, "model": unit.row, "answer": replies[question.id]}) + "\n"
                 for question in each.questions
             ]
-            with reserved(each.path, record=False) as output:
-                Path(output.temporary).write_text("".join(lines), encoding="utf-8")
-                output.finish()
+            write_text(each.path, "".join(lines))
         with lock:
             done += 1
             say(f"[{done}/{len(work)}] {unit}{note}")

@@ -12,7 +12,7 @@ from pathlib import Path
 from typing import Any, cast
 
 from ..city import ACTIONS, Inference
-from ..files import reserved
+from ..files import write_text
 from ..questions import LETTERS, NO_RULE, Demonstration, Question
 from ..rules import Program, Session
 
@@ -70,9 +70,7 @@ def _induced(questions: Sequence[Question], config: str, path: Path) -> dict[str
 def _learn(scenes: str, config: str, path: Path) -> Path:
     """Learn rules from labeled scenes, and return the rule file."""
     examples, rules = path.with_suffix(".scenes"), path.with_suffix(".dl")
-    with reserved(examples, record=False) as output:
-        Path(output.temporary).write_text(scenes, encoding="utf-8")
-        output.finish()
+    write_text(examples, scenes)
     run_command("induce", str(examples), "--config", config, "--threads", "1", "--output", str(rules), "--force")
     return rules
 

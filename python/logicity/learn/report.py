@@ -16,7 +16,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ..evaluation import Interval
-from ..files import reserved, write_json
+from ..files import reserved, write_json, write_text
 from .cells import Job, finished
 from .messages import first_line
 
@@ -241,9 +241,7 @@ def write_tables(root: Path, markdown: str, latex: str, values: Mapping[str, Any
     """
     texts = {root / "table.md": markdown, root / "table.tex": latex}
     for path, text in texts.items():
-        with reserved(path, record=False) as output:
-            Path(output.temporary).write_text(text, encoding="utf-8")
-            output.finish()
+        write_text(path, text)
     write_json(root / "table.json", values, overwrite=True)
     return [*texts, root / "table.json"]
 

@@ -23,7 +23,7 @@ def read_file(
         path: The file.
         version: The version of its format.
         keys: The keys that each row must have.
-        identity: Those that identify a row: texts, and the seed.
+        identity: The keys that identify a row. `seed` must be an integer, the others strings.
 
     Raises:
         OSError: If the file cannot be read.

@@ -10,7 +10,7 @@ from typing import Any
 
 import numpy as np
 
-from ..evaluation import task_hashes
+from ..evaluation import Interval, task_hashes
 from ..modes import ENVIRONMENTS
 from .cells import Cell, benchmark_of, finished
 from .experiment import Experiment, name_of
@@ -233,13 +233,9 @@ def _only_in_paper(table: str | None, mode: str, found: Collection[tuple[str, st
 def _pooled(group: Sequence[Mapping[str, Any]]) -> dict[str, str]:
     """Return the measures over the seeds as text."""
     if len(group) == 1:
-        return {name: _shown(group[0][name]) for name in MEASURES}
+        return {name: str(Interval(**group[0][name])) for name in MEASURES}
     tables = [{name: np.array(row["episodes"][name], np.float64) for name in MEASURES} for row in group]
     return {name: str(each) for name, each in pooled(tables).items()}
-
-
-def _shown(interval: Mapping[str, float]) -> str:
-    return f"{interval['value']:.2f} [{interval['low']:.2f}, {interval['high']:.2f}]"
 
 
 def _mean(group: Sequence[Mapping[str, Any]], name: str) -> float:

@@ -260,15 +260,14 @@ def _restore(learner: Learner, checkpoint: Path) -> None:
         with random_state.keep():
             learner.policy_class.load(best)
         learner.restore(checkpoint)
+    except FileNotFoundError as error:
+        # Stable-Baselines3 appends the suffix again to the name of a missing file.
+        name = re.sub(r"(\.\w+)\1$", r"\1", Path(str(error.filename)).name)
+        raise FolderError(f"{checkpoint} has no file `{name}`; {_remedy(checkpoint)}") from error
     except Exception as error:
         damaged = next((path for path in sorted(checkpoint.iterdir()) if not _readable(path)), None)
-        missing = isinstance(error, FileNotFoundError)
-        if damaged is None and isinstance(error, (OSError, MemoryError)) and not missing:
+        if damaged is None and isinstance(error, (OSError, MemoryError)):
             raise
-        if isinstance(error, FileNotFoundError):
-            # Stable-Baselines3 appends the suffix again to the name of a missing file.
-            name = re.sub(r"(\.\w+)\1$", r"\1", Path(str(error.filename)).name)
-            raise FolderError(f"{checkpoint} has no file `{name}`; {_remedy(checkpoint)}") from error
         reason = first_line(str(error), type(error).__name__)
         if damaged is None:
             raise FolderError(f"cannot resume from {checkpoint}: {reason}; {_remedy(checkpoint)}") from error
@@ -349,7 +348,7 @@ def _check_start(config: TrainConfig) -> None:
 
 @contextmanager
 def _enough_memory(config: TrainConfig) -> Iterator[None]:
-    """Name the largest setting if the memory does not suffice.
+    """Raise an error that names the largest setting if the block runs out of memory.
 
     Raises:
         ValueError: If it does not suffice.
@@ -573,7 +572,7 @@ class _Display:
             print(line, file=sys.stderr, flush=True)
 
     def update(self, steps: int) -> None:
-        """Show the number of steps; as a line only if the last one is some seconds old."""
+        """Show the number of steps; as a line only if the last line is at least `SECONDS` old."""
         if self._bar is not None:
             self._bar.update(steps - self._bar.n)
             return

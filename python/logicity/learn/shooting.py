@@ -38,8 +38,9 @@ from .interaction import (
     Interaction,
     Transitions,
     as_bits,
-    load_policy,
+    build_policy,
     random_actions,
+    read_checkpoint,
     save_policy,
     step_generator,
 )
@@ -449,7 +450,7 @@ class ShootingPolicy(Policy):
             model.load_state_dict(weights)
             return cls(model, settings, config["mode"], config["seed"])
 
-        return load_policy(path, cls.algorithm, build)
+        return build_policy(path, cls.algorithm, build)
 
 
 class Replay:
@@ -616,10 +617,7 @@ class Shooting(Learner):
             OSError: If the file cannot be read.
             ValueError: If the file does not fit the configuration.
         """
-        # The checkpoint is the run's own, and has environments, which are not plain data.
-        state = torch.load(folder / "learner.pt", weights_only=False)
-        if state.get("algorithm") != ShootingPolicy.algorithm:
-            raise ValueError(f"{folder} has no checkpoint of {ShootingPolicy.algorithm}")
+        state = read_checkpoint(folder, ShootingPolicy.algorithm)
         self._interaction.restore(state["interaction"])
         self._model.load_state_dict(state["model"])
         self._changes_optimizer.load_state_dict(state["changes_optimizer"])

@@ -1,14 +1,7 @@
 """Experiments of Visual Action Prediction, from a YAML file with `task: vap`. Needs the extras `learn` and `vap`.
 
-A cell makes its data, trains one model, and measures it on the fixed test worlds. Its stages:
-
-| stage | what it trains | what predicts actions |
-|---|---|---|
-| `concepts` | a `ConceptModel`, on the truth values of predicates | the rules on the predicted concepts |
-| `reasoning` | a reasoner on the concepts that the cell `start` predicts, or on the true ones | the reasoner |
-| `end-to-end` | a `ConceptModel` and a reasoner together, on actions only | both |
-| `induction` | rules, on thresholded concepts that the cell `start` predicts | the learned rules |
-| `bound` | nothing | the rules on the true concepts, without classes that no training picture shows |
+A cell makes its data, trains one model, and measures it on the fixed test worlds. The reference of experiment files
+describes the stages.
 """
 
 from __future__ import annotations
@@ -36,7 +29,7 @@ from ..errors import did_you_mean, missing_extra
 from ..files import write_json
 from ..learn.cells import Job
 from ..learn.config import Fault, contains, faults, merged
-from ..learn.experiment import Selection, read_experiment, repeated, validated
+from ..learn.experiment import Selection, read_experiment, repeated, selected, start_faults, unknown_key, validated
 from ..learn.learner import Seed, StrictModel
 from ..rules import Program
 from .data import BINARY, UNARY, symbolic_facts
@@ -56,7 +49,7 @@ from .training import (
     Samples,
     TrainingSettings,
     concept_loss,
-    concept_recall,
+    concept_measures,
     end_to_end_loss,
     fit,
     groundings,
@@ -80,11 +73,11 @@ class Worlds(StrictModel):
     """The numbers of worlds, of 89 pictures each."""
 
     train: _Worlds = 30
-    """For training."""
+    """The number of worlds for training."""
     val: _Worlds = 5
-    """For the choice of the best epoch."""
+    """The number of worlds for validation, which chooses the best epoch."""
     test: _Worlds = 20
-    """For the test, always with the fixed agents. The paper has 20."""
+    """The number of test worlds, which always have the fixed agents. The paper has 20."""
 
 
 class VapSettings(StrictModel):
@@ -105,7 +98,7 @@ class VapSettings(StrictModel):
     data_seed: Seed = 0
     """The seed of the worlds."""
     fraction: Annotated[float, Field(gt=0, le=1)] = 1.0
-    """The part of the training samples that is used. The seed of the cell draws it."""
+    """The share of the training samples to use. The seed of the cell selects them."""
     concepts: ConceptSettings = ConceptSettings()
     """The architecture of the perception."""
     weights: str | None = None
@@ -145,7 +138,7 @@ class VapSettings(StrictModel):
         return kinds[self.concepts.perception]
 
     @property
-    def backbone_hash(self) -> str | None:
+    def weights_hash(self) -> str | None:
         """The SHA-256 of the file of the backbone's weights, or `None` without a backbone."""
         return _weights_hash(weights_file(self.weights)) if self.kind == "resnet50" else None
 
@@ -175,7 +168,7 @@ class VapCell(Job):
             "settings": self.settings.model_dump(mode="json"),
             "rules": rules_hash(self.mode),
             "start": None if self.start is None else self.start.identity,
-            **({} if self.settings.backbone_hash is None else {"backbone": self.settings.backbone_hash}),
+            **({} if self.settings.weights_hash is None else {"backbone": self.settings.weights_hash}),
         }
 
     def document(self, root: Path) -> dict[str, Any]:
@@ -204,11 +197,11 @@ class Row(StrictModel):
     variants: Annotated[tuple[str, ...], Field(strict=False, min_length=1)] | None = None
     """The variants; by default all."""
     paper: str | None = None
-    """The row of the paper's table beside which the row is shown. By default the row of the same name."""
+    """The row of the paper's table whose figures are shown beside this row. By default the row of the same name."""
     quick: dict[str, Any] = Field(default_factory=dict)
     """Changes to the settings for `--quick`."""
     hidden: bool = False
-    """Whether tables and figures omit the row, for one that only others start from."""
+    """Whether tables and figures omit the row, for example because it only provides a start for others."""
 
 
 class Variant(StrictModel):
@@ -222,7 +215,7 @@ class Variant(StrictModel):
     """The variant from whose models, of the same row and seed, the training starts, with the concepts and the reasoner
     of that model."""
     hidden: bool = False
-    """Whether tables and figures omit the variant, for one that only others start from."""
+    """Whether tables and figures omit the variant, for example because it only provides a start for others."""
     group: str | None = None
     """The line of the figure over `x` to which the variant belongs: variants of a row with the same group form one."""
     x: float | None = None
@@ -269,7 +262,7 @@ class VapExperiment(StrictModel):
         """
         path, file, values = read_experiment(name)
         experiment = validated(cls, file, values, _unknown)
-        wrong = list(experiment._faults())
+        wrong = [*experiment._faults()]
         if wrong:
             raise file.error(wrong)
         return experiment, path
@@ -299,14 +292,7 @@ class VapExperiment(StrictModel):
                     message = f"unknown variant `{name}`{did_you_mean(name, self.variants)}"
                     yield "invalid-value", ["learners", row, "variants"], message, ""
             known.append(row)
-        for name, variant in self.variants.items():
-            path = ["variants", name, "start"]
-            if variant.start is not None and variant.start not in self.variants:
-                message = f"unknown variant `{variant.start}`{did_you_mean(variant.start, self.variants)}"
-                yield "invalid-value", path, message, ""
-            elif variant.start is not None and self.variants[variant.start].start is not None:
-                message = f"`{variant.start}` itself starts from another variant: name a variant without `start`"
-                yield "invalid-value", path, message, ""
+        yield from start_faults(self.variants)
         yield from self._settings_faults()
 
     def _settings_faults(self) -> Iterator[Fault]:
@@ -371,29 +357,26 @@ class VapExperiment(StrictModel):
 
         Raises:
             FileNotFoundError: If a backbone has no file of weights.
-            ValueError: If the selection names an unknown row or mode, a change is invalid, or two rows or variants have
-                the same settings.
+            InputError: If two rows or variants have the same settings.
+            ValueError: If the selection names an unknown row or mode, or its changes are invalid.
         """
-        for row, mode in selection.only:
-            if row not in self.learners:
-                raise ValueError(f"--only: unknown learner `{row}`{did_you_mean(row, self.learners)}")
-            modes = self.learners[row].modes or self.modes
-            if mode is not None and mode not in modes:
-                raise ValueError(f"--only: `{row}` has no mode `{mode}`{did_you_mean(mode, modes)}")
         seeds = selection.seeds or (self.seeds[:1] if selection.quick else self.seeds)
         found: dict[tuple[str, str, str, int], VapCell] = {}
-        for row, spec in self.learners.items():
-            for mode in spec.modes or self.modes:
-                if not selection.only or (row, None) in selection.only or (row, mode) in selection.only:
-                    for variant in spec.variants or self.variants:
-                        for seed in seeds:
-                            self._add(found, (row, mode, variant, seed), selection)
+        modes = {row: spec.modes or self.modes for row, spec in self.learners.items()}
+        for row, mode in selected(selection.only, modes):
+            for variant in self.learners[row].variants or self.variants:
+                for seed in seeds:
+                    self._add(found, (row, mode, variant, seed), selection)
         # A variant that sets a mode has the same cell in each column.
         unique: dict[str, VapCell] = {}
         for cell in found.values():
             same = unique.setdefault(cell.identity, cell)
-            if (same.row, same.variant) != (cell.row, cell.variant):
-                raise ValueError(f"`{same.name}` and `{cell.name}` have the same settings: change or omit one of them")
+            if (same.row, same.variant) == (cell.row, cell.variant):
+                continue
+            message = f"`{same.name}` and `{cell.name}` have the same settings: change or omit one of them"
+            if selection.changes:
+                raise ValueError(f"--set: {message}")
+            raise read_experiment(file)[1].error([("invalid-value", ["learners", cell.row], message, "")])
         return list(unique.values())
 
     def _add(
@@ -412,7 +395,7 @@ class VapExperiment(StrictModel):
         try:
             settings = self.settings_of(row, variant, selection)
         except ValidationError as error:
-            raise ValueError(f"--set: settings of `{row}`: {_fault(error)}") from None
+            raise ValueError(f"--set: settings of `{row}`: {_first_message(error)}") from None
         found[key] = VapCell(
             row=row,
             mode=variant.mode or mode,
@@ -437,21 +420,17 @@ class VapExperiment(StrictModel):
         return submit(self, file, cast(Sequence[VapCell], cells), root, results)
 
 
-def _unknown(path: tuple[str, ...]) -> tuple[str, str]:
-    """Return the message and the help for an unknown key."""
-    models: dict[str, type[BaseModel]] = {"learners": Row, "variants": Variant}
-    model = VapExperiment if len(path) == 1 else models[path[0]]
-    return f"unknown key `{path[-1]}`", did_you_mean(path[-1], model.model_fields).removeprefix("; ")
+_unknown = unknown_key(VapExperiment, {"learners": Row, "variants": Variant})
 
 
-def _fault(error: ValidationError) -> str:
+def _first_message(error: ValidationError) -> str:
     """Return the message of the first error in settings."""
     _, _, message, help = faults(error, _unknown_setting)[0]
     return f"{message}; {help}" if help else message
 
 
 def _key_of(error: ValidationError) -> list[str]:
-    """Return the path of the setting that an error of a whole model is about."""
+    """Return the path of the setting that an error of a whole model names."""
     return str(error.errors()[0]["ctx"]["key"]).split(".")
 
 
@@ -557,7 +536,7 @@ def run_cell(
 ) -> dict[str, Any]:
     """Run the cell that `prepare` wrote to a folder, or resume it from its last checkpoint.
 
-    The arguments are those of `logicity.learn.cells.run_cell`. Nothing is sent to Weights & Biases.
+    The arguments are those of `logicity.learn.cells.run_cell`, except that `wandb` must be `None`.
 
     Returns:
         The content of `measured.json`: the identity, the result of the training, the measures of each predictor, and
@@ -565,8 +544,8 @@ def run_cell(
 
     Raises:
         OSError: If a file cannot be read or written.
-        ValueError: If the model to start from does not fit, or this process has other rules or weights of a backbone
-            than the cell.
+        ValueError: If `wandb` is given, the model to start from does not fit, or this process has other rules or
+            weights of a backbone than the cell.
     """
     if wandb is not None:
         raise ValueError("--wandb: experiments of Visual Action Prediction send no curves: remove the option")
@@ -577,7 +556,7 @@ def run_cell(
         # Another machine of a cluster makes its own data.
         data = Path(tempfile.gettempdir()) / "logicity-vap-data"
     settings = VapSettings.model_validate(spec["settings"])
-    for name, today in {"rules": rules_hash(spec["mode"]), "backbone": settings.backbone_hash}.items():
+    for name, today in {"rules": rules_hash(spec["mode"]), "backbone": settings.weights_hash}.items():
         if today != spec.get(name):
             raise ValueError(f"the {name} changed after the experiment had begun: run the same command again")
     work = Work(spec["mode"], spec["seed"], settings, folder, data, report)
@@ -631,7 +610,7 @@ def _measured(work: Work, model: dict[str, Any]) -> tuple[dict[str, Any], dict[s
     """Return the measures of each predictor, and the recalls of concepts."""
     test = work.samples("test")
     actions, atoms = predict(work, model, test)
-    concepts = {} if atoms is None else concept_recall(*atoms, test)
+    concepts = {} if atoms is None else concept_measures(*atoms, test)
     return {name: evaluation(predicted, test) for name, predicted in actions.items()}, concepts
 
 

@@ -390,8 +390,8 @@ def _measure_faults(row: Mapping[str, Any]) -> Iterator[str]:
 def submit(experiment: VapExperiment, file: Path, cells: Sequence[VapCell], root: Path, results: Path) -> Iterator[str]:
     """Measure the models of finished cells again, and write a row for each predictor.
 
-    A row replaces that of the same experiment, learner, predictor, mode, variant and seed, and keeps its note. It also
-    replaces rows of other seeds with other settings or rules. Cells that tables omit have no row.
+    A row replaces that of the same experiment, learner, predictor, mode, variant and seed, and keeps its note. Rows
+    of other seeds with other settings or rules are removed. Cells that tables omit have no row.
 
     Args:
         experiment: The experiment.

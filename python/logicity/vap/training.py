@@ -382,8 +382,8 @@ def predict_actions(reasoner: nn.Module, unary: Tensor, binary: Tensor, valid: T
     return torch.cat(parts)
 
 
-def concept_recall(unary: Tensor, binary: Tensor, samples: Samples) -> dict[str, dict[str, float | None]]:
-    """Return the recall and the precision of each predicate at the threshold 0.5.
+def concept_measures(unary: Tensor, binary: Tensor, samples: Samples) -> dict[str, dict[str, float | None]]:
+    """Return the recall, the precision and the number of true atoms of each predicate, at the threshold 0.5.
 
     As in the paper, the pairs of a binary predicate are those whose first entity sees the second. `CollidingClose
     (cars)` has only the pairs whose first entity is a car: that of a pedestrian is drawn at random.
@@ -399,20 +399,20 @@ def concept_recall(unary: Tensor, binary: Tensor, samples: Samples) -> dict[str,
     """
     valid, sees = samples.facts["valid"], samples.facts["sees"]
     result = {
-        name: _recall(unary[..., at][valid] > 0.5, samples.facts["unary"][..., at][valid])
+        name: _measures(unary[..., at][valid] > 0.5, samples.facts["unary"][..., at][valid])
         for at, name in enumerate(UNARY)
     }
     relations = samples.relations
     cars = samples.facts["mask"][:, :, None] & sees
     for at, name in enumerate(RELATIONS):
         pairs = valid[:, :, None] & valid[:, None, :] if name == "Sees" else sees
-        result[name] = _recall(binary[..., at][pairs] > 0.5, relations[..., at][pairs])
+        result[name] = _measures(binary[..., at][pairs] > 0.5, relations[..., at][pairs])
         if name == "CollidingClose":
-            result[f"{name} (cars)"] = _recall(binary[..., at][cars] > 0.5, relations[..., at][cars])
+            result[f"{name} (cars)"] = _measures(binary[..., at][cars] > 0.5, relations[..., at][cars])
     return result
 
 
-def _recall(predicted: Tensor, truth: Tensor) -> dict[str, float | None]:
+def _measures(predicted: Tensor, truth: Tensor) -> dict[str, float | None]:
     hits, true, positive = int((predicted & truth).sum()), int(truth.sum()), int(predicted.sum())
     return {
         "recall": hits / true if true else None,

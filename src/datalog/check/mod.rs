@@ -46,7 +46,7 @@ pub use subsets::Comparing;
 #[cfg(test)]
 pub(crate) use subsets::random_clauses;
 
-/// Returns rules with the strata of their clauses, which another room has changed.
+/// Returns rules with the strata of their clauses, which another component has changed.
 pub(crate) fn restratified(mut rules: Rules) -> Rules {
     rules.strata = strata::order(&rules.relations, &rules.clauses);
     rules

@@ -173,7 +173,7 @@ impl Wanted {
         }
         let constraints = task.oracle().constraints();
         let asked = Action::ALL.map(|action| constraints.iter().any(|constraint| constraint.action == action));
-        // Half of an equal share, because the rules may derive some actions for few egos only.
+        // 1 / (2k) of the episodes for k actions, because the rules may derive some actions for few egos only.
         let share = count.div_ceil(2 * asked.iter().filter(|asked| **asked).count().max(1));
         Wanted {
             concepts,
@@ -206,8 +206,8 @@ impl Wanted {
 }
 
 /// Generates a set of random episodes in which the oracle reaches the goal and at least one step is constrained. The
-/// set is balanced over the kinds of egos in the configuration. Each action that a rule can derive occurs in at least
-/// half an equal share of the episodes. Calls `watch` with the number of episodes after each new one.
+/// set is balanced over the kinds of egos in the configuration. If the rules can derive k actions, each of them occurs in
+/// at least 1 / (2k) of the episodes. Calls `watch` with the number of episodes after each new one.
 ///
 /// # Errors
 /// As [`Env::new`] and [`Env::reset`]; `limit-exceeded` if the search finds too few episodes.
