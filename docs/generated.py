@@ -315,7 +315,7 @@ def training() -> str:
         columns = ["setting", "values", "default", *["meaning"] * described]
         parts.append(f"## {definition['title']}\n\n| {' | '.join(columns)} |\n{'|---' * len(columns)}|")
         for key, value in definition["properties"].items():
-            default = code(value["default"]) if "default" in value else ""
+            default = code(value["default"]) if "default" in value else "required"
             cells = [f"`{key}`", kinds(value), default, *[value.get("description", "")] * described]
             parts[-1] += f"\n| {' | '.join(cells)} |"
         parts[-1] += "\n"

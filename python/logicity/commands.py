@@ -356,8 +356,10 @@ def _named_policy(text: str) -> tuple[Policy, str, str | None, ObservationKind |
     if not path.exists():
         if path.suffix or len(path.parts) > 1:
             raise FileNotFoundError(errno.ENOENT, "no such file", text)
+        near = get_close_matches(text, ("oracle", "random"), n=1)
+        help = f"\nhelp: did you mean `{near[0]}`?" if near else ""
         raise _UsageError(
-            f"unknown policy `{text}`: expected oracle, random, the file of a policy, or the folder of a run"
+            f"unknown policy `{text}`: expected oracle, random, the file of a policy, or the folder of a run{help}"
         )
     if path.is_dir() and not any(path.glob("best.*")):
         raise _UsageError(
@@ -480,7 +482,10 @@ def _threads(text: str) -> int:
 
 
 def _seed(text: str) -> int:
-    return _whole(text, 0)
+    seed = _whole(text, 0)
+    if seed >= 2**32:
+        raise argparse.ArgumentTypeError(f"expected an integer from 0 to {2**32 - 1}, found `{text}`")
+    return seed
 
 
 def _seeds(text: str) -> tuple[int, ...]:
@@ -648,19 +653,15 @@ def _experiment(given: argparse.Namespace) -> int:
     failed: dict[str, str] = {}
     if not given.report:
         from .learn.jobs import run
+        from .learn.messages import print_progress
 
         jobs = given.jobs or os.cpu_count() or 1
-        failed = run(cells, root, jobs, _say, given.ray, given.wandb, given.reuse)
+        failed = run(cells, root, jobs, print_progress, given.ray, given.wandb, given.reuse)
     report = experiment.report(cells, root, failed)
-    root.mkdir(parents=True, exist_ok=True)
+    print(report.text(), flush=True)
     written = report.write(root)
-    print(report.text())
     print(f"written: {', '.join(str(path) for path in written)}")
     return int(any(cell.identity in failed and not cell.optional for cell in cells))
-
-
-def _say(line: str) -> None:
-    print(line, file=sys.stderr, flush=True)
 
 
 def _changes(given: argparse.Namespace) -> dict[str, object]:
@@ -677,10 +678,19 @@ def _results_folder(given: argparse.Namespace, file: Path) -> Path:
     """Return the folder of the results of an experiment.
 
     Raises:
-        _UsageError: If it or a folder above it is a file.
+        _UsageError: If it or a folder above it is a file, it has files but no experiment, or results are requested from
+            a folder without an experiment.
     """
     folder: Path = given.run or Path("runs") / (f"{file.stem}-quick" if given.quick else file.stem)
     _check_folder("--run", folder)
+    begun = any((folder / name).is_dir() for name in ("cells", "questions"))
+    foreign = sorted(path.name for path in folder.iterdir() if path.name[0] != ".") if folder.is_dir() else []
+    if foreign and not begun and foreign != ["running"]:
+        help = "name another folder; it need not exist"
+        raise _UsageError(f"--run: `{folder}` is not empty (`{foreign[0]}`) and has no experiment\nhelp: {help}")
+    if given.report and not begun:
+        help = "run the experiment first, or name its folder with `--run`"
+        raise _UsageError(f"--report: `{folder}` has no experiment\nhelp: {help}")
     return folder
 
 
@@ -690,9 +700,11 @@ def _language(given: argparse.Namespace) -> int:
     for option in ("ray", "reuse", "wandb", "submit"):
         if getattr(given, option) is not None:
             raise _UsageError(f"--{option}: an experiment of language questions does not support this option")
-    experiment, file = LanguageExperiment.load(given.experiment, _changes(given), quick=given.quick)
     try:
+        experiment, file = LanguageExperiment.load(given.experiment, _changes(given), quick=given.quick)
         units = experiment.units(given.only, given.seeds)
+    except InputError:
+        raise
     except ValueError as error:
         raise _UsageError(str(error)) from None
     root = _results_folder(given, file)
@@ -720,6 +732,8 @@ def _grade(given: argparse.Namespace) -> int:
 
     _check_json(given)
     answers = load_answers(given.answers)
+    if not answers:
+        raise ValueError(f"{given.answers} has no answers")
     if not given.questions.exists():
         help = "name the questions with --questions; `logicity questions --output questions.jsonl` writes some"
         raise _UsageError(f"cannot read `{given.questions}`: no such file\nhelp: {help}")

@@ -87,7 +87,12 @@ class EnvConfig:
             of = f"{env_class.__name__}() " if env_class else ""
             raise TypeError(f"{of}got an unexpected keyword argument '{name}'{did_you_mean(name, known)}")
         self.config, self.split, self.observation = checked_path("config", config), split, checked_kind(observation)
-        self.oracle, self.action_masks = oracle, action_masks
+        for name, value in {"oracle": oracle, "action_masks": action_masks}.items():
+            if not isinstance(value, (bool, np.bool_)):
+                raise TypeError(f"{name}: expected bool, not {type(value).__name__}")
+        if not isinstance(split, str):
+            raise TypeError(f"split: expected str, not {type(split).__name__}")
+        self.oracle, self.action_masks = bool(oracle), bool(action_masks)
         self.rules, self.limits = rule_file(rules), checked_limits(limits)
         if overrides is not None and not isinstance(overrides, Mapping):
             raise TypeError(f"overrides: expected a mapping, not {type(overrides).__name__}")

@@ -50,12 +50,15 @@ class UnsupportedError(InputError):
 
 
 def did_you_mean(name: object, known: Iterable[str]) -> str:
-    """Return a suffix for error messages: the known name closest to `name`, or all known names if they are few."""
-    names = list(known)
+    """Return a suffix for error messages: the known name closest to `name`, or all known names if they are few.
+
+    Ignores empty names. Without known names, the suffix is empty.
+    """
+    names = [each for each in known if each]
     near = _logicity.did_you_mean(str(name), names)
     if near is not None:
         return f"; did you mean `{near}`?"
-    return f"; known: {', '.join(names)}" if len(names) <= 30 else ""
+    return f"; known: {', '.join(names)}" if 0 < len(names) <= 30 else ""
 
 
 def checked_path(name: str, value: str | os.PathLike[str]) -> str:

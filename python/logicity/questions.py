@@ -217,6 +217,8 @@ def load_answers(path: str | os.PathLike[str]) -> dict[str, str]:
     """
     answers: dict[str, str] = {}
     for place, line in _lines(path):
+        if "options" in line:
+            raise ValueError(f"{place}: expected an answer, found a question of `logicity questions`")
         if not isinstance(line.get("answer"), str):
             raise ValueError(f"{place}: expected a string `answer`")
         if line["id"] in answers:

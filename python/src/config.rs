@@ -3,7 +3,7 @@
 use crate::{input_error, to_python};
 use logicity::builtin::BuiltinFiles;
 use logicity::config::{CODES, Tree, load_tree};
-use logicity::diag::{Code, Diagnostic, Sources};
+use logicity::diag::{self, Code, Diagnostic, Sources};
 use pyo3::exceptions::{PyBaseException, PyFileNotFoundError, PyValueError};
 use pyo3::prelude::*;
 use std::path::PathBuf;
@@ -60,7 +60,7 @@ impl PyConfigFile {
         faults: Vec<(String, Vec<String>, String, String)>,
     ) -> PyResult<Bound<'py, PyBaseException>> {
         let read = |(code, path, message, help): (String, Vec<String>, String, String)| {
-            let known = CODES.iter().find(|known| known.name() == code);
+            let known = CODES.iter().chain(diag::CODES).find(|known| known.name() == code);
             let code = known.ok_or_else(|| PyValueError::new_err(format!("no diagnostic has the code `{code}`")))?;
             let path: Vec<&str> = path.iter().map(String::as_str).collect();
             let fault = self.tree.fault(&path, *code, message);

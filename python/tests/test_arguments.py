@@ -78,6 +78,21 @@ def test_numbers() -> None:
             function()
 
 
+@pytest.mark.parametrize(
+    ("options", "message"),
+    [
+        ({"split": None}, "split: expected str, not NoneType"),
+        ({"oracle": "x"}, "oracle: expected bool, not str"),
+        ({"action_masks": 1}, "action_masks: expected bool, not int"),
+    ],
+)
+def test_options_of_environments(options: dict[str, Any], message: str) -> None:
+    with pytest.raises(TypeError, match=message):
+        logicity.envs.SPFEnv("easy", **options)
+    with pytest.raises(TypeError, match=message):
+        logicity.envs.SPFVectorEnv(2, "easy", **options)
+
+
 def test_overrides() -> None:
     with pytest.raises(TypeError, match="^overrides: expected a mapping, not int$"):
         logicity.envs.SPFEnv("easy", overrides=3)  # type: ignore[arg-type]

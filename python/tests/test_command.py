@@ -59,6 +59,7 @@ def test_exit_codes(tmp_path: Path) -> None:
         (["query", str(tmp_path / "p.dl"), "-D", "-"], 0, ""),
         (["check", str(tmp_path / "faulty.dl")], 1, "unknown-predicate"),
         (["evaluate", "--policy", "foo", "--modes", "easy"], 2, "unknown policy `foo`"),
+        (["evaluate", "--policy", "orcle", "--modes", "easy"], 2, "did you mean `oracle`?"),
         (["check", "no-such.dl"], 2, "no-such.dl"),
         (["grade", "no-such.jsonl"], 2, "error: cannot read `no-such.jsonl`: no such file"),
         (["vap", "baselines", "--train", "a", "--test", "b", "--epochs", "0"], 2, "expected an integer from 1"),

@@ -153,12 +153,58 @@ def test_the_identity_follows_from_settings_rules_episodes_and_version(
         ("[]", "an experiment must be a mapping"),
         (TINY.replace("{steps: 96}", "{step: 96}"), "unknown key `step`[^?]*did you mean `steps`"),
         (TINY.replace("{steps: 96}", "{algorithm: sarsa}"), "unknown learner `sarsa`"),
+        (TINY.replace("{steps: 96}", '{steps: "96"}'), '`steps` must be an integer, not `"96"`'),
+        (TINY.replace("paper: a2c", "paper: a2d"), r"table has no row `a2d`; did you mean `a2c`(.|\n)*tiny\.yaml:9:40"),
+        (
+            TINY.replace("paper: spf\n", "").replace("paper: a2c", "paper: pop"),
+            "the paper's table has no row `pop`; did you mean `ppo`",
+        ),
+        (TINY.replace("ppo: {}", "ppo: {variants: [nope]}"), "unknown variant `nope`\n"),
+        (
+            TINY.replace('"{row}.yaml"', '"{rwo}-{mode}"'),
+            r"unknown placeholder `\{rwo\}`; did you mean `\{row\}`(.|\n)*tiny\.yaml:4:9",
+        ),
+        (
+            TINY.replace("ppo: {}", 'ppo: {config: "{rwo}.yaml"}'),
+            r"unknown placeholder `\{rwo\}`(.|\n)*tiny\.yaml:8:17",
+        ),
+        (TINY.replace("[easy]", "[easy, no.yaml]"), r"cannot read `.*no\.yaml`: no such file(.|\n)*tiny\.yaml:5:15"),
+        (
+            TINY.replace("ppo: {}", "ppo: {changes: {mode: no.yaml}}"),
+            r"cannot read `no\.yaml`: no such file(.|\n)*tiny\.yaml:8:25",
+        ),
+        (
+            TINY.replace("a2c.yaml", "induce-easy").replace("96", "1") + "variants: {a: {}, b: {start: a}}",
+            r"`induce` does not use the key `start`: its training cannot start from a policy(.|\n)*tiny\.yaml:10:30",
+        ),
+        (TINY + "changes: {start: no.zip}", r"cannot read `no\.zip`: no such file(.|\n)*tiny\.yaml:10:18"),
+        (TINY + "changes: {start: .}", r"(.|\n)*tiny\.yaml:10:18"),
+        (
+            TINY.replace("{steps: 96}", "{overrides: {task: {horizn: 5}}}"),
+            r"unknown key `horizn` in a task(.|\n)*tiny\.yaml:9:74(.|\n)*did you mean `horizon`",
+        ),
+        (
+            TINY.replace("{steps: 96}", "{overrides: {task: {entities: 3}}}"),
+            r"`overrides` change the shape of observations(.|\n)*tiny\.yaml:9:66",
+        ),
+        (TINY + "changes: {overrides: {base: x}}", r"`overrides` must not contain `base`(.|\n)*tiny\.yaml:10:22"),
+        (
+            TINY.replace("{steps: 96}", "{algorithm: induce, settings: {noise: 0.9}}"),
+            "`settings.noise` must be at most 0.4 or `auto`, not `0.9`",
+        ),
         (TINY.replace("{steps: 96}", "{settings: {gama: 1}}"), "`a2c` has no setting `gama`[^?]*did you mean `gamma`"),
     ],
 )
 def test_faulty_experiments_are_reported(text: str, message: str, tmp_path: Path) -> None:
     with pytest.raises(InputError, match=message):
         cells_of(write(tmp_path, text))
+
+
+def test_faulty_overrides_of_a_training_are_reported_there(tmp_path: Path) -> None:
+    file = write(tmp_path, TINY)
+    (tmp_path / "a2c.yaml").write_text(A2C + "overrides:\n  task: {horizn: 5}\n")
+    with pytest.raises(InputError, match=r"unknown key `horizn`(.|\n)*a2c\.yaml:8:10"):
+        cells_of(file)
 
 
 def test_unknown_selections_are_reported(
@@ -178,6 +224,12 @@ def test_unknown_selections_are_reported(
         ("algorithm=dqn", "--set: each cell has its own `algorithm`: write another experiment"),
         ("step=3", "--set step: unknown key `step`\nhelp: did you mean `steps`?"),
         ("settings.gama=3", "--set settings.gama: `ppo` has no setting `gama`\nhelp: did you mean `gamma`?"),
+        ("start=no.zip", "--set start: cannot read `no.zip`: no such file"),
+        (
+            "overrides.task.horizn=5",
+            "--set overrides.task.horizn: unknown key `horizn` in a task\nhelp: allowed keys: ",
+        ),
+        ("overrides.base=x", "--set overrides: `overrides` must not contain `base`"),
     ]:
         assert command(words, [str(tiny), *run, "--list", "--set", change]) == 2
         assert message in capsys.readouterr().err
@@ -211,7 +263,7 @@ def test_unknown_selections_are_reported(
 def test_faults_that_appear_with_the_cells_are_reported(tmp_path: Path) -> None:
     for text, error, message in [
         (
-            TINY.replace("ppo: {}", 'ppo: {config: "{rwo}.yaml"}'),
+            TINY.replace("ppo: {}", 'ppo: {config: "no-{row}.yaml"}'),
             InputError,
             r"tiny\.yaml:8:17(.|\n)*key `config` names",
         ),
@@ -227,6 +279,8 @@ def test_faults_that_appear_with_the_cells_are_reported(tmp_path: Path) -> None:
     file = write(tmp_path, "task: langauge\n" + TINY)
     with pytest.raises(InputError, match="unknown task `langauge`; did you mean `language`"):
         load_experiment(file)
+    with pytest.raises(InputError, match="unknown task `~`; known: spf, vap, language"):
+        load_experiment(write(tmp_path, "task: ~\n" + TINY))
 
 
 def test_an_empty_message_has_a_first_line() -> None:
@@ -249,6 +303,8 @@ def test_the_table_shows_the_papers_figures(tiny: Path, tmp_path: Path, capsys: 
     ppo, a2c = report.entries
     assert (ppo.seeds, ppo.missing, a2c.seeds, a2c.missing) == ((0, 1), "", (0,), "it failed (seed 1)")
     assert Report(experiment, cells, root / "empty").entries[1].missing == "not run"
+    assert "paper: TSR" in report.text()
+    assert "paper" not in Report(experiment.model_copy(update={"paper": None}), cells, root).text()
     assert not report.complete and ppo.paper == {"tsr": 0.33, "dsr": 0.36, "score": 2.83}
     single = finished(cells[2], root)
     assert single is not None
@@ -477,6 +533,35 @@ def test_the_quick_table_of_the_paper(tmp_path: Path, capsys: pytest.CaptureFixt
     assert [entry["paper"]["tsr"] for entry in table["entries"]] == [0.33, 0.12]
     assert command(("experiment",), [str(EXPERIMENTS / "spf.yaml"), *only, "--submit", "rows.json"]) == 2
     assert "remove `--quick` and `--set`" in capsys.readouterr().err
+
+
+def test_a_folder_with_other_files_is_refused(tiny: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    mine = tmp_path / "mine"
+    mine.mkdir()
+    (mine / "table.md").write_text("precious")
+    words = ("experiment",)
+    assert command(words, [str(tiny), "--run", str(mine)]) == 2
+    assert "is not empty (`table.md`) and has no experiment" in capsys.readouterr().err
+    assert (mine / "table.md").read_text() == "precious" and len(list(mine.iterdir())) == 1
+    assert command(words, [str(tiny), "--report", "--run", str(tmp_path / "new")]) == 2
+    assert f"--report: `{tmp_path / 'new'}` has no experiment" in capsys.readouterr().err
+    assert not (tmp_path / "new").exists()
+    with pytest.raises(SystemExit, match="2"):
+        command(words, [str(tiny), "--seeds", "4294967296"])
+    assert "expected an integer from 0 to 4294967295" in capsys.readouterr().err
+
+
+def test_a_cell_that_lost_its_measures_is_not_trained_again(
+    tiny: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    _, cells = cells_of(tiny, only=[("quick-a2c", None)], seeds=(0,))
+    run_here(cells, tmp_path)
+    measured = cells[0].folder(tmp_path) / "measured.json"
+    before = measured.read_text()
+    measured.write_text(before[:100])
+    monkeypatch.delattr("logicity.learn.cells.train")
+    run_here(cells, tmp_path)
+    assert measured.read_text() == before
 
 
 def test_failed_cells_do_not_stop_the_others(tiny: Path, tmp_path: Path) -> None:

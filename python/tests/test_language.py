@@ -431,11 +431,12 @@ def test_an_interrupt_does_not_wait_for_the_next_attempt(serve: Serve, tmp_path:
     ]
 
 
-def test_a_selection_has_each_unit_once(tmp_path: Path) -> None:
-    spec = LanguageExperiment(
-        task="language", title="Own", seeds=(1, 1), prompts=("why", "why"), solvers=("oracle", "oracle")
-    )
-    assert spec.units() == [Unit("oracle", "why", 1)]
+def test_a_selection_has_each_unit_once() -> None:
+    spec = LanguageExperiment(task="language", title="Own", seeds=(1,), prompts=("why",), solvers=("oracle",))
+    assert spec.units([("oracle", "why"), ("oracle", None)]) == spec.units() == [Unit("oracle", "why", 1)]
+    for key, values in {"seeds": (1, 1), "prompts": ("why", "why"), "solvers": ("oracle", "oracle")}.items():
+        with pytest.raises(ValueError, match=f"{key}(.|\n)*`{values[0]}` occurs twice"):
+            LanguageExperiment.model_validate({"task": "language", "title": "Own", key: values})
 
 
 def test_other_content_of_a_file_of_replies_is_reported(serve: Serve, tmp_path: Path) -> None:
@@ -511,14 +512,36 @@ def test_the_documented_tables_are_those_of_the_command(tmp_path: Path, capsys: 
         ("models: {gpt: {url: x, model: y, key: z}}", "unknown key `key`"),
         ("models: {oracle: {url: x, model: y}}", "is the name of a solver"),
         ("models: {a/b: {url: x, model: y}}", "cannot be the name of a folder"),
+        ("count: 20001", "`count` must be at most 20000, not `20001`"),
+        ("shots: 101", "`shots` must be at most 100, not `101`"),
+        ("shots: 3", "3 solved examples cannot cover all actions of the rules: Slow, Normal, Fast, Stop"),
+        ("config: vap-hrd", "did you mean `vap-hard`?"),
+        ("config: nowhere.yaml", "nowhere.yaml`: no such file"),
+        ("about: [tirro]", "`vap-hard` has no car concept `tirro`"),
+        ("about: [old]", "known: ambulance, bus, police, tiro, reckless"),
+        ("solvers: []", "no solver and no model answers the questions: name one"),
     ],
 )
 def test_faulty_files_are_reported(text: str, message: str, tmp_path: Path) -> None:
     path = tmp_path / "own.yaml"
     path.write_text(f"task: language\ntitle: Own\n{text}\n", encoding="utf-8")
-    with pytest.raises(InputError, match="own.yaml") as error:
+    with pytest.raises(InputError, match=r"own\.yaml:3:") as error:
         LanguageExperiment.load(path)
     assert message in str(error.value)
+
+
+def test_values_are_checked_against_the_named_configuration(tmp_path: Path) -> None:
+    (tmp_path / "few.dl").write_text('.include "vocabulary.dl"\nStop(X) :- IsTiro(X).\n', encoding="utf-8")
+    (tmp_path / "few.yaml").write_text("base: configs/vap-hard.yaml\nrules: few.dl\n", encoding="utf-8")
+    path = tmp_path / "own.yaml"
+    path.write_text("task: language\ntitle: Own\nconfig: few.yaml\nabout: [bus]\nshots: 2\n", encoding="utf-8")
+    assert LanguageExperiment.load(path)[0].shots == 2
+    path.write_text("task: language\ntitle: Own\nconfig: few.yaml\nshots: 1\n", encoding="utf-8")
+    with pytest.raises(InputError, match=r"cover all actions of the rules: Normal, Stop(.|\n)*own\.yaml:4:8"):
+        LanguageExperiment.load(path)
+    (tmp_path / "few.dl").write_text("Stop(X) :- IsTiro(X, Y).\n", encoding="utf-8")
+    with pytest.raises(InputError, match=r"few\.dl:1:"):
+        LanguageExperiment.load(path)
 
 
 def test_wrong_options_are_reported(
@@ -530,7 +553,12 @@ def test_wrong_options_are_reported(
         (["--submit", "rows.json"], 2, "--submit"),
         (["--only", "orcale"], 2, "did you mean `oracle`"),
         (["--only", "oracle,hints"], 2, "unknown prompt `hints`"),
-        (["--set", "config=nowhere.yaml", "--only", "oracle"], 1, "nowhere.yaml"),
+        (["--set", "config=nowhere.yaml", "--only", "oracle"], 2, "nowhere.yaml`: no such file"),
+        (["--set", "count=0"], 2, "error: --set count: `count` must be at least 1, not `0`"),
+        (["--set", "cuont=3"], 2, "--set cuont: unknown key `cuont`\nhelp: did you mean `count`?"),
+        (["--set", "models.m.urll=x"], 2, "--set models.m.urll: unknown key `urll`\nhelp: did you mean `url`?"),
+        (["--set", "models.m.url=x"], 2, "--set models.m.model: the key `models.m.model` is missing"),
+        (["--set", "solvers=[]"], 2, "--set solvers: no solver and no model answers the questions"),
         (
             ["--set", 'models={"m": {"url": "ftp://x", "model": "y"}}', "--only", "m,rules"],
             1,

@@ -1,6 +1,8 @@
 from __future__ import annotations
 
 import json
+import os
+import pickle
 import re
 import subprocess
 import sys
@@ -553,6 +555,8 @@ def test_rejected_settings_leave_no_run(
         ("ppo", {"clip_range": -4}, ["`settings.clip_range` must be greater than 0.0, not `-4`"]),
         ("ppo", {"clip_range_vf": 0}, ["`settings.clip_range_vf` must be greater than 0.0, not `0`"]),
         ("a2c", {"n_steps": 0}, ["`settings.n_steps` must be at least 1, not `0`"]),
+        ("dqn", {"learning_rate": 1e30}, ["`settings.learning_rate` must be at most 1.0, not `1e+30`"]),
+        ("mlp", {"learning_rate": 1e300}, ["`settings.learning_rate` must be at most 1.0, not `1e+300`"]),
         ("dqn", {"gradient_steps": -1, "learning_starts": 0, "train_freq": [1, "episode"]}, []),
         ("ppo", {"sde_sample_freq": -1, "target_kl": None, "gae_lambda": 1}, []),
     ],
@@ -561,13 +565,43 @@ def test_settings_of_stable_baselines_have_ranges(
     algorithm: str, settings: dict[str, Any], messages: list[str], tmp_path: Path
 ) -> None:
     file = tmp_path / "config.json"
-    file.write_text(json.dumps({"algorithm": algorithm, "mode": "easy", "settings": {"network": [8], **settings}}))
+    network = {} if algorithm == "mlp" else {"network": [8]}
+    file.write_text(json.dumps({"algorithm": algorithm, "mode": "easy", "settings": {**network, **settings}}))
     if not messages:
         TrainConfig.load(file)
         return
     with pytest.raises(InputError) as caught:
         TrainConfig.load(file)
     assert [fault["message"] for fault in caught.value.diagnostics] == messages
+
+
+def test_episodes_as_a_unit_need_one_environment(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    config = tmp_path / "config.yaml"
+    config.write_text(
+        "algorithm: dqn\nmode: easy\nsteps: 200\nenvs: 3\nsettings: {network: [8], train_freq: [1, episode]}\n"
+    )
+    assert main(["train", str(config), "--run", str(tmp_path / "run")]) == 1
+    errors = capsys.readouterr().err
+    assert "the unit `episode` needs one environment: set `envs: 1`" in errors and f"{config}:5:38" in errors
+
+
+def test_episodes_that_are_never_found_are_an_error(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    config = tmp_path / "config.yaml"
+    task = "overrides: {task: {constrained_steps: 10000}}"
+    config.write_text(f"algorithm: ppo-fast\nmode: easy\nsteps: 200\nepisodes: drawn-demanding\n{task}\n")
+    assert main(["train", str(config), "--run", str(tmp_path / "run")]) == 1
+    assert "error[limit-exceeded]: " in capsys.readouterr().err
+
+
+def test_a_training_goes_on_after_its_reader_has_gone(tmp_path: Path) -> None:
+    config = tmp_path / "config.json"
+    config.write_text(json.dumps(short("mlp").to_dict()))
+    command = [sys.executable, "-m", "logicity", "train", str(config), "--run", str(tmp_path / "run")]
+    reader, writer = os.pipe()
+    os.close(reader)
+    ended = subprocess.run(command, stderr=writer, stdout=subprocess.DEVNULL, check=False)
+    os.close(writer)
+    assert ended.returncode == 0 and (tmp_path / "run" / "result.json").exists()
 
 
 def test_too_many_environments_are_refused(tmp_path: Path) -> None:
@@ -589,7 +623,12 @@ def test_damaged_checkpoints_are_named(
     train(TrainConfig.load(config), run, tensorboard=False)
     (checkpoint,) = run.glob("checkpoint-*")
     path = checkpoint / name
-    path.write_bytes(path.read_bytes()[:150])
+    content = path.read_bytes()
+    if (algorithm, name) == ("dqn", "state.pkl"):
+        path.write_bytes(pickle.dumps([1, 2]))
+        assert main(["train", str(config), "--run", str(run)]) == 1
+        assert f"error: cannot resume from {checkpoint}: " in capsys.readouterr().err
+    path.write_bytes(content[:150])
     capsys.readouterr()
     assert main(["train", str(config), "--run", str(run)]) == 1
     errors = capsys.readouterr().err

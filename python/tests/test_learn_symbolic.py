@@ -245,6 +245,25 @@ def test_training_files_have_valid_settings(algorithm: str, mode: str) -> None:
     learner(algorithm, mode, steps=values["steps"], **values["settings"])
 
 
+@pytest.mark.parametrize(
+    ("name", "low", "high", "outside"),
+    [("variables", 2, 7, (1, 8)), ("effort", 1, 2**32 - 1, (0, 2**32)), ("noise", 0.0, 0.4, (-0.1, 0.5, "outo"))],
+)
+def test_settings_of_induce_have_the_bounds_of_the_command(
+    name: str, low: float, high: float, outside: tuple[Any, ...]
+) -> None:
+    def check(value: Any) -> None:
+        settings: dict[str, Any] = {name: value}
+        learner("induce", **settings)
+
+    for value in (low, high):
+        check(value)
+    for value in outside:
+        with pytest.raises(ValueError, match=name):
+            check(value)
+    assert learner("induce", noise="auto").config.settings.noise == "auto"
+
+
 # --- FOLD-RM
 
 

@@ -402,4 +402,10 @@ def test_missing_and_unreadable_answers_are_reported(tmp_path: Path, capsys: pyt
         f"counted as wrong, the answer chooses no option: 1: {questions[1].id}",
         "ignored, unknown question: 1: another",
     ]
+    # Questions are not replies, although they have the key `answer`.
+    assert main(["grade", str(QUESTIONS), "--questions", str(QUESTIONS)]) == 1
+    assert f"{QUESTIONS}:1: expected an answer, found a question" in capsys.readouterr().err
+    answers.write_text("")
+    assert main(["grade", str(answers), "--questions", str(QUESTIONS)]) == 1
+    assert capsys.readouterr().err == f"error: {answers} has no answers\n"
     assert main(["grade", str(tmp_path / "nowhere.jsonl")]) == 2

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import dataclasses
 import json
 import re
 import shutil
@@ -631,15 +632,42 @@ def test_the_papers_figures_are_those_of_its_table() -> None:
         ),
         (TINY.replace("[hard]", "[hard, hard]"), r"`hard` occurs twice(.|\n)*tiny\.yaml:5:8"),
         (TINY + "seeds: [0, 0]", r"`0` occurs twice(.|\n)*tiny\.yaml:12:8"),
-        (TINY.replace("start: rules,", "variants: [random, random],"), "`random` occurs twice"),
+        (TINY.replace("start: rules,", "start: rules, variants: [random, random],"), "`random` occurs twice"),
         (TINY.partition("learners:")[0] + "learners: {}", "`learners` must be a mapping with 1 or more keys"),
         (TINY.replace("modes: [hard]", "modes: [expert]"), "`modes.0` must be `easy` or `hard`, not `expert`"),
+        (
+            TINY.replace("start: rules,", "start: rules, modes: [hrd],"),
+            r"unknown mode `hrd`; did you mean `hard`(.|\n)*tiny\.yaml:10:39",
+        ),
+        (
+            TINY.replace("rules: {settings", "rules: {start: e2e-nml, settings"),
+            "`e2e-nml`, but no earlier row has this name; did you mean `e2e-nlm`",
+        ),
+        (TINY.replace("rules: {settings", "rules: {start: rules, settings"), "no earlier row has this name\n"),
+        (
+            TINY.replace("variants: {random: {}}\n", "").replace("start: rules,", "start: rules, variants: [nope],"),
+            "unknown variant `nope`\n",
+        ),
+        (TINY.replace("paper: vap", "paper: vapp"), "`paper` must be `vap`, `vap-continual` or `vap-concepts`, not"),
+        (
+            TINY.replace("start: rules,", "start: rules, paper: moduler-gnn,"),
+            r"the paper's table has no row `moduler-gnn`; did you mean `modular-gnn`(.|\n)*tiny\.yaml:10:38",
+        ),
+        (
+            TINY.replace("start: rules, ", ""),
+            r"needs the concepts of another row: set its `start`(.|\n)*tiny\.yaml:10:16",
+        ),
+        (
+            TINY.replace("settings: {stage: end-to-end,", "quick: {stage: induction}, settings: {stage: end-to-end,"),
+            r"`e2e-nlm`: `groundings: predicted` needs the concepts of another row(.|\n)*tiny\.yaml:11:12",
+        ),
     ],
 )
 def test_faulty_experiments_are_reported(text: str, message: str, tmp_path: Path) -> None:
     (tmp_path / "tiny.yaml").write_text(text)
-    with pytest.raises(InputError, match=message):
+    with pytest.raises(InputError, match=message) as error:
         load_experiment(tmp_path / "tiny.yaml")
+    assert len(error.value.diagnostics) == 1
 
 
 def test_unknown_selections_are_reported(
@@ -655,16 +683,17 @@ def test_unknown_selections_are_reported(
             "have the same settings",
         ),
         (["--set", "concepts.perception=features"], "no weights of ResNet50"),
+        (["--set", "stage=reasoning"], "--set: `rules`: `groundings: predicted` needs the concepts of another row"),
     ]:
         assert command(("experiment",), [str(tiny), "--run", str(tiny.parent / "run"), *arguments]) == 2
         assert message in capsys.readouterr().err
 
 
 def test_a_cell_needs_the_model_that_it_starts_from(tiny: Path, tmp_path: Path) -> None:
-    tiny.write_text(TINY.replace("start: rules, ", ""))
     _, cells = cells_of(tiny, only=[("modular-gnn", None)])
+    alone = dataclasses.replace(cells[1], start=None)
     with pytest.raises(ValueError, match="`groundings: predicted` needs the concepts of another row: set its `start`"):
-        run_cell(prepare(cells[0], tmp_path / "run"))
+        run_cell(prepare(alone, tmp_path / "run"))
 
 
 def test_a_cell_belongs_to_the_weights_of_its_backbone(tiny: Path) -> None:
@@ -765,6 +794,8 @@ def test_the_table_includes_the_papers_figures(undisturbed: tuple[Path, Path], t
     assert "one seed and one test world have no interval" in markdown
     text = report.text()
     assert "modular-gnn, random" in text and "recall of concepts" in text and "CPU time: " in text
+    own = VapReport(experiment.model_copy(update={"paper": None}), cells, root)
+    assert "recall of concepts" in own.text() and "paper" not in own.text() + own.markdown()
     missing = VapReport(experiment, cells, tmp_path / "none", {cells[1].identity: "it failed\nhere"})
     assert not missing.complete and "modular-gnn, random, hard: it failed." in missing.notes()
 

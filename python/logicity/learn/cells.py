@@ -302,10 +302,7 @@ def run_cell(
             f"`{config.mode}` has another content of {', '.join(changed)} than when the experiment began: run the same "
             "command again"
         )
-    if (folder / _REUSED).exists():
-        result = json.loads((folder / "result.json").read_text(encoding="utf-8"))
-    else:
-        result = train(config, folder, progress=progress, report=report, wandb=wandb)
+    result = _trained(folder) or train(config, folder, progress=progress, report=report, wandb=wandb)
     policy = load_policy(folder).policy
     evaluations = {}
     for name, each in spec["evaluations"].items():
@@ -329,6 +326,19 @@ def run_cell(
     for checkpoint in folder.glob("checkpoint-*"):
         shutil.rmtree(checkpoint)
     return measured
+
+
+def _trained(folder: Path) -> dict[str, Any] | None:
+    """Return the result of a finished training in the folder of a cell, or `None`.
+
+    A cell with one was reused or has lost its `measured.json`.
+    """
+    try:
+        result = json.loads((folder / "result.json").read_text(encoding="utf-8"))
+    except (FileNotFoundError, ValueError):
+        return None
+    complete = isinstance(result, dict) and "test" in result and any(folder.glob("best.*"))
+    return result if complete else None
 
 
 def benchmark_of(folder: Path, config: TrainConfig, evaluation: Mapping[str, Any]) -> Benchmark:

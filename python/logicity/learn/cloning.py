@@ -31,6 +31,7 @@ from .learner import (
     Count,
     Learner,
     LearnerSettings,
+    LearningRate,
     NonNegative,
     Observations,
     Policy,
@@ -71,7 +72,7 @@ Widths = Annotated[tuple[Count, ...], Field(min_length=1), Strict(False)]
 class CloningSettings(LearnerSettings):
     """The settings that all learners of behavior cloning share."""
 
-    learning_rate: Positive = 1e-4
+    learning_rate: LearningRate = 1e-4
     """The learning rate of Adam."""
     schedule: Literal["constant", "cosine"] = "constant"
     """The learning rate over the training: constant, or falling to 0 as a cosine."""

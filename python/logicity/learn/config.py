@@ -36,7 +36,10 @@ if TYPE_CHECKING:
 
     from ..types import Diagnostic
 
-__all__ = ["Fault", "TrainConfig", "contains", "faults", "inlined", "located", "merged", "tidy"]
+__all__ = [
+    *("Fault", "TrainConfig", "contains", "fault_of_override", "faults", "inlined", "located", "merged", "tidy"),
+    "unused",
+]
 
 #: An error in a YAML file: its code, the path of keys to the value, the message, and the help, which may be empty.
 Fault: TypeAlias = tuple[str, list[str], str, str]
@@ -135,7 +138,7 @@ class TrainConfig(BaseModel):
     @classmethod
     def _used_key(cls, value: Any, info: ValidationInfo) -> Any:
         algorithm, key = info.data.get("algorithm"), str(info.field_name)
-        if algorithm is not None and value is not None and (reason := _unused(algorithm).get(key)):
+        if algorithm is not None and value is not None and (reason := unused(algorithm).get(key)):
             raise _custom(f"`{algorithm}` does not use the key `{key}`: {reason}")
         return value
 
@@ -146,8 +149,8 @@ class TrainConfig(BaseModel):
 
     def to_dict(self) -> dict[str, Any]:
         """Return the keys that the learner uses, for JSON. `TrainConfig(**config.to_dict())` equals `config`."""
-        unused = _unused(self.algorithm)
-        return {key: value for key, value in self.model_dump(mode="json").items() if key not in unused}
+        left_out = unused(self.algorithm)
+        return {key: value for key, value in self.model_dump(mode="json").items() if key not in left_out}
 
     @classmethod
     def json_schema(cls) -> dict[str, Any]:
@@ -176,7 +179,7 @@ class TrainConfig(BaseModel):
                         "properties": {
                             "settings": {"$ref": f"#/$defs/{name}"},
                             "observation": {"enum": list(learner.observations)},
-                            **{key: False for key in _unused(name)},
+                            **{key: False for key in unused(name)},
                         }
                     },
                 }
@@ -258,7 +261,7 @@ def located(path: str | os.PathLike[str], config: TrainConfig, error: ValueError
     """
     file = _logicity.ConfigFile(path, "configs/baselines")
     if isinstance(error, InputError):
-        faults = [_fault_of_override(config, fault) for fault in error.diagnostics]
+        faults = [fault_of_override(config, fault) for fault in error.diagnostics]
         known = [fault for fault in faults if fault is not None]
         # The other errors are in other files, and have a location there.
         return cast(InputError, file.error(known)) if len(known) == len(faults) else error
@@ -272,7 +275,7 @@ def located(path: str | os.PathLike[str], config: TrainConfig, error: ValueError
     return cast(InputError, file.error([("invalid-value", key, message, "")]))
 
 
-def _fault_of_override(config: TrainConfig, fault: Diagnostic) -> Fault | None:
+def fault_of_override(config: TrainConfig, fault: Diagnostic) -> Fault | None:
     """Return an error in `overrides`, or `None` for an error elsewhere."""
     label = next(iter(fault["labels"]), None)
     if label is None or label["file"] != "<overrides>":
@@ -309,17 +312,17 @@ def merged(values: Mapping[str, Any], changes: Mapping[str, Any]) -> dict[str, A
     return result
 
 
-def _unused(algorithm: str) -> dict[str, str]:
+def unused(algorithm: str) -> dict[str, str]:
     """Return the keys that a learner does not use, with the reason."""
     learner = learner_class(algorithm)
-    unused = {}
+    keys = {}
     if learner.interacts:
-        unused["demonstrations"] = "it learns in environments, not from demonstrations"
+        keys["demonstrations"] = "it learns in environments, not from demonstrations"
     else:
-        unused |= dict.fromkeys(("overrides", "envs", "episodes"), "it learns from demonstrations, not in environments")
+        keys |= dict.fromkeys(("overrides", "envs", "episodes"), "it learns from demonstrations, not in environments")
     if not learner.starts:
-        unused["start"] = "its training cannot start from a policy"
-    return unused
+        keys["start"] = "its training cannot start from a policy"
+    return keys
 
 
 def _named_file(file: _logicity.ConfigFile, key: str, name: str, folder: Path) -> str:
@@ -389,7 +392,12 @@ def faults(
         depth: The number of keys after which pydantic may append the name of an alternative to a path.
     """
     by_key: dict[tuple[str, ...], list[ErrorDetails]] = {}
-    for each in error.errors(include_url=False):
+    found = error.errors(include_url=False)
+    # The paths of values with an error in an element. Pydantic counts only their valid elements.
+    faulty = {each["loc"][:end] for each in found for end in range(len(each["loc"]))}
+    for each in found:
+        if each["type"] == "too_short" and each["loc"] in faulty:
+            continue
         # For a union, every alternative reports an error and appends its name to the path.
         where = each["loc"]
         more = len(where) > depth and (isinstance(where[depth], int) or each["type"] in _AT_KEYS)
@@ -414,8 +422,22 @@ def _fault(
     if first["type"] in ("value_error", "assertion_error"):
         return "invalid-value", list(path), f"`{name}`: {first['ctx']['error']}", ""
     expected = " or ".join(dict.fromkeys(map(_expected, errors)))
-    shown = first["input"] if isinstance(first["input"], str) else json.dumps(first["input"], default=repr)
-    return "invalid-value", list(path), f"`{name}` must be {expected}, not `{shown:.40}`", ""
+    return "invalid-value", list(path), f"`{name}` must be {expected}, not `{_shown(first['input']):.40}`", ""
+
+
+def _shown(value: object) -> str:
+    """Return a value as a YAML file can contain it. Only strings that YAML reads as other values have quotes."""
+    if not isinstance(value, str):
+        return json.dumps(value, default=repr)
+    try:
+        float(value)
+    except ValueError:
+        return json.dumps(value) if value.lower() in _NOT_STRINGS else value
+    return json.dumps(value)
+
+
+#: Words that are no strings in YAML.
+_NOT_STRINGS = ("", "~", "null", "true", "false")
 
 
 def _unknown_key(algorithm: object) -> Callable[[tuple[str, ...]], tuple[str, str]]:

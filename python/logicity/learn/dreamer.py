@@ -50,6 +50,7 @@ from .learner import (
     Count,
     Learner,
     LearnerSettings,
+    LearningRate,
     NonNegative,
     Observations,
     Policy,
@@ -87,11 +88,11 @@ class DreamerSettings(LearnerSettings):
     """The number of hidden layers of the encoder, of the decoder and of each head."""
     width: Count = 100
     """The width of hidden layers."""
-    model_learning_rate: Positive = 2e-4
+    model_learning_rate: LearningRate = 2e-4
     """The learning rate of the world model."""
-    actor_learning_rate: Positive = 4e-5
+    actor_learning_rate: LearningRate = 4e-5
     """The learning rate of the actor."""
-    critic_learning_rate: Positive = 1e-4
+    critic_learning_rate: LearningRate = 1e-4
     """The learning rate of the critic."""
     batch_size: Count = 50
     """The number of sequences of an update."""

@@ -6,7 +6,9 @@
 from __future__ import annotations
 
 import importlib
+import json
 import os
+import re
 import shlex
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
@@ -16,15 +18,17 @@ from typing import Annotated, Any, Literal, Protocol, TypeVar, cast
 from pydantic import BaseModel, Field, Strict, ValidationError
 
 from .. import _logicity
-from ..errors import did_you_mean
+from ..errors import InputError, did_you_mean
 from ..modes import ENVIRONMENTS, checked_mode
 from .cells import TEST, Cell, Job
-from .config import Fault, TrainConfig, contains, faults, merged
+from .config import Fault, TrainConfig, contains, fault_of_override, faults, merged, unused
 from .learner import Count, Seed, StrictModel
+from .report import paper_table
+from .run import check_overrides, check_start
 
 __all__ = [
     *("AnyExperiment", "AnyReport", "Experiment", "Selection"),
-    *("load_experiment", "name_of", "read_experiment", "repeated", "selected"),
+    *("load_experiment", "name_of", "option_error", "paper_faults", "read_experiment", "repeated", "selected"),
     *("start_faults", "unknown_key", "validated"),
 ]
 
@@ -33,6 +37,9 @@ TASKS = {
     "spf": ("logicity.learn.experiment", "Experiment"),
     "vap": ("logicity.vap.experiment", "VapExperiment"),
 }
+
+#: The placeholders in the key `config`.
+PLACEHOLDERS = ("{row}", "{mode}")
 
 #: The keys of a short run of a learner in environments, and of another learner.
 QUICK: dict[bool, dict[str, Any]] = {
@@ -133,8 +140,9 @@ def load_experiment(name: str | os.PathLike[str]) -> tuple[AnyExperiment, Path]:
     task = values.get("task", "spf")
     if not isinstance(task, str) or task not in TASKS:
         # `logicity.learn.language` reads the files with the task `language`.
-        suggestion = did_you_mean(str(task), [*TASKS, "language"])
-        raise file.error([("invalid-value", ["task"], f"unknown task `{task}`{suggestion}", "")])
+        shown = task if isinstance(task, str) else "~" if task is None else json.dumps(task)
+        suggestion = did_you_mean(shown, [*TASKS, "language"])
+        raise file.error([("invalid-value", ["task"], f"unknown task `{shown}`{suggestion}", "")])
     module, kind = TASKS[task]
     loaded = getattr(importlib.import_module(module), kind).load(path)
     return cast(tuple[AnyExperiment, Path], loaded)
@@ -186,6 +194,35 @@ def start_faults(variants: Mapping[str, Startable]) -> Iterator[Fault]:
         elif variant.start is not None and variants[variant.start].start is not None:
             message = f"`{variant.start}` itself starts from another variant: name a variant without `start`"
             yield "invalid-value", path, message, ""
+
+
+class PaperRow(Protocol):
+    """A row of an experiment."""
+
+    @property
+    def paper(self) -> str | None:
+        """The row of the paper's table."""
+
+
+def paper_faults(table: str | None, rows: Mapping[str, PaperRow], usual: str) -> Iterator[Fault]:
+    """Yield the rows whose key `paper` names no row of the paper's table.
+
+    Args:
+        table: The table that the experiment names.
+        rows: The rows of the experiment.
+        usual: The table whose rows are known if that of the experiment has none, because the paper shows a figure.
+    """
+    known = paper_table(table).get("rows") or paper_table(usual)["rows"]
+    for name, row in rows.items():
+        if row.paper is not None and row.paper not in known:
+            message = f"the paper's table has no row `{row.paper}`{did_you_mean(row.paper, known)}"
+            yield "invalid-value", ["learners", name, "paper"], message, ""
+
+
+def option_error(fault: Fault) -> ValueError:
+    """Return the error for a fault in the changes of `--set`."""
+    _, path, message, help = fault
+    return ValueError(f"--set {'.'.join(path)}: {message}" + f"\nhelp: {help}" * bool(help))
 
 
 def selected(only: Sequence[tuple[str, str | None]], modes: Mapping[str, Sequence[str]]) -> list[tuple[str, str]]:
@@ -291,28 +328,22 @@ class Experiment(StrictModel):
         """
         path, file, values = read_experiment(name)
         experiment = validated(cls, file, values, _unknown)
-        wrong = [*start_faults(experiment.variants)]
-        wrong += [("invalid-value", path, message, "") for path, message in experiment._faults()]
+        wrong = [*start_faults(experiment.variants), *paper_faults(experiment.paper, experiment.learners, "spf")]
+        wrong += [("invalid-value", at, message, "") for at, message in experiment._faults()]
+        wrong += experiment._file_faults(path)
         if wrong:
             raise file.error(wrong)
         return experiment, path
 
     def _faults(self) -> Iterator[tuple[list[str], str]]:
-        """Yield the paths and messages of errors: unknown modes and variants, repeated values, changes of `seed`."""
-        modes = [(["modes"], mode) for mode in self.modes]
+        """Yield the paths and messages of errors: unknown variants, repeated values, changes of `seed`."""
         lists: dict[tuple[str, ...], Sequence[object]] = {("modes",): self.modes, ("seeds",): self.seeds}
         for row, spec in self.learners.items():
-            modes += [(["learners", row, "modes"], mode) for mode in spec.modes or ()]
             for key in ("modes", "seeds", "variants"):
                 lists["learners", row, key] = getattr(spec, key) or ()
         for path, values in lists.items():
             if message := repeated(values):
                 yield list(path), message
-        for where, mode in modes:
-            try:
-                checked_mode(mode)
-            except ValueError as error:
-                yield where, str(error)
         changes: dict[tuple[str, ...], Mapping[str, Any]] = {("changes",): self.changes}
         for name, variant in self.variants.items():
             changes["variants", name, "changes"] = variant.changes
@@ -332,6 +363,23 @@ class Experiment(StrictModel):
         for path, changed in changes.items():
             if "seed" in changed:
                 yield [*path, "seed"], "each cell has its own seed: write the seeds under `seeds`"
+
+    def _file_faults(self, file: Path) -> Iterator[Fault]:
+        """Yield the errors in the names of files: unknown and missing modes, and unknown placeholders in `config`."""
+        modes: list[tuple[list[str], Sequence[str]]] = [(["modes"], self.modes)]
+        configs: list[tuple[list[str], str]] = [(["config"], self.config)]
+        for row, spec in self.learners.items():
+            modes.append((["learners", row, "modes"], spec.modes or ()))
+            configs.append((["learners", row, "config"], spec.config or ""))
+        for path, names in modes:
+            for at, mode in enumerate(names):
+                if fault := _mode_fault([*path, str(at)], mode, file.parent):
+                    yield fault
+        for path, name in configs:
+            for placeholder in re.findall(r"\{[^{}]*\}", name):
+                if placeholder not in PLACEHOLDERS:
+                    message = f"unknown placeholder `{placeholder}`{did_you_mean(placeholder, PLACEHOLDERS)}"
+                    yield "invalid-value", path, message, ""
 
     def cells(self, file: Path, selection: Selection) -> list[Cell]:
         """Return the selected cells, each after the cell that it starts from.
@@ -364,7 +412,7 @@ class Experiment(StrictModel):
                     variant = self.variants[name]
                     start = None if variant.start is None else found[row, mode, variant.start, seed]
                     try:
-                        config = self._config(file, row, mode, name, seed, selection)
+                        config = self._config(file, row, mode, name, seed, selection, check=seed == seeds[0])
                     except FileNotFoundError as error:
                         at = ["learners", row, *(["config"] if spec.config else [])]
                         help = "the key `config` names the training configuration"
@@ -403,8 +451,20 @@ class Experiment(StrictModel):
 
         return submit(self, file, cast(Sequence[Cell], cells), root, results)
 
-    def _config(self, file: Path, row: str, mode: str, name: str, seed: int, selection: Selection) -> TrainConfig:
-        """Return the training configuration of a cell. `name` is that of the variant."""
+    def _config(
+        self, file: Path, row: str, mode: str, name: str, seed: int, selection: Selection, *, check: bool
+    ) -> TrainConfig:
+        """Return the training configuration of a cell.
+
+        Args:
+            file: The file of the experiment.
+            row: The row.
+            mode: The mode.
+            name: The name of the variant.
+            seed: The seed.
+            selection: Changes to the configuration.
+            check: Whether to check what `train` reports only when it runs.
+        """
         spec = self.learners[row]
         training = (spec.config or self.config).replace("{row}", row).replace("{mode}", Path(mode).stem)
         path, city = _training_file(file, training), file.parent / mode
@@ -419,9 +479,9 @@ class Experiment(StrictModel):
             changes = merged(changes, more)
 
         def rejected(wrong: list[Fault]) -> BaseException:
-            for _, at, message, help in wrong:
-                if contains(selection.changes, at):
-                    return ValueError(f"--set {'.'.join(at)}: {message}" + f"\nhelp: {help}" * bool(help))
+            for fault in wrong:
+                if contains(selection.changes, fault[1]):
+                    return option_error(fault)
             located = []
             for code, at, message, help in wrong:
                 # Later changes replace earlier ones.
@@ -430,12 +490,23 @@ class Experiment(StrictModel):
             return read_experiment(file)[1].error(located)
 
         config = TrainConfig.load(path, seed=seed, changes=merged(changes, selection.changes), rejected=rejected)
-        if not selection.quick:
-            return config
-        sources["learners", row, "quick"] = spec.quick
-        short = merged(QUICK[config.learner.interacts], spec.quick)
-        changes = merged(merged(changes, short), selection.changes)
-        return TrainConfig.load(path, seed=seed, changes=changes, rejected=rejected)
+        if selection.quick:
+            sources["learners", row, "quick"] = spec.quick
+            short = merged(QUICK[config.learner.interacts], spec.quick)
+            changes = merged(merged(changes, short), selection.changes)
+            config = TrainConfig.load(path, seed=seed, changes=changes, rejected=rejected)
+        start = self.variants[name].start
+        if start is not None and (reason := unused(config.algorithm).get("start")):
+            message = f"`{config.algorithm}` does not use the key `start`: {reason}"
+            fault = ("invalid-value", ["variants", name, "start"], message, "")
+            raise read_experiment(file)[1].error([fault])
+        # The faults do not depend on the seed.
+        if check and (wrong := _config_faults(config)):
+            places = [*sources.values(), selection.changes]
+            written = [fault for fault in wrong if any(contains(place, fault[1]) for place in places)]
+            # The other faults are in the training configuration.
+            raise rejected(written) if written else _logicity.ConfigFile(path, "configs/baselines").error(wrong)
+        return config
 
 
 @dataclass(frozen=True)
@@ -453,6 +524,50 @@ class Selection:
     seeds: tuple[int, ...] | None = None
     changes: Mapping[str, Any] = field(default_factory=dict)
     quick: bool = False
+
+
+def _mode_fault(path: list[str], mode: str, folder: Path) -> Fault | None:
+    """Return the fault of an unknown mode or a missing file, which may be in a folder, or `None`."""
+    try:
+        checked_mode(mode)
+        if mode not in ENVIRONMENTS and not (folder / mode).exists():
+            _logicity.ConfigFile(mode, "configs")
+    except FileNotFoundError:
+        return "missing-file", path, f"cannot read `{folder / mode}`: no such file", ""
+    except InputError:
+        # The file exists, and the message has its own location.
+        return None
+    except ValueError as error:
+        return "invalid-value", path, str(error), ""
+    return None
+
+
+def _config_faults(config: TrainConfig) -> list[Fault]:
+    """Return the faults in `mode`, `start` and `overrides`, which `train` reports only when it runs.
+
+    Raises:
+        InputError: If the configuration of the mode is invalid.
+    """
+    if fault := _mode_fault(["mode"], config.mode, Path()):
+        return [fault]
+    found: list[Fault] = []
+    try:
+        check_start(config)
+    except OSError as error:
+        reason = f"cannot read `{config.start}`: {error.strerror.lower()}" if error.strerror else str(error)
+        found.append(("missing-file", ["start"], reason, ""))
+    except ValueError as error:
+        found.append(("invalid-value", ["start"], str(error), ""))
+    try:
+        check_overrides(config)
+    except InputError as error:
+        known = [fault for each in error.diagnostics if (fault := fault_of_override(config, each)) is not None]
+        if len(known) < len(error.diagnostics):
+            raise
+        found += known
+    except ValueError as error:
+        found.append(("invalid-value", ["overrides"], str(error), ""))
+    return found
 
 
 def _evaluation(spec: EvaluationSpec) -> dict[str, Any]:

@@ -48,6 +48,7 @@ from .learner import (
     Count,
     Learner,
     LearnerSettings,
+    LearningRate,
     NonNegative,
     Observations,
     Policy,
@@ -89,7 +90,7 @@ class FastPPOSettings(LearnerSettings):
     """The number of passes over a batch in an update."""
     minibatches: Count = 4
     """The number of gradient steps per epoch. Each one uses a share of the distinct observations."""
-    learning_rate: Positive = 2e-3
+    learning_rate: LearningRate = 2e-3
     """The learning rate of Adam at the start."""
     final_learning_rate: NonNegative = 0.0
     """The learning rate at the end. It changes linearly with the number of steps."""

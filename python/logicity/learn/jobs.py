@@ -163,8 +163,8 @@ def exclusive(root: Path) -> Iterator[None]:
             # The reservation ends with this process, even if it is killed.
             stack.enter_context(reserved(root / "running", record=False))
         except OSError as error:
-            help = "help: one process at a time runs an experiment in a folder; `--run` names another folder"
-            raise type(error)(f"{error}\n{help}") from None
+            help = "\nhelp: one process at a time runs an experiment in a folder; `--run` names another folder"
+            raise type(error)(f"{error}{help * ('process' in str(error))}") from None
         yield
 
 

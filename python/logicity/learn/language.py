@@ -10,10 +10,9 @@ from __future__ import annotations
 import hashlib
 import json
 import os
-import sys
 import threading
 import time
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from concurrent.futures import ThreadPoolExecutor, as_completed
 from contextlib import nullcontext
 from dataclasses import dataclass
@@ -21,18 +20,20 @@ from functools import partial
 from pathlib import Path
 from typing import Annotated, Any, Literal
 
-from pydantic import BaseModel, Field, Strict, field_validator
+from pydantic import BaseModel, Field, Strict, ValidationError, field_validator
 
 from .. import _logicity
+from ..city import ACTIONS, Inference
 from ..errors import did_you_mean
 from ..files import write_text
 from ..questions import Endpoint, Question, ask, load_questions
-from .config import merged
-from .experiment import read_experiment, repeated, validated
+from ..rules import Program
+from .config import Fault, contains, faults, merged
+from .experiment import option_error, read_experiment, repeated
 from .jobs import exclusive
 from .language_report import LanguageReport
 from .learner import Count, StrictModel
-from .messages import first_line
+from .messages import first_line, print_progress
 from .question_solvers import SOLVERS, run_command
 
 __all__ = ["LanguageExperiment", "ModelSpec", "Unit", "is_language", "run"]
@@ -96,11 +97,11 @@ class LanguageExperiment(StrictModel):
     """The table of the paper whose figures are shown beside the results."""
     config: str = "vap-hard"
     """The configuration: the name of a built-in one, or a path relative to this file."""
-    count: Count = 117
+    count: Annotated[int, Field(strict=True, ge=1, le=20_000)] = 117
     """The number of questions of a set."""
     about: _Names = ()
     """The concepts of the cars in the questions: each car has at least one of them. Empty for all cars."""
-    shots: Annotated[int, Field(strict=True, ge=0)] = 5
+    shots: Annotated[int, Field(strict=True, ge=0, le=100)] = 5
     """The number of solved examples before each question."""
     style: Literal["atoms", "words"] = "atoms"
     """The form of the facts: ground atoms, or English sentences."""
@@ -148,16 +149,57 @@ class LanguageExperiment(StrictModel):
             The experiment, and the path of its file.
 
         Raises:
-            InputError: If the file is not YAML, has an unknown key or invalid value, or lacks a key.
+            InputError: If the file is not YAML, has an unknown key or invalid value, or lacks a key; or if the
+                configuration that it names is invalid.
             OSError: If the file cannot be read.
+            ValueError: If the changes have an unknown key or invalid value.
         """
-        path, file, values = read_experiment(name)
+        path, file, written = read_experiment(name)
+        values = written
         if quick:
             values = merged(values, QUICK)
             if isinstance(values.get("seeds"), list):
                 values["seeds"] = values["seeds"][:1]
         values = merged(values, changes or {})
-        return validated(cls, file, values, _unknown), path
+        try:
+            experiment = cls.model_validate(values)
+            wrong = list(experiment._faults(path))
+        except ValidationError as error:
+            wrong = faults(error, _unknown, depth=3)
+        if not wrong:
+            return experiment, path
+        of_changes = [fault for fault in wrong if _is_changed(fault, written, changes or {})]
+        if len(of_changes) < len(wrong):
+            raise file.error([fault for fault in wrong if fault not in of_changes])
+        # A misspelled key may also cause a missing one.
+        first = min(wrong, key=lambda fault: fault[0] == "missing-key")
+        raise option_error(first)
+
+    def _faults(self, file: Path) -> Iterator[Fault]:
+        """Yield the errors that types do not exclude: no rows, and values that do not fit the configuration.
+
+        Raises:
+            InputError: If the configuration is invalid.
+        """
+        if not self.solvers and not self.models:
+            yield "invalid-value", ["solvers"], "no solver and no model answers the questions: name one", ""
+        config = self.config_path(file)
+        try:
+            # Checks the configuration, its predicates and its rules.
+            Inference(config)
+            found = _logicity.ConfigFile(config, "configs")
+        except FileNotFoundError as error:
+            message, _, help = str(error).partition("; ")
+            yield "missing-file", ["config"], message, help
+            return
+        concepts, actions = _car_concepts(found), _actions(found)
+        for at, name in enumerate(self.about):
+            if concepts is not None and name not in concepts:
+                message = f"`{self.config}` has no car concept `{name}`"
+                yield "invalid-value", ["about", str(at)], message, did_you_mean(name, concepts).removeprefix("; ")
+        if 0 < self.shots < len(actions):
+            message = f"{self.shots} solved examples cannot cover all actions of the rules: {', '.join(actions)}"
+            yield "invalid-value", ["shots"], message, "use 0, or at least one per action"
 
     def config_path(self, file: Path) -> str:
         """Return the configuration as commands take it."""
@@ -209,6 +251,49 @@ def is_language(name: str | os.PathLike[str]) -> bool:
         OSError: If the file cannot be read.
     """
     return read_experiment(name)[2].get("task") == "language"
+
+
+def _part(file: _logicity.ConfigFile, key: str) -> Path | None:
+    """Return the path of the file that a key of a configuration names, or `None` if it has another value."""
+    name = file.value().get(key)
+    if not isinstance(name, str):
+        return None
+    folder = Path(file.file_of([key]) or "").parent
+    return Path(os.path.normpath(folder / name)) if Path(name).suffix else Path(name)
+
+
+def _car_concepts(file: _logicity.ConfigFile) -> list[str] | None:
+    """Return the concepts of cars in a configuration, or `None` if its predicates are not in a separate file."""
+    path = _part(file, "predicates")
+    if path is None:
+        # `logicity questions` reports unknown concepts.
+        return None
+    try:
+        predicates = _logicity.ConfigFile(path, "configs/predicates").value()
+    except FileNotFoundError:
+        return None
+    used = predicates.get("use") or predicates["define"]
+    definitions = [each for name, each in predicates["define"].items() if name in used and isinstance(each, dict)]
+    return [each["concept"] for each in definitions if each.get("concept") and each["of"] == "Car"]
+
+
+def _actions(file: _logicity.ConfigFile) -> list[str]:
+    """Return the actions that the rules of a configuration derive, and the default action."""
+    path = _part(file, "rules")
+    try:
+        heads = set() if path is None else {clause["head"] for clause in Program.load(path).clauses}
+    except FileNotFoundError:
+        return []
+    default = file.value()["actions"]["default"]
+    return [action for action in ACTIONS if action in heads or action == default]
+
+
+def _is_changed(fault: Fault, written: Mapping[str, Any], changes: Mapping[str, Any]) -> bool:
+    """Return whether changes cause a fault, not the written values. A missing key is missing in a changed mapping."""
+    code, path, _, _ = fault
+    if code == "missing-key":
+        return contains(changes, path[:-1]) and not contains(written, path[:-1])
+    return contains(changes, path)
 
 
 def _unknown(path: tuple[str, ...]) -> tuple[str, str]:
@@ -427,7 +512,7 @@ def run(
                 print(f"{each.stored():4} of {len(each.questions)} replies  {each.unit}  {each.path}")
             return 0
         if action == "run":
-            failed = answer(experiment, file, work, jobs, lambda line: print(line, file=sys.stderr, flush=True))
+            failed = answer(experiment, file, work, jobs, print_progress)
         report = LanguageReport(experiment, work, failed)
         written = report.write(root)
     print(report.text())

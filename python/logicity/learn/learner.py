@@ -23,8 +23,8 @@ if TYPE_CHECKING:
     from .config import TrainConfig
 
 __all__ = [
-    *("Actions", "Count", "Learner", "LearnerSettings", "NonNegative", "Observations", "Policy", "Positive"),
-    *("Progress", "Seed", "Share", "StrictModel", "check_shape"),
+    *("Actions", "Count", "Learner", "LearnerSettings", "LearningRate", "NonNegative", "Observations", "Policy"),
+    *("Positive", "Progress", "Seed", "Share", "StrictModel", "check_shape"),
 ]
 
 Observations: TypeAlias = NDArray[np.float32]
@@ -41,6 +41,9 @@ Share: TypeAlias = Annotated[float, Field(ge=0, le=1)]
 
 #: A number above 0.
 Positive: TypeAlias = Annotated[float, Field(gt=0)]
+
+#: A learning rate.
+LearningRate: TypeAlias = Annotated[float, Field(gt=0, le=1)]
 
 #: A number of at least 0.
 NonNegative: TypeAlias = Annotated[float, Field(ge=0)]

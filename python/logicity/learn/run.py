@@ -34,10 +34,10 @@ from ..files import reserved, write_json
 from . import random_state
 from .config import TrainConfig
 from .learner import Learner
-from .messages import first_line
+from .messages import first_line, print_progress
 from .registry import load_policy
 
-__all__ = ["FolderError", "train"]
+__all__ = ["FolderError", "check_overrides", "check_start", "train"]
 
 #: The packages whose versions `result.json` records, besides logicity, if they are installed.
 PACKAGES = ("torch", "stable-baselines3", "torch-geometric", "numpy")
@@ -114,14 +114,14 @@ def train(
         checkpoints = _checkpoints(run)
         state = _state(checkpoints[-1]) if checkpoints else State()
         _check_folder(run, config, state)
-        _check_start(config)
+        check_start(config)
         hashes = _hashes(config)
         _check_hashes(run, state, hashes)
         state.hashes = hashes
         torch.set_num_threads(config.threads)
         # Load the test episodes now: an error in them must not surface after hours of training.
         val, test = (Benchmark(config.mode, split, observation=config.observation) for split in ("val", "test"))
-        _check_overrides(config)
+        check_overrides(config)
         log = run / "tensorboard" if tensorboard else None
         tracker = None if wandb is None else _wandb()
         files.enter_context(_enough_memory(config))
@@ -331,7 +331,7 @@ def _check_hashes(run: Path, state: State, hashes: Mapping[str, Any]) -> None:
         )
 
 
-def _check_start(config: TrainConfig) -> None:
+def check_start(config: TrainConfig) -> None:
     """Check that `start` is the file of a policy.
 
     Raises:
@@ -386,7 +386,7 @@ def _sizes(config: TrainConfig) -> dict[str, int]:
     return sizes
 
 
-def _check_overrides(config: TrainConfig) -> None:
+def check_overrides(config: TrainConfig) -> None:
     """Check that the overrides keep the observations.
 
     Raises:
@@ -569,7 +569,7 @@ class _Display:
         if self._bar is not None:
             self._bar.write(line, file=sys.stderr)
         elif self._enabled:
-            print(line, file=sys.stderr, flush=True)
+            print_progress(line)
 
     def update(self, steps: int) -> None:
         """Show the number of steps; as a line only if the last line is at least `SECONDS` old."""

@@ -49,9 +49,9 @@ from .learner import (
     Count,
     Learner,
     LearnerSettings,
+    LearningRate,
     Observations,
     Policy,
-    Positive,
     Progress,
     Share,
     check_shape,
@@ -73,9 +73,9 @@ class ShootingSettings(LearnerSettings):
     """The number of members of the ensemble."""
     width: Count = 64
     """The width of the two hidden layers of each network."""
-    model_learning_rate: Positive = 1e-5
+    model_learning_rate: LearningRate = 1e-5
     """The learning rate of the networks that predict changes of bits."""
-    reward_learning_rate: Positive = 1e-4
+    reward_learning_rate: LearningRate = 1e-4
     """The learning rate of the networks that predict rewards and terminations."""
     sequences: Count = 100
     """The number of random action sequences per decision."""

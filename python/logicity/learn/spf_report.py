@@ -139,13 +139,15 @@ class Report(CellReport):
         """Return everything for a terminal: one table per mode, the clauses that learners violate, and CPU hours."""
         parts = [self.experiment.title]
         for mode in self.modes:
-            lines = [["learner", *(_HEADS[name] for name in MEASURES), "paper: TSR", "DSR", "Score", "seeds", "CPU h"]]
+            of_paper = ["paper: TSR", "DSR", "Score"] if self.experiment.paper else []
+            lines = [["learner", *(_HEADS[name] for name in MEASURES), *of_paper, "seeds", "CPU h"]]
             for name, entries in self._names():
                 if mode in entries:
                     entry = entries[mode]
                     figures = [str(entry.measures[each]) if entry.measures else "-" for each in MEASURES]
                     seeds = ",".join(map(str, entry.seeds)) or entry.missing[:60]
-                    lines.append([name, *figures, *_paper_cells(entry.paper), seeds, f"{entry.cpu_hours:.2f}"])
+                    paper = _paper_cells(entry.paper) if of_paper else []
+                    lines.append([name, *figures, *paper, seeds, f"{entry.cpu_hours:.2f}"])
             parts += [f"\n{Path(mode).stem}", aligned(lines)]
         violations = self._violation_lines()
         if len(violations) > 1:

@@ -34,6 +34,7 @@ from .learner import (
     Count,
     Learner,
     LearnerSettings,
+    LearningRate,
     NonNegative,
     Observations,
     Policy,
@@ -113,7 +114,7 @@ _RANGES: dict[str, Any] = {
     "gae_lambda": Share,
     "gamma": Share,
     "gradient_steps": _NaturalOrAutomatic,
-    "learning_rate": Positive,
+    "learning_rate": LearningRate,
     "learning_starts": _Natural,
     "max_grad_norm": Positive,
     "n_epochs": Count,
@@ -357,8 +358,9 @@ class StableBaselinesLearner(Learner):
         random_state.put(state["random"])
 
     def close(self) -> None:
-        """Close the environments."""
-        self._model.env.close()
+        """Close the environments, which a model lacks if `restore` failed."""
+        if self._model.env is not None:
+            self._model.env.close()
 
 
 def new_model(config: TrainConfig, env: VecEnv, log: str | None = None) -> BaseAlgorithm:
@@ -373,6 +375,9 @@ def new_model(config: TrainConfig, env: VecEnv, log: str | None = None) -> BaseA
         ValueError: If the algorithm rejects the settings.
     """
     settings = config.settings.model_dump()
+    frequency = settings.get("train_freq")
+    if isinstance(frequency, tuple) and frequency[1] == "episode" and config.envs > 1:
+        raise ValueError("`settings.train_freq`: the unit `episode` needs one environment: set `envs: 1`")
     learner = config.learner
     assert issubclass(learner, StableBaselinesLearner)
     policy = learner.policy_arguments(config, settings)

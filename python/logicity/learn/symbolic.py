@@ -8,10 +8,11 @@ from __future__ import annotations
 from abc import abstractmethod
 from collections.abc import Sequence
 from pathlib import Path
-from typing import TYPE_CHECKING, ClassVar, Literal, TypeAlias, cast
+from typing import TYPE_CHECKING, Annotated, ClassVar, Literal, TypeAlias, cast
 
 from pydantic import Field
 
+from .._logicity import NOISE_MAX, VARIABLES_MAX
 from ..describe import Atom
 from ..induction import induce
 from ..offline import Demonstrations
@@ -125,11 +126,11 @@ class SymbolicLearner(Learner):
 class InduceSettings(LearnerSettings):
     """The settings of `logicity.induce`, with its defaults."""
 
-    variables: int = Field(default=3, ge=2)
+    variables: int = Field(default=3, ge=2, le=VARIABLES_MAX)
     """The largest number of variables of a clause."""
-    effort: int = Field(default=20_000, ge=1)
+    effort: int = Field(default=20_000, ge=1, lt=2**32)
     """The largest number of steps of the search for one clause."""
-    noise: float | Literal["auto"] | None = None
+    noise: Annotated[float, Field(ge=0, le=NOISE_MAX)] | Literal["auto"] | None = None
     """The share of demonstrated actions that may be wrong, from 0 to 0.4, or `auto` to estimate it. By default (null)
     all are right."""
 

@@ -303,7 +303,7 @@ def _read_manifest(folder: Path) -> tuple[dict[str, Any], dict[int, int]]:
         settings = manifest["settings"]
         data, version = settings["data"], settings["version"]
     except (KeyError, TypeError, ValueError) as error:
-        raise ValueError(f"`{path}` is not a manifest of `logicity vap make`: {error!r}") from None
+        raise not_a_manifest(path, error) from None
     if data != "logicity vap" or version not in VERSIONS:
         raise ValueError(
             f"`{path}` belongs to a data set `{data}` of version {version}; "
@@ -314,8 +314,14 @@ def _read_manifest(folder: Path) -> tuple[dict[str, Any], dict[int, int]]:
         counts = {int(world["world"]): int(world["frames"]) for world in manifest["worlds"]}
         named = {name: settings[name] for name in ("mode", "agents", "split", "pictures")}
     except (KeyError, TypeError, ValueError) as error:
-        raise ValueError(f"`{path}` is not a manifest of `logicity vap make`: {error!r}") from None
+        raise not_a_manifest(path, error) from None
     return named, counts
+
+
+def not_a_manifest(path: Path, error: Exception) -> ValueError:
+    """Return an error that names the manifest and the reason."""
+    reason = f"the key {error} is missing" if isinstance(error, KeyError) else str(error)
+    return ValueError(f"`{path}` is not a manifest of `logicity vap make`: {reason}")
 
 
 def _node_vectors(

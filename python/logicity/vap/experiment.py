@@ -29,7 +29,16 @@ from ..errors import did_you_mean, missing_extra
 from ..files import write_json
 from ..learn.cells import Job
 from ..learn.config import Fault, contains, faults, merged
-from ..learn.experiment import Selection, read_experiment, repeated, selected, start_faults, unknown_key, validated
+from ..learn.experiment import (
+    Selection,
+    paper_faults,
+    read_experiment,
+    repeated,
+    selected,
+    start_faults,
+    unknown_key,
+    validated,
+)
 from ..learn.learner import Seed, StrictModel
 from ..rules import Program
 from .data import BINARY, UNARY, symbolic_facts
@@ -65,6 +74,9 @@ __all__ = ["VapCell", "VapExperiment", "VapSettings", "run_cell"]
 
 #: The version of the format of the files of a cell.
 FORMAT = 1
+
+#: The message about a row that needs the concepts of another one.
+NO_CONCEPTS = "`groundings: predicted` needs the concepts of another row: set its `start`"
 
 _Worlds = Annotated[int, Field(ge=1, le=100_000)]
 
@@ -128,6 +140,11 @@ class VapSettings(StrictModel):
             # Errors of a whole model have no path, so the context has the key.
             raise PydanticCustomError("custom", "{message}", {"message": fault, "key": key})
         return self
+
+    @property
+    def needs_concepts(self) -> bool:
+        """Whether the concepts are those of the model from which the training starts."""
+        return self.groundings == "predicted" and self.stage in ("reasoning", "induction")
 
     @property
     def kind(self) -> Kind | None:
@@ -229,7 +246,7 @@ class VapExperiment(StrictModel):
     """The task, Visual Action Prediction."""
     title: str
     """The title of the table."""
-    paper: str | None = None
+    paper: Literal["vap", "vap-continual", "vap-concepts"] | None = None
     """The table of the paper whose figures are shown beside the results."""
     learners: Annotated[dict[str, Row], Field(min_length=1)]
     """The rows of the table, by name, each after the row that it starts from: models with their settings."""
@@ -281,37 +298,48 @@ class VapExperiment(StrictModel):
             if spec.start is not None and spec.start not in known:
                 # A row that exists may be in the wrong place; another name may be misspelled.
                 move = spec.start in self.learners and spec.start != row
-                help = f": move `{row}` below it" if move else did_you_mean(spec.start, known)
+                others = known if spec.start == row else [name for name in self.learners if name != row]
+                help = f": move `{row}` below it" if move else did_you_mean(spec.start, others)
                 message = f"`{row}` starts from `{spec.start}`, but no earlier row has this name{help}"
                 yield "invalid-value", ["learners", row, "start"], message, ""
-            for mode in spec.modes or ():
+            for at, mode in enumerate(spec.modes or ()):
                 if mode not in self.modes:
-                    yield "invalid-value", ["learners", row, "modes"], f"unknown mode `{mode}`", ""
+                    message = f"unknown mode `{mode}`{did_you_mean(mode, self.modes)}"
+                    yield "invalid-value", ["learners", row, "modes", str(at)], message, ""
             for name in spec.variants or ():
                 if name not in self.variants:
                     message = f"unknown variant `{name}`{did_you_mean(name, self.variants)}"
                     yield "invalid-value", ["learners", row, "variants"], message, ""
             known.append(row)
         yield from start_faults(self.variants)
+        yield from paper_faults(self.paper, self.learners, "vap")
         yield from self._settings_faults()
 
     def _settings_faults(self) -> Iterator[Fault]:
-        """Yield the errors in settings, each once, where its value is written."""
+        """Yield the errors in settings, each once, where its value is written, and rows that lack a `start`."""
         # A value of the experiment is part of many cells.
         seen: set[tuple[str, ...]] = set()
         for quick in (False, True):
             for row, spec in self.learners.items():
                 for name in spec.variants or self.variants:
-                    variant = self.variants.get(name, Variant())
-                    try:
-                        self.settings_of(row, variant, Selection(quick=quick))
-                    except ValidationError as error:
-                        for code, path, message, help in faults(error, _unknown_setting):
-                            at = self._written(row, name, path or _key_of(error), quick)
-                            if tuple(at) not in seen:
-                                seen.add(tuple(at))
-                                cell = f"settings of `{row}`: " if not path or at[:2] == ["learners", row] else ""
-                                yield code, at, f"{cell}{message}", help
+                    for fault in self._cell_faults(row, name, quick):
+                        if tuple(fault[1]) not in seen:
+                            seen.add(tuple(fault[1]))
+                            yield fault
+
+    def _cell_faults(self, row: str, name: str, quick: bool) -> Iterator[Fault]:
+        """Yield the errors in the settings of a row and the variant with a name."""
+        spec, variant = self.learners[row], self.variants.get(name, Variant())
+        try:
+            settings = self.settings_of(row, variant, Selection(quick=quick))
+        except ValidationError as error:
+            for code, path, message, help in faults(error, _unknown_setting):
+                at = self._written(row, name, path or _key_of(error), quick)
+                cell = f"settings of `{row}`: " if not path or at[:2] == ["learners", row] else ""
+                yield code, at, f"{cell}{message}", help
+            return
+        if settings.needs_concepts and spec.start is None and variant.start is None:
+            yield "invalid-value", ["learners", row], f"`{row}`: {NO_CONCEPTS}", ""
 
     def _written(self, row: str, name: str, path: Sequence[str], quick: bool) -> list[str]:
         """Return the path in the file of the setting with a path, or the path of the row if no key has it."""
@@ -396,6 +424,8 @@ class VapExperiment(StrictModel):
             settings = self.settings_of(row, variant, selection)
         except ValidationError as error:
             raise ValueError(f"--set: settings of `{row}`: {_first_message(error)}") from None
+        if settings.needs_concepts and start is None:
+            raise ValueError(f"--set: `{row}`: {NO_CONCEPTS}")
         found[key] = VapCell(
             row=row,
             mode=variant.mode or mode,
@@ -700,7 +730,7 @@ def _groundings(work: Work, model: dict[str, Any], samples: Samples) -> tuple[Te
     if work.settings.groundings == "exact":
         return samples.facts["unary"].float(), samples.relations.float()
     if "concepts" not in model:
-        raise ValueError("`groundings: predicted` needs the concepts of another row: set its `start`")
+        raise ValueError(NO_CONCEPTS)
     concepts = work.concepts()
     _restore(concepts, model, "concepts")
     return groundings(concepts, samples)

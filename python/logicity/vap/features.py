@@ -25,7 +25,7 @@ from numpy.typing import NDArray
 
 from ..errors import checked_path, checked_threads, missing_extra
 from ..files import read_tensors, write_json
-from .data import PICTURE_SIDE, VapDataset
+from .data import PICTURE_SIDE, VapDataset, not_a_manifest
 from .make import make_dataset
 
 try:
@@ -401,7 +401,7 @@ def _worlds(samples: VapDataset) -> list[_World]:
             for number, positions in samples.worlds().items()
         ]
     except (AttributeError, KeyError, TypeError, ValueError) as error:
-        raise ValueError(f"`{path}` is not a manifest of `logicity vap make`: {error!r}") from None
+        raise not_a_manifest(path, error) from None
 
 
 def file_hash(path: Path) -> str:
@@ -694,19 +694,24 @@ def _readable(folder: Path, world: _World, extract: Extractor) -> bool:
 
 
 def _made(folder: Path, spec: DataSpec, first: int, worlds: int, *, images: bool) -> VapDataset:
-    return make_dataset(
-        folder,
-        spec.mode,
-        spec.split,
-        agents=spec.agents,
-        first_world=first,
-        worlds=worlds,
-        seed=spec.seed,
-        images=images,
-        difficulty=spec.difficulty,
-        drawing_version=spec.drawing_version,
-        threads=1,
-    )
+    try:
+        return make_dataset(
+            folder,
+            spec.mode,
+            spec.split,
+            agents=spec.agents,
+            first_world=first,
+            worlds=worlds,
+            seed=spec.seed,
+            images=images,
+            difficulty=spec.difficulty,
+            drawing_version=spec.drawing_version,
+            threads=1,
+        )
+    except (FileExistsError, ValueError) as error:
+        # The caller of an experiment cannot choose the folder.
+        message = f"the data set `{folder}` is damaged: remove the folder, and run the experiment again"
+        raise ValueError(f"{message}: {error}") from None
 
 
 @contextmanager

@@ -130,14 +130,19 @@ class VapReport(CellReport):
         return lines
 
     def concept_table(self) -> list[list[str]]:
-        """Return the recalls of concepts: a head, then a line for each predicate. Only a head without concepts."""
+        """Return the recalls of concepts: a head, then a line for each predicate. Only a head without concepts.
+
+        The last column has the paper's recalls if the experiment names a table of the paper.
+        """
         shown = [entry for entry in self.entries if entry.concepts]
-        paper = paper_table("vap-concepts")["concepts"]
+        paper = paper_table("vap-concepts")["concepts"] if self.paper else None
         names = [", ".join(part for part in (entry.mode, entry.row, entry.variant) if part) for entry in shown]
-        lines = [["predicate", *names, "the paper's"]]
+        lines = [["predicate", *names, *([] if paper is None else ["the paper's"])]]
         for name in dict.fromkeys(name for entry in shown for name in entry.concepts):
             recalls = [f"{entry.concepts[name]:.3f}" if name in entry.concepts else "-" for entry in shown]
-            lines.append([name, *recalls, f"{paper[name]:.3f}" if name in paper else "-"])
+            if paper is not None:
+                recalls.append(f"{paper[name]:.3f}" if name in paper else "-")
+            lines.append([name, *recalls])
         return lines
 
     def notes(self) -> list[str]:
@@ -149,7 +154,7 @@ class VapReport(CellReport):
             notes.append("Values of one seed and one test world have no interval.")
         if table := paper_table(self.experiment.paper):
             notes.append(f"The paper's figures: {table['source']}. {table['note']}")
-        if any(entry.concepts for entry in self.entries):
+        if self.paper and any(entry.concepts for entry in self.entries):
             table = paper_table("vap-concepts")
             notes.append(f"The paper's figures: {table['source']}. {table['note']}")
         for entry in self.entries:

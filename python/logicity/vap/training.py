@@ -48,7 +48,7 @@ class TrainingSettings(BaseModel):
     """The number of passes over the samples."""
     batch: Annotated[int, Field(ge=1)] = 16
     """The number of pictures of an update."""
-    learning_rate: Annotated[float, Field(gt=0)] = 1e-3
+    learning_rate: Annotated[float, Field(gt=0, le=1)] = 1e-3
     """The learning rate, which falls to 0 along a half cosine."""
     optimizer: Literal["adam", "adamw"] = "adam"
     """Adam, or AdamW with decoupled weight decay."""
