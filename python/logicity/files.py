@@ -107,5 +107,5 @@ def read_tensors(path: str | os.PathLike[str], expected: str) -> Any:
         if isinstance(error, OSError) and error.filename is not None:
             raise
         # Depending on the bytes, PyTorch raises almost any exception.
-        message = f"{os.fspath(path)} is not {expected} or is damaged: PyTorch cannot read it as plain data"
+        message = f"{os.fspath(path)} is not {expected}: PyTorch cannot read it as plain data; it may be damaged"
         raise ValueError(message) from None

@@ -91,7 +91,7 @@ def test_every_mode_of_the_paper_has_a_configuration_for_every_algorithm() -> No
             assert settings.n_steps * config.envs % settings.batch_size == 0
     expert = TrainConfig.load(BASELINES / "ppo-expert.yaml")
     given: Any = expert.settings
-    assert (given.batch_size, given.n_steps, given.network) == (256, 256, (128, 64, 64))
+    assert (given.batch_size, given.n_steps, given.network) == (64, 2048, (128, 64, 64))
     assert expert.overrides == {"task": {"reward": {"overtime": -10}}}
 
 
@@ -720,10 +720,10 @@ def test_a_policy_is_evaluated_only_where_it_fits(tmp_path: Path, capsys: pytest
 )
 def test_numbers_in_scientific_notation_are_floats(text: str, number: float, tmp_path: Path) -> None:
     (tmp_path / "config.yaml").write_text(
-        f"algorithm: dqn\nmode: easy\nsettings: {{network: [8], learning_rate: {text}}}"
+        f"algorithm: dqn\nmode: easy\nsettings: {{network: [8], max_grad_norm: {text}}}"
     )
     given: Any = TrainConfig.load(tmp_path / "config.yaml").settings
-    assert given.learning_rate == number
+    assert given.max_grad_norm == number
 
 
 @pytest.mark.parametrize("suffix", [".zip", ".pt", ".txt"])
