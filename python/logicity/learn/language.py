@@ -272,9 +272,10 @@ def _car_concepts(file: _logicity.ConfigFile) -> list[str] | None:
         predicates = _logicity.ConfigFile(path, "configs/predicates").value()
     except FileNotFoundError:
         return None
-    used = predicates.get("use") or predicates["define"]
-    definitions = [each for name, each in predicates["define"].items() if name in used and isinstance(each, dict)]
-    return [each["concept"] for each in definitions if each.get("concept") and each["of"] == "Car"]
+    defined = predicates.get("define") or {}
+    used = predicates.get("use") or defined
+    definitions = [each for name, each in defined.items() if name in used and isinstance(each, dict)]
+    return [each["concept"] for each in definitions if each.get("concept") and each.get("of") == "Car"]
 
 
 def _actions(file: _logicity.ConfigFile) -> list[str]:

@@ -308,12 +308,13 @@ def draw_bars(axes: Any, bars: Sequence[tuple[str, Interval | None, float | None
             axes.barh(at, value.value, xerr=reach, color="#4878a8", error_kw={"linewidth": 1})
         if paper is not None:
             axes.plot(paper, at, "D", color="#c44e52", markersize=5)
-    axes.plot([], [], "D", color="#c44e52", markersize=5, label="paper")
     axes.set_yticks(range(len(bars)), [name for name, *_ in bars], fontsize=8)
     axes.invert_yaxis()
     axes.set_xlim(0, 1.02)
     axes.set_xlabel(label)
-    axes.legend(fontsize=8, loc="lower right")
+    if any(paper is not None for _, _, paper in bars):
+        axes.plot([], [], "D", color="#c44e52", markersize=5, label="paper")
+        axes.legend(fontsize=8, loc="lower right")
 
 
 def draw_lines(axes: Any, lines: Mapping[str, Sequence[tuple[float, Interval]]], labels: tuple[str, str]) -> None:
