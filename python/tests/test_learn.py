@@ -593,7 +593,7 @@ def test_episodes_that_are_never_found_are_an_error(tmp_path: Path, capsys: pyte
     assert "error[limit-exceeded]: " in capsys.readouterr().err
 
 
-def test_a_training_goes_on_after_its_reader_has_gone(tmp_path: Path) -> None:
+def test_a_training_continues_after_its_reader_has_gone(tmp_path: Path) -> None:
     config = tmp_path / "config.json"
     config.write_text(json.dumps(short("mlp").to_dict()))
     command = [sys.executable, "-m", "logicity", "train", str(config), "--run", str(tmp_path / "run")]

@@ -14,7 +14,7 @@ def first_line(message: str, default: str = "no message") -> str:
 
 
 def print_progress(line: str) -> None:
-    """Print a line to standard error. If its reader has closed it, later lines are dropped, and the work goes on."""
+    """Print a line to standard error. If its reader has closed it, later lines are dropped, and the work continues."""
     try:
         print(line, file=sys.stderr, flush=True)
     except BrokenPipeError:
