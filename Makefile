@@ -14,7 +14,7 @@ test: lint features rust doc python page docs
 # Omits Python, pictures and tests whose names begin with slow_, and tries fewer random cases.
 quick:
 	cargo fmt --all --check
-	PROPTEST_CASES=32 cargo test --locked --lib --bins --test datalog --test city --test program -- --skip slow_
+	LOGICITY_RANDOM_CASES=32 cargo test --locked --lib --bins --test datalog --test city --test program -- --skip slow_
 
 format:
 	cargo fmt --all --check
@@ -30,14 +30,14 @@ lint: format
 FEATURES := $(filter-out default,$(shell sed -n '/^\[features\]/,/^\[dep/s/^\([a-z]*\) = .*/\1/p' Cargo.toml))
 features:
 	cargo clippy --locked --no-default-features --all-targets -- -D warnings
-	PROPTEST_CASES=32 cargo test --locked --no-default-features --test datalog -- --skip slow_
+	LOGICITY_RANDOM_CASES=32 cargo test --locked --no-default-features --test datalog -- --skip slow_
 	for feature in $(FEATURES); do \
 	    cargo clippy --locked --no-default-features --features $$feature --lib --bins --examples -- -D warnings || exit 1; \
 	done
 
 # `cargo test` tries twice as many random cases, and the nightly workflow eight times as many.
 rust:
-	PROPTEST_CASES=$${PROPTEST_CASES:-128} cargo test --locked
+	LOGICITY_RANDOM_CASES=$${LOGICITY_RANDOM_CASES:-128} cargo test --locked
 
 doc:
 	RUSTDOCFLAGS="-D warnings" cargo doc --no-deps --locked

@@ -66,6 +66,9 @@ configs/*.yaml --config--> Scenario --> World --> Simulation --ground--> facts -
 //! and the [limits](datalog#limits).
 
 pub mod cancel;
+#[cfg(test)]
+#[path = "../tests/datalog/cases.rs"]
+mod cases;
 pub mod datalog;
 pub mod diag;
 pub mod files;

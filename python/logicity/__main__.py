@@ -20,8 +20,8 @@ def main(arguments: Sequence[str] | None = None) -> int:
         arguments: The command line without the program name. Defaults to that of the process.
 
     Returns:
-        The exit code: 0 for success, 1 for invalid input, 2 for wrong usage or a file that cannot be read or written,
-        130 after Ctrl-C.
+        The exit code: 0 for success, 1 for invalid input, 2 for wrong usage, for a file that cannot be read or written,
+        or for a server that gives no reply, 130 after Ctrl-C.
     """
     argv = list(sys.argv[1:] if arguments is None else arguments)
     # Rust writes to the same streams through separate buffers. Unlike `flush`, `print` accepts closed streams.

@@ -65,7 +65,7 @@ def run(words: tuple[str, ...], arguments: Sequence[str]) -> int:
         # The message begins with `error[CODE]`.
         print(error, file=sys.stderr)
         return 1
-    except (ConnectionError, ValueError) as error:
+    except ValueError as error:
         print(f"error: {error}", file=sys.stderr)
         return 1
     except FileNotFoundError as error:

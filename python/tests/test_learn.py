@@ -690,7 +690,7 @@ def test_errors_of_a_run_have_a_location(tmp_path: Path, capsys: pytest.CaptureF
     network = "algorithm: ppo\nmode: easy\nsettings: {network: [8]}\n"
     for text, message, line, column in [
         (f"{network}start: bad.zip", "`start`: .* is not a Stable-Baselines3 model", 4, 8),
-        ("algorithm: induce\nmode: easy\nsteps: 5", "steps: expected 1, because `induce` learns in one step", 3, 8),
+        ("algorithm: induce\nmode: easy\nsteps: 5", "`steps` must be 1 for `induce`, not `5`", 3, 8),
         (f"{network}overrides:\n  task:\n    reward: {{overtimee: 1}}", "unknown key `overtimee`", 6, 14),
         (f"{network}overrides:\n  view: 30\n  task: {{reward: {{}}, patience: x}}", "found the text `x`", 6, 32),
         (f"{network}overrides:\n  task: {{route_length: true}}", "the `overrides` change the shape", 4, 1),

@@ -344,7 +344,7 @@ def test_earlier_replies_are_kept_when_the_server_fails(
     assert len(server.requests) == 7 and len(load_answers(path)) == 4
 
 
-def test_rejected_requests_are_not_retried(serve: Serve, tmp_path: Path) -> None:
+def test_rejected_requests_are_not_retried(serve: Serve, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     other = serve(lambda handler, number, _: say(handler, "A"))
     for code, message in [(401, "401 .*: who are you"), (404, "404"), (302, "302"), (307, "307")]:
         server = serve(lambda handler, _, __, code=code: send(handler, code, b"who are you", Location=other.url))  # type: ignore[misc]
@@ -353,6 +353,17 @@ def test_rejected_requests_are_not_retried(serve: Serve, tmp_path: Path) -> None
         assert len(server.requests) == 1
     # The key is not sent to the target of a redirect.
     assert other.requests == []
+    arguments = [
+        "--questions",
+        str(QUESTIONS),
+        "--url",
+        server.url,
+        "--model",
+        "stub",
+        "-o",
+        str(tmp_path / "of.jsonl"),
+    ]
+    assert main(["ask", *arguments]) == 2 and "rejects the request: 307" in capsys.readouterr().err
 
 
 def test_errors_of_endpoints_do_not_show_the_key(

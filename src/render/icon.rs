@@ -643,13 +643,22 @@ fn blur(pixmap: &mut Pixmap, radius: usize) {
             for (place, pixel) in line.iter_mut().enumerate() {
                 *pixel = [0, 1, 2, 3].map(|channel| data[at(place) + channel].into());
             }
+            // The sum of the pixels from `begin` to before `end`.
+            let (mut sum, mut begin, mut end) = ([0_u32; 4], 0, 0);
             for place in 0..length {
-                let window = &line[place.saturating_sub(radius)..(place + radius + 1).min(length)];
+                let entering = end..(place + radius + 1).min(length);
+                let leaving = begin..place.saturating_sub(radius);
+                (begin, end) = (leaving.end, entering.end);
                 #[allow(clippy::cast_possible_truncation)]
-                let count = window.len() as u32;
+                let count = (end - begin) as u32;
                 for channel in 0..4 {
-                    let sum: u32 = window.iter().map(|pixel| pixel[channel]).sum();
-                    data[at(place) + channel] = (sum / count) as u8;
+                    for pixel in &line[entering.clone()] {
+                        sum[channel] += pixel[channel];
+                    }
+                    for pixel in &line[leaving.clone()] {
+                        sum[channel] -= pixel[channel];
+                    }
+                    data[at(place) + channel] = (sum[channel] / count) as u8;
                 }
             }
         }
@@ -664,6 +673,33 @@ mod tests {
     /// An SVG that is opaque in its lower half.
     const ART: &str =
         r#"<svg xmlns="http://www.w3.org/2000/svg" width="30" height="50"><circle cx="14" cy="30" r="13"/></svg>"#;
+
+    #[test]
+    fn a_blurred_picture_has_the_means_of_windows() {
+        let mut stream = Seed(3).stream(Purpose::SCENE, 0, 1);
+        for _ in 0..40 {
+            let (cols, rows) = (stream.random_range(1..9_usize), stream.random_range(1..9_usize));
+            let radius = stream.random_range(0..6);
+            let mut pixmap = Pixmap::new(cols as u32, rows as u32).expect("a size");
+            pixmap.data_mut().fill_with(|| stream.random());
+            let mut expected = pixmap.data().to_vec();
+            for along_row in [true, false] {
+                let before = expected.clone();
+                for (at, value) in expected.iter_mut().enumerate() {
+                    let near = |other: &usize| {
+                        let across = (other / 4 % cols).abs_diff(at / 4 % cols);
+                        let down = (other / 4 / cols).abs_diff(at / 4 / cols);
+                        let (near, same) = if along_row { (across, down) } else { (down, across) };
+                        other % 4 == at % 4 && same == 0 && near <= radius
+                    };
+                    let window = (0..before.len()).filter(near).map(|other| u32::from(before[other]));
+                    *value = (window.clone().sum::<u32>() / window.count() as u32) as u8;
+                }
+            }
+            blur(&mut pixmap, radius);
+            assert_eq!(pixmap.data(), expected, "{cols} x {rows}, radius {radius}");
+        }
+    }
 
     #[test]
     fn outlines_are_those_of_what_is_drawn() {

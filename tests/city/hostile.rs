@@ -2,6 +2,7 @@
 //! texts.
 
 use crate::any_input;
+use crate::cases::cases;
 use crate::near_files::{any_bytes, files, near};
 use proptest::prelude::*;
 use std::sync::LazyLock;
@@ -21,6 +22,8 @@ fn conflicts_of_every_rule_file_are_found() {
 }
 
 proptest! {
+    #![proptest_config(ProptestConfig::with_cases(cases(256)))]
+
     #[test]
     fn conflicts_of_any_rules_are_found(bytes in near(&RULES)) {
         any_input::conflicts(&bytes);

@@ -1,5 +1,6 @@
 //! Safe Path Following: observations, the oracle's actions, violations and rewards.
 
+use crate::cases::cases;
 use crate::shipped_world::{SPF_MODES, task, task_of};
 use logicity::builtin::BuiltinFiles;
 use logicity::cancel::Cancel;
@@ -914,6 +915,8 @@ fn unknown_keys_of_episodes_are_reported() {
 }
 
 proptest! {
+    #![proptest_config(ProptestConfig::with_cases(cases(256)))]
+
     /// Any text parses or gives an error, and written episodes parse to the same values.
     #[test]
     fn written_episodes_parse_to_the_same_values(text in ".{0,200}", seed in 0u64..1000) {

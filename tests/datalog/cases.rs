@@ -2,18 +2,19 @@
 
 use std::env;
 
-/// The number of cases that proptest tries if neither a test nor the environment sets it.
+/// The value of `LOGICITY_RANDOM_CASES` with which every property has its full number of cases.
 const USUAL: u64 = 256;
 
-/// Returns a number of cases, scaled by the environment variable `PROPTEST_CASES`: with twice the usual number, every
-/// property has twice as many. Proptest reads the variable only for properties without a number of their own.
+/// Returns a number of cases, scaled by the environment variable `LOGICITY_RANDOM_CASES`: with twice the usual value, every
+/// property has twice as many. Proptest's own `PROPTEST_CASES` gives every property the same number, which takes hours
+/// where a case is slow.
 pub fn cases(full: u32) -> u32 {
-    scaled(full, env::var("PROPTEST_CASES").ok().as_deref())
+    scaled(full, env::var("LOGICITY_RANDOM_CASES").ok().as_deref())
 }
 
 fn scaled(full: u32, variable: Option<&str>) -> u32 {
     let Some(variable) = variable else { return full };
-    let given: u64 = variable.parse().expect("PROPTEST_CASES is a number");
+    let given: u64 = variable.parse().expect("LOGICITY_RANDOM_CASES is a number");
     u32::try_from(u64::from(full) * given / USUAL)
         .unwrap_or(u32::MAX)
         .max(1)

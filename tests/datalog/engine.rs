@@ -1577,6 +1577,8 @@ fn ranges(least: i64, greatest: i64) -> impl proptest::strategy::Strategy<Value 
 }
 
 proptest! {
+    #![proptest_config(ProptestConfig::with_cases(cases(256)))]
+
     #[test]
     fn a_range_equals_counting(
         signed in ranges(i64::from(i32::MIN), i64::from(i32::MAX)),

@@ -3,6 +3,7 @@
 //! tests further hostile texts.
 
 use crate::any_input;
+use crate::cases::cases;
 use crate::near_files::{any_bytes, files, near};
 use proptest::prelude::*;
 use std::sync::LazyLock;
@@ -40,6 +41,8 @@ fn every_rule_file_evaluates_or_gives_diagnostics() {
 }
 
 proptest! {
+    #![proptest_config(ProptestConfig::with_cases(cases(256)))]
+
     #[test]
     fn any_rules_parse_or_give_diagnostics(bytes in prop_oneof![4 => near(&RULES), 1 => any_bytes()]) {
         any_input::parse(&bytes);

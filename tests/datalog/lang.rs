@@ -1029,6 +1029,8 @@ fn item() -> impl Strategy<Value = ast::Item> {
 }
 
 proptest! {
+    #![proptest_config(ProptestConfig::with_cases(cases(256)))]
+
     #[test]
     fn printed_rules_parse_to_the_same_rules(items in proptest::collection::vec(item(), 0..8)) {
         let file = ast::File { items };
@@ -1142,6 +1144,8 @@ const PIECES: &[&str] = &[
 ];
 
 proptest! {
+    #![proptest_config(ProptestConfig::with_cases(cases(256)))]
+
     #[test]
     fn any_bytes_load_without_a_panic(bytes in proptest::collection::vec(any::<u8>(), 0..300)) {
         survives(&String::from_utf8_lossy(&bytes));
@@ -1603,6 +1607,8 @@ fn check_constraints(rules: &Rules) {
 }
 
 proptest! {
+    #![proptest_config(ProptestConfig::with_cases(cases(256)))]
+
     #[test]
     fn rules_keep_their_invariants(
         clauses in proptest::collection::vec((random_clause(), 0_usize..4, 0_usize..4), 1..6),

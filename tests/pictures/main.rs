@@ -1,5 +1,7 @@
 //! Tests of pictures, of the page of a run, and of data sets of Visual Action Prediction.
 
+#[path = "../datalog/cases.rs"]
+mod cases;
 mod page;
 mod render;
 #[path = "../city/shipped_world.rs"]

@@ -1,6 +1,7 @@
 //! Pictures through the public interface. Equal input gives equal bytes, a crop equals a part of the whole, icons of a
 //! class differ, a classifier distinguishes classes, and nothing panics.
 
+use crate::cases::cases;
 use logicity::city::{Action, AgentKind, Building, Buildings, MapConfig, Split, Widths};
 use logicity::city::{Cell, CityMap};
 use logicity::diag::Located;
@@ -207,7 +208,7 @@ fn part(picture: &Picture, area: PixelBox) -> Vec<u8> {
 }
 
 proptest! {
-    #![proptest_config(ProptestConfig::with_cases(6))]
+    #![proptest_config(ProptestConfig::with_cases(cases(6)))]
 
     #[test]
     fn a_gif_shows_the_pushed_frames(

@@ -72,7 +72,7 @@ class TrainConfig(BaseModel):
     overrides: dict[str, Any] = Field(default_factory=dict)
     """Changes to the configuration for training. Validation and test use the mode without overrides. For learners that
     step environments."""
-    steps: Count = 200_000
+    steps: Count = Field(default=200_000, validate_default=True)
     """The number of training steps: steps of all environments together, or updates of a learner from demonstrations.
     Only `steps` may change when a run resumes."""
     envs: Count = 1
@@ -134,6 +134,15 @@ class TrainConfig(BaseModel):
             raise _custom(f"`{algorithm}` takes observations of the kind {names}, not `{kind}`")
         return kind
 
+    @field_validator("steps")
+    @classmethod
+    def _possible_steps(cls, steps: int, info: ValidationInfo) -> int:
+        algorithm = info.data.get("algorithm")
+        only = None if algorithm is None else learner_class(algorithm).only_steps
+        if only is not None and steps != only:
+            raise _custom(f"`steps` must be {only} for `{algorithm}`, not `{steps}`")
+        return steps
+
     @field_validator("overrides", "envs", "episodes", "demonstrations", "start")
     @classmethod
     def _used_key(cls, value: Any, info: ValidationInfo) -> Any:
@@ -179,6 +188,7 @@ class TrainConfig(BaseModel):
                         "properties": {
                             "settings": {"$ref": f"#/$defs/{name}"},
                             "observation": {"enum": list(learner.observations)},
+                            **({} if learner.only_steps is None else {"steps": {"const": learner.only_steps}}),
                             **{key: False for key in unused(name)},
                         }
                     },

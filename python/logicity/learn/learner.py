@@ -136,6 +136,8 @@ class Learner(ABC):
     settings_class: ClassVar[type[LearnerSettings]]
     #: The unit of `steps`.
     unit: ClassVar[Literal["environment steps", "updates"]]
+    #: The only possible number of steps, or `None` if there is a choice.
+    only_steps: ClassVar[int | None] = None
     #: Whether the learner steps environments. Otherwise it learns from demonstrations. The keys `envs`,
     #: `episodes` and `overrides` need the former, the key `demonstrations` needs the latter; elsewhere they are errors.
     interacts: ClassVar[bool]

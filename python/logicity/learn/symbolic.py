@@ -59,19 +59,14 @@ class SymbolicLearner(Learner):
     """
 
     unit: ClassVar[Literal["environment steps", "updates"]] = "updates"
+    only_steps: ClassVar[int | None] = 1
     interacts: ClassVar[bool] = False
     suffix: ClassVar[str] = ".dl"
     policy_class: ClassVar[type[Policy]] = SymbolicPolicy
 
     def __init__(self, config: TrainConfig, log: Path | None = None) -> None:
-        """Check the number of steps.
-
-        Raises:
-            ValueError: If it is not 1.
-        """
+        """Start without rules."""
         super().__init__(config, log)
-        if config.steps != 1:
-            raise ValueError(f"steps: expected 1, because `{config.algorithm}` learns in one step, not {config.steps}")
         self._text: str | None = None
 
     @abstractmethod

@@ -114,7 +114,8 @@ class VapSettings(StrictModel):
     concepts: ConceptSettings = ConceptSettings()
     """The architecture of the perception."""
     weights: str | None = None
-    """For `perception: features`, the file of the backbone's weights."""
+    """For `perception: features`, the file of the backbone's weights. A path is relative to the working directory. By
+    default torchvision's cache has the file."""
     reasoner: Literal["gnn", "nlm"] = "gnn"
     """A graph network (`gnn`) or a Neural Logic Machine (`nlm`), for the stages `reasoning` and `end-to-end`."""
     groundings: Literal["predicted", "exact"] = "predicted"

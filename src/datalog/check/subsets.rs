@@ -224,10 +224,13 @@ pub(crate) mod random_clauses {
 #[cfg(test)]
 mod tests {
     use super::*;
+    use crate::cases::cases;
     use proptest::collection::{btree_set, vec};
     use proptest::prelude::*;
 
     proptest! {
+        #![proptest_config(ProptestConfig::with_cases(cases(256)))]
+
         #[test]
         fn equals_linear_search(
             sets in vec(btree_set(0_u8..12, 0..5), 0..40),

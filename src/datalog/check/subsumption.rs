@@ -589,10 +589,13 @@ pub(crate) fn traits_suffice<'a>(clauses: impl Iterator<Item = &'a Clause>, theo
 #[cfg(test)]
 mod tests {
     use super::*;
+    use crate::cases::cases;
     use crate::datalog::check::random_clauses;
     use proptest::prelude::*;
 
     proptest! {
+        #![proptest_config(ProptestConfig::with_cases(cases(256)))]
+
         #[test]
         fn traits_suffice_without_constraints(rules in random_clauses::rules()) {
             prop_assert!(traits_suffice(rules.clauses.iter(), &NoConstraints));

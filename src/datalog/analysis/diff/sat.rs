@@ -88,9 +88,12 @@ impl Solver {
 #[cfg(test)]
 mod tests {
     use super::*;
+    use crate::cases::cases;
     use proptest::prelude::*;
 
     proptest! {
+        #![proptest_config(ProptestConfig::with_cases(cases(256)))]
+
         /// Compares the solver with an exhaustive search.
         #[test]
         fn finds_a_model_exactly_if_there_is_one(

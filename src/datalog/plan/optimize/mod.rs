@@ -412,10 +412,13 @@ fn shown_term(rules: &Rules, clause: &Clause, term: &Term, base: BaseType) -> St
 #[cfg(test)]
 mod tests {
     use super::*;
+    use crate::cases::cases;
     use crate::datalog::check::random_clauses;
     use proptest::prelude::*;
 
     proptest! {
+        #![proptest_config(ProptestConfig::with_cases(cases(256)))]
+
         #[test]
         fn traits_suffice_under_constraints(rules in random_clauses::rules()) {
             let theory = Constraints::new(&rules.constraints);
