@@ -480,30 +480,42 @@ def test_one_process_at_a_time_runs_an_experiment(
 
 @pytest.mark.skipif(sys.platform != "linux", reason="reads /proc")
 def test_a_killed_experiment_gives_the_same_table(tiny: Path, tmp_path: Path) -> None:
-    """The process is killed twice; the processes of its cells die with it."""
     root = tmp_path / "run"
-    arguments = [str(tiny), "--run", str(root), "--jobs", "2"]
-    once = [sys.executable, "-m", "logicity", "experiment", *arguments]
-    for kill in range(2):
-        with subprocess.Popen(once, stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL) as process:
-            # In the first run a cell has a checkpoint; in the second one a cell is finished.
-            pattern = "cells/*/checkpoint-*" if kill == 0 else "cells/*/measured.json"
-            wait_for_file(root, pattern, process)
-            assert process.poll() is None
-            process.kill()
-        wait_for(lambda: not processes_with(str(root)))
-    assert subprocess.run(once, stdout=subprocess.DEVNULL, stderr=subprocess.PIPE, check=True).stderr
+    # In the first run a cell has a checkpoint; in the second one a cell is finished.
+    run_with_kills([str(tiny)], root, [("checkpoint-*", 1), ("measured.json", 1)])
     experiment, cells = cells_of(tiny)
     other = tmp_path / "other"
     run_here(cells, other)
     assert results_of(cells, root) == results_of(cells, other)
     Report(experiment, cells, other).write(other)
-    tables = [timeless(json.loads((each / "table.json").read_text())) for each in (root, other)]
-    assert tables[0] == tables[1]
+    assert table(root) == table(other)
 
 
-def wait_for_file(root: Path, pattern: str, process: subprocess.Popen[bytes]) -> None:
-    wait_for(lambda: list(root.glob(pattern)) or process.poll() is not None)
+def table(root: Path) -> Any:
+    return timeless(json.loads((root / "table.json").read_text()))
+
+
+def run_with_kills(arguments: Sequence[str], root: Path, kills: Sequence[tuple[str, int]]) -> None:
+    """Run an experiment in a process that is killed several times, and once to its end.
+
+    Args:
+        arguments: The experiment and further arguments.
+        root: The folder of the experiment.
+        kills: The files in the folders of cells that the process waits for, and their number, for each kill. The
+            processes of the cells must end with the process.
+    """
+    once = [sys.executable, "-m", "logicity", "experiment", *arguments, "--run", str(root), "--jobs", "2"]
+    for pattern, count in kills:
+        with subprocess.Popen(once, stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL) as process:
+            wait_for_files(root, f"cells/*/{pattern}", process, count)
+            assert process.poll() is None
+            process.kill()
+        wait_for(lambda: not processes_with(str(root)))
+    assert subprocess.run(once, stdout=subprocess.DEVNULL, stderr=subprocess.PIPE, check=True).stderr
+
+
+def wait_for_files(root: Path, pattern: str, process: subprocess.Popen[bytes], count: int) -> None:
+    wait_for(lambda: len(list(root.glob(pattern))) >= count or process.poll() is not None)
 
 
 def processes_with(text: str) -> list[int]:
@@ -520,23 +532,27 @@ def processes_with(text: str) -> list[int]:
 
 
 def test_the_quick_table_of_the_paper(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    """Runs every cell of the table in some minutes."""
+    """Runs every cell of the table twice, the second time with two kills. Takes some minutes."""
     root = tmp_path / "run"
-    given = [str(EXPERIMENTS / "spf.yaml"), "--quick", "--jobs", "2", "--run", str(root)]
+    quick = [str(EXPERIMENTS / "spf.yaml"), "--quick"]
+    given = [*quick, "--jobs", "2", "--run", str(root)]
     assert command(("experiment",), given) == 0
     output = capsys.readouterr()
     assert output.out.startswith("Safe Path Following\n\neasy\nlearner ")
     experiment, _ = Experiment.load(EXPERIMENTS / "spf.yaml")
-    table = json.loads((root / "table.json").read_text())
-    seeds = {(entry["row"], entry["mode"]): entry["seeds"] for entry in table["entries"]}
+    entries = json.loads((root / "table.json").read_text())["entries"]
+    seeds = {(entry["row"], entry["mode"]): entry["seeds"] for entry in entries}
     for row, spec in experiment.learners.items():
         for mode in experiment.modes:
             # Popper may be missing.
             assert seeds[row, mode] == [0] or (spec.optional and seeds[row, mode] == []), (row, mode)
-    papers = {(entry["row"], entry["mode"]): entry["paper"] for entry in table["entries"]}
+    papers = {(entry["row"], entry["mode"]): entry["paper"] for entry in entries}
     assert papers["ppo", "easy"]["tsr"] == 0.33 and papers["a2c", "expert"]["tsr"] == 0.12
     assert command(("experiment",), [*given, "--submit", "rows.json"]) == 2
     assert "remove `--quick` and `--set`" in capsys.readouterr().err
+    if sys.platform == "linux":
+        run_with_kills(quick, tmp_path / "killed", [("measured.json", 8), ("measured.json", 20)])
+        assert table(tmp_path / "killed") == table(root)
 
 
 def test_a_folder_with_other_files_is_refused(tiny: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
