@@ -193,9 +193,9 @@ def _add_experiment(parser: argparse.ArgumentParser) -> _Command:
         action="append",
         default=[],
         metavar="KEY=VALUE",
-        help="change a key of every training configuration, for example steps=1000 or settings.gamma=0.9; for `vap` a "
-        "setting, for example training.epochs=3; for `language` a key of the experiment, for example "
-        "models.NAME.url=http://localhost:8000/v1",
+        help="change a key of every selected training configuration, for example threads=2, or with `--only dqn` "
+        "settings.gamma=0.9; for `vap` a setting, for example training.epochs=3; for `language` a key of the "
+        "experiment, for example models.NAME.url=http://localhost:8000/v1",
     )
     parser.add_argument("--jobs", type=_positive, metavar="N", help="processes; default: the number of processors")
     parser.add_argument(

@@ -341,11 +341,6 @@ proptest! {
         check_in_both_widths(&genome)?;
     }
 
-}
-
-proptest! {
-    #![proptest_config(ProptestConfig::with_cases(cases(96)))]
-
     #[test]
     fn the_dense_executor_agrees_with_naive_on_clauses_of_many_variables(genome in genomes(8, 12, 1..4)) {
         check_in_both_widths(&genome)?;

@@ -90,7 +90,7 @@ fn check_threads(rules: &Rules, script: &[Batch], limits: Limits) -> Result<(), 
 }
 
 proptest! {
-    #![proptest_config(ProptestConfig { cases: cases(64), max_shrink_iters: 20_000, ..ProptestConfig::default() })]
+    #![proptest_config(ProptestConfig { cases: cases(256), max_shrink_iters: 20_000, ..ProptestConfig::default() })]
 
     #[test]
     fn threads_change_nothing(
@@ -110,10 +110,6 @@ proptest! {
         agrees(rules, &script)?;
         check_threads(rules, &script, Limits::default())?;
     }
-}
-
-proptest! {
-    #![proptest_config(ProptestConfig { cases: cases(128), max_shrink_iters: 20_000, ..ProptestConfig::default() })]
 
     #[test]
     fn correlated_aggregates_agree_with_naive(
