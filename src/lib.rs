@@ -67,7 +67,6 @@ configs/*.yaml --config--> Scenario --> World --> Simulation --ground--> facts -
 
 pub mod cancel;
 #[cfg(test)]
-#[path = "../tests/datalog/cases.rs"]
 mod cases;
 pub mod datalog;
 pub mod diag;

@@ -689,8 +689,8 @@ mod tests {
                     let near = |other: &usize| {
                         let across = (other / 4 % cols).abs_diff(at / 4 % cols);
                         let down = (other / 4 / cols).abs_diff(at / 4 / cols);
-                        let (near, same) = if along_row { (across, down) } else { (down, across) };
-                        other % 4 == at % 4 && same == 0 && near <= radius
+                        let (along, beside) = if along_row { (across, down) } else { (down, across) };
+                        other % 4 == at % 4 && beside == 0 && along <= radius
                     };
                     let window = (0..before.len()).filter(near).map(|other| u32::from(before[other]));
                     *value = (window.clone().sum::<u32>() / window.count() as u32) as u8;

@@ -388,7 +388,7 @@ fn clauses() -> impl Strategy<Value = Vec<(u8, [u8; 3])>> {
 }
 
 proptest! {
-    #![proptest_config(ProptestConfig { cases: cases(60), ..ProptestConfig::default() })]
+    #![proptest_config(cases(60))]
 
     /// The scene of a conflict satisfies the constraints, derives both actions, and the announced one is taken.
     #[test]

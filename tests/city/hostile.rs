@@ -22,7 +22,7 @@ fn conflicts_of_every_rule_file_are_found() {
 }
 
 proptest! {
-    #![proptest_config(ProptestConfig::with_cases(cases(256)))]
+    #![proptest_config(cases(256))]
 
     #[test]
     fn conflicts_of_any_rules_are_found(bytes in near(&RULES)) {

@@ -1,7 +1,7 @@
 //! Tests of the city: configurations, maps, moves, decisions and Safe Path Following.
 
 mod any_input;
-#[path = "../datalog/cases.rs"]
+#[path = "../../src/cases.rs"]
 mod cases;
 mod config;
 mod conflicts;

@@ -393,7 +393,7 @@ fn agent_set(cars: usize, pedestrians: usize, region: Option<u32>) -> AgentSet {
 }
 
 proptest! {
-    #![proptest_config(ProptestConfig::with_cases(cases(256)))]
+    #![proptest_config(cases(256))]
 
     #[test]
     fn the_generator_accepts_or_rejects_every_configuration(

@@ -915,7 +915,7 @@ fn unknown_keys_of_episodes_are_reported() {
 }
 
 proptest! {
-    #![proptest_config(ProptestConfig::with_cases(cases(256)))]
+    #![proptest_config(cases(256))]
 
     /// Any text parses or gives an error, and written episodes parse to the same values.
     #[test]

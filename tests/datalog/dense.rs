@@ -334,7 +334,7 @@ fn check_egos<const W: usize>(
 }
 
 proptest! {
-    #![proptest_config(ProptestConfig::with_cases(cases(256)))]
+    #![proptest_config(cases(256))]
 
     #[test]
     fn the_dense_executor_agrees_with_naive(genome in genomes(4, 5, 1..7)) {

@@ -361,7 +361,7 @@ fn outputs(rules: &Rules, entities: u32, scene: u32) -> Option<Vec<(RelId, Vec<V
 }
 
 proptest! {
-    #![proptest_config(ProptestConfig { cases: cases(150), ..ProptestConfig::default() })]
+    #![proptest_config(cases(150))]
 
     #[test]
     fn differences_equal_those_of_exhaustive_search(

@@ -90,7 +90,7 @@ fn check_threads(rules: &Rules, script: &[Batch], limits: Limits) -> Result<(), 
 }
 
 proptest! {
-    #![proptest_config(ProptestConfig { cases: cases(256), max_shrink_iters: 20_000, ..ProptestConfig::default() })]
+    #![proptest_config(ProptestConfig { max_shrink_iters: 20_000, ..cases(256) })]
 
     #[test]
     fn threads_change_nothing(
@@ -1573,7 +1573,7 @@ fn ranges(least: i64, greatest: i64) -> impl proptest::strategy::Strategy<Value 
 }
 
 proptest! {
-    #![proptest_config(ProptestConfig::with_cases(cases(256)))]
+    #![proptest_config(cases(256))]
 
     #[test]
     fn a_range_equals_counting(

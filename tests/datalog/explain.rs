@@ -169,7 +169,7 @@ fn check_matters(genome: &Genome) {
 }
 
 proptest! {
-    #![proptest_config(ProptestConfig { max_shrink_iters: 2_000, ..ProptestConfig::with_cases(cases(96)) })]
+    #![proptest_config(ProptestConfig { max_shrink_iters: 2_000, ..cases(96) })]
 
     #[test]
     fn random_programs_are_explained(genome in genomes(1..3)) {

@@ -181,7 +181,7 @@ fn texts() -> impl Strategy<Value = String> {
 }
 
 proptest! {
-    #![proptest_config(ProptestConfig { cases: cases(600), ..ProptestConfig::default() })]
+    #![proptest_config(cases(600))]
 
     #[test]
     fn formatting_is_idempotent_and_preserves_the_meaning(text in texts()) {

@@ -41,7 +41,7 @@ fn every_rule_file_evaluates_or_gives_diagnostics() {
 }
 
 proptest! {
-    #![proptest_config(ProptestConfig::with_cases(cases(256)))]
+    #![proptest_config(cases(256))]
 
     #[test]
     fn any_rules_parse_or_give_diagnostics(bytes in prop_oneof![4 => near(&RULES), 1 => any_bytes()]) {

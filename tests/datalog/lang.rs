@@ -1029,7 +1029,7 @@ fn item() -> impl Strategy<Value = ast::Item> {
 }
 
 proptest! {
-    #![proptest_config(ProptestConfig::with_cases(cases(256)))]
+    #![proptest_config(cases(256))]
 
     #[test]
     fn printed_rules_parse_to_the_same_rules(items in proptest::collection::vec(item(), 0..8)) {
@@ -1144,7 +1144,7 @@ const PIECES: &[&str] = &[
 ];
 
 proptest! {
-    #![proptest_config(ProptestConfig::with_cases(cases(256)))]
+    #![proptest_config(cases(256))]
 
     #[test]
     fn any_bytes_load_without_a_panic(bytes in proptest::collection::vec(any::<u8>(), 0..300)) {
@@ -1443,7 +1443,7 @@ fn random_clause() -> impl Strategy<Value = String> {
 }
 
 proptest! {
-    #![proptest_config(ProptestConfig::with_cases(cases(2048)))]
+    #![proptest_config(cases(2048))]
     #[test]
     fn every_clause_reported_as_redundant_is_redundant(
         clauses in proptest::collection::vec(random_clause(), 2..5),
@@ -1607,7 +1607,7 @@ fn check_constraints(rules: &Rules) {
 }
 
 proptest! {
-    #![proptest_config(ProptestConfig::with_cases(cases(256)))]
+    #![proptest_config(cases(256))]
 
     #[test]
     fn rules_keep_their_invariants(

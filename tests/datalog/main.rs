@@ -2,6 +2,7 @@
 
 mod any_input;
 mod ask;
+#[path = "../../src/cases.rs"]
 mod cases;
 mod corpus;
 mod dense;

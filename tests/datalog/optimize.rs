@@ -187,7 +187,7 @@ fn written(clauses: &[Vec<u8>], constraints: u16) -> String {
 }
 
 proptest! {
-    #![proptest_config(ProptestConfig { cases: cases(400), ..ProptestConfig::default() })]
+    #![proptest_config(cases(400))]
 
     #[test]
     fn slow_constraints_change_no_answer_for_facts_that_satisfy_them(

@@ -1,6 +1,6 @@
 //! Tests of pictures, of the page of a run, and of data sets of Visual Action Prediction.
 
-#[path = "../datalog/cases.rs"]
+#[path = "../../src/cases.rs"]
 mod cases;
 mod page;
 mod render;

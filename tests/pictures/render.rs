@@ -208,7 +208,7 @@ fn part(picture: &Picture, area: PixelBox) -> Vec<u8> {
 }
 
 proptest! {
-    #![proptest_config(ProptestConfig::with_cases(cases(6)))]
+    #![proptest_config(cases(6))]
 
     #[test]
     fn a_gif_shows_the_pushed_frames(

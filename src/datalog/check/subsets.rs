@@ -229,7 +229,7 @@ mod tests {
     use proptest::prelude::*;
 
     proptest! {
-        #![proptest_config(ProptestConfig::with_cases(cases(256)))]
+        #![proptest_config(cases(256))]
 
         #[test]
         fn equals_linear_search(

@@ -594,7 +594,7 @@ mod tests {
     use proptest::prelude::*;
 
     proptest! {
-        #![proptest_config(ProptestConfig::with_cases(cases(256)))]
+        #![proptest_config(cases(256))]
 
         #[test]
         fn traits_suffice_without_constraints(rules in random_clauses::rules()) {

@@ -92,7 +92,7 @@ mod tests {
     use proptest::prelude::*;
 
     proptest! {
-        #![proptest_config(ProptestConfig::with_cases(cases(256)))]
+        #![proptest_config(cases(256))]
 
         /// Compares the solver with an exhaustive search.
         #[test]

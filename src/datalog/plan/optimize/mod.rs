@@ -417,7 +417,7 @@ mod tests {
     use proptest::prelude::*;
 
     proptest! {
-        #![proptest_config(ProptestConfig::with_cases(cases(256)))]
+        #![proptest_config(cases(256))]
 
         #[test]
         fn traits_suffice_under_constraints(rules in random_clauses::rules()) {

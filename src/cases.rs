@@ -1,15 +1,16 @@
-//! The number of random cases of a property.
+//! The number of random cases of a property, for unit tests and for the tests in `tests`.
 
+use proptest::prelude::ProptestConfig;
 use std::env;
 
 /// The value of `LOGICITY_RANDOM_CASES` with which every property has its full number of cases.
 const USUAL: u64 = 256;
 
-/// Returns a number of cases, scaled by the environment variable `LOGICITY_RANDOM_CASES`: with twice the usual value, every
-/// property has twice as many. Proptest's own `PROPTEST_CASES` gives every property the same number, which takes hours
-/// where a case is slow.
-pub fn cases(full: u32) -> u32 {
-    scaled(full, env::var("LOGICITY_RANDOM_CASES").ok().as_deref())
+/// Returns the configuration of a property with a number of cases that the environment variable
+/// `LOGICITY_RANDOM_CASES` scales: with twice the usual value, every property has twice as many. Proptest's own
+/// `PROPTEST_CASES` gives every property the same number, which takes hours where a case is slow.
+pub fn cases(full: u32) -> ProptestConfig {
+    ProptestConfig::with_cases(scaled(full, env::var("LOGICITY_RANDOM_CASES").ok().as_deref()))
 }
 
 fn scaled(full: u32, variable: Option<&str>) -> u32 {
