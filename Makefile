@@ -171,12 +171,16 @@ package:
 publish:
 	cargo publish --locked
 
-# Not part of `make test`. The program with its license and documentation as target/dist/logicity-SYSTEM.tar.gz.
+# Not part of `make test`. The program with its license, documentation and SBOM (CycloneDX) as
+# target/dist/logicity-SYSTEM.tar.gz. Needs `cargo install --locked cargo-cyclonedx`.
 SYSTEM := $(shell rustc -vV | sed -n 's/^host: //p')
 binary:
 	cargo build --release --locked
 	rm -rf target/dist
 	mkdir -p target/dist/logicity-$(SYSTEM)
+	cargo cyclonedx --format json --target $(SYSTEM) --override-filename logicity.cdx
+	rm python/logicity.cdx.json
+	mv logicity.cdx.json target/dist/logicity-$(SYSTEM)
 	cp target/release/logicity$(if $(filter Windows_NT,$(OS)),.exe) README.md CHANGELOG.md LICENSE \
 	    target/dist/logicity-$(SYSTEM)
 	tar -C target/dist -czf target/dist/logicity-$(SYSTEM).tar.gz logicity-$(SYSTEM)
@@ -185,7 +189,7 @@ binary:
 # placeholder of its owner, and the changelog has a dated section.
 VERSION = $(shell sed -n 's/^version = "\(.*\)"/\1/p' Cargo.toml)
 release-check:
-	! grep -rn "github.com/OWNER/" Cargo.toml CITATION.cff .github python
+	! grep -rn "OWNER/logicity" Cargo.toml CITATION.cff SECURITY.md .github python
 	grep -qx 'version = "$(VERSION)"' Cargo.toml
 	grep -qE '^## $(subst .,\.,$(VERSION)) - [0-9]{4}-[0-9]{2}-[0-9]{2}$$' CHANGELOG.md
 

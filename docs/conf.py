@@ -6,6 +6,8 @@ installed package when the site is built.
 
 from __future__ import annotations
 
+import base64
+import hashlib
 import importlib.util
 import re
 import shutil
@@ -18,6 +20,7 @@ from docutils.parsers.rst import Directive, directives
 from sphinx.addnodes import pending_xref
 from sphinx.application import Sphinx
 from sphinx.environment import BuildEnvironment
+from sphinx.errors import ExtensionError
 
 sys.path.insert(0, str(Path(__file__).parent))
 
@@ -157,6 +160,39 @@ def list_external_links(app: Sphinx, error: Exception | None) -> None:
     print(f"{len(app.env.found_docs)} pages, {len(links)} links to other sites")
 
 
+#: An inline script: its attributes and its text.
+INLINE = re.compile(r"<script(?![^>]*\bsrc=)([^>]*)>(.*?)</script>", re.DOTALL)
+
+
+def add_policies(app: Sphinx, error: Exception | None) -> None:
+    """Add a Content-Security-Policy to every page: it may load only from the site, and run only its own scripts."""
+    if error is not None or app.builder.name != "html":
+        return
+    for page in sorted(Path(app.outdir).rglob("*.html")):
+        text = page.read_text(encoding="utf-8")
+        hashes = {
+            f"'sha256-{base64.b64encode(hashlib.sha256(script.encode()).digest()).decode()}'"
+            for attributes, script in INLINE.findall(text)
+            if "type=" not in attributes or "javascript" in attributes
+        }
+        policy = "; ".join(
+            [
+                "default-src 'self'",
+                " ".join(["script-src 'self'", *sorted(hashes)]),
+                "style-src 'self' 'unsafe-inline'",
+                "img-src 'self' data:",
+                "object-src 'none'",
+                "base-uri 'none'",
+                "form-action 'self'",
+            ]
+        )
+        element = f'<meta http-equiv="Content-Security-Policy" content="{policy}" />'
+        with_policy, count = re.subn(r'<meta charset="utf-8" ?/?>', lambda match: match[0] + element, text, count=1)
+        if count != 1:
+            raise ExtensionError(f"{page.name} has no place for its Content-Security-Policy")
+        page.write_text(with_policy, encoding="utf-8")
+
+
 def add_folders(app: Sphinx, error: Exception | None) -> None:
     """Copy what other targets of the Makefile have built: the playground, and the documentation of the crate."""
     if error is not None or app.builder.name != "html":
@@ -176,5 +212,6 @@ def setup(app: Sphinx) -> dict[str, Any]:
     app.connect("autodoc-process-docstring", hide_colons, priority=400)
     app.connect("autodoc-process-docstring", show_colons, priority=600)
     app.connect("build-finished", list_external_links)
+    app.connect("build-finished", add_policies)
     app.connect("build-finished", add_folders)
     return {"parallel_read_safe": True}

@@ -663,6 +663,19 @@ def test_a_bar_shows_the_loading_after_the_first_frame(page: Callable[..., WebDr
         browser.execute_cdp_cmd("Page.removeScriptToEvaluateOnNewDocument", script)
 
 
+def test_a_foreign_script_does_not_run(folder: pathlib.Path, browser: WebDriver) -> None:
+    hostile = """<script>window.foreign = 1</script><img src="x" onerror="window.foreign = 2">
+<script src="data:text/javascript,window.foreign = 3"></script><style>body { color: rgb(1, 2, 3) }</style>"""
+    html = (folder / "city.html").read_text()
+    (folder / "hostile.html").write_text(html.replace("<header>", f"{hostile}<header>", 1))
+    browser.get((folder / "hostile.html").as_uri())
+    wait_for(browser)
+    assert browser.execute_script("return window.foreign") is None
+    assert browser.execute_script("return getComputedStyle(document.body).color") != "rgb(1, 2, 3)"
+    refused = [entry["message"] for entry in browser.get_log("browser")]
+    assert len(refused) >= 5 and all("Content Security Policy" in message for message in refused)
+
+
 def test_the_page_names_no_path(tmp_path: pathlib.Path) -> None:
     html = tmp_path / "page.html"
     paths = ["--rules", ROOT / "rules/expert.dl", "--out", tmp_path, "--html", html]

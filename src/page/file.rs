@@ -2,12 +2,16 @@
 //!
 //! A part is JSON, compressed with zlib and encoded in base 64. The browser draws the first frame after `scenery` and
 //! `run`; the parts `proofs` follow in the order of ticks.
+//!
+//! The Content-Security-Policy of the page names this style and this script by their hashes: the browser runs no other
+//! script and loads nothing, whatever the names in a trace contain.
 
 use base64::Engine as _;
 use base64::engine::general_purpose::STANDARD;
 use flate2::Compression;
 use flate2::write::ZlibEncoder;
 use serde::Serialize;
+use sha2::{Digest, Sha256};
 use std::io::{self, BufWriter, Write};
 
 const TEMPLATE: &str = include_str!("page.html");
@@ -47,11 +51,12 @@ pub fn packed(data: &impl Serialize) -> io::Result<String> {
 /// Errors of `out`.
 pub fn write_parts(title: &str, parts: &[Part], out: &mut impl Write) -> io::Result<()> {
     let title = title.replace('&', "&amp;").replace('<', "&lt;");
-    let (before, rest) = split(TEMPLATE, "{{TITLE}}");
+    let (start, rest) = split(TEMPLATE, "{{POLICY}}");
+    let (before, rest) = split(rest, "{{TITLE}}");
     let (head, rest) = split(rest, "{{STYLE}}");
     let (body, rest) = split(rest, "{{DATA}}");
     let (data_end, end) = split(rest, "{{SCRIPT}}");
-    for text in [before, &title, head, STYLE, body] {
+    for text in [start, &policy(), before, &title, head, STYLE, body] {
         out.write_all(text.as_bytes())?;
     }
     for (kind, run, data) in parts {
@@ -64,6 +69,16 @@ pub fn write_parts(title: &str, parts: &[Part], out: &mut impl Write) -> io::Res
         out.write_all(text.as_bytes())?;
     }
     Ok(())
+}
+
+/// Returns the Content-Security-Policy of a page.
+fn policy() -> String {
+    let hash = |text: &str| format!("'sha256-{}'", STANDARD.encode(Sha256::digest(text)));
+    format!(
+        "default-src 'none'; script-src {}; style-src {}; img-src data: blob:; base-uri 'none'; form-action 'none'",
+        hash(SCRIPT),
+        hash(STYLE)
+    )
 }
 
 fn split<'a>(text: &'a str, mark: &str) -> (&'a str, &'a str) {

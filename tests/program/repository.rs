@@ -4,6 +4,7 @@ use std::fs;
 use std::path::PathBuf;
 
 use regex::Regex;
+use serde_json::Value;
 
 fn root() -> PathBuf {
     PathBuf::from(env!("CARGO_MANIFEST_DIR"))
@@ -67,44 +68,78 @@ fn keywords_of_the_crate_are_accepted() {
     }
 }
 
+/// A workflow of the repository: its file name, its text, and its content.
+struct Workflow {
+    name: String,
+    text: String,
+    content: Value,
+}
+
+fn workflows() -> Vec<Workflow> {
+    let mut paths: Vec<PathBuf> = fs::read_dir(root().join(".github/workflows"))
+        .unwrap()
+        .map(|entry| entry.unwrap().path())
+        .collect();
+    paths.sort();
+    assert!(paths.len() >= 5);
+    paths
+        .into_iter()
+        .map(|path| {
+            let text = fs::read_to_string(&path).unwrap();
+            let content = serde_yaml::from_str(&text).unwrap_or_else(|error| panic!("{}: {error}", path.display()));
+            let name = path.file_name().unwrap().to_str().unwrap().to_owned();
+            Workflow { name, text, content }
+        })
+        .collect()
+}
+
+/// Returns the commands of a job, once for each value of the variables that its matrix sets.
+fn commands_of(job: &Value) -> Vec<String> {
+    let mut commands = Vec::new();
+    for step in job["steps"].as_array().into_iter().flatten() {
+        let Some(run) = step["run"].as_str() else { continue };
+        let mut variants = vec![run.to_owned()];
+        for (variable, value) in step["env"].as_object().into_iter().flatten() {
+            let Some(key) = value.as_str().and_then(|value| value.strip_prefix("${{ matrix.")) else {
+                continue;
+            };
+            let values = job["strategy"]["matrix"][key.trim_end_matches(" }}")].as_array();
+            let values = values.map_or(&[][..], |values| values);
+            variants = variants
+                .iter()
+                .flat_map(|run| {
+                    values
+                        .iter()
+                        .map(move |value| run.replace(&format!("${variable}"), value.as_str().unwrap()))
+                })
+                .collect();
+        }
+        let lines = variants.iter().flat_map(|run| run.lines());
+        commands.extend(lines.map(|line| line.replace('"', "")));
+    }
+    commands
+}
+
 /// Workflows and hooks run targets of the Makefile and files of the repository, and set up tools.
 #[test]
 fn workflows_run_what_runs_here() {
     let makefile = read("Makefile");
+    let fuzz_targets = value("Makefile", "^FUZZ_TARGETS := (.*)$");
     let target = |name: &str| {
         let rule = Regex::new(&format!(
             r"(?m)^(?:[a-z -]* )?{}(?: [a-z -]*)?:(?:[^=]|$)",
             regex::escape(name)
         ))
         .unwrap();
-        rule.is_match(&makefile)
+        let fuzz_target = name.strip_prefix("fuzz-");
+        rule.is_match(&makefile) || fuzz_target.is_some_and(|name| fuzz_targets.split(' ').any(|known| known == name))
     };
-    assert!(target("test") && target("msrv") && !target("tset"));
+    assert!(target("test") && target("msrv") && target("fuzz-parse") && !target("tset") && !target("fuzz-tset"));
     let mut commands: Vec<(String, String)> = Vec::new();
-    let folder = root().join(".github/workflows");
-    let mut workflows: Vec<PathBuf> = fs::read_dir(folder)
-        .unwrap()
-        .map(|entry| entry.unwrap().path())
-        .collect();
-    workflows.sort();
-    assert!(workflows.len() >= 4);
-    for path in workflows {
-        let name = path.file_name().unwrap().to_str().unwrap().to_owned();
-        let text = fs::read_to_string(&path).unwrap();
-        let mut lines = text.lines().peekable();
-        while let Some(line) = lines.next() {
-            let trimmed = line.trim_start();
-            let Some(run) = trimmed.strip_prefix("- ").unwrap_or(trimmed).strip_prefix("run: ") else {
-                continue;
-            };
-            if run != "|" {
-                commands.push((name.clone(), run.to_owned()));
-                continue;
-            }
-            let indent = line.len() - trimmed.len();
-            while let Some(inner) = lines.next_if(|next| next.len() - next.trim_start().len() > indent) {
-                commands.push((name.clone(), inner.trim().to_owned()));
-            }
+    for workflow in workflows() {
+        for (_, job) in workflow.content["jobs"].as_object().unwrap() {
+            let name = &workflow.name;
+            commands.extend(commands_of(job).into_iter().map(|command| (name.clone(), command)));
         }
     }
     for entry in read(".pre-commit-config.yaml")
@@ -113,7 +148,7 @@ fn workflows_run_what_runs_here() {
     {
         commands.push((".pre-commit-config.yaml".to_owned(), entry.to_owned()));
     }
-    assert!(commands.len() >= 15, "{commands:?}");
+    assert!(commands.len() >= 30, "{commands:?}");
     for (file, command) in &commands {
         let words: Vec<&str> = command.split_whitespace().collect();
         match words[0] {
@@ -122,11 +157,148 @@ fn workflows_run_what_runs_here() {
                     assert!(target(name), "{file}: the Makefile has no target `{name}`");
                 }
             }
-            "python" if words[1] != "-m" => assert!(root().join(words[1]).is_file(), "{file}: {command}"),
-            // These install tools, collect files or create a release.
-            "python" | "rustup" | "choco" | "gh" | "mkdir" | "cp" => {}
-            "cargo" => assert_eq!(words[1], "install", "{file}: {command}"),
+            "python" if words[1] == "-m" => {
+                if let Some(list) = words.iter().find(|word| word.ends_with(".txt")) {
+                    assert!(root().join(list).is_file(), "{file}: {command}");
+                }
+            }
+            "python" => assert!(root().join(words[1]).is_file(), "{file}: {command}"),
+            // These install tools or create a release.
+            "rustup" | "choco" | "gh" => {}
+            "cargo" => assert!(
+                words[1..3] == ["install", "--locked"] && words[3].contains('@'),
+                "{file}: `{command}` installs no fixed version"
+            ),
             path => assert!(root().join(path).is_file(), "{file}: {command}"),
+        }
+    }
+}
+
+/// Workflows use only actions of GitHub itself, each pinned by its commit, so a moved tag changes nothing. A job has no
+/// permission that it does not list, and no checkout leaves a token behind.
+#[test]
+fn actions_are_pinned_by_commit() {
+    let pinned = Regex::new(r"^\s*(?:- )?uses: actions/[a-z/-]+@[0-9a-f]{40} # v\d+\.\d+\.\d+$").unwrap();
+    let mut used = 0;
+    for Workflow { name, text, content } in workflows() {
+        for line in text.lines().filter(|line| line.contains("uses:")) {
+            let own = line.trim_start().starts_with("uses: ./.github/workflows/");
+            assert!(own || pinned.is_match(line), "{name}: {line}");
+            used += 1;
+        }
+        assert_eq!(content["permissions"], serde_json::json!({}), "{name}");
+        for (id, job) in content["jobs"].as_object().unwrap() {
+            assert!(
+                job["permissions"].is_object(),
+                "{name}: the job `{id}` lists no permissions"
+            );
+            for step in job["steps"].as_array().into_iter().flatten() {
+                if step["uses"]
+                    .as_str()
+                    .is_some_and(|uses| uses.starts_with("actions/checkout@"))
+                {
+                    assert_eq!(step["with"]["persist-credentials"], false, "{name}: {id}");
+                }
+            }
+        }
+    }
+    assert!(used >= 20, "{used}");
+}
+
+/// One toolchain compiles everywhere, and it is not older than the oldest supported one.
+#[test]
+fn the_toolchain_is_pinned() {
+    let channel = value("rust-toolchain.toml", r#"^channel = "(\d+\.\d+\.\d+)"$"#);
+    let numbers = |version: &str| -> Vec<u32> { version.split('.').map(|part| part.parse().unwrap()).collect() };
+    assert!(numbers(&channel) >= numbers(&value("Cargo.toml", r#"^rust-version = "(.*)""#)));
+    assert_eq!(
+        value(
+            ".github/workflows/nightly.yml",
+            r"^    container: rust:([\d.]*)-bookworm$"
+        ),
+        channel
+    );
+}
+
+/// The nightly workflow fuzzes every target.
+#[test]
+fn all_targets_are_fuzzed() {
+    let listed: Vec<String> = value("Makefile", "^FUZZ_TARGETS := (.*)$")
+        .split(' ')
+        .map(str::to_owned)
+        .collect();
+    let nightly = value(".github/workflows/nightly.yml", r"^        target: \[(.*)\]$");
+    assert_eq!(nightly.split(", ").collect::<Vec<_>>(), listed);
+    let manifest = read("tests/fuzz/Cargo.toml");
+    let mut programs: Vec<&str> = Regex::new(r#"path = "targets/(.*)\.rs""#)
+        .unwrap()
+        .captures_iter(&manifest)
+        .map(|found| found.get(1).unwrap().as_str())
+        .collect();
+    let mut listed: Vec<&str> = listed.iter().map(String::as_str).collect();
+    programs.sort_unstable();
+    listed.sort_unstable();
+    assert_eq!(programs, listed);
+}
+
+/// Updates are configured for every list of dependencies, and the jobs that build and publish packages install nothing
+/// that is not pinned by hash.
+#[test]
+fn dependencies_are_updated_and_pinned() {
+    let content: Value = serde_yaml::from_str(&read(".github/dependabot.yml")).unwrap();
+    let mut folders: Vec<(String, String)> = Vec::new();
+    for update in content["updates"].as_array().unwrap() {
+        let kind = update["package-ecosystem"].as_str().unwrap();
+        let many = update["directories"].as_array().into_iter().flatten();
+        for folder in many.chain(update.get("directory")) {
+            folders.push((kind.to_owned(), folder.as_str().unwrap().to_owned()));
+        }
+    }
+    let updated = |kind: &str, folder: &str| folders.contains(&(kind.to_owned(), folder.to_owned()));
+    for (kind, file) in [
+        ("cargo", "Cargo.lock"),
+        ("cargo", "benches/peers/Cargo.lock"),
+        ("cargo", "docs/playground/Cargo.lock"),
+        ("cargo", "tests/fuzz/Cargo.lock"),
+        ("rust-toolchain", "rust-toolchain.toml"),
+        ("pip", ".github/requirements/publish.txt"),
+        ("pip", "benches/solvers/requirements.txt"),
+        ("pip", "python/pyproject.toml"),
+        ("npm", "editors/vscode/package-lock.json"),
+        ("github-actions", ".github/workflows/test.yml"),
+    ] {
+        assert!(root().join(file).is_file(), "{file}");
+        let folder = match kind {
+            "github-actions" => "",
+            _ => file.rsplit_once('/').map_or("", |(folder, _)| folder),
+        };
+        assert!(updated(kind, &format!("/{folder}")), "no updates for {file}");
+    }
+    for name in ["publish", "wheels"] {
+        let text = read(&format!(".github/requirements/{name}.txt"));
+        let mut packages = 0;
+        for package in Regex::new(r"(?m)^[a-z][^=\n]*==.*(\n    --hash=sha256:[0-9a-f]{64}( \\)?)+$")
+            .unwrap()
+            .find_iter(&text)
+        {
+            packages += usize::from(!package.is_empty());
+        }
+        let lines = text
+            .lines()
+            .filter(|line| line.starts_with(|c: char| c.is_alphanumeric()))
+            .count();
+        assert!(
+            packages == lines && lines > 0,
+            "{name}: {packages} of {lines} packages have a hash"
+        );
+    }
+    for Workflow { name, content, .. } in workflows() {
+        if ["release.yml", "wheels.yml"].contains(&name.as_str()) {
+            for command in content["jobs"].as_object().unwrap().values().flat_map(commands_of) {
+                let installs = command.contains("pip install") && !command.ends_with("target/wheels/*.whl");
+                assert!(!installs || command.contains("--require-hashes"), "{name}: {command}");
+            }
+            assert!(!content.to_string().contains("actions/cache"), "{name} reads a cache");
         }
     }
 }

@@ -7,11 +7,15 @@ const COLORS = { Slow: "#a06a00", Normal: "#0b7f5b", Fast: "#2f6fb0", Stop: "#c8
 const DIFFERENT = "#c2188f";
 const $ = (id) => document.getElementById(id);
 
-/** Returns an element with attributes and children. Text is never parsed as markup. */
+/**
+ * Returns an element with attributes and children. Text is never parsed as markup. The page's policy allows a style that
+ * a script sets, not a `style` attribute.
+ */
 function make(name, attributes = {}, ...children) {
   const element = document.createElement(name);
   for (const [key, value] of Object.entries(attributes)) {
-    if (key.startsWith("on")) element.addEventListener(key.slice(2), value);
+    if (key === "style") element.style.cssText = value;
+    else if (key.startsWith("on")) element.addEventListener(key.slice(2), value);
     else if (value === true) element.setAttribute(key, "");
     else if (value !== false && value != null) element.setAttribute(key, value);
   }
