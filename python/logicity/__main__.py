@@ -5,10 +5,13 @@ from __future__ import annotations
 import signal
 import sys
 import threading
+import traceback
 from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
+from types import TracebackType
 
 from . import _logicity
+from .terminal import print_message
 
 __all__ = ["main"]
 
@@ -23,6 +26,8 @@ def main(arguments: Sequence[str] | None = None) -> int:
         The exit code: 0 for success, 1 for invalid input, 2 for wrong usage, for a file that cannot be read or written,
         or for a server that gives no reply, 130 after Ctrl-C.
     """
+    if sys.excepthook is sys.__excepthook__:
+        sys.excepthook = _print_exception
     argv = list(sys.argv[1:] if arguments is None else arguments)
     # Rust writes to the same streams through separate buffers. Unlike `flush`, `print` accepts closed streams.
     for stream in (sys.stdout, sys.stderr):
@@ -34,6 +39,11 @@ def main(arguments: Sequence[str] | None = None) -> int:
     from .commands import run
 
     return run(tuple(words), rest)
+
+
+def _print_exception(kind: type[BaseException], error: BaseException, trace: TracebackType | None) -> None:
+    """Print an exception that no command expects. Its message may contain text of others."""
+    print_message("".join(traceback.format_exception(kind, error, trace)).rstrip())
 
 
 @contextmanager

@@ -12,7 +12,7 @@ import time
 from collections.abc import Callable, Sequence
 from difflib import get_close_matches
 from pathlib import Path
-from typing import TYPE_CHECKING, Literal, cast
+from typing import TYPE_CHECKING, Literal, NoReturn, cast
 
 import numpy as np
 
@@ -20,6 +20,7 @@ from . import _logicity
 from .errors import InputError
 from .files import check_writable, write_json
 from .modes import ENVIRONMENTS, checked_mode
+from .terminal import neutral, print_message, print_text
 
 if TYPE_CHECKING:
     from .env_config import ObservationKind
@@ -50,29 +51,29 @@ def run(words: tuple[str, ...], arguments: Sequence[str]) -> int:
     args = parser.parse_args(arguments)
     try:
         code = command(args)
-        print(end="", flush=True)
+        print_text("", end="", flush=True)
     except KeyboardInterrupt:
-        print("interrupted", file=sys.stderr)
+        print_message("interrupted")
         return 130
     except BrokenPipeError:
         # The reader has closed the pipe. Python flushes standard output again at exit, which must not fail.
         os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
         return 0
     except _UsageError as error:
-        print(f"error: {error}", file=sys.stderr)
+        print_message(f"error: {error}")
         return 2
     except InputError as error:
         # The message begins with `error[CODE]`.
-        print(error, file=sys.stderr)
+        print_message(error)
         return 1
     except ValueError as error:
-        print(f"error: {error}", file=sys.stderr)
+        print_message(f"error: {error}")
         return 1
     except FileNotFoundError as error:
-        print(f"error: {_missing(error)}", file=sys.stderr)
+        print_message(f"error: {_missing(error)}")
         return 2
     except (ImportError, OSError) as error:
-        print(f"error: {_unusable(error)}", file=sys.stderr)
+        print_message(f"error: {_unusable(error)}")
         return 2
     return code
 
@@ -99,13 +100,21 @@ class _UsageError(Exception):
     """The value of an option that does not fit the input."""
 
 
+class _Parser(argparse.ArgumentParser):
+    """A parser whose messages cannot control the terminal: they repeat arguments."""
+
+    def error(self, message: str) -> NoReturn:
+        """Print a message, and exit."""
+        super().error(neutral(message))
+
+
 #: Runs a command with its parsed arguments.
 _Command = Callable[[argparse.Namespace], int]
 
 
 def parser_of(words: tuple[str, ...]) -> tuple[argparse.ArgumentParser, _Command]:
     """Return the parser of a command, and the function that runs it. The reference of commands reads the parser."""
-    parser = argparse.ArgumentParser(prog=" ".join(["logicity", *words]), description=f"{SUMMARIES[words]}.")
+    parser = _Parser(prog=" ".join(["logicity", *words]), description=f"{SUMMARIES[words]}.")
     return parser, _COMMANDS[words](parser)
 
 
@@ -233,7 +242,7 @@ def _add_ask(parser: argparse.ArgumentParser) -> _Command:
         type=_positive_float,
         default=120.0,
         metavar="SECONDS",
-        help="timeout of a request without data; default: 120",
+        help="time for an attempt, from the name of the server to the end of the reply; default: 120",
     )
     parser.add_argument("--tries", type=_positive, default=6, help="attempts per request; default: 6")
     return _ask
@@ -587,7 +596,7 @@ def _evaluate(given: argparse.Namespace) -> int:
     finally:
         # An error must not hide the results of the modes before.
         if results:
-            print(table(results))
+            print_text(table(results))
     if given.json is not None:
         write_json(given.json, [result.to_dict() for result in results], overwrite=given.force)
     return 0
@@ -609,10 +618,10 @@ def _train(given: argparse.Namespace) -> int:
     except ValueError as error:
         raise located(given.config, config, error) from error
     spent = f"{result['cpu_seconds']:,.0f} CPU seconds"
-    print(f"{result['steps']} {result['unit']} in {spent}; best after {result['best']['steps']}")
+    print_text(f"{result['steps']} {result['unit']} in {spent}; best after {result['best']['steps']}")
     for name, label in {"compliance": "compliance", "tsr": "TSR", "dsr": "DSR"}.items():
-        print(f"{label} on test episodes: {Interval(**result['test'][name])}")
-    print(f"all results in {run / 'result.json'}")
+        print_text(f"{label} on test episodes: {Interval(**result['test'][name])}")
+    print_text(f"all results in {run / 'result.json'}")
     return 0
 
 
@@ -639,7 +648,7 @@ def _experiment(given: argparse.Namespace) -> int:
     root = _results_folder(given, file)
     if given.list:
         for cell in cells:
-            print(f"{'finished' if finished(cell, root) else 'not run ':8}  {cell.name}  {cell.identity[:12]}")
+            print_text(f"{'finished' if finished(cell, root) else 'not run ':8}  {cell.name}  {cell.identity[:12]}")
         return 0
     if given.submit is not None:
         if given.quick or given.set:
@@ -648,19 +657,18 @@ def _experiment(given: argparse.Namespace) -> int:
             help = "run the experiment first, or name its folder with `--run`"
             raise _UsageError(f"--submit: none of the cells is finished in `{root}`\nhelp: {help}")
         for line in experiment.submit(file, cells, root, given.submit):
-            print(line)
+            print_text(line)
         return 0
     failed: dict[str, str] = {}
     if not given.report:
         from .learn.jobs import run
-        from .learn.messages import print_progress
 
         jobs = given.jobs or os.cpu_count() or 1
-        failed = run(cells, root, jobs, print_progress, given.ray, given.wandb, given.reuse)
+        failed = run(cells, root, jobs, print_message, given.ray, given.wandb, given.reuse)
     report = experiment.report(cells, root, failed)
-    print(report.text(), flush=True)
+    print_text(report.text(), flush=True)
     written = report.write(root)
-    print(f"written: {', '.join(str(path) for path in written)}")
+    print_text(f"written: {', '.join(str(path) for path in written)}")
     return int(any(cell.identity in failed and not cell.optional for cell in cells))
 
 
@@ -713,17 +721,16 @@ def _language(given: argparse.Namespace) -> int:
 
 
 def _ask(given: argparse.Namespace) -> int:
-    from .questions import Endpoint, ask_with_progress, grade, load_logprobs, load_questions
+    from .questions import Endpoint, ask_with_progress, grade, key_from, load_logprobs, load_questions
 
-    key = None
-    if given.key_from is not None:
-        key = os.environ.get(given.key_from, "").strip()
-        if not key:
-            raise _UsageError(f"the environment variable `{given.key_from}` is not set")
+    try:
+        key = key_from(given.key_from)
+    except ValueError as error:
+        raise _UsageError(f"--key-from: {error}") from None
     questions = load_questions(given.questions)
     endpoint = Endpoint(given.url, given.model, key, given.settings, given.timeout, given.tries)
     answers = ask_with_progress(questions, endpoint, given.output)
-    print(grade(questions, answers, load_logprobs(given.output)))
+    print_text(grade(questions, answers, load_logprobs(given.output)))
     return 0
 
 
@@ -738,14 +745,15 @@ def _grade(given: argparse.Namespace) -> int:
         help = "name the questions with --questions; `logicity questions --output questions.jsonl` writes some"
         raise _UsageError(f"cannot read `{given.questions}`: no such file\nhelp: {help}")
     graded = grade(load_questions(given.questions), answers, load_logprobs(given.answers))
-    print(graded)
+    print_text(graded)
     for what, ids in [
         ("counted as wrong, no answer", graded.missing),
         ("counted as wrong, the answer chooses no option", graded.unread),
         ("ignored, unknown question", graded.unknown),
     ]:
         if ids:
-            print(f"{what}: {len(ids)}: {', '.join(ids[:5])}{', ...' * (len(ids) > 5)}", file=sys.stderr)
+            shown = ", ".join(neutral(name[:100], lines=False) for name in ids[:5])
+            print_message(f"{what}: {len(ids)}: {shown}{', ...' * (len(ids) > 5)}")
     if given.json is not None:
         write_json(given.json, graded.to_dict(), overwrite=given.force)
     return 0
@@ -754,7 +762,7 @@ def _grade(given: argparse.Namespace) -> int:
 def _describe(given: argparse.Namespace) -> int:
     from .describe import describe
 
-    print(describe(), end="")
+    print_text(describe(), end="")
     return 0
 
 
@@ -762,7 +770,7 @@ def _webdataset(given: argparse.Namespace) -> int:
     from .vap import to_webdataset
 
     shards = to_webdataset(given.folder, given.out, given.shard_size, images=not given.no_pictures)
-    print(f"{len(shards)} files in {given.out}")
+    print_text(f"{len(shards)} files in {given.out}")
     return 0
 
 
@@ -778,12 +786,12 @@ def _baselines(given: argparse.Namespace) -> int:
 
     _check_json(given)
     results = measure_baselines(given.train, given.test, given.seed, given.epochs)
-    print(baseline_table(results))
+    print_text(baseline_table(results))
     if given.json is not None:
         write_json(given.json, [result.to_dict() for result in results], overwrite=given.force)
     by_rules = next(result for result in results if result.name == "rules")
     if set(by_rules.metrics.recall.values()) != {1.0}:
-        print(f"error: {given.test} has labels that the rules do not derive from its facts", file=sys.stderr)
+        print_message(f"error: {given.test} has labels that the rules do not derive from its facts")
         return 1
     return 0
 
@@ -804,7 +812,7 @@ def _features(given: argparse.Namespace) -> int:
         device=given.device,
         threads=given.threads,
         ray=given.ray,
-        progress=lambda done, total: print(f"[{done}/{total}] worlds", file=sys.stderr, flush=True),
+        progress=lambda done, total: print_message(f"[{done}/{total}] worlds"),
     )
-    print(f"written: {out}, in {time.monotonic() - begun:.0f} s")
+    print_text(f"written: {out}, in {time.monotonic() - begun:.0f} s")
     return 0

@@ -24,6 +24,7 @@ from .env_config import EnvConfig, ObservationKind, array_kind, checked_kind
 from .errors import InputError, checked_path
 from .files import check_writable
 from .modes import checked_mode
+from .terminal import neutral
 from .types import Diagnostic, Limits
 
 if TYPE_CHECKING:
@@ -170,7 +171,7 @@ class Progress:
 
     def __init__(self, label: str, total: int) -> None:
         """Set the label and the total number of items."""
-        self._label, self._total = label, total
+        self._label, self._total = neutral(label, lines=False), total
         self._enabled = sys.stderr.isatty()
 
     def __enter__(self) -> Progress:

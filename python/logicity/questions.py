@@ -7,15 +7,12 @@ clauses that derive these actions.
 
 from __future__ import annotations
 
-import http.client
 import json
 import math
 import os
 import re
 import time
-import urllib.error
 import urllib.parse
-import urllib.request
 from bisect import bisect_right
 from collections import Counter
 from collections.abc import Callable, Iterable, Mapping, Sequence
@@ -28,6 +25,9 @@ from .city import ACTIONS
 from .errors import checked_path
 from .evaluation import Interval, Progress
 from .files import reserved
+from .redaction import Redactor, shown_url
+from .terminal import neutral
+from .transport import RejectedError, RetryableError, post
 
 __all__ = [
     "Calibration",
@@ -53,7 +53,13 @@ UNREAD, MISSING = "unread", "missing"
 NO_RULE = "none"
 #: The versions of files of questions. Version 1 has no clauses, and no scenes of demonstrations.
 VERSIONS = (1, 2)
-RESPONSE_BYTES = 16 << 20
+#: The largest response, in bytes: more text than a model writes. With log-probabilities, each token needs some kB.
+RESPONSE_BYTES = 4 << 20
+RESPONSE_BYTES_WITH_LOGPROBS = 32 << 20
+#: The number of characters of a server's text that a message shows.
+SHOWN = 300
+#: The largest line of a file of questions or answers, in bytes.
+LINE_BYTES = 64 << 20
 #: The largest timeout of a request, in seconds: a day.
 TIMEOUT_MAX = 86_400.0
 
@@ -131,10 +137,12 @@ def _lines(path: str | os.PathLike[str]) -> Iterable[tuple[str, dict[str, Any]]]
     """Yield the objects of a JSON Lines file, each with its location."""
     name = checked_path("path", path)
     with open(name, "rb") as file:
-        for number, line in enumerate(file, 1):
+        for number, line in enumerate(iter(lambda: file.readline(LINE_BYTES), b""), 1):
             if not line.strip():
                 continue
             place = f"{name}:{number}"
+            if len(line) == LINE_BYTES:
+                raise ValueError(f"{place}: the line is longer than {LINE_BYTES >> 20} MiB")
             try:
                 value = json.loads(line.decode())
             except (ValueError, RecursionError) as error:
@@ -259,8 +267,12 @@ _OPTION = re.compile(
     rf"[(\[]?\s*(?:([A-D])\b\s*[)\]]?|(?=(?:{_NAMES})\b))([\s.:)\-–—]*)((?:{_NAMES})\b)?(.*)", flags=re.IGNORECASE
 )
 _ALTERNATIVE = re.compile(r"\s*(?:(?:,|/|&|\bor\b|\band\b)\s*\(?[A-D]\b|[A-D]\W*$)", flags=re.IGNORECASE)
+#: The number of characters at the end of a reply in which its answer is read.
+TAIL = 100_000
 #: The number of characters after "answer" in which an option is read, so that long replies are read in linear time.
 _REACH = 1000
+# Anything else cannot begin an option, such as the next "answer".
+_BEGINNING = re.compile(rf"\s*[(\[]?\s*(?:[A-D]\b|(?:{_NAMES})\b)", flags=re.IGNORECASE)
 _REMARK = re.compile(r"\s*(?:$|[.,;:!)\]]|\(|because\b|since\b)", flags=re.IGNORECASE)
 
 
@@ -268,15 +280,23 @@ def read_letter(reply: str) -> str | None:
     """Read the option that a reply chooses: `"A"` to `"D"`, or `None` if it chooses no option or several.
 
     The option after the last "answer:" or "answer is" counts. Otherwise the last line counts if it is only an option.
+    Only the last 100,000 characters are read.
     """
-    text = re.sub(r"<(\w+)>", r"\1: ", re.sub(r"</\w+>", "\n", reply))
-    text = _MARKUP.sub("", text)
+    text = _plain(reply)
     for marker in reversed(list(_MARKER.finditer(text))):
+        if not _BEGINNING.match(text, marker.end()):
+            continue
         letter = _option(text[marker.end() : marker.end() + _REACH].lstrip().split("\n", 1)[0])
         if letter is not None:
             return letter
     lines = [line for line in text.splitlines() if line.strip()]
     return _option(lines[-1]) if lines else None
+
+
+def _plain(reply: str) -> str:
+    """Return the end of a reply without markup."""
+    text = re.sub(r"<(\w+)>", r"\1: ", re.sub(r"</\w+>", "\n", reply[-TAIL:]))
+    return _MARKUP.sub("", text)
 
 
 def _option(text: str) -> str | None:
@@ -301,6 +321,8 @@ _RULE = re.compile(r"\brule\b(?:\s+is)?\s*[:=]\s*([^\n]*)", flags=re.IGNORECASE)
 def read_rule(reply: str, labels: Sequence[str]) -> str | None:
     """Read the rule that a reply names after its last "Rule:". Remarks may follow the name.
 
+    Only the last 100,000 characters are read.
+
     Args:
         reply: The reply.
         labels: The labels of the rules.
@@ -313,8 +335,7 @@ def read_rule(reply: str, labels: Sequence[str]) -> str | None:
     names = "|".join(map(re.escape, sorted(known, key=len, reverse=True)))
     first = re.compile(rf"[(\[\s]*({names})(?!\w)(.*)", flags=re.IGNORECASE)
     another = re.compile(rf"\s*(?:,|/|&|\bor\b|\band\b)\s*\(?(?:{names})(?!\w)", flags=re.IGNORECASE)
-    text = re.sub(r"<(\w+)>", r"\1: ", re.sub(r"</\w+>", "\n", reply))
-    for line in reversed(_RULE.findall(_MARKUP.sub("", text))):
+    for line in reversed(_RULE.findall(_plain(reply))):
         found = first.match(line)
         if found is not None:
             return None if another.match(found[2]) else known[found[1].casefold()]
@@ -492,21 +513,6 @@ def grade(
     )
 
 
-class _RetryableError(Exception):
-    """A failed request that may succeed later. `wait` is the delay that the server requests, in seconds."""
-
-    def __init__(self, reason: str, wait: float | None = None) -> None:
-        super().__init__(reason)
-        self.wait = wait
-
-
-class _NoRedirect(urllib.request.HTTPRedirectHandler):
-    """Rejects redirects, because a redirect would send the key to another server."""
-
-    def redirect_request(self, *arguments: Any, **options: Any) -> None:
-        return None
-
-
 @dataclass(frozen=True)
 class Reply:
     """A reply of a model.
@@ -533,10 +539,12 @@ class Endpoint:
         key: The bearer token, if the server requires one.
         settings: More fields of the request, such as a temperature. `{"logprobs": true, "top_logprobs": 20}` requests
             log-probabilities.
-        timeout: The timeout of a request, in seconds without data, at most a day.
+        timeout: The time for an attempt, in seconds, at most a day: from the name of the server to the end of the
+            reply.
         tries: The number of attempts.
         pause: The delay before the second attempt, in seconds. It doubles for each later attempt, up to 60 seconds,
-            unless the server requests another delay.
+            unless the server requests another delay. A question fails if the delay that the server requests exceeds
+            what is left of the time for all attempts and their delays.
 
     Raises:
         ValueError: If the URL is invalid, not http or https, or contains a password, the key has invalid characters,
@@ -545,8 +553,8 @@ class Endpoint:
 
     url: str
     model: str
-    key: str | None = None
-    settings: Mapping[str, Any] | None = None
+    key: str | None = field(default=None, repr=False)
+    settings: Mapping[str, Any] | None = field(default=None, repr=False)
     timeout: float = 120.0
     tries: int = 6
     pause: float = 1.0
@@ -570,18 +578,20 @@ class Endpoint:
 
     def _check_url(self) -> None:
         """Raise `ValueError` if no request can be sent to the URL."""
+        # The messages must not reveal a password.
         if "@" in self.url.partition("//")[2].partition("/")[0]:
-            # The message must not reveal the password.
             raise ValueError("the URL contains a user name or password: send the key as a bearer token instead")
+        shown = shown_url(self.url)
         try:
             parts = urllib.parse.urlsplit(self.url)
             host, _ = (parts.hostname or "").encode("idna"), parts.port
-        except ValueError as error:
-            raise ValueError(f"expected a URL of http or https, not `{self.url}`: {error}") from None
-        if parts.scheme not in ("http", "https") or not host:
-            raise ValueError(f"expected a URL of http or https, not `{self.url}`")
+        except ValueError:
+            host = b""
+        if not host or parts.scheme not in ("http", "https"):
+            found = "" if "@" in self.url else f", not `{shown}`"
+            raise ValueError(f"expected a URL of http or https, such as http://localhost:8000/v1{found}")
         if not re.fullmatch(r"[\x21-\x7e]+", self.url):
-            raise ValueError(f"the URL `{self.url}` has characters other than printable ASCII: percent-encode them")
+            raise ValueError(f"the URL `{shown}` has characters other than printable ASCII: percent-encode them")
 
     def reply(self, messages: list[dict[str, str]], wait: Wait = _sleep) -> Reply:
         """Send a request, and return the reply of the model.
@@ -593,53 +603,65 @@ class Endpoint:
         Raises:
             ConnectionError: If the server rejects the request, or every attempt fails.
         """
+        redact = Redactor(self.key, self.url, self.settings or {}, "\n".join(each["content"] for each in messages))
+        shown, end = shown_url(self.url), time.monotonic() + self._seconds()
         for attempt in range(1, self.tries + 1):
             try:
-                return self._once(messages)
-            except _RetryableError as error:
-                if attempt == self.tries:
-                    raise ConnectionError(f"no reply from {self.url} in {attempt} attempts: {error}") from None
-                delay = min(self.pause * 2 ** (attempt - 1), 60.0)
-                wait(delay if error.wait is None else error.wait, str(error))
+                reply = self._once(messages, max(min(self.timeout, end - time.monotonic()), 0.001))
+                return Reply(redact(reply.text), reply.logprobs)
+            except RejectedError as error:
+                raise ConnectionError(f"{shown} rejects the request: {_shown(error, redact)}") from None
+            except RetryableError as error:
+                reason, requested = _shown(error, redact), error.wait
+            if attempt == self.tries:
+                raise ConnectionError(f"no reply from {shown} in {attempt} attempts: {reason}")
+            delay, left = self._delay(attempt) if requested is None else requested, end - time.monotonic()
+            if requested is not None and requested > left:
+                raise ConnectionError(
+                    f"no reply from {shown} in {attempt} attempts: {reason}; the server requests a pause of "
+                    f"{requested:.0f} s, but {max(left, 0):.0f} s are left for this question: try again later, or "
+                    "raise the number of attempts or their timeout"
+                )
+            wait(delay, reason)
         raise AssertionError("`tries` is at least 1")
 
-    def _once(self, messages: list[dict[str, str]]) -> Reply:
+    def _delay(self, attempt: int) -> float:
+        """Return the delay after an attempt, unless the server requests another one."""
+        return min(self.pause * 2.0 ** min(attempt - 1, 60), 60.0)
+
+    def _seconds(self) -> float:
+        """Return the time for a question: all attempts and their delays."""
+        # Later delays are equal.
+        delays = [self._delay(attempt) for attempt in range(1, min(self.tries, 64))]
+        return self.tries * self.timeout + sum(delays) + max(self.tries - 64, 0) * self._delay(64)
+
+    def _once(self, messages: list[dict[str, str]], seconds: float) -> Reply:
+        """Send a request, and return the reply of the model as it is. The exceptions are those of `post`."""
         parts = urllib.parse.urlsplit(self.url)
         path = parts.path.rstrip("/").removesuffix("/chat/completions") + "/chat/completions"
         url = urllib.parse.urlunsplit(parts._replace(path=path, fragment=""))
-        request_body = json.dumps({"model": self.model, "messages": messages, **(self.settings or {})}).encode()
+        settings = dict(self.settings or {})
+        request_body = json.dumps({"model": self.model, "messages": messages, **settings}).encode()
         headers = {"Content-Type": "application/json", "Accept": "application/json"}
         if self.key is not None:
             headers["Authorization"] = f"Bearer {self.key}"
-        request = urllib.request.Request(url, request_body, headers, method="POST")
-        try:
-            with urllib.request.build_opener(_NoRedirect).open(request, timeout=self.timeout) as response:
-                text = response.read(RESPONSE_BYTES)
-        except urllib.error.HTTPError as error:
-            with error:
-                body = _beginning(error)
-            reason = f"{error.code} {error.reason}" + (f": {body}" if body else "")
-            if error.code in (408, 409, 425, 429) or error.code >= 500:
-                raise _RetryableError(reason, _seconds(error.headers.get("Retry-After"))) from None
-            raise ConnectionError(f"{url} rejects the request: {reason}") from None
-        except (OSError, http.client.HTTPException) as error:
-            raise _RetryableError(str(getattr(error, "reason", None) or error) or type(error).__name__) from None
+        most = RESPONSE_BYTES_WITH_LOGPROBS if settings.get("logprobs") else RESPONSE_BYTES
+        text = post(url, request_body, headers, seconds, most)
         try:
             choice = json.loads(text)["choices"][0]
             content = choice["message"].get("content")
             if not isinstance(content, str | None):
                 raise TypeError
         except (ValueError, KeyError, IndexError, TypeError, AttributeError, RecursionError):
-            raise _RetryableError(f"not a reply of a chat endpoint: {text[:200].decode(errors='replace')}") from None
+            beginning = text[: 1 << 16].decode(errors="replace")
+            raise RetryableError(f"not a reply of a chat endpoint: {beginning}") from None
         return Reply(content or "", _option_logprobs(content or "", choice.get("logprobs")))
 
 
-def _beginning(error: urllib.error.HTTPError) -> str:
-    """Return the beginning of the body of an error; empty if the server does not send it."""
-    try:
-        return error.read(2000).decode(errors="replace").strip()
-    except (OSError, http.client.HTTPException):
-        return ""
+def _shown(error: Exception, redact: Redactor) -> str:
+    """Return the text of a server for a message: one line without secrets, of bounded length."""
+    text = " ".join(redact(str(error)).split())
+    return neutral(text if len(text) <= SHOWN else f"{text[:SHOWN]} ...")
 
 
 def _option_logprobs(reply: str, logprobs: Any) -> dict[str, float] | None:
@@ -693,15 +715,6 @@ def _by_letter(tokens: Iterable[Mapping[str, Any]]) -> dict[str, float]:
     return {letter: min(0.0, math.log(total)) for letter in LETTERS if (total := sum(shares.get(letter, {}).values()))}
 
 
-def _seconds(header: str | None) -> float | None:
-    """Parse a Retry-After header as seconds, clamped to ten minutes. Return `None` for a date."""
-    try:
-        wait = float(header or "")
-    except ValueError:
-        return None
-    return min(wait, 600.0) if wait >= 0 else None
-
-
 def ask(
     questions: Sequence[Question],
     endpoint: Endpoint,
@@ -736,11 +749,11 @@ def ask(
         for place, line in _lines(path):
             if line["id"] not in known:
                 raise ValueError(
-                    f"{place}: the answer belongs to the unknown question `{line['id']}`: choose another output file"
+                    f"{place}: the answer belongs to the unknown question {line['id']!r}: choose another output file"
                 )
             if line.get("model") != endpoint.model:
                 raise ValueError(
-                    f"{place}: the answer comes from the model `{line.get('model')}`: choose another output file"
+                    f"{place}: the answer comes from the model {line.get('model')!r}: choose another output file"
                 )
         answers = load_answers(path)
         watch(len(answers))
@@ -774,6 +787,22 @@ def _without_torn_line(path: Path) -> Path:
         if torn:
             file.truncate(whole)
     return path
+
+
+def key_from(variable: str | None) -> str | None:
+    """Return the API key in an environment variable; `None` without a variable.
+
+    Raises:
+        ValueError: If the variable is not set.
+    """
+    if variable is None:
+        return None
+    key = os.environ.get(variable, "").strip()
+    if not key:
+        # Who gives the key instead of the name must not find it in a log.
+        named = f"`{variable}`" if re.fullmatch(r"[A-Z][A-Z_]*[0-9]*", variable) else "with the given name"
+        raise ValueError(f"the environment variable {named} is not set: name the variable that contains the key")
+    return key
 
 
 def ask_with_progress(questions: Sequence[Question], endpoint: Endpoint, path: Path) -> dict[str, str]:

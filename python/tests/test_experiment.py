@@ -25,12 +25,12 @@ from logicity.learn.cells import Cell, finished, prepare, reuse, run_cell  # noq
 from logicity.learn.config import TrainConfig  # noqa: E402
 from logicity.learn.experiment import Experiment, Selection, load_experiment, read_experiment  # noqa: E402
 from logicity.learn.jobs import _check_listening, exclusive, run_in_processes  # noqa: E402
-from logicity.learn.messages import first_line  # noqa: E402
 from logicity.learn.report import escaped, markdown_table, paper_table  # noqa: E402
 from logicity.learn.result_files import as_text  # noqa: E402
 from logicity.learn.results import check_rows, leaderboard, read_results, submit  # noqa: E402
 from logicity.learn.run import train  # noqa: E402
 from logicity.learn.spf_report import Report, paper_value, pooled, violation_rates  # noqa: E402
+from logicity.terminal import first_line  # noqa: E402
 
 EXPERIMENTS = ROOT / "configs" / "experiments"
 #: Two learners with two seeds each.

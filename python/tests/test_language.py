@@ -427,7 +427,7 @@ def test_an_interrupt_does_not_wait_for_the_next_attempt(serve: Serve, tmp_path:
     with pytest.raises(KeyboardInterrupt):
         answer(spec, tmp_path / "own.yaml", work, 2, say_and_stop)
     assert sorted(lines[:2]) == [
-        f"m, examples, seed {seed}: 503 Service Unavailable: full; next attempt in 600 s" for seed in range(2)
+        f"m, examples, seed {seed}: 503 Service Unavailable: full indeed; next attempt in 600 s" for seed in range(2)
     ]
 
 

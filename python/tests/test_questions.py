@@ -315,7 +315,7 @@ def test_the_body_of_an_error_may_stall(serve: Serve) -> None:
         handler.wfile.flush()
         time.sleep(1.0)
 
-    with pytest.raises(ConnectionError, match="rejects the request: 400 Bad Request$"):
+    with pytest.raises(ConnectionError, match=r"rejects the request: 400 Bad Request: \{$"):
         Endpoint(serve(act).url, "stub", timeout=0.2).reply([])
 
 

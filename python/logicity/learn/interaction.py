@@ -22,8 +22,8 @@ except ImportError as error:
 from ..city import ACTIONS
 from ..envs import SPFVectorEnv
 from ..files import read_tensors
+from ..terminal import first_line
 from .learner import Actions, Observations
-from .messages import first_line
 
 if TYPE_CHECKING:
     from .config import TrainConfig

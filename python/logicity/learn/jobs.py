@@ -25,8 +25,8 @@ from typing import IO, Any
 
 from ..errors import missing_extra
 from ..files import reserved
+from ..terminal import first_line
 from .cells import Job, finished, inputs, prepare, reuse
-from .messages import first_line
 
 __all__ = ["connect", "exclusive", "run", "run_in_processes", "run_on_ray"]
 

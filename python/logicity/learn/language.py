@@ -26,14 +26,14 @@ from .. import _logicity
 from ..city import ACTIONS, Inference
 from ..errors import did_you_mean
 from ..files import write_text
-from ..questions import Endpoint, Question, ask, load_questions
+from ..questions import Endpoint, Question, ask, key_from, load_questions
 from ..rules import Program
+from ..terminal import print_message, print_text
 from .config import Fault, contains, faults, merged
 from .experiment import option_error, read_experiment, repeated
 from .jobs import exclusive
 from .language_report import LanguageReport
 from .learner import Count, StrictModel
-from .messages import first_line, print_progress
 from .question_solvers import SOLVERS, run_command
 
 __all__ = ["LanguageExperiment", "ModelSpec", "Unit", "is_language", "run"]
@@ -67,7 +67,7 @@ class ModelSpec(StrictModel):
     logprobs: bool = False
     """Whether to request log-probabilities of the 20 most probable tokens, for the measures of calibration."""
     timeout: Annotated[float, Field(strict=False, gt=0)] = 120.0
-    """The timeout of a request, in seconds without data."""
+    """The time for an attempt, in seconds: from the name of the server to the end of the reply."""
     tries: Count = 6
     """The largest number of attempts per request."""
 
@@ -77,11 +77,10 @@ class ModelSpec(StrictModel):
         Raises:
             ValueError: If a setting is invalid, or the environment variable of the key is not set.
         """
-        key = None
-        if self.key_from is not None:
-            key = os.environ.get(self.key_from, "").strip()
-            if not key:
-                raise ValueError(f"`key_from`: the environment variable `{self.key_from}` is not set")
+        try:
+            key = key_from(self.key_from)
+        except ValueError as error:
+            raise ValueError(f"`key_from`: {error}") from None
         settings = {**self.settings, **({"logprobs": True, "top_logprobs": 20} if self.logprobs else {})}
         return Endpoint(self.url, self.model, key, settings, self.timeout, self.tries)
 
@@ -437,7 +436,7 @@ def answer(
     def wait(each: Work, seconds: float, reason: str) -> None:
         """Report a failed attempt, and wait before the next one."""
         if not stop.is_set():
-            say(f"{each.unit}: {first_line(reason)}; next attempt in {seconds:.0f} s")
+            say(f"{each.unit}: {reason}; next attempt in {seconds:.0f} s")
         if stop.wait(seconds):
             raise InterruptedError
 
@@ -510,12 +509,12 @@ def run(
         work = prepare(experiment, file, units, root, jobs)
         if action == "list":
             for each in work:
-                print(f"{each.stored():4} of {len(each.questions)} replies  {each.unit}  {each.path}")
+                print_text(f"{each.stored():4} of {len(each.questions)} replies  {each.unit}  {each.path}")
             return 0
         if action == "run":
-            failed = answer(experiment, file, work, jobs, print_progress)
+            failed = answer(experiment, file, work, jobs, print_message)
         report = LanguageReport(experiment, work, failed)
         written = report.write(root)
-    print(report.text())
-    print(f"written: {', '.join(map(str, written))}")
+    print_text(report.text())
+    print_text(f"written: {', '.join(map(str, written))}")
     return int(bool(failed))

@@ -10,7 +10,8 @@ from typing import TYPE_CHECKING, Any
 
 from ..city import ACTIONS
 from ..questions import Grade, grade, load_answers, load_logprobs
-from .messages import first_line
+from ..redaction import masked
+from ..terminal import first_line
 from .report import aligned, draw_panels, latex_table, markdown_table, paper_table, write_tables
 
 if TYPE_CHECKING:
@@ -161,7 +162,7 @@ class LanguageReport:
         """Return the entries for JSON."""
         values = self.experiment.model_dump(mode="json", exclude={"models"})
         models = {
-            name: spec.model_dump(mode="json", include={"model", "settings", "logprobs"})
+            name: masked(spec.model_dump(mode="json", include={"model", "settings", "logprobs"}))
             for name, spec in self.experiment.models.items()
         }
         return {

@@ -17,8 +17,8 @@ from numpy.typing import NDArray
 
 from ..evaluation import Interval
 from ..files import reserved, write_json, write_text
+from ..terminal import first_line
 from .cells import Job, finished
-from .messages import first_line
 
 __all__ = [
     "CellEntry",

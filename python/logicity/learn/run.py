@@ -31,10 +31,10 @@ from .. import _logicity
 from .._logicity import __version__
 from ..evaluation import MEASURES, Benchmark, Evaluation, load_task, task_hashes
 from ..files import reserved, write_json
+from ..terminal import first_line, neutral, print_message
 from . import random_state
 from .config import TrainConfig
 from .learner import Learner
-from .messages import first_line, print_progress
 from .registry import load_policy
 
 __all__ = ["FolderError", "check_overrides", "check_start", "train"]
@@ -567,9 +567,9 @@ class _Display:
     def say(self, line: str) -> None:
         """Print a line."""
         if self._bar is not None:
-            self._bar.write(line, file=sys.stderr)
+            self._bar.write(neutral(line), file=sys.stderr)
         elif self._enabled:
-            print_progress(line)
+            print_message(line)
 
     def update(self, steps: int) -> None:
         """Show the number of steps; as a line only if the last line is at least `SECONDS` old."""

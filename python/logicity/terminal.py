@@ -1,0 +1,44 @@
+"""Text on the terminal. What others wrote cannot control it: every command prints through this module."""
+
+from __future__ import annotations
+
+import os
+import re
+import sys
+
+__all__ = ["first_line", "neutral", "print_message", "print_text"]
+
+# Controls but tabs and line breaks, marks that reorder or break lines, and bytes of file names that are not UTF-8. The
+# function of the same name in Rust replaces the same characters.
+_ACTIVE = re.compile(
+    "[\x00-\x08\x0b-\x1f\x7f-\x9f\u061c\u200e\u200f\u2028-\u202e\u2066-\u206f\ufff9-\ufffb\ud800-\udfff]"
+)
+
+
+def neutral(text: str, *, lines: bool = True) -> str:
+    r"""Return a text with escapes such as `\u001b` in place of characters on which a terminal acts.
+
+    Args:
+        text: The text.
+        lines: Whether line breaks stay.
+    """
+    shown = _ACTIVE.sub(lambda found: f"\\u{ord(found[0]):04x}", text)
+    return shown if lines else shown.replace("\n", "\\n")
+
+
+def first_line(message: str, default: str = "no message") -> str:
+    """Return the first line of a message, or the default if the message is empty."""
+    return next(iter(message.splitlines()), default)
+
+
+def print_text(text: object, *, end: str = "\n", flush: bool = False) -> None:
+    """Print a text to standard output."""
+    print(neutral(str(text)), end=end, flush=flush)
+
+
+def print_message(text: object) -> None:
+    """Print a line to standard error. If its reader has closed it, later lines are dropped, and the work continues."""
+    try:
+        print(neutral(str(text)), file=sys.stderr, flush=True)
+    except BrokenPipeError:
+        os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stderr.fileno())
