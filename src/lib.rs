@@ -74,6 +74,7 @@ pub mod files;
 pub mod induce;
 pub mod rng;
 pub mod symbol;
+pub(crate) mod threads;
 
 #[cfg(feature = "sim")]
 pub mod builtin;

@@ -11,6 +11,7 @@ use crate::induce::rules::{ActionRules, LearnedClause, LearnedRules, Noise, Prog
 use crate::induce::search::{FoundClause, Search};
 use crate::induce::vocabulary::{Body, LITERAL_COST, VARIABLES_MAX, Vocabulary};
 use crate::rng::{self, Purpose, Seed};
+use crate::threads;
 use rayon::prelude::*;
 use std::collections::BTreeMap;
 use std::num::NonZeroUsize;
@@ -53,8 +54,7 @@ pub fn learn_with(
         settings.seeds_per_round > 0 && settings.working_states > 0,
         "no tries or states"
     );
-    let threads = settings.threads.map_or(0, NonZeroUsize::get);
-    let Ok(pool) = rayon::ThreadPoolBuilder::new().num_threads(threads).build() else {
+    let Ok(pool) = threads::start(settings.threads.map_or(0, NonZeroUsize::get)) else {
         // If no threads can be created, the learner uses those of the caller.
         return learn_here(examples, settings, progress, cancel);
     };

@@ -25,7 +25,7 @@ pub use tick::executor::Executor;
 pub use tick::ground::{Facts, MAX_ENTITIES, ground};
 pub(crate) use tick::ground_state::GroundState;
 pub use tick::simulation::{AgentTick, Batch, Phase, Settings, Simulation, Snapshot, TickReport};
-pub(crate) use tick::simulation::{run_polled, start_threads};
+pub(crate) use tick::simulation::{run_polled, start_threads, threads_of};
 pub use tick::vocabulary::{Actions, Predicate, Vocabulary};
 pub use tick::width::Width;
 #[cfg(feature = "cli")]

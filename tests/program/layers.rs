@@ -306,6 +306,18 @@ fn a_crate_with_one_purpose_is_used_only_there() {
     }
 }
 
+/// A pool that does not notice a fork hangs in the forked process.
+#[test]
+fn only_one_file_starts_pools_of_threads() {
+    let of_pools = ["ThreadPoolBuilder", "build_global", "rayon::spawn", "rayon::join"];
+    let starts = |source: &Source| of_pools.iter().any(|name| source.code.contains(name));
+    let files: Vec<PathBuf> = (sources().into_iter())
+        .filter(starts)
+        .map(|source| source.path)
+        .collect();
+    assert_eq!(files, [PathBuf::from("src/threads.rs")]);
+}
+
 /// Files in a cycle of imports cannot be understood one after the other. A file and the files in its folder count as
 /// one.
 #[test]

@@ -12,6 +12,7 @@ use crate::datalog::plan::estimate::Shape;
 use crate::datalog::plan::steps::{Plan, Slot, Step};
 use crate::datalog::row::{AnyBatch, AnyRows, Batch, Row, each_width, gallop, map_width, normalize};
 use crate::symbol::Symbols;
+use crate::threads::Pool;
 use rayon::slice::ParallelSliceMut;
 use std::num::NonZeroUsize;
 use std::sync::Arc;
@@ -55,7 +56,7 @@ impl Default for Threads {
 #[derive(Debug, Default)]
 pub(crate) struct Workers {
     /// Present if there is more than one thread.
-    pool: Option<rayon::ThreadPool>,
+    pool: Option<Pool>,
     threads: Threads,
 }
 
@@ -76,10 +77,8 @@ impl Workers {
     /// Starts the threads. Fails if the system cannot start them.
     pub(crate) fn new(threads: Threads) -> std::io::Result<Self> {
         let count = threads.count.get();
-        let pool = || rayon::ThreadPoolBuilder::new().num_threads(count).build();
-        let pool = (count > 1).then(pool).transpose().map_err(std::io::Error::other)?;
-        // rayon may start fewer threads than requested.
-        let count = pool.as_ref().map_or(1, rayon::ThreadPool::current_num_threads);
+        let pool = (count > 1).then(|| Pool::new(count)).transpose()?;
+        let count = pool.as_ref().map_or(1, Pool::count);
         Ok(Workers {
             pool,
             threads: Threads {
@@ -94,7 +93,8 @@ impl Workers {
         self.pool.is_some()
     }
 
-    /// Like [`join::run`], on all threads. If it fails, the caller must not use `out`.
+    /// Like [`join::run`], on all threads; on the calling thread if a forked process cannot start them. If it fails, the
+    /// caller must not use `out`.
     pub(crate) fn run<const W: usize>(
         &self,
         plan: &Plan,
@@ -105,8 +105,11 @@ impl Workers {
     ) -> Result<(), Abort> {
         if let Some(pool) = &self.pool {
             let chunks = self.split(plan, views, out.seen_bytes());
-            if !chunks.is_empty() && out.can_fork(self.threads.count.get()) {
-                let workers = self.evaluate(pool, (plan, views, &chunks), (symbols, cancel), state, out);
+            if !chunks.is_empty()
+                && out.can_fork(self.threads.count.get())
+                && let Ok(pool) = pool.threads()
+            {
+                let workers = self.evaluate(&pool, (plan, views, &chunks), (symbols, cancel), state, out);
                 if let Some(result) = merge(workers, symbols, state, out) {
                     return result;
                 }
@@ -117,8 +120,9 @@ impl Workers {
 
     /// Sorts rows and removes repetitions.
     pub(crate) fn normalize<const W: usize>(&self, rows: &mut Vec<Row<W>>) {
-        match &self.pool {
-            Some(pool) if rows.len() >= self.threads.split_from => {
+        let large = rows.len() >= self.threads.split_from;
+        match self.pool.as_ref().filter(|_| large).map(Pool::threads) {
+            Some(Ok(pool)) => {
                 pool.install(|| rows.par_sort_unstable());
                 rows.dedup();
             }

@@ -17,9 +17,11 @@ use crate::sim::tick::ground_state::GroundState;
 use crate::sim::tick::vocabulary::{Actions, Vocabulary};
 use crate::sim::tick::window::Position;
 use crate::sim::tick::world::World;
+use crate::threads::Pool;
 use ndarray::Array3;
+use rayon::ThreadPool;
 use rayon::prelude::*;
-use rayon::{ThreadPool, ThreadPoolBuilder};
+use std::io;
 use std::sync::{Arc, mpsc};
 use std::time::Duration;
 
@@ -71,7 +73,7 @@ pub struct Simulation {
     report: TickReport,
     /// The clauses whose firings can be counted: [`World::clauses`].
     clauses: Arc<[ClauseId]>,
-    threads: Option<ThreadPool>,
+    threads: Option<Pool>,
     cancel: Cancel,
 }
 
@@ -401,7 +403,7 @@ impl Simulation {
 
     /// Returns the number of threads in use.
     pub fn threads(&self) -> usize {
-        self.threads.as_ref().map_or(1, ThreadPool::current_num_threads)
+        self.threads.as_ref().map_or(1, Pool::count)
     }
 
     /// Returns the clauses whose firings can be counted, in the order of [`World::clauses`].
@@ -489,9 +491,10 @@ impl Simulation {
             time: self.tick,
         };
         let map = self.world.map();
+        let threads = threads_of(self.threads.as_ref())?;
         if let Some(dense) = &mut self.dense {
             let decisions = &mut self.decisions;
-            let decided = match &self.threads {
+            let decided = match &threads {
                 Some(pool) => pool.install(|| dense.decide(map, &self.agents, draws, decisions)),
                 None => dense.decide(map, &self.agents, draws, decisions),
             };
@@ -512,11 +515,11 @@ impl Simulation {
             self.decide_by_facts(draws)?;
         }
         ended(Phase::Decide);
-        self.advance(controls);
+        self.advance(controls, threads.as_deref());
         ended(Phase::Move);
         if let Some(dense) = &mut self.dense {
             let (map, positions) = (self.world.map(), &self.positions);
-            match &self.threads {
+            match &threads {
                 Some(pool) => pool.install(|| dense.follow(map, positions)),
                 None => dense.follow(map, positions),
             }
@@ -528,7 +531,7 @@ impl Simulation {
     }
 
     /// Applies the decisions and `controls` and moves all agents.
-    fn advance(&mut self, controls: &[(usize, Action)]) {
+    fn advance(&mut self, controls: &[(usize, Action)], threads: Option<&ThreadPool>) {
         let Simulation {
             world,
             places,
@@ -553,7 +556,7 @@ impl Simulation {
                 tick: self.tick,
             },
         };
-        match &self.threads {
+        match threads {
             Some(pool) => pool.install(|| {
                 (agents.par_iter_mut().with_min_len(1024))
                     .zip(positions)
@@ -712,12 +715,23 @@ impl Simulation {
 ///
 /// # Errors
 /// `limit-exceeded` if the threads cannot be started.
-pub(crate) fn start_threads(threads: usize) -> Result<Option<ThreadPool>, Diagnostic> {
-    let pool = (threads > 1).then(|| ThreadPoolBuilder::new().num_threads(threads).build());
-    pool.transpose().map_err(|error| {
-        let message = format!("{threads} threads cannot be started: {error}");
-        Diagnostic::new(Code::LIMIT_EXCEEDED, message).help("use fewer threads")
-    })
+pub(crate) fn start_threads(threads: usize) -> Result<Option<Pool>, Diagnostic> {
+    let pool = (threads > 1).then(|| Pool::new(threads));
+    pool.transpose().map_err(|error| no_threads(threads, &error))
+}
+
+/// Returns the threads of a pool. A forked process starts them on its first call.
+///
+/// # Errors
+/// `limit-exceeded` if the threads cannot be started.
+pub(crate) fn threads_of(pool: Option<&Pool>) -> Result<Option<Arc<ThreadPool>>, Diagnostic> {
+    let threads = |pool: &Pool| pool.threads().map_err(|error| no_threads(pool.count(), &error));
+    pool.map(threads).transpose()
+}
+
+fn no_threads(count: usize, error: &io::Error) -> Diagnostic {
+    let message = format!("{count} threads cannot be started: {error}");
+    Diagnostic::new(Code::LIMIT_EXCEEDED, message).help("use fewer threads")
 }
 
 /// The interval between polls of the thread that waits for a pool.
@@ -742,7 +756,7 @@ pub(crate) fn run_polled<R: Send>(pool: &ThreadPool, poll: &(dyn Fn() + Sync), w
 /// Independent cities that advance in lockstep. Each gives the same results as it does alone.
 pub struct Batch {
     cities: Vec<Simulation>,
-    threads: Option<ThreadPool>,
+    threads: Option<Pool>,
 }
 
 impl Batch {
@@ -773,7 +787,7 @@ impl Batch {
     /// As [`Simulation::tick`]: the error of the first city that fails. The other cities advance.
     pub fn tick<'c>(&mut self, controls: impl Fn(usize) -> &'c [(usize, Action)] + Sync) -> Result<(), Diagnostic> {
         let fault = |(position, city): (usize, &mut Simulation)| Some((position, city.tick(controls(position)).err()?));
-        let faults = match &self.threads {
+        let faults = match &threads_of(self.threads.as_ref())? {
             Some(pool) => pool.install(|| {
                 let faults = self.cities.par_iter_mut().enumerate().filter_map(fault);
                 faults.min_by_key(|(position, _)| *position)

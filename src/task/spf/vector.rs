@@ -8,9 +8,9 @@ use crate::cancel::Cancel;
 use crate::city::{Action, Split};
 use crate::diag::Diagnostic;
 use crate::rng::{Purpose, RngExt, Seed};
-use crate::sim::{Actions, run_polled, start_threads};
+use crate::sim::{Actions, run_polled, start_threads, threads_of};
 use crate::task::spf::{ControlMode, Env, Episode, SpfTask, reset_demanding};
-use rayon::ThreadPool;
+use crate::threads::Pool;
 use rayon::prelude::*;
 use std::hint::black_box;
 use std::sync::Arc;
@@ -351,7 +351,7 @@ pub struct VectorEnv {
     view: ObservationKind,
     /// Numbers per observation.
     width: usize,
-    threads: Option<ThreadPool>,
+    threads: Option<Pool>,
     cancel: Cancel,
 }
 
@@ -558,7 +558,7 @@ impl VectorEnv {
             });
             fault
         };
-        let fault = match &self.threads {
+        let fault = match &threads_of(self.threads.as_ref())? {
             Some(pool) => run_polled(pool, &|| _ = cancel.requested(), || {
                 (self.sub_envs.par_chunks_mut(SHARE))
                     .zip(given.par_chunks(SHARE))

@@ -6,7 +6,7 @@ use crate::diag::Diagnostic;
 use crate::files::{Folder, Overwrite};
 use crate::render::{Icons, Picture, write_png};
 use crate::rng::Seed;
-use crate::sim::{LoadedCity, run_polled, start_threads};
+use crate::sim::{LoadedCity, run_polled, start_threads, threads_of};
 use crate::task::vap::error::DatasetError;
 use crate::task::vap::folder::{Description, ENTITIES, PAIRS, WorldWriter};
 use crate::task::vap::table::{Table, count_concepts};
@@ -261,7 +261,8 @@ impl<'c> Monitor<'c> {
         self.poll();
         self.check()?;
         let count = |units| self.done.fetch_add(units, Ordering::Relaxed);
-        let results = match start_threads(threads.get().min(items.len()))? {
+        let pool = start_threads(threads.get().min(items.len()))?;
+        let results = match &threads_of(pool.as_ref())? {
             None => {
                 let step = |units| {
                     count(units);
@@ -275,7 +276,7 @@ impl<'c> Monitor<'c> {
                     count(units);
                     self.check()
                 };
-                run_polled(&pool, &|| _ = self.poll(), || {
+                run_polled(pool, &|| _ = self.poll(), || {
                     let items = items.par_iter().with_max_len(1);
                     items.map(|item| work(item, &step)).collect::<Result<Vec<R>, _>>()
                 })

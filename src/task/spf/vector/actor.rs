@@ -10,7 +10,7 @@
 use super::{Autoreset, ObservationKind, SubEnv, VectorEnv};
 use crate::city::Action;
 use crate::diag::Diagnostic;
-use crate::sim::run_polled;
+use crate::sim::{run_polled, threads_of};
 use indexmap::IndexMap;
 use indexmap::map::Entry;
 use rayon::prelude::*;
@@ -429,10 +429,8 @@ impl VectorEnv {
         let ready = |sub_env: &SubEnv| sub_env.is_ready(Autoreset::SameStep);
         assert!(self.sub_envs.iter().all(ready), "an episode must begin first");
         let steps = random.len() / count;
-        let share = match &self.threads {
-            Some(pool) => count.div_ceil(pool.current_num_threads()),
-            None => count,
-        };
+        let threads = threads_of(self.threads.as_ref())?;
+        let share = count.div_ceil(threads.as_ref().map_or(1, |pool| pool.current_num_threads()));
         let cancel = &self.cancel;
         let run = |(sub_envs, rows): (&mut [SubEnv], &mut [f32]), random: &[f32]| {
             let mut part = Part::default();
@@ -444,7 +442,7 @@ impl VectorEnv {
             }
             Ok(part)
         };
-        let parts: Vec<Result<Part, Diagnostic>> = match &self.threads {
+        let parts: Vec<Result<Part, Diagnostic>> = match &threads {
             Some(pool) => run_polled(pool, &|| _ = cancel.requested(), || {
                 (self.sub_envs.par_chunks_mut(share))
                     .zip(observations.par_chunks_mut(share * width))
