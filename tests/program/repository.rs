@@ -274,13 +274,11 @@ fn dependencies_are_updated_and_pinned() {
         };
         assert!(updated(kind, &format!("/{folder}")), "no updates for {file}");
     }
+    let hashed = Regex::new(r"(?m)^[a-z][^=\n]*==.*(\n    --hash=sha256:[0-9a-f]{64}( \\)?)+$").unwrap();
     for name in ["publish", "wheels"] {
         let text = read(&format!(".github/requirements/{name}.txt"));
         let mut packages = 0;
-        for package in Regex::new(r"(?m)^[a-z][^=\n]*==.*(\n    --hash=sha256:[0-9a-f]{64}( \\)?)+$")
-            .unwrap()
-            .find_iter(&text)
-        {
+        for package in hashed.find_iter(&text) {
             packages += usize::from(!package.is_empty());
         }
         let lines = text
