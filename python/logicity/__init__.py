@@ -42,7 +42,7 @@ if TYPE_CHECKING:
     from . import views as views
     from .city import ACTIONS, HEADINGS, REASONS, AgentInfo, Decision, Inference, Simulation, Tick, infer
     from .describe import observation_names
-    from .errors import InputError, LimitError, UnsupportedError
+    from .errors import InputError, LimitError, UnsupportedError, UntrustedError
     from .evaluation import Benchmark, EpisodeRecord, Evaluation, Interval, Policy, evaluate
     from .induction import InducedClause, InducedRules, induce
     from .modes import ENVIRONMENTS, MODES, parallel_env
@@ -71,7 +71,7 @@ if TYPE_CHECKING:
 _NAMES = {
     "city": ["ACTIONS", "HEADINGS", "REASONS", "AgentInfo", "Decision", "Inference", "Simulation", "Tick", "infer"],
     "describe": ["observation_names"],
-    "errors": ["InputError", "LimitError", "UnsupportedError"],
+    "errors": ["InputError", "LimitError", "UnsupportedError", "UntrustedError"],
     "evaluation": ["Benchmark", "EpisodeRecord", "Evaluation", "Interval", "Policy", "evaluate"],
     "induction": ["InducedClause", "InducedRules", "induce"],
     "modes": ["ENVIRONMENTS", "MODES", "parallel_env"],
@@ -132,6 +132,7 @@ __all__ = [
     "Tick",
     "Trajectory",
     "UnsupportedError",
+    "UntrustedError",
     "__version__",
     "check",
     "demonstrations",

@@ -17,9 +17,10 @@ from typing import TYPE_CHECKING, Literal, NoReturn, cast
 import numpy as np
 
 from . import _logicity
-from .errors import InputError
+from .errors import InputError, UntrustedError
 from .files import check_writable, write_json
 from .modes import ENVIRONMENTS, checked_mode
+from .signals import ending_on_signals
 from .terminal import neutral, print_message, print_text
 
 if TYPE_CHECKING:
@@ -45,12 +46,13 @@ def run(words: tuple[str, ...], arguments: Sequence[str]) -> int:
         The exit code, as for `logicity.__main__.main`.
 
     Raises:
-        SystemExit: If the arguments are invalid or contain `--help`.
+        SystemExit: If the arguments are invalid or contain `--help`, or on SIGTERM and SIGHUP.
     """
     parser, command = parser_of(words)
     args = parser.parse_args(arguments)
     try:
-        code = command(args)
+        with ending_on_signals():
+            code = command(args)
         print_text("", end="", flush=True)
     except KeyboardInterrupt:
         print_message("interrupted")
@@ -60,6 +62,9 @@ def run(words: tuple[str, ...], arguments: Sequence[str]) -> int:
         os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
         return 0
     except _UsageError as error:
+        print_message(f"error: {error}")
+        return 2
+    except UntrustedError as error:
         print_message(f"error: {error}")
         return 2
     except InputError as error:
@@ -122,9 +127,10 @@ def _add_evaluate(parser: argparse.ArgumentParser) -> _Command:
     parser.add_argument(
         "--policy",
         required=True,
-        help="oracle, random, the file of a policy (.zip, .pt), a rule file (.dl), or the folder of "
-        "a run of `logicity train`",
+        help="oracle, random, the file of a policy (.pt), a rule file (.dl), the folder of a run of `logicity train`, "
+        "or, with `--trust`, a model of Stable-Baselines3 (.zip)",
     )
+    _add_trust(parser, "the policy")
     parser.add_argument(
         "--modes",
         type=_modes,
@@ -155,7 +161,16 @@ def _add_train(parser: argparse.ArgumentParser) -> _Command:
     parser.add_argument("--run", type=Path, metavar="FOLDER", help="folder of the run; default: runs/CONFIG-SEED")
     parser.add_argument("--seed", type=_seed, help="replace the seed of the configuration")
     _add_wandb(parser)
+    _add_trust(parser, "the policy that the configuration names under `start`")
     return _train
+
+
+def _add_trust(parser: argparse.ArgumentParser, what: str) -> None:
+    parser.add_argument(
+        "--trust",
+        action="store_true",
+        help=f"load {what} also if it is a model of Stable-Baselines3, a pickle, which can run any code",
+    )
 
 
 def _add_wandb(parser: argparse.ArgumentParser) -> None:
@@ -216,6 +231,7 @@ def _add_experiment(parser: argparse.ArgumentParser) -> _Command:
         "`--jobs`",
     )
     _add_wandb(parser)
+    _add_trust(parser, "a policy that a training configuration names under `start`")
     parser.add_argument("--run", type=Path, metavar="FOLDER", help="folder of the results; default: runs/EXPERIMENT")
     return _experiment
 
@@ -357,7 +373,7 @@ def _modes(text: str) -> list[str]:
         raise argparse.ArgumentTypeError(str(error)) from None
 
 
-def _named_policy(text: str) -> tuple[Policy, str, str | None, ObservationKind | None]:
+def _named_policy(text: str, trust: bool) -> tuple[Policy, str, str | None, ObservationKind | None]:
     """Return the policy that an argument names, its name for tables, and the mode and observation of its training."""
     if text in ("oracle", "random"):
         return cast("Policy", text), text, None, None
@@ -377,7 +393,7 @@ def _named_policy(text: str) -> tuple[Policy, str, str | None, ObservationKind |
         )
     from .learn import load_policy
 
-    saved = load_policy(path)
+    saved = load_policy(path, trust=trust)
     return saved.policy, saved.path.stem, saved.mode, saved.observation
 
 
@@ -571,7 +587,7 @@ def _evaluate(given: argparse.Namespace) -> int:
         name, modes = rules.stem, [each.mode for each in compiled]
         policies: list[Policy] = list(compiled)
     else:
-        policy, name, trained, kind = _named_policy(given.policy)
+        policy, name, trained, kind = _named_policy(given.policy, given.trust)
         modes = given.modes or ([checked_mode(trained)] if trained is not None else list(ENVIRONMENTS))
         policies = [policy] * len(modes)
     policy = policies[0]
@@ -612,8 +628,8 @@ def _train(given: argparse.Namespace) -> int:
     run = given.run or Path("runs") / f"{given.config.stem}-{config.seed}"
     _check_folder("--run", run)
     try:
-        result = train(config, run, progress=True, wandb=given.wandb)
-    except FolderError:
+        result = train(config, run, progress=True, wandb=given.wandb, trust=given.trust)
+    except (FolderError, UntrustedError):
         raise
     except ValueError as error:
         raise located(given.config, config, error) from error
@@ -633,7 +649,7 @@ def _experiment(given: argparse.Namespace) -> int:
     if is_language(given.experiment):
         return _language(given)
     experiment, file = load_experiment(given.experiment)
-    selection = Selection(tuple(given.only), given.seeds, _changes(given), given.quick)
+    selection = Selection(tuple(given.only), given.seeds, _changes(given), given.quick, given.trust)
     try:
         cells = experiment.cells(file, selection)
     except InputError:
@@ -664,7 +680,7 @@ def _experiment(given: argparse.Namespace) -> int:
         from .learn.jobs import run
 
         jobs = given.jobs or os.cpu_count() or 1
-        failed = run(cells, root, jobs, print_message, given.ray, given.wandb, given.reuse)
+        failed = run(cells, root, jobs, print_message, given.ray, given.wandb, given.reuse, given.trust)
     report = experiment.report(cells, root, failed)
     print_text(report.text(), flush=True)
     written = report.write(root)

@@ -772,6 +772,33 @@ class SPFVectorEnv(VectorEnv[Any, NDArray[np.int64], NDArray[Any]]):
             raise gymnasium.error.Error("the environments have no `render_mode`: pass one to `gymnasium.make_vec`")
         return tuple(_rendered(self._core, at, self.render_mode) for at in range(self.num_envs))
 
+    def state(self) -> list[dict[str, Any]]:
+        """Return the state of each environment as plain data, which JSON can store.
+
+        It has the seed of the episodes with the number of episodes started, and, if an episode has started, its start
+        and the actions taken.
+        """
+        return [
+            {"source": source, "episode": None if begun is None else begun[0], "actions": (begun or ({}, b""))[1].hex()}
+            for source, begun in _states(self._core, self.num_envs)
+        ]
+
+    def restore(self, state: Sequence[Mapping[str, Any]]) -> None:
+        """Restore what `state` of environments with the same arguments returned, and write their observations.
+
+        Raises:
+            InputError: If an episode is not valid in these environments (`invalid-episode`).
+            ValueError: If the state is that of another number of environments.
+        """
+        if len(state) != self.num_envs:
+            raise ValueError(f"a state of {len(state)} environments, not of {self.num_envs}")
+        begun = [(each["episode"], bytes.fromhex(each["actions"])) for each in state]
+        states = [(list(each["source"]), pair if pair[0] else None) for each, pair in zip(state, begun, strict=True)]
+        core = self._make_core()
+        _restore(core, states, self._observations)
+        self._core = core
+        self._seeded[:] = True
+
     def __getstate__(self) -> dict[str, Any]:
         """Return the task, the episodes and the actions taken, which determine the state."""
         state = {key: value for key, value in self.__dict__.items() if key != "_core"}

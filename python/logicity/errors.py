@@ -10,7 +10,7 @@ from typing import Any, SupportsIndex, TypeAlias
 from . import _logicity
 from .types import Diagnostic
 
-__all__ = ["InputError", "LimitError", "UnsupportedError"]
+__all__ = ["InputError", "LimitError", "UnsupportedError", "UntrustedError"]
 
 #: The keys of `Limits`.
 _LIMITS = ("max_rows", "max_steps", "max_bytes")
@@ -47,6 +47,10 @@ class LimitError(InputError):
 
 class UnsupportedError(InputError):
     """Rules that the dense executor cannot evaluate. One of the diagnostics has the code `dense-unsupported`."""
+
+
+class UntrustedError(ValueError):
+    """A file that can run any code when it is loaded, without the caller's trust in it."""
 
 
 def did_you_mean(name: object, known: Iterable[str]) -> str:

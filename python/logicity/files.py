@@ -8,6 +8,7 @@ import zipfile
 from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
+from pickle import UnpicklingError
 from typing import Any
 
 from . import _logicity
@@ -86,7 +87,7 @@ def write_text(path: str | os.PathLike[str], text: str) -> None:
 
 
 def read_tensors(path: str | os.PathLike[str], expected: str) -> Any:
-    """Return the content of a file of `torch.save` that has only tensors and plain data.
+    """Return the content of a file of `torch.save` that has only tensors and plain data. Nothing in it runs as code.
 
     Args:
         path: The file.
@@ -99,13 +100,20 @@ def read_tensors(path: str | os.PathLike[str], expected: str) -> Any:
     import torch
 
     try:
-        # PyTorch does not compare the checksums.
-        if zipfile.is_zipfile(path) and zipfile.ZipFile(path).testzip() is not None:
-            raise ValueError("a checksum is wrong")
+        if zipfile.is_zipfile(path):
+            with zipfile.ZipFile(path) as archive:
+                # Stored bytes need no more memory than the file. PyTorch does not compress.
+                if any(each.compress_type != zipfile.ZIP_STORED for each in archive.infolist()):
+                    raise ValueError("it is compressed")
+                # PyTorch does not compare the checksums.
+                if archive.testzip() is not None:
+                    raise ValueError("a checksum is wrong")
         return torch.load(path, map_location="cpu", weights_only=True)
+    except UnpicklingError:
+        message = "it may be damaged, or have Python objects, which could run any code when they are loaded"
     except Exception as error:
         if isinstance(error, OSError) and error.filename is not None:
             raise
         # Depending on the bytes, PyTorch raises almost any exception.
-        message = f"{os.fspath(path)} is not {expected}: PyTorch cannot read it as plain data; it may be damaged"
-        raise ValueError(message) from None
+        message = "it may be damaged"
+    raise ValueError(f"{os.fspath(path)} is not {expected}: PyTorch cannot read it as plain data; {message}")

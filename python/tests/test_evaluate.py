@@ -259,28 +259,28 @@ class EasyModel:
 def test_a_model_needs_a_mode_that_fits(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    def load(path: Path) -> Any:
-        file = path / "best.zip" if path.is_dir() else path
-        run = file.parent.parent if file.name == "model.zip" else file.parent
+    def load(path: Path, *, trust: bool) -> Any:
+        file = path / "best.pt" if path.is_dir() else path
+        run = file.parent.parent if file.parent.name.startswith("checkpoint-") else file.parent
         mode = "easy" if (run / "config.json").exists() else None
         return SimpleNamespace(policy=EasyModel(), path=file, mode=mode, observation=None)
 
     monkeypatch.setitem(sys.modules, "logicity.learn", SimpleNamespace(load_policy=load))
     run = tmp_path / "dqn-easy-0"
-    for model in (run / "best.zip", run / "checkpoint-0000000010" / "model.zip", tmp_path / "other" / "m.zip"):
+    for model in (run / "best.pt", run / "checkpoint-0000000010" / "best.pt", tmp_path / "other" / "m.pt"):
         model.parent.mkdir(parents=True, exist_ok=True)
         model.touch()
     (run / "config.json").write_text('{"mode": "easy"}')
     split = ["--split", "val"]
     # A run records the mode, which is the default. The folder of a run means its best model.
-    for policy in (run / "best.zip", run, run / "checkpoint-0000000010" / "model.zip"):
+    for policy in (run / "best.pt", run, run / "checkpoint-0000000010" / "best.pt"):
         assert main(["evaluate", "--policy", str(policy), *split]) == 0
         assert [line.split()[1] for line in capsys.readouterr().out.splitlines()] == ["mode", "easy"]
     assert main(["evaluate", "--policy", str(run), "--modes", "easy,expert", *split]) == 2
     trained = "error: this model was trained for `easy`: 85 numbers, and `expert` has 205 numbers"
     output = capsys.readouterr()
     assert (output.err, output.out) == (f"{trained}\nhelp: name `--modes easy`\n", "")
-    assert main(["evaluate", "--policy", str(tmp_path / "other" / "m.zip"), *split]) == 2
+    assert main(["evaluate", "--policy", str(tmp_path / "other" / "m.pt"), *split]) == 2
     assert "error: this model takes 85 numbers, and `" in (error := capsys.readouterr().err)
     assert "\nhelp: name `--modes easy" in error
     assert main(["evaluate", "--policy", str(tmp_path / "other"), *split]) == 2
@@ -451,9 +451,9 @@ def test_progress_is_shown_on_a_terminal(monkeypatch: pytest.MonkeyPatch, capsys
     ("arguments", "status", "message"),
     [
         (
-            ["evaluate", "--policy", "no-such.zip", "--modes", "easy"],
+            ["evaluate", "--policy", "no-such.pt", "--modes", "easy"],
             2,
-            "error: cannot read `no-such.zip`: no such file",
+            "error: cannot read `no-such.pt`: no such file",
         ),
         (["evaluate", "--policy", "runs/best", "--modes", "easy"], 2, "error: cannot read `runs/best`: no such file"),
         (

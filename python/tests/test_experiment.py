@@ -177,7 +177,7 @@ def test_the_identity_follows_from_settings_rules_episodes_and_version(
             TINY.replace("a2c.yaml", "induce-easy").replace("96", "1") + "variants: {a: {}, b: {start: a}}",
             r"`induce` does not use the key `start`: its training cannot start from a policy(.|\n)*tiny\.yaml:10:30",
         ),
-        (TINY + "changes: {start: no.zip}", r"cannot read `no\.zip`: no such file(.|\n)*tiny\.yaml:10:18"),
+        (TINY + "changes: {start: no.pt}", r"cannot read `no\.pt`: no such file(.|\n)*tiny\.yaml:10:18"),
         (TINY + "changes: {start: .}", r"(.|\n)*tiny\.yaml:10:18"),
         (
             TINY.replace("{steps: 96}", "{overrides: {task: {horizn: 5}}}"),
@@ -224,7 +224,7 @@ def test_unknown_selections_are_reported(
         ("algorithm=dqn", "--set: each cell has its own `algorithm`: write another experiment"),
         ("step=3", "--set step: unknown key `step`\nhelp: did you mean `steps`?"),
         ("settings.gama=3", "--set settings.gama: `ppo` has no setting `gama`\nhelp: did you mean `gamma`?"),
-        ("start=no.zip", "--set start: cannot read `no.zip`: no such file"),
+        ("start=no.pt", "--set start: cannot read `no.pt`: no such file"),
         (
             "overrides.task.horizn=5",
             "--set overrides.task.horizn: unknown key `horizn` in a task\nhelp: allowed keys: ",
@@ -462,7 +462,7 @@ def test_a_cell_runs_only_with_its_version_rules_and_episodes(tiny: Path, tmp_pa
     # A process that is lost after the last file leaves a finished cell.
     measured = {"identity": document["identity"], "result": {}, "evaluations": {}}
     (folder / "measured.json").write_text(json.dumps(measured))
-    (folder / "best.zip").write_bytes(b"the policy")
+    (folder / "best.pt").write_bytes(b"the policy")
     assert run_cell(folder) == measured == finished(cells[0], tmp_path / "run")
 
 

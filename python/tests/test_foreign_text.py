@@ -5,7 +5,6 @@ from __future__ import annotations
 import base64
 import html
 import json
-import os
 import random
 import re
 import socket
@@ -426,10 +425,10 @@ def test_experiments_keep_the_key(serve: Serve, run: Run, tmp_path: Path, monkey
 def test_programs_beside_training_stay_in_bounds(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
     """They flood their outputs, never end, or leave processes that hold a pipe."""
     needs("pydantic", "learn")
-    from logicity.learn import popper
+    from logicity.learn import programs
 
-    monkeypatch.setattr(popper, "OUTPUT_BYTES", 1000)
-    monkeypatch.setattr(popper, "DRAIN", 0.2)
+    monkeypatch.setattr(programs, "OUTPUT_BYTES", 1000)
+    monkeypatch.setattr(programs, "DRAIN", 0.2)
     cases = {
         "yes; echo": None,
         "yes >&2": None,
@@ -441,12 +440,12 @@ def test_programs_beside_training_stay_in_bounds(monkeypatch: pytest.MonkeyPatch
     }
     for code, ends in cases.items():
         begun = time.monotonic()
-        ended, output, log = popper._run(["sh", "-c", code], 1.0, os.environ)
+        ended, output, log = programs.run_program(["sh", "-c", code], 1.0)
         assert ended == (None if ends is None else 0), code
         assert output.rstrip().endswith(ends or "") and len(output) <= 70_000 and len(log) <= 70_000, code
         assert time.monotonic() - begun < 5.0, code
     marker = str(tmp_path / "alive")
-    popper._run(["sh", "-c", f"(sleep 0.5; touch {marker}) & exit 0"], 1.0, os.environ)
+    programs.run_program(["sh", "-c", f"(sleep 0.5; touch {marker}) & exit 0"], 1.0)
     time.sleep(0.8)
     assert not Path(marker).exists()
 

@@ -26,6 +26,7 @@ from logicity.learn.cloning import (  # noqa: E402
 )
 from logicity.learn.demonstrations import DemonstrationData, layout_of  # noqa: E402
 from logicity.learn.gnn import GraphNetwork  # noqa: E402
+from logicity.learn.run import check_start  # noqa: E402
 
 LEARNERS: dict[str, type[CloningLearner]] = {"mlp": MlpLearner, "gnn": GnnLearner, "nlm": NlmLearner}
 #: Settings that make a learner small.
@@ -180,15 +181,16 @@ def test_training_starts_from_a_policy(tmp_path: Path) -> None:
     learner.fit(5, nothing)
     path = tmp_path / "policy.pt"
     learner.policy().save(path)
-    started = NlmLearner(config("nlm", SMALL["nlm"], start=str(path), seed=3))
+    started = NlmLearner(config("nlm", SMALL["nlm"], seed=3))
+    started.start_from(ClonedPolicy.load(path))
     for one, other in zip(started.policy().network.parameters(), learner.policy().network.parameters(), strict=True):
         assert torch.equal(one, other)
     with pytest.raises(ValueError, match="policy of `nlm`, not of `gnn`"):
-        GnnLearner(config("gnn", SMALL["gnn"], start=str(path)))
+        check_start(config("gnn", SMALL["gnn"], start=str(path)))
     with pytest.raises(ValueError, match="other observations than those of `hard`"):
-        NlmLearner(config("nlm", SMALL["nlm"], start=str(path), mode="hard"))
+        NlmLearner(config("nlm", SMALL["nlm"], mode="hard")).start_from(learner.policy())
     with pytest.raises(ValueError, match="other sizes"):
-        NlmLearner(config("nlm", {**SMALL["nlm"], "outputs": 4}, start=str(path)))
+        NlmLearner(config("nlm", {**SMALL["nlm"], "outputs": 4})).start_from(learner.policy())
 
 
 def test_wrong_files_are_rejected(tmp_path: Path) -> None:
@@ -208,7 +210,7 @@ def test_wrong_files_are_rejected(tmp_path: Path) -> None:
     with pytest.raises(OSError):
         ClonedPolicy.load(tmp_path / "missing.pt")
     learner = MlpLearner(config("mlp", SMALL["mlp"]))
-    torch.save({"format": 1, "network": {}}, tmp_path / "learner.pt")
+    torch.save({"checkpoint": 2, "algorithm": "mlp", "network": {}}, tmp_path / "learner.pt")
     with pytest.raises(ValueError, match="does not fit the configuration"):
         learner.restore(tmp_path)
 

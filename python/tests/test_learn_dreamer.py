@@ -352,10 +352,10 @@ def test_a_restored_learner_continues_exactly(tmp_path: Path) -> None:
     assert not torch.equal(parameters(other), parameters(whole))
     for learner in (whole, second, other):
         learner.close()
-    with pytest.raises(ValueError, match="observations of shape"):
+    with pytest.raises(ValueError, match="`observations` of shape"):
         Dreamer(config(small(), mode="medium")).restore(tmp_path)
     torch.save({"algorithm": "mb-shooting"}, tmp_path / "learner.pt")
-    with pytest.raises(ValueError, match="has no checkpoint of dreamer"):
+    with pytest.raises(ValueError, match="is not a checkpoint of `dreamer`"):
         Dreamer(config(small())).restore(tmp_path)
 
 

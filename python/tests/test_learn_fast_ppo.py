@@ -340,10 +340,11 @@ def test_policies_survive_files(tmp_path: Path) -> None:
     np.testing.assert_array_equal(loaded.predict(observations)[0], expected)
     assert len(np.unique(loaded.predict(observations[:1].repeat(200, 0), deterministic=False)[0])) > 1
     assert (loaded.mode, loaded.settings) == ("easy", training.config.settings)
-    started = learner(start=str(path), seed=3)
+    started = learner(seed=3)
+    started.start_from(loaded)
     assert torch.equal(started._network.parameters, training._network.parameters)
-    with pytest.raises(ValueError, match="`start`: the layers of"):
-        learner(start=str(path), settings={"network": [8]})
+    with pytest.raises(ValueError, match="its layers do not fit"):
+        learner(settings={"network": [8]}).start_from(loaded)
     with pytest.raises(ValueError, match=r"shape \(batch, 85\), not \(30, 80\): the policy was trained in `easy`"):
         loaded.predict(observations[:, :80])
 

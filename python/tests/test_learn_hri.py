@@ -266,10 +266,10 @@ def test_an_interrupted_run_equals_an_uninterrupted_one(tmp_path: Path) -> None:
         other.restore(tmp_path)
     with pytest.raises(ValueError, match="models of other actions"):
         HRI(config("easy", 8, 5, **settings)).restore(tmp_path)
-    (tmp_path / "hri.pt").write_bytes(b"no weights")
-    with pytest.raises(ValueError, match="is not a file of hri"):
+    (tmp_path / "learner.pt").write_bytes(b"no weights")
+    with pytest.raises(ValueError, match="is not a checkpoint: PyTorch cannot read it"):
         other.restore(tmp_path)
-    (tmp_path / "hri.pt").unlink()
+    (tmp_path / "learner.pt").unlink()
     with pytest.raises(FileNotFoundError):
         other.restore(tmp_path)
 

@@ -122,6 +122,6 @@ def test_a_run_saves_a_policy_that_names_its_learner(tmp_path: Path) -> None:
     # Another learner's policy is no start.
     with pytest.raises(ValueError, match="policy of `nlm-dqn`, not of `dqn`"):
         train(
-            config(algorithm="dqn", settings={"network": [8]}, start=str(tmp_path / "run" / "best.zip")),
+            config(algorithm="dqn", settings={"network": [8]}, start=str(tmp_path / "run" / "best.pt")),
             tmp_path / "other",
         )

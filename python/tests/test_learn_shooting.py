@@ -276,7 +276,7 @@ def test_a_restored_learner_continues_exactly(tmp_path: Path) -> None:
     assert not torch.equal(parameters(other), parameters(whole))
     for learner in (whole, second, other):
         learner.close()
-    with pytest.raises(ValueError, match="observations of shape"):
+    with pytest.raises(ValueError, match="`observations` of shape"):
         Shooting(config(small(), mode="medium")).restore(tmp_path)
 
 

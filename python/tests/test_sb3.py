@@ -81,7 +81,7 @@ def test_a_model_trains_on_views(kind: str, tmp_path: Path, capsys: pytest.Captu
     with pytest.raises(ValueError, match="name the mode and the observation of its training"):
         logicity.evaluate(model, "easy", "val")
     model.save(tmp_path / "model.zip")
-    command = ["evaluate", "--policy", str(tmp_path / "model.zip"), "--split", "val", "--modes"]
+    command = ["evaluate", "--trust", "--policy", str(tmp_path / "model.zip"), "--split", "val", "--modes"]
     assert main([*command, "easy,hard"]) == 2 and "help: name `--modes easy`" in capsys.readouterr().err
     assert main([*command, "easy"]) == 0 and "easy" in capsys.readouterr().out
     with pytest.raises(ValueError, match="MultiInputPolicy"):

@@ -3,19 +3,18 @@
 A `Job` is a cell of any task, `Cell` one of Safe Path Following.
 
 `python -m logicity.learn.cells FOLDER` runs the cell in a folder. It ends when its standard input is closed. So it does
-not outlive the process that started it.
+not outlive the process that started it. Everything in the folder is data, except for a model that `--trust` permits.
 """
 
 from __future__ import annotations
 
+import argparse
 import hashlib
 import importlib
 import json
 import os
 import shutil
-import signal
 import sys
-import threading
 import time
 import traceback
 from abc import ABC, abstractmethod
@@ -33,6 +32,7 @@ from ..modes import ENVIRONMENTS
 from .config import TrainConfig
 from .registry import load_policy
 from .run import train
+from .supervise import end_with_parent
 
 __all__ = ["Cell", "Job", "benchmark_of", "finished", "inputs", "prepare", "reuse", "run_cell"]
 
@@ -43,7 +43,7 @@ FORMAT = 1
 TEST = {"split": "test", "fresh": None, "seed": 0}
 
 #: The modules whose function `run_cell` runs the cells of tasks other than `spf`. Its arguments are those of `run_cell`
-#: here.
+#: here, except for `trust`.
 RUNNERS = {"vap": "logicity.vap.experiment"}
 
 
@@ -216,7 +216,7 @@ def reuse(cells: Sequence[Job], root: Path, other: Path) -> list[str]:
             document = json.loads(path.read_text(encoding="utf-8"))
             if document["task"] == "spf" and _measured(path.parent, document["identity"]) is not None:
                 trained[_training(document["spec"])] = path.parent
-        except (ValueError, KeyError, TypeError):
+        except (ValueError, KeyError, RecursionError, TypeError):
             continue  # of another version, or of another program
     lines = []
     for cell in cells:
@@ -252,7 +252,7 @@ def _measured(folder: Path, identity: str) -> dict[str, Any] | None:
     """Return the content of `measured.json` in a folder with a model, if it is that of the cell with an identity."""
     try:
         measured = json.loads((folder / "measured.json").read_text(encoding="utf-8"))
-    except (FileNotFoundError, NotADirectoryError, ValueError):
+    except (FileNotFoundError, NotADirectoryError, RecursionError, ValueError):
         return None
     if not any(folder.glob("best.*")) and not (folder / "model.pt").exists():
         return None
@@ -260,7 +260,12 @@ def _measured(folder: Path, identity: str) -> dict[str, Any] | None:
 
 
 def run_cell(
-    folder: Path, report: Callable[[int], None] | None = None, *, progress: bool = False, wandb: str | None = None
+    folder: Path,
+    report: Callable[[int], None] | None = None,
+    *,
+    progress: bool = False,
+    wandb: str | None = None,
+    trust: bool = False,
 ) -> dict[str, Any]:
     """Run the cell that `prepare` wrote to a folder, or resume it from its last checkpoint.
 
@@ -269,6 +274,7 @@ def run_cell(
         report: Receives the number of training steps.
         progress: Whether to write lines of progress to standard error.
         wandb: The project of Weights & Biases, as for `train`.
+        trust: Whether the policy that a training configuration names under `start` may run code, as for `train`.
 
     Returns:
         The content of `measured.json`: the identity, the result of the training, and the evaluations by name.
@@ -290,6 +296,7 @@ def run_cell(
         )
     if document["task"] != "spf":
         runner = importlib.import_module(RUNNERS[document["task"]])
+        # Cells of other tasks load only data.
         measured = runner.run_cell(folder, report, progress=progress, wandb=wandb)
         return cast("dict[str, Any]", measured)
     values = document["config"]
@@ -302,7 +309,7 @@ def run_cell(
             f"`{config.mode}` has another content of {', '.join(changed)} than when the experiment began: run the same "
             "command again"
         )
-    result = _trained(folder) or train(config, folder, progress=progress, report=report, wandb=wandb)
+    result = _trained(folder) or train(config, folder, progress=progress, report=report, wandb=wandb, trust=trust)
     policy = load_policy(folder).policy
     evaluations = {}
     for name, each in spec["evaluations"].items():
@@ -335,7 +342,7 @@ def _trained(folder: Path) -> dict[str, Any] | None:
     """
     try:
         result = json.loads((folder / "result.json").read_text(encoding="utf-8"))
-    except (FileNotFoundError, ValueError):
+    except (FileNotFoundError, RecursionError, ValueError):
         return None
     complete = isinstance(result, dict) and "test" in result and any(folder.glob("best.*"))
     return result if complete else None
@@ -365,19 +372,6 @@ def _fresh(folder: Path, mode: str, evaluation: Mapping[str, Any]) -> str:
     return str(config)
 
 
-def _die_with_parent() -> None:
-    """End this process and those that it started when standard input is closed."""
-
-    def watch() -> None:
-        while os.read(0, 1024):
-            pass
-        if os.name == "posix" and os.getpgrp() == os.getpid():
-            os.killpg(0, signal.SIGKILL)
-        os._exit(1)
-
-    threading.Thread(target=watch, daemon=True).start()
-
-
 class _Reporter:
     """Writes lines of JSON to the process that reads the standard output: the number of steps, at most twice a second.
 
@@ -400,12 +394,15 @@ class _Reporter:
 
 
 def _main() -> int:
-    _die_with_parent()
-    folder = Path(sys.argv[1])
-    wandb = sys.argv[2] if len(sys.argv) > 2 else None
+    end_with_parent()
+    parser = argparse.ArgumentParser()
+    parser.add_argument("folder", type=Path)
+    parser.add_argument("--trust", action="store_true")
+    parser.add_argument("--wandb")
+    given = parser.parse_args()
     reporter = _Reporter()
     try:
-        run_cell(folder, reporter, progress=True, wandb=wandb)
+        run_cell(given.folder, reporter, progress=True, wandb=given.wandb, trust=given.trust)
     except Exception as error:
         traceback.print_exc()
         reporter.write({"error": str(error) or type(error).__name__})

@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import math
 from abc import abstractmethod
+from collections.abc import Mapping
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any, ClassVar, Literal
 
@@ -41,6 +42,7 @@ from .learner import (
     check_shape,
 )
 from .nlm import NeuralLogicMachine
+from .storage import read_checkpoint, save_checkpoint
 
 if TYPE_CHECKING:
     from .config import TrainConfig
@@ -246,6 +248,11 @@ class ClonedPolicy(Policy):
             path,
         )
 
+    def weights(self) -> Mapping[str, Any]:
+        """Return the weights of the network."""
+        weights: Mapping[str, Any] = self.network.state_dict()
+        return weights
+
     @classmethod
     def load(cls, path: Path) -> ClonedPolicy:
         """Read a policy that `save` wrote.
@@ -254,7 +261,7 @@ class ClonedPolicy(Policy):
             OSError: If the file cannot be read.
             ValueError: If the file is not such a policy.
         """
-        saved = _loaded(path, "policy of behavior cloning")
+        saved = _loaded(path)
         algorithm = str(saved.get("algorithm"))
         learner = _LEARNERS.get(algorithm)
         if learner is None:
@@ -286,7 +293,7 @@ class CloningLearner(Learner):
         Raises:
             InputError: If the configuration of the mode is invalid, or no episodes are recorded.
             OSError: If a file cannot be read.
-            ValueError: If the mode is unknown, or the policy to start from does not fit.
+            ValueError: If the mode is unknown.
         """
         super().__init__(config, log)
         assert isinstance(config.settings, CloningSettings)
@@ -300,8 +307,6 @@ class CloningLearner(Learner):
             torch.manual_seed(config.seed)
             self._network = self.new_network(data.layout, self._settings)
             self._average = self.new_network(data.layout, self._settings) if self._settings.average else self._network
-        if config.start is not None:
-            self._start_from(Path(config.start))
         self._average.load_state_dict(self._network.state_dict())
         self._optimizer = torch.optim.AdamW(
             self._network.parameters(), self._settings.learning_rate, weight_decay=self._settings.weight_decay
@@ -314,16 +319,16 @@ class CloningLearner(Learner):
     def new_network(layout: Layout, settings: Any) -> nn.Module:
         """Create an untrained network from observations to scores of the actions."""
 
-    def _start_from(self, path: Path) -> None:
-        policy = ClonedPolicy.load(path)
-        if policy.algorithm != self.config.algorithm:
-            raise ValueError(f"`start`: {path} is a policy of `{policy.algorithm}`, not of `{self.config.algorithm}`")
+    def start_from(self, policy: Policy) -> None:
+        """Copy the weights of a policy."""
+        assert isinstance(policy, ClonedPolicy)
         if policy.layout.atoms() != self._data.layout.atoms():
-            raise ValueError(f"`start`: {path} is for other observations than those of `{self.config.mode}`")
+            raise ValueError(f"it is for other observations than those of `{self.config.mode}`")
         try:
             self._network.load_state_dict(policy.network.state_dict())
         except RuntimeError:
-            raise ValueError(f"`start`: the network of {path} has other sizes than those in `settings`") from None
+            raise ValueError("its network has other sizes than those in `settings`") from None
+        self._average.load_state_dict(self._network.state_dict())
 
     @property
     def steps(self) -> int:
@@ -374,18 +379,15 @@ class CloningLearner(Learner):
 
     def save(self, folder: Path) -> None:
         """Write the weights, the optimizer and the random states."""
-        torch.save(
-            {
-                "format": FORMAT,
-                "steps": self._steps,
-                "network": self._network.state_dict(),
-                "average": self._average.state_dict(),
-                "optimizer": self._optimizer.state_dict(),
-                "sampler": self._sampler.state_dict(),
-                "shuffler": self._shuffler.get_state(),
-            },
-            folder / "learner.pt",
-        )
+        state = {
+            "steps": self._steps,
+            "network": self._network.state_dict(),
+            "average": self._average.state_dict(),
+            "optimizer": self._optimizer.state_dict(),
+            "sampler": self._sampler.state_dict(),
+            "shuffler": self._shuffler.get_state(),
+        }
+        save_checkpoint(folder, self.config.algorithm, state)
 
     def restore(self, folder: Path) -> None:
         """Restore what `save` wrote.
@@ -394,8 +396,7 @@ class CloningLearner(Learner):
             OSError: If the file cannot be read.
             ValueError: If the file does not fit the configuration.
         """
-        path = folder / "learner.pt"
-        saved = _loaded(path, "checkpoint of behavior cloning")
+        saved = read_checkpoint(folder, self.config.algorithm)
         try:
             self._network.load_state_dict(saved["network"])
             self._average.load_state_dict(saved["average"])
@@ -404,7 +405,7 @@ class CloningLearner(Learner):
             self._shuffler.set_state(saved["shuffler"])
             self._steps = int(saved["steps"])
         except (KeyError, RuntimeError, TypeError, ValueError) as error:
-            raise ValueError(f"{path} does not fit the configuration: {error}") from error
+            raise ValueError(f"{folder} does not fit the configuration: {error}") from error
 
     def close(self) -> None:
         """Close the training curves."""
@@ -483,13 +484,14 @@ def shuffled(observations: Tensor, layout: Layout, generator: torch.Generator) -
     return observations.gather(1, source)
 
 
-def _loaded(path: Path, what: str) -> dict[str, Any]:
-    """Return the content of a file of this module.
+def _loaded(path: Path) -> dict[str, Any]:
+    """Return the content of a file of a policy.
 
     Raises:
         OSError: If the file cannot be read.
         ValueError: If it is not such a file.
     """
+    what = "policy of behavior cloning"
     saved = read_tensors(path, f"a {what}")
     if not isinstance(saved, dict) or saved.get("format") != FORMAT:
         version = saved.get("format") if isinstance(saved, dict) else None

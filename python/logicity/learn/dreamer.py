@@ -15,7 +15,7 @@ OpenCV.
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from copy import deepcopy
 from dataclasses import dataclass
 from pathlib import Path
@@ -35,16 +35,7 @@ except ImportError as error:
 
 from ..city import ACTIONS
 from .curves import Curves
-from .interaction import (
-    Interaction,
-    Transitions,
-    as_bits,
-    build_policy,
-    random_actions,
-    read_checkpoint,
-    save_policy,
-    step_generator,
-)
+from .interaction import Interaction, Transitions, as_bits, random_actions, step_generator
 from .learner import (
     Actions,
     Count,
@@ -59,6 +50,7 @@ from .learner import (
     Share,
     check_shape,
 )
+from .storage import build_policy, read_checkpoint, save_checkpoint, save_policy
 
 if TYPE_CHECKING:
     from .config import TrainConfig
@@ -558,8 +550,11 @@ class DreamerPolicy(Policy):
             "bits": self.model.bits,
             "settings": self.settings.model_dump(mode="json"),
         }
-        weights = {"model": self.model.state_dict(), "actor": self.actor.state_dict()}
-        save_policy(path, self.algorithm, config, weights)
+        save_policy(path, self.algorithm, config, self.weights())
+
+    def weights(self) -> Mapping[str, Any]:
+        """Return the weights of the world model and of the actor."""
+        return {"model": self.model.state_dict(), "actor": self.actor.state_dict()}
 
     @classmethod
     def load(cls, path: Path) -> DreamerPolicy:
@@ -577,7 +572,7 @@ class DreamerPolicy(Policy):
             actor.load_state_dict(weights["actor"])
             return cls(model, actor, settings, config["mode"], config["seed"])
 
-        return build_policy(path, cls.algorithm, build)
+        return build_policy(path, [cls.algorithm], build)
 
 
 def head(settings: DreamerSettings, outputs: int) -> nn.Sequential:
@@ -730,9 +725,8 @@ class Dreamer(Learner):
         return DreamerPolicy(self._model, self._actor, self._settings, self.config.mode, self.config.seed)
 
     def save(self, folder: Path) -> None:
-        """Write everything that `restore` needs to `learner.pt`."""
+        """Write everything that `restore` needs."""
         state = {
-            "algorithm": DreamerPolicy.algorithm,
             "interaction": self._interaction.state(),
             "networks": [module.state_dict() for module in self._networks],
             "optimizers": {name: optimizer.state_dict() for name, optimizer in self._optimizers.items()},
@@ -742,7 +736,7 @@ class Dreamer(Learner):
             "updates": self._updates,
             "generator": self._generator.get_state(),
         }
-        torch.save(state, folder / "learner.pt")
+        save_checkpoint(folder, DreamerPolicy.algorithm, state)
 
     def restore(self, folder: Path) -> None:
         """Restore what `save` wrote.

@@ -501,7 +501,7 @@ class Experiment(StrictModel):
             fault = ("invalid-value", ["variants", name, "start"], message, "")
             raise read_experiment(file)[1].error([fault])
         # The faults do not depend on the seed.
-        if check and (wrong := _config_faults(config)):
+        if check and (wrong := _config_faults(config, selection.trust)):
             places = [*sources.values(), selection.changes]
             written = [fault for fault in wrong if any(contains(place, fault[1]) for place in places)]
             # The other faults are in the training configuration.
@@ -518,12 +518,14 @@ class Selection:
         seeds: Seeds that replace those of the experiment.
         changes: Changes to every training configuration.
         quick: Whether to use tiny budgets, and only the first seed.
+        trust: Whether policies that training configurations name under `start` may run code, as for `train`.
     """
 
     only: Sequence[tuple[str, str | None]] = ()
     seeds: tuple[int, ...] | None = None
     changes: Mapping[str, Any] = field(default_factory=dict)
     quick: bool = False
+    trust: bool = False
 
 
 def _mode_fault(path: list[str], mode: str, folder: Path) -> Fault | None:
@@ -542,8 +544,12 @@ def _mode_fault(path: list[str], mode: str, folder: Path) -> Fault | None:
     return None
 
 
-def _config_faults(config: TrainConfig) -> list[Fault]:
+def _config_faults(config: TrainConfig, trust: bool) -> list[Fault]:
     """Return the faults in `mode`, `start` and `overrides`, which `train` reports only when it runs.
+
+    Args:
+        config: The configuration.
+        trust: As for `train`.
 
     Raises:
         InputError: If the configuration of the mode is invalid.
@@ -552,7 +558,7 @@ def _config_faults(config: TrainConfig) -> list[Fault]:
         return [fault]
     found: list[Fault] = []
     try:
-        check_start(config)
+        check_start(config, trust=trust)
     except OSError as error:
         reason = f"cannot read `{config.start}`: {error.strerror.lower()}" if error.strerror else str(error)
         found.append(("missing-file", ["start"], reason, ""))

@@ -17,7 +17,6 @@ from __future__ import annotations
 import itertools
 import math
 import os
-import pickle
 import time
 from collections.abc import Mapping, Sequence
 from pathlib import Path
@@ -57,6 +56,7 @@ from .learner import (
     Share,
     check_shape,
 )
+from .storage import read_checkpoint, save_checkpoint
 
 if TYPE_CHECKING:
     from .config import TrainConfig
@@ -384,6 +384,10 @@ class FastPPOPolicy(Policy):
         }
         torch.save(content, path)
 
+    def weights(self) -> Mapping[str, Any]:
+        """Return all weights and biases in one vector."""
+        return {"parameters": self._network.parameters}
+
     @classmethod
     def load(cls, path: Path) -> FastPPOPolicy:
         """Read a policy that `save` wrote.
@@ -431,8 +435,7 @@ class FastPPO(Learner):
 
         Raises:
             InputError: If the configuration of the mode or an override is invalid.
-            OSError: If the policy of `start` cannot be read.
-            ValueError: If it does not fit.
+            OSError: If a file cannot be read.
         """
         super().__init__(config, log)
         assert isinstance(config.settings, FastPPOSettings)
@@ -443,8 +446,6 @@ class FastPPO(Learner):
         with torch.random.fork_rng(devices=[]):
             torch.manual_seed(config.seed)
             self._network = Network(self._slots.shape[1], self._settings.network)
-        if config.start is not None:
-            self._start_from(Path(config.start))
         self._random = np.random.default_rng(config.seed)
         self._steps = self._updates = 0
         self._envs = SPFVectorEnv(
@@ -460,10 +461,11 @@ class FastPPO(Learner):
         self._ended = np.zeros(len(ENDINGS) + 1, np.int64)
         self.seconds = dict.fromkeys(("rollouts", "grouping", "updates"), 0.0)
 
-    def _start_from(self, path: Path) -> None:
-        policy = FastPPOPolicy.load(path)
+    def start_from(self, policy: Policy) -> None:
+        """Copy the weights of a policy."""
+        assert isinstance(policy, FastPPOPolicy)
         if policy.settings.network != self._settings.network or not np.array_equal(policy._slots, self._slots):
-            raise ValueError(f"`start`: the layers of {path} do not fit the observations and the settings")
+            raise ValueError("its layers do not fit the observations and the settings")
         self._network.parameters.copy_(policy._network.parameters)
 
     @property
@@ -552,22 +554,27 @@ class FastPPO(Learner):
         """Write the weights, the optimizer, the environments and the random state."""
         state = {
             "network": (self._network.parameters, self._network.moments, self._network.updates),
-            "environments": self._envs,
+            "environments": self._envs.state(),
             "random": self._random.bit_generator.state,
             "counts": (self._steps, self._updates),
         }
-        (folder / "state.pkl").write_bytes(pickle.dumps(state))
+        save_checkpoint(folder, NAME, state)
 
     def restore(self, folder: Path) -> None:
-        """Restore what `save` wrote. Only load checkpoints that you trust: they are pickles."""
-        state = pickle.loads((folder / "state.pkl").read_bytes())
+        """Restore what `save` wrote.
+
+        Raises:
+            InputError: If an episode is invalid.
+            OSError: If the file cannot be read.
+            ValueError: If the file does not fit the configuration.
+        """
+        state = read_checkpoint(folder, NAME)
         parameters, moments, self._network.updates = state["network"]
         self._network.parameters.copy_(parameters)
         self._network.moments.copy_(moments)
         self._random.bit_generator.state = state["random"]
         self._steps, self._updates = state["counts"]
-        self._envs.close()
-        self._envs = state["environments"]
+        self._envs.restore(state["environments"])
         self._curves.begin(self._steps)
         self._ended[:] = 0
 

@@ -43,6 +43,7 @@ from .learner import (
     Progress,
     check_shape,
 )
+from .storage import read_checkpoint, save_checkpoint
 
 if TYPE_CHECKING:
     from .config import TrainConfig
@@ -55,8 +56,6 @@ Bools: TypeAlias = NDArray[np.bool_]
 SLOTS = {"A00+": 3, "B00+": 3, "C00+": 3, "Inv": 1}
 #: The format of policy files.
 FORMAT = "logicity hri policy 1"
-#: The format of checkpoints.
-CHECKPOINT = "logicity hri checkpoint 1"
 
 #: The action if the rules derive none: `actions.default` of `configs/common.yaml`.
 DEFAULT = "Normal"
@@ -625,7 +624,7 @@ class HriPolicy(Policy):
             OSError: If the file cannot be read.
             ValueError: If the file is not such a policy.
         """
-        plain = _load(path, FORMAT)
+        plain = _load(path)
         try:
             layout = _layout(*plain["layout"])
             settings = HriSettings.model_validate(plain["settings"])
@@ -664,8 +663,8 @@ def _prefixed(action: str, bodies: Iterable[Body], definitions: Iterable[tuple[s
     ]
 
 
-def _load(path: Path, expected: str) -> dict[str, Any]:
-    """Read a file that `torch.save` wrote, and check its format.
+def _load(path: Path) -> dict[str, Any]:
+    """Read the file of a policy, and check its format.
 
     Raises:
         OSError: If the file cannot be read.
@@ -673,8 +672,8 @@ def _load(path: Path, expected: str) -> dict[str, Any]:
     """
     plain = read_tensors(path, "a file of hri")
     found = plain.get("format") if isinstance(plain, dict) else None
-    if found != expected:
-        raise ValueError(f"{path} is not a file of hri: expected the format `{expected}`, not `{found}`")
+    if found != FORMAT:
+        raise ValueError(f"{path} is not a file of hri: expected the format `{FORMAT}`, not `{found}`")
     return dict(plain)
 
 
@@ -933,13 +932,12 @@ class HRI(Learner):
 
     def save(self, folder: Path) -> None:
         """Write the weights, the best rules, and the states of the optimizers and of the generator."""
-        plain = {
-            "format": CHECKPOINT,
+        state = {
             "steps": self._steps,
             "generator": self._generator.get_state(),
             "models": {action: trainer.state() for action, trainer in self._trainers.items()},
         }
-        torch.save(plain, folder / "hri.pt")
+        save_checkpoint(folder, "hri", state)
 
     def restore(self, folder: Path) -> None:
         """Restore what `save` wrote.
@@ -948,14 +946,13 @@ class HRI(Learner):
             OSError: If the file cannot be read.
             ValueError: If the file does not fit the configuration.
         """
-        path = folder / "hri.pt"
-        plain = _load(path, CHECKPOINT)
-        if list(plain["models"]) != list(self._trainers):
-            raise ValueError(f"{path} has models of other actions: {', '.join(plain['models'])}")
+        state = read_checkpoint(folder, "hri")
+        if list(state["models"]) != list(self._trainers):
+            raise ValueError(f"{folder} has models of other actions: {', '.join(state['models'])}")
         for action, trainer in self._trainers.items():
-            trainer.restore(plain["models"][action], f"{path}, {action}")
-        self._generator.set_state(plain["generator"])
-        self._steps = plain["steps"]
+            trainer.restore(state["models"][action], f"{folder}, {action}")
+        self._generator.set_state(state["generator"])
+        self._steps = state["steps"]
 
     def close(self) -> None:
         """Close the training curves."""

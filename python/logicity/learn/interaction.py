@@ -1,12 +1,10 @@
-"""Training environments, random numbers and files of policies, for learners that store transitions."""
+"""Training environments and random numbers, for learners that store transitions."""
 
 from __future__ import annotations
 
-import pickle
-from collections.abc import Callable, Mapping
+from collections.abc import Mapping
 from dataclasses import dataclass
-from pathlib import Path
-from typing import TYPE_CHECKING, Any, TypeVar
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -21,8 +19,6 @@ except ImportError as error:
 
 from ..city import ACTIONS
 from ..envs import SPFVectorEnv
-from ..files import read_tensors
-from ..terminal import first_line
 from .learner import Actions, Observations
 
 if TYPE_CHECKING:
@@ -33,20 +29,11 @@ __all__ = [
     "Interaction",
     "Transitions",
     "as_bits",
-    "build_policy",
     "random_actions",
-    "read_checkpoint",
-    "save_policy",
     "step_generator",
 ]
 
 Bits = NDArray[np.uint8]
-
-#: The class of the policy that `load_policy` returns.
-Built = TypeVar("Built")
-
-#: The version of the files of policies.
-FORMAT = 1
 
 
 @dataclass(frozen=True)
@@ -131,24 +118,38 @@ class Interaction:
         return {"episode/return": returns, "episode/length": lengths, "episode/success": success}
 
     def state(self) -> dict[str, Any]:
-        """Return what `restore` needs."""
-        names = ("observations", "steps", "_returns", "_lengths", "_ended")
-        return {"envs": pickle.dumps(self.envs), **{name: getattr(self, name) for name in names}}
+        """Return what `restore` needs, as plain data."""
+        return {
+            "environments": self.envs.state(),
+            "observations": torch.from_numpy(self.observations),
+            "steps": self.steps,
+            "returns": torch.from_numpy(self._returns),
+            "lengths": torch.from_numpy(self._lengths),
+            "ended": list(self._ended),
+        }
 
     def restore(self, state: Mapping[str, Any]) -> None:
         """Restore what `state` returned.
 
         Raises:
+            InputError: If an episode is invalid.
             ValueError: If the state is that of other environments.
         """
-        if state["observations"].shape != self.observations.shape:
-            raise ValueError(
-                f"the checkpoint has observations of shape {state['observations'].shape}, and the environments "
-                f"{self.observations.shape}"
-            )
-        self.envs.close()
-        for name, value in state.items():
-            setattr(self, name, pickle.loads(value) if name == "envs" else value)
+        expected: dict[str, NDArray[Any]] = {
+            "observations": self.observations,
+            "returns": self._returns,
+            "lengths": self._lengths,
+        }
+        arrays = {name: state[name].numpy() for name in expected}
+        for name, array in arrays.items():
+            if array.shape != expected[name].shape or array.dtype != expected[name].dtype:
+                raise ValueError(
+                    f"the checkpoint has `{name}` of shape {array.shape}, and the environments {expected[name].shape}"
+                )
+        self.envs.restore(state["environments"])
+        self.observations, self._returns, self._lengths = (array.copy() for array in arrays.values())
+        self.steps = int(state["steps"])
+        self._ended = [(float(total), int(length), bool(success)) for total, length, success in state["ended"]]
 
     def close(self) -> None:
         """Close the environments."""
@@ -168,53 +169,6 @@ def as_bits(observations: Observations) -> Bits:
             "the task"
         )
     return bits
-
-
-def save_policy(path: Path, algorithm: str, config: Mapping[str, Any], weights: Mapping[str, Any]) -> None:
-    """Write a policy of groundings.
-
-    Args:
-        path: The file.
-        algorithm: The name of the learner.
-        config: The arguments from which to build the policy, as plain data. `mode` is the mode of the training.
-        weights: The weights.
-    """
-    header = {"format": FORMAT, "algorithm": algorithm, "mode": config["mode"], "observation": "groundings"}
-    torch.save({**header, "config": dict(config), "weights": dict(weights)}, path)
-
-
-def build_policy(path: Path, algorithm: str, build: Callable[[dict[str, Any], dict[str, Any]], Built]) -> Built:
-    """Return the result of `build` for the configuration and the weights that `save_policy` wrote.
-
-    Raises:
-        OSError: If the file cannot be read.
-        ValueError: If the file is not a policy of the algorithm.
-    """
-    saved = read_tensors(path, "a policy")
-    if not isinstance(saved, dict) or not {"format", "algorithm", "config", "weights"} <= saved.keys():
-        raise ValueError(f"{path} is not a policy")
-    if saved["algorithm"] != algorithm:
-        raise ValueError(f"{path} is a policy of {saved['algorithm']}, not of {algorithm}")
-    if saved["format"] != FORMAT:
-        raise ValueError(f"{path} has version {saved['format']} of the format, and only {FORMAT} can be read")
-    try:
-        return build(saved["config"], saved["weights"])
-    except (KeyError, TypeError, ValueError, RuntimeError) as error:
-        reason = first_line(str(error), repr(error))
-        raise ValueError(f"{path} is not a complete policy of {algorithm}: {reason}") from None
-
-
-def read_checkpoint(folder: Path, algorithm: str) -> dict[str, Any]:
-    """Return the content of `learner.pt`. It is a pickle, since it has environments: read only checkpoints you trust.
-
-    Raises:
-        OSError: If the file cannot be read.
-        ValueError: If it is a checkpoint of another learner.
-    """
-    state: dict[str, Any] = torch.load(folder / "learner.pt", weights_only=False)
-    if state.get("algorithm") != algorithm:
-        raise ValueError(f"{folder} has no checkpoint of {algorithm}")
-    return state
 
 
 def random_actions(count: int, generator: torch.Generator) -> Actions:

@@ -25,6 +25,7 @@ from typing import IO, Any
 
 from ..errors import missing_extra
 from ..files import reserved
+from ..signals import kept_handlers
 from ..terminal import first_line
 from .cells import Job, finished, inputs, prepare, reuse
 
@@ -176,6 +177,7 @@ def run(
     address: str | None = None,
     wandb: str | None = None,
     other: Path | None = None,
+    trust: bool = False,
 ) -> dict[str, str]:
     """Run cells in processes, or on Ray if an address is given, as the only process that runs the experiment.
 
@@ -187,12 +189,12 @@ def run(
             for line in reuse(cells, root, other):
                 say(line)
         if address is None:
-            return run_in_processes(cells, root, jobs, say, wandb=wandb)
-        return run_on_ray(cells, root, address, jobs, say, wandb=wandb)
+            return run_in_processes(cells, root, jobs, say, wandb=wandb, trust=trust)
+        return run_on_ray(cells, root, address, jobs, say, wandb=wandb, trust=trust)
 
 
 def run_in_processes(
-    cells: Sequence[Job], root: Path, jobs: int, say: Say, *, wandb: str | None = None
+    cells: Sequence[Job], root: Path, jobs: int, say: Say, *, wandb: str | None = None, trust: bool = False
 ) -> dict[str, str]:
     """Run cells, each in a process with one thread.
 
@@ -202,6 +204,7 @@ def run_in_processes(
         jobs: The number of processes.
         say: Receives lines of progress.
         wandb: The project of Weights & Biases, as for `train`.
+        trust: As for `run_cell`.
 
     Returns:
         The messages of the cells that failed, by identity.
@@ -223,7 +226,7 @@ def run_in_processes(
             while len(processes) < jobs and (cell := next(startable, None)) is not None:
                 folder = prepare(cell, root)
                 with open(folder / "log.txt", "a", encoding="utf-8") as log:
-                    process = _start(folder, log, wandb)
+                    process = _start(folder, log, wandb, trust)
                 processes[cell.identity] = (cell, process)
                 watch.started(cell)
                 threading.Thread(target=_read, args=(cell, process, messages), daemon=True).start()
@@ -254,8 +257,9 @@ def run_in_processes(
     return watch.failed
 
 
-def _start(folder: Path, log: IO[str], wandb: str | None) -> subprocess.Popen[str]:
-    command = [sys.executable, "-m", "logicity.learn.cells", str(folder), *([wandb] if wandb else [])]
+def _start(folder: Path, log: IO[str], wandb: str | None, trust: bool) -> subprocess.Popen[str]:
+    options = [*([f"--wandb={wandb}"] if wandb else []), *(["--trust"] if trust else [])]
+    command = [sys.executable, "-m", "logicity.learn.cells", *options, "--", str(folder)]
     return subprocess.Popen(
         command,
         stdin=subprocess.PIPE,
@@ -309,7 +313,9 @@ def connect(address: str, workers: int | None = None) -> ModuleType:
     _check_listening(address)
     options: dict[str, Any] = {"num_cpus": workers, "include_dashboard": False} if address == "local" else {}
     try:
-        ray.init(address=address, log_to_driver=False, runtime_env={"env_vars": ONE_THREAD}, **options)
+        # Ray installs a handler of SIGTERM that ends the process with another code, without cleaning up.
+        with kept_handlers():
+            ray.init(address=address, log_to_driver=False, runtime_env={"env_vars": ONE_THREAD}, **options)
     except Exception as error:
         # Ray raises a plain `Exception` if a local cluster takes too long to start.
         raise ConnectionError(f"--ray: no cluster at `{address}`: {error}") from error
@@ -336,9 +342,18 @@ def _check_listening(address: str) -> None:
 
 
 def run_on_ray(
-    cells: Sequence[Job], root: Path, address: str, jobs: int, say: Say, *, wandb: str | None = None
+    cells: Sequence[Job],
+    root: Path,
+    address: str,
+    jobs: int,
+    say: Say,
+    *,
+    wandb: str | None = None,
+    trust: bool = False,
 ) -> dict[str, str]:
     """Run cells on Ray, each as a task with one CPU. If a worker is lost, its cell runs again.
+
+    This process and the workers exchange pickles through Ray, so they trust each other.
 
     Args:
         cells: The cells.
@@ -347,6 +362,7 @@ def run_on_ray(
         jobs: The number of workers of a local cluster.
         say: Receives lines of progress.
         wandb: The project of Weights & Biases, as for `train`.
+        trust: As for `run_cell`.
 
     Returns:
         The messages of the cells that failed, by identity.
@@ -369,7 +385,7 @@ def run_on_ray(
                 files = {path.name: path.read_bytes() for path in inputs(folder)}
                 # The same folder if the cell runs again, and another one for each experiment.
                 name = hashlib.sha256(f"{socket.gethostname()}:{folder.resolve()}".encode()).hexdigest()[:16]
-                running[task.remote(f"logicity-{name}", files, wandb)] = cell
+                running[task.remote(f"logicity-{name}", files, wandb, trust)] = cell
                 watch.started(cell)
             ready, _ = ray.wait(list(running), num_returns=1, timeout=1.0) if running else ([], [])
             for reference in ready:
@@ -381,6 +397,8 @@ def run_on_ray(
                     watch.finished(cell, measured)
                 except ray.exceptions.RayTaskError as error:
                     watch.failure(cell, str(error.cause or error))
+                except ValueError as error:
+                    watch.failure(cell, str(error))
                 except ray.exceptions.RayError as error:
                     watch.failure(cell, str(error))
             watch.tick()
@@ -389,20 +407,25 @@ def run_on_ray(
     return watch.failed
 
 
-def _in_worker(name: str, files: dict[str, bytes], wandb: str | None) -> bytes:
+def _in_worker(name: str, files: dict[str, bytes], wandb: str | None, trust: bool) -> bytes:
     """Run a cell in a worker, and return its files as a zip archive.
 
     The folder is temporary, but stays if the worker is lost. Then the cell resumes if it runs again on this machine.
+
+    Raises:
+        PermissionError: If the folder belongs to another user.
     """
     from .cells import run_cell
 
     folder = Path(tempfile.gettempdir()) / name
-    folder.mkdir(exist_ok=True)
+    folder.mkdir(mode=0o700, exist_ok=True)
+    if hasattr(os, "getuid") and (folder.is_symlink() or folder.stat().st_uid != os.getuid()):
+        raise PermissionError(f"{folder} belongs to another user: remove it")
     for name, content in files.items():
         temporary = folder / f".{name}"
         temporary.write_bytes(content)
         temporary.replace(folder / name)
-    run_cell(folder, wandb=wandb)
+    run_cell(folder, wandb=wandb, trust=trust)
     archive = io.BytesIO()
     with zipfile.ZipFile(archive, "w", zipfile.ZIP_DEFLATED) as out:
         for path in sorted(folder.rglob("*")):
@@ -413,9 +436,17 @@ def _in_worker(name: str, files: dict[str, bytes], wandb: str | None) -> bytes:
 
 
 def _unpack(archive: bytes, folder: Path) -> None:
-    """Write the files of a cell. `measured.json`, which marks the cell as finished, is the last one."""
+    """Write the files of a cell. `measured.json`, which marks the cell as finished, is the last one.
+
+    Raises:
+        ValueError: If a name leads out of the folder. Then no file is written.
+    """
     with zipfile.ZipFile(io.BytesIO(archive)) as files:
-        for name in sorted(files.namelist(), key=lambda name: name == "measured.json"):
+        names = sorted(files.namelist(), key=lambda name: name == "measured.json")
+        for name in names:
+            if not (folder / name).resolve().is_relative_to(folder.resolve()):
+                raise ValueError(f"the worker returned a file outside of the folder of its cell: {name!r}")
+        for name in names:
             target = folder / name
             target.parent.mkdir(parents=True, exist_ok=True)
             temporary = target.with_name(f".{target.name}")

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from abc import ABC, abstractmethod
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any, ClassVar, Literal, TypeAlias
 
@@ -113,10 +113,17 @@ class Policy(ABC):
         """
         return None
 
+    def weights(self) -> Mapping[str, Any]:
+        """Return the tensors that determine the policy, by name, or mappings of such tensors.
+
+        A policy made of rules has none.
+        """
+        return {}
+
     @classmethod
     @abstractmethod
     def load(cls, path: Path) -> Policy:
-        """Read a policy that `save` wrote.
+        """Read a policy that `save` wrote. The file is data: nothing in it runs as code.
 
         Raises:
             OSError: If the file cannot be read.
@@ -147,7 +154,7 @@ class Learner(ABC):
     suffix: ClassVar[str] = ".pt"
     #: The class of its policies.
     policy_class: ClassVar[type[Policy]]
-    #: Whether training can start from the weights of the policy that the key `start` names.
+    #: Whether training can start from the weights of the policy that the key `start` names, see `start_from`.
     starts: ClassVar[bool] = False
 
     def __init__(self, config: TrainConfig, log: Path | None = None) -> None:
@@ -158,6 +165,14 @@ class Learner(ABC):
             log: The folder of the training curves (TensorBoard), if there is one.
         """
         self.config, self.log = config, log
+
+    def start_from(self, policy: Policy) -> None:
+        """Copy the weights of a policy of the same learner before the training begins.
+
+        Raises:
+            ValueError: If the policy does not fit the configuration.
+        """
+        raise NotImplementedError
 
     @property
     @abstractmethod
@@ -178,11 +193,16 @@ class Learner(ABC):
 
     @abstractmethod
     def save(self, folder: Path) -> None:
-        """Write everything that `restore` needs: weights, optimizers, buffers, environments and random states."""
+        """Write everything that `restore` needs: weights, optimizers, buffers, environments and random states.
+
+        The files are plain data, see `logicity.learn.storage`.
+        """
 
     @abstractmethod
     def restore(self, folder: Path) -> None:
         """Restore what `save` wrote.
+
+        Nothing in the files runs as code.
 
         Raises:
             OSError: If a file cannot be read.

@@ -34,16 +34,17 @@ class NlmDqnLearner(StableBaselinesLearner):
     observations: ClassVar[tuple[ArrayKind, ...]] = ("groundings",)
 
     @classmethod
-    def policy_arguments(cls, config: TrainConfig, settings: dict[str, Any]) -> dict[str, Any]:
-        """Return the Neural Logic Machine as features, and the layers after it."""
+    def features(cls, config: TrainConfig) -> dict[str, Any]:
+        """Return the atoms of the observations."""
         layout = layout_of(config.mode)
+        return {"atoms": layout.atoms(), "route_length": layout.route_length is not None}
+
+    @classmethod
+    def policy_arguments(cls, settings: dict[str, Any], features: dict[str, Any]) -> dict[str, Any]:
+        """Return the Neural Logic Machine as features, and the layers after it."""
         options = {name: settings.pop(name) for name in LogicSettings.model_fields}
         return {
             "features_extractor_class": LogicFeatures,
-            "features_extractor_kwargs": {
-                "atoms": layout.atoms(),
-                "route_length": layout.route_length is not None,
-                **options,
-            },
+            "features_extractor_kwargs": {**features, **options},
             "net_arch": list(settings.pop("network")),
         }

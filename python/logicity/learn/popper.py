@@ -14,11 +14,7 @@ from __future__ import annotations
 
 import os
 import re
-import selectors
 import shutil
-import signal
-import subprocess
-import time
 from collections.abc import Iterator, Mapping, Sequence
 from tempfile import TemporaryDirectory
 from typing import Annotated, ClassVar, cast
@@ -27,6 +23,7 @@ from pydantic import Field
 
 from ..offline import Demonstrations, popper_names
 from .learner import LearnerSettings, Positive
+from .programs import run_program
 from .symbolic import SymbolicLearner, arities, clause
 
 __all__ = ["MaxSynthLearner", "PopperLearner", "PopperSettings", "read_output", "run_popper"]
@@ -39,15 +36,6 @@ NEEDS = "Popper 5 needs Python >= 3.14 and SWI-Prolog >= 9.2"
 
 #: Seconds that Popper has to end after its time limit.
 GRACE = 30.0
-
-#: The number of bytes at the end of the output and of the log that count.
-OUTPUT_BYTES = 16 << 20
-
-#: Seconds in which the output of an ended command is read.
-DRAIN = 1.0
-
-#: The interval in seconds in which a command is observed.
-POLL = 0.05
 
 _ATOM = r"\w+\(\s*[A-Z]\w*(?:\s*,\s*[A-Z]\w*)*\s*\)"
 #: A clause as Popper prints it, also behind the time of a line of its log.
@@ -130,64 +118,14 @@ def run_popper(command: Sequence[str], timeout: float) -> str:
     Raises:
         ChildProcessError: If it fails.
     """
-    code, output, log = _run(command, timeout + GRACE, {**os.environ, "PYTHONUNBUFFERED": "1"})
-    if code is None:
-        return f"{log}\n{output}\nTIMEOUT: killed"
-    if code != 0:
-        raise ChildProcessError(f"Popper ended with exit code {code}: {_last(log or output)}; {_needs()}")
-    return f"{log}\n{output}"
-
-
-def _run(command: Sequence[str], seconds: float, environment: Mapping[str, str]) -> tuple[int | None, str, str]:
-    """Run a command, and return its exit code and the ends of its output and of its log.
-
-    The exit code is `None` if the command was killed after its time. No process of it remains, and what a process in
-    another session writes to its output after its end is ignored.
-    """
-    with subprocess.Popen(
-        command,
-        stdin=subprocess.DEVNULL,
-        stdout=subprocess.PIPE,
-        stderr=subprocess.PIPE,
-        env=environment,
-        start_new_session=True,
-    ) as process:
-        assert process.stdout is not None and process.stderr is not None
-        output, log = bytearray(), bytearray()
-        try:
-            with selectors.DefaultSelector() as pipes:
-                pipes.register(process.stdout, selectors.EVENT_READ, output)
-                pipes.register(process.stderr, selectors.EVENT_READ, log)
-                end, has_ended = time.monotonic() + seconds, False
-                while pipes.get_map() or not has_ended:
-                    if not has_ended and process.poll() is not None:
-                        end, has_ended = time.monotonic() + DRAIN, True
-                    if time.monotonic() > end:
-                        break
-                    # Without pipes, this only waits.
-                    for key, _ in pipes.select(POLL):
-                        chunk = os.read(key.fd, 1 << 16)
-                        key.data.extend(chunk)
-                        if len(key.data) > 2 * OUTPUT_BYTES:
-                            del key.data[:-OUTPUT_BYTES]
-                        if not chunk:
-                            pipes.unregister(key.fileobj)
-        finally:
-            _kill(process)
-    code = process.returncode if has_ended else None
-    return code, output.decode(errors="replace"), log.decode(errors="replace")
-
-
-def _kill(process: subprocess.Popen[bytes]) -> None:
-    """Kill a process and those that it started."""
-    if hasattr(os, "killpg"):
-        try:
-            os.killpg(process.pid, signal.SIGKILL)
-        except (ProcessLookupError, PermissionError):
-            # macOS refuses to signal a group of ended processes.
-            pass
-    else:
-        process.kill()
+    ended = run_program(command, timeout + GRACE, {"PYTHONUNBUFFERED": "1"})
+    text = f"{ended.log}\n{ended.output}"
+    if ended.code is None:
+        return f"{text}\nTIMEOUT: killed"
+    if ended.code != 0:
+        reason = _last(ended.log or ended.output)
+        raise ChildProcessError(f"Popper ended with exit code {ended.code}: {reason}; {_needs()}")
+    return text
 
 
 def _last(text: str) -> str:
@@ -201,11 +139,8 @@ def _needs() -> str:
     swipl = shutil.which("swipl")
     if swipl is None:
         return f"{NEEDS}; there is no command `swipl`"
-    try:
-        _, output, _ = _run([swipl, "--version"], 10.0, os.environ)
-    except OSError:
-        return NEEDS
-    return f"{NEEDS}; found {_last(output)}"
+    ended = run_program([swipl, "--version"], 10.0)
+    return f"{NEEDS}; found {_last(ended.output)}" if ended.code == 0 else NEEDS
 
 
 def read_output(text: str, action: str, predicates: Mapping[str, int]) -> list[str]:

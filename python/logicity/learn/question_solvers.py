@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import json
 import math
-import subprocess
 import sys
 from collections import Counter
 from collections.abc import Callable, Mapping, Sequence
@@ -15,6 +14,7 @@ from ..city import ACTIONS, Inference
 from ..files import write_text
 from ..questions import LETTERS, NO_RULE, Demonstration, Question
 from ..rules import Program, Session
+from .programs import run_program
 
 __all__ = ["SOLVERS", "Solver", "features", "run_command", "similarity"]
 
@@ -151,6 +151,6 @@ def run_command(*arguments: str) -> None:
     Raises:
         ValueError: If the command fails. The message is that of the command.
     """
-    done = subprocess.run([sys.executable, "-m", "logicity", *arguments], capture_output=True, text=True, check=False)
-    if done.returncode != 0:
-        raise ValueError(f"`logicity {' '.join(arguments)}` failed:\n{done.stderr.strip()}")
+    done = run_program([sys.executable, "-m", "logicity", *arguments])
+    if done.code != 0:
+        raise ValueError(f"`logicity {' '.join(arguments)}` failed:\n{done.log.strip()}")

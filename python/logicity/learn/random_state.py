@@ -14,14 +14,17 @@ __all__ = ["get", "keep", "put"]
 
 
 def get() -> dict[str, Any]:
-    """Return the states of the generators, which can be pickled."""
-    return {"python": random.getstate(), "numpy": np.random.get_state(), "torch": torch.get_rng_state()}
+    """Return the states of the generators as plain data."""
+    name, keys, *rest = np.random.get_state(legacy=True)
+    numpy = (name, torch.from_numpy(np.asarray(keys, np.int64)), *rest)
+    return {"python": random.getstate(), "numpy": numpy, "torch": torch.get_rng_state()}
 
 
 def put(state: dict[str, Any]) -> None:
     """Set the states that `get` returned."""
     random.setstate(state["python"])
-    np.random.set_state(state["numpy"])
+    name, keys, *rest = state["numpy"]
+    np.random.set_state((name, keys.numpy().astype(np.uint32), *rest))
     torch.set_rng_state(state["torch"])
 
 

@@ -10,6 +10,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
+from ..errors import UntrustedError
 from ..files import read_tensors
 from ..rule_policy import saved_by
 from .learner import Learner, Policy
@@ -72,14 +73,20 @@ class SavedPolicy:
     observation: ArrayKind | None
 
 
-def load_policy(path: str | os.PathLike[str]) -> SavedPolicy:
+def load_policy(path: str | os.PathLike[str], *, trust: bool = False) -> SavedPolicy:
     """Load a policy of any learner.
 
+    A file that `Policy.save` wrote is data. A DQN, PPO or A2C model that Stable-Baselines3 saved is a pickle: loading
+    it can run any code in it, so this needs `trust`.
+
     Args:
-        path: A file that `Policy.save` wrote, or the folder of a finished run of `logicity train`.
+        path: A file that `Policy.save` wrote, the folder of a finished run of `logicity train`, or a model of
+            Stable-Baselines3, whose suffix is `.zip`.
+        trust: Whether the file may run code.
 
     Raises:
         OSError: If the file cannot be read, or the folder has no policy.
+        UntrustedError: If the file is a model of Stable-Baselines3, and `trust` is false.
         ValueError: If the file is not a policy of a known learner.
     """
     file = Path(path)
@@ -95,9 +102,15 @@ def load_policy(path: str | os.PathLike[str]) -> SavedPolicy:
         raise FileNotFoundError(errno.ENOENT, "no such file", os.fspath(path))
     recorded = _recorded(file)
     if file.suffix == ".zip":
-        from .stable_baselines import algorithm_of
+        from .stable_baselines import algorithm_of, from_stable_baselines
 
         saved = {"algorithm": algorithm_of(file)}
+        if not trust:
+            raise UntrustedError(
+                f"{file} is a model of Stable-Baselines3, which is a pickle: loading it can run any code in it; "
+                "if you trust its origin, pass `--trust` (Python: `trust=True`)"
+            )
+        policy: Policy = from_stable_baselines(file)
     elif file.suffix == ".pt":
         saved = _header(file)
     elif file.suffix == ".dl":
@@ -106,8 +119,10 @@ def load_policy(path: str | os.PathLike[str]) -> SavedPolicy:
     else:
         raise ValueError(f"{file} is not a policy: its suffix must be .dl, .pt or .zip")
     algorithm = str(saved["algorithm"])
+    if file.suffix != ".zip":
+        policy = learner_class(algorithm).policy_class.load(file)
     return SavedPolicy(
-        policy=learner_class(algorithm).policy_class.load(file),
+        policy=policy,
         path=file,
         algorithm=algorithm,
         mode=recorded.get("mode", saved.get("mode")),
@@ -140,7 +155,7 @@ def _recorded(file: Path) -> dict[str, Any]:
     run = file.parent.parent if file.parent.name.startswith("checkpoint-") else file.parent
     try:
         config = json.loads((run / "config.json").read_text(encoding="utf-8"))
-    except (OSError, ValueError):
+    except (OSError, RecursionError, ValueError):
         return {}
     if not isinstance(config, dict):
         return {}

@@ -11,7 +11,6 @@ from __future__ import annotations
 import hashlib
 import json
 import os
-import pickle
 import re
 import shutil
 import sys
@@ -29,13 +28,14 @@ from tqdm import tqdm
 
 from .. import _logicity
 from .._logicity import __version__
+from ..errors import UntrustedError
 from ..evaluation import MEASURES, Benchmark, Evaluation, load_task, task_hashes
 from ..files import reserved, write_json
 from ..terminal import first_line, neutral, print_message
 from . import random_state
 from .config import TrainConfig
 from .learner import Learner
-from .registry import load_policy
+from .registry import SavedPolicy, load_policy
 
 __all__ = ["FolderError", "check_overrides", "check_start", "train"]
 
@@ -77,6 +77,7 @@ def train(
     tensorboard: bool = True,
     report: Callable[[int], None] | None = None,
     wandb: str | None = None,
+    trust: bool = False,
 ) -> dict[str, Any]:
     """Train a learner, or resume from the last checkpoint of the same configuration.
 
@@ -96,6 +97,8 @@ def train(
         report: Receives the number of steps after each step of the learner.
         wandb: The project of Weights & Biases to which the validations and the result are sent. The package `wandb`
             must be installed.
+        trust: Whether the policy of `start` may run code when it is loaded, as for `load_policy`. Other files of the
+            run are data.
 
     Returns:
         The content of `result.json`.
@@ -104,6 +107,7 @@ def train(
         ImportError: If a package is missing.
         InputError: If the configuration of the mode or an override is invalid, or no episodes are recorded.
         OSError: If another process trains in the folder, or a file cannot be written.
+        UntrustedError: As for `load_policy`.
         ValueError: If the folder has another run, files of no run, or damaged files; the rules or episodes of the run
             have changed; the overrides change the shape of observations; the learner rejects the settings; or the
             memory does not suffice. A run that fails before its first checkpoint leaves no files.
@@ -114,7 +118,7 @@ def train(
         checkpoints = _checkpoints(run)
         state = _state(checkpoints[-1]) if checkpoints else State()
         _check_folder(run, config, state)
-        check_start(config)
+        start = check_start(config, trust=trust)
         hashes = _hashes(config)
         _check_hashes(run, state, hashes)
         state.hashes = hashes
@@ -129,6 +133,8 @@ def train(
         files.callback(learner.close)
         if checkpoints:
             _restore(learner, checkpoints[-1])
+        elif start is not None:
+            _start_from(learner, start)
         write_json(run / "config.json", config.to_dict(), overwrite=True)
         display = files.enter_context(_Display(config, learner, progress))
         begun = f"resumed after {state.steps:,} of" if checkpoints else "started:"
@@ -222,7 +228,7 @@ def _read_json(path: Path, remedy: str) -> dict[str, Any]:
         value = json.loads(path.read_text(encoding="utf-8"))
     except FileNotFoundError:
         raise FolderError(f"{path.parent} has no file `{path.name}`; {remedy}") from None
-    except ValueError as error:
+    except (RecursionError, ValueError) as error:
         raise FolderError(f"{path} is damaged: {error}; {remedy}") from None
     if not isinstance(value, dict):
         raise FolderError(f"{path} is damaged: it is not a JSON object; {remedy}")
@@ -255,14 +261,19 @@ def _restore(learner: Learner, checkpoint: Path) -> None:
         FolderError: If a file is damaged, or does not fit.
         OSError: If a file cannot be read.
     """
+    pickled = next((path for path in sorted(checkpoint.iterdir()) if path.suffix in (".pkl", ".zip")), None)
+    if pickled is not None:
+        raise FolderError(
+            f"{pickled} is a pickle of an earlier version, which could run any code when it is loaded, so this version "
+            f"does not read it; {_remedy(checkpoint)}"
+        )
     best = checkpoint / f"best{learner.suffix}"
     try:
         with random_state.keep():
             learner.policy_class.load(best)
         learner.restore(checkpoint)
     except FileNotFoundError as error:
-        # Stable-Baselines3 appends the suffix again to the name of a missing file.
-        name = re.sub(r"(\.\w+)\1$", r"\1", Path(str(error.filename)).name)
+        name = Path(str(error.filename)).name
         raise FolderError(f"{checkpoint} has no file `{name}`; {_remedy(checkpoint)}") from error
     except Exception as error:
         damaged = next((path for path in sorted(checkpoint.iterdir()) if not _readable(path)), None)
@@ -277,16 +288,13 @@ def _restore(learner: Learner, checkpoint: Path) -> None:
 def _readable(path: Path) -> bool:
     """Return whether a file of a checkpoint is complete, as far as its format shows."""
     try:
-        if path.suffix == ".pkl":
-            with path.open("rb") as file:
-                pickle.load(file)
-        elif path.suffix in (".zip", ".pt"):
+        if path.suffix == ".pt":
             with zipfile.ZipFile(path) as archive:
                 return archive.testzip() is None
     except OSError:
         raise
     except Exception:
-        # Depending on the bytes, pickle raises almost any exception.
+        # Depending on the bytes, the decompression raises almost any exception.
         return False
     return True
 
@@ -331,19 +339,42 @@ def _check_hashes(run: Path, state: State, hashes: Mapping[str, Any]) -> None:
         )
 
 
-def check_start(config: TrainConfig) -> None:
-    """Check that `start` is the file of a policy.
+def check_start(config: TrainConfig, *, trust: bool = False) -> SavedPolicy | None:
+    """Return the policy of `start`, if there is one.
+
+    Args:
+        config: The configuration.
+        trust: As for `load_policy`.
 
     Raises:
         OSError: If the file cannot be read.
-        ValueError: If the file is not a policy.
+        UntrustedError: As for `load_policy`.
+        ValueError: If the file is not a policy of the learner.
     """
-    if config.start is not None:
-        try:
-            with random_state.keep():
-                load_policy(config.start)
-        except ValueError as error:
-            raise ValueError(f"`start`: {error}") from None
+    if config.start is None:
+        return None
+    try:
+        with random_state.keep():
+            saved = load_policy(config.start, trust=trust)
+    except UntrustedError as error:
+        raise UntrustedError(f"`start`: {error}") from None
+    except ValueError as error:
+        raise ValueError(f"`start`: {error}") from None
+    if saved.algorithm != config.algorithm:
+        raise ValueError(f"`start`: {saved.path} is a policy of `{saved.algorithm}`, not of `{config.algorithm}`")
+    return saved
+
+
+def _start_from(learner: Learner, start: SavedPolicy) -> None:
+    """Copy the weights of the policy of `start`.
+
+    Raises:
+        ValueError: If the policy does not fit.
+    """
+    try:
+        learner.start_from(start.policy)
+    except ValueError as error:
+        raise ValueError(f"`start`: {start.path}: {error}") from None
 
 
 @contextmanager

@@ -15,7 +15,7 @@ ICRA 2018.
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any, ClassVar, Literal, TypeAlias
 
@@ -33,17 +33,7 @@ except ImportError as error:
 
 from ..city import ACTIONS
 from .curves import Curves
-from .interaction import (
-    Bits,
-    Interaction,
-    Transitions,
-    as_bits,
-    build_policy,
-    random_actions,
-    read_checkpoint,
-    save_policy,
-    step_generator,
-)
+from .interaction import Bits, Interaction, Transitions, as_bits, random_actions, step_generator
 from .learner import (
     Actions,
     Count,
@@ -56,6 +46,7 @@ from .learner import (
     Share,
     check_shape,
 )
+from .storage import build_policy, read_checkpoint, save_checkpoint, save_policy
 
 if TYPE_CHECKING:
     from .config import TrainConfig
@@ -433,7 +424,12 @@ class ShootingPolicy(Policy):
             "bits": self.model.bits,
             "settings": self.settings.model_dump(mode="json"),
         }
-        save_policy(path, self.algorithm, config, self.model.state_dict())
+        save_policy(path, self.algorithm, config, self.weights())
+
+    def weights(self) -> Mapping[str, Any]:
+        """Return the weights of the model of the environment."""
+        weights: Mapping[str, Any] = self.model.state_dict()
+        return weights
 
     @classmethod
     def load(cls, path: Path) -> ShootingPolicy:
@@ -450,7 +446,7 @@ class ShootingPolicy(Policy):
             model.load_state_dict(weights)
             return cls(model, settings, config["mode"], config["seed"])
 
-        return build_policy(path, cls.algorithm, build)
+        return build_policy(path, [cls.algorithm], build)
 
 
 class Replay:
@@ -598,9 +594,8 @@ class Shooting(Learner):
         return ShootingPolicy(self._model, self._settings, self.config.mode, self.config.seed)
 
     def save(self, folder: Path) -> None:
-        """Write everything that `restore` needs to `learner.pt`."""
+        """Write everything that `restore` needs."""
         state = {
-            "algorithm": ShootingPolicy.algorithm,
             "interaction": self._interaction.state(),
             "model": self._model.state_dict(),
             "changes_optimizer": self._changes_optimizer.state_dict(),
@@ -608,7 +603,7 @@ class Shooting(Learner):
             "replay": self._replay.state(),
             "generator": self._generator.get_state(),
         }
-        torch.save(state, folder / "learner.pt")
+        save_checkpoint(folder, ShootingPolicy.algorithm, state)
 
     def restore(self, folder: Path) -> None:
         """Restore what `save` wrote.

@@ -4,11 +4,12 @@ from __future__ import annotations
 
 import json
 import os
-import pickle
+from collections import deque
+from collections.abc import Mapping
 from inspect import signature
 from pathlib import Path
 from types import NoneType, UnionType
-from typing import TYPE_CHECKING, Annotated, Any, ClassVar, Literal, TypeAlias, Union, get_args, get_origin
+from typing import TYPE_CHECKING, Annotated, Any, ClassVar, Literal, TypeAlias, Union, cast, get_args, get_origin
 from zipfile import BadZipFile, ZipFile
 
 from ..errors import missing_extra
@@ -20,14 +21,16 @@ try:
     from pydantic_core import PydanticCustomError
     from stable_baselines3 import A2C, DQN, PPO
     from stable_baselines3.common.base_class import BaseAlgorithm
+    from stable_baselines3.common.buffers import ReplayBuffer
     from stable_baselines3.common.callbacks import BaseCallback
     from stable_baselines3.common.off_policy_algorithm import OffPolicyAlgorithm
     from stable_baselines3.common.torch_layers import BaseFeaturesExtractor
-    from stable_baselines3.common.vec_env import VecEnv
+    from stable_baselines3.common.vec_env import VecEnv, VecMonitor
 except ImportError as error:
     raise missing_extra("learn", error) from error
 
-from ..sb3 import make_vec_env
+from ..city import ACTIONS
+from ..sb3 import SPFVecEnv, make_vec_env
 from . import random_state
 from .learner import (
     Actions,
@@ -42,6 +45,8 @@ from .learner import (
     Progress,
     Share,
 )
+from .registry import learner_class
+from .storage import build_policy, read_checkpoint, save_checkpoint, save_policy
 
 if TYPE_CHECKING:
     from ..env_config import ArrayKind
@@ -55,6 +60,7 @@ __all__ = [
     "StableBaselinesLearner",
     "StableBaselinesPolicy",
     "algorithm_of",
+    "from_stable_baselines",
     "new_model",
 ]
 
@@ -177,8 +183,14 @@ _ALGORITHMS: dict[str, tuple[type[BaseAlgorithm], str]] = {
 }
 
 
+#: The most bytes of the description in a model of Stable-Baselines3, which is read before the model is loaded.
+_DESCRIPTION_BYTES = 2**26
+
+
 def algorithm_of(path: str | os.PathLike[str]) -> str:
-    """Return the name of the algorithm that saved a model. The file itself does not name it.
+    """Return the name of the algorithm whose model Stable-Baselines3 saved. The file itself does not name it.
+
+    It reads only JSON. `from_stable_baselines` loads the model.
 
     Raises:
         OSError: If the file cannot be read.
@@ -187,29 +199,38 @@ def algorithm_of(path: str | os.PathLike[str]) -> str:
     saved: dict[str, Any]
     try:
         with ZipFile(path) as archive:
+            if archive.getinfo("data").file_size > _DESCRIPTION_BYTES:
+                raise ValueError("its description is too large")
             saved = json.loads(archive.read("data"))
-    except (BadZipFile, KeyError, ValueError) as error:
+    except (BadZipFile, KeyError, RecursionError, ValueError) as error:
         raise ValueError(f"{os.fspath(path)} is not a Stable-Baselines3 model: {error}") from None
-    found = [name for name, (_, distinctive) in _ALGORITHMS.items() if distinctive in saved]
+    found = [name for name, (_, distinctive) in _ALGORITHMS.items() if isinstance(saved, dict) and distinctive in saved]
     if not found:
         raise ValueError(f"{os.fspath(path)} is not a model of {', '.join(_ALGORITHMS)}")
     if "dqn" in found:
-        features = saved.get("policy_kwargs", {}).get("features_extractor_class", "")
-        return "nlm-dqn" if "LogicFeatures" in str(features) else "dqn"
+        features = str(saved.get("policy_kwargs", {}))
+        return "nlm-dqn" if "LogicFeatures" in features else "dqn"
     # PPO also has A2C's setting.
     return "ppo" if "ppo" in found else found[0]
 
 
 class StableBaselinesPolicy(Policy):
-    """A model of Stable-Baselines3.
+    """The policy of a model of Stable-Baselines3.
 
     Attributes:
-        model: The model.
+        model: The model. That of a file has no environments and no optimizer of its training.
     """
 
-    def __init__(self, model: BaseAlgorithm) -> None:
-        """Store the model."""
-        self.model = model
+    def __init__(self, model: BaseAlgorithm, algorithm: str, config: Mapping[str, Any] | None = None) -> None:
+        """Store the model.
+
+        Args:
+            model: The model.
+            algorithm: The name of the learner.
+            config: What `save` needs besides the weights; `None` for a model that another program trained.
+        """
+        self.model, self.algorithm = model, algorithm
+        self._config = config
 
     @property
     def observation_space(self) -> gymnasium.Space[Any]:
@@ -229,20 +250,68 @@ class StableBaselinesPolicy(Policy):
         return actions, state
 
     def save(self, path: Path) -> None:
-        """Write the model without the state of its training environments."""
-        training = ("_last_obs", "_last_original_obs", "_last_episode_starts", "ep_info_buffer", "ep_success_buffer")
-        self.model.save(path, exclude=[*training, "start_time", "tensorboard_log"])
+        """Write the weights, and the settings of the network as plain data.
+
+        `model.save` writes a file of Stable-Baselines3.
+
+        Raises:
+            ValueError: If another program trained the model.
+        """
+        if self._config is None:
+            raise ValueError("a model of another program may have parts that are not data: use `model.save`")
+        space = cast(gymnasium.spaces.Box, self.observation_space)
+        bounds = [torch.from_numpy(space.low), torch.from_numpy(space.high)]
+        config = {key: self._config[key] for key in ("mode", "settings", "features")}
+        observation = cast("ArrayKind", self._config["observation"])
+        save_policy(path, self.algorithm, {**config, "space": bounds}, self.weights(), observation)
+
+    def weights(self) -> Mapping[str, Any]:
+        """Return the weights of the networks."""
+        weights: Mapping[str, Any] = self.model.policy.state_dict()
+        return weights
 
     @classmethod
     def load(cls, path: Path) -> StableBaselinesPolicy:
-        """Load a DQN, PPO or A2C model that Stable-Baselines3 saved.
+        """Read a policy that `save` wrote.
 
         Raises:
             OSError: If the file cannot be read.
-            ValueError: If the file is not such a model.
+            ValueError: If the file is not such a policy.
         """
-        algorithm, _ = _ALGORITHMS[algorithm_of(path)]
-        return cls(algorithm.load(path, device="cpu"))
+
+        def build(config: dict[str, Any], weights: dict[str, Any]) -> StableBaselinesPolicy:
+            learner = learner_class(config["algorithm"])
+            assert issubclass(learner, StableBaselinesLearner)
+            settings = learner.settings_class.model_validate(config["settings"]).model_dump()
+            low, high = (bound.numpy() for bound in config["space"])
+            policy = learner.policy_arguments(settings, config["features"])
+            model = _ALGORITHMS[config["algorithm"]][0](
+                "MlpPolicy", None, policy_kwargs=policy, device="cpu", _init_setup_model=False, **settings
+            )
+            model.observation_space = gymnasium.spaces.Box(low, high, dtype=low.dtype.type)
+            model.action_space = gymnasium.spaces.Discrete(len(ACTIONS))
+            model.n_envs = 1
+            # As `_setup_model` does, but without buffers, and without seeding the global generators.
+            model._setup_lr_schedule()
+            with torch.random.fork_rng(devices=[]):
+                model.policy = model.policy_class(
+                    model.observation_space, model.action_space, model.lr_schedule, **model.policy_kwargs
+                )
+            model.policy.load_state_dict(weights)
+            return cls(model, config["algorithm"], config)
+
+        return build_policy(path, list(_ALGORITHMS), build)
+
+
+def from_stable_baselines(path: str | os.PathLike[str]) -> StableBaselinesPolicy:
+    """Load a DQN, PPO or A2C model that Stable-Baselines3 saved. This can run any code in the file.
+
+    Raises:
+        OSError: If the file cannot be read.
+        ValueError: If the file is not such a model.
+    """
+    algorithm = algorithm_of(path)
+    return StableBaselinesPolicy(_ALGORITHMS[algorithm][0].load(path, device="cpu"), algorithm)
 
 
 class _BetweenRollouts(BaseCallback):
@@ -265,7 +334,6 @@ class StableBaselinesLearner(Learner):
     unit: ClassVar[Literal["environment steps", "updates"]] = "environment steps"
     interacts: ClassVar[bool] = True
     observations: ClassVar[tuple[ArrayKind, ...]] = ("groundings", "state")
-    suffix: ClassVar[str] = ".zip"
     policy_class: ClassVar[type[Policy]] = StableBaselinesPolicy
     starts: ClassVar[bool] = True
 
@@ -273,26 +341,30 @@ class StableBaselinesLearner(Learner):
         """Create the environments and the model.
 
         Raises:
-            ValueError: If the algorithm rejects the settings, or the model of `start` does not fit.
+            ValueError: If the algorithm rejects the settings.
         """
         super().__init__(config, log)
+        self._features = self.features(config)
         env = make_vec_env(config.mode, config.envs, **config.env_options())
         try:
             # The model seeds the environments.
             self._model = new_model(config, env, None if log is None else str(log))
-            if config.start is not None:
-                self._start_from(Path(config.start))
         except BaseException:
             env.close()
             raise
 
     @classmethod
-    def policy_arguments(cls, config: TrainConfig, settings: dict[str, Any]) -> dict[str, Any]:
+    def features(cls, config: TrainConfig) -> dict[str, Any]:
+        """Return what the network needs to know about the mode besides the settings, as plain data."""
+        return {}
+
+    @classmethod
+    def policy_arguments(cls, settings: dict[str, Any], features: dict[str, Any]) -> dict[str, Any]:
         """Return the argument `policy_kwargs` of the algorithm's class.
 
         Args:
-            config: The configuration.
-            settings: Its settings. The method removes those that are not arguments of the algorithm's class.
+            settings: The settings. The method removes those that are not arguments of the algorithm's class.
+            features: The result of `features`.
         """
         return {
             "features_extractor_class": FeatureLayers,
@@ -300,15 +372,13 @@ class StableBaselinesLearner(Learner):
             "net_arch": [],
         }
 
-    def _start_from(self, path: Path) -> None:
-        name = algorithm_of(path)
-        if name != self.config.algorithm:
-            raise ValueError(f"`start`: {path} is a policy of `{name}`, not of `{self.config.algorithm}`")
-        weights = StableBaselinesPolicy.load(path).model.policy.state_dict()
-        own = self._model.policy.state_dict()
+    def start_from(self, policy: Policy) -> None:
+        """Copy the weights of a policy."""
+        assert isinstance(policy, StableBaselinesPolicy)
+        weights, own = policy.weights(), self._model.policy.state_dict()
         for key in own:
             if key not in weights or weights[key].shape != own[key].shape:
-                raise ValueError(f"`start`: the layers of {path} do not fit the observations and `settings.network`")
+                raise ValueError("its layers do not fit the observations and `settings.network`")
         self._model.policy.load_state_dict(weights)
 
     @property
@@ -327,40 +397,118 @@ class StableBaselinesLearner(Learner):
             )
 
     def policy(self) -> StableBaselinesPolicy:
-        """Return the model in training."""
-        return StableBaselinesPolicy(self._model)
+        """Return the policy of the model in training."""
+        config = self.config
+        settings = config.settings.model_dump(mode="json")
+        about = {"mode": config.mode, "observation": config.observation, "settings": settings}
+        return StableBaselinesPolicy(self._model, config.algorithm, {**about, "features": self._features})
 
     def save(self, folder: Path) -> None:
-        """Write the model, its replay buffer, its environments, and all random states."""
-        self._model.save(folder / "model.zip")
-        if isinstance(self._model, OffPolicyAlgorithm):
-            self._model.save_replay_buffer(folder / "replay.pkl")
-        state = {
-            "environments": self._model.env,
+        """Write the weights, the optimizer, the replay buffer, the environments, and all random states."""
+        model = self._model
+        state: dict[str, Any] = {
+            "policy": model.policy.state_dict(),
+            "optimizer": model.policy.optimizer.state_dict(),
+            "counters": {name: getattr(model, name) for name in _COUNTERS if hasattr(model, name)},
+            "observations": torch.from_numpy(model._last_obs),
+            "starts": torch.from_numpy(model._last_episode_starts),
+            "episodes": [{name: float(episode[name]) for name in _EPISODE} for episode in model.ep_info_buffer or ()],
+            "successes": [bool(success) for success in model.ep_success_buffer or ()],
+            "environments": _state_of(model.env),
+            "actions": model.action_space.np_random.bit_generator.state,
             "random": random_state.get(),
-            "actions": self._model.action_space.np_random.bit_generator.state,
         }
-        (folder / "state.pkl").write_bytes(pickle.dumps(state))
+        if isinstance(model, OffPolicyAlgorithm):
+            assert model.replay_buffer is not None
+            state["replay"] = _replay_of(model.replay_buffer)
+        save_checkpoint(folder, self.config.algorithm, state)
 
     def restore(self, folder: Path) -> None:
-        """Restore what `save` wrote. Only load checkpoints that you trust: they are pickles."""
-        state = pickle.loads((folder / "state.pkl").read_bytes())
-        self.close()
-        log = None if self.log is None else str(self.log)
-        algorithm, _ = _ALGORITHMS[self.config.algorithm]
-        # `load` would seed environments that it receives.
-        self._model = algorithm.load(folder / "model.zip", device="cpu", tensorboard_log=log, force_reset=False)
-        self._model.set_env(state["environments"], force_reset=False)
-        if isinstance(self._model, OffPolicyAlgorithm):
-            with (folder / "replay.pkl").open("rb") as file:
-                self._model.load_replay_buffer(file)
-        self._model.action_space.np_random.bit_generator.state = state["actions"]
+        """Restore what `save` wrote.
+
+        Raises:
+            InputError: If an episode is invalid.
+            OSError: If the file cannot be read.
+            ValueError: If the file does not fit the configuration.
+        """
+        state, model = read_checkpoint(folder, self.config.algorithm), self._model
+        model.policy.load_state_dict(state["policy"])
+        model.policy.optimizer.load_state_dict(state["optimizer"])
+        for name in _COUNTERS:
+            if hasattr(model, name):
+                setattr(model, name, state["counters"][name])
+        model._last_obs, model._last_episode_starts = state["observations"].numpy(), state["starts"].numpy()
+        model.ep_info_buffer = deque(state["episodes"], maxlen=model._stats_window_size)
+        model.ep_success_buffer = deque(state["successes"], maxlen=model._stats_window_size)
+        _restore_environments(model.env, state["environments"])
+        if isinstance(model, OffPolicyAlgorithm):
+            assert model.replay_buffer is not None
+            _restore_replay(model.replay_buffer, state["replay"])
+        model.action_space.np_random.bit_generator.state = state["actions"]
         random_state.put(state["random"])
 
     def close(self) -> None:
-        """Close the environments, which a model lacks if `restore` failed."""
+        """Close the environments."""
         if self._model.env is not None:
             self._model.env.close()
+
+
+#: The numbers of a model that change in training. Only DQN has the last two.
+_COUNTERS = (
+    *("num_timesteps", "_total_timesteps", "_num_timesteps_at_start", "_episode_num", "_n_updates"),
+    *("_current_progress_remaining", "exploration_rate", "_n_calls"),
+)
+
+#: What `VecMonitor` records of an episode: its return, its length, and when it ended.
+_EPISODE = ("r", "l", "t")
+
+#: The arrays of a replay buffer. A buffer with `optimize_memory_usage` has no `next_observations`.
+_REPLAY = ("observations", "next_observations", "actions", "rewards", "dones", "timeouts")
+
+
+def _state_of(env: VecEnv | None) -> dict[str, Any]:
+    """Return the state of environments that `make_vec_env` made, as plain data."""
+    assert isinstance(env, VecMonitor) and isinstance(env.venv, SPFVecEnv)
+    return {
+        "environments": env.venv.envs.state(),
+        "returns": torch.from_numpy(env.episode_returns),
+        "lengths": torch.from_numpy(env.episode_lengths),
+        "episodes": env.episode_count,
+    }
+
+
+def _restore_environments(env: VecEnv | None, state: Mapping[str, Any]) -> None:
+    """Restore what `_state_of` returned."""
+    assert isinstance(env, VecMonitor) and isinstance(env.venv, SPFVecEnv)
+    env.venv.envs.restore(state["environments"])
+    env.episode_returns, env.episode_lengths = state["returns"].numpy(), state["lengths"].numpy()
+    env.episode_count = state["episodes"]
+
+
+def _replay_of(buffer: ReplayBuffer) -> dict[str, Any]:
+    """Return the stored transitions as tensors, and where the next one goes."""
+    # With `optimize_memory_usage`, the row at `pos` has the last observation.
+    count = buffer.buffer_size if buffer.full else min(buffer.pos + 1, buffer.buffer_size)
+    arrays = {name: getattr(buffer, name) for name in _REPLAY if hasattr(buffer, name)}
+    tensors = {name: torch.from_numpy(array[:count]) for name, array in arrays.items()}
+    return {"pos": buffer.pos, "full": buffer.full, **tensors}
+
+
+def _restore_replay(buffer: ReplayBuffer, state: Mapping[str, Any]) -> None:
+    """Restore what `_replay_of` returned.
+
+    Raises:
+        ValueError: If it is from a buffer of another size.
+    """
+    for name in _REPLAY:
+        if hasattr(buffer, name):
+            array, saved = getattr(buffer, name), state[name].numpy()
+            if saved.shape[1:] != array.shape[1:] or saved.dtype != array.dtype or len(saved) > len(array):
+                raise ValueError(f"`{name}` of the replay buffer has the shape {saved.shape}, not {array.shape}")
+            array[: len(saved)] = saved
+    if not 0 <= state["pos"] < buffer.buffer_size:
+        raise ValueError(f"the replay buffer has no place {state['pos']}")
+    buffer.pos, buffer.full = state["pos"], bool(state["full"])
 
 
 def new_model(config: TrainConfig, env: VecEnv, log: str | None = None) -> BaseAlgorithm:
@@ -380,7 +528,7 @@ def new_model(config: TrainConfig, env: VecEnv, log: str | None = None) -> BaseA
         raise ValueError("`settings.train_freq`: the unit `episode` needs one environment: set `envs: 1`")
     learner = config.learner
     assert issubclass(learner, StableBaselinesLearner)
-    policy = learner.policy_arguments(config, settings)
+    policy = learner.policy_arguments(settings, learner.features(config))
     algorithm, _ = _ALGORITHMS[config.algorithm]
     try:
         return algorithm(

@@ -26,7 +26,7 @@ from .. import _logicity
 from .._logicity import __version__
 from ..city import ACTIONS, Inference
 from ..errors import did_you_mean, missing_extra
-from ..files import write_json
+from ..files import read_tensors, write_json
 from ..learn.cells import Job
 from ..learn.config import Fault, contains, faults, merged
 from ..learn.experiment import (
@@ -555,7 +555,8 @@ class Work:
     def started(self) -> dict[str, Any]:
         """Return the model that the cell starts from, or an empty one."""
         path = self.folder / "start.pt"
-        return torch.load(path, weights_only=True) if path.exists() else {}
+        model: dict[str, Any] = read_tensors(path, "a model") if path.exists() else {}
+        return model
 
 
 #: The model and its training history.
@@ -634,7 +635,7 @@ def measure_again(cell: VapCell, root: Path) -> tuple[dict[str, Any], dict[str, 
     torch.set_num_threads(1)
     data = Path(cell.document(root)["data"])
     work = Work(cast(Literal["easy", "hard"], cell.mode), cell.seed, cell.settings, cell.folder(root), data, None)
-    return _measured(work, torch.load(cell.model(root), weights_only=True))
+    return _measured(work, read_tensors(cell.model(root), "a model"))
 
 
 def _measured(work: Work, model: dict[str, Any]) -> tuple[dict[str, Any], dict[str, Any]]:

@@ -20,6 +20,7 @@ from numpy.typing import NDArray
 
 from ..city import ACTIONS
 from ..errors import missing_extra
+from ..files import read_tensors
 from .data import UNARY, VapDataset
 
 try:
@@ -295,7 +296,7 @@ def fit(
     history: list[dict[str, float]] = []
     best = deepcopy(network.state_dict())
     if checkpoint is not None and checkpoint.exists():
-        saved = torch.load(checkpoint, weights_only=True)
+        saved = read_tensors(checkpoint, "a checkpoint")
         network.load_state_dict(saved["network"])
         optimizer.load_state_dict(saved["optimizer"])
         schedule.load_state_dict(saved["schedule"])

@@ -1,0 +1,108 @@
+"""Other programs, which end when this process ends, however it ends."""
+
+from __future__ import annotations
+
+import os
+import selectors
+import signal
+import subprocess
+import sys
+import time
+from collections.abc import Mapping, Sequence
+from pathlib import Path
+from typing import NamedTuple
+
+from . import supervise
+
+__all__ = ["Ended", "run_program"]
+
+#: The number of bytes at the end of the output and of the log that count.
+OUTPUT_BYTES = 16 << 20
+
+#: Seconds in which the output of an ended program is read.
+DRAIN = 1.0
+
+#: The interval in seconds in which a program is observed.
+POLL = 0.05
+
+
+class Ended(NamedTuple):
+    """A program that has ended.
+
+    Attributes:
+        code: The exit code; `None` if the program did not end in time and was killed.
+        output: The end of what it printed on standard output.
+        log: The end of what it printed on standard error.
+    """
+
+    code: int | None
+    output: str
+    log: str
+
+
+def run_program(command: Sequence[str], timeout: float | None = None, environment: Mapping[str, str] = {}) -> Ended:
+    """Run a program to its end, without standard input.
+
+    No process of it remains, also after an exception such as that of Ctrl-C, and if this process is killed. What a
+    process in another session writes to its output after its end is ignored.
+
+    Args:
+        command: The words of the command.
+        timeout: The seconds after which the program is killed.
+        environment: Changes to the environment variables.
+    """
+    # The pipe closes when this process ends, however it ends.
+    reader, writer = os.pipe()
+    try:
+        with subprocess.Popen(
+            [sys.executable, str(Path(supervise.__file__)), *command],
+            stdin=reader,
+            stdout=subprocess.PIPE,
+            stderr=subprocess.PIPE,
+            env={**os.environ, **environment},
+            start_new_session=True,
+        ) as process:
+            try:
+                return _observed(process, timeout)
+            finally:
+                _kill(process)
+    finally:
+        os.close(reader)
+        os.close(writer)
+
+
+def _observed(process: subprocess.Popen[bytes], timeout: float | None) -> Ended:
+    """Read the output of a process until it ends or its time is over."""
+    assert process.stdout is not None and process.stderr is not None
+    output, log = bytearray(), bytearray()
+    end, has_ended = None if timeout is None else time.monotonic() + timeout, False
+    with selectors.DefaultSelector() as pipes:
+        pipes.register(process.stdout, selectors.EVENT_READ, output)
+        pipes.register(process.stderr, selectors.EVENT_READ, log)
+        while pipes.get_map() or not has_ended:
+            if not has_ended and process.poll() is not None:
+                end, has_ended = time.monotonic() + DRAIN, True
+            if end is not None and time.monotonic() > end:
+                break
+            # Without pipes, this only waits.
+            for key, _ in pipes.select(POLL):
+                chunk = os.read(key.fd, 1 << 16)
+                key.data.extend(chunk)
+                if len(key.data) > 2 * OUTPUT_BYTES:
+                    del key.data[:-OUTPUT_BYTES]
+                if not chunk:
+                    pipes.unregister(key.fileobj)
+    code = process.returncode if has_ended else None
+    return Ended(code, output.decode(errors="replace"), log.decode(errors="replace"))
+
+
+def _kill(process: subprocess.Popen[bytes]) -> None:
+    """Kill a supervisor with its program and those that it started."""
+    if hasattr(os, "killpg"):
+        try:
+            os.killpg(process.pid, signal.SIGKILL)
+        except (ProcessLookupError, PermissionError):
+            # macOS refuses to signal a group of ended processes.
+            pass
+    else:
+        process.kill()
