@@ -7,7 +7,7 @@ SOLVERS := .venv-solvers
 FUZZ_TARGETS := parse check query evaluate config scene rows popper labeled_scenes
 FUZZ_SECONDS := 600
 
-.PHONY: test quick lint features rust doc wheel installed python python-all page docs playground vscode solvers peers fuzz $(FUZZ_TARGETS:%=fuzz-%)
+.PHONY: test quick lint features rust doc wheel installed python python-all rllib page docs playground vscode solvers peers fuzz $(FUZZ_TARGETS:%=fuzz-%)
 
 test: lint features rust doc python page docs
 
@@ -129,7 +129,15 @@ python-all: wheel $(VENV)-all/bin/python
 	$(VENV)-all/bin/pip install --quiet --disable-pip-version-check "$$(echo $(WHEELS)/*.whl)[test-all]"
 	$(VENV)-all/bin/python -m pytest -q python/tests
 
-$(VENV)/bin/python $(VENV)-all/bin/python: %/bin/python:
+# Not part of `make test`. Tests the environments with RLlib and the version of gymnasium that it pins.
+rllib: wheel $(VENV)-rllib/bin/python
+	$(VENV)-rllib/bin/pip install --quiet --disable-pip-version-check --force-reinstall --no-deps $(WHEELS)/*.whl
+	$(VENV)-rllib/bin/pip install --quiet --disable-pip-version-check "$$(echo $(WHEELS)/*.whl)[rllib,test]"
+	$(VENV)-rllib/bin/python -m pytest -q $(RLLIB_TESTS:%=python/tests/test_%.py)
+
+RLLIB_TESTS := rllib envs parallel views wrappers
+
+$(VENV)/bin/python $(VENV)-all/bin/python $(VENV)-rllib/bin/python: %/bin/python:
 	$(PYTHON) -m venv $* || { echo "on Debian: apt-get install python3-venv"; exit 1; }
 
 # Not part of `make test`. The source distribution of the Python package.

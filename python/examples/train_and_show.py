@@ -5,6 +5,7 @@ Run it as `python python/examples/train_and_show.py [STEPS]`. The default of 200
 
 # %% Imports; `import logicity` registers the environments.
 import sys
+from itertools import compress
 from typing import Any
 
 import gymnasium
@@ -52,7 +53,7 @@ while not ended:
         print(f"step {info['steps']}: action {action}; {city.explain().splitlines()[0]}")
     observation, reward, terminated, truncated, info = env.step(action)
     ended = terminated or truncated
-violations = ", ".join(info["violations"]) or "none"
+violations = ", ".join(compress(city.clauses, info["violations"])) or "none"
 print(f"{info['steps']} steps, {info['progress']:.0%} of the route, violations: {violations}")
 picture: Any = env.render()
 print(f"shape of the last picture: {picture.shape}")

@@ -12,8 +12,10 @@ from __future__ import annotations
 
 import operator
 import os
-from collections.abc import Mapping, Sequence
+import sys
+from collections.abc import Callable, Mapping, Sequence
 from copy import copy, deepcopy
+from types import FrameType
 from typing import TYPE_CHECKING, Any, TypedDict, cast
 
 import numpy as np
@@ -36,11 +38,15 @@ except ImportError as error:
 
 from .env_config import ArrayKind, EnvConfig, EnvOptions, Episodes
 from .layout import View, Views, views_of
+from .window import Window
 
 if TYPE_CHECKING:
     from typing_extensions import Unpack  # Python 3.11; only annotations use it
 
 __all__ = ["EpisodeAgent", "EpisodeStart", "Observations", "OracleRun", "SPFEnv", "SPFVectorEnv"]
+
+RENDER_MODES = ["human", "rgb_array", "ansi"]
+RENDER_FPS = 10
 
 Observations = NDArray[np.float32]
 """Observations: float32, one row per environment if there are several."""
@@ -114,11 +120,41 @@ class _HorizonSpec:
 
     def __set__(self, env: SPFEnv | SPFVectorEnv, spec: EnvSpec | None) -> None:
         if spec is not None:
+            horizon = env._task.max_steps(env._config.split, env._recorded)
+            _check_limit_of_make(sys._getframe(1), horizon)
             spec = copy(spec)
-            spec.max_episode_steps = env._task.max_steps(env._config.split, env._recorded)
+            spec.max_episode_steps = horizon
             # `make_vec` adds it to the arguments if it gets such a spec.
             spec.kwargs = {name: value for name, value in spec.kwargs.items() if name != "max_episode_steps"}
         setattr(env, self._name, spec)
+
+
+def _check_limit_of_make(frame: FrameType, horizon: int) -> None:
+    """Check the `max_episode_steps` that `gymnasium.make` is about to apply, if `frame` is a call of it.
+
+    `gymnasium.make` passes it to no environment: after this check, it adds a `TimeLimit`, which would cut off episodes
+    without the rewards of their ends.
+
+    Raises:
+        ValueError: If the limit is not the horizon.
+    """
+    if (frame.f_globals.get("__name__"), frame.f_code.co_name) != ("gymnasium.envs.registration", "make"):
+        return
+    limit = frame.f_locals.get("max_episode_steps")
+    # -1 means no `TimeLimit`.
+    if limit not in (None, -1, horizon):
+        raise wrong_limit(limit, horizon)
+    stored = getattr(frame.f_locals.get("env_spec"), "max_episode_steps", None)
+    if limit is None and stored is not None and stored < horizon:
+        raise wrong_limit(stored, horizon)
+
+
+def wrong_limit(limit: int, horizon: int) -> ValueError:
+    """Return the exception for a `max_episode_steps` that is not the horizon."""
+    return ValueError(
+        f"max_episode_steps: the horizon is {horizon}, not {limit}: set it with "
+        f'`overrides={{"task": {{"horizon": {limit}}}}}`'
+    )
 
 
 class SPFEnv(gymnasium.Env[Any, np.int64]):
@@ -143,13 +179,14 @@ class SPFEnv(gymnasium.Env[Any, np.int64]):
     `info` has these keys:
 
     - `oracle_action`: the action that the rules derive in the current state.
-    - `violations`: the names of the clauses that the last action violated, such as `S1`.
+    - `violations`: for each clause, whether the last action violated it, a bool array. `clauses` has the names of the
+      clauses in the same order.
     - `progress`: the completed share of the route, from 0 to 1.
     - `success`: whether the car has reached the goal without violating a rule.
     - `steps`: the number of steps of the episode.
-    - `seed`: the seed of the episode, a `numpy.uint64`.
-    - `action_mask`, with `action_masks=True`: for each action, whether it violates no clause in the current state, a
-      bool array of shape (4,).
+    - `seed`: the 64 bits of the seed of the episode as a `numpy.int64`. `episode["seed"]` is `int(seed) % 2**64`.
+    - `action_mask`, with `action_masks=True`: for each action 1 if it violates no clause in the current state, else 0,
+      an int8 array of shape (4,), as `action_space.sample(mask)` expects.
 
     Args:
         config: A run configuration: a built-in name such as `expert`, or a path.
@@ -157,8 +194,10 @@ class SPFEnv(gymnasium.Env[Any, np.int64]):
             the oracle's run, up to the horizon, has fewer constrained steps than `task.constrained_steps` of the
             configuration (default: 1). It raises `InputError` (`limit-exceeded`) if 1,000 draws in a row are omitted.
             `"recorded"` samples the recorded episodes of the split with replacement. The seed determines all three.
-        atoms: Whether `info` has the key `true_atoms`, a tuple of strings such as `IsTiro(Car_1)`.
-        render_mode: `"rgb_array"` or `"ansi"`.
+        atoms: Whether `info` has the key `true_atoms`, a tuple of strings such as `IsTiro(Car_1)`. Wrappers that
+            convert infos to tensors reject strings.
+        render_mode: `"human"`, which shows every state in a window and needs the extra `human`, `"rgb_array"` or
+            `"ansi"`.
         options: `split`, the set of agents; `rules`, a rule file that replaces the configuration's; `overrides`, a
             mapping that is merged into the configuration, such as `{"task": {"reward": {"overtime": -6}}}`;
             `observation`, see above; `limits`, the limits of each evaluation of the rules, such as
@@ -172,7 +211,7 @@ class SPFEnv(gymnasium.Env[Any, np.int64]):
         ValueError: If `episodes`, the split or the kind of observation is unknown.
     """
 
-    metadata = {"render_modes": ["rgb_array", "ansi"], "render_fps": 10}
+    metadata = {"render_modes": RENDER_MODES, "render_fps": RENDER_FPS}
     spec = _HorizonSpec()
 
     def __init__(
@@ -188,8 +227,9 @@ class SPFEnv(gymnasium.Env[Any, np.int64]):
         self._config = EnvConfig(config, SPFEnv, **options)
         self._kind, self._atoms = self._config.array_kind, atoms
         self._episodes, self._recorded = episodes, episodes == "recorded"
-        self.render_mode = checked_render_mode(render_mode, self.metadata)
+        self.render_mode, self._window = checked_render_mode(render_mode)
         self._task = self._config.task()
+        self._clauses = self._task.clauses()
         self._views, self._shape = views_of(self._task, self._config.observation), tuple(self._task.shape(self._kind))
         self.observation_space = observation_space(self._task, self._kind, self._views)
         self.action_space = Discrete(4)
@@ -241,6 +281,8 @@ class SPFEnv(gymnasium.Env[Any, np.int64]):
         if self._core is not self._base:
             self._base.seed(0, *self._core.source(0))
         self._begun = True
+        if self._window is not None:
+            self.render()
         return self._output(observation), _env_info(self._core.info(0), self._config, self._core, 0, self._atoms)
 
     def _apply_overrides(self, overrides: dict[str, Any]) -> None:
@@ -272,6 +314,8 @@ class SPFEnv(gymnasium.Env[Any, np.int64]):
         observation = self._new_observation()
         reward, terminated, truncated, info = self._core.step_one(checked_action(action), observation)
         info = _env_info(info, self._config, self._core, 0, self._atoms)
+        if self._window is not None:
+            self.render()
         return self._output(observation), reward, terminated, truncated, info
 
     def action_masks(self) -> NDArray[np.bool_]:
@@ -285,7 +329,12 @@ class SPFEnv(gymnasium.Env[Any, np.int64]):
         """
         check_masks(self._config)
         self._check_begun()
-        return cast("NDArray[np.bool_]", _action_masks(self._core, 1)[0])
+        return cast("NDArray[np.bool_]", _action_masks(self._core, 1)[0].astype(np.bool_))
+
+    @property
+    def clauses(self) -> tuple[str, ...]:
+        """The names of the clauses that actions can violate, such as `S1`, in the order of `info["violations"]`."""
+        return self._clauses
 
     @property
     def episode(self) -> EpisodeStart:
@@ -330,12 +379,18 @@ class SPFEnv(gymnasium.Env[Any, np.int64]):
     def render(self) -> Any:
         """Return a picture of the city, a uint8 array of shape (height, width, 3), or text in the mode `ansi`.
 
-        The picture has a frame around the controlled car, a line for its route, and a square for its goal.
+        The picture has a frame around the controlled car, a line for its route, and a square for its goal. The mode
+        `human` shows it in a window, also after every reset and step, and returns `None`.
         """
         if self.render_mode is None:
             raise gymnasium.error.Error("the environment has no `render_mode`: pass one to `gymnasium.make`")
         self._check_begun()
-        return _rendered(self._core, 0, self.render_mode)
+        return rendered(self._core.picture, self._core.text, range(1), self.render_mode, self._window)[0]
+
+    def close(self) -> None:
+        """Close the window of the render mode `human`."""
+        if self._window is not None:
+            self._window.close()
 
     def __getstate__(self) -> dict[str, Any]:
         """Return the tasks, the episode and the actions taken, which determine the state."""
@@ -378,8 +433,7 @@ def _restore(core: _logicity.VectorEnv, states: _States, observations: Observati
 
 def info_dict(info: dict[str, Any], config: EnvConfig) -> dict[str, Any]:
     """Convert the `info` of an episode to the types that gymnasium expects, and remove what the options exclude."""
-    # Gymnasium collects infos in arrays. The default dtype int64 does not hold every seed, but uint64 does.
-    info["seed"] = np.uint64(info["seed"])
+    info["seed"] = np.int64(info["seed"])
     if not config.oracle:
         del info["oracle_action"]
     return info
@@ -395,9 +449,9 @@ def _env_info(
     return info
 
 
-def _action_masks(core: _logicity.VectorEnv, count: int, ended: bool = False) -> NDArray[np.bool_]:
+def _action_masks(core: _logicity.VectorEnv, count: int, ended: bool = False) -> NDArray[np.int8]:
     """Return the allowed actions of all environments, or those of the episodes that ended in the last step."""
-    masks = np.zeros((count, len(ACTIONS)), np.bool_)
+    masks = np.zeros((count, len(ACTIONS)), np.int8)
     core.action_masks(masks, ended)
     return masks
 
@@ -412,15 +466,16 @@ def check_masks(config: EnvConfig) -> None:
         raise gymnasium.error.Error("the environment has no action masks: make it with `action_masks=True`")
 
 
-def checked_render_mode(mode: str | None, metadata: Mapping[str, Any]) -> str | None:
-    """Check a render mode and return it.
+def checked_render_mode(mode: str | None) -> tuple[str | None, Window | None]:
+    """Check a render mode, and return it with the window that it needs.
 
     Raises:
+        ImportError: If the mode is `human`, and pygame is not installed.
         gymnasium.error.UnsupportedMode: If the mode is unknown.
     """
-    if mode is not None and mode not in metadata["render_modes"]:
-        raise UnsupportedMode(f"unknown render mode `{mode}`; known: {', '.join(metadata['render_modes'])}")
-    return mode
+    if mode is not None and mode not in RENDER_MODES:
+        raise UnsupportedMode(f"unknown render mode `{mode}`; known: {', '.join(RENDER_MODES)}")
+    return mode, Window(RENDER_FPS) if mode == "human" else None
 
 
 def check_options(options: Mapping[str, Any], known: tuple[str, ...]) -> None:
@@ -473,8 +528,21 @@ def parse_episode(episode: Any) -> Any:
     return number
 
 
-def _rendered(core: _logicity.VectorEnv, at: int, mode: str) -> Any:
-    return core.picture(at) if mode == "rgb_array" else core.text(at)
+def rendered(
+    picture: Callable[[int], NDArray[np.uint8]],
+    text: Callable[[int], str],
+    places: Sequence[int],
+    mode: str,
+    window: Window | None,
+) -> list[Any]:
+    """Return the pictures or texts of some places. With a window, show their pictures and return `None` for each."""
+    if mode == "ansi":
+        return [text(at) for at in places]
+    pictures = [picture(at) for at in places]
+    if window is None:
+        return pictures
+    window.show(pictures)
+    return [None for _ in places]
 
 
 class SPFVectorEnv(VectorEnv[Any, NDArray[np.int64], NDArray[Any]]):
@@ -510,7 +578,7 @@ class SPFVectorEnv(VectorEnv[Any, NDArray[np.int64], NDArray[Any]]):
             not the horizon.
     """
 
-    metadata: dict[str, Any] = {"render_modes": ["rgb_array", "ansi"], "render_fps": 10}
+    metadata: dict[str, Any] = {"render_modes": RENDER_MODES, "render_fps": RENDER_FPS}
     spec = _HorizonSpec()
 
     def __init__(
@@ -533,10 +601,11 @@ class SPFVectorEnv(VectorEnv[Any, NDArray[np.int64], NDArray[Any]]):
         self._num_threads = checked_integer("num_threads", num_threads, 1, _logicity.THREADS_MAX)
         self.autoreset_mode = _autoreset_mode(autoreset_mode)
         self.metadata = {**self.metadata, "autoreset_mode": self.autoreset_mode}
-        self.render_mode = checked_render_mode(render_mode, self.metadata)
+        self.render_mode, self._window = checked_render_mode(render_mode)
         self._atoms, self.copy = atoms, copy
         self._config = EnvConfig(config, SPFVectorEnv, **options)
         self._kind, self._task = self._config.array_kind, self._config.task()
+        self._clauses = self._task.clauses()
         self._views, self._shape = views_of(self._task, self._config.observation), tuple(self._task.shape(self._kind))
         self.single_observation_space = observation_space(self._task, self._kind, self._views)
         self.single_action_space = Discrete(4)
@@ -545,15 +614,10 @@ class SPFVectorEnv(VectorEnv[Any, NDArray[np.int64], NDArray[Any]]):
         self._episodes, self._recorded = episodes, episodes == "recorded"
         self._core = self._make_core()
         horizon = self._task.max_steps(self._config.split, self._recorded)
-        if max_episode_steps not in (None, horizon):
-            raise ValueError(
-                f"max_episode_steps: the horizon is {horizon}, not {max_episode_steps}: set it with "
-                f'`overrides={{"task": {{"horizon": {max_episode_steps}}}}}`'
-            )
+        if max_episode_steps is not None and max_episode_steps != horizon:
+            raise wrong_limit(max_episode_steps, horizon)
         self._observations = np.zeros((num_envs, *self._shape), np.float32)
         self._seeded = np.zeros(num_envs, np.bool_)
-        self._no_violations = np.empty(num_envs, object)
-        self._no_violations.fill(())
 
     def _make_core(self) -> _logicity.VectorEnv:
         config, mode = self._config, self.autoreset_mode.value
@@ -617,6 +681,8 @@ class SPFVectorEnv(VectorEnv[Any, NDArray[np.int64], NDArray[Any]]):
         for at in np.flatnonzero(mask):
             info = _env_info(self._core.info(int(at)), self._config, self._core, int(at), self._atoms)
             infos = self._add_info(infos, info, int(at))
+        if self._window is not None and all(self._core.has_begun(at) for at in range(self.num_envs)):
+            self.render()
         return self._output(), infos
 
     def _output(self) -> Observations | View:
@@ -655,10 +721,10 @@ class SPFVectorEnv(VectorEnv[Any, NDArray[np.int64], NDArray[Any]]):
             raise InvalidAction(f"expected integers of shape ({count},), not {given.dtype} of {given.shape}")
         rewards = np.empty(count, np.float64)
         terminated, truncated = np.empty(count, np.bool_), np.empty(count, np.bool_)
-        columns = _columns(count)
+        columns = _columns(count, len(self._clauses))
         numbers = np.ascontiguousarray(given, np.int64)
-        broken = self._core.step(numbers, self._observations, (rewards, terminated, truncated), columns)
-        infos = self._infos(columns, broken)
+        self._core.step(numbers, self._observations, (rewards, terminated, truncated), columns)
+        infos = self._infos(columns)
         if self._atoms:
             infos["true_atoms"] = atoms = np.empty(count, object)
             for at in range(count):
@@ -666,6 +732,8 @@ class SPFVectorEnv(VectorEnv[Any, NDArray[np.int64], NDArray[Any]]):
             infos["_true_atoms"] = np.ones(count, np.bool_)
         if self.autoreset_mode is AutoresetMode.SAME_STEP and (terminated.any() or truncated.any()):
             self._add_ends(infos)
+        if self._window is not None:
+            self.render()
         return self._output(), rewards, terminated, truncated, infos
 
     def collect(self, network: _logicity.PolicyNetwork, random: NDArray[np.float32]) -> dict[str, NDArray[Any]]:
@@ -688,13 +756,10 @@ class SPFVectorEnv(VectorEnv[Any, NDArray[np.int64], NDArray[Any]]):
         """
         return self._core.collect(network, random, self._observations)
 
-    def _infos(self, columns: _Columns, broken: list[tuple[int, tuple[str, ...]]]) -> dict[str, Any]:
+    def _infos(self, columns: _Columns) -> dict[str, Any]:
         infos = self._by_key(columns)
         if self._config.action_masks:
             infos["action_mask"] = _action_masks(self._core, self.num_envs)
-        infos["violations"] = violations = self._no_violations.copy()
-        for at, labels in broken:
-            violations[at] = labels
         for key in tuple(infos):
             infos["_" + key] = np.ones(self.num_envs, np.bool_)
         return infos
@@ -708,18 +773,17 @@ class SPFVectorEnv(VectorEnv[Any, NDArray[np.int64], NDArray[Any]]):
     def _add_ends(self, infos: dict[str, Any]) -> None:
         """Add the last observations and infos of the episodes that ended in this step, for SameStep autoreset."""
         count = self.num_envs
-        columns = _columns(count)
+        columns = _columns(count, len(self._clauses))
         ends = self._core.ended(columns)
         info = self._by_key(columns)
         if self._config.action_masks:
             info["action_mask"] = _action_masks(self._core, count, ended=True)
-        info["violations"] = violations = np.empty(count, object)
         infos["final_obs"] = observations = np.empty(count, object)
         if self._atoms:
             info["true_atoms"] = np.empty(count, object)
         mask = np.zeros(count, np.bool_)
-        for at, observation, labels in ends:
-            observations[at], violations[at], mask[at] = observation.reshape(self._shape), labels, True
+        for at, observation in ends:
+            observations[at], mask[at] = observation.reshape(self._shape), True
             if self._atoms:
                 info["true_atoms"][at] = self._core.ended_atoms(at)
         if self._views is not None:
@@ -737,7 +801,12 @@ class SPFVectorEnv(VectorEnv[Any, NDArray[np.int64], NDArray[Any]]):
             gymnasium.error.Error: If the environments were made without `action_masks=True`.
         """
         check_masks(self._config)
-        return _action_masks(self._core, self.num_envs)
+        return _action_masks(self._core, self.num_envs).astype(np.bool_)
+
+    @property
+    def clauses(self) -> tuple[str, ...]:
+        """The names of the clauses that actions can violate, such as `S1`, in the order of `infos["violations"]`."""
+        return self._clauses
 
     def episode(self, at: int) -> EpisodeStart:
         """Return the start of the current episode of an environment.
@@ -765,12 +834,20 @@ class SPFVectorEnv(VectorEnv[Any, NDArray[np.int64], NDArray[Any]]):
     def render(self) -> tuple[Any, ...] | None:
         """Return one picture or text per environment, as `SPFEnv.render` does.
 
+        The mode `human` shows all pictures in one window.
+
         Raises:
             gymnasium.error.ResetNeeded: If an episode has not started.
         """
         if self.render_mode is None:
             raise gymnasium.error.Error("the environments have no `render_mode`: pass one to `gymnasium.make_vec`")
-        return tuple(_rendered(self._core, at, self.render_mode) for at in range(self.num_envs))
+        places = range(self.num_envs)
+        return tuple(rendered(self._core.picture, self._core.text, places, self.render_mode, self._window))
+
+    def close_extras(self, **kwargs: Any) -> None:
+        """Close the window of the render mode `human`."""
+        if self._window is not None:
+            self._window.close()
 
     def state(self) -> list[dict[str, Any]]:
         """Return the state of each environment as plain data, which JSON can store.
@@ -833,15 +910,23 @@ def _autoreset_mode(mode: AutoresetMode | str) -> AutoresetMode:
     raise ValueError(f"autoreset_mode must be one of {known_modes}, not {mode!r}")
 
 
-_Columns = tuple[NDArray[np.int64], NDArray[np.float64], NDArray[np.bool_], NDArray[np.int64], NDArray[np.uint64]]
-_COLUMNS = ("oracle_action", "progress", "success", "steps", "seed")
+_Columns = tuple[
+    NDArray[np.int64],
+    NDArray[np.float64],
+    NDArray[np.bool_],
+    NDArray[np.int64],
+    NDArray[np.int64],
+    NDArray[np.bool_],
+]
+_COLUMNS = ("oracle_action", "progress", "success", "steps", "seed", "violations")
 
 
-def _columns(count: int) -> _Columns:
+def _columns(count: int, clauses: int) -> _Columns:
     return (
         np.zeros(count, np.int64),
         np.zeros(count, np.float64),
         np.zeros(count, np.bool_),
         np.zeros(count, np.int64),
-        np.zeros(count, np.uint64),
+        np.zeros(count, np.int64),
+        np.zeros((count, clauses), np.bool_),
     )

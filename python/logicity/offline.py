@@ -385,7 +385,7 @@ def _environment(mode: str, **options: Any) -> gymnasium.Env[Any, Any]:
 
 def _run_oracle(env: gymnasium.Env[Any, Any], episode: int) -> Trajectory:
     observation, info = env.reset(options={"episode": episode})
-    seed = int(info["seed"])
+    seed = int(info["seed"]) % 2**64
     observations, infos = [observation], [info]
     steps: list[tuple[int, float, bool, bool]] = []
     while not (steps and (steps[-1][2] or steps[-1][3])):

@@ -5,7 +5,7 @@ from __future__ import annotations
 import os
 from collections.abc import Mapping
 from copy import deepcopy
-from typing import TYPE_CHECKING, Any, Literal, TypeVar, cast
+from typing import TYPE_CHECKING, Any, TypeVar, cast
 
 import numpy as np
 
@@ -23,6 +23,8 @@ except ImportError as error:
 from . import _logicity
 from .env_config import EnvConfig, EnvOptions
 from .envs import (
+    RENDER_FPS,
+    RENDER_MODES,
     EpisodeStart,
     Observations,
     checked_action,
@@ -55,19 +57,20 @@ class SPFParallelEnv(ParallelEnv[str, Any, "np.int64 | int"]):
         options: As for `SPFEnv`.
     """
 
-    metadata: dict[str, Any] = {"name": "logicity_spf_v0", "render_modes": ["rgb_array", "ansi"], "render_fps": 10}
+    metadata: dict[str, Any] = {"name": "logicity_spf_v0", "render_modes": RENDER_MODES, "render_fps": RENDER_FPS}
 
     def __init__(
         self,
         config: str | os.PathLike[str] = "expert",
         *,
-        render_mode: Literal["rgb_array", "ansi"] | None = None,
+        render_mode: str | None = None,
         **options: Unpack[EnvOptions],
     ) -> None:
         """Load the configuration and the rules."""
-        self.render_mode = checked_render_mode(render_mode, self.metadata)
+        self.render_mode, self._window = checked_render_mode(render_mode)
         self._config = EnvConfig(config, SPFParallelEnv, **options)
         self._task = self._config.task()
+        self._clauses = self._task.clauses()
         self._kind = self._config.array_kind
         self._views, self._shape = views_of(self._task, self._config.observation), tuple(self._task.shape(self._kind))
         self._cars = self._make_cars()
@@ -141,6 +144,8 @@ class SPFParallelEnv(ParallelEnv[str, Any, "np.int64 | int"]):
         self._cars.reset(None if episode is True else episode)
         self.agents, self._begun = list(self.possible_agents), True
         infos = {name: info_dict(self._cars.outcome(self._index[name])[3], self._config) for name in self.agents}
+        if self._window is not None:
+            self.render()
         return {name: self._observe(name) for name in self.agents}, infos
 
     def _observe(self, name: str) -> Observations | View:
@@ -178,6 +183,8 @@ class SPFParallelEnv(ParallelEnv[str, Any, "np.int64 | int"]):
         self._cars.step(numbers)
         outcomes = {name: self._cars.outcome(self._index[name]) for name in live}
         self.agents = [name for name in live if not (outcomes[name][1] or outcomes[name][2])]
+        if self._window is not None:
+            self.render()
         return (
             {name: self._observe(name) for name in live},
             {name: outcome[0] for name, outcome in outcomes.items()},
@@ -185,6 +192,11 @@ class SPFParallelEnv(ParallelEnv[str, Any, "np.int64 | int"]):
             {name: outcome[2] for name, outcome in outcomes.items()},
             {name: info_dict(outcome[3], self._config) for name, outcome in outcomes.items()},
         )
+
+    @property
+    def clauses(self) -> tuple[str, ...]:
+        """The names of the clauses that actions can violate, such as `S1`, in the order of `info["violations"]`."""
+        return self._clauses
 
     @property
     def episode(self) -> EpisodeStart:
@@ -209,13 +221,25 @@ class SPFParallelEnv(ParallelEnv[str, Any, "np.int64 | int"]):
             raise ResetNeeded("no episode has started: call `reset`")
 
     def render(self) -> Any:
-        """Return a picture of the city, a uint8 array of shape (height, width, 3), or text in the mode `ansi`."""
+        """Return a picture of the city, a uint8 array of shape (height, width, 3), or text in the mode `ansi`.
+
+        The mode `human` shows it in a window, also after every reset and step, and returns `None`.
+        """
         if self.render_mode is None:
             raise gymnasium.error.Error("the environment has no `render_mode`: pass one to `parallel_env`")
         self._check_begun()
-        if self.render_mode == "rgb_array":
-            return self._cars.picture()
-        return "\n".join(self._cars.text(car) for car in range(len(self.possible_agents)))
+        if self.render_mode == "ansi":
+            return "\n".join(self._cars.text(car) for car in range(len(self.possible_agents)))
+        picture = self._cars.picture()
+        if self._window is None:
+            return picture
+        self._window.show([picture])
+        return None
+
+    def close(self) -> None:
+        """Close the window of the render mode `human`."""
+        if self._window is not None:
+            self._window.close()
 
     def __getstate__(self) -> dict[str, Any]:
         """Return the task, the episode and the actions taken, which determine the state."""

@@ -5,6 +5,7 @@ from __future__ import annotations
 import inspect
 import os
 from collections.abc import Sequence
+from copy import deepcopy
 from typing import Any
 
 import numpy as np
@@ -94,7 +95,7 @@ class SPFVecEnv(VecEnv):
     def _dictionaries(infos: dict[str, Any]) -> list[dict[str, Any]]:
         """Convert arrays by key to one dictionary per environment."""
         keys = [key for key in infos if not key.startswith(("_", "final_"))]
-        columns = (infos[key].tolist() if infos[key].ndim == 1 else list(infos[key]) for key in keys)
+        columns = (infos[key].tolist() if infos[key].ndim == 1 and key != "seed" else list(infos[key]) for key in keys)
         return [dict(zip(keys, row, strict=True)) for row in zip(*columns, strict=True)]
 
     def close(self) -> None:
@@ -117,12 +118,15 @@ class SPFVecEnv(VecEnv):
     def env_method(
         self, method_name: str, *method_args: Any, indices: Indices = None, **method_kwargs: Any
     ) -> list[Any]:
-        """Call `episode`, `explain` or `action_masks` of the selected environments."""
+        """Call `episode`, `explain`, `action_masks` or `render` of the selected environments."""
+        if method_name == "render":
+            images = self.envs.render() or ()
+            return [images[at] for at in self._selected(indices)]
         if method_name == "action_masks":
             masks = self.action_masks()
             return [masks[at] for at in self._selected(indices)]
         if method_name not in ("episode", "explain"):
-            known = "`action_masks`, `episode`, `explain`"
+            known = "`action_masks`, `episode`, `explain`, `render`"
             raise AttributeError(f"individual environments have no method `{method_name}`; known: {known}")
         method = getattr(self.envs, method_name)
         return [method(at, *method_args, **method_kwargs) for at in self._selected(indices)]
@@ -130,6 +134,15 @@ class SPFVecEnv(VecEnv):
     def action_masks(self) -> NDArray[np.bool_]:
         """Return the actions that violate no clause, as `SPFVectorEnv.action_masks` does, for `MaskablePPO`."""
         return self.envs.action_masks()
+
+    @property
+    def clauses(self) -> tuple[str, ...]:
+        """The names of the clauses that actions can violate, such as `S1`, in the order of `info["violations"]`."""
+        return self.envs.clauses
+
+    def __copy__(self) -> SPFVecEnv:
+        """Return a deep copy, because two environments cannot share a city."""
+        return deepcopy(self)
 
     def env_is_wrapped(self, wrapper_class: Any, indices: Indices = None) -> list[bool]:
         """Return `False` for each environment."""
@@ -150,6 +163,10 @@ class _Monitor(VecMonitor):
     def __setstate__(self, state: dict[str, Any]) -> None:
         """Add the members of the class, as `VecEnvWrapper` does."""
         self.__dict__.update(state, class_attributes=dict(inspect.getmembers(type(self))))
+
+    def __copy__(self) -> _Monitor:
+        """Return a deep copy, because two environments cannot share a city."""
+        return deepcopy(self)
 
 
 def make_vec_env(

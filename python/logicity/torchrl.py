@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import os
+from copy import deepcopy
 from typing import Any
 
 import numpy as np
@@ -43,6 +44,7 @@ class SPFTorchRLEnv(EnvBase):
     - `success`: bool (num_envs, 1), whether the car has reached the goal without violating a rule.
     - `progress`: float32 (num_envs, 1), the completed share of the route.
     - `oracle_action`, unless `oracle=False`: int64 (num_envs, 1), the action that the rules derive.
+    - `violations`: bool (num_envs, clauses), the clauses that the last action violated. `clauses` names them.
     - `action_mask`, with `action_masks=True`: bool (num_envs, 4), the actions that violate no clause.
     - `reward`: float32 (num_envs, 1), and `done`, `terminated`, `truncated`: bool (num_envs, 1).
 
@@ -94,6 +96,15 @@ class SPFTorchRLEnv(EnvBase):
             device=self.device,
         )
 
+    @property
+    def clauses(self) -> tuple[str, ...]:
+        """The names of the clauses that actions can violate, such as `S1`, in the order of `violations`."""
+        return self.envs.clauses
+
+    def __copy__(self) -> SPFTorchRLEnv:
+        """Return a deep copy, because two environments cannot share a city."""
+        return deepcopy(self)
+
     def _spaces(self) -> dict[str, Space[Any]]:
         """Return the space of each entry of an observation, without the axis of the environments."""
         space = self.envs.single_observation_space
@@ -101,6 +112,7 @@ class SPFTorchRLEnv(EnvBase):
         spaces = dict(space.spaces) if isinstance(space, Dict) else {"observation": space}
         spaces["success"] = Box(0, 1, (1,), np.bool_)
         spaces["progress"] = Box(0.0, 1.0, (1,), np.float32)
+        spaces["violations"] = Box(0, 1, (len(self.clauses),), np.bool_)
         if config.oracle:
             spaces["oracle_action"] = Box(0, len(ACTIONS) - 1, (1,), np.int64)
         if config.action_masks:
@@ -164,7 +176,7 @@ class SPFTorchRLEnv(EnvBase):
         """Replace the state of the selected environments."""
         count = self.envs.num_envs
         entries = dict(observations) if isinstance(observations, dict) else {"observation": observations}
-        for name in ("success", "progress", "oracle_action", "action_mask"):
+        for name in ("success", "progress", "violations", "oracle_action", "action_mask"):
             if name in infos:
                 entries[name] = infos[name].reshape(count, -1)
         entries["reward"] = rewards.astype(np.float32).reshape(count, 1)
@@ -182,7 +194,7 @@ class SPFTorchRLEnv(EnvBase):
 
     def _tensors(self, reward: bool) -> TensorDictBase:
         """Return a copy of the state as tensors. A change of them does not affect the environments."""
-        types = {"progress": torch.float32}
+        types = {"progress": torch.float32, "action_mask": torch.bool}
         entries = {
             name: torch.tensor(values, dtype=types.get(name), device=self.device)
             for name, values in self._state.items()

@@ -8,6 +8,7 @@ something else needs, too. This module needs the extra `gym`.
 
 from __future__ import annotations
 
+from copy import deepcopy
 from typing import Any, cast
 
 import numpy as np
@@ -66,6 +67,10 @@ class _ViewObservation(gymnasium.ObservationWrapper[View, np.int64, Observations
     def observation(self, observation: Observations) -> View:
         """Return the view of an observation."""
         return self._views(observation)
+
+    def __copy__(self) -> _ViewObservation:
+        """Return a deep copy, because two environments cannot share a city."""
+        return deepcopy(self)
 
 
 class RelationalObservation(_ViewObservation):
@@ -140,6 +145,10 @@ class _VectorViewObservation(VectorObservationWrapper[View, NDArray[np.int64], O
     def observations(self, observations: Observations) -> View:
         """Return the views of the observations of all environments."""
         return self._views(observations)
+
+    def __copy__(self) -> _VectorViewObservation:
+        """Return a deep copy, because two environments cannot share a city."""
+        return deepcopy(self)
 
     def step(self, actions: NDArray[np.int64]) -> tuple[View, NDArray[Any], NDArray[Any], NDArray[Any], dict[str, Any]]:
         """Run one tick in every environment, and return views instead of observations, also in `final_obs`."""

@@ -3,7 +3,9 @@
 use crate::actor::PyPolicyNetwork;
 use crate::city::one_of;
 use crate::episode::{PyEpisode, PyEpisodeOption, read_episode};
-use crate::task::{PyTask, action_mask, gymnasium_error, read_action, read_actions, split_named, view_named};
+use crate::task::{
+    PyTask, action_mask, gymnasium_error, read_action, read_actions, split_named, view_named, write_violations,
+};
 use crate::{Signals, borrowed, borrowed_mut, slice_of};
 use logicity::city::{Action, Split};
 use logicity::diag::did_you_mean;
@@ -64,13 +66,14 @@ impl Episodes {
     }
 }
 
-/// Arrays with one element per environment: oracle action, progress, success, steps, seed.
+/// Arrays with one row per environment: oracle action, progress, success, steps, seed, violations.
 type Columns<'py> = (
     PyReadwriteArray1<'py, i64>,
     PyReadwriteArray1<'py, f64>,
     PyReadwriteArray1<'py, bool>,
     PyReadwriteArray1<'py, i64>,
-    PyReadwriteArray1<'py, u64>,
+    PyReadwriteArray1<'py, i64>,
+    PyReadwriteArray2<'py, bool>,
 );
 
 /// The outcomes of a step: rewards, terminations and truncations.
@@ -83,28 +86,30 @@ type Outcomes<'py> = (
 /// The start of an episode, and the actions taken in it, one byte each.
 type BegunEpisode<'py> = (Bound<'py, PyDict>, Vec<u8>);
 
-/// The end of an episode: the index of the environment, the last observation, and the names of the violated clauses.
-type EpisodeEnd<'py> = (usize, Bound<'py, PyArray1<f32>>, Bound<'py, PyTuple>);
+/// The end of an episode: the index of the environment, and the last observation.
+type EpisodeEnd<'py> = (usize, Bound<'py, PyArray1<f32>>);
 
-/// Writes infos to columns with one element per environment.
+/// Writes infos to columns with one row per environment.
 fn write_infos<'a>(
     columns: &mut Columns<'_>,
-    count: usize,
+    [count, clauses]: [usize; 2],
     infos: impl Iterator<Item = (usize, &'a Info)>,
 ) -> PyResult<()> {
-    let (oracle, progress, success, steps, seeds) = columns;
+    let (oracle, progress, success, steps, seeds, violations) = columns;
     let (oracle, progress) = (slice_of(oracle, count)?, slice_of(progress, count)?);
     let (success, steps, seeds) = (
         slice_of(success, count)?,
         slice_of(steps, count)?,
         slice_of(seeds, count)?,
     );
+    let violations = slice_of(violations, count * clauses)?;
     for (at, info) in infos {
         oracle[at] = info.oracle_action as i64;
         progress[at] = info.progress;
         success[at] = info.success;
         steps[at] = i64::from(info.steps);
-        seeds[at] = info.seed;
+        seeds[at] = info.seed.cast_signed();
+        write_violations(info, &mut violations[at * clauses..][..clauses]);
     }
     Ok(())
 }
@@ -235,8 +240,7 @@ impl PyVectorEnv {
         ))
     }
 
-    /// Steps all environments. Returns the indices of environments with violations, and the names of the violated
-    /// clauses.
+    /// Steps all environments.
     fn step<'py>(
         slf: &Bound<'py, Self>,
         py: Python<'py>,
@@ -244,7 +248,7 @@ impl PyVectorEnv {
         observations: &Bound<'py, PyArrayDyn<f32>>,
         outcomes: Outcomes<'py>,
         mut columns: Columns<'py>,
-    ) -> PyResult<Vec<(usize, Bound<'py, PyTuple>)>> {
+    ) -> PyResult<()> {
         let this = &mut *borrowed_mut(slf)?;
         let mut observations = observations.try_readwrite()?;
         let given = actions
@@ -271,18 +275,8 @@ impl PyVectorEnv {
             let outcome = sub_env.outcome();
             (rewards[at], terminated[at], truncated[at]) = (outcome.reward, outcome.terminated, outcome.truncated);
         }
-        write_infos(
-            &mut columns,
-            count,
-            sub_envs.iter().map(|sub_env| sub_env.info()).enumerate(),
-        )?;
-        let broken = sub_envs
-            .iter()
-            .enumerate()
-            .filter(|(_, sub_env)| !sub_env.info().broken.is_empty());
-        broken
-            .map(|(at, sub_env)| Ok((at, task.labels(py, &sub_env.info().broken)?)))
-            .collect()
+        let infos = sub_envs.iter().map(|sub_env| sub_env.info()).enumerate();
+        write_infos(&mut columns, [count, task.constraints()], infos)
     }
 
     /// Runs every environment under the stochastic policy of a network, see `logicity::task::spf::VectorEnv::collect`.
@@ -333,16 +327,10 @@ impl PyVectorEnv {
                 .enumerate()
                 .filter_map(|(at, sub_env)| Some((at, sub_env.ended()?)))
         };
-        write_infos(&mut columns, sub_envs.len(), ended().map(|(at, (_, info))| (at, info)))?;
-        let task = this.task.get();
-        let last = |(at, (observation, info)): (usize, (&[f32], &Info))| {
-            Ok((
-                at,
-                PyArray1::from_slice(py, observation),
-                task.labels(py, &info.broken)?,
-            ))
-        };
-        ended().map(last).collect()
+        let size = [sub_envs.len(), this.task.get().constraints()];
+        write_infos(&mut columns, size, ended().map(|(at, (_, info))| (at, info)))?;
+        let last = |(at, (observation, _)): (usize, (&[f32], &Info))| (at, PyArray1::from_slice(py, observation));
+        Ok(ended().map(last).collect())
     }
 
     /// Returns the info of an environment.
@@ -372,7 +360,7 @@ impl PyVectorEnv {
 
     /// Writes for each environment which actions violate no clause. With `ended`, writes those at the end of the
     /// episodes that ended in the last step, for autoreset in the same step.
-    fn action_masks(slf: &Bound<'_, Self>, mut out: PyReadwriteArray2<'_, bool>, ended: bool) -> PyResult<()> {
+    fn action_masks(slf: &Bound<'_, Self>, mut out: PyReadwriteArray2<'_, i8>, ended: bool) -> PyResult<()> {
         let this = borrowed(slf)?;
         let sub_envs = this.vector.sub_envs();
         let count = Action::ALL.len();

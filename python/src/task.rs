@@ -17,7 +17,7 @@ use numpy::{IntoPyArray, PyArray3, PyArrayMethods, ToPyArray};
 use pyo3::exceptions::PyValueError;
 use pyo3::intern;
 use pyo3::prelude::*;
-use pyo3::types::{PyDict, PyString, PyTuple, PyType};
+use pyo3::types::{PyDict, PyTuple, PyType};
 use std::path::PathBuf;
 use std::sync::{Arc, Mutex, OnceLock};
 
@@ -36,8 +36,6 @@ pub struct PyTask {
     rule_files: Vec<SourceId>,
     /// The hash of the rule files.
     pub rules_hash: String,
-    /// The names of the clauses that actions can violate.
-    labels: Vec<Py<PyString>>,
     recorded: [OnceLock<Arc<[Episode]>>; 3],
     overview: OnceLock<Overview>,
 }
@@ -62,9 +60,17 @@ pub fn gymnasium_error(py: Python<'_>, name: &str, message: String) -> PyErr {
     }
 }
 
-/// Returns for each action whether it violates no clause; all `false` if the environment does not compute it.
-pub fn action_mask(info: &Info) -> [bool; 4] {
-    Action::ALL.map(|action| info.allowed.is_some_and(|allowed| allowed.contains(action)))
+/// Returns for each action 1 if it violates no clause, else 0; all 0 if the environment does not compute it.
+pub fn action_mask(info: &Info) -> [i8; 4] {
+    Action::ALL.map(|action| i8::from(info.allowed.is_some_and(|allowed| allowed.contains(action))))
+}
+
+/// Writes for each clause whether the last action violated it.
+pub fn write_violations(info: &Info, out: &mut [bool]) {
+    out.fill(false);
+    for &constraint in &info.broken {
+        out[constraint] = true;
+    }
 }
 
 /// Reads actions that an environment returned as bytes.
@@ -105,11 +111,7 @@ impl PyTask {
             (world.and_then(|world| SpfTask::new(world, &sources)), sources)
         })?;
         let task = made.map_err(|faults| input_error(py, &faults, &sources))?;
-        let constraints = 0..task.oracle().constraints().len();
         Ok(PyTask {
-            labels: constraints
-                .map(|constraint| PyString::new(py, task.label(constraint)).unbind())
-                .collect(),
             arguments: (config, rules, overrides, limits, Some(files)),
             sources: Mutex::new(sources),
             rule_files,
@@ -128,6 +130,12 @@ impl PyTask {
     /// Returns the task itself, because it is immutable.
     fn __deepcopy__<'py>(slf: &Bound<'py, Self>, _memo: &Bound<'py, PyAny>) -> Bound<'py, Self> {
         slf.clone()
+    }
+
+    /// Returns the names of the clauses that actions can violate.
+    fn clauses<'py>(&self, py: Python<'py>) -> PyResult<Bound<'py, PyTuple>> {
+        let constraints = 0..self.constraints();
+        PyTuple::new(py, constraints.map(|constraint| self.task.label(constraint)))
     }
 
     /// Returns the shape of a kind of observation.
@@ -191,6 +199,11 @@ impl PyTask {
 }
 
 impl PyTask {
+    /// Returns the number of clauses that actions can violate.
+    pub fn constraints(&self) -> usize {
+        self.task.oracle().constraints().len()
+    }
+
     pub fn error(&self, py: Python<'_>, fault: Diagnostic) -> PyErr {
         input_error(py, &[fault], &self.sources())
     }
@@ -229,19 +242,16 @@ impl PyTask {
         Ok(place.get_or_init(|| episodes))
     }
 
-    /// Returns the names of violated clauses.
-    pub fn labels<'py>(&self, py: Python<'py>, broken: &[usize]) -> PyResult<Bound<'py, PyTuple>> {
-        PyTuple::new(py, broken.iter().map(|&constraint| self.labels[constraint].bind(py)))
-    }
-
     pub fn info<'py>(&self, py: Python<'py>, info: &Info) -> PyResult<Bound<'py, PyDict>> {
         let dict = PyDict::new(py);
         dict.set_item(intern!(py, "oracle_action"), info.oracle_action)?;
-        dict.set_item(intern!(py, "violations"), self.labels(py, &info.broken)?)?;
+        let mut violations = vec![false; self.constraints()];
+        write_violations(info, &mut violations);
+        dict.set_item(intern!(py, "violations"), violations.into_pyarray(py))?;
         dict.set_item(intern!(py, "progress"), info.progress)?;
         dict.set_item(intern!(py, "success"), info.success)?;
         dict.set_item(intern!(py, "steps"), info.steps)?;
-        dict.set_item(intern!(py, "seed"), info.seed)?;
+        dict.set_item(intern!(py, "seed"), info.seed.cast_signed())?;
         if info.allowed.is_some() {
             dict.set_item(intern!(py, "action_mask"), action_mask(info).to_pyarray(py))?;
         }

@@ -9,6 +9,7 @@ import sys
 import threading
 from collections.abc import Callable
 from functools import partial
+from itertools import compress
 from pathlib import Path
 from typing import Any
 
@@ -76,7 +77,7 @@ def test_the_oracle_succeeds() -> None:
         while not done:
             _, reward, terminated, truncated, info = env.step(info["oracle_action"])
             total, done = total + reward, terminated or truncated
-        assert info["success"] and info["progress"] == 1.0 and not info["violations"]
+        assert info["success"] and info["progress"] == 1.0 and not info["violations"].any()
         assert start["oracle"] is not None
         assert info["steps"] == start["oracle"]["steps"]
         assert total == pytest.approx(start["oracle"]["return"], abs=1e-9)
@@ -103,8 +104,8 @@ def test_terminations_and_truncations() -> None:
         for step in range(3):
             _, reward, terminated, truncated, info = env.step(1)
             if terminated:
-                assert (reward <= -10) == bool(info["violations"])
-                assert info["success"] != bool(info["violations"])
+                assert (reward <= -10) == info["violations"].any()
+                assert info["success"] != info["violations"].any()
                 ends.add("terminated")
                 break
             assert truncated == (step == 2)
@@ -114,12 +115,17 @@ def test_terminations_and_truncations() -> None:
     assert ends == {"terminated", "truncated"}
 
 
-def test_violations_have_the_names_of_clauses() -> None:
-    env, names = SPFEnv("expert"), set()
-    env.reset(seed=0)
-    for step in play(env, 3000, 0):
-        names.update(step[-1]["violations"])
-    assert {"S1", "S7", "L1", "F2"} <= names <= {f"{of}{at}" for of in "SLF" for at in range(1, 8)}
+def test_violations_have_a_value_per_clause() -> None:
+    env = SPFEnv("expert")
+    violated = [env.reset(seed=0)[1]["violations"], *(step[-1]["violations"] for step in play(env, 3000, 0))]
+    assert not violated[0].any() and {each.dtype for each in violated} == {np.dtype(np.bool_)}
+    assert {each.shape for each in violated} == {(len(env.clauses),)} and len(set(env.clauses)) == len(env.clauses)
+    names = set(compress(env.clauses, np.any(violated, axis=0)))
+    assert {"S1", "S7", "L1", "F2"} <= names <= set(env.clauses) <= {f"{of}{at}" for of in "SLF" for at in range(1, 8)}
+    # The names are reachable from every kind of environment.
+    vector: Any = gymnasium.make_vec(IDS[3], num_envs=2)
+    single: Any = gymnasium.make(IDS[3])
+    assert env.clauses == single.unwrapped.clauses == vector.clauses == logicity.parallel_env("expert").clauses
 
 
 def test_true_atoms_are_returned_on_request() -> None:
@@ -193,7 +199,7 @@ def test_a_trace_records_the_episode(tmp_path: Path) -> None:
     while not done:
         wanted = names[info["oracle_action"]]
         _, _, terminated, truncated, info = env.step(2)
-        infos.append((wanted, info["violations"]))
+        infos.append((wanted, tuple(compress(env.clauses, info["violations"]))))
         done = terminated or truncated
     env.write_trace(tmp_path / "fast.jsonl")
     header, *ticks = [json.loads(line) for line in (tmp_path / "fast.jsonl").read_text().splitlines()]
@@ -419,7 +425,7 @@ def test_the_spec_has_the_horizon_of_the_environment(tmp_path: Path) -> None:
         made.reset(options={"episode": longest})
         for step in range(1, 925):  # noqa: B007
             *_, terminated, truncated, info = made.step(3)
-            assert not terminated or info["violations"]
+            assert not terminated or info["violations"].any()
             if terminated or truncated:
                 break
         assert terminated or step == 924
@@ -457,7 +463,7 @@ def test_wrappers_find_the_info_of_ended_episodes() -> None:
                 final = infos[at]["final_info"]
                 assert infos[at]["progress"] == 0 and infos[at]["steps"] == 0 and infos[at]["episode"]["l"] >= 1
                 assert final["steps"] == infos[at]["episode"]["l"] and 0 < final["progress"] <= 1
-                assert final["violations"] or final["success"] or truncated[at]
+                assert final["violations"].any() or final["success"] or truncated[at]
                 ended += 1
 
 
@@ -778,14 +784,17 @@ def test_recorded_seeds_keep_all_bits(tmp_path: Path) -> None:
     recorded = [json.loads(line)["seed"] for line in path.read_text().splitlines()[1:]]
     assert max(recorded) > 2**63 and all(int(float(seed)) != seed for seed in recorded)
     env = SPFEnv("easy", split="val")
-    single = [int(env.reset(options={"episode": number})[1]["seed"]) for number in range(40)]
+    # `info` has the 64 bits as a signed number, so that collectors can store it.
+    signed = np.array(recorded, np.uint64).astype(np.int64).tolist()
+    single = [env.reset(options={"episode": number})[1]["seed"] for number in range(40)]
     again = env.reset(options={"episode": json.loads(json.dumps(env.episode))})[1]["seed"]
-    assert single == recorded and again == recorded[-1]
+    assert single == signed and again == signed[-1] and all(type(seed) is np.int64 for seed in single)
+    assert [int(seed) % 2**64 for seed in single] == recorded
     assert copy.deepcopy(env).episode["seed"] == pickle.loads(pickle.dumps(env)).episode["seed"] == recorded[-1]
     envs = SPFVectorEnv(40, "easy", split="val")
     infos = envs.reset(options={"episodes": list(range(40))})[1]
-    assert infos["seed"].dtype == np.uint64 and infos["seed"].tolist() == recorded
-    assert envs.step(np.ones(40, int))[4]["seed"].tolist() == recorded
+    assert infos["seed"].dtype == np.int64 and infos["seed"].tolist() == signed
+    assert envs.step(np.ones(40, int))[4]["seed"].tolist() == signed
     assert [trajectory.seed for trajectory in logicity.demonstrations("easy", 40, "val")] == recorded
 
 

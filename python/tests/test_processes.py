@@ -192,7 +192,7 @@ def step_once(envs: Any, results: Any) -> None:
 def test_processes_of_multiprocessing(method: str) -> None:
     envs = SPFVectorEnv(16, "easy", num_threads=2)
     envs.reset(seed=1)
-    context = multiprocessing.get_context(method)
+    context: Any = multiprocessing.get_context(method)
     results = context.SimpleQueue()
     process = context.Process(target=step_once, args=(envs, results))
     process.start()

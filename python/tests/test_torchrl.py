@@ -58,7 +58,7 @@ def test_the_checker_passes(options: dict[str, Any]) -> None:
 def entries(observation: Any, info: dict[str, Any]) -> dict[str, Any]:
     """Return what a tensordict has of one environment."""
     parts = observation if isinstance(observation, dict) else {"observation": observation}
-    names = ("success", "progress", "oracle_action", "action_mask")
+    names = ("success", "progress", "violations", "oracle_action", "action_mask")
     return {**parts, **{name: np.reshape(info[name], -1) for name in names if name in info}}
 
 

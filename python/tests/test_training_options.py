@@ -40,7 +40,7 @@ def test_reward_terms_agree_with_their_definitions() -> None:
             assert abs(reward - expected) < 1e-12
             done = terminated or truncated
             ends["goal"] += info["success"]
-            ends["violation"] += bool(info["violations"])
+            ends["violation"] += bool(info["violations"].any())
     assert min(ends.values()) > 5
 
 
@@ -141,7 +141,7 @@ def test_masked_actions_violate_clauses(mode: AutoresetMode) -> None:
         ended = infos["final_info"] if "final_info" in infos else None
         for at in np.flatnonzero(~restarts):
             last = ended if ended is not None and ended["_violations"][at] else infos
-            assert bool(last["violations"][at]) is not bool(allowed[at])
+            assert last["violations"][at].any() != allowed[at]
             if ended is not None and ended["_action_mask"][at]:
                 assert ended["action_mask"][at].any()
         refused += int((~allowed & ~restarts).sum())
@@ -161,7 +161,7 @@ def test_one_environment_has_a_mask() -> None:
             assert mask.shape == (4,) and (mask == info["action_mask"]).all() and mask[info["oracle_action"]]
             action = int(env.action_space.sample(mask.astype(np.int8)))
             _, _, terminated, truncated, info = env.step(action)
-            assert not info["violations"], "masked actions are a shield"
+            assert not info["violations"].any(), "masked actions are a shield"
             done = terminated or truncated
     for plain in (SPFEnv("easy"), SPFVectorEnv(1, "easy")):
         _, info = plain.reset(seed=1)

@@ -1,0 +1,67 @@
+"""The window of the render mode `human`. Needs the extra `human`: `pip install './python[human]'`."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from .errors import missing_extra
+
+__all__ = ["Window"]
+
+
+class Window:
+    """A window that opens with the first picture. A process has at most one; a copy opens its own.
+
+    Args:
+        fps: The largest number of pictures per second. `show` waits accordingly.
+
+    Raises:
+        ImportError: If pygame is not installed.
+    """
+
+    def __init__(self, fps: int) -> None:
+        """Import pygame."""
+        try:
+            import pygame
+        except ImportError as error:
+            raise missing_extra("human", error) from error
+        self.fps = fps
+        self._pygame = pygame
+        self._screen: Any = None
+        self._clock: Any = None
+
+    def __reduce__(self) -> tuple[Any, ...]:
+        """Return what makes another window."""
+        return type(self), (self.fps,)
+
+    def show(self, pictures: Sequence[NDArray[np.uint8]]) -> None:
+        """Show pictures of shape (height, width, 3) and of equal size in a grid that is as large as one of them."""
+        pygame, (height, width, _) = self._pygame, pictures[0].shape
+        if self._screen is None:
+            pygame.display.init()
+            self._clock = pygame.time.Clock()
+        if self._screen is None or self._screen.get_size() != (width, height):
+            self._screen = pygame.display.set_mode((width, height))
+            pygame.display.set_caption("LogiCity")
+        side = math.ceil(math.sqrt(len(pictures)))
+        size = width // side, height // side
+        for number, picture in enumerate(pictures):
+            surface = pygame.surfarray.make_surface(picture.swapaxes(0, 1))
+            if side > 1:
+                surface = pygame.transform.smoothscale(surface, size)
+            row, column = divmod(number, side)
+            self._screen.blit(surface, (column * size[0], row * size[1]))
+        pygame.event.pump()
+        self._clock.tick(self.fps)
+        pygame.display.flip()
+
+    def close(self) -> None:
+        """Close the window."""
+        if self._screen is not None:
+            self._pygame.display.quit()
+            self._screen = self._clock = None
