@@ -23,7 +23,7 @@ from typing import Any
 
 import logicity
 from logicity.commands import SUMMARIES, parser_of
-from logicity.describe import describe
+from logicity.describe import describe, environment_page
 from logicity.modes import ENVIRONMENTS
 from sphinx.ext.autodoc.mock import mock  # type: ignore[attr-defined]
 
@@ -402,7 +402,7 @@ def environments() -> str:
         # The first line describes the mode, as in `# Safe Path Following, easy mode: give way at intersections.`
         comment = (ROOT / "configs" / f"{mode}.yaml").read_text(encoding="utf-8").partition("\n")[0]
         about = sentence(comment.partition(": ")[2])
-        rows.append(f"| `{name}` | {mode} | {about[0].upper()}{about[1:]} |")
+        rows.append(f"| [`{name}`](environments/{mode}.md) | {mode} | {about[0].upper()}{about[1:]} |")
     tables = describe().replace("### ", "## ")
     # Short lists of numbers stay on one line.
     tables = re.sub(r"\(?\d+(?: /|,) \d+(?: / \d+)?\)?", lambda match: match[0].replace(" ", "\u00a0"), tables)
@@ -533,6 +533,7 @@ GENERATORS: dict[str, Callable[[], str]] = {
     "training": training,
     **{f"experiment-files-{name}": functools.partial(experiment_files, name) for name in EXPERIMENT_PARTS},
     "environments": environments,
+    **{f"environment-{mode}": functools.partial(environment_page, mode) for mode in ENVIRONMENTS},
     "python": python,
     "playground": playground,
     "rust": rust,

@@ -10,10 +10,13 @@ from typing import Any, TypeAlias
 
 from . import _logicity
 from .city import ACTIONS, HEADINGS
+from .errors import did_you_mean
 from .evaluation import load_task
 from .modes import ENVIRONMENTS
+from .rules import Program
+from .types import Clause
 
-__all__ = ["Atom", "atoms_of", "describe", "observation_names"]
+__all__ = ["Atom", "atoms_of", "describe", "environment_page", "observation_names"]
 
 #: A predicate and its arguments, which are numbers of observed entities. Entity 0 is the ego.
 Atom: TypeAlias = tuple[str, tuple[int, ...]]
@@ -31,6 +34,116 @@ def describe() -> str:
         ("Observations of the kind `state`", _state(tasks)),
     ]
     return "\n".join(f"### {title}\n\n{text}" for title, text in sections)
+
+
+#: The keyword arguments of `gymnasium.make`, with their defaults and meanings.
+ARGUMENTS: dict[str, tuple[object, str]] = {
+    "split": ("train", "the set of agents: `train`, `val` or `test`"),
+    "rules": (None, "a rule file that replaces the configuration's"),
+    "overrides": (None, 'changes to the configuration, such as `{"task": {"horizon": 100}}`'),
+    "observation": ("groundings", "the kind of observation: `groundings`, `state`, `relational` or `graph`"),
+    "limits": (None, 'the limits of each evaluation of the rules, such as `{"max_rows": 50_000_000}`'),
+    "oracle": (True, "whether `info` has `oracle_action`"),
+    "action_masks": (False, "whether `info` has `action_mask`; enables `action_masks()`"),
+    "episodes": ("drawn", "`drawn`, `drawn-demanding` or `recorded`"),
+    "atoms": (False, "whether `info` has `true_atoms`, strings such as `IsTiro(Car_1)`"),
+    "render_mode": (None, "`human`, `rgb_array` or `ansi`"),
+}
+
+#: The keys of `info`, with their types and meanings. The last two need an argument.
+INFO: dict[str, tuple[str, str]] = {
+    "oracle_action": ("int", "the action that the rules derive in the current state"),
+    "violations": ("bool array, one value per clause", "the clauses that the last action violated"),
+    "progress": ("float, 0 to 1", "the completed share of the route"),
+    "success": ("bool", "whether the car has reached the goal without violating a rule"),
+    "steps": ("int", "the number of steps of the episode"),
+    "seed": ("int64", "the 64 bits of the seed of the episode"),
+    "action_mask": ("int8 array of shape (4,)", "1 for each action that violates no clause, with `action_masks=True`"),
+    "true_atoms": ("tuple of strings", "the true atoms that the car observes, with `atoms=True`"),
+}
+
+
+def environment_page(mode: str) -> str:
+    """Return the description of the environment of a mode as Markdown, in the order that gymnasium's pages have.
+
+    Args:
+        mode: One of `logicity.ENVIRONMENTS`, such as `"expert"`.
+
+    Raises:
+        ValueError: If there is no such mode.
+    """
+    if mode not in ENVIRONMENTS:
+        raise ValueError(f"unknown mode `{mode}`{did_you_mean(mode, ENVIRONMENTS)}")
+    task = _logicity.describe(load_task(mode))
+    # The first line of the file, as in `# Safe Path Following, easy mode: give way at intersections.`
+    about = _logicity.read_file(f"configs/{mode}.yaml").partition("\n")[0].partition(": ")[2]
+    agents = " / ".join(str(task["splits"][split]["agents"]) for split in SPLITS)
+    recorded = " / ".join(str(task["splits"][split]["episodes"]) for split in SPLITS)
+    horizon, patience = task["horizon"], task["patience"]
+    overview: list[tuple[object, ...]] = [
+        ("import", f'`gymnasium.make("{ENVIRONMENTS[mode]}")` after `import logicity`'),
+        ("action space", "`Discrete(4)`"),
+        ("observation space", f"`Box(0.0, 1.0, ({task['width']},), float32)`"),
+        ("agents in `train` / `val` / `test`", agents),
+        ("recorded episodes in `train` / `val` / `test`", recorded),
+    ]
+    actions: list[tuple[object, ...]] = [
+        (number, action, distance) for number, (action, distance) in enumerate(zip(ACTIONS, (1, 2, 3, 0), strict=True))
+    ]
+    meanings = {clause["label"]: clause["doc"].partition(": ")[2] for clause in _clauses(mode)}
+    clauses: list[tuple[object, ...]] = [
+        (at, f"`{each['clause']}`", each["action"], f"{each['reward']:g}", " ".join(meanings[each["clause"]].split()))
+        for at, each in enumerate(task["constraints"])
+    ]
+    arguments: list[tuple[object, ...]] = [
+        (f"`{name}`", f"`{value!r}`", meaning) for name, (value, meaning) in ARGUMENTS.items()
+    ]
+    infos: list[tuple[object, ...]] = [(f"`{key}`", kind, meaning) for key, (kind, meaning) in INFO.items()]
+    sections = [
+        (
+            "Description",
+            "The agent drives the first car of a city, the ego, along a given route among cars and pedestrians that "
+            f"follow the rules. It must reach the end of the route without violating a rule. In this mode: {about}\n\n"
+            "The rules forbid an action if a clause derives another one in the current state:\n\n"
+            + _table(("index in `violations`", "clause", "it requires", "reward for violating it", "meaning"), clauses)
+            + "\n`env.unwrapped.clauses` has the names of the clauses, and `env.unwrapped.explain()` proves the action "
+            "that the rules derive.\n",
+        ),
+        ("Action space", _table(("number", "action", "cells that the car moves"), actions)),
+        ("Observation space", _groundings({mode: task})),
+        ("Observations of the kind `state`", _state({mode: task})),
+        ("Rewards", _rewards({mode: task})),
+        (
+            "Information",
+            "`reset` and `step` return an `info` with these keys:\n\n" + _table(("key", "type", "value"), infos),
+        ),
+        (
+            "Starting state",
+            "`reset(seed=s)` begins a sequence of drawn episodes: the seed determines the start and the goal of every "
+            "agent, the concepts of the ego, and all later random draws. Further calls of `reset()` continue the "
+            'sequence. `reset(options={"episode": n})` starts a recorded episode, and `env.unwrapped.episode` has the '
+            "start of any episode in a form that the same option accepts. All agents rest at first.\n",
+        ),
+        (
+            "Episode end",
+            "- *Termination*: the car reaches its goal, or its action violates a clause.\n"
+            f"- *Truncation*: a drawn episode has {horizon} steps. A recorded one has {patience} times the number of "
+            "steps that the oracle needs.\n",
+        ),
+        (
+            "Arguments",
+            _table(("argument", "default", "meaning"), arguments)
+            + "\n`gymnasium.make_vec` takes the same arguments for environments that step together.\n",
+        ),
+        ("Version history", "- v0: the first version.\n"),
+    ]
+    text = "\n".join(f"## {title}\n\n{section}" for title, section in sections)
+    return _table(("property", "value"), overview) + "\n" + text
+
+
+def _clauses(mode: str) -> list[Clause]:
+    """Return the clauses of the rules of a mode."""
+    return Program.load(f"rules/{mode}.dl").clauses
 
 
 def observation_names(

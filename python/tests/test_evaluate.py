@@ -1,6 +1,7 @@
 from __future__ import annotations
 
 import copy
+import inspect
 import json
 import pickle
 import re
@@ -20,7 +21,8 @@ from numpy.typing import NDArray
 import logicity
 from logicity import ENVIRONMENTS, Benchmark, Evaluation, _logicity, demonstrations, evaluate, observation_names
 from logicity.__main__ import main
-from logicity.describe import describe
+from logicity.describe import describe, environment_page
+from logicity.env_config import EnvConfig, EnvOptions
 from logicity.evaluation import load_task
 from logicity.files import check_writable, reserved, write_json
 
@@ -560,6 +562,48 @@ def test_the_tables_describe_groundings_observations(mode: str) -> None:
     assert env.observation_space.shape is not None
     row = next(line for line in describe().splitlines() if f"`{ENVIRONMENTS[mode]}`" in line)
     assert f"({env.observation_space.shape[0]},)" in row
+
+
+@pytest.mark.parametrize("mode", list(ENVIRONMENTS))
+def test_the_page_of_an_environment_describes_it(mode: str) -> None:
+    page = environment_page(mode)
+    sections = dict(part.split("\n", 1) for part in page.split("\n## ")[1:])
+    assert list(sections) == [
+        "Description",
+        "Action space",
+        "Observation space",
+        "Observations of the kind `state`",
+        "Rewards",
+        "Information",
+        "Starting state",
+        "Episode end",
+        "Arguments",
+        "Version history",
+    ]
+    env = gymnasium.make(ENVIRONMENTS[mode], atoms=True, action_masks=True)
+    inner: Any = env.unwrapped
+    _, info = env.reset(seed=0)
+
+    def column(section: str, number: int = 0) -> list[str]:
+        rows = [line.strip("| ").split(" | ") for line in sections[section].splitlines() if line.startswith("| ")]
+        return [row[number].strip("`") for row in rows[1:]]
+
+    assert f"`{env.observation_space!r}`" in page and f"`{env.action_space!r}`" in page
+    assert env.spec is not None and f"{env.spec.max_episode_steps} steps" in sections["Episode end"]
+    assert set(column("Information")) == set(info)
+    assert tuple(column("Description", 1)) == inner.clauses and all(column("Description", 4))
+    parameters = inspect.signature(type(inner)).parameters.values()
+    named = {each.name: each.default for each in parameters if each.kind is each.KEYWORD_ONLY}
+    shared = inspect.signature(EnvConfig).parameters
+    named |= {name: shared[name].default for name in EnvOptions.__annotations__}
+    assert dict(zip(column("Arguments"), column("Arguments", 1), strict=True)) == {
+        name: repr(default) for name, default in named.items()
+    }
+
+
+def test_a_page_needs_a_mode() -> None:
+    with pytest.raises(ValueError, match="unknown mode `exprt`; did you mean `expert`"):
+        environment_page("exprt")
 
 
 def _columns_of_state(mode: str) -> list[str]:

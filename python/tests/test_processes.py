@@ -22,7 +22,7 @@ from logicity.envs import SPFVectorEnv
 
 pytestmark = [
     pytest.mark.skipif(not hasattr(os, "fork"), reason="this system cannot fork"),
-    # Python warns of a fork in a process with several threads, which is what these tests are about.
+    # Python warns of a fork in a process with several threads. These tests fork such a process on purpose.
     pytest.mark.filterwarnings("ignore:.*fork:DeprecationWarning"),
     pytest.mark.filterwarnings("ignore:.*fork:RuntimeWarning"),
 ]
