@@ -5,7 +5,7 @@ use crate::cancel::Cancel;
 use crate::city::{Action, AgentSet, Building, Buildings, MapConfig, Split};
 use crate::city::{Agent, Cell};
 use crate::cli::scenes::{SceneLine, SceneLines};
-use crate::cli::{Failure, LimitOptions, integer, load_city, one_of, threads};
+use crate::cli::{Failure, LimitOptions, integer, load_city, one_of, terminal, threads};
 use crate::config::Scenario;
 use crate::datalog::dense::{BitFacts, BitState, Dense, TrackFirings};
 use crate::diag::{Code, Diagnostic, Sources};
@@ -758,7 +758,7 @@ fn evaluate_changes(seconds: Duration, inference: &Inference, scenes: &[SceneFac
 
 /// Prints an object, with the rule file that replaces the configuration's, as one line of JSON or as one line per key.
 fn print(mut result: Value, arguments: &Arguments) -> Result<(), Failure> {
-    let mut out = anstream::stdout();
+    let mut out = terminal::results(arguments.json);
     if let Some(rules) = &arguments.rules {
         result["rules"] = rules.display().to_string().into();
     }

@@ -4,7 +4,7 @@ use crate::builtin::BuiltinFiles;
 use crate::city::Action;
 use crate::cli::configuration::{self, Checked, Opened};
 use crate::cli::trace::TraceReader;
-use crate::cli::{Failure, LimitOptions, load_workspace_from, plural, report};
+use crate::cli::{Failure, LimitOptions, load_workspace_from, plural, report, terminal};
 use crate::config::load_scenario;
 use crate::datalog::diff::{Cut, Equivalence};
 use crate::datalog::explain::ExplanationPrinter;
@@ -46,7 +46,7 @@ pub struct Arguments {
 }
 
 pub fn run(arguments: &Arguments, sources: &mut Sources) -> Result<(), Failure> {
-    let mut out = anstream::stdout();
+    let mut out = terminal::results(arguments.json);
     let mut reported = HashSet::new();
     let mut diagnostics: Vec<Diagnostic> = Vec::new();
     let mut unreadable = Vec::new();

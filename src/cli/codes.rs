@@ -1,6 +1,6 @@
 //! `logicity codes`: explains the codes of messages.
 
-use crate::cli::Failure;
+use crate::cli::{Failure, terminal};
 use crate::diag::{self, Catalog, Explanation, Severity, did_you_mean, explanations};
 use crate::{city, config, datalog, sim, task};
 use serde_json::{Value, json};
@@ -39,7 +39,7 @@ pub fn run(arguments: &Arguments) -> Result<(), Failure> {
         [] => all.iter().collect(),
         codes => codes.iter().map(|code| find(&all, code)).collect::<Result<_, _>>()?,
     };
-    let mut out = anstream::stdout();
+    let mut out = terminal::results(arguments.json);
     let mut last_topic = "";
     for (position, (topic, explanation)) in found.into_iter().enumerate() {
         if arguments.json {

@@ -2,7 +2,7 @@
 
 use crate::builtin::BuiltinFiles;
 use crate::city::Action;
-use crate::cli::{Failure, integer, load_program, load_workspace_from, report};
+use crate::cli::{Failure, integer, load_program, load_workspace_from, report, terminal};
 use crate::config::rule_file;
 use crate::datalog::diff::{Cut, Difference, Equivalence, Options, diff};
 use crate::datalog::{BaseType, Clause, Edb, Program, Rules, Term, is_name, quoted};
@@ -96,7 +96,7 @@ pub fn run(arguments: &Arguments, sources: &mut Sources) -> Result<u8, Failure> 
         }
     }
 
-    let mut out = anstream::stdout();
+    let mut out = terminal::results(arguments.json || arguments.scene);
     let names = [&arguments.left, &arguments.right].map(|path| path.display().to_string());
     if arguments.json {
         writeln!(out, "{}", to_json(&equivalence))?;

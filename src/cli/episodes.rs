@@ -3,7 +3,8 @@
 use crate::builtin::BuiltinFiles;
 use crate::city::Split;
 use crate::cli::{
-    Failure, ForceOption, Inputs, LimitOptions, finish, integer, load_city, messages, one_of, progress, unwritable,
+    Failure, ForceOption, Inputs, LimitOptions, finish, integer, load_city, messages, one_of, progress, terminal,
+    unwritable,
 };
 use crate::diag::{Code, Diagnostic, Sources};
 use crate::files;
@@ -12,7 +13,7 @@ use crate::task::spf::{
     make_episodes, rollout, summarize,
 };
 use serde_json::json;
-use std::io::{self, Write};
+use std::io::Write;
 use std::path::PathBuf;
 use std::sync::Arc;
 
@@ -143,7 +144,7 @@ impl Which {
         }
         let (count, hash) = (set.episodes.len(), set.hash());
         writeln!(
-            io::stdout(),
+            terminal::out(),
             "{count} episodes match their records: {} {} {hash}",
             set.config,
             set.split.name()
@@ -223,7 +224,7 @@ impl Show {
         let (oracle, random) = drive(&mut env, &set)?;
         let task = env.task();
         let (wanted, drawn) = (summarize(task, &oracle, Some(random.returns())), random.summary(task));
-        let mut out = io::stdout().lock();
+        let mut out = terminal::results(self.json);
         if self.json {
             let all = json!({
                 "config": set.config, "split": set.split.name(), "seed": set.seed, "hash": set.hash(),
@@ -319,7 +320,7 @@ impl Spread {
         let rows = Self::MEASURES
             .iter()
             .zip(measured.iter().map(|values| Spread::of(values)));
-        let mut out = io::stdout().lock();
+        let mut out = terminal::results(self.json);
         if self.json {
             let measures: serde_json::Map<String, serde_json::Value> = rows
                 .map(|(name, [mean, deviation, least, most])| {
@@ -388,7 +389,7 @@ fn asked(constrained: [u32; 4]) -> String {
 /// Prints one episode in full.
 fn one(env: &mut Env, episode: &Episode) -> Result<(), Failure> {
     env.reset_to(episode)?;
-    let mut out = io::stdout().lock();
+    let mut out = terminal::out();
     writeln!(out, "seed {}, at most {} steps", episode.seed, env.horizon())?;
     if let Some(oracle) = &episode.oracle {
         let (steps, total) = (oracle.steps, oracle.total);

@@ -4,7 +4,7 @@ use crate::cancel::Cancel;
 use crate::city::Action;
 use crate::city::Cell;
 use crate::cli::trace::TraceReader;
-use crate::cli::{Failure, LimitOptions, integer, one_of};
+use crate::cli::{Failure, LimitOptions, integer, one_of, terminal};
 use crate::datalog::explain::ExplanationPrinter;
 use crate::diag::{Code, Diagnostic, Sources, did_you_mean};
 use crate::sim::{Decision, Driven, Replay, TraceTick, World};
@@ -116,7 +116,7 @@ fn print(
         action: state.action()?,
     };
     let account = (decision.account(arguments.why_not, &Cancel::never())).map_err(Diagnostic::from)?;
-    let mut out = anstream::stdout();
+    let mut out = terminal::results(arguments.json);
     if arguments.json {
         let mut line = account.json(sources);
         if let Some(driven) = &state.driven {

@@ -2,7 +2,7 @@
 
 use crate::builtin::BuiltinFiles;
 use crate::cli::kind::Kind;
-use crate::cli::{Failure, finish, read, unwritable};
+use crate::cli::{Failure, finish, read, terminal, unwritable};
 use crate::config::rule_file;
 use crate::datalog;
 use crate::diag::{Diagnostic, Sources};
@@ -21,7 +21,7 @@ pub struct Arguments {
 }
 
 pub fn run(arguments: &Arguments, sources: &mut Sources) -> Result<(), Failure> {
-    let mut out = anstream::stdout();
+    let mut out = terminal::results(!arguments.check);
     let mut faults: Vec<Diagnostic> = Vec::new();
     let mut clean = true;
     for path in &arguments.rules {

@@ -1,7 +1,7 @@
 //! `logicity icons`, and the icon options of other commands.
 
 use crate::city::Split;
-use crate::cli::{Failure, ForceOption, Inputs, finish, integer, one_of, unwritable};
+use crate::cli::{Failure, ForceOption, Inputs, finish, integer, one_of, terminal, unwritable};
 use crate::files;
 use crate::render::{
     Class, Difficulty, DrawingVersion, Icons, Mode, PACK_FILE_MAX, PACK_FILES_MAX, Pack, PackFault, sheet, write_png,
@@ -75,7 +75,7 @@ impl IconOptions {
         if !lacks.is_empty() {
             let place = folder.display();
             let _ = writeln!(
-                anstream::stderr(),
+                terminal::err(),
                 "note: `{place}` has no icons for {}; logicity draws those",
                 lacks.join(", ")
             );
@@ -90,7 +90,7 @@ fn load_pack(folder: &Path, mode: Mode) -> Result<Pack, Failure> {
     Pack::new(mode, files).map_err(|faults| {
         for PackFault { file, reason } in faults {
             let icon = folder.join(file);
-            let _ = writeln!(anstream::stderr(), "error: icon `{}`: {reason}", icon.display());
+            let _ = writeln!(terminal::err(), "error: icon `{}`: {reason}", icon.display());
         }
         Failure::Reported
     })

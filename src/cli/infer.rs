@@ -4,13 +4,13 @@ use crate::builtin::BuiltinFiles;
 use crate::cli::scenes::{SceneLine, SceneLines};
 use crate::cli::{
     Failure, ForceOption, Inputs, LimitOptions, advised, finish, integer, is_stdout, load_city, one_of, report,
-    unwritable,
+    terminal, unwritable,
 };
 use crate::diag::{Sources, to_json};
 use crate::rng::Seed;
 use crate::sim::{Executor, Inference};
 use serde_json::json;
-use std::io::{self, BufWriter, Write};
+use std::io::{BufWriter, Write};
 use std::path::PathBuf;
 
 #[derive(clap::Args)]
@@ -71,7 +71,7 @@ pub fn run(arguments: &Arguments, sources: &mut Sources) -> Result<(), Failure> 
     let scenes = SceneLines::open(&arguments.file)?;
     match arguments.out.as_deref().filter(|path| !is_stdout(path)) {
         None => {
-            let mut out = BufWriter::new(io::stdout().lock());
+            let mut out = BufWriter::new(terminal::data());
             let faulty = answer_all(&mut inference, scenes, |line| {
                 writeln!(out, "{line}").map_err(Failure::from)
             })?;
@@ -110,7 +110,8 @@ fn answer_all(
         match answer {
             Ok(answer) => {
                 if let Some(reason) = answer.fallback.as_ref().filter(|_| !noted) {
-                    eprintln!(
+                    let _ = writeln!(
+                        terminal::err(),
                         "note: the relational executor decided line {number} of `{}`: {reason}",
                         scenes.name
                     );

@@ -30,6 +30,7 @@ mod route;
 mod run;
 mod scenes;
 mod schema;
+mod terminal;
 mod trace;
 mod vap;
 mod view;
@@ -40,7 +41,7 @@ use crate::cancel::Cancel;
 use crate::city::MapConfig;
 use crate::config::{load_map, missing_file, rule_file};
 use crate::datalog::{Edb, Limits, Program, Workspace};
-use crate::diag::{Code, Diagnostic, Limit, Sources, render, similar_file};
+use crate::diag::{Code, Diagnostic, Limit, Sources, neutral, render, similar_file};
 use crate::files::{self, FileError, Output, Overwrite, ReadError, ReadFile};
 use crate::sim::{LoadError, LoadedCity};
 use clap::builder::{PossibleValue, PossibleValuesParser, TypedValueParser};
@@ -50,7 +51,7 @@ use kind::Kind;
 use std::ffi::{OsStr, OsString};
 use std::fmt::Display;
 use std::fs::File;
-use std::io::{self, IsTerminal, Write};
+use std::io::{self, Write};
 use std::iter;
 use std::num::NonZeroUsize;
 use std::ops::RangeInclusive;
@@ -205,10 +206,11 @@ impl ForceOption {
     /// Begins to write an output file; `-` means standard output. Fails if the command reads that file.
     fn create(&self, path: &Path, inputs: &Inputs) -> Result<Output, Failure> {
         if path == Path::new("-") {
-            return Ok(Output::stdout());
+            return Ok(terminal::screened(Output::stdout()));
         }
         inputs.refuse(path)?;
-        Output::create(path, self.overwrite()).map_err(|error| unwritable(path, &error))
+        let output = Output::create(path, self.overwrite());
+        output.map(terminal::screened).map_err(|error| unwritable(path, &error))
     }
 
     /// Reports now if a file that is written later cannot be written.
@@ -284,8 +286,8 @@ fn refuse_stdout_as_folder(folder: &Path) -> Result<(), Failure> {
 /// Returns where to print messages about the results: standard error if a result goes to standard output.
 fn messages(results: &[&Path]) -> Box<dyn Write> {
     match results.iter().any(|path| is_stdout(path)) {
-        true => Box::new(anstream::stderr()),
-        false => Box::new(anstream::stdout()),
+        true => Box::new(terminal::err()),
+        false => Box::new(terminal::out()),
     }
 }
 
@@ -360,7 +362,7 @@ pub enum Outcome {
 pub fn main() -> ExitCode {
     let arguments: Vec<OsString> = std::env::args_os().skip(1).collect();
     if let Some((words, _)) = python_command(&arguments) {
-        let mut err = anstream::stderr();
+        let mut err = terminal::err();
         let package = match words {
             ["train" | "experiment"] => "./python[learn]",
             _ => "./python",
@@ -436,6 +438,11 @@ fn accept_negative_numbers(command: clap::Command) -> clap::Command {
 /// Parses the arguments, runs the command and returns the exit code.
 fn run(mut command: clap::Command, arguments: &[OsString]) -> u8 {
     command = accept_negative_numbers(command);
+    let shown = |argument: &OsString| argument.to_str().is_some_and(|text| neutral(text) == text);
+    let is_plain = !arguments.iter().all(shown);
+    if is_plain {
+        command = command.styles(clap::builder::Styles::plain());
+    }
     let name = OsString::from("logicity");
     let parsed = command
         .try_get_matches_from_mut(iter::once(&name).chain(arguments))
@@ -444,7 +451,7 @@ fn run(mut command: clap::Command, arguments: &[OsString]) -> u8 {
         Ok(arguments) => arguments,
         Err(error) => {
             let error = error.format(&mut command);
-            let _ = error.print();
+            terminal::print_usage(&error, is_plain);
             return u8::try_from(error.exit_code()).unwrap_or(2);
         }
     };
@@ -483,7 +490,7 @@ fn run(mut command: clap::Command, arguments: &[OsString]) -> u8 {
             // `generate` panics if it cannot write, for example to a closed pipe.
             let mut script = Vec::new();
             clap_complete::generate(shell, &mut command, "logicity", &mut script);
-            io::stdout().write_all(&script).map_err(Failure::from)
+            terminal::data().write_all(&script).map_err(Failure::from)
         }
     };
     match result {
@@ -509,7 +516,7 @@ fn exit(failure: Failure, sources: &Sources) -> u8 {
         Failure::Reported => 1,
         Failure::Interrupted => 130,
         Failure::Usage(message) => {
-            let _ = writeln!(io::stderr(), "error: {message}");
+            let _ = writeln!(terminal::err(), "error: {message}");
             2
         }
     }
@@ -521,12 +528,10 @@ fn report(diagnostics: &[Diagnostic], sources: &Sources) {
     if diagnostics.is_empty() {
         return;
     }
-    let mut err = anstream::stderr();
-    let color = io::stderr().is_terminal();
-    let _ = writeln!(err, "{}", render(&advised(diagnostics), sources, color));
+    terminal::print_styled(&render(&advised(diagnostics), sources, terminal::has_color()));
     let errors = diagnostics.iter().filter(|diagnostic| diagnostic.is_error()).count();
     if diagnostics.len() > 1 {
-        let _ = writeln!(err, "{}", count(errors, diagnostics.len() - errors));
+        let _ = writeln!(terminal::err(), "{}", count(errors, diagnostics.len() - errors));
     }
 }
 

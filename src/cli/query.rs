@@ -2,7 +2,7 @@
 
 use crate::cli::why;
 use crate::cli::why::Question;
-use crate::cli::{Failure, ForceOption, Inputs, LimitOptions, finish, load_workspace, report, unwritable};
+use crate::cli::{Failure, ForceOption, Inputs, LimitOptions, finish, load_workspace, report, terminal, unwritable};
 use crate::datalog::{ClauseId, Directive, Edb, EvalError, MarkKind, RelId, RowFormat, RowPlace, Rules, rewrite};
 use crate::datalog::{Delta, EvalEvent, Limits, Options, Program, RuleStats, Session, Threads, constraints, facts};
 use crate::diag::{Code, Diagnostic, Sources, Span};
@@ -96,7 +96,7 @@ pub fn run(arguments: &Arguments, sources: &mut Sources) -> Result<(), Failure> 
         false => Program::with(program.rules().clone(), options)?,
     };
     if arguments.plan && arguments.facts.is_none() {
-        write!(anstream::stdout(), "{}", program.show_plans(sources))?;
+        write!(terminal::out(), "{}", program.show_plans(sources))?;
         return Ok(());
     }
     let mut session = program.session();
@@ -115,7 +115,7 @@ pub fn run(arguments: &Arguments, sources: &mut Sources) -> Result<(), Failure> 
     };
     let times = times?;
     if arguments.plan {
-        write!(anstream::stdout(), "{}", session.show_plans(sources))?;
+        write!(terminal::out(), "{}", session.show_plans(sources))?;
         return Ok(());
     }
 
@@ -126,9 +126,9 @@ pub fn run(arguments: &Arguments, sources: &mut Sources) -> Result<(), Failure> 
 
     if let Some(times) = times {
         // Ignores errors here: the results matter more than the profile.
-        let _ = write!(anstream::stderr(), "{}", profile(&session, &times, sources));
+        let _ = write!(terminal::err(), "{}", profile(&session, &times, sources));
     }
-    let mut out = io::BufWriter::new(anstream::stdout());
+    let mut out = io::BufWriter::new(terminal::results(question.is_none() || arguments.json));
     if let (Some((fact, name, question)), Some(workspace)) = (question, workspace) {
         let asked = (question, sources.add(format!("<{name}>"), fact));
         return why::explain(&mut out, asked, &workspace, &session, sources, arguments.json);

@@ -3,7 +3,7 @@
 use crate::city::Split;
 use crate::cli::{
     Failure, ForceOption, Inputs, LimitOptions, finish, integer, is_stdout, load_city, messages, one_of, progress,
-    refuse_mixing, unwritable,
+    refuse_mixing, terminal, unwritable,
 };
 use crate::diag::{Code, Sources};
 use crate::files::Output;
@@ -133,7 +133,7 @@ pub fn run(arguments: &Arguments, sources: &mut Sources) -> Result<(), Failure> 
         set.write_demonstrations(out)
     })?;
     let Some(path) = output else {
-        let mut out = io::BufWriter::new(io::stdout().lock());
+        let mut out = io::BufWriter::new(terminal::data());
         set.write_json(&world, rules, &mut out)?;
         // Dropping the buffer would ignore errors.
         out.flush()?;

@@ -1,13 +1,13 @@
 //! `logicity reference`: prints the commands and their options as JSON.
 
-use crate::cli::Failure;
+use crate::cli::{Failure, terminal};
 use clap::{Arg, ArgAction, Command};
 use serde_json::{Value, json};
-use std::io::{self, Write};
+use std::io::Write;
 
 pub fn run(mut command: Command) -> Result<(), Failure> {
     command.build();
-    writeln!(io::stdout(), "{}", to_json(&command))?;
+    writeln!(terminal::data(), "{}", to_json(&command))?;
     Ok(())
 }
 

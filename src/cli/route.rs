@@ -2,9 +2,9 @@
 
 use crate::city::{AgentKind, Routing};
 use crate::city::{Cell, CityMap, NoRoute, Router};
-use crate::cli::{Failure, find_map, one_of};
+use crate::cli::{Failure, find_map, one_of, terminal};
 use crate::diag::{Code, Diagnostic, Sources};
-use std::io::{self, BufWriter, Write};
+use std::io::{BufWriter, Write};
 use std::sync::Arc;
 
 #[derive(clap::Args)]
@@ -75,7 +75,7 @@ pub fn run(arguments: &Arguments, sources: &mut Sources) -> Result<(), Failure> 
             None => fault.into(),
         }
     })?;
-    let mut out = BufWriter::new(io::stdout().lock());
+    let mut out = BufWriter::new(terminal::data());
     for cell in route.cells() {
         writeln!(out, "{},{}", cell.row, cell.col)?;
     }

@@ -4,7 +4,7 @@ use crate::city::{Action, AgentKind, Split};
 use crate::cli::icons::IconOptions;
 use crate::cli::{
     Failure, ForceOption, Inputs, LimitOptions, cancel_on_interrupt, finish, integer, is_stdout, load_city, one_of,
-    plural, refuse_stdout_as_folder, report, unwritable,
+    plural, refuse_stdout_as_folder, report, terminal, unwritable,
 };
 use crate::datalog::constraints;
 use crate::datalog::explain::ExplanationPrinter;
@@ -191,7 +191,7 @@ pub fn run(arguments: &Arguments, sources: &mut Sources) -> Result<(), Failure> 
         }
         _ => Ok(()),
     };
-    let mut out = anstream::stdout();
+    let mut out = terminal::out();
     write!(out, "{}", summary(&mut simulation, &tally, sources, &written))?;
     page?;
     if tally.ticks < ticks {

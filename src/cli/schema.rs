@@ -1,9 +1,9 @@
 //! `logicity schema`: prints the JSON Schema of configuration files, training configurations and experiments.
 
 use crate::builtin;
-use crate::cli::{Failure, one_of};
+use crate::cli::{Failure, one_of, terminal};
 use serde_json::Value;
-use std::io::{self, Write};
+use std::io::Write;
 
 /// The paths of the schemas among the built-in files.
 const SCHEMA: &str = "configs/schema.json";
@@ -41,7 +41,7 @@ pub fn run(arguments: &Arguments) -> Result<(), Failure> {
     };
     if let Some(path) = own {
         let text = builtin::text(path).expect("a built-in file");
-        write!(io::stdout(), "{text}")?;
+        write!(terminal::data(), "{text}")?;
         return Ok(());
     }
     let text = builtin::text(SCHEMA).expect("a built-in file");
@@ -49,6 +49,6 @@ pub fn run(arguments: &Arguments) -> Result<(), Failure> {
     schema["$ref"] = format!("#/$defs/{}", arguments.part.0).into();
     let title = schema["$defs"][arguments.part.0]["title"].clone();
     schema["title"] = title;
-    writeln!(io::stdout(), "{schema:#}")?;
+    writeln!(terminal::data(), "{schema:#}")?;
     Ok(())
 }

@@ -4,7 +4,8 @@ use crate::cancel::Cancel;
 use crate::city::{Action, Split};
 use crate::cli::icons::IconOptions;
 use crate::cli::{
-    Failure, ForceOption, LimitOptions, integer, load_city, one_of, progress, refuse_stdout_as_folder, threads,
+    Failure, ForceOption, LimitOptions, integer, load_city, one_of, progress, refuse_stdout_as_folder, terminal,
+    threads,
 };
 use crate::diag::Sources;
 use crate::files::Folder;
@@ -13,7 +14,7 @@ use crate::task::vap::{
     Agents, Dataset, DatasetError, DatasetRequest, DatasetWriter, Estimate, Manifest, Mode, Statistics, WORLDS_MAX,
     WorldCounts, Worlds, icon_seed, percent, published_worlds, total,
 };
-use std::io::{self, Write};
+use std::io::Write;
 use std::num::NonZeroUsize;
 use std::ops::Range;
 use std::path::{Path, PathBuf};
@@ -162,7 +163,7 @@ impl Make {
             writer.write(&folder, self.force.overwrite(), progress, &Cancel::never())
         })?;
         writeln!(
-            io::stdout(),
+            terminal::out(),
             "worlds made: {}, in {}: {}; labels of cars: {}",
             summary.made,
             self.out.display(),
@@ -198,7 +199,7 @@ impl Check {
             ..
         } = manifest;
         let worlds = worlds.len();
-        let mut out = io::stdout().lock();
+        let mut out = terminal::results(self.json);
         if self.json {
             let counts = serde_json::json!({
                 "worlds": worlds, "frames": frames, "pictures": pictures, "actions": actions,
@@ -245,7 +246,7 @@ impl Stats {
         let found = Statistics::of(&counts);
         let published = options.mode.published_actions();
         let per = published_worlds(options.split);
-        let mut out = io::stdout().lock();
+        let mut out = terminal::results(self.json);
         if self.json {
             let estimate = |Estimate { value, error }: Estimate| serde_json::json!({"value": value, "error": error});
             let actions = Action::ALL.iter().map(|action| action.name().to_owned());

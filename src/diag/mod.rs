@@ -9,12 +9,14 @@
 mod code;
 mod explanation;
 mod faults;
+mod neutral;
 mod render;
 mod source;
 
 pub use code::{CATALOG, CODES, Code};
 pub use explanation::{Catalog, Example, Explanation, explanations};
 pub use faults::{Faults, MAX_FAULTS};
+pub use neutral::neutral;
 pub use render::{json_error, render, to_json};
 pub use source::{Located, Position, SourceId, Sources, Span};
 use std::path::Path;

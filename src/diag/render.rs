@@ -1,6 +1,6 @@
 //! Renders diagnostics for a terminal and as JSON.
 
-use crate::diag::{Diagnostic, Label, Severity, SourceId, Sources, Span};
+use crate::diag::{Diagnostic, Label, Severity, SourceId, Sources, Span, neutral};
 use annotate_snippets::{Annotation, AnnotationKind, Group, Level, Origin, Renderer, Snippet};
 use serde_json::error::Category;
 use serde_json::{Value, json};
@@ -13,6 +13,7 @@ const MAX_LINE: usize = 2000;
 const MAX_GAP: usize = 200;
 
 /// Renders diagnostics as text with source lines and carets, separated by blank lines. `color` adds terminal styles.
+/// Text of users, names of files included, is [`neutral`].
 pub fn render(diagnostics: &[Diagnostic], sources: &Sources, color: bool) -> String {
     let renderer = if color { Renderer::styled() } else { Renderer::plain() };
     let mut out = String::new();
@@ -33,7 +34,7 @@ fn render_one(diagnostic: &Diagnostic, sources: &Sources, renderer: &Renderer) -
     };
     let mut group = Group::with_title(
         level
-            .primary_title(printable(&diagnostic.message))
+            .primary_title(neutral(&diagnostic.message))
             .id(diagnostic.code.name()),
     );
     let labels = (diagnostic.primary.iter().map(|label| (AnnotationKind::Primary, label))).chain(
@@ -44,15 +45,17 @@ fn render_one(diagnostic: &Diagnostic, sources: &Sources, renderer: &Renderer) -
     );
     for excerpt in excerpts(labels, sources) {
         let Excerpt { source, lines, labels } = &excerpt;
-        let name = sources.name(*source);
+        let name = neutral(sources.name(*source));
         let is_long = |line: usize| sources.line_range(*source, line).len() > MAX_LINE;
         if lines.clone().any(is_long) {
             for (_, label) in labels {
                 let position = sources.position(label.span);
-                let place = Origin::path(name).line(position.line).char_column(position.column);
+                let place = Origin::path(name.clone())
+                    .line(position.line)
+                    .char_column(position.column);
                 group = group.element(place);
                 if !label.message.is_empty() {
-                    group = group.element(Level::NOTE.message(printable(&label.message)));
+                    group = group.element(Level::NOTE.message(neutral(&label.message)));
                 }
             }
             continue;
@@ -61,17 +64,20 @@ fn render_one(diagnostic: &Diagnostic, sources: &Sources, renderer: &Renderer) -
         let end = sources.line_range(*source, *lines.end()).end;
         let text = &sources.text(*source)[start..end];
         // A carriage return before a line feed is part of the line break.
-        let snippet = Snippet::source(text.replace('\r', " "))
+        let text = text.replace("\r\n", " \n");
+        let snippet = Snippet::source(neutral(&text).into_owned())
             .line_start(sources.first_line(*source) + lines.start())
             .path(name);
-        let annotations = labels.iter().map(|(kind, label)| annotation(*kind, label, text, start));
+        let annotations = labels
+            .iter()
+            .map(|(kind, label)| annotation(*kind, label, &text, start));
         group = group.element(snippet.annotations(annotations));
     }
     for note in &diagnostic.notes {
-        group = group.element(Level::NOTE.message(printable(note)));
+        group = group.element(Level::NOTE.message(neutral(note)));
     }
     for help in &diagnostic.help {
-        group = group.element(Level::HELP.message(printable(help)));
+        group = group.element(Level::HELP.message(neutral(help)));
     }
     renderer.render(&[group])
 }
@@ -130,19 +136,13 @@ fn annotation<'a>(kind: AnnotationKind, label: &'a Label, text: &str, offset: us
     while !text.is_char_boundary(end) {
         end += 1;
     }
-    let annotation = kind.span(start..end);
+    let shown = |end: usize| neutral(&text[..end]).len();
+    let annotation = kind.span(shown(start)..shown(end));
     if label.message.is_empty() {
         annotation
     } else {
-        annotation.label(printable(&label.message))
+        annotation.label(neutral(&label.message))
     }
-}
-
-/// Replaces control characters, which a user's text may contain and which must not reach a terminal.
-fn printable(text: &str) -> String {
-    text.chars()
-        .map(|c| if c.is_control() && c != '\n' { '\u{fffd}' } else { c })
-        .collect()
 }
 
 /// Returns what is wrong with a JSON text, without the position, in the words of JSON instead of Rust.

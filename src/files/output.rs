@@ -14,7 +14,7 @@ use crate::files::{LINKS_MAX, descriptor, folder_of, record};
 use sha2::{Digest, Sha256};
 use std::ffi::OsStr;
 use std::fs::{self, File, OpenOptions, TryLockError};
-use std::io::{self, Write};
+use std::io::{self, IsTerminal, Write};
 use std::path::{Path, PathBuf};
 use std::thread;
 use std::time::{Duration, SystemTime, UNIX_EPOCH};
@@ -41,6 +41,7 @@ pub struct Output {
     writer: io::BufWriter<Box<dyn Write + Send>>,
     /// The path to write to: that of the temporary file, or of the stream.
     path: PathBuf,
+    is_terminal: bool,
     /// The replacement of the target when the file is complete; `None` for a stream.
     replacement: Option<Replacement>,
 }
@@ -71,15 +72,27 @@ impl Output {
 
     /// Returns an output that writes to standard output.
     pub fn stdout() -> Output {
-        Output::streaming(Box::new(io::stdout()), Path::new("/dev/stdout"))
+        let stdout = io::stdout();
+        let is_terminal = stdout.is_terminal();
+        Output::streaming((Box::new(stdout), is_terminal), Path::new("/dev/stdout"))
     }
 
-    fn streaming(writer: Box<dyn Write + Send>, path: &Path) -> Output {
+    fn streaming((writer, is_terminal): Stream, path: &Path) -> Output {
         Output {
             writer: io::BufWriter::new(writer),
             path: path.to_owned(),
+            is_terminal,
             replacement: None,
         }
+    }
+
+    /// Replaces the writer of an output to which nothing is written yet. `wrap` also receives whether it is a terminal.
+    pub fn through(self, wrap: impl FnOnce(Box<dyn Write + Send>, bool) -> Box<dyn Write + Send>) -> Output {
+        let mut output = self;
+        let writer = std::mem::replace(&mut output.writer, io::BufWriter::new(Box::new(io::sink())));
+        let (inner, _) = writer.into_parts();
+        output.writer = io::BufWriter::new(wrap(inner, output.is_terminal));
+        output
     }
 
     /// Begins to edit a file of the user in place. Replaces any regular file, and leaves no record.
@@ -122,6 +135,7 @@ impl Output {
         Ok(Output {
             writer: io::BufWriter::new(Box::new(file.try_clone()?)),
             path: temporary,
+            is_terminal: false,
             replacement: Some(Replacement {
                 target,
                 overwrite,
@@ -210,14 +224,21 @@ impl Write for Output {
     }
 }
 
+/// A writer, and whether it is a terminal.
+type Stream = (Box<dyn Write + Send>, bool);
+
 /// Returns the writer of a stream: of an open descriptor or a character device. `None` for any other path.
-fn stream(path: &Path) -> io::Result<Option<Box<dyn Write + Send>>> {
+fn stream(path: &Path) -> io::Result<Option<Stream>> {
+    fn opened(stream: impl Write + IsTerminal + Send + 'static) -> Option<Stream> {
+        let is_terminal = stream.is_terminal();
+        Some((Box::new(stream), is_terminal))
+    }
     let number = descriptor(path);
     Ok(match number.as_deref() {
-        Some("1") => Some(Box::new(io::stdout())),
-        Some("2") => Some(Box::new(io::stderr())),
+        Some("1") => opened(io::stdout()),
+        Some("2") => opened(io::stderr()),
         None if !is_character_device(path) => None,
-        _ => Some(Box::new(OpenOptions::new().write(true).open(path)?)),
+        _ => opened(OpenOptions::new().write(true).open(path)?),
     })
 }
 

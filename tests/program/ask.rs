@@ -284,7 +284,7 @@ fn faults_of_oracles_are_reported() {
         ),
         (said("{\"action\": 3}"), 1, &["not an action: `{\"action\": 3}`"]),
         (said("\"Stop\""), 1, &["not an action: `\"Stop\"`"]),
-        (said("\\377\\033[2J"), 1, &["not an action: `\u{fffd}\u{fffd}[2J`"]),
+        (said("\\377\\033[2J"), 1, &["not an action: `\u{fffd}\\u001b[2J`"]),
         (said(""), 1, &["not an action: ``"]),
         (
             said("{\"action\": \"Stop\"}\\n{\"action\": \"Stop\"}\\n{\"action\": \"Stop\"}"),
@@ -322,6 +322,37 @@ fn faults_of_oracles_are_reported() {
         2,
         &["question 1: the oracle ended without an answer (exit status: 127)"],
     );
+}
+
+/// Oracles that answer too slowly, flood their outputs, or leave processes that hold a pipe end with the command.
+#[cfg(unix)]
+#[test]
+fn no_oracle_outlives_or_delays_its_question() {
+    let cases = [
+        ("while :; do printf a; sleep 0.05; done", 2, "gave no answer in 0.5 s"),
+        ("sleep 60 & exit", 2, "gave no answer in 0.5 s"),
+        ("cat; exec cat /dev/zero", 1, "not an action"),
+        ("exec yes", 1, "a line before it is asked"),
+        ("exec cat /dev/zero", 1, "a line before it is asked"),
+        ("head -c 1000000 /dev/zero >&2; sleep 60", 2, "gave no answer in 0.5 s"),
+        ("exec >&- <&-; sleep 60", 2, "the oracle "),
+        ("(sleep 1.5; touch alive) & read scene; echo", 1, "not an action"),
+    ];
+    for (oracle, code, part) in cases {
+        let folder = Folder::new(oracle);
+        let begin = Instant::now();
+        let output = folder.ask(&["--answer-timeout", "0.5"]);
+        assert_eq!(output.status.code(), Some(code), "{oracle}: {}", text(&output.stderr));
+        // The answer may come before the question.
+        let shown = text(&output.stderr);
+        assert!(
+            shown.contains(part) || code == 1 && shown.contains("not an action"),
+            "{oracle}: {shown}"
+        );
+        assert!(begin.elapsed() < Duration::from_secs(10), "{oracle}");
+        thread::sleep(Duration::from_millis(if oracle.contains("alive") { 2000 } else { 0 }));
+        assert!(!folder.path("alive").exists(), "a process of the oracle lives on");
+    }
 }
 
 #[test]

@@ -25,3 +25,5 @@ mod repl;
 mod repository;
 #[path = "../city/shipped_world.rs"]
 mod shipped_world;
+#[cfg(unix)]
+mod terminal;

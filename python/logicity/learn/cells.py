@@ -29,6 +29,7 @@ from .._logicity import __version__
 from ..evaluation import Benchmark, task_hashes
 from ..files import write_json
 from ..modes import ENVIRONMENTS
+from ..terminal import print_message
 from .config import TrainConfig
 from .registry import load_policy
 from .run import train
@@ -404,7 +405,7 @@ def _main() -> int:
     try:
         run_cell(given.folder, reporter, progress=True, wandb=given.wandb, trust=given.trust)
     except Exception as error:
-        traceback.print_exc()
+        print_message(traceback.format_exc().rstrip())
         reporter.write({"error": str(error) or type(error).__name__})
         return 1
     return 0

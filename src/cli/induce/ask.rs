@@ -383,13 +383,14 @@ impl CommandOracle {
 }
 
 impl Drop for CommandOracle {
-    /// Closes the input of the process, and kills the process if it does not end soon.
+    /// Closes the input of the process, kills the process if it does not end soon, and kills what it has started.
     fn drop(&mut self) {
         self.scenes = None;
-        if self.wait().is_none() {
-            if self.is_group {
-                kill_group(&self.child);
-            }
+        let has_ended = self.wait().is_some();
+        if self.is_group {
+            kill_group(&self.child);
+        }
+        if !has_ended {
             let _ = self.child.kill();
             let _ = self.child.wait();
         }
@@ -463,7 +464,6 @@ fn read_action(line: &[u8]) -> Result<Action, OracleError> {
 fn invalid(what: &str, line: &[u8], cause: Option<String>) -> OracleError {
     let text = String::from_utf8_lossy(line);
     let shown: String = text.trim_end().chars().take(SHOWN_MAX).collect();
-    let shown = shown.replace(|c: char| c.is_control(), "\u{fffd}");
     let names: Vec<&str> = Action::ALL.iter().map(|action| action.name()).collect();
     let help = format!(
         "expected a line such as {{\"action\": \"Stop\"}}, with one of {}",

@@ -9,7 +9,7 @@ use crate::city::{Action, Split};
 use crate::cli::view;
 use crate::cli::{
     Failure, ForceOption, Inputs, LimitOptions, cancel_on_interrupt, finish, integer, is_stdout, load_city, messages,
-    one_of, plural, threads, unwritable,
+    one_of, plural, terminal, threads, unwritable,
 };
 use crate::diag::Sources;
 use crate::files;
@@ -210,7 +210,7 @@ pub fn run(arguments: &Arguments, sources: &mut Sources) -> Result<(), Failure> 
     // An interrupt keeps the rules so far, but a file without rules is no progress.
     if !learned.is_complete && questions.is_none() && learned.bodies().is_empty() {
         writeln!(
-            anstream::stderr(),
+            terminal::err(),
             "interrupted before a clause was found; nothing is written"
         )?;
         return Err(Failure::Interrupted);

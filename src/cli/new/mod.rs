@@ -1,6 +1,6 @@
 //! `logicity new`: creates a folder with files to start from.
 
-use crate::cli::Failure;
+use crate::cli::{Failure, terminal};
 use crate::files::Output;
 use std::io::{self, Write};
 use std::path::{Path, PathBuf};
@@ -43,7 +43,7 @@ pub fn run(arguments: &Arguments) -> Result<(), Failure> {
     let path = |name: &str| quoted(&folder.join(name));
     let (config, scene, out) = (path("city.yaml"), path("scene.jsonl"), path("out"));
     let trace = quoted(&folder.join("out").join("trace.jsonl"));
-    let mut shown = anstream::stdout();
+    let mut shown = terminal::out();
     let names = FILES.map(|(name, _)| path(name)).join(", ");
     writeln!(shown, "created {names}")?;
     writeln!(shown, "next:")?;

@@ -10,7 +10,7 @@ mod workbench;
 
 use crate::cli::why;
 use crate::cli::why::Question;
-use crate::cli::{Failure, LimitOptions, exit, query, report};
+use crate::cli::{Failure, LimitOptions, exit, query, report, terminal};
 use crate::datalog;
 use crate::datalog::{BaseType, ClauseId, MarkKind, RelId, Value, is_complete};
 use crate::datalog::{Limits, Session, facts};
@@ -55,7 +55,7 @@ pub fn run(arguments: &Arguments, sources: &mut Sources) -> Result<(), Failure> 
     )?;
     let mut lines = Lines::open();
     let mut repl = Repl {
-        out: anstream::stdout(),
+        out: terminal::out(),
         profile: String::new(),
         rows_max: if io::stdout().is_terminal() {
             SHOWN_MAX
@@ -127,10 +127,9 @@ impl StillWorking {
         let (done, wait) = mpsc::channel();
         let show = move || {
             if wait.recv_timeout(PATIENCE) == Err(RecvTimeoutError::Timeout) {
-                let _ = write!(io::stderr(), "still evaluating; Ctrl-C quits the program");
-                let _ = wait.recv();
-                // Erases the message.
-                let _ = write!(io::stderr(), "\r\u{1b}[K");
+                terminal::print_passing("still evaluating; Ctrl-C quits the program", || {
+                    let _ = wait.recv();
+                });
             }
         };
         StillWorking {

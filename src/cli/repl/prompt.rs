@@ -2,7 +2,7 @@
 
 use crate::cli::repl::command;
 use crate::cli::repl::workbench::Workbench;
-use crate::cli::{Failure, query};
+use crate::cli::{Failure, query, terminal};
 use crate::datalog::DIRECTIVES;
 use rustyline::completion::{Completer, FilenameCompleter, Pair};
 use rustyline::config::{BellStyle, Config};
@@ -108,7 +108,7 @@ impl Source {
                 Source::Editor(Box::new(Terminal { editor, history }))
             }
             Err(error) => {
-                let _ = writeln!(io::stderr(), "cannot use the line editor: {error}");
+                let _ = writeln!(terminal::err(), "cannot use the line editor: {error}");
                 Source::Plain
             }
         }
@@ -193,7 +193,11 @@ impl Terminal {
             .map_err(ReadlineError::Io)
             .and_then(|()| self.editor.append_history(path));
         if let Err(error) = saved {
-            let _ = writeln!(io::stderr(), "cannot save the history to `{}`: {error}", path.display());
+            let _ = writeln!(
+                terminal::err(),
+                "cannot save the history to `{}`: {error}",
+                path.display()
+            );
             self.history = None;
         }
     }

@@ -1,5 +1,6 @@
 //! Text tables with aligned columns.
 
+use crate::diag::neutral;
 use unicode_width::UnicodeWidthStr;
 
 /// A column: its title, and whether it is numeric and so aligned to the right.
@@ -42,16 +43,9 @@ pub fn draw(columns: &[Column], rows: &[Vec<String>]) -> String {
     out
 }
 
-/// Escapes control characters, so that they neither break the table nor reach the terminal.
+/// Escapes characters that would break the table or control the terminal.
 fn printable(text: &str) -> String {
-    let escape = |c: char| -> String {
-        if c.is_control() {
-            c.escape_default().collect()
-        } else {
-            c.to_string()
-        }
-    };
-    text.chars().map(escape).collect()
+    neutral(&text.replace('\n', "\\n").replace('\t', "\\t")).into_owned()
 }
 
 #[cfg(test)]
@@ -72,6 +66,6 @@ mod tests {
         assert_eq!(lines[1], "-------------  ---");
         let ends: Vec<usize> = lines.iter().map(|line| line.width()).collect();
         assert!(ends.iter().all(|&end| end == ends[0]), "{drawn}");
-        assert!(lines[3].starts_with("a\\tb\\u{1b}[1m"), "{drawn}");
+        assert!(lines[3].starts_with("a\\tb\\u001b[1m"), "{drawn}");
     }
 }
