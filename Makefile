@@ -7,7 +7,7 @@ SOLVERS := .venv-solvers
 FUZZ_TARGETS := parse check query evaluate config scene rows popper labeled_scenes
 FUZZ_SECONDS := 600
 
-.PHONY: test quick lint features rust doc wheel installed python python-all rllib page docs playground vscode solvers peers fuzz $(FUZZ_TARGETS:%=fuzz-%)
+.PHONY: test quick lint features rust doc wheel installed python python-all rllib page docs links playground vscode solvers peers fuzz $(FUZZ_TARGETS:%=fuzz-%)
 
 test: lint features rust doc python page docs
 
@@ -75,6 +75,10 @@ docs: installed
 	MYPYPATH=docs $(VENV)/bin/mypy --strict --config-file python/pyproject.toml docs/conf.py docs/links.py
 	$(VENV)/bin/sphinx-build --builder html --quiet --fail-on-warning --nitpicky --fresh-env --doctree-dir $(SITE)-cache docs $(SITE)
 	$(VENV)/bin/python docs/links.py $(SITE)
+
+# Requests every address of another site that the documents name. Reads the network.
+links:
+	python3 docs/links.py --external docs/external-links.txt
 
 # Tests the page of a run in headless Chromium. Without a browser, the last line prints what it skips and exits with 0.
 page: $(VENV)/bin/python

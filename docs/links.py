@@ -1,15 +1,19 @@
-"""Check the links between the pages of a built site: `python docs/links.py target/docs`.
+"""Check links: between the pages of a built site, or to other sites.
 
-Prints every link to a missing file or anchor, and exits with 1 if there is one. Links to other sites are not read.
+`python docs/links.py target/docs` prints every link to a missing file or anchor. `python docs/links.py --external
+docs/external-links.txt` requests each listed address and prints those that give no page. Both exit with 1 if there is
+one. Only the second form reads the network.
 """
 
 from __future__ import annotations
 
 import sys
-from collections.abc import Iterator
+from collections.abc import Iterable, Iterator
 from html.parser import HTMLParser
 from pathlib import Path
+from urllib.error import HTTPError, URLError
 from urllib.parse import unquote, urlsplit
+from urllib.request import Request, urlopen
 
 #: Folders of the site that Sphinx does not write; their pages count as targets only.
 FOREIGN = ("_static", "playground", "rust")
@@ -65,6 +69,34 @@ def _links(pages: dict[Path, Page]) -> Iterator[tuple[Path, str, Path, str]]:
             yield path, link, target, unquote(parts.fragment)
 
 
+def dead_addresses(addresses: Iterable[str]) -> list[str]:
+    """Return a line for each address that gives no page."""
+    dead = []
+    for address in addresses:
+        request = Request(address, headers={"User-Agent": "Mozilla/5.0 (checks links)"})
+        try:
+            with urlopen(request, timeout=30):
+                pass
+        except HTTPError as error:
+            # Some servers refuse programs; the page exists.
+            if error.code not in (403, 405, 429):
+                dead.append(f"{address}: {error.code} {error.reason}")
+        except (URLError, OSError) as error:
+            dead.append(f"{address}: {error}")
+    return dead
+
+
+def check_external(listing: Path) -> int:
+    """Print the listed addresses that give no page, then the number of addresses."""
+    lines = listing.read_text(encoding="utf-8").splitlines()
+    addresses = [line for line in lines if line and not line.startswith("#")]
+    dead = dead_addresses(addresses)
+    for line in dead:
+        print(line, file=sys.stderr)
+    print(f"{len(addresses)} links to other sites, {len(dead)} dead")
+    return 1 if dead or not addresses else 0
+
+
 def main(site: Path) -> int:
     """Print the broken links, then the number of links."""
     count, broken = broken_links(site)
@@ -75,4 +107,4 @@ def main(site: Path) -> int:
 
 
 if __name__ == "__main__":
-    sys.exit(main(Path(sys.argv[1])))
+    sys.exit(check_external(Path(sys.argv[2])) if sys.argv[1] == "--external" else main(Path(sys.argv[1])))

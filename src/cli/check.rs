@@ -8,7 +8,7 @@ use crate::cli::{Failure, LimitOptions, load_workspace_from, plural, report, ter
 use crate::config::load_scenario;
 use crate::datalog::diff::{Cut, Equivalence};
 use crate::datalog::explain::ExplanationPrinter;
-use crate::datalog::{ClauseId, Edb, RelId, Rules};
+use crate::datalog::{Clause, ClauseId, Edb, RelId, Rules};
 use crate::datalog::{Program, dense, optimize};
 use crate::diag::{Code, Diagnostic, Sources, to_json};
 use crate::files::ReadFile;
@@ -140,7 +140,14 @@ fn examine(arguments: &Arguments, path: &Path, files: &dyn ReadFile, sources: &m
         }
     };
     let loaded = match load_workspace_from(sources, path, Edb::Fixed, files) {
-        Ok(texts) => texts.check(),
+        Ok(mut texts) => {
+            // A city computes its input.
+            let for_city = given.is_some()
+                || report.configuration.is_some()
+                || Action::ALL.iter().any(|action| texts.declares(action.name()));
+            texts.set_inputs(if for_city { Edb::Fixed } else { Edb::Extensible });
+            texts.check()
+        }
         Err(Failure::Input(faults)) => {
             report.found = faults;
             return Ok(report);
@@ -219,7 +226,9 @@ impl Report {
         let Some(rules) = self.rules() else { return Ok(()) };
         let path = self.configuration.as_ref().map_or(path, Checked::rules);
         let strata: Vec<String> = strata(rules).iter().map(|names| names.join(", ")).collect();
-        writeln!(out, "{}: {}", path.display(), plural(rules.clauses.len(), "clause"))?;
+        let is_written = |clause: &&Clause| !rules.relations[clause.head.relation.index()].hidden;
+        let clauses = rules.clauses.iter().filter(is_written).count();
+        writeln!(out, "{}: {}", path.display(), plural(clauses, "clause"))?;
         writeln!(out, "  strata: {}", strata.join(" < "))?;
         print_executors(out, rules, sources)?;
         for what in &self.unfinished {

@@ -59,9 +59,11 @@ impl Functor {
             }
             (Substring, [value, from, length]) => {
                 let (from, length) = (from.as_number(), length.as_number());
-                let (Ok(from), Ok(length)) = (usize::try_from(from), usize::try_from(length)) else {
+                let Ok(from) = usize::try_from(from) else {
                     return made("");
                 };
+                // As in Soufflé, a negative length means the rest of the text.
+                let length = usize::try_from(length).unwrap_or(usize::MAX);
                 return made(&text(value).chars().skip(from).take(length).collect::<String>());
             }
             (ToText, [value]) => {
@@ -107,9 +109,9 @@ impl Functor {
             (ToUnsigned, BaseType::Float) => Value(value.as_float() as u32),
             (ToFloat, BaseType::Number) => Value::float(value.as_number() as f32),
             (ToFloat, BaseType::Unsigned) => Value::float(value.0 as f32),
-            (ToNumber, BaseType::Symbol) => parse(BaseType::Number, text)?,
-            (ToUnsigned, BaseType::Symbol) => parse(BaseType::Unsigned, text)?,
-            (ToFloat, BaseType::Symbol) => parse(BaseType::Float, text)?,
+            (ToNumber, BaseType::Symbol) => parse(BaseType::Number, text.trim_matches(is_space))?,
+            (ToUnsigned, BaseType::Symbol) => parse(BaseType::Unsigned, text.trim_matches(is_space))?,
+            (ToFloat, BaseType::Symbol) => parse(BaseType::Float, text.trim_matches(is_space))?,
             _ => return None,
         })
     }
@@ -184,6 +186,11 @@ impl Functor {
             _ => return None,
         })
     }
+}
+
+/// Returns whether a character is white space to Soufflé.
+fn is_space(c: char) -> bool {
+    c.is_ascii_whitespace() || c == '\u{b}'
 }
 
 /// Reads the arguments and applies the operation. The cases of one and two operands allocate nothing.

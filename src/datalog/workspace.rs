@@ -115,6 +115,17 @@ impl Workspace {
         }
     }
 
+    /// Sets whether rules may derive `.input` predicates.
+    pub fn set_inputs(&mut self, inputs: Edb) {
+        self.inputs = inputs;
+    }
+
+    /// Returns whether a predicate of this name is declared.
+    pub fn declares(&self, name: &str) -> bool {
+        let mut items = self.gathered.items.iter();
+        items.any(|item| matches!(item, Item::Decl(decl) if decl.names.iter().any(|found| found.text == name)))
+    }
+
     /// Checks the program as a whole. `rules` is `None` if any diagnostic is an error.
     pub fn check(&self) -> Loaded {
         let items = Cow::Borrowed(&self.gathered.items[..]);

@@ -14,6 +14,14 @@ pub struct Faults {
     hidden_warnings: usize,
 }
 
+/// A state of [`Faults`].
+#[derive(Clone, Copy, Debug)]
+pub(crate) struct Mark {
+    errors: usize,
+    warnings: usize,
+    hidden_warnings: usize,
+}
+
 impl Faults {
     /// Adds a diagnostic; drops it if there are [`MAX_FAULTS`] of its severity.
     pub fn push(&mut self, fault: Diagnostic) {
@@ -26,6 +34,22 @@ impl Faults {
         } else if fault.severity() == Severity::Warning {
             self.hidden_warnings += 1;
         }
+    }
+
+    /// Returns the current state, for [`Faults::rewind`].
+    pub(crate) fn mark(&self) -> Mark {
+        Mark {
+            errors: self.errors.len(),
+            warnings: self.warnings.len(),
+            hidden_warnings: self.hidden_warnings,
+        }
+    }
+
+    /// Drops the diagnostics added since `mark`.
+    pub(crate) fn rewind(&mut self, mark: Mark) {
+        self.errors.truncate(mark.errors);
+        self.warnings.truncate(mark.warnings);
+        self.hidden_warnings = mark.hidden_warnings;
     }
 
     /// Returns whether there is an error.

@@ -1,4 +1,5 @@
 use crate::cancel::Cancel;
+use crate::cases::cases;
 use crate::induce::bits::{self, Bits};
 
 use crate::induce::cover::cheapest_cover;
@@ -194,7 +195,7 @@ fn by_columns(vocabulary: &Vocabulary, bodies: &[&Body], states: &[&State]) -> V
 }
 
 proptest! {
-    #![proptest_config(ProptestConfig { cases: 300, failure_persistence: None, ..ProptestConfig::default() })]
+    #![proptest_config(ProptestConfig { failure_persistence: None, ..cases(600) })]
 
     /// Columns of bits, backtracking, and the trial of all assignments agree.
     #[test]

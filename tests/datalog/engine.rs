@@ -380,7 +380,7 @@ fn aggregating_script(program: &Program, changes: &[ChangeGenes]) -> Vec<Batch> 
 }
 
 proptest! {
-    #![proptest_config(ProptestConfig { max_shrink_iters: 20_000, ..ProptestConfig::default() })]
+    #![proptest_config(ProptestConfig { max_shrink_iters: 20_000, ..cases(512) })]
 
     #[test]
     fn commits_agree_with_naive(genome in genomes(1..5)) {
@@ -1275,6 +1275,61 @@ fn stopped(text: &str, limits: Limits) -> EvalError {
     });
     assert_eq!(one, three);
     one
+}
+
+/// Recursion that computes new values without end needs a bound, and no higher limit.
+#[test]
+fn an_endless_recursion_is_told_what_to_bound() {
+    let decl = ".decl N, M(x: number)\n.decl S(x: symbol)\n.decl L(n: number, s: symbol)\n.decl P(x: number, y: number)\n\
+                .decl U(x: unsigned)\n.decl B(x: number)\n.decl F(x: float)\n";
+    let endless = [
+        ("N(0). N(x + 1) :- N(x).", "x < 100"),
+        ("N(0). N(y) :- y = 1 + x, N(x).", "x < 100"),
+        ("N(0). N(x - 1) :- N(x), x < 10.", "x > -100"),
+        ("N(0). N(x + -1) :- N(x).", "x > -100"),
+        ("N(0). N(x + 1) :- N(x), x > 0 - 10.", "x < 100"),
+        ("U(4000000000u). U(x - 1) :- U(x).", "x > 0"),
+        ("F(0). F(x + 0.5) :- F(x).", "x < 100"),
+        ("N(1). N(x * 3) :- N(x).", "x < 100"),
+        ("N(1). N(2). N(x + y) :- N(x), N(y).", "x < 100"),
+        ("N(0). N(x + 1) :- M(x). M(x) :- N(x).", "x < 100"),
+        ("N(0). M(x) :- N(x). N(y) :- M(x), z = x + 1, y = z.", "x < 100"),
+        ("P(0, 0). P(y, x + 1) :- P(x, y).", "x < 100"),
+        ("S(\"\"). S(cat(x, \"a\")) :- S(x).", "strlen(x) < 100"),
+        ("S(\"\"). S(\"a\" + x) :- S(x).", "strlen(x) < 100"),
+        ("L(0, \"\"). L(n + 1, cat(s, to_string(n))) :- L(n, s).", "n < 100"),
+        (
+            "S(\"1\"). N(to_number(s)) :- S(s). S(to_string(x + 1)) :- N(x).",
+            "x < 100",
+        ),
+        ("B(0). N(0). N(x + 1) :- N(x), B(y), y < 10.", "x < 100"),
+    ];
+    for (clauses, bound) in endless {
+        let text = format!("{decl}{clauses}");
+        let fault = stopped(&text, rows(1_000)).diagnostic(program(&text).rules());
+        assert_eq!(fault.limit, None, "{clauses}");
+        assert_eq!(
+            fault.help,
+            [format!("bound them, for example with `{bound}`")],
+            "{clauses}"
+        );
+    }
+    let ends = [
+        "N(0). N(x + 1) :- N(x), x < 100000.",
+        "N(0). N(x + 1) :- N(x), 100000 >= x.",
+        "N(0). N(y) :- N(x), y = x + 1, y < 100000.",
+        "N(0). N(x - 1) :- N(x), x > 0 - 100000.",
+        "N(0). N(x + 1) :- N(x), x != 100000.",
+        "N(0). N(x + 1) :- M(x). M(x) :- N(x), x < 100000.",
+        "S(\"\"). S(cat(x, \"a\")) :- S(x), strlen(x) < 2000.",
+        "N(100000). N(x) :- N(y), x = range(0, y).",
+        "P(x, y) :- x = range(0, 100), y = range(0, 100).",
+    ];
+    for clauses in ends {
+        let text = format!("{decl}{clauses}");
+        let fault = stopped(&text, rows(1_000)).diagnostic(program(&text).rules());
+        assert!(fault.limit.is_some(), "{clauses}");
+    }
 }
 
 /// This number of facts.

@@ -15,6 +15,7 @@ mod lang;
 mod near_files;
 #[cfg(feature = "optimizer")]
 mod optimize;
+mod order;
 mod pages;
 mod popper;
 mod popper_tasks;
@@ -22,4 +23,5 @@ mod proofs;
 mod random_program;
 mod rewrite;
 mod rule_files;
+mod souffle;
 mod written_program;

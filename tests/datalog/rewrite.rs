@@ -1,5 +1,6 @@
 //! Rewritten rules derive the same rows of the outputs.
 
+use crate::cases::cases;
 use crate::random_program::{Genome, computing_genomes, genomes, recursive_genomes};
 use crate::written_program::program;
 use logicity::datalog::rewrite::{demand, unfold};
@@ -50,7 +51,7 @@ fn check(genome: &Genome, outputs: u32, inline: u32, magic: u32) -> Result<(), T
 }
 
 proptest! {
-    #![proptest_config(ProptestConfig { max_shrink_iters: 20_000, ..ProptestConfig::default() })]
+    #![proptest_config(ProptestConfig { max_shrink_iters: 20_000, ..cases(512) })]
 
     #[test]
     fn outputs_stay_the_same(genome in genomes(1..3), outputs: u32, inline: u32, magic: u32) {

@@ -432,9 +432,9 @@ fn the_scenes_of_the_reference_behave_as_documented() {
     assert!(count >= 3);
 }
 
-/// `query` accepts rules for an input; all other commands reject them.
+/// `query` accepts rules for an input, and so does `check` unless they are rules for a city, which computes its input.
 #[test]
-fn query_warns_of_a_derived_input_and_check_rejects_it() {
+fn query_and_check_warn_of_a_derived_input_outside_of_cities() {
     let folder = fixtures().join("extended-input");
     let folder = folder.to_str().unwrap();
     let rules = format!("{folder}/main.dl");
@@ -451,6 +451,21 @@ fn query_warns_of_a_derived_input_and_check_rejects_it() {
 
     let output = logicity(&["check", &rules]);
     let said = String::from_utf8(output.stderr).unwrap();
-    assert_eq!(output.status.code(), Some(1), "{said}");
+    assert_eq!(output.status.code(), Some(0), "{said}");
+    assert!(said.contains("warning[extended-input]"), "{said}");
+
+    let city = tempfile::tempdir().unwrap();
+    let city = city.path().join("city.dl");
+    let text =
+        ".include \"vocabulary.dl\"\nNextTo(X, Y) :- NextTo(Y, X).\nStop(X) :- CollidingClose(X, Y), NextTo(X, Y).\n";
+    std::fs::write(&city, text).unwrap();
+    for arguments in [&["check"][..], &["check", "--config", "easy"]] {
+        let output = logicity(&[arguments, &[city.to_str().unwrap()]].concat());
+        let said = String::from_utf8(output.stderr).unwrap();
+        assert_eq!(output.status.code(), Some(1), "{said}");
+        assert!(said.contains("error[derived-input]"), "{said}");
+    }
+    let output = logicity(&["check", "--config", "easy", &rules]);
+    let said = String::from_utf8(output.stderr).unwrap();
     assert!(said.contains("error[derived-input]"), "{said}");
 }

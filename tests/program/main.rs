@@ -21,6 +21,7 @@ mod popper;
 mod prose;
 mod questions;
 mod readme;
+mod references;
 mod repl;
 mod repository;
 #[path = "../city/shipped_world.rs"]

@@ -1,6 +1,7 @@
 //! The resource limits of an evaluation and the errors when it exceeds one.
 
 use crate::datalog::check::{Clause, ClauseId, Literal, Rules, Term};
+use crate::datalog::eval::growth;
 use crate::datalog::syntax::ast::Comparison;
 use crate::diag::{Code, Diagnostic, Limit, Span};
 use std::collections::BTreeSet;
@@ -90,14 +91,26 @@ impl EvalError {
         }
     }
 
-    /// Returns a diagnostic at the clause that also points at an atom that makes its join a product. `rules` are those
-    /// of the session.
+    /// Returns a diagnostic at the clause that also points at the probable cause: a recursion that computes new values
+    /// without end, or an atom that makes its join a product. `rules` are those of the session.
     pub fn diagnostic(&self, rules: &Rules) -> Diagnostic {
-        let fault = Diagnostic::from(self.clone());
+        let mut fault = Diagnostic::from(self.clone());
         let clause = self.clause().and_then(|clause| rules.clauses.get(clause.index()));
         let Some(clause) = clause else {
             return fault;
         };
+        let growth = self
+            .limit()
+            .and(self.clause())
+            .and_then(|id| growth::endless(rules, id));
+        if let Some(growth) = growth {
+            // No limit suffices.
+            fault.limit = None;
+            return fault
+                .at(clause.span, "in the evaluation of this clause")
+                .also(growth.span, "each round of the recursion computes new values here")
+                .help(format!("bound them, for example with `{}`", growth.bound));
+        }
         let fault = fault.at(clause.span, "in the evaluation of this clause");
         match unjoined(clause) {
             Some(span) => fault

@@ -15,6 +15,7 @@ pub(crate) mod correlated;
 pub mod delta;
 pub(crate) mod exec;
 pub(crate) mod groups;
+mod growth;
 pub(crate) mod join;
 pub mod limits;
 mod maintain;

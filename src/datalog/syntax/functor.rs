@@ -188,7 +188,8 @@ impl Functor {
     /// Returns the minimum and maximum number of arguments.
     pub(crate) fn arity(self) -> (usize, usize) {
         match self {
-            Min | Max | Cat => (2, 64),
+            Min | Max => (2, 64),
+            Cat => (1, 64),
             Substring => (3, 3),
             Range => (2, 3),
             Length | Ordinal | ToNumber | ToText | ToFloat | ToUnsigned | Cast => (1, 1),

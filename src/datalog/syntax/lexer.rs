@@ -48,6 +48,8 @@ pub(crate) enum Kind {
     Dollar,
     At,
     Hash,
+    /// A directive of the C preprocessor with the lines that continue it, except `#include "..."`.
+    Preprocessor,
     End,
 }
 
@@ -90,8 +92,8 @@ const FOREIGN: &[(&str, Kind, &str)] = &[
 
 /// Preprocessor directives of C. A `#` before any other word begins a comment in other languages.
 const PREPROCESSOR: &[&str] = &[
-    "include", "define", "undef", "if", "ifdef", "ifndef", "elif", "else", "endif", "error", "warning", "line",
-    "pragma",
+    "include", "define", "undef", "if", "ifdef", "ifndef", "elif", "elifdef", "elifndef", "else", "endif", "error",
+    "warning", "line", "pragma",
 ];
 
 /// The aggregates of answer set programming, which begin with `#`.
@@ -170,6 +172,38 @@ pub fn is_name(text: &str) -> bool {
         && !matches!(text, "_" | "Not" | "not")
 }
 
+/// Returns the word after the `#` with which `text` begins, if it is a directive of the C preprocessor. A line marker
+/// such as `# 1 "file"` gives its number.
+pub(crate) fn preprocessor_word(text: &str) -> Option<&str> {
+    let rest = text.get(1..)?.trim_start_matches([' ', '\t']);
+    let word = &rest[..rest.find(|c: char| !c.is_ascii_alphanumeric()).unwrap_or(rest.len())];
+    let is_marker = word.starts_with(|c: char| c.is_ascii_digit()) && rest[word.len()..].starts_with(" \"");
+    (PREPROCESSOR.contains(&word) || is_marker).then_some(word)
+}
+
+/// Returns the length of the line with which `text` begins, and of the lines that continue it after a backslash or
+/// within a comment.
+fn logical_line(text: &str) -> usize {
+    let bytes = text.as_bytes();
+    let (mut at, mut in_text) = (0, false);
+    while let Some(&byte) = bytes.get(at) {
+        match byte {
+            b'\n' => break,
+            b'\\' if bytes[at + 1..].starts_with(b"\r\n") => at += 2,
+            b'\\' => at += 1,
+            b'"' => in_text = !in_text,
+            b'/' if !in_text && bytes.get(at + 1) == Some(&b'*') => {
+                at = text[at + 2..]
+                    .find("*/")
+                    .map_or(bytes.len(), |length| at + 2 + length + 1);
+            }
+            _ => {}
+        }
+        at += 1;
+    }
+    at.min(bytes.len())
+}
+
 /// Splits `text`, which must be shorter than 4 GiB, into tokens.
 pub(crate) fn lex(source: SourceId, text: &str, faults: &mut Faults) -> Lexed {
     let mut lexer = Lexer {
@@ -183,6 +217,8 @@ pub(crate) fn lex(source: SourceId, text: &str, faults: &mut Faults) -> Lexed {
         },
         fresh_line: true,
         foreign_comments: Vec::new(),
+        conditions: 0,
+        annotations_end: false,
         lexed: Lexed {
             tokens: Vec::new(),
             docs: Vec::new(),
@@ -202,6 +238,10 @@ struct Lexer<'a> {
     fresh_line: bool,
     /// The start of each comment in the notation of another language.
     foreign_comments: Vec<Span>,
+    /// The number of conditions of the C preprocessor that are open.
+    conditions: usize,
+    /// Whether the rest of the text closes no annotation.
+    annotations_end: bool,
     lexed: Lexed,
     faults: &'a mut Faults,
 }
@@ -402,7 +442,8 @@ impl Lexer<'_> {
             .iter()
             .find(|(written, ..)| rest.starts_with(written.as_bytes()))?;
         // `T<>` is a lattice in Soufflé, which the parser reports.
-        if *written == "<>" && matches!(rest.get(2), Some(b')' | b',')) {
+        let after = rest.iter().skip(2).find(|byte| !byte.is_ascii_whitespace());
+        if *written == "<>" && matches!(after, Some(b')' | b',' | b'{')) {
             return None;
         }
         let fault = Diagnostic::new(Code::SYNTAX, format!("`{written}` has no meaning here"))
@@ -424,12 +465,6 @@ impl Lexer<'_> {
     fn foreign_comment(&mut self) -> bool {
         let rest = &self.text[self.at..];
         let after_item = (self.lexed.tokens.last()).is_none_or(|token| token.kind == Kind::Dot);
-        let word = |text: &str| {
-            text.trim_start()
-                .split(|c: char| !c.is_ascii_alphabetic())
-                .next()
-                .map(str::to_owned)
-        };
         let is_aggregate = |rest: &str| {
             let word = rest
                 .split(|c: char| !c.is_ascii_alphabetic())
@@ -440,7 +475,7 @@ impl Lexer<'_> {
         let length = match rest.strip_prefix('#') {
             // The parser reports it.
             Some(rest) if is_aggregate(rest) => return false,
-            Some(rest) if !word(rest).is_some_and(|word| PREPROCESSOR.contains(&word.as_str())) => 1,
+            Some(_) if preprocessor_word(rest).is_none() => 1,
             None if after_item && rest.starts_with('%') => 1,
             None if after_item && rest.starts_with("--") => 2,
             _ => return false,
@@ -468,8 +503,103 @@ impl Lexer<'_> {
         self.faults.push(fault);
     }
 
+    /// Emits a token for the directive of the C preprocessor that begins on this line. Of a condition, it keeps the first
+    /// branch, unless that is `#if 0`, and skips the others. Returns whether it found a directive.
+    fn preprocessor(&mut self) -> bool {
+        let rest = &self.text[self.at..];
+        let Some(word) = preprocessor_word(rest).filter(|_| self.fresh_line) else {
+            return false;
+        };
+        let after = &rest[rest.find(word).unwrap_or(0) + word.len()..];
+        if word == "include" && after.trim_start_matches([' ', '\t']).starts_with('"') {
+            return false;
+        }
+        let length = logical_line(rest);
+        match word {
+            "else" | "elif" | "elifdef" | "elifndef" if self.conditions > 0 => {
+                self.at += length;
+                self.skip_branches(true);
+            }
+            "endif" if self.conditions > 0 => {
+                self.conditions -= 1;
+                self.at += length;
+            }
+            _ => {
+                let never = word == "if" && after[..after.find('\n').unwrap_or(after.len())].trim() == "0";
+                self.conditions += usize::from(word.starts_with("if"));
+                self.push(Kind::Preprocessor, length);
+                if never {
+                    self.skip_branches(false);
+                }
+            }
+        }
+        true
+    }
+
+    /// Skips the rest of a branch of a condition: up to the next one, or, with `all`, all that follow.
+    fn skip_branches(&mut self, all: bool) {
+        let mut depth = 0_usize;
+        while self.at < self.bytes.len() {
+            let rest = &self.text[self.at..];
+            let line = rest.trim_start_matches([' ', '\t']);
+            let word = if line.starts_with('#') {
+                preprocessor_word(line)
+            } else {
+                None
+            };
+            self.at += match word {
+                Some(_) => logical_line(rest),
+                None => rest.find('\n').map_or(rest.len(), |newline| newline + 1),
+            };
+            match word.unwrap_or_default() {
+                "if" | "ifdef" | "ifndef" => depth += 1,
+                "endif" if depth == 0 => {
+                    self.conditions -= 1;
+                    break;
+                }
+                "endif" => depth -= 1,
+                "else" | "elif" | "elifdef" | "elifndef" if depth == 0 && !all => break,
+                _ => {}
+            }
+        }
+        self.fresh_line = true;
+    }
+
+    /// Skips and reports an annotation of Soufflé: `@[...]`, `@![...]`. Returns whether it found one.
+    fn annotation(&mut self) -> bool {
+        let rest = self.bytes[self.at + 1..].iter().copied().enumerate();
+        let mut rest = rest.skip_while(|(at, byte)| byte.is_ascii_whitespace() || (*at == 0 && *byte == b'!'));
+        if rest.next().is_none_or(|(_, byte)| byte != b'[') {
+            return false;
+        }
+        let (mut depth, mut in_text) = (1_usize, false);
+        while let Some((at, byte)) = rest.next() {
+            match byte {
+                b'\\' if in_text => _ = rest.next(),
+                b'"' => in_text = !in_text,
+                b'[' if !in_text => depth += 1,
+                b']' if !in_text => depth -= 1,
+                _ => {}
+            }
+            if depth == 0 {
+                let span = self.span(self.at, self.at + 1);
+                let fault = Diagnostic::new(Code::UNSUPPORTED, "annotations (`@[...]`) are not supported");
+                self.faults.push(fault.at(span, "").help("remove it"));
+                self.at += 1 + at + 1;
+                return true;
+            }
+        }
+        // Unclosed, like all that follow.
+        self.annotations_end = true;
+        false
+    }
+
     fn punctuation(&mut self, byte: u8) {
-        if self.foreign_comment() || self.foreign().is_some() {
+        if (byte == b'#' && self.preprocessor())
+            || (byte == b'@' && !self.annotations_end && self.annotation())
+            || self.foreign_comment()
+            || self.foreign().is_some()
+        {
             return;
         }
         let (kind, length) = match (byte, self.peek(1)) {

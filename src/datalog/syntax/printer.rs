@@ -305,6 +305,10 @@ impl Display for Quoted<'_> {
                 '\r' => f.write_str("\\r")?,
                 '\t' => f.write_str("\\t")?,
                 '\0' => f.write_str("\\0")?,
+                '\u{7}' => f.write_str("\\a")?,
+                '\u{8}' => f.write_str("\\b")?,
+                '\u{b}' => f.write_str("\\v")?,
+                '\u{c}' => f.write_str("\\f")?,
                 '"' | '\\' => write!(f, "\\{c}")?,
                 _ => f.write_char(c)?,
             }

@@ -1,4 +1,5 @@
 use crate::cancel::Cancel;
+use crate::cases::cases;
 use crate::induce::constraints::Constraints;
 use crate::induce::examples::{Examples, State};
 use crate::induce::learner::learn;
@@ -123,7 +124,7 @@ fn literals(vocabulary: &Vocabulary, states: &[State], random: &mut impl Rng) ->
 }
 
 proptest! {
-    #![proptest_config(ProptestConfig { cases: 60, failure_persistence: None, ..ProptestConfig::default() })]
+    #![proptest_config(ProptestConfig { failure_persistence: None, ..cases(120) })]
 
     #[test]
     fn entailment_equals_that_over_all_states(seed: u64, covering in 2_usize..=3) {

@@ -24,13 +24,64 @@ use std::collections::BTreeSet;
 
 use crate::diag::{Code, Diagnostic, Span};
 
-use crate::datalog::check::body::{Check, Finish, Operand, Pending};
+use crate::datalog::check::body::{Check, Finish, Operand, OperandKind, Pending};
 use crate::datalog::check::clauses::{EdgeKind, Known, VariableType, renumber};
 use crate::datalog::check::names::Names;
 use crate::datalog::check::rules::{Atom, Clause, Literal, RelId, Term, TypeId, VarId};
 use crate::datalog::check::scope;
 use crate::datalog::syntax::ast::{BaseType, Comparison};
 use crate::datalog::syntax::functor::{AggregateOp, Functor};
+
+/// The literals that may bind what an aggregate needs from outside.
+#[derive(Clone, Copy, PartialEq, Eq)]
+pub(crate) enum Allowed {
+    /// Those that do not depend on the recursion of the clause.
+    Outside,
+    /// All.
+    All,
+}
+
+/// The variables that the finished literals bind.
+#[derive(Default)]
+struct Bound {
+    /// By literals that do not depend on the recursion of the clause.
+    outside: Binding,
+    all: Binding,
+}
+
+impl Bound {
+    fn by(&self, allowed: Allowed) -> &Binding {
+        match allowed {
+            Allowed::Outside => &self.outside,
+            Allowed::All => &self.all,
+        }
+    }
+}
+
+/// The variables that literals bind among themselves.
+#[derive(Default)]
+struct Binding {
+    bound: BTreeSet<VarId>,
+    /// The literals that bind nothing yet.
+    waiting: Vec<Literal>,
+}
+
+impl Binding {
+    fn add(&mut self, literal: &Literal) {
+        self.waiting.push(literal.clone());
+        let mut changed = true;
+        while std::mem::take(&mut changed) {
+            self.waiting.retain(|literal| match binds(literal, &self.bound) {
+                Some(ids) => {
+                    changed |= !ids.is_empty();
+                    self.bound.extend(ids);
+                    false
+                }
+                None => true,
+            });
+        }
+    }
+}
 
 /// An aggregate without its body.
 #[derive(Clone, Copy)]
@@ -43,61 +94,171 @@ struct Head {
 }
 
 impl<'c> Check<'_, 'c> {
-    /// Returns the finished literals. `context` are those of the enclosing clause or aggregates.
-    pub fn finish(&mut self, pending: &[Pending<'c>], context: &[Literal], finish: &mut Finish<'_>) -> Vec<Literal> {
+    /// Returns the finished literals; `None` if a literal that one of them needs is missing. `context` are those of the
+    /// enclosing clause or aggregates, and `most` says which literals may bind what an aggregate needs.
+    ///
+    /// The result must not depend on the order of the literals. So an aggregate takes values that only the recursion
+    /// provides once no other literal can be finished without them.
+    pub fn finish(
+        &mut self,
+        pending: &[Pending<'c>],
+        context: &[Literal],
+        finish: &mut Finish<'_>,
+        most: Allowed,
+    ) -> Option<Vec<Literal>> {
         let mut done: Vec<Option<Literal>> = Vec::with_capacity(pending.len());
         for pending in pending {
-            let is_range = matches!(
-                pending,
-                Pending::Compute {
-                    functor: Functor::Range,
-                    ..
-                }
-            );
-            done.push(if is_range { None } else { self.written(pending) });
+            done.push(match is_range(pending) {
+                true => None,
+                false => self.written(pending),
+            });
         }
-        // An aggregate or a range may need the value of another one.
-        let mut progress = true;
-        while std::mem::take(&mut progress) {
-            for (index, pending) in pending.iter().enumerate() {
-                if done[index].is_none()
-                    && let Pending::Compute { .. } = pending
-                {
-                    let around: Vec<Literal> = done.iter().flatten().cloned().collect();
-                    done[index] = self.range_literal(pending, &around, context, finish);
-                    progress |= done[index].is_some();
-                }
-                let Pending::Aggregate {
-                    to,
-                    op,
-                    target,
-                    body,
-                    level,
-                    span,
-                } = pending
-                else {
-                    continue;
-                };
-                if done[index].is_some() {
+        if done.iter().all(Option::is_some) {
+            return Some(done.into_iter().flatten().collect());
+        }
+        let mut bound = Bound::default();
+        for literal in context.iter().chain(done.iter().flatten()) {
+            self.provide(&mut bound, literal, finish);
+        }
+        let mut allowed = Allowed::Outside;
+        while let Some(unfinished) = done.iter().position(Option::is_none) {
+            let mut progress = false;
+            for index in unfinished..pending.len() {
+                if done[index].is_some() || !self.is_ready(&pending[index], bound.by(allowed)) {
                     continue;
                 }
-                let head = Head {
-                    to: *to,
-                    op: *op,
-                    target: *target,
-                    level: *level,
-                    span: *span,
+                let Some(literal) = self.finished_one(&pending[index], context, &done, finish, allowed) else {
+                    continue;
                 };
-                let around: Vec<Literal> = context.iter().chain(done.iter().flatten()).cloned().collect();
-                let literal = self.aggregate_literal(head, body, &around, finish);
-                progress |= literal.is_some();
-                done[index] = literal;
+                self.provide(&mut bound, &literal, finish);
+                done[index] = Some(literal);
+                progress = true;
+                if allowed == Allowed::All {
+                    break;
+                }
+            }
+            allowed = match (progress, allowed) {
+                (true, _) => Allowed::Outside,
+                (false, Allowed::Outside) if most == Allowed::All => Allowed::All,
+                (false, _) => return None,
+            };
+        }
+        Some(done.into_iter().flatten().collect())
+    }
+
+    /// Returns the literal of an aggregate or range; `None` if one that it needs is missing.
+    fn finished_one(
+        &mut self,
+        pending: &Pending<'c>,
+        context: &[Literal],
+        done: &[Option<Literal>],
+        finish: &mut Finish<'_>,
+        allowed: Allowed,
+    ) -> Option<Literal> {
+        let near: Vec<Literal> = done.iter().flatten().cloned().collect();
+        let Pending::Aggregate {
+            to,
+            op,
+            target,
+            body,
+            level,
+            span,
+        } = pending
+        else {
+            return self.range_literal(pending, &near, context, finish, allowed);
+        };
+        let head = Head {
+            to: *to,
+            op: *op,
+            target: *target,
+            level: *level,
+            span: *span,
+        };
+        let around: Vec<Literal> = context.iter().cloned().chain(near).collect();
+        self.aggregate_literal(head, body, &around, finish, allowed)
+    }
+
+    /// Adds the variables that the literal binds.
+    fn provide(&self, bound: &mut Bound, literal: &Literal, finish: &Finish<'_>) {
+        bound.all.add(literal);
+        if self.is_outside(literal, finish) {
+            bound.outside.add(literal);
+        }
+    }
+
+    /// Returns whether the literal needs no value that only the recursion of the clause provides.
+    pub fn is_outside(&self, literal: &Literal, finish: &Finish<'_>) -> bool {
+        literal
+            .atom()
+            .is_none_or(|atom| !self.is_recursive(atom.relation, finish))
+    }
+
+    /// Returns whether the literals around an aggregate or range bind what it needs, given the variables that they bind.
+    fn is_ready(&self, pending: &Pending<'c>, bound: &Binding) -> bool {
+        let bound = &bound.bound;
+        match pending {
+            Pending::Aggregate {
+                target, body, level, ..
+            } => {
+                let own = self.bound_in(body, bound);
+                let mut ready = true;
+                self.each_variable(body, *target, &mut |id, check| {
+                    ready &= check.level(id).is_none_or(|found| found >= *level) || own.contains(&id);
+                });
+                ready
+            }
+            Pending::Compute { arguments, .. } => arguments.iter().all(|argument| match argument.kind {
+                OperandKind::Variable(id) => bound.contains(&id),
+                _ => true,
+            }),
+            Pending::Atom { .. } | Pending::Compare { .. } => true,
+        }
+    }
+
+    /// Returns the variables that the body of an aggregate binds, in addition to those bound around it.
+    fn bound_in(&self, body: &[Pending<'c>], around: &BTreeSet<VarId>) -> BTreeSet<VarId> {
+        let mut bound = around.clone();
+        let mut changed = true;
+        while std::mem::take(&mut changed) {
+            for pending in body {
+                let known = |operand: &Operand| match operand.kind {
+                    OperandKind::Variable(id) => bound.contains(&id),
+                    _ => true,
+                };
+                let mut binds = Vec::new();
+                match pending {
+                    Pending::Atom {
+                        negated: false, atom, ..
+                    } => binds.extend(atom.terms.iter().filter_map(variable)),
+                    Pending::Compare {
+                        op: Comparison::Equal,
+                        left,
+                        right,
+                        ..
+                    } if known(left) || known(right) => {
+                        binds.extend([left, right].into_iter().filter_map(|operand| match operand.kind {
+                            OperandKind::Variable(id) => Some(id),
+                            _ => None,
+                        }));
+                    }
+                    Pending::Compute { to, arguments, .. } if arguments.iter().all(known) => binds.push(*to),
+                    Pending::Aggregate { to, level, .. } => {
+                        let mut ready = true;
+                        self.each_variable(std::slice::from_ref(pending), None, &mut |id, check| {
+                            ready &= id == *to || check.variables[id.index()].level >= *level || bound.contains(&id);
+                        });
+                        if ready {
+                            binds.push(*to);
+                        }
+                    }
+                    Pending::Atom { .. } | Pending::Compare { .. } | Pending::Compute { .. } => {}
+                }
+                for id in binds {
+                    changed |= bound.insert(id);
+                }
             }
         }
-        if done.iter().any(Option::is_none) {
-            self.unsound();
-        }
-        done.into_iter().flatten().collect()
+        bound
     }
 
     /// Returns the literal of an aggregate; `None` while an outer literal that it needs is missing.
@@ -107,8 +268,9 @@ impl<'c> Check<'_, 'c> {
         body: &[Pending<'c>],
         context: &[Literal],
         finish: &mut Finish<'_>,
+        allowed: Allowed,
     ) -> Option<Literal> {
-        let mut inner = self.finish(body, context, finish);
+        let mut inner = self.finish(body, context, finish, allowed)?;
         let base = head.target.map_or(BaseType::Number, |target| self.settled_base(target));
         let target = head.target.map(|target| self.finished(target, base));
         let is_own = |check: &Self, id: VarId| check.level(id).is_none_or(|level| level >= head.level);
@@ -170,11 +332,7 @@ impl<'c> Check<'_, 'c> {
         {
             own.insert(id);
         }
-        let outside = |literal: &Literal| {
-            literal
-                .atom()
-                .is_none_or(|atom| !self.is_recursive(atom.relation, finish))
-        };
+        let outside = |literal: &Literal| self.is_outside(literal, finish);
         let parameters = match grounding(&shared, &inner, context, &outside) {
             Some(added) => {
                 for literal in added.into_iter().map(|position| &context[position]) {
@@ -187,6 +345,7 @@ impl<'c> Check<'_, 'c> {
                 }
                 0
             }
+            None if allowed == Allowed::Outside => return None,
             None => {
                 grounding(&shared, &inner, context, &|_| true)?;
                 shared.len()
@@ -387,6 +546,11 @@ fn grounding(
 ) -> Option<Vec<usize>> {
     let mut body = inner.to_vec();
     let mut taken = Vec::new();
+    // A literal that needs a value from nowhere else, such as that of this aggregate itself, binds nothing.
+    let mut around = inner.to_vec();
+    around.extend(context.iter().filter(|literal| usable(literal)).cloned());
+    let bindable = bound_by(&around);
+    let usable = |literal: &Literal| usable(literal) && variables_of(literal).all(|id| bindable.contains(&id));
     // The variables for which a literal was taken; it may need further variables.
     let mut given = BTreeSet::new();
     loop {
@@ -441,43 +605,57 @@ fn fresh(variables: &mut Vec<Known>, ty: VariableType, span: Span) -> VarId {
 
 /// Returns the variables that the literals bind among themselves.
 pub(crate) fn bound_by(literals: &[Literal]) -> BTreeSet<VarId> {
-    let mut bound = BTreeSet::new();
-    loop {
-        let before = bound.len();
-        for literal in literals {
-            let known = |term: &Term| match term {
-                Term::Variable(id) => bound.contains(id),
-                _ => true,
-            };
-            let gives: Vec<&Term> = match literal {
-                Literal::Positive(atom) | Literal::Guard(atom) => atom.terms.iter().collect(),
-                Literal::Compare {
-                    op: Comparison::Equal,
-                    left,
-                    right,
-                    ..
-                } if known(left) || known(right) => vec![left, right],
-                Literal::Compute { to, arguments, .. } if arguments.iter().all(known) => vec![to],
-                Literal::Aggregate { to, atom, .. } if atom.terms.iter().all(known) => vec![to],
-                _ => Vec::new(),
-            };
-            let ids = gives.into_iter().filter_map(|term| match term {
-                Term::Variable(id) => Some(*id),
-                _ => None,
-            });
-            let ids: Vec<VarId> = ids.collect();
-            bound.extend(ids);
+    let mut binding = Binding::default();
+    literals.iter().for_each(|literal| binding.add(literal));
+    binding.bound
+}
+
+/// Returns the variables that a literal binds; `None` while it lacks bound variables to bind others.
+fn binds(literal: &Literal, bound: &BTreeSet<VarId>) -> Option<Vec<VarId>> {
+    let known = |term: &Term| variable(term).is_none_or(|id| bound.contains(&id));
+    let gives: Vec<&Term> = match literal {
+        Literal::Positive(atom) | Literal::Guard(atom) => atom.terms.iter().collect(),
+        Literal::Compare {
+            op: Comparison::Equal,
+            left,
+            right,
+            ..
+        } => match known(left) || known(right) {
+            true => vec![left, right],
+            false => return None,
+        },
+        Literal::Compute { to, arguments, .. } => match arguments.iter().all(known) {
+            true => vec![to],
+            false => return None,
+        },
+        Literal::Aggregate { to, atom, .. } => match atom.terms.iter().all(known) {
+            true => vec![to],
+            false => return None,
+        },
+        Literal::Compare { .. } | Literal::Negative(_) => Vec::new(),
+    };
+    Some(gives.into_iter().filter_map(variable).collect())
+}
+
+fn is_range(pending: &Pending<'_>) -> bool {
+    matches!(
+        pending,
+        Pending::Compute {
+            functor: Functor::Range,
+            ..
         }
-        if bound.len() == before {
-            return bound;
-        }
+    )
+}
+
+/// Returns the variable that the term is.
+pub(crate) fn variable(term: &Term) -> Option<VarId> {
+    match term {
+        Term::Variable(id) => Some(*id),
+        _ => None,
     }
 }
 
 /// Returns the variables of the literal.
 fn variables_of(literal: &Literal) -> impl Iterator<Item = VarId> + '_ {
-    literal.terms().filter_map(|term| match term {
-        Term::Variable(id) => Some(*id),
-        _ => None,
-    })
+    literal.terms().filter_map(variable)
 }

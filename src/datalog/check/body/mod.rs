@@ -22,6 +22,7 @@ use crate::datalog::syntax::ast::TermKind;
 use crate::datalog::syntax::ast::{BaseType, Comparison, names_in, names_of};
 use crate::datalog::syntax::functor::{AggregateOp, Functor, Shape};
 use crate::datalog::value::{Patterns, Value};
+use aggregate::Allowed;
 
 mod aggregate;
 mod range;
@@ -112,7 +113,17 @@ pub(crate) fn check(
             variables: &mut variables,
             hidden: &mut hidden,
         };
-        literals = check.finish(&pending, &[], &mut finish);
+        match check.finish(&pending, &[], &mut finish, Allowed::All) {
+            Some(finished) => literals = finished,
+            None => {
+                let fault = Diagnostic::new(Code::UNBOUND_VARIABLE, "aggregates or ranges need each other's values");
+                check.fault(
+                    fault
+                        .at(clause.place.0, "")
+                        .help("add a positive atom that binds one of the values"),
+                );
+            }
+        }
     } else {
         // No executor evaluates a faulty clause; the lints still use its complete literals.
         literals.extend(pending.iter().filter_map(|pending| check.written(pending)));
@@ -838,10 +849,6 @@ impl<'c> Check<'_, 'c> {
 
     pub fn report(&mut self, fault: Diagnostic) {
         self.fault(fault);
-    }
-
-    pub fn unsound(&mut self) {
-        self.sound = false;
     }
 
     pub fn edge(&mut self, to: RelId, kind: EdgeKind, span: Span) {

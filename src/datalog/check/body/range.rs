@@ -15,7 +15,7 @@ use std::collections::BTreeSet;
 
 use crate::diag::Span;
 
-use crate::datalog::check::body::aggregate::bound_by;
+use crate::datalog::check::body::aggregate::{Allowed, bound_by, variable};
 use crate::datalog::check::body::{Check, Finish, Pending};
 use crate::datalog::check::clauses::EdgeKind;
 use crate::datalog::check::clauses::{Known, VariableType, renumber};
@@ -43,13 +43,15 @@ const COLUMNS: usize = 4;
 impl<'c> Check<'_, 'c> {
     /// Returns an atom for `to = range(from, to, step)`; `None` while a literal that binds an argument is missing.
     ///
-    /// `near` are the finished literals of the same body. `context` are those of the enclosing clause or aggregates.
+    /// `near` are the finished literals of the same body. `context` are those of the enclosing clause or aggregates, of
+    /// which `allowed` says which may bind an argument.
     pub fn range_literal(
         &mut self,
         pending: &Pending<'c>,
         near: &[Literal],
         context: &[Literal],
         finish: &mut Finish<'_>,
+        allowed: Allowed,
     ) -> Option<Literal> {
         let Some(Literal::Compute {
             to,
@@ -62,7 +64,12 @@ impl<'c> Check<'_, 'c> {
             return None;
         };
         let needed: BTreeSet<VarId> = arguments.iter().filter_map(variable).collect();
-        let (near, context) = relevant(&needed, near, context)?;
+        // In an aggregate, a range of values that the recursion provides would make the aggregate depend on itself.
+        let mut context = context.to_vec();
+        if allowed == Allowed::Outside {
+            context.retain(|literal| self.is_outside(literal, finish));
+        }
+        let (near, context) = relevant(&needed, near, &context)?;
         for atom in context.iter().filter_map(Literal::atom) {
             if !self.names.relation(atom.relation).hidden {
                 self.edge(atom.relation, EdgeKind::Aggregates, atom.span);
@@ -96,13 +103,6 @@ impl<'c> Check<'_, 'c> {
             terms: vec![*from, *until, step, to],
             span,
         }))
-    }
-}
-
-fn variable(term: &Term) -> Option<VarId> {
-    match term {
-        Term::Variable(id) => Some(*id),
-        _ => None,
     }
 }
 

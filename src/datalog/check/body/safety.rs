@@ -75,7 +75,12 @@ impl<'c> Check<'_, 'c> {
     }
 
     /// Calls `each` with every variable of the literals and of an aggregate's target.
-    fn each_variable(&self, pending: &[Pending<'c>], target: Option<Operand>, each: &mut dyn FnMut(VarId, &Self)) {
+    pub(super) fn each_variable(
+        &self,
+        pending: &[Pending<'c>],
+        target: Option<Operand>,
+        each: &mut dyn FnMut(VarId, &Self),
+    ) {
         let operand = |operand: Operand, each: &mut dyn FnMut(VarId, &Self)| {
             if let OperandKind::Variable(id) = operand.kind {
                 each(id, self);

@@ -6,7 +6,7 @@ use crate::datalog::syntax::functor::{AggregateOp, Functor};
 use crate::datalog::syntax::lexer::{CONJUNCTION, DISJUNCTION, IMPLICATION, Kind, NEGATION, Token};
 use crate::diag::{Code, Diagnostic};
 
-use crate::datalog::syntax::parser::{FULL_STOP, Parse, Parser, Reported};
+use crate::datalog::syntax::parser::{DIRECTIVES, FULL_STOP, MAX_NESTING, Parse, Parser, Reported};
 
 impl Parser<'_> {
     /// Returns whether the current tokens are `?-`.
@@ -46,7 +46,10 @@ impl Parser<'_> {
         match self.kind() {
             Kind::LessEqual => {
                 let span = self.span(self.token());
-                return Err(self.unsupported(span, "subsumption (`<=` between heads) is", IMPLICATION));
+                let rest = self.tokens[self.at..].iter().map(|token| token.kind);
+                let has_body = rest.take_while(|kind| *kind != Kind::Dot).any(|kind| kind == Kind::If);
+                let help = if has_body { DOMINATED } else { IMPLICATION };
+                return Err(self.unsupported(span, "subsumption (`<=` between heads) is", help));
             }
             kind if kind == Kind::If || self.skip_foreign(IMPLICATION, "`:-`") => {
                 self.eat(Kind::If);
@@ -236,10 +239,11 @@ impl Parser<'_> {
             }
             _ => {}
         }
-        if let Some(part) = self.component() {
-            self.at += 3;
-            let span = self.span(start).to(self.span(part));
-            return Err(self.unsupported(span, "names with a dot (components) are", ""));
+        if self.is_component_atom() {
+            return Err(match self.name("a predicate") {
+                Ok(_) => self.expected("a literal"),
+                Err(reported) => reported,
+            });
         }
         Ok(vec![self.comparison()?])
     }
@@ -282,12 +286,17 @@ impl Parser<'_> {
         Ok(Literal::Compare { op, left, right, place })
     }
 
-    /// Returns the second part of a qualified name `a.b(...)`, if one begins at the current token.
-    fn component(&self) -> Option<Token> {
-        let (start, dot, part) = (self.token(), self.ahead(1), self.ahead(2));
-        let is_name = start.kind == Kind::Ident && dot.kind == Kind::Dot && part.kind == Kind::Ident;
-        let is_one_word = start.end == dot.start && dot.end == part.start && !dot.first_on_line;
-        (is_name && is_one_word && self.ahead(3).kind == Kind::LParen).then_some(part)
+    /// Returns whether an atom `a.b(...)` of a component begins at the current token.
+    fn is_component_atom(&self) -> bool {
+        let is_part = |ahead: usize| {
+            let (name, dot, part) = (self.ahead(ahead), self.ahead(ahead + 1), self.ahead(ahead + 2));
+            [name.kind, dot.kind, part.kind] == [Kind::Ident, Kind::Dot, Kind::Ident]
+                && name.end == dot.start
+                && dot.end == part.start
+                && !DIRECTIVES.contains(&self.slice(part))
+        };
+        let last = (0..MAX_NESTING).map(|part| 2 * part).find(|&ahead| !is_part(ahead));
+        last.is_some_and(|last| last > 0 && self.ahead(last + 1).kind == Kind::LParen)
     }
 
     /// `x < y + 1`
@@ -321,7 +330,7 @@ impl Parser<'_> {
             self.ahead(2).kind == Kind::Ident && matches!(self.ahead(3).kind, Kind::Comma | Kind::Colon);
         let is_applied =
             next.kind == Kind::LParen && (self.is_atom_ahead(2) || (names_variable && self.is_atom_ahead(4)));
-        is_word && (is_applied || (next.kind == Kind::Ident && !next.first_on_line))
+        is_word && (is_applied || (next.kind == Kind::Ident && self.infix(next).is_none() && !next.first_on_line))
     }
 
     /// Reports a quantifier.
@@ -434,6 +443,10 @@ impl Parser<'_> {
     }
 }
 
+/// Help for programs that use subsumption.
+const DOMINATED: &str = "derive all rows into another predicate, and copy those that no other row dominates: \
+                         `A(x) :- All(x), !Dominated(x).`";
+
 /// The words for the quantifiers in logic and other languages.
 const FOR_ALL: &[&str] = &["forall", "forAll", "Forall", "ForAll", "FORALL", "foreach"];
 const EXISTS: &[&str] = &["exists", "Exists", "EXISTS", "exist", "some"];
@@ -442,7 +455,7 @@ const EXISTS: &[&str] = &["exists", "Exists", "EXISTS", "exist", "some"];
 const CUT: &str = "Datalog derives all answers and ignores the order of clauses; to exclude what another clause covers, \
                    negate it: `Not(A(x))`";
 
-fn comparison(kind: Kind) -> Option<Comparison> {
+pub(super) fn comparison(kind: Kind) -> Option<Comparison> {
     Some(match kind {
         Kind::Equal => Comparison::Equal,
         Kind::NotEqual => Comparison::NotEqual,

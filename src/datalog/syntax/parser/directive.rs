@@ -8,7 +8,7 @@ use crate::datalog::syntax::ast::{
 use crate::datalog::syntax::lexer::{Kind, Token};
 use crate::diag::{Code, Diagnostic, did_you_mean};
 
-use crate::datalog::syntax::parser::{DIRECTIVES, FOREIGN_DIRECTIVES, MAX_NESTING, OLD_TYPES, Parse, Parser, Reported};
+use crate::datalog::syntax::parser::{DIRECTIVES, FOREIGN_DIRECTIVES, OLD_TYPES, Parse, Parser, Reported};
 
 /// The qualifiers of Soufflé that the parser accepts after the columns of a declaration.
 const QUALIFIERS: &[&str] = &[
@@ -80,6 +80,9 @@ impl Parser<'_> {
             "plan" => {
                 let orders = self.join_orders()?;
                 let place = self.place_from(dot);
+                if self.dropped {
+                    return Ok(None);
+                }
                 Ok(Some(Item::Plan(Plan { orders, place })))
             }
             "scope" => {
@@ -101,9 +104,21 @@ impl Parser<'_> {
                         "limitsize" => "remove it; evaluation stops when the rules derive too many rows",
                         _ => "",
                     };
-                    let reported = self.unsupported(span, &format!("{what} {verb}"), help);
-                    self.skip_braces();
-                    return Err(reported);
+                    self.unsupported(span, &format!("{what} {verb}"), help);
+                    let declared = self.token();
+                    self.skip_foreign_directive(name);
+                    // Columns may name the type of a lattice.
+                    let is_type = name == "lattice" && declared.kind == Kind::Ident;
+                    return Ok(is_type.then(|| {
+                        Item::Type(TypeDecl {
+                            name: Name {
+                                text: self.slice(declared).to_owned(),
+                                place: Place(self.span(declared)),
+                            },
+                            definition: TypeDefinition::Faulty,
+                            doc,
+                        })
+                    }));
                 }
                 let mut fault = Diagnostic::new(Code::SYNTAX, format!("unknown directive `.{name}`")).at(span, "");
                 fault = match did_you_mean(name, DIRECTIVES.iter().copied()) {
@@ -140,30 +155,75 @@ impl Parser<'_> {
         }
     }
 
-    /// Skips the block `name ... { ... }` of a component, if one begins on the same line.
-    fn skip_braces(&mut self) {
-        let mut ahead = 0;
-        while !self.ahead(ahead).first_on_line && !matches!(self.ahead(ahead).kind, Kind::LBrace | Kind::End) {
-            ahead += 1;
-            if ahead > MAX_NESTING {
-                return;
+    /// Skips the rest of a directive of Soufflé after its name.
+    fn skip_foreign_directive(&mut self, name: &str) {
+        match name {
+            // `.comp A<T> : B<T>, C { ... }`, `.lattice L<> { ... }`
+            "comp" | "lattice" => {
+                while !matches!(self.kind(), Kind::LBrace | Kind::End | Kind::Preprocessor)
+                    && !self.at_known_directive()
+                {
+                    self.bump();
+                }
+                self.skip_group(Kind::LBrace, Kind::RBrace, true);
+            }
+            // `.init a = A<T>`
+            "init" => {
+                self.skip_name();
+                if self.eat(Kind::Equal) {
+                    self.skip_name();
+                    self.skip_group(Kind::Less, Kind::Greater, false);
+                }
+            }
+            // `.functor f(x: number): symbol stateful`
+            "functor" => {
+                self.skip_name();
+                self.skip_group(Kind::LParen, Kind::RParen, false);
+                if self.eat(Kind::Colon) {
+                    self.skip_name();
+                }
+                if self.slice(self.token()) == "stateful" {
+                    self.bump();
+                }
+            }
+            // `.limitsize P, Q(n=3)`
+            "limitsize" => {
+                self.skip_name();
+                while self.eat(Kind::Comma) {
+                    self.skip_name();
+                }
+                self.skip_group(Kind::LParen, Kind::RParen, false);
+            }
+            // `.override P`
+            _ => self.skip_name(),
+        }
+    }
+
+    /// Skips a name, which may have dots.
+    pub(super) fn skip_name(&mut self) {
+        if self.eat(Kind::Ident) {
+            while self.is_qualifying() {
+                self.bump();
+                self.bump();
             }
         }
-        if self.ahead(ahead).kind != Kind::LBrace {
-            return;
-        }
+    }
+
+    /// Skips a group between brackets of one kind, if one begins at the current token. Directives belong to it only
+    /// with `directives`.
+    pub(super) fn skip_group(&mut self, open: Kind, close: Kind, directives: bool) {
         let mut depth = 0_usize;
-        while self.kind() != Kind::End {
-            match self.bump().kind {
-                Kind::LBrace => depth += 1,
-                Kind::RBrace => {
-                    depth = depth.saturating_sub(1);
-                    if depth == 0 {
-                        return;
-                    }
-                }
+        while self.kind() != Kind::End && (directives || !self.at_known_directive()) {
+            match self.kind() {
+                kind if kind == open => depth += 1,
+                kind if kind == close => depth = depth.saturating_sub(1),
                 _ => {}
             }
+            if self.kind() != open && depth == 0 {
+                self.eat(close);
+                return;
+            }
+            self.bump();
         }
     }
 
@@ -231,13 +291,25 @@ impl Parser<'_> {
         let names = self.names("the predicate's name")?;
         let start = self.at - 1;
         let first = names[0].text.clone();
-        let columns = match self.columns(&first) {
-            Ok(columns) => Some(columns),
-            Err(Reported) => {
-                self.recover(start);
-                None
-            }
-        };
+        if self.kind() == Kind::Equal && self.slice(self.ahead(1)) == "debug_delta" {
+            // `.decl D = debug_delta(P)`
+            self.bump();
+            let word = self.bump();
+            self.unsupported(self.span(word), "`debug_delta` is", "");
+            self.skip_group(Kind::LParen, Kind::RParen, false);
+            return Ok(Decl {
+                names,
+                columns: None,
+                qualifiers: Vec::new(),
+                doc,
+            });
+        }
+        let read = self.columns(&first);
+        let readable = read.is_ok();
+        let columns = read.unwrap_or_else(|Reported| {
+            self.recover(start);
+            None
+        });
         if let Some(name) = names
             .iter()
             .find(|name| matches!(name.text.as_str(), "match" | "contains"))
@@ -248,22 +320,23 @@ impl Parser<'_> {
             self.faults.push(fault);
         }
         let mut qualifiers = Vec::new();
-        if columns.is_some() {
-            while self.kind() == Kind::Ident
-                && QUALIFIERS.contains(&self.slice(self.token()))
-                && self.ahead(1).kind != Kind::LParen
-            {
-                let word = self.name("a qualifier")?;
-                match mark_of(&word.text) {
-                    Some(kind) => self.marks.push(Item::Mark(Mark {
-                        kind,
-                        names: names.clone(),
-                        options: Vec::new(),
-                    })),
-                    None => qualifiers.push(word),
+        // A word before a parenthesis begins a clause.
+        while readable && self.kind() == Kind::Ident && self.ahead(1).kind != Kind::LParen {
+            if !QUALIFIERS.contains(&self.slice(self.token())) {
+                match self.foreign_qualifier(&first, columns.as_deref().unwrap_or_default()) {
+                    true => continue,
+                    false => break,
                 }
             }
-            self.foreign_qualifiers(&first, columns.as_deref().unwrap_or_default());
+            let word = self.name("a qualifier")?;
+            match mark_of(&word.text) {
+                Some(kind) => self.marks.push(Item::Mark(Mark {
+                    kind,
+                    names: names.clone(),
+                    options: Vec::new(),
+                })),
+                None => qualifiers.push(word),
+            }
         }
         Ok(Decl {
             names,
@@ -273,15 +346,16 @@ impl Parser<'_> {
         })
     }
 
-    /// Parses the columns of the predicate `of`.
-    fn columns(&mut self, of: &str) -> Parse<Vec<ColumnDecl>> {
+    /// Parses the columns of the predicate `of`. `None` if one has the type of a lattice.
+    fn columns(&mut self, of: &str) -> Parse<Option<Vec<ColumnDecl>>> {
         let mut columns = Vec::new();
+        let mut known = true;
         let open = self.at;
         if !self.eat(Kind::LParen) {
             return Err(self.expected("`(` and the columns"));
         }
         if self.eat(Kind::RParen) {
-            return Ok(columns);
+            return Ok(Some(columns));
         }
         loop {
             let name = self.name("a column's name")?;
@@ -290,12 +364,16 @@ impl Parser<'_> {
                 return Err(self.expected_with("`:` and the column's type", help.as_deref()));
             }
             let ty = self.name("a type")?;
-            if self.kind() == Kind::Less {
-                return Err(self.unsupported(self.span(self.token()), "lattices (`<>`) are", ""));
+            if self.kind() == Kind::Less && self.ahead(1).kind == Kind::Greater {
+                let span = self.span(self.token()).to(self.span(self.ahead(1)));
+                self.bump();
+                self.bump();
+                self.unsupported(span, "lattices (`<>`) are", "");
+                known = false;
             }
             columns.push(ColumnDecl { name, ty });
             if self.eat(Kind::RParen) {
-                return Ok(columns);
+                return Ok(known.then_some(columns));
             }
             if !self.eat(Kind::Comma) {
                 return Err(self.expected("`,` or `)`"));
@@ -342,28 +420,33 @@ impl Parser<'_> {
         ))
     }
 
-    /// Reports the qualifiers of Soufflé that the language does not have: `eqrel`, `choice-domain ...`.
-    fn foreign_qualifiers(&mut self, of: &str, columns: &[ColumnDecl]) {
+    /// Skips and reports a qualifier of Soufflé that the language does not have: `eqrel`, `choice-domain ...`. Returns
+    /// whether there is one.
+    fn foreign_qualifier(&mut self, of: &str, columns: &[ColumnDecl]) -> bool {
         let first = self.token();
-        let known = matches!(
-            self.slice(first),
-            "btree_delete" | "provenance" | "eqrel" | "override" | "choice"
-        );
-        let clause_follows = self.ahead(1).kind == Kind::LParen;
-        if first.kind != Kind::Ident || !known || clause_follows {
-            return;
+        let is_choice =
+            self.slice(first) == "choice" && self.ahead(1).kind == Kind::Minus && self.slice(self.ahead(2)) == "domain";
+        let is_other = matches!(self.slice(first), "btree_delete" | "provenance" | "eqrel" | "override");
+        if !is_choice && !is_other {
+            return false;
         }
-        while !self.token().first_on_line && !matches!(self.kind(), Kind::End | Kind::Dot) {
+        self.bump();
+        let mut word = self.slice(first).to_owned();
+        let mut span = self.span(first);
+        if is_choice {
             self.bump();
+            let domain = self.bump();
+            span = span.to(self.span(domain));
+            "choice-domain".clone_into(&mut word);
+            // `x, (y, z)`
+            loop {
+                self.skip_name();
+                self.skip_group(Kind::LParen, Kind::RParen, false);
+                if !self.eat(Kind::Comma) {
+                    break;
+                }
+            }
         }
-        if self.previous().start < first.start {
-            self.bump();
-        }
-        let word = match self.slice(first) {
-            "choice" => "choice-domain".to_owned(),
-            word => word.to_owned(),
-        };
-        let span = self.span(first);
         let help = match (word.as_str(), columns) {
             ("eqrel", _) => format!(
                 "write the equivalence as clauses: `{of}(x, x) :- {of}(x, _). {of}(y, x) :- {of}(x, y). {of}(x, z) :- \
@@ -384,13 +467,16 @@ impl Parser<'_> {
             _ => "remove it".to_owned(),
         };
         self.unsupported(span, &format!("the qualifier `{word}` is"), &help);
+        true
     }
 
     /// Parses the rest of a `.type`. `old` is the base type that an old notation, such as `.number_type`, implies.
     fn type_decl(&mut self, doc: String, old: Option<BaseType>) -> Parse<TypeDecl> {
         let name = self.name("the type's name")?;
         let start = self.at - 1;
-        let ends = self.token().first_on_line || self.kind() == Kind::End;
+        let defines = matches!(self.kind(), Kind::Subtype | Kind::Equal);
+        let next_item = self.directive_ahead().is_some() || self.ahead(1).kind == Kind::LParen;
+        let ends = !defines && (self.token().first_on_line || self.kind() == Kind::End || next_item);
         let old = old.or(ends.then_some(BaseType::Symbol));
         let definition = match old {
             Some(base) => Ok(self.old_type(&name, base)),
@@ -426,21 +512,32 @@ impl Parser<'_> {
         }
         let token = self.token();
         if token.kind == Kind::LBracket {
-            return Err(self.unsupported(self.span(token), "record types are", ""));
+            self.skip_group(Kind::LBracket, Kind::RBracket, false);
+            self.unsupported(self.span(token), "record types are", "");
+            return Ok(TypeDefinition::Faulty);
         }
-        let other = self.name("a type")?;
-        let next = self.token();
-        match next.kind {
-            Kind::LBrace => Err(self.unsupported(self.span(next), "algebraic data types are", "")),
-            Kind::Pipe => {
-                let mut members = vec![other];
+        let mut members = Vec::new();
+        loop {
+            let start = self.token();
+            members.push(self.name("a type")?);
+            if self.kind() == Kind::LBrace {
+                // `A { x: number } | B {}`
+                self.skip_group(Kind::LBrace, Kind::RBrace, false);
                 while self.eat(Kind::Pipe) {
-                    members.push(self.name("a type")?);
+                    self.skip_name();
+                    self.skip_group(Kind::LBrace, Kind::RBrace, false);
                 }
-                Ok(TypeDefinition::Union(members))
+                self.unsupported(self.span(start), "algebraic data types are", "");
+                return Ok(TypeDefinition::Faulty);
             }
-            _ => Ok(TypeDefinition::Alias(other)),
+            if !self.eat(Kind::Pipe) {
+                break;
+            }
         }
+        Ok(match members.len() {
+            1 => TypeDefinition::Alias(members.remove(0)),
+            _ => TypeDefinition::Union(members),
+        })
     }
 }
 

@@ -6,6 +6,7 @@ use crate::datalog::syntax::lexer::{Kind, Token};
 use crate::diag::{Code, Diagnostic};
 use core::net::Ipv4Addr;
 
+use crate::datalog::syntax::parser::clause::comparison;
 use crate::datalog::syntax::parser::{Parse, Parser, Reported};
 
 /// Maximum height of an expression: an operator or function is one level above its highest operand.
@@ -83,17 +84,61 @@ impl Parser<'_> {
         }
     }
 
+    /// Returns whether an aggregate begins at the current token. Elsewhere its name is a variable or, as in
+    /// `max(x, y)`, a function.
     fn is_aggregate(&self) -> bool {
         let next = self.ahead(1);
         match self.slice(self.token()) {
             "count" => matches!(next.kind, Kind::Colon | Kind::LBrace),
-            "sum" | "mean" => next.kind != Kind::Minus && self.begins_operand(next),
-            "min" | "max" if next.kind == Kind::LParen => {
-                (self.after_parenthesis(1)).is_some_and(|after| after.kind == Kind::Colon)
-            }
-            "min" | "max" => next.kind != Kind::Minus && self.begins_operand(next),
+            "sum" | "mean" | "min" | "max" if next.kind == Kind::Minus => self.has_body_ahead(),
+            "min" | "max" if next.kind == Kind::LParen => self.has_body_ahead(),
+            "sum" | "mean" | "min" | "max" => self.begins_operand(next),
             _ => false,
         }
+    }
+
+    /// Returns whether the body of an aggregate follows the expression after the current token: a colon outside of
+    /// parentheses that belongs to no aggregate within the expression.
+    fn has_body_ahead(&self) -> bool {
+        let (mut depth, mut bodies) = (0_usize, 1_usize);
+        let mut in_arguments = self.ahead(1).kind == Kind::LParen;
+        let mut at = self.at + 1;
+        while let Some(&token) = self.tokens.get(at) {
+            let next = self.tokens[(at + 1).min(self.tokens.len() - 1)];
+            match token.kind {
+                Kind::LParen | Kind::LBrace | Kind::LBracket => depth += 1,
+                Kind::RParen | Kind::RBrace | Kind::RBracket => match depth.checked_sub(1) {
+                    Some(outer) => {
+                        depth = outer;
+                        in_arguments &= depth > 0;
+                    }
+                    None => return false,
+                },
+                Kind::Dot | Kind::If | Kind::End => return false,
+                // `max(x, y)` is a function.
+                Kind::Comma if depth == 1 && in_arguments => return false,
+                _ if depth > 0 => {}
+                Kind::Comma | Kind::Semicolon => return false,
+                Kind::Colon => {
+                    bodies -= 1;
+                    if bodies == 0 {
+                        return true;
+                    }
+                }
+                kind if comparison(kind).is_some() => return false,
+                Kind::Ident => {
+                    bodies += usize::from(match self.slice(token) {
+                        "count" => next.kind == Kind::Colon,
+                        "sum" | "mean" => next.kind != Kind::Minus && self.begins_operand(next),
+                        "min" | "max" => !matches!(next.kind, Kind::Minus | Kind::LParen) && self.begins_operand(next),
+                        _ => false,
+                    });
+                }
+                _ => {}
+            }
+            at += 1;
+        }
+        false
     }
 
     /// Parses an operand. Returns the term and its height.
@@ -165,6 +210,9 @@ impl Parser<'_> {
         if word == "nil" || self.ahead(1).kind == Kind::LBracket {
             let what = if word == "nil" { "nil" } else { "[...]" };
             return Err(self.unsupported(self.span(start), &format!("records (`{what}`) are"), ""));
+        }
+        if matches!(word, "__FILE__" | "__LINE__" | "__INCL__") {
+            return Err(self.unsupported(self.span(start), &format!("`{word}` of the C preprocessor is"), ""));
         }
         if !applied {
             self.bump();

@@ -14,6 +14,7 @@ use crate::datalog::syntax::lexer::{
     COMMENT, CONJUNCTION, DISJUNCTION, DocLine, IMPLICATION, Kind, Lexed, NEGATION, Token,
 };
 use crate::datalog::syntax::packed::PackedFacts;
+use std::collections::HashSet;
 
 mod clause;
 mod directive;
@@ -46,6 +47,32 @@ pub const DIRECTIVES: &[&str] = &[
     "symmetric",
     "asymmetric",
 ];
+
+/// Help for what only the C preprocessor understands.
+const EXPAND: &str = "let the preprocessor write another file, with `cpp -P FILE`, and check that";
+
+/// Returns whether a token of this kind can be the last one of a literal.
+fn ends_literal(kind: Kind) -> bool {
+    use Kind::{
+        Address, Dot, Faulty, Float, Ident, Number, OpenText, RBrace, RBracket, RParen, Text, Underscore, Unsigned,
+    };
+    matches!(
+        kind,
+        RParen
+            | RBrace
+            | RBracket
+            | Ident
+            | Underscore
+            | Number
+            | Unsigned
+            | Float
+            | Address
+            | Text
+            | OpenText
+            | Faulty
+            | Dot
+    )
+}
 
 /// Help where only the full stop of a clause is missing.
 pub const FULL_STOP: &str = "a clause ends with a full stop";
@@ -112,6 +139,12 @@ struct Parser<'a> {
     negations: Vec<&'static str>,
     /// The marks that the qualifiers of the last declaration imply.
     marks: Vec<Item>,
+    /// The macros that the C preprocessor would replace.
+    macros: HashSet<&'a str>,
+    /// Whether a line marker of the C preprocessor was reported.
+    marked: bool,
+    /// Whether the last clause was faulty.
+    dropped: bool,
     /// Takes the facts of plain constants, if present.
     packed: Option<PackedFacts>,
     faults: &'a mut Faults,
@@ -146,6 +179,9 @@ impl<'a> Parser<'a> {
             nesting: 0,
             negations: negations(text, &lexed.tokens),
             marks: Vec::new(),
+            macros: HashSet::new(),
+            marked: false,
+            dropped: false,
             packed: None,
             faults,
         }
@@ -374,17 +410,35 @@ impl<'a> Parser<'a> {
                 self.starts.push(start);
             }
             self.nesting = 0;
-            match self.item() {
-                Ok(item) => {
-                    let before = file.items.len();
-                    file.items.extend(item.and_then(|item| self.unpacked(before, item)));
-                    file.items.append(&mut self.marks);
+            let mark = self.faults.mark();
+            let mut item = self.item();
+            if item.is_err() {
+                self.recover(start);
+            }
+            if self.names_macro(start) {
+                // Only the preprocessor knows what was written.
+                self.faults.rewind(mark);
+                if matches!(item, Ok(Some(Item::Clause(_)))) {
+                    item = Err(Reported);
                 }
-                Err(Reported) => self.recover(start),
+            }
+            if !matches!(item, Ok(Some(Item::Plan(_)))) {
+                self.dropped = item.is_err();
+            }
+            if let Ok(item) = item {
+                let before = file.items.len();
+                file.items.extend(item.and_then(|item| self.unpacked(before, item)));
+                file.items.append(&mut self.marks);
             }
             debug_assert!(self.at > start || self.kind() == Kind::End, "every item reads a token");
         }
         file
+    }
+
+    /// Returns whether the tokens from `start` up to the current one name a macro.
+    fn names_macro(&self, start: usize) -> bool {
+        let is_macro = |token: &Token| token.kind == Kind::Ident && self.macros.contains(self.slice(*token));
+        !self.macros.is_empty() && self.tokens[start..self.at].iter().any(is_macro)
     }
 
     /// Packs a fact of plain constants, if the caller wants that. Returns any other item.
@@ -401,7 +455,9 @@ impl<'a> Parser<'a> {
             let token = self.token();
             match token.kind {
                 Kind::End => return,
+                Kind::Preprocessor if self.at > start => return,
                 Kind::Dot if self.at > start && token.first_on_line && self.directive_ahead().is_some() => return,
+                Kind::Dot if self.at > start && self.is_qualifying() => _ = self.bump(),
                 Kind::Dot => {
                     self.bump();
                     return;
@@ -411,7 +467,7 @@ impl<'a> Parser<'a> {
                         && token.first_on_line
                         && self.ahead(1).kind == Kind::LParen
                         && self.indent(token) <= self.indent(self.tokens[start])
-                        && !matches!(self.previous().kind, Kind::Comma | Kind::If | Kind::Bang | Kind::LParen) =>
+                        && ends_literal(self.previous().kind) =>
                 {
                     return;
                 }
@@ -467,17 +523,9 @@ impl<'a> Parser<'a> {
                     place: Place(self.span(file)),
                 })))
             }
-            Kind::Hash => {
+            Kind::Preprocessor => {
                 self.bump();
-                while self.kind() != Kind::End && !self.token().first_on_line {
-                    self.bump();
-                }
-                let span = self.place_from(token).0;
-                self.unsupported(
-                    span,
-                    "the C preprocessor is",
-                    "include a file with `.include \"name.dl\"`",
-                );
+                self.preprocessor(token);
                 Ok(None)
             }
             _ => {
@@ -486,6 +534,32 @@ impl<'a> Parser<'a> {
                 Err(reported)
             }
         }
+    }
+
+    /// Reports a directive of the C preprocessor.
+    fn preprocessor(&mut self, token: Token) {
+        let text = self.slice(token);
+        let word = lexer::preprocessor_word(text).unwrap_or_default();
+        let first_line = text.lines().next().unwrap_or_default().trim_end().len();
+        let span = Span::new(self.source, token.start as usize..token.start as usize + first_line);
+        let help = match word {
+            "include" => "include a file with `.include \"name.dl\"`",
+            "define" => {
+                let rest = &text[text.find(word).unwrap_or(0) + word.len()..];
+                let rest = rest.trim_start_matches([' ', '\t']);
+                let name = rest.split(|c: char| !c.is_ascii() || !lexer::is_name_part(c as u8));
+                self.macros.extend(name.into_iter().next());
+                EXPAND
+            }
+            _ if word.starts_with(|c: char| c.is_ascii_digit()) => {
+                if std::mem::replace(&mut self.marked, true) {
+                    return;
+                }
+                "the option `-P` of `cpp` omits line markers"
+            }
+            _ => EXPAND,
+        };
+        self.unsupported(span, "the C preprocessor is", help);
     }
 
     fn wanted(&mut self, kind: Kind, what: &str) -> Parse<Token> {
@@ -509,23 +583,32 @@ impl<'a> Parser<'a> {
             return Err(Reported);
         }
         self.bump();
-        let (dot, part) = (self.token(), self.ahead(1));
-        let qualified = dot.kind == Kind::Dot
-            && part.kind == Kind::Ident
-            && token.end == dot.start
-            && dot.end == part.start
-            && !part.first_on_line
-            && !DIRECTIVES.contains(&self.slice(part));
-        if qualified && self.ahead(2).kind == Kind::LParen {
-            let span = self.span(token).to(self.span(part));
-            self.bump();
-            self.bump();
+        if self.is_qualifying() {
+            while self.is_qualifying() {
+                self.bump();
+                self.bump();
+            }
+            let span = self.place_from(token).0;
             return Err(self.unsupported(span, "names with a dot (components) are", ""));
         }
         Ok(Name {
             text: self.slice(token).to_owned(),
             place: Place(self.span(token)),
         })
+    }
+
+    /// Returns whether the current token is a dot within a name, as in `component.predicate`.
+    fn is_qualifying(&self) -> bool {
+        let (before, dot, part) = (self.previous(), self.token(), self.ahead(1));
+        let is_part =
+            |word: &str| !DIRECTIVES.contains(&word) && !FOREIGN_DIRECTIVES.iter().any(|(name, _)| *name == word);
+        self.at > 0
+            && before.kind == Kind::Ident
+            && dot.kind == Kind::Dot
+            && part.kind == Kind::Ident
+            && before.end == dot.start
+            && dot.end == part.start
+            && is_part(self.slice(part))
     }
 
     fn names(&mut self, what: &str) -> Parse<Vec<Name>> {
@@ -571,6 +654,10 @@ impl<'a> Parser<'a> {
                 Some((_, 'r')) => out.push('\r'),
                 Some((_, 't')) => out.push('\t'),
                 Some((_, '0')) => out.push('\0'),
+                Some((_, 'a')) => out.push('\u{7}'),
+                Some((_, 'b')) => out.push('\u{8}'),
+                Some((_, 'v')) => out.push('\u{b}'),
+                Some((_, 'f')) => out.push('\u{c}'),
                 Some((_, c @ ('"' | '\'' | '\\'))) => out.push(c),
                 Some((_, c)) => bad.push((at, c)),
                 None => {}
@@ -580,7 +667,9 @@ impl<'a> Parser<'a> {
             let start = token.start as usize + 1 + at;
             let fault = Diagnostic::new(Code::SYNTAX, "unknown escape in a string")
                 .at(Span::new(self.source, start..start + 1 + c.len_utf8()), "")
-                .note("the escapes are `\\n`, `\\r`, `\\t`, `\\0`, `\\\"`, `\\'` and `\\\\`");
+                .note(
+                    "the escapes are `\\n`, `\\r`, `\\t`, `\\0`, `\\a`, `\\b`, `\\v`, `\\f`, `\\\"`, `\\'` and `\\\\`",
+                );
             self.faults.push(fault);
         }
         out

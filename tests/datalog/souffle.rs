@@ -1,0 +1,258 @@
+//! Texts written for Soufflé: white space between any two tokens, and constructs that the language does not have.
+
+use crate::rule_files::RuleFiles;
+use logicity::datalog::{ast, load, parse, print};
+use logicity::diag::{Diagnostic, Sources};
+
+fn diagnostics(text: &str) -> Vec<(&'static str, usize, String)> {
+    let mut sources = Sources::new();
+    let entry = sources.add("a.dl", text);
+    let loaded = load(&mut sources, entry, &RuleFiles);
+    let line = |fault: &Diagnostic| {
+        let start = fault.primary.as_ref().map_or(0, |label| label.span.start as usize);
+        text[..start].matches('\n').count() + 1
+    };
+    let found = loaded.diagnostics.iter();
+    found
+        .map(|fault| (fault.code.name(), line(fault), fault.message.clone()))
+        .collect()
+}
+
+fn tree(text: &str) -> (ast::File, Vec<String>) {
+    let mut sources = Sources::new();
+    let id = sources.add("a.dl", text);
+    let parsed = parse(&sources, id);
+    let messages = parsed.diagnostics.into_iter().map(|fault| fault.message);
+    (parsed.file, messages.collect())
+}
+
+/// Items as tokens between spaces.
+const ITEMS: &[&str] = &[
+    ".decl P , Q ( x : number , y : symbol ) inline",
+    ".decl R ( ) no_inline magic btree overridable",
+    ".decl O ( x : number ) input output printsize",
+    ".type T <: symbol",
+    ".type T = A",
+    ".type T = A | B | C",
+    ".number_type N",
+    ".symbol_type S",
+    ".input P , Q ( IO = file , filename = \"p.csv\" , delimiter = \",\" )",
+    ".output P",
+    ".output P ( )",
+    ".printsize P , Q",
+    ".pragma \"magic-transform\" \"*\"",
+    "P ( 1 , \"a\" ) :- Q ( x , _ ) , R ( ) . .plan 0 : ( 2 , 1 ) , 1 : ( 1 , 2 )",
+    ".include \"vocabulary.dl\"",
+    ".once",
+    ".scope Sees",
+    ".disjoint A , B",
+    ".implies A , B",
+    ".covering A , B",
+    ".reflexive A",
+    ".irreflexive A",
+    ".symmetric A",
+    ".asymmetric A",
+    "P ( x , cat ( \"a\" , y ) ) , Q ( - x , y ) :- ( A ( x ) ; ! ( B ( x ) , C ( x ) ) ) , match ( \"a.*\" , y ) .",
+    "P ( x ) :- x = max - y ^ 2 : { A ( y ) , y >= 0x1F } , ! B ( as ( x , unsigned ) ) , count : A ( _ ) != 2u .",
+    "P ( x ) :- x = min ( y , - 1 ) + 2 * ( 3 - y ) , A ( y ) , true , y = sum z : C ( z ) .",
+];
+
+/// Returns the tokens of an item; a text constant with spaces counts as one.
+fn joined(tokens: &[&str], between: impl Fn(usize) -> &'static str) -> String {
+    let mut text = String::from("\n");
+    for (at, token) in tokens.iter().enumerate() {
+        text.push_str(token);
+        text.push_str(between(at));
+    }
+    text.push('\n');
+    text
+}
+
+#[test]
+fn white_space_and_comments_between_tokens_have_no_meaning() {
+    const SPACES: &[&str] = &["\n", "\r\n\t", " /* c */ ", " // c\n", "\n\n    ", "\n/* c\n */"];
+    for item in ITEMS {
+        let tokens: Vec<&str> = item.split(' ').collect();
+        let (wanted, faults) = tree(&joined(&tokens, |_| " "));
+        let wanted = print(&wanted);
+        for (shift, space) in SPACES.iter().enumerate() {
+            // Everywhere, and between each two tokens alone.
+            for alone in std::iter::once(None).chain((0..tokens.len()).map(Some)) {
+                let text = joined(&tokens, |at| match alone {
+                    None => SPACES[(at + shift) % SPACES.len()],
+                    Some(only) if only == at => space,
+                    Some(_) => " ",
+                });
+                let (found, others) = tree(&text);
+                assert_eq!(print(&found), wanted, "{text}");
+                assert_eq!(others, faults, "{text}");
+            }
+        }
+    }
+}
+
+#[test]
+fn a_type_continues_on_the_next_line() {
+    let text = ".type A <: symbol\n.type B <: symbol\n.type T\n  = A\n  | B\n.type U // old\n  <: symbol\n.decl P(x: T, y: U)\n\
+                .output P\nP(\"a\", \"b\").\n";
+    assert_eq!(diagnostics(text), []);
+    let old = |text| diagnostics(text).into_iter().map(|(code, ..)| code).collect::<Vec<_>>();
+    assert_eq!(old(".type T\n.decl P(x: T)\n.output P\nP(\"a\").\n"), ["old-form"]);
+    assert_eq!(old(".type T .decl P(x: T) .output P P(\"a\").\n"), ["old-form"]);
+    assert_eq!(old(".decl P(x: T)\n.output P\n.type T\nP(\"a\").\n"), ["old-form"]);
+}
+
+/// Constructs of Soufflé that the language does not have. A `«` stands where a diagnostic is expected.
+const UNSUPPORTED: &[&str] = &[
+    "«.comp A<T> : B<T>, C {\n  .decl x(y: T<>)\n  .comp D { .decl q(z: number)\n x(1). }\n  x(y) :- z.z(y), q(@f(y)).\n  \
+     .override x\n  .init c = D<T>\n}",
+    "«.comp A { }",
+    "«.init a = A<number, B>",
+    "«.init a\n  = A",
+    "«.override x",
+    "«.functor f(x: number, y: symbol): number stateful",
+    "«.functor f(number, symbol):number",
+    "«.functor f()\n  : number",
+    "«.lattice L<> {\n  Bottom -> 1,\n  Lub -> @lub(_, _),\n  Glb -> @glb(_, _)\n}",
+    "«.limitsize p(n=3)",
+    "«.limitsize p,\n q(n=3)",
+    ".decl o(x: number, y: number) «eqrel",
+    ".decl o(x: number, y: number) magic «eqrel\n no_inline",
+    ".decl o(x: number, y: number)\n  «btree_delete",
+    ".decl o(x: number, y: number) «choice-domain x, (x, y), y",
+    ".decl o(x: number, y: number)\n  «choice-domain\n  x",
+    ".decl o(x: number, y: L«<>)\n.input o",
+    "«.lattice L<> { Bottom -> 1 }\n.decl o(x: number, y: L«<>)\n.decl m(x: L)\n.input o, m",
+    ".decl o(x: a«.T)",
+    ".decl o = «debug_delta(p)",
+    ".type R = «[a: number, b: R]",
+    ".type R\n  = «[\n a: number ]",
+    ".type R = «A {a: number} | B {}",
+    ".type R\n  = «A {a: number}\n  | B {}",
+    ".type R = a«.T",
+    "«@[deprecated(\"]\")]\np(3, 4).",
+    "p(3, x) :- «@![a[b]] p(x, _).",
+    "p(x, y) :- p(y, x), y = «@f(x, [x]).",
+    "p(x, y) :- p(y, x), y = «@@f x : 3, { p(x, [x, y]) }.",
+    "p(x, «autoinc()) :- p(x, [x]).",
+    "p(«$, x) :- p(_, x).",
+    "p(x, y) :- q(«[x, [y, nil]]), z($X(x, y)), z($Y()).",
+    "p(x, y) :-\n  p(x, y),\n  q(«[x,\nnil]),\nz($X(x, y)).",
+    "p(x, y) :- x = «nil, p(x, y).",
+    "p(x, y) :- z(«$A.X(x, y)), p(x, y).",
+    "p(x, y) «<= p(x, z) :- y < z, q([x, nil]).",
+    "p(x, y) «<= p(x, z) :- y < z. .plan 0:(1,2), 1:(2,1)",
+    "p(x, y) :- q(«[x]), p(x, y), p(y, x).\n.plan 0:(1,2)",
+    "a«.b.p(x, y) :- a.b.p(y, x), p.q(x).",
+    "p(x, y) :- p(x, y), «a.b.p(y, x), c.q(x).",
+    "p(x, y) :- p(x, y), !a«.p(y, x), c.q(x).",
+    ".output a«.b.p(IO=stdout)",
+    ".input a«.p, q",
+    "p(x, y) :- x = «recursive_iteration_cnt(), p(y, _).",
+    "p(x, 1) :- p(x, «itou(3)).",
+    "p(1, «__LINE__).",
+    "«#define X(a) \\\n  foo(a) ## ' \\\n  bar.",
+    "«#define X(a) p(a, \\\r\n  a).",
+    "«#define COLUMNS x: number, y: number\n.decl o(COLUMNS)\n.input o",
+    "«#define BOTH(x) p(x, x), p(x, _)\np(x, 1) :- BOTH(x).\np(x, 2) :-\n  BOTH(x),\n  p(x, _).",
+    "«#define FACT(x) p(x, x).\nFACT(1)\nFACT(2)",
+    "«#ifdef X\n.decl o(x: number)\n#else\n.decl o(x: symbol)\n#endif",
+    "«#if X > 1 /* a\n b */\n.decl o(x: number)\n#elif Y\n%?!\n#ifdef Z\n#else\n#endif\n#else\n.decl o(x: symbol)\n#endif",
+    "«#if 0\n  this is no program '\n#endif",
+    "«#if 0\n  this is no program '\n#else\np(4, 5).\n#endif",
+    "«#include <foo>",
+    "«# 1 \"a.dl\"\n# 2 \"b.dl\" 1",
+    "  «# pragma once",
+];
+
+#[test]
+fn each_unsupported_construct_has_one_diagnostic_and_ends() {
+    const BEFORE: &str = ".decl p(x: number, y: number)\n.output p\np(1, 2).\n";
+    // The last clause shows that the parser reads what follows.
+    const AFTER: &str = "\n.decl after(x: number)\n.output after\nafter(x) :- p(x, 1).\nafter(\"text\").\n";
+    let mut wrong = Vec::new();
+    for construct in UNSUPPORTED {
+        let marks = construct.match_indices('«').enumerate();
+        let places = marks.map(|(earlier, (at, mark))| at - earlier * mark.len());
+        let text = format!("{BEFORE}{}{AFTER}", construct.replace('«', ""));
+        let line = |at: usize| text[..at].matches('\n').count() + 1;
+        let found = diagnostics(&text);
+        let last = line(text.len()) - 1;
+        let wanted = places.map(|at| ("unsupported", line(BEFORE.len() + at)));
+        let wanted: Vec<(&str, usize)> = wanted.chain([("type-mismatch", last)]).collect();
+        if !found.iter().map(|(code, line, _)| (*code, *line)).eq(wanted) {
+            wrong.push((text, found));
+        }
+    }
+    assert!(wrong.is_empty(), "{wrong:#?}");
+}
+
+#[test]
+fn numbers_strings_and_keywords_are_those_of_souffle() {
+    let text = r#"
+        .decl n(x: number)
+        .decl u(x: unsigned)
+        .decl f(x: float)
+        .decl s(x: symbol)
+        .output n, u, f, s
+        n(-0x1F). n(0b101). n(007). n(-2147483648). n(0x7fffffff). n(- 6). n(1.2.3.4).
+        u(4294967295). u(0xFFFFFFFE). u(1u). u(0b11u). u(0x1fu).
+        f(1). f(-1.5). f(1.0e-3). f(0x10).
+        s("\a\b\f\n\r\t\v\"\'\\ // no comment /* either").
+        .decl count(max: number, sum: symbol)
+        .decl input(decl: number)
+        .output input, count
+        .decl type(choice: number)
+        .output type
+        count(min, mean) :- type(min), s(mean), input(min), band = min, n(band).
+        type(sum) :- n(sum), sum > 0, max = sum - 1, max - sum < 5.
+        input(exists) :- n(exists), exists band 1 = 1.
+        input(count) :- n(count), some = count, some > 3.
+    "#;
+    assert_eq!(diagnostics(text), []);
+    let (file, _) = tree(text);
+    let printed = print(&file);
+    assert_eq!(print(&tree(&printed).0), printed);
+}
+
+#[test]
+fn an_aggregate_takes_any_expression() {
+    let text = |target: &str| {
+        format!(".decl A(x: number)\n.decl M(y: number)\n.input A\n.output M\nM(y) :- y = {target} : {{ A(x) }}.\n")
+    };
+    let targets = [
+        "max -x",
+        "min - x",
+        "sum -x",
+        "mean -(to_float(x))",
+        "max (x) + 1",
+        "sum (x + 1) * (x - 1)",
+        "max min(x, 2)",
+        "max (min(x, 2))",
+        "min max(x, -x) - 1",
+        "sum as(x, number)",
+        "sum 1",
+        "max bnot x",
+        "min lnot x",
+        "max - - x",
+        "sum -x ^ 2",
+        "max -count : { A(_) } + x",
+        "min -max -z : { A(z) } + x",
+        "max (x)",
+    ];
+    for target in targets {
+        let text = text(target);
+        let text = if target.starts_with("mean") {
+            text.replace("M(y: number)", "M(y: float)")
+        } else {
+            text
+        };
+        assert_eq!(diagnostics(&text), [], "{text}");
+        let printed = print(&tree(&text).0);
+        assert_eq!(print(&tree(&printed).0), printed, "{text}");
+    }
+    // Without a body these are variables and functions.
+    let other = ".decl A(x: number)\n.decl M(y: number)\n.input A\n.output M\nM(y) :- A(max), A(min), y = max - min.\n\
+                 M(y) :- A(max), A(x), y = max(x, max) - min(x, 1), y > max - count : { A(_) }.\n";
+    assert_eq!(diagnostics(other), []);
+}
