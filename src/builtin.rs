@@ -4,7 +4,7 @@ use std::path::Path;
 
 use include_dir::{Dir, include_dir};
 
-use crate::files::{BUILTIN_FOLDER, ReadError, ReadFile, open, read_from, read_text};
+use crate::files::{BUILTIN_FOLDER, ReadError, ReadFile, open, read_text, read_whole, to_text};
 
 static RULES: Dir<'_> = include_dir!("$CARGO_MANIFEST_DIR/rules");
 static CONFIGS: Dir<'_> = include_dir!("$CARGO_MANIFEST_DIR/configs");
@@ -61,7 +61,7 @@ impl ReadFile for BuiltinFiles {
     fn read_named(&self, path: &Path) -> Result<String, ReadError> {
         match path.starts_with(BUILTIN_FOLDER) {
             true => self.read(path),
-            false => read_from(open(path)?),
+            false => to_text(read_whole(open(path)?)?),
         }
     }
 

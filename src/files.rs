@@ -112,7 +112,26 @@ impl<F: Fn(&Path) -> Result<String, ReadError>> ReadFile for F {
 /// # Errors
 /// Why the file cannot be read.
 pub fn read_text(path: &Path) -> Result<String, ReadError> {
-    read_from(open_regular(path)?)
+    to_text(read_whole(open_regular(path)?)?)
+}
+
+/// Reads a file of bytes, which must be a regular file.
+///
+/// # Errors
+/// Why the file cannot be read.
+pub fn read_file(path: &Path) -> Result<Vec<u8>, ReadError> {
+    read_whole(open_regular(path)?)
+}
+
+/// Reads an open file. Refuses one of more than [`MAX_BYTES`] before it reads a byte.
+///
+/// # Errors
+/// Why the file cannot be read.
+pub fn read_whole(file: std::fs::File) -> Result<Vec<u8>, ReadError> {
+    match file.metadata() {
+        Ok(found) if found.is_file() && found.len() > MAX_BYTES => Err(ReadError::TooLarge),
+        _ => read_bytes(file),
+    }
 }
 
 /// Opens a regular file. Fails at once for a pipe, a device or a folder.
@@ -127,6 +146,23 @@ pub fn open_regular(path: &Path) -> Result<std::fs::File, ReadError> {
     }
 }
 
+/// The folders of the files that the kernel generates. They claim to be regular, but reading one may never end
+/// (`/proc/kmsg`) or change the system.
+const KERNEL_FOLDERS: [&str; 2] = ["/proc", "/sys"];
+
+/// Fails for a file that the kernel generates, also through links.
+fn refuse_generated(path: &Path) -> io::Result<()> {
+    // An open descriptor of a pipe, such as `/dev/stdin`, leads to no path.
+    let is_generated = |real: PathBuf| KERNEL_FOLDERS.iter().any(|folder| real.starts_with(folder));
+    match path.canonicalize().is_ok_and(is_generated) {
+        true => Err(io::Error::new(
+            io::ErrorKind::InvalidInput,
+            "the system generates its content, which may never end; copy it to a regular file",
+        )),
+        false => Ok(()),
+    }
+}
+
 fn unreadable(path: &Path, error: &io::Error) -> ReadError {
     match (error.kind(), std::fs::read_link(path)) {
         (io::ErrorKind::NotFound, Ok(target)) => ReadError::Io(format!(
@@ -138,12 +174,21 @@ fn unreadable(path: &Path, error: &io::Error) -> ReadError {
     }
 }
 
-/// Opens a file that the user named: a regular file, a pipe, `/dev/null`, or an open descriptor such as `/dev/stdin`.
-/// Fails at once for a folder or another device. Waits for the writer of a pipe.
+/// Opens a file that the user named, as [`check_readable`] permits. Waits for the writer of a pipe.
 ///
 /// # Errors
 /// Why the file cannot be read.
 pub fn open(path: &Path) -> Result<std::fs::File, ReadError> {
+    check_readable(path)?;
+    std::fs::File::open(path).map_err(|error| unreadable(path, &error))
+}
+
+/// Checks without opening it that a file can be read: a regular file, a pipe, `/dev/null`, or an open descriptor such as
+/// `/dev/stdin`, but no folder, no other device and no file below `/proc` or `/sys`.
+///
+/// # Errors
+/// Why the file cannot be read.
+pub fn check_readable(path: &Path) -> Result<(), ReadError> {
     let found = std::fs::metadata(path).map_err(|error| unreadable(path, &error))?;
     if found.is_dir() {
         return Err(ReadError::Io("it is a folder, not a file".into()));
@@ -152,7 +197,10 @@ pub fn open(path: &Path) -> Result<std::fs::File, ReadError> {
     if !found.is_file() && !is_pipe(&found) && !is_empty && descriptor(path).is_none() {
         return Err(ReadError::Io("it is a device, not a file".into()));
     }
-    std::fs::File::open(path).map_err(|error| unreadable(path, &error))
+    match found.is_file() {
+        true => refuse_generated(path).map_err(|error| ReadError::Io(error.to_string())),
+        false => Ok(()),
+    }
 }
 
 #[cfg(unix)]
@@ -164,6 +212,39 @@ fn is_pipe(found: &std::fs::Metadata) -> bool {
 #[cfg(not(unix))]
 fn is_pipe(_: &std::fs::Metadata) -> bool {
     false
+}
+
+/// Returns the path without links of a file that need not exist.
+///
+/// # Errors
+/// Errors of the system; `InvalidInput` for `..` below something that does not exist, and for a loop of links.
+pub fn real_path(path: &Path) -> io::Result<PathBuf> {
+    let mut existing = path.to_owned();
+    let mut missing = Vec::new();
+    // Each step follows a link or removes a component.
+    for _ in 0..LINKS_MAX + path.components().count() {
+        let begin = if existing.as_os_str().is_empty() {
+            Path::new(".")
+        } else {
+            &existing
+        };
+        match begin.canonicalize() {
+            Ok(real) => return Ok(missing.iter().rev().fold(real, |path, name| path.join(name))),
+            Err(error) if error.kind() == io::ErrorKind::NotFound => {}
+            Err(error) => return Err(error),
+        }
+        match std::fs::read_link(&existing) {
+            Ok(target) => existing = folder_of(&existing).join(target),
+            Err(_) => {
+                let Some(name) = existing.file_name().map(ToOwned::to_owned) else {
+                    break;
+                };
+                missing.push(name);
+                existing.pop();
+            }
+        }
+    }
+    Err(io::Error::new(io::ErrorKind::InvalidInput, "it leads nowhere"))
 }
 
 /// The maximum length of a chain of symbolic links, as in Linux.

@@ -11,6 +11,7 @@ from contextlib import contextmanager
 from types import TracebackType
 
 from . import _logicity
+from .signals import kept_handlers
 from .terminal import print_message
 
 __all__ = ["main"]
@@ -24,7 +25,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
 
     Returns:
         The exit code: 0 for success, 1 for invalid input, 2 for wrong usage, for a file that cannot be read or written,
-        or for a server that gives no reply, 130 after Ctrl-C.
+        or for a server that gives no reply, 130 after Ctrl-C, 143 after SIGTERM, 129 after SIGHUP.
     """
     if sys.excepthook is sys.__excepthook__:
         sys.excepthook = _print_exception
@@ -32,7 +33,8 @@ def main(arguments: Sequence[str] | None = None) -> int:
     # Rust writes to the same streams through separate buffers. Unlike `flush`, `print` accepts closed streams.
     for stream in (sys.stdout, sys.stderr):
         print(end="", file=stream, flush=True)
-    with _default_sigint():
+    # Rust handles these signals by itself.
+    with _default_sigint(), kept_handlers():
         code, words, rest = _logicity.run_command_line(argv)
     if not words:
         return code
@@ -52,7 +54,10 @@ def _default_sigint() -> Iterator[None]:
     if threading.current_thread() is not threading.main_thread():
         yield
         return
-    previous = signal.signal(signal.SIGINT, signal.SIG_DFL)
+    previous = signal.getsignal(signal.SIGINT)
+    # A signal that the caller of the process ignores stays ignored.
+    if previous != signal.SIG_IGN:
+        signal.signal(signal.SIGINT, signal.SIG_DFL)
     try:
         yield
     finally:

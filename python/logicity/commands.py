@@ -49,8 +49,13 @@ def run(words: tuple[str, ...], arguments: Sequence[str]) -> int:
         SystemExit: If the arguments are invalid or contain `--help`, or on SIGTERM and SIGHUP.
     """
     parser, command = parser_of(words)
-    args = parser.parse_args(arguments)
     try:
+        try:
+            args = parser.parse_args(arguments)
+        except SystemExit:
+            # The end of the process would ignore that the help cannot be written.
+            print_text("", end="", flush=True)
+            raise
         with ending_on_signals():
             code = command(args)
         print_text("", end="", flush=True)
@@ -345,10 +350,17 @@ def _add_force(parser: argparse.ArgumentParser) -> None:
     )
 
 
-def _check_json(given: argparse.Namespace) -> None:
-    """Report now if the file of `--json`, which is written at the end, cannot be written."""
+def _check_json(given: argparse.Namespace, by: str) -> None:
+    """Report now if the file of `--json`, which the command `by` writes at the end, cannot be written."""
     if given.json is not None:
-        check_writable(given.json, overwrite=given.force)
+        check_writable(given.json, by=by, overwrite=given.force)
+
+
+def _write_json(given: argparse.Namespace, by: str, value: object) -> None:
+    """Write the file of `--json`, if there is one, and print its path."""
+    if given.json is not None:
+        write_json(given.json, value, by=by, overwrite=given.force)
+        print_message(f"wrote {given.json}")
 
 
 _COMMANDS: dict[tuple[str, ...], Callable[[argparse.ArgumentParser], _Command]] = {
@@ -574,7 +586,7 @@ def _evaluate(given: argparse.Namespace) -> int:
     from .evaluation import Benchmark, table
     from .rule_policy import rule_policies
 
-    _check_json(given)
+    _check_json(given, "evaluate")
     if given.traces is not None:
         _check_folder("--traces", given.traces)
     results: list[Evaluation] = []
@@ -613,8 +625,9 @@ def _evaluate(given: argparse.Namespace) -> int:
         # An error must not hide the results of the modes before.
         if results:
             print_text(table(results))
-    if given.json is not None:
-        write_json(given.json, [result.to_dict() for result in results], overwrite=given.force)
+    if given.traces is not None:
+        print_message(f"wrote {given.traces}")
+    _write_json(given, "evaluate", [result.to_dict() for result in results])
     return 0
 
 
@@ -747,13 +760,14 @@ def _ask(given: argparse.Namespace) -> int:
     endpoint = Endpoint(given.url, given.model, key, given.settings, given.timeout, given.tries)
     answers = ask_with_progress(questions, endpoint, given.output)
     print_text(grade(questions, answers, load_logprobs(given.output)))
+    print_message(f"wrote {given.output}")
     return 0
 
 
 def _grade(given: argparse.Namespace) -> int:
     from .questions import grade, load_answers, load_logprobs, load_questions
 
-    _check_json(given)
+    _check_json(given, "grade")
     answers = load_answers(given.answers)
     if not answers:
         raise ValueError(f"{given.answers} has no answers")
@@ -770,8 +784,7 @@ def _grade(given: argparse.Namespace) -> int:
         if ids:
             shown = ", ".join(neutral(name[:100], lines=False) for name in ids[:5])
             print_message(f"{what}: {len(ids)}: {shown}{', ...' * (len(ids) > 5)}")
-    if given.json is not None:
-        write_json(given.json, graded.to_dict(), overwrite=given.force)
+    _write_json(given, "grade", graded.to_dict())
     return 0
 
 
@@ -794,17 +807,17 @@ def _coco(given: argparse.Namespace) -> int:
     from .vap import to_coco
 
     to_coco(given.folder, given.out, images=not given.no_pictures, overwrite=given.force)
+    print_message(f"wrote {given.out}")
     return 0
 
 
 def _baselines(given: argparse.Namespace) -> int:
     from .vap import baseline_table, measure_baselines
 
-    _check_json(given)
+    _check_json(given, "vap baselines")
     results = measure_baselines(given.train, given.test, given.seed, given.epochs)
     print_text(baseline_table(results))
-    if given.json is not None:
-        write_json(given.json, [result.to_dict() for result in results], overwrite=given.force)
+    _write_json(given, "vap baselines", [result.to_dict() for result in results])
     by_rules = next(result for result in results if result.name == "rules")
     if set(by_rules.metrics.recall.values()) != {1.0}:
         print_message(f"error: {given.test} has labels that the rules do not derive from its facts")

@@ -363,7 +363,7 @@ class Benchmark:
                 "another folder"
             )
         for name in sorted(names):
-            check_writable(folder / name, overwrite=overwrite)
+            check_writable(folder / name, by="evaluate", overwrite=overwrite)
 
     def _evaluate(
         self, policy: Policy, batched: bool, name: str | None, traces: Path | None, overwrite: bool
@@ -423,7 +423,7 @@ class Benchmark:
         with Progress(f"{self.mode} {self.split}, traces", len(evaluator)) as progress:
             for at, actions in enumerate(taken):
                 path = folder / _trace_name(at)
-                self._task.write_trace(self.split, evaluator.episode(at), bytes(actions), path, overwrite)
+                self._task.write_trace(self.split, evaluator.episode(at), bytes(actions), (path, "evaluate", overwrite))
                 progress.update(at + 1)
 
     def _result(self, policy: str, report: Mapping[str, Any]) -> Evaluation:

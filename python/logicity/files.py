@@ -14,11 +14,48 @@ from typing import Any
 from . import _logicity
 from .errors import checked_path
 
-__all__ = ["check_writable", "read_tensors", "replacing", "reserved", "write_json", "write_text"]
+__all__ = [
+    "check_readable",
+    "check_writable",
+    "read_tensors",
+    "read_text",
+    "replacing",
+    "reserved",
+    "write_json",
+    "write_text",
+]
+
+
+def check_readable(path: str | os.PathLike[str], *, whole: bool = True) -> None:
+    """Raise now if a file is a folder, a device or below `/proc` or `/sys`. One that does not exist passes.
+
+    Args:
+        path: The file.
+        whole: Whether it is read as a whole, so that it must not be larger than 1 GiB.
+
+    Raises:
+        OSError: If the file cannot be read.
+    """
+    try:
+        _logicity.check_readable(checked_path("path", path), whole)
+    except FileNotFoundError:
+        # Opening it raises the exception that names the file.
+        pass
+
+
+def read_text(path: str | os.PathLike[str]) -> str:
+    """Return the text of a file in UTF-8.
+
+    Raises:
+        OSError: If the file cannot be read.
+        ValueError: If it is not UTF-8.
+    """
+    check_readable(path)
+    return Path(path).read_text(encoding="utf-8")
 
 
 @contextmanager
-def replacing(path: str | os.PathLike[str], *, overwrite: bool = False) -> Iterator[str]:
+def replacing(path: str | os.PathLike[str], *, by: str, overwrite: bool = False) -> Iterator[str]:
     """Yield a temporary path to write to. On success, the file replaces `path`.
 
     The temporary file exists already; a writer opens it and writes it in place. Links are followed, and an existing
@@ -26,47 +63,53 @@ def replacing(path: str | os.PathLike[str], *, overwrite: bool = False) -> Itera
 
     Args:
         path: The file.
-        overwrite: Whether to replace a file that this package did not write, or that has changed since.
+        by: The command or function that writes.
+        overwrite: Whether to replace a file that it did not write, or that has changed since.
 
     Raises:
         FileExistsError: If `path` must not be replaced.
         OSError: If the file cannot be written, or another process writes it.
     """
-    with reserved(path, overwrite=overwrite) as output:
+    with reserved(path, by=by, overwrite=overwrite) as output:
         yield os.fspath(output.temporary)
         output.finish()
 
 
 @contextmanager
 def reserved(
-    path: str | os.PathLike[str], *, overwrite: bool = False, record: bool = True
+    path: str | os.PathLike[str], *, by: str | None, overwrite: bool = False
 ) -> Iterator[_logicity.OutputFile]:
     """Yield an output file that no other process can write in the meantime. It is discarded unless it is finished.
 
     Args:
         path: The file.
+        by: The command or function that writes. `None` replaces any file, and later commands do not recognize it.
         overwrite: As for `replacing`.
-        record: Whether the file counts as written by this package. If not, any file can be replaced.
     """
-    output = _logicity.OutputFile(checked_path("path", path), overwrite, record)
+    output = _logicity.OutputFile(checked_path("path", path), overwrite, by)
     try:
         yield output
     finally:
         output.discard()
 
 
-def check_writable(path: str | os.PathLike[str], *, overwrite: bool = False) -> None:
+def check_writable(path: str | os.PathLike[str], *, by: str, overwrite: bool = False) -> None:
     """Raise now if `replacing` would raise later."""
-    with reserved(path, overwrite=overwrite):
+    with reserved(path, by=by, overwrite=overwrite):
         pass
 
 
 def write_json(
-    path: str | os.PathLike[str], value: Any, *, overwrite: bool = False, output: _logicity.OutputFile | None = None
+    path: str | os.PathLike[str],
+    value: Any,
+    *,
+    by: str | None = None,
+    overwrite: bool = False,
+    output: _logicity.OutputFile | None = None,
 ) -> None:
-    """Write JSON to a file as `replacing` does, or to an output file that `reserved` has begun."""
+    """Write JSON to a file as `reserved` permits, or to an output file that it has begun."""
     if output is None:
-        with reserved(path, overwrite=overwrite) as begun:
+        with reserved(path, by=by, overwrite=overwrite) as begun:
             write_json(path, value, output=begun)
         return
     with open(output.temporary, "w", encoding="utf-8") as out:
@@ -81,7 +124,7 @@ def write_text(path: str | os.PathLike[str], text: str) -> None:
     Raises:
         OSError: If the file cannot be written, or another process writes it.
     """
-    with reserved(path, record=False) as output:
+    with reserved(path, by=None) as output:
         Path(output.temporary).write_text(text, encoding="utf-8")
         output.finish()
 
@@ -97,6 +140,7 @@ def read_tensors(path: str | os.PathLike[str], expected: str) -> Any:
         OSError: If the file cannot be read.
         ValueError: If PyTorch cannot read it as such.
     """
+    check_readable(path)
     import torch
 
     try:

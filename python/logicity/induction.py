@@ -166,7 +166,10 @@ class InducedRules:
             FileExistsError: If the file must not be replaced.
             OSError: If the file cannot be written.
         """
-        with replacing(path, overwrite=overwrite) as temporary, open(temporary, "w", encoding="utf-8") as file:
+        with (
+            replacing(path, by="induce", overwrite=overwrite) as temporary,
+            open(temporary, "w", encoding="utf-8") as file,
+        ):
             file.write(self.text)
 
 

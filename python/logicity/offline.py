@@ -276,7 +276,7 @@ class Demonstrations(Sequence[Trajectory]):
             "atoms": ";".join(f"{name}({','.join(map(str, entities))})" for name, entities in self.atoms),
         }
         table = pyarrow.table(columns).replace_schema_metadata(metadata)
-        with replacing(path, overwrite=overwrite) as temporary:
+        with replacing(path, by="to_parquet", overwrite=overwrite) as temporary:
             pyarrow.parquet.write_table(table, temporary)
 
 
@@ -297,7 +297,7 @@ def _write_folder(folder: Path, files: Mapping[str, Sequence[str]], overwrite: b
     """Write files to a folder. If one of them cannot be written, none changes."""
     folder.mkdir(parents=True, exist_ok=True)
     with ExitStack() as stack:
-        outputs = [stack.enter_context(reserved(folder / name, overwrite=overwrite)) for name in files]
+        outputs = [stack.enter_context(reserved(folder / name, by="to_popper", overwrite=overwrite)) for name in files]
         for output, lines in zip(outputs, files.values(), strict=True):
             Path(output.temporary).write_text("".join(f"{line}\n" for line in sorted(lines)), encoding="utf-8")
         for output in outputs:

@@ -24,7 +24,7 @@ from typing import Any
 from .city import ACTIONS
 from .errors import checked_path
 from .evaluation import Interval, Progress
-from .files import reserved
+from .files import check_readable, reserved
 from .redaction import Redactor, shown_url
 from .terminal import neutral
 from .transport import RejectedError, RetryableError, post
@@ -136,6 +136,7 @@ class Question:
 def _lines(path: str | os.PathLike[str]) -> Iterable[tuple[str, dict[str, Any]]]:
     """Yield the objects of a JSON Lines file, each with its location."""
     name = checked_path("path", path)
+    check_readable(name, whole=False)
     with open(name, "rb") as file:
         for number, line in enumerate(iter(lambda: file.readline(LINE_BYTES), b""), 1):
             if not line.strip():
@@ -745,7 +746,7 @@ def ask(
     known = {question.id for question in questions}
     answers: dict[str, str] = {}
     # The reservation keeps other processes from the file; it writes nothing.
-    with reserved(path, record=False), _without_torn_line(Path(path)).open("a+", encoding="utf-8") as file:
+    with reserved(path, by=None), _without_torn_line(Path(path)).open("a+", encoding="utf-8") as file:
         for place, line in _lines(path):
             if line["id"] not in known:
                 raise ValueError(

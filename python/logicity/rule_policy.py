@@ -133,7 +133,7 @@ class RulePolicy:
             FileExistsError: If the file must not be replaced.
             OSError: If the file cannot be written.
         """
-        with replacing(path, overwrite=overwrite) as temporary:
+        with replacing(path, by="RulePolicy.save", overwrite=overwrite) as temporary:
             Path(temporary).write_text(self.text, encoding="utf-8")
 
 

@@ -32,8 +32,19 @@ def first_line(message: str, default: str = "no message") -> str:
 
 
 def print_text(text: object, *, end: str = "\n", flush: bool = False) -> None:
-    """Print a text to standard output."""
-    print(neutral(str(text)), end=end, flush=flush)
+    """Print a text to standard output.
+
+    Raises:
+        OSError: If it cannot be written; a `BrokenPipeError` if the reader has closed the pipe.
+    """
+    try:
+        print(neutral(str(text)), end=end, flush=flush)
+    except BrokenPipeError:
+        raise
+    except OSError as error:
+        # Python writes the rest at exit, which must not fail.
+        os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
+        raise OSError(f"cannot write to standard output: {(error.strerror or str(error)).lower()}") from None
 
 
 def print_message(text: object) -> None:

@@ -347,7 +347,7 @@ impl PySimulation {
     /// Runs ticks, and writes their trace to a file if `trace` names one; with `overwrite`, replaces any file.
     fn run(&self, py: Python<'_>, ticks: u64, trace: Option<PathBuf>, overwrite: bool) -> PyResult<()> {
         let output = (trace.as_deref())
-            .map(|path| Output::create(path, overwrite_if(overwrite)).map_err(|error| unwritable(path, &error)))
+            .map(|path| Output::create(path, "run", overwrite_if(overwrite)).map_err(|error| unwritable(path, &error)))
             .transpose()?;
         let done = self.city.detached(py, |city, cancel| match output {
             None => run(city, ticks, cancel, |_| Ok(())),

@@ -5,7 +5,7 @@ use crate::task::PyTask;
 use crate::{Signals, input_error, read_error, threads_of, to_python};
 use logicity::city::Action;
 use logicity::diag::{Diagnostic, Sources};
-use logicity::files::{Journal, ReadError, read_bytes};
+use logicity::files::{self, Journal, ReadError, read_whole};
 use logicity::induce::ask::Bound as SweepBound;
 use logicity::induce::{
     ActionRules, Atom, Body, Examples, LearnedClause, LearnedRules, Literal, NOISE_MAX, Noise, Settings, State,
@@ -20,8 +20,6 @@ use numpy::ndarray::Array2;
 use numpy::{IntoPyArray, PyArray1, PyArray2, PyReadonlyArray1, PyReadonlyArray2};
 use pyo3::exceptions::{PyKeyboardInterrupt, PyOSError, PyTypeError, PyValueError};
 use pyo3::prelude::*;
-use std::fs::File;
-use std::io::ErrorKind;
 use std::path::{Path, PathBuf};
 use std::sync::Arc;
 
@@ -204,13 +202,8 @@ type StepArrays<'py> = (
 /// Reads a table of steps. Returns its mode, its split, the hash of its episodes and its atoms, and its columns.
 #[pyfunction]
 fn read_steps(py: Python<'_>, path: PathBuf) -> PyResult<(String, String, String, Vec<String>, StepArrays<'_>)> {
-    let unread = |error: std::io::Error| match error.kind() {
-        ErrorKind::NotFound => read_error(py, &path, &ReadError::NotFound),
-        _ => read_error(py, &path, &ReadError::Io(error.to_string())),
-    };
-    let file = File::open(&path).map_err(unread)?;
     let bytes = py
-        .detach(|| read_bytes(file))
+        .detach(|| files::open(&path).and_then(read_whole))
         .map_err(|error| read_error(py, &path, &error))?;
     let read = py.detach(|| {
         let steps = Steps::open(bytes)?;

@@ -31,7 +31,7 @@ use logicity::cancel::Cancel;
 use logicity::cli::{Outcome, PYTHON_COMMANDS, run_with_python};
 use logicity::datalog::Limits;
 use logicity::diag::{Code, Diagnostic, Limit, Sources, render, to_json};
-use logicity::files::{ReadError, ReadFile as _};
+use logicity::files::{self, MAX_BYTES, ReadError, ReadFile as _};
 use numpy::ndarray::Dimension;
 use numpy::{Element, PyReadwriteArray};
 use pyo3::PyClass;
@@ -134,6 +134,17 @@ fn read_file(py: Python<'_>, path: PathBuf) -> PyResult<String> {
     BuiltinFiles
         .read_or_builtin(&path)
         .map_err(|error| read_error(py, &path, &error))
+}
+
+/// Checks that a file that the caller named can be read, without opening it. If it is to be read as a whole, it must
+/// not be too large.
+#[pyfunction]
+fn check_readable(py: Python<'_>, path: PathBuf, whole: bool) -> PyResult<()> {
+    let checked = files::check_readable(&path).and_then(|()| match path.metadata() {
+        Ok(found) if whole && found.is_file() && found.len() > MAX_BYTES => Err(ReadError::TooLarge),
+        _ => Ok(()),
+    });
+    checked.map_err(|error| read_error(py, &path, &error))
 }
 
 /// Converts JSON to Python values.
@@ -385,6 +396,7 @@ fn _logicity(module: &Bound<'_, PyModule>) -> PyResult<()> {
     module.add("THREADS_MAX", THREADS_MAX)?;
     module.add_function(wrap_pyfunction!(did_you_mean, module)?)?;
     module.add_function(wrap_pyfunction!(read_file, module)?)?;
+    module.add_function(wrap_pyfunction!(check_readable, module)?)?;
     module.add_function(wrap_pyfunction!(python_commands, module)?)?;
     module.add_function(wrap_pyfunction!(run_command_line, module)?)?;
     config::register(module)?;

@@ -39,13 +39,13 @@ struct PyOutput {
 
 #[pymethods]
 impl PyOutput {
-    /// Begins a file. With `overwrite`, it replaces any file. Without `record`, it does not count as written by this
-    /// package; then the caller decides which files to replace.
+    /// Begins a file of the command `by`. With `overwrite`, it replaces any file. Without `by`, it does not count as
+    /// written by this package; then the caller decides which files to replace.
     #[new]
-    fn new(path: PathBuf, overwrite: bool, record: bool) -> PyResult<Self> {
-        let output = match record {
-            true => Output::create(&path, overwrite_if(overwrite)),
-            false => Output::edit(&path),
+    fn new(path: PathBuf, overwrite: bool, by: Option<&str>) -> PyResult<Self> {
+        let output = match by {
+            Some(by) => Output::create(&path, by, overwrite_if(overwrite)),
+            None => Output::edit(&path),
         };
         let output = output.map_err(|error| unwritable(&path, &error))?;
         Ok(PyOutput {

@@ -156,17 +156,18 @@ impl PyTask {
             .unwrap_or(0))
     }
 
-    /// Replays the actions taken in an episode, and writes the trace to a file; with `overwrite`, replaces any file.
+    /// Replays the actions taken in an episode, and writes the trace to an output: a file, the function that writes it,
+    /// and whether it replaces any file.
     fn write_trace(
         &self,
         py: Python<'_>,
         split: &str,
         episode: &Bound<'_, PyDict>,
         actions: &[u8],
-        path: PathBuf,
-        overwrite: bool,
+        output: (PathBuf, String, bool),
     ) -> PyResult<()> {
-        let output = Output::create(&path, overwrite_if(overwrite)).map_err(|error| unwritable(&path, &error))?;
+        let (path, by, overwrite) = output;
+        let output = Output::create(&path, &by, overwrite_if(overwrite)).map_err(|error| unwritable(&path, &error))?;
         let split = split_named(split)?;
         let actions = read_actions(py, actions)?;
         let signals = Signals::new();

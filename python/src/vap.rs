@@ -7,7 +7,7 @@ use logicity::cancel::Cancel;
 use logicity::city::Heading;
 use logicity::city::{Action, Split};
 use logicity::diag::{Code, Diagnostic, Sources};
-use logicity::files::{FileError, Folder, ReadError, read_folders};
+use logicity::files::{FileError, Folder, ReadError, read_file, read_folders};
 use logicity::render::{
     Difficulty, DrawingVersion, Icons, Mode as PackMode, PACK_FILE_MAX, PACK_FILES_MAX, Pack, PackFault, PixelBox,
     read_png_into,
@@ -24,8 +24,7 @@ use pyo3::prelude::*;
 use pyo3::types::PyString;
 use serde_json::json;
 use std::collections::HashMap;
-use std::fs;
-use std::io::ErrorKind;
+use std::io::{self, ErrorKind};
 use std::path::{Path, PathBuf};
 use std::sync::Arc;
 
@@ -102,7 +101,14 @@ struct WorldTables {
 
 fn read_bytes(path: PathBuf) -> Result<Vec<u8>, DatasetError> {
     let action = "read";
-    fs::read(&path).map_err(|error| FileError { action, path, error }.into())
+    read_file(&path).map_err(|error| {
+        let kind = match error {
+            ReadError::NotFound => io::ErrorKind::NotFound,
+            _ => io::ErrorKind::Other,
+        };
+        let error = io::Error::new(kind, error);
+        FileError { action, path, error }.into()
+    })
 }
 
 /// Returns the codes of a column, with -1 for absent values.

@@ -106,6 +106,35 @@ def test_a_closed_pipe_is_not_an_error(arguments: list[str]) -> None:
         assert (process.stderr.read(), process.wait()) == (b"", 0)
 
 
+@pytest.mark.skipif(not sys.platform.startswith("linux"), reason="/dev/full")
+@pytest.mark.parametrize(
+    "arguments", [["--help"], ["--version"], ["describe"], ["evaluate", "--help"], ["vap", "coco", "-h"], ["codes"]]
+)
+def test_a_full_standard_output_is_reported(arguments: list[str]) -> None:
+    with open("/dev/full", "wb") as full:
+        done = subprocess.run([COMMAND, *arguments], stdout=full, stderr=subprocess.PIPE, text=True, check=False)
+    assert done.returncode == 2, done.stderr
+    assert done.stderr.lower().startswith("error: cannot write to standard output: no space left on device")
+    assert len(done.stderr.splitlines()) == 1
+
+
+@pytest.mark.skipif(sys.platform == "win32", reason="pipes and signals of POSIX")
+def test_sigterm_ends_commands_in_rust(tmp_path: Path) -> None:
+    (tmp_path / "count.dl").write_text(".decl n(x: number)\n.output n\nn(0).\nn(x + 1) :- n(x), x < 90000000.\n")
+    query = ["query", str(tmp_path / "count.dl"), "-D", str(tmp_path / "out")]
+    with subprocess.Popen([COMMAND, *query], stdout=subprocess.PIPE, stderr=subprocess.PIPE) as process:
+        while not (tmp_path / "out").exists():
+            assert process.poll() is None
+            time.sleep(0.01)
+        process.send_signal(signal.SIGTERM)
+        try:
+            process.communicate(timeout=30)
+        finally:
+            process.kill()
+    assert process.returncode == 143
+    assert not list((tmp_path / "out").glob("*.csv"))
+
+
 def handle_ctrl_c() -> None:
     """Undo that a shell starts commands in the background with SIGINT ignored."""
     signal.signal(signal.SIGINT, signal.SIG_DFL)

@@ -24,7 +24,8 @@ from logicity.__main__ import main
 from logicity.describe import describe, environment_page
 from logicity.env_config import EnvConfig, EnvOptions
 from logicity.evaluation import load_task
-from logicity.files import check_writable, reserved, write_json
+from logicity.files import check_writable, read_tensors, read_text, reserved, write_json
+from logicity.questions import load_questions
 
 
 def varied(observation: NDArray[np.float32]) -> int:
@@ -524,31 +525,46 @@ def test_names_follow_the_configuration(own_city: Path) -> None:
 
 def test_files_are_replaced_atomically(tmp_path: Path) -> None:
     file = tmp_path / "result.json"
-    write_json(file, {"a": 1})
+    write_json(file, {"a": 1}, by="test")
     with pytest.raises(ValueError):
-        write_json(file, {"a": float("nan")})
+        write_json(file, {"a": float("nan")}, by="test")
     assert json.loads(file.read_text()) == {"a": 1}
     assert {path.name for path in tmp_path.iterdir()} == {"result.json", ".logicity.json"}
+
+
+@pytest.mark.skipif(not sys.platform.startswith("linux"), reason="/proc and sparse files")
+def test_files_without_an_end_are_refused_at_once(tmp_path: Path) -> None:
+    with open(tmp_path / "sparse", "wb") as file:
+        file.truncate(100 << 30)
+    for path, message in [("/proc/self/status", "may never end"), (tmp_path / "sparse", "larger than 1024 MiB")]:
+        with pytest.raises(OSError, match=message):
+            read_text(path)
+        with pytest.raises(OSError, match=message):
+            read_tensors(path, "a policy")
+    with pytest.raises(OSError, match="may never end"):
+        load_questions("/proc/self/status")
 
 
 @pytest.mark.skipif(sys.platform == "win32", reason="links and permissions of POSIX")
 def test_files_of_other_programs_are_protected(tmp_path: Path) -> None:
     file, link = tmp_path / "file.json", tmp_path / "link.json"
     link.symlink_to("file.json")
-    write_json(link, 1)
+    write_json(link, 1, by="test")
     file.chmod(0o640)
-    write_json(link, 2)
+    write_json(link, 2, by="test")
     assert link.is_symlink() and json.loads(file.read_text()) == 2 and file.stat().st_mode & 0o777 == 0o640
     file.write_text("foreign")
     with pytest.raises(FileExistsError, match="overwrite"):
-        write_json(file, 3)
+        write_json(file, 3, by="test")
     assert file.read_text() == "foreign"
-    write_json(file, 3, overwrite=True)
-    write_json(file, 4)
-    with reserved(file), pytest.raises(OSError, match="this process already writes it"):
-        write_json(file, 5)
+    write_json(file, 3, by="test", overwrite=True)
+    write_json(file, 4, by="test")
+    with pytest.raises(FileExistsError, match="`test` wrote it"):
+        write_json(file, 5, by="another")
+    with reserved(file, by="test"), pytest.raises(OSError, match="this process already writes it"):
+        write_json(file, 5, by="test")
     with pytest.raises(OSError):
-        check_writable(tmp_path / "missing" / "file.json")
+        check_writable(tmp_path / "missing" / "file.json", by="test")
     assert {path.name for path in tmp_path.iterdir()} == {"file.json", "link.json", ".logicity.json"}
 
 

@@ -656,7 +656,7 @@ def test_only_one_process_reads_a_run(tmp_path: Path) -> None:
     run = tmp_path / "run"
     run.mkdir()
     (run / "config.json").write_text("incomplete")
-    with reserved(run / "result.json", record=False), pytest.raises(OSError, match="this process already writes it"):
+    with reserved(run / "result.json", by=None), pytest.raises(OSError, match="this process already writes it"):
         train(short("ppo"), run)
     with pytest.raises(training.FolderError, match=r"config\.json is damaged"):
         train(short("ppo"), run)

@@ -194,7 +194,7 @@ impl Make {
                 ));
             }
         };
-        let mut out = self.force.create(&path, &Inputs::of(sources))?;
+        let mut out = self.force.create("episodes", &path, &Inputs::of(sources))?;
         let bar = progress("episode", count as u64);
         let set = make_episodes(&task, split, count, self.seed, |found| bar.set_position(found as u64))?;
         bar.finish_and_clear();

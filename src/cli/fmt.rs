@@ -2,12 +2,12 @@
 
 use crate::builtin::BuiltinFiles;
 use crate::cli::kind::Kind;
-use crate::cli::{Failure, finish, read, terminal, unwritable};
+use crate::cli::{Failure, finish, read, terminal, unreadable, unwritable};
 use crate::config::rule_file;
 use crate::datalog;
 use crate::diag::{Diagnostic, Sources};
-use crate::files::Output;
-use std::io::{Read, Write};
+use crate::files::{self, Output};
+use std::io::Write;
 use std::path::{Path, PathBuf};
 
 #[derive(clap::Args)]
@@ -28,10 +28,7 @@ pub fn run(arguments: &Arguments, sources: &mut Sources) -> Result<(), Failure> 
         let path = &rule_file(path, &BuiltinFiles);
         let is_stdin = path == Path::new("-");
         let text = if is_stdin {
-            let mut text = String::new();
-            let fail = |error| Failure::file("read", Path::new("<stdin>"), error);
-            std::io::stdin().lock().read_to_string(&mut text).map_err(fail)?;
-            text
+            files::read_from(std::io::stdin().lock()).map_err(|error| unreadable(path, &error))?
         } else {
             read(path)?
         };
@@ -60,6 +57,7 @@ pub fn run(arguments: &Arguments, sources: &mut Sources) -> Result<(), Failure> 
             let mut file = Output::edit(path).map_err(fail)?;
             file.write_all(formatted.as_bytes()).map_err(fail)?;
             finish(file, path)?;
+            let _ = writeln!(terminal::err(), "wrote {}", path.display());
         }
     }
     if !faults.is_empty() {

@@ -1,7 +1,7 @@
 //! `logicity icons`, and the icon options of other commands.
 
 use crate::city::Split;
-use crate::cli::{Failure, ForceOption, Inputs, finish, integer, one_of, terminal, unwritable};
+use crate::cli::{Failure, ForceOption, Inputs, finish, integer, messages, one_of, terminal, unwritable};
 use crate::files;
 use crate::render::{
     Class, Difficulty, DrawingVersion, Icons, Mode, PACK_FILE_MAX, PACK_FILES_MAX, Pack, PackFault, sheet, write_png,
@@ -141,9 +141,11 @@ pub fn run(arguments: &Arguments) -> Result<(), Failure> {
     let Command::Sheet(sheet_of) = &arguments.command;
     let path = &sheet_of.output;
     let inputs = Inputs(sheet_of.icons.files());
-    let mut out = sheet_of.force.create(path, &inputs)?;
+    let mut out = sheet_of.force.create("icons", path, &inputs)?;
     let icons = sheet_of.icons.load(Seed(sheet_of.seed))?.with_split(sheet_of.split);
     let picture = sheet(&icons, &sheet_of.classes);
     write_png(&picture, &mut out).map_err(|error| unwritable(path, &error))?;
-    finish(out, path)
+    finish(out, path)?;
+    writeln!(messages(&[path]), "wrote {}", path.display())?;
+    Ok(())
 }

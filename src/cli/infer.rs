@@ -3,8 +3,8 @@
 use crate::builtin::BuiltinFiles;
 use crate::cli::scenes::{SceneLine, SceneLines};
 use crate::cli::{
-    Failure, ForceOption, Inputs, LimitOptions, advised, finish, integer, is_stdout, load_city, one_of, report,
-    terminal, unwritable,
+    Failure, ForceOption, Inputs, LimitOptions, advised, finish, integer, is_stdout, load_city, messages, one_of,
+    report, terminal, unwritable,
 };
 use crate::diag::{Sources, to_json};
 use crate::rng::Seed;
@@ -80,11 +80,12 @@ pub fn run(arguments: &Arguments, sources: &mut Sources) -> Result<(), Failure> 
         }
         Some(path) => {
             let inputs = Inputs::of(sources).with([arguments.file.clone()]);
-            let mut out = arguments.force.create(path, &inputs)?;
+            let mut out = arguments.force.create("infer", path, &inputs)?;
             let faulty = answer_all(&mut inference, scenes, |line| {
                 writeln!(out, "{line}").map_err(|error| unwritable(path, &error))
             })?;
             finish(out, path)?;
+            writeln!(messages(&[path]), "wrote {}", path.display())?;
             outcome(faulty)
         }
     }

@@ -30,6 +30,7 @@ mod route;
 mod run;
 mod scenes;
 mod schema;
+mod signals;
 mod terminal;
 mod trace;
 mod vap;
@@ -37,7 +38,6 @@ mod view;
 mod why;
 
 use crate::builtin::BuiltinFiles;
-use crate::cancel::Cancel;
 use crate::city::MapConfig;
 use crate::config::{load_map, missing_file, rule_file};
 use crate::datalog::{Edb, Limits, Program, Workspace};
@@ -58,8 +58,6 @@ use std::ops::RangeInclusive;
 use std::path::{Path, PathBuf};
 use std::process::ExitCode;
 use std::str::FromStr;
-use std::sync::Arc;
-use std::sync::atomic::{AtomicBool, Ordering};
 
 /// Simulate a city of cars and pedestrians under Datalog rules
 #[derive(Parser)]
@@ -133,7 +131,8 @@ enum Failure {
     Option(Vec<Diagnostic>),
     /// Wrong usage, or a file that cannot be read or written. Exit code 2.
     Usage(String),
-    /// The user interrupted the command; its results so far are on disk. Exit code 130, as in shells.
+    /// The user or the system asked the command to end; its results so far are on disk. See [`signals`] for the exit
+    /// codes.
     Interrupted,
     /// The reader closed standard output. Exit code 0, without a message.
     Closed,
@@ -192,8 +191,8 @@ impl Failure {
 /// The option to replace files of other programs.
 #[derive(clap::Args)]
 struct ForceOption {
-    /// Replace output files that logicity did not write, or that have changed since. Files that the command reads are
-    /// never replaced
+    /// Replace output files that this command did not write, or that have changed since. Files that the command reads
+    /// are never replaced
     #[arg(long)]
     force: bool,
 }
@@ -203,20 +202,21 @@ impl ForceOption {
         if self.force { Overwrite::Any } else { Overwrite::Own }
     }
 
-    /// Begins to write an output file; `-` means standard output. Fails if the command reads that file.
-    fn create(&self, path: &Path, inputs: &Inputs) -> Result<Output, Failure> {
+    /// Begins to write an output file of the command `by`; `-` means standard output. Fails if the command reads that
+    /// file.
+    fn create(&self, by: &str, path: &Path, inputs: &Inputs) -> Result<Output, Failure> {
         if path == Path::new("-") {
             return Ok(terminal::screened(Output::stdout()));
         }
         inputs.refuse(path)?;
-        let output = Output::create(path, self.overwrite());
+        let output = Output::create(path, by, self.overwrite());
         output.map(terminal::screened).map_err(|error| unwritable(path, &error))
     }
 
     /// Reports now if a file that is written later cannot be written.
-    fn check(&self, path: &Path, inputs: &Inputs) -> Result<(), Failure> {
+    fn check(&self, by: &str, path: &Path, inputs: &Inputs) -> Result<(), Failure> {
         inputs.refuse(path)?;
-        Output::check(path, self.overwrite()).map_err(|error| unwritable(path, &error))
+        Output::check(path, by, self.overwrite()).map_err(|error| unwritable(path, &error))
     }
 }
 
@@ -289,6 +289,12 @@ fn messages(results: &[&Path]) -> Box<dyn Write> {
         true => Box::new(terminal::err()),
         false => Box::new(terminal::out()),
     }
+}
+
+/// Prints the paths of further results than the first, which the summary of a command names.
+fn print_others(out: &mut dyn Write, others: &[Option<&Path>]) -> io::Result<()> {
+    let mut others = others.iter().flatten().filter(|path| !is_stdout(path));
+    others.try_for_each(|path| writeln!(out, "wrote {}", path.display()))
 }
 
 /// Gives a complete output file its name.
@@ -451,23 +457,26 @@ fn run(mut command: clap::Command, arguments: &[OsString]) -> u8 {
         Ok(arguments) => arguments,
         Err(error) => {
             let error = error.format(&mut command);
-            terminal::print_usage(&error, is_plain);
-            return u8::try_from(error.exit_code()).unwrap_or(2);
+            // A closed standard error does not change the exit code.
+            return match terminal::print_usage(&error, is_plain) {
+                Err(failed) if !error.use_stderr() => exit(failed.into(), &Sources::new()),
+                _ => u8::try_from(error.exit_code()).unwrap_or(2),
+            };
         }
     };
     memory::exit_when_exhausted();
+    signals::end_at_once();
     let mut sources = Sources::new();
     let result = match arguments.command {
         Command::Run(arguments) => run::run(&arguments, &mut sources),
         Command::New(arguments) => new::run(&arguments),
         Command::Check(arguments) => check::run(&arguments, &mut sources),
         Command::Fmt(arguments) => fmt::run(&arguments, &mut sources),
-        Command::Diff(arguments) => {
-            return match diff::run(&arguments, &mut sources) {
-                Ok(code) => code,
-                Err(failure) => exit(failure, &sources),
-            };
-        }
+        Command::Diff(arguments) => match diff::run(&arguments, &mut sources) {
+            Ok(0) => Ok(()),
+            Ok(code) => return code,
+            Err(failure) => Err(failure),
+        },
         Command::Query(arguments) => query::run(&arguments, &mut sources),
         #[cfg(feature = "repl")]
         Command::Repl(arguments) => repl::run(&arguments, &mut sources),
@@ -493,7 +502,10 @@ fn run(mut command: clap::Command, arguments: &[OsString]) -> u8 {
             terminal::data().write_all(&script).map_err(Failure::from)
         }
     };
-    match result {
+    // A caller in Python goes on, and must not ignore the next request.
+    signals::end_at_once();
+    // The end of the process would ignore that the last line cannot be written.
+    match result.and_then(|()| io::stdout().flush().map_err(Failure::from)) {
         Ok(()) => 0,
         Err(failure) => exit(failure, &sources),
     }
@@ -514,7 +526,7 @@ fn exit(failure: Failure, sources: &Sources) -> u8 {
             2
         }
         Failure::Reported => 1,
-        Failure::Interrupted => 130,
+        Failure::Interrupted => signals::code(),
         Failure::Usage(message) => {
             let _ = writeln!(terminal::err(), "error: {message}");
             2
@@ -829,20 +841,6 @@ fn missing_is_usage(faults: Vec<Diagnostic>) -> Failure {
         }
         None => faults.into(),
     }
-}
-
-/// Returns a request that arrives when the user interrupts the command (Ctrl-C) or the system asks it to end. The command
-/// then writes its results and exits. A second interrupt ends the process at once.
-fn cancel_on_interrupt() -> Result<Cancel, Failure> {
-    let interrupted = Arc::new(AtomicBool::new(false));
-    let flag = Arc::clone(&interrupted);
-    ctrlc::set_handler(move || {
-        if interrupted.swap(true, Ordering::Relaxed) {
-            std::process::exit(130);
-        }
-    })
-    .map_err(|error| Failure::Usage(format!("cannot listen for interrupts: {error}")))?;
-    Ok(Cancel::when(move || flag.load(Ordering::Relaxed)))
 }
 
 /// Returns a progress bar.

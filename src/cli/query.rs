@@ -1,16 +1,16 @@
 //! `logicity query`: runs a Datalog program on facts files.
 
+mod outputs;
+
 use crate::cli::why;
 use crate::cli::why::Question;
-use crate::cli::{Failure, ForceOption, Inputs, LimitOptions, finish, load_workspace, report, terminal, unwritable};
+use crate::cli::{Failure, ForceOption, Inputs, LimitOptions, load_workspace, report, terminal};
 use crate::datalog::{ClauseId, Directive, Edb, EvalError, MarkKind, RelId, RowFormat, RowPlace, Rules, rewrite};
 use crate::datalog::{Delta, EvalEvent, Limits, Options, Program, RuleStats, Session, Threads, constraints, facts};
 use crate::diag::{Code, Diagnostic, Sources, Span};
 use crate::files;
-use crate::files::{MAX_BYTES, ReadError, make_folder};
-use flate2::Compression;
+use crate::files::{MAX_BYTES, ReadError};
 use flate2::read::MultiGzDecoder;
-use flate2::write::GzEncoder;
 use std::cell::{Cell, RefCell};
 use std::cmp::Reverse;
 use std::collections::BTreeMap;
@@ -31,6 +31,10 @@ pub struct Arguments {
     /// Folder for a file NAME.csv for each output relation; created if missing; `-` means standard output
     #[arg(short = 'D', long, value_name = "DIR", default_value = ".")]
     output: PathBuf,
+    /// Permit outputs outside of that folder: absolute names, `..` and links that lead out. Use it only for rules that
+    /// you trust
+    #[arg(long)]
+    output_anywhere: bool,
     /// Print the evaluation plan of every clause and exit. With `-F`, plan for the sizes of the relations in the facts;
     /// without, for few rows
     #[arg(long, conflicts_with = "profile")]
@@ -107,7 +111,7 @@ pub fn run(arguments: &Arguments, sources: &mut Sources) -> Result<(), Failure> 
     load_inputs(facts, &mut session, sources)?;
     let inputs = Inputs::of(sources).with(input_paths(session.program(), facts));
     if question.is_none() && !arguments.plan {
-        check_outputs(session.program(), &arguments.output, &inputs, &arguments.force)?;
+        outputs::check(session.program(), arguments, &inputs)?;
     }
     let times = match arguments.profile {
         true => timed_commit(&mut session).map(|(_, times)| Some(times)),
@@ -133,36 +137,8 @@ pub fn run(arguments: &Arguments, sources: &mut Sources) -> Result<(), Failure> 
         let asked = (question, sources.add(format!("<{name}>"), fact));
         return why::explain(&mut out, asked, &workspace, &session, sources, arguments.json);
     }
-    write_results(&mut out, &session, &arguments.output, (&inputs, &arguments.force))?;
+    outputs::write(&mut out, &session, arguments, &inputs)?;
     out.flush()?;
-    Ok(())
-}
-
-/// Returns the file of an output relation, or `None` for standard output.
-fn output_path(folder: &Path, relation: &str, directive: &Directive) -> Option<PathBuf> {
-    match &directive.place {
-        _ if folder == Path::new("-") => None,
-        RowPlace::Terminal => None,
-        RowPlace::Usual => {
-            let end = if directive.compress { "csv.gz" } else { "csv" };
-            Some(folder.join(format!("{relation}.{end}")))
-        }
-        RowPlace::File(name) => Some(folder.join(name)),
-    }
-}
-
-/// Makes the folders of the output relations, and reports files that cannot be written, before the evaluation.
-fn check_outputs(program: &Program, folder: &Path, inputs: &Inputs, force: &ForceOption) -> Result<(), Failure> {
-    for (_, relation) in relations(program) {
-        let outputs = relation
-            .directives
-            .iter()
-            .filter(|directive| directive.kind == MarkKind::Output);
-        for path in outputs.filter_map(|directive| output_path(folder, &relation.name, directive)) {
-            make_folder(path.parent().unwrap_or(Path::new(".")))?;
-            force.check(&path, inputs)?;
-        }
-    }
     Ok(())
 }
 
@@ -194,37 +170,6 @@ fn exceeded(error: &EvalError, rules: &Rules) -> Diagnostic {
         true => fault,
         false => fault.help("`.pragma \"magic-transform\" \"*\"` derives only the rows that the outputs need"),
     }
-}
-
-/// Writes every output relation to its file in `folder`, or to `out` if its directive says so or `folder` is `-`.
-/// Writes the sizes of `.printsize` relations to `out`.
-fn write_results(
-    out: &mut dyn Write,
-    session: &Session,
-    folder: &Path,
-    place: (&Inputs, &ForceOption),
-) -> Result<(), Failure> {
-    let to_terminal = folder == Path::new("-");
-    for (id, relation) in relations(session.program()) {
-        for directive in &relation.directives {
-            match directive.kind {
-                MarkKind::Input => {}
-                MarkKind::Output => {
-                    let mut format = directive.format.clone();
-                    // Soufflé does the same.
-                    format.headers |= to_terminal;
-                    let header = facts::header(relation, &format);
-                    let rows = |out: &mut dyn Write| facts::write_rows(session, id, &format, out);
-                    match output_path(folder, &relation.name, directive) {
-                        Some(path) => write_relation(&path, directive.compress, place, &header, rows)?,
-                        None => print_relation(out, &relation.name, &header, rows)?,
-                    }
-                }
-                MarkKind::PrintSize => writeln!(out, "{}\t{}", relation.name, session.len(id))?,
-            }
-        }
-    }
-    Ok(())
 }
 
 /// Wall-clock times of a commit.
@@ -442,26 +387,4 @@ fn load_blocks(path: &Path, session: &mut Session, id: RelId, format: &RowFormat
         block.drain(..end);
         format.headers = false;
     }
-}
-
-/// Writes a relation to a file, which appears only once it is complete.
-fn write_relation(
-    path: &Path,
-    compress: bool,
-    (inputs, force): (&Inputs, &ForceOption),
-    header: &str,
-    rows: impl Fn(&mut dyn Write) -> io::Result<()>,
-) -> Result<(), Failure> {
-    let fail = |error: io::Error| unwritable(path, &error);
-    let mut file = force.create(path, inputs)?;
-    if compress {
-        let mut stream = GzEncoder::new(&mut file, Compression::default());
-        stream.write_all(header.as_bytes()).map_err(fail)?;
-        rows(&mut stream).map_err(fail)?;
-        stream.finish().map_err(fail)?;
-    } else {
-        file.write_all(header.as_bytes()).map_err(fail)?;
-        rows(&mut file).map_err(fail)?;
-    }
-    finish(file, path)
 }

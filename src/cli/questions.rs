@@ -2,8 +2,8 @@
 
 use crate::city::Split;
 use crate::cli::{
-    Failure, ForceOption, Inputs, LimitOptions, finish, integer, is_stdout, load_city, messages, one_of, progress,
-    refuse_mixing, terminal, unwritable,
+    Failure, ForceOption, Inputs, LimitOptions, finish, integer, is_stdout, load_city, messages, one_of, print_others,
+    progress, refuse_mixing, terminal, unwritable,
 };
 use crate::diag::{Code, Sources};
 use crate::files::Output;
@@ -108,7 +108,10 @@ pub fn run(arguments: &Arguments, sources: &mut Sources) -> Result<(), Failure> 
         seed: arguments.seed,
     };
     let inputs = Inputs::of(sources);
-    let begin = |path: Option<&Path>| path.map(|path| arguments.force.create(path, &inputs)).transpose();
+    let begin = |path: Option<&Path>| {
+        path.map(|path| arguments.force.create("questions", path, &inputs))
+            .transpose()
+    };
     let table = begin(arguments.csv.as_deref())?;
     let demonstrations = begin(arguments.demonstrations_csv.as_deref())?;
     let output = arguments.output.as_deref().filter(|path| !is_stdout(path));
@@ -132,6 +135,9 @@ pub fn run(arguments: &Arguments, sources: &mut Sources) -> Result<(), Failure> 
     write(demonstrations, arguments.demonstrations_csv.as_deref(), |out| {
         set.write_demonstrations(out)
     })?;
+    let paths: Vec<&Path> = named.iter().map(|(_, path)| *path).collect();
+    let tables = [arguments.csv.as_deref(), arguments.demonstrations_csv.as_deref()];
+    print_others(&mut *messages(&paths), &tables)?;
     let Some(path) = output else {
         let mut out = io::BufWriter::new(terminal::data());
         set.write_json(&world, rules, &mut out)?;
@@ -145,7 +151,6 @@ pub fn run(arguments: &Arguments, sources: &mut Sources) -> Result<(), Failure> 
         .into_iter()
         .map(|action| format!("{} {}", action.name(), answers[action as usize]));
     let counts: Vec<String> = counts.collect();
-    let paths: Vec<&Path> = named.iter().map(|(_, path)| *path).collect();
     writeln!(
         messages(&paths),
         "wrote {count} questions to {}: {}",

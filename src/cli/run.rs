@@ -3,8 +3,8 @@
 use crate::city::{Action, AgentKind, Split};
 use crate::cli::icons::IconOptions;
 use crate::cli::{
-    Failure, ForceOption, Inputs, LimitOptions, cancel_on_interrupt, finish, integer, is_stdout, load_city, one_of,
-    plural, refuse_stdout_as_folder, report, terminal, unwritable,
+    Failure, ForceOption, Inputs, LimitOptions, finish, integer, is_stdout, load_city, one_of, plural,
+    refuse_stdout_as_folder, report, signals, terminal, unwritable,
 };
 use crate::datalog::constraints;
 use crate::datalog::explain::ExplanationPrinter;
@@ -124,7 +124,7 @@ pub fn run(arguments: &Arguments, sources: &mut Sources) -> Result<(), Failure> 
     let agents = world.scenario.agent_set(arguments.split);
     report(&agent_lints(world.program.rules(), agents.into_iter()), sources);
 
-    let cancel = cancel_on_interrupt()?;
+    let cancel = signals::cancel();
     if !arguments.no_trace && simulation.agents().len() > MAX_ENTITIES {
         let agents = simulation.agents().len();
         let message = format!("a trace of {agents} agents would be too large; the limit is {MAX_ENTITIES}");
@@ -148,7 +148,7 @@ pub fn run(arguments: &Arguments, sources: &mut Sources) -> Result<(), Failure> 
     let page = arguments
         .html
         .as_deref()
-        .map(|page| arguments.force.create(page, &inputs))
+        .map(|page| arguments.force.create("run", page, &inputs))
         .transpose()?;
 
     let bar = ProgressBar::new(ticks).with_style(
@@ -235,7 +235,7 @@ impl Record {
     ) -> Result<Record, Failure> {
         let folder = arguments.out.clone();
         make_folder(&folder)?;
-        let create = |name: &str| arguments.force.create(&folder.join(name), inputs);
+        let create = |name: &str| arguments.force.create("run", &folder.join(name), inputs);
         let trace = TraceWriter::new(create("trace.jsonl")?, simulation, sources, rule_files)
             .map_err(|error| unwritable(&folder.join("trace.jsonl"), &error))?;
         let names: Vec<String> = (simulation.agents().iter().map(|agent| agent.name().to_string())).collect();

@@ -84,9 +84,15 @@ impl SceneLines {
             let fault = |code, what: &str| Diagnostic::new(code, format!("line {number} of `{name}` is {what}"));
             let mut sources = Sources::new();
             let scene = if bytes.len() as u64 == MAX_SCENE && !bytes.ends_with(b"\n") {
-                self.lines.skip_until(b'\n').map_err(unreadable)?;
                 let limit = format!("too long: the limit is {} MiB", MAX_SCENE >> 20);
-                Err(fault(Code::LIMIT_EXCEEDED, &limit))
+                let fault = fault(Code::LIMIT_EXCEEDED, &limit);
+                let mut rest = self.lines.by_ref().take(MAX_SCENE);
+                rest.skip_until(b'\n').map_err(unreadable)?;
+                // A line without an end would take as long as the file.
+                if rest.limit() == 0 {
+                    return Err(fault.into());
+                }
+                Err(fault)
             } else {
                 match files::to_text(bytes) {
                     Ok(line) if line.trim().is_empty() => continue,

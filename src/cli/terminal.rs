@@ -46,16 +46,15 @@ pub fn print_passing(message: &str, wait: impl FnOnce()) {
 
 /// Prints the message of a command line that does not parse, or help. It repeats arguments, which have no styles if
 /// `is_plain`.
-pub fn print_usage(error: &clap::Error, is_plain: bool) {
-    if is_plain {
-        let text = error.render().ansi().to_string();
-        let _ = match error.use_stderr() {
-            true => err().write_all(text.as_bytes()),
-            false => out().write_all(text.as_bytes()),
-        };
-    } else {
-        let _ = error.print();
+pub fn print_usage(error: &clap::Error, is_plain: bool) -> io::Result<()> {
+    let text = error.render().ansi().to_string();
+    match (is_plain, error.use_stderr()) {
+        (true, true) => err().write_all(text.as_bytes())?,
+        (true, false) => out().write_all(text.as_bytes())?,
+        (false, _) => error.print()?,
     }
+    // The end of the process would ignore that the last line cannot be written.
+    io::stdout().flush()
 }
 
 /// Returns an output as it is, but neutral if it is a terminal.

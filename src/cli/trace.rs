@@ -5,11 +5,13 @@ use crate::cli::kind::Kind;
 use crate::cli::{Failure, LimitOptions, open};
 use crate::datalog::Limits;
 use crate::diag::{Code, Diagnostic, Sources};
-use crate::files::MAX_BYTES;
 use crate::sim::{Archive, LoadError, LoadedCity, Replay, TraceHeader, TraceTick, trace_limits};
 use std::io::{BufRead, BufReader, Read};
 use std::path::{Path, PathBuf};
 use std::sync::Arc;
+
+/// The longest line, in bytes (256 MiB).
+pub const LINE_MAX: u64 = 1 << 28;
 
 /// An open trace, after its header.
 pub struct TraceReader {
@@ -151,13 +153,17 @@ fn next_line(
 ) -> Result<Option<String>, Failure> {
     loop {
         let mut bytes = Vec::new();
-        let found = (&mut *lines).take(MAX_BYTES).read_until(b'\n', &mut bytes);
+        let found = (&mut *lines).take(LINE_MAX).read_until(b'\n', &mut bytes);
         let found = found.map_err(|error| Failure::file("read", path, error))?;
         if found == 0 {
             return Ok(None);
         }
         *read += found as u64;
         *number += 1;
+        if found as u64 == LINE_MAX && !bytes.ends_with(b"\n") {
+            let message = format!("a line of more than {} MiB", LINE_MAX >> 20);
+            return Err(placed(Diagnostic::new(Code::INVALID_TRACE, message), path, *number));
+        }
         let line = String::from_utf8(bytes).map_err(|_| {
             let fault = Diagnostic::new(Code::NOT_TEXT, "not UTF-8 text");
             placed(fault, path, *number)

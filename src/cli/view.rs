@@ -58,7 +58,7 @@ pub fn run(arguments: &Arguments, sources: &mut Sources) -> Result<(), Failure> 
     }
     let inputs = Inputs(traces.clone()).with(icons.files());
     let inputs = inputs.with(arguments.config.iter().chain(&arguments.rules).cloned());
-    let mut file_out = arguments.force.create(output, &inputs)?;
+    let mut file_out = arguments.force.create("view", output, &inputs)?;
     let mut pages = Vec::new();
     for (number, trace) in traces.iter().enumerate() {
         let files = [file(&arguments.config, number), file(&arguments.rules, number)];

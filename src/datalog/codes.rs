@@ -18,6 +18,9 @@ crate::diagnostic_codes! {
     TYPE_MISMATCH = "type-mismatch", Error;
     /// A constant that is not a regular expression where one is needed.
     INVALID_PATTERN = "invalid-pattern", Error;
+    /// An `.output` whose file has an impossible name, is outside of the folder of results, or is that of another
+    /// output.
+    INVALID_OUTPUT = "invalid-output", Error;
     /// A variable that no positive atom of the body binds.
     UNBOUND_VARIABLE = "unbound-variable", Error;
     /// A predicate that depends on its own negation.

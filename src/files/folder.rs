@@ -129,9 +129,9 @@ impl Folder {
         match fs::metadata(&path)?.len() == length {
             true => {
                 let mut bytes = Vec::new();
-                let mut file = open_regular(&path).map_err(io::Error::other)?;
-                file.read_to_end(&mut bytes)?;
-                Ok(Some(bytes))
+                let file = open_regular(&path).map_err(io::Error::other)?;
+                file.take(length).read_to_end(&mut bytes)?;
+                Ok((bytes.len() as u64 == length).then_some(bytes))
             }
             false => Ok(None),
         }

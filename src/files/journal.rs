@@ -1,6 +1,6 @@
 //! Files of lines that grow while a process works: a killed process loses no line that it has added.
 
-use crate::files::folder_of;
+use crate::files::{folder_of, refuse_generated};
 use std::fs::{self, File, OpenOptions, TryLockError};
 use std::io::{self, BufRead, BufReader, Read, Seek, SeekFrom, Write};
 use std::path::{Path, PathBuf};
@@ -30,13 +30,14 @@ impl Journal {
     /// Opens a file, or creates it.
     ///
     /// # Errors
-    /// Errors of the system; `InvalidInput` for anything but a regular file; `ResourceBusy` if another process has the
-    /// file open as a journal.
+    /// Errors of the system; `InvalidInput` for anything but a regular file; `InvalidData` if an incomplete last line is
+    /// too long; `ResourceBusy` if another process has the file open as a journal.
     pub fn open(path: &Path) -> io::Result<Journal> {
         let existing = fs::metadata(path).ok();
         if existing.as_ref().is_some_and(|found| !found.is_file()) {
             return Err(io::Error::new(io::ErrorKind::InvalidInput, "it is not a regular file"));
         }
+        refuse_generated(path)?;
         let folder = folder_of(path);
         if !folder.is_dir() {
             let message = format!("there is no folder `{}`", folder.display());
@@ -114,12 +115,17 @@ impl Drop for Journal {
     }
 }
 
-/// Returns the position after the last line break.
+/// Returns the position after the last line break. Fails if the incomplete last line is longer than [`LINE_MAX`].
 fn end_of_lines(file: &mut File) -> io::Result<u64> {
     const CHUNK: u64 = 1 << 16;
     let mut end = file.metadata()?.len();
+    let least = end.saturating_sub(LINE_MAX);
     let mut bytes = Vec::new();
     while end > 0 {
+        if end < least {
+            let message = format!("its last line is longer than {} MiB", LINE_MAX >> 20);
+            return Err(io::Error::new(io::ErrorKind::InvalidData, message));
+        }
         let begin = end.saturating_sub(CHUNK);
         bytes.clear();
         file.seek(SeekFrom::Start(begin))?;

@@ -26,7 +26,7 @@ const LOCK_STEP: Duration = Duration::from_millis(20);
 /// The existing files that an [`Output`] may replace.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Overwrite {
-    /// Only files that the program wrote and that have not changed since.
+    /// Only files that the same command wrote and that have not changed since.
     Own,
     /// Any regular file.
     Any,
@@ -50,23 +50,24 @@ pub struct Output {
 struct Replacement {
     target: PathBuf,
     overwrite: Overwrite,
-    /// Whether to record the result as the program's own.
-    recorded: bool,
+    /// The command to record as the writer of the result, if it is to be recorded.
+    by: Option<String>,
     /// Holds the lock of the temporary file.
     _lock: File,
 }
 
 impl Output {
-    /// Begins to write the file at `path`, whose folder must exist, or the stream with this path.
+    /// Begins to write the file at `path`, whose folder must exist, or the stream with this path. `by` is the command
+    /// that writes, for example `run`.
     ///
     /// # Errors
-    /// Errors of the system; `InvalidInput` if `path` exists and is neither a regular file nor a stream;
-    /// `AlreadyExists` if `overwrite` does not permit replacing the existing file; `ResourceBusy` if another process
-    /// writes the same file.
-    pub fn create(path: &Path, overwrite: Overwrite) -> io::Result<Output> {
+    /// Errors of the system; `InvalidInput` if `path` exists and is neither a regular file nor a stream, or has a
+    /// reserved name; `AlreadyExists` if `overwrite` does not permit replacing the existing file; `ResourceBusy` if
+    /// another process writes the same file.
+    pub fn create(path: &Path, by: &str, overwrite: Overwrite) -> io::Result<Output> {
         match stream(path)? {
             Some(writer) => Ok(Output::streaming(writer, path)),
-            None => Output::begin(path, overwrite, true),
+            None => Output::begin(path, overwrite, Some(by)),
         }
     }
 
@@ -100,10 +101,10 @@ impl Output {
     /// # Errors
     /// As [`Output::create`].
     pub fn edit(path: &Path) -> io::Result<Output> {
-        Output::begin(path, Overwrite::Any, false)
+        Output::begin(path, Overwrite::Any, None)
     }
 
-    fn begin(path: &Path, overwrite: Overwrite, recorded: bool) -> io::Result<Output> {
+    fn begin(path: &Path, overwrite: Overwrite, by: Option<&str>) -> io::Result<Output> {
         let target = follow_links(path)?;
         let folder = folder_of(&target);
         if !folder.is_dir() {
@@ -111,14 +112,18 @@ impl Output {
             return Err(io::Error::new(io::ErrorKind::NotFound, message));
         }
         let name = name_of(&target)?;
+        if record::is_reserved(&name) || temporary_of(&name).is_some() {
+            let message = "logicity uses names like this one for its own records";
+            return Err(io::Error::new(io::ErrorKind::InvalidInput, message));
+        }
         let _lock = lock(folder)?;
         remove_leftovers(folder, &name)?;
-        if recorded {
+        if by.is_some() {
             // Only a regular file can be replaced by the record.
             record::check(folder)?;
         }
         let existing = existing(&target)?;
-        check_own(folder, &name, existing.as_ref(), overwrite)?;
+        check_own(folder, &name, existing.as_ref(), overwrite, by)?;
         if existing.is_some() {
             // A file that the user protected against writing.
             OpenOptions::new().write(true).open(&target)?;
@@ -139,7 +144,7 @@ impl Output {
             replacement: Some(Replacement {
                 target,
                 overwrite,
-                recorded,
+                by: by.map(str::to_owned),
                 _lock: file,
             }),
         })
@@ -149,8 +154,8 @@ impl Output {
     ///
     /// # Errors
     /// As [`Output::create`].
-    pub fn check(path: &Path, overwrite: Overwrite) -> io::Result<()> {
-        Output::create(path, overwrite).map(drop)
+    pub fn check(path: &Path, by: &str, overwrite: Overwrite) -> io::Result<()> {
+        Output::create(path, by, overwrite).map(drop)
     }
 
     /// Returns whether a file has a name of temporary files.
@@ -190,7 +195,8 @@ impl Replacement {
         let name = name_of(&self.target)?;
         let _lock = lock(folder)?;
         let existing = existing(&self.target)?;
-        if let Err(error) = check_own(folder, &name, existing.as_ref(), self.overwrite) {
+        let by = self.by.as_deref();
+        if let Err(error) = check_own(folder, &name, existing.as_ref(), self.overwrite, by) {
             let free = (1..).map(|number| folder.join(format!("{name}.{number}")));
             let free = free.into_iter().find(|path| fs::symlink_metadata(path).is_err());
             let free = free.expect("finitely many names are taken");
@@ -199,8 +205,8 @@ impl Replacement {
             return Err(io::Error::new(error.kind(), message));
         }
         fs::rename(temporary, &self.target)?;
-        if self.recorded {
-            record::add(folder, &name, &fs::metadata(&self.target)?)?;
+        if let Some(by) = by {
+            record::add(folder, &name, &fs::metadata(&self.target)?, by)?;
         }
         Ok(())
     }
@@ -356,16 +362,31 @@ fn create_temporary(path: &Path, existing: Option<&fs::Metadata>) -> io::Result<
     options.open(path)
 }
 
-/// Fails if an existing file is not the program's own and must not be replaced.
-fn check_own(folder: &Path, name: &str, existing: Option<&fs::Metadata>, overwrite: Overwrite) -> io::Result<()> {
+/// Fails if an existing file must not be replaced, because the command `by` did not write it.
+fn check_own(
+    folder: &Path,
+    name: &str,
+    existing: Option<&fs::Metadata>,
+    overwrite: Overwrite,
+    by: Option<&str>,
+) -> io::Result<()> {
     let Some(existing) = existing else { return Ok(()) };
-    if overwrite == Overwrite::Any || record::is_own(folder, name, existing)? {
+    if overwrite == Overwrite::Any {
         return Ok(());
     }
-    Err(io::Error::new(
-        io::ErrorKind::AlreadyExists,
-        "the file exists, and logicity did not write it or it has changed since",
-    ))
+    let message = match record::writer(folder, name, existing)? {
+        Some(writer) if Some(writer.as_str()) == by => return Ok(()),
+        // The record is a file that others can edit.
+        Some(writer) if is_command(&writer) => format!("the file exists, and `{writer}` wrote it, another command"),
+        _ => "the file exists, and logicity did not write it or it has changed since".to_owned(),
+    };
+    Err(io::Error::new(io::ErrorKind::AlreadyExists, message))
+}
+
+/// Returns whether a text may be the name of a command, such as `vap coco`.
+fn is_command(text: &str) -> bool {
+    let is_part = |c: char| c.is_ascii_alphanumeric() || " _.-".contains(c);
+    !text.is_empty() && text.len() <= 80 && text.chars().all(is_part)
 }
 
 /// Formats a time in seconds since 1970 as `YYYY-MM-DD HH:MM:SS`.
@@ -409,7 +430,7 @@ mod tests {
     use crate::files::{is_stdout, read_text};
 
     fn write(path: &Path, text: &str, overwrite: Overwrite) -> io::Result<()> {
-        let mut output = Output::create(path, overwrite)?;
+        let mut output = Output::create(path, "test", overwrite)?;
         output.write_all(text.as_bytes())?;
         output.finish()
     }
@@ -431,7 +452,7 @@ mod tests {
             write(&path, text, Overwrite::Own).expect("it is new, or its own");
             assert_eq!(read_text(&path).as_deref(), Ok(text));
         }
-        drop(Output::create(&path, Overwrite::Own).expect("its own"));
+        drop(Output::create(&path, "test", Overwrite::Own).expect("its own"));
         assert_eq!(
             names(folder.path()),
             [record::RECORD, "out"],
@@ -445,15 +466,55 @@ mod tests {
         write(&path, "third", Overwrite::Any).expect("any file may be replaced");
         write(&path, "fourth", Overwrite::Own).expect("its own again");
 
-        let refused = Output::check(folder.path(), Overwrite::Any).map_err(|error| error.kind());
+        let refused = Output::check(folder.path(), "test", Overwrite::Any).map_err(|error| error.kind());
         assert_eq!(refused, Err(io::ErrorKind::InvalidInput), "a folder");
+    }
+
+    #[test]
+    fn a_command_replaces_only_what_it_wrote() {
+        let folder = tempfile::tempdir().expect("a folder");
+        let path = folder.path().join("out");
+        let write_by = |by: &str, overwrite| {
+            let mut output = Output::create(&path, by, overwrite)?;
+            output.write_all(by.as_bytes())?;
+            output.finish()
+        };
+        write_by("run", Overwrite::Own).expect("new");
+        let refused = write_by("query", Overwrite::Own)
+            .expect_err("`run` wrote it")
+            .to_string();
+        assert!(refused.contains("`run` wrote it"), "{refused}");
+        assert_eq!(read_text(&path).as_deref(), Ok("run"));
+        write_by("query", Overwrite::Any).expect("any file may be replaced");
+        write_by("query", Overwrite::Own).expect("its own");
+        // A record of another version names no command.
+        let record = folder.path().join(record::RECORD);
+        let text = read_text(&record).expect("there").replace(r#","by":"query""#, "");
+        fs::write(&record, text).expect("writable");
+        let refused = write_by("query", Overwrite::Own).map_err(|error| error.kind());
+        assert_eq!(refused, Err(io::ErrorKind::AlreadyExists));
+    }
+
+    #[test]
+    fn no_output_has_the_name_of_a_record() {
+        let folder = tempfile::tempdir().expect("a folder");
+        for name in [
+            ".logicity.json",
+            ".Logicity.JSON",
+            ".logicity.json.logicity-1-0",
+            ".x.logicity-1-2",
+        ] {
+            let refused = write(&folder.path().join(name), "", Overwrite::Any).map_err(|error| error.kind());
+            assert_eq!(refused, Err(io::ErrorKind::InvalidInput), "{name}");
+        }
+        assert!(names(folder.path()).is_empty());
     }
 
     #[test]
     fn a_file_made_in_the_meantime_is_kept() {
         let folder = tempfile::tempdir().expect("a folder");
         let path = folder.path().join("out");
-        let mut output = Output::create(&path, Overwrite::Own).expect("new");
+        let mut output = Output::create(&path, "test", Overwrite::Own).expect("new");
         output.write_all(b"result").expect("room");
         fs::write(&path, "foreign").expect("writable");
         let message = output.finish().expect_err("it is foreign").to_string();
@@ -468,8 +529,8 @@ mod tests {
         let long = "n".repeat(255);
         for name in ["out", &long] {
             let path = folder.path().join(name);
-            let first = Output::create(&path, Overwrite::Own).expect("new");
-            let error = Output::create(&path, Overwrite::Own).err().expect("busy");
+            let first = Output::create(&path, "test", Overwrite::Own).expect("new");
+            let error = Output::create(&path, "test", Overwrite::Own).err().expect("busy");
             assert_eq!(error.kind(), io::ErrorKind::ResourceBusy);
             assert!(error.to_string().contains("this process already writes it"), "{error}");
             // Another file is free.
@@ -513,7 +574,7 @@ mod tests {
         let pipe = folder.path().join("pipe");
         let made = std::process::Command::new("mkfifo").arg(&pipe).status();
         assert!(made.expect("it runs").success());
-        let refused = Output::check(&pipe, Overwrite::Any).map_err(|error| error.kind());
+        let refused = Output::check(&pipe, "test", Overwrite::Any).map_err(|error| error.kind());
         assert_eq!(refused, Err(io::ErrorKind::InvalidInput));
     }
 
@@ -537,7 +598,7 @@ mod tests {
         assert_eq!(fs::metadata(&file).expect("there").permissions().mode() & 0o777, 0o640);
 
         symlink("round", folder.path().join("round")).expect("new");
-        let refused = Output::check(&folder.path().join("round"), Overwrite::Any);
+        let refused = Output::check(&folder.path().join("round"), "test", Overwrite::Any);
         assert!(refused.expect_err("a loop").to_string().contains("symbolic links"));
     }
 

@@ -1,7 +1,7 @@
 //! The record of the files that the program wrote in a folder, which shows whether an existing file is its own.
 //!
-//! The record [`RECORD`] lists each file with its size and its time of change. A file is the program's own if both
-//! still match. The caller holds the lock of the folder.
+//! The record [`RECORD`] lists each file with its size, its time of change and the command that wrote it. A file is the
+//! program's own if size and time still match. The caller holds the lock of the folder.
 
 use serde::{Deserialize, Serialize};
 use std::collections::BTreeMap;
@@ -24,15 +24,18 @@ struct Record {
 }
 
 /// Identifies the content of a file without reading it.
-#[derive(Clone, Copy, PartialEq, Eq, Serialize, Deserialize)]
+#[derive(Clone, PartialEq, Eq, Serialize, Deserialize)]
 struct Stamp {
     bytes: u64,
     /// The time of change in nanoseconds since 1970.
     changed: u64,
+    /// The command that wrote the file.
+    #[serde(default)]
+    by: String,
 }
 
 impl Stamp {
-    fn of(found: &fs::Metadata) -> Stamp {
+    fn of(found: &fs::Metadata, by: &str) -> Stamp {
         let changed = found
             .modified()
             .ok()
@@ -40,13 +43,24 @@ impl Stamp {
         Stamp {
             bytes: found.len(),
             changed: changed.map_or(0, |time| u64::try_from(time.as_nanos()).unwrap_or(u64::MAX)),
+            by: by.to_owned(),
         }
     }
 }
 
-/// Returns whether the program wrote the existing file `name`, and it has not changed since.
-pub(super) fn is_own(folder: &Path, name: &str, existing: &fs::Metadata) -> io::Result<bool> {
-    Ok(read(folder)?.written.get(name) == Some(&Stamp::of(existing)))
+/// Returns the command that wrote the existing file `name`; `None` if the program did not write it or it has changed
+/// since.
+pub(super) fn writer(folder: &Path, name: &str, existing: &fs::Metadata) -> io::Result<Option<String>> {
+    let known = read(folder)?.written.remove(name);
+    Ok(known
+        .filter(|known| *known == Stamp::of(existing, &known.by))
+        .map(|known| known.by))
+}
+
+/// Returns whether a name is that of the record or of its temporary file, in upper or lower case.
+pub(super) fn is_reserved(name: &str) -> bool {
+    name.get(..RECORD.len())
+        .is_some_and(|begin| begin.eq_ignore_ascii_case(RECORD))
 }
 
 /// Fails if the record cannot be replaced, because something other than a regular file has its name.
@@ -54,10 +68,10 @@ pub(super) fn check(folder: &Path) -> io::Result<()> {
     existing(&folder.join(RECORD)).map(drop)
 }
 
-/// Records a file as the program's own.
-pub(super) fn add(folder: &Path, name: &str, written: &fs::Metadata) -> io::Result<()> {
+/// Records a file as written by the command `by`.
+pub(super) fn add(folder: &Path, name: &str, written: &fs::Metadata, by: &str) -> io::Result<()> {
     let mut record = read(folder)?;
-    record.written.insert(name.to_owned(), Stamp::of(written));
+    record.written.insert(name.to_owned(), Stamp::of(written, by));
     record.written.retain(|name, _| folder.join(name).is_file());
     let text = serde_json::to_string(&record).expect("names and numbers") + "\n";
     let temporary = folder.join(format!("{RECORD}{TEMPORARY}{}-0", std::process::id()));

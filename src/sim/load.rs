@@ -109,13 +109,7 @@ impl LoadedCity {
     ) -> Result<LoadedCity, LoadError> {
         let scenario = match (config, &header.archive) {
             (None, Some(archive)) => {
-                let name = format!("{}.yaml", header.config);
-                let text = archive.configuration.to_string();
-                let read = |path: &Path| match path == Path::new(&name) {
-                    true => Ok(text.clone()),
-                    false => archive.read(path),
-                };
-                let mut scenario = load_scenario(sources, Path::new(&name), &read).map_err(LoadError::Config)?;
+                let mut scenario = archive.scenario(sources, &header.config).map_err(LoadError::Config)?;
                 scenario.map.name.clone_from(&header.map);
                 scenario
             }
@@ -130,7 +124,16 @@ impl LoadedCity {
         match (rules, &header.archive) {
             (None, Some(archive)) => {
                 let rules = archive.rule_files.first().map(|file| Path::new(&file.name));
-                LoadedCity::with_rules(sources, scenario, rules, archive)
+                let city = LoadedCity::with_rules(sources, scenario, rules, archive)?;
+                // The header verifies the texts, and this verifies which file includes which.
+                match city.rules_hash == header.rules_hash {
+                    true => Ok(city),
+                    false => {
+                        let message = "the rule files of the trace are not those of the run: they have other names";
+                        let fault = Diagnostic::new(Code::TRACE_MISMATCH, message);
+                        Err(LoadError::Rules(vec![fault.help("run again")]))
+                    }
+                }
             }
             (rules, _) => LoadedCity::with_rules(sources, scenario, rules, files),
         }

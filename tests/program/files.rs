@@ -1,6 +1,7 @@
 //! Files: what the program writes, and what it leaves alone. Traces that explain themselves.
 
 use serde_json::Value;
+use sha2::{Digest, Sha256};
 use std::fs;
 use std::os::unix::fs::{PermissionsExt, symlink};
 use std::path::Path;
@@ -209,8 +210,13 @@ fn slow_no_command_replaces_a_file_of_another_program() {
         for file in files {
             fs::write(new.join(file), "foreign").unwrap();
         }
-        succeeds(folder.path(), &format!("{line} --force"));
+        let output = logicity(folder.path(), &format!("{line} --force"));
+        let printed = said(&output) + &String::from_utf8_lossy(&output.stdout);
+        assert_eq!(output.status.code(), Some(0), "{line}: {printed}");
+        let is_data_set = files.contains(&"manifest.json");
         for file in files {
+            let path = if is_data_set { "new" } else { file };
+            assert!(printed.contains(path), "{line}: `{path}` is missing in:\n{printed}");
             assert_ne!(fs::read(new.join(file)).unwrap(), b"foreign", "{line}");
         }
         // Its own files are replaced without `--force`.
@@ -220,6 +226,352 @@ fn slow_no_command_replaces_a_file_of_another_program() {
         fails(folder.path(), line, 2, &[files[0], "--force"]);
         assert_eq!(fs::read(new.join(files[0])).unwrap(), b"edited", "{line}");
         fs::remove_dir_all(&new).unwrap();
+    }
+}
+
+/// Rules can come from others, so they write only to the folder that the user names.
+#[test]
+fn rules_write_only_to_the_folder_of_results() {
+    let folder = tempfile::tempdir().unwrap();
+    let folder = folder.path();
+    for name in ["work/out/inner", "outside"] {
+        fs::create_dir_all(folder.join(name)).unwrap();
+    }
+    let work = folder.join("work");
+    for (link, target) in [
+        ("out/to-folder", "../../outside"),
+        ("out/to-file.csv", "../../outside/kept.csv"),
+        ("out/to-nothing.csv", "../../outside/new.csv"),
+        ("out/round.csv", "round.csv"),
+        ("out/to-inner", "inner"),
+    ] {
+        symlink(target, work.join(link)).unwrap();
+    }
+    fs::write(folder.join("outside/kept.csv"), "kept").unwrap();
+    let absolute = folder.join("outside/absolute.csv").display().to_string();
+    let rules = |directive: &str| {
+        fs::write(work.join("main.dl"), ".include \"part.dl\"\nA(1).\n").unwrap();
+        fs::write(work.join("part.dl"), format!(".decl A(x: number)\n{directive}\n")).unwrap();
+    };
+    let outside = || {
+        let entries = fs::read_dir(folder.join("outside")).unwrap();
+        entries.map(|entry| entry.unwrap().file_name()).collect::<Vec<_>>()
+    };
+    for name in [
+        "../../outside/up.csv",
+        "../main.csv",
+        "inner/../../../outside/up.csv",
+        "new/../../../outside/up.csv",
+        "to-folder/a.csv",
+        "to-folder/new/a.csv",
+        "to-file.csv",
+        "to-nothing.csv",
+        &absolute,
+    ] {
+        for more in ["", ", compress=true"] {
+            rules(&format!(".output A(filename=\"{name}\"{more})"));
+            let words = [
+                "error[invalid-output]",
+                "part.dl:2:20",
+                "outside of the folder of results",
+                "--output-anywhere",
+            ];
+            fails(&work, "query main.dl -D out", 1, &words);
+            fails(&work, "query main.dl -D out --force", 1, &words);
+            assert_eq!(outside(), ["kept.csv"], "{name}");
+        }
+    }
+    assert_eq!(fs::read(folder.join("outside/kept.csv")).unwrap(), b"kept");
+    // The usual name can be a link, too.
+    symlink("../../outside/A.csv", work.join("out/A.csv")).unwrap();
+    rules(".output A");
+    fails(
+        &work,
+        "query main.dl -D out",
+        1,
+        &["error[invalid-output]", "part.dl:2:9"],
+    );
+    assert_eq!(outside(), ["kept.csv"]);
+    // No folder, so no other place.
+    succeeds(&work, "query main.dl -D -");
+    rules(".output A(filename=\"round.csv\")");
+    fails(&work, "query main.dl -D out", 2, &["round.csv"]);
+    // Inside, and streams.
+    for (name, path) in [
+        ("rows.csv", "out/rows.csv"),
+        ("./inner/../rows.csv", "out/rows.csv"),
+        ("deep/down/rows.csv", "out/deep/down/rows.csv"),
+        ("to-inner/rows.csv", "out/inner/rows.csv"),
+        ("/dev/stdout", ""),
+    ] {
+        rules(&format!(".output A(filename=\"{name}\")"));
+        let output = logicity(&work, "query main.dl -D out");
+        assert_eq!(output.status.code(), Some(0), "{name}: {}", said(&output));
+        match path {
+            "" => assert_eq!((&*output.stdout, said(&output)), (&b"1\n"[..], String::new())),
+            path => {
+                assert!(said(&output).starts_with("wrote out/"), "{}", said(&output));
+                assert_eq!(fs::read(work.join(path)).unwrap(), b"1\n", "{name}");
+            }
+        }
+    }
+    // With permission; the path is printed.
+    for name in ["../../outside/up.csv", "to-folder/a.csv", &absolute] {
+        rules(&format!(".output A(filename=\"{name}\")"));
+        let output = logicity(&work, "query main.dl -D out --output-anywhere");
+        assert_eq!(output.status.code(), Some(0), "{name}: {}", said(&output));
+        assert!(said(&output).contains(name), "{}", said(&output));
+    }
+    assert_eq!(
+        outside().len(),
+        5,
+        "three outputs, a record and the earlier file: {:?}",
+        outside()
+    );
+    // What another program wrote stays.
+    rules(".output A(filename=\"to-file.csv\")");
+    fails(
+        &work,
+        "query main.dl -D out --output-anywhere",
+        2,
+        &["to-file.csv", "--force"],
+    );
+    assert_eq!(fs::read(folder.join("outside/kept.csv")).unwrap(), b"kept");
+}
+
+#[test]
+fn two_outputs_do_not_share_a_file() {
+    let folder = tempfile::tempdir().unwrap();
+    let folder = folder.path();
+    fs::create_dir(folder.join("inner")).unwrap();
+    symlink("inner", folder.join("link")).unwrap();
+    let begin = ".decl A(x: number)\n.decl B(x: number)\nA(1).\nB(2).\n";
+    for outputs in [
+        ".output A, B(filename=\"rows.csv\")",
+        ".output A\n.output B(filename=\"./A.csv\")",
+        ".output A(filename=\"link/rows.csv\")\n.output B(filename=\"inner/rows.csv\")",
+        ".output A(filename=\"rows.csv\")\n.output A(filename=\"rows.csv\", headers=true)",
+    ] {
+        fs::write(folder.join("rows.dl"), format!("{begin}{outputs}\n")).unwrap();
+        fails(
+            folder,
+            "query rows.dl",
+            1,
+            &["error[invalid-output]", "have the same file", "also written here"],
+        );
+    }
+    assert!(!folder.join("rows.csv").exists());
+    fs::write(folder.join("rows.dl"), format!("{begin}.output A\n.output A, B\n")).unwrap();
+    let output = logicity(folder, "query rows.dl");
+    assert_eq!(said(&output), "wrote A.csv\nwrote B.csv\n");
+}
+
+#[test]
+fn no_command_replaces_a_file_of_another_command() {
+    let folder = tempfile::tempdir().unwrap();
+    let folder = folder.path();
+    succeeds(
+        folder,
+        "run easy --ticks 1 --no-pictures --out out --html out/page.html",
+    );
+    let trace = fs::read(folder.join("out/trace.jsonl")).unwrap();
+    let rules = ".decl A(x: number)\nA(1).\n.output A(filename=\"trace.jsonl\")\n";
+    fs::write(folder.join("rows.dl"), rules).unwrap();
+    fs::write(folder.join("scene.jsonl"), "").unwrap();
+    for line in [
+        "query rows.dl -D out",
+        "infer scene.jsonl --out out/trace.jsonl",
+        "episodes make easy --count 1 -o out/trace.jsonl",
+    ] {
+        let words = ["out/trace.jsonl", "the file exists, and `run` wrote it", "--force"];
+        fails(folder, line, 2, &words);
+    }
+    assert!(fs::read(folder.join("out/trace.jsonl")).unwrap() == trace);
+    succeeds(
+        folder,
+        "run easy --ticks 1 --no-pictures --out out --html out/page.html",
+    );
+    succeeds(folder, "query rows.dl -D out --force");
+    succeeds(folder, "query rows.dl -D out");
+    fails(
+        folder,
+        "run easy --ticks 1 --no-pictures --out out",
+        2,
+        &["`query` wrote it"],
+    );
+}
+
+/// The exit code is 128 plus the number of the signal, whether a command polls or not. Outputs are complete or absent.
+#[test]
+fn commands_end_with_the_code_of_their_signal() {
+    let folder = tempfile::tempdir().unwrap();
+    let folder = folder.path();
+    let endless = ".decl N(x: number)\n.output N\nN(0).\nN(X + 1) :- N(X), X < 100000000.\n";
+    fs::write(folder.join("endless.dl"), endless).unwrap();
+    let mask = fs::read_to_string("/proc/self/status").unwrap_or_default();
+    let mask = mask.lines().find_map(|line| line.strip_prefix("SigIgn:"));
+    let mask = mask.map_or(0, |mask| u64::from_str_radix(mask.trim(), 16).unwrap());
+    for (line, begun) in [
+        ("query endless.dl -D out", "out"),
+        ("query endless.dl -D out --threads 4", "out"),
+        ("run expert --ticks 1000000000 --no-pictures --out out", "out/trace"),
+        (
+            "run expert --ticks 1000000000 --no-pictures --out out --threads 2",
+            "out/trace",
+        ),
+    ] {
+        for (name, number) in [("HUP", 1), ("TERM", 15)] {
+            if mask >> (number - 1) & 1 == 1 {
+                println!("the caller of this test ignores SIG{name}");
+                continue;
+            }
+            let mut process = Command::new(env!("CARGO_BIN_EXE_logicity"))
+                .args(line.split(' '))
+                .current_dir(folder)
+                .stdout(Stdio::null())
+                .stderr(Stdio::null())
+                .spawn()
+                .unwrap();
+            let has_begun = || match begun {
+                "out" => folder.join("out").exists(),
+                _ => fs::read_dir(folder.join("out")).is_ok_and(|mut names| names.next().is_some()),
+            };
+            while !has_begun() {
+                assert!(process.try_wait().unwrap().is_none(), "{line}");
+                thread::sleep(Duration::from_millis(5));
+            }
+            thread::sleep(Duration::from_millis(50));
+            let sent = Command::new("kill")
+                .args([&format!("-{name}"), &process.id().to_string()])
+                .status();
+            assert!(sent.unwrap().success());
+            assert_eq!(process.wait().unwrap().code(), Some(128 + number), "{line} {name}");
+            let trace = folder.join("out/trace.jsonl");
+            if line.starts_with("run") {
+                let text = fs::read_to_string(trace).unwrap();
+                assert!(
+                    text.ends_with('\n') && text.lines().all(|line| line.ends_with('}')),
+                    "{line}"
+                );
+            }
+            assert!(!folder.join("out/N.csv").exists());
+            fs::remove_dir_all(folder.join("out")).unwrap();
+        }
+    }
+    // A caller that ignores a signal, as `nohup` does, keeps the command.
+    let script = "trap '' HUP TERM; \"$0\" run easy --ticks 30000 --no-trace & process=$!; sleep 0.3; \
+                  kill -HUP $process; kill -TERM $process; wait $process";
+    let output = Command::new("sh")
+        .args(["-c", script, env!("CARGO_BIN_EXE_logicity")])
+        .output()
+        .unwrap();
+    if cfg!(target_os = "linux") {
+        assert_eq!(output.status.code(), Some(0), "{}", said(&output));
+    }
+}
+
+/// Results that cannot be written are no success.
+#[cfg(target_os = "linux")]
+#[test]
+fn a_full_standard_output_is_reported() {
+    for line in [
+        "--help",
+        "--version",
+        "help",
+        "run --help",
+        "vap make --help",
+        "induce --version",
+        "help query",
+        "completions bash",
+        "reference",
+        "schema",
+        "codes",
+        "codes syntax",
+        "check hard",
+        "diff hard hard",
+        "run easy --ticks 1 --no-trace",
+        "route --help",
+    ] {
+        let output = Command::new(env!("CARGO_BIN_EXE_logicity"))
+            .args(line.split(' '))
+            .stdout(fs::OpenOptions::new().write(true).open("/dev/full").unwrap())
+            .output()
+            .unwrap();
+        assert_eq!(output.status.code(), Some(2), "{line}: {}", said(&output));
+        let message = "error: cannot write to standard output: No space left on device";
+        assert!(said(&output).contains(message), "{line}: {}", said(&output));
+    }
+}
+
+/// The kernel's files claim to be regular, and a file can be larger than any text. Both are refused before they are
+/// read.
+#[cfg(target_os = "linux")]
+#[test]
+fn files_without_an_end_are_refused_at_once() {
+    let folder = tempfile::tempdir().unwrap();
+    let write = |name: &str, text: &str| fs::write(folder.path().join(name), text).unwrap();
+    for (link, target) in [
+        ("kernel", "/proc/kmsg"),
+        ("status", "/proc/self/status"),
+        ("module", "/sys/kernel"),
+    ] {
+        symlink(target, folder.path().join(link)).unwrap();
+    }
+    write("include.dl", ".include \"status\"\n");
+    write(
+        "facts.dl",
+        ".decl A(x: symbol)\n.input A(filename=\"/proc/self/status\")\n.output A\n",
+    );
+    write("base.yaml", "base: status\n");
+    write("rules.yaml", "base: configs/easy.yaml\nrules: status\n");
+    write("scene.jsonl", "");
+    for name in ["kernel", "status", "module/notes"] {
+        for command in [
+            "check",
+            "fmt",
+            "query",
+            "run",
+            "infer",
+            "infer scene.jsonl --config",
+            "explain --agent a",
+            "view",
+            "induce",
+            "check --coverage",
+            "route",
+            "icons sheet --pack",
+            "vap check",
+            "induce --popper",
+        ] {
+            let output = logicity(folder.path(), &format!("{command} {name}"));
+            assert!(
+                matches!(output.status.code(), Some(1 | 2)),
+                "{command} {name}: {}",
+                said(&output)
+            );
+        }
+    }
+    for (line, code) in [
+        ("check status", 2),
+        ("check include.dl", 1),
+        ("query facts.dl -D -", 2),
+        ("check base.yaml", 1),
+        ("check rules.yaml", 1),
+        ("explain status --agent a", 2),
+        ("infer status", 2),
+        ("induce status", 2),
+    ] {
+        fails(folder.path(), line, code, &["which may never end"]);
+    }
+    let sparse = fs::File::create(folder.path().join("sparse")).unwrap();
+    sparse.set_len(100 << 30).unwrap();
+    for (line, code, word) in [
+        ("check sparse", 2, "larger than 1024 MiB"),
+        ("run sparse", 1, "larger than 1024 MiB"),
+        ("infer sparse", 1, "too long: the limit is 64 MiB"),
+        ("explain sparse --agent a", 1, "a line of more than 256 MiB"),
+        ("induce --ask true --log sparse", 2, "last line is longer than 64 MiB"),
+    ] {
+        fails(folder.path(), line, code, &[word]);
     }
 }
 
@@ -472,7 +824,7 @@ fn formatting_keeps_links_and_permissions() {
     fs::write(&file, ".decl A(x:number)").unwrap();
     fs::set_permissions(&file, fs::Permissions::from_mode(0o640)).unwrap();
     symlink("file.dl", &link).unwrap();
-    succeeds(folder.path(), "fmt link.dl");
+    assert_eq!(said(&logicity(folder.path(), "fmt link.dl")), "wrote link.dl\n");
     assert!(fs::symlink_metadata(&link).unwrap().is_symlink());
     assert_eq!(fs::read_to_string(&file).unwrap(), ".decl A(x: number)\n");
     assert_eq!(fs::metadata(&file).unwrap().permissions().mode() & 0o7777, 0o640);
@@ -582,6 +934,79 @@ fn edited_rules_do_not_make_a_trace_unexplainable() {
     fails(folder.path(), line, 1, &["trace-mismatch", "omit --rules"]);
 }
 
+/// Returns the hash of the rule files in the header of a trace.
+fn rules_hash(header: &Value) -> String {
+    let mut hash = Sha256::new();
+    for file in header["rule_files"].as_array().unwrap() {
+        let text = file["text"].as_str().unwrap();
+        hash.update((text.len() as u64).to_le_bytes());
+        hash.update(text);
+    }
+    format!("{:x}", hash.finalize())
+}
+
+/// Every reader of traces compares the configuration and the rules in the header with their hashes.
+#[test]
+fn a_trace_with_other_content_than_its_hashes_is_refused() {
+    let folder = tempfile::tempdir().unwrap();
+    own_city(folder.path());
+    succeeds(folder.path(), "run cfg/own.yaml --ticks 3 --no-pictures --out out");
+    let trace = fs::read_to_string(folder.path().join("out/trace.jsonl")).unwrap();
+    let (header, ticks) = trace.split_once('\n').unwrap();
+    let header: Value = serde_json::from_str(header).unwrap();
+    assert_eq!(header["rules_hash"], rules_hash(&header));
+    type Change<'a> = &'a dyn Fn(&mut Value);
+    let changes: [(Change<'_>, &str); 7] = [
+        (&|header| header["configuration"]["view"] = 7.into(), "configuration"),
+        (&|header| header["config_hash"] = "0".repeat(64).into(), "configuration"),
+        (&|header| header["rules_hash"] = "".into(), "rules"),
+        (
+            &|header| header["rule_files"][0]["text"] = "Stop(X) :- IsCar(X).\n".into(),
+            "rules",
+        ),
+        (&|header| header["rule_files"][3]["text"] = "".into(), "rules"),
+        (
+            &|header| drop(header["rule_files"].as_array_mut().unwrap().pop()),
+            "rules",
+        ),
+        (
+            &|header| {
+                let files = header["rule_files"].as_array_mut().unwrap();
+                files.push(serde_json::json!({"name": "more.dl", "text": ""}));
+            },
+            "rules",
+        ),
+    ];
+    let commands = [
+        "explain bad.jsonl --agent Car_1",
+        "view bad.jsonl -o page.html",
+        "view out/trace.jsonl bad.jsonl -o page.html",
+        "check --coverage bad.jsonl",
+        "check expert --coverage bad.jsonl",
+        "induce bad.jsonl -o learned.dl",
+        "induce --config expert bad.jsonl -o learned.dl",
+    ];
+    for (index, (change, what)) in changes.iter().enumerate() {
+        let mut header = header.clone();
+        change(&mut header);
+        fs::write(folder.path().join("bad.jsonl"), format!("{header}\n{ticks}")).unwrap();
+        let commands = if index == 0 { &commands[..] } else { &commands[..1] };
+        for line in commands {
+            let words = ["error[trace-mismatch]", "bad.jsonl:1", what, "the trace was edited"];
+            fails(folder.path(), line, 1, &words);
+        }
+    }
+    // Names decide which file an include reaches.
+    let mut header = header.clone();
+    header["rule_files"][2]["name"] = "vocabulary.dl".into();
+    header["rule_files"][1]["name"] = "types.dl".into();
+    fs::write(folder.path().join("bad.jsonl"), format!("{header}\n{ticks}")).unwrap();
+    fails(folder.path(), commands[0], 1, &["error["]);
+    for written in ["page.html", "learned.dl"] {
+        assert!(!folder.path().join(written).exists());
+    }
+}
+
 /// A trace is input from elsewhere. Nothing in it makes the program open a file.
 #[test]
 fn no_file_that_a_trace_names_is_opened() {
@@ -599,7 +1024,10 @@ fn no_file_that_a_trace_names_is_opened() {
         &|header| header["configuration"]["map"] = path.into(),
         &|header| header["configuration"] = path.into(),
         &|header| header["config"] = path.into(),
-        &|header| header["rule_files"][0]["text"] = format!(".include \"{path}\"\n").into(),
+        &|header| {
+            header["rule_files"][0]["text"] = format!(".include \"{path}\"\n").into();
+            header["rules_hash"] = rules_hash(header).into();
+        },
         &|header| header["rule_files"][0]["name"] = path.into(),
         &|header| {
             // The fields of version 1.

@@ -170,9 +170,9 @@ const QUERY: &[Case] = &[
     ("query good.dl -D /dev/null/inside", 2, "/dev/null"),
     ("query good.dl -D ''", 2, "a value is required"),
     ("query good.dl -D foreign", 2, "foreign/A.csv"),
-    ("query good.dl -D linked", 2, "linked/A.csv"),
+    ("query good.dl -D linked", 1, "outside of the folder of results"),
     ("query good.dl -D taken", 2, "not a regular file"),
-    ("query outside.dl -D folder", 2, "good.dl"),
+    ("query outside.dl -D folder", 1, "outside of the folder of results"),
     ("query itself.dl -D . --force", 2, "this command reads it"),
     (
         "query rows.dl -F facts/crlf -D facts/crlf --force",

@@ -177,7 +177,7 @@ def prepare(cell: Job, root: Path) -> Path:
         shutil.copyfile(best, temporary)
         temporary.rename(folder / f"start{best.suffix}")
     document = {"identity": cell.identity, "row": cell.row, "variant": cell.variant, **cell.document(root)}
-    write_json(folder / "cell.json", document, overwrite=True)
+    write_json(folder / "cell.json", document)
     return folder
 
 
@@ -229,7 +229,7 @@ def reuse(cells: Sequence[Job], root: Path, other: Path) -> list[str]:
         shutil.rmtree(temporary, ignore_errors=True)
         left_out = shutil.ignore_patterns("cell.json", "measured.json", "log.txt", "fresh-*", "start.*")
         shutil.copytree(source, temporary, ignore=left_out)
-        write_json(temporary / _REUSED, {"cell": source.name}, overwrite=True)
+        write_json(temporary / _REUSED, {"cell": source.name})
         temporary.rename(folder)
         lines.append(f"{cell.name}: the training of {source}")
     return lines
@@ -330,7 +330,7 @@ def run_cell(
         "result": {key: value for key, value in result.items() if key != "test"},
         "evaluations": evaluations,
     }
-    write_json(folder / "measured.json", measured, overwrite=True)
+    write_json(folder / "measured.json", measured)
     for checkpoint in folder.glob("checkpoint-*"):
         shutil.rmtree(checkpoint)
     return measured

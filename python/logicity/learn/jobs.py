@@ -162,7 +162,7 @@ def exclusive(root: Path) -> Iterator[None]:
     with ExitStack() as stack:
         try:
             # The reservation ends with this process, even if it is killed.
-            stack.enter_context(reserved(root / "running", record=False))
+            stack.enter_context(reserved(root / "running", by=None))
         except OSError as error:
             help = "\nhelp: one process at a time runs an experiment in a folder; `--run` names another folder"
             raise type(error)(f"{error}{help * ('process' in str(error))}") from None

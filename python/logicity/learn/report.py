@@ -242,7 +242,7 @@ def write_tables(root: Path, markdown: str, latex: str, values: Mapping[str, Any
     texts = {root / "table.md": markdown, root / "table.tex": latex}
     for path, text in texts.items():
         write_text(path, text)
-    write_json(root / "table.json", values, overwrite=True)
+    write_json(root / "table.json", values)
     return [*texts, root / "table.json"]
 
 
@@ -255,7 +255,7 @@ def _save_figure(figure: Any, root: Path, name: str) -> list[Path]:
     written = []
     for ending, metadata in (("png", {"Software": None}), ("svg", {"Date": None})):
         path = root / f"{name}.{ending}"
-        with reserved(path, record=False) as output:
+        with reserved(path, by=None) as output:
             figure.savefig(output.temporary, format=ending, dpi=150, metadata=metadata)
             output.finish()
         written.append(path)

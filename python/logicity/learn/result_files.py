@@ -65,7 +65,7 @@ def updating(path: Path, read: Callable[[], dict[str, Any]]) -> Iterator[dict[st
         OSError: If the file cannot be written, or another process writes it.
     """
     path.parent.mkdir(parents=True, exist_ok=True)
-    with reserved(path, record=False) as output:
+    with reserved(path, by=None) as output:
         results = read()
         yield results
         Path(output.temporary).write_text(as_text(results), encoding="utf-8")

@@ -135,7 +135,7 @@ def train(
             _restore(learner, checkpoints[-1])
         elif start is not None:
             _start_from(learner, start)
-        write_json(run / "config.json", config.to_dict(), overwrite=True)
+        write_json(run / "config.json", config.to_dict())
         display = files.enter_context(_Display(config, learner, progress))
         begun = f"resumed after {state.steps:,} of" if checkpoints else "started:"
         display.say(f"{config.algorithm} in {config.mode}, {begun} {config.steps:,} steps; folder {run}")
@@ -184,7 +184,7 @@ def _claimed(run: Path) -> Iterator[_logicity.OutputFile]:
     is_new = not stored.exists()
     claimed = False
     try:
-        with reserved(run / "result.json", record=False) as output:
+        with reserved(run / "result.json", by=None) as output:
             claimed = True
             yield output
     except BaseException as error:

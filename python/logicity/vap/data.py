@@ -18,6 +18,7 @@ from numpy.typing import NDArray
 
 from .. import _logicity
 from ..errors import as_integer, checked_integer, checked_path
+from ..files import read_text
 from ..types import Split
 
 __all__ = ["BINARY", "PICTURE_SIDE", "UNARY", "VapDataset", "VapSample"]
@@ -299,7 +300,7 @@ def _read_manifest(folder: Path) -> tuple[dict[str, Any], dict[int, int]]:
     """Return the settings of a data set, and the number of frames by world."""
     path = folder / "manifest.json"
     try:
-        manifest = json.loads(path.read_text(encoding="utf-8"))
+        manifest = json.loads(read_text(path))
         settings = manifest["settings"]
         data, version = settings["data"], settings["version"]
     except (KeyError, TypeError, ValueError) as error:

@@ -620,7 +620,7 @@ def run_cell(
         "evaluations": evaluations,
         "concepts": concepts,
     }
-    write_json(folder / "measured.json", measured, overwrite=True)
+    write_json(folder / "measured.json", measured)
     work.checkpoint.unlink(missing_ok=True)
     return measured
 

@@ -134,7 +134,7 @@ def to_coco(
     """
     target = checked_path("out", out)
     samples = VapDataset(folder, images)
-    check_writable(target, overwrite=overwrite)
+    check_writable(target, by="vap coco", overwrite=overwrite)
     pictures: list[dict[str, Any]] = []
     annotations: list[dict[str, Any]] = []
     kinds: dict[str, str] = {}
@@ -165,7 +165,7 @@ def to_coco(
         "pictures": samples.has_pictures,
     }
     content = {"info": info, "images": pictures, "annotations": annotations, "categories": categories}
-    write_json(target, content, overwrite=overwrite)
+    write_json(target, content, by="vap coco", overwrite=overwrite)
 
 
 def _annotations(sample: VapSample) -> Iterator[dict[str, Any]]:

@@ -24,7 +24,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ..errors import checked_path, checked_threads, missing_extra
-from ..files import read_tensors, write_json
+from ..files import check_readable, read_tensors, read_text, write_json
 from .data import PICTURE_SIDE, VapDataset, not_a_manifest
 from .make import make_dataset
 
@@ -390,7 +390,7 @@ def _worlds(samples: VapDataset) -> list[_World]:
     """Return the worlds of a data set."""
     path = samples.folder / "manifest.json"
     try:
-        listed = {int(world["world"]): world for world in json.loads(path.read_text(encoding="utf-8"))["worlds"]}
+        listed = {int(world["world"]): world for world in json.loads(read_text(path))["worlds"]}
         return [
             _World(
                 number,
@@ -407,6 +407,7 @@ def _worlds(samples: VapDataset) -> list[_World]:
 def file_hash(path: Path) -> str:
     """Return the SHA-256 of a file."""
     digest = hashlib.sha256()
+    check_readable(path, whole=False)
     with open(path, "rb") as file:
         while block := file.read(1 << 20):
             digest.update(block)
@@ -467,7 +468,7 @@ def _record_file(path: Path) -> Path:
 def _record(path: Path) -> dict[str, Any] | None:
     """Return the record of a file of features, or `None` if it is missing or damaged."""
     try:
-        record = json.loads(_record_file(path).read_text(encoding="utf-8"))
+        record = json.loads(read_text(_record_file(path)))
     except (FileNotFoundError, ValueError):
         return None
     return record if isinstance(record, dict) and record.keys() == set(RECORD_KEYS) else None
@@ -511,13 +512,13 @@ def _begin(target: Path, extract: Extractor) -> None:
         if different:
             raise ValueError(f"`{target}` has features with another `{different[0]}`: choose another folder")
         return
-    write_json(path, document)
+    write_json(path, document, by="vap features")
 
 
 def _read(folder: Path) -> dict[str, Any]:
     path = folder / "features.json"
     try:
-        document = json.loads(path.read_text(encoding="utf-8"))
+        document = json.loads(read_text(path))
     except ValueError as error:
         raise ValueError(f"{path}: not JSON: {error}") from None
     if not isinstance(document, dict) or document.get("format") != FORMAT:

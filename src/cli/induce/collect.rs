@@ -4,10 +4,10 @@ use crate::builtin::BuiltinFiles;
 use crate::cancel::Cancel;
 use crate::cli::induce::Arguments;
 use crate::cli::scenes::{SceneLine, SceneLines, open_input};
-use crate::cli::trace::TraceReader;
-use crate::cli::{Failure, LimitOptions, report};
+use crate::cli::trace::{LINE_MAX, TraceReader};
+use crate::cli::{Failure, LimitOptions, report, unreadable};
 use crate::diag::{Code, Diagnostic, Sources};
-use crate::files::{self, Folder, MAX_BYTES, read_bytes};
+use crate::files::{self, Folder, MAX_BYTES, ReadError, read_bytes};
 use crate::induce::{Examples, State};
 use crate::rng::Seed;
 use crate::sim::{Executor, Inference, LoadedCity};
@@ -40,9 +40,14 @@ pub fn city_of_traces(
 ) -> Result<Option<LoadedCity>, Failure> {
     let mut first: Option<(&Path, TraceReader)> = None;
     for path in paths.iter().filter(|path| path.is_file()) {
+        let mut lines = open_input(path)?;
+        let fail = |error| Failure::file("read", path, error);
+        // Tables of steps have no lines.
+        if !lines.fill_buf().map_err(fail)?.starts_with(b"{") {
+            continue;
+        }
         let mut line = Vec::new();
-        let read = open_input(path)?.take(MAX_BYTES).read_until(b'\n', &mut line);
-        read.map_err(|error| Failure::file("read", path, error))?;
+        lines.take(LINE_MAX).read_until(b'\n', &mut line).map_err(fail)?;
         if !is_trace(&line) {
             continue;
         }
@@ -190,18 +195,25 @@ impl FileCollector<'_> {
         }
         // A pipe can be read once, so the reader of the rest gets the first line, too.
         let mut lines = open_input(path)?;
-        let mut first = Vec::new();
-        let read = lines.by_ref().take(MAX_BYTES).read_until(b'\n', &mut first);
-        read.map_err(|error| Failure::file("read", path, error))?;
-        let is_table = path.extension().is_some_and(|extension| extension == "parquet") || first.starts_with(PARQUET);
+        let fail = |error| Failure::file("read", path, error);
+        let begin = lines.fill_buf().map_err(fail)?;
+        let is_table = path.extension().is_some_and(|extension| extension == "parquet") || begin.starts_with(PARQUET);
         if is_table {
-            let bytes = read_bytes(Cursor::new(first).chain(lines));
-            let bytes = bytes.map_err(|error| Failure::file("read", path, error))?;
+            if std::fs::metadata(path).is_ok_and(|found| found.is_file() && found.len() > MAX_BYTES) {
+                return Err(unreadable(path, &ReadError::TooLarge));
+            }
+            let bytes = read_bytes(lines).map_err(|error| Failure::file("read", path, error))?;
             return self.add_steps(bytes, path, name, to);
         }
-        if first.starts_with(HDF5) {
+        if begin.starts_with(HDF5) {
             return Err(is_minari(path).into());
         }
+        let mut first = Vec::new();
+        lines
+            .by_ref()
+            .take(LINE_MAX)
+            .read_until(b'\n', &mut first)
+            .map_err(fail)?;
         let is_trace = is_trace(&first);
         let lines = Box::new(Cursor::new(first).chain(lines));
         if self.is_page_wanted && !is_trace {

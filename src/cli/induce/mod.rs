@@ -8,8 +8,8 @@ use crate::cancel::Cancel;
 use crate::city::{Action, Split};
 use crate::cli::view;
 use crate::cli::{
-    Failure, ForceOption, Inputs, LimitOptions, cancel_on_interrupt, finish, integer, is_stdout, load_city, messages,
-    one_of, plural, terminal, threads, unwritable,
+    Failure, ForceOption, Inputs, LimitOptions, finish, integer, is_stdout, load_city, messages, one_of, plural,
+    print_others, signals, terminal, threads, unwritable,
 };
 use crate::diag::Sources;
 use crate::files;
@@ -166,12 +166,12 @@ pub fn run(arguments: &Arguments, sources: &mut Sources) -> Result<(), Failure> 
     inputs.0.drain(..archived);
     let inputs = inputs.with(arguments.data.iter().chain(&arguments.test).cloned());
     // A file that cannot be written is reported before the work.
-    let mut rules_out = arguments.force.create(&arguments.output, &inputs)?;
+    let mut rules_out = arguments.force.create("induce", &arguments.output, &inputs)?;
     let report_out = (arguments.report.as_deref())
-        .map(|path| arguments.force.create(path, &inputs).map(|out| (out, path)))
+        .map(|path| arguments.force.create("induce", path, &inputs).map(|out| (out, path)))
         .transpose()?;
     let page_out = (arguments.page.as_deref())
-        .map(|path| arguments.force.create(path, &inputs).map(|out| (out, path)))
+        .map(|path| arguments.force.create("induce", path, &inputs).map(|out| (out, path)))
         .transpose()?;
     let session = match oracle {
         Some(oracle) => Some(arguments.ask.open(oracle, &inputs, &paths)?),
@@ -189,7 +189,7 @@ pub fn run(arguments: &Arguments, sources: &mut Sources) -> Result<(), Failure> 
         origin.lines.push(format!("The configuration has the rules in {name}."));
     }
     let settings = arguments.settings();
-    let cancel = cancel_on_interrupt()?;
+    let cancel = signals::cancel();
     let (task, collected, tests) = collect(arguments, city, sources, origin, &cancel)?;
     let Collected { examples, mut origin } = collected;
     if arguments.noise.is_none() {
@@ -274,6 +274,7 @@ fn print_summary(
             arguments.output.display()
         )?;
     }
+    print_others(&mut *out, &[arguments.report.as_deref(), arguments.page.as_deref()])?;
     write!(out, "{remarks}")?;
     for line in questions.iter().flat_map(|questions| questions.lines()) {
         writeln!(out, "{line}")?;

@@ -3,7 +3,7 @@
 use crate::cli::induce::Arguments;
 use crate::cli::induce::ask::ASK_OPTIONS;
 use crate::cli::{
-    Failure, Inputs, cancel_on_interrupt, finish, is_stdout, messages, plural, report, unreadable, unwritable,
+    Failure, Inputs, finish, is_stdout, messages, plural, print_others, report, signals, unreadable, unwritable,
 };
 use crate::diag::{SourceId, Sources};
 use crate::files;
@@ -55,9 +55,9 @@ pub fn run(arguments: &Arguments, folder: &Path, sources: &mut Sources) -> Resul
     let inputs = Inputs::of(sources);
     // A file that cannot be written is reported before the work.
     let path = arguments.output.as_path();
-    let mut rules_out = arguments.force.create(path, &inputs)?;
+    let mut rules_out = arguments.force.create("induce", path, &inputs)?;
     let report_out = (arguments.report.as_deref())
-        .map(|path| arguments.force.create(path, &inputs).map(|out| (out, path)))
+        .map(|path| arguments.force.create("induce", path, &inputs).map(|out| (out, path)))
         .transpose()?;
 
     let begun = Instant::now();
@@ -87,7 +87,7 @@ pub fn run(arguments: &Arguments, folder: &Path, sources: &mut Sources) -> Resul
         negation: options.negation,
         ..task.settings()
     };
-    let cancel = cancel_on_interrupt()?;
+    let cancel = signals::cancel();
     let (examples, inseparable) = task.examples(|_| true);
     let begun = Instant::now();
     let solution = solve(&task.vocabulary, &examples, &settings, &cancel);
@@ -134,6 +134,7 @@ pub fn run(arguments: &Arguments, folder: &Path, sources: &mut Sources) -> Resul
             read_seconds + learn_seconds,
             rules.outcome()
         )?;
+        print_others(&mut *messages(&written), &[arguments.report.as_deref()])?;
     }
     if solution.is_cut {
         return Err(Failure::Interrupted);

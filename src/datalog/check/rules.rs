@@ -103,6 +103,8 @@ pub struct Directive {
     pub format: RowFormat,
     /// Whether a file of results is compressed with gzip.
     pub compress: bool,
+    /// The place of the name of the file, or of the predicate.
+    pub span: Span,
 }
 
 /// The source or destination of rows.

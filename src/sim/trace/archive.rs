@@ -3,12 +3,13 @@
 //! A trace is self-contained: a replay needs no file that the header names, and opens none. The names hold no folder of
 //! the machine that made the trace: built-in files keep their names, any other file has its name without folders.
 
-use crate::config::Scenario;
+use crate::config::{Scenario, load_scenario};
 use crate::datalog;
 use crate::datalog::ast::Item;
-use crate::diag::{SourceId, Sources};
+use crate::diag::{Code, Diagnostic, SourceId, Sources};
 use crate::files::{BUILTIN_FOLDER, ReadError, ReadFile, normalize, portable_name};
 use serde::{Deserialize, Serialize};
+use sha2::{Digest, Sha256};
 use std::path::{Path, PathBuf};
 
 /// A rule file of a run.
@@ -46,6 +47,67 @@ impl Archive {
             rule_files,
         }
     }
+
+    /// Loads the configuration, which has the name `name`, without its rules.
+    ///
+    /// # Errors
+    /// As [`load_scenario`].
+    pub fn scenario(&self, sources: &mut Sources, name: &str) -> Result<Scenario, Vec<Diagnostic>> {
+        let name = format!("{name}.yaml");
+        let text = self.configuration.to_string();
+        let read = |path: &Path| match path == Path::new(&name) {
+            true => Ok(text.clone()),
+            false => self.read(path),
+        };
+        load_scenario(sources, Path::new(&name), &read)
+    }
+
+    /// Compares the configuration and the rules with the hashes that the header of their trace has. A configuration
+    /// that cannot be loaded is left to its loader, which names its faults.
+    ///
+    /// # Errors
+    /// `trace-mismatch`, without a source position.
+    pub(super) fn verify(&self, name: &str, config_hash: &str, rules_hash: &str) -> Result<(), Diagnostic> {
+        let loaded = self.scenario(&mut Sources::new(), name);
+        let configuration = loaded.map_or_else(|_| config_hash.to_owned(), |scenario| scenario.hash);
+        let rules = hash(self.rule_files.iter().map(|file| file.text.as_str()));
+        for (what, found, expected) in [
+            ("configuration differs from that", configuration.as_str(), config_hash),
+            ("rules differ from those", &rules, rules_hash),
+        ] {
+            if found != expected {
+                let short = |hash: &str| hash.chars().take(12).collect::<String>();
+                let message = format!("the {what} of the run: the trace was edited, or it is damaged");
+                let (found, expected) = (short(found), short(expected));
+                return Err(Diagnostic::new(Code::TRACE_MISMATCH, message)
+                    .note(format!(
+                        "the hash of its content is {found}..., but its header has {expected}..."
+                    ))
+                    .help("run again; if another version of logicity wrote the trace, use that version"));
+            }
+        }
+        Ok(())
+    }
+}
+
+/// Returns the SHA-256 hash of the texts of rule files, in order, in hexadecimal: of the texts that an [`Archive`] would
+/// have, so that it does not depend on the folders of the files.
+pub fn hash_sources(sources: &Sources, files: &[SourceId]) -> String {
+    let paths: Vec<&str> = files.iter().map(|&id| sources.name(id)).collect();
+    let names = portable_names(&paths);
+    let texts: Vec<String> = (files.iter())
+        .map(|&id| with_includes(sources, id, &paths, &names))
+        .collect();
+    hash(texts.iter().map(String::as_str))
+}
+
+fn hash<'a>(texts: impl Iterator<Item = &'a str>) -> String {
+    let mut hash = Sha256::new();
+    for text in texts {
+        hash.update((text.len() as u64).to_le_bytes());
+        hash.update(text);
+    }
+    format!("{:x}", hash.finalize())
 }
 
 impl ReadFile for Archive {
@@ -89,6 +151,10 @@ fn included<S: AsRef<str>>(names: &[S], from: &str, written: &str) -> Option<usi
 /// names.
 fn with_includes(sources: &Sources, id: SourceId, paths: &[&str], names: &[String]) -> String {
     let mut text = sources.text(id).to_owned();
+    // Parsing takes longer than this search.
+    if !text.contains(".include") {
+        return text;
+    }
     let Some(own) = paths.iter().position(|path| *path == sources.name(id)) else {
         return text;
     };

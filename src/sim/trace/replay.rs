@@ -133,10 +133,10 @@ fn invalid(message: impl Into<String>) -> Diagnostic {
 }
 
 impl TraceHeader {
-    /// Parses the first line of a trace.
+    /// Parses the first line of a trace, and compares its configuration and rules with their hashes.
     ///
     /// # Errors
-    /// `invalid-trace`, without a source position.
+    /// `invalid-trace` and `trace-mismatch`, without a source position.
     pub fn read(line: &str) -> Result<TraceHeader, Diagnostic> {
         let not_header =
             |error: serde_json::Error| invalid(format!("not the header of a trace: {}", json_error(&error)));
@@ -149,7 +149,9 @@ impl TraceHeader {
             return Err(invalid(message));
         }
         if header.version > 1 {
-            header.archive = Some(serde_json::from_str(line).map_err(not_header)?);
+            let archive: Archive = serde_json::from_str(line).map_err(not_header)?;
+            archive.verify(&header.config, &header.config_hash, &header.rules_hash)?;
+            header.archive = Some(archive);
         }
         Ok(header)
     }

@@ -5,10 +5,9 @@ use crate::city::Action;
 use crate::city::{Heading, Moved};
 use crate::diag::{SourceId, Sources};
 use crate::sim::tick::simulation::Simulation;
-use crate::sim::trace::archive::Archive;
+use crate::sim::trace::archive::{Archive, hash_sources};
 use serde::{Deserialize, Serialize};
 use serde_json::{Map, Value, json};
-use sha2::{Digest, Sha256};
 use std::io::{self, Write};
 
 /// The version of the format. It grows when an old reader would misread the new format.
@@ -163,15 +162,4 @@ impl<W: Write> TraceWriter<W> {
     pub fn into_inner(self) -> W {
         self.out
     }
-}
-
-/// Returns the SHA-256 hash of the texts of `files`, in order, in hexadecimal.
-pub fn hash_sources(sources: &Sources, files: &[SourceId]) -> String {
-    let mut hash = Sha256::new();
-    for &id in files {
-        let text = sources.text(id);
-        hash.update((text.len() as u64).to_le_bytes());
-        hash.update(text);
-    }
-    format!("{:x}", hash.finalize())
 }

@@ -353,7 +353,11 @@ impl Names {
                 let fault = Diagnostic::new(Code::ARITY_MISMATCH, message).at(option.place.0, "");
                 faults.push(fault.also(relation.span, "declared here"));
             }
-            relation.directives.push(directive.clone());
+            let file = mark.options.iter().rfind(|option| option.key.text == "filename");
+            relation.directives.push(Directive {
+                span: file.map_or(name.place.0, |file| file.place.0),
+                ..directive.clone()
+            });
         }
     }
 
@@ -486,7 +490,13 @@ fn read_options(mark: &Mark, faults: &mut Faults) -> Directive {
                     faults.push(fault.at(option.place.0, "").help(format!("use {known}")));
                 }
             },
-            "filename" if mark.kind != MarkKind::PrintSize => place = RowPlace::File(option.value.clone()),
+            "filename" if mark.kind != MarkKind::PrintSize => {
+                if let Some(reason) = faulty_name(&option.value, mark.kind) {
+                    let fault = Diagnostic::new(Code::INVALID_OUTPUT, reason).at(option.place.0, "");
+                    faults.push(fault.help("write a name such as `rows.csv` or `folder/rows.csv`"));
+                }
+                place = RowPlace::File(option.value.clone());
+            }
             "delimiter" if option.value.is_empty() => {
                 faults.push(Diagnostic::new(Code::SYNTAX, "empty delimiter").at(option.place.0, ""));
             }
@@ -521,6 +531,20 @@ fn read_options(mark: &Mark, faults: &mut Faults) -> Directive {
         place,
         format,
         compress,
+        span: mark.names[0].place.0,
+    }
+}
+
+/// Returns why a text is no name of an output that means the same on every system.
+fn faulty_name(name: &str, kind: MarkKind) -> Option<&'static str> {
+    let drive = |name: &str| name.len() > 1 && name.as_bytes()[1] == b':' && name.as_bytes()[0].is_ascii_alphabetic();
+    match name.rsplit('/').next().unwrap_or_default() {
+        _ if kind != MarkKind::Output => None,
+        "" if name.is_empty() => Some("the name of the file is empty"),
+        "" | "." | ".." => Some("the name is that of a folder"),
+        _ if name.contains(|c: char| c.is_control()) => Some("the name of the file contains a control character"),
+        _ if name.contains('\\') || drive(name) => Some("the name of the file is a path of one system only"),
+        _ => None,
     }
 }
 
