@@ -201,6 +201,13 @@ def _add_experiment(parser: argparse.ArgumentParser) -> _Command:
         "results/spf.json; run none",
     )
     exclusive.add_argument(
+        "--rehash",
+        type=Path,
+        metavar="RESULTS",
+        help="evaluate the policies of the finished cells again, and write only the hashes of their weights to rows of "
+        "a file such as results/spf.json with the same figures; run none",
+    )
+    exclusive.add_argument(
         "--reuse",
         type=Path,
         metavar="FOLDER",
@@ -679,13 +686,15 @@ def _experiment(given: argparse.Namespace) -> int:
         for cell in cells:
             print_text(f"{'finished' if finished(cell, root) else 'not run ':8}  {cell.name}  {cell.identity[:12]}")
         return 0
-    if given.submit is not None:
+    rows = given.submit or given.rehash
+    if rows is not None:
+        option = "--submit" if given.rehash is None else "--rehash"
         if given.quick or given.set:
-            raise _UsageError("--submit: rows have the budgets of the experiment: remove `--quick` and `--set`")
+            raise _UsageError(f"{option}: rows have the budgets of the experiment: remove `--quick` and `--set`")
         if not any(finished(cell, root) for cell in cells if not cell.hidden):
             help = "run the experiment first, or name its folder with `--run`"
-            raise _UsageError(f"--submit: none of the cells is finished in `{root}`\nhelp: {help}")
-        for line in experiment.submit(file, cells, root, given.submit):
+            raise _UsageError(f"{option}: none of the cells is finished in `{root}`\nhelp: {help}")
+        for line in experiment.submit(file, cells, root, rows, only_hashes=given.rehash is not None):
             print_text(line)
         return 0
     failed: dict[str, str] = {}
@@ -734,7 +743,7 @@ def _results_folder(given: argparse.Namespace, file: Path) -> Path:
 def _language(given: argparse.Namespace) -> int:
     from .learn.language import LanguageExperiment, run
 
-    for option in ("ray", "reuse", "wandb", "submit"):
+    for option in ("ray", "rehash", "reuse", "wandb", "submit"):
         if getattr(given, option) is not None:
             raise _UsageError(f"--{option}: an experiment of language questions does not support this option")
     try:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import hashlib
 import json
 import os
 import socket
@@ -30,6 +31,7 @@ from logicity.learn.result_files import as_text  # noqa: E402
 from logicity.learn.results import check_rows, leaderboard, read_results, submit  # noqa: E402
 from logicity.learn.run import train  # noqa: E402
 from logicity.learn.spf_report import Report, paper_value, pooled, violation_rates  # noqa: E402
+from logicity.learn.storage import policy_hash  # noqa: E402
 from logicity.terminal import first_line  # noqa: E402
 
 EXPERIMENTS = ROOT / "configs" / "experiments"
@@ -631,6 +633,34 @@ def test_published_rows_are_evaluated_again(tiny: Path, tmp_path: Path) -> None:
         ("remarkable", False),
         ("", False),
     ]
+    # A policy that was trained again gives its hash to the published row.
+    published = read_results(file)["rows"][0]
+    assert (published["sha256_of"], published["policy_sha256"]) == policy_hash(
+        load_policy(cells[0].folder(root)).policy
+    )
+    times = {"cpu_seconds": 1.5, "versions": {"logicity": "0"}, "note": "old"}
+    older = {**published, **times, "sha256_of": "file", "policy_sha256": "0" * 64}
+    file.write_text(as_text({**results, "rows": [older]}))
+    lines = list(submit(experiment, tiny, cells[:2], root, file, only_hashes=True))
+    assert f"{cells[1].name}, test: not published" in lines
+    assert read_results(file)["rows"] == [{**published, "cpu_seconds": 1.5, "note": "old"}]
+    # The published file needs no evaluation.
+    file_hash = hashlib.sha256(load_policy(cells[0].folder(root)).path.read_bytes()).hexdigest()
+    file.write_text(
+        as_text({**results, "rows": [{**published, **times, "sha256_of": "file", "policy_sha256": file_hash}]})
+    )
+    lines = list(submit(experiment, tiny, cells[:1], root, file, only_hashes=True))
+    assert lines[0].endswith(", from the published file")
+    assert read_results(file)["rows"] == [{**published, **times}]
+    changes: list[tuple[dict[str, Any], str]] = [
+        ({"tsr": {**published["tsr"], "value": 0.123}}, "the published row differs in `tsr`"),
+        ({"policy_sha256": "0" * 64, "sha256_of": "weights"}, "the published row has the weights 0000"),
+    ]
+    for change, message in changes:
+        file.write_text(as_text({**results, "rows": [{**older, **change}]}))
+        with pytest.raises(ValueError, match=message):
+            list(submit(experiment, tiny, cells[:1], root, file, only_hashes=True))
+    file.write_text(as_text({**results, "rows": [published]}))
     # Another policy than the recorded one is refused.
     other, mine = load_policy(cells[1].folder(root)).path, load_policy(cells[0].folder(root)).path
     mine.write_bytes(other.read_bytes())
@@ -646,10 +676,11 @@ def test_published_rows_are_evaluated_again(tiny: Path, tmp_path: Path) -> None:
     for faulty, message in [
         ("{", "not JSON"),
         ("[" * 100_000, "not JSON"),
-        ("{}", "expected results of the format 2"),
+        ("{}", "expected results of the format 3"),
         (as_text({**results, "rows": [3]}), "row 0 is not a mapping"),
         (as_text({**results, "rows": [row, {"learner": "ppo"}]}), "row 1 has no `variant`"),
         (as_text({**results, "rows": [{**row, "mode": ["easy"]}]}), "row 0 has an invalid `mode`"),
+        (as_text({**results, "rows": [{**row, "sha256_of": "zip"}]}), "row 0 has an invalid `sha256_of`"),
     ]:
         file.write_text(faulty)
         with pytest.raises(ValueError, match=message):

@@ -834,18 +834,24 @@ def test_published_rows_are_measured_again(undisturbed: tuple[Path, Path], tmp_p
     older = {**rows[2], "seed": 1, "settings": {}}
     others = [{**rows[3], "experiment": "zoo"}, {**rows[3], "experiment": "ant"}, {**rows[3], "seed": 1}]
     rows[1]["note"] = "It counts shared facts several times."
-    results.write_text(json.dumps({"format": 1, "rows": [*others, older, *rows]}))
+    results.write_text(json.dumps({"format": 2, "rows": [*others, older, *rows]}))
     assert list(submit(experiment, file, cells, root, results))[-1] == f"7 rows in {results}"
     kept = read_results(results)["rows"]
     assert kept == [others[1], *rows, others[2], others[0]]
     assert len(results.read_text().splitlines()) == 9, "one line per row"
+    # The hash is that of the weights, which a model that was trained again has.
+    older = {**kept[1], "sha256_of": "file", "model_sha256": "0" * 64}
+    results.write_text(as_text({"format": 2, "rows": [older]}))
+    list(submit(experiment, file, cells, root, results, only_hashes=True))
+    [again] = read_results(results)["rows"]
+    assert {**again, "versions": None} == {**kept[1], "versions": None}
     wrong = json.dumps([{**rows[0], "seed": "a"}])
     for content, message in [
         ("[{}]", "row 0 has no `experiment`"),
         ("[1]", "row 0 is not a mapping"),
         (wrong, "row 0 has an invalid `seed`"),
     ]:
-        results.write_text(f'{{"format": 1, "rows": {content}}}')
+        results.write_text(f'{{"format": 2, "rows": {content}}}')
         with pytest.raises(ValueError, match=message):
             read_results(results)
 

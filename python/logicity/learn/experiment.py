@@ -118,7 +118,9 @@ class AnyExperiment(Protocol):
     def report(self, cells: Sequence[Job], root: Path, failed: Mapping[str, str]) -> AnyReport:
         """Return the results of cells in a folder, with the messages of those that failed, by identity."""
 
-    def submit(self, file: Path, cells: Sequence[Job], root: Path, results: Path) -> Iterator[str]:
+    def submit(
+        self, file: Path, cells: Sequence[Job], root: Path, results: Path, *, only_hashes: bool = False
+    ) -> Iterator[str]:
         """Write rows of the published results, and yield lines of progress."""
 
 
@@ -445,11 +447,13 @@ class Experiment(StrictModel):
 
         return Report(self, cast(Sequence[Cell], cells), root, failed)
 
-    def submit(self, file: Path, cells: Sequence[Job], root: Path, results: Path) -> Iterator[str]:
+    def submit(
+        self, file: Path, cells: Sequence[Job], root: Path, results: Path, *, only_hashes: bool = False
+    ) -> Iterator[str]:
         """Write rows of the published results, see `results.submit`."""
         from .results import submit
 
-        return submit(self, file, cast(Sequence[Cell], cells), root, results)
+        return submit(self, file, cast(Sequence[Cell], cells), root, results, only_hashes=only_hashes)
 
     def _config(
         self, file: Path, row: str, mode: str, name: str, seed: int, selection: Selection, *, check: bool

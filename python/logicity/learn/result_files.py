@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import hashlib
 import json
 import os
 from collections.abc import Callable, Iterator, Mapping, Sequence
@@ -11,7 +12,14 @@ from typing import Any
 
 from ..files import reserved
 
-__all__ = ["as_text", "place_of", "read_file", "row_key", "updating"]
+__all__ = ["HASHED", "as_text", "is_published", "place_of", "read_file", "rehashed", "row_key", "updating"]
+
+#: What the hash of a row is of: the `weights` of a network, the text of `rules`, or the `file` of the policy, which
+#: depends on its format and can have times. `logicity experiment --rehash` replaces hashes of files.
+HASHED = ("weights", "rules", "file")
+
+#: The keys of a row that may differ when its policy is trained again, besides that of the hash.
+_CHANGING = ("command", "cpu_seconds", "note", "sha256_of", "versions")
 
 
 def read_file(
@@ -44,6 +52,8 @@ def read_file(
         missing = [key for key in keys if key not in row]
         if missing:
             raise ValueError(f"{file}: row {at} has no `{missing[0]}`")
+        if row.get("sha256_of") not in HASHED:
+            raise ValueError(f"{file}: row {at} has an invalid `sha256_of`")
         for key in identity:
             if not isinstance(row[key], int if key == "seed" else str):
                 raise ValueError(f"{file}: row {at} has an invalid `{key}`")
@@ -70,6 +80,37 @@ def updating(path: Path, read: Callable[[], dict[str, Any]]) -> Iterator[dict[st
         yield results
         Path(output.temporary).write_text(as_text(results), encoding="utf-8")
         output.finish()
+
+
+def is_published(row: Mapping[str, Any], sha256: str, file: Path) -> bool:
+    """Return whether a published row has the hash of a file, so that nothing needs to be measured again.
+
+    Args:
+        row: The row.
+        sha256: The key of the hash.
+        file: The file of the policy or model.
+    """
+    return bool(row["sha256_of"] == "file" and row[sha256] == hashlib.sha256(file.read_bytes()).hexdigest())
+
+
+def rehashed(old: Mapping[str, Any], new: Mapping[str, Any], sha256: str) -> dict[str, Any]:
+    """Return a published row with the hash of the policy that was trained again. Its figures stay as they are.
+
+    Args:
+        old: The row.
+        new: The row of the policy that was trained again.
+        sha256: The key of the hash.
+
+    Raises:
+        ValueError: If the rows have other figures, settings, rules or episodes.
+    """
+    again = json.loads(json.dumps(new))
+    different = [key for key in old if key not in (*_CHANGING, sha256) and old[key] != again.get(key)]
+    if different:
+        raise ValueError(f"the published row differs in {', '.join(f'`{key}`' for key in different)}")
+    if old["sha256_of"] == again["sha256_of"] and old[sha256] != again[sha256]:
+        raise ValueError(f"the published row has the {old['sha256_of']} {old[sha256]}, not {again[sha256]}")
+    return {**old, **{key: again[key] for key in ("versions", "sha256_of", sha256)}}
 
 
 def row_key(row: Mapping[str, Any], identity: Sequence[str]) -> tuple[Any, ...]:

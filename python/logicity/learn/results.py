@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import hashlib
 import os
 from collections.abc import Collection, Iterator, Mapping, Sequence
 from pathlib import Path
@@ -16,18 +15,20 @@ from .cells import Cell, benchmark_of, finished
 from .experiment import Experiment, name_of
 from .registry import load_policy
 from .report import markdown_table, paper_table
-from .result_files import place_of, read_file, row_key, updating
+from .result_files import is_published, place_of, read_file, rehashed, row_key, updating
 from .spf_report import MEASURES, clauses_of, paper_value, per_episode, pooled, violation_rates
+from .storage import policy_hash
 
 __all__ = ["check_rows", "leaderboard", "read_results", "submit"]
 
 #: The version of the format.
-FORMAT = 2
+FORMAT = 3
 
-#: The keys of a row. `command` trains and evaluates it again.
+#: The keys of a row. `command` trains and evaluates it again. `policy_sha256` is the hash of what `sha256_of` says.
 KEYS = (
     *("learner", "variant", "paper", "mode", "evaluation", "seed", "config", "command", "note", "versions", "hashes"),
-    *("policy_sha256", "steps", "unit", "cpu_seconds", "best_after", "compliance", *MEASURES, "violations", "episodes"),
+    *("sha256_of", "policy_sha256", "steps", "unit", "cpu_seconds", "best_after", "compliance", *MEASURES),
+    *("violations", "episodes"),
 )
 
 #: The keys that identify a row.
@@ -74,7 +75,9 @@ def check_rows(results: Mapping[str, Any]) -> list[str]:
     return wrong
 
 
-def submit(experiment: Experiment, file: Path, cells: Sequence[Cell], root: Path, results: Path) -> Iterator[str]:
+def submit(
+    experiment: Experiment, file: Path, cells: Sequence[Cell], root: Path, results: Path, *, only_hashes: bool = False
+) -> Iterator[str]:
     """Evaluate the policies of finished cells again, and write a row for each evaluation.
 
     A row replaces that of the same learner, variant, mode, evaluation and seed, and keeps its note. Cells that tables
@@ -86,6 +89,7 @@ def submit(experiment: Experiment, file: Path, cells: Sequence[Cell], root: Path
         cells: The cells. Those that are not finished are skipped.
         root: The folder of the experiment.
         results: The file of results.
+        only_hashes: Whether to write only the hashes of rows that are published and have the same figures.
 
     Yields:
         A line for each evaluation.
@@ -102,7 +106,7 @@ def submit(experiment: Experiment, file: Path, cells: Sequence[Cell], root: Path
     with updating(results, lambda: read_results(results, file.stem)) as document:
         rows = {row_key(row, _KEY): row for row in document["rows"]}
         for cell in shown:
-            yield from _update(rows, experiment, file, cell, root)
+            yield from _update(rows, experiment, file, cell, root, only_hashes)
         order = {
             "mode": list(experiment.modes),
             "learner": list(experiment.learners),
@@ -114,7 +118,12 @@ def submit(experiment: Experiment, file: Path, cells: Sequence[Cell], root: Path
 
 
 def _update(
-    rows: dict[tuple[Any, ...], Mapping[str, Any]], experiment: Experiment, file: Path, cell: Cell, root: Path
+    rows: dict[tuple[Any, ...], Mapping[str, Any]],
+    experiment: Experiment,
+    file: Path,
+    cell: Cell,
+    root: Path,
+    only_hashes: bool,
 ) -> Iterator[str]:
     """Add the rows of a cell if it is finished, and yield a line for each evaluation."""
     measured = finished(cell, root)
@@ -122,13 +131,31 @@ def _update(
         yield f"{cell.name}: not finished"
         return
     for name in cell.evaluations:
+        names = {"learner": cell.row, "variant": cell.variant, "mode": cell.mode, "evaluation": name, "seed": cell.seed}
+        old = rows.get(row_key(names, _KEY))
+        if only_hashes:
+            if old is None:
+                yield f"{cell.name}, {name}: not published"
+                continue
+            saved = load_policy(cell.folder(root))
+            if is_published(old, "policy_sha256", saved.path):
+                hashed, sha256 = policy_hash(saved.policy)
+                rows[row_key(names, _KEY)] = {**old, "sha256_of": hashed, "policy_sha256": sha256}
+                yield f"{cell.name}, {name}: {hashed} {sha256[:12]}, from the published file"
+                continue
         row = {
             "learner": cell.row,
             "variant": cell.variant,
             "paper": experiment.learners[cell.row].paper or cell.row,
             **_row(file, cell, root, measured, name),
         }
-        row["note"] = rows.get(row_key(row, _KEY), row)["note"]
+        if only_hashes:
+            assert old is not None
+            try:
+                row = rehashed(old, row, "policy_sha256")
+            except ValueError as error:
+                raise ValueError(f"{cell.name}, {name}: {error}") from None
+        row["note"] = (old or row)["note"]
         rows[row_key(row, _KEY)] = row
         yield f"{cell.name}, {name}: TSR {row['tsr']['value']:.2f}, as recorded"
 
@@ -149,7 +176,7 @@ def _row(file: Path, cell: Cell, root: Path, measured: Mapping[str, Any], evalua
                 f"{cell.name}, {evaluation}: the policy {saved.path} has {name} {again[name]['value']}, not the "
                 f"recorded {recorded[name]['value']}: delete the folder of the cell and train it again"
             )
-    result = measured["result"]
+    result, (hashed, sha256) = measured["result"], policy_hash(saved.policy)
     values = per_episode(recorded)
     return {
         "mode": cell.mode,
@@ -160,7 +187,8 @@ def _row(file: Path, cell: Cell, root: Path, measured: Mapping[str, Any], evalua
         "note": "",
         "versions": result["versions"],
         "hashes": result["hashes"],
-        "policy_sha256": hashlib.sha256(saved.path.read_bytes()).hexdigest(),
+        "sha256_of": hashed,
+        "policy_sha256": sha256,
         "steps": result["steps"],
         "unit": result["unit"],
         "cpu_seconds": result["cpu_seconds"],

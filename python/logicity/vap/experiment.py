@@ -40,6 +40,7 @@ from ..learn.experiment import (
     validated,
 )
 from ..learn.learner import Seed, StrictModel
+from ..learn.storage import weights_hash
 from ..rules import Program
 from .data import BINARY, UNARY, symbolic_facts
 from .features import Backbone, DataSpec, Kind, file_hash, prepared, weights_file
@@ -444,11 +445,13 @@ class VapExperiment(StrictModel):
 
         return VapReport(self, cast(Sequence[VapCell], cells), root, failed)
 
-    def submit(self, file: Path, cells: Sequence[Job], root: Path, results: Path) -> Iterator[str]:
+    def submit(
+        self, file: Path, cells: Sequence[Job], root: Path, results: Path, *, only_hashes: bool = False
+    ) -> Iterator[str]:
         """Write rows of the published results, see `report.submit`."""
         from .report import submit
 
-        return submit(self, file, cast(Sequence[VapCell], cells), root, results)
+        return submit(self, file, cast(Sequence[VapCell], cells), root, results, only_hashes=only_hashes)
 
 
 _unknown = unknown_key(VapExperiment, {"learners": Row, "variants": Variant})
@@ -614,7 +617,7 @@ def run_cell(
             "cpu_seconds": round(max(time.process_time() - begun, trained), 1),
             "versions": {"logicity": __version__, "torch": torch.__version__, "python": platform.python_version()},
             "hashes": {name: spec[name] for name in ("rules", "backbone") if name in spec},
-            "model_sha256": hashlib.sha256((folder / "model.pt").read_bytes()).hexdigest(),
+            "model_sha256": weights_hash(model),
             "history": [{name: each[name] for name in ("loss", "score")} for each in history],
         },
         "evaluations": evaluations,

@@ -12,6 +12,7 @@ from numpy.typing import NDArray
 
 from ..city import ACTIONS
 from ..evaluation import Interval
+from ..files import read_tensors
 from ..learn.cells import finished
 from ..learn.experiment import name_of
 from ..learn.report import (
@@ -27,7 +28,8 @@ from ..learn.report import (
     markdown_table,
     paper_table,
 )
-from ..learn.result_files import place_of, read_file, row_key, updating
+from ..learn.result_files import is_published, place_of, read_file, rehashed, row_key, updating
+from ..learn.storage import weights_hash
 from .experiment import VapCell, VapExperiment, measure_again, rules_hash
 
 __all__ = ["VapEntry", "VapReport", "check_rows", "leaderboard", "pooled", "read_results", "submit"]
@@ -36,12 +38,14 @@ __all__ = ["VapEntry", "VapReport", "check_rows", "leaderboard", "pooled", "read
 MEASURES = (*ACTIONS, "aAcc", "wAcc")
 
 #: The version of the format of the published results.
-FORMAT = 1
+FORMAT = 2
 
-#: The keys of a published row. `command` trains and measures it again.
+#: The keys of a published row. `command` trains and measures it again. `model_sha256` is the hash of what `sha256_of`
+#: says; the `weights` of a model without a network are its rules, or the predicates of the bound.
 KEYS = (
     *("experiment", "learner", "predictor", "paper", "mode", "variant", "seed", "settings", "command", "note"),
-    *("versions", "hashes", "model_sha256", "cpu_seconds", "recall", "a_acc", "w_acc", "worlds", "concepts"),
+    *("versions", "hashes", "sha256_of", "model_sha256", "cpu_seconds", "recall", "a_acc", "w_acc", "worlds"),
+    "concepts",
 )
 
 #: The keys of each world of a row, see `evaluation`.
@@ -392,7 +396,15 @@ def _measure_faults(row: Mapping[str, Any]) -> Iterator[str]:
             yield f"an impossible recall of {name}"
 
 
-def submit(experiment: VapExperiment, file: Path, cells: Sequence[VapCell], root: Path, results: Path) -> Iterator[str]:
+def submit(
+    experiment: VapExperiment,
+    file: Path,
+    cells: Sequence[VapCell],
+    root: Path,
+    results: Path,
+    *,
+    only_hashes: bool = False,
+) -> Iterator[str]:
     """Measure the models of finished cells again, and write a row for each predictor.
 
     A row replaces that of the same experiment, learner, predictor, mode, variant and seed, and keeps its note. Rows
@@ -404,6 +416,7 @@ def submit(experiment: VapExperiment, file: Path, cells: Sequence[VapCell], root
         cells: The cells. Those that are not finished are skipped.
         root: The folder of the experiment.
         results: The file of results.
+        only_hashes: Whether to write only the hashes of rows that are published and have the same figures.
 
     Yields:
         A line for each cell.
@@ -416,7 +429,7 @@ def submit(experiment: VapExperiment, file: Path, cells: Sequence[VapCell], root
         rows = {row_key(row, _KEY): row for row in document["rows"]}
         for cell in cells:
             if not cell.hidden:
-                yield from _update(rows, experiment, file, cell, root)
+                yield from _update(rows, experiment, file, cell, root, only_hashes)
         order: dict[str, list[str]] = {
             "mode": list(experiment.modes),
             "learner": list(experiment.learners),
@@ -433,13 +446,29 @@ def submit(experiment: VapExperiment, file: Path, cells: Sequence[VapCell], root
 
 
 def _update(
-    rows: dict[tuple[Any, ...], Mapping[str, Any]], experiment: VapExperiment, file: Path, cell: VapCell, root: Path
+    rows: dict[tuple[Any, ...], Mapping[str, Any]],
+    experiment: VapExperiment,
+    file: Path,
+    cell: VapCell,
+    root: Path,
+    only_hashes: bool,
 ) -> Iterator[str]:
     """Add the rows of a cell if it is finished, and yield a line."""
     measured = finished(cell, root)
     if measured is None:
         yield f"{cell.name}: not finished"
         return
+    model = read_tensors(cell.model(root), "a model")
+    if only_hashes:
+        own = [key for key, row in rows.items() if _is_of(row, file, cell)]
+        if not own:
+            yield f"{cell.name}: not published"
+            return
+        if all(is_published(rows[key], "model_sha256", cell.model(root)) for key in own):
+            for key in own:
+                rows[key] = {**rows[key], "sha256_of": "weights", "model_sha256": weights_hash(model)}
+            yield f"{cell.name}: weights {weights_hash(model)[:12]}, from the published file"
+            return
     again, _ = measure_again(cell, root)
     for predictor, recorded in measured["evaluations"].items():
         if again[predictor] != recorded:
@@ -447,7 +476,16 @@ def _update(
                 f"{cell.name}: the model {cell.model(root)} has wAcc {again[predictor]['w_acc']}, not the recorded "
                 f"{recorded['w_acc']}"
             )
-        row = _row(experiment, file, cell, predictor, measured)
+        row = _row(experiment, file, cell, predictor, measured, model)
+        if only_hashes:
+            old = rows.get(row_key(row, _KEY))
+            if old is None:
+                yield f"{cell.name}, {predictor}: not published"
+                continue
+            try:
+                row = rehashed(old, row, "model_sha256")
+            except ValueError as error:
+                raise ValueError(f"{cell.name}, {predictor}: {error}") from None
         row["note"] = rows.get(row_key(row, _KEY), row)["note"]
         group = [key for key in rows if key[:-1] == row_key(row, _KEY)[:-1]]
         for key in group:
@@ -457,8 +495,19 @@ def _update(
     yield f"{cell.name}: {cell.headline(measured)}, as recorded"
 
 
+def _is_of(row: Mapping[str, Any], file: Path, cell: VapCell) -> bool:
+    """Return whether a row is of a cell of the experiment in a file, with any predictor."""
+    names = {"experiment": file.stem, "learner": cell.row, "mode": cell.mode, "variant": cell.variant}
+    return row["seed"] == cell.seed and all(row[name] == value for name, value in names.items())
+
+
 def _row(
-    experiment: VapExperiment, file: Path, cell: VapCell, predictor: str, measured: Mapping[str, Any]
+    experiment: VapExperiment,
+    file: Path,
+    cell: VapCell,
+    predictor: str,
+    measured: Mapping[str, Any],
+    model: Mapping[str, Any],
 ) -> dict[str, Any]:
     recorded, result = measured["evaluations"][predictor], measured["result"]
     first = predictor == next(iter(measured["evaluations"]))
@@ -477,7 +526,8 @@ def _row(
         "note": "",
         "versions": result["versions"],
         "hashes": result["hashes"],
-        "model_sha256": result["model_sha256"],
+        "sha256_of": "weights",
+        "model_sha256": weights_hash(model),
         "cpu_seconds": result["cpu_seconds"],
         **{name: recorded[name] for name in ("recall", "a_acc", "w_acc", "worlds")},
         "concepts": measured["concepts"] if first else {},

@@ -1,0 +1,122 @@
+"""The figures that pages quote are those of the published results."""
+
+from __future__ import annotations
+
+import json
+import re
+from collections.abc import Iterable
+from typing import Any
+
+import pytest
+from conftest import ROOT
+
+RESULTS: dict[str, list[dict[str, Any]]] = {
+    path.stem: json.loads(path.read_text(encoding="utf-8"))["rows"] for path in (ROOT / "results").glob("*.json")
+}
+
+
+def mean(values: Iterable[float]) -> str:
+    """Return a mean as the pages write it."""
+    numbers = list(values)
+    assert numbers, "no row has these names"
+    return f"{sum(numbers) / len(numbers):.2f}"
+
+
+def of(file: str, measure: str = "tsr", **names: Any) -> str:
+    """Return the mean of a measure over the rows with these names."""
+    rows = [row for row in RESULTS[file] if all(row[name] == value for name, value in names.items())]
+    return mean(row[measure]["value"] if isinstance(row[measure], dict) else row[measure] for row in rows)
+
+
+def drop(learner: str, mode: str) -> float:
+    """Return how much TSR a learner loses with other agents than those of training."""
+    names = {"learner": learner, "mode": mode}
+    rows = [row for row in RESULTS["composition"] if all(row[name] == value for name, value in names.items())]
+    by_evaluation = [
+        [row["tsr"]["value"] for row in rows if row["evaluation"] == f"agents of {agents}"]
+        for agents in ("training", "test")
+    ]
+    first, second = (sum(values) / len(values) for values in by_evaluation)
+    return float(first - second)
+
+
+def transfer(start: str) -> str:
+    return of("transfer", learner="nlm-tuned", variant=f"from {start} 100 %")
+
+
+def vap(experiment: str, learner: str, variant: str, predictor: str = "") -> str:
+    names = {"experiment": experiment, "learner": learner, "variant": variant, "predictor": predictor}
+    return of("vap", "w_acc", mode="hard", **names)
+
+
+DQN: dict[str, Any] = {"learner": "dqn", "seed": 0}
+#: Parts of sentences with figures, by page.
+QUOTES: dict[str, list[str]] = {
+    "reference/experiments.md": [
+        f"its TSR is {transfer('easy')} from easy mode and {transfer('scratch')} from scratch",
+        f"by {drop('mlp', 'medium'):.2f} in medium and {drop('mlp', 'hard'):.2f} in hard mode for the MLP",
+        f"and by {drop('dqn', 'medium'):.2f} and {drop('dqn', 'hard'):.2f} for DQN",
+        "drop less, by at most "
+        f"{max(drop(name, mode) for name in ('nlm-tuned', 'nlm-dqn') for mode in ('medium', 'hard')):.2f}",
+        "keeps a mean TSR of at least 0.96",  # see `test_a_bound_holds`
+        f"its TSR falls from {of('observations', mode='easy', variant='groundings', **DQN)} to "
+        f"{of('observations', mode='easy', variant='state', **DQN)} in easy and from "
+        f"{of('observations', mode='hard', variant='groundings', **DQN)} to "
+        f"{of('observations', mode='hard', variant='state', **DQN)} in hard mode",
+        f"the mean TSR of DQN on groundings is {of('spf', learner='dqn', mode='easy')} in easy and "
+        f"{of('spf', learner='dqn', mode='hard')} in hard mode",
+    ],
+    "reference/leaderboard.md": [
+        f"they break almost no rule (DSR {of('spf', 'dsr', learner='dreamer', mode='expert')}), but reach no goal",
+        f"they break almost no rule (DSR {of('spf', 'dsr', learner='a2c', mode='expert')}), but reach no goal",
+    ],
+    "reference/leaderboard-vap.md": [
+        f"reach a wAcc of {vap('vap', 'rules', 'random', 'threshold')} with random agents in training, and "
+        f"{vap('vap', 'rules', 'fixed', 'threshold')} with fixed agents",
+        f"without the bus (`bound`) have {vap('vap', 'bound', 'fixed')}",
+        f"it has {vap('vap-continual', 'modular-gnn', '5 %')} with 5 % of the pictures, and "
+        f"{vap('vap-continual', 'modular-gnn', '100 %')} with all, 0.01 less than from scratch",
+        f"the wAcc of `rules` falls from {vap('vap-concepts', 'rules', 'difficulty 0', 'threshold')} to "
+        f"{vap('vap-concepts', 'rules', 'difficulty 100', 'threshold')}",
+    ],
+}
+
+#: Figures of these pages that no published row has: bounds, and those of the paper and of a constant policy.
+OTHERS = {
+    "reference/experiments.md": [],
+    "reference/leaderboard.md": ["0.00", "0.12", "0.13", "0.06", "0.11"],
+    "reference/leaderboard-vap.md": ["0.97", "0.02"],
+}
+
+
+def prose(page: str) -> str:
+    """Return the paragraphs of a page as one line, without blocks of code."""
+    text = (ROOT / "docs" / page).read_text(encoding="utf-8")
+    return " ".join(re.sub(r"^```.*?^```", "", text, flags=re.M | re.S).split())
+
+
+@pytest.mark.parametrize("page", QUOTES)
+def test_quoted_figures_are_published(page: str) -> None:
+    text = prose(page)
+    missing = [quote for quote in QUOTES[page] if quote not in text]
+    assert not missing, missing
+    quoted = [figure for quote in QUOTES[page] for figure in re.findall(r"\b0\.\d\d\b", quote)]
+    new = set(re.findall(r"\b0\.\d\d\b", text)) - {*quoted, *OTHERS[page]}
+    assert not new, f"figures without a test: {sorted(new)}"
+
+
+def test_a_bound_holds() -> None:
+    for mode in ("medium", "hard"):
+        for agents in ("training", "test"):
+            value = of("composition", learner="ppo-fast", mode=mode, evaluation=f"agents of {agents}")
+            assert float(value) >= 0.96
+
+
+def test_every_learner_is_on_the_leaderboard() -> None:
+    """The page about related projects says that all learners of the paper are here."""
+    learners = {row["paper"] for row in RESULTS["spf"]}
+    paper = json.loads((ROOT / "python" / "logicity" / "learn" / "paper.json").read_text(encoding="utf-8"))
+    missing = set(paper["spf"]["rows"]) - learners
+    assert missing == {"popper", "maxsynth"}, missing
+    text = prose("project/related.md")
+    assert "it has all learners of the paper" in text and "Popper and MaxSynth need an installed Popper" in text
