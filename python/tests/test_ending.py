@@ -110,11 +110,11 @@ def test_ignored_signals_stay_ignored(tmp_path: Path) -> None:
     code = (
         "import os, signal\nfrom logicity.signals import ending_on_signals\n"
         "signal.signal(signal.SIGHUP, signal.SIG_IGN)\n"
-        "with ending_on_signals():\n    os.kill(os.getpid(), signal.SIGHUP)\n    print('goes on')\n"
+        "with ending_on_signals():\n    os.kill(os.getpid(), signal.SIGHUP)\n    print('continues')\n"
         "    os.kill(os.getpid(), signal.SIGTERM)\n"
     )
     done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=False)
-    assert (done.returncode, done.stdout) == (143, "goes on\n")
+    assert (done.returncode, done.stdout) == (143, "continues\n")
 
 
 def test_programs_have_an_exit_code_and_their_output() -> None:
