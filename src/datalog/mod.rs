@@ -130,6 +130,6 @@ pub use program::{Options, Program};
 pub use session::{RowError, Session};
 pub use syntax::ast::{self, BaseType, Comparison, MarkKind};
 pub use syntax::functor::{AggregateOp, Functor};
-pub use syntax::{DIRECTIVES, FULL_STOP, Parsed, format, is_name, parse, print, quoted};
+pub use syntax::{DIRECTIVES, FULL_STOP, Parsed, TokenKind, format, is_name, parse, print, quoted, tokens};
 pub use value::{Patterns, Value, parse as parse_value, print_float};
 pub use workspace::{FactPattern, FactRow, Loaded, Workspace, is_complete, load, load_with};

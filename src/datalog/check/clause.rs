@@ -43,10 +43,13 @@ pub(crate) fn check(
     names.components = components(items, names);
     let mut scopes = scope::Scopes::default();
     let mut before: Option<Cow<'_, ast::Clause>> = None;
+    let signatures: Vec<Vec<Option<Signature>>> = facts.files().iter().map(|file| signatures(file, names)).collect();
     let mut runs = facts.runs().peekable();
     for at in 0..=items.len() {
-        while let Some((_, packed, run)) = runs.next_if(|(before, ..)| *before == at) {
+        while let Some((_, file, run)) = runs.next_if(|(before, ..)| *before == at) {
+            let packed = &facts.files()[file];
             before = run.clone().last().map(|fact| Cow::Owned(packed.clause(fact)));
+            let packed = (packed, signatures[file].as_slice());
             packed_facts(packed, run, &mut scopes, names, &mut clauses, faults);
         }
         match items.get(at) {
@@ -72,22 +75,30 @@ pub(crate) fn check(
     clauses
 }
 
-/// Checks packed facts. Those that do not fit their predicates are checked as syntax trees, which reports them.
-fn packed_facts(
-    packed: &PackedFacts,
-    run: Range<usize>,
-    scopes: &mut scope::Scopes,
-    names: &mut Names,
-    out: &mut Clauses,
-    faults: &mut Faults,
-) {
+/// A declared predicate and the base types of its columns.
+type Signature = (RelId, Vec<BaseType>);
+
+/// Returns the signatures of the predicates of packed facts, by their positions there.
+fn signatures(packed: &PackedFacts, names: &Names) -> Vec<Option<Signature>> {
     let signature = |name: &String| {
         let relation = names.find(name)?;
         let columns = names.signatures[relation.index()].columns.as_ref()?;
         let bases: Option<Vec<BaseType>> = columns.iter().map(|ty| Some(names.base((*ty)?))).collect();
         Some((relation, bases?))
     };
-    let signatures: Vec<Option<(RelId, Vec<BaseType>)>> = packed.names().iter().map(signature).collect();
+    packed.names().iter().map(signature).collect()
+}
+
+/// Checks packed facts with the signatures of their predicates. Those that do not fit these are checked as syntax
+/// trees, which reports them.
+fn packed_facts(
+    (packed, signatures): (&PackedFacts, &[Option<Signature>]),
+    run: Range<usize>,
+    scopes: &mut scope::Scopes,
+    names: &mut Names,
+    out: &mut Clauses,
+    faults: &mut Faults,
+) {
     out.clauses.reserve(run.len());
     for fact in run {
         let constants = packed.constants(fact);

@@ -204,6 +204,71 @@ fn logical_line(text: &str) -> usize {
     at.min(bytes.len())
 }
 
+/// The kind of a [`token`](tokens), as far as tools for editing need it.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum TokenKind {
+    /// A comment of any kind, with its delimiters.
+    Comment,
+    /// A string with its quotes.
+    Text,
+    /// A number or an IPv4 address.
+    Number,
+    /// The dot and the name of a directive, at the start of a line.
+    Directive,
+    /// A name or a word of the language.
+    Name,
+    /// `(`
+    Open,
+    /// `)`
+    Close,
+    /// `{`
+    OpenBrace,
+    /// `}`
+    CloseBrace,
+    /// `,`
+    Comma,
+    /// The full stop of a clause.
+    Stop,
+    /// Any other token.
+    Other,
+}
+
+/// Splits a text into tokens with their bytes, comments included. Faulty text has tokens as far as they are clear.
+pub fn tokens(source: SourceId, text: &str) -> Vec<(TokenKind, std::ops::Range<usize>)> {
+    let lexed = lex(source, text, &mut Faults::default());
+    let bytes = |start: u32, end: u32| start as usize..end as usize;
+    let mut comments = lexed.comments.iter().peekable();
+    let mut found: Vec<(TokenKind, std::ops::Range<usize>)> = Vec::new();
+    for (index, token) in lexed.tokens.iter().enumerate() {
+        while let Some(comment) = comments.next_if(|comment| comment.before as usize <= index) {
+            found.push((TokenKind::Comment, bytes(comment.start, comment.end)));
+        }
+        let before = index.checked_sub(1).map(|before| &lexed.tokens[before]);
+        let directive = before.filter(|dot| {
+            token.kind == Kind::Ident && dot.kind == Kind::Dot && dot.first_on_line && dot.end == token.start
+        });
+        if let (Some(dot), Some(last)) = (directive, found.last_mut()) {
+            *last = (TokenKind::Directive, bytes(dot.start, token.end));
+            continue;
+        }
+        let kind = match token.kind {
+            Kind::End => break,
+            Kind::Ident => TokenKind::Name,
+            Kind::Number | Kind::Float | Kind::Unsigned | Kind::Address => TokenKind::Number,
+            Kind::Text | Kind::OpenText => TokenKind::Text,
+            Kind::LParen => TokenKind::Open,
+            Kind::RParen => TokenKind::Close,
+            Kind::LBrace => TokenKind::OpenBrace,
+            Kind::RBrace => TokenKind::CloseBrace,
+            Kind::Comma => TokenKind::Comma,
+            Kind::Dot => TokenKind::Stop,
+            _ => TokenKind::Other,
+        };
+        found.push((kind, bytes(token.start, token.end)));
+    }
+    found
+}
+
 /// Splits `text`, which must be shorter than 4 GiB, into tokens.
 pub(crate) fn lex(source: SourceId, text: &str, faults: &mut Faults) -> Lexed {
     let mut lexer = Lexer {

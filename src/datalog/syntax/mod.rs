@@ -18,7 +18,7 @@ mod printer;
 use crate::diag::{Diagnostic, Faults, SourceId, Sources};
 
 pub use formatter::format;
-pub use lexer::is_name;
+pub use lexer::{TokenKind, is_name, tokens};
 pub use parser::{DIRECTIVES, FULL_STOP};
 pub use printer::{print, quoted};
 

@@ -245,16 +245,21 @@ impl FactRuns {
         self.runs.push(FactRun { before, file, facts });
     }
 
-    /// Returns the runs in order: the number of items before each, the facts of its source, and its positions there.
-    pub(crate) fn runs(&self) -> impl Iterator<Item = (usize, &PackedFacts, Range<usize>)> {
-        let run = |run: &FactRun| (run.before, run.file, run.facts.clone());
-        (self.runs.iter().map(run)).map(|(before, file, facts)| (before, &self.files[file], facts))
+    /// Returns the packed facts of each source.
+    pub(crate) fn files(&self) -> &[PackedFacts] {
+        &self.files
+    }
+
+    /// Returns the runs in order: the number of items before each, the position of its source among the
+    /// [`files`](FactRuns::files), and its positions there.
+    pub(crate) fn runs(&self) -> impl Iterator<Item = (usize, usize, Range<usize>)> {
+        self.runs.iter().map(|run| (run.before, run.file, run.facts.clone()))
     }
 
     /// Returns the syntax trees of all facts.
     pub(crate) fn clauses(&self) -> impl Iterator<Item = Clause> {
         self.runs()
-            .flat_map(|(_, packed, facts)| facts.map(|fact| packed.clause(fact)))
+            .flat_map(move |(_, file, facts)| facts.map(move |fact| self.files[file].clause(fact)))
     }
 
     /// Moves all facts to their places among the items, as syntax trees.
@@ -264,10 +269,11 @@ impl FactRuns {
         }
         let mut rest = std::mem::take(items).into_iter();
         let mut taken = 0;
-        for (before, packed, facts) in std::mem::take(self).runs() {
+        let packed = std::mem::take(self);
+        for (before, file, facts) in packed.runs() {
             items.extend(rest.by_ref().take(before - taken));
             taken = before;
-            items.extend(facts.map(|fact| Item::Clause(packed.clause(fact))));
+            items.extend(facts.map(|fact| Item::Clause(packed.files[file].clause(fact))));
         }
         items.extend(rest);
     }

@@ -39,11 +39,11 @@ pub(crate) struct Names {
     type_by_name: HashMap<String, Option<TypeId>>,
     /// The places of all type declarations, also of aliases.
     declared_types: HashMap<String, Span>,
-    /// The unions that contain each type.
-    unions_of: HashMap<TypeId, Vec<TypeId>>,
     relation_by_name: HashMap<String, RelId>,
     /// The `.printsize` directive of each predicate.
     printsizes: HashMap<RelId, Span>,
+    /// The number of declared predicates. The hidden ones follow them.
+    declared: usize,
     unknown: Unknown,
     /// Whether all declarations are known. If not, the checker reports no unknown names.
     complete: bool,
@@ -68,9 +68,9 @@ pub(crate) fn declare(items: &[Item], complete: bool, inputs: Edb, faults: &mut 
         type_spans: Vec::new(),
         type_by_name: HashMap::new(),
         declared_types: HashMap::new(),
-        unions_of: HashMap::new(),
         relation_by_name: HashMap::new(),
         printsizes: HashMap::new(),
+        declared: 0,
         unknown: Unknown::default(),
         complete,
         inputs,
@@ -82,25 +82,25 @@ pub(crate) fn declare(items: &[Item], complete: bool, inputs: Edb, faults: &mut 
             names.declare_predicates(decl, faults);
         }
     }
+    names.declared = names.relations.len();
     for item in items {
-        match item {
-            Item::Mark(mark) => names.mark(mark, faults),
-            Item::Pragma(pragma) => names.pragma(pragma, items, faults),
-            _ => {}
+        if let Item::Mark(mark) = item {
+            names.mark(mark, faults);
         }
     }
+    names.pragmas(items, faults);
     names
 }
 
-/// Returns whether a declaration of the predicate has the qualifier.
-fn is_qualified(items: &[Item], predicate: &str, qualifier: &str) -> bool {
-    items.iter().any(|item| match item {
-        Item::Decl(decl) => {
-            let named = decl.names.iter().any(|name| name.text == predicate);
-            named && decl.qualifiers.iter().any(|word| word.text == qualifier)
-        }
-        _ => false,
-    })
+/// Returns the predicates that a declaration with the qualifier names.
+fn qualified<'i>(items: &'i [Item], qualifier: &str) -> HashSet<&'i str> {
+    let has = |decl: &&Decl| decl.qualifiers.iter().any(|word| word.text == qualifier);
+    let decls = items.iter().filter_map(|item| match item {
+        Item::Decl(decl) => Some(decl),
+        _ => None,
+    });
+    let names = decls.filter(has).flat_map(|decl| &decl.names);
+    names.map(|name| name.text.as_str()).collect()
 }
 
 impl Names {
@@ -139,11 +139,7 @@ impl Names {
 
     /// Returns the number of hidden predicates.
     pub fn hidden(&self) -> usize {
-        self.relations
-            .iter()
-            .rev()
-            .take_while(|relation| relation.hidden)
-            .count()
+        self.relations.len() - self.declared
     }
 
     /// Adds a hidden predicate with these columns.
@@ -174,24 +170,12 @@ impl Names {
 
     /// Returns whether every value of type `sub` has type `sup`.
     pub fn is_subtype(&self, sub: TypeId, sup: TypeId) -> bool {
-        if self.unions_of.is_empty() {
-            let parent = |id: &TypeId| self.types[id.0 as usize].parent;
-            return std::iter::successors(Some(sub), parent).any(|id| id == sup);
-        }
-        let mut seen = vec![false; self.types.len()];
-        let mut work = vec![sub];
-        while let Some(id) = work.pop() {
-            if id == sup {
-                return true;
-            }
-            if std::mem::replace(&mut seen[id.0 as usize], true) {
-                continue;
-            }
-            work.extend(self.types[id.0 as usize].parent);
-            work.extend(self.unions_of.get(&id).into_iter().flatten());
-        }
-        let members = &self.types[sub.0 as usize].members;
-        !members.is_empty() && members.iter().all(|&member| self.is_subtype(member, sup))
+        let members = |id: TypeId| &self.types[id.0 as usize].members;
+        let parent = |id: &TypeId| self.types[id.0 as usize].parent;
+        let mut ancestors = std::iter::successors(Some(sub), parent);
+        // The members of a union are no unions.
+        ancestors.any(|id| id == sup || members(sup).contains(&id))
+            || !members(sub).is_empty() && members(sub).iter().all(|&member| self.is_subtype(member, sup))
     }
 
     /// Returns the narrower of two comparable types, or a member that two types share; `None` if they have no value in
@@ -295,30 +279,35 @@ impl Names {
 
     /// Applies `.pragma "magic-transform" "A,B"`, where `*` names all predicates. Reports names without a declaration
     /// and warns of other pragmas.
-    fn pragma(&mut self, pragma: &Pragma, items: &[Item], faults: &mut Faults) {
-        let [key, named] = pragma.words.as_slice() else {
-            return faults.push(no_effect(pragma));
-        };
-        if key != "magic-transform" {
-            return faults.push(no_effect(pragma));
-        }
-        let is_excluded = |name: &str| is_qualified(items, name, "no_magic");
-        for name in named.split(',').map(str::trim).filter(|name| !name.is_empty()) {
-            if name == "*" {
-                for relation in self
-                    .relations
-                    .iter_mut()
-                    .filter(|relation| !is_excluded(&relation.name))
-                {
-                    relation.magic = true;
+    fn pragmas(&mut self, items: &[Item], faults: &mut Faults) {
+        let excluded = qualified(items, "no_magic");
+        let mut all = false;
+        let pragmas = items.iter().filter_map(|item| match item {
+            Item::Pragma(pragma) => Some(pragma),
+            _ => None,
+        });
+        for pragma in pragmas {
+            let named = match pragma.words.as_slice() {
+                [key, named] if key == "magic-transform" => named,
+                _ => {
+                    faults.push(no_effect(pragma));
+                    continue;
                 }
-            } else if let Some(id) = self.find(name) {
-                self.relations[id.index()].magic = !is_excluded(name);
-            } else if self.complete {
-                let message = format!("`.pragma` names `{name}`, which is not declared");
-                let fault = Diagnostic::new(Code::IGNORED, message).at(pragma.place.0, "");
-                faults.push(fault.help("write the name of a predicate, or `*` for all"));
+            };
+            for name in named.split(',').map(str::trim).filter(|name| !name.is_empty()) {
+                if name == "*" {
+                    all = true;
+                } else if let Some(id) = self.find(name) {
+                    self.relations[id.index()].magic = !excluded.contains(name);
+                } else if self.complete {
+                    let message = format!("`.pragma` names `{name}`, which is not declared");
+                    let fault = Diagnostic::new(Code::IGNORED, message).at(pragma.place.0, "");
+                    faults.push(fault.help("write the name of a predicate, or `*` for all"));
+                }
             }
+        }
+        for relation in self.relations.iter_mut().filter(|_| all) {
+            relation.magic |= !excluded.contains(relation.name.as_str());
         }
     }
 

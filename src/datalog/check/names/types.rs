@@ -277,10 +277,7 @@ impl Names {
                 faults.push(fault.also(written[0].place.0, format!("`{}` here", base.name())));
             } else {
                 self.types[at].parent = Some(Self::base_type(base));
-                self.types[at].members.clone_from(&leaves);
-                for member in members.into_iter().chain(leaves) {
-                    self.unions_of.entry(member).or_default().push(id);
-                }
+                self.types[at].members = leaves;
                 continue;
             }
             faulty[at] = true;

@@ -29,6 +29,9 @@ use theory::Constraints;
 /// The optimizer skips bodies with more literals than this.
 const LITERALS_MAX: usize = 64;
 
+/// The most clauses that a message shows as repeating a part.
+const USES_SHOWN: usize = 8;
+
 /// The step limit of the search for subsumed clauses.
 const STEPS_MAX: usize = 10_000_000;
 
@@ -189,7 +192,11 @@ fn worth_a_name(rules: &Rules, uses: &[repeated::Use]) -> Diagnostic {
     let lint = Diagnostic::new(Code::REPEATED_BODY, format!("{} clauses repeat `{body}`", uses.len()))
         .at(clause.span, "first used here");
     let others = uses[1..].iter().map(|one| rules.clauses[one.clause].span);
-    let lint = others.fold(lint, |lint, span| lint.also(span, "repeated here"));
+    let lint = { others.take(USES_SHOWN) }.fold(lint, |lint, span| lint.also(span, "repeated here"));
+    let lint = match uses.len().saturating_sub(1 + USES_SHOWN) {
+        0 => lint,
+        more => lint.note(format!("repeated in {more} more clauses")),
+    };
     lint.help(format!(
         "define a predicate for it and use that: `Name({}) :- {body}.`",
         variables.join(", ")
