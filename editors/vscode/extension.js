@@ -19,7 +19,6 @@ async function start() {
         { scheme: "file", language: "logicity" },
         { scheme: "untitled", language: "logicity" },
       ],
-      synchronize: { fileEvents: vscode.workspace.createFileSystemWatcher("**/*.dl") },
     },
   );
   try {

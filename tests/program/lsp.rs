@@ -1,12 +1,16 @@
 //! The language server: runs the binary and exchanges messages with it.
 
+use crate::cases::cases;
 use lsp_server::{Message, Notification, Request, RequestId};
+use proptest::prelude::*;
+use proptest::test_runner::TestRunner;
 use serde_json::{Value, json};
-use std::collections::VecDeque;
+use std::collections::{BTreeMap, VecDeque};
 use std::fs;
-use std::io::BufReader;
+use std::io::{BufReader, Read, Write};
 use std::path::{Path, PathBuf};
 use std::process::{Child, ChildStdin, ChildStdout, Command, Stdio};
+use std::time::{Duration, Instant};
 
 struct Editor {
     process: Child,
@@ -16,10 +20,19 @@ struct Editor {
     published: VecDeque<Value>,
     folder: tempfile::TempDir,
     next: i32,
+    /// The answer to `initialize`.
+    welcome: Value,
 }
 
 impl Editor {
     fn start() -> Editor {
+        let editor = Editor::with(json!({}), &[]);
+        assert_eq!(editor.welcome["capabilities"]["positionEncoding"], "utf-16");
+        editor
+    }
+
+    /// Starts a client with these capabilities and folders of its workspace, which lie in the folder of the test.
+    fn with(capabilities: Value, folders: &[&str]) -> Editor {
         let folder = tempfile::tempdir().unwrap();
         let mut process = Command::new(env!("CARGO_BIN_EXE_logicity"))
             .arg("lsp")
@@ -36,13 +49,17 @@ impl Editor {
             published: VecDeque::new(),
             folder,
             next: 0,
+            welcome: Value::Null,
         };
-        let answer = editor.ask(
-            "initialize",
-            json!({ "capabilities": {}, "processId": null, "rootUri": null }),
-        );
-        assert_eq!(answer["capabilities"]["hoverProvider"], true);
-        assert_eq!(answer["capabilities"]["positionEncoding"], "utf-16");
+        let mut params = json!({ "capabilities": capabilities, "processId": std::process::id(), "rootUri": null });
+        if !folders.is_empty() {
+            let uris = folders
+                .iter()
+                .map(|name| json!({ "uri": editor.uri(name), "name": name }));
+            params["workspaceFolders"] = uris.collect();
+        }
+        editor.welcome = editor.ask("initialize", params);
+        assert_eq!(editor.welcome["capabilities"]["hoverProvider"], true);
         editor.notify("initialized", json!({}));
         editor
     }
@@ -96,6 +113,54 @@ impl Editor {
         self.diagnostics(name)
     }
 
+    /// Sends changes of ranges: the positions of their ends, and the new text.
+    fn edit(&mut self, name: &str, edits: &[([Value; 2], &str)]) -> Vec<Value> {
+        let changes = edits
+            .iter()
+            .map(|([start, end], text)| json!({ "range": { "start": start, "end": end }, "text": text }));
+        let document = json!({ "uri": self.uri(name), "version": 3 });
+        let params = json!({ "textDocument": document, "contentChanges": changes.collect::<Value>() });
+        self.notify("textDocument/didChange", params);
+        self.diagnostics(name)
+    }
+
+    fn save(&mut self, name: &str) -> Vec<Value> {
+        let params = json!({ "textDocument": { "uri": self.uri(name) } });
+        self.notify("textDocument/didSave", params);
+        self.diagnostics(name)
+    }
+
+    /// Writes a file, and its folder.
+    fn write(&self, name: &str, text: &str) {
+        let path = self.path(name);
+        fs::create_dir_all(path.parent().unwrap()).unwrap();
+        fs::write(path, text).unwrap();
+    }
+
+    /// Returns the path of a URI below the folder of the test.
+    fn name(&self, uri: &str) -> String {
+        let prefix = self.uri("");
+        uri.strip_prefix(&prefix)
+            .unwrap_or_else(|| panic!("{uri} is outside of {prefix}"))
+            .to_owned()
+    }
+
+    /// Renames the name at a place. Returns the new text of each file, given those that are open.
+    fn rename(&mut self, name: &str, place: (u32, u32), new: &str, open: &[(&str, &str)]) -> BTreeMap<String, String> {
+        let edit = self.at("textDocument/rename", name, place, json!({ "newName": new }));
+        let changes = edit["changes"].as_object().unwrap_or_else(|| panic!("{edit}"));
+        let texts = changes.iter().map(|(uri, edits)| {
+            let file = self.name(uri);
+            let text = match open.iter().find(|(name, _)| *name == file) {
+                Some((_, text)) => (*text).to_owned(),
+                None => fs::read_to_string(self.path(&file)).unwrap(),
+            };
+            let text = edited(&text, edits.as_array().unwrap());
+            (file, text)
+        });
+        texts.collect()
+    }
+
     /// The next diagnostics of a text. Keeps those of other texts.
     fn diagnostics(&mut self, name: &str) -> Vec<Value> {
         let uri = self.uri(name);
@@ -138,6 +203,43 @@ impl Editor {
 
 fn range(line: u32, from: u32, to: u32) -> Value {
     json!({ "start": { "line": line, "character": from }, "end": { "line": line, "character": to } })
+}
+
+/// Returns the byte of a position by the words of the protocol, in UTF-16 units.
+fn byte_of(text: &str, position: &Value) -> usize {
+    let [mut line, mut units] = ["line", "character"].map(|part| position[part].as_u64().unwrap());
+    let mut rest = text.char_indices().peekable();
+    while line > 0 {
+        match rest.next() {
+            None => return text.len(),
+            Some((_, '\n')) => line -= 1,
+            Some((_, '\r')) if rest.peek().is_none_or(|(_, next)| *next != '\n') => line -= 1,
+            Some(_) => {}
+        }
+    }
+    while let Some(&(at, c)) = rest.peek() {
+        if matches!(c, '\r' | '\n') || units < c.len_utf16() as u64 {
+            return at;
+        }
+        units -= c.len_utf16() as u64;
+        rest.next();
+    }
+    text.len()
+}
+
+/// Applies edits, which do not overlap, to a text.
+fn edited(text: &str, edits: &[Value]) -> String {
+    let range = |edit: &Value| ["start", "end"].map(|end| byte_of(text, &edit["range"][end]));
+    let mut edits: Vec<([usize; 2], &str)> = edits
+        .iter()
+        .map(|edit| (range(edit), edit["newText"].as_str().unwrap()))
+        .collect();
+    edits.sort_by_key(|(range, _)| *range);
+    let mut text = text.to_owned();
+    for ([start, end], new) in edits.into_iter().rev() {
+        text.replace_range(start..end, new);
+    }
+    text
 }
 
 fn codes(diagnostics: &[Value]) -> Vec<&str> {
@@ -544,8 +646,10 @@ fn a_text_is_formatted() {
 #[test]
 fn no_message_ends_the_server() {
     let mut editor = Editor::start();
-    let refused = editor.ask("textDocument/foldingRange", json!({}));
+    let refused = editor.ask("textDocument/inlayHint", json!({}));
     assert_eq!(refused["code"], -32601);
+    let refused = editor.ask("textDocument/foldingRange", json!({}));
+    assert_eq!(refused["code"], -32602);
     let refused = editor.ask("textDocument/hover", json!({ "position": 3 }));
     assert_eq!(refused["code"], -32602);
     editor.notify("textDocument/didOpen", json!({ "nonsense": true }));
@@ -586,6 +690,960 @@ fn the_shipped_rules_have_no_faults() {
         let diagnostics = editor.open(name, &text);
         let severe: Vec<&Value> = diagnostics.iter().filter(|one| one["severity"] != 3).collect();
         assert!(severe.is_empty(), "{name}: {severe:?}");
+    }
+    editor.end();
+}
+
+/// Two actions that one car can take at once; the second clause is on line 2.
+const CONFLICT: &str = ".include \"vocabulary.dl\"
+Stop(X) :- IsCar(X), CollidingClose(X, _).
+Fast(X) :- IsAmbulance(X).
+";
+
+#[test]
+fn conflicts_between_actions_appear_on_save() {
+    let mut editor = Editor::start();
+    assert_eq!(codes(&editor.open("a.dl", CONFLICT)), Vec::<&str>::new());
+    let saved = editor.save("a.dl");
+    assert_eq!(codes(&saved), ["action-conflict"]);
+    assert_eq!(
+        (&saved[0]["severity"], &saved[0]["range"]["start"]["line"]),
+        (&json!(2), &json!(2))
+    );
+    let message = saved[0]["message"].as_str().unwrap();
+    assert!(
+        message.contains("the rules can derive Stop and Fast for one agent, and Stop wins"),
+        "{message}"
+    );
+    assert_eq!(
+        saved[0]["relatedInformation"][0]["location"]["range"]["start"]["line"],
+        1
+    );
+
+    // The conflict moves with its clauses until one of them changes.
+    let moved = editor.change("a.dl", &CONFLICT.replace("Stop(X) :-", "// \u{1f697}\n\nStop(X) :-"));
+    assert_eq!(
+        (codes(&moved), &moved[0]["range"]["start"]["line"]),
+        (vec!["action-conflict"], &json!(4))
+    );
+    assert_eq!(
+        moved[0]["relatedInformation"][0]["location"]["range"]["start"]["line"],
+        3
+    );
+    let fixed = CONFLICT.replace("IsAmbulance(X).", "IsAmbulance(X), Not(Stop(X)).");
+    assert!(editor.change("a.dl", &fixed).is_empty());
+    assert!(editor.save("a.dl").is_empty());
+
+    // A text that includes the saved one has the conflict at its include.
+    assert!(editor.open("main.dl", ".include \"a.dl\"\n").is_empty());
+    assert!(editor.diagnostics("a.dl").is_empty());
+    editor.change("a.dl", CONFLICT);
+    assert!(editor.diagnostics("main.dl").is_empty());
+    assert_eq!(codes(&editor.save("a.dl")), ["action-conflict"]);
+    let included = editor.diagnostics("main.dl");
+    assert_eq!(
+        (codes(&included), &included[0]["range"]),
+        (vec!["action-conflict"], &range(0, 9, 15))
+    );
+
+    // Rules with errors have no conflicts.
+    editor.change("a.dl", &CONFLICT.replace("IsCar", "IsCat"));
+    editor.diagnostics("main.dl");
+    assert_eq!(codes(&editor.save("a.dl")), ["unknown-predicate"]);
+    editor.end();
+}
+
+/// A workspace in which `main.dl` joins the fragments `decls.dl` and `rules.dl`, and `apart/other.dl` uses the same
+/// name for something else.
+fn workspace(capabilities: Value) -> Editor {
+    let editor = Editor::with(capabilities, &["one", "two"]);
+    editor.write(
+        "one/decls.dl",
+        ".type place <: symbol\n.decl Old(x: place)\n.input Old\n",
+    );
+    editor.write("one/rules.dl", "New(x) :- Old(x), // \u{1f697}\r\n Old(x).\r\n");
+    editor.write(
+        "one/main.dl",
+        ".include \"decls.dl\"\n.decl New(x: place)\n.output New\n.include \"rules.dl\"\n",
+    );
+    editor.write(
+        "two/deep/user.dl",
+        ".include \"../../one/decls.dl\"\n.decl A(x: place)\nA(x) :- Old(x).\n",
+    );
+    editor.write("two/apart.dl", ".decl Old(x: number)\nOld(1).\n");
+    editor.write("two/.hidden/a.dl", ".include \"../../one/decls.dl\"\nOld(\"a\").\n");
+    editor.write("two/made/CACHEDIR.TAG", "");
+    editor.write("two/made/a.dl", ".include \"../../one/decls.dl\"\nOld(\"a\").\n");
+    editor.write("outside.dl", ".include \"one/decls.dl\"\nOld(\"a\").\n");
+    for (link, target) in [
+        ("one/loop", "."),
+        ("two/link", "../one"),
+        ("one/link.dl", "rules.dl"),
+        ("one/gone.dl", "no"),
+    ] {
+        std::os::unix::fs::symlink(target, editor.path(link)).unwrap();
+    }
+    editor
+}
+
+#[test]
+fn references_and_renaming_search_the_folders_of_the_workspace() {
+    let mut editor = workspace(json!({}));
+    // The text of the editor differs from the file on disk.
+    let rules = "New(x) :- Old(x).\n";
+    editor.open("one/rules.dl", rules);
+    let asked = json!({ "context": { "includeDeclaration": true } });
+    let found = editor.at("textDocument/references", "one/rules.dl", (0, 11), asked);
+    let places = |editor: &Editor, found: &Value| -> Vec<(String, Value)> {
+        let found = found.as_array().unwrap_or_else(|| panic!("{found}")).iter();
+        found
+            .map(|one| (editor.name(one["uri"].as_str().unwrap()), one["range"].clone()))
+            .collect()
+    };
+    let expected = [
+        ("one/decls.dl".to_owned(), range(1, 6, 9)),
+        ("one/decls.dl".to_owned(), range(2, 7, 10)),
+        ("one/rules.dl".to_owned(), range(0, 10, 13)),
+        ("two/deep/user.dl".to_owned(), range(2, 8, 11)),
+    ];
+    assert_eq!(places(&editor, &found), expected);
+
+    let renamed = editor.rename("one/rules.dl", (0, 11), "Given", &[("one/rules.dl", rules)]);
+    let expected = [
+        (
+            "one/decls.dl",
+            ".type place <: symbol\n.decl Given(x: place)\n.input Given\n",
+        ),
+        ("one/rules.dl", "New(x) :- Given(x).\n"),
+        (
+            "two/deep/user.dl",
+            ".include \"../../one/decls.dl\"\n.decl A(x: place)\nA(x) :- Given(x).\n",
+        ),
+    ];
+    assert_eq!(
+        renamed,
+        expected.map(|(name, text)| (name.to_owned(), text.to_owned())).into()
+    );
+    // A type, from a file that only includes its declaration.
+    let renamed = editor.rename("one/rules.dl", (0, 1), "Fresh", &[("one/rules.dl", rules)]);
+    assert_eq!(renamed.keys().collect::<Vec<_>>(), ["one/main.dl", "one/rules.dl"]);
+
+    // Names of programs that share a file with the renamed name, also of closed ones.
+    for (new, words) in [
+        ("New", "already declared"),
+        ("A", "already declared"),
+        ("place", "already declared"),
+    ] {
+        let refused = editor.at(
+            "textDocument/rename",
+            "one/rules.dl",
+            (0, 11),
+            json!({ "newName": new }),
+        );
+        assert!(refused["message"].as_str().unwrap().contains(words), "{refused}");
+    }
+    // Without the second folder, its files are out of reach.
+    let folder = json!({ "uri": editor.uri("two"), "name": "two" });
+    let event = json!({ "event": { "added": [], "removed": [folder] } });
+    editor.notify("workspace/didChangeWorkspaceFolders", event);
+    let renamed = editor.rename("one/rules.dl", (0, 11), "A", &[("one/rules.dl", rules)]);
+    assert_eq!(renamed.keys().collect::<Vec<_>>(), ["one/decls.dl", "one/rules.dl"]);
+    // A file that is deleted on disk is still open in the editor.
+    fs::remove_file(editor.path("one/rules.dl")).unwrap();
+    let renamed = editor.rename("one/rules.dl", (0, 11), "A", &[("one/rules.dl", rules)]);
+    assert_eq!(renamed["one/rules.dl"], "New(x) :- A(x).\n");
+    editor.end();
+}
+
+#[test]
+fn edits_name_the_versions_of_open_texts() {
+    let capabilities = json!({ "workspace": { "workspaceEdit": { "documentChanges": true } } });
+    let mut editor = workspace(capabilities);
+    editor.open("one/rules.dl", "New(x) :- Old(x).\n");
+    editor.change("one/rules.dl", "New(x) :- Old(x), Old(_).\n");
+    let edit = editor.at(
+        "textDocument/rename",
+        "one/rules.dl",
+        (0, 11),
+        json!({ "newName": "Given" }),
+    );
+    let changes = edit["documentChanges"].as_array().unwrap();
+    let named: Vec<(String, &Value, usize)> = changes
+        .iter()
+        .map(|change| {
+            let document = &change["textDocument"];
+            let name = editor.name(document["uri"].as_str().unwrap());
+            (name, &document["version"], change["edits"].as_array().unwrap().len())
+        })
+        .collect();
+    let expected = [
+        ("one/decls.dl".to_owned(), &Value::Null, 2),
+        ("one/rules.dl".to_owned(), &json!(2), 2),
+        ("two/deep/user.dl".to_owned(), &Value::Null, 1),
+    ];
+    assert_eq!(named, expected);
+    editor.end();
+}
+
+/// The words of the language that a file could not use as a name.
+const WORDS: &[&str] = &[
+    "count", "sum", "min", "max", "mean", "range", "cat", "as", "match", "contains", "strlen", "band", "lnot", "true",
+    "false", "not", "Not", "_", "1a", "a-b", "a b", "", "number", "\u{e9}",
+];
+
+#[test]
+fn a_rename_never_changes_what_the_text_means() {
+    let mut editor = Editor::start();
+    let text = ".type t <: number\n.decl P, Q(x: t)\n.input Q\nP(x) :- Q(x), y = (x) + 1, y > 3, \
+                n = count : { Q(x), Q(z), z > y }, n > 1.\nP(x) :- Q(x), x = as(3, t).\n";
+    editor.open("a.dl", text);
+    let places = [
+        (1, 6),
+        (3, 0),
+        (3, 8),
+        (0, 6),
+        (3, 19),
+        (3, 2),
+        (3, 14),
+        (4, 24),
+        (3, 60),
+    ];
+    for place in places {
+        for new in WORDS.iter().chain(&["P", "Q", "x", "t", "fine"]) {
+            let answer = editor.at("textDocument/rename", "a.dl", place, json!({ "newName": new }));
+            let Some(changes) = answer["changes"].as_object() else {
+                assert!(answer["message"].is_string(), "{place:?} {new}: {answer}");
+                continue;
+            };
+            let Some(edits) = changes.get(&editor.uri("a.dl")) else {
+                continue;
+            };
+            let renamed = edited(text, edits.as_array().unwrap());
+            let faults = editor.change("a.dl", &renamed);
+            assert!(faults.is_empty(), "{place:?} {new}: {faults:?}\n{renamed}");
+            // Renaming back restores the text, so nothing else has the new name.
+            let line = text.lines().nth(place.0 as usize).unwrap();
+            let old: String = line[place.1 as usize..]
+                .chars()
+                .take_while(char::is_ascii_alphanumeric)
+                .collect();
+            let shift = edits.as_array().unwrap().iter().filter(|edit| {
+                let start = &edit["range"]["start"];
+                start["line"] == place.0 && start["character"].as_u64().unwrap() < u64::from(place.1)
+            });
+            let shift = i64::try_from(shift.count()).unwrap() * (new.len() as i64 - old.len() as i64);
+            let column = u32::try_from(i64::from(place.1) + shift).unwrap();
+            let back = editor.at(
+                "textDocument/rename",
+                "a.dl",
+                (place.0, column),
+                json!({ "newName": old }),
+            );
+            let edits = back["changes"][editor.uri("a.dl")]
+                .as_array()
+                .unwrap_or_else(|| panic!("{new}: {back}"));
+            assert_eq!(edited(&renamed, edits), text, "{place:?} {new}");
+            editor.change("a.dl", text);
+        }
+    }
+    for new in WORDS {
+        let answer = editor.at("textDocument/rename", "a.dl", (3, 19), json!({ "newName": new }));
+        assert!(answer["message"].is_string(), "{new}: {answer}");
+    }
+    // What nothing declares, and what the language declares, keeps its name.
+    editor.change("a.dl", "P(x) :- Q(x).\n");
+    let refused = editor.at("textDocument/rename", "a.dl", (0, 8), json!({ "newName": "R" }));
+    assert!(
+        refused["message"].as_str().unwrap().contains("not declared"),
+        "{refused}"
+    );
+    editor.change("a.dl", text);
+    let renamed = editor.at("textDocument/prepareRename", "a.dl", (0, 12), json!({}));
+    assert_eq!(renamed, Value::Null, "a base type");
+    editor.end();
+}
+
+#[test]
+fn a_built_in_file_keeps_its_names() {
+    let mut editor = Editor::start();
+    let main = ".include \"vocabulary.dl\"\nStop(X) :- IsCar(X), CollidingClose(X, _).\n";
+    editor.open("main.dl", main);
+    let definition = editor.at("textDocument/definition", "main.dl", (1, 12), json!({}));
+    let copy = definition["uri"].as_str().unwrap().to_owned();
+    let name = editor.name(&copy);
+    let text = fs::read_to_string(editor.path(&name)).unwrap();
+    editor.open(&name, &text);
+    let place = &definition["range"]["start"];
+    let place = (
+        place["line"].as_u64().unwrap() as u32,
+        place["character"].as_u64().unwrap() as u32,
+    );
+    // The copy stands for the built-in file: it has the same references, and none of its names can change.
+    let asked = json!({ "context": { "includeDeclaration": true } });
+    let found = editor.at("textDocument/references", &name, place, asked.clone());
+    assert_eq!(found, editor.at("textDocument/references", "main.dl", (1, 12), asked));
+    assert!(
+        found
+            .as_array()
+            .unwrap()
+            .iter()
+            .any(|one| one["uri"] == editor.uri("main.dl")),
+        "{found}"
+    );
+    for (file, place) in [(name.as_str(), place), ("main.dl", (1, 12))] {
+        let refused = editor.at("textDocument/rename", file, place, json!({ "newName": "IsAuto" }));
+        assert!(refused["message"].as_str().unwrap().contains("read-only"), "{refused}");
+    }
+    editor.end();
+}
+
+/// What the server knows of a text.
+fn known(editor: &mut Editor, name: &str, diagnostics: Vec<Value>) -> Value {
+    let of = |editor: &mut Editor, method: &str| editor.of(method, name);
+    let mut diagnostics = Value::from(diagnostics);
+    for one in diagnostics.as_array_mut().unwrap() {
+        one["relatedInformation"].take();
+    }
+    json!({
+        "diagnostics": diagnostics,
+        "tokens": of(editor, "textDocument/semanticTokens/full")["data"],
+        "symbols": of(editor, "textDocument/documentSymbol").as_array().unwrap().iter().map(|one| one["location"]["range"].clone()).collect::<Value>(),
+        "folds": of(editor, "textDocument/foldingRange"),
+        "format": of(editor, "textDocument/formatting"),
+    })
+}
+
+#[test]
+fn incremental_changes_equal_the_whole_text() {
+    let mut editor = Editor::start();
+    editor.open("a.dl", "");
+    editor.open("b.dl", "");
+    editor.diagnostics("a.dl");
+    let part = prop_oneof![
+        Just(".decl A(x: symbol)"),
+        Just("A(\"\u{1f697}\")."),
+        Just("\n"),
+        Just("\r\n"),
+        Just("\r"),
+        Just("// \u{1f697}\u{e9}"),
+        Just("A(x) :- A(x), x != \"b\"."),
+        Just("/* "),
+        Just(" */"),
+        Just("\""),
+        Just("\u{1f697}"),
+        Just(" "),
+        Just("A"),
+        Just("("),
+        Just(","),
+    ];
+    let text = proptest::collection::vec(part, 0..12).prop_map(|parts| parts.concat());
+    let position = || (0_u32..14, 0_u32..24);
+    let edit = (position(), position(), text.clone());
+    let strategy = (
+        text,
+        proptest::collection::vec(proptest::collection::vec(edit, 1..4), 1..5),
+    );
+    let mut runner = TestRunner::new(cases(64));
+    let editor = std::cell::RefCell::new(editor);
+    let checked = runner.run(&strategy, |(mut plain, batches)| {
+        let editor = &mut *editor.borrow_mut();
+        editor.change("a.dl", &plain);
+        for batch in batches {
+            let mut edits = Vec::new();
+            for (one, other, new) in &batch {
+                let [start, end] = [one.min(other), one.max(other)]
+                    .map(|(line, character)| json!({ "line": line, "character": character }));
+                let bytes = byte_of(&plain, &start)..byte_of(&plain, &end);
+                plain.replace_range(bytes, new);
+                edits.push(([start, end], new.as_str()));
+            }
+            let diagnostics = editor.edit("a.dl", &edits);
+            let fast = known(editor, "a.dl", diagnostics);
+            let diagnostics = editor.change("b.dl", &plain);
+            let slow = known(editor, "b.dl", diagnostics);
+            prop_assert_eq!(&fast.to_string(), &slow.to_string(), "{:?}", plain);
+        }
+        Ok(())
+    });
+    checked.unwrap();
+    editor.into_inner().end();
+}
+
+#[test]
+fn the_client_chooses_the_unit_of_columns() {
+    for (encodings, chosen, column) in [
+        (json!(["utf-8", "utf-16"]), "utf-8", 8 + 4 + 3),
+        (json!(["utf-32"]), "utf-32", 8 + 1 + 3),
+        (json!(["utf-7", "utf-16"]), "utf-16", 8 + 2 + 3),
+        (json!(["utf-7"]), "utf-16", 8 + 2 + 3),
+    ] {
+        let mut editor = Editor::with(json!({ "general": { "positionEncodings": encodings } }), &[]);
+        assert_eq!(editor.welcome["capabilities"]["positionEncoding"], chosen);
+        editor.open("a.dl", ".decl A(x: symbol)\n/* \u{1f697} */A(\"b\").\n");
+        let _ = column;
+        let found = editor.at(
+            "textDocument/references",
+            "a.dl",
+            (0, 6),
+            json!({ "context": { "includeDeclaration": false } }),
+        );
+        let column = column - 5;
+        assert_eq!(found[0]["range"], range(1, column, column + 1), "{chosen}");
+        let shown = editor.at("textDocument/hover", "a.dl", (1, column), json!({}));
+        assert_eq!(shown["range"], range(1, column, column + 1), "{chosen}");
+        // Edits use the same unit.
+        let at = |character: u32| json!({ "line": 1, "character": character });
+        let faults = editor.edit("a.dl", &[([at(column), at(column + 1)], "B")]);
+        assert_eq!(
+            (codes(&faults), &faults[0]["range"]),
+            (vec!["unknown-predicate"], &range(1, column, column + 1))
+        );
+        editor.end();
+    }
+}
+
+/// Returns the words of a text with their types, from the numbers of the protocol.
+fn tokens(editor: &Editor, text: &str, data: &Value) -> Vec<(usize, String, String)> {
+    let legend = &editor.welcome["capabilities"]["semanticTokensProvider"]["legend"];
+    let numbers: Vec<u64> = data
+        .as_array()
+        .unwrap()
+        .iter()
+        .map(|one| one.as_u64().unwrap())
+        .collect();
+    let (mut line, mut column) = (0, 0);
+    let decoded = numbers.chunks(5).map(|token| {
+        if token[0] > 0 {
+            (line, column) = (line + token[0], 0);
+        }
+        column += token[1];
+        let [start, end] = [column, column + token[2]]
+            .map(|character| byte_of(text, &json!({ "line": line, "character": character })));
+        let mut kind = legend["tokenTypes"][token[3] as usize].as_str().unwrap().to_owned();
+        for (bit, modifier) in legend["tokenModifiers"].as_array().unwrap().iter().enumerate() {
+            if token[4] >> bit & 1 == 1 {
+                kind += &format!(" {}", modifier.as_str().unwrap());
+            }
+        }
+        (start, text[start..end].to_owned(), kind)
+    });
+    decoded.collect()
+}
+
+#[test]
+fn words_have_semantic_tokens() {
+    let mut editor = Editor::start();
+    let text = ".include \"vocabulary.dl\"\r\n/* \u{1f697}\r\n two */ .type t <: number // one\n\
+                .decl P(x: t)\nP(x) :- Not(IsCar(y)), x = count : { Sees(y, _) }, x = 3 band strlen(\"\u{1f697}\").\n";
+    editor.open("a.dl", text);
+    let full = editor.of("textDocument/semanticTokens/full", "a.dl");
+    let found = tokens(&editor, text, &full["data"]);
+    let shown: Vec<(&str, &str)> = found
+        .iter()
+        .map(|(_, word, kind)| (word.as_str(), kind.as_str()))
+        .collect();
+    let expected = [
+        (".include", "keyword"),
+        ("\"vocabulary.dl\"", "string"),
+        ("/* \u{1f697}", "comment"),
+        (" two */", "comment"),
+        (".type", "keyword"),
+        ("t", "type declaration"),
+        ("number", "type defaultLibrary"),
+        ("// one", "comment"),
+        (".decl", "keyword"),
+        ("P", "function declaration"),
+        ("x", "parameter declaration"),
+        ("t", "type"),
+        ("P", "function definition"),
+        ("x", "variable"),
+        ("Not", "keyword"),
+        ("IsCar", "function defaultLibrary"),
+        ("y", "variable"),
+        ("x", "variable"),
+        ("count", "keyword"),
+        ("Sees", "function defaultLibrary"),
+        ("y", "variable"),
+        ("x", "variable"),
+        ("3", "number"),
+        ("band", "operator"),
+        ("strlen", "function defaultLibrary"),
+        ("\"\u{1f697}\"", "string"),
+    ];
+    assert_eq!(shown, expected);
+
+    // A range has those of the whole that touch it.
+    for (from, to) in [((0, 0), (99, 0)), ((3, 0), (4, 3)), ((1, 0), (2, 1)), ((5, 0), (6, 0))] {
+        let [start, end] = [from, to].map(|(line, character)| json!({ "line": line, "character": character }));
+        let bytes = byte_of(text, &start)..byte_of(text, &end);
+        let params = json!({ "textDocument": { "uri": editor.uri("a.dl") }, "range": { "start": start, "end": end } });
+        let part = editor.ask("textDocument/semanticTokens/range", params);
+        let touching = found
+            .iter()
+            .filter(|(start, word, _)| *start < bytes.end && bytes.start < start + word.len());
+        assert_eq!(
+            tokens(&editor, text, &part["data"]),
+            touching.cloned().collect::<Vec<_>>()
+        );
+    }
+
+    // A delta turns the former answer into the new one.
+    let mut data: Vec<Value> = full["data"].as_array().unwrap().clone();
+    let mut name = full["resultId"].clone();
+    for changed in [
+        text.replace("3 band", "4 band 5 band"),
+        text.to_owned(),
+        text.to_owned(),
+        String::new(),
+        text.to_owned(),
+    ] {
+        editor.change("a.dl", &changed);
+        let params = json!({ "textDocument": { "uri": editor.uri("a.dl") }, "previousResultId": name });
+        let delta = editor.ask("textDocument/semanticTokens/full/delta", params);
+        for edit in delta["edits"].as_array().unwrap() {
+            let [start, count] = ["start", "deleteCount"].map(|key| edit[key].as_u64().unwrap() as usize);
+            let added = edit["data"].as_array().into_iter().flatten().cloned();
+            data.splice(start..start + count, added);
+        }
+        name = delta["resultId"].clone();
+        let full = editor.of("textDocument/semanticTokens/full", "a.dl");
+        assert_eq!(Value::from(data.clone()), full["data"]);
+        name = if full["resultId"] == Value::Null {
+            name
+        } else {
+            full["resultId"].clone()
+        };
+    }
+    // An unknown result has no delta.
+    let params = json!({ "textDocument": { "uri": editor.uri("a.dl") }, "previousResultId": "none" });
+    let whole = editor.ask("textDocument/semanticTokens/full/delta", params);
+    assert_eq!(whole["data"], Value::from(data));
+    editor.end();
+}
+
+#[test]
+fn parts_of_a_text_can_be_folded() {
+    let text = "\
+// one
+// two
+.include \"vocabulary.dl\"
+.include \"vocabulary.dl\"
+.decl P(
+  x: agent
+)
+.scope Sees
+Stop(X) :-
+  IsCar(X),
+  count : {
+    IsClose(X, Y)
+  } > 1.
+.scope
+/* three
+*/
+P(\"a\"). // four
+";
+    let mut editor = Editor::with(
+        json!({ "textDocument": { "foldingRange": { "lineFoldingOnly": true } } }),
+        &[],
+    );
+    editor.open("a.dl", text);
+    let lines = |folds: &Value| -> Vec<(u64, u64, String)> {
+        let folds = folds.as_array().unwrap().iter();
+        folds
+            .map(|fold| {
+                assert!(fold.get("startCharacter").is_none(), "{fold}");
+                let [start, end] = ["startLine", "endLine"].map(|key| fold[key].as_u64().unwrap());
+                (start, end, fold["kind"].as_str().unwrap_or_default().to_owned())
+            })
+            .collect()
+    };
+    let expected = [
+        (0, 1, "comment"),
+        (2, 3, "imports"),
+        (4, 6, ""),
+        (7, 12, "region"),
+        (8, 12, ""),
+        (10, 12, ""),
+        (14, 15, "comment"),
+    ];
+    let found = editor.of("textDocument/foldingRange", "a.dl");
+    assert_eq!(
+        lines(&found),
+        expected.map(|(start, end, kind)| (start, end, kind.to_owned()))
+    );
+    editor.end();
+
+    let mut editor = Editor::with(json!({ "textDocument": { "foldingRange": { "rangeLimit": 2 } } }), &[]);
+    editor.open("a.dl", text);
+    let found = editor.of("textDocument/foldingRange", "a.dl");
+    assert_eq!(found.as_array().unwrap().len(), 2);
+    assert_eq!(
+        (&found[0]["startCharacter"], &found[0]["endCharacter"]),
+        (&json!(0), &json!(6))
+    );
+    editor.end();
+}
+
+#[test]
+fn occurrences_in_the_text_are_highlighted() {
+    let mut editor = Editor::start();
+    editor.open("a.dl", RULES);
+    let found = editor.at("textDocument/documentHighlight", "a.dl", (5, 1), json!({}));
+    let column = "/* \u{e9} \u{1f697} */ ".encode_utf16().count() as u32;
+    let body = column + "Way(x, z) :- ".len() as u32;
+    let expected = [(3, 6, 3), (4, column, 3), (4, body, 2), (5, 0, 3)];
+    let expected = expected.map(|(line, start, kind)| json!({ "range": range(line, start, start + 3), "kind": kind }));
+    assert_eq!(found, Value::from(expected.to_vec()));
+    // A variable of one clause.
+    let found = editor.at("textDocument/documentHighlight", "a.dl", (5, 4), json!({}));
+    assert_eq!(found.as_array().unwrap().len(), 2);
+    assert_eq!(
+        editor.at("textDocument/documentHighlight", "a.dl", (99, 4), json!({})),
+        Value::Null
+    );
+    editor.end();
+}
+
+#[test]
+fn the_columns_of_an_atom_are_shown_while_it_is_written() {
+    let mut editor = Editor::start();
+    let text = "/// A road \u{1f697}.\n.decl Road(from: symbol, to: symbol)\n.decl P(x: symbol)\nP(x) :- Road(x, \"a, (\", y), n = count : { Road(";
+    editor.open("a.dl", text);
+    let line = text.lines().last().unwrap();
+    let mut help = |before: &str| {
+        let column = (line.find(before).unwrap() + before.len()) as u32;
+        let answer = editor.at("textDocument/signatureHelp", "a.dl", (3, column), json!({}));
+        let signature = &answer["signatures"][0];
+        let parameters = signature["parameters"].as_array().into_iter().flatten();
+        let labels: Vec<String> = parameters
+            .map(|one| one["label"].as_str().unwrap().to_owned())
+            .collect();
+        (
+            signature["label"].as_str().unwrap_or_default().to_owned(),
+            labels.join("; "),
+            answer["activeParameter"].clone(),
+        )
+    };
+    let road = |active: u64| {
+        (
+            "Road(from: symbol, to: symbol)".to_owned(),
+            "from: symbol; to: symbol".to_owned(),
+            json!(active),
+        )
+    };
+    let none = (String::new(), String::new(), Value::Null);
+    assert_eq!(help("Road("), road(0));
+    assert_eq!(help("Road(x,"), road(1));
+    assert_eq!(help("\"a, ("), none, "in a string");
+    assert_eq!(help("(\", y"), road(2));
+    assert_eq!(help("y), n"), none, "after the atom");
+    assert_eq!(help("{ "), none, "in an aggregate");
+    assert_eq!(help("{ Road("), road(0));
+    assert_eq!(
+        help("P("),
+        ("P(x: symbol)".to_owned(), "x: symbol".to_owned(), json!(0))
+    );
+    editor.change(
+        "a.dl",
+        ".decl A(x: symbol)\n.input A(filename=\"a\")\nA(x) :- x = cat(\"a\", \"b\", \"c\", substr( // f(\n",
+    );
+    let mut at = |line: u32, column: u32| {
+        let answer = editor.at("textDocument/signatureHelp", "a.dl", (line, column), json!({}));
+        (
+            answer["signatures"][0]["label"].clone(),
+            answer["activeParameter"].clone(),
+        )
+    };
+    assert_eq!(at(0, 8).0, Value::Null, "a declaration");
+    assert_eq!(at(1, 9).0, Value::Null, "the options of a directive");
+    assert_eq!(at(2, 16), (json!("cat(s, t, ...)"), json!(0)));
+    assert_eq!(at(2, 31), (json!("cat(s, t, ...)"), json!(2)));
+    assert_eq!(at(2, 38), (json!("substr(s, from, length)"), json!(0)));
+    assert_eq!(at(2, 44).0, Value::Null, "a comment");
+    editor.end();
+}
+
+#[test]
+fn symbols_of_the_workspace_are_found_by_their_letters() {
+    let mut editor = workspace(json!({}));
+    editor.open("two/new.dl", ".decl OlderName(x: symbol)\n");
+    let mut named = |query: &str| -> Vec<String> {
+        let found = editor.ask("workspace/symbol", json!({ "query": query }));
+        let found = found.as_array().unwrap().iter();
+        found
+            .map(|one| {
+                let uri = editor.name(one["location"]["uri"].as_str().unwrap());
+                format!(
+                    "{} {uri}:{}",
+                    one["name"].as_str().unwrap(),
+                    one["location"]["range"]["start"]["line"]
+                )
+            })
+            .collect()
+    };
+    assert_eq!(
+        named("old"),
+        ["Old one/decls.dl:1", "Old two/apart.dl:0", "OlderName two/new.dl:0"]
+    );
+    assert_eq!(named("ON"), ["OlderName two/new.dl:0"]);
+    assert_eq!(named("PLACE"), ["place one/decls.dl:0"]);
+    assert_eq!(named("zz"), Vec::<String>::new());
+    assert!(named("").len() >= 6);
+    editor.end();
+}
+
+#[test]
+fn changes_on_disk_reach_the_texts_that_include_a_file() {
+    let capabilities = json!({ "workspace": { "didChangeWatchedFiles": { "dynamicRegistration": true } } });
+    let mut editor = Editor::with(capabilities, &[]);
+    // The server asks the client to watch rule files.
+    match Message::read(&mut editor.from).unwrap() {
+        Some(Message::Request(request)) => {
+            assert_eq!(request.method, "client/registerCapability");
+            assert_eq!(
+                request.params["registrations"][0]["registerOptions"]["watchers"][0]["globPattern"],
+                "**/*.dl"
+            );
+            editor.send(Message::Response(lsp_server::Response::new_ok(request.id, Value::Null)));
+        }
+        other => panic!("{other:?}"),
+    }
+    assert_eq!(
+        codes(&editor.open("main.dl", ".include \"parts.dl\"\nA(\"a\").\n")),
+        ["missing-include"]
+    );
+    let changed = |editor: &mut Editor, kind: u32| {
+        let change = json!({ "uri": editor.uri("parts.dl"), "type": kind });
+        editor.notify("workspace/didChangeWatchedFiles", json!({ "changes": [change] }));
+        editor.diagnostics("main.dl")
+    };
+    editor.write("parts.dl", ".decl A(x: symbol)\n");
+    assert!(changed(&mut editor, 1).is_empty());
+    editor.write("parts.dl", ".decl A(x: number)\n");
+    assert_eq!(codes(&changed(&mut editor, 2)), ["type-mismatch"]);
+    fs::rename(editor.path("parts.dl"), editor.path("part.dl")).unwrap();
+    assert_eq!(codes(&changed(&mut editor, 3)), ["missing-include"]);
+    editor.end();
+}
+
+#[test]
+fn a_client_gets_what_it_can_show() {
+    let hover = json!({ "hover": { "contentFormat": ["plaintext"] }, "documentSymbol": { "hierarchicalDocumentSymbolSupport": true },
+        "rename": { "prepareSupport": true }, "signatureHelp": { "signatureInformation": { "parameterInformation": { "labelOffsetSupport": true } } } });
+    let mut editor = Editor::with(json!({ "textDocument": hover }), &[]);
+    assert_eq!(
+        editor.welcome["capabilities"]["renameProvider"],
+        json!({ "prepareProvider": true })
+    );
+    editor.open("a.dl", RULES);
+    let shown = editor.at("textDocument/hover", "a.dl", (5, 14), json!({}));
+    assert_eq!(
+        shown["contents"],
+        json!({ "kind": "plaintext", "value": ".decl Road(x: place, y: place)\n\nA road for cars." })
+    );
+    let symbols = editor.of("textDocument/documentSymbol", "a.dl");
+    assert_eq!(symbols[1]["selectionRange"], range(2, 6, 10));
+    let help = editor.at("textDocument/signatureHelp", "a.dl", (5, 18), json!({}));
+    assert_eq!(
+        help["signatures"][0]["parameters"],
+        json!([{ "label": [5, 13] }, { "label": [15, 23] }])
+    );
+    editor.end();
+
+    let mut editor = Editor::start();
+    assert_eq!(editor.welcome["capabilities"]["renameProvider"], true);
+    editor.open("a.dl", RULES);
+    let symbols = editor.of("textDocument/documentSymbol", "a.dl");
+    assert_eq!(
+        symbols[1]["location"],
+        json!({ "uri": editor.uri("a.dl"), "range": range(2, 6, 10) })
+    );
+    editor.end();
+}
+
+/// Sends bytes to the server. Returns its exit code and what it wrote.
+fn exchanged(messages: &[&str]) -> (Option<i32>, String) {
+    let mut process = Command::new(env!("CARGO_BIN_EXE_logicity"))
+        .arg("lsp")
+        .stdin(Stdio::piped())
+        .stdout(Stdio::piped())
+        .stderr(Stdio::null())
+        .spawn()
+        .unwrap();
+    let mut to = process.stdin.take().unwrap();
+    for text in messages {
+        write!(to, "Content-Length: {}\r\n\r\n{text}", text.len()).unwrap();
+    }
+    drop(to);
+    let mut written = String::new();
+    process.stdout.take().unwrap().read_to_string(&mut written).unwrap();
+    (process.wait().unwrap().code(), written)
+}
+
+#[test]
+fn the_server_keeps_to_the_life_that_the_protocol_prescribes() {
+    let begin = r#"{"jsonrpc":"2.0","id":1,"method":"initialize","params":{"capabilities":{}}}"#;
+    let begun = r#"{"jsonrpc":"2.0","method":"initialized","params":{}}"#;
+    let early = r#"{"jsonrpc":"2.0","id":"early","method":"textDocument/hover","params":{}}"#;
+    let down = r#"{"jsonrpc":"2.0","id":2,"method":"shutdown"}"#;
+    let late = r#"{"jsonrpc":"2.0","id":3,"method":"workspace/symbol","params":{"query":""}}"#;
+    let exit = r#"{"jsonrpc":"2.0","method":"exit"}"#;
+    // What it sends, the exit code, and parts of the answers.
+    let cases: [(&[&str], i32, &[&str]); 9] = [
+        (
+            &[early, begin, begun, down, exit],
+            0,
+            &["-32002", r#""id":"early""#, r#""id":2,"result":null"#],
+        ),
+        (&[begin, down, late, exit], 0, &["-32600", r#""id":3"#]),
+        (&[begin, begin, down, exit], 0, &["-32600"]),
+        (&[begin, begun, exit], 1, &["capabilities"]),
+        (&[exit], 1, &[]),
+        (&[begin, begun], 0, &["capabilities"]),
+        (&[begin, begun, down], 0, &[r#""id":2,"result":null"#]),
+        (
+            &[begin, "{", begun, down, exit],
+            0,
+            &["-32700", r#""id":null"#, r#""id":2,"result":null"#],
+        ),
+        (
+            &[
+                begin,
+                "[]",
+                r#"{"jsonrpc":"2.0"}"#,
+                r#"{"id":{},"method":"x"}"#,
+                "null",
+                down,
+                exit,
+            ],
+            0,
+            &["-32700", r#""id":2,"result":null"#],
+        ),
+    ];
+    for (messages, code, parts) in cases {
+        let (found, written) = exchanged(messages);
+        assert_eq!(found, Some(code), "{messages:?}: {written}");
+        for part in parts {
+            assert!(written.contains(part), "{messages:?}: {written}");
+        }
+    }
+}
+
+#[test]
+fn a_cancelled_request_is_not_answered_in_full() {
+    let mut editor = Editor::start();
+    // The check of a long text keeps the server busy, so that it sees the cancellation first.
+    let facts: String = (0..20_000).map(|number| format!("A({number}).\n")).collect();
+    let document = json!({ "uri": editor.uri("a.dl"), "languageId": "logicity", "version": 1, "text": format!(".decl A(x: number)\n{facts}") });
+    editor.notify("textDocument/didOpen", json!({ "textDocument": document }));
+    let id = RequestId::from("long".to_owned());
+    let params = json!({ "query": "" });
+    editor.send(Message::Request(Request::new(
+        id.clone(),
+        "workspace/symbol".to_owned(),
+        params,
+    )));
+    editor.notify("$/cancelRequest", json!({ "id": "long" }));
+    editor.notify("$/cancelRequest", json!({ "id": 77 }));
+    let answer = loop {
+        if let Message::Response(response) = Message::read(&mut editor.from).unwrap().unwrap() {
+            break response;
+        }
+    };
+    assert_eq!(answer.id, id);
+    assert_eq!(answer.response_result.unwrap_err().code, -32800);
+    assert!(editor.ask("workspace/symbol", json!({ "query": "" })).is_array());
+    editor.end();
+}
+
+#[test]
+fn the_server_ends_with_the_process_of_its_client() {
+    let mut client = Command::new("sleep").arg("100").spawn().unwrap();
+    let mut server = Command::new(env!("CARGO_BIN_EXE_logicity"))
+        .arg("lsp")
+        .stdin(Stdio::piped())
+        .stdout(Stdio::piped())
+        .spawn()
+        .unwrap();
+    let mut to = server.stdin.take().unwrap();
+    let params = json!({ "processId": client.id(), "capabilities": {} });
+    Message::Request(Request::new(1.into(), "initialize".to_owned(), params))
+        .write(&mut to)
+        .unwrap();
+    let mut from = BufReader::new(server.stdout.take().unwrap());
+    assert!(Message::read(&mut from).unwrap().is_some());
+    client.kill().unwrap();
+    client.wait().unwrap();
+    // The connection stays open.
+    assert_eq!(server.wait().unwrap().code(), Some(1));
+    drop(to);
+}
+
+/// Long texts, for which a step that is quadratic in their length takes minutes.
+#[test]
+fn long_texts_are_checked_in_seconds() {
+    const LINES: usize = 36_000;
+    let many = |line: &dyn Fn(usize) -> String, lines: usize| (0..LINES / lines).map(line).collect::<String>();
+    let begin = ".decl A, C(x: symbol)\n.input A, C\n.implies A, C\n";
+    let texts = [
+        many(&|n| format!(".decl P{n}(x: number)\n.output P{n}\nP{n}({n}).\n"), 3),
+        many(
+            &|n| format!(".decl P{n}(x: number)\n.pragma \"magic-transform\" \"P{n},*\"\n"),
+            2,
+        ),
+        many(&|n| format!("/// doc\n.decl P{n}(x: number)\n"), 2),
+        begin.to_owned()
+            + &many(
+                &|n| format!(".decl B{n}(x: symbol)\n.output B{n}\nB{n}(x) :- A(x), C(x), x != \"k{n}\".\n"),
+                60,
+            ),
+        begin.to_owned()
+            + ".decl B(x: symbol)\n.output B\n"
+            + &many(&|n| format!("B(x) :- A(x), A(y), C(x), x != y, x != \"k{n}\".\n"), 60),
+        many(
+            &|n| {
+                format!(
+                    ".type t{n} <: number\n.type u{n} = t{n} | t0\n.decl P{n}(x: u{n})\nP{n}(x) :- P{n}(x), P0(x).\n"
+                )
+            },
+            12,
+        ),
+        ".decl A(x: number)\n.output A\n".to_owned() + &many(&|n| format!("A({n}). /* \u{1f697} */ "), 6),
+    ];
+    let mut editor = Editor::start();
+    editor.open("a.dl", "");
+    for text in &texts {
+        let start = Instant::now();
+        // The number of lints has a bound, too.
+        assert!(editor.change("a.dl", text).len() < 500);
+        let last = text.lines().count() as u32;
+        editor.edit(
+            "a.dl",
+            &[(
+                [
+                    json!({ "line": last, "character": 0 }),
+                    json!({ "line": last, "character": 0 }),
+                ],
+                "A",
+            )],
+        );
+        let found = editor.at("textDocument/completion", "a.dl", (last, 1), json!({}));
+        let items = found.as_array().or(found["items"].as_array()).unwrap();
+        assert!(items.len() < 1100, "{}", items.len());
+        for method in [
+            "textDocument/documentSymbol",
+            "textDocument/foldingRange",
+            "textDocument/semanticTokens/full",
+        ] {
+            editor.of(method, "a.dl");
+        }
+        editor.at("textDocument/documentHighlight", "a.dl", (2, 7), json!({}));
+        assert!(
+            start.elapsed() < Duration::from_secs(60),
+            "{:?}: {}",
+            start.elapsed(),
+            &text[..60]
+        );
     }
     editor.end();
 }

@@ -1,6 +1,8 @@
 //! Tests of the binary, and checks of the repository as a whole.
 
 mod ask;
+#[path = "../../src/cases.rs"]
+mod cases;
 mod cli;
 mod diagnostics;
 mod diff;
@@ -12,6 +14,7 @@ mod grammar;
 mod hostile;
 mod induce;
 mod layers;
+#[cfg(unix)]
 mod lsp;
 #[cfg(target_os = "linux")]
 mod memory;

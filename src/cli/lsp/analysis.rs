@@ -1,25 +1,60 @@
 //! One rule file with its includes: its diagnostics, and the names in it with their meanings.
 
 use crate::builtin;
+use crate::cli::lsp::place::{Encoding, Text};
 use crate::datalog;
 use crate::datalog::ast;
 use crate::datalog::ast::{Item, Literal, Name, Term, TermKind, TypeDefinition};
 use crate::datalog::print;
 use crate::datalog::{Program, optimize};
-use crate::diag::{Code, Diagnostic, Fix, SourceId, Sources, Span};
+use crate::diag::{Code, Diagnostic, Fix, MAX_FAULTS, SourceId, Sources, Span};
 use crate::files::{BUILTIN_FOLDER, ReadFile, normalize};
 use crate::sim::city_lints;
+use std::collections::{BTreeMap, HashMap};
+use std::ops::Range;
 use std::path::{Path, PathBuf};
 
 /// The meaning of a name.
-#[derive(Clone, Debug, PartialEq, Eq)]
+#[derive(Clone, Debug, PartialEq, Eq, Hash)]
 pub enum Meaning {
     Predicate(String),
     Type(String),
-    /// An include, and the text it refers to if that exists.
-    Include(Option<SourceId>),
+    /// The path of an include.
+    Include(String),
     /// A variable of the clause at this place.
     Variable(Span, String),
+}
+
+impl Meaning {
+    /// Returns the name, or the path of an include.
+    pub fn name(&self) -> &str {
+        match self {
+            Meaning::Predicate(name) | Meaning::Type(name) | Meaning::Include(name) | Meaning::Variable(_, name) => {
+                name
+            }
+        }
+    }
+
+    /// Returns the same kind of meaning with another name.
+    pub fn renamed(&self, name: &str) -> Meaning {
+        let name = name.to_owned();
+        match self {
+            Meaning::Predicate(_) => Meaning::Predicate(name),
+            Meaning::Type(_) => Meaning::Type(name),
+            Meaning::Include(_) => Meaning::Include(name),
+            Meaning::Variable(clause, _) => Meaning::Variable(*clause, name),
+        }
+    }
+}
+
+/// The part of an occurrence in the life of its name.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Role {
+    /// It declares the name.
+    Declares,
+    /// It is the head of a clause.
+    Derives,
+    Uses,
 }
 
 /// A name in the text.
@@ -27,8 +62,13 @@ pub enum Meaning {
 pub struct Occurrence {
     pub span: Span,
     pub meaning: Meaning,
-    /// Whether this occurrence declares the name.
-    pub declares: bool,
+    pub role: Role,
+}
+
+impl Occurrence {
+    pub fn declares(&self) -> bool {
+        self.role == Role::Declares
+    }
 }
 
 /// The result for one file, which is the first text of `sources`.
@@ -38,20 +78,32 @@ pub struct Analysis {
     pub diagnostics: Vec<Diagnostic>,
     /// Lints: literals and clauses that are always true or redundant.
     pub hints: Vec<Diagnostic>,
+    /// The rules with their plans, if they have no errors.
+    pub program: Option<Program>,
     pub files: Vec<(SourceId, ast::File)>,
+    /// All names, in the order of the texts.
     pub occurrences: Vec<Occurrence>,
-    /// The clause whose names are being collected.
-    clause: Option<Span>,
+    /// The lines of each text.
+    texts: BTreeMap<SourceId, Text>,
+    /// The positions of a name in `occurrences`.
+    by_meaning: HashMap<Meaning, Vec<usize>>,
+    /// The file, the item in it, and the name in that, where a name is declared first.
+    declarations: HashMap<Meaning, [usize; 3]>,
+    /// The texts by normalized path.
+    by_path: HashMap<PathBuf, SourceId>,
+    /// The first include of each text.
+    included_by: BTreeMap<SourceId, Span>,
 }
 
 impl Analysis {
     /// Reads, checks and lints a text with this path.
-    pub fn new(path: &Path, text: &str, read: &dyn ReadFile) -> Analysis {
+    pub fn new(path: &Path, text: &str, read: &dyn ReadFile, encoding: Encoding) -> Analysis {
         let mut sources = Sources::new();
         let entry = sources.add(path.display().to_string(), text);
         let loaded = datalog::load(&mut sources, entry, read);
         let mut diagnostics = loaded.diagnostics;
         let mut hints = Vec::new();
+        let mut program = None;
         if let Some(rules) = loaded.rules {
             for lint in optimize::lints(&rules).diagnostics {
                 match lint.code {
@@ -60,80 +112,132 @@ impl Analysis {
                 }
             }
             diagnostics.extend(city_lints(&rules, None));
-            diagnostics.extend(Program::new(rules).err());
+            match Program::new(rules) {
+                Ok(planned) => program = Some(planned),
+                Err(fault) => diagnostics.push(fault),
+            }
         }
+        cap(&mut hints);
+        cap(&mut diagnostics);
         let files: Vec<(SourceId, ast::File)> = (sources.ids())
             .map(|id| (id, datalog::parse(&sources, id).file))
             .collect();
+        let occurrences: Vec<Occurrence> = files.iter().flat_map(|(_, file)| occurrences(file)).collect();
+        let mut by_meaning: HashMap<Meaning, Vec<usize>> = HashMap::new();
+        for (at, one) in occurrences.iter().enumerate() {
+            by_meaning.entry(one.meaning.clone()).or_default().push(at);
+        }
+        let texts = sources
+            .ids()
+            .map(|id| (id, Text::new(sources.text(id).to_owned(), encoding)));
+        let mut by_path = HashMap::new();
+        for id in sources.ids() {
+            by_path.entry(normalize(Path::new(sources.name(id)))).or_insert(id);
+        }
         let mut analysis = Analysis {
-            sources,
             entry,
             diagnostics,
             hints,
-            files: Vec::new(),
-            occurrences: Vec::new(),
-            clause: None,
+            program,
+            texts: texts.collect(),
+            by_meaning,
+            declarations: declarations(&files),
+            by_path,
+            included_by: BTreeMap::new(),
+            sources,
+            files,
+            occurrences,
         };
-        for (id, file) in &files {
-            file.items.iter().for_each(|item| analysis.item(*id, item));
+        for one in &analysis.occurrences {
+            if let Meaning::Include(path) = &one.meaning
+                && let Some(target) = analysis.target(one.span.source, path)
+            {
+                analysis.included_by.entry(target).or_insert(one.span);
+            }
         }
-        analysis.files = files;
         analysis
+    }
+
+    /// Returns a text with its lines.
+    pub fn text(&self, id: SourceId) -> &Text {
+        &self.texts[&id]
+    }
+
+    /// Returns whether the analysis read a file, or looked for one in vain.
+    pub fn depends_on(&self, path: &Path) -> bool {
+        self.by_path.contains_key(path)
+            || self.occurrences.iter().any(|one| match &one.meaning {
+                Meaning::Include(include) => self.target(one.span.source, include).is_none(),
+                _ => false,
+            })
     }
 
     /// Returns the name at a byte of the file itself.
     pub fn at(&self, byte: usize) -> Option<&Occurrence> {
-        self.occurrences.iter().find(|one| {
-            let bytes = one.span.range();
-            one.span.source == self.entry && bytes.start <= byte && byte <= bytes.end
-        })
+        let place = |one: &Occurrence| (one.span.source, one.span.start as usize);
+        let after = self.occurrences.partition_point(|one| place(one) <= (self.entry, byte));
+        let found = self.occurrences[..after].last()?;
+        (found.span.source == self.entry && byte <= found.span.range().end).then_some(found)
     }
 
-    /// Returns the span of the declaration.
-    pub fn declaration(&self, meaning: &Meaning) -> Option<Span> {
-        if let Meaning::Include(target) = meaning {
-            return target.map(|target| Span::new(target, 0..0));
+    /// Returns the occurrences of a name, in the order of the texts.
+    pub fn all(&self, meaning: &Meaning) -> impl Iterator<Item = &Occurrence> {
+        let found = self.by_meaning.get(meaning).map_or(&[][..], Vec::as_slice);
+        found.iter().map(|&at| &self.occurrences[at])
+    }
+
+    /// Returns the span of the declaration of a name, or the start of the text that an include at `from` reads.
+    pub fn declaration(&self, from: SourceId, meaning: &Meaning) -> Option<Span> {
+        if let Meaning::Include(path) = meaning {
+            return self.target(from, path).map(|target| Span::new(target, 0..0));
         }
-        let found = self
-            .occurrences
-            .iter()
-            .find(|one| one.declares && one.meaning == *meaning);
-        found.map(|one| one.span)
+        self.all(meaning).find(|one| one.declares()).map(|one| one.span)
     }
 
     /// Returns the declaration as text, and its doc comment.
     pub fn described(&self, meaning: &Meaning) -> Option<(String, String)> {
-        let items = self.files.iter().flat_map(|(_, file)| &file.items);
-        let mut items = items.filter_map(|item| match (item, meaning) {
-            (Item::Decl(decl), Meaning::Predicate(name)) => {
-                let name = decl.names.iter().find(|known| known.text == *name)?;
-                let (names, doc) = (vec![name.clone()], String::new());
-                Some((
-                    Item::Decl(ast::Decl {
-                        names,
-                        doc,
-                        ..decl.clone()
-                    }),
-                    &decl.doc,
-                ))
+        let &[file, item, name] = self.declarations.get(meaning)?;
+        let doc = String::new();
+        let (item, doc) = match &self.files[file].1.items[item] {
+            Item::Decl(decl) => {
+                let (columns, qualifiers) = (decl.columns.clone(), decl.qualifiers.clone());
+                let names = vec![decl.names[name].clone()];
+                let own = ast::Decl {
+                    names,
+                    columns,
+                    qualifiers,
+                    doc,
+                };
+                (Item::Decl(own), &decl.doc)
             }
-            (Item::Type(decl), Meaning::Type(name)) if decl.name.text == *name => {
-                let doc = String::new();
-                Some((Item::Type(ast::TypeDecl { doc, ..decl.clone() }), &decl.doc))
-            }
-            _ => None,
-        });
-        let (item, doc) = items.next()?;
+            Item::Type(decl) => (Item::Type(ast::TypeDecl { doc, ..decl.clone() }), &decl.doc),
+            _ => return None,
+        };
         let file = ast::File { items: vec![item] };
         Some((print(&file).trim_end().to_owned(), doc.clone()))
     }
 
-    /// Returns all declared names, each once, in source order.
+    /// Returns the declaration of a predicate.
+    pub fn decl(&self, predicate: &str) -> Option<&ast::Decl> {
+        let &[file, item, _] = self.declarations.get(&Meaning::Predicate(predicate.to_owned()))?;
+        match &self.files[file].1.items[item] {
+            Item::Decl(decl) => Some(decl),
+            _ => None,
+        }
+    }
+
+    /// Returns all declared names in source order, those that are declared twice twice.
     pub fn declared(&self) -> impl Iterator<Item = &Meaning> {
         self.occurrences
             .iter()
-            .filter(|one| one.declares)
+            .filter(|one| one.declares())
             .map(|one| &one.meaning)
+    }
+
+    /// Returns the items of the file itself.
+    pub fn items(&self) -> &[Item] {
+        let own = self.files.iter().find(|(id, _)| *id == self.entry);
+        own.map_or(&[], |(_, file)| &file.items)
     }
 
     /// Returns whether a byte of the file itself is in the body of a clause, complete or not.
@@ -176,72 +280,206 @@ impl Analysis {
     pub fn include_of(&self, mut id: SourceId) -> Option<Span> {
         // A chain of includes is at most as long as the number of texts.
         for _ in &self.files {
-            let include = (self.occurrences.iter()).find(|one| one.meaning == Meaning::Include(Some(id)))?;
-            if include.span.source == self.entry {
-                return Some(include.span);
+            let include = *self.included_by.get(&id)?;
+            if include.source == self.entry {
+                return Some(include);
             }
-            id = include.span.source;
+            id = include.source;
         }
         None
     }
 
-    fn add(&mut self, name: &Name, meaning: fn(String) -> Meaning, declares: bool) {
-        self.occurrences.push(Occurrence {
+    /// Resolves an include as `datalog::load` does.
+    pub fn target(&self, from: SourceId, path: &str) -> Option<SourceId> {
+        let [beside, builtin] = include_paths(Path::new(self.sources.name(from)), path);
+        let named = |wanted: &PathBuf| self.by_path.get(wanted).copied();
+        named(&beside).or_else(|| named(&builtin))
+    }
+
+    /// Returns diagnostics of an earlier analysis with their places in this one. Drops those at text that has changed.
+    pub fn carry(&self, earlier: &Analysis, faults: &[Diagnostic]) -> Vec<Diagnostic> {
+        let mut changes: BTreeMap<SourceId, Option<Change>> = BTreeMap::new();
+        let mut moved = |span: Span| {
+            let change = changes.entry(span.source).or_insert_with(|| {
+                let id = *self
+                    .by_path
+                    .get(&normalize(Path::new(earlier.sources.name(span.source))))?;
+                Some(Change::new(
+                    id,
+                    earlier.sources.text(span.source),
+                    self.sources.text(id),
+                ))
+            });
+            change.as_ref()?.moved(span.range())
+        };
+        let mut carried = Vec::new();
+        for fault in faults {
+            let mut fault = fault.clone();
+            let labels = fault.primary.iter_mut().chain(&mut fault.secondary);
+            let spans = labels.map(|label| moved(label.span).map(|span| label.span = span));
+            if spans.collect::<Option<Vec<()>>>().is_some() {
+                carried.push(fault);
+            }
+        }
+        carried
+    }
+}
+
+/// The change from one text to another: all between their common beginning and their common end.
+struct Change {
+    source: SourceId,
+    /// The changed bytes of the earlier text.
+    bytes: Range<usize>,
+    /// The length of the new text in place of these.
+    length: usize,
+}
+
+impl Change {
+    fn new(source: SourceId, old: &str, new: &str) -> Change {
+        let same = old
+            .bytes()
+            .zip(new.bytes())
+            .take_while(|(one, other)| one == other)
+            .count();
+        let (rest, other) = (&old.as_bytes()[same..], &new.as_bytes()[same..]);
+        let ends = rest.iter().rev().zip(other.iter().rev());
+        let end = ends.take_while(|(one, other)| one == other).count();
+        Change {
+            source,
+            bytes: same..old.len() - end,
+            length: other.len() - end,
+        }
+    }
+
+    /// Returns the new place of bytes of the earlier text, unless they have changed.
+    fn moved(&self, bytes: Range<usize>) -> Option<Span> {
+        let move_by = |byte: usize| byte - self.bytes.len() + self.length;
+        if self.bytes.is_empty() && self.length == 0 || bytes.end <= self.bytes.start {
+            return Some(Span::new(self.source, bytes));
+        }
+        let is_after = bytes.start >= self.bytes.end;
+        is_after.then(|| Span::new(self.source, move_by(bytes.start)..move_by(bytes.end)))
+    }
+}
+
+/// Shortens a list of diagnostics to the number that an editor can show.
+fn cap(faults: &mut Vec<Diagnostic>) {
+    let hidden = faults.len().saturating_sub(2 * MAX_FAULTS + 1);
+    faults.truncate(2 * MAX_FAULTS + 1);
+    if hidden > 0
+        && let Some(last) = faults.last_mut()
+    {
+        last.notes.push(format!("{hidden} more are not shown"));
+    }
+}
+
+/// Returns where an include looks for its file: beside the including one, then among the built-in files.
+pub fn include_paths(from: &Path, path: &str) -> [PathBuf; 2] {
+    let beside = from.parent().unwrap_or(Path::new("")).join(path);
+    [beside, Path::new(BUILTIN_FOLDER).join(path)].map(|path| normalize(&path))
+}
+
+/// Returns where names are declared first: the file, the item in it, and the name in that.
+fn declarations(files: &[(SourceId, ast::File)]) -> HashMap<Meaning, [usize; 3]> {
+    let mut found = HashMap::new();
+    for (file, (_, tree)) in files.iter().enumerate() {
+        for (item, one) in tree.items.iter().enumerate() {
+            match one {
+                Item::Decl(decl) => {
+                    for (at, name) in decl.names.iter().enumerate() {
+                        let meaning = Meaning::Predicate(name.text.clone());
+                        found.entry(meaning).or_insert([file, item, at]);
+                    }
+                }
+                Item::Type(decl) => {
+                    let meaning = Meaning::Type(decl.name.text.clone());
+                    found.entry(meaning).or_insert([file, item, 0]);
+                }
+                _ => {}
+            }
+        }
+    }
+    found
+}
+
+/// Returns all names of a file in the order of its text.
+pub fn occurrences(file: &ast::File) -> Vec<Occurrence> {
+    let mut names = Names::default();
+    file.items.iter().for_each(|item| names.item(item));
+    // A negation such as `x != y` in other notations, or an aggregate, may be read in another order.
+    names.found.sort_by_key(|one| one.span.start);
+    names.found
+}
+
+/// Collects the names of a file.
+#[derive(Default)]
+struct Names {
+    found: Vec<Occurrence>,
+    /// The clause whose names are being collected.
+    clause: Option<Span>,
+}
+
+impl Names {
+    fn add(&mut self, name: &Name, meaning: fn(String) -> Meaning, role: Role) {
+        self.found.push(Occurrence {
             span: name.place.0,
             meaning: meaning(name.text.clone()),
-            declares,
+            role,
         });
     }
 
-    fn item(&mut self, id: SourceId, item: &Item) {
+    fn item(&mut self, item: &Item) {
+        let types = |names: &mut Names, list: &[&Name]| {
+            list.iter().for_each(|name| names.add(name, Meaning::Type, Role::Uses));
+        };
         match item {
-            Item::Include(include) => {
-                let meaning = Meaning::Include(self.target(id, &include.path));
-                self.occurrences.push(Occurrence {
-                    span: include.place.0,
-                    meaning,
-                    declares: false,
-                });
-            }
+            Item::Include(include) => self.found.push(Occurrence {
+                span: include.place.0,
+                meaning: Meaning::Include(include.path.clone()),
+                role: Role::Uses,
+            }),
             Item::Type(decl) => {
-                self.add(&decl.name, Meaning::Type, true);
+                self.add(&decl.name, Meaning::Type, Role::Declares);
                 match &decl.definition {
-                    TypeDefinition::Subtype(name) | TypeDefinition::Alias(name) => self.add(name, Meaning::Type, false),
-                    TypeDefinition::Union(names) => names.iter().for_each(|name| self.add(name, Meaning::Type, false)),
+                    TypeDefinition::Subtype(name) | TypeDefinition::Alias(name) => types(self, &[name]),
+                    TypeDefinition::Union(names) => types(self, &names.iter().collect::<Vec<_>>()),
                     TypeDefinition::Faulty => {}
                 }
             }
             Item::Decl(decl) => {
-                decl.names
-                    .iter()
-                    .for_each(|name| self.add(name, Meaning::Predicate, true));
+                for name in &decl.names {
+                    self.add(name, Meaning::Predicate, Role::Declares);
+                }
                 let columns = decl.columns.iter().flatten();
-                columns.for_each(|column| self.add(&column.ty, Meaning::Type, false));
+                types(self, &columns.map(|column| &column.ty).collect::<Vec<_>>());
             }
             Item::Mark(ast::Mark { names, .. }) | Item::Constraint(ast::ConstraintDecl { names, .. }) => {
-                names.iter().for_each(|name| self.add(name, Meaning::Predicate, false));
+                for name in names {
+                    self.add(name, Meaning::Predicate, Role::Uses);
+                }
             }
-            Item::Scope(scope) => scope
-                .predicate
-                .iter()
-                .for_each(|name| self.add(name, Meaning::Predicate, false)),
+            Item::Scope(scope) => {
+                if let Some(name) = &scope.predicate {
+                    self.add(name, Meaning::Predicate, Role::Uses);
+                }
+            }
             Item::Clause(clause) => {
                 self.clause = Some(clause.place.0);
-                clause.heads.iter().for_each(|head| self.atom(head));
+                clause.heads.iter().for_each(|head| self.atom(head, Role::Derives));
                 clause.body.iter().for_each(|literal| self.literal(literal));
             }
             Item::Plan(_) | Item::Pragma(_) => {}
         }
     }
 
-    fn atom(&mut self, atom: &ast::Atom) {
-        self.add(&atom.predicate, Meaning::Predicate, false);
+    fn atom(&mut self, atom: &ast::Atom, role: Role) {
+        self.add(&atom.predicate, Meaning::Predicate, role);
         atom.terms.iter().for_each(|term| self.term(term));
     }
 
     fn literal(&mut self, literal: &Literal) {
         match literal {
-            Literal::Atom { atom, .. } => self.atom(atom),
+            Literal::Atom { atom, .. } => self.atom(atom, Role::Uses),
             Literal::Compare { left, right, .. } => [left, right].into_iter().for_each(|term| self.term(term)),
             Literal::Any(alternatives) => alternatives.iter().flatten().for_each(|one| self.literal(one)),
         }
@@ -251,17 +489,17 @@ impl Analysis {
         match &term.kind {
             TermKind::Variable(name) => {
                 if let Some(clause) = self.clause {
-                    self.occurrences.push(Occurrence {
+                    self.found.push(Occurrence {
                         span: term.place.0,
                         meaning: Meaning::Variable(clause, name.clone()),
-                        declares: false,
+                        role: Role::Uses,
                     });
                 }
             }
             TermKind::Functor(_, arguments) => arguments.iter().for_each(|argument| self.term(argument)),
             TermKind::Cast(inner, ty) => {
                 self.term(inner);
-                self.add(ty, Meaning::Type, false);
+                self.add(ty, Meaning::Type, Role::Uses);
             }
             TermKind::Aggregate(aggregate) => {
                 aggregate.target.iter().for_each(|target| self.term(target));
@@ -269,18 +507,5 @@ impl Analysis {
             }
             _ => {}
         }
-    }
-
-    /// Resolves an include as `datalog::load` does.
-    fn target(&self, from: SourceId, path: &str) -> Option<SourceId> {
-        let beside = Path::new(self.sources.name(from)).parent()?.join(path);
-        let builtin = Path::new(BUILTIN_FOLDER).join(path);
-        let named = |wanted: PathBuf| {
-            let wanted = normalize(&wanted);
-            self.sources
-                .ids()
-                .find(|&id| normalize(Path::new(self.sources.name(id))) == wanted)
-        };
-        named(beside).or_else(|| named(builtin))
     }
 }

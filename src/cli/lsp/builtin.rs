@@ -24,7 +24,7 @@ pub fn copy(name: &Path, text: &str) -> Option<PathBuf> {
 }
 
 /// Returns `$XDG_CACHE_HOME/logicity/VERSION`, by default in `~/.cache`.
-fn folder() -> Option<PathBuf> {
+pub fn folder() -> Option<PathBuf> {
     let cache = std::env::var_os("XDG_CACHE_HOME").map(PathBuf::from);
     let cache = cache.filter(|path| path.is_absolute());
     let cache = cache.or_else(|| Some(std::env::home_dir()?.join(".cache")))?;

@@ -1,34 +1,50 @@
 //! `logicity lsp`: runs a language server.
 //!
-//! An editor sends its open texts and queries positions in them. After every change the server
-//! checks all open texts and their includes again. An open text takes precedence over the file on disk.
+//! An editor sends its open texts with their changes, and queries positions in them. When no message waits, the server
+//! checks the changed texts and those that include them. An open text takes precedence over the file on disk. When a
+//! text is saved, a thread also searches for conflicts between its actions.
 
 mod analysis;
 mod builtin;
+mod client;
+mod complete;
+mod navigate;
+mod outline;
 mod place;
+mod search;
+mod tokens;
 mod transport;
 mod words;
 
 use crate::builtin::BuiltinFiles;
+use crate::city::Action;
 use crate::cli::Failure;
 use crate::datalog;
-use crate::datalog::{DIRECTIVES, ast};
+use crate::datalog::Program;
 use crate::diag::{Diagnostic, Fix, Label, Severity, SourceId, Sources, Span};
-use crate::files::{ReadError, ReadFile, normalize};
-use analysis::{Analysis, Meaning};
-use lsp_server::{Connection, ErrorCode, Message, Notification, ProtocolError, Request, Response};
+use crate::files::{BUILTIN_FOLDER, ReadError, ReadFile, normalize};
+use crate::sim::{conflict_lints, conflicts};
+use analysis::Analysis;
+use client::Client;
+use lsp_server::{Connection, ErrorCode, Message, Notification, RequestId, Response};
 use lsp_types::{
-    CodeActionParams, CompletionItem, CompletionItemKind, CompletionParams, DiagnosticSeverity,
-    DidChangeTextDocumentParams, DidCloseTextDocumentParams, DidOpenTextDocumentParams, DocumentFormattingParams,
-    DocumentSymbolParams, Documentation, GotoDefinitionParams, HoverParams, MarkupContent, MarkupKind, MessageType,
-    Position, ReferenceParams, RenameParams, SymbolKind, TextDocumentPositionParams,
+    CodeActionParams, CompletionParams, DiagnosticSeverity, DidChangeTextDocumentParams, DidCloseTextDocumentParams,
+    DidOpenTextDocumentParams, DidSaveTextDocumentParams, DocumentFormattingParams, DocumentHighlightParams,
+    DocumentSymbolParams, FoldingRangeParams, GotoDefinitionParams, HoverParams, MarkupContent, MarkupKind,
+    MessageType, ReferenceParams, RenameParams, SemanticTokensDeltaParams, SemanticTokensParams,
+    SemanticTokensRangeParams, SignatureHelpParams, TextDocumentPositionParams, WorkspaceSymbolParams,
 };
-use place::{Lines, path_of, uri_of};
+use place::{Text, path_of, uri_of};
+use search::{Programs, Workspace};
 use serde::de::DeserializeOwned;
 use serde_json::{Value, json};
-use std::collections::{BTreeMap, BTreeSet};
+use std::cell::RefCell;
+use std::collections::{BTreeMap, VecDeque};
+use std::ops::Range;
 use std::path::{Path, PathBuf};
-use words::Word;
+use std::thread;
+use std::thread::JoinHandle;
+use std::time::Duration;
 
 #[derive(clap::Args)]
 pub struct Arguments {
@@ -38,9 +54,8 @@ pub struct Arguments {
 }
 
 pub fn run(_: &Arguments) -> Result<(), Failure> {
-    let fail = |error: ProtocolError| Failure::Usage(format!("the editor violated the protocol: {error}"));
     let (connection, transport) = transport::start();
-    let served = serve(&connection).map_err(fail);
+    let served = serve(&connection);
     // The writer thread ends when no sender is left.
     drop(connection);
     // A failed connection also breaks the protocol; its cause says more.
@@ -50,51 +65,172 @@ pub fn run(_: &Arguments) -> Result<(), Failure> {
     served
 }
 
-/// Serves one editor until it shuts down the server or disconnects.
-fn serve(connection: &Connection) -> Result<(), ProtocolError> {
-    let (id, _) = connection.initialize_start()?;
-    let capabilities = json!({
-        "positionEncoding": "utf-16",
-        "textDocumentSync": { "openClose": true, "change": 1 },
-        "hoverProvider": true,
-        "definitionProvider": true,
-        "referencesProvider": true,
-        "documentSymbolProvider": true,
-        "documentFormattingProvider": true,
-        "completionProvider": { "triggerCharacters": ["."] },
-        "renameProvider": { "prepareProvider": true },
-        "codeActionProvider": { "codeActionKinds": ["quickfix"] },
-    });
-    let server = json!({ "name": "logicity", "version": env!("CARGO_PKG_VERSION") });
-    connection.initialize_finish(id, json!({ "capabilities": capabilities, "serverInfo": server }))?;
-    let mut server = Server::default();
-    for message in &connection.receiver {
-        let replies = match message {
-            Message::Request(request) => {
-                if connection.handle_shutdown(&request)? {
-                    return Ok(());
-                }
-                vec![Message::Response(server.answer(request))]
-            }
-            Message::Notification(notification) => server.note(notification),
-            // The server sends no requests, so it expects no responses.
-            Message::Response(_) => Vec::new(),
+/// The most messages that wait for the server. The transport keeps further ones from the client.
+const WAITING_MAX: usize = 64;
+
+/// The time between two looks at a search that runs.
+const POLL: Duration = Duration::from_millis(10);
+
+/// The phase of the life of a server.
+enum Phase {
+    /// Before `initialize`.
+    New,
+    Running(Server),
+    /// After `shutdown`.
+    Down,
+}
+
+/// Serves one editor until it ends the server or disconnects.
+fn serve(connection: &Connection) -> Result<(), Failure> {
+    let incoming = Incoming {
+        connection,
+        waiting: RefCell::default(),
+    };
+    let mut phase = Phase::New;
+    loop {
+        let message = match &mut phase {
+            Phase::Running(server) => incoming.next(server),
+            Phase::New | Phase::Down => incoming.wait(),
         };
-        for reply in replies {
-            if connection.sender.send(reply).is_err() {
-                return Ok(());
+        let Some(message) = message else {
+            return match phase {
+                Phase::New => Err(Failure::Usage("the editor disconnected before `initialize`".to_owned())),
+                Phase::Running(_) | Phase::Down => Ok(()),
+            };
+        };
+        let replies = match (message, &mut phase) {
+            (Message::Notification(note), Phase::Down) if note.method == "exit" => return Ok(()),
+            // Without `shutdown` before it, this is a fault of the editor.
+            (Message::Notification(note), _) if note.method == "exit" => return Err(Failure::Reported),
+            (Message::Notification(note), Phase::Running(server)) => server.note(note),
+            (Message::Request(request), Phase::New) if request.method == "initialize" => {
+                let server = Server::new(&request.params);
+                let welcome = Response::new_ok(request.id, server.client.welcome());
+                phase = Phase::Running(server);
+                vec![Message::Response(welcome)]
+            }
+            (Message::Request(request), Phase::Running(_)) if request.method == "shutdown" => {
+                phase = Phase::Down;
+                vec![Message::Response(Response::new_ok(request.id, Value::Null))]
+            }
+            (Message::Request(request), Phase::Running(server)) => {
+                let mut replies = server.settle();
+                replies.extend(server.respond(request, &incoming));
+                replies
+            }
+            (Message::Request(request), Phase::New) => {
+                let message = "the first request is `initialize`".to_owned();
+                let code = ErrorCode::ServerNotInitialized as i32;
+                vec![Message::Response(Response::new_err(request.id, code, message))]
+            }
+            (Message::Request(request), Phase::Down) => {
+                let message = "the server has shut down".to_owned();
+                let code = ErrorCode::InvalidRequest as i32;
+                vec![Message::Response(Response::new_err(request.id, code, message))]
+            }
+            // The server needs no answers: it only asks the client to watch files.
+            (Message::Response(_), _) | (Message::Notification(_), Phase::New | Phase::Down) => Vec::new(),
+        };
+        if !incoming.send(replies) {
+            return Ok(());
+        }
+    }
+}
+
+/// The messages of the client.
+struct Incoming<'c> {
+    connection: &'c Connection,
+    /// Messages that have arrived.
+    waiting: RefCell<VecDeque<Message>>,
+}
+
+impl Incoming<'_> {
+    /// Sends messages. Returns whether the client is still there.
+    fn send(&self, messages: Vec<Message>) -> bool {
+        let mut messages = messages.into_iter();
+        messages.all(|message| self.connection.sender.send(message).is_ok())
+    }
+
+    /// Moves messages that have arrived to `waiting`, so that a request can see whether it is cancelled.
+    fn take(&self) {
+        let mut waiting = self.waiting.borrow_mut();
+        let room = WAITING_MAX.saturating_sub(waiting.len());
+        waiting.extend(self.connection.receiver.try_iter().take(room));
+    }
+
+    /// Returns the next message, or `None` if the client has disconnected.
+    fn wait(&self) -> Option<Message> {
+        let waiting = self.waiting.borrow_mut().pop_front();
+        waiting.or_else(|| self.connection.receiver.recv().ok())
+    }
+
+    /// Returns the next message. Until it arrives, checks the texts and sends their diagnostics.
+    fn next(&self, server: &mut Server) -> Option<Message> {
+        loop {
+            self.take();
+            if let Some(message) = self.waiting.borrow_mut().pop_front() {
+                return Some(message);
+            }
+            let mut messages = server.settle();
+            messages.extend(server.finish_search());
+            if !self.send(messages) {
+                return None;
+            }
+            if server.search.is_none() {
+                return self.connection.receiver.recv().ok();
+            }
+            match self.connection.receiver.recv_timeout(POLL) {
+                Ok(message) => return Some(message),
+                Err(error) if error.is_timeout() => {}
+                Err(_) => return None,
             }
         }
     }
-    Ok(())
+
+    /// Returns whether the client has cancelled a request.
+    fn cancelled(&self, id: &RequestId) -> bool {
+        self.take();
+        let cancels = |message: &Message| match message {
+            Message::Notification(note) if note.method == "$/cancelRequest" => {
+                serde_json::from_value(note.params["id"].clone()).is_ok_and(|other: RequestId| other == *id)
+            }
+            _ => false,
+        };
+        self.waiting.borrow().iter().any(cancels)
+    }
+}
+
+/// A request that the server answers.
+struct Request<'c> {
+    id: &'c RequestId,
+    incoming: &'c Incoming<'c>,
 }
 
 /// An open text.
 struct Document {
+    path: PathBuf,
     uri: String,
-    text: String,
+    text: Text,
     version: i32,
     analysis: Analysis,
+    /// Whether the text or an included one has changed since the analysis.
+    stale: bool,
+    /// Whether the text was saved, so that the client waits for its conflicts.
+    saved: bool,
+    /// The conflicts between actions when it was saved last.
+    conflicts: Vec<Diagnostic>,
+    /// The number of the analysis, from 1.
+    round: u64,
+    /// The last semantic tokens that the client got, with their name.
+    tokens: RefCell<(String, Vec<u32>)>,
+}
+
+/// A search for conflicts between the actions of a text.
+struct ConflictSearch {
+    path: PathBuf,
+    /// The analysis whose rules it searches.
+    round: u64,
+    thread: JoinHandle<Vec<Diagnostic>>,
 }
 
 /// Reads open documents from the editor, other files from disk.
@@ -103,7 +239,7 @@ struct OpenDocuments<'a>(&'a BTreeMap<PathBuf, Document>);
 impl ReadFile for OpenDocuments<'_> {
     fn read(&self, path: &Path) -> Result<String, ReadError> {
         match self.0.get(&normalize(path)) {
-            Some(document) => Ok(document.text.clone()),
+            Some(document) => Ok(document.text.as_str().to_owned()),
             None => BuiltinFiles.read(path),
         }
     }
@@ -113,103 +249,216 @@ impl ReadFile for OpenDocuments<'_> {
     }
 }
 
-#[derive(Default)]
 struct Server {
+    client: Client,
+    /// The folders of the workspace.
+    folders: Vec<PathBuf>,
     /// Keyed by normalized path.
     documents: BTreeMap<PathBuf, Document>,
+    search: Option<ConflictSearch>,
 }
 
 /// The error code of the protocol and a message for the user.
 type Refusal = (ErrorCode, String);
 
 impl Server {
+    fn new(params: &Value) -> Server {
+        transport::end_with(params["processId"].as_u64());
+        Server {
+            client: Client::new(params),
+            folders: client::folders(params),
+            documents: BTreeMap::new(),
+            search: None,
+        }
+    }
+
     // --- texts
 
     /// Handles a notification. The protocol has no answer to a malformed one, so the server writes it to the editor's
     /// log.
     fn note(&mut self, Notification { method, params }: Notification) -> Vec<Message> {
         let done = match method.as_str() {
-            "textDocument/didOpen" => serde_json::from_value(params)
-                .map(|DidOpenTextDocumentParams { text_document: it }| self.set(it.uri.as_str(), it.text, it.version)),
-            "textDocument/didChange" => serde_json::from_value(params).map(|it: DidChangeTextDocumentParams| {
-                // Full synchronization: each change is the whole text, so the last one counts.
-                match it.content_changes.into_iter().next_back() {
-                    Some(change) => self.set(it.text_document.uri.as_str(), change.text, it.text_document.version),
-                    None => Vec::new(),
-                }
+            "initialized" if self.client.watches => return vec![watch()],
+            "textDocument/didOpen" => noted(params).map(|it: DidOpenTextDocumentParams| {
+                let it = it.text_document;
+                self.open(it.uri.as_str(), it.text, it.version);
+                Vec::new()
             }),
-            "textDocument/didClose" => {
-                serde_json::from_value(params).map(|DidCloseTextDocumentParams { text_document }| {
-                    self.documents.remove(&key(text_document.uri.as_str()));
-                    let mut messages = self.check();
-                    messages.push(published(text_document.uri.as_str(), None, Vec::new()));
-                    messages
-                })
+            "textDocument/didChange" => noted(params).and_then(|it| self.change(it)).map(|()| Vec::new()),
+            "textDocument/didClose" => noted(params).map(|it: DidCloseTextDocumentParams| {
+                let uri = it.text_document.uri.as_str();
+                self.documents.remove(&key(uri));
+                self.check_again();
+                vec![published(uri, None, Vec::new())]
+            }),
+            "textDocument/didSave" => noted(params).map(|it: DidSaveTextDocumentParams| {
+                self.save(&key(it.text_document.uri.as_str()));
+                Vec::new()
+            }),
+            "workspace/didChangeWatchedFiles" => {
+                self.check_again();
+                Ok(Vec::new())
             }
-            "textDocument/didSave" | "workspace/didChangeWatchedFiles" => Ok(self.check()),
+            "workspace/didChangeWorkspaceFolders" => {
+                let list = |name: &str| {
+                    params["event"][name]
+                        .as_array()
+                        .map_or(Vec::new(), |list| client::folders_of(list))
+                };
+                let removed = list("removed");
+                self.folders.retain(|folder| !removed.contains(folder));
+                self.folders.extend(list("added"));
+                Ok(Vec::new())
+            }
             _ => Ok(Vec::new()),
         };
-        done.unwrap_or_else(|error| {
-            let message = format!("cannot parse `{method}`: {error}");
-            let params = json!({ "type": MessageType::ERROR, "message": message });
-            vec![Message::Notification(Notification::new(
-                "window/logMessage".to_owned(),
-                params,
-            ))]
-        })
+        done.unwrap_or_else(|error| vec![logged(format!("cannot parse `{method}`: {error}"))])
     }
 
-    fn set(&mut self, uri: &str, text: String, version: i32) -> Vec<Message> {
+    fn open(&mut self, uri: &str, text: String, version: i32) {
+        let path = key(uri);
+        let encoding = self.client.encoding;
         let document = Document {
+            path: path.clone(),
             uri: uri.to_owned(),
-            analysis: Analysis::new(&key(uri), "", &BuiltinFiles),
-            text,
+            analysis: Analysis::new(&path, "", &BuiltinFiles, encoding),
+            text: Text::new(text, encoding),
             version,
+            stale: true,
+            saved: false,
+            conflicts: Vec::new(),
+            round: 0,
+            tokens: RefCell::default(),
         };
-        self.documents.insert(key(uri), document);
-        self.check()
+        self.documents.insert(path, document);
+        self.check_again();
     }
 
-    /// Checks all open texts, which may include each other, and returns their diagnostics as messages.
-    fn check(&mut self) -> Vec<Message> {
-        let read: &dyn ReadFile = &OpenDocuments(&self.documents);
-        let analyses: Vec<Analysis> = (self.documents.iter())
-            .map(|(path, document)| Analysis::new(path, &document.text, read))
-            .collect();
-        for (document, analysis) in self.documents.values_mut().zip(analyses) {
-            document.analysis = analysis;
+    /// Applies changes in their order: each to a range of the text that the ones before it leave, or to the whole text.
+    fn change(&mut self, params: DidChangeTextDocumentParams) -> Result<(), String> {
+        let uri = params.text_document.uri.as_str();
+        let path = key(uri);
+        let document = self.documents.get_mut(&path);
+        let document = document.ok_or_else(|| format!("`{uri}` is not open"))?;
+        for change in params.content_changes {
+            match change.range {
+                None => document.text = Text::new(change.text, self.client.encoding),
+                Some(range) => {
+                    let [start, end] = [range.start, range.end].map(|position| document.text.byte(position));
+                    document.text.replace(start..end, &change.text);
+                }
+            }
         }
-        let messages = self.documents.values().map(|document| {
-            let found = self.diagnostics(document);
-            published(&document.uri, Some(document.version), found)
+        document.version = params.text_document.version;
+        document.stale = true;
+        document.saved = false;
+        for other in self.documents.values_mut() {
+            other.stale |= other.analysis.depends_on(&path);
+        }
+        Ok(())
+    }
+
+    /// Requests the conflicts of a text and of those that include it.
+    fn save(&mut self, path: &Path) {
+        for document in self.documents.values_mut() {
+            document.saved |= document.path == path || document.analysis.depends_on(path);
+        }
+    }
+
+    /// Requests a check of all texts: files may have appeared or changed.
+    fn check_again(&mut self) {
+        self.documents.values_mut().for_each(|document| document.stale = true);
+    }
+
+    /// Checks the changed texts, and returns their diagnostics as messages. Those of saved texts follow with the
+    /// conflicts.
+    fn settle(&mut self) -> Vec<Message> {
+        let read: &dyn ReadFile = &OpenDocuments(&self.documents);
+        let stale = self.documents.iter().filter(|(_, document)| document.stale);
+        let analyses = stale.map(|(path, document)| {
+            let analysis = Analysis::new(path, document.text.as_str(), read, self.client.encoding);
+            (path.clone(), analysis)
         });
-        messages.collect()
+        let analyses: Vec<(PathBuf, Analysis)> = analyses.collect();
+        let mut checked = Vec::new();
+        for (path, analysis) in analyses {
+            let Some(document) = self.documents.get_mut(&path) else {
+                continue;
+            };
+            document.conflicts = analysis.carry(&document.analysis, &document.conflicts);
+            document.analysis = analysis;
+            document.round += 1;
+            document.stale = false;
+            checked.push(path);
+        }
+        let mut messages = self.begin_search();
+        let checked = checked.iter().filter_map(|path| self.documents.get(path));
+        messages.extend(
+            checked
+                .filter(|document| !document.saved)
+                .map(|document| self.publish(document)),
+        );
+        messages
+    }
+
+    /// Begins the next search for conflicts of a saved text. Publishes the diagnostics of texts without rules at once.
+    fn begin_search(&mut self) -> Vec<Message> {
+        let mut searched = Vec::new();
+        for document in self.documents.values_mut().filter(|document| document.saved) {
+            match &document.analysis.program {
+                None => {
+                    document.saved = false;
+                    document.conflicts.clear();
+                    searched.push(document.path.clone());
+                }
+                Some(program) if self.search.is_none() => {
+                    let program = program.clone();
+                    self.search = Some(ConflictSearch {
+                        path: document.path.clone(),
+                        round: document.round,
+                        thread: thread::spawn(move || search_conflicts(&program)),
+                    });
+                }
+                Some(_) => {}
+            }
+        }
+        let searched = searched.iter().filter_map(|path| self.documents.get(path));
+        searched.map(|document| self.publish(document)).collect()
+    }
+
+    /// Publishes the result of a search that has ended, unless the text has changed, and begins the next one.
+    fn finish_search(&mut self) -> Vec<Message> {
+        let Some(search) = self.search.take_if(|search| search.thread.is_finished()) else {
+            return Vec::new();
+        };
+        // A thread that panics has printed why.
+        let found = search.thread.join().unwrap_or_default();
+        let mut messages = Vec::new();
+        if let Some(document) = self.documents.get_mut(&search.path)
+            && document.saved
+            && document.round == search.round
+            && !document.stale
+        {
+            document.saved = false;
+            document.conflicts = found;
+            messages.extend(self.documents.get(&search.path).map(|document| self.publish(document)));
+        }
+        messages.extend(self.begin_search());
+        messages
     }
 
     // --- diagnostics
 
-    fn diagnostics(&self, document: &Document) -> Vec<Value> {
-        let Analysis { diagnostics, hints, .. } = &document.analysis;
-        let severe = diagnostics
-            .iter()
-            .map(|fault| self.diagnostic(document, fault, severity_of(fault)));
-        let hints = hints
-            .iter()
-            .map(|lint| self.diagnostic(document, lint, DiagnosticSeverity::INFORMATION));
-        severe.chain(hints).collect()
+    fn publish(&self, document: &Document) -> Message {
+        let shown = faults(document).map(|(fault, severity)| self.diagnostic(document, fault, severity));
+        published(&document.uri, Some(document.version), shown.collect())
     }
 
     /// Converts a diagnostic. One in an included file appears at the include.
     fn diagnostic(&self, document: &Document, fault: &Diagnostic, severity: DiagnosticSeverity) -> Value {
         let Analysis { sources, entry, .. } = &document.analysis;
-        let lines = Lines::of(sources, *entry);
         let primary = fault.primary.as_ref();
         let elsewhere = primary.filter(|label| label.span.source != *entry);
-        let span = match (primary, elsewhere) {
-            (_, Some(label)) => document.analysis.include_of(label.span.source),
-            (Some(label), None) => Some(label.span),
-            (None, None) => None,
-        };
         let mut message = match elsewhere {
             Some(label) => format!("{}: {}", sources.locate(label.span), fault.message),
             None => fault.message.clone(),
@@ -223,11 +472,12 @@ impl Server {
         let related: Vec<Value> = (elsewhere.into_iter().chain(&fault.secondary))
             .filter_map(|Label { span, message }| {
                 let message = if message.is_empty() { &fault.message } else { message };
-                Some(json!({ "location": self.location(sources, *span)?, "message": message }))
+                let location = self.location(&document.analysis, *span)?;
+                Some(json!({ "location": location, "message": message }))
             })
             .collect();
         json!({
-            "range": span.map_or(lines.range(Span::new(*entry, 0..0)), |span| lines.range(span)),
+            "range": document.analysis.text(*entry).range(shown_at(&document.analysis, fault)),
             "severity": severity,
             "code": fault.code.name(),
             "source": "logicity",
@@ -237,14 +487,18 @@ impl Server {
     }
 
     /// Returns the location of a span, or `None` for a built-in file.
-    fn location(&self, sources: &Sources, span: Span) -> Option<Value> {
-        let uri = self.uri(sources, span.source)?;
-        Some(json!({ "uri": uri, "range": Lines::of(sources, span.source).range(span) }))
+    fn location(&self, analysis: &Analysis, span: Span) -> Option<Value> {
+        let uri = self.uri(&analysis.sources, span.source)?;
+        Some(json!({ "uri": uri, "range": analysis.text(span.source).range_of(span) }))
     }
 
-    /// Returns the URI of a text: the editor's own if the text is open.
     fn uri(&self, sources: &Sources, id: SourceId) -> Option<String> {
-        let path = normalize(Path::new(sources.name(id)));
+        self.uri_of(Path::new(sources.name(id)))
+    }
+
+    /// Returns the URI of a text: the editor's own if the text is open. `None` for a built-in file.
+    fn uri_of(&self, path: &Path) -> Option<String> {
+        let path = normalize(path);
         match self.documents.get(&path) {
             Some(document) => Some(document.uri.clone()),
             None => uri_of(&path),
@@ -253,37 +507,75 @@ impl Server {
 
     // --- requests
 
-    fn answer(&self, request: Request) -> Response {
-        let Request { id, method, params } = request;
-        let answer = match method.as_str() {
-            "textDocument/hover" => {
-                read(params).and_then(|params: HoverParams| self.hover(&params.text_document_position_params))
-            }
-            "textDocument/definition" => read(params)
-                .and_then(|params: GotoDefinitionParams| self.definition(&params.text_document_position_params)),
-            "textDocument/references" => read(params).and_then(|params: ReferenceParams| {
-                let declared = params.context.include_declaration;
-                self.references(&params.text_document_position, declared)
-            }),
-            "textDocument/documentSymbol" => {
-                read(params).and_then(|params: DocumentSymbolParams| self.symbols(params.text_document.uri.as_str()))
-            }
-            "textDocument/formatting" => {
-                read(params).and_then(|params: DocumentFormattingParams| self.format(params.text_document.uri.as_str()))
-            }
-            "textDocument/completion" => {
-                read(params).and_then(|params: CompletionParams| self.complete(&params.text_document_position))
-            }
-            "textDocument/prepareRename" => {
-                read(params).and_then(|params: TextDocumentPositionParams| self.prepare_rename(&params))
-            }
-            "textDocument/rename" => read(params).and_then(|params: RenameParams| self.rename(&params)),
-            "textDocument/codeAction" => read(params).and_then(|params: CodeActionParams| self.code_actions(&params)),
-            other => Err((ErrorCode::MethodNotFound, format!("`{other}` is not supported"))),
+    /// Answers a request, unless the client has cancelled it.
+    fn respond(&self, request: lsp_server::Request, incoming: &Incoming<'_>) -> Vec<Message> {
+        let lsp_server::Request { id, method, params } = request;
+        let answer = match incoming.cancelled(&id) {
+            true => Err(cancelled()),
+            false => self.answer(&method, params, &Request { id: &id, incoming }),
         };
-        match answer {
+        vec![Message::Response(match answer {
             Ok(value) => Response::new_ok(id, value),
             Err((code, message)) => Response::new_err(id, code as i32, message),
+        })]
+    }
+
+    fn answer(&self, method: &str, params: Value, request: &Request<'_>) -> Result<Value, Refusal> {
+        match method {
+            "textDocument/hover" => {
+                read(params).and_then(|it: HoverParams| self.hover(&it.text_document_position_params))
+            }
+            "textDocument/definition" => {
+                read(params).and_then(|it: GotoDefinitionParams| self.definition(&it.text_document_position_params))
+            }
+            "textDocument/references" => read(params).and_then(|it: ReferenceParams| {
+                self.references(&it.text_document_position, it.context.include_declaration, request)
+            }),
+            "textDocument/documentHighlight" => {
+                read(params).and_then(|it: DocumentHighlightParams| self.highlights(&it.text_document_position_params))
+            }
+            "textDocument/documentSymbol" => read(params).and_then(|it: DocumentSymbolParams| {
+                let document = self.document(it.text_document.uri.as_str())?;
+                Ok(outline::listed(&document.analysis, &document.uri, &self.client))
+            }),
+            "workspace/symbol" => {
+                read(params).and_then(|it: WorkspaceSymbolParams| self.workspace_symbols(&it.query, request))
+            }
+            "textDocument/foldingRange" => read(params).and_then(|it: FoldingRangeParams| {
+                let document = self.document(it.text_document.uri.as_str())?;
+                Ok(outline::folds(&document.analysis, &self.client))
+            }),
+            "textDocument/formatting" => {
+                read(params).and_then(|it: DocumentFormattingParams| self.format(it.text_document.uri.as_str()))
+            }
+            "textDocument/completion" => read(params).and_then(|it: CompletionParams| {
+                let (document, byte) = self.place(&it.text_document_position)?;
+                Ok(complete::complete(&document.analysis, byte, &self.client))
+            }),
+            "textDocument/signatureHelp" => read(params).and_then(|it: SignatureHelpParams| {
+                let (document, byte) = self.place(&it.text_document_position_params)?;
+                Ok(complete::signature(&document.analysis, byte, &self.client).unwrap_or(Value::Null))
+            }),
+            "textDocument/semanticTokens/full" => read(params).and_then(|it: SemanticTokensParams| {
+                let document = self.document(it.text_document.uri.as_str())?;
+                Ok(all_tokens(document, None))
+            }),
+            "textDocument/semanticTokens/full/delta" => read(params).and_then(|it: SemanticTokensDeltaParams| {
+                let document = self.document(it.text_document.uri.as_str())?;
+                Ok(all_tokens(document, Some(&it.previous_result_id)))
+            }),
+            "textDocument/semanticTokens/range" => read(params).and_then(|it: SemanticTokensRangeParams| {
+                let document = self.document(it.text_document.uri.as_str())?;
+                let asked = document.text.byte(it.range.start)..document.text.byte(it.range.end);
+                Ok(json!({ "data": tokens::encoded(&document.analysis, &asked) }))
+            }),
+            "textDocument/prepareRename" => {
+                read(params).and_then(|it: TextDocumentPositionParams| self.prepare_rename(&it))
+            }
+            "textDocument/rename" => read(params).and_then(|it: RenameParams| self.rename(&it, request)),
+            "textDocument/codeAction" => read(params).and_then(|it: CodeActionParams| self.code_actions(&it)),
+            "initialize" => Err((ErrorCode::InvalidRequest, "the server is initialized".to_owned())),
+            other => Err((ErrorCode::MethodNotFound, format!("`{other}` is not supported"))),
         }
     }
 
@@ -292,255 +584,68 @@ impl Server {
         document.ok_or_else(|| (ErrorCode::InvalidParams, format!("`{uri}` is not open")))
     }
 
-    /// Returns the document, and the name at a position in it with its meaning.
-    fn named(&self, at: &TextDocumentPositionParams) -> Result<Named<'_>, Refusal> {
+    fn place(&self, at: &TextDocumentPositionParams) -> Result<(&Document, usize), Refusal> {
         let document = self.document(at.text_document.uri.as_str())?;
-        let byte = Lines::new(&document.text).byte(at.position);
-        let found = document.analysis.at(byte);
-        Ok((document, found.map(|one| (one.span, &one.meaning))))
+        Ok((document, document.text.byte(at.position)))
     }
 
-    fn hover(&self, at: &TextDocumentPositionParams) -> Result<Value, Refusal> {
-        let (document, found) = self.named(at)?;
-        let Some((span, meaning)) = found else {
-            return Ok(hover_word(document, at.position).unwrap_or(Value::Null));
+    /// Reads the programs of the workspace with files that contain one of the names, or all without names.
+    fn programs(&self, names: &[&str], request: &Request<'_>) -> Result<Programs, Refusal> {
+        let open = self.documents.iter();
+        let workspace = Workspace {
+            folders: &self.folders,
+            open: open
+                .map(|(path, document)| (path.as_path(), document.text.as_str()))
+                .collect(),
+            encoding: self.client.encoding,
+            cancelled: &|| request.incoming.cancelled(request.id),
         };
-        let Analysis { sources, entry, .. } = &document.analysis;
-        let text = match meaning {
-            Meaning::Include(Some(target)) => format!("`{}`", sources.name(*target)),
-            _ => match described(&document.analysis, meaning) {
-                Some(text) => text,
-                None => return Ok(Value::Null),
-            },
-        };
-        Ok(json!({ "contents": markdown(text), "range": Lines::of(sources, *entry).range(span) }))
-    }
-
-    /// Returns the place of a declaration. An editor can open built-in files only as copies on the disk.
-    fn definition(&self, at: &TextDocumentPositionParams) -> Result<Value, Refusal> {
-        let (document, Some((_, meaning))) = self.named(at)? else {
-            return Ok(Value::Null);
-        };
-        let Analysis { sources, .. } = &document.analysis;
-        let place = document.analysis.declaration(meaning).and_then(|span| {
-            self.location(sources, span).or_else(|| {
-                let copy = builtin::copy(Path::new(sources.name(span.source)), sources.text(span.source))?;
-                Some(json!({ "uri": uri_of(&copy)?, "range": Lines::of(sources, span.source).range(span) }))
-            })
-        });
-        Ok(place.unwrap_or(Value::Null))
-    }
-
-    /// Returns the open texts in which a name has the same meaning: both declare it in the same place, or one of them
-    /// has no location for the declaration.
-    fn sharing<'d>(&'d self, document: &'d Document, meaning: &'d Meaning) -> impl Iterator<Item = &'d Document> {
-        let declared = |one: &Document| {
-            let span = one.analysis.declaration(meaning)?;
-            Some(self.location(&one.analysis.sources, span))
-        };
-        let here = declared(document);
-        (self.documents.values()).filter(move |one| match (&here, declared(one)) {
-            (Some(here), Some(there)) => *here == there,
-            _ => true,
-        })
-    }
-
-    /// Returns all occurrences of a name, by URI, in the open texts that share it and in their includes. Also returns
-    /// whether built-in files use it.
-    fn places(
-        &self,
-        document: &Document,
-        meaning: &Meaning,
-        declared: bool,
-    ) -> (BTreeMap<String, BTreeSet<Place>>, bool) {
-        let mut places: BTreeMap<String, BTreeSet<Place>> = BTreeMap::new();
-        let mut builtin = false;
-        // A variable belongs to a clause of one text.
-        let is_variable = matches!(meaning, Meaning::Variable(..));
-        let sharing = self.sharing(document, meaning);
-        let own = |one: &&Document| !is_variable || std::ptr::eq(*one, document);
-        for document in sharing.filter(own) {
-            let sources = &document.analysis.sources;
-            let named = document
-                .analysis
-                .occurrences
-                .iter()
-                .filter(|one| one.meaning == *meaning);
-            for one in named.filter(|one| declared || !one.declares) {
-                let Some(uri) = self.uri(sources, one.span.source) else {
-                    builtin = true;
-                    continue;
-                };
-                let range = Lines::of(sources, one.span.source).range(one.span);
-                let place = [range.start, range.end].map(|position| (position.line, position.character));
-                places.entry(uri).or_default().insert(place);
-            }
-        }
-        (places, builtin)
-    }
-
-    fn references(&self, at: &TextDocumentPositionParams, declared: bool) -> Result<Value, Refusal> {
-        let (document, Some((_, meaning))) = self.named(at)? else {
-            return Ok(Value::Null);
-        };
-        if matches!(meaning, Meaning::Include(_)) {
-            return Ok(Value::Null);
-        }
-        let (places, _) = self.places(document, meaning, declared);
-        let places = places
-            .iter()
-            .flat_map(|(uri, ranges)| ranges.iter().map(move |range| (uri, range)));
-        Ok(places
-            .map(|(uri, range)| json!({ "uri": uri, "range": range_json(range) }))
-            .collect())
-    }
-
-    fn prepare_rename(&self, at: &TextDocumentPositionParams) -> Result<Value, Refusal> {
-        let (document, found) = self.named(at)?;
-        let Some((span, Meaning::Predicate(_) | Meaning::Type(_) | Meaning::Variable(..))) = found else {
-            return Ok(Value::Null);
-        };
-        Ok(json!(Lines::new(&document.text).range(span)))
-    }
-
-    fn rename(&self, params: &RenameParams) -> Result<Value, Refusal> {
-        let refuse = |message: String| Err((ErrorCode::RequestFailed, message));
-        let (document, found) = self.named(&params.text_document_position)?;
-        let Some((_, meaning @ (Meaning::Predicate(_) | Meaning::Type(_) | Meaning::Variable(..)))) = found else {
-            return refuse("only predicates, types and variables can be renamed".to_owned());
-        };
-        if !datalog::is_name(&params.new_name) {
-            return refuse(format!("`{}` is not a name", params.new_name));
-        }
-        if let Meaning::Variable(clause, _) = meaning {
-            let new = Meaning::Variable(*clause, params.new_name.clone());
-            if document.analysis.occurrences.iter().any(|one| one.meaning == new) {
-                return refuse(format!("`{}` is already a variable of this clause", params.new_name));
-            }
-            if words::find(&params.new_name, false).is_some() {
-                return refuse(format!("`{}` is a word of the language", params.new_name));
-            }
-            let (places, _) = self.places(document, meaning, true);
-            return Ok(renamed(places, &params.new_name));
-        }
-        // Predicates and types share a namespace.
-        let new = [Meaning::Predicate, Meaning::Type].map(|kind| kind(params.new_name.clone()));
-        let is_taken = |one: &Document| new.iter().any(|new| one.analysis.declaration(new).is_some());
-        let is_base = datalog::BaseType::ALL.iter().any(|base| base.name() == params.new_name);
-        if is_base || self.sharing(document, meaning).any(is_taken) {
-            return refuse(format!("`{}` is already declared", params.new_name));
-        }
-        let (places, builtin) = self.places(document, meaning, true);
-        if builtin || document.analysis.declaration(meaning).is_none() {
-            return refuse("a read-only file declares the name".to_owned());
-        }
-        Ok(renamed(places, &params.new_name))
+        let wanted =
+            |text: &str| names.is_empty() || text.contains("include") || names.iter().any(|name| text.contains(name));
+        Programs::new(&workspace, &wanted).map_err(|search::Cancelled| cancelled())
     }
 
     /// Returns the fixes of the diagnostics in a range as quick fixes.
     fn code_actions(&self, params: &CodeActionParams) -> Result<Value, Refusal> {
         let document = self.document(params.text_document.uri.as_str())?;
-        let Analysis { diagnostics, hints, .. } = &document.analysis;
-        let own_lines = Lines::new(&document.text);
-        let asked = own_lines.byte(params.range.start)..own_lines.byte(params.range.end);
+        let asked = document.text.byte(params.range.start)..document.text.byte(params.range.end);
         let mut actions = Vec::new();
-        let severities = [None, Some(DiagnosticSeverity::INFORMATION)];
-        for (faults, severity) in [diagnostics, hints].into_iter().zip(severities) {
-            for fault in faults {
-                let severity = severity.unwrap_or(severity_of(fault));
-                let shown = self.diagnostic(document, fault, severity);
-                let range: lsp_types::Range = serde_json::from_value(shown["range"].clone()).expect("made from one");
-                let place = own_lines.byte(range.start)..own_lines.byte(range.end);
-                if place.end < asked.start || asked.end < place.start {
-                    continue;
-                }
-                let fixes = fault.fixes.iter().cloned();
-                for fix in fixes.chain(document.analysis.include_vocabulary(fault)) {
-                    if let Some(changes) = self.changes(&document.analysis.sources, &fix) {
-                        actions.push(json!({
-                            "title": fix.title,
-                            "kind": "quickfix",
-                            "diagnostics": [shown.clone()],
-                            "edit": { "changes": changes },
-                        }));
-                    }
+        for (fault, severity) in faults(document) {
+            let place = shown_at(&document.analysis, fault);
+            if place.end < asked.start || asked.end < place.start {
+                continue;
+            }
+            let fixes = fault.fixes.iter().cloned();
+            for fix in fixes.chain(document.analysis.include_vocabulary(fault)) {
+                if let Some(edit) = self.fixed(&document.analysis, &fix) {
+                    actions.push(json!({
+                        "title": fix.title,
+                        "kind": "quickfix",
+                        "diagnostics": [self.diagnostic(document, fault, severity)],
+                        "edit": edit,
+                    }));
                 }
             }
         }
         Ok(Value::Array(actions))
     }
 
-    /// Returns the edits of a fix by URI; `None` if one is in a built-in file.
-    fn changes(&self, sources: &Sources, fix: &Fix) -> Option<serde_json::Map<String, Value>> {
-        let mut changes: BTreeMap<String, Vec<Value>> = BTreeMap::new();
+    /// Returns the edit of a fix; `None` if it changes a built-in file.
+    fn fixed(&self, analysis: &Analysis, fix: &Fix) -> Option<Value> {
+        let mut edits: BTreeMap<String, (Option<i32>, Vec<Value>)> = BTreeMap::new();
         for (span, text) in &fix.edits {
-            let uri = self.uri(sources, span.source)?;
-            let span = if text.is_empty() {
-                whole_lines(sources, *span)
-            } else {
-                *span
+            let path = normalize(Path::new(analysis.sources.name(span.source)));
+            let span = match text.is_empty() {
+                true => whole_lines(&analysis.sources, *span),
+                false => *span,
             };
-            let range = Lines::of(sources, span.source).range(span);
-            changes
-                .entry(uri)
-                .or_default()
-                .push(json!({ "range": range, "newText": text }));
+            let version = self.documents.get(&path).map(|document| document.version);
+            let entry = edits.entry(self.uri_of(&path)?).or_insert((version, Vec::new()));
+            entry
+                .1
+                .push(json!({ "range": analysis.text(span.source).range_of(span), "newText": text }));
         }
-        Some(
-            changes
-                .into_iter()
-                .map(|(uri, edits)| (uri, Value::Array(edits)))
-                .collect(),
-        )
-    }
-
-    /// Lists declarations, types and clauses in source order.
-    fn symbols(&self, uri: &str) -> Result<Value, Refusal> {
-        let document = self.document(uri)?;
-        let lines = Lines::new(&document.text);
-        let symbol = |name: &str, detail: &str, kind: SymbolKind, whole: Span, name_span: Span| {
-            json!({
-                "name": name, "detail": detail, "kind": kind,
-                "range": lines.range(whole), "selectionRange": lines.range(name_span),
-            })
-        };
-        let title = |doc: &str| doc.lines().next().unwrap_or_default().to_owned();
-        let mut symbols = Vec::new();
-        let own = document
-            .analysis
-            .files
-            .iter()
-            .filter(|(id, _)| *id == document.analysis.entry);
-        for item in own.flat_map(|(_, file)| &file.items) {
-            match item {
-                ast::Item::Decl(decl) => symbols.extend(decl.names.iter().map(|name| {
-                    let span = name.place.0;
-                    symbol(&name.text, &title(&decl.doc), SymbolKind::FUNCTION, span, span)
-                })),
-                ast::Item::Type(decl) => {
-                    let span = decl.name.place.0;
-                    symbols.push(symbol(
-                        &decl.name.text,
-                        &title(&decl.doc),
-                        SymbolKind::CLASS,
-                        span,
-                        span,
-                    ));
-                }
-                ast::Item::Clause(clause) => symbols.extend(clause.heads.iter().take(1).map(|head| {
-                    let name = document.analysis.sources.slice(head.place.0);
-                    symbol(
-                        name,
-                        &title(&clause.doc),
-                        SymbolKind::EVENT,
-                        clause.place.0,
-                        head.place.0,
-                    )
-                })),
-                _ => {}
-            }
-        }
-        Ok(Value::Array(symbols))
+        Some(self.changes(edits.into_iter().map(|(uri, (version, edits))| (uri, version, edits))))
     }
 
     /// Returns `null` for a text with syntax errors, which its diagnostics report.
@@ -548,131 +653,59 @@ impl Server {
         let document = self.document(uri)?;
         let Analysis { sources, entry, .. } = &document.analysis;
         Ok(match datalog::format(sources, *entry) {
-            Ok(formatted) if formatted != document.text => {
-                json!([{ "range": Lines::new(&document.text).whole(), "newText": formatted }])
+            Ok(formatted) if formatted != document.text.as_str() => {
+                json!([{ "range": document.text.whole(), "newText": formatted }])
             }
             Ok(_) => json!([]),
             Err(_) => Value::Null,
         })
     }
-
-    /// Completes directives at the start of a line, files in an include, types after a colon, else predicates and, in
-    /// bodies, words of the language.
-    fn complete(&self, at: &TextDocumentPositionParams) -> Result<Value, Refusal> {
-        let document = self.document(at.text_document.uri.as_str())?;
-        let lines = Lines::new(&document.text);
-        let start = lines.byte(Position::new(at.position.line, 0));
-        let line = &document.text[start..lines.byte(at.position)];
-        let before = line.trim_end_matches(|c: char| c.is_ascii_alphanumeric() || c == '_' || c == '?');
-        let before = before.trim();
-        let item = |name: &str, kind: CompletionItemKind| {
-            let analysis = &document.analysis;
-            let meaning = match kind {
-                CompletionItemKind::CLASS => Meaning::Type(name.to_owned()),
-                _ => Meaning::Predicate(name.to_owned()),
-            };
-            let (detail, doc) = analysis.described(&meaning).unzip();
-            let doc = doc.filter(|doc| !doc.is_empty());
-            CompletionItem {
-                label: name.to_owned(),
-                kind: Some(kind),
-                detail,
-                documentation: doc.map(|doc| Documentation::MarkupContent(markdown(doc))),
-                ..CompletionItem::default()
-            }
-        };
-        let keyword = |word: &Word, label: String| CompletionItem {
-            label,
-            kind: Some(CompletionItemKind::KEYWORD),
-            detail: Some(word.form.to_owned()),
-            documentation: Some(Documentation::MarkupContent(markdown(word.meaning.to_owned()))),
-            ..CompletionItem::default()
-        };
-        let directives = |dot: &'static str| {
-            let words = DIRECTIVES.iter().filter_map(|name| words::find(name, true));
-            words.map(move |word| keyword(word, format!("{dot}{}", word.name)))
-        };
-        if before == "." {
-            return Ok(json!(directives("").collect::<Vec<_>>()));
-        }
-        if before.starts_with(".include") && before.contains('"') {
-            let known = BuiltinFiles.builtin_paths();
-            let names = known.iter().filter_map(|path| path.strip_prefix("rules/"));
-            let file = |name: &str| CompletionItem {
-                label: name.to_owned(),
-                kind: Some(CompletionItemKind::FILE),
-                ..CompletionItem::default()
-            };
-            return Ok(json!(names.map(file).collect::<Vec<_>>()));
-        }
-        let of_types = (before.starts_with(".decl") && before.ends_with(':'))
-            || (before.starts_with(".type") && before.ends_with([':', '=', '|']));
-        let mut items = Vec::new();
-        if of_types {
-            items.extend(datalog::BaseType::ALL.map(|base| item(base.name(), CompletionItemKind::CLASS)));
-        }
-        let mut seen = BTreeSet::new();
-        for meaning in document.analysis.declared() {
-            match meaning {
-                Meaning::Type(name) if of_types && seen.insert(name) => {
-                    items.push(item(name, CompletionItemKind::CLASS))
-                }
-                Meaning::Predicate(name) if !of_types && seen.insert(name) => {
-                    items.push(item(name, CompletionItemKind::FUNCTION));
-                }
-                _ => {}
-            }
-        }
-        let in_clause = !before.starts_with('.') && document.analysis.in_body(start + line.len());
-        if in_clause {
-            let words = words::WORDS.iter();
-            let words = words.filter(|word| matches!(word.place, words::Place::Body | words::Place::Operator));
-            items.extend(words.map(|word| keyword(word, word.name.to_owned())));
-        } else if before.is_empty() {
-            items.extend(directives("."));
-        }
-        Ok(json!(items))
-    }
 }
 
-fn severity_of(fault: &Diagnostic) -> DiagnosticSeverity {
-    match fault.severity() {
-        Severity::Error => DiagnosticSeverity::ERROR,
-        Severity::Warning => DiagnosticSeverity::WARNING,
-    }
-}
-
-/// Returns the description of the word of the language at a position.
-fn hover_word(document: &Document, position: Position) -> Option<Value> {
-    let text = document.text.as_str();
-    let lines = Lines::new(text);
-    let at = lines.byte(position);
-    let is_part = |c: char| c.is_ascii_alphanumeric() || c == '_';
-    let start = at - text[..at].chars().rev().take_while(|c| is_part(*c)).count();
-    let end = at + text[at..].chars().take_while(|c| is_part(*c)).count();
-    // A position past the end of the text maps to that end.
-    let line = lines.byte(Position::new(position.line, 0)).min(start);
-    let directive = text[line..start].trim_start() == ".";
-    // Not in comments and strings.
-    let before = &text[line..start];
-    if before.contains("//") || before.matches('"').count() % 2 == 1 {
-        return None;
-    }
-    let word = words::find(&text[start..end], directive)?;
-    let shown = format!("```prolog\n{}\n```\n\n{}\n", word.form, word.meaning);
-    let span = Span::new(document.analysis.entry, start - usize::from(directive)..end);
-    Some(json!({ "contents": markdown(shown), "range": lines.range(span) }))
-}
-
-/// Returns the edits that write a new name in all places.
-fn renamed(places: BTreeMap<String, BTreeSet<Place>>, name: &str) -> Value {
-    let changes = places.into_iter().map(|(uri, ranges)| {
-        let edits = ranges
-            .iter()
-            .map(|range| json!({ "range": range_json(range), "newText": name }));
-        (uri, edits.collect::<Value>())
+/// Returns the diagnostics of a text with their severities.
+fn faults(document: &Document) -> impl Iterator<Item = (&Diagnostic, DiagnosticSeverity)> {
+    let Analysis { diagnostics, hints, .. } = &document.analysis;
+    let severe = diagnostics.iter().chain(&document.conflicts);
+    let severe = severe.map(|fault| match fault.severity() {
+        Severity::Error => (fault, DiagnosticSeverity::ERROR),
+        Severity::Warning => (fault, DiagnosticSeverity::WARNING),
     });
-    json!({ "changes": changes.collect::<serde_json::Map<_, _>>() })
+    severe.chain(hints.iter().map(|lint| (lint, DiagnosticSeverity::INFORMATION)))
+}
+
+/// Returns the bytes of the text at which a diagnostic appears: the include for one in an included file.
+fn shown_at(analysis: &Analysis, fault: &Diagnostic) -> Range<usize> {
+    let span = fault.primary.as_ref().map(|label| label.span);
+    let span = span.and_then(|span| match span.source == analysis.entry {
+        true => Some(span),
+        false => analysis.include_of(span.source),
+    });
+    span.map_or(0..0, Span::range)
+}
+
+/// Searches for pairs of actions that the rules can derive together.
+fn search_conflicts(program: &Program) -> Vec<Diagnostic> {
+    match conflicts(program) {
+        Ok(overlaps) => conflict_lints(&overlaps, program.rules(), &Action::SAFEST_FIRST),
+        Err(faults) => faults,
+    }
+}
+
+/// Returns the semantic tokens of a text: as edits of the result with this name, if that is the last one.
+fn all_tokens(document: &Document, previous: Option<&str>) -> Value {
+    let data = tokens::encoded(&document.analysis, &(0..document.text.as_str().len()));
+    let mut last = document.tokens.borrow_mut();
+    let edits = previous
+        .filter(|name| **name == last.0)
+        .map(|_| tokens::edits(&last.1, &data));
+    if edits.is_none() || data != last.1 {
+        let number: u64 = last.0.parse().unwrap_or(0);
+        *last = ((number + 1).to_string(), data);
+    }
+    match edits {
+        Some(edits) => json!({ "resultId": last.0, "edits": edits }),
+        None => json!({ "resultId": last.0, "data": last.1 }),
+    }
 }
 
 /// Extends a span that is alone on its lines to whole lines.
@@ -689,46 +722,64 @@ fn whole_lines(sources: &Sources, span: Span) -> Span {
     }
 }
 
-/// An open text, and a name in it with its span.
-type Named<'d> = (&'d Document, Option<(Span, &'d Meaning)>);
-
-/// The first and last position of a range as (line, column), which makes ranges sortable.
-type Place = [(u32, u32); 2];
-
-fn range_json(place: &Place) -> Value {
-    let [start, end] = place.map(|(line, column)| Position::new(line, column));
-    json!({ "start": start, "end": end })
+/// Returns the key of a document in the table of open ones. The copy of a built-in file has the path of that file.
+fn key(uri: &str) -> PathBuf {
+    let path = normalize(&path_of(uri));
+    let inside = builtin::folder().and_then(|folder| Some(path.strip_prefix(normalize(&folder)).ok()?.to_owned()));
+    inside.map_or(path, |inside| Path::new(BUILTIN_FOLDER).join(inside))
 }
 
-/// Returns the key of a document in the table of open ones.
-fn key(uri: &str) -> PathBuf {
-    normalize(&path_of(uri))
+/// Returns a location in a file.
+fn location(path: &Path, text: &Text, bytes: &Range<usize>) -> Value {
+    json!({ "uri": uri_of(path), "range": text.range(bytes.clone()) })
 }
 
 fn read<T: DeserializeOwned>(params: Value) -> Result<T, Refusal> {
     serde_json::from_value(params).map_err(|error| (ErrorCode::InvalidParams, error.to_string()))
 }
 
-fn markdown(value: String) -> MarkupContent {
-    MarkupContent {
-        kind: MarkupKind::Markdown,
-        value,
-    }
+fn noted<T: DeserializeOwned>(params: Value) -> Result<T, String> {
+    serde_json::from_value(params).map_err(|error| error.to_string())
 }
 
-/// Returns the declaration, followed by its doc comment.
-fn described(analysis: &Analysis, meaning: &Meaning) -> Option<String> {
-    let (declaration, doc) = analysis.described(meaning)?;
-    let mut text = format!("```prolog\n{declaration}\n```\n");
-    if !doc.is_empty() {
-        text += &format!("\n{doc}\n");
-    }
-    if let Some(span) = analysis.declaration(meaning)
-        && span.source != analysis.entry
-    {
-        text += &format!("\n`{}`\n", analysis.sources.name(span.source));
-    }
-    Some(text)
+fn cancelled() -> Refusal {
+    (ErrorCode::RequestCanceled, "the request was cancelled".to_owned())
+}
+
+/// Wraps text of documentation.
+fn markup(value: String, is_plain: bool) -> MarkupContent {
+    let kind = match is_plain {
+        true => MarkupKind::PlainText,
+        false => MarkupKind::Markdown,
+    };
+    // Plain text has no fences around code.
+    let value = match is_plain {
+        true => value
+            .lines()
+            .filter(|line| !line.starts_with("```"))
+            .collect::<Vec<_>>()
+            .join("\n"),
+        false => value,
+    };
+    MarkupContent { kind, value }
+}
+
+/// Asks the client to report changes of rule files on disk.
+fn watch() -> Message {
+    let options = json!({ "watchers": [{ "globPattern": "**/*.dl" }] });
+    let method = "workspace/didChangeWatchedFiles";
+    let registration = json!({ "id": "rule-files", "method": method, "registerOptions": options });
+    Message::Request(lsp_server::Request::new(
+        RequestId::from("watch".to_owned()),
+        "client/registerCapability".to_owned(),
+        json!({ "registrations": [registration] }),
+    ))
+}
+
+/// Writes to the log of the editor.
+fn logged(message: String) -> Message {
+    let params = json!({ "type": MessageType::ERROR, "message": message });
+    Message::Notification(Notification::new("window/logMessage".to_owned(), params))
 }
 
 fn published(uri: &str, version: Option<i32>, diagnostics: Vec<Value>) -> Message {

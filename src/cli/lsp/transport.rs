@@ -65,6 +65,40 @@ pub fn start() -> (Connection, Transport) {
     (server, Transport { writer, fault })
 }
 
+/// The time between two looks at the process of the editor.
+const PARENT_POLL: Duration = Duration::from_secs(1);
+
+/// Ends this process when another one ends: the editor, whose end may leave the connection open.
+pub fn end_with(process: Option<u64>) {
+    let Some(process) = process
+        .and_then(|number| i32::try_from(number).ok())
+        .filter(|number| *number > 0)
+    else {
+        return;
+    };
+    // In another container, the number may mean nothing here.
+    if !is_alive(process) {
+        return;
+    }
+    thread::spawn(move || {
+        while is_alive(process) {
+            thread::sleep(PARENT_POLL);
+        }
+        std::process::exit(1);
+    });
+}
+
+#[cfg(unix)]
+fn is_alive(process: i32) -> bool {
+    let signalled = nix::sys::signal::kill(nix::unistd::Pid::from_raw(process), None);
+    signalled != Err(nix::errno::Errno::ESRCH)
+}
+
+#[cfg(not(unix))]
+fn is_alive(_: i32) -> bool {
+    true
+}
+
 impl Transport {
     /// Waits until all messages are written. Returns why the connection failed, if it did.
     pub fn finish(self) -> Result<(), String> {
