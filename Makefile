@@ -139,7 +139,7 @@ rllib: wheel $(VENV)-rllib/bin/python
 	$(VENV)-rllib/bin/pip install --quiet --disable-pip-version-check "$$(echo $(WHEELS)/*.whl)[rllib,test]"
 	$(VENV)-rllib/bin/python -m pytest -q $(RLLIB_TESTS:%=python/tests/test_%.py)
 
-RLLIB_TESTS := rllib envs parallel views wrappers
+RLLIB_TESTS := rllib wrappers
 
 $(VENV)/bin/python $(VENV)-all/bin/python $(VENV)-rllib/bin/python: %/bin/python:
 	$(PYTHON) -m venv $* || { echo "on Debian: apt-get install python3-venv"; exit 1; }

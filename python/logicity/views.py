@@ -9,7 +9,7 @@ something else needs, too. This module needs the extra `gym`.
 from __future__ import annotations
 
 from copy import deepcopy
-from typing import Any, cast
+from typing import TYPE_CHECKING, Any, TypeAlias, cast
 
 import numpy as np
 from numpy.typing import NDArray
@@ -124,7 +124,14 @@ class GraphObservation(_ViewObservation):
     _kind = "graph"
 
 
-class _VectorViewObservation(VectorObservationWrapper[View, NDArray[np.int64], Observations, NDArray[Any]]):
+if TYPE_CHECKING:
+    _VectorWrapper: TypeAlias = VectorObservationWrapper[View, NDArray[np.int64], Observations, NDArray[Any]]
+else:
+    # Its parameters exist only in later versions of gymnasium.
+    _VectorWrapper = VectorObservationWrapper
+
+
+class _VectorViewObservation(_VectorWrapper):
     """Replaces the observations of an `SPFVectorEnv` by views."""
 
     _kind: ViewKind
