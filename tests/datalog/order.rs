@@ -73,7 +73,7 @@ fn text(drawn: &Drawn, rank: impl Fn(usize, usize) -> u64) -> String {
 /// The codes and messages of errors, and the rows of each relation.
 type Verdict = (Vec<(&'static str, String)>, Option<Vec<Vec<String>>>);
 
-/// Returns the messages in order, and the rows of all relations, if there is no error.
+/// Returns the set of messages, and the rows of all relations, if there is no error.
 fn verdict(text: &str) -> Verdict {
     let mut sources = Sources::new();
     let entry = sources.add("a.dl", text);
@@ -85,6 +85,8 @@ fn verdict(text: &str) -> Verdict {
         .filter(|fault| fault.severity() == Severity::Error);
     let mut messages: Vec<(&str, String)> = errors.map(|fault| (fault.code.name(), fault.message.clone())).collect();
     messages.sort();
+    // One cycle may be reported at several of its atoms.
+    messages.dedup();
     let rows = loaded.rules.map(|rules| {
         let program = Program::new(rules).expect("the rules are small");
         let mut session = program.session();
