@@ -346,7 +346,7 @@ class Simulation:
             trace: A file for the trace of these ticks, which `logicity explain` and `logicity check --coverage` read.
                 The file appears at the end of the call, also after an exception. A trace records firings, so it
                 requires `count_firings`. It contains the configuration and the rules.
-            overwrite: Whether to replace a file that this package did not write, or that has changed since.
+            overwrite: Whether to replace a file that this function did not write, or that has changed since.
 
         Raises:
             FileExistsError: If the file of the trace must not be replaced. Then no tick runs.

@@ -353,7 +353,7 @@ def _add_force(parser: argparse.ArgumentParser) -> None:
     parser.add_argument(
         "--force",
         action="store_true",
-        help="replace output files that logicity did not write, or that have changed since",
+        help="replace output files that this command did not write, or that have changed since",
     )
 
 

@@ -360,7 +360,7 @@ class SPFEnv(gymnasium.Env[Any, np.int64]):
 
         Args:
             path: The file of the trace.
-            overwrite: Whether to replace a file that this package did not write, or that has changed since.
+            overwrite: Whether to replace a file that this function did not write, or that has changed since.
 
         Raises:
             FileExistsError: If the file must not be replaced.

@@ -327,7 +327,7 @@ class Benchmark:
                 such arrays, and returns integers of shape (episodes,).
             name: The name of the policy in the result.
             traces: A folder for one trace per episode, which is created if it does not exist. `episode-7.jsonl` is the
-                trace of episode 7, see `SPFEnv.write_trace`. They replace traces that this package wrote and that
+                trace of episode 7, see `SPFEnv.write_trace`. They replace traces that `evaluate` wrote and that
                 have not changed since. The folder must not have a trace of another episode. The random policy does not
                 support traces.
             overwrite: Whether to replace any file with the name of a trace.

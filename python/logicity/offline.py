@@ -175,7 +175,7 @@ class Demonstrations(Sequence[Trajectory]):
             folder: The folder to write, which is created if it does not exist.
             distinct: Whether to write steps with the same observation and action only once. The rules that are
                 consistent with all examples stay the same, but the weights of examples in noisy learning change.
-            overwrite: Whether to replace files that this package did not write, or that have changed since.
+            overwrite: Whether to replace files that this function did not write, or that have changed since.
 
         Returns:
             The folders of the actions.
@@ -240,7 +240,7 @@ class Demonstrations(Sequence[Trajectory]):
 
         Args:
             path: The file to write.
-            overwrite: Whether to replace a file that this package did not write, or that has changed since.
+            overwrite: Whether to replace a file that this function did not write, or that has changed since.
 
         Raises:
             FileExistsError: If the file must not be replaced.

@@ -127,7 +127,7 @@ class RulePolicy:
 
         Args:
             path: The file to write.
-            overwrite: Whether to replace a file that this package did not write, or that has changed since.
+            overwrite: Whether to replace a file that this function did not write, or that has changed since.
 
         Raises:
             FileExistsError: If the file must not be replaced.

@@ -125,7 +125,7 @@ def to_coco(
         folder: A folder made by `logicity vap make`.
         out: The file.
         images: Whether the data set must have pictures. The pictures are not read.
-        overwrite: Whether to replace a file that this package did not write, or that has changed since.
+        overwrite: Whether to replace a file that this function did not write, or that has changed since.
 
     Raises:
         FileExistsError: If the file must not be replaced.
