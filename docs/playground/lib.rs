@@ -7,13 +7,14 @@
 use logicity::builtin::{self, BuiltinFiles, ReadWith};
 use logicity::cancel::Cancel;
 use logicity::city::{Agent, Split};
-use logicity::datalog::optimize;
 use logicity::diag::{Code, Diagnostic, Sources, render, to_json};
 use logicity::files::{BUILTIN_FOLDER, ReadError, ReadFile};
 use logicity::page::{LIVE_TICKS, Live};
 use logicity::render::{Difficulty, Icons};
 use logicity::rng::Seed;
-use logicity::sim::{LoadError, LoadedCity, Settings, Simulation, World, city_lints, conflict_lints, conflicts};
+use logicity::sim::{
+    CityTheory, LoadError, LoadedCity, Settings, Simulation, World, conflict_lints, conflicts, examine,
+};
 use serde_json::{Value, json};
 use std::path::Path;
 use std::sync::Arc;
@@ -129,23 +130,26 @@ fn load(mode: &str, rules: &str, sources: &mut Sources) -> Result<LoadedCity, Ve
 pub fn check(mode: &str, rules: &str) -> String {
     let mut sources = Sources::new();
     let found = match load(mode, rules, &mut sources) {
-        Ok(city) => examine(city),
+        Ok(city) => judge(city, &sources),
         Err(faults) => faults,
     };
     report(&found, &sources).to_string()
 }
 
-fn examine(city: LoadedCity) -> Vec<Diagnostic> {
+fn judge(city: LoadedCity, sources: &Sources) -> Vec<Diagnostic> {
     let LoadedCity {
         scenario,
         program,
         warnings: mut found,
         ..
     } = city;
-    let lints = optimize::lints(program.rules()).diagnostics;
-    found.extend(lints.into_iter().filter(|lint| lint.code == Code::CONTRADICTORY_BODY));
-    found.extend(city_lints(program.rules(), Some(&scenario)));
-    match conflicts(&program) {
+    let theory = match CityTheory::new(scenario.clone()) {
+        Ok(theory) => theory,
+        Err(fault) => return vec![fault],
+    };
+    let examined = examine(program.rules(), Some(&theory), sources);
+    found.extend(examined.diagnostics);
+    match conflicts(&examined.in_city) {
         Ok(overlaps) => found.extend(conflict_lints(&overlaps, program.rules(), &scenario.actions.priority)),
         Err(faults) => found.extend(faults),
     }

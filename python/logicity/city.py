@@ -8,14 +8,14 @@ from collections.abc import Mapping
 from dataclasses import dataclass
 from functools import cached_property
 from operator import index
-from typing import Any, SupportsIndex, TypeAlias, TypeVar, cast
+from typing import Any, SupportsIndex, TypeAlias, TypeVar, cast, overload
 
 import numpy as np
 import numpy.typing as npt
 
 from . import _logicity
 from .errors import LimitArguments, checked_integer, checked_limits, checked_path, checked_threads, did_you_mean
-from .rules import rule_file
+from .rules import Explanation, rule_file
 from .types import Action, Answer, Executor, Heading, Limits, Scene, Split, SymbolicScene
 
 __all__ = ["ACTIONS", "HEADINGS", "REASONS", "AgentInfo", "Decision", "Inference", "Simulation", "Tick", "infer"]
@@ -398,25 +398,52 @@ class Simulation:
         """The label of each clause and the rows it derived in the last tick. Empty without `count_firings`."""
         return self._city.firings()
 
-    def explain(self, agent: str | int) -> Decision:
-        """Explain an agent's action in the last tick.
+    @overload
+    def explain(self, agent: str | int) -> Decision: ...
 
-        Before the first tick, explain the action that the rules derive now.
+    @overload
+    def explain(self, agent: str | int, fact: str) -> Explanation: ...
+
+    def explain(self, agent: str | int, fact: str | None = None) -> Decision | Explanation:
+        """Explain an agent's action in the last tick, or why a fact holds or does not hold on its state.
+
+        Before the first tick, explain what the rules derive now.
+
+        Args:
+            agent: The name or the position of the agent.
+            fact: The name of any predicate, about the agent, or a fact such as `IsClose(Car_1, Car_2)`. `_` matches any
+                value.
 
         Raises:
+            InputError: If the fact is invalid.
             KeyError: If the agent is unknown.
             LimitError: If there are too many agents, or the search for a proof takes too many steps.
         """
-        return self._decision(agent, None)
+        if fact is None:
+            return self._decision(agent, None)
+        return Explanation(*self._city.explain_fact(self._agent(agent), fact))
 
-    def why_not(self, agent: str | int, action: Action | int) -> Decision:
+    @overload
+    def why_not(self, agent: str | int, action: Action | int) -> Decision: ...
+
+    @overload
+    def why_not(self, agent: str | int, action: str) -> Decision | Explanation: ...
+
+    def why_not(self, agent: str | int, action: str | int) -> Decision | Explanation:
         """Explain why the rules did not derive an action for an agent in the last tick, or why they did.
 
+        Args:
+            agent: The name or the position of the agent.
+            action: The action, or another fact, as in `explain`.
+
         Raises:
+            InputError: If the fact is invalid.
             KeyError: If the agent is unknown.
             LimitError: As for `explain`.
-            ValueError: If the action is unknown.
+            ValueError: If the number of the action is unknown.
         """
+        if isinstance(action, str) and action not in ACTIONS:
+            return self.explain(agent, action)
         return self._decision(agent, _action(action))
 
     def _decision(self, agent: str | int, why_not: int | None) -> Decision:

@@ -346,10 +346,19 @@ class SPFEnv(gymnasium.Env[Any, np.int64]):
         if not self._begun:
             raise ResetNeeded("no episode has started: call `reset`")
 
-    def explain(self) -> str:
-        """Return proofs of the oracle's action as text, from the facts in the current view of the car."""
+    def explain(self, fact: str | None = None) -> str:
+        """Return proofs of the oracle's action as text, from the facts in the current view of the car.
+
+        Args:
+            fact: Explain instead why this fact holds or does not hold there: the name of any predicate, about the car,
+                or a fact such as `IsClose(Car_1, Car_2)`.
+
+        Raises:
+            InputError: If the fact is invalid.
+            gymnasium.error.ResetNeeded: If no episode has started.
+        """
         self._check_begun()
-        return self._core.explain(0)
+        return self._core.explain(0, fact)
 
     def write_trace(self, path: str | os.PathLike[str], *, overwrite: bool = False) -> None:
         """Write the trace of the episode so far, in the format of `logicity run`.
@@ -818,14 +827,14 @@ class SPFVectorEnv(VectorEnv[Any, NDArray[np.int64], NDArray[Any]]):
         """
         return cast(EpisodeStart, self._core.episode(self._checked_index(at)))
 
-    def explain(self, at: int) -> str:
-        """Return proofs of the oracle's action in an environment, as `SPFEnv.explain` does.
+    def explain(self, at: int, fact: str | None = None) -> str:
+        """Return proofs of the oracle's action in an environment, or of a fact, as `SPFEnv.explain` does.
 
         Raises:
             IndexError: If the environment does not exist.
             gymnasium.error.ResetNeeded: If its episode has not started.
         """
-        return self._core.explain(self._checked_index(at))
+        return self._core.explain(self._checked_index(at), fact)
 
     def _checked_index(self, at: int) -> int:
         if not 0 <= operator.index(at) < self.num_envs:

@@ -204,17 +204,18 @@ class SPFParallelEnv(ParallelEnv[str, Any, "np.int64 | int"]):
         self._check_begun()
         return cast(EpisodeStart, self._cars.episode())
 
-    def explain(self, agent: str) -> str:
-        """Return proofs of the action that the rules derive for a car, as `SPFEnv.explain` does.
+    def explain(self, agent: str, fact: str | None = None) -> str:
+        """Return proofs of the action that the rules derive for a car, or of a fact, as `SPFEnv.explain` does.
 
         Raises:
+            InputError: If the fact is invalid.
             ValueError: If the car is unknown.
             gymnasium.error.ResetNeeded: If no episode has started.
         """
         self._check_begun()
         if agent not in self._index:
             raise ValueError(self._unknown(agent))
-        return self._cars.explain(self._index[agent])
+        return self._cars.explain(self._index[agent], fact)
 
     def _check_begun(self) -> None:
         if not self._begun:

@@ -7,12 +7,12 @@ use logicity::cancel::Cancel;
 use logicity::city::{Action, Split};
 use logicity::city::{Agent, Cell, Heading, MoveReason};
 use logicity::config::missing_file;
-use logicity::datalog::explain::ExplanationPrinter;
+use logicity::datalog::explain::{Explainer, ExplanationPrinter};
 use logicity::diag::{Code, Diagnostic, SourceId, Sources};
 use logicity::files::{Output, ReadError, ReadFile};
 use logicity::rng::Seed;
 use logicity::sim::{
-    Executor, Inference, LoadError, LoadedCity, MAX_ENTITIES, Settings, Simulation, TraceWriter, World,
+    AskedFact, Executor, Inference, LoadError, LoadedCity, MAX_ENTITIES, Settings, Simulation, TraceWriter, World,
 };
 use numpy::ndarray::{Array1, Array2};
 use numpy::{IntoPyArray, PyArray1, PyArray2, PyArray3};
@@ -391,6 +391,37 @@ impl PySimulation {
         })?;
         let (text, json) = explained.map_err(|fault: Diagnostic| input_error(py, &[fault], &self.sources))?;
         Ok((text, to_python(py, &json)?))
+    }
+
+    /// Returns the fact as text, whether it holds in the state of the last tick, the explanation as text, and the nodes
+    /// of the explanation.
+    fn explain_fact<'py>(
+        &self,
+        py: Python<'py>,
+        agent: usize,
+        fact: &str,
+    ) -> PyResult<(String, bool, String, Bound<'py, PyAny>)> {
+        let mut sources = self.sources.clone();
+        let question = sources.add("<fact>", fact);
+        let explained = self.city.detached(py, |city, cancel| {
+            let names: Vec<String> = city.agents().iter().map(|agent| agent.name().to_string()).collect();
+            let names: Vec<&str> = names.iter().map(String::as_str).collect();
+            let decision = city.decision(agent).map_err(|fault| vec![fault])?;
+            let known = (&decision.world.scenario, decision.session);
+            let asked = AskedFact::read(&sources, question, known, &names, Some(names[agent]))?;
+            let mut explainer = Explainer::new_with(decision.session, cancel);
+            let account = asked.explain(&mut explainer).map_err(|error| vec![error.into()])?;
+            let mut json = account.json(decision.session, &sources);
+            Ok((
+                account.fact(decision.session, &sources),
+                account.holds,
+                account.text(decision.session, &sources),
+                json["nodes"].take(),
+            ))
+        })?;
+        let explained = explained.map_err(|faults: Vec<Diagnostic>| input_error(py, &faults, &sources));
+        let (fact, holds, text, nodes) = explained?;
+        Ok((fact, holds, text, to_python(py, &nodes)?))
     }
 
     /// Returns the label of each clause and the number of rows it derived in the last tick.

@@ -426,10 +426,10 @@ impl PyVectorEnv {
         Ok(PyEpisode::of(this.begun(py, at)?.env().episode()))
     }
 
-    /// Explains the oracle's action in an environment.
-    fn explain(slf: &Bound<'_, Self>, py: Python<'_>, at: usize) -> PyResult<String> {
+    /// Explains the oracle's action in an environment, or a fact.
+    fn explain(slf: &Bound<'_, Self>, py: Python<'_>, at: usize, fact: Option<&str>) -> PyResult<String> {
         let this = borrowed(slf)?;
-        (this.task.get()).explain(py, this.begun(py, at)?.env(), 0, &this.signals)
+        (this.task.get()).explain(py, (this.begun(py, at)?.env(), 0), fact, &this.signals)
     }
 
     /// Returns the state of an environment as text.

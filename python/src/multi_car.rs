@@ -159,11 +159,11 @@ impl PyMultiCarEnv {
         Ok(PyEpisode::of(borrowed(slf)?.env.episode()))
     }
 
-    /// Explains the action that the rules derive for a car.
-    fn explain(slf: &Bound<'_, Self>, py: Python<'_>, car: usize) -> PyResult<String> {
+    /// Explains the action that the rules derive for a car, or a fact.
+    fn explain(slf: &Bound<'_, Self>, py: Python<'_>, car: usize, fact: Option<&str>) -> PyResult<String> {
         let this = borrowed(slf)?;
         this.check(car)?;
-        this.task.get().explain(py, &this.env, car, &this.signals)
+        (this.task.get()).explain(py, (&this.env, car), fact, &this.signals)
     }
 
     /// Returns the state of a car as text.

@@ -274,10 +274,16 @@ impl PyTask {
         PyTuple::new(py, atoms.collect::<Vec<String>>())
     }
 
-    pub fn explain(&self, py: Python<'_>, env: &Env, controlled_car: usize, signals: &Signals) -> PyResult<String> {
+    pub fn explain(
+        &self,
+        py: Python<'_>,
+        (env, controlled_car): (&Env, usize),
+        fact: Option<&str>,
+        signals: &Signals,
+    ) -> PyResult<String> {
         let sources = self.sources();
-        let explained = signals.detach(py, || explain(env, controlled_car, &sources))?;
-        explained.map_err(|fault| input_error(py, &[fault], &sources))
+        let explained = signals.detach(py, || explain(env, controlled_car, fact, &sources))?;
+        explained.map_err(|(faults, sources)| input_error(py, &faults, &sources))
     }
 
     /// Returns an RGB picture of the city that marks some controlled cars.

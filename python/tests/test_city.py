@@ -7,6 +7,7 @@ import itertools
 import json
 import pickle
 import random
+import re
 import threading
 import time
 from collections.abc import Callable
@@ -280,7 +281,29 @@ def test_explanations_of_actions() -> None:
     with pytest.raises(KeyError, match="Absent"):
         city.explain("Absent")
     with pytest.raises(ValueError, match="is not an action"):
-        city.why_not(stopped, "Fly")  # type: ignore[arg-type]
+        city.why_not(stopped, 4)
+
+
+def test_explanations_of_facts() -> None:
+    city = Simulation()
+    city.run(6)
+    first, second = city.facts()["NextTo"][0]
+    near = city.explain(first, f"NextTo({first}, {second})")
+    assert near.holds and near.fact == f'NextTo("{first}", "{second}")'
+    assert city.explain(first, "NextTo").holds
+    walks = city.why_not("Car_1", "IsPedestrian")
+    assert isinstance(walks, logicity.Explanation)
+    assert not walks.holds and walks.text.startswith('IsPedestrian("Car_1") does not hold, because:')
+    assert walks.nodes[0]["because"] == "not-a-fact"
+    for fact, said in [
+        ("Fly", "no predicate `Fly` is declared"),
+        ("IsBuss", "did you mean `IsBus`?"),
+        ("IsClose(Car_1)", "`IsClose` has 2 columns, but 1 value is given"),
+        ("IsClose(Car_1, Car_99)", "there is no agent `Car_99`"),
+        ("IsClose(Car_1", "expected a predicate"),
+    ]:
+        with pytest.raises(logicity.InputError, match=re.escape(said)):
+            city.explain("Car_1", fact)
 
 
 def test_the_command_line_reads_the_trace(tmp_path: Path) -> None:

@@ -154,6 +154,9 @@ def test_explain_and_render_show_the_current_state() -> None:
     name = ["Slow", "Normal", "Fast", "Stop"][info["oracle_action"]]
     first, *proof = env.explain().splitlines()
     assert first.startswith("tick 0: Car_1 at [") and first.endswith(f": {name}") and proof
+    assert env.explain("IsCar").startswith('IsCar("Car_1") holds, because:')
+    with pytest.raises(logicity.InputError, match="did you mean `IsBus`"):
+        env.explain("IsBuss")
     before = env.render()
     assert before.dtype == np.uint8 and before.ndim == 3
     env.step(info["oracle_action"])

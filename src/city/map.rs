@@ -555,6 +555,32 @@ impl CityMap {
         )
     }
 
+    /// Returns the relations to intersections of the cells on which agents of a kind may be, each once.
+    pub(crate) fn junctions(&self, kind: AgentKind) -> Vec<Junction> {
+        // Cells of equal classes are alike.
+        let firsts = |parts: &[Part]| {
+            let mut classes = std::collections::BTreeMap::new();
+            for (part, at) in parts.iter().zip(0..) {
+                classes.entry(part.0).or_insert(at);
+            }
+            classes.into_values().collect::<Vec<i32>>()
+        };
+        let (rows, cols) = (firsts(&self.rows), firsts(&self.cols));
+        let cells = rows
+            .iter()
+            .flat_map(|&row| cols.iter().map(move |&col| Cell::new(row, col)));
+        let may_be = |cell: &Cell| match kind {
+            AgentKind::Car => self.is_drivable(*cell),
+            AgentKind::Pedestrian => self.is_walkable(*cell),
+        };
+        let mut found = [false; Junction::ALL.len()];
+        cells
+            .filter(may_be)
+            .for_each(|cell| found[self.junction(cell).index()] = true);
+        let all = Junction::ALL.into_iter();
+        all.filter(|junction| found[junction.index()]).collect()
+    }
+
     /// Returns the intersection that an agent of this kind is *At* on this cell, if any.
     pub fn at_intersection(&self, kind: AgentKind, cell: Cell) -> Option<u32> {
         (self.junction(cell).is_at(kind)).then(|| self.intersection_near(cell))

@@ -568,7 +568,7 @@ impl<'a> Bench<'a> {
                 (Executor::Dense, _) => {
                     format!("{what}: this works for up to {WHOLE_MAX} agents, not {agents}; choose fewer with --agents")
                 }
-                (_, Some(reason)) => format!("{what}, but {reason}"),
+                (_, Some(reason)) => format!("{what}, but {}", reason.message),
                 (_, None) => format!("{what}; omit --executor relational"),
             }));
         };

@@ -5,15 +5,14 @@ use crate::city::Action;
 use crate::cli::configuration::{self, Checked, Opened};
 use crate::cli::trace::TraceReader;
 use crate::cli::{Failure, LimitOptions, load_workspace_from, plural, report, terminal};
-use crate::config::load_scenario;
+use crate::datalog::dense::{self, Unsupported};
 use crate::datalog::diff::{Cut, Equivalence};
 use crate::datalog::explain::ExplanationPrinter;
-use crate::datalog::{Clause, ClauseId, Edb, RelId, Rules};
-use crate::datalog::{Program, dense, optimize};
-use crate::diag::{Code, Diagnostic, Sources, to_json};
+use crate::datalog::{Clause, ClauseId, Edb, Program, RelId, Rules};
+use crate::diag::{Diagnostic, Sources, to_json};
 use crate::files::ReadFile;
 use crate::sim::{
-    CONFLICT_BUDGET, Coverage, Finding, LoadError, Overlap, city_lints, conflict_lints, conflicts, scene_json,
+    CONFLICT_BUDGET, Coverage, Finding, Overlap, conflict_lints, conflicts, examine as examine_rules, scene_json,
 };
 use serde_json::json;
 use std::collections::HashSet;
@@ -34,8 +33,9 @@ pub struct Arguments {
     /// Count how often each clause fires on the states of this trace, and list the literals that never matter there
     #[arg(long, value_name = "TRACE")]
     coverage: Option<PathBuf>,
-    /// Configuration whose order of actions decides conflicts [default: Stop, Slow, Fast, Normal]; with --coverage the
-    /// configuration to use instead of the one in the trace
+    /// Configuration of the city for which the rules are checked, as if `run` had the option `--rules`; its order of
+    /// actions decides conflicts [default: Stop, Slow, Fast, Normal]; with --coverage the configuration to use instead
+    /// of the one in the trace
     #[arg(long)]
     config: Option<PathBuf>,
     /// Also report literals and clauses that are always true or redundant
@@ -113,11 +113,13 @@ fn examine(arguments: &Arguments, path: &Path, files: &dyn ReadFile, sources: &m
         precedence: Action::SAFEST_FIRST.to_vec(),
         covered: None,
     };
-    let given = arguments.config.as_deref();
-    let given = given.map(|config| load_scenario(sources, config, &BuiltinFiles));
-    let given = given.transpose().map_err(LoadError::Config)?;
-    if let Some(scenario) = &given {
-        report.precedence.clone_from(&scenario.actions.priority);
+    let given = arguments
+        .config
+        .as_deref()
+        .map(|config| configuration::open_run(config, sources));
+    let given = given.transpose()?;
+    if let Some(given) = &given {
+        report.precedence = given.precedence().to_vec();
     }
     let rules: PathBuf;
     let path = match configuration::open(path, sources)? {
@@ -158,27 +160,32 @@ fn examine(arguments: &Arguments, path: &Path, files: &dyn ReadFile, sources: &m
     if !loaded.compared.complete {
         report.unfinished.push("clauses that derive nothing new");
     }
-    let program = loaded.rules.map(Program::new).transpose();
-    let Some(program) = program.unwrap_or_else(|fault| {
-        report.found.push(fault);
-        None
-    }) else {
+    let Some(rules) = loaded.rules else {
         return Ok(report);
     };
-    let lints = optimize::lints(program.rules());
-    // Redundant literals may be there for the reader.
-    let shown = |lint: &Diagnostic| arguments.lints || lint.code == Code::CONTRADICTORY_BODY;
-    report.found.extend(lints.diagnostics.into_iter().filter(shown));
+    let own = report.configuration.as_ref();
+    let city = given.as_ref().or(own).and_then(Checked::theory);
+    let examined = examine_rules(&rules, city, sources);
+    report.found.extend(examined.diagnostics);
     if arguments.lints {
-        report.unfinished.extend(lints.unfinished);
+        // Redundant literals may be there for the reader.
+        report.found.extend(examined.hints);
+        report.unfinished.extend(examined.unfinished);
     }
-    let own = report.configuration.as_ref().and_then(Checked::scenario);
-    report.found.extend(city_lints(program.rules(), given.as_ref().or(own)));
-    report.overlaps = conflicts(&program)?;
+    let program = match Program::new(rules) {
+        Ok(program) => program,
+        Err(fault) => {
+            report.found.push(fault);
+            return Ok(report);
+        }
+    };
+    report.overlaps = conflicts(&examined.in_city)?;
     let lints = conflict_lints(&report.overlaps, program.rules(), &report.precedence);
     report.found.extend(lints);
-    if let Some(configuration) = &mut report.configuration {
-        report.found.extend(configuration.bind(&program, sources));
+    if let Some(configuration) = &report.configuration {
+        report.found.extend(configuration.bind(&program, None, sources));
+    } else if let Some(given) = &given {
+        report.found.extend(given.bind(&program, Some(path), sources));
     }
     if let Some(trace) = &arguments.coverage {
         report.covered = Some(measure(arguments, trace, path, sources)?);
@@ -197,7 +204,7 @@ impl Report {
             "file": path.display().to_string(),
             "ok": !self.found.iter().any(Diagnostic::is_error),
             "strata": self.rules().map(strata),
-            "executors": self.rules().map(executors_json),
+            "executors": self.rules().map(|rules| executors_json(rules, sources)),
         });
         if let Some(configuration) = &self.configuration {
             line["configuration"] = configuration.json();
@@ -252,12 +259,8 @@ fn strata(rules: &Rules) -> Vec<Vec<&str>> {
 
 /// Returns for each stratum the names of its visible predicates and why the dense executor cannot evaluate it, if it
 /// cannot.
-fn executors(rules: &Rules) -> Vec<(Vec<&str>, Option<String>)> {
-    let choice = dense::choose(rules);
-    let reasons = choice
-        .relational
-        .iter()
-        .map(|reason| Some(reason.as_ref()?.show(rules)));
+fn executors(rules: &Rules) -> Vec<(Vec<&str>, Option<Unsupported>)> {
+    let reasons = dense::choose(rules).relational;
     let strata = rules.strata.iter().map(|stratum| {
         let shown = |relation: &&RelId| !rules.relations[relation.index()].hidden;
         let shown = stratum.relations.iter().filter(shown);
@@ -266,6 +269,11 @@ fn executors(rules: &Rules) -> Vec<(Vec<&str>, Option<String>)> {
             .collect::<Vec<_>>()
     });
     strata.zip(reasons).filter(|(names, _)| !names.is_empty()).collect()
+}
+
+/// Describes a reason with the place of the clause at its root.
+fn because(reason: &Unsupported, rules: &Rules, sources: &Sources) -> String {
+    format!("{} at {}", reason.show(rules), sources.locate(reason.span))
 }
 
 /// The number of agents for which `check` estimates the steps of the dense executor.
@@ -301,18 +309,34 @@ fn print_executors(out: &mut impl Write, rules: &Rules, sources: &Sources) -> io
         return print_costly(out, rules, sources);
     }
     writeln!(out, "  executor: relational")?;
+    let mut helped = HashSet::new();
     for (names, reason) in executors {
-        if let Some(reason) = reason {
-            writeln!(out, "    {} cannot be dense: {reason}", names.join(", "))?;
+        let Some(reason) = reason else { continue };
+        let (names, because) = (names.join(", "), because(&reason, rules, sources));
+        match reason.reads {
+            None => writeln!(out, "    {names} cannot be dense: {because}")?,
+            Some(_) => writeln!(
+                out,
+                "    {names} cannot be dense, since the relational executor needs it: {because}"
+            )?,
+        }
+        if let Some(help) = reason.help().filter(|_| helped.insert(reason.span)) {
+            writeln!(out, "      help: {help}")?;
         }
     }
     Ok(())
 }
 
-fn executors_json(rules: &Rules) -> serde_json::Value {
+fn executors_json(rules: &Rules, sources: &Sources) -> serde_json::Value {
     let strata = executors(rules).into_iter().map(|(names, reason)| match reason {
         None => json!({ "predicates": names, "executor": "dense" }),
-        Some(reason) => json!({ "predicates": names, "executor": "relational", "because": reason }),
+        Some(reason) => json!({
+            "predicates": names,
+            "executor": "relational",
+            "because": because(&reason, rules, sources),
+            "clause": ExplanationPrinter::new(rules, &rules.symbols, sources).clause_json(reason.clause),
+            "help": reason.help(),
+        }),
     });
     strata.collect()
 }
@@ -331,7 +355,7 @@ fn print_overlaps(
         let Overlap { actions, finding } = overlap;
         let [first, second] = actions.map(|action| action.name());
         match finding {
-            Finding::Excluded => {}
+            Finding::Excluded { .. } => {}
             Finding::Together { clauses, scene } => {
                 let [a, b] = clauses.map(|clause| printer.title(clause));
                 writeln!(
@@ -355,6 +379,15 @@ fn print_overlaps(
     }
     if !printed && !overlaps.is_empty() {
         writeln!(out, "  conflicts: none")?;
+        let given = overlaps.iter().flat_map(|overlap| match &overlap.finding {
+            Finding::Excluded { given } => given.as_slice(),
+            _ => &[],
+        });
+        let given: Vec<String> = given.map(|one| one.show(rules, sources)).collect();
+        let mut shown = HashSet::new();
+        for one in given.iter().filter(|one| shown.insert(one.as_str())) {
+            writeln!(out, "    given {one}")?;
+        }
     }
     Ok(())
 }
@@ -408,7 +441,11 @@ fn overlaps_json(overlaps: &[Overlap], precedence: &[Action], rules: &Rules, sou
         let winner = overlap.winner(precedence).name();
         let actions = actions.map(|action| action.name());
         match finding {
-            Finding::Excluded => json!({ "actions": actions, "finding": "excluded" }),
+            Finding::Excluded { given } => json!({
+                "actions": actions,
+                "finding": "excluded",
+                "given": given.iter().map(|one| one.show(rules, sources)).collect::<Vec<_>>(),
+            }),
             Finding::Together { clauses, scene } => json!({
                 "actions": actions,
                 "finding": "together",

@@ -5,10 +5,10 @@ use crate::city::{Action, AgentKind, CityMap, MapConfig, Split};
 use crate::cli::{Failure, missing_is_usage, plural};
 use crate::config::{Loaded, Scenario, load_any, missing_file};
 use crate::datalog::Program;
-use crate::diag::{Diagnostic, Sources};
+use crate::diag::{Diagnostic, Located, Sources, Span};
 use crate::files::ReadFile as _;
 use crate::rng::Seed;
-use crate::sim::{Settings, Simulation, World};
+use crate::sim::{CityTheory, Settings, Simulation, World};
 use crate::task::spf::SpfTask;
 use serde_json::{Value, json};
 use std::io::{self, Write};
@@ -30,6 +30,7 @@ pub struct Checked {
     /// Rows and columns of cells.
     size: [i32; 2],
     scenario: Option<Box<Scenario>>,
+    theory: Option<Box<CityTheory>>,
 }
 
 /// Reads a file, unless it is a rule file. A bare name without a file means a built-in configuration.
@@ -53,9 +54,11 @@ pub fn open(path: &Path, sources: &mut Sources) -> Result<Opened, Failure> {
     Ok(match CityMap::generate(&map) {
         Err(fault) => Opened::Faulty(vec![fault]),
         Ok(city) => {
+            let theory = scenario.as_deref().map(|scenario| CityTheory::new(scenario.clone()));
             let checked = Checked {
                 map,
                 size: [city.rows(), city.cols()],
+                theory: theory.transpose()?.map(Box::new),
                 scenario,
             };
             match checked.scenario {
@@ -66,6 +69,18 @@ pub fn open(path: &Path, sources: &mut Sources) -> Result<Opened, Failure> {
     })
 }
 
+/// Reads the run configuration that an option `--config` names.
+pub fn open_run(path: &Path, sources: &mut Sources) -> Result<Checked, Failure> {
+    match open(path, sources)? {
+        Opened::Run(run) => Ok(run),
+        Opened::Faulty(faults) => Err(faults.into()),
+        Opened::Map(_) | Opened::Rules => {
+            let message = format!("--config expects a run configuration, not `{}`", path.display());
+            Err(Failure::Usage(message))
+        }
+    }
+}
+
 impl Checked {
     /// Returns the path of the rule file. A map has none.
     pub fn rules(&self) -> &Path {
@@ -73,9 +88,9 @@ impl Checked {
         scenario.map_or(Path::new(""), |scenario| &scenario.rules.value)
     }
 
-    /// Returns the scenario. A map has none.
-    pub fn scenario(&self) -> Option<&Scenario> {
-        self.scenario.as_deref()
+    /// Returns the configuration, prepared to judge rules. A map has none.
+    pub fn theory(&self) -> Option<&CityTheory> {
+        self.theory.as_deref()
     }
 
     /// Returns the order in which derived actions take precedence. A map has none.
@@ -85,14 +100,27 @@ impl Checked {
     }
 
     /// Binds the predicates to the rules, creates the task and places the agents of each split. Returns the errors.
-    pub fn bind(&self, program: &Program, sources: &Sources) -> Vec<Diagnostic> {
+    /// `rules` is the rule file, if it is not that of the configuration.
+    pub fn bind(&self, program: &Program, rules: Option<&Path>, sources: &Sources) -> Vec<Diagnostic> {
         let Some(scenario) = &self.scenario else {
             return Vec::new();
         };
-        let world = match World::new((**scenario).clone(), program.clone()) {
+        let mut scenario = (**scenario).clone();
+        let entry = rules.and_then(|rules| {
+            let name = rules.display().to_string();
+            sources.ids().find(|&id| sources.name(id) == name)
+        });
+        if let (Some(rules), Some(entry)) = (rules, entry) {
+            scenario.rules = Located {
+                value: rules.to_owned(),
+                span: Span::new(entry, 0..0),
+            };
+        }
+        let world = match World::new(scenario, program.clone()) {
             Ok(world) => Arc::new(world),
             Err(faults) => return faults,
         };
+        let scenario = &world.scenario;
         let mut faults = Vec::new();
         if scenario.task.is_some() {
             faults.extend(SpfTask::new(Arc::clone(&world), sources).err().into_iter().flatten());

@@ -2,15 +2,16 @@
 
 use crate::builtin::BuiltinFiles;
 use crate::city::Action;
+use crate::cli::configuration::{Checked, open_run};
 use crate::cli::{Failure, integer, load_program, load_workspace_from, report, terminal};
 use crate::config::rule_file;
-use crate::datalog::diff::{Cut, Difference, Equivalence, Options, diff};
-use crate::datalog::{BaseType, Clause, Edb, Program, Rules, Term, is_name, quoted};
-use crate::diag::{Code, Diagnostic, SourceId, Sources, Span};
+use crate::datalog::diff::{Cut, Difference, Equivalence, Options, diff, premises};
+use crate::datalog::{BaseType, Clause, Comparison, Edb, Literal, Rules, Term, is_name, quoted};
+use crate::diag::{Code, Diagnostic, SourceId, Sources, Span, to_json};
 use crate::files::{ReadError, ReadFile};
-use crate::sim::scene_json;
+use crate::sim::{CityTheory, examine, scene_json};
 use serde_json::{Value, json};
-use std::collections::BTreeSet;
+use std::collections::{BTreeSet, HashSet};
 use std::io::Write;
 use std::path::{Path, PathBuf};
 
@@ -27,6 +28,10 @@ pub struct Arguments {
     /// compared predicates; other variables must occur with one of them
     #[arg(long, value_name = "BODY")]
     given: Option<String>,
+    /// Compare the rules in the city of this configuration: only scenes of its agents, with the constraints that hold
+    /// there instead of the declared ones
+    #[arg(long, value_name = "CONFIG")]
+    config: Option<PathBuf>,
     /// Compare scenes of at most this many entities
     #[arg(
         long,
@@ -50,37 +55,61 @@ pub struct Arguments {
 /// Returns exit code 0 if it finds no difference, 1 if it finds one.
 pub fn run(arguments: &Arguments, sources: &mut Sources) -> Result<u8, Failure> {
     let paths = [&arguments.left, &arguments.right].map(|path| rule_file(path, &BuiltinFiles));
-    let (mut left, mut warnings) = load_program(sources, &paths[0])?;
-    let (mut right, more) = load_program(sources, &paths[1])?;
+    let city = match &arguments.config {
+        None => None,
+        Some(config) => Some(open_run(config, sources)?),
+    };
+    let (left, mut warnings) = load_program(sources, &paths[0])?;
+    let (right, more) = load_program(sources, &paths[1])?;
     warnings.extend(more);
+    if let Some(city) = &city {
+        for (program, path) in [(&left, &paths[0]), (&right, &paths[1])] {
+            warnings.extend(examine(program.rules(), city.theory(), sources).diagnostics);
+            warnings.extend(city.bind(program, Some(path), sources));
+        }
+        // Both sides may include the file with the fault.
+        let mut known = HashSet::new();
+        warnings.retain(|fault| known.insert(to_json(std::slice::from_ref(fault), sources).to_string()));
+        if warnings.iter().any(Diagnostic::is_error) {
+            return Err(Failure::Input(warnings));
+        }
+    }
     report(&warnings, sources);
+    let theory = city.as_ref().and_then(Checked::theory);
+    let in_city = |rules: &Rules| match theory {
+        None => rules.clone(),
+        Some(theory) => Rules {
+            constraints: theory.constraints(rules).of_agents,
+            ..rules.clone()
+        },
+    };
+    let [mut left, mut right] = [left, right].map(|program| in_city(program.rules()));
     let mut predicates = arguments.predicates.clone();
+    let agents = theory.map_or(usize::MAX, CityTheory::agents_max);
     if let Some(condition) = &arguments.given {
-        let compared = compared(&predicates, [left.rules(), right.rules()]);
+        let compared = compared(&predicates, [&left, &right]);
         // A full stop ends the clause that contains the condition.
         let condition = condition.trim().trim_end_matches('.').trim_end();
         let condition = sources.add(OPTION, condition);
-        left = restricted(sources, &paths[0], left.rules(), &compared, condition)?;
-        right = restricted(sources, &paths[1], right.rules(), &compared, condition)?;
+        left = in_city(&restricted(sources, &paths[0], &left, &compared, condition)?);
+        right = in_city(&restricted(sources, &paths[1], &right, &compared, condition)?);
+        refuse_vacuous([&left, &right], &compared, condition, sources)?;
         // `diff` reports a predicate that a side lacks, so it gets the name that the user knows.
         predicates = compared;
         for name in &mut predicates {
             let restricted = format!("{name}{GIVEN}");
-            if [&left, &right]
-                .iter()
-                .all(|side| side.rules().relation(&restricted).is_some())
-            {
+            if [&left, &right].iter().all(|side| side.relation(&restricted).is_some()) {
                 *name = restricted;
             }
         }
     }
     let options = Options {
         predicates,
-        entities_max: arguments.entities,
+        entities_max: arguments.entities.min(agents),
         conflicts_max: arguments.effort,
         ..Options::default()
     };
-    let mut equivalence = diff(left.rules(), right.rules(), &options).map_err(|faults| {
+    let mut equivalence = diff(&left, &right, &options).map_err(|faults| {
         let is_option = |fault: &Diagnostic| fault.code == Code::RULE_MISMATCH && !arguments.predicates.is_empty();
         match faults.iter().all(is_option) {
             true => Failure::option(faults),
@@ -88,6 +117,28 @@ pub fn run(arguments: &Arguments, sources: &mut Sources) -> Result<u8, Failure> 
         }
     })?;
 
+    if let Equivalence::NoneFound {
+        entities: Some(entities),
+        cut,
+        ..
+    } = &equivalence
+        && cut.is_empty()
+        && *entities >= agents
+    {
+        // No scene of the city has more agents.
+        equivalence = Equivalence::Equivalent { entities: *entities };
+    }
+    let given: Vec<String> = match &equivalence {
+        Equivalence::Equivalent { .. } => {
+            let options = Options {
+                conflicts_max: options.conflicts_max.min(PREMISES_EFFORT),
+                ..options
+            };
+            let given = premises(&left, &right, &options)?;
+            given.into_iter().map(|(one, rules)| one.show(rules, sources)).collect()
+        }
+        _ => Vec::new(),
+    };
     if let Equivalence::Different(difference) = &mut equivalence {
         for (name, _) in difference.derived.iter_mut().flatten() {
             if let Some(original) = name.strip_suffix(GIVEN) {
@@ -98,8 +149,18 @@ pub fn run(arguments: &Arguments, sources: &mut Sources) -> Result<u8, Failure> 
 
     let mut out = terminal::results(arguments.json || arguments.scene);
     let names = [&arguments.left, &arguments.right].map(|path| path.display().to_string());
+    let place = theory.map_or_else(String::new, |theory| {
+        format!("in the city `{}`: ", theory.scenario.name)
+    });
     if arguments.json {
-        writeln!(out, "{}", to_json(&equivalence))?;
+        let mut line = verdict_json(&equivalence);
+        if let Equivalence::Equivalent { .. } = &equivalence {
+            line["given"] = json!(given);
+        }
+        if let Some(theory) = theory {
+            line["config"] = json!(theory.scenario.name);
+        }
+        writeln!(out, "{line}")?;
     } else if let Equivalence::Different(difference) = &equivalence {
         writeln!(
             out,
@@ -107,11 +168,14 @@ pub fn run(arguments: &Arguments, sources: &mut Sources) -> Result<u8, Failure> 
             if arguments.scene {
                 scene_json(difference).to_string()
             } else {
-                show_difference(difference, &names, [left.rules(), right.rules()])
+                format!("{place}{}", show_difference(difference, &names, [&left, &right]))
             }
         )?;
     } else if !arguments.scene {
-        writeln!(out, "{}", equal(&equivalence))?;
+        writeln!(out, "{place}{}", equal(&equivalence))?;
+        for one in &given {
+            writeln!(out, "given {one}")?;
+        }
     }
     Ok(match equivalence {
         Equivalence::Different(_) => 1,
@@ -119,11 +183,71 @@ pub fn run(arguments: &Arguments, sources: &mut Sources) -> Result<u8, Failure> 
     })
 }
 
+/// The budget of each search for the constraints that a proof needs; see [`Options::conflicts_max`].
+const PREMISES_EFFORT: u64 = 20_000;
+
+/// Refuses a condition that holds for no row of any of the predicates: a comparison would compare nothing.
+fn refuse_vacuous(
+    sides: [&Rules; 2],
+    predicates: &[String],
+    condition: SourceId,
+    sources: &Sources,
+) -> Result<(), Failure> {
+    let mut given: Vec<String> = Vec::new();
+    for rules in sides {
+        for name in predicates {
+            let row = format!("{name}{GIVEN}{ROW}");
+            let Some(relation) = rules.relation(&row) else { continue };
+            let mut never = rules.clone();
+            for clause in never
+                .clauses
+                .iter_mut()
+                .filter(|clause| clause.head.relation == relation)
+            {
+                let (Some(&left), span) = (clause.head.terms.first(), clause.span) else {
+                    continue;
+                };
+                clause.body.push(Literal::Compare {
+                    op: Comparison::NotEqual,
+                    left,
+                    right: left,
+                    base: BaseType::Symbol,
+                    span,
+                });
+            }
+            let options = Options {
+                predicates: vec![row],
+                conflicts_max: PREMISES_EFFORT,
+                minimize: false,
+                ..Options::default()
+            };
+            match diff(rules, &never, &options)? {
+                Equivalence::Equivalent { .. } => {
+                    let found = premises(rules, &never, &options)?;
+                    given.extend(found.into_iter().map(|(one, rules)| one.show(rules, sources)));
+                }
+                _ => return Ok(()),
+            }
+        }
+    }
+    let whole = Span::new(condition, 0..sources.text(condition).len());
+    let message = "the condition of `--given` never holds, so nothing would be compared";
+    let fault = Diagnostic::new(Code::RULE_MISMATCH, message).at(whole, "holds for no row");
+    let mut known = HashSet::new();
+    let given = given.into_iter().filter(|one| known.insert(one.clone()));
+    let fault = given.fold(fault, |fault, one| fault.note(format!("given {one}")));
+    Err(Failure::option(vec![fault]))
+}
+
 /// The option with the condition, which also names the condition in diagnostics.
 const OPTION: &str = "--given";
 
 /// The end of the names of predicates with the rows for which the condition of `--given` holds.
 const GIVEN: &str = "_given";
+
+/// The further ends of names: predicates of any rows, and of those for which the condition holds.
+const ANY: &str = "_any";
+const ROW: &str = "_row";
 
 /// The names of the columns in the condition of `--given`.
 const COLUMNS: [&str; 6] = ["X", "Y", "Z", "V", "W", "U"];
@@ -147,7 +271,7 @@ fn restricted(
     rules: &Rules,
     predicates: &[String],
     condition: SourceId,
-) -> Result<Program, Failure> {
+) -> Result<Rules, Failure> {
     let file = path
         .file_name()
         .map_or_else(String::new, |name| name.to_string_lossy().into_owned());
@@ -174,13 +298,18 @@ fn restricted(
             .map(|(name, ty)| format!("{name}: {ty}"))
             .collect();
         let row = COLUMNS[..relation.columns.len()].join(", ");
+        let columns = columns.join(", ");
         overlay.text += &format!(
-            ".decl {name}{GIVEN}({})\n.output {name}{GIVEN}\n{name}{GIVEN}({row}) :- {name}({row}), ",
-            columns.join(", ")
+            ".decl {name}{GIVEN}, {name}{GIVEN}{ANY}, {name}{GIVEN}{ROW}({columns})\n.output {name}{GIVEN}\n.input \
+             {name}{GIVEN}{ANY}\n"
         );
-        overlay.conditions.push(overlay.text.len());
-        overlay.text += sources.text(condition);
-        overlay.text += ".\n";
+        let any = format!("{name}{GIVEN}{ANY}");
+        for (head, source) in [(String::new(), name), (ROW.to_owned(), &any)] {
+            overlay.text += &format!("{name}{GIVEN}{head}({row}) :- {source}({row}), ");
+            overlay.conditions.push(overlay.text.len());
+            overlay.text += sources.text(condition);
+            overlay.text += ".\n";
+        }
     }
     let workspace = load_workspace_from(sources, &overlay.path, Edb::Fixed, &overlay)?;
     let entry = overlay.path.display().to_string();
@@ -203,7 +332,7 @@ fn restricted(
             return Err(Failure::option(place.faults(loose)));
         }
     }
-    Ok(Program::new(checked)?)
+    Ok(checked)
 }
 
 /// Returns the faults of variables in a condition that are neither columns nor related to one by literals: the
@@ -442,7 +571,7 @@ fn atom(rules: &Rules, name: &str, row: &[String]) -> String {
     format!("{name}({})", values.collect::<Vec<_>>().join(", "))
 }
 
-fn to_json(equivalence: &Equivalence) -> Value {
+fn verdict_json(equivalence: &Equivalence) -> Value {
     match equivalence {
         Equivalence::Equivalent { entities } => {
             json!({ "verdict": "equivalent", "proved": true, "entities": entities })

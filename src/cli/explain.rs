@@ -4,10 +4,10 @@ use crate::cancel::Cancel;
 use crate::city::Action;
 use crate::city::Cell;
 use crate::cli::trace::TraceReader;
-use crate::cli::{Failure, LimitOptions, integer, one_of, terminal};
-use crate::datalog::explain::ExplanationPrinter;
-use crate::diag::{Code, Diagnostic, Sources, did_you_mean};
-use crate::sim::{Decision, Driven, Replay, TraceTick, World};
+use crate::cli::{Failure, LimitOptions, integer, terminal};
+use crate::datalog::explain::{Explainer, ExplanationPrinter};
+use crate::diag::{Code, Diagnostic, SourceId, Sources, did_you_mean};
+use crate::sim::{AskedFact, Decision, Driven, Replay, TraceTick, World};
 use serde_json::json;
 use std::io::Write;
 use std::path::PathBuf;
@@ -19,14 +19,19 @@ pub struct Arguments {
     /// Number of the tick [default: the last tick]
     #[arg(long, value_parser = integer(0..=u64::MAX))]
     tick: Option<u64>,
-    /// Name of the agent
-    #[arg(long)]
-    agent: String,
-    /// Explain why this action was not derived, instead of why the agent acted as it did
-    #[arg(long, value_name = "ACTION", value_parser = one_of(&Action::ALL, Action::name))]
-    why_not: Option<Action>,
+    /// Name of the agent; unnecessary if FACT has values
+    #[arg(long, required_unless_present_any = ["why", "why_not"])]
+    agent: Option<String>,
+    /// Explain why this fact holds, instead of why the agent acted as it did: the name of any predicate, about the
+    /// agent, or a fact such as `IsClose(Car_1, Car_2)`; `_` matches any value
+    #[arg(long, value_name = "FACT", conflicts_with = "why_not")]
+    why: Option<String>,
+    /// Explain why this fact does not hold, for example the action `Fast`
+    #[arg(long, value_name = "FACT")]
+    why_not: Option<String>,
     /// Print JSON with the keys `tick`, `agent`, `at`, `heading`, `derived`, `action` and `explanations`, plus `driven`
-    /// for a controlled agent
+    /// for a controlled agent; for a fact that is no action of the agent, with the keys `tick`, `fact`, `holds` and
+    /// `nodes`
     #[arg(long)]
     json: bool,
     /// Configuration to use instead of the one in the trace; must have the same content
@@ -41,21 +46,41 @@ pub struct Arguments {
 
 pub fn run(arguments: &Arguments, sources: &mut Sources) -> Result<(), Failure> {
     let mut trace = TraceReader::open(&arguments.trace)?;
-    let names: Vec<&str> = trace.header.agents.iter().map(|agent| agent.id.as_str()).collect();
-    let Some(position) = names.iter().position(|name| *name == arguments.agent) else {
-        let near = did_you_mean(&arguments.agent, names.iter().copied());
-        let help = near.map_or_else(
-            || format!("the trace has: {}", names.join(", ")),
-            |name| format!("did you mean `{name}`? The trace has: {}", names.join(", ")),
-        );
-        let message = format!("the trace has no agent `{}`\nhelp: {help}", arguments.agent);
-        return Err(Failure::Usage(message));
+    let names: Vec<String> = trace.header.agents.iter().map(|agent| agent.id.clone()).collect();
+    let names: Vec<&str> = names.iter().map(String::as_str).collect();
+    let position = match &arguments.agent {
+        None => None,
+        Some(agent) => Some(names.iter().position(|name| name == agent).ok_or_else(|| {
+            let near = did_you_mean(agent, names.iter().copied());
+            let help = near.map_or_else(
+                || format!("the trace has: {}", names.join(", ")),
+                |name| format!("did you mean `{name}`? The trace has: {}", names.join(", ")),
+            );
+            Failure::Usage(format!("the trace has no agent `{agent}`\nhelp: {help}"))
+        })?),
+    };
+    let action = |name: &String| Action::ALL.into_iter().find(|action| action.name() == name);
+    let why_not = arguments
+        .why_not
+        .as_ref()
+        .and_then(action)
+        .filter(|_| position.is_some());
+    let fact = match (&arguments.why, &arguments.why_not) {
+        (Some(fact), _) => Some(sources.add("--why", fact.as_str())),
+        (None, Some(fact)) if why_not.is_none() => Some(sources.add("--why-not", fact.as_str())),
+        _ => None,
     };
     let rules = arguments.rules.as_deref();
     let limits = trace.limits(rules, &arguments.limits);
     let mut replay = trace.replay(sources, arguments.config.as_deref(), rules, true, limits)?;
     let tick = find(&mut trace, arguments.tick)?;
     replay.set(&tick).map_err(|fault| trace.placed(fault))?;
+    if let Some(question) = fact {
+        return print_fact(arguments, &replay, (&tick, question), &names, sources);
+    }
+    let Some(position) = position else {
+        return Err(Failure::Usage("name an agent with --agent".to_owned()));
+    };
 
     let derived = replay.derived(position);
     let Some(state) = tick.agents.get(position) else {
@@ -66,13 +91,13 @@ pub fn run(arguments: &Arguments, sources: &mut Sources) -> Result<(), Failure> 
         let message = format!(
             "the state of tick {} gives {} [{}], but the trace has [{}]",
             tick.tick,
-            arguments.agent,
+            names[position],
             found.join(", "),
             state.derived.join(", ")
         );
         return Err(trace.placed(Diagnostic::new(Code::TRACE_MISMATCH, message)));
     }
-    print(arguments, &replay, &tick, position, sources)
+    print(arguments, &replay, &tick, (position, why_not), sources)
 }
 
 /// Returns the tick with this number, or the last tick.
@@ -95,11 +120,35 @@ fn find(trace: &mut TraceReader, number: Option<u64>) -> Result<TraceTick, Failu
     }
 }
 
+/// Prints why a fact holds or does not hold in a tick.
+fn print_fact(
+    arguments: &Arguments,
+    replay: &Replay,
+    (tick, question): (&TraceTick, SourceId),
+    names: &[&str],
+    sources: &Sources,
+) -> Result<(), Failure> {
+    let session = replay.session();
+    let known = (&replay.world().scenario, session);
+    let asked =
+        AskedFact::read(sources, question, known, names, arguments.agent.as_deref()).map_err(Failure::option)?;
+    let account = asked.explain(&mut Explainer::new(session)).map_err(Diagnostic::from)?;
+    let mut out = terminal::results(arguments.json);
+    if arguments.json {
+        let mut line = account.json(session, sources);
+        line["tick"] = json!(tick.tick);
+        writeln!(out, "{line}")?;
+    } else {
+        write!(out, "tick {}: {}", tick.tick, account.text(session, sources))?;
+    }
+    Ok(())
+}
+
 fn print(
     arguments: &Arguments,
     replay: &Replay,
     tick: &TraceTick,
-    position: usize,
+    (position, why_not): (usize, Option<Action>),
     sources: &Sources,
 ) -> Result<(), Failure> {
     let state = &tick.agents[position];
@@ -108,14 +157,14 @@ fn print(
         world: replay.world(),
         session: replay.session(),
         tick: tick.tick,
-        agent: arguments.agent.clone(),
+        agent: replay.agents()[position].id.clone(),
         value: replay.value(position),
         at: Cell { row, col },
         heading: state.heading()?,
         derived: replay.derived(position),
         action: state.action()?,
     };
-    let account = (decision.account(arguments.why_not, &Cancel::never())).map_err(Diagnostic::from)?;
+    let account = (decision.account(why_not, &Cancel::never())).map_err(Diagnostic::from)?;
     let mut out = terminal::results(arguments.json);
     if arguments.json {
         let mut line = account.json(sources);

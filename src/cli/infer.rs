@@ -6,7 +6,7 @@ use crate::cli::{
     Failure, ForceOption, Inputs, LimitOptions, advised, finish, integer, is_stdout, load_city, messages, one_of,
     report, terminal, unwritable,
 };
-use crate::diag::{Sources, to_json};
+use crate::diag::{SourceId, Sources, to_json};
 use crate::rng::Seed;
 use crate::sim::{Executor, Inference};
 use serde_json::json;
@@ -30,6 +30,13 @@ pub struct Arguments {
     /// Executor that evaluates the rules; the answers do not depend on it
     #[arg(long, value_parser = one_of(&Executor::ALL, Executor::name), default_value = "auto")]
     executor: Executor,
+    /// Also explain in each answer why this fact holds (key `explanations`): the name of any predicate, about each ego,
+    /// or a fact such as `IsClose(me, you)`; `_` matches any value
+    #[arg(long, value_name = "FACT", conflicts_with = "why_not")]
+    why: Option<String>,
+    /// Like --why, for a fact that does not hold
+    #[arg(long, value_name = "FACT")]
+    why_not: Option<String>,
     /// Reject scenes whose facts violate a constraint of the rules (`.disjoint`, `.implies`, ...); implies the
     /// relational executor
     #[arg(long)]
@@ -68,11 +75,17 @@ pub fn run(arguments: &Arguments, sources: &mut Sources) -> Result<(), Failure> 
         inference.check_constraints();
     }
 
+    let question = match (&arguments.why, &arguments.why_not) {
+        (Some(fact), _) => Some(sources.add("--why", fact.as_str())),
+        (None, Some(fact)) => Some(sources.add("--why-not", fact.as_str())),
+        (None, None) => None,
+    };
+    let asked = question.map(|question| (question, &*sources));
     let scenes = SceneLines::open(&arguments.file)?;
     match arguments.out.as_deref().filter(|path| !is_stdout(path)) {
         None => {
             let mut out = BufWriter::new(terminal::data());
-            let faulty = answer_all(&mut inference, scenes, |line| {
+            let faulty = answer_all(&mut inference, scenes, asked, |line| {
                 writeln!(out, "{line}").map_err(Failure::from)
             })?;
             out.flush()?;
@@ -81,7 +94,7 @@ pub fn run(arguments: &Arguments, sources: &mut Sources) -> Result<(), Failure> 
         Some(path) => {
             let inputs = Inputs::of(sources).with([arguments.file.clone()]);
             let mut out = arguments.force.create("infer", path, &inputs)?;
-            let faulty = answer_all(&mut inference, scenes, |line| {
+            let faulty = answer_all(&mut inference, scenes, asked, |line| {
                 writeln!(out, "{line}").map_err(|error| unwritable(path, &error))
             })?;
             finish(out, path)?;
@@ -100,11 +113,12 @@ fn outcome(faulty: bool) -> Result<(), Failure> {
 fn answer_all(
     inference: &mut Inference,
     mut scenes: SceneLines,
+    asked: Option<(SourceId, &Sources)>,
     mut write: impl FnMut(serde_json::Value) -> Result<(), Failure>,
 ) -> Result<bool, Failure> {
     let (mut faulty, mut noted) = (false, false);
     while let Some(SceneLine { number, sources, scene }) = scenes.next()? {
-        let answer = match scene {
+        let answer = match scene.clone() {
             Ok(source) => inference.answer(&sources, source),
             Err(fault) => Err(vec![fault]),
         };
@@ -118,7 +132,22 @@ fn answer_all(
                     );
                     noted = true;
                 }
-                write(answer.to_json())?;
+                let mut line = answer.to_json();
+                if let (Some((question, rules)), Ok(source)) = (asked, scene) {
+                    let explained = match inference.ground(&sources, source) {
+                        Ok(facts) => inference.explain(&facts, rules, question),
+                        Err(faults) => Err(faults),
+                    };
+                    match explained {
+                        Ok(explanations) => line["explanations"] = explanations.into(),
+                        Err(faults) => {
+                            faulty = true;
+                            line = json!({ "error": to_json(&faults, rules) });
+                            report(&faults, rules);
+                        }
+                    }
+                }
+                write(line)?;
             }
             Err(faults) => {
                 faulty = true;

@@ -388,7 +388,13 @@ fn summary(simulation: &mut Simulation, tally: &Tally, sources: &Sources, writte
         1 => "1 thread".to_owned(),
         several => format!("{several} threads"),
     };
-    let because = simulation.fallback().map(|reason| format!(": {reason}"));
+    let because = simulation.fallback().map(|reason| {
+        let place = reason
+            .primary
+            .as_ref()
+            .map(|label| format!(" at {}", sources.locate(label.span)));
+        format!(": {}{}", reason.message, place.unwrap_or_default())
+    });
     let _ = writeln!(
         text,
         "{} executor, {threads}{}",

@@ -106,6 +106,8 @@ impl Colliding {
 impl PairKind for Colliding {
     type Relation = Box<Cones>;
 
+    const READS: [bool; 2] = [true, false];
+
     const DRAWN: bool = true;
 
     fn holds(&self, _: Sight<'_>, x: &Subject, y: &Subject, draw: impl FnOnce(f64) -> bool) -> bool {
@@ -118,6 +120,10 @@ impl PairKind for Colliding {
             cones: AgentKind::ALL.map(cones),
             definition: *self,
         })
+    }
+
+    fn horizon(&self, _: u32) -> f64 {
+        self.car_range.max(self.pedestrian_range)
     }
 }
 

@@ -132,6 +132,8 @@ impl Distance {
 impl PairKind for Distance {
     type Relation = Squares;
 
+    const READS: [bool; 2] = [false, false];
+
     fn holds(&self, _: Sight<'_>, x: &Subject, y: &Subject, _: impl FnOnce(f64) -> bool) -> bool {
         let d = x.at.distance(y.at);
         self.is_far_enough(d) && self.is_near_enough(d)
@@ -147,6 +149,11 @@ impl PairKind for Distance {
             most,
             reach: i32::try_from(reach).expect("it is at most the farthest"),
         }
+    }
+
+    fn horizon(&self, _: u32) -> f64 {
+        let bounds = [self.above, self.at_least, self.below, self.at_most];
+        bounds.into_iter().flatten().fold(0.0, f64::max)
     }
 }
 

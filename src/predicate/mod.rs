@@ -26,6 +26,7 @@ mod kind;
 mod priority;
 mod sees;
 mod side;
+mod situation;
 
 use crate::city::{AgentKind, Cell, CityMap, FieldOfView, Heading, Junction};
 use crate::config::read::{Fields, choice};
@@ -42,6 +43,7 @@ pub use priority::HigherPriority;
 pub use sees::Sees;
 pub(crate) use sees::Views;
 pub use side::{LeftOf, RightOf};
+pub use situation::{Situations, Together};
 
 /// The state of an agent that predicates can see.
 #[derive(Clone, Copy, Debug)]
@@ -163,6 +165,9 @@ pub(crate) trait PairKind: PredicateKind {
     /// Whether the predicate holds with a probability, so that `holds` calls `draw`.
     const DRAWN: bool = false;
 
+    /// Whether the predicate depends on kind or heading of the first, and of the second agent. At most one is true.
+    const READS: [bool; 2];
+
     /// The definition: returns whether the predicate holds for two different agents, in this order.
     ///
     /// `draw` returns whether an event of the given probability happens. Its result depends only on the predicate and
@@ -171,6 +176,9 @@ pub(crate) trait PairKind: PredicateKind {
 
     /// Prepares the fast form.
     fn relation(&self) -> Self::Relation;
+
+    /// Returns a distance in cells beyond which only the signs of the offsets in rows and columns matter.
+    fn horizon(&self, half_width: u32) -> f64;
 }
 
 /// The fast form of a predicate over two agents.
@@ -364,6 +372,16 @@ macro_rules! kinds {
             fn is_drawn(&self) -> bool {
                 match self { $(Pair::$pair(_) => <$pair as PairKind>::DRAWN,)* }
             }
+
+            /// Returns whether the predicate depends on kind or heading of the first, and of the second agent.
+            fn reads(&self) -> [bool; 2] {
+                match self { $(Pair::$pair(_) => <$pair as PairKind>::READS,)* }
+            }
+
+            /// Returns a distance in cells beyond which only the signs of the offsets matter.
+            fn horizon(&self, half_width: u32) -> f64 {
+                match self { $(Pair::$pair(predicate) => predicate.horizon(half_width),)* }
+            }
         }
 
         impl Serialize for Definition {
@@ -473,6 +491,11 @@ impl Definition {
     /// Returns whether the predicate announces that the first agent runs into the second.
     pub fn is_collision(&self) -> bool {
         matches!(self, Definition::Pair(Pair::Colliding(_)))
+    }
+
+    /// Returns whether the predicate orders agents by their priorities.
+    pub(crate) fn is_ranking(&self) -> bool {
+        matches!(self, Definition::Pair(Pair::HigherPriority(_)))
     }
 
     /// Returns whether the predicate holds with a probability.

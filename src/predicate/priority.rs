@@ -25,12 +25,18 @@ impl PredicateKind for HigherPriority {
 impl PairKind for HigherPriority {
     type Relation = HigherPriority;
 
+    const READS: [bool; 2] = [false, false];
+
     fn holds(&self, _: Sight<'_>, x: &Subject, y: &Subject, _: impl FnOnce(f64) -> bool) -> bool {
         x.priority < y.priority
     }
 
     fn relation(&self) -> HigherPriority {
         HigherPriority
+    }
+
+    fn horizon(&self, _: u32) -> f64 {
+        0.0
     }
 }
 

@@ -27,12 +27,18 @@ impl PredicateKind for Sees {
 impl PairKind for Sees {
     type Relation = Sees;
 
+    const READS: [bool; 2] = [true, false];
+
     fn holds(&self, sight: Sight<'_>, x: &Subject, y: &Subject, _: impl FnOnce(f64) -> bool) -> bool {
         field_of_view(x.at, x.heading, sight.half_width, sight.map).contains(y.at)
     }
 
     fn relation(&self) -> Sees {
         Sees
+    }
+
+    fn horizon(&self, half_width: u32) -> f64 {
+        f64::from(half_width)
     }
 }
 

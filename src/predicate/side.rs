@@ -46,6 +46,8 @@ impl PredicateKind for RightOf {
 impl PairKind for LeftOf {
     type Relation = Side;
 
+    const READS: [bool; 2] = [false, true];
+
     fn holds(&self, _: Sight<'_>, x: &Subject, y: &Subject, _: impl FnOnce(f64) -> bool) -> bool {
         y.heading.is_some_and(|heading| side_of(heading, x.at, y.at) > 0)
     }
@@ -53,10 +55,16 @@ impl PairKind for LeftOf {
     fn relation(&self) -> Side {
         Side { sign: 1 }
     }
+
+    fn horizon(&self, _: u32) -> f64 {
+        0.0
+    }
 }
 
 impl PairKind for RightOf {
     type Relation = Side;
+
+    const READS: [bool; 2] = [false, true];
 
     fn holds(&self, _: Sight<'_>, x: &Subject, y: &Subject, _: impl FnOnce(f64) -> bool) -> bool {
         y.heading.is_some_and(|heading| side_of(heading, x.at, y.at) < 0)
@@ -64,6 +72,10 @@ impl PairKind for RightOf {
 
     fn relation(&self) -> Side {
         Side { sign: -1 }
+    }
+
+    fn horizon(&self, _: u32) -> f64 {
+        0.0
     }
 }
 

@@ -12,6 +12,12 @@ crate::diagnostic_codes! {
     UNQUOTED_AGENT = "unquoted-agent", Warning;
     /// A constant that names no agent of the configuration.
     UNKNOWN_AGENT = "unknown-agent", Warning;
+    /// A declared constraint that does not hold in the city of the configuration.
+    CONSTRAINT_MISMATCH = "constraint-mismatch", Error;
+    /// A predicate that never holds in the city, although rules read it.
+    EMPTY_PREDICATE = "empty-predicate", Warning;
+    /// An output of rules for a city that is no action.
+    UNUSED_OUTPUT = "unused-output", Warning;
     /// A scene that is not JSON or does not follow the scene format.
     INVALID_SCENE = "invalid-scene", Error;
     /// A trace that is not JSON or does not follow the trace format.

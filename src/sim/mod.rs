@@ -17,9 +17,10 @@ pub use codes::{CATALOG, CODES};
 pub use load::{LoadError, LoadedCity};
 pub use observe::{ActionConstraint, Decider, OBSERVED_MAX, Observer, Oracle};
 pub use scene::{
-    Answer, CONFLICT_BUDGET, EgoAnswer, Finding, Inference, Overlap, SceneFacts, agent_lints, city_lints,
-    conflict_lints, conflicts, scene_json,
+    Answer, CONFLICT_BUDGET, CityConstraints, CityTheory, EgoAnswer, Examined, Finding, Inference, Overlap, SceneFacts,
+    agent_lints, conflict_lints, conflicts, examine, scene_json,
 };
+pub use tick::asked::{AskedFact, FactAccount};
 pub use tick::chance::Chance;
 pub use tick::executor::Executor;
 pub use tick::ground::{Facts, MAX_ENTITIES, ground};

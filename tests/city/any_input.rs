@@ -26,7 +26,7 @@ pub fn conflicts(bytes: &[u8]) {
     let (Some(program), _) = Program::load(&mut sources, entry, &builtin) else {
         return;
     };
-    for overlap in find_conflicts(&program).expect("the two sides differ in one clause") {
+    for overlap in find_conflicts(program.rules()).expect("the two sides differ in one clause") {
         if let Finding::Together { scene, .. } = overlap.finding {
             assert!(scene_json(&scene).is_object());
         }

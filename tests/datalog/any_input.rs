@@ -67,7 +67,10 @@ pub fn check(bytes: &[u8]) {
 
     let rules = program.rules();
     #[cfg(feature = "optimizer")]
-    draw(&logicity::datalog::optimize::lints(rules).diagnostics, &sources);
+    draw(
+        &logicity::datalog::optimize::lints(rules, &sources).diagnostics,
+        &sources,
+    );
     for constraints in [false, true] {
         let optimize = constraints;
         let program =

@@ -342,7 +342,8 @@ fn pairs_of_comparisons_are_simplified() {
 // --- lints
 
 fn lints(text: &str) -> Vec<Diagnostic> {
-    optimize::lints(&rules(text).1).diagnostics
+    let (sources, rules) = rules(text);
+    optimize::lints(&rules, &sources).diagnostics
 }
 
 fn city(clauses: &str) -> String {
@@ -489,7 +490,8 @@ fn searching_twice_the_clauses_takes_little_more_than_twice_the_steps() {
         city(&format!("{speed}{}", (0..count).map(clause).collect::<String>()))
     };
     let [one, two] = [1_000, 2_000].map(|count| {
-        let lints = optimize::lints(&rules(&program(count)).1);
+        let (sources, rules) = rules(&program(count));
+        let lints = optimize::lints(&rules, &sources);
         let covered = lints
             .diagnostics
             .iter()
@@ -514,6 +516,7 @@ fn incomplete_searches_are_reported() {
         graph.join(", "),
         walk.join(", ")
     ));
-    let lints = optimize::lints(&rules(&text).1);
+    let (sources, rules) = rules(&text);
+    let lints = optimize::lints(&rules, &sources);
     assert_eq!(lints.unfinished, ["clauses that others cover under the constraints"]);
 }

@@ -36,15 +36,15 @@ pub fn run(arguments: &[&str], input: &[u8]) -> Output {
     output
 }
 
-fn code(output: &Output) -> i32 {
+pub fn code(output: &Output) -> i32 {
     output.status.code().expect("no signal ended it")
 }
 
-fn out(output: &Output) -> String {
+pub fn out(output: &Output) -> String {
     String::from_utf8(output.stdout.clone()).unwrap()
 }
 
-fn err(output: &Output) -> String {
+pub fn err(output: &Output) -> String {
     String::from_utf8(output.stderr.clone()).unwrap()
 }
 
@@ -54,7 +54,7 @@ fn succeeds(output: &Output) {
 }
 
 /// Asserts that a command failed with this exit code and printed all of `words`, without a panic.
-fn fails(output: &Output, exit: i32, words: &[&str]) {
+pub fn fails(output: &Output, exit: i32, words: &[&str]) {
     let said = err(output);
     assert_eq!(code(output), exit, "{said}");
     assert!(!said.contains("panicked"), "{said}");
@@ -63,7 +63,7 @@ fn fails(output: &Output, exit: i32, words: &[&str]) {
     }
 }
 
-fn write(folder: &Path, name: &str, text: impl AsRef<[u8]>) -> String {
+pub fn write(folder: &Path, name: &str, text: impl AsRef<[u8]>) -> String {
     let path = folder.join(name);
     fs::write(&path, text).unwrap();
     path.to_str().unwrap().to_owned()
@@ -2226,8 +2226,13 @@ fn the_summary_names_the_executor() {
     };
     assert!(summary(&["--threads", "2"]).contains("\ndense executor, 1 thread\n"));
     assert!(summary(&["--executor", "relational"]).contains("\nrelational executor, 1 thread\n"));
-    let reason = "relational executor, 1 thread: the dense executor cannot evaluate these rules, because a predicate";
-    assert!(summary(&["--rules", &rules]).contains(reason));
+    let reason = "relational executor, 1 thread: the dense executor cannot evaluate these rules, because `Far` depends on \
+                  itself at ";
+    let summary = summary(&["--rules", &rules]);
+    assert!(
+        summary.contains(reason) && summary.contains("far.dl:4:14\n"),
+        "{summary}"
+    );
 }
 
 #[test]

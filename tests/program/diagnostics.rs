@@ -381,6 +381,38 @@ fn unknown_agents_are_reported_as_their_fixture_expects() {
     assert!(!String::from_utf8(output.stderr).unwrap().contains("unknown-agent"));
 }
 
+/// `check` of a configuration reports what does not fit it, on the lines that the fixtures mark, and `check --config`
+/// the same.
+#[test]
+fn faults_of_rules_in_a_city_are_reported_as_their_fixtures_expect() {
+    for (code, exit) in [("constraint-mismatch", 1), ("empty-predicate", 0), ("unused-output", 0)] {
+        let folder = fixtures().join(code);
+        let text = fs::read_to_string(folder.join("main.dl")).unwrap();
+        let lines = text.lines().zip(1..);
+        let marked: Vec<u64> = lines
+            .filter(|(line, _)| line.contains(&format!("[{code}]")))
+            .map(|(_, number)| number)
+            .collect();
+        assert!(!marked.is_empty());
+        let [config, rules] = ["main.yaml", "main.dl"].map(|name| folder.join(name).to_str().unwrap().to_owned());
+        for arguments in [
+            vec!["check", "--json", &config],
+            vec!["check", "--json", &rules, "--config", &config],
+        ] {
+            let output = logicity(&arguments);
+            assert_eq!(output.status.code(), Some(exit));
+            let answer: Value = serde_json::from_slice(&output.stdout).unwrap();
+            let found = answer["diagnostics"].as_array().unwrap();
+            assert!(found.iter().all(|fault| fault["code"] == code), "{answer}");
+            let lines = found.iter().map(|fault| fault["labels"][0]["line"].as_u64().unwrap());
+            assert_eq!(lines.collect::<Vec<u64>>(), marked, "{answer}");
+        }
+        // Rules alone may be for another city.
+        let output = logicity(&["check", &rules]);
+        assert!(!String::from_utf8(output.stderr).unwrap().contains(&format!("[{code}]")));
+    }
+}
+
 /// The only diagnostic concerns the published rules of `vap-hard`.
 #[test]
 fn the_shipped_rules_pass_without_a_diagnostic() {

@@ -1647,3 +1647,36 @@ fn long_texts_are_checked_in_seconds() {
     }
     editor.end();
 }
+
+/// Rules with a configuration beside them are checked for that city, as `check` of the configuration does.
+#[test]
+fn rules_are_checked_in_the_city_beside_them() {
+    let mut editor = Editor::start();
+    let text = ".include \"vocabulary.dl\"\n.decl IsTaxi(x: agent)\n.input IsTaxi\n.implies IsTaxi, IsPedestrian\n\
+                Stop(X) :- CollidingClose(X, Y).\nSlow(X) :- Not(Stop(X)), IsTaxi(X), IsCar(X).\n";
+    let codes = |found: Vec<Value>| -> Vec<(String, u64)> {
+        let one = |fault: &Value| {
+            let line = fault["range"]["start"]["line"].as_u64().unwrap();
+            (fault["code"].as_str().unwrap().to_owned(), line)
+        };
+        found.iter().filter(|fault| fault["severity"] != 3).map(one).collect()
+    };
+    let alone = editor.open("taxi.dl", text);
+    assert_eq!(codes(alone), [("contradictory-body".to_owned(), 5)]);
+    fs::write(
+        editor.path("city.yaml"),
+        "base: expert\nrules: taxi.dl\npredicates:\n  base: standard\n  define: {IsTaxi: {concept: taxi, of: Car}}\n\
+         agents:\n  test: {cars: [{count: 3, concepts: [taxi], priority: 1}]}\n",
+    )
+    .unwrap();
+    let in_city = editor.change("taxi.dl", text);
+    assert_eq!(codes(in_city), [("constraint-mismatch".to_owned(), 3)]);
+    let unknown = editor.change(
+        "taxi.dl",
+        &text
+            .replace(".implies IsTaxi, IsPedestrian", ".decl Odd(x: agent) .input Odd")
+            .replace("IsCar(X).", "Odd(X)."),
+    );
+    assert_eq!(codes(unknown), [("rule-mismatch".to_owned(), 3)]);
+    editor.end();
+}

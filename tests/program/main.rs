@@ -3,10 +3,12 @@
 mod ask;
 #[path = "../../src/cases.rs"]
 mod cases;
+mod check;
 mod cli;
 mod diagnostics;
 mod diff;
 mod examples;
+mod explain;
 #[cfg(unix)]
 mod files;
 mod grammar;

@@ -1,15 +1,17 @@
 //! One rule file with its includes: its diagnostics, and the names in it with their meanings.
 
 use crate::builtin;
+use crate::city::Action;
+use crate::cli::lsp::city::City;
 use crate::cli::lsp::place::{Encoding, Text};
 use crate::datalog;
 use crate::datalog::ast;
 use crate::datalog::ast::{Item, Literal, Name, Term, TermKind, TypeDefinition};
 use crate::datalog::print;
-use crate::datalog::{Program, optimize};
+use crate::datalog::{Program, Rules};
 use crate::diag::{Code, Diagnostic, Fix, MAX_FAULTS, SourceId, Sources, Span};
 use crate::files::{BUILTIN_FOLDER, ReadFile, normalize};
-use crate::sim::city_lints;
+use crate::sim::{Vocabulary, examine};
 use std::collections::{BTreeMap, HashMap};
 use std::ops::Range;
 use std::path::{Path, PathBuf};
@@ -71,15 +73,16 @@ impl Occurrence {
     }
 }
 
-/// The result for one file, which is the first text of `sources`.
+/// The result for one file, the text `entry` of `sources`. Those of its configuration come before it.
 pub struct Analysis {
     pub sources: Sources,
     pub entry: SourceId,
     pub diagnostics: Vec<Diagnostic>,
     /// Lints: literals and clauses that are always true or redundant.
     pub hints: Vec<Diagnostic>,
-    /// The rules with their plans, if they have no errors.
-    pub program: Option<Program>,
+    /// The rules with the constraints of the city, and the order in which derived actions take precedence; `None` for
+    /// faulty rules.
+    pub deciding: Option<(Rules, Vec<Action>)>,
     pub files: Vec<(SourceId, ast::File)>,
     /// All names, in the order of the texts.
     pub occurrences: Vec<Occurrence>,
@@ -96,30 +99,37 @@ pub struct Analysis {
 }
 
 impl Analysis {
-    /// Reads, checks and lints a text with this path.
-    pub fn new(path: &Path, text: &str, read: &dyn ReadFile, encoding: Encoding) -> Analysis {
-        let mut sources = Sources::new();
+    /// Reads, checks and lints a text with this path, as rules of the city if there is one.
+    pub fn new(path: &Path, text: &str, read: &dyn ReadFile, encoding: Encoding, city: Option<&City>) -> Analysis {
+        let mut sources = city.map_or_else(Sources::new, |city| city.sources.clone());
         let entry = sources.add(path.display().to_string(), text);
         let loaded = datalog::load(&mut sources, entry, read);
         let mut diagnostics = loaded.diagnostics;
         let mut hints = Vec::new();
-        let mut program = None;
+        let mut deciding = None;
         if let Some(rules) = loaded.rules {
-            for lint in optimize::lints(&rules).diagnostics {
-                match lint.code {
-                    Code::CONTRADICTORY_BODY => diagnostics.push(lint),
-                    _ => hints.push(lint),
-                }
-            }
-            diagnostics.extend(city_lints(&rules, None));
+            let theory = city.map(|city| &city.theory);
+            let examined = examine(&rules, theory, &sources);
+            diagnostics.extend(examined.diagnostics);
+            hints = examined.hints;
             match Program::new(rules) {
-                Ok(planned) => program = Some(planned),
+                Ok(planned) => {
+                    let mut precedence = Action::SAFEST_FIRST.to_vec();
+                    if let Some(theory) = theory {
+                        let mut scenario = theory.scenario.clone();
+                        scenario.rules.span = Span::new(entry, 0..0);
+                        precedence.clone_from(&scenario.actions.priority);
+                        diagnostics.extend(Vocabulary::bind(&scenario, &planned).err().into_iter().flatten());
+                    }
+                    deciding = Some((examined.in_city, precedence));
+                }
                 Err(fault) => diagnostics.push(fault),
             }
         }
         cap(&mut hints);
         cap(&mut diagnostics);
-        let files: Vec<(SourceId, ast::File)> = (sources.ids())
+        // The texts before are those of the configuration.
+        let files: Vec<(SourceId, ast::File)> = (sources.ids().skip_while(|id| *id != entry))
             .map(|id| (id, datalog::parse(&sources, id).file))
             .collect();
         let occurrences: Vec<Occurrence> = files.iter().flat_map(|(_, file)| occurrences(file)).collect();
@@ -138,7 +148,7 @@ impl Analysis {
             entry,
             diagnostics,
             hints,
-            program,
+            deciding,
             texts: texts.collect(),
             by_meaning,
             declarations: declarations(&files),

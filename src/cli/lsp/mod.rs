@@ -6,6 +6,7 @@
 
 mod analysis;
 mod builtin;
+mod city;
 mod client;
 mod complete;
 mod navigate;
@@ -20,7 +21,7 @@ use crate::builtin::BuiltinFiles;
 use crate::city::Action;
 use crate::cli::Failure;
 use crate::datalog;
-use crate::datalog::Program;
+use crate::datalog::Rules;
 use crate::diag::{Diagnostic, Fix, Label, Severity, SourceId, Sources, Span};
 use crate::files::{BUILTIN_FOLDER, ReadError, ReadFile, normalize};
 use crate::sim::{conflict_lints, conflicts};
@@ -256,6 +257,7 @@ struct Server {
     /// Keyed by normalized path.
     documents: BTreeMap<PathBuf, Document>,
     search: Option<ConflictSearch>,
+    cities: city::Cities,
 }
 
 /// The error code of the protocol and a message for the user.
@@ -269,6 +271,7 @@ impl Server {
             folders: client::folders(params),
             documents: BTreeMap::new(),
             search: None,
+            cities: city::Cities::default(),
         }
     }
 
@@ -321,7 +324,7 @@ impl Server {
         let document = Document {
             path: path.clone(),
             uri: uri.to_owned(),
-            analysis: Analysis::new(&path, "", &BuiltinFiles, encoding),
+            analysis: Analysis::new(&path, "", &BuiltinFiles, encoding, None),
             text: Text::new(text, encoding),
             version,
             stale: true,
@@ -376,7 +379,14 @@ impl Server {
         let read: &dyn ReadFile = &OpenDocuments(&self.documents);
         let stale = self.documents.iter().filter(|(_, document)| document.stale);
         let analyses = stale.map(|(path, document)| {
-            let analysis = Analysis::new(path, document.text.as_str(), read, self.client.encoding);
+            let city = self.cities.of(path, read);
+            let analysis = Analysis::new(
+                path,
+                document.text.as_str(),
+                read,
+                self.client.encoding,
+                city.as_deref(),
+            );
             (path.clone(), analysis)
         });
         let analyses: Vec<(PathBuf, Analysis)> = analyses.collect();
@@ -405,18 +415,18 @@ impl Server {
     fn begin_search(&mut self) -> Vec<Message> {
         let mut searched = Vec::new();
         for document in self.documents.values_mut().filter(|document| document.saved) {
-            match &document.analysis.program {
+            match &document.analysis.deciding {
                 None => {
                     document.saved = false;
                     document.conflicts.clear();
                     searched.push(document.path.clone());
                 }
-                Some(program) if self.search.is_none() => {
-                    let program = program.clone();
+                Some(deciding) if self.search.is_none() => {
+                    let (rules, precedence) = deciding.clone();
                     self.search = Some(ConflictSearch {
                         path: document.path.clone(),
                         round: document.round,
-                        thread: thread::spawn(move || search_conflicts(&program)),
+                        thread: thread::spawn(move || search_conflicts(&rules, &precedence)),
                     });
                 }
                 Some(_) => {}
@@ -684,9 +694,9 @@ fn shown_at(analysis: &Analysis, fault: &Diagnostic) -> Range<usize> {
 }
 
 /// Searches for pairs of actions that the rules can derive together.
-fn search_conflicts(program: &Program) -> Vec<Diagnostic> {
-    match conflicts(program) {
-        Ok(overlaps) => conflict_lints(&overlaps, program.rules(), &Action::SAFEST_FIRST),
+fn search_conflicts(rules: &Rules, precedence: &[Action]) -> Vec<Diagnostic> {
+    match conflicts(rules) {
+        Ok(overlaps) => conflict_lints(&overlaps, rules, precedence),
         Err(faults) => faults,
     }
 }

@@ -23,12 +23,13 @@ pub fn violations_among(session: &Session, known: impl Fn(RelId) -> bool) -> Vec
         constraint,
         domain,
         span,
+        ..
     } in &session.program().rules().constraints
     {
         let shown = |relation: RelId, row: &[Value]| shown(session, relation, row);
         let reversed = |row: &[Value]| -> Vec<Value> { row.iter().rev().copied().collect() };
         let found = match *constraint {
-            _ if !relations(constraint).all(&known) => continue,
+            _ if !constraint.relations().all(&known) => continue,
             Constraint::Disjoint(a, b) => session
                 .rows(a)
                 .find(|row| session.contains(b, row))
@@ -74,19 +75,6 @@ pub fn violations_among(session: &Session, known: impl Fn(RelId) -> bool) -> Vec
         }
     }
     faults
-}
-
-/// Returns the predicates that a constraint names.
-fn relations(constraint: &Constraint) -> impl Iterator<Item = RelId> {
-    let (listed, single): (&[RelId], &[RelId]) = match constraint {
-        Constraint::Disjoint(a, b) | Constraint::Implies(a, b) => (std::slice::from_ref(a), std::slice::from_ref(b)),
-        Constraint::Covering(relations) => (relations, &[]),
-        Constraint::Reflexive(a)
-        | Constraint::Irreflexive(a)
-        | Constraint::Symmetric(a)
-        | Constraint::Asymmetric(a) => (&[], std::slice::from_ref(a)),
-    };
-    listed.iter().chain(single).copied()
 }
 
 /// Returns the first value of a domain for which the test fails, with a row that contains it.

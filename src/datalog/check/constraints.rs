@@ -39,6 +39,7 @@ pub(crate) fn check(items: &[Item], names: &mut Names, faults: &mut Faults) -> V
                 constraint,
                 domain,
                 span,
+                inferred: false,
             });
         };
         match constraint.kind {

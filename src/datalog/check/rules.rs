@@ -8,7 +8,7 @@
 
 use crate::datalog::syntax::ast::{BaseType, Comparison, MarkKind};
 use crate::datalog::value::Value;
-use crate::diag::Span;
+use crate::diag::{Sources, Span};
 use crate::symbol::Symbols;
 use std::collections::HashMap;
 
@@ -329,7 +329,7 @@ pub struct Clause {
 /// An integrity constraint on the facts of base predicates. The author declares it; no rule implies it.
 #[derive(Clone, Debug, PartialEq, Eq, Hash)]
 pub enum Constraint {
-    /// No row is in both predicates.
+    /// No row is in both predicates. With one predicate twice, that has no rows.
     Disjoint(RelId, RelId),
     /// Every row of the first predicate is in the second one.
     Implies(RelId, RelId),
@@ -345,16 +345,67 @@ pub enum Constraint {
     Asymmetric(RelId),
 }
 
+impl Constraint {
+    /// Returns the predicates that the constraint names.
+    pub fn relations(&self) -> impl Iterator<Item = RelId> {
+        let (listed, single): (&[RelId], &[RelId]) = match self {
+            Constraint::Disjoint(a, b) | Constraint::Implies(a, b) => {
+                (std::slice::from_ref(a), std::slice::from_ref(b))
+            }
+            Constraint::Covering(relations) => (relations, &[]),
+            Constraint::Reflexive(a)
+            | Constraint::Irreflexive(a)
+            | Constraint::Symmetric(a)
+            | Constraint::Asymmetric(a) => (&[], std::slice::from_ref(a)),
+        };
+        listed.iter().chain(single).copied()
+    }
+
+    /// Returns the directive that declares the constraint, in backquotes.
+    pub fn show(&self, rules: &Rules) -> String {
+        let kind = match self {
+            Constraint::Disjoint(a, b) if a == b => {
+                return format!("that `{}` has no rows", rules.relations[a.index()].name);
+            }
+            Constraint::Disjoint(..) => "disjoint",
+            Constraint::Implies(..) => "implies",
+            Constraint::Covering(_) => "covering",
+            Constraint::Reflexive(_) => "reflexive",
+            Constraint::Irreflexive(_) => "irreflexive",
+            Constraint::Symmetric(_) => "symmetric",
+            Constraint::Asymmetric(_) => "asymmetric",
+        };
+        let names: Vec<&str> = (self.relations())
+            .map(|relation| rules.relations[relation.index()].name.as_str())
+            .collect();
+        format!("`.{kind} {}`", names.join(", "))
+    }
+}
+
 /// A constraint with its domain and its place.
-#[derive(Clone, Debug)]
+#[derive(Clone, Debug, PartialEq, Eq)]
 pub struct DeclaredConstraint {
     /// The constraint.
     pub constraint: Constraint,
     /// The columns whose values are the domain of a covering or reflexive constraint: those of visible predicates
     /// without rules that have the type of the constraint's predicates or a subtype of it. Empty for other constraints.
     pub domain: Vec<(RelId, usize)>,
-    /// The place of the directive.
+    /// The place of the directive, or of what the constraint follows from.
     pub span: Span,
+    /// Whether the caller inferred the constraint from what is at the place instead of reading a directive.
+    pub inferred: bool,
+}
+
+impl DeclaredConstraint {
+    /// Returns the constraint with its place: `` `.implies IsTaxi, IsCar` at taxi.dl:5:1 ``.
+    pub fn show(&self, rules: &Rules, sources: &Sources) -> String {
+        let constraint = self.constraint.show(rules);
+        let place = sources.locate(self.span);
+        match self.inferred {
+            true => format!("{constraint}, which follows from {place}"),
+            false => format!("{constraint} at {place}"),
+        }
+    }
 }
 
 /// A stratum: predicates that evaluation computes together, after everything they negate or aggregate.
@@ -429,6 +480,19 @@ impl Rules {
     /// Returns whether the clause is a fact that is a row from the start: no clause with a body derives its predicate.
     pub(crate) fn is_row(&self, clause: &Clause) -> bool {
         clause.body.is_empty() && !self.relations[clause.head.relation.index()].derived
+    }
+
+    /// Returns the columns of base predicates with a type or one of its subtypes, except unions; see
+    /// [`DeclaredConstraint::domain`].
+    pub fn columns_of(&self, ty: TypeId) -> Vec<(RelId, usize)> {
+        let parent = |id: &TypeId| self.types[id.0 as usize].parent;
+        let within = |column: &Column| std::iter::successors(Some(column.ty), parent).any(|id| id == ty);
+        let base = (self.relations.iter().zip((0..).map(RelId))).filter(|(known, _)| !known.derived && !known.hidden);
+        base.flat_map(|(known, id)| {
+            let columns = known.columns.iter().enumerate().filter(|(_, column)| within(column));
+            columns.map(move |(column, _)| (id, column))
+        })
+        .collect()
     }
 
     /// Returns all predicates by name, for many lookups.

@@ -1,9 +1,10 @@
 //! Decides which strata the dense executor can evaluate.
 
-use crate::datalog::check::{Atom, ClauseId, Literal, RelId, Rules, Stratum, Term};
+use crate::datalog::check::{Atom, Clause, ClauseId, Literal, RelId, Rules, Stratum, Term};
 use crate::datalog::dense::body::{Body, PAIR, decompose};
 use crate::datalog::dense::program::Dense;
 use crate::datalog::syntax::ast::{BaseType, Comparison};
+use crate::datalog::syntax::functor::AggregateOp;
 use crate::diag::Span;
 use std::fmt;
 
@@ -50,62 +51,95 @@ impl Choice {
     }
 }
 
-/// The reason why the dense executor cannot evaluate a stratum.
+/// The reason why the dense executor cannot evaluate a stratum: a clause at the root, in this stratum or in one that
+/// depends on it.
 #[derive(Clone, Debug, PartialEq, Eq)]
+pub struct Unsupported {
+    /// What the dense executor does not support.
+    pub construct: Construct,
+    /// The clause with the construct.
+    pub clause: ClauseId,
+    /// The place of the construct.
+    pub span: Span,
+    /// The predicate of the stratum that the clause reads, directly or through others, if the clause is in another
+    /// stratum. Relational strata run before dense ones.
+    pub reads: Option<RelId>,
+}
+
+/// A construct that the dense executor does not support.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
 #[non_exhaustive]
-pub enum Unsupported {
-    /// The stratum is recursive.
-    Recursive,
+pub enum Construct {
+    /// The predicate depends on itself.
+    Recursion(RelId),
     /// The predicate has no columns, or more than two.
     Columns(RelId),
     /// The predicate has a column that does not hold symbols.
     NotSymbols(RelId),
-    /// A clause contains a constant at this place.
-    Constant(Span),
-    /// A clause computes, aggregates or compares values at this place.
-    Computes(Span),
-    /// The negated atom at this place has no variable.
-    NoVariable(Span),
-    /// The clause at this place has too many variables.
-    Variables(Span),
-    /// A relational stratum reads this predicate of it. Relational strata run before dense ones.
-    ReadBy(RelId),
+    /// A constant.
+    Constant,
+    /// An expression.
+    Expression,
+    /// A comparison other than `=` and `!=` of two variables for symbols.
+    Comparison,
+    /// An aggregate.
+    Aggregate(AggregateOp),
+    /// A negated atom without a variable.
+    NoVariable,
+    /// A clause with too many variables.
+    Variables,
 }
 
 impl Unsupported {
-    /// Returns the reason as a clause to follow "because".
+    /// Returns the reason as a sentence without a full stop, to follow "because".
     pub fn show(&self, rules: &Rules) -> String {
-        let name = |relation: &RelId| {
+        let named = |relation: RelId| {
             let relation = &rules.relations[relation.index()];
             match relation.hidden {
                 true => relation.doc.clone(),
                 false => format!("`{}`", relation.name),
             }
         };
-        match self {
-            Unsupported::Recursive => "a predicate depends on itself".to_owned(),
-            Unsupported::Columns(relation) => format!(
-                "{} has {} columns, not one or two",
-                name(relation),
+        let head = named(rules.clauses[self.clause.index()].head.relation);
+        match self.construct {
+            Construct::Recursion(relation) => format!("{} depends on itself", named(relation)),
+            Construct::Columns(relation) => format!(
+                "a clause of {head} uses {}, which has {} columns, not one or two",
+                named(relation),
                 rules.relations[relation.index()].arity()
             ),
-            Unsupported::NotSymbols(relation) => format!("{} has a column that does not hold symbols", name(relation)),
-            Unsupported::Constant(_) => "a clause names a constant".to_owned(),
-            Unsupported::Computes(_) => "a clause computes or compares values".to_owned(),
-            Unsupported::NoVariable(_) => "a negated atom has no variable".to_owned(),
-            Unsupported::Variables(_) => format!("a clause has more than {} variables", Dense::VARIABLES_MAX),
-            Unsupported::ReadBy(relation) => format!("the relational executor needs {}", name(relation)),
+            Construct::NotSymbols(relation) => {
+                format!(
+                    "a clause of {head} uses {}, which has a column that does not hold symbols",
+                    named(relation)
+                )
+            }
+            Construct::Constant => format!("a clause of {head} names a constant"),
+            Construct::Expression => format!("a clause of {head} computes a value"),
+            Construct::Comparison => format!("a clause of {head} compares values"),
+            Construct::Aggregate(op) => format!("a clause of {head} aggregates with `{}`", op.name()),
+            Construct::NoVariable => format!("a clause of {head} negates an atom without a variable"),
+            Construct::Variables => format!("a clause of {head} has more than {} variables", Dense::VARIABLES_MAX),
         }
     }
 
-    /// Returns the place of the reason, or `None` if it concerns a whole predicate or stratum.
-    pub fn span(&self) -> Option<Span> {
-        match self {
-            Unsupported::Constant(span)
-            | Unsupported::Computes(span)
-            | Unsupported::NoVariable(span)
-            | Unsupported::Variables(span) => Some(*span),
-            _ => None,
+    /// Returns what to write instead, if something has the same meaning.
+    pub fn help(&self) -> Option<&'static str> {
+        match self.construct {
+            Construct::Recursion(_) => Some("write out the steps if chains have a bounded length"),
+            Construct::Columns(_) => Some("use predicates of one or two columns"),
+            Construct::Constant => {
+                Some("give the agent a concept in the configuration and test that, instead of naming the agent")
+            }
+            Construct::Aggregate(AggregateOp::Count) => Some(
+                "for a lower bound such as two, write that many atoms with different variables: `P(Y), P(Z), Y != Z`",
+            ),
+            Construct::Variables => Some("derive a part of the body in a predicate of its own"),
+            Construct::NotSymbols(_)
+            | Construct::Expression
+            | Construct::Comparison
+            | Construct::Aggregate(_)
+            | Construct::NoVariable => None,
         }
     }
 }
@@ -122,24 +156,43 @@ impl fmt::Display for Choice {
 /// A stratum is dense if the dense executor supports it and no relational stratum depends on it. So the relational
 /// executor can run first.
 pub fn choose(rules: &Rules) -> Choice {
+    let obstacles = rules.strata.iter().map(|stratum| obstacle(rules, stratum));
     let mut relational: Vec<Option<Unsupported>> =
-        (rules.strata.iter()).map(|stratum| obstacle(rules, stratum)).collect();
+        obstacles.map(|found| found.map(|one| visible(rules, one))).collect();
     let mut home = vec![None; rules.relations.len()];
     for (position, stratum) in rules.strata.iter().enumerate() {
         for relation in &stratum.relations {
             home[relation.index()] = Some(position);
         }
     }
+    // A predicate that does not fit is derived by a clause that does not: that one is the root.
+    for position in 0..relational.len() {
+        let used = match &relational[position] {
+            Some(Unsupported {
+                construct: Construct::Columns(used) | Construct::NotSymbols(used),
+                ..
+            }) => home[used.index()],
+            _ => None,
+        };
+        if let Some(used) = used.filter(|used| *used != position)
+            && relational[used].is_some()
+        {
+            relational[position] = relational[used].clone();
+        }
+    }
     // Strata are in dependency order.
     for position in (0..rules.strata.len()).rev() {
-        if relational[position].is_none() {
+        let Some(root) = relational[position].clone() else {
             continue;
-        }
+        };
         for relation in rules.read_by(rules.strata[position].clauses.iter().copied()).0 {
             if let Some(read) = home[relation.index()]
                 && read != position
             {
-                relational[read].get_or_insert(Unsupported::ReadBy(relation));
+                relational[read].get_or_insert(Unsupported {
+                    reads: Some(relation),
+                    ..root.clone()
+                });
             }
         }
     }
@@ -170,26 +223,75 @@ fn steps(rules: &Rules, clause: ClauseId, entities: u64, egos: u64) -> u64 {
 
 /// Returns the reason in the stratum itself why it cannot be dense, if any.
 fn obstacle(rules: &Rules, stratum: &Stratum) -> Option<Unsupported> {
+    let at = |clause: ClauseId| {
+        move |(construct, span): (Construct, Span)| Unsupported {
+            construct,
+            clause,
+            span,
+            reads: None,
+        }
+    };
     if stratum.recursive {
-        return Some(Unsupported::Recursive);
+        let within = |atom: &&Atom| stratum.relations.contains(&atom.relation);
+        let step = |&clause: &ClauseId| {
+            let mut atoms = rules.clauses[clause.index()].body.iter().filter_map(Literal::atom);
+            let atom = atoms.find(within)?;
+            Some(at(clause)((Construct::Recursion(atom.relation), atom.span)))
+        };
+        return stratum.clauses.iter().find_map(step);
     }
-    stratum.clauses.iter().find_map(|clause| {
-        let clause = &rules.clauses[clause.index()];
+    stratum.clauses.iter().find_map(|&id| {
+        let clause = &rules.clauses[id.index()];
         let wildcards = clause.body.iter().flat_map(Literal::terms);
         let wildcards = wildcards.filter(|term| **term == Term::Wildcard).count();
-        if clause.variables.len() + wildcards > Dense::VARIABLES_MAX {
-            return Some(Unsupported::Variables(clause.span));
-        }
-        unfit(rules, &clause.head).or_else(|| clause.body.iter().find_map(|literal| obstacle_in(rules, literal)))
+        let many = clause.variables.len() + wildcards > Dense::VARIABLES_MAX;
+        let found = many.then_some((Construct::Variables, clause.span));
+        // Expressions and aggregates are the reason for columns of numbers.
+        let body = || clause.body.iter().filter_map(|literal| obstacle_in(rules, literal));
+        let computed = |(construct, _): &(Construct, Span)| {
+            matches!(
+                construct,
+                Construct::Expression | Construct::Aggregate(_) | Construct::Comparison
+            )
+        };
+        let found = found.or_else(|| body().find(computed));
+        let found = found.or_else(|| unfit(rules, &clause.head)).or_else(|| body().next());
+        found.map(at(id))
     })
 }
 
-fn obstacle_in(rules: &Rules, literal: &Literal) -> Option<Unsupported> {
+/// Returns the reason in the clause that the author wrote: for one in a hidden predicate, the aggregate that the
+/// predicate belongs to.
+fn visible(rules: &Rules, found: Unsupported) -> Unsupported {
+    let head = rules.clauses[found.clause.index()].head.relation;
+    if !rules.relations[head.index()].hidden {
+        return found;
+    }
+    let aggregates = |clause: &Clause| {
+        clause.body.iter().find_map(|literal| match literal {
+            Literal::Aggregate { op, atom, .. } if atom.relation == head => Some((*op, atom.span)),
+            _ => None,
+        })
+    };
+    let mut clauses = (0..).map(ClauseId).zip(&rules.clauses);
+    let aggregate = clauses.find_map(|(id, clause)| Some((id, aggregates(clause)?)));
+    match aggregate {
+        Some((clause, (op, span))) => Unsupported {
+            construct: Construct::Aggregate(op),
+            clause,
+            span,
+            reads: None,
+        },
+        None => found,
+    }
+}
+
+fn obstacle_in(rules: &Rules, literal: &Literal) -> Option<(Construct, Span)> {
     match literal {
         Literal::Positive(atom) | Literal::Guard(atom) => unfit(rules, atom),
         Literal::Negative(atom) => unfit(rules, atom).or_else(|| {
             let bound = atom.terms.iter().any(|term| matches!(term, Term::Variable(_)));
-            (!bound).then_some(Unsupported::NoVariable(atom.span))
+            (!bound).then_some((Construct::NoVariable, atom.span))
         }),
         Literal::Compare {
             op: Comparison::Equal | Comparison::NotEqual,
@@ -198,19 +300,27 @@ fn obstacle_in(rules: &Rules, literal: &Literal) -> Option<Unsupported> {
             base: BaseType::Symbol,
             ..
         } => None,
-        Literal::Compare { span, .. } | Literal::Compute { span, .. } => Some(Unsupported::Computes(*span)),
-        Literal::Aggregate { atom, .. } => Some(Unsupported::Computes(atom.span)),
+        Literal::Compare {
+            left,
+            right,
+            base: BaseType::Symbol,
+            span,
+            ..
+        } if [left, right].iter().any(|term| matches!(term, Term::Constant(_))) => Some((Construct::Constant, *span)),
+        Literal::Compare { span, .. } => Some((Construct::Comparison, *span)),
+        Literal::Compute { span, .. } => Some((Construct::Expression, *span)),
+        Literal::Aggregate { op, atom, .. } => Some((Construct::Aggregate(*op), atom.span)),
     }
 }
 
-fn unfit(rules: &Rules, atom: &Atom) -> Option<Unsupported> {
+fn unfit(rules: &Rules, atom: &Atom) -> Option<(Construct, Span)> {
     let relation = &rules.relations[atom.relation.index()];
     if !(1..=2).contains(&relation.arity()) {
-        return Some(Unsupported::Columns(atom.relation));
+        return Some((Construct::Columns(atom.relation), atom.span));
     }
     if relation.columns.iter().any(|column| column.base != BaseType::Symbol) {
-        return Some(Unsupported::NotSymbols(atom.relation));
+        return Some((Construct::NotSymbols(atom.relation), atom.span));
     }
     let constant = atom.terms.iter().any(|term| matches!(term, Term::Constant(_)));
-    constant.then_some(Unsupported::Constant(atom.span))
+    constant.then_some((Construct::Constant, atom.span))
 }

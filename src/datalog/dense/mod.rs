@@ -31,7 +31,7 @@ mod search;
 mod sets;
 mod tree;
 
-pub use analyze::{Choice, Unsupported, choose};
+pub use analyze::{Choice, Construct, Unsupported, choose};
 pub use facts::BitFacts;
 pub use program::{Argument, Dense, Input, List, TrackFirings};
 pub use run::BitState;

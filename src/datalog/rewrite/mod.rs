@@ -10,7 +10,7 @@ mod unfold;
 pub use demand::{demand, would_restrict};
 pub use unfold::unfold;
 
-use crate::datalog::check::{Constraint, RelId, Rules};
+use crate::datalog::check::{RelId, Rules};
 
 /// Returns whether the rows of a predicate are visible outside of the rules: to `.input`, `.output`, `.printsize` or a
 /// constraint.
@@ -18,15 +18,7 @@ fn is_visible(rules: &Rules, relation: RelId) -> bool {
     let declared = &rules.relations[relation.index()];
     let named = rules.constraints.iter().any(|declared| {
         let in_domain = declared.domain.iter().any(|(other, _)| *other == relation);
-        in_domain
-            || match &declared.constraint {
-                Constraint::Disjoint(one, other) | Constraint::Implies(one, other) => [one, other].contains(&&relation),
-                Constraint::Covering(relations) => relations.contains(&relation),
-                Constraint::Reflexive(one)
-                | Constraint::Irreflexive(one)
-                | Constraint::Symmetric(one)
-                | Constraint::Asymmetric(one) => *one == relation,
-            }
+        in_domain || declared.constraint.relations().any(|named| named == relation)
     });
     declared.input || declared.output || declared.printsize || declared.edb.is_some() || named
 }

@@ -6,11 +6,12 @@
 //! search, even for rules that `diff` cannot prove equivalent.
 
 use crate::city::Action;
-use crate::datalog::diff::{Difference, Equivalence, Options, diff};
+use crate::datalog::diff::{Difference, Equivalence, Options, diff, premises};
+use crate::datalog::naive;
 use crate::datalog::{
-    Atom, BaseType, Clause, ClauseId, Literal, RelId, Relation, Rules, Stratum, Term, Value, VarId, parse_value,
+    Atom, BaseType, Clause, ClauseId, DeclaredConstraint, Literal, RelId, Relation, Rules, Stratum, Term, Value, VarId,
+    parse_value,
 };
-use crate::datalog::{Program, naive};
 use crate::diag::Diagnostic;
 use serde_json::{Map, json};
 
@@ -60,7 +61,10 @@ impl Overlap {
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub enum Finding {
     /// Proved impossible.
-    Excluded,
+    Excluded {
+        /// The constraints from which this follows; see [`premises`].
+        given: Vec<DeclaredConstraint>,
+    },
     /// Possible.
     Together {
         /// The first clause of each action that fires in the scene, in the order of the actions.
@@ -76,10 +80,9 @@ pub enum Finding {
 ///
 /// # Errors
 /// If [`diff`] rejects the rules.
-pub fn conflicts(program: &Program) -> Result<Vec<Overlap>, Vec<Diagnostic>> {
-    let rules = program.rules();
+pub fn conflicts(rules: &Rules) -> Result<Vec<Overlap>, Vec<Diagnostic>> {
     let action = |action: Action| {
-        let relation = program.relation(action.name())?;
+        let relation = rules.relation(action.name())?;
         let columns = &rules.relations[relation.index()].columns;
         let symbol = columns.len() == 1 && columns[0].base == BaseType::Symbol;
         (symbol && clauses(rules, relation).next().is_some()).then_some(relation)
@@ -106,7 +109,7 @@ fn clauses(rules: &Rules, action: RelId) -> impl Iterator<Item = (ClauseId, &Cla
 fn find(rules: &Rules, actions: [RelId; 2]) -> Result<Finding, Vec<Diagnostic>> {
     let [one, other] = actions;
     if all_negate(rules, one, other) || all_negate(rules, other, one) {
-        return Ok(Finding::Excluded);
+        return Ok(Finding::Excluded { given: Vec::new() });
     }
     let options = Options {
         predicates: vec![CONFLICT.to_owned()],
@@ -115,16 +118,19 @@ fn find(rules: &Rules, actions: [RelId; 2]) -> Result<Finding, Vec<Diagnostic>> 
         self_sight: true,
         ..Options::default()
     };
-    Ok(
-        match diff(&with_conflict(rules, actions), &without_conflict(rules, one), &options)? {
-            Equivalence::Equivalent { .. } => Finding::Excluded,
-            Equivalence::Different(scene) => Finding::Together {
-                clauses: firing(rules, actions, &scene),
-                scene,
-            },
-            equivalence => Finding::NotFound(equivalence),
+    let (with, without) = (with_conflict(rules, actions), without_conflict(rules, one));
+    Ok(match diff(&with, &without, &options)? {
+        Equivalence::Equivalent { .. } => {
+            let given = premises(&with, &without, &options)?;
+            let given = given.into_iter().map(|(constraint, _)| constraint.clone()).collect();
+            Finding::Excluded { given }
+        }
+        Equivalence::Different(scene) => Finding::Together {
+            clauses: firing(rules, actions, &scene),
+            scene,
         },
-    )
+        equivalence => Finding::NotFound(equivalence),
+    })
 }
 
 /// Returns whether each clause of the action negates the other action for the same agent.

@@ -5,14 +5,16 @@ use crate::city::Action;
 use crate::city::CityMap;
 use crate::config::{Scenario, load_map};
 use crate::datalog::dense::{BinaryFacts, BitFacts, BitState, Dense, Set, TooManySteps, TrackFirings, has};
+use crate::datalog::explain::Explainer;
 use crate::datalog::{EvalError, Limits, Program, constraints};
 use crate::diag::{Code, Diagnostic, SourceId, Sources, Span};
 use crate::files::ReadFile;
 use crate::predicate::Entity;
 use crate::rng::Seed;
 use crate::sim::scene::format::{GeometricScene, GivenPredicate, Scene, SymbolicScene, Terms, parse_scene};
+use crate::sim::tick::asked::AskedFact;
 use crate::sim::tick::chance::Draws;
-use crate::sim::tick::executor::{Choice, Executor, compile, given_up};
+use crate::sim::tick::executor::{Choice, Executor, compile, given_up, of_rules};
 use crate::sim::tick::ground::{Facts, MAX_ENTITIES, ground_with};
 use crate::sim::tick::ground_state::GroundState;
 use crate::sim::tick::vocabulary::{Actions, Vocabulary};
@@ -132,7 +134,7 @@ impl Inference {
         let vocabulary = Vocabulary::bind(&scenario, &program)?;
         let chosen = executor.choose(|| compile(program.rules(), &vocabulary, TrackFirings::Off));
         Ok(Inference {
-            dense: match chosen.map_err(|fault| vec![fault.at(scenario.rules.span, "these rules")])? {
+            dense: match chosen.map_err(|fault| vec![of_rules(fault, scenario.rules.span)])? {
                 Choice::Dense(dense) => Some(dense),
                 Choice::Relational(_) => None,
             },
@@ -160,7 +162,7 @@ impl Inference {
     /// `dense-unsupported` if it cannot evaluate them; the message names the reason.
     pub fn compile(&self) -> Result<Dense, Diagnostic> {
         compile(self.program.rules(), &self.vocabulary, TrackFirings::Off)
-            .map_err(|fault| fault.at(self.scenario.rules.span, "these rules"))
+            .map_err(|fault| of_rules(fault, self.scenario.rules.span))
     }
 
     /// Makes later calls reject scenes whose facts violate a constraint. The relational executor then decides, because
@@ -416,6 +418,39 @@ impl Inference {
     /// Returns a session for scenes with entities of these names, without facts.
     pub(crate) fn ground_state<'n>(&self, names: impl Iterator<Item = &'n str>) -> GroundState {
         GroundState::new(&self.program, &self.vocabulary, self.limits, names)
+    }
+
+    /// Explains a fact of a scene as JSON objects with the keys `fact`, `holds` and `nodes`. A predicate alone asks
+    /// about each ego of the scene; see [`AskedFact::read`].
+    ///
+    /// `sources` are those of the rules, with the question.
+    ///
+    /// # Errors
+    /// As [`AskedFact::read`] and [`Inference::answer_facts`]; `limit-exceeded` if the search for an explanation takes
+    /// too many steps.
+    pub fn explain(
+        &self,
+        scene: &SceneFacts,
+        sources: &Sources,
+        question: SourceId,
+    ) -> Result<Vec<serde_json::Value>, Vec<Diagnostic>> {
+        let names: Vec<&str> = scene.names.iter().map(String::as_str).collect();
+        let mut state = self.ground_state(names.iter().copied());
+        (self.evaluate(&mut state, &scene.facts, &Cancel::never())).map_err(|fault| vec![fault])?;
+        let session = state.session();
+        let mut explainer = Explainer::new(session);
+        let mut accounts: Vec<serde_json::Value> = Vec::new();
+        for &ego in &scene.egos {
+            let known = (&self.scenario, session);
+            let asked = AskedFact::read(sources, question, known, &names, Some(names[ego]))?;
+            let account = asked.explain(&mut explainer).map_err(|error| vec![error.into()])?;
+            let account = account.json(session, sources);
+            // A question with values is the same for every ego.
+            if !accounts.contains(&account) {
+                accounts.push(account);
+            }
+        }
+        Ok(accounts)
     }
 
     /// Replaces the facts of a session and evaluates the rules with the relational executor.

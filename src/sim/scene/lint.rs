@@ -2,37 +2,234 @@
 
 use crate::city::{Action, AgentKind, AgentName, AgentSet};
 use crate::config::Scenario;
-use crate::datalog::{Atom, Clause, ClauseId, Literal, RelId, Rules, Term, TypeId, Value, VarId};
-use crate::diag::{Code, Diagnostic, Span, did_you_mean};
+use crate::datalog::optimize::{self, Lints};
+use crate::datalog::{
+    Atom, Clause, ClauseId, Constraint, DeclaredConstraint, Literal, RelId, Relation, Rules, Term, TypeId, Value, VarId,
+};
+use crate::diag::{Code, Diagnostic, Sources, Span, did_you_mean};
+use crate::predicate::{Concept, Definition, Kind, Static};
 use crate::sim::scene::conflict::{Finding, Overlap};
+use crate::sim::scene::theory::CityTheory;
 use crate::symbol::Symbol;
 use std::collections::{BTreeMap, BTreeSet};
 
 /// The predicate of the shipped vocabulary that announces collisions.
 const SHIPPED_COLLISION: &str = "CollidingClose";
 
-/// Returns warnings of rules for a city: constants that name no agent of `scenario` ([`agent_lints`]), and for rules
-/// that decide actions variables with the names of agents, and missing clauses against collisions.
+/// What static checks find in rules.
+#[derive(Clone, Debug)]
+pub struct Examined {
+    /// The rules with the constraints that the definitions of predicates imply, instead of the declared ones. Without a
+    /// configuration, the rules as they are.
+    pub rules: Rules,
+    /// The rules with all constraints that hold in the city. Without a configuration, the rules as they are.
+    pub in_city: Rules,
+    /// Errors and warnings.
+    pub diagnostics: Vec<Diagnostic>,
+    /// Literals and clauses that are always true or redundant.
+    pub hints: Vec<Diagnostic>,
+    /// The checks for hints that hit a limit.
+    pub unfinished: Vec<&'static str>,
+}
+
+/// Checks rules that decide in a city. Reports
 ///
-/// `scenario` defines the predicates that announce collisions; without one, it is that of the shipped vocabulary.
-pub fn city_lints(rules: &Rules, scenario: Option<&Scenario>) -> Vec<Diagnostic> {
-    let mut found = scenario.map_or_else(Vec::new, |scenario| {
-        agent_lints(rules, scenario.splits.iter().map(|(_, set)| set))
-    });
-    let actions = decided_actions(rules);
-    if actions.is_empty() {
-        return found;
-    }
-    let collisions: Vec<&str> = match scenario {
-        Some(scenario) => (scenario.predicates.iter())
-            .filter(|predicate| predicate.definition.is_collision())
-            .map(|predicate| predicate.name.value.as_str())
-            .collect(),
-        None => vec![SHIPPED_COLLISION],
+/// - declared constraints that the configuration contradicts;
+/// - clauses whose bodies contradict themselves, given the constraints that hold in the city;
+/// - constants that name no agent ([`agent_lints`]), variables with the names of agents, and missing clauses against
+///   collisions, for rules that decide actions;
+/// - predicates that no agent has, with the clauses that never fire for this reason;
+/// - outputs that are no action and that no clause reads.
+///
+/// Without a configuration, the declared constraints count, collisions are announced by the predicate of the shipped
+/// vocabulary, and only the rules alone are judged.
+pub fn examine(rules: &Rules, city: Option<&CityTheory>, sources: &Sources) -> Examined {
+    let given = |constraints: &[DeclaredConstraint]| Rules {
+        constraints: constraints.to_vec(),
+        ..rules.clone()
     };
-    found.extend(unquoted_agents(rules));
-    found.extend(no_collision_clause(rules, &collisions, &actions));
-    found
+    let (mut by_definition, mut in_city) = (rules.clone(), rules.clone());
+    let (mut diagnostics, mut empty) = (Vec::new(), Vec::new());
+    if let Some(city) = city {
+        let found = city.constraints(rules);
+        by_definition = given(&found.by_definition);
+        in_city = given(&found.of_agents);
+        diagnostics = found.faults;
+        empty = found.empty;
+    }
+    let Lints {
+        diagnostics: lints,
+        unfinished,
+        ..
+    } = optimize::lints(&by_definition, sources);
+    let (contradictions, hints): (Vec<_>, Vec<_>) = lints
+        .into_iter()
+        .partition(|lint| lint.code == Code::CONTRADICTORY_BODY);
+    diagnostics.extend(contradictions);
+    if city.is_some() {
+        // `empty_predicates` reports clauses that read an empty predicate.
+        let is_told =
+            |one: &DeclaredConstraint| one.inferred && matches!(one.constraint, Constraint::Disjoint(a, b) if a == b);
+        let mut of_agents = in_city.clone();
+        of_agents.constraints.retain(|one| !is_told(one));
+        let lints = optimize::lints(&of_agents, sources).diagnostics;
+        let place = |fault: &Diagnostic| fault.primary.as_ref().map(|label| label.span);
+        let known: BTreeSet<Option<Span>> = diagnostics.iter().map(place).collect();
+        let is_new = |lint: &Diagnostic| lint.code == Code::CONTRADICTORY_BODY && !known.contains(&place(lint));
+        diagnostics.extend(lints.into_iter().filter(is_new));
+    }
+    let scenario = city.map(|city| &city.scenario);
+    diagnostics.extend(scenario.into_iter().flat_map(|scenario| {
+        let mut found = agent_lints(rules, scenario.splits.iter().map(|(_, set)| set));
+        found.extend(empty_predicates(rules, scenario, &empty));
+        found.extend(unused_outputs(rules));
+        found
+    }));
+    let actions = decided_actions(rules);
+    if !actions.is_empty() {
+        let collisions: Vec<&str> = match scenario {
+            Some(scenario) => (scenario.predicates.iter())
+                .filter(|predicate| predicate.definition.is_collision())
+                .map(|predicate| predicate.name.value.as_str())
+                .collect(),
+            None => vec![SHIPPED_COLLISION],
+        };
+        diagnostics.extend(unquoted_agents(rules));
+        diagnostics.extend(no_collision_clause(rules, &collisions, &actions));
+    }
+    Examined {
+        rules: by_definition,
+        in_city,
+        diagnostics,
+        hints,
+        unfinished,
+    }
+}
+
+/// The most clauses that one warning of an empty predicate shows.
+const SHOWN_MAX: usize = 6;
+
+/// Warns of base predicates that never hold in the city although clauses read them.
+fn empty_predicates(rules: &Rules, scenario: &Scenario, empty: &[RelId]) -> Vec<Diagnostic> {
+    let warn = |&relation: &RelId| {
+        let config = scenario
+            .predicates
+            .iter()
+            .find(|known| known.name.value == rules.relations[relation.index()].name)?;
+        let name = &config.name.value;
+        let mut labels: Vec<(Span, String)> = Vec::new();
+        // The predicates that have no rows for this reason.
+        let mut none = BTreeSet::from([relation]);
+        for clause in &rules.clauses {
+            let is_hidden = rules.relations[clause.head.relation.index()].hidden;
+            for literal in &clause.body {
+                let label = match literal {
+                    Literal::Positive(atom) if atom.relation == relation && !is_hidden => "so this clause never fires",
+                    Literal::Negative(atom) if atom.relation == relation => "so this always holds",
+                    Literal::Positive(atom) | Literal::Guard(atom) | Literal::Aggregate { atom, .. }
+                        if atom.relation == relation =>
+                    {
+                        "so this finds nothing"
+                    }
+                    _ => continue,
+                };
+                labels.extend(literal.atom().map(|atom| (atom.span, label.to_owned())));
+            }
+        }
+        while let Some(next) = emptied(rules, &none) {
+            none.insert(next);
+            let reads = |clause: &Clause| {
+                let mut atoms = clause.body.iter().filter_map(|literal| match literal {
+                    Literal::Positive(atom) if atom.relation == next => Some(atom.span),
+                    _ => None,
+                });
+                atoms.next()
+            };
+            let visible = rules
+                .clauses
+                .iter()
+                .filter(|clause| !rules.relations[clause.head.relation.index()].hidden);
+            let name = &rules.relations[next.index()].name;
+            labels.extend(
+                visible
+                    .filter_map(reads)
+                    .map(|span| (span, format!("nor does this one: `{name}` has no rows"))),
+            );
+        }
+        let mut seen = BTreeSet::new();
+        labels.retain(|(span, _)| seen.insert(*span));
+        let (first, rest) = labels.split_first()?;
+        let reason = match &config.definition {
+            Definition::Static(Static::Kind(Kind(AgentKind::Car))) => "no agent is a car".to_owned(),
+            Definition::Static(Static::Kind(Kind(AgentKind::Pedestrian))) => "no agent is a pedestrian".to_owned(),
+            Definition::Static(Static::Concept(Concept { of, concept })) => {
+                format!("no {} has the concept `{concept}`", of.name().to_lowercase())
+            }
+            _ => "there is no such situation in this city".to_owned(),
+        };
+        let message = format!("`{name}` never holds in `{}`: {reason}", scenario.name);
+        let mut fault = Diagnostic::new(Code::EMPTY_PREDICATE, message).at(first.0, first.1.clone());
+        for (span, label) in rest.iter().take(SHOWN_MAX - 1) {
+            fault = fault.also(*span, label.clone());
+        }
+        if labels.len() > SHOWN_MAX {
+            fault = fault.note(format!("{} further literals are concerned", labels.len() - SHOWN_MAX));
+        }
+        fault = fault.also(config.name.span, format!("`{name}` is defined here"));
+        Some(match &config.definition {
+            Definition::Static(Static::Concept(Concept { concept, .. })) => {
+                fault.help(format!("give agents the concept: `concepts: [{concept}]`"))
+            }
+            _ => fault,
+        })
+    };
+    empty.iter().filter_map(warn).collect()
+}
+
+/// Returns a derived predicate outside `none` all of whose clauses need a row of a predicate in `none`.
+fn emptied(rules: &Rules, none: &BTreeSet<RelId>) -> Option<RelId> {
+    let needs_none = |clause: &Clause| {
+        clause.body.iter().any(|literal| {
+            matches!(literal, Literal::Positive(atom) | Literal::Guard(atom) if none.contains(&atom.relation))
+        })
+    };
+    let mut alive: BTreeSet<RelId> = BTreeSet::new();
+    let mut dead: BTreeSet<RelId> = BTreeSet::new();
+    for clause in &rules.clauses {
+        let set = if needs_none(clause) { &mut dead } else { &mut alive };
+        set.insert(clause.head.relation);
+    }
+    let is_new = |relation: &&RelId| {
+        let declared = &rules.relations[relation.index()];
+        !none.contains(relation) && !alive.contains(relation) && !declared.input && !declared.hidden
+    };
+    dead.iter().find(is_new).copied()
+}
+
+/// Warns of outputs that are no action and that no clause reads: a city does not write them.
+fn unused_outputs(rules: &Rules) -> Vec<Diagnostic> {
+    let atoms = rules
+        .clauses
+        .iter()
+        .flat_map(|clause| clause.body.iter().filter_map(Literal::atom));
+    let read: BTreeSet<RelId> = atoms.map(|atom| atom.relation).collect();
+    let actions = || Action::ALL.iter().map(|action| action.name());
+    let relations = rules.relations.iter().zip((0..).map(RelId));
+    let unused = relations.filter(|(relation, id)| {
+        relation.output && !relation.hidden && !read.contains(id) && actions().all(|action| action != relation.name)
+    });
+    let warn = |(relation, _): (&Relation, _)| {
+        let name = &relation.name;
+        let message = format!("`.output {name}` has no effect in a city: it is no action, and no clause reads it");
+        let fault = Diagnostic::new(Code::UNUSED_OUTPUT, message).at(relation.span, "declared here");
+        match did_you_mean(name, actions()) {
+            Some(near) => fault.help(format!("did you mean `{near}`?")),
+            None => {
+                fault.help("the actions are `Slow`, `Normal`, `Fast` and `Stop`; `logicity query` prints other outputs")
+            }
+        }
+    };
+    unused.map(warn).collect()
 }
 
 /// The most agents among whose names [`agent_lints`] searches a similar one.
@@ -120,7 +317,7 @@ fn has_agent(set: &AgentSet, name: &str) -> bool {
 pub fn conflict_lints(overlaps: &[Overlap], rules: &Rules, precedence: &[Action]) -> Vec<Diagnostic> {
     let together = overlaps.iter().filter_map(|overlap| match &overlap.finding {
         Finding::Together { clauses, .. } => Some((overlap, clauses)),
-        Finding::Excluded | Finding::NotFound(_) => None,
+        Finding::Excluded { .. } | Finding::NotFound(_) => None,
     });
     let lint = |(overlap, clauses): (&Overlap, &[ClauseId; 2])| {
         let spans = clauses.map(|clause| rules.clauses[clause.index()].span);

@@ -4,7 +4,9 @@ mod conflict;
 mod format;
 mod infer;
 mod lint;
+mod theory;
 
 pub use conflict::{CONFLICT_BUDGET, Finding, Overlap, conflicts, scene_json};
 pub use infer::{Answer, EgoAnswer, Inference, SceneFacts};
-pub use lint::{agent_lints, city_lints, conflict_lints};
+pub use lint::{Examined, agent_lints, conflict_lints, examine};
+pub use theory::{CityConstraints, CityTheory};

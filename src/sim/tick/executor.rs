@@ -2,7 +2,7 @@
 
 use crate::datalog::Rules;
 use crate::datalog::dense::{Dense, TooManySteps, TrackFirings, choose};
-use crate::diag::{Code, Diagnostic};
+use crate::diag::{Code, Diagnostic, Span};
 use crate::sim::tick::vocabulary::Vocabulary;
 
 /// The executor that evaluates the rules.
@@ -41,7 +41,7 @@ impl Executor {
         }
         match make() {
             Ok(made) => Ok(Choice::Dense(made)),
-            Err(fault) if self == Executor::Auto => Ok(Choice::Relational(Some(fault.message))),
+            Err(fault) if self == Executor::Auto => Ok(Choice::Relational(Some(fault))),
             Err(fault) => Err(fault.help("`--executor auto` falls back to the relational executor, for fewer agents")),
         }
     }
@@ -52,7 +52,7 @@ pub(crate) enum Choice<T> {
     /// The dense executor with the value of `make`.
     Dense(T),
     /// The relational executor; with the reason, if the dense one failed.
-    Relational(Option<String>),
+    Relational(Option<Diagnostic>),
 }
 
 /// Returns the diagnostic for rules that the dense executor cannot evaluate. `reason` follows "because".
@@ -67,14 +67,29 @@ pub(crate) fn given_up(error: TooManySteps) -> Diagnostic {
         .help("`--executor auto` falls back to the relational executor")
 }
 
+/// Returns the fault of rules, with the place where the configuration names them if it has none of its own.
+pub(crate) fn of_rules(fault: Diagnostic, rules: Span) -> Diagnostic {
+    match fault.primary {
+        Some(_) => fault,
+        None => fault.at(rules, "these rules"),
+    }
+}
+
 /// Compiles the rules for the dense executor.
 ///
 /// # Errors
-/// `dense-unsupported` if it cannot evaluate them; the message names the reason.
+/// `dense-unsupported` if it cannot evaluate them; the message names the reason, at its place in the rules.
 pub(crate) fn compile(rules: &Rules, vocabulary: &Vocabulary, counting: TrackFirings) -> Result<Dense, Diagnostic> {
     let choice = choose(rules);
-    if let Some(reason) = choice.relational.iter().flatten().next() {
-        return Err(not_dense(&reason.show(rules)));
+    let reasons = || choice.relational.iter().flatten();
+    let root = reasons().find(|reason| reason.reads.is_none());
+    if let Some(reason) = root.or_else(|| reasons().next()) {
+        let clause = rules.clauses[reason.clause.index()].span;
+        let mut fault = not_dense(&reason.show(rules)).at(reason.span, "this is not supported");
+        if clause.start != reason.span.start {
+            fault = fault.also(clause, "in this clause");
+        }
+        return Err(reason.help().into_iter().fold(fault, Diagnostic::help));
     }
     let steady = |relation| {
         let mut predicates = vocabulary.predicates.iter();

@@ -3,6 +3,7 @@
 //! `vocabulary` binds the configuration to the rules. The relational executor takes its facts from `ground` and keeps
 //! them in a `ground_state`. The dense one computes them in a `window`. See [`Executor`](crate::sim::Executor).
 
+pub(super) mod asked;
 pub(super) mod chance;
 mod dense_executor;
 pub(super) mod executor;

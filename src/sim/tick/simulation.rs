@@ -11,7 +11,7 @@ use crate::predicate::Entity;
 use crate::rng::Seed;
 use crate::sim::tick::chance::Draws;
 use crate::sim::tick::dense_executor::{Decisions, DenseExecutor, Undecided, WHOLE_MAX};
-use crate::sim::tick::executor::{Choice, Executor, given_up};
+use crate::sim::tick::executor::{Choice, Executor, given_up, of_rules};
 use crate::sim::tick::ground::{Facts, MAX_ENTITIES, ground_with};
 use crate::sim::tick::ground_state::GroundState;
 use crate::sim::tick::vocabulary::{Actions, Vocabulary};
@@ -63,7 +63,7 @@ pub struct Simulation {
     /// The executor that the settings demand.
     demanded: Executor,
     /// Why the dense executor was not chosen or gave up.
-    fallback: Option<String>,
+    fallback: Option<Diagnostic>,
     decisions: Decisions,
     /// The action that the caller imposes on each agent. All `None` between ticks.
     given: Vec<Option<Action>>,
@@ -217,7 +217,7 @@ impl Simulation {
         };
         let chosen = (settings.executor)
             .choose(|| DenseExecutor::new(&world, &agents, to_count, threads))
-            .map_err(|fault| fault.at(scenario.rules.span, "these rules"))?;
+            .map_err(|fault| of_rules(fault, scenario.rules.span))?;
         let (dense, fallback) = match chosen {
             Choice::Dense(dense) => (Some(dense), None),
             Choice::Relational(reason) => (None, reason),
@@ -230,9 +230,14 @@ impl Simulation {
             let fault = Diagnostic::new(Code::LIMIT_EXCEEDED, message).at(set.span, "in this agent set");
             return Err(match fallback {
                 None => fault.help("use fewer agents, or another executor (`auto`)"),
-                Some(reason) => fault
-                    .note(reason)
-                    .help("`logicity check` lists the rules that the dense executor cannot evaluate, and why"),
+                Some(reason) => {
+                    let fault = fault.note(reason.message);
+                    let fault = reason
+                        .primary
+                        .into_iter()
+                        .fold(fault, |fault, label| fault.also(label.span, label.message));
+                    fault.help("`logicity check` lists the rules that the dense executor cannot evaluate, and why")
+                }
             });
         }
         let pool = start_threads(threads)?;
@@ -396,9 +401,10 @@ impl Simulation {
         }
     }
 
-    /// Returns why [`Executor::Auto`] chose the relational executor or fell back to it: a sentence without a full stop.
-    pub fn fallback(&self) -> Option<&str> {
-        self.fallback.as_deref()
+    /// Returns why [`Executor::Auto`] chose the relational executor or fell back to it. The message is a sentence without
+    /// a full stop; the place is in the rules.
+    pub fn fallback(&self) -> Option<&Diagnostic> {
+        self.fallback.as_ref()
     }
 
     /// Returns the number of threads in use.
@@ -506,7 +512,8 @@ impl Simulation {
                     if self.demanded == Executor::Dense || agents > MAX_ENTITIES {
                         return Err(given_up(error));
                     }
-                    self.fallback = Some(format!("the dense executor gave up in tick {}: {error}", self.tick));
+                    let message = format!("the dense executor gave up in tick {}: {error}", self.tick);
+                    self.fallback = Some(Diagnostic::new(Code::LIMIT_EXCEEDED, message));
                     self.dense = None;
                 }
             }

@@ -43,6 +43,8 @@ pub struct Options {
     pub literals_max: usize,
     /// Whether every entity of a scene sees itself in every scope.
     pub self_sight: bool,
+    /// Whether to reduce the scene of a difference to the fewest facts.
+    pub minimize: bool,
 }
 
 impl Default for Options {
@@ -53,6 +55,7 @@ impl Default for Options {
             conflicts_max: 500_000,
             literals_max: 12_000_000,
             self_sight: false,
+            minimize: true,
         }
     }
 }
@@ -242,7 +245,7 @@ pub fn diff(left: &Rules, right: &Rules, options: &Options) -> Result<Equivalenc
         budget.conflicts -= share.conflicts;
         budget.literals_left -= share.literals_left;
         for entities in 0..=last {
-            match search(sides, &outputs, entities, view, &mut share) {
+            match search(sides, &outputs, entities, view, options.minimize, &mut share) {
                 Ok(Some(model)) => return Ok(Equivalence::Different(describe(sides, &base, &outputs, view, &model))),
                 Ok(None) => {}
                 Err(why) => {
@@ -265,6 +268,66 @@ pub fn diff(left: &Rules, right: &Rules, options: &Options) -> Result<Equivalenc
     })
 }
 
+/// The maximum number of constraints of which [`premises`] finds out whether they are needed.
+const PREMISES_MAX: usize = 40;
+
+/// Returns constraints of both sides from which it follows that the sides are equivalent, each with its rules. The
+/// caller has found that [`diff`] proves them equivalent.
+///
+/// Without any one of them `diff` has no proof; only beyond 40 constraints there may be ones that are not needed. Constraints with equal text on the two sides count as one.
+///
+/// # Errors
+/// As [`diff`].
+pub fn premises<'r>(
+    left: &'r Rules,
+    right: &'r Rules,
+    options: &Options,
+) -> Result<Vec<(&'r DeclaredConstraint, &'r Rules)>, Vec<Diagnostic>> {
+    let options = Options {
+        minimize: false,
+        ..options.clone()
+    };
+    let base = shared_base(left, right)?;
+    let relevant = relevant([left, right], &base, &outputs(left, right, &options)?);
+    let name = |rules: &'r Rules, relation: RelId| rules.relations[relation.index()].name.as_str();
+    let matters = |rules, one: &DeclaredConstraint| {
+        let mut named = one.constraint.relations().map(|relation| name(rules, relation));
+        named.any(|name| relevant.iter().any(|&position| base[position].name == name))
+    };
+    let mut needed: Vec<(String, &'r DeclaredConstraint, &'r Rules)> = Vec::new();
+    for rules in [left, right] {
+        for one in rules.constraints.iter().filter(|one| matters(rules, one)) {
+            let text = one.constraint.show(rules);
+            if needed.iter().all(|(known, ..)| *known != text) {
+                needed.push((text, one, rules));
+            }
+        }
+    }
+    let still_equal = |kept: &BTreeSet<&String>| -> Result<bool, Vec<Diagnostic>> {
+        let [left, right] = [left, right].map(|rules| {
+            let mut fewer = rules.clone();
+            fewer
+                .constraints
+                .retain(|one| kept.contains(&one.constraint.show(rules)));
+            fewer
+        });
+        Ok(matches!(diff(&left, &right, &options)?, Equivalence::Equivalent { .. }))
+    };
+    let mut kept: BTreeSet<&String> = BTreeSet::new();
+    if !still_equal(&kept)? {
+        kept.extend(needed.iter().map(|(text, ..)| text));
+        for (text, ..) in needed.iter().take(PREMISES_MAX) {
+            kept.remove(text);
+            if !still_equal(&kept)? {
+                kept.insert(text);
+            }
+        }
+    }
+    let kept: BTreeSet<String> = kept.into_iter().cloned().collect();
+    needed.retain(|(text, ..)| kept.contains(text));
+    Ok(needed.into_iter().map(|(_, one, rules)| (one, rules)).collect())
+}
+
 /// Returns scenes of various sizes that would show a difference if no clause outside the circuit ever fired: one with
 /// an expression, an aggregate or a string test. They are starting points for `trial`.
 fn models(
@@ -274,7 +337,7 @@ fn models(
     view: ScopeRows,
     budget: &mut Remaining,
 ) -> Vec<Model> {
-    let found = (0..=entities_max).map(|entities| search(sides, outputs, entities, view, budget));
+    let found = (0..=entities_max).map(|entities| search(sides, outputs, entities, view, true, budget));
     let found = found.map_while(Result::ok).flatten();
     found.take(MODELS_MAX).collect()
 }
@@ -501,6 +564,7 @@ fn search(
     outputs: &[Output],
     entities: usize,
     view: ScopeRows,
+    minimize: bool,
     budget: &mut Remaining,
 ) -> Result<Option<Model>, Cut> {
     let individuals = individuals(sides, entities);
@@ -535,7 +599,7 @@ fn search(
         Outcome::Unknown => return Err(Cut::Conflicts),
         Outcome::Satisfiable => {}
     }
-    let smallest = shrink(&mut circuit, &mut budget.conflicts);
+    let smallest = minimize && shrink(&mut circuit, &mut budget.conflicts);
     let asked = (questions.into_iter())
         .find(|question| circuit.solver.is_true(question.differs))
         .ok_or(Cut::Conflicts)?;

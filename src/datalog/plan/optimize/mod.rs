@@ -15,16 +15,18 @@ mod theory;
 
 use crate::datalog::check::subsumption;
 use crate::datalog::check::subsumption::{Fact, NoConstraints, Pattern, Theory, covers, facts, within_theory};
-use crate::datalog::check::{Atom, Budget, Clause, ClauseId, Comparing, Literal, RelId, Rules, Term, VarId};
+use crate::datalog::check::{
+    Atom, Budget, Clause, ClauseId, Comparing, Constraint, DeclaredConstraint, Literal, RelId, Rules, Term, VarId,
+};
 use crate::datalog::syntax::ast::{BaseType, Comparison};
 use crate::datalog::syntax::quoted;
 use crate::datalog::value::Value;
-use crate::diag::{Code, Diagnostic};
+use crate::diag::{Code, Diagnostic, Sources};
 use crate::symbol::Symbol;
 use saturate::Knowledge;
 use std::borrow::Cow;
 use std::collections::{BTreeMap, BTreeSet};
-use theory::Constraints;
+use theory::{Closure, Constraints};
 
 /// The optimizer skips bodies with more literals than this.
 const LITERALS_MAX: usize = 64;
@@ -35,7 +37,7 @@ const USES_SHOWN: usize = 8;
 /// The step limit of the search for subsumed clauses.
 const STEPS_MAX: usize = 10_000_000;
 
-/// A part of the rules that can be removed.
+/// A part of the rules that can be removed. `given` are the positions of the constraints that this follows from.
 #[derive(Clone, Debug)]
 enum Finding {
     /// The literal at `literal` holds whenever the one at `because` does, or always if that is `None`.
@@ -43,9 +45,15 @@ enum Finding {
         clause: ClauseId,
         literal: usize,
         because: Option<usize>,
+        given: Vec<usize>,
     },
     /// The two literals never hold together.
-    Contradictory { clause: ClauseId, one: usize, other: usize },
+    Contradictory {
+        clause: ClauseId,
+        one: usize,
+        other: usize,
+        given: Vec<usize>,
+    },
     /// The clause `by` derives everything that this one derives.
     Subsumed { clause: ClauseId, by: ClauseId },
 }
@@ -104,12 +112,14 @@ pub struct Lints {
 }
 
 /// Returns possible simplifications of the rules as warnings. They concern implied literals, contradictory bodies,
-/// clauses that others subsume under the constraints, and repeated parts of bodies.
-pub fn lints(rules: &Rules) -> Lints {
+/// clauses that others subsume under the constraints, and repeated parts of bodies. A warning that follows from
+/// constraints names them, with their places in `sources`.
+pub fn lints(rules: &Rules, sources: &Sources) -> Lints {
     let theory = Constraints::new(&rules.constraints);
     let mut lints = Vec::new();
     // Loading reports clauses that are subsumed without constraints.
     let found = find(rules, &theory, !rules.constraints.is_empty());
+    let mut minimized = 0;
     for finding in &found.findings {
         let named = |id: ClauseId| &rules.clauses[id.index()];
         let (Finding::Subsumed { clause, .. }
@@ -119,40 +129,61 @@ pub fn lints(rules: &Rules) -> Lints {
         if rules.relations[named(clause).head.relation.index()].hidden {
             continue;
         }
-        lints.extend(match *finding {
-            Finding::Subsumed { clause, by } if is_subsumed(named(clause), named(by)) => None,
-            Finding::Subsumed { clause, by } => Some(
-                Diagnostic::new(
+        let (lint, given) = match *finding {
+            Finding::Subsumed { clause, by } if is_subsumed(named(clause), named(by), &NoConstraints) => continue,
+            Finding::Subsumed { clause, by } => {
+                minimized += 1;
+                let given = premises(rules, &theory, named(clause), named(by), minimized <= MINIMIZED_MAX);
+                let fault = Diagnostic::new(
                     Code::SUBSUMED_CLAUSE,
                     "another clause derives everything that this one does",
                 )
                 .at(named(clause).span, "")
-                .also(named(by).span, "this clause derives the same rows")
-                .note("this follows from the constraints on facts")
-                .help("remove it"),
-            ),
-            Finding::Contradictory { clause, one, other } => {
+                .also(named(by).span, "this clause derives the same rows");
+                (Some(fault.help("remove it")), given)
+            }
+            Finding::Contradictory {
+                clause,
+                one,
+                other,
+                ref given,
+            } => {
                 let clause = named(clause);
+                // A guard has the place of the directive.
+                let is_guard = |at: usize| matches!(clause.body[at], Literal::Guard(_));
+                let (one, other) = if is_guard(other) { (other, one) } else { (one, other) };
                 let (first, second) = (shown_literal(rules, clause, one), shown_literal(rules, clause, other));
                 let fault = Diagnostic::new(
                     Code::CONTRADICTORY_BODY,
                     "this clause never fires: its body contradicts itself",
                 );
                 let span = span(&clause.body[other]);
-                Some(if one == other {
+                let fault = if one == other {
                     fault.at(span, format!("`{second}` never holds"))
                 } else {
                     fault
                         .at(span, format!("`{second}` never holds together with `{first}`"))
                         .also(self::span(&clause.body[one]), "the other literal")
-                })
+                };
+                (Some(fault), given.clone())
             }
             Finding::Redundant {
                 clause,
                 literal,
                 because,
-            } => redundant(rules, &theory, named(clause), literal, because),
-        });
+                ref given,
+            } => (
+                redundant(rules, &theory, named(clause), literal, because),
+                given.clone(),
+            ),
+        };
+        lints.extend(lint.map(|lint| {
+            let given: BTreeSet<usize> = given.into_iter().collect();
+            let given = given.into_iter().map(|number| &rules.constraints[number]);
+            given.fold(lint, |lint, constraint| {
+                lint.note(format!("given {}", constraint.show(rules, sources)))
+            })
+        }));
     }
     let (parts, all_parts) = repeated::repeated(rules);
     lints.extend(parts.iter().map(|uses| worth_a_name(rules, uses)));
@@ -248,27 +279,39 @@ fn redundant(
 struct Literals<'a> {
     theory: &'a Constraints,
     facts: Vec<Fact>,
-    closures: Vec<Vec<Fact>>,
+    closures: Vec<Closure>,
 }
 
 impl<'a> Literals<'a> {
     fn new(theory: &'a Constraints, facts: Vec<Fact>) -> Self {
-        let closures = facts.iter().map(|fact| theory.closure(fact)).collect();
+        let closures = facts.iter().map(|fact| theory.consequences(fact)).collect();
         Literals {
             theory,
             facts,
             closures,
         }
     }
+
+    /// Returns the constraints by which literal `a` implies literal `b`, if it does.
+    fn implication(&self, a: usize, b: usize) -> Option<Vec<usize>> {
+        let closure = &self.closures[a];
+        let known = closure.facts.iter().position(|known| covers(known, &self.facts[b]))?;
+        Some(closure.reasons(known).collect())
+    }
+
+    /// Returns the constraints by which the two literals contradict each other, if they do.
+    fn contradiction(&self, a: usize, b: usize) -> Option<Vec<usize>> {
+        self.theory.contradiction(&self.closures[a], &self.closures[b])
+    }
 }
 
 impl Knowledge for Literals<'_> {
     fn implies(&self, a: usize, b: usize) -> bool {
-        self.closures[a].iter().any(|known| covers(known, &self.facts[b]))
+        self.implication(a, b).is_some()
     }
 
     fn exclude(&self, a: usize, b: usize) -> bool {
-        self.theory.contradict(&self.closures[a], &self.closures[b])
+        self.contradiction(a, b).is_some()
     }
 
     fn always(&self, a: usize) -> bool {
@@ -315,11 +358,14 @@ fn find(rules: &Rules, theory: &Constraints, covered: bool) -> Found {
         match kept {
             Some(kept) => {
                 for literal in (0..count).filter(|literal| !kept.contains(literal)) {
-                    let because = kept.iter().copied().find(|&other| literals.implies(other, literal));
+                    let mut reasons = kept.iter().map(|&other| (other, literals.implication(other, literal)));
+                    let because = reasons.find_map(|(other, given)| Some((other, given?)));
+                    let always = || literals.theory.tautology(&literals.facts[literal]).flatten();
                     findings.push(Finding::Redundant {
                         clause: id,
                         literal,
-                        because,
+                        because: because.as_ref().map(|(other, _)| *other),
+                        given: because.map_or_else(|| always().into_iter().collect(), |(_, given)| given),
                     });
                 }
             }
@@ -327,8 +373,14 @@ fn find(rules: &Rules, theory: &Constraints, covered: bool) -> Found {
                 let pairs = (0..count).flat_map(|other| (0..=other).map(move |one| (one, other)));
                 // Prefer a literal that never holds to a pair.
                 let single = (0..count).map(|one| (one, one));
-                if let Some((one, other)) = single.chain(pairs).find(|&(one, other)| literals.exclude(one, other)) {
-                    findings.push(Finding::Contradictory { clause: id, one, other });
+                let contradiction = |(one, other)| literals.contradiction(one, other).map(|given| (one, other, given));
+                if let Some((one, other, given)) = single.chain(pairs).find_map(contradiction) {
+                    findings.push(Finding::Contradictory {
+                        clause: id,
+                        one,
+                        other,
+                        given,
+                    });
                 }
             }
         }
@@ -366,10 +418,48 @@ fn subsumed(rules: &Rules, theory: &Constraints, findings: &mut Vec<Finding>) ->
     budget.spent()
 }
 
-/// Whether `by` subsumes the clause without constraints.
-fn is_subsumed(clause: &Clause, by: &Clause) -> bool {
-    let [general, special] = [by, clause].map(|clause| Pattern::new(clause, &NoConstraints));
-    general.subsumes(&special, &NoConstraints, &mut Budget::new(STEPS_MAX))
+/// Whether `by` subsumes the clause under a theory.
+fn is_subsumed(clause: &Clause, by: &Clause, theory: &dyn Theory) -> bool {
+    let [general, special] = [by, clause].map(|clause| Pattern::new(clause, theory));
+    general.subsumes(&special, theory, &mut Budget::new(STEPS_MAX))
+}
+
+/// The maximum number of clauses for which [`lints`] finds a smallest set of constraints.
+const MINIMIZED_MAX: usize = 100;
+
+/// The maximum number of constraints among which it searches that set.
+const PREMISES_MAX: usize = 64;
+
+/// Returns constraints from which it follows that `by` subsumes the clause; with `minimal`, none that is not needed.
+fn premises(rules: &Rules, theory: &Constraints, clause: &Clause, by: &Clause, minimal: bool) -> Vec<usize> {
+    let mut used: BTreeSet<usize> = BTreeSet::new();
+    for fact in facts(clause, false) {
+        let closure = theory.consequences(&fact);
+        used.extend((0..closure.facts.len()).flat_map(|at| closure.reasons(at)));
+    }
+    let always = facts(by, true);
+    let relations = always.iter().filter_map(|fact| match fact {
+        Fact::Atom { relation, .. } => Some(*relation),
+        _ => None,
+    });
+    let relations: BTreeSet<RelId> = relations.collect();
+    let forbids_loops = |one: &&DeclaredConstraint| match one.constraint {
+        Constraint::Irreflexive(relation) | Constraint::Asymmetric(relation) => relations.contains(&relation),
+        _ => false,
+    };
+    let all = rules.constraints.iter().enumerate();
+    used.extend(all.filter(|(_, one)| forbids_loops(one)).map(|(number, _)| number));
+    if !minimal || used.len() > PREMISES_MAX {
+        return used.into_iter().collect();
+    }
+    for number in used.clone() {
+        let fewer = used.iter().filter(|other| **other != number);
+        let fewer = Constraints::new(fewer.map(|other| &rules.constraints[*other]));
+        if is_subsumed(clause, by, &fewer) {
+            used.remove(&number);
+        }
+    }
+    used.into_iter().collect()
 }
 
 // --- messages

@@ -2,46 +2,62 @@
 
 use crate::datalog::check::subsumption::{Arg, EQUAL, Fact, GREATER, LESS, Theory};
 use crate::datalog::check::{Constraint, DeclaredConstraint, RelId};
-use std::collections::{BTreeMap, BTreeSet};
+use std::collections::BTreeMap;
 
-/// The integrity constraints, indexed by predicate.
+/// The integrity constraints, indexed by predicate. A number is the position of a constraint in the list that
+/// [`Constraints::new`] took.
 #[derive(Clone, Debug, Default)]
 pub(super) struct Constraints {
-    implied: BTreeMap<RelId, Vec<RelId>>,
-    implying: BTreeMap<RelId, Vec<RelId>>,
-    disjoint: BTreeMap<RelId, Vec<RelId>>,
-    irreflexive: BTreeSet<RelId>,
-    symmetric: BTreeSet<RelId>,
-    asymmetric: BTreeSet<RelId>,
+    implied: BTreeMap<RelId, Vec<(RelId, usize)>>,
+    implying: BTreeMap<RelId, Vec<(RelId, usize)>>,
+    disjoint: BTreeMap<RelId, Vec<(RelId, usize)>>,
+    irreflexive: BTreeMap<RelId, usize>,
+    symmetric: BTreeMap<RelId, usize>,
+    asymmetric: BTreeMap<RelId, usize>,
     /// Indexed by predicate: its columns with the predicates that relate their values to themselves.
-    reflexive: BTreeMap<RelId, Vec<(usize, RelId)>>,
+    reflexive: BTreeMap<RelId, Vec<(usize, RelId, usize)>>,
 }
 
 /// The maximum number of consequences derived from one literal.
 const CLOSURE_MAX: usize = 256;
 
+/// The consequences of a literal, itself first.
+pub(super) struct Closure {
+    pub(super) facts: Vec<Fact>,
+    /// For each fact but the first, the fact that it follows from and the constraint by which it does.
+    steps: Vec<Option<(usize, usize)>>,
+}
+
+impl Closure {
+    /// Returns the constraints by which a consequence follows from the literal.
+    pub(super) fn reasons(&self, fact: usize) -> impl Iterator<Item = usize> + '_ {
+        let steps = std::iter::successors(self.steps[fact], |(from, _)| self.steps[*from]);
+        steps.map(|(_, constraint)| constraint)
+    }
+}
+
 impl Constraints {
     pub(super) fn new<'c>(constraints: impl IntoIterator<Item = &'c DeclaredConstraint>) -> Self {
         let mut theory = Constraints::default();
-        for DeclaredConstraint { constraint, domain, .. } in constraints {
+        for (number, DeclaredConstraint { constraint, domain, .. }) in constraints.into_iter().enumerate() {
             match *constraint {
                 Constraint::Disjoint(a, b) => {
-                    theory.disjoint.entry(a).or_default().push(b);
-                    theory.disjoint.entry(b).or_default().push(a);
+                    theory.disjoint.entry(a).or_default().push((b, number));
+                    theory.disjoint.entry(b).or_default().push((a, number));
                 }
                 Constraint::Implies(a, b) => {
-                    theory.implied.entry(a).or_default().push(b);
-                    theory.implying.entry(b).or_default().push(a);
+                    theory.implied.entry(a).or_default().push((b, number));
+                    theory.implying.entry(b).or_default().push((a, number));
                 }
-                Constraint::Irreflexive(a) => _ = theory.irreflexive.insert(a),
-                Constraint::Symmetric(a) => _ = theory.symmetric.insert(a),
+                Constraint::Irreflexive(a) => _ = theory.irreflexive.entry(a).or_insert(number),
+                Constraint::Symmetric(a) => _ = theory.symmetric.entry(a).or_insert(number),
                 Constraint::Asymmetric(a) => {
-                    theory.irreflexive.insert(a);
-                    theory.asymmetric.insert(a);
+                    theory.irreflexive.entry(a).or_insert(number);
+                    theory.asymmetric.entry(a).or_insert(number);
                 }
                 Constraint::Reflexive(a) => {
                     for &(relation, column) in domain {
-                        theory.reflexive.entry(relation).or_default().push((column, a));
+                        theory.reflexive.entry(relation).or_default().push((column, a, number));
                     }
                 }
                 // A disjunction follows from no single literal in this form.
@@ -51,103 +67,119 @@ impl Constraints {
         theory
     }
 
-    /// Whether the atom relates a term to itself through an irreflexive predicate.
-    fn is_loop(&self, relation: RelId, args: &[Arg]) -> bool {
-        self.irreflexive.contains(&relation) && args[0] == args[1] && args[0] != Arg::Any
+    /// Returns the constraint by which the atom never holds, if it relates a term to itself through an irreflexive
+    /// predicate.
+    fn forbids_loop(&self, relation: RelId, args: &[Arg]) -> Option<usize> {
+        let irreflexive = self.irreflexive.get(&relation).copied();
+        irreflexive.filter(|_| args[0] == args[1] && args[0] != Arg::Any)
     }
 
-    /// Whether the two sets of facts contradict each other, or `one` contains a fact that never holds.
-    pub(super) fn contradict(&self, one: &[Fact], other: &[Fact]) -> bool {
-        one.iter()
-            .any(|a| self.never(a) || other.iter().any(|b| excludes(a, b) || excludes(b, a)))
+    /// Returns the constraints by which the consequences of two literals contradict each other, or `one` has a
+    /// consequence that never holds.
+    pub(super) fn contradiction(&self, one: &Closure, other: &Closure) -> Option<Vec<usize>> {
+        let never = |(at, fact): (usize, &Fact)| Some(one.reasons(at).chain(self.never(fact)?).collect());
+        let both = |(a, first): (usize, &Fact)| {
+            let excluded = |second: &Fact| excludes(first, second) || excludes(second, first);
+            let b = other.facts.iter().position(excluded)?;
+            Some(one.reasons(a).chain(other.reasons(b)).collect())
+        };
+        let consequences = || one.facts.iter().enumerate();
+        consequences().find_map(never).or_else(|| consequences().find_map(both))
     }
 
-    fn never(&self, fact: &Fact) -> bool {
+    /// Returns the constraints by which the fact never holds; `None` if it can hold.
+    fn never(&self, fact: &Fact) -> Option<Option<usize>> {
         match fact {
-            Fact::Atom { holds, relation, args } => *holds && self.is_loop(*relation, args),
-            Fact::Compare { allowed, .. } => *allowed == 0,
-            Fact::Opaque { .. } => false,
+            Fact::Atom { holds, relation, args } if *holds => self.forbids_loop(*relation, args).map(Some),
+            Fact::Compare { allowed, .. } if *allowed == 0 => Some(None),
+            _ => None,
         }
     }
-}
 
-impl Theory for Constraints {
-    fn closure(&self, fact: &Fact) -> Vec<Fact> {
-        let mut found = vec![fact.clone()];
+    /// Returns the constraints by which the fact always holds; `None` if it can fail.
+    pub(super) fn tautology(&self, fact: &Fact) -> Option<Option<usize>> {
+        match fact {
+            Fact::Atom { holds, relation, args } if !*holds => self.forbids_loop(*relation, args).map(Some),
+            Fact::Compare { allowed, .. } if *allowed == LESS | EQUAL | GREATER => Some(None),
+            _ => None,
+        }
+    }
+
+    /// Returns the fact and everything that follows from it, with the reasons.
+    pub(super) fn consequences(&self, fact: &Fact) -> Closure {
+        let mut found = Closure {
+            facts: vec![fact.clone()],
+            steps: vec![None],
+        };
         let mut at = 0;
-        while let Some(fact) = found.get(at).cloned() {
+        while let Some(fact) = found.facts.get(at).cloned() {
+            let from = at;
             at += 1;
             let Fact::Atom { holds, relation, args } = fact else {
                 continue;
             };
-            let mut add = |fact: Fact| {
-                if found.len() < CLOSURE_MAX && !found.contains(&fact) {
-                    found.push(fact);
+            let mut add = |fact: Fact, constraint: usize| {
+                if found.facts.len() < CLOSURE_MAX && !found.facts.contains(&fact) {
+                    found.facts.push(fact);
+                    found.steps.push(Some((from, constraint)));
                 }
             };
+            let reversed = || args.iter().rev().copied().collect();
             let others = if holds { &self.implied } else { &self.implying };
-            for &relation in others.get(&relation).into_iter().flatten() {
-                add(Fact::Atom {
-                    holds,
-                    relation,
-                    args: args.clone(),
-                });
+            for &(relation, number) in others.get(&relation).into_iter().flatten() {
+                let args = args.clone();
+                add(Fact::Atom { holds, relation, args }, number);
             }
-            if self.symmetric.contains(&relation) {
-                add(Fact::Atom {
-                    holds,
-                    relation,
-                    args: args.iter().rev().copied().collect(),
-                });
+            if let Some(&number) = self.symmetric.get(&relation) {
+                let args = reversed();
+                add(Fact::Atom { holds, relation, args }, number);
             }
             let reflexive = self.reflexive.get(&relation).filter(|_| holds);
-            for &(column, relation) in reflexive.into_iter().flatten() {
+            for &(column, relation, number) in reflexive.into_iter().flatten() {
                 if args[column] != Arg::Any {
-                    add(Fact::Atom {
-                        holds,
-                        relation,
-                        args: vec![args[column]; 2],
-                    });
+                    let args = vec![args[column]; 2];
+                    add(Fact::Atom { holds, relation, args }, number);
                 }
             }
             if holds && !args.contains(&Arg::Any) {
-                if self.asymmetric.contains(&relation) {
-                    add(Fact::Atom {
+                if let Some(&number) = self.asymmetric.get(&relation) {
+                    let fact = Fact::Atom {
                         holds: false,
                         relation,
-                        args: args.iter().rev().copied().collect(),
-                    });
+                        args: reversed(),
+                    };
+                    add(fact, number);
                 }
-                for &relation in self.disjoint.get(&relation).into_iter().flatten() {
-                    add(Fact::Atom {
+                for &(relation, number) in self.disjoint.get(&relation).into_iter().flatten() {
+                    let fact = Fact::Atom {
                         holds: false,
                         relation,
                         args: args.clone(),
-                    });
+                    };
+                    add(fact, number);
                 }
-                if self.irreflexive.contains(&relation) && args[0] != args[1] {
+                if let Some(&number) = self.irreflexive.get(&relation).filter(|_| args[0] != args[1]) {
                     let (left, right) = (args[0].min(args[1]), args[0].max(args[1]));
-                    add(Fact::Compare {
-                        allowed: LESS | GREATER,
-                        left,
-                        right,
-                    });
+                    let allowed = LESS | GREATER;
+                    add(Fact::Compare { allowed, left, right }, number);
                 }
             }
         }
         found
     }
+}
+
+impl Theory for Constraints {
+    fn closure(&self, fact: &Fact) -> Vec<Fact> {
+        self.consequences(fact).facts
+    }
 
     fn always(&self, fact: &Fact) -> bool {
-        match fact {
-            Fact::Atom { holds, relation, args } => !holds && self.is_loop(*relation, args),
-            Fact::Compare { allowed, .. } => *allowed == LESS | EQUAL | GREATER,
-            Fact::Opaque { .. } => false,
-        }
+        self.tautology(fact).is_some()
     }
 
     fn is_irreflexive(&self, relation: RelId) -> bool {
-        self.irreflexive.contains(&relation)
+        self.irreflexive.contains_key(&relation)
     }
 }
 

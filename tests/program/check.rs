@@ -1,0 +1,441 @@
+//! Static claims about rules hold in the city at hand, and say what they rest on: `check`, `diff`, the language server.
+
+use crate::cli::{code, err, fails, out, run, write};
+use serde_json::Value;
+use std::path::Path;
+
+const TAXI: &str = "base: expert\nrules: taxi.dl\n\
+                    predicates:\n  base: standard\n  define: {IsTaxi: {concept: taxi, of: Car}}\n\
+                    agents:\n  test:\n    cars: [{count: 3, concepts: [taxi], priority: 1}]\n    \
+                    pedestrians: [{count: 1, priority: 2}]\n";
+
+/// Rules that declare `IsTaxi`, with further clauses.
+fn taxi(clauses: &str) -> String {
+    format!(
+        ".include \"vocabulary.dl\"\n.decl IsTaxi(x: agent)\n.input IsTaxi\nStop(X) :- CollidingClose(X, Y).\n{clauses}"
+    )
+}
+
+/// Returns the codes of the diagnostics, each with the line of its place.
+fn found(folder: &Path, arguments: &[&str]) -> Vec<(String, u64)> {
+    let arguments: Vec<String> = (arguments.iter())
+        .map(|one| match folder.join(one).exists() {
+            true => folder.join(one).to_str().unwrap().to_owned(),
+            false => (*one).to_owned(),
+        })
+        .collect();
+    let mut all = vec!["check", "--json"];
+    all.extend(arguments.iter().map(String::as_str));
+    let output = run(&all, b"");
+    let answer: Value = serde_json::from_str(out(&output).lines().next().unwrap_or_default())
+        .unwrap_or_else(|error| panic!("{error}: {}{}", out(&output), err(&output)));
+    let found = answer["diagnostics"].as_array().unwrap().iter();
+    let place = |fault: &Value| {
+        let line = fault["labels"][0]["line"].as_u64().unwrap_or(0);
+        (fault["code"].as_str().unwrap().to_owned(), line)
+    };
+    found.map(place).collect()
+}
+
+fn is(expected: &[(&str, u64)]) -> Vec<(String, u64)> {
+    expected
+        .iter()
+        .map(|(code, line)| ((*code).to_owned(), *line))
+        .collect()
+}
+
+/// A false constraint is an error with both places. No claim rests on it: the clause fires in every tick.
+#[test]
+fn declared_constraints_are_compared_with_the_configuration() {
+    let folder = tempfile::tempdir().unwrap();
+    let rules = taxi(".implies IsTaxi, IsPedestrian\nSlow(X) :- Not(Stop(X)), IsTaxi(X), IsCar(X).\n");
+    let rules = write(folder.path(), "taxi.dl", rules);
+    let config = write(folder.path(), "taxi.yaml", TAXI);
+    let message = "error[constraint-mismatch]: `.implies IsTaxi, IsPedestrian` contradicts the configuration `taxi`: \
+                   no agent is both `IsTaxi` and `IsPedestrian`";
+    for arguments in [
+        vec!["check", &config],
+        vec!["check", &rules, "--config", &config],
+        vec!["diff", &rules, &rules, "--config", &config],
+    ] {
+        let output = run(&arguments, b"");
+        let places = ["taxi.dl:5:1", "taxi.yaml:5:12", "help: write `.implies IsTaxi, IsCar`"];
+        fails(&output, 1, &[message, places[0], places[1], places[2]]);
+        assert!(!err(&output).contains("never fires"), "{}", err(&output));
+    }
+    // Without a configuration, the claim names what it rests on.
+    let said = err(&run(&["check", &rules], b""));
+    for part in [
+        "this clause never fires",
+        "note: given `.implies IsTaxi, IsPedestrian` at ",
+        "taxi.dl:5:1",
+        "note: given `.disjoint IsCar, IsPedestrian` at <builtin>/vocabulary.dl:",
+    ] {
+        assert!(said.contains(part), "`{part}` is missing in:\n{said}");
+    }
+    // The clause fires indeed.
+    let output = run(&["run", &config, "--ticks", "20", "--no-trace"], b"");
+    assert!(out(&output).contains("Slow"), "{}", out(&output));
+}
+
+/// Each kind of constraint: what the configuration confirms, and what it contradicts.
+#[test]
+fn every_kind_of_constraint_is_compared() {
+    let folder = tempfile::tempdir().unwrap();
+    write(folder.path(), "taxi.yaml", TAXI);
+    let holds = [
+        ".implies IsTaxi, IsCar",
+        ".disjoint IsTaxi, IsPedestrian",
+        ".disjoint IsClose, NextTo",
+        ".implies CollidingClose, NextTo",
+        ".covering IsPedestrian, IsCar",
+        ".symmetric NextTo",
+        ".irreflexive HigherPri",
+        ".asymmetric HigherPri",
+        ".reflexive Sees",
+        // No taxi is a bus, since the agents are given.
+        ".disjoint IsTaxi, IsBus",
+    ];
+    let slow = "Slow(X) :- Not(Stop(X)), IsTaxi(X).";
+    write(
+        folder.path(),
+        "taxi.dl",
+        taxi(&format!("{}\n{slow}\n", holds.join("\n"))),
+    );
+    assert_eq!(found(folder.path(), &["taxi.yaml"]), is(&[]));
+    let fails = [
+        ".implies IsTaxi, IsPedestrian",
+        ".implies IsTaxi, IsBus",
+        ".implies IsCar, IsTaxi",
+        ".disjoint IsTaxi, IsCar",
+        ".disjoint IsClose, Sees",
+        ".implies NextTo, IsClose",
+        ".implies Sees, NextTo",
+        ".covering IsTaxi, IsPedestrian",
+        ".symmetric LeftOf",
+        ".symmetric HigherPri",
+        ".irreflexive Sees",
+        ".asymmetric NextTo",
+        ".reflexive NextTo",
+    ];
+    write(
+        folder.path(),
+        "taxi.dl",
+        taxi(&format!("{}\n{slow}\n", fails.join("\n"))),
+    );
+    let lines: Vec<(&str, u64)> = (5..)
+        .zip(fails)
+        .map(|(line, _)| ("constraint-mismatch", line))
+        .collect();
+    assert_eq!(found(folder.path(), &["taxi.yaml"]), is(&lines));
+    // Facts in the rules add rows that the configuration does not know.
+    let facts = "IsTaxi(\"Pedestrian_1\").\n.implies IsTaxi, IsPedestrian\nSlow(X) :- Not(Stop(X)), IsTaxi(X).\n";
+    write(folder.path(), "taxi.dl", taxi(facts));
+    assert_eq!(found(folder.path(), &["taxi.yaml"]), is(&[]));
+}
+
+/// What the definitions imply makes claims sharper than the rules alone allow.
+#[test]
+fn constraints_follow_from_definitions() {
+    let folder = tempfile::tempdir().unwrap();
+    write(folder.path(), "taxi.yaml", TAXI);
+    for (clause, lints) in [
+        (
+            "Slow(X) :- Not(Stop(X)), IsTaxi(X), IsPedestrian(X).",
+            [("contradictory-body", 5)],
+        ),
+        (
+            "Slow(X) :- Not(Stop(X)), IsTaxi(X), IsClose(X, Y), NextTo(X, Y).",
+            [("contradictory-body", 5)],
+        ),
+        (
+            "Slow(X) :- Not(Stop(X)), IsTaxi(X), IsBus(X).",
+            [("contradictory-body", 5)],
+        ),
+        (
+            "Slow(X) :- Not(Stop(X)), IsTaxi(X), IsCar(X).",
+            [("redundant-literal", 5)],
+        ),
+        (
+            "Slow(X) :- Not(Stop(X)), IsTaxi(X), CollidingClose(X, Y), NextTo(X, Y).",
+            [("redundant-literal", 5)],
+        ),
+    ] {
+        write(folder.path(), "taxi.dl", taxi(&format!("{clause}\n")));
+        assert_eq!(found(folder.path(), &["--lints", "taxi.dl"]), is(&[]), "{clause}");
+        assert_eq!(found(folder.path(), &["--lints", "taxi.yaml"]), is(&lints), "{clause}");
+        assert_eq!(
+            found(folder.path(), &["--lints", "taxi.dl", "--config", "taxi.yaml"]),
+            is(&lints),
+            "{clause}"
+        );
+    }
+    let said = err(&run(
+        &["check", folder.path().join("taxi.yaml").to_str().unwrap(), "--lints"],
+        b"",
+    ));
+    assert!(
+        said.contains("given `.implies CollidingClose, NextTo`, which follows from "),
+        "{said}"
+    );
+}
+
+/// `check --config` reports what `run` with these rules would.
+#[test]
+fn check_reports_what_run_refuses() {
+    let folder = tempfile::tempdir().unwrap();
+    for (text, message) in [
+        (
+            taxi("Slow(X) :- Not(Stop(X)), IsTaxi(X).\n"),
+            "error[rule-mismatch]: the rules read `IsTaxi`, which the configuration `expert` does not define",
+        ),
+        (
+            ".decl IsCar(x: symbol, y: symbol)\n.input IsCar\n.decl Stop(x: symbol)\n.output Stop\n\
+             Stop(X) :- IsCar(X, Y), IsCar(Y, X).\n"
+                .to_owned(),
+            "error[rule-mismatch]: the declaration of `IsCar` does not match its definition",
+        ),
+        (
+            ".decl Brake(x: symbol)\n.output Brake\n.decl IsCar(x: symbol)\n.input IsCar\nBrake(X) :- IsCar(X).\n"
+                .to_owned(),
+            "error[rule-mismatch]: the rules have none of the actions",
+        ),
+        (
+            ".include \"vocabulary.dl\"\nStop(X) :- CollidingClose(X, Y).\nStop(X) :- NextTo(X, \"Car_999\").\n"
+                .to_owned(),
+            "warning[unknown-agent]: no agent has the name `Car_999`",
+        ),
+    ] {
+        let rules = write(folder.path(), "rules.dl", text);
+        let checked = run(&["check", &rules, "--config", "expert"], b"");
+        let ran = run(&["run", "expert", "--rules", &rules, "--ticks", "1", "--no-trace"], b"");
+        for output in [&checked, &ran] {
+            assert!(
+                err(output).contains(message),
+                "{message} is missing in:\n{}",
+                err(output)
+            );
+        }
+        assert_eq!(code(&checked), code(&ran), "{message}");
+    }
+}
+
+#[test]
+fn absent_agents_and_unread_outputs_are_reported() {
+    let folder = tempfile::tempdir().unwrap();
+    let clauses = ".decl Fleet(x: agent)\nFleet(X) :- IsTaxi(X), IsAtInter(X).\n\
+                   Slow(X) :- Not(Stop(X)), Fleet(X).\nSlow(X) :- Not(Stop(X)), IsOld(X), Not(IsTaxi(X)).\n\
+                   .decl stop(x: agent)\n.output stop\nstop(X) :- IsCar(X).\n";
+    let rules = write(folder.path(), "taxi.dl", taxi(clauses));
+    let config = write(folder.path(), "taxi.yaml", TAXI.replace("concepts: [taxi], ", ""));
+    assert_eq!(found(folder.path(), &["taxi.dl"]), is(&[]), "rules alone");
+    assert_eq!(
+        found(folder.path(), &["taxi.yaml"]),
+        is(&[("empty-predicate", 6), ("unused-output", 9)])
+    );
+    let said = err(&run(&["check", &rules, "--config", &config], b""));
+    for part in [
+        "`IsTaxi` never holds in `taxi`: no car has the concept `taxi`",
+        "so this clause never fires",
+        "nor does this one: `Fleet` has no rows",
+        "so this always holds",
+        "`.output stop` has no effect in a city: it is no action, and no clause reads it",
+        "did you mean `Stop`?",
+    ] {
+        assert!(said.contains(part), "`{part}` is missing in:\n{said}");
+    }
+    // A taxi, and a reader of the output.
+    write(folder.path(), "taxi.yaml", TAXI);
+    write(
+        folder.path(),
+        "taxi.dl",
+        taxi(&format!("{clauses}Fast(X) :- Not(Stop(X)), Not(Slow(X)), stop(X).\n")),
+    );
+    assert_eq!(found(folder.path(), &["taxi.yaml"]), is(&[]));
+}
+
+/// A difference that needs an agent which the city cannot have is none there.
+#[test]
+fn diff_compares_in_a_city() {
+    let folder = tempfile::tempdir().unwrap();
+    let one = write(folder.path(), "taxi.dl", taxi("Slow(X) :- Not(Stop(X)), IsTaxi(X).\n"));
+    let other = write(
+        folder.path(),
+        "other.dl",
+        taxi("Slow(X) :- Not(Stop(X)), IsTaxi(X), IsCar(X).\n"),
+    );
+    let config = write(folder.path(), "taxi.yaml", TAXI);
+    let apart = run(&["diff", &one, &other], b"");
+    assert_eq!(code(&apart), 1, "{}", out(&apart));
+    assert!(out(&apart).contains("IsPedestrian"), "a taxi on foot: {}", out(&apart));
+    let equal = run(&["diff", &one, &other, "--config", &config], b"");
+    assert_eq!(code(&equal), 0, "{}{}", out(&equal), err(&equal));
+    assert!(
+        out(&equal).starts_with("in the city `taxi`: equivalent"),
+        "{}",
+        out(&equal)
+    );
+    assert!(
+        out(&equal).contains("\ngiven `.implies IsTaxi, IsCar`, which follows from "),
+        "{}",
+        out(&equal)
+    );
+    let unknown = run(&["diff", &one, &other, "--config", "expert"], b"");
+    fails(&unknown, 1, &["error[rule-mismatch]: the rules read `IsTaxi`"]);
+    assert_eq!(
+        err(&unknown).matches("error[rule-mismatch]").count(),
+        2,
+        "{}",
+        err(&unknown)
+    );
+}
+
+/// "Equivalent" names the constraints that the proof needs, and no others.
+#[test]
+fn proofs_name_their_premises() {
+    let folder = tempfile::tempdir().unwrap();
+    let rules = |name: &str, clause: &str| {
+        let text = format!(".include \"vocabulary.dl\"\nStop(X) :- CollidingClose(X, Y).\n{clause}\n");
+        write(folder.path(), name, text)
+    };
+    let one = rules("one.dl", "Stop(X) :- IsTiro(X), IsAtInter(X).");
+    let other = rules("other.dl", "Stop(X) :- IsTiro(X), IsAtInter(X), IsCar(X).");
+    let output = run(&["diff", &one, &other], b"");
+    let given: Vec<String> = out(&output)
+        .lines()
+        .filter(|line| line.starts_with("given"))
+        .map(str::to_owned)
+        .collect();
+    assert_eq!(given.len(), 1, "{}", out(&output));
+    assert!(
+        given[0].starts_with("given `.implies IsTiro, IsCar` at <builtin>/vocabulary.dl:"),
+        "{}",
+        given[0]
+    );
+    let same = run(&["diff", &one, &one], b"");
+    assert!(!out(&same).contains("given"), "{}", out(&same));
+
+    let exclusive = rules("exclusive.dl", "Fast(X) :- IsTiro(X), IsOld(X).");
+    let output = run(&["check", &exclusive], b"");
+    let said = out(&output) + &err(&output);
+    for part in [
+        "given `.implies IsTiro, IsCar` at ",
+        "given `.implies IsOld, IsPedestrian` at ",
+    ] {
+        assert!(said.contains(part), "`{part}` is missing in:\n{said}");
+    }
+}
+
+#[test]
+fn conditions_that_never_hold_are_refused() {
+    let rules = ["rules/medium.dl", "rules/hard.dl"];
+    for condition in [
+        "IsCar(X), IsPedestrian(X)",
+        "Sees(X, Y), HigherPri(X, Y), HigherPri(Y, X)",
+        "X != X",
+    ] {
+        let output = run(&["diff", rules[0], rules[1], "--given", condition], b"");
+        fails(
+            &output,
+            2,
+            &["the condition of `--given` never holds, so nothing would be compared"],
+        );
+    }
+    let output = run(
+        &["diff", rules[0], rules[1], "--given", "IsCar(X), IsPedestrian(X)"],
+        b"",
+    );
+    assert!(
+        err(&output).contains("given `.disjoint IsCar, IsPedestrian` at "),
+        "{}",
+        err(&output)
+    );
+    // In this city, no bus is a police car.
+    let condition = ["--given", "IsBus(X), IsPolice(X)", "--predicates", "Fast"];
+    let free = run(
+        &[&["diff", "rules/expert.dl", "rules/expert.dl"], &condition[..]].concat(),
+        b"",
+    );
+    assert_eq!(code(&free), 0, "{}", err(&free));
+    let in_city = [
+        &["diff", "rules/expert.dl", "rules/expert.dl", "--config", "expert"],
+        &condition[..],
+    ]
+    .concat();
+    fails(&run(&in_city, b""), 2, &["never holds"]);
+}
+
+/// The reason is the clause at the root, with its place, and not what depends on it.
+#[test]
+fn reasons_against_the_dense_executor_name_the_clause_at_the_root() {
+    let folder = tempfile::tempdir().unwrap();
+    let text = |clause: &str| {
+        format!(
+            ".include \"vocabulary.dl\"\n.decl Emergency(x: agent)\nEmergency(X) :- IsAmbulance(X), IsInInter(X).\n\
+             .decl Crowd(x: agent)\n{clause}\nStop(X) :- CollidingClose(X, Y).\nSlow(X) :- Not(Stop(X)), Crowd(X).\n"
+        )
+    };
+    for (clause, reason, place, help) in [
+        (
+            "Crowd(X) :- IsCar(X), 2 <= count : { Emergency(Y), NextTo(X, Y) }.",
+            "a clause of `Crowd` aggregates with `count`",
+            "crowd.dl:5:28",
+            Some("write that many atoms with different variables"),
+        ),
+        (
+            "Crowd(X) :- Emergency(Y), NextTo(X, Y).\nCrowd(X) :- Crowd(Y), NextTo(X, Y).",
+            "`Crowd` depends on itself",
+            "crowd.dl:6:13",
+            Some("write out the steps"),
+        ),
+        (
+            "Crowd(X) :- Emergency(X), NextTo(X, \"Car_1\").",
+            "a clause of `Crowd` names a constant",
+            "crowd.dl:5:27",
+            Some("give the agent a concept"),
+        ),
+        (
+            ".decl Near(x: agent, n: number)\nNear(X, n) :- IsCar(X), n = count : { Emergency(Y), NextTo(X, Y) }.\n\
+             Crowd(X) :- Near(X, n), n > 2.",
+            "a clause of `Near` aggregates with `count`",
+            "crowd.dl:6:29",
+            Some("write that many atoms"),
+        ),
+        (
+            ".decl At(x: agent, y: agent, z: agent)\nAt(X, Y, Z) :- Emergency(X), NextTo(X, Y), NextTo(Y, Z).\n\
+             Crowd(X) :- At(X, Y, Z).",
+            "a clause of `At` uses `At`, which has 3 columns, not one or two",
+            "crowd.dl:6:1",
+            Some("use predicates of one or two columns"),
+        ),
+    ] {
+        let rules = write(folder.path(), "crowd.dl", text(clause));
+        let checked = out(&run(&["check", &rules], b""));
+        assert!(
+            checked.contains(&format!("{reason} at ")) && checked.contains(place),
+            "{place}: {checked}"
+        );
+        assert!(!checked.contains("needs `Emergency`"), "{checked}");
+        if let Some(help) = help {
+            assert!(checked.contains(help), "{checked}");
+        }
+        let ran = out(&run(
+            &["run", "expert", "--rules", &rules, "--ticks", "1", "--no-trace"],
+            b"",
+        ));
+        let line = format!("the dense executor cannot evaluate these rules, because {reason} at ");
+        assert!(ran.contains(&line) && ran.contains(&format!("{place}\n")), "{ran}");
+        let demanded = [
+            "run",
+            "expert",
+            "--rules",
+            &rules,
+            "--ticks",
+            "1",
+            "--no-trace",
+            "--executor",
+            "dense",
+        ];
+        fails(&run(&demanded, b""), 1, &["error[dense-unsupported]", reason, place]);
+    }
+}
