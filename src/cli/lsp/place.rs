@@ -277,7 +277,7 @@ mod tests {
     /// The position of a byte by the words of the protocol.
     fn position(text: &str, byte: usize, encoding: Encoding) -> Position {
         let before = text[..byte].replace("\r\n", "\n").replace('\r', "\n");
-        // A `\r` before the byte may belong to a `\r\n` that goes on after it.
+        // A `\r` before the byte may belong to a `\r\n` that continues after it.
         let inside = text[..byte].ends_with('\r') && text[byte..].starts_with('\n');
         let before = if inside { &before[..before.len() - 1] } else { &before };
         let last = before.rsplit('\n').next().unwrap();
