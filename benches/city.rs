@@ -82,7 +82,9 @@ fn rules(criterion: &mut Criterion) {
                 simulation.tick(&[]).expect("within limits");
             }
             let vocabulary = &world.vocabulary;
-            let facts = simulation.facts(|predicate| vocabulary.is_read(predicate));
+            let facts = simulation
+                .facts(|predicate| vocabulary.is_read(predicate))
+                .expect("within limits");
             let facts: BitFacts<WIDTH> = facts.to_bits(vocabulary, &dense, count);
             facts.load(&dense, &mut bit_state);
             bit_state.run(&dense, &facts).expect("few steps");

@@ -309,21 +309,6 @@ pub fn read_from(input: impl Read) -> Result<String, ReadError> {
     to_text(read_bytes(input)?)
 }
 
-/// Reads all input as text and replaces each invalid byte sequence by `U+FFFD`. Also returns the position of the first
-/// invalid byte.
-///
-/// # Errors
-/// Why the input cannot be read.
-pub fn read_any(input: impl Read) -> Result<(String, Option<usize>), ReadError> {
-    Ok(match String::from_utf8(read_bytes(input)?) {
-        Ok(text) => (text, None),
-        Err(error) => {
-            let first = error.utf8_error().valid_up_to();
-            (String::from_utf8_lossy(error.as_bytes()).into_owned(), Some(first))
-        }
-    })
-}
-
 /// Reads all input.
 ///
 /// # Errors

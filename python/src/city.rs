@@ -129,6 +129,8 @@ pub fn one_of<T: Copy>(what: &str, given: &str, all: &[T], name: impl Fn(T) -> &
 #[pyclass(name = "Inference", module = "logicity._logicity", frozen)]
 struct PyInference {
     inference: Shared<Inference>,
+    /// The memory that an answer may take.
+    bytes_max: u64,
     files: Files,
 }
 
@@ -153,6 +155,7 @@ impl PyInference {
         inference.set_limits(limits);
         Ok(PyInference {
             inference: Shared::new("Inference", inference),
+            bytes_max: limits.bytes,
             files,
         })
     }
@@ -162,17 +165,16 @@ impl PyInference {
     fn answer<'py>(&self, py: Python<'py>, scene: &str) -> PyResult<Bound<'py, PyAny>> {
         let mut sources = Sources::new();
         let source = sources.add("<scene>", scene);
-        let answer = self
-            .inference
-            .detached(py, |inference, cancel| inference.answer_with(&sources, source, cancel))?;
-        match answer {
-            Ok(answer) => {
-                let mut json = answer.to_json();
-                if let Some(fallback) = answer.fallback {
-                    json["fallback"] = fallback.into();
-                }
-                to_python(py, &json)
+        let answer = self.inference.detached(py, |inference, cancel| {
+            let answer = inference.answer_with(&sources, source, cancel)?;
+            let mut json = answer.to_json(self.bytes_max).map_err(|fault| vec![fault])?;
+            if let Some(fallback) = answer.fallback {
+                json["fallback"] = fallback.into();
             }
+            Ok::<_, Vec<Diagnostic>>(json)
+        })?;
+        match answer {
+            Ok(json) => to_python(py, &json),
             Err(faults) => Err(input_error(py, &faults, &sources)),
         }
     }

@@ -4,7 +4,8 @@ use crate::city::one_of;
 use crate::task::PyTask;
 use crate::{Signals, input_error, read_error, threads_of, to_python};
 use logicity::city::Action;
-use logicity::diag::{Diagnostic, Sources};
+use logicity::datalog::Limits;
+use logicity::diag::{Code, Diagnostic, Sources};
 use logicity::files::{self, Journal, ReadError, read_whole};
 use logicity::induce::ask::Bound as SweepBound;
 use logicity::induce::{
@@ -207,8 +208,22 @@ fn read_steps(py: Python<'_>, path: PathBuf) -> PyResult<(String, String, String
         .map_err(|error| read_error(py, &path, &error))?;
     let read = py.detach(|| {
         let steps = Steps::open(bytes)?;
+        let limit = Limits::default().bytes;
+        let too_large = || {
+            let message = format!(
+                "the steps take {} MiB; the limit is {} MiB",
+                steps.bytes() >> 20,
+                limit >> 20
+            );
+            let fault = Diagnostic::new(Code::LIMIT_EXCEEDED, message);
+            fault.help("split the table, or learn with `logicity induce`, which keeps the facts as bits")
+        };
+        if steps.bytes() > limit {
+            return Err(too_large());
+        }
         let (mut observations, mut actions) = (Vec::new(), Vec::new());
         let (mut episodes, mut numbers) = (Vec::new(), Vec::new());
+        (observations.try_reserve_exact(steps.count().saturating_mul(steps.atoms.len()))).map_err(|_| too_large())?;
         steps.for_each(|step| {
             observations.extend_from_slice(step.observation);
             actions.push(step.action as i64);

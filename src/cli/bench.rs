@@ -530,7 +530,7 @@ impl<'a> Bench<'a> {
                 self.simulation.tick(&[])?;
             }
             let vocabulary = &self.world.vocabulary;
-            let (state, size) = make(self.simulation.facts(|predicate| vocabulary.is_read(predicate)));
+            let (state, size) = make(self.simulation.facts(|predicate| vocabulary.is_read(predicate))?);
             bytes += size;
             // A single state would make every evaluation repeat the one before.
             if bytes > STATES_BYTES && states.len() >= 2 {

@@ -10,7 +10,7 @@ use crate::diag::{SourceId, Sources, to_json};
 use crate::rng::Seed;
 use crate::sim::{Executor, Inference};
 use serde_json::json;
-use std::io::{BufWriter, Write};
+use std::io::{self, BufWriter, Write};
 use std::path::PathBuf;
 
 #[derive(clap::Args)]
@@ -81,22 +81,23 @@ pub fn run(arguments: &Arguments, sources: &mut Sources) -> Result<(), Failure> 
         (None, None) => None,
     };
     let asked = question.map(|question| (question, &*sources));
-    let scenes = SceneLines::open(&arguments.file)?;
+    let scenes = SceneLines::open(&arguments.file)?.within(city.limits.bytes);
     match arguments.out.as_deref().filter(|path| !is_stdout(path)) {
         None => {
             let mut out = BufWriter::new(terminal::data());
-            let faulty = answer_all(&mut inference, scenes, asked, |line| {
-                writeln!(out, "{line}").map_err(Failure::from)
-            })?;
+            let faulty = answer_all(&mut inference, scenes, asked, (&mut out, &Failure::from))?;
             out.flush()?;
             outcome(faulty)
         }
         Some(path) => {
             let inputs = Inputs::of(sources).with([arguments.file.clone()]);
             let mut out = arguments.force.create("infer", path, &inputs)?;
-            let faulty = answer_all(&mut inference, scenes, asked, |line| {
-                writeln!(out, "{line}").map_err(|error| unwritable(path, &error))
-            })?;
+            let faulty = answer_all(
+                &mut inference,
+                scenes,
+                asked,
+                (&mut out, &|error| unwritable(path, &error)),
+            )?;
             finish(out, path)?;
             writeln!(messages(&[path]), "wrote {}", path.display())?;
             outcome(faulty)
@@ -114,7 +115,7 @@ fn answer_all(
     inference: &mut Inference,
     mut scenes: SceneLines,
     asked: Option<(SourceId, &Sources)>,
-    mut write: impl FnMut(serde_json::Value) -> Result<(), Failure>,
+    (out, unwritable): (&mut dyn Write, &dyn Fn(io::Error) -> Failure),
 ) -> Result<bool, Failure> {
     let (mut faulty, mut noted) = (false, false);
     while let Some(SceneLine { number, sources, scene }) = scenes.next()? {
@@ -132,26 +133,31 @@ fn answer_all(
                     );
                     noted = true;
                 }
-                let mut line = answer.to_json();
-                if let (Some((question, rules)), Ok(source)) = (asked, scene) {
-                    let explained = match inference.ground(&sources, source) {
-                        Ok(facts) => inference.explain(&facts, rules, question),
+                let explained = match (asked, scene) {
+                    (Some((question, rules)), Ok(source)) => match inference.ground(&sources, source) {
+                        Ok(facts) => inference.explain(&facts, rules, question).map(Some),
                         Err(faults) => Err(faults),
-                    };
-                    match explained {
-                        Ok(explanations) => line["explanations"] = explanations.into(),
-                        Err(faults) => {
-                            faulty = true;
-                            line = json!({ "error": to_json(&faults, rules) });
-                            report(&faults, rules);
-                        }
+                    },
+                    _ => Ok(None),
+                };
+                let written = match (explained, asked) {
+                    (Err(faults), Some((_, rules))) => {
+                        faulty = true;
+                        report(&faults, rules);
+                        writeln!(out, "{}", json!({ "error": to_json(&faults, rules) }))
                     }
-                }
-                write(line)?;
+                    (explained, _) => {
+                        let explanations = explained.ok().flatten().map(serde_json::Value::from);
+                        let more = explanations.iter().map(|value| ("explanations", value));
+                        answer.write_json(out, more).and_then(|()| writeln!(out))
+                    }
+                };
+                written.map_err(unwritable)?;
             }
             Err(faults) => {
                 faulty = true;
-                write(json!({ "error": to_json(&advised(&faults), &sources) }))?;
+                let answer = json!({ "error": to_json(&advised(&faults), &sources) });
+                writeln!(out, "{answer}").map_err(unwritable)?;
                 report(&faults, &sources);
             }
         }

@@ -1,10 +1,15 @@
-//! The memory that the system lets this process use.
+//! The memory that this process may use: `--max-memory`, and what the system allows.
+//!
+//! Evaluations, readers and searches count their memory and report the place at which it runs out. [`watch`] bounds the
+//! rest: it ends a process whose resident memory exceeds the limit nevertheless.
 //!
 //! An evaluation that the system stops for its memory ends without a message. So the default of `--max-memory` is below
 //! the limits of the system, with room for what the evaluation does not count: the program itself, the stacks of
 //! threads and address space that is reserved and not used.
 
 use std::sync::OnceLock;
+use std::thread;
+use std::time::Duration;
 
 /// A limit of the system on the memory of an evaluation.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -34,6 +39,42 @@ pub fn system_limit() -> Option<SystemLimit> {
         });
         address_space.into_iter().chain(group).min_by_key(|limit| limit.bytes)
     })
+}
+
+/// The resident memory beyond the limit at which [`watch`] ends the process: that of the program itself, and of buffers of
+/// fixed size.
+const BESIDES: u64 = 64 << 20;
+
+/// The part of [`BESIDES`] that buffers may need in a process that was larger when its command began.
+const BUFFERS: u64 = 32 << 20;
+
+/// Calls `end` once the resident memory of this process exceeds `limit` by more than the program itself needs.
+///
+/// A thread reads the size, the less often the more memory is left, so that even the fastest growth does not go far
+/// beyond the limit between two readings. Works where `/proc/self/status` exists.
+pub fn watch(limit: u64, end: impl FnOnce(u64) + Send + 'static) {
+    /// The bytes by which a process may grow in a microsecond, with time to wake this thread on a busy machine.
+    const GROWTH: u64 = 16 << 10;
+    /// The shortest and the longest interval, in microseconds.
+    const INTERVALS: (u64, u64) = (500, 250_000);
+    let Some(begin) = resident() else { return };
+    let most = limit.saturating_add(BESIDES.max(begin + BUFFERS));
+    let until_exceeded = move || {
+        while let Some(size) = resident() {
+            match most.checked_sub(size) {
+                Some(left) => thread::sleep(Duration::from_micros((left / GROWTH).clamp(INTERVALS.0, INTERVALS.1))),
+                None => return end(size),
+            }
+        }
+    };
+    // If the system starts no thread, the counts alone bound the memory.
+    let _ = thread::Builder::new().name("memory".into()).spawn(until_exceeded);
+}
+
+/// Returns the resident memory of this process in bytes, if the system reports it.
+fn resident() -> Option<u64> {
+    let status = std::fs::read_to_string("/proc/self/status").ok()?;
+    Some(in_status(&status, "VmRSS:"))
 }
 
 /// Makes the process end with code 1 when memory cannot be allocated. Otherwise it aborts, after the same message.

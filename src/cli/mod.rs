@@ -45,7 +45,7 @@ use crate::diag::{Code, Diagnostic, Limit, Sources, neutral, render, similar_fil
 use crate::files::{self, FileError, Output, Overwrite, ReadError, ReadFile};
 use crate::sim::{LoadError, LoadedCity};
 use clap::builder::{PossibleValue, PossibleValuesParser, TypedValueParser};
-use clap::{CommandFactory, FromArgMatches, Parser, Subcommand};
+use clap::{ArgMatches, CommandFactory, FromArgMatches, Parser, Subcommand};
 use indicatif::{ProgressBar, ProgressStyle};
 use kind::Kind;
 use std::ffi::{OsStr, OsString};
@@ -452,9 +452,9 @@ fn run(mut command: clap::Command, arguments: &[OsString]) -> u8 {
     let name = OsString::from("logicity");
     let parsed = command
         .try_get_matches_from_mut(iter::once(&name).chain(arguments))
-        .and_then(|mut matches| Arguments::from_arg_matches_mut(&mut matches));
-    let arguments = match parsed {
-        Ok(arguments) => arguments,
+        .and_then(|mut matches| Ok((memory_limit(&matches), Arguments::from_arg_matches_mut(&mut matches)?)));
+    let (limit, arguments) = match parsed {
+        Ok(parsed) => parsed,
         Err(error) => {
             let error = error.format(&mut command);
             // A closed standard error does not change the exit code.
@@ -466,6 +466,21 @@ fn run(mut command: clap::Command, arguments: &[OsString]) -> u8 {
     };
     memory::exit_when_exhausted();
     signals::end_at_once();
+    if let Some(limit) = limit {
+        memory::watch(limit, move |size| {
+            let fault = Diagnostic::new(
+                Code::LIMIT_EXCEEDED,
+                format!("the command takes more than {} MiB", limit >> 20),
+            )
+            .note(format!(
+                "the process uses {} MiB, with the program itself and its input",
+                size >> 20
+            ))
+            .exceeds(Limit::Memory(limit));
+            report(&[fault], &Sources::new());
+            std::process::exit(1);
+        });
+    }
     let mut sources = Sources::new();
     let result = match arguments.command {
         Command::Run(arguments) => run::run(&arguments, &mut sources),
@@ -677,7 +692,7 @@ struct LimitOptions {
     /// 1G for each scene, tick or task; for each tick of a trace 100M plus 1K for each row of the default of `--max-rows`]
     #[arg(long, value_name = "COUNT", value_parser = count_of::<u64>)]
     max_steps: Option<u64>,
-    /// Fail if rows, indexes, symbols and buffers need more than SIZE, in MiB or with a suffix: K, M, G, T or KiB, MiB,
+    /// Fail if input, rows, indexes, symbols and buffers need more than SIZE, in MiB or with a suffix: K, M, G, T or KiB, MiB,
     /// GiB, TiB (powers of 1024). Limits of the system (`ulimit -v`, control groups) lower it [default: 4096]
     #[arg(long, value_name = "SIZE", value_parser = memory)]
     max_memory: Option<u64>,
@@ -693,6 +708,19 @@ impl LimitOptions {
                 .min(memory::system_limit().map_or(u64::MAX, |limit| limit.bytes)),
         }
     }
+}
+
+/// Returns the memory that a command may use, in bytes; `None` if it does not take the option.
+fn memory_limit(matches: &ArgMatches) -> Option<u64> {
+    if let Some((_, inner)) = matches.subcommand() {
+        return memory_limit(inner);
+    }
+    let max_memory = matches.try_get_one::<u64>("max_memory").ok()?.copied();
+    let options = LimitOptions {
+        max_memory,
+        ..LimitOptions::default()
+    };
+    Some(options.limits(Limits::default()).bytes)
 }
 
 /// Parses a count with an optional decimal suffix, such as `20K`.

@@ -7,9 +7,9 @@ use crate::cli::why::Question;
 use crate::cli::{Failure, ForceOption, Inputs, LimitOptions, load_workspace, report, terminal};
 use crate::datalog::{ClauseId, Directive, Edb, EvalError, MarkKind, RelId, RowFormat, RowPlace, Rules, rewrite};
 use crate::datalog::{Delta, EvalEvent, Limits, Options, Program, RuleStats, Session, Threads, constraints, facts};
-use crate::diag::{Code, Diagnostic, Sources, Span};
+use crate::diag::{Code, Diagnostic, MAX_FAULTS, Sources, Span};
 use crate::files;
-use crate::files::{MAX_BYTES, ReadError};
+use crate::files::ReadError;
 use flate2::read::MultiGzDecoder;
 use std::cell::{Cell, RefCell};
 use std::cmp::Reverse;
@@ -306,85 +306,117 @@ pub(super) fn load_inputs(folder: &Path, session: &mut Session, sources: &mut So
         {
             let path = input_path(folder, &relation.name, directive);
             let path = path.unwrap_or_else(|| PathBuf::from("standard input"));
-            if !matches!(directive.place, RowPlace::Terminal)
-                && !directive.format.quoted
-                && load_blocks(&path, session, id, &directive.format)?
-            {
-                continue;
-            }
-            let read = match &directive.place {
-                RowPlace::Terminal => files::read_any(std::io::stdin()),
-                RowPlace::File(name) if name == "/dev/stdin" => files::read_any(std::io::stdin()),
-                _ => files::open_regular(&path).and_then(read_decompressed),
+            let input: Result<Box<dyn Read>, ReadError> = match &directive.place {
+                RowPlace::Terminal => Ok(Box::new(io::stdin())),
+                RowPlace::File(name) if name == "/dev/stdin" => Ok(Box::new(io::stdin())),
+                _ => files::open_regular(&path).and_then(decompressed),
             };
-            let (text, not_text) = read.map_err(|error| {
+            let unreadable = |error: ReadError| {
                 let (name, path) = (&relation.name, path.display());
                 Failure::Usage(format!("cannot read the facts of `{name}` from `{path}`: {error}"))
-            })?;
-            let source = sources.add(path.display().to_string(), text);
-            // Reports the other faults of the file as well.
-            faults.extend(not_text.map(|first| {
-                let place = Span::new(source, first..first + char::REPLACEMENT_CHARACTER.len_utf8());
-                Diagnostic::new(Code::NOT_TEXT, format!("`{}` is not UTF-8 text", path.display()))
-                    .at(place, "invalid UTF-8 starts here")
-                    .help("save the file as UTF-8")
-            }));
-            if let Err(found) = facts::load_as(session, id, sources, source, &directive.format) {
-                faults.extend(found);
-            }
+            };
+            let input = input.map_err(unreadable)?;
+            let to = (&mut *session, id, &directive.format);
+            faults.extend(load_rows(input, &path, to, sources, unreadable)?);
         }
     }
     if faults.is_empty() { Ok(()) } else { Err(faults.into()) }
 }
 
-/// Reads a text that may be compressed with gzip, which its first two bytes show.
-fn read_decompressed(file: File) -> Result<(String, Option<usize>), ReadError> {
+/// Returns the contents of a file that may be compressed with gzip, which its first two bytes show.
+fn decompressed(file: File) -> Result<Box<dyn Read>, ReadError> {
     let mut file = BufReader::new(file);
     let start = file.fill_buf().map_err(|error| ReadError::Io(error.to_string()))?;
-    match start.starts_with(&[0x1f, 0x8b]) {
-        true => files::read_any(MultiGzDecoder::new(file)),
-        false => files::read_any(file),
-    }
+    Ok(match start.starts_with(&[0x1f, 0x8b]) {
+        true => Box::new(MultiGzDecoder::new(file)),
+        false => Box::new(file),
+    })
 }
 
-/// Loads a file of rows block by block, so that its text is never in memory as a whole. Returns `false` if that is
-/// impossible: the places of faults require the whole text, and only a regular file can be read again for them.
-fn load_blocks(path: &Path, session: &mut Session, id: RelId, format: &RowFormat) -> Result<bool, Failure> {
-    const BLOCK: u64 = 1 << 20;
-    let Ok(mut file) = files::open_regular(path) else {
-        return Ok(false);
+/// Loads rows block by block, so that their text is never in memory as a whole. Returns the faults, and adds the blocks
+/// that contain them to the sources. Stops at more faults than anyone reads.
+fn load_rows(
+    mut input: impl Read,
+    path: &Path,
+    (session, id, format): (&mut Session, RelId, &RowFormat),
+    sources: &mut Sources,
+    unreadable: impl Fn(ReadError) -> Failure,
+) -> Result<Vec<Diagnostic>, Failure> {
+    const BLOCK: usize = 1 << 20;
+    /// The memory of a long row: in the block, as the text of a source, and as a symbol.
+    const COPIES: u64 = 3;
+    /// The maximum length of the texts with faults.
+    const FAULTY_MAX: usize = 8 * BLOCK;
+    let limit = session.limits().bytes;
+    let exceeded = |session: &Session| {
+        let error = EvalError::TooManyInputs { limit };
+        let fault = error.diagnostic(session.program().rules());
+        Failure::from(fault.note(format!("while reading `{}`", path.display())))
     };
     let mut format = format.clone();
-    let mut block: Vec<u8> = Vec::new();
+    let (mut faults, mut faulty) = (Vec::new(), 0);
+    let (mut block, mut first_line, mut more) = (Vec::new(), 1, BLOCK);
     loop {
-        let Ok(read) = (&mut file).take(BLOCK).read_to_end(&mut block) else {
-            return Ok(false);
+        let read = (&mut input).take(more as u64).read_to_end(&mut block);
+        let read = read.map_err(|error| unreadable(ReadError::Io(error.to_string())))?;
+        let is_last = read == 0;
+        // A block ends with a line. What remains of the block before has no line break, or one in quotes.
+        let known = if format.quoted { 0 } else { block.len() - read };
+        let end = match block[known..].iter().rposition(|&byte| byte == b'\n') {
+            _ if is_last => block.len(),
+            Some(at) => known + at + 1,
+            None => 0,
         };
-        // A block ends with a line. What remains of the block before has no line break.
-        let new = block.len() - read;
-        let end = match block[new..].iter().rposition(|&byte| byte == b'\n') {
-            _ if read == 0 => block.len(),
-            Some(at) => new + at + 1,
-            None if block.len() as u64 > MAX_BYTES => return Ok(false),
-            None => continue,
+        let invalid = std::str::from_utf8(&block[..end])
+            .err()
+            .map(|error| error.valid_up_to());
+        let text = String::from_utf8_lossy(&block[..end]);
+        let end = match is_last || invalid.is_some() {
+            true => text.len(),
+            false => facts::complete(&text, &format),
         };
-        let Ok(text) = std::str::from_utf8(&block[..end]) else {
-            return Ok(false);
-        };
-        let mut sources = Sources::new();
-        let source = sources.add("", text);
-        if facts::load_as(session, id, &sources, source, &format).is_err() {
-            return Ok(false);
+        let text = &text[..end];
+        let mut part = Sources::new();
+        let source = part.add("", text);
+        if invalid.is_some() || facts::load_as(session, id, &part, source, &format).is_err() {
+            drop(part);
+            let source = sources.add_from(path.display().to_string(), text, first_line);
+            faulty += text.len();
+            if let Some(first) = invalid {
+                let place = Span::new(source, first..first + char::REPLACEMENT_CHARACTER.len_utf8());
+                let fault = Diagnostic::new(Code::NOT_TEXT, format!("`{}` is not UTF-8 text", path.display()));
+                let fault = fault.at(place, "invalid UTF-8 starts here");
+                faults.push(fault.help("save the file as UTF-8"));
+            }
+            // Reports the other faults of the text as well.
+            faults.extend(
+                facts::load_as(session, id, sources, source, &format)
+                    .err()
+                    .into_iter()
+                    .flatten(),
+            );
+            if invalid.is_some() || faults.len() >= MAX_FAULTS || faulty > FAULTY_MAX {
+                return Ok(faults);
+            }
         }
-        let limit = session.limits().bytes;
         if session.bytes() > limit {
-            let error = EvalError::TooManyInputs { limit };
-            return Err(error.diagnostic(session.program().rules()).into());
+            return Err(exceeded(session));
         }
-        if read == 0 {
-            return Ok(true);
+        if is_last {
+            return Ok(faults);
         }
-        block.drain(..end);
-        format.headers = false;
+        first_line += text.bytes().filter(|&byte| byte == b'\n').count();
+        if end > 0 {
+            format.headers = false;
+            more = BLOCK;
+            block.drain(..end);
+        } else {
+            // Doubles the block, so that a long row takes linear time.
+            more = block.len().max(BLOCK);
+            let needed = COPIES * block.len() as u64;
+            if block.len() > 2 * BLOCK && session.bytes().saturating_add(needed) > limit {
+                return Err(exceeded(session));
+            }
+        }
     }
 }

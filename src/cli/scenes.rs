@@ -2,6 +2,7 @@
 
 use crate::cli::kind::Kind;
 use crate::cli::{Failure, open};
+use crate::datalog::size;
 use crate::diag::{Code, Diagnostic, SourceId, Sources};
 use crate::files::{self, ReadError};
 use crate::task::induction::LOG_START;
@@ -11,6 +12,9 @@ use std::path::{Path, PathBuf};
 /// The longest scene, in bytes (64 MiB).
 const MAX_SCENE: u64 = 1 << 26;
 
+/// The part of the memory of a command that the text of a scene may take: parsed, short values take far more.
+const PARTS: u64 = 16;
+
 /// The scenes of a file or of standard input.
 pub struct SceneLines {
     lines: Box<dyn BufRead>,
@@ -18,6 +22,8 @@ pub struct SceneLines {
     /// The name of the file in messages.
     pub name: String,
     number: usize,
+    /// The longest line, in bytes.
+    longest: u64,
 }
 
 /// A line that is not blank.
@@ -67,7 +73,14 @@ impl SceneLines {
             path: path.to_owned(),
             name,
             number: 0,
+            longest: MAX_SCENE,
         }
+    }
+
+    /// Shortens the longest scene so that it can be read within `memory` bytes.
+    pub fn within(mut self, memory: u64) -> SceneLines {
+        self.longest = MAX_SCENE.min(memory / PARTS);
+        self
     }
 
     /// Returns the next line that is neither blank nor the header of a log of questions, or `None` at the end.
@@ -75,7 +88,7 @@ impl SceneLines {
         loop {
             let unreadable = |error| Failure::file("read", &self.path, error);
             let mut bytes = Vec::new();
-            let read = self.lines.by_ref().take(MAX_SCENE).read_until(b'\n', &mut bytes);
+            let read = self.lines.by_ref().take(self.longest + 1).read_until(b'\n', &mut bytes);
             if read.map_err(unreadable)? == 0 {
                 return Ok(None);
             }
@@ -83,8 +96,8 @@ impl SceneLines {
             let (number, name) = (self.number, &self.name);
             let fault = |code, what: &str| Diagnostic::new(code, format!("line {number} of `{name}` is {what}"));
             let mut sources = Sources::new();
-            let scene = if bytes.len() as u64 == MAX_SCENE && !bytes.ends_with(b"\n") {
-                let limit = format!("too long: the limit is {} MiB", MAX_SCENE >> 20);
+            let scene = if bytes.len() as u64 > self.longest && !bytes.ends_with(b"\n") {
+                let limit = format!("too long: the limit is {}", size(self.longest));
                 let fault = fault(Code::LIMIT_EXCEEDED, &limit);
                 let mut rest = self.lines.by_ref().take(MAX_SCENE);
                 rest.skip_until(b'\n').map_err(unreadable)?;

@@ -55,10 +55,12 @@ pub fn load_as(
     let mut count = 0;
     let mut header = format.headers;
     let mut fields = Vec::new();
+    let last = format.columns.iter().max();
+    let needed = last.map_or(relation.arity(), |&last| last + 1);
     let mut start = 0;
     // The final line break is optional.
     while start < text.len() {
-        let record = read_record(text, start, format, &mut fields);
+        let record = read_record(text, start, format, needed, &mut fields);
         let span = |range: Range<usize>| Span::new(source, range);
         let whole = start..record.end;
         start = record.next;
@@ -83,8 +85,7 @@ pub fn load_as(
             }
             continue;
         }
-        let found = fields.len();
-        let last = format.columns.iter().max();
+        let found = record.values;
         if !last.map_or(found == relation.arity(), |&last| last < found) {
             let message = if whole.is_empty() {
                 format!("an empty line where a row of `{}` was expected", relation.name)
@@ -124,7 +125,7 @@ pub fn load_as(
     let mut faults = faults.finish();
     if faults.is_empty() {
         let inserted = match relation.arity() {
-            0 => (0..count).try_for_each(|_| session.insert(rel, &[])),
+            0 => (0..count.min(1)).try_for_each(|_| session.insert(rel, &[])),
             arity => session.insert_all(rel, rows.chunks_exact(arity)),
         };
         if let Err(error) = inserted {
@@ -134,8 +135,27 @@ pub fn load_as(
     if faults.is_empty() { Ok(count) } else { Err(faults) }
 }
 
+/// Returns the length of the rows at the start of a text that are complete although the text continues: each ends with
+/// a line break outside of quotes.
+pub fn complete(text: &str, format: &RowFormat) -> usize {
+    let mut end = 0;
+    if !format.quoted {
+        return text.rfind('\n').map_or(0, |at| at + 1);
+    }
+    while end < text.len() {
+        let record = read_record(text, end, format, 0, &mut Vec::new());
+        if record.end == record.next || record.next > text.len() {
+            break;
+        }
+        end = record.next;
+    }
+    end
+}
+
 /// The extent of one row of a text.
 struct Record {
+    /// The number of its values.
+    values: usize,
     /// The end of its content, before the line break.
     end: usize,
     /// The start of the next row.
@@ -144,12 +164,20 @@ struct Record {
     fault: Option<(Range<usize>, &'static str)>,
 }
 
-/// Finds the row that begins at `start`, and replaces `fields` by the byte ranges of its values.
+/// Finds the row that begins at `start`, and replaces `fields` by the byte ranges of its first `needed` values.
 ///
 /// With [`RowFormat::quoted`], a value that begins with a double quote extends to its closing quote, over delimiters
 /// and line breaks (RFC 4180).
-fn read_record(text: &str, start: usize, format: &RowFormat, fields: &mut Vec<Range<usize>>) -> Record {
+fn read_record(text: &str, start: usize, format: &RowFormat, needed: usize, fields: &mut Vec<Range<usize>>) -> Record {
     fields.clear();
+    let mut values = 0;
+    let mut add = |field| {
+        values += 1;
+        if values <= needed {
+            fields.push(field);
+        }
+        values
+    };
     let line_end = |from: usize| text[from..].find('\n').map_or(text.len(), |length| from + length);
     let mut from = start;
     let mut line = line_end(start);
@@ -160,6 +188,7 @@ fn read_record(text: &str, start: usize, format: &RowFormat, fields: &mut Vec<Ra
                 Some(close) => close + 1,
                 None => {
                     return Record {
+                        values: 0,
                         end: text.len(),
                         next: text.len(),
                         fault: Some((from..from + 1, "this quote is never closed")),
@@ -172,28 +201,27 @@ fn read_record(text: &str, start: usize, format: &RowFormat, fields: &mut Vec<Ra
             line = line_end(close);
         }
         let end = line - usize::from(text[close..line].ends_with('\r'));
-        let record = |fault| Record {
+        let record = |values, fault| Record {
+            values,
             end,
             next: line + 1,
             fault,
         };
         match text[close..end].find(format.delimiter.as_str()) {
             Some(length) if quoted && length > 0 => {
-                return record(Some((
-                    close..close + length,
-                    "a value continues after its closing quote",
-                )));
+                let fault = (close..close + length, "a value continues after its closing quote");
+                return record(0, Some(fault));
             }
             Some(length) => {
-                fields.push(from..close + length);
+                add(from..close + length);
                 from = close + length + format.delimiter.len();
             }
             None if quoted && close < end => {
-                return record(Some((close..end, "a value continues after its closing quote")));
+                return record(0, Some((close..end, "a value continues after its closing quote")));
             }
             None => {
-                fields.push(from..end);
-                return record(None);
+                let values = add(from..end);
+                return record(values, None);
             }
         }
     }

@@ -43,6 +43,20 @@ impl Value {
 }
 
 impl Functor {
+    /// Returns the maximum length in bytes of the text that [`Functor::apply`] creates; 0 if it creates none.
+    pub(crate) fn text_length(self, base: BaseType, arguments: &[Value], symbols: &Symbols) -> u64 {
+        /// The longest text of a number.
+        const NUMBER: u64 = 64;
+        let length = |value: &Value| symbols.text(Symbol(value.0)).map_or(0, str::len) as u64;
+        match (self, arguments) {
+            (Cat, parts) => parts.iter().map(length).sum(),
+            (Add, parts) if base == BaseType::Symbol => parts.iter().map(length).sum(),
+            (Substring, [value, ..]) => length(value),
+            (ToText, _) => NUMBER,
+            _ => 0,
+        }
+    }
+
     /// Applies the functor; `None` if it has no value.
     ///
     /// `base` is the base type of the arguments; where they differ, that of the first.

@@ -379,10 +379,8 @@ fn inferred(config: &str, text: &str, scene: &Difference) -> EgoAnswer {
     let mut sources = Sources::new();
     let source = sources.add("scene", scene_json(scene).to_string());
     let answer = inference.answer(&sources, source);
-    let mut egos = answer
-        .unwrap_or_else(|faults| panic!("{text}{}", render(&faults, &sources, false)))
-        .egos;
-    egos.pop().expect("a scene has an ego")
+    let answer = answer.unwrap_or_else(|faults| panic!("{text}{}", render(&faults, &sources, false)));
+    answer.egos().last().expect("a scene has an ego")
 }
 
 fn clauses() -> impl Strategy<Value = Vec<(u8, [u8; 3])>> {

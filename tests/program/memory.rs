@@ -158,6 +158,148 @@ fn rows_of_a_file_count() {
     assert!(less.peak - least.peak < 32 << 20, "{}", (less.peak - least.peak) >> 20);
 }
 
+/// The memory that any command may use besides its limit: for the program itself and buffers of fixed size.
+const BESIDES: u64 = 96 << 20;
+
+/// Asserts that a command with `--max-memory` fails with a diagnostic, within the memory that the limit allows.
+fn stays_bounded(limit: u64, arguments: &[&str], words: &str) {
+    let size = limit.to_string();
+    let run = measure(&[arguments, &["--max-memory", &size]].concat());
+    assert_eq!(run.code, 1, "{arguments:?}: {}", run.error);
+    assert!(run.error.contains("error["), "{arguments:?}: {}", run.error);
+    assert!(run.error.contains(words), "{arguments:?}: {}", run.error);
+    assert!(
+        run.peak < (limit << 20) + BESIDES,
+        "{arguments:?}: {} MiB",
+        run.peak >> 20
+    );
+}
+
+/// Every command that takes the limit, on a file far larger than the limit.
+#[test]
+fn every_command_stays_within_its_limit() {
+    let folder = tempfile::tempdir().unwrap();
+    let sparse = |name: &str| {
+        let path = folder.path().join(name);
+        fs::File::create(&path).unwrap().set_len(400 << 20).unwrap();
+        path.to_str().unwrap().to_owned()
+    };
+    let (rules, data) = (&sparse("large.dl"), &sparse("large.jsonl"));
+    let small = &write(folder.path(), "small.jsonl", "");
+    let target = folder.path().join("out");
+    let out = target.to_str().unwrap();
+    let commands: [&[&str]; 14] = [
+        &["bench", "tick", "--rules", rules],
+        &["check", rules],
+        &["episodes", "make", "expert", "--rules", rules, "--output", out],
+        &["explain", data, "--agent", "Car_1"],
+        &["induce", data],
+        &["induce", small, "--rules", rules],
+        &["infer", data],
+        &["infer", small, "--rules", rules],
+        &["query", rules],
+        &["questions", "--rules", rules],
+        &["repl", rules],
+        &["run", "expert", "--rules", rules],
+        &["view", data],
+        &["run", data],
+    ];
+    for command in commands {
+        stays_bounded(16, command, "");
+    }
+}
+
+/// Facts are counted while they are read, however well they are compressed.
+#[test]
+fn compressed_facts_count() {
+    use std::io::Write;
+    let folder = tempfile::tempdir().unwrap();
+    let facts = |parts: &mut dyn Iterator<Item = Vec<u8>>| {
+        let file = fs::File::create(folder.path().join("S.facts.gz")).unwrap();
+        let mut file = flate2::write::GzEncoder::new(file, flate2::Compression::fast());
+        parts.for_each(|part| file.write_all(&part).unwrap());
+        file.finish().unwrap();
+    };
+    let here = folder.path().to_str().unwrap();
+    let program = |columns: &str| {
+        write(
+            folder.path(),
+            "facts.dl",
+            &format!(".decl S({columns})\n.input S\n.printsize S"),
+        )
+    };
+    let (texts, pairs) = (program("x: symbol"), "x: symbol, y: symbol");
+    // Empty texts, one text of 300 MB, and an empty line where two values are expected.
+    facts(&mut (0..20).map(|_| vec![b'\n'; 1 << 20]));
+    stays_bounded(
+        16,
+        &["query", &texts, "-F", here, "-D", "-"],
+        "the inserted rows take more than 16 MiB",
+    );
+    facts(&mut (0..300).map(|_| vec![b'a'; 1 << 20]));
+    stays_bounded(
+        16,
+        &["query", &texts, "-F", here, "-D", "-"],
+        "the inserted rows take more than 16 MiB",
+    );
+    stays_bounded(
+        16,
+        &["query", &program(pairs), "-F", here, "-D", "-"],
+        "the inserted rows take more than 16 MiB",
+    );
+    facts(&mut (0..300).map(|_| vec![b'\t'; 1 << 20]));
+    stays_bounded(
+        16,
+        &["query", &program(pairs), "-F", here, "-D", "-"],
+        "the inserted rows take more than 16 MiB",
+    );
+    facts(&mut (0..300).map(|_| vec![b'\n'; 1 << 20]));
+    stays_bounded(
+        16,
+        &["query", &program(pairs), "-F", here, "-D", "-"],
+        "S.facts.gz:100:1",
+    );
+}
+
+/// A search for an explanation counts the texts that it makes, its indexes and its steps.
+#[test]
+fn explanations_stay_within_the_limits() {
+    let folder = tempfile::tempdir().unwrap();
+    let here = folder.path().to_str().unwrap();
+    let rules = ".decl r(x: symbol)\n.decl q(x: symbol, n: number)\nr(x) :- r(cat(x, x)), q(x, n).\n.output r";
+    let rules = write(folder.path(), "rules.dl", rules);
+    let question = ["query", &rules, "-F", here, "-D", "-", "--why-not", "r(\"A\")"];
+    stays_bounded(16, &question, "the search for an explanation takes more than 16 MiB");
+    stays_bounded(16, &[&question[..], &["--max-steps", "20"]].concat(), "--max-steps");
+    let rules = ".decl n(x: number)\n.decl p(x: number)\n.decl r(x: number)\nn(x) :- x = range(0, 300000).
+        p(x) :- n(x), x != 7.\nr(x) :- n(x), p(x), x < 0.\n.output r";
+    let rules = write(folder.path(), "rules.dl", rules);
+    let question = ["query", &rules, "-F", here, "-D", "-", "--explain", "p(9)"];
+    stays_bounded(32, &question, "the search for an explanation takes more than 32 MiB");
+}
+
+/// What the egos of a crowd see together is far more than the scene says; `infer` writes it ego by ego.
+#[test]
+fn a_crowd_is_answered_ego_by_ego() {
+    let folder = tempfile::tempdir().unwrap();
+    let agent = |number| {
+        serde_json::json!({
+            "id": format!("Car_{number}"), "type": "Car", "at": [102, 20], "heading": "Up", "priority": number
+        })
+    };
+    let agents: Vec<_> = (0..50).map(agent).collect();
+    let scene = serde_json::json!({ "map": "square-5x5", "agents": agents }).to_string();
+    let scene = write(folder.path(), "crowd.jsonl", &scene);
+    let answers = folder.path().join("answers.jsonl");
+    let run = measure(&["infer", &scene, "--max-memory", "8", "--out", answers.to_str().unwrap()]);
+    assert_eq!(run.code, 0, "{}", run.error);
+    assert!(run.peak < (8 << 20) + BESIDES / 2, "{} MiB", run.peak >> 20);
+    let answers: serde_json::Value = serde_json::from_str(&fs::read_to_string(answers).unwrap()).unwrap();
+    let egos = answers["egos"].as_object().unwrap();
+    assert_eq!(egos.len(), 50);
+    assert!(egos.values().all(|ego| ego["sees"].as_array().unwrap().len() == 50));
+}
+
 /// Runs the program with an address space of `kib` KiB.
 fn in_address_space(kib: u64, arguments: &[&str]) -> (Option<i32>, String) {
     let output = Command::new("sh")

@@ -111,7 +111,12 @@ impl EvalError {
                 .also(growth.span, "each round of the recursion computes new values here")
                 .help(format!("bound them, for example with `{}`", growth.bound));
         }
-        let fault = fault.at(clause.span, "in the evaluation of this clause");
+        let mut fault = fault.at(clause.span, "in the evaluation of this clause");
+        if matches!(self, EvalError::TooMuchMemory { .. }) {
+            let counted =
+                "counted before it is used, with the copies that merging rows and building indexes would make";
+            fault = fault.note(format!("memory is {counted}; the process may use half of the limit"));
+        }
         match unjoined(clause) {
             Some(span) => fault
                 .also(span, "shares no variable with the atoms before it")

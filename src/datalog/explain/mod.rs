@@ -232,7 +232,8 @@ pub enum ExplainError {
         /// The limit.
         limit: u64,
     },
-    /// The evaluation of an aggregate takes more memory than the [limits](Session::limits) of the session leave.
+    /// The search takes more memory than the [limits](Session::limits) of the session leave: for indexes, aggregates,
+    /// new texts, or the explanation itself.
     TooMuchMemory {
         /// The limit, in bytes.
         limit: u64,
@@ -264,6 +265,10 @@ impl From<ExplainError> for Diagnostic {
         let fault = |code| Diagnostic::new(code, error.to_string());
         match error {
             ExplainError::Cancelled => fault(Code::CANCELLED),
+            // Raising the limits of the session beyond this one does not raise it.
+            ExplainError::TooMuchWork { limit } if limit < Explainer::LIMIT => {
+                fault(Code::LIMIT_EXCEEDED).exceeds(Limit::Steps)
+            }
             ExplainError::TooMuchWork { .. } => fault(Code::LIMIT_EXCEEDED),
             ExplainError::TooMuchMemory { limit } => fault(Code::LIMIT_EXCEEDED).exceeds(Limit::Memory(limit)),
         }
@@ -319,8 +324,11 @@ pub struct Explainer<'s> {
 }
 
 impl<'s> Explainer<'s> {
-    /// The default limit of steps for one query; see [`Explainer::set_limit`].
+    /// The default limit of steps for one query, unless the [limits](Session::limits) of the session are lower; see
+    /// [`Explainer::set_limit`].
     pub const LIMIT: u64 = 20_000_000;
+    /// The memory of a node: its query, its explanation, and its lines when it is printed.
+    const NODE_BYTES: usize = 1 << 10;
     /// Maximum number of absences that one explanation explores. Proofs are always complete.
     pub const ABSENCES_MAX: usize = 256;
 
@@ -334,7 +342,7 @@ impl<'s> Explainer<'s> {
     pub fn new_with(session: &'s Session, cancel: &Cancel) -> Self {
         Explainer {
             search: Search::new(session, cancel),
-            limit: Self::LIMIT,
+            limit: Self::LIMIT.min(session.limits().steps),
         }
     }
 
@@ -497,6 +505,7 @@ impl Making {
     fn finish(mut self, search: &mut Search<'_>) -> Result<Explanation, ExplainError> {
         while let Some(id) = self.todo.pop_front() {
             search.step()?;
+            search.reserve(Explainer::NODE_BYTES)?;
             let node = match self.nodes[id.index()].0.clone() {
                 Query::Fact(relation, row) => Node::Fact(self.explain_fact(search, relation, row)?),
                 Query::Absence(relation, pattern) => Node::Absence(self.explain_absence(search, relation, pattern)?),

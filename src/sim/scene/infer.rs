@@ -6,8 +6,8 @@ use crate::city::CityMap;
 use crate::config::{Scenario, load_map};
 use crate::datalog::dense::{BinaryFacts, BitFacts, BitState, Dense, Set, TooManySteps, TrackFirings, has};
 use crate::datalog::explain::Explainer;
-use crate::datalog::{EvalError, Limits, Program, constraints};
-use crate::diag::{Code, Diagnostic, SourceId, Sources, Span};
+use crate::datalog::{EvalError, Limits, Program, constraints, size};
+use crate::diag::{Code, Diagnostic, Limit, SourceId, Sources, Span};
 use crate::files::ReadFile;
 use crate::predicate::Entity;
 use crate::rng::Seed;
@@ -20,9 +20,11 @@ use crate::sim::tick::ground_state::GroundState;
 use crate::sim::tick::vocabulary::{Actions, Vocabulary};
 use crate::sim::tick::width::{Width, in_words};
 use crate::sim::tick::world::TICK_LIMITS;
-use serde_json::{Map, json};
+use serde_json::json;
+use std::borrow::Cow;
 use std::cell::Cell;
 use std::collections::HashMap;
+use std::io::{self, Write};
 use std::path::Path;
 use std::sync::Arc;
 
@@ -33,7 +35,7 @@ type Reader = dyn ReadFile + Send + Sync;
 pub struct Inference {
     scenario: Scenario,
     program: Program,
-    vocabulary: Vocabulary,
+    vocabulary: Arc<Vocabulary>,
     read: Box<Reader>,
     maps: HashMap<String, Arc<CityMap>>,
     seed: Seed,
@@ -61,10 +63,14 @@ pub struct SceneFacts {
 }
 
 /// The decisions of the rules for the egos of a scene.
+///
+/// What an ego sees is computed on demand: together, the egos of a crowd see far more than the scene says.
 #[derive(Clone, Debug)]
-pub struct Answer {
-    /// One answer per ego, in the order of the scene.
-    pub egos: Vec<EgoAnswer>,
+pub struct Answer<'s> {
+    vocabulary: Arc<Vocabulary>,
+    scene: Cow<'s, SceneFacts>,
+    /// The derived actions of each ego.
+    derived: Vec<Actions>,
     /// Why the relational executor decided although the dense one can evaluate the rules: a sentence without a full
     /// stop.
     pub fallback: Option<String>,
@@ -85,37 +91,113 @@ pub struct EgoAnswer {
     pub action: Action,
 }
 
-impl Answer {
-    /// Returns the answer as JSON: `{"egos": {ID: {"sees": [..], "true": {..}, "derived": [..], "action": ".."}}}`. A
-    /// row with one name is a plain string.
-    pub fn to_json(&self) -> serde_json::Value {
-        let egos: Map<String, serde_json::Value> = self
-            .egos
-            .iter()
-            .map(|ego| {
-                let atoms: Map<String, serde_json::Value> = ego
-                    .atoms
-                    .iter()
-                    .map(|(name, rows)| {
-                        let rows = rows.iter().map(|row| match row.as_slice() {
-                            [only] => json!(only),
-                            names => json!(names),
-                        });
-                        (name.clone(), rows.collect())
-                    })
-                    .collect();
-                let derived: Vec<&str> = ego.derived.iter().map(Action::name).collect();
-                let answer = json!({
-                    "sees": ego.sees,
-                    "true": atoms,
-                    "derived": derived,
-                    "action": ego.action.name(),
-                });
-                (ego.id.clone(), answer)
-            })
-            .collect();
-        json!({ "egos": egos })
+impl Answer<'_> {
+    /// Returns the names of the egos with their actions, in the order of the scene.
+    pub fn actions(&self) -> impl Iterator<Item = (&str, Action)> {
+        let decided = self.scene.egos.iter().zip(&self.derived);
+        decided.map(|(&ego, &derived)| (self.scene.names[ego].as_str(), self.vocabulary.decide(derived)))
     }
+
+    /// Returns one answer per ego, in the order of the scene.
+    pub fn egos(&self) -> impl Iterator<Item = EgoAnswer> {
+        let names = &self.scene.names;
+        self.scene.egos.iter().zip(&self.derived).map(move |(&ego, &derived)| {
+            let view = View::of(&self.vocabulary, &self.scene, ego);
+            let name = |entity: &usize| names[*entity].clone();
+            let atoms = view.atoms().map(|(predicate, arity, rows)| {
+                let rows = rows.iter().map(|row| row[..arity].iter().map(name).collect());
+                (predicate.to_owned(), rows.collect())
+            });
+            EgoAnswer {
+                id: name(&ego),
+                atoms: atoms.collect(),
+                sees: view.entities.iter().map(name).collect(),
+                action: self.vocabulary.decide(derived),
+                derived: self.vocabulary.before_default(derived),
+            }
+        })
+    }
+
+    /// Writes the answer as JSON: `{"egos": {ID: {"sees": [..], "true": {..}, "derived": [..], "action": ".."}}}`. A row
+    /// with one name is a plain string. `more` are further keys with their values.
+    ///
+    /// # Errors
+    /// The errors of `out`.
+    pub fn write_json<'m>(
+        &self,
+        out: &mut dyn Write,
+        more: impl IntoIterator<Item = (&'m str, &'m serde_json::Value)>,
+    ) -> io::Result<()> {
+        let quoted = |text: &str| json!(text).to_string();
+        let names: Vec<String> = self.scene.names.iter().map(|name| quoted(name)).collect();
+        out.write_all(b"{\"egos\":{")?;
+        for (position, (&ego, &derived)) in self.scene.egos.iter().zip(&self.derived).enumerate() {
+            let view = View::of(&self.vocabulary, &self.scene, ego);
+            write!(out, "{}{}:{{\"sees\":", comma(position), names[ego])?;
+            write_list(out, &view.entities, |out, &entity| {
+                out.write_all(names[entity].as_bytes())
+            })?;
+            out.write_all(b",\"true\":{")?;
+            for (position, (predicate, arity, rows)) in view.atoms().enumerate() {
+                write!(out, "{}{}:", comma(position), quoted(predicate))?;
+                write_list(out, &rows, |out, row| match row[..arity] {
+                    [only] => out.write_all(names[only].as_bytes()),
+                    _ => write_list(out, &row[..arity], |out, &entity| {
+                        out.write_all(names[entity].as_bytes())
+                    }),
+                })?;
+            }
+            let actions = self.vocabulary.before_default(derived);
+            let actions: Vec<&str> = actions.iter().map(Action::name).collect();
+            let action = self.vocabulary.decide(derived).name();
+            write!(out, "}},\"derived\":{},\"action\":{}}}", json!(actions), json!(action))?;
+        }
+        out.write_all(b"}")?;
+        for (key, value) in more {
+            write!(out, ",{}:{value}", quoted(key))?;
+        }
+        out.write_all(b"}")
+    }
+
+    /// Returns the answer as JSON; see [`Answer::write_json`].
+    ///
+    /// # Errors
+    /// `limit-exceeded` if it takes more than about `limit` bytes.
+    pub fn to_json(&self, limit: u64) -> Result<serde_json::Value, Diagnostic> {
+        /// The memory of a row of two names: as text, as JSON, and once more in the language of a caller.
+        const ROW_BYTES: u64 = 512;
+        let mut rows = 0;
+        for &ego in &self.scene.egos {
+            let view = View::of(&self.vocabulary, &self.scene, ego);
+            rows += view.entities.len() + view.atoms().map(|(.., rows)| rows.len()).sum::<usize>();
+            if rows as u64 > limit / ROW_BYTES {
+                let message = format!("the answer takes more than {}", size(limit));
+                let fault = Diagnostic::new(Code::LIMIT_EXCEEDED, message).exceeds(Limit::Memory(limit));
+                return Err(fault.help("name fewer `egos` in the scene"));
+            }
+        }
+        let mut text = Vec::new();
+        self.write_json(&mut text, []).expect("writing to memory cannot fail");
+        Ok(serde_json::from_slice(&text).expect("it has been written as JSON"))
+    }
+}
+
+/// Returns what separates the element at a position from the one before it.
+fn comma(position: usize) -> &'static str {
+    if position > 0 { "," } else { "" }
+}
+
+fn write_list<T>(
+    out: &mut dyn Write,
+    list: &[T],
+    write: impl Fn(&mut dyn Write, &T) -> io::Result<()>,
+) -> io::Result<()> {
+    out.write_all(b"[")?;
+    for (position, element) in list.iter().enumerate() {
+        out.write_all(comma(position).as_bytes())?;
+        write(out, element)?;
+    }
+    out.write_all(b"]")
 }
 
 impl Inference {
@@ -138,7 +220,7 @@ impl Inference {
                 Choice::Dense(dense) => Some(dense),
                 Choice::Relational(_) => None,
             },
-            vocabulary,
+            vocabulary: Arc::new(vocabulary),
             scenario,
             program,
             read: Box::new(read),
@@ -203,7 +285,7 @@ impl Inference {
     /// # Errors
     /// All errors of the scene: `invalid-scene`; `limit-exceeded` if it is too large or its evaluation exceeds the
     /// [limits](Inference::set_limits); `constraint-violation` after [`Inference::check_constraints`].
-    pub fn answer(&mut self, sources: &Sources, source: SourceId) -> Result<Answer, Vec<Diagnostic>> {
+    pub fn answer(&mut self, sources: &Sources, source: SourceId) -> Result<Answer<'static>, Vec<Diagnostic>> {
         self.answer_with(sources, source, &Cancel::never())
     }
 
@@ -216,11 +298,11 @@ impl Inference {
         sources: &Sources,
         source: SourceId,
         cancel: &Cancel,
-    ) -> Result<Answer, Vec<Diagnostic>> {
+    ) -> Result<Answer<'static>, Vec<Diagnostic>> {
         let scene = self.ground_with(sources, source, cancel)?;
         // Derived rows have no source position, so the diagnostic points to the whole scene.
         let whole = Span::new(source, 0..sources.text(source).len());
-        (self.decide(&scene, cancel)).map_err(|fault| vec![fault.at(whole, "in this scene")])
+        (self.decide(Cow::Owned(scene), cancel)).map_err(|fault| vec![fault.at(whole, "in this scene")])
     }
 
     /// Returns the facts of the scene in `source`: the stated ones and those computed from the positions of its agents.
@@ -277,9 +359,9 @@ impl Inference {
                 time: scene.tick,
             },
             |index| given(index).is_some(),
-            cancel,
+            (self.limits.bytes, cancel),
         );
-        let mut facts = grounded.ok_or_else(|| vec![Diagnostic::cancelled()])?;
+        let mut facts = grounded.map_err(|stopped| vec![Diagnostic::from(stopped)])?;
         for index in 0..facts.rows.len() {
             if let Some(rows) = given(index) {
                 facts.rows[index] = rows;
@@ -347,7 +429,7 @@ impl Inference {
     /// # Errors
     /// `limit-exceeded` if it has more than [`MAX_ENTITIES`](crate::sim::MAX_ENTITIES) entities, or the rules derive
     /// too many rows from it; `constraint-violation` after [`Inference::check_constraints`].
-    pub fn answer_facts(&self, scene: &SceneFacts) -> Result<Answer, Diagnostic> {
+    pub fn answer_facts<'s>(&self, scene: &'s SceneFacts) -> Result<Answer<'s>, Diagnostic> {
         self.answer_facts_with(scene, &Cancel::never())
     }
 
@@ -355,31 +437,22 @@ impl Inference {
     ///
     /// # Errors
     /// As [`Inference::answer_facts`]; `cancelled` on cancellation.
-    pub fn answer_facts_with(&self, scene: &SceneFacts, cancel: &Cancel) -> Result<Answer, Diagnostic> {
+    pub fn answer_facts_with<'s>(&self, scene: &'s SceneFacts, cancel: &Cancel) -> Result<Answer<'s>, Diagnostic> {
         let count = scene.names.len();
         if count > MAX_ENTITIES {
             let message = format!("{count} entities; the limit is {MAX_ENTITIES}");
             return Err(Diagnostic::new(Code::LIMIT_EXCEEDED, message));
         }
-        self.decide(scene, cancel)
+        self.decide(Cow::Borrowed(scene), cancel)
     }
 
-    fn decide(&self, scene: &SceneFacts, cancel: &Cancel) -> Result<Answer, Diagnostic> {
-        let SceneFacts { names, egos, facts, .. } = scene;
-        let names: Vec<&str> = names.iter().map(String::as_str).collect();
-        let (derived, fallback) = self.derive(scene, &names, cancel)?;
-        let egos = egos.iter().zip(derived).map(|(&ego, derived)| {
-            let sees = entities_in_view(&facts.rows[self.vocabulary.sees], ego);
-            EgoAnswer {
-                id: names[ego].to_owned(),
-                sees: sees.iter().map(|&index| names[index].to_owned()).collect(),
-                atoms: atoms_over(&self.vocabulary, facts, &sees, &names),
-                action: self.vocabulary.decide(derived),
-                derived: self.vocabulary.before_default(derived),
-            }
-        });
+    fn decide<'s>(&self, scene: Cow<'s, SceneFacts>, cancel: &Cancel) -> Result<Answer<'s>, Diagnostic> {
+        let names: Vec<&str> = scene.names.iter().map(String::as_str).collect();
+        let (derived, fallback) = self.derive(&scene, &names, cancel)?;
         Ok(Answer {
-            egos: egos.collect(),
+            vocabulary: Arc::clone(&self.vocabulary),
+            scene,
+            derived,
             fallback,
         })
     }
@@ -538,47 +611,54 @@ fn given(vocabulary: &Vocabulary, list: &[GivenPredicate], index: usize) -> Opti
     Some(rows.iter().map(|row| [word(row, 0), word(row, 1)]).collect())
 }
 
-/// Returns the entities in the view of an ego: itself first, the others in list order.
-fn entities_in_view(sees: &[[u32; 2]], ego: usize) -> Vec<usize> {
-    let others = sees
-        .iter()
-        .filter(|[x, _]| *x as usize == ego)
-        .map(|[_, y]| *y as usize)
-        .filter(|&y| y != ego);
-    std::iter::once(ego).chain(others).collect()
+/// What an ego sees.
+struct View<'a> {
+    vocabulary: &'a Vocabulary,
+    facts: &'a Facts,
+    /// The entities in view: the ego first, the others in list order.
+    entities: Vec<usize>,
+    /// The position in `entities` of each entity of the scene.
+    places: Vec<Option<usize>>,
 }
 
-/// Returns the true atoms over `entities` without `Sees`, with rows in the order of `entities`.
-fn atoms_over(
-    vocabulary: &Vocabulary,
-    facts: &Facts,
-    entities: &[usize],
-    names: &[&str],
-) -> Vec<(String, Vec<Vec<String>>)> {
-    let mut place = vec![None; names.len()];
-    for (order, &entity) in entities.iter().enumerate() {
-        place[entity] = Some(order);
-    }
-    let mut atoms = Vec::new();
-    for (index, predicate) in vocabulary.predicates.iter().enumerate() {
-        if index == vocabulary.sees {
-            continue;
-        }
-        let mut rows: Vec<Vec<usize>> = facts.rows[index]
+impl<'a> View<'a> {
+    fn of(vocabulary: &'a Vocabulary, scene: &'a SceneFacts, ego: usize) -> Self {
+        let others = scene.facts.rows[vocabulary.sees]
             .iter()
-            .filter_map(|row| {
-                row[..predicate.arity]
-                    .iter()
-                    .map(|&entity| place[entity as usize])
-                    .collect()
-            })
-            .collect();
-        rows.sort_unstable();
-        if !rows.is_empty() {
-            let name = |order: &usize| names[entities[*order]].to_owned();
-            let rows = rows.iter().map(|row| row.iter().map(name).collect()).collect();
-            atoms.push((predicate.name.clone(), rows));
+            .filter(|[x, _]| *x as usize == ego)
+            .map(|[_, y]| *y as usize)
+            .filter(|&y| y != ego);
+        let entities: Vec<usize> = std::iter::once(ego).chain(others).collect();
+        let mut places = vec![None; scene.names.len()];
+        for (place, &entity) in entities.iter().enumerate() {
+            places[entity] = Some(place);
+        }
+        View {
+            vocabulary,
+            facts: &scene.facts,
+            entities,
+            places,
         }
     }
-    atoms
+
+    /// Returns the true atoms over the entities in view without `Sees`: the name and arity of each predicate that has
+    /// some, and its rows of entities in the order of the view.
+    fn atoms(&self) -> impl Iterator<Item = (&'a str, usize, Vec<[usize; 2]>)> {
+        let predicates = self.vocabulary.predicates.iter().enumerate();
+        let others = predicates.filter(|(index, _)| *index != self.vocabulary.sees);
+        others.filter_map(|(index, predicate)| {
+            // A unary predicate has 0 in the second column, which need not be in view.
+            let place = |row: &[u32; 2]| -> Option<[usize; 2]> {
+                match predicate.arity {
+                    1 => Some([self.places[row[0] as usize]?, 0]),
+                    _ => Some([self.places[row[0] as usize]?, self.places[row[1] as usize]?]),
+                }
+            };
+            let mut rows: Vec<[usize; 2]> = self.facts.rows[index].iter().filter_map(place).collect();
+            rows.sort_unstable();
+            rows.iter_mut()
+                .for_each(|row| *row = row.map(|place| self.entities[place]));
+            (!rows.is_empty()).then_some((predicate.name.as_str(), predicate.arity, rows))
+        })
+    }
 }

@@ -5,6 +5,8 @@
 use crate::cancel::Cancel;
 use crate::city::CityMap;
 use crate::datalog::dense::{BitFacts, Dense};
+use crate::datalog::size;
+use crate::diag::{Code, Diagnostic, Limit};
 use crate::predicate::{Definition, Entity, PairKind, Relation, Sight, Subject, with_pair};
 use crate::sim::tick::chance::Chance;
 use crate::sim::tick::vocabulary::Vocabulary;
@@ -23,6 +25,11 @@ pub struct Facts {
 }
 
 impl Facts {
+    /// Returns the bytes of the rows.
+    pub(crate) fn bytes(&self) -> u64 {
+        self.rows.iter().map(|rows| size_of_val(&rows[..]) as u64).sum()
+    }
+
     /// Returns, as bits, the facts about `count` entities that a dense program reads.
     pub fn to_bits<const W: usize>(&self, vocabulary: &Vocabulary, dense: &Dense, count: usize) -> BitFacts<W> {
         let mut bits = BitFacts::new(dense, count);
@@ -48,11 +55,36 @@ pub fn ground(
     chance: &impl Chance,
     skip: impl Fn(usize) -> bool,
 ) -> Facts {
-    let facts = ground_with(vocabulary, map, view, entities, chance, skip, &Cancel::never());
-    facts.expect("never cancelled")
+    let bounds = (u64::MAX, &Cancel::never());
+    let facts = ground_with(vocabulary, map, view, entities, chance, skip, bounds);
+    facts.unwrap_or_else(|_| unreachable!("without bounds, grounding does not stop"))
 }
 
-/// Cancellable variant of [`ground`], `None` on cancellation. Polls `cancel` for every entity.
+/// The reason why grounding stopped.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub(crate) enum Stopped {
+    /// The caller cancelled it.
+    Cancelled,
+    /// The facts take more bytes than allowed.
+    TooManyFacts {
+        /// The limit.
+        limit: u64,
+    },
+}
+
+impl From<Stopped> for Diagnostic {
+    fn from(stopped: Stopped) -> Self {
+        match stopped {
+            Stopped::Cancelled => Diagnostic::cancelled(),
+            Stopped::TooManyFacts { limit } => {
+                let message = format!("the facts about the agents take more than {}", size(limit));
+                Diagnostic::new(Code::LIMIT_EXCEEDED, message).exceeds(Limit::Memory(limit))
+            }
+        }
+    }
+}
+
+/// Bounded variant of [`ground`]. For every entity it polls `cancel` and counts the bytes of the facts.
 pub(crate) fn ground_with(
     vocabulary: &Vocabulary,
     map: &CityMap,
@@ -60,8 +92,8 @@ pub(crate) fn ground_with(
     entities: &[Entity<'_>],
     chance: &impl Chance,
     skip: impl Fn(usize) -> bool,
-    cancel: &Cancel,
-) -> Option<Facts> {
+    (limit, cancel): (u64, &Cancel),
+) -> Result<Facts, Stopped> {
     let mut facts = Facts {
         rows: vec![Vec::new(); vocabulary.predicates.len()],
     };
@@ -71,50 +103,52 @@ pub(crate) fn ground_with(
         if skip(index) {
             continue;
         }
+        let left = limit.saturating_sub(facts.bytes()) / size_of::<[u32; 2]>() as u64;
+        let stop = |rows: &[[u32; 2]]| match cancel.requested() {
+            true => Err(Stopped::Cancelled),
+            false if rows.len() as u64 > left => Err(Stopped::TooManyFacts { limit }),
+            false => Ok(()),
+        };
         let rows = &mut facts.rows[index];
         match &predicate.definition {
-            Definition::Static(kind) => unary(rows, entities, cancel, |x| kind.holds(x.kind, x.concepts)),
-            Definition::Local(kind) => unary(rows, entities, cancel, |x| kind.holds(map, x.kind, x.at)),
+            Definition::Static(kind) => unary(rows, entities, stop, |x| kind.holds(x.kind, x.concepts)),
+            Definition::Local(kind) => unary(rows, entities, stop, |x| kind.holds(map, x.kind, x.at)),
             Definition::Pair(pair) => {
                 let draw = |x, y, probability| chance.decides(index, x, y, probability);
-                with_pair!(pair, kind => binary(rows, kind, sight, &subjects, cancel, draw))
+                with_pair!(pair, kind => binary(rows, kind, sight, &subjects, stop, draw))
             }
         }?;
     }
-    Some(facts)
+    Ok(facts)
 }
 
-/// Adds the rows of a predicate over one entity; `None` on cancellation.
+/// Adds the rows of a predicate over one entity. Asks `stop` before each entity.
 fn unary(
     rows: &mut Vec<[u32; 2]>,
     entities: &[Entity<'_>],
-    cancel: &Cancel,
+    stop: impl Fn(&[[u32; 2]]) -> Result<(), Stopped>,
     holds: impl Fn(&Entity<'_>) -> bool,
-) -> Option<()> {
+) -> Result<(), Stopped> {
     for (x, entity) in entities.iter().enumerate() {
-        if cancel.requested() {
-            return None;
-        }
+        stop(rows)?;
         if holds(entity) {
             rows.push([number(x), 0]);
         }
     }
-    Some(())
+    Ok(())
 }
 
-/// Adds the rows of a predicate over two entities; `None` on cancellation.
+/// Adds the rows of a predicate over two entities. Asks `stop` before each first entity.
 fn binary<K: PairKind>(
     rows: &mut Vec<[u32; 2]>,
     kind: &K,
     sight: Sight<'_>,
     subjects: &[Subject],
-    cancel: &Cancel,
+    stop: impl Fn(&[[u32; 2]]) -> Result<(), Stopped>,
     draw: impl Fn(usize, usize, f64) -> bool,
-) -> Option<()> {
+) -> Result<(), Stopped> {
     for (x, first) in subjects.iter().enumerate() {
-        if cancel.requested() {
-            return None;
-        }
+        stop(rows)?;
         for (y, second) in subjects.iter().enumerate() {
             let holds = match x == y {
                 true => K::Relation::REFLEXIVE,
@@ -125,7 +159,7 @@ fn binary<K: PairKind>(
             }
         }
     }
-    Some(())
+    Ok(())
 }
 
 fn number(index: usize) -> u32 {

@@ -14,6 +14,8 @@ pub struct GroundState {
     positions: HashMap<Value, usize>,
     relations: Vec<Option<(RelId, usize)>>,
     facts: Facts,
+    /// The limits of each evaluation, whose memory the facts share.
+    limits: Limits,
 }
 
 impl GroundState {
@@ -37,7 +39,6 @@ impl GroundState {
         names: impl Iterator<Item = &'n str>,
     ) -> Self {
         let mut session = program.session();
-        session.set_limits(limits);
         let entities: Vec<Value> = names.map(|name| session.intern(name)).collect();
         GroundState {
             session,
@@ -51,12 +52,13 @@ impl GroundState {
                 rows: vec![Vec::new(); relations.len()],
             },
             relations,
+            limits,
         }
     }
 
     /// Sets the limits of later evaluations.
     pub(crate) fn set_limits(&mut self, limits: Limits) {
-        self.session.set_limits(limits);
+        self.limits = limits;
     }
 
     /// Replaces the current facts by `facts`: inserts and retracts the difference and commits.
@@ -72,6 +74,12 @@ impl GroundState {
     /// # Errors
     /// As [`Session::commit_with`]. On error `self` is unchanged.
     pub fn set_with(&mut self, facts: &Facts, cancel: &Cancel) -> Result<(), EvalError> {
+        let limit = self.limits.bytes;
+        let held = facts.bytes() + self.facts.bytes();
+        // The session stores the facts once more, and this state copies them.
+        if held + 2 * facts.bytes() > limit {
+            return Err(EvalError::TooManyInputs { limit });
+        }
         for (index, relation) in self.relations.iter().enumerate() {
             let Some((relation, arity)) = *relation else { continue };
             let (old, new) = (&self.facts.rows[index], &facts.rows[index]);
@@ -89,8 +97,16 @@ impl GroundState {
                     .expect("bound relations fit");
             }
         }
-        if let Err(error) = self.session.commit_with(cancel) {
+        self.session.set_limits(Limits {
+            bytes: limit - held,
+            ..self.limits
+        });
+        if let Err(mut error) = self.session.commit_with(cancel) {
             self.session.rollback();
+            if let EvalError::TooManyInputs { limit: left } | EvalError::TooMuchMemory { limit: left, .. } = &mut error
+            {
+                *left = limit;
+            }
             return Err(error);
         }
         self.facts.clone_from(facts);

@@ -598,8 +598,8 @@ impl Simulation {
         let entities: Vec<Entity<'_>> = self.agents.iter().map(entity).collect();
         let (vocabulary, view) = (&world.vocabulary, world.scenario.view);
         let unread = |index: usize| !vocabulary.is_read(index);
-        let facts = ground_with(vocabulary, world.map(), view, &entities, &draws, unread, &self.cancel);
-        let facts = facts.ok_or_else(Diagnostic::cancelled)?;
+        let bounds = (world.limits.bytes, &self.cancel);
+        let facts = ground_with(vocabulary, world.map(), view, &entities, &draws, unread, bounds)?;
         let state = (self.state).get_or_insert_with(|| ground_state(&self.world, &self.agents));
         state
             .set_with(&facts, &self.cancel)
@@ -658,14 +658,17 @@ impl Simulation {
 
     /// Returns the base facts on which the last tick was decided. `wanted` selects predicates by their positions in the
     /// vocabulary.
-    pub fn facts(&self, wanted: impl Fn(usize) -> bool) -> Facts {
-        self.facts_with(wanted, &Cancel::never()).expect("never cancelled")
+    ///
+    /// # Errors
+    /// `limit-exceeded` if they take more memory than the limits of the world allow.
+    pub fn facts(&self, wanted: impl Fn(usize) -> bool) -> Result<Facts, Diagnostic> {
+        self.facts_with(wanted, &Cancel::never())
     }
 
     /// Cancellable variant of [`facts`](Simulation::facts).
     ///
     /// # Errors
-    /// `cancelled` on cancellation.
+    /// As [`facts`](Simulation::facts); `cancelled` on cancellation.
     pub fn facts_with(&self, wanted: impl Fn(usize) -> bool, cancel: &Cancel) -> Result<Facts, Diagnostic> {
         let world = &self.world;
         let draws = Draws {
@@ -682,9 +685,9 @@ impl Simulation {
             &decided_entities,
             &draws,
             unwanted,
-            cancel,
+            (world.limits.bytes, cancel),
         );
-        facts.ok_or_else(Diagnostic::cancelled)
+        Ok(facts?)
     }
 
     /// Evaluates the rules on other facts with the relational executor, incrementally.

@@ -139,6 +139,7 @@ impl<W: Write> TraceWriter<W> {
         let names = simulation.agents();
         let predicates = &simulation.world().vocabulary.predicates;
         let facts = simulation.facts(|index| self.drawn.contains(&index));
+        let facts = facts.map_err(|fault| io::Error::other(fault.message))?;
         let given: Map<String, Value> = (self.drawn.iter())
             .map(|&index| {
                 let name = |agent: u32| names[agent as usize].name().to_string();

@@ -233,7 +233,8 @@ impl<'a> RuleOracle<'a> {
             actions: Vec::new(),
         };
         let answer = self.inference.answer_facts_with(&scene, cancel)?;
-        self.task.answered_action(answer.egos[0].action)
+        let (_, action) = answer.actions().next().expect("the scene has an ego");
+        self.task.answered_action(action)
     }
 }
 

@@ -81,6 +81,17 @@ impl Steps {
         usize::try_from(self.file.metadata().file_metadata().num_rows()).unwrap_or(0)
     }
 
+    /// Returns the memory of all steps, in bytes, if a caller keeps them as numbers. A compressed table may be far
+    /// smaller.
+    pub fn bytes(&self) -> u64 {
+        let groups = self.file.metadata().row_groups().iter();
+        let rows: u64 = groups
+            .map(|group| group.num_rows().unsigned_abs())
+            .fold(0, u64::saturating_add);
+        let numbers = self.atoms.len() * size_of::<f32>() + 2 * size_of::<i32>() + size_of::<i64>();
+        rows.saturating_mul(numbers as u64)
+    }
+
     /// Calls a function for each step, in order.
     ///
     /// # Errors
@@ -105,6 +116,15 @@ impl Steps {
                 return Err(faulty("the column `observation` does not hold 32-bit floats").into());
             };
             let rows = usize::try_from(group.metadata().num_rows()).unwrap_or(0);
+            // A single list could hold all numbers.
+            let values = group
+                .metadata()
+                .columns()
+                .iter()
+                .map(|column| column.num_values().unsigned_abs());
+            if values.max().unwrap_or(0) > (rows as u64).saturating_mul(width as u64) {
+                return Err(faulty("values are missing").into());
+            }
             let batch = (NUMBERS / width).clamp(1, BATCH);
             for begin in (0..rows).step_by(batch) {
                 let count = batch.min(rows - begin);

@@ -427,7 +427,10 @@ impl<'w> Search<'w> {
                 let best = &mut drawn[answer as usize];
                 let place = best.partition_point(|(other, _)| *other < lot);
                 if place < PER_WORLD {
-                    let facts = facts.get_or_insert_with(|| city.facts(|_| true));
+                    let facts = match &mut facts {
+                        Some(facts) => facts,
+                        none => none.insert(city.facts(|_| true)?),
+                    };
                     let source = Source {
                         split: self.split,
                         world: seed,

@@ -311,15 +311,15 @@ fn check_sample(inference: &Inference, sample: &Sample) -> Result<[u64; 4], Diag
         actions: Vec::new(),
     };
     let mut actions = [0; 4];
-    for (car, answer) in cars.into_iter().zip(inference.answer_facts(&scene)?.egos) {
+    for (car, (name, action)) in cars.into_iter().zip(inference.answer_facts(&scene)?.actions()) {
         let label = sample.labels[car].expect("a car has one");
-        if label != answer.action {
+        if label != action {
             let message = format!(
                 "tick {}: {} is labeled {}, but the rules choose {}",
                 sample.tick,
-                answer.id,
+                name,
                 label.name(),
-                answer.action.name()
+                action.name()
             );
             return Err(Diagnostic::new(Code::INVALID_DATA_SET, message));
         }

@@ -318,7 +318,7 @@ impl Worlds {
             frames.push(Frame {
                 tick,
                 agents,
-                facts: city.facts(|_| true),
+                facts: city.facts(|_| true)?,
             });
         }
         Ok(frames)

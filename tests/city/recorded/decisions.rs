@@ -265,7 +265,7 @@ fn answers_by(executor: Executor, config: &str, edit: fn(&mut Scenario), scenes:
         let mut sources = Sources::new();
         let source = sources.add("scene", scene.to_string());
         match inference.answer(&sources, source) {
-            Ok(answer) => answer.egos,
+            Ok(answer) => answer.egos().collect(),
             Err(faults) => panic!("{}", render(&faults, &sources, false)),
         }
     };

@@ -131,7 +131,7 @@ impl Search<'_> {
     fn derivation(&mut self, stratum: usize, rel: RelId, row: &[Value]) -> Result<(u32, Best), ExplainError> {
         let rules = self.rules();
         let clauses = self.clauses_of(rel);
-        let goal = self.position(rel, row).map(|position| (rel, position));
+        let goal = self.position(rel, row)?.map(|position| (rel, position));
         let known = goal.is_some_and(|(rel, position)| self.heights.of(rel, position).is_some());
         if known || goal.is_some_and(|goal| self.settle_relevant(goal)) {
             // In this case the heights of all premises are known too.
@@ -394,6 +394,7 @@ impl Search<'_> {
     fn derive(&mut self, mut attempt: Attempt<'_>, progress: &mut Progress) -> Result<(), ExplainError> {
         let clause = attempt.clause;
         let mut lower = Vec::new();
+        let mut failed = None;
         {
             let of = |rel: RelId, position: u32| match progress.heights.get(&rel) {
                 Some(heights) => {
@@ -416,15 +417,23 @@ impl Search<'_> {
                         1 + highest(clause, solution.rows, of)
                     };
                     let rel = clause.head.relation;
-                    if let Some(position) = head.and_then(|row| self.position(rel, &row)) {
+                    let position = head.map_or(Ok(None), |row| self.position(rel, &row));
+                    let position = position.unwrap_or_else(|error| {
+                        failed = Some(error);
+                        None
+                    });
+                    if let Some(position) = position {
                         let known = progress.heights[&rel][position as usize];
                         if !known.settled && height < known.height {
                             lower.push((height, position));
                         }
                     }
-                    true
+                    failed.is_none()
                 },
             )?;
+        }
+        if let Some(error) = failed {
+            return Err(error);
         }
         let rel = clause.head.relation;
         for (height, position) in lower {

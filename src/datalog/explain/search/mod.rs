@@ -16,6 +16,7 @@ use crate::symbol::Symbol;
 use std::cell::{Cell, OnceCell, RefCell};
 use std::cmp::{Ordering, Reverse};
 use std::collections::HashMap;
+use std::collections::hash_map::Entry;
 use std::rc::Rc;
 
 /// The value of each variable of a clause; `None` while unbound.
@@ -53,6 +54,10 @@ pub(super) struct Search<'s> {
     correlated: RefCell<CorrelatedValues>,
     /// The maximum memory of the evaluation of a correlated aggregate, in bytes.
     bytes_max: u64,
+    /// The bytes left for indexes and explanations.
+    bytes_left: Cell<u64>,
+    /// The maximum size of the symbol table, in bytes.
+    text_bytes: u64,
     heights: Heights,
 }
 
@@ -147,9 +152,12 @@ impl<'s> Search<'s> {
             cancel: cancel.clone(),
             cancelled: Cell::new(false),
             patterns: RefCell::default(),
-            // The other parts of the memory are for the evaluations and for the indexes of the search.
+            // The other parts of the memory are for the evaluations, for the indexes of the search, and for new texts,
+            // which an explanation repeats.
             correlated: RefCell::new(CorrelatedValues::caching(left / 4)),
             bytes_max: left / 4,
+            bytes_left: Cell::new(left / 16 * 7),
+            text_bytes: session.symbols().bytes() + left / 16,
             heights: Heights::new(rules),
         }
     }
@@ -199,6 +207,23 @@ impl<'s> Search<'s> {
         }
     }
 
+    /// Counts memory that the search keeps.
+    pub(super) fn reserve(&self, bytes: usize) -> Result<(), ExplainError> {
+        match self.bytes_left.get().checked_sub(bytes as u64) {
+            Some(left) => {
+                self.bytes_left.set(left);
+                Ok(())
+            }
+            None => Err(self.too_much_memory()),
+        }
+    }
+
+    fn too_much_memory(&self) -> ExplainError {
+        ExplainError::TooMuchMemory {
+            limit: self.session.limits().bytes,
+        }
+    }
+
     fn table(&self, rel: RelId) -> &Table<'s> {
         self.tables[rel.index()].get_or_init(|| Table {
             rows: self.session.rows(rel).collect(),
@@ -216,38 +241,49 @@ impl<'s> Search<'s> {
     }
 
     /// Returns the position of a row.
-    pub(super) fn position(&self, rel: RelId, row: &[Value]) -> Option<u32> {
+    pub(super) fn position(&self, rel: RelId, row: &[Value]) -> Result<Option<u32>, ExplainError> {
         let pattern: Pattern = row.iter().copied().map(Some).collect();
-        let rows = self.rows(rel, &pattern);
-        (rows.len() > 0).then(|| rows.get(0))
+        let rows = self.rows(rel, &pattern)?;
+        Ok((rows.len() > 0).then(|| rows.get(0)))
     }
 
     /// Returns the rows that match a pattern.
-    fn rows(&self, rel: RelId, pattern: &[Option<Value>]) -> Rows {
+    fn rows(&self, rel: RelId, pattern: &[Option<Value>]) -> Result<Rows, ExplainError> {
+        /// The memory of a row in an index: its key, its list and their places in a hash table.
+        const INDEX_ROW: usize = 128;
+        if self.tables[rel.index()].get().is_none() {
+            self.reserve(self.session.len(rel) * size_of::<&[Value]>())?;
+        }
         let table = self.table(rel);
         let bound = |column: &usize| pattern[*column].is_some();
         let columns: Vec<usize> = (0..pattern.len()).filter(bound).collect();
         if columns.is_empty() {
-            return Rows::All(u32::try_from(table.rows.len()).unwrap_or(u32::MAX));
+            return Ok(Rows::All(u32::try_from(table.rows.len()).unwrap_or(u32::MAX)));
         }
         let mask = columns.iter().fold(0, |mask, column| mask | 1 << column);
         let mut indexes = table.indexes.borrow_mut();
-        let index = indexes.entry(mask).or_insert_with(|| {
-            let mut lists: HashMap<Vec<Value>, Vec<u32>> = HashMap::new();
-            for (row, position) in table.rows.iter().zip(0..) {
-                let key = columns.iter().map(|&column| row[column]).collect();
-                lists.entry(key).or_default().push(position);
+        let index = match indexes.entry(mask) {
+            Entry::Occupied(known) => known.into_mut(),
+            Entry::Vacant(place) => {
+                self.reserve(table.rows.len() * (INDEX_ROW + columns.len() * size_of::<Value>()))?;
+                let mut lists: HashMap<Vec<Value>, Vec<u32>> = HashMap::new();
+                for (row, position) in table.rows.iter().zip(0..) {
+                    let key = columns.iter().map(|&column| row[column]).collect();
+                    lists.entry(key).or_default().push(position);
+                }
+                place.insert(Rc::new(
+                    lists.into_iter().map(|(key, list)| (key, list.into())).collect(),
+                ))
             }
-            Rc::new(lists.into_iter().map(|(key, list)| (key, list.into())).collect())
-        });
+        };
         let key: Vec<Value> = pattern.iter().flatten().copied().collect();
-        index.get(&key).map_or(Rows::None, |list| Rows::Some(Rc::clone(list)))
+        Ok(index.get(&key).map_or(Rows::None, |list| Rows::Some(Rc::clone(list))))
     }
 
     /// Returns the first row that matches a pattern.
     pub(super) fn first_row(&self, rel: RelId, pattern: &[Option<Value>]) -> Result<Option<Vec<Value>>, ExplainError> {
         self.step()?;
-        let rows = self.rows(rel, pattern);
+        let rows = self.rows(rel, pattern)?;
         Ok((rows.len() > 0).then(|| self.row(rel, rows.get(0)).to_vec()))
     }
 
@@ -309,7 +345,7 @@ impl<'s> Search<'s> {
             let mut best: Option<(usize, Rows)> = None;
             for (literal, body) in clause.body.iter().enumerate() {
                 if let (true, Literal::Positive(atom) | Literal::Guard(atom)) = (attempt.pending[literal], body) {
-                    let rows = self.rows(atom.relation, &pattern(atom, &attempt.binding));
+                    let rows = self.rows(atom.relation, &pattern(atom, &attempt.binding))?;
                     if best.as_ref().is_none_or(|(_, fewest)| rows.len() < fewest.len()) {
                         best = Some((literal, rows));
                     }
@@ -459,7 +495,13 @@ impl<'s> Search<'s> {
                 ..
             } => {
                 let arguments: Option<Vec<Value>> = arguments.iter().map(|term| value(term, binding)).collect();
-                Ok(arguments.map(|arguments| functor.apply(*base, &arguments, self.session.symbols())))
+                let Some(arguments) = arguments else { return Ok(None) };
+                let symbols = self.session.symbols();
+                let longest = functor.text_length(*base, &arguments, symbols);
+                if longest > 0 && symbols.bytes() + longest > self.text_bytes {
+                    return Err(self.too_much_memory());
+                }
+                Ok(Some(functor.apply(*base, &arguments, symbols)))
             }
             Literal::Aggregate {
                 op, base, atom, column, ..
@@ -472,7 +514,7 @@ impl<'s> Search<'s> {
                     let key: Vec<Value> = atom.terms.iter().map_while(|term| value(term, binding)).collect();
                     return Ok(Some(self.session.group(atom.relation, &key, *op)));
                 }
-                let rows = self.rows(atom.relation, &pattern(atom, binding));
+                let rows = self.rows(atom.relation, &pattern(atom, binding))?;
                 (0..rows.len()).try_for_each(|_| self.step())?;
                 let values = (0..rows.len()).map(|at| match column {
                     Some(column) => self.row(atom.relation, rows.get(at))[*column],
@@ -506,9 +548,7 @@ impl<'s> Search<'s> {
                 self.correlated.borrow_mut().insert(atom.relation, &parameters, value);
                 Ok(value)
             }
-            Err(Abort::Memory) => Err(ExplainError::TooMuchMemory {
-                limit: self.session.limits().bytes,
-            }),
+            Err(Abort::Memory) => Err(self.too_much_memory()),
             Err(_) => {
                 // No steps are left, or the caller cancelled the search.
                 self.left.set(0);
