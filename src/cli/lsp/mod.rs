@@ -110,9 +110,11 @@ fn serve(connection: &Connection) -> Result<(), Failure> {
                 phase = Phase::Running(server);
                 vec![Message::Response(welcome)]
             }
-            (Message::Request(request), Phase::Running(_)) if request.method == "shutdown" => {
+            (Message::Request(request), Phase::Running(server)) if request.method == "shutdown" => {
+                let mut replies = server.settle();
+                replies.push(Message::Response(Response::new_ok(request.id, Value::Null)));
                 phase = Phase::Down;
-                vec![Message::Response(Response::new_ok(request.id, Value::Null))]
+                replies
             }
             (Message::Request(request), Phase::Running(server)) => {
                 let mut replies = server.settle();
