@@ -30,9 +30,10 @@ def main(arguments: Sequence[str] | None = None) -> int:
     if sys.excepthook is sys.__excepthook__:
         sys.excepthook = _print_exception
     argv = list(sys.argv[1:] if arguments is None else arguments)
-    # Rust writes to the same streams through separate buffers. Unlike `flush`, `print` accepts closed streams.
+    # Rust writes to the same streams through separate buffers. A process may have no such streams.
     for stream in (sys.stdout, sys.stderr):
-        print(end="", file=stream, flush=True)
+        if stream is not None and not stream.closed:
+            stream.flush()
     # Rust handles these signals by itself.
     with _default_sigint(), kept_handlers():
         code, words, rest = _logicity.run_command_line(argv)

@@ -12,7 +12,7 @@ import time
 from collections.abc import Callable, Sequence
 from difflib import get_close_matches
 from pathlib import Path
-from typing import TYPE_CHECKING, Literal, NoReturn, cast
+from typing import TYPE_CHECKING, Any, Literal, NoReturn, cast
 
 import numpy as np
 
@@ -21,7 +21,7 @@ from .errors import InputError, UntrustedError
 from .files import check_writable, write_json
 from .modes import ENVIRONMENTS, checked_mode
 from .signals import ending_on_signals
-from .terminal import neutral, print_message, print_text
+from .terminal import flush, neutral, print_message, print_text
 
 if TYPE_CHECKING:
     from .env_config import ObservationKind
@@ -54,11 +54,11 @@ def run(words: tuple[str, ...], arguments: Sequence[str]) -> int:
             args = parser.parse_args(arguments)
         except SystemExit:
             # The end of the process would ignore that the help cannot be written.
-            print_text("", end="", flush=True)
+            flush()
             raise
         with ending_on_signals():
             code = command(args)
-        print_text("", end="", flush=True)
+        flush()
     except KeyboardInterrupt:
         print_message("interrupted")
         return 130
@@ -116,6 +116,13 @@ class _Parser(argparse.ArgumentParser):
     def error(self, message: str) -> NoReturn:
         """Print a message, and exit."""
         super().error(neutral(message))
+
+    def _print_message(self, message: str, file: Any = None) -> None:
+        """Print help to standard output, or a message. Unlike the original, raise if the help cannot be written."""
+        if message and file is sys.stdout:
+            print_text(message, end="")
+        else:
+            super()._print_message(message, file)
 
 
 #: Runs a command with its parsed arguments.

@@ -5,8 +5,10 @@ from __future__ import annotations
 import os
 import re
 import sys
+from collections.abc import Iterator
+from contextlib import contextmanager
 
-__all__ = ["first_line", "neutral", "print_message", "print_text"]
+__all__ = ["first_line", "flush", "neutral", "print_message", "print_text"]
 
 # Controls but tabs and line breaks, marks that reorder or break lines, and bytes of file names that are not UTF-8. The
 # function of the same name in Rust replaces the same characters.
@@ -37,8 +39,22 @@ def print_text(text: object, *, end: str = "\n", flush: bool = False) -> None:
     Raises:
         OSError: If it cannot be written; a `BrokenPipeError` if the reader has closed the pipe.
     """
-    try:
+    with _writing():
         print(neutral(str(text)), end=end, flush=flush)
+
+
+def flush() -> None:
+    """Write what standard output has buffered. The exceptions are those of `print_text`."""
+    # A process may have no standard output.
+    if sys.stdout is not None and not sys.stdout.closed:
+        with _writing():
+            sys.stdout.flush()
+
+
+@contextmanager
+def _writing() -> Iterator[None]:
+    try:
+        yield
     except BrokenPipeError:
         raise
     except OSError as error:

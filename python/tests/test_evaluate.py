@@ -425,7 +425,7 @@ def test_the_command_prints_a_table_and_writes_results(tmp_path: Path, capsys: p
     rows = output.out.splitlines()
     assert rows[0].split() == ["policy", "mode", "compliance", "TSR", "DSR", "Score", "return", "steps"]
     assert rows[1].split()[:4] == ["oracle", "easy", "1.00", "[0.91,"] and rows[2].split()[1] == "hard"
-    assert output.err == "", "progress appears only on terminals"
+    assert output.err == f"wrote {file}\n", "progress appears only on terminals"
     written = json.loads(file.read_text())
     direct: Evaluation = evaluate("oracle", "easy", "val")
     assert written[0] == json.loads(json.dumps(direct.to_dict()))

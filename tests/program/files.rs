@@ -935,7 +935,7 @@ fn edited_rules_do_not_make_a_trace_unexplainable() {
 }
 
 /// Returns the hash of the rule files in the header of a trace.
-fn rules_hash(header: &Value) -> String {
+pub fn rules_hash(header: &Value) -> String {
     let mut hash = Sha256::new();
     for file in header["rule_files"].as_array().unwrap() {
         let text = file["text"].as_str().unwrap();

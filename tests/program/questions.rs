@@ -427,7 +427,7 @@ fn the_same_seed_gives_the_same_bytes() {
     let summary = text(&[&arguments[..], &files].concat());
     assert_eq!(
         summary,
-        format!("wrote 60 questions to {file}: Slow 15, Normal 15, Fast 15, Stop 15\n")
+        format!("wrote {table}\nwrote {shown}\nwrote 60 questions to {file}: Slow 15, Normal 15, Fast 15, Stop 15\n")
     );
     assert_eq!(fs::read_to_string(&file).unwrap(), printed);
 
