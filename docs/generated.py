@@ -174,7 +174,7 @@ def example_blocks(example: dict[str, str]) -> str:
     blocks = []
     for name, text in files.items():
         extension = name.rpartition(".")[2]
-        language = {"jsonl": "json", "facts": "text", "rs": "rust"}.get(extension, extension)
+        language = {"jsonl": "json", "facts": "text", "pl": "prolog", "rs": "rust"}.get(extension, extension)
         caption = f":caption: {name}\n\n" if len(files) > 1 else ""
         blocks.append(f"```{{code-block}} {language}\n{caption}{text}```\n")
     return "\n".join(blocks)

@@ -8,7 +8,7 @@ use std::collections::BTreeSet;
 const NODES_MAX: u32 = 200_000;
 
 /// Nodes between two polls for cancellation.
-const POLL_NODES: u32 = 1024;
+const POLL_NODES: u32 = 16;
 
 /// A cover of all elements.
 pub struct Cover {

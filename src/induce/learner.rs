@@ -178,6 +178,7 @@ fn learn_action(
         problems: Vec::new(),
         variables_max: settings.variables,
         pool: BTreeMap::new(),
+        cancel,
     };
     let mut random = Seed(settings.seed).stream(Purpose::INDUCE, action as u64, 0);
     let mut open = bits::full(positive.len());
@@ -194,7 +195,7 @@ fn learn_action(
         });
         let tries = rng::draw(&left, settings.seeds_per_round, &mut random);
         let uncovered: Vec<&State> = left.iter().map(|&state| positive[state]).collect();
-        match search.best(&tries, &uncovered, &open, cancel) {
+        match search.best(&tries, &uncovered, &open) {
             Some(best) => bits::subtract(&mut open, &best.covered),
             // No clause separates these examples from the negative ones.
             None => tries.iter().for_each(|&state| bits::remove(&mut open, state)),
@@ -219,19 +220,24 @@ struct ClauseSearch<'a> {
     variables_max: usize,
     /// All clauses found.
     pool: BTreeMap<Body, FoundClause>,
+    cancel: &'a Cancel,
 }
 
 impl ClauseSearch<'_> {
     /// Finds the best clause for one of some positive states, and adds each clause found to the pool. `uncovered` are
     /// the states in `open`. Another variable is tried only while the best clause covers few of them.
-    fn best(&mut self, tries: &[usize], uncovered: &[&State], open: &[u64], cancel: &Cancel) -> Option<FoundClause> {
+    fn best(&mut self, tries: &[usize], uncovered: &[&State], open: &[u64]) -> Option<FoundClause> {
+        let cancel = self.cancel;
         let uncovered = self.columns.columns(self.vocabulary, uncovered);
         let fewest = (self.vocabulary.egos() + 1).min(self.settings.variables);
         let mut best: Option<FoundClause> = None;
         for variables in fewest..=self.variables_max {
             if self.problems.len() <= variables - fewest {
                 // There are too many assignments for more variables.
-                let Some(problem) = self.columns.problem(self.vocabulary, variables, self.settings.negation) else {
+                let Some(problem) = self
+                    .columns
+                    .problem(self.vocabulary, variables, self.settings.negation, cancel)
+                else {
                     self.variables_max = variables - 1;
                     break;
                 };
@@ -239,7 +245,7 @@ impl ClauseSearch<'_> {
             }
             let problem = &self.problems[variables - fewest];
             let counted = problem.open(&uncovered);
-            let search = |seed| Search::new(problem, seed, &counted).best(self.settings.nodes, cancel);
+            let search = |seed| Search::new(problem, seed, &counted, cancel).best(self.settings.nodes);
             let found: Vec<FoundClause> = problem.all_seeds(tries).par_iter().filter_map(search).collect();
             for found in found {
                 if best.as_ref().is_none_or(|best| found.score > best.score) {

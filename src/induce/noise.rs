@@ -164,12 +164,14 @@ fn learn_tolerant(
         };
         let ((positive, gains), (negative, losses)) = (of(1), of(-1));
         let columns = LabeledColumns::new(vocabulary, &positive, &negative);
+        // This search keeps what it has on cancellation, so its rows must be complete.
+        let never = Cancel::never();
         let search = TolerantSearch {
             vocabulary,
             action,
             settings,
             problems: (vocabulary.egos()..=settings.variables)
-                .map_while(|variables| columns.problem(vocabulary, variables, settings.negation))
+                .map_while(|variables| columns.problem(vocabulary, variables, settings.negation, &never))
                 .collect(),
             scoring: Scoring {
                 positive: &Weights::new(&gains),

@@ -4,6 +4,7 @@
 //! entity to each variable of a clause, so it turns the atoms of the clause into facts. The conjunction of their
 //! columns are the states in which the clause holds under the assignment.
 
+use crate::cancel::Cancel;
 use crate::induce::bits::{self, Bits};
 use crate::induce::examples::State;
 use crate::induce::vocabulary::{Assignment, Atom, Body, Link, Vocabulary, assignments, cost, tuples};
@@ -94,6 +95,8 @@ pub struct Problem<'a> {
     pub negative: &'a Columns,
     /// Whether clauses may contain negative literals.
     pub negation: bool,
+    /// After cancellation, rows are incomplete.
+    pub cancel: &'a Cancel,
     entities: usize,
     assignments: Vec<Assignment>,
     /// With links, the rows of the positive and of the negative states whose true atoms link all variables. No clause
@@ -132,8 +135,14 @@ impl LabeledColumns {
     }
 
     /// Returns the problem of finding clauses over a number of variables. `None` if there are too many assignments of
-    /// entities to variables for the memory.
-    pub fn problem<'a>(&'a self, vocabulary: &'a Vocabulary, variables: usize, negation: bool) -> Option<Problem<'a>> {
+    /// entities to variables for the memory. After cancellation, the rows of the problem are incomplete.
+    pub fn problem<'a>(
+        &'a self,
+        vocabulary: &'a Vocabulary,
+        variables: usize,
+        negation: bool,
+        cancel: &'a Cancel,
+    ) -> Option<Problem<'a>> {
         let free = (variables - vocabulary.egos()) as u32;
         let count = self.entities.checked_pow(free)?;
         if count > ASSIGNMENTS_MAX || count * (self.positive.words + self.negative.words) > WORDS_MAX {
@@ -145,6 +154,7 @@ impl LabeledColumns {
             positive: &self.positive,
             negative: &self.negative,
             negation,
+            cancel,
             entities: self.entities,
             assignments: assignments(vocabulary.egos(), variables, self.entities).collect(),
             linked: None,
@@ -196,6 +206,9 @@ impl Problem<'_> {
             .iter()
             .zip(existing.states.chunks_exact(words.max(1)))
         {
+            if self.cancel.requested() {
+                break;
+            }
             for (variable, bound) in bound.iter_mut().enumerate() {
                 bound.clear();
                 bound.extend(
@@ -370,7 +383,7 @@ impl Problem<'_> {
 
     fn conjunction<'b>(&self, columns: &Columns, literals: impl Iterator<Item = (&'b Atom, bool)>) -> Rows {
         let mut rows = self.all(columns);
-        for (atom, is_true) in literals {
+        for (atom, is_true) in literals.take_while(|_| !self.cancel.requested()) {
             rows = Cow::Owned(self.restrict(columns, &rows, atom, is_true));
         }
         rows.into_owned()

@@ -1,8 +1,9 @@
 //! Settings of a learner, learned rules, and their evaluation.
 
+use crate::cancel::Cancel;
 use crate::induce::bits;
 use crate::induce::examples::State;
-use crate::induce::problem::LabeledColumns;
+use crate::induce::problem::{LabeledColumns, Problem};
 use crate::induce::vocabulary::{Body, Vocabulary};
 use std::num::NonZeroUsize;
 use std::ops::Range;
@@ -139,9 +140,16 @@ pub(crate) fn clauses_hold<'a>(
     (0..states.len()).step_by(CHUNK).map(move |begin| {
         let range = begin..states.len().min(begin + CHUNK);
         let chunk = &states[range.clone()];
-        let columns = LabeledColumns::new(vocabulary, chunk, &[]);
+        let (columns, never) = (LabeledColumns::new(vocabulary, chunk, &[]), Cancel::never());
+        // The problem of the last number of variables. Two at once would need too much memory.
+        let mut last: Option<(usize, Option<Problem<'_>>)> = None;
         let holds = bodies.iter().map(|body| {
-            match columns.problem(vocabulary, body.variables(vocabulary), true) {
+            let variables = body.variables(vocabulary);
+            if last.as_ref().is_none_or(|(count, _)| *count != variables) {
+                last = None;
+                last = Some((variables, columns.problem(vocabulary, variables, true, &never)));
+            }
+            match last.as_ref().and_then(|(_, problem)| problem.as_ref()) {
                 Some(problem) => problem
                     .satisfying(problem.positive, body)
                     .states(problem.positive.words),

@@ -24,9 +24,6 @@ const REFUTATIONS: (usize, usize) = (64, 8);
 /// What a newly covered state counts in scores, in the unit of costs.
 pub const EXAMPLE: i64 = 2 * LITERAL_COST as i64;
 
-/// Nodes between two polls for cancellation.
-const POLL_NODES: u32 = 64;
-
 /// A clause that a search found.
 #[derive(Clone, Debug)]
 pub struct FoundClause {
@@ -82,22 +79,30 @@ pub struct Search<'a> {
     open: &'a Open<'a>,
     /// For each negative row of the sample, the literals of the seed that are false there.
     exclusions: Vec<Bits>,
+    cancel: &'a Cancel,
 }
 
 impl<'a> Search<'a> {
     /// Prepares a search. `open` are the positive states that count.
-    pub fn new(problem: &'a Problem<'a>, seed: &'a Bits, open: &'a Open<'a>) -> Search<'a> {
+    pub fn new(problem: &'a Problem<'a>, seed: &'a Bits, open: &'a Open<'a>, cancel: &'a Cancel) -> Search<'a> {
         Search {
             problem,
             seed,
             open,
             exclusions: Vec::new(),
+            cancel,
         }
     }
 
     /// Finds the clause with the highest score among those that hold in the example and in no negative row. `None` if
     /// there is none, or on cancellation. Stops after `nodes` nodes and completes a clause greedily.
-    pub fn best(mut self, nodes: u32, cancel: &Cancel) -> Option<FoundClause> {
+    pub fn best(self, nodes: u32) -> Option<FoundClause> {
+        let cancel = self.cancel;
+        // Rows are incomplete after cancellation, so the clause may hold in negative ones.
+        self.found(nodes).filter(|_| !cancel.requested())
+    }
+
+    fn found(mut self, nodes: u32) -> Option<FoundClause> {
         let everything = self.problem.all(self.problem.negative);
         self.exclude(&everything, SAMPLE)?;
         let mut heap = BinaryHeap::new();
@@ -110,10 +115,9 @@ impl<'a> Search<'a> {
             open: Vec::new(),
             compared: 0,
         });
-        let (mut number, mut polls) = (0, 0_u32);
+        let mut number = 0;
         while let Some(mut node) = heap.pop() {
-            polls += 1;
-            if polls % POLL_NODES == 0 && cancel.requested() {
+            if self.cancel.requested() {
                 return None;
             }
             self.compare(&mut node);
@@ -193,6 +197,10 @@ impl<'a> Search<'a> {
     fn branch(&self, heap: &mut BinaryHeap<Node>, node: Node, choices: &Bits, number: &mut u32) {
         let mut banned = node.banned;
         for literal in bits::elements(choices) {
+            // With many rows, one literal takes a tenth of a second.
+            if self.cancel.requested() {
+                return;
+            }
             let open: Vec<u32> = (node.open.iter().copied())
                 .filter(|&at| !bits::contains(&self.exclusions[at as usize], literal))
                 .collect();
@@ -252,7 +260,7 @@ impl<'a> Search<'a> {
 
     /// Completes a clause greedily: the literal that excludes the most rows comes first.
     fn complete(mut self, mut node: Node) -> Option<FoundClause> {
-        loop {
+        while !self.cancel.requested() {
             while !node.open.is_empty() {
                 let mut gains = vec![0_u32; self.problem.atoms.len()];
                 for &at in &node.open {
@@ -276,6 +284,7 @@ impl<'a> Search<'a> {
                 return Some(self.finish(&node, false));
             }
         }
+        None
     }
 
     /// Drops the literals that the clause does not need, negative ones first.

@@ -232,7 +232,8 @@ proptest! {
         let (positive, negative) = states.split_at(10);
         let (positive, negative): (Vec<&State>, Vec<&State>) = (positive.iter().collect(), negative.iter().collect());
         let columns = LabeledColumns::new(&vocabulary, &positive, &negative);
-        let problem = columns.problem(&vocabulary, variables, true).unwrap();
+        let never = Cancel::never();
+        let problem = columns.problem(&vocabulary, variables, true, &never).unwrap();
         let mut open: Bits = bits::empty(positive.len());
         (0..positive.len()).filter(|index| index % 3 != 1).for_each(|index| bits::insert(&mut open, index));
         for example in problem.seeds(0) {
@@ -248,7 +249,7 @@ proptest! {
             }
             let counted: Vec<&State> = bits::elements(&open).map(|state| positive[state]).collect();
             let counted_columns = columns.columns(&vocabulary, &counted);
-            let found = Search::new(&problem, &example, &problem.open(&counted_columns)).best(u32::MAX, &Cancel::never());
+            let found = Search::new(&problem, &example, &problem.open(&counted_columns), &never).best(u32::MAX);
             prop_assert!(found.as_ref().is_none_or(|found| found.is_best));
             prop_assert_eq!(found.map(|found| found.score), best);
         }
@@ -342,7 +343,7 @@ fn a_clause_with_too_many_assignments_for_columns_is_evaluated() {
     let states: Vec<&State> = states.iter().collect();
     assert!(
         LabeledColumns::new(&vocabulary, &states, &[])
-            .problem(&vocabulary, 6, true)
+            .problem(&vocabulary, 6, true, &Cancel::never())
             .is_none()
     );
     let chain = |unary: usize, count: u8| {

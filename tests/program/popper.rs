@@ -152,7 +152,15 @@ fn the_closed_world_and_negation_are_options() {
         "{said}"
     );
     // Without negation, no clause excludes the penguin.
-    let positive = succeeds(&logicity(["induce", "--popper", path, "--closed-world"]));
+    let unsolved = logicity(["induce", "--popper", path, "--closed-world"]);
+    assert_eq!(unsolved.status.code(), Some(1));
+    let said = text(&unsolved.stderr);
+    let expected = "error[uncovered-examples]: the clauses do not derive 2 of 2 positive examples\n";
+    assert!(
+        said.starts_with(expected) && said.contains("the first is flies(a)"),
+        "{said}"
+    );
+    let positive = text(&unsolved.stdout);
     assert!(
         positive.contains("derive 0 of 2 positive and 0 of 2 negative"),
         "{positive}"

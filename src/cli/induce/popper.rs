@@ -139,5 +139,8 @@ pub fn run(arguments: &Arguments, folder: &Path, sources: &mut Sources) -> Resul
     if solution.is_cut {
         return Err(Failure::Interrupted);
     }
-    Ok(())
+    match rules.shortfall() {
+        Some(fault) => Err(fault.into()),
+        None => Ok(()),
+    }
 }

@@ -4,6 +4,7 @@ mod entailment;
 #[cfg(test)]
 mod tests;
 
+use crate::cancel::Cancel;
 use crate::induce::bits;
 use crate::induce::constraints::Constraints;
 use crate::induce::examples::{Examples, State, majority};
@@ -237,7 +238,8 @@ fn undecided(
     lower: &[&State],
 ) -> (Vec<Literal>, Vec<(Literal, Literal)>) {
     let columns = LabeledColumns::new(vocabulary, alone, lower);
-    let Some(problem) = columns.problem(vocabulary, body.variables(vocabulary), true) else {
+    let never = Cancel::never();
+    let Some(problem) = columns.problem(vocabulary, body.variables(vocabulary), true, &never) else {
         return (Vec::new(), Vec::new());
     };
     let others = || {

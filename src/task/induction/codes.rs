@@ -8,4 +8,6 @@ crate::diagnostic_codes! {
     INVALID_ANSWER = "invalid-answer", Error;
     /// No rules within the limits of the search agree with all answers of an oracle.
     INSEPARABLE_ANSWERS = "inseparable-answers", Error;
+    /// The clauses learned from a task of Popper do not derive all positive examples.
+    UNCOVERED_EXAMPLES = "uncovered-examples", Error;
 }

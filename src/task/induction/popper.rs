@@ -1,5 +1,6 @@
 //! Rules learned from a task in the format of Popper: as Prolog, as a rule file and as JSON.
 
+use crate::diag::{Code, Diagnostic};
 use crate::induce::popper::{Solution, Task};
 use crate::induce::{ClauseSupport, Constraints, Examples, LearnedRules, Literal, Settings, Support, support};
 use crate::task::induction::text::{comment, few, listed, plural};
@@ -15,6 +16,8 @@ pub struct TargetRules<'a> {
     counts: [[usize; 2]; 2],
     /// The number of positive examples that equal a negative one.
     inseparable: usize,
+    /// The first positive example that the clauses do not derive.
+    first_uncovered: Option<usize>,
     settings: &'a Settings,
 }
 
@@ -33,11 +36,19 @@ impl TargetRules<'_> {
             ..LearnedRules::default()
         };
         let states: Vec<_> = task.cases.iter().map(|case| &case.state).collect();
-        let mut counts = [[0; 2]; 2];
-        for (case, action) in task.cases.iter().zip(learned.decide(&task.vocabulary, &states)) {
+        let (mut counts, mut first_uncovered) = ([[0; 2]; 2], None);
+        for (number, (case, action)) in task
+            .cases
+            .iter()
+            .zip(learned.decide(&task.vocabulary, &states))
+            .enumerate()
+        {
             let [derived, all] = &mut counts[usize::from(!case.is_positive)];
             *derived += usize::from(action == 0);
             *all += 1;
+            if case.is_positive && action != 0 {
+                first_uncovered = first_uncovered.or(Some(number));
+            }
         }
         TargetRules {
             task,
@@ -45,6 +56,7 @@ impl TargetRules<'_> {
             support: support(examples, &learned, &Constraints::default()),
             counts,
             inseparable,
+            first_uncovered,
             settings,
         }
     }
@@ -55,6 +67,19 @@ impl TargetRules<'_> {
         format!(
             "The clauses derive {positive} of {positives} positive and {negative} of {negatives} negative examples."
         )
+    }
+
+    /// Returns an error if the clauses do not derive all positive examples.
+    pub fn shortfall(&self) -> Option<Diagnostic> {
+        let [[derived, all], _] = self.counts;
+        let message = format!("the clauses do not derive {} of {all} positive examples", all - derived);
+        let first = self.task.example(self.first_uncovered?);
+        let negation = if self.settings.negation { "" } else { "`--negation`, " };
+        let help = format!(
+            "try {negation}a larger `max_vars` in `bias.pl`, more steps (`--effort`), or more background knowledge"
+        );
+        let fault = Diagnostic::new(Code::UNCOVERED_EXAMPLES, message);
+        Some(fault.note(format!("the first is {first}")).help(help))
     }
 
     /// Returns the number of clauses.
