@@ -162,6 +162,8 @@ def list_external_links(app: Sphinx, error: Exception | None) -> None:
 
 #: An inline script: its attributes and its text.
 INLINE = re.compile(r"<script(?![^>]*\bsrc=)([^>]*)>(.*?)</script>", re.DOTALL)
+#: The element that a policy follows.
+CHARSET = re.compile(r'<meta charset="utf-8" ?/?>')
 
 
 def add_policies(app: Sphinx, error: Exception | None) -> None:
@@ -187,10 +189,10 @@ def add_policies(app: Sphinx, error: Exception | None) -> None:
             ]
         )
         element = f'<meta http-equiv="Content-Security-Policy" content="{policy}" />'
-        with_policy, count = re.subn(r'<meta charset="utf-8" ?/?>', lambda match: match[0] + element, text, count=1)
-        if count != 1:
+        start = CHARSET.search(text)
+        if start is None:
             raise ExtensionError(f"{page.name} has no place for its Content-Security-Policy")
-        page.write_text(with_policy, encoding="utf-8")
+        page.write_text(text[: start.end()] + element + text[start.end() :], encoding="utf-8")
 
 
 def add_folders(app: Sphinx, error: Exception | None) -> None:
