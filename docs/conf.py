@@ -146,20 +146,6 @@ class Drawing(Directive):
         return [nodes.raw("", f'<div class="drawing">{svg}</div>', format="html")]
 
 
-def list_external_links(app: Sphinx, error: Exception | None) -> None:
-    """Write the links to other sites to `external-links.txt`; checking them needs a network."""
-    if error is not None or app.builder.name != "html":
-        return
-    links: set[str] = set()
-    for docname in sorted(app.env.found_docs):
-        for reference in app.env.get_doctree(docname).findall(nodes.reference):
-            target = reference.get("refuri", "")
-            if target.startswith(("http:", "https:")):
-                links.add(f"{target}  {docname}")
-    (Path(app.outdir) / "external-links.txt").write_text("".join(f"{link}\n" for link in sorted(links)))
-    print(f"{len(app.env.found_docs)} pages, {len(links)} links to other sites")
-
-
 #: An inline script: its attributes and its text.
 INLINE = re.compile(r"<script(?![^>]*\bsrc=)([^>]*)>(.*?)</script>", re.DOTALL)
 #: The element that a policy follows.
@@ -213,7 +199,6 @@ def setup(app: Sphinx) -> dict[str, Any]:
     app.connect("missing-reference", resolve)
     app.connect("autodoc-process-docstring", hide_colons, priority=400)
     app.connect("autodoc-process-docstring", show_colons, priority=600)
-    app.connect("build-finished", list_external_links)
     app.connect("build-finished", add_policies)
     app.connect("build-finished", add_folders)
     return {"parallel_read_safe": True}
