@@ -59,7 +59,11 @@ pub fn run(arguments: &Arguments, sources: &mut Sources) -> Result<(), Failure> 
             Failure::Usage(format!("the trace has no agent `{agent}`\nhelp: {help}"))
         })?),
     };
-    let action = |name: &String| Action::ALL.into_iter().find(|action| action.name() == name);
+    let action = |name: &String| {
+        Action::ALL
+            .into_iter()
+            .find(|action| action.name().eq_ignore_ascii_case(name))
+    };
     let why_not = arguments
         .why_not
         .as_ref()

@@ -517,7 +517,7 @@ fn run(mut command: clap::Command, arguments: &[OsString]) -> u8 {
             terminal::data().write_all(&script).map_err(Failure::from)
         }
     };
-    // A caller in Python goes on, and must not ignore the next request.
+    // The process of a caller in Python continues, and must not ignore the next request.
     signals::end_at_once();
     // The end of the process would ignore that the last line cannot be written.
     match result.and_then(|()| io::stdout().flush().map_err(Failure::from)) {

@@ -210,8 +210,8 @@ fn the_dense_executor_rejects_its_fixture() {
     assert_eq!(output.status.code(), Some(1), "{said}");
     for part in [
         "error[dense-unsupported]",
-        "a predicate depends on itself",
-        "main.yaml:2:8",
+        "because `Reach` depends on itself",
+        "reach.dl:5:16",
     ] {
         assert!(said.contains(part), "{part} is missing in:\n{said}");
     }

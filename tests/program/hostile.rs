@@ -77,7 +77,7 @@ const CHECK: &[Case] = &[
     ("check good.dl missing.dl folder", 2, "missing.dl"),
     ("check --json latin1.dl nul.dl", 1, "not-text"),
     ("check --lints deep-parentheses.dl", 1, "limit-exceeded"),
-    ("check --config easy good.dl", 0, "1 clause"),
+    ("check --config easy good.dl", 1, "rule-mismatch"),
     ("check --coverage missing.jsonl", 2, "missing.jsonl"),
     ("check --coverage folder", 2, "folder"),
     ("check --coverage empty.dl", 1, "empty"),
@@ -212,7 +212,7 @@ const QUERY: &[Case] = &[
     ("query derived.dl --max-memory 0 -D -", 1, "--max-memory"),
     ("query endless.dl --max-rows 100K -D -", 1, "--max-rows"),
     ("query endless.dl --max-memory 1M -D -", 1, "--max-memory"),
-    ("query text-endless.dl --max-memory 100M -D -", 1, "--max-memory"),
+    ("query text-endless.dl --max-memory 100M -D -", 1, "bound them"),
     ("query product.dl --max-steps 10M -D -", 1, "--max-steps"),
     ("query range.dl --max-rows 100K -D -", 1, "--max-rows"),
     ("query arithmetic.dl -D -", 0, "A"),
@@ -241,7 +241,7 @@ const REPL: &[Case] = &[
     (
         "printf '.decl N(x: number)\\nN(0).\\nN(X + 1) :- N(X).\\n' | @ repl --max-rows 10K",
         1,
-        "--max-rows",
+        "bound them",
     ),
     ("printf '.load include-pipe.dl\\n' | @ repl", 1, "pipe or a device"),
     (

@@ -23,7 +23,7 @@ pub struct Cities(HashMap<PathBuf, (Vec<Stamp>, Option<Rc<City>>)>);
 /// A file with the time of its last change.
 type Stamp = (PathBuf, Option<SystemTime>);
 
-/// The most configurations that are looked at, and the most bytes of each.
+/// The most configurations that the server reads, and the most bytes of each.
 const FILES_MAX: usize = 64;
 const BYTES_MAX: u64 = 64 << 10;
 

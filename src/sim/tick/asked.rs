@@ -59,7 +59,7 @@ impl AskedFact {
                 Some(ego) if takes_agent => Some(Value(session.symbols().intern(ego).0)),
                 None if takes_agent => {
                     let message = format!("`{name}` needs an agent");
-                    let fault = Diagnostic::new(Code::INVALID_FACT, message).at(*span, "whom is this about?");
+                    let fault = Diagnostic::new(Code::INVALID_FACT, message).at(*span, "this names no agent");
                     let row: Vec<&str> = std::iter::once("Car_1")
                         .chain(columns[1..].iter().map(|_| "_"))
                         .collect();
