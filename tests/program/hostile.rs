@@ -949,7 +949,7 @@ const POPPER: &[Case] = &[
     ("induce --popper popper/unlabeled", 1, "expected an example"),
     (
         "induce --popper popper/same",
-        0,
+        1,
         "1 positive example has the same facts",
     ),
     ("induce --popper popper/faults", 1, "more than 100 errors"),
