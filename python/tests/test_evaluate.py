@@ -536,7 +536,7 @@ def test_files_are_replaced_atomically(tmp_path: Path) -> None:
 def test_files_without_an_end_are_refused_at_once(tmp_path: Path) -> None:
     with open(tmp_path / "sparse", "wb") as file:
         file.truncate(100 << 30)
-    for path, message in [("/proc/self/status", "may never end"), (tmp_path / "sparse", "larger than 1024 MiB")]:
+    for path, message in [(Path("/proc/self/status"), "may never end"), (tmp_path / "sparse", "larger than 1024 MiB")]:
         with pytest.raises(OSError, match=message):
             read_text(path)
         with pytest.raises(OSError, match=message):
