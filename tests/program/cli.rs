@@ -284,7 +284,7 @@ fn explain_shows_why_and_why_not() {
     );
     fails(
         &logicity(["explain", trace, "--agent", "Car_3", "--why-not", "Fly"]),
-        1,
+        2,
         &["unknown-predicate", "no predicate `Fly` is declared", "--why-not:1:1"],
     );
     fails(
