@@ -14,7 +14,7 @@ from ..files import reserved
 
 __all__ = ["HASHED", "as_text", "is_published", "place_of", "read_file", "rehashed", "row_key", "updating"]
 
-#: What the hash of a row is of: the `weights` of a network, the text of `rules`, or the `file` of the policy, which
+#: What the hash of a row covers: the `weights` of a network, the text of `rules`, or the `file` of the policy, which
 #: depends on its format and can have times. `logicity experiment --rehash` replaces hashes of files.
 HASHED = ("weights", "rules", "file")
 

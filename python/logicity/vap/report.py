@@ -496,7 +496,7 @@ def _update(
 
 
 def _is_of(row: Mapping[str, Any], file: Path, cell: VapCell) -> bool:
-    """Return whether a row is of a cell of the experiment in a file, with any predictor."""
+    """Return whether a row belongs to a cell of the experiment file, whatever its predictor."""
     names = {"experiment": file.stem, "learner": cell.row, "mode": cell.mode, "variant": cell.variant}
     return row["seed"] == cell.seed and all(row[name] == value for name, value in names.items())
 
