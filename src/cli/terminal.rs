@@ -37,6 +37,7 @@ pub fn print_styled(line: &str) {
 }
 
 /// Shows a message on a terminal until `wait` returns.
+#[cfg(feature = "repl")]
 pub fn print_passing(message: &str, wait: impl FnOnce()) {
     let _ = write!(err(), "{message}");
     wait();

@@ -121,6 +121,7 @@ pub use check::{
 };
 pub use codes::{CATALOG, CODES};
 pub use eval::delta::{Delta, RelationChange, Rows};
+#[cfg(feature = "sim")]
 pub(crate) use eval::limits::size;
 pub use eval::limits::{EvalError, Limits};
 pub use eval::stats::{EvalEvent, EvalStats, RuleStats, Strategy, StratumStats, WorkCounts};
