@@ -11,6 +11,7 @@ __all__ = [
     "BatchEvaluator",
     "check",
     "check_dataset",
+    "check_readable",
     "ConfigFile",
     "decide",
     "describe",

@@ -117,7 +117,7 @@ def test_dense_executor_raises_unsupported_error(kind: Any, tmp_path: Path) -> N
         '.include "vocabulary.dl"\n.decl Reach(x: agent, y: agent)\nReach(X, Y) :- NextTo(X, Y).\n'
         "Reach(X, Z) :- Reach(X, Y), NextTo(Y, Z).\nStop(X) :- Reach(X, Y), IsBus(Y).\n"
     )
-    with pytest.raises(UnsupportedError, match="a predicate depends on itself") as caught:
+    with pytest.raises(UnsupportedError, match="`Reach` depends on itself") as caught:
         kind(rules=rules, executor="dense")
     assert not isinstance(caught.value, LimitError) and isinstance(caught.value, InputError)
     assert [fault["code"] for fault in caught.value.diagnostics] == ["dense-unsupported"]

@@ -265,7 +265,8 @@ def test_a_trace_replaces_own_files_only(tmp_path: Path) -> None:
     assert trace.read_text() == "foreign"
     env.write_trace(trace, overwrite=True)
     assert trace.read_text() != "foreign"
-    city.run(1, trace=trace)
+    with pytest.raises(FileExistsError, match="`write_trace` wrote it"):
+        city.run(1, trace=trace)
 
 
 def test_concurrent_use_of_an_environment_raises() -> None:
@@ -506,7 +507,7 @@ def test_invalid_arguments_raise() -> None:
         with pytest.raises(ValueError, match="did you mean `drawn-demanding`"):
             make(episodes="drawn_demanding")  # type: ignore[arg-type]
     with pytest.raises(UnsupportedMode):
-        SPFEnv(render_mode="human")
+        SPFEnv(render_mode="window")
     with pytest.raises(ValueError, match="base"):
         SPFEnv(overrides={"base": "easy"})
     with pytest.raises(logicity.InputError) as caught:

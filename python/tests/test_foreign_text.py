@@ -395,7 +395,7 @@ def test_ids_and_answers_are_neutral(run: Run, tmp_path: Path) -> None:
 
 def test_experiments_keep_the_key(serve: Serve, run: Run, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     """In lines of progress, tables, figures and stored replies, also after a failure."""
-    needs("pydantic", "learn")
+    needs("torch", "learn")
     monkeypatch.setenv("CITY_KEY", KEY)
     echo = f"{HOSTILE} {KEY} {percent(KEY)}"
     acts = {
@@ -424,7 +424,7 @@ def test_experiments_keep_the_key(serve: Serve, run: Run, tmp_path: Path, monkey
 
 def test_programs_beside_training_stay_in_bounds(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
     """They flood their outputs, never end, or leave processes that hold a pipe."""
-    needs("pydantic", "learn")
+    needs("torch", "learn")
     from logicity.learn import programs
 
     monkeypatch.setattr(programs, "OUTPUT_BYTES", 1000)

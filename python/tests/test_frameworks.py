@@ -121,15 +121,3 @@ def test_gymnasium_records_videos(tmp_path: Any) -> None:
         env.close()
     (video,) = tmp_path.glob("*.mp4")
     assert video.stat().st_size > 10_000
-
-
-def test_gymnasium_shows_a_window(monkeypatch: pytest.MonkeyPatch) -> None:
-    needs("pygame", "human")
-    monkeypatch.setenv("SDL_VIDEODRIVER", "dummy")
-    with warnings.catch_warnings():
-        warnings.simplefilter("ignore")
-        env: Any = gymnasium.make(ID, render_mode="human")
-        env.reset(seed=0)
-        assert env.step(3)[4]["steps"] == 1
-        assert type(env).__name__ == "HumanRendering" and env.window.get_size() == env.screen_size
-        env.close()
