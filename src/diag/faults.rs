@@ -2,16 +2,55 @@
 
 use crate::diag::{Code, Diagnostic, Severity};
 
-/// The maximum number of errors, and of warnings, kept for one input. A file of noise must not fill the memory or the
-/// screen.
+/// The maximum number of different errors, and of different warnings, kept for one input. A file of noise must not fill
+/// the memory or the screen.
 pub const MAX_FAULTS: usize = 100;
+
+/// The maximum number of errors, and of warnings, kept for one input that repeat an earlier one at another place.
+const MAX_REPEATS: usize = 1000;
 
 /// The diagnostics of one input so far.
 #[derive(Clone, Debug, Default)]
 pub struct Faults {
-    errors: Vec<Diagnostic>,
-    warnings: Vec<Diagnostic>,
+    errors: List,
+    warnings: List,
     hidden_warnings: usize,
+}
+
+/// The diagnostics of one severity.
+#[derive(Clone, Debug, Default)]
+struct List {
+    all: Vec<Diagnostic>,
+    /// The positions in `all` of those that repeat no earlier one.
+    different: Vec<usize>,
+}
+
+impl List {
+    /// Returns whether there is no room for a diagnostic that differs from all others, or for one that repeats another.
+    fn is_full(&self) -> bool {
+        self.different.len() >= MAX_FAULTS || self.all.len() - self.different.len() >= MAX_REPEATS
+    }
+
+    /// Adds a diagnostic if there is room. Returns whether there was.
+    fn push(&mut self, fault: Diagnostic) -> bool {
+        let repeats = self.different.iter().any(|&known| self.all[known].repeats(&fault));
+        let has_room = match repeats {
+            true => self.all.len() - self.different.len() < MAX_REPEATS,
+            false => self.different.len() < MAX_FAULTS,
+        };
+        if has_room {
+            if !repeats {
+                self.different.push(self.all.len());
+            }
+            self.all.push(fault);
+        }
+        has_room
+    }
+
+    fn truncate(&mut self, length: usize) {
+        self.all.truncate(length);
+        self.different.retain(|&at| at < length);
+    }
 }
 
 /// A state of [`Faults`].
@@ -23,24 +62,27 @@ pub(crate) struct Mark {
 }
 
 impl Faults {
-    /// Adds a diagnostic; drops it if there are [`MAX_FAULTS`] of its severity.
+    /// Adds a diagnostic. Drops it if there are [`MAX_FAULTS`] different ones of its severity, or too many like it.
     pub fn push(&mut self, fault: Diagnostic) {
-        let list = match fault.severity() {
-            Severity::Error => &mut self.errors,
-            Severity::Warning => &mut self.warnings,
-        };
-        if list.len() < MAX_FAULTS {
-            list.push(fault);
-        } else if fault.severity() == Severity::Warning {
-            self.hidden_warnings += 1;
+        match fault.severity() {
+            Severity::Error => {
+                if !self.full() {
+                    self.errors.push(fault);
+                }
+            }
+            Severity::Warning => {
+                if !self.warnings.push(fault) {
+                    self.hidden_warnings += 1;
+                }
+            }
         }
     }
 
     /// Returns the current state, for [`Faults::rewind`].
     pub(crate) fn mark(&self) -> Mark {
         Mark {
-            errors: self.errors.len(),
-            warnings: self.warnings.len(),
+            errors: self.errors.all.len(),
+            warnings: self.warnings.all.len(),
             hidden_warnings: self.hidden_warnings,
         }
     }
@@ -54,19 +96,19 @@ impl Faults {
 
     /// Returns whether there is an error.
     pub fn failed(&self) -> bool {
-        !self.errors.is_empty()
+        !self.errors.all.is_empty()
     }
 
     /// Returns whether further errors would be dropped, so that the caller can stop.
     pub fn full(&self) -> bool {
-        self.errors.len() >= MAX_FAULTS
+        self.errors.is_full()
     }
 
     /// Returns the diagnostics in source order, without duplicates.
     pub fn finish(self) -> Vec<Diagnostic> {
         let full = self.full();
-        let mut list = self.errors;
-        list.extend(self.warnings);
+        let mut list = self.errors.all;
+        list.extend(self.warnings.all);
         let place = |fault: &Diagnostic| {
             fault
                 .primary
@@ -77,10 +119,11 @@ impl Faults {
         // The checker visits a clause with alternatives or several heads several times.
         list.dedup();
         if full {
+            let errors = list.iter().filter(|fault| fault.is_error()).count();
             // The caller may have stopped here, so the number of further errors is unknown.
             list.push(Diagnostic::new(
                 Code::LIMIT_EXCEEDED,
-                format!("more than {MAX_FAULTS} errors; the others are not shown"),
+                format!("more than {errors} errors; the others are not shown"),
             ));
         }
         if self.hidden_warnings > 0
@@ -98,5 +141,53 @@ impl FromIterator<Diagnostic> for Faults {
         let mut faults = Faults::default();
         list.into_iter().for_each(|fault| faults.push(fault));
         faults
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::diag::{SourceId, Sources, Span};
+
+    fn fault(source: SourceId, at: usize, message: &str) -> Diagnostic {
+        Diagnostic::new(Code::UNSUPPORTED, message).at(Span::new(source, at..at + 1), "")
+    }
+
+    #[test]
+    fn faults_that_differ_only_in_their_place_count_once() {
+        let id = Sources::new().add("a.dl", "");
+        let mut faults = Faults::default();
+        for at in 0..500 {
+            faults.push(fault(id, at, "again"));
+        }
+        let mark = faults.mark();
+        for at in 0..MAX_FAULTS - 2 {
+            faults.push(fault(id, at, &format!("other {at}")));
+        }
+        assert!(!faults.full());
+        faults.push(fault(id, 0, "the last"));
+        assert!(faults.full());
+        faults.push(fault(id, 1, "beyond"));
+        let found = faults.clone().finish();
+        assert_eq!(found.len(), 500 + MAX_FAULTS - 1 + 1);
+        assert!(
+            found
+                .iter()
+                .any(|fault| fault.message.starts_with("more than 599 errors"))
+        );
+        faults.rewind(mark);
+        assert!(!faults.full());
+        assert_eq!(faults.finish().len(), 500);
+    }
+
+    #[test]
+    fn the_places_of_one_fault_are_bounded() {
+        let id = Sources::new().add("a.dl", "");
+        let mut faults = Faults::default();
+        for at in 0..10_000 {
+            faults.push(fault(id, at, "again"));
+        }
+        assert!(faults.full());
+        assert_eq!(faults.finish().len(), 1 + MAX_REPEATS + 1);
     }
 }

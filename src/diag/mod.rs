@@ -162,6 +162,16 @@ impl Diagnostic {
         self.code.severity()
     }
 
+    /// Returns whether another diagnostic says the same about another place.
+    pub fn repeats(&self, other: &Diagnostic) -> bool {
+        let (Some(label), Some(other_label)) = (&self.primary, &other.primary) else {
+            return false;
+        };
+        (self.code, &self.message, self.limit) == (other.code, &other.message, other.limit)
+            && label.message == other_label.message
+            && (&self.secondary, &self.notes, &self.help) == (&other.secondary, &other.notes, &other.help)
+    }
+
     /// Returns whether this is an error, which makes the input unusable.
     pub fn is_error(&self) -> bool {
         self.severity() == Severity::Error

@@ -12,19 +12,52 @@ const MAX_LINE: usize = 2000;
 /// Places with more lines between them are shown in separate excerpts.
 const MAX_GAP: usize = 200;
 
-/// Renders diagnostics as text with source lines and carets, separated by blank lines. `color` adds terminal styles.
-/// Text of users, names of files included, is [`neutral`].
+/// The number of further places of a diagnostic to name.
+const PLACES_SHOWN: usize = 3;
+
+/// Renders diagnostics as text with source lines and carets, separated by blank lines. Those that differ only in their
+/// place are one, with a note about the other places. `color` adds terminal styles. Text of users, names of files
+/// included, is [`neutral`].
 pub fn render(diagnostics: &[Diagnostic], sources: &Sources, color: bool) -> String {
     let renderer = if color { Renderer::styled() } else { Renderer::plain() };
+    let mut different: Vec<(&Diagnostic, Vec<Span>)> = Vec::new();
+    for diagnostic in diagnostics {
+        let known = different.iter_mut().find(|(known, _)| known.repeats(diagnostic));
+        match (known, &diagnostic.primary) {
+            (Some((_, places)), Some(label)) => places.push(label.span),
+            _ => different.push((diagnostic, Vec::new())),
+        }
+    }
     let mut out = String::new();
-    for (index, diagnostic) in diagnostics.iter().enumerate() {
+    for (index, (diagnostic, places)) in different.into_iter().enumerate() {
         if index > 0 {
             out.push('\n');
         }
-        out.push_str(&render_one(diagnostic, sources, &renderer));
+        let rendered = match places.is_empty() {
+            true => render_one(diagnostic, sources, &renderer),
+            false => render_one(&diagnostic.clone().note(also_at(&places, sources)), sources, &renderer),
+        };
+        out.push_str(&rendered);
         out.push('\n');
     }
     out
+}
+
+/// Names the further places of a diagnostic.
+fn also_at(places: &[Span], sources: &Sources) -> String {
+    let shown = places.iter().take(PLACES_SHOWN);
+    let shown: Vec<String> = shown.map(|&span| sources.locate(span)).collect();
+    let also = match &shown[..] {
+        [most @ .., last] if !most.is_empty() && places.len() <= PLACES_SHOWN => {
+            format!("{} and {last}", most.join(", "))
+        }
+        _ => shown.join(", "),
+    };
+    match places.len() - shown.len() {
+        0 => format!("also at {also}"),
+        1 => format!("also at {also} and 1 more place"),
+        more => format!("also at {also} and {more} more places"),
+    }
 }
 
 fn render_one(diagnostic: &Diagnostic, sources: &Sources, renderer: &Renderer) -> String {
@@ -234,6 +267,38 @@ mod tests {
             assert!(text.contains(part), "{part} is missing in\n{text}");
         }
         assert!(!text.contains("end"));
+    }
+
+    #[test]
+    fn a_repeated_diagnostic_is_drawn_once_with_its_further_places() {
+        let mut sources = Sources::new();
+        let id = sources.add("a.dl", "x\n".repeat(100));
+        let other = sources.add("b.dl", "x\n");
+        let at = |source, line: usize| fault(source, 2 * line..2 * line + 1);
+        let note = |faults: &[Diagnostic]| {
+            let text = render(faults, &sources, false);
+            let notes = text.lines().filter_map(|line| line.split_once("note: "));
+            (
+                text.matches("error[").count(),
+                notes.map(|(_, note)| note.to_owned()).collect::<Vec<_>>(),
+            )
+        };
+        assert_eq!(note(&[at(id, 0)]), (1, vec![]));
+        assert_eq!(
+            note(&[at(id, 0), at(other, 0)]),
+            (1, vec!["also at b.dl:1:1".to_owned()])
+        );
+        let some = [0, 4, 9].map(|line| at(id, line));
+        assert_eq!(note(&some), (1, vec!["also at a.dl:5:1 and a.dl:10:1".to_owned()]));
+        let many: Vec<Diagnostic> = (0..100).map(|line| at(id, line)).collect();
+        let places = "also at a.dl:2:1, a.dl:3:1, a.dl:4:1 and 96 more places";
+        assert_eq!(note(&many), (1, vec![places.to_owned()]));
+        let helped = at(id, 1).help("do that");
+        assert_eq!(
+            note(&[at(id, 0), helped]),
+            (2, vec![]),
+            "another help makes it another fault"
+        );
     }
 
     #[test]

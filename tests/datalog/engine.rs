@@ -1603,6 +1603,10 @@ fn faulty_facts_are_located_and_nothing_is_inserted() {
     );
     assert!(session.commit().unwrap().is_empty());
     let many = load(&mut session, "R", &"x\n".repeat(100_000)).unwrap_err();
+    assert_eq!(many.len(), 1002);
+    assert_eq!(many[1001], "more than 1001 errors; the others are not shown");
+    let different: String = (0..1000).map(|count| "x\t".repeat(count) + "\n").collect();
+    let many = load(&mut session, "R", &different).unwrap_err();
     assert_eq!(many.len(), MAX_FAULTS + 1);
     assert_eq!(many[MAX_FAULTS], "more than 100 errors; the others are not shown");
 }

@@ -124,6 +124,8 @@ const UNSUPPORTED: &[&str] = &[
     ".decl o(x: number, y: L«<>)\n.input o",
     "«.lattice L<> { Bottom -> 1 }\n.decl o(x: number, y: L«<>)\n.decl m(x: L)\n.input o, m",
     ".decl o(x: a«.T)",
+    ".decl o(x: number, «\\\n  y: number)\n.input o",
+    "p(x, y) :- p(y, x), «\\ \r\n  p(x, _).",
     ".decl o = «debug_delta(p)",
     ".type R = «[a: number, b: R]",
     ".type R\n  = «[\n a: number ]",
@@ -184,6 +186,19 @@ fn each_unsupported_construct_has_one_diagnostic_and_ends() {
             wrong.push((text, found));
         }
     }
+    assert!(wrong.is_empty(), "{wrong:#?}");
+}
+
+#[test]
+fn each_unsupported_construct_has_an_alternative() {
+    let lacks_help = |construct: &&&str| {
+        let mut sources = Sources::new();
+        let text = format!(".decl p(x: number, y: number)\n.output p\np(1, 2).\n{construct}").replace('«', "");
+        let entry = sources.add("a.dl", text);
+        let found = load(&mut sources, entry, &RuleFiles).diagnostics;
+        found.iter().any(|fault| fault.help.is_empty())
+    };
+    let wrong: Vec<&&str> = UNSUPPORTED.iter().filter(lacks_help).collect();
     assert!(wrong.is_empty(), "{wrong:#?}");
 }
 
@@ -255,4 +270,20 @@ fn an_aggregate_takes_any_expression() {
     let other = ".decl A(x: number)\n.decl M(y: number)\n.input A\n.output M\nM(y) :- A(max), A(min), y = max - min.\n\
                  M(y) :- A(max), A(x), y = max(x, max) - min(x, 1), y > max - count : { A(_) }.\n";
     assert_eq!(diagnostics(other), []);
+}
+
+#[test]
+fn witnesses_within_a_count_are_local_to_it() {
+    let text = |op: &str| {
+        let body = format!("n = {op} : {{ a(x), x > min y : {{ b(y, w) }} }}");
+        format!(".decl a(x: number)\n.decl b, c(n: number, w: number)\n.input a, b\n.output c\nc(n, w) :- {body}.\n")
+    };
+    for op in ["count", "sum x", "mean to_float(x)"] {
+        let found = diagnostics(&text(op));
+        assert!(
+            found.iter().any(|(code, ..)| *code == "unbound-variable"),
+            "{op} {found:?}"
+        );
+    }
+    assert_eq!(diagnostics(&text("max x")), []);
 }

@@ -709,6 +709,17 @@ impl Lexer<'_> {
         };
         let length = self.count_while(start, strange);
         let first = self.text[start..].chars().next().unwrap_or('\u{fffd}');
+        let line_ends = || {
+            let rest = self.text[start + length..].lines().next();
+            rest.is_none_or(|rest| rest.trim().is_empty())
+        };
+        if first == '\\' && length == 1 && line_ends() {
+            let fault = Diagnostic::new(Code::UNSUPPORTED, "a backslash at the end of a line is not supported");
+            let fault = fault.at(self.span(start, start + length), "");
+            self.faults.push(fault.remove(self.span(start, start + length)));
+            self.at += length;
+            return;
+        }
         let message = if first.is_control() {
             format!("unexpected character U+{:04X}", u32::from(first))
         } else {

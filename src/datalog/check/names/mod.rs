@@ -502,7 +502,8 @@ fn read_options(mark: &Mark, faults: &mut Faults) -> Directive {
             "compress" if mark.kind != MarkKind::PrintSize => compress = flag,
             "dbname" => {
                 let fault = Diagnostic::new(Code::UNSUPPORTED, "the option `dbname` is not supported");
-                faults.push(fault.at(option.key.place.0, ""));
+                let help = "keep the rows of each table in a file: `sqlite3 -tabs FILE 'SELECT * FROM A' > A.facts`";
+                faults.push(fault.at(option.key.place.0, "").help(help));
             }
             key => {
                 let fault = Diagnostic::new(Code::IGNORED, format!("the option `{key}` has no effect"));

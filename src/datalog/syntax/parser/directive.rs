@@ -8,7 +8,10 @@ use crate::datalog::syntax::ast::{
 use crate::datalog::syntax::lexer::{Kind, Token};
 use crate::diag::{Code, Diagnostic, did_you_mean};
 
-use crate::datalog::syntax::parser::{DIRECTIVES, FOREIGN_DIRECTIVES, OLD_TYPES, Parse, Parser, Reported};
+use crate::datalog::syntax::parser::{
+    BRANCHES, COMPONENTS, DIRECTIVES, FOREIGN_DIRECTIVES, FUNCTORS, LATTICES, OLD_TYPES, Parse, Parser, RECORDS,
+    Reported,
+};
 
 /// The qualifiers of Soufflé that the parser accepts after the columns of a declaration.
 const QUALIFIERS: &[&str] = &[
@@ -102,7 +105,9 @@ impl Parser<'_> {
                     let verb = if what.contains('(') { "are" } else { "is" };
                     let help = match name {
                         "limitsize" => "remove it; evaluation stops when the rules derive too many rows",
-                        _ => "",
+                        "functor" => FUNCTORS,
+                        "lattice" => LATTICES,
+                        _ => COMPONENTS,
                     };
                     self.unsupported(span, &format!("{what} {verb}"), help);
                     let declared = self.token();
@@ -295,7 +300,7 @@ impl Parser<'_> {
             // `.decl D = debug_delta(P)`
             self.bump();
             let word = self.bump();
-            self.unsupported(self.span(word), "`debug_delta` is", "");
+            self.unsupported(self.span(word), "`debug_delta` is", "remove the declaration");
             self.skip_group(Kind::LParen, Kind::RParen, false);
             return Ok(Decl {
                 names,
@@ -368,7 +373,7 @@ impl Parser<'_> {
                 let span = self.span(self.token()).to(self.span(self.ahead(1)));
                 self.bump();
                 self.bump();
-                self.unsupported(span, "lattices (`<>`) are", "");
+                self.unsupported(span, "lattices (`<>`) are", LATTICES);
                 known = false;
             }
             columns.push(ColumnDecl { name, ty });
@@ -513,7 +518,7 @@ impl Parser<'_> {
         let token = self.token();
         if token.kind == Kind::LBracket {
             self.skip_group(Kind::LBracket, Kind::RBracket, false);
-            self.unsupported(self.span(token), "record types are", "");
+            self.unsupported(self.span(token), "record types are", RECORDS);
             return Ok(TypeDefinition::Faulty);
         }
         let mut members = Vec::new();
@@ -527,7 +532,7 @@ impl Parser<'_> {
                     self.skip_name();
                     self.skip_group(Kind::LBrace, Kind::RBrace, false);
                 }
-                self.unsupported(self.span(start), "algebraic data types are", "");
+                self.unsupported(self.span(start), "algebraic data types are", BRANCHES);
                 return Ok(TypeDefinition::Faulty);
             }
             if !self.eat(Kind::Pipe) {

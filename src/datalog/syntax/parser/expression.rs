@@ -7,7 +7,7 @@ use crate::diag::{Code, Diagnostic};
 use core::net::Ipv4Addr;
 
 use crate::datalog::syntax::parser::clause::comparison;
-use crate::datalog::syntax::parser::{Parse, Parser, Reported};
+use crate::datalog::syntax::parser::{BRANCHES, EXPAND, FUNCTORS, NESTED, NUMBERED, Parse, Parser, RECORDS, Reported};
 
 /// Maximum height of an expression: an operator or function is one level above its highest operand.
 const MAX_HEIGHT: usize = 256;
@@ -208,11 +208,15 @@ impl Parser<'_> {
             return Ok((self.aggregate()?, 0));
         }
         if word == "nil" || self.ahead(1).kind == Kind::LBracket {
-            let what = if word == "nil" { "nil" } else { "[...]" };
-            return Err(self.unsupported(self.span(start), &format!("records (`{what}`) are"), ""));
+            let (what, help) = if word == "nil" {
+                ("nil", NESTED)
+            } else {
+                ("[...]", RECORDS)
+            };
+            return Err(self.unsupported(self.span(start), &format!("records (`{what}`) are"), help));
         }
         if matches!(word, "__FILE__" | "__LINE__" | "__INCL__") {
-            return Err(self.unsupported(self.span(start), &format!("`{word}` of the C preprocessor is"), ""));
+            return Err(self.unsupported(self.span(start), &format!("`{word}` of the C preprocessor is"), EXPAND));
         }
         if !applied {
             self.bump();
@@ -234,7 +238,7 @@ impl Parser<'_> {
             return self.applied_aggregate(name);
         }
         let help = match word {
-            "autoinc" => "",
+            "autoinc" => NUMBERED,
             _ => "an argument is a variable, a constant, `_` or an expression; the reference lists the functors",
         };
         self.unsupported(self.span(name), &format!("the functor `{word}` is"), help)
@@ -306,13 +310,14 @@ impl Parser<'_> {
             return Err(self.asp_aggregate());
         }
         let foreign = match token.kind {
-            Kind::LBracket => "records (`[...]`) are",
-            Kind::Dollar => "algebraic data types and counters (`$`) are",
-            Kind::At => "user-defined functors (`@`) are",
-            _ => "",
+            Kind::LBracket => Some(("records (`[...]`) are", RECORDS)),
+            Kind::Dollar if self.ahead(1).kind == Kind::Ident => Some(("algebraic data types (`$`) are", BRANCHES)),
+            Kind::Dollar => Some(("counters (`$`) are", NUMBERED)),
+            Kind::At => Some(("user-defined functors (`@`) are", FUNCTORS)),
+            _ => None,
         };
-        if !foreign.is_empty() {
-            return Err(self.unsupported(self.span(token), foreign, ""));
+        if let Some((foreign, help)) = foreign {
+            return Err(self.unsupported(self.span(token), foreign, help));
         }
         let kind = match token.kind {
             Kind::Underscore => TermKind::Wildcard,

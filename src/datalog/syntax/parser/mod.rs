@@ -51,6 +51,29 @@ pub const DIRECTIVES: &[&str] = &[
 /// Help for what only the C preprocessor understands.
 const EXPAND: &str = "let the preprocessor write another file, with `cpp -P FILE`, and check that";
 
+/// Help for records.
+const RECORDS: &str = "give each field a column of its own: `At(x, row, col)` in place of `At(x, [row, col])`";
+
+/// Help for values that have records as parts, of any depth.
+const NESTED: &str =
+    "name each value by a constant and keep its parts in a predicate, such as `Cell(list, first, rest)`";
+
+/// Help for algebraic data types.
+const BRANCHES: &str = "keep the values of each branch in a predicate, such as `Circle(shape, radius)`";
+
+/// Help for counters.
+const NUMBERED: &str = "number the rows by their order: `n = count : { A(y), y < x }`";
+
+/// Help for components.
+const COMPONENTS: &str =
+    "write out the clauses of the component for each instance, with names such as `graph_edge` for `graph.edge`";
+
+/// Help for functors of the user.
+const FUNCTORS: &str = "compute the values beforehand, and read them as the facts of a predicate";
+
+/// Help for lattices.
+const LATTICES: &str = "derive all values, and choose among them with `min` or `max` in another predicate";
+
 /// Returns whether a token of this kind can be the last one of a literal.
 fn ends_literal(kind: Kind) -> bool {
     use Kind::{
@@ -589,7 +612,7 @@ impl<'a> Parser<'a> {
                 self.bump();
             }
             let span = self.place_from(token).0;
-            return Err(self.unsupported(span, "names with a dot (components) are", ""));
+            return Err(self.unsupported(span, "names with a dot (components) are", COMPONENTS));
         }
         Ok(Name {
             text: self.slice(token).to_owned(),
