@@ -388,6 +388,32 @@ fn explained(text: &str, facts: &[(&str, &[&[i32]])], name: &str, row: &[i32]) -
 }
 
 #[test]
+fn alternatives_and_other_heads_of_an_absence_share_a_line() {
+    let text = "
+.decl e(x: number)
+.decl a(x: number, y: number)
+.input e
+a(x, 1) :- e(x).
+a(x, 2) :- e(x), (x > 3; x > 4; x > 5).
+a(x, 3) :- (e(x); e(y), x = y * 2; e(x), x > 1; e(x), x > 2), x < 9.
+a(x, 4) :- e(x).
+a(4, y) :- e(y), y = 3.
+";
+    assert_eq!(
+        explained(text, &[("e", &[&[7]])], "a", &[3, 3]),
+        "\
+Not(a(3, 3)): no clause of a holds
+├─ a(x, 3) :- (e(x); e(y), x = y * 2; e(x), x > 1; e(x), x > 2), x < 9.  [rules.dl:7]
+│  ├─ e(3) does not hold
+│  └─ nearest y = 7: 3 = 7 * 2 fails: it is 14
+├─ a(4, y) :- e(y), y = 3.  [rules.dl:9]
+│  └─ its head has another value in column 1
+└─ the heads of 3 clauses have another value in column 2  [rules.dl:5, rules.dl:6, rules.dl:8]
+"
+    );
+}
+
+#[test]
 fn trees_are_printed_as_expected() {
     let text = "
 .decl edge(x: number, y: number)

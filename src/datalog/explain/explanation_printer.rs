@@ -11,7 +11,7 @@ use crate::datalog::value::Value;
 use crate::diag::Sources;
 use crate::symbol::{Symbol, Symbols};
 use serde_json::{Map, json};
-use std::collections::HashSet;
+use std::collections::{BTreeMap, HashSet};
 
 /// Prints explanations in the notation of the paper: `Not(IsAmbulance(Car_3))`.
 ///
@@ -25,6 +25,9 @@ pub struct ExplanationPrinter<'a> {
     /// Whether symbols always stand in quotes, even if they read as names.
     quotes: bool,
 }
+
+/// The number of clauses to name whose heads have other values.
+const HEADS_SHOWN: usize = 5;
 
 /// A line with its child lines.
 struct Item {
@@ -670,24 +673,75 @@ impl Drawing<'_> {
             }
             AbsenceReason::NoClause(misses) => {
                 item.text = format!("{}: no clause of {} holds", item.text, relation.name);
-                for miss in misses {
-                    let mut child = Item::leaf(self.printer.title(miss.clause));
-                    child.children = self.failures(miss, depth);
+                let bodies = |miss: &&Miss| matches!(miss.obstacle, Obstacle::Body { .. });
+                let (bodies, heads): (Vec<&Miss>, Vec<&Miss>) = misses.iter().partition(bodies);
+                // The alternatives of a clause follow each other.
+                let span = |miss: &Miss| self.printer.rules.clauses[miss.clause.index()].span;
+                for alternatives in bodies.chunk_by(|one, other| span(one) == span(other)) {
+                    let mut child = Item::leaf(self.printer.title(alternatives[0].clause));
+                    let mut known = HashSet::new();
+                    for miss in alternatives {
+                        if known.insert(self.failing(miss)) {
+                            child.children.extend(self.failures(miss, depth));
+                        }
+                    }
                     item.children.push(child);
+                }
+                item.children.extend(self.other_heads(&heads));
+            }
+        }
+    }
+
+    /// Returns the failing literals of a clause under the nearest binding, as text.
+    fn failing(&self, miss: &Miss) -> Vec<String> {
+        let clause = &self.printer.rules.clauses[miss.clause.index()];
+        match &miss.obstacle {
+            Obstacle::Head { .. } => Vec::new(),
+            Obstacle::Body { binding, failures } => {
+                let literals = failures.iter().map(|failure| &clause.body[failure.literal]);
+                literals
+                    .map(|literal| self.printer.literal(clause, literal, binding))
+                    .collect()
+            }
+        }
+    }
+
+    /// Describes clauses whose heads have other values, with one line for all of a column.
+    fn other_heads(&self, misses: &[&Miss]) -> Vec<Item> {
+        let mut by_column: BTreeMap<usize, Vec<ClauseId>> = BTreeMap::new();
+        for miss in misses {
+            if let Obstacle::Head { column } = miss.obstacle {
+                let clauses = by_column.entry(column + 1).or_default();
+                let span = |clause: &ClauseId| self.printer.rules.clauses[clause.index()].span;
+                if clauses.iter().all(|known| span(known) != span(&miss.clause)) {
+                    clauses.push(miss.clause);
                 }
             }
         }
+        let described = by_column.into_iter().map(|(column, clauses)| match &clauses[..] {
+            [clause] => Item {
+                text: self.printer.title(*clause),
+                children: vec![Item::leaf(format!("its head has another value in column {column}"))],
+            },
+            all => {
+                let place = |clause: &ClauseId| self.printer.place(&self.printer.rules.clauses[clause.index()]);
+                let mut places: Vec<String> = all.iter().map(place).take(HEADS_SHOWN).collect();
+                if all.len() > HEADS_SHOWN {
+                    places.push("...".to_owned());
+                }
+                let (count, places) = (all.len(), places.join(", "));
+                Item::leaf(format!(
+                    "the heads of {count} clauses have another value in column {column}  [{places}]"
+                ))
+            }
+        });
+        described.collect()
     }
 
     fn failures(&mut self, miss: &Miss, depth: usize) -> Vec<Item> {
         let clause = &self.printer.rules.clauses[miss.clause.index()];
         let (binding, failures) = match &miss.obstacle {
-            Obstacle::Head { column } => {
-                return vec![Item::leaf(format!(
-                    "its head has another value in column {}",
-                    column + 1
-                ))];
-            }
+            Obstacle::Head { .. } => return self.other_heads(&[miss]),
             Obstacle::Body { binding, failures } => (binding, failures),
         };
         let in_head = |name: &str| {

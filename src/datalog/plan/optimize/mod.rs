@@ -21,7 +21,7 @@ use crate::datalog::check::{
 use crate::datalog::syntax::ast::{BaseType, Comparison};
 use crate::datalog::syntax::quoted;
 use crate::datalog::value::Value;
-use crate::diag::{Code, Diagnostic, Sources};
+use crate::diag::{Code, Diagnostic, Sources, Span};
 use crate::symbol::Symbol;
 use saturate::Knowledge;
 use std::borrow::Cow;
@@ -186,7 +186,7 @@ pub fn lints(rules: &Rules, sources: &Sources) -> Lints {
         }));
     }
     let (parts, all_parts) = repeated::repeated(rules);
-    lints.extend(parts.iter().map(|uses| worth_a_name(rules, uses)));
+    lints.extend(parts.iter().filter_map(|uses| worth_a_name(rules, uses)));
     lints.sort_by_key(|lint| lint.primary.as_ref().map(|label| (label.span.source, label.span.start)));
     let unfinished = [
         (
@@ -206,9 +206,19 @@ pub fn lints(rules: &Rules, sources: &Sources) -> Lints {
     }
 }
 
-/// The warning about a part that several bodies share.
-fn worth_a_name(rules: &Rules, uses: &[repeated::Use]) -> Diagnostic {
+/// The warning about a part that the bodies of several written clauses share. Alternatives and heads of one clause share
+/// what is written once.
+fn worth_a_name(rules: &Rules, uses: &[repeated::Use]) -> Option<Diagnostic> {
     let first = &uses[0];
+    let mut spans: Vec<Span> = Vec::new();
+    for span in uses.iter().map(|one| rules.clauses[one.clause].span) {
+        if !spans.contains(&span) {
+            spans.push(span);
+        }
+    }
+    if spans.len() < 2 {
+        return None;
+    }
     let clause = &rules.clauses[first.clause];
     let literals = first.positions.iter();
     let body: Vec<String> = literals.map(|&index| shown_literal(rules, clause, index)).collect();
@@ -220,18 +230,18 @@ fn worth_a_name(rules: &Rules, uses: &[repeated::Use]) -> Diagnostic {
             _ => None,
         })
         .collect();
-    let lint = Diagnostic::new(Code::REPEATED_BODY, format!("{} clauses repeat `{body}`", uses.len()))
+    let lint = Diagnostic::new(Code::REPEATED_BODY, format!("{} clauses repeat `{body}`", spans.len()))
         .at(clause.span, "first used here");
-    let others = uses[1..].iter().map(|one| rules.clauses[one.clause].span);
-    let lint = { others.take(USES_SHOWN) }.fold(lint, |lint, span| lint.also(span, "repeated here"));
-    let lint = match uses.len().saturating_sub(1 + USES_SHOWN) {
+    let others = spans[1..].iter().take(USES_SHOWN);
+    let lint = others.fold(lint, |lint, &span| lint.also(span, "repeated here"));
+    let lint = match spans.len().saturating_sub(1 + USES_SHOWN) {
         0 => lint,
         more => lint.note(format!("repeated in {more} more clauses")),
     };
-    lint.help(format!(
+    Some(lint.help(format!(
         "define a predicate for it and use that: `Name({}) :- {body}.`",
         variables.join(", ")
-    ))
+    )))
 }
 
 fn redundant(
@@ -464,7 +474,7 @@ fn premises(rules: &Rules, theory: &Constraints, clause: &Clause, by: &Clause, m
 
 // --- messages
 
-fn span(literal: &Literal) -> crate::diag::Span {
+fn span(literal: &Literal) -> Span {
     match literal {
         Literal::Positive(atom) | Literal::Negative(atom) | Literal::Guard(atom) | Literal::Aggregate { atom, .. } => {
             atom.span
