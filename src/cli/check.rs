@@ -4,7 +4,7 @@ use crate::builtin::BuiltinFiles;
 use crate::city::Action;
 use crate::cli::configuration::{self, Checked, Opened};
 use crate::cli::trace::TraceReader;
-use crate::cli::{Failure, LimitOptions, load_workspace_from, plural, report, terminal};
+use crate::cli::{Failure, LimitOptions, inputs_of, load_workspace_from, plural, report, terminal};
 use crate::datalog::dense::{self, Unsupported};
 use crate::datalog::diff::{Cut, Equivalence};
 use crate::datalog::explain::ExplanationPrinter;
@@ -93,6 +93,8 @@ pub fn run(arguments: &Arguments, sources: &mut Sources) -> Result<(), Failure> 
 struct Report {
     /// The contents of the configuration, if the file is one.
     configuration: Option<Checked>,
+    /// Whether the rules are for a city.
+    in_city: bool,
     program: Option<Program>,
     found: Vec<Diagnostic>,
     /// The searches that reached a limit.
@@ -106,6 +108,7 @@ struct Report {
 fn examine(arguments: &Arguments, path: &Path, files: &dyn ReadFile, sources: &mut Sources) -> Result<Report, Failure> {
     let mut report = Report {
         configuration: None,
+        in_city: false,
         program: None,
         found: Vec::new(),
         unfinished: Vec::new(),
@@ -143,11 +146,9 @@ fn examine(arguments: &Arguments, path: &Path, files: &dyn ReadFile, sources: &m
     };
     let loaded = match load_workspace_from(sources, path, Edb::Fixed, files) {
         Ok(mut texts) => {
-            // A city computes its input.
-            let for_city = given.is_some()
-                || report.configuration.is_some()
-                || Action::ALL.iter().any(|action| texts.declares(action.name()));
-            texts.set_inputs(if for_city { Edb::Fixed } else { Edb::Extensible });
+            let inputs = inputs_of(&texts, given.is_some() || report.configuration.is_some());
+            report.in_city = inputs == Edb::Fixed;
+            texts.set_inputs(inputs);
             texts.check()
         }
         Err(Failure::Input(faults)) => {
@@ -237,7 +238,9 @@ impl Report {
         let clauses = rules.clauses.iter().filter(is_written).count();
         writeln!(out, "{}: {}", path.display(), plural(clauses, "clause"))?;
         writeln!(out, "  strata: {}", strata.join(" < "))?;
-        print_executors(out, rules, sources)?;
+        if self.in_city {
+            print_executors(out, rules, sources)?;
+        }
         for what in &self.unfinished {
             writeln!(
                 out,

@@ -3,7 +3,7 @@
 use crate::builtin::BuiltinFiles;
 use crate::city::Action;
 use crate::cli::configuration::{Checked, open_run};
-use crate::cli::{Failure, integer, load_program, load_workspace_from, report, terminal};
+use crate::cli::{Failure, compile, inputs_of, integer, load_workspace, load_workspace_from, report, terminal};
 use crate::config::rule_file;
 use crate::datalog::diff::{Cut, Difference, Equivalence, Options, diff, premises};
 use crate::datalog::{BaseType, Clause, Comparison, Edb, Literal, Rules, Term, is_name, quoted};
@@ -59,8 +59,13 @@ pub fn run(arguments: &Arguments, sources: &mut Sources) -> Result<u8, Failure> 
         None => None,
         Some(config) => Some(open_run(config, sources)?),
     };
-    let (left, mut warnings) = load_program(sources, &paths[0])?;
-    let (right, more) = load_program(sources, &paths[1])?;
+    let mut load = |path| {
+        let mut texts = load_workspace(sources, path, Edb::Fixed)?;
+        texts.set_inputs(inputs_of(&texts, city.is_some()));
+        compile(&texts)
+    };
+    let (left, mut warnings) = load(&paths[0])?;
+    let (right, more) = load(&paths[1])?;
     warnings.extend(more);
     if let Some(city) = &city {
         for (program, path) in [(&left, &paths[0]), (&right, &paths[1])] {
@@ -311,7 +316,8 @@ fn restricted(
             overlay.text += ".\n";
         }
     }
-    let workspace = load_workspace_from(sources, &overlay.path, Edb::Fixed, &overlay)?;
+    let mut workspace = load_workspace_from(sources, &overlay.path, Edb::Fixed, &overlay)?;
+    workspace.set_inputs(inputs_of(&workspace, false));
     let entry = overlay.path.display().to_string();
     let entry = sources.ids().filter(|&id| sources.name(id) == entry).last();
     let place = Typed {

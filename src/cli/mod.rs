@@ -38,7 +38,7 @@ mod view;
 mod why;
 
 use crate::builtin::BuiltinFiles;
-use crate::city::MapConfig;
+use crate::city::{Action, MapConfig};
 use crate::config::{load_map, missing_file, rule_file};
 use crate::datalog::{Edb, Limits, Program, Workspace};
 use crate::diag::{Code, Diagnostic, Limit, Sources, neutral, render, similar_file};
@@ -781,9 +781,13 @@ fn advised(diagnostics: &[Diagnostic]) -> Vec<Diagnostic> {
     advised.collect()
 }
 
-/// Reads, checks and plans a rule file. Also returns the warnings.
-fn load_program(sources: &mut Sources, path: &Path) -> Result<(Program, Vec<Diagnostic>), Failure> {
-    compile(&load_workspace(sources, path, Edb::Fixed)?)
+/// Returns whether rules may derive `.input` predicates. A city computes its input, so no rule may derive that: the rules
+/// are for a city if they are checked for one or declare an action.
+fn inputs_of(texts: &Workspace, in_city: bool) -> Edb {
+    match in_city || Action::ALL.iter().any(|action| texts.declares(action.name())) {
+        true => Edb::Fixed,
+        false => Edb::Extensible,
+    }
 }
 
 /// Checks and plans rules. Also returns the warnings.

@@ -297,6 +297,7 @@ pub(super) fn load_inputs(folder: &Path, session: &mut Session, sources: &mut So
         return Err(Failure::file("read facts from", folder, "no such folder"));
     }
     let program = session.program().clone();
+    refuse_missing(&program, folder)?;
     let mut faults = Vec::new();
     for (id, relation) in relations(&program) {
         for directive in relation
@@ -321,6 +322,22 @@ pub(super) fn load_inputs(folder: &Path, session: &mut Session, sources: &mut So
         }
     }
     if faults.is_empty() { Ok(()) } else { Err(faults.into()) }
+}
+
+/// Refuses to read facts if several files are missing, and names them all.
+fn refuse_missing(program: &Program, folder: &Path) -> Result<(), Failure> {
+    let paths = input_paths(program, folder).into_iter();
+    let missing: Vec<String> = paths
+        .filter(|path| path.as_os_str() != "-" && !path.exists())
+        .map(|path| format!("`{}`", path.display()))
+        .collect();
+    if missing.len() < 2 {
+        return Ok(());
+    }
+    let (count, missing) = (missing.len(), missing.join(", "));
+    Err(Failure::Usage(format!(
+        "{count} files of facts are missing: {missing}\nhelp: an empty file stands for a predicate without facts"
+    )))
 }
 
 /// Returns the contents of a file that may be compressed with gzip, which its first two bytes show.

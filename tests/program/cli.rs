@@ -2575,3 +2575,61 @@ fn the_summary_counts_facts_of_actions() {
             .any(|clause| clause["text"] == "Stop(X) :- CollidingClose(X, Y).")
     );
 }
+
+#[test]
+fn missing_facts_are_named_at_once() {
+    let folder = tempfile::tempdir().unwrap();
+    let text = ".decl A, B, C(x: symbol)\n.input A, B, C\n.output C\n";
+    let rules = write(folder.path(), "rules.dl", text);
+    let facts = folder.path().to_str().unwrap();
+    let query = || logicity(["query", &rules, "-F", facts, "-D", "-"]);
+    fails(
+        &query(),
+        2,
+        &[
+            "3 files of facts are missing",
+            "A.facts`",
+            "B.facts`",
+            "C.facts`",
+            "an empty file",
+        ],
+    );
+    write(folder.path(), "A.facts", "");
+    write(folder.path(), "C.facts", "");
+    fails(&query(), 2, &["cannot read the facts of `B`", "no such file"]);
+    write(folder.path(), "B.facts", "");
+    assert_eq!(code(&query()), 0);
+}
+
+#[test]
+fn check_names_executors_only_for_cities() {
+    let folder = tempfile::tempdir().unwrap();
+    let general = ".decl A(x: number, y: number)\n.input A\n.decl B(x: number)\n.output B\nB(x) :- A(x, 7).\n";
+    let general = write(folder.path(), "general.dl", general);
+    let city = ".include \"vocabulary.dl\"\nStop(X) :- CollidingClose(X, \"Car_1\").\n";
+    let city = write(folder.path(), "city.dl", city);
+    let printed = |rules: &str| out(&logicity(["check", rules]));
+    assert!(printed(&general).ends_with("strata: B\n"), "{}", printed(&general));
+    assert!(printed(&city).contains("Stop cannot be dense"), "{}", printed(&city));
+}
+
+#[test]
+fn a_fault_in_many_places_is_printed_once() {
+    let folder = tempfile::tempdir().unwrap();
+    let text =
+        ".type id = [ctr: number, node: number]\n.decl insert(x: id)\n".to_owned() + &"insert([1, 0]).\n".repeat(150);
+    let rules = write(folder.path(), "rules.dl", text);
+    let check = logicity(["check", &rules]);
+    fails(
+        &check,
+        1,
+        &[
+            "records (`[...]`) are not supported",
+            "and 146 more places",
+            "151 errors",
+        ],
+    );
+    assert_eq!(err(&check).matches("error[").count(), 2, "{}", err(&check));
+    let json = logicity(["check", "--json", &rules]);
+    assert_eq!(out(&json).matches("records (`[...]`)").count(), 150);
+}

@@ -464,9 +464,10 @@ fn the_scenes_of_the_reference_behave_as_documented() {
     assert!(count >= 3);
 }
 
-/// `query` accepts rules for an input, and so does `check` unless they are rules for a city, which computes its input.
+/// `query` accepts rules for an input, and so do `check` and `diff` unless they are rules for a city, which computes its
+/// input.
 #[test]
-fn query_and_check_warn_of_a_derived_input_outside_of_cities() {
+fn commands_warn_of_a_derived_input_outside_of_cities() {
     let folder = fixtures().join("extended-input");
     let folder = folder.to_str().unwrap();
     let rules = format!("{folder}/main.dl");
@@ -481,18 +482,55 @@ fn query_and_check_warn_of_a_derived_input_outside_of_cities() {
         "---------------\nEdge\nx\ty\n===============\na\tb\nb\ta\n===============\n"
     );
 
-    let output = logicity(&["check", &rules]);
-    let said = String::from_utf8(output.stderr).unwrap();
-    assert_eq!(output.status.code(), Some(0), "{said}");
-    assert!(said.contains("warning[extended-input]"), "{said}");
+    let folder = tempfile::tempdir().unwrap();
+    let other = |name: &str, clause: &str| {
+        let path = folder.path().join(name);
+        let text = format!(".decl Edge(x: symbol, y: symbol)\n.input Edge\n.output Edge\n{clause}\n");
+        std::fs::write(&path, text).unwrap();
+        path.to_str().unwrap().to_owned()
+    };
+    let same = other("same.dl", "Edge(b, a) :- Edge(a, b), a != b.");
+    let less = other("less.dl", "");
+    let counting = other("counting.dl", "Edge(x, y) :- Edge(y, x), 0 < count : { Edge(y, x) }.");
+    for (arguments, code, words) in [
+        (vec!["check", &rules], 0, ""),
+        (vec!["diff", &rules, &same], 0, "no difference in any scene"),
+        (
+            vec!["diff", &same, &rules, "--given", "X != Y"],
+            0,
+            "no difference in any scene",
+        ),
+        (
+            vec!["diff", &rules, &less],
+            1,
+            r#"derives Edge("e0", "e1"), Edge("e1", "e0")"#,
+        ),
+        (vec!["diff", &less, &rules], 1, r#""facts":{"Edge":[["#),
+    ] {
+        let output = logicity(&arguments);
+        let said = String::from_utf8(output.stderr).unwrap();
+        let answer = String::from_utf8(output.stdout).unwrap();
+        assert_eq!(output.status.code(), Some(code), "{arguments:?} {answer} {said}");
+        assert!(
+            said.contains("warning[extended-input]") && answer.contains(words),
+            "{answer} {said}"
+        );
+    }
+    let output = logicity(&["diff", &less, &counting]);
+    assert!(
+        String::from_utf8(output.stderr)
+            .unwrap()
+            .contains("error[cyclic-negation]")
+    );
 
     let city = tempfile::tempdir().unwrap();
     let city = city.path().join("city.dl");
     let text =
         ".include \"vocabulary.dl\"\nNextTo(X, Y) :- NextTo(Y, X).\nStop(X) :- CollidingClose(X, Y), NextTo(X, Y).\n";
     std::fs::write(&city, text).unwrap();
-    for arguments in [&["check"][..], &["check", "--config", "easy"]] {
-        let output = logicity(&[arguments, &[city.to_str().unwrap()]].concat());
+    let city = city.to_str().unwrap();
+    for arguments in [&["check"][..], &["check", "--config", "easy"], &["diff", city]] {
+        let output = logicity(&[arguments, &[city]].concat());
         let said = String::from_utf8(output.stderr).unwrap();
         assert_eq!(output.status.code(), Some(1), "{said}");
         assert!(said.contains("error[derived-input]"), "{said}");

@@ -373,6 +373,15 @@ fn faults_are_reported_as_the_text_changes() {
 }
 
 #[test]
+fn rules_for_an_input_are_faulty_only_in_a_city() {
+    let mut editor = Editor::start();
+    let general = ".decl Edge(x: symbol, y: symbol)\n.input Edge\n.output Edge\nEdge(x, y) :- Edge(y, x).\n";
+    assert_eq!(codes(&editor.open("general.dl", general)), ["extended-input"]);
+    let city = ".include \"vocabulary.dl\"\nIsCar(X) :- IsBus(X).\nStop(X) :- CollidingClose(X, Y).\n";
+    assert_eq!(codes(&editor.open("city.dl", city)), ["derived-input"]);
+}
+
+#[test]
 fn open_texts_have_precedence_over_files() {
     let mut editor = Editor::start();
     fs::write(editor.path("parts.dl"), ".decl Old(x: symbol)\n.input Old\n").unwrap();

@@ -2,13 +2,14 @@
 
 use crate::builtin;
 use crate::city::Action;
+use crate::cli::inputs_of;
 use crate::cli::lsp::city::City;
 use crate::cli::lsp::place::{Encoding, Text};
 use crate::datalog;
 use crate::datalog::ast;
 use crate::datalog::ast::{Item, Literal, Name, Term, TermKind, TypeDefinition};
 use crate::datalog::print;
-use crate::datalog::{Program, Rules};
+use crate::datalog::{Edb, Program, Rules, Workspace};
 use crate::diag::{Code, Diagnostic, Fix, MAX_FAULTS, SourceId, Sources, Span};
 use crate::files::{BUILTIN_FOLDER, ReadFile, normalize};
 use crate::sim::{Vocabulary, examine};
@@ -103,7 +104,10 @@ impl Analysis {
     pub fn new(path: &Path, text: &str, read: &dyn ReadFile, encoding: Encoding, city: Option<&City>) -> Analysis {
         let mut sources = city.map_or_else(Sources::new, |city| city.sources.clone());
         let entry = sources.add(path.display().to_string(), text);
-        let loaded = datalog::load(&mut sources, entry, read);
+        let mut workspace = Workspace::new(Edb::Fixed);
+        workspace.add(&mut sources, entry, read);
+        workspace.set_inputs(inputs_of(&workspace, city.is_some()));
+        let loaded = workspace.into_checked();
         let mut diagnostics = loaded.diagnostics;
         let mut hints = Vec::new();
         let mut deciding = None;

@@ -20,7 +20,7 @@ mod sat;
 mod trial;
 
 use crate::datalog::check::subsumption::within_theory;
-use crate::datalog::check::{Clause, Constraint, DeclaredConstraint, Literal, RelId, Rules, Term};
+use crate::datalog::check::{Clause, Constraint, DeclaredConstraint, Literal, RelId, Relation, Rules, Term};
 use crate::datalog::naive;
 use crate::datalog::syntax::ast::BaseType;
 use crate::datalog::value::Value;
@@ -372,7 +372,7 @@ fn shared_base(left: &Rules, right: &Rules) -> Result<Vec<Base>, Vec<Diagnostic>
                     .iter()
                     .map(|column| column.base)
                     .eq(columns.iter().copied());
-                let message = match (fits, twin.derived) {
+                let message = match (fits, twin.derived && twin.edb.is_none()) {
                     (true, false) => None,
                     (_, true) => Some(format!(
                         "`{}` is input on one side and derived on the other",
@@ -505,6 +505,16 @@ fn side<'a>(rules: &'a Rules, base: &[Base]) -> Side<'a> {
         }
     }
     let positions: HashMap<&str, usize> = base.iter().map(|base| base.name.as_str()).zip(0..).collect();
+    let position = |relation: &Relation| positions.get(relation.name.as_str()).copied();
+    let mut bases: Vec<Option<usize>> = (rules.relations.iter())
+        .map(|relation| position(relation).filter(|_| !relation.derived))
+        .collect();
+    // Where rules derive further rows of an input predicate, a hidden one has those of the scene.
+    for relation in &rules.relations {
+        if let Some(edb) = relation.edb {
+            bases[edb.index()] = position(relation);
+        }
+    }
     let guards = rules
         .clauses
         .iter()
@@ -517,15 +527,7 @@ fn side<'a>(rules: &'a Rules, base: &[Base]) -> Side<'a> {
         rules,
         clauses,
         stratum,
-        base: (rules.relations.iter())
-            .map(|relation| {
-                if relation.derived {
-                    None
-                } else {
-                    positions.get(relation.name.as_str()).copied()
-                }
-            })
-            .collect(),
+        base: bases,
         facts: HashSet::new(),
         scopes: guards
             .filter(|relation| !rules.relations[relation.index()].derived)
@@ -847,6 +849,7 @@ fn describe(sides: [&Side<'_>; 2], base: &[Base], outputs: &[Output], view: Scop
         let mut rows: Vec<(RelId, Vec<Value>)> = Vec::new();
         for (predicate, row) in &facts {
             if let Some(relation) = side.rules.relation(&base[*predicate].name) {
+                let relation = side.rules.relations[relation.index()].edb.unwrap_or(relation);
                 rows.push((relation, row.iter().map(|&index| word(index)).collect()));
             }
         }

@@ -435,6 +435,7 @@ impl<'a> Trial<'a> {
             let rows: Vec<(RelId, Vec<Value>)> = (all.iter())
                 .filter_map(|(predicate, row)| {
                     let relation = rules.relation(&self.base[*predicate].name)?;
+                    let relation = rules.relations[relation.index()].edb.unwrap_or(relation);
                     let columns = self.columns[*predicate].iter().zip(row);
                     let word = |(base, text): (&BaseType, &String)| match base {
                         BaseType::Symbol => Value(symbols.intern(text).0),
