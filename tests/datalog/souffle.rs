@@ -295,3 +295,17 @@ fn witnesses_are_those_of_literals_that_name_the_value() {
         assert_eq!(codes, ["unbound-variable"], "{body}");
     }
 }
+
+#[test]
+fn a_value_of_a_supertype_has_a_conversion() {
+    let mut sources = Sources::new();
+    let text = |value: &str| {
+        format!(".type T <: symbol\n.decl a(x: symbol)\n.decl b(x: T)\n.input a\n.output b\nb({value}) :- a(x).\n")
+    };
+    let entry = sources.add("a.dl", text("x"));
+    let found = load(&mut sources, entry, &RuleFiles).diagnostics;
+    let help = found.iter().flat_map(|fault| &fault.help).next().map(String::as_str);
+    let wanted = "declare both columns with one type, or convert the value: `as(x, T)`";
+    assert_eq!(help, Some(wanted), "{found:?}");
+    assert_eq!(diagnostics(&text("as(x, T)")), []);
+}

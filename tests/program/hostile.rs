@@ -952,7 +952,7 @@ const POPPER: &[Case] = &[
         1,
         "1 positive example has the same facts",
     ),
-    ("induce --popper popper/faults", 1, "more than 100 errors"),
+    ("induce --popper popper/faults", 1, "and 996 more places"),
     ("induce --popper popper/name", 0, "derive 1 of 1 positive"),
     ("induce --popper popper/links", 1, "more than 64"),
     ("induce --popper popper/product", 1, "--max-rows"),

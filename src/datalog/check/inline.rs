@@ -15,7 +15,7 @@ use std::collections::{HashMap, HashSet};
 use crate::diag::{Code, Diagnostic, Faults, Span};
 
 use crate::datalog::check::strata::components;
-use crate::datalog::check::witness::{Names, bound_names, renamed, renamed_term};
+use crate::datalog::check::witness::{Names, bound_names, renamed, renamed_term, size};
 use crate::datalog::syntax::ast::Comparison;
 use crate::datalog::syntax::ast::{Atom, Clause, Decl, Item, Literal, Name, Term, TermKind};
 use crate::datalog::syntax::ast::{names_in, names_of};
@@ -48,12 +48,14 @@ pub(crate) fn replace(items: &[Item], faults: &mut Faults) -> Option<Vec<Item>> 
         {
             let name = head.predicate.text.as_str();
             meanings.entry(name).or_default().push((head, &clause.body));
-            let bound = bound_names(&clause.body.iter().collect::<Vec<_>>());
-            let is_open =
-                |term: &Term| matches!(&term.kind, TermKind::Variable(name) if !bound.contains(name.as_str()));
-            let says_true = |literal: &Literal| *literal == Literal::Any(vec![Vec::new()]);
-            let simple = !(clause.body.iter()).any(|literal| matches!(literal, Literal::Any(_)) && !says_true(literal));
-            if simple && !clause.body.is_empty() && head.terms.iter().any(is_open) {
+            // A larger body cannot replace an atom.
+            let is_small = clause.body.iter().map(size).sum::<usize>() <= MAX_GROWTH;
+            let is_open = || {
+                let bound = bound_by_all(&clause.body.iter().collect::<Vec<_>>(), &HashSet::new());
+                let mut terms = head.terms.iter();
+                terms.any(|term| matches!(&term.kind, TermKind::Variable(name) if !bound.contains(name.as_str())))
+            };
+            if !clause.body.is_empty() && is_small && is_open() {
                 open.insert(name);
             }
         }
@@ -103,6 +105,19 @@ pub(crate) fn replace(items: &[Item], faults: &mut Faults) -> Option<Vec<Item>> 
         }
     }
     Some(out)
+}
+
+/// Returns names that a body binds outside of aggregates, whichever of its alternatives hold: all of them unless
+/// alternatives need what others bind.
+fn bound_by_all<'c>(body: &[&'c Literal], known: &HashSet<&'c str>) -> HashSet<&'c str> {
+    let mut bound = bound_names(body, known.clone());
+    for literal in body {
+        let Literal::Any(alternatives) = literal else { continue };
+        let by_each = (alternatives.iter()).map(|all| bound_by_all(&all.iter().collect::<Vec<_>>(), &bound));
+        let by_all = by_each.reduce(|one, other| one.intersection(&other).copied().collect());
+        bound.extend(by_all.into_iter().flatten());
+    }
+    bound_names(body, bound)
 }
 
 fn clauses(items: &[Item]) -> impl Iterator<Item = &Clause> {

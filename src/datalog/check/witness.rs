@@ -70,7 +70,7 @@ impl Rewriting {
         }
         let mut bound = taken.clone();
         bound.extend(
-            bound_names(&body.iter().collect::<Vec<_>>())
+            bound_names(&body.iter().collect::<Vec<_>>(), HashSet::new())
                 .into_iter()
                 .map(str::to_owned),
         );
@@ -200,7 +200,7 @@ impl Rewriting {
 }
 
 /// Returns the number of literals in a literal, with those of its aggregates.
-fn size(literal: &Literal) -> usize {
+pub(crate) fn size(literal: &Literal) -> usize {
     fn of_term(term: &Term) -> usize {
         match &term.kind {
             TermKind::Functor(_, arguments) => arguments.iter().map(of_term).sum(),
@@ -259,9 +259,9 @@ fn selection(literal: &Literal) -> Option<(&Term, &Aggregate, &Term)> {
     (simple && selects).then_some((result, aggregate, target))
 }
 
-/// Returns the names that the literals bind outside of aggregates. Results of aggregates count as bound.
-pub(crate) fn bound_names<'c>(body: &[&'c Literal]) -> HashSet<&'c str> {
-    let mut bound: HashSet<&str> = HashSet::new();
+/// Returns the names `bound`, and those that the literals bind outside of aggregates and alternatives. Results of
+/// aggregates count as bound.
+pub(crate) fn bound_names<'c>(body: &[&'c Literal], mut bound: HashSet<&'c str>) -> HashSet<&'c str> {
     loop {
         let before = bound.len();
         for literal in body {

@@ -423,11 +423,19 @@ impl<'c> Check<'_, 'c> {
             VariableType::Base(base) => base.name().to_owned(),
             VariableType::Unknown => String::new(),
         };
+        let wanted_type = wanted;
         let wanted = self.names.type_name(wanted).to_owned();
         let message = format!("expected a value of type `{wanted}`, found `{name}` of type `{found}`");
         let mut fault = Diagnostic::new(Code::TYPE_MISMATCH, message).at(span, format!("must be of type `{wanted}`"));
         if let Some(origin) = self.origin(id) {
             fault = fault.also(origin, format!("`{name}` is of type `{found}` here"));
+        }
+        if let VariableType::Type(ty) = self.type_of(id)
+            && self.names.base(ty) == self.names.base(wanted_type)
+        {
+            fault = fault.help(format!(
+                "declare both columns with one type, or convert the value: `as({name}, {wanted})`"
+            ));
         }
         let group = self.group(id.index());
         self.variables[group].excused = true;
