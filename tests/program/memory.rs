@@ -190,6 +190,7 @@ fn every_command_stays_within_its_limit() {
     let small = &write(folder.path(), "small.jsonl", "");
     let target = folder.path().join("out");
     let out = target.to_str().unwrap();
+    let page = &format!("{out}.html");
     let commands: [&[&str]; 14] = [
         &["bench", "tick", "--rules", rules],
         &["check", rules],
@@ -203,7 +204,7 @@ fn every_command_stays_within_its_limit() {
         &["questions", "--rules", rules],
         &["repl", rules],
         &["run", "expert", "--rules", rules],
-        &["view", data],
+        &["view", data, "-o", page],
         &["run", data],
     ];
     for command in commands {
