@@ -158,7 +158,9 @@ def public_objects() -> list[Any]:
     city = logicity.Simulation("easy")
     measured = logicity.evaluate("oracle", "easy", "val")
     shown = logicity.demonstrations("easy", 1)
-    errors = [kind("text", []) for kind in (logicity.InputError, logicity.LimitError, logicity.UnsupportedError)]
+    errors: list[Exception] = [
+        kind("text", []) for kind in (logicity.InputError, logicity.LimitError, logicity.UnsupportedError)
+    ]
     errors.append(logicity.UntrustedError("text"))
     relation = program.relations["p"]
     rules = logicity.induce(logicity.demonstrations("easy", 10))
