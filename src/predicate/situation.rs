@@ -2,6 +2,7 @@
 
 use crate::city::{AgentKind, Cell, CityMap, Heading, Junction};
 use crate::predicate::{Definition, Pair, PairRelation, Relation as _, Subject, Views, with_relation};
+use std::cell;
 use std::collections::{BTreeMap, BTreeSet};
 
 /// The pairs of truth values that two predicates can have at once.
@@ -27,7 +28,7 @@ impl Together {
 /// The situations of two different agents on a map, as far as predicates over two agents distinguish them.
 #[derive(Clone, Debug)]
 pub struct Situations {
-    /// For each definition, its bit; `None` for predicates over one agent, and beyond [`PAIRS_MAX`].
+    /// For each definition, its bit; `None` for predicates over one agent, and beyond [`PAIRS_MAX`] and [`DRAWN_MAX`].
     bits: Vec<Option<u32>>,
     reflexive: Vec<bool>,
     /// The predicates that hold for two agents in this order, and in the other order, as bits; with an offset in rows
@@ -41,6 +42,9 @@ pub struct Situations {
 
 /// The maximum number of predicates over two agents.
 const PAIRS_MAX: usize = 64;
+
+/// The maximum number of predicates that hold with a probability. Each doubles the truth values of a situation.
+const DRAWN_MAX: u32 = 4;
 
 /// The maximum distance of two agents in rows and in columns. Beyond it, the situations are incomplete.
 const OFFSET_MAX: i32 = 100;
@@ -88,6 +92,8 @@ impl Situations {
                 })
                 .collect(),
             views,
+            drawn: cell::Cell::new(0),
+            skipped: cell::Cell::new(0),
             found: BTreeMap::new(),
         };
         // Beyond the horizon only the direction matters, so one more row and column shows all there is.
@@ -113,8 +119,10 @@ impl Situations {
             search.add([0, col]);
             search.add([0, -col]);
         }
+        let skipped = search.skipped.get();
+        let is_known = |bit: &u32| skipped >> bit & 1 == 0;
         Situations {
-            bits,
+            bits: bits.into_iter().map(|bit| bit.filter(is_known)).collect(),
             reflexive,
             found: search.found,
             complete,
@@ -170,6 +178,10 @@ struct Search {
     reads: Vec<[bool; 2]>,
     poses: Vec<Pose>,
     views: Views,
+    /// The relations that hold with a probability in some situation, as bits: at most [`DRAWN_MAX`].
+    drawn: cell::Cell<u64>,
+    /// The further ones, as bits. Situations ignore them.
+    skipped: cell::Cell<u64>,
     found: BTreeMap<[u64; 2], [i32; 2]>,
 }
 
@@ -233,11 +245,20 @@ impl Search {
             let with: BTreeSet<u64> = values.iter().map(|value| value | 1 << at).collect();
             match (can_hold, must_hold) {
                 (_, true) => values = with,
-                (true, false) => values.extend(with),
-                (false, false) => {}
+                (true, false) if self.admits_drawn(at) => values.extend(with),
+                _ => {}
             }
         }
         values
+    }
+
+    /// Returns whether situations include a relation that holds with a probability.
+    fn admits_drawn(&self, at: usize) -> bool {
+        let (drawn, bit) = (self.drawn.get(), 1 << at);
+        let admits = drawn & bit != 0 || drawn.count_ones() < DRAWN_MAX;
+        let list = if admits { &self.drawn } else { &self.skipped };
+        list.set(list.get() | bit);
+        admits
     }
 }
 

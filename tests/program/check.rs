@@ -3,6 +3,7 @@
 use crate::cli::{code, err, fails, out, run, write};
 use serde_json::Value;
 use std::path::Path;
+use std::time::{Duration, Instant};
 
 const TAXI: &str = "base: expert\nrules: taxi.dl\n\
                     predicates:\n  base: standard\n  define: {IsTaxi: {concept: taxi, of: Car}}\n\
@@ -438,4 +439,32 @@ fn reasons_against_the_dense_executor_name_the_clause_at_the_root() {
         ];
         fails(&run(&demanded, b""), 1, &["error[dense-unsupported]", reason, place]);
     }
+}
+
+/// Every predicate with a probability doubles the truth values of a situation. Claims about the first ones stay.
+#[test]
+fn many_predicates_with_probabilities_are_checked_in_seconds() {
+    const COUNT: usize = 20;
+    let folder = tempfile::tempdir().unwrap();
+    let collisions = (0..COUNT).map(|number| {
+        let range = 8 + number;
+        format!(
+            "    C{number}: {{colliding: {{car_range: {range}, pedestrian_range: 3, angle: 0.1, pedestrian_chance: 0.5, \
+             same_cell_chance: 0.5}}}}\n"
+        )
+    });
+    let predicates = "predicates:\n  base: standard\n  define:\n".to_owned() + &collisions.collect::<String>();
+    let config = format!("base: expert\nrules: rules.dl\n{predicates}");
+    write(folder.path(), "city.yaml", config);
+    let names: Vec<String> = (0..COUNT).map(|number| format!("C{number}")).collect();
+    let names = names.join(", ");
+    let clauses = "Stop(X) :- CollidingClose(X, Y).\nSlow(X) :- Not(Stop(X)), C0(X, Y), C19(X, Y).\n";
+    let rules = format!(
+        ".include \"vocabulary.dl\"\n.decl {names}(x: agent, y: agent)\n.input {names}\n.symmetric C0\n\
+         .symmetric C19\n{clauses}"
+    );
+    write(folder.path(), "rules.dl", rules);
+    let begin = Instant::now();
+    assert_eq!(found(folder.path(), &["city.yaml"]), is(&[("constraint-mismatch", 4)]));
+    assert!(begin.elapsed() < Duration::from_secs(60), "{:?}", begin.elapsed());
 }
