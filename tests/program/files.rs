@@ -851,8 +851,8 @@ fn own_city(folder: &Path) {
          .include \"../lib/more/rules.dl\"\n\
          /// S1: stop for a pedestrian\nStop(X) :- IsCar(X), IsClose(X, Y), IsPedestrian(Y).\n";
     fs::write(folder.join("cfg/rules.dl"), rules).unwrap();
-    // The name of a built-in file.
-    fs::write(folder.join("lib/vocabulary.dl"), ".include \"more/../types.dl\"\n").unwrap();
+    // The name of a built-in file, and the other form of an include.
+    fs::write(folder.join("lib/vocabulary.dl"), "#include \"more/../types.dl\"\n").unwrap();
     let shipped = fs::read_to_string(concat!(env!("CARGO_MANIFEST_DIR"), "/rules/vocabulary.dl")).unwrap();
     fs::write(folder.join("lib/types.dl"), shipped).unwrap();
     fs::write(

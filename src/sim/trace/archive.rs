@@ -152,7 +152,7 @@ fn included<S: AsRef<str>>(names: &[S], from: &str, written: &str) -> Option<usi
 fn with_includes(sources: &Sources, id: SourceId, paths: &[&str], names: &[String]) -> String {
     let mut text = sources.text(id).to_owned();
     // Parsing takes longer than this search.
-    if !text.contains(".include") {
+    if !text.contains("include") {
         return text;
     }
     let Some(own) = paths.iter().position(|path| *path == sources.name(id)) else {
