@@ -894,7 +894,7 @@ fn edits_name_the_versions_of_open_texts() {
     editor.end();
 }
 
-/// The words of the language that a file could not use as a name.
+/// Words of the language, and texts that are no names.
 const WORDS: &[&str] = &[
     "count", "sum", "min", "max", "mean", "range", "cat", "as", "match", "contains", "strlen", "band", "lnot", "true",
     "false", "not", "Not", "_", "1a", "a-b", "a b", "", "number", "\u{e9}",
@@ -1081,22 +1081,20 @@ fn incremental_changes_equal_the_whole_text() {
 #[test]
 fn the_client_chooses_the_unit_of_columns() {
     for (encodings, chosen, column) in [
-        (json!(["utf-8", "utf-16"]), "utf-8", 8 + 4 + 3),
-        (json!(["utf-32"]), "utf-32", 8 + 1 + 3),
-        (json!(["utf-7", "utf-16"]), "utf-16", 8 + 2 + 3),
-        (json!(["utf-7"]), "utf-16", 8 + 2 + 3),
+        (json!(["utf-8", "utf-16"]), "utf-8", 3 + 4 + 3),
+        (json!(["utf-32"]), "utf-32", 3 + 1 + 3),
+        (json!(["utf-7", "utf-16"]), "utf-16", 3 + 2 + 3),
+        (json!(["utf-7"]), "utf-16", 3 + 2 + 3),
     ] {
         let mut editor = Editor::with(json!({ "general": { "positionEncodings": encodings } }), &[]);
         assert_eq!(editor.welcome["capabilities"]["positionEncoding"], chosen);
         editor.open("a.dl", ".decl A(x: symbol)\n/* \u{1f697} */A(\"b\").\n");
-        let _ = column;
         let found = editor.at(
             "textDocument/references",
             "a.dl",
             (0, 6),
             json!({ "context": { "includeDeclaration": false } }),
         );
-        let column = column - 5;
         assert_eq!(found[0]["range"], range(1, column, column + 1), "{chosen}");
         let shown = editor.at("textDocument/hover", "a.dl", (1, column), json!({}));
         assert_eq!(shown["range"], range(1, column, column + 1), "{chosen}");
@@ -1405,13 +1403,13 @@ fn symbols_of_the_workspace_are_found_by_their_letters() {
 fn changes_on_disk_reach_the_texts_that_include_a_file() {
     let capabilities = json!({ "workspace": { "didChangeWatchedFiles": { "dynamicRegistration": true } } });
     let mut editor = Editor::with(capabilities, &[]);
-    // The server asks the client to watch rule files.
+    // The server asks the client to watch rule files and configurations.
     match Message::read(&mut editor.from).unwrap() {
         Some(Message::Request(request)) => {
             assert_eq!(request.method, "client/registerCapability");
             assert_eq!(
                 request.params["registrations"][0]["registerOptions"]["watchers"][0]["globPattern"],
-                "**/*.dl"
+                "**/*.{dl,yaml,yml}"
             );
             editor.send(Message::Response(lsp_server::Response::new_ok(request.id, Value::Null)));
         }

@@ -776,9 +776,9 @@ fn markup(value: String, is_plain: bool) -> MarkupContent {
     MarkupContent { kind, value }
 }
 
-/// Asks the client to report changes of rule files on disk.
+/// Asks the client to report changes of rule files and configurations on disk.
 fn watch() -> Message {
-    let options = json!({ "watchers": [{ "globPattern": "**/*.dl" }] });
+    let options = json!({ "watchers": [{ "globPattern": "**/*.{dl,yaml,yml}" }] });
     let method = "workspace/didChangeWatchedFiles";
     let registration = json!({ "id": "rule-files", "method": method, "registerOptions": options });
     Message::Request(lsp_server::Request::new(
