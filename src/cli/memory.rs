@@ -41,8 +41,8 @@ pub fn system_limit() -> Option<SystemLimit> {
     })
 }
 
-/// The resident memory beyond the limit at which [`watch`] ends the process: that of the program itself, and of buffers of
-/// fixed size.
+/// The resident memory beyond the limit at which [`watch`] ends the process: that of the program itself, and of
+/// buffers of fixed size.
 const BESIDES: u64 = 64 << 20;
 
 /// The part of [`BESIDES`] that buffers may need in a process that was larger when its command began.

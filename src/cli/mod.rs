@@ -692,8 +692,8 @@ struct LimitOptions {
     /// 1G for each scene, tick or task; for each tick of a trace 100M plus 1K for each row of the default of `--max-rows`]
     #[arg(long, value_name = "COUNT", value_parser = count_of::<u64>)]
     max_steps: Option<u64>,
-    /// Fail if input, rows, indexes, symbols and buffers need more than SIZE, in MiB or with a suffix: K, M, G, T or KiB, MiB,
-    /// GiB, TiB (powers of 1024). Limits of the system (`ulimit -v`, control groups) lower it [default: 4096]
+    /// Fail if input, rows, indexes, symbols and buffers need more than SIZE, in MiB or with a suffix: K, M, G, T or KiB,
+    /// MiB, GiB, TiB (powers of 1024). Limits of the system (`ulimit -v`, control groups) lower it [default: 4096]
     #[arg(long, value_name = "SIZE", value_parser = memory)]
     max_memory: Option<u64>,
 }

@@ -47,7 +47,8 @@ pub struct Explanation {
 /// An example of an explanation.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct Example {
-    /// The language: `dl`, `yaml`, `json`, `prolog`, `sh` or `rust`. It is the extension of the first file, `main.dl` for `dl`.
+    /// The language: `dl`, `yaml`, `json`, `prolog`, `sh` or `rust`. It is the extension of the first file, `main.dl`
+    /// for `dl`.
     pub language: &'static str,
     /// The text.
     pub text: &'static str,

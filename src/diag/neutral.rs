@@ -22,7 +22,7 @@ pub fn neutral(text: &str) -> Cow<'_, str> {
     Cow::Owned(shown)
 }
 
-/// Returns whether a terminal acts on a character. The function of the Python package is about the same characters.
+/// Returns whether a terminal acts on a character. The Python package escapes the same characters.
 fn is_active(c: char) -> bool {
     match c {
         '\n' | '\t' => false,

@@ -50,7 +50,7 @@ impl Meaning {
     }
 }
 
-/// The part of an occurrence in the life of its name.
+/// What an occurrence does with its name.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Role {
     /// It declares the name.
@@ -177,7 +177,7 @@ impl Analysis {
         &self.texts[&id]
     }
 
-    /// Returns whether the analysis read a file, or looked for one in vain.
+    /// Returns whether the analysis read this file, or did not find an included one.
     pub fn depends_on(&self, path: &Path) -> bool {
         self.by_path.contains_key(path)
             || self.occurrences.iter().any(|one| match &one.meaning {
@@ -240,7 +240,7 @@ impl Analysis {
         }
     }
 
-    /// Returns all declared names in source order, those that are declared twice twice.
+    /// Returns the declared names in source order, once per declaration.
     pub fn declared(&self) -> impl Iterator<Item = &Meaning> {
         self.occurrences
             .iter()

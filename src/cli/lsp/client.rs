@@ -9,7 +9,7 @@ use std::path::PathBuf;
 #[derive(Clone, Debug, Default)]
 pub struct Client {
     pub encoding: Encoding,
-    /// It accepts edits of versions of texts, not only of texts.
+    /// It accepts edits that name the version of a text.
     pub versioned_edits: bool,
     /// It accepts symbols with the range of the whole item.
     pub symbol_ranges: bool,

@@ -2,7 +2,6 @@
 
 use crate::cli::lsp::analysis::{Analysis, Meaning, Occurrence, Role, occurrences};
 use crate::cli::lsp::search::{Programs, RuleFile, parsed};
-
 use crate::cli::lsp::{Document, Refusal, Request, Server, builtin, location, markup, words};
 use crate::datalog;
 use crate::datalog::{BaseType, TokenKind, tokens};

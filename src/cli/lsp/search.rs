@@ -203,7 +203,7 @@ struct Loader<'a> {
 }
 
 impl Loader<'_> {
-    /// Reads and parses a file unless it is known or unwanted. The error is that of reading.
+    /// Reads and parses a file unless it is known or unwanted. Returns its number, if it is loaded.
     fn load(&mut self, path: &Path, wanted: &dyn Fn(&str) -> bool) -> Option<usize> {
         let path = self.open_path(path);
         let identity = match self.workspace.open.contains_key(path.as_path()) || path.starts_with(BUILTIN_FOLDER) {
@@ -255,7 +255,7 @@ impl Loader<'_> {
             _ => None,
         });
         for include in paths.collect::<Vec<_>>() {
-            // A file of the workspace that was not wanted is, since it is included.
+            // An included file is wanted, whatever its text.
             let found = include_paths(&from, &include)
                 .into_iter()
                 .find_map(|path| self.included(&path));

@@ -89,13 +89,13 @@ fn edges(clause: &Clause, recursive: &BTreeSet<RelId>, way: Way) -> Vec<Edge> {
         for (column, term) in atom.terms.iter().enumerate() {
             let Some(source) = variable(term) else { continue };
             let passed = passed_on(clause, source);
+            if is_bounded(clause, recursive, &passed, way) {
+                continue;
+            }
             for (to, term) in clause.head.terms.iter().enumerate() {
                 let Some(growth) = variable(term).and_then(|id| passed.get(&id)) else {
                     continue;
                 };
-                if is_bounded(clause, recursive, &passed, way) {
-                    continue;
-                }
                 let growth = growth.map(|(way, span, base)| {
                     let name = clause.variables.get(source).map_or("x", String::as_str);
                     let bound = match (way, base) {

@@ -68,10 +68,10 @@ pub fn examine(rules: &Rules, city: Option<&CityTheory>, sources: &Sources) -> E
     diagnostics.extend(contradictions);
     if city.is_some() {
         // `empty_predicates` reports clauses that read an empty predicate.
-        let is_told =
+        let is_reported =
             |one: &DeclaredConstraint| one.inferred && matches!(one.constraint, Constraint::Disjoint(a, b) if a == b);
         let mut of_agents = in_city.clone();
-        of_agents.constraints.retain(|one| !is_told(one));
+        of_agents.constraints.retain(|one| !is_reported(one));
         let lints = optimize::lints(&of_agents, sources).diagnostics;
         let place = |fault: &Diagnostic| fault.primary.as_ref().map(|label| label.span);
         let known: BTreeSet<Option<Span>> = diagnostics.iter().map(place).collect();

@@ -347,7 +347,8 @@ impl CityTheory {
         }
     }
 
-    /// `all`: whether every agent is in the domain of the constraint.
+    /// Judges whether each agent has one of the predicates. `all` says whether the domain of the constraint has every
+    /// agent.
     fn judge_cover(&self, definitions: &[&Definition], all: bool) -> Verdict {
         if definitions.iter().any(|definition| definition.arity() != 1) {
             return Verdict::Unknown;

@@ -183,14 +183,18 @@ fn unknown_predicate(rules: &Rules, scenario: &Scenario, name: &str, span: Span)
     }
 }
 
+/// The most agents that a message lists.
+const AGENTS_SHOWN: usize = 20;
+
 fn unknown_agent(agents: &[&str], name: &str, span: Span) -> Diagnostic {
     let fault = Diagnostic::new(Code::INVALID_FACT, format!("there is no agent `{name}`")).at(span, "");
     match did_you_mean(name, agents.iter().copied()) {
         Some(near) => fault.did_you_mean(near, &[span]),
-        None => fault.note(format!(
-            "the agents are {}",
-            agents.iter().take(20).copied().collect::<Vec<_>>().join(", ")
-        )),
+        None => {
+            let more = if agents.len() > AGENTS_SHOWN { ", ..." } else { "" };
+            let shown = &agents[..agents.len().min(AGENTS_SHOWN)];
+            fault.note(format!("the agents are {}{more}", shown.join(", ")))
+        }
     }
 }
 

@@ -274,7 +274,8 @@ const PREMISES_MAX: usize = 40;
 /// Returns constraints of both sides from which it follows that the sides are equivalent, each with its rules. The
 /// caller has found that [`diff`] proves them equivalent.
 ///
-/// Without any one of them `diff` has no proof; only beyond 40 constraints there may be ones that are not needed. Constraints with equal text on the two sides count as one.
+/// Each of the first 40 is needed: without it `diff` has no proof. Constraints with equal text on the two sides count
+/// as one.
 ///
 /// # Errors
 /// As [`diff`].
