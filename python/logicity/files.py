@@ -2,8 +2,10 @@
 
 from __future__ import annotations
 
+import hashlib
 import json
 import os
+import stat
 import zipfile
 from collections.abc import Iterator
 from contextlib import contextmanager
@@ -17,6 +19,7 @@ from .errors import checked_path
 __all__ = [
     "check_readable",
     "check_writable",
+    "file_hash",
     "read_tensors",
     "read_text",
     "replacing",
@@ -26,25 +29,29 @@ __all__ = [
 ]
 
 
-def check_readable(path: str | os.PathLike[str], *, whole: bool = True) -> None:
-    """Raise now if a file is a folder, a device or below `/proc` or `/sys`. One that does not exist passes.
+def check_readable(path: str | os.PathLike[str], *, whole: bool = True, named: bool = False) -> None:
+    """Raise now if reading a file could block or never end. A file that does not exist passes.
 
     Args:
-        path: The file.
+        path: The file. It must not be a folder, a device, or below `/proc` or `/sys`.
         whole: Whether it is read as a whole, so that it must not be larger than 1 GiB.
+        named: Whether the caller names the file itself, not its folder. Then it may be a pipe.
 
     Raises:
         OSError: If the file cannot be read.
     """
+    name = checked_path("path", path)
     try:
-        _logicity.check_readable(checked_path("path", path), whole)
+        if not named and stat.S_ISFIFO(os.stat(name).st_mode):
+            raise OSError(f"cannot read `{name}`: it is a pipe, not a regular file")
+        _logicity.check_readable(name, whole)
     except FileNotFoundError:
         # Opening it raises the exception that names the file.
         pass
 
 
 def read_text(path: str | os.PathLike[str]) -> str:
-    """Return the text of a file in UTF-8.
+    """Return the text of a regular file in UTF-8, of at most 1 GiB.
 
     Raises:
         OSError: If the file cannot be read.
@@ -52,6 +59,20 @@ def read_text(path: str | os.PathLike[str]) -> str:
     """
     check_readable(path)
     return Path(path).read_text(encoding="utf-8")
+
+
+def file_hash(path: str | os.PathLike[str]) -> str:
+    """Return the SHA-256 of a regular file of any size, as hex digits.
+
+    Raises:
+        OSError: If the file cannot be read.
+    """
+    digest = hashlib.sha256()
+    check_readable(path, whole=False)
+    with open(path, "rb") as file:
+        while block := file.read(1 << 20):
+            digest.update(block)
+    return digest.hexdigest()
 
 
 @contextmanager

@@ -136,7 +136,7 @@ class Question:
 def _lines(path: str | os.PathLike[str]) -> Iterable[tuple[str, dict[str, Any]]]:
     """Yield the objects of a JSON Lines file, each with its location."""
     name = checked_path("path", path)
-    check_readable(name, whole=False)
+    check_readable(name, whole=False, named=True)
     with open(name, "rb") as file:
         for number, line in enumerate(iter(lambda: file.readline(LINE_BYTES), b""), 1):
             if not line.strip():

@@ -4,9 +4,14 @@ from __future__ import annotations
 
 import ast
 import json
+import os
 import pickle
+import shutil
+import signal
+import sys
 import zipfile
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
 
@@ -29,7 +34,9 @@ from logicity.learn import (  # noqa: E402
     load_policy,
     train,
 )
-from logicity.learn.cells import run_cell  # noqa: E402
+from logicity.learn.cells import prepare, reuse, run_cell  # noqa: E402
+from logicity.learn.experiment import Selection, load_experiment  # noqa: E402
+from logicity.learn.results import read_results  # noqa: E402
 from logicity.learn.run import FolderError  # noqa: E402
 from logicity.learn.storage import policy_hash, weights_hash  # noqa: E402
 from logicity.sb3 import make_vec_env  # noqa: E402
@@ -134,6 +141,60 @@ def test_policies_of_others_are_not_unpickled(
     assert not canary.path.exists()
 
 
+@contextmanager
+def soon() -> Iterator[None]:
+    """Raise in a block that takes longer than 20 seconds, such as one that waits for the writer of a pipe."""
+
+    def end(*_: object) -> None:
+        raise AssertionError("it waits")
+
+    previous = signal.signal(signal.SIGALRM, end)
+    signal.alarm(20)
+    try:
+        yield
+    finally:
+        signal.alarm(0)
+        signal.signal(signal.SIGALRM, previous)
+
+
+@pytest.mark.skipif(sys.platform == "win32", reason="pipes of POSIX")
+def test_no_pipe_in_a_folder_of_others_is_waited_for(run: Path, tmp_path: Path) -> None:
+    def with_pipe(name: str) -> Path:
+        """Return a copy of the run with a pipe in place of a file."""
+        folder = tmp_path / name.replace("/", "-")
+        shutil.copytree(run, folder)
+        (path,) = folder.glob(name)
+        path.unlink()
+        os.mkfifo(path)
+        return folder
+
+    with soon():
+        # The configuration only adds the mode.
+        assert load_policy(with_pipe("config.json")).mode == "easy"
+        for name in ("config.json", "checkpoint-*/state.json", "checkpoint-*/learner.pt", "checkpoint-*/best.pt"):
+            folder = tmp_path / name.replace("/", "-")
+            with pytest.raises((OSError, FolderError), match="it is a pipe"):
+                train(TrainConfig(**TINY), folder if folder.exists() else with_pipe(name), tensorboard=False)
+        os.mkfifo(tmp_path / "results.json")
+        with pytest.raises(OSError, match="it is a pipe"):
+            read_results(tmp_path / "results.json")
+
+
+@pytest.mark.skipif(sys.platform == "win32", reason="links of POSIX")
+def test_no_device_in_an_experiment_of_others_is_copied(run: Path, tmp_path: Path) -> None:
+    (tmp_path / "tiny.yaml").write_text("title: Tiny\nconfig: config.json\nlearners: {a2c: {}}\nmodes: [easy]\n")
+    (tmp_path / "config.json").write_text(json.dumps(TINY))
+    experiment, file = load_experiment(tmp_path / "tiny.yaml")
+    cells = experiment.cells(file, Selection())
+    folder = prepare(cells[0], tmp_path / "other")
+    identity = json.loads((folder / "cell.json").read_text())["identity"]
+    (folder / "measured.json").write_text(json.dumps({"identity": identity}))
+    shutil.copyfile(run / "best.pt", folder / "best.pt")
+    (folder / "notes").symlink_to("/dev/zero")
+    with soon(), pytest.raises(OSError, match="it is a device"):
+        reuse(cells, tmp_path / "run", tmp_path / "other")
+
+
 def test_trusted_models_of_stable_baselines_are_loaded(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     path = model_of_others(tmp_path / "model.zip")
     saved = load_policy(path, trust=True)
@@ -160,8 +221,6 @@ def test_workers_get_the_trust_of_the_experiment(tmp_path: Path, monkeypatch: py
     monkeypatch.setattr("logicity.learn.cells.train", spy)
     (tmp_path / "tiny.yaml").write_text("title: Tiny\nconfig: config.json\nlearners: {a2c: {}}\nmodes: [easy]\n")
     (tmp_path / "config.json").write_text(json.dumps(TINY))
-    from logicity.learn.cells import prepare
-    from logicity.learn.experiment import Selection, load_experiment
 
     experiment, file = load_experiment(tmp_path / "tiny.yaml")
     folder = prepare(experiment.cells(file, Selection())[0], tmp_path / "run")

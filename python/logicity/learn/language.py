@@ -25,7 +25,7 @@ from pydantic import BaseModel, Field, Strict, ValidationError, field_validator
 from .. import _logicity
 from ..city import ACTIONS, Inference
 from ..errors import did_you_mean
-from ..files import write_text
+from ..files import check_readable, write_text
 from ..questions import Endpoint, Question, ask, key_from, load_questions
 from ..rules import Program
 from ..terminal import print_message, print_text
@@ -349,6 +349,7 @@ class Work:
         if not self.path.exists():
             return 0
         found = set()
+        check_readable(self.path)
         # An interrupted process may leave an incomplete last line, which `ask` removes.
         for number, line in enumerate(self.path.read_bytes().split(b"\n")[:-1], 1):
             try:

@@ -11,7 +11,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from ..errors import UntrustedError
-from ..files import read_tensors
+from ..files import read_tensors, read_text
 from ..rule_policy import saved_by
 from .learner import Learner, Policy
 
@@ -154,7 +154,7 @@ def _recorded(file: Path) -> dict[str, Any]:
     """Return the configuration that a run records for one of its policies; empty without a record."""
     run = file.parent.parent if file.parent.name.startswith("checkpoint-") else file.parent
     try:
-        config = json.loads((run / "config.json").read_text(encoding="utf-8"))
+        config = json.loads(read_text(run / "config.json"))
     except (OSError, RecursionError, ValueError):
         return {}
     if not isinstance(config, dict):

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import hashlib
 import json
 import os
 from collections.abc import Callable, Iterator, Mapping, Sequence
@@ -10,7 +9,7 @@ from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
 
-from ..files import reserved
+from ..files import file_hash, read_text, reserved
 
 __all__ = ["HASHED", "as_text", "is_published", "place_of", "read_file", "rehashed", "row_key", "updating"]
 
@@ -41,7 +40,7 @@ def read_file(
     if not file.exists():
         return None
     try:
-        results = json.loads(file.read_text(encoding="utf-8"))
+        results = json.loads(read_text(file))
     except (ValueError, RecursionError) as error:
         raise ValueError(f"{file}: not JSON: {error}") from None
     if not isinstance(results, dict) or results.get("format") != version or not isinstance(results.get("rows"), list):
@@ -90,7 +89,7 @@ def is_published(row: Mapping[str, Any], sha256: str, file: Path) -> bool:
         sha256: The key of the hash.
         file: The file of the policy or model.
     """
-    return bool(row["sha256_of"] == "file" and row[sha256] == hashlib.sha256(file.read_bytes()).hexdigest())
+    return bool(row["sha256_of"] == "file" and row[sha256] == file_hash(file))
 
 
 def rehashed(old: Mapping[str, Any], new: Mapping[str, Any], sha256: str) -> dict[str, Any]:

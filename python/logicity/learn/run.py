@@ -30,7 +30,7 @@ from .. import _logicity
 from .._logicity import __version__
 from ..errors import UntrustedError
 from ..evaluation import MEASURES, Benchmark, Evaluation, load_task, task_hashes
-from ..files import reserved, write_json
+from ..files import check_readable, file_hash, read_text, reserved, write_json
 from ..terminal import first_line, neutral, print_message
 from . import random_state
 from .config import TrainConfig
@@ -213,7 +213,7 @@ def _hashes(config: TrainConfig) -> dict[str, Any]:
     """Return the hashes of the rules, the episodes and `start`, on which a result depends besides the configuration."""
     hashes = task_hashes(config.mode)
     if config.start is not None:
-        hashes["start"] = hashlib.sha256(Path(config.start).read_bytes()).hexdigest()
+        hashes["start"] = file_hash(config.start)
     return hashes
 
 
@@ -225,7 +225,7 @@ def _read_json(path: Path, remedy: str) -> dict[str, Any]:
         OSError: If the file cannot be read.
     """
     try:
-        value = json.loads(path.read_text(encoding="utf-8"))
+        value = json.loads(read_text(path))
     except FileNotFoundError:
         raise FolderError(f"{path.parent} has no file `{path.name}`; {remedy}") from None
     except (RecursionError, ValueError) as error:
@@ -289,6 +289,7 @@ def _readable(path: Path) -> bool:
     """Return whether a file of a checkpoint is complete, as far as its format shows."""
     try:
         if path.suffix == ".pt":
+            check_readable(path)
             with zipfile.ZipFile(path) as archive:
                 return archive.testzip() is None
     except OSError:
@@ -585,7 +586,7 @@ class _Display:
         """Start at the number of steps of the learner."""
         self._total, self._before, self._enabled = config.steps, learner.steps, enabled
         self._begun = self._shown = time.monotonic()
-        bar = enabled and sys.stderr.isatty()
+        bar = enabled and sys.stderr is not None and sys.stderr.isatty()
         self._bar = tqdm(total=self._total, initial=self._before, unit=" steps", dynamic_ncols=True) if bar else None
 
     def __enter__(self) -> _Display:

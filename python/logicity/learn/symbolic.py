@@ -14,6 +14,7 @@ from pydantic import Field
 
 from .._logicity import NOISE_MAX, VARIABLES_MAX
 from ..describe import Atom
+from ..files import read_text
 from ..induction import induce
 from ..offline import Demonstrations
 from ..rule_policy import RulePolicy, header, saved_by
@@ -115,7 +116,7 @@ class SymbolicLearner(Learner):
                 f"{path} has rules of `{saved['algorithm']}` for {saved['mode']}, not of `{expected['algorithm']}` for "
                 f"{expected['mode']}"
             )
-        self._text = path.read_text(encoding="utf-8")
+        self._text = read_text(path)
 
 
 class InduceSettings(LearnerSettings):

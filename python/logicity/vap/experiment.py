@@ -26,7 +26,7 @@ from .. import _logicity
 from .._logicity import __version__
 from ..city import ACTIONS, Inference
 from ..errors import did_you_mean, missing_extra
-from ..files import read_tensors, write_json
+from ..files import file_hash, read_tensors, read_text, write_json
 from ..learn.cells import Job
 from ..learn.config import Fault, contains, faults, merged
 from ..learn.experiment import (
@@ -43,7 +43,7 @@ from ..learn.learner import Seed, StrictModel
 from ..learn.storage import weights_hash
 from ..rules import Program
 from .data import BINARY, UNARY, symbolic_facts
-from .features import Backbone, DataSpec, Kind, file_hash, prepared, weights_file
+from .features import Backbone, DataSpec, Kind, prepared, weights_file
 from .metrics import vap_metrics
 
 try:
@@ -584,7 +584,7 @@ def run_cell(
     """
     if wandb is not None:
         raise ValueError("--wandb: experiments of Visual Action Prediction send no curves: remove the option")
-    document = json.loads((folder / "cell.json").read_text(encoding="utf-8"))
+    document = json.loads(read_text(folder / "cell.json"))
     spec = document["spec"]
     data = Path(document["data"])
     if not data.parent.is_dir():

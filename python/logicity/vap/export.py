@@ -19,7 +19,7 @@ import numpy as np
 from ..city import ACTIONS
 from ..errors import checked_integer, checked_path
 from ..evaluation import Progress
-from ..files import check_writable, write_json
+from ..files import check_readable, check_writable, write_json
 from .data import BINARY, PICTURE_SIDE, UNARY, VapDataset, VapSample
 
 __all__ = ["to_coco", "to_webdataset"]
@@ -76,7 +76,9 @@ def _add_sample(tar: tarfile.TarFile, samples: VapDataset, index: int) -> None:
     np.savez_compressed(arrays, **_arrays(sample))
     contents = {"json": json.dumps(record).encode(), "npz": arrays.getvalue()}
     if samples.images:
-        contents["png"] = samples.picture_path(index).read_bytes()
+        picture = samples.picture_path(index)
+        check_readable(picture)
+        contents["png"] = picture.read_bytes()
     for ending, content in contents.items():
         # The name up to the first dot identifies the sample. Owner and time remain zero, so the bytes are reproducible.
         entry = tarfile.TarInfo(f"world-{sample.world:05}-frame-{sample.tick:03}.{ending}")

@@ -24,7 +24,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ..errors import checked_path, checked_threads, missing_extra
-from ..files import check_readable, read_tensors, read_text, write_json
+from ..files import check_readable, file_hash, read_tensors, read_text, write_json
 from .data import PICTURE_SIDE, VapDataset, not_a_manifest
 from .make import make_dataset
 
@@ -404,16 +404,6 @@ def _worlds(samples: VapDataset) -> list[_World]:
         raise not_a_manifest(path, error) from None
 
 
-def file_hash(path: Path) -> str:
-    """Return the SHA-256 of a file."""
-    digest = hashlib.sha256()
-    check_readable(path, whole=False)
-    with open(path, "rb") as file:
-        while block := file.read(1 << 20):
-            digest.update(block)
-    return digest.hexdigest()
-
-
 class _UnfinishedError(ValueError):
     """The features of a world are missing or damaged."""
 
@@ -481,6 +471,7 @@ def _mapped(path: Path) -> NDArray[Any]:
         OSError: If the file cannot be read.
         ValueError: If it is not a file of an array, or too short.
     """
+    check_readable(path, whole=False)
     try:
         return np.lib.format.open_memmap(path, mode="r")
     except OSError:
