@@ -15,7 +15,10 @@ __all__ = ["Window"]
 
 
 class Window:
-    """A window that opens with the first picture. A process has at most one; a copy opens its own.
+    """A window that opens with the first picture.
+
+    A process has at most one, which shows the latest picture of all objects of this class. `close` of one closes it for
+    all, and the next picture opens it again.
 
     Args:
         fps: The largest number of pictures per second. `show` waits accordingly.
@@ -32,7 +35,6 @@ class Window:
             raise missing_extra("human", error) from error
         self.fps = fps
         self._pygame = pygame
-        self._screen: Any = None
         self._clock: Any = None
 
     def __reduce__(self) -> tuple[Any, ...]:
@@ -42,11 +44,13 @@ class Window:
     def show(self, pictures: Sequence[NDArray[np.uint8]]) -> None:
         """Show pictures of shape (height, width, 3) and of equal size in a grid that is as large as one of them."""
         pygame, (height, width, _) = self._pygame, pictures[0].shape
-        if self._screen is None:
-            pygame.display.init()
+        if self._clock is None:
             self._clock = pygame.time.Clock()
-        if self._screen is None or self._screen.get_size() != (width, height):
-            self._screen = pygame.display.set_mode((width, height))
+        # Another object may have closed the window or changed its size.
+        screen = pygame.display.get_surface() if pygame.display.get_init() else None
+        if screen is None or screen.get_size() != (width, height):
+            pygame.display.init()
+            screen = pygame.display.set_mode((width, height))
             pygame.display.set_caption("LogiCity")
         side = math.ceil(math.sqrt(len(pictures)))
         size = width // side, height // side
@@ -55,13 +59,13 @@ class Window:
             if side > 1:
                 surface = pygame.transform.smoothscale(surface, size)
             row, column = divmod(number, side)
-            self._screen.blit(surface, (column * size[0], row * size[1]))
+            screen.blit(surface, (column * size[0], row * size[1]))
         pygame.event.pump()
         self._clock.tick(self.fps)
         pygame.display.flip()
 
     def close(self) -> None:
         """Close the window."""
-        if self._screen is not None:
+        if self._clock is not None:
             self._pygame.display.quit()
-            self._screen = self._clock = None
+            self._clock = None

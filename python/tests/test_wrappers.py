@@ -295,7 +295,17 @@ def test_a_window_shows_every_state() -> None:
     before = shown()
     cars.step(dict.fromkeys(cars.agents, 1))
     assert shown() != before and cars.render() is None
+    # Whoever closes the window, the next picture opens it again.
+    other = SPFEnv("easy", render_mode="human")
+    other.reset(seed=0)
+    other.close()
+    assert pygame.display.get_surface() is None
+    cars.step(dict.fromkeys(cars.agents, 1))
+    other_view = shown()
+    cars.render()
+    assert shown() == other_view
     cars.close()
+    assert pygame.display.get_surface() is None
 
 
 def test_a_window_needs_pygame(monkeypatch: pytest.MonkeyPatch) -> None:
