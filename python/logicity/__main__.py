@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 import signal
 import sys
 import threading
@@ -29,6 +30,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
     """
     if sys.excepthook is sys.__excepthook__:
         sys.excepthook = _print_exception
+    _open_standard_streams()
     argv = list(sys.argv[1:] if arguments is None else arguments)
     # Rust writes to the same streams through separate buffers. A process may have no such streams.
     for stream in (sys.stdout, sys.stderr):
@@ -42,6 +44,19 @@ def main(arguments: Sequence[str] | None = None) -> int:
     from .commands import run
 
     return run(tuple(words), rest)
+
+
+def _open_standard_streams() -> None:
+    """Open the null device in place of a closed standard stream, as programs in Rust do.
+
+    Otherwise the next file that is opened would get its number, and with it what Rust prints.
+    """
+    for descriptor in range(3):
+        try:
+            os.fstat(descriptor)
+        except OSError:
+            # The system gives the lowest free number.
+            os.open(os.devnull, os.O_RDWR)
 
 
 def _print_exception(kind: type[BaseException], error: BaseException, trace: TracebackType | None) -> None:

@@ -172,7 +172,7 @@ class Progress:
     def __init__(self, label: str, total: int) -> None:
         """Set the label and the total number of items."""
         self._label, self._total = neutral(label, lines=False), total
-        self._enabled = sys.stderr.isatty()
+        self._enabled = sys.stderr is not None and sys.stderr.isatty()
 
     def __enter__(self) -> Progress:
         """Show zero items."""

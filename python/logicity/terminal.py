@@ -64,8 +64,11 @@ def _writing() -> Iterator[None]:
 
 
 def print_message(text: object) -> None:
-    """Print a line to standard error. If its reader has closed it, later lines are dropped, and the work continues."""
+    """Print a line to standard error. If it cannot be written, later lines are dropped, and the work continues."""
+    # Python would print to standard output if the process has no standard error.
+    if sys.stderr is None or sys.stderr.closed:
+        return
     try:
         print(neutral(str(text)), file=sys.stderr, flush=True)
-    except BrokenPipeError:
+    except OSError:
         os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stderr.fileno())

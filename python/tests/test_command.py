@@ -118,6 +118,23 @@ def test_a_full_standard_output_is_reported(arguments: list[str]) -> None:
     assert len(done.stderr.splitlines()) == 1
 
 
+@pytest.mark.skipif(not sys.platform.startswith("linux"), reason="/dev/full")
+@pytest.mark.parametrize("redirection", ["2>&-", "2>/dev/full"])
+def test_lost_messages_change_neither_results_nor_the_exit_code(redirection: str, tmp_path: Path) -> None:
+    command = f'"$0" evaluate --policy oracle --modes easy --split val --json result.json {redirection}'
+    done = subprocess.run(["sh", "-c", command, COMMAND], cwd=tmp_path, capture_output=True, text=True, check=False)
+    assert done.returncode == 0 and (tmp_path / "result.json").exists()
+    assert "oracle" in done.stdout and "wrote" not in done.stdout and done.stderr == ""
+
+
+@pytest.mark.skipif(sys.platform == "win32", reason="descriptors of POSIX")
+def test_no_file_takes_the_place_of_a_closed_standard_stream(tmp_path: Path) -> None:
+    code = "from logicity.__main__ import main; main(['codes']); print(open('file', 'w').fileno())"
+    words = ["sh", "-c", '"$0" -c "$1" <&- 2>&-', sys.executable, code]
+    done = subprocess.run(words, cwd=tmp_path, stdout=subprocess.PIPE, text=True, check=True)
+    assert int(done.stdout.splitlines()[-1]) > 2
+
+
 @pytest.mark.skipif(sys.platform == "win32", reason="pipes and signals of POSIX")
 def test_sigterm_ends_commands_in_rust(tmp_path: Path) -> None:
     (tmp_path / "count.dl").write_text(".decl n(x: number)\n.output n\nn(0).\nn(x + 1) :- n(x), x < 90000000.\n")
