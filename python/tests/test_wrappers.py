@@ -295,7 +295,7 @@ def test_a_window_shows_every_state() -> None:
     before = shown()
     cars.step(dict.fromkeys(cars.agents, 1))
     assert shown() != before and cars.render() is None
-    # Whoever closes the window, the next picture opens it again.
+    # Another environment closes the window. The next picture opens it again.
     other = SPFEnv("easy", render_mode="human")
     other.reset(seed=0)
     other.close()

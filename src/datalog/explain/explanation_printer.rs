@@ -711,12 +711,12 @@ impl Drawing<'_> {
         let mut by_column: BTreeMap<usize, Vec<ClauseId>> = BTreeMap::new();
         for miss in misses {
             if let Obstacle::Head { column } = miss.obstacle {
-                let clauses = by_column.entry(column + 1).or_default();
-                let span = |clause: &ClauseId| self.printer.rules.clauses[clause.index()].span;
-                if clauses.iter().all(|known| span(known) != span(&miss.clause)) {
-                    clauses.push(miss.clause);
-                }
+                by_column.entry(column + 1).or_default().push(miss.clause);
             }
+        }
+        for clauses in by_column.values_mut() {
+            // The alternatives of a clause follow each other.
+            clauses.dedup_by_key(|clause| self.printer.rules.clauses[clause.index()].span);
         }
         let described = by_column.into_iter().map(|(column, clauses)| match &clauses[..] {
             [clause] => Item {
@@ -725,7 +725,7 @@ impl Drawing<'_> {
             },
             all => {
                 let place = |clause: &ClauseId| self.printer.place(&self.printer.rules.clauses[clause.index()]);
-                let mut places: Vec<String> = all.iter().map(place).take(HEADS_SHOWN).collect();
+                let mut places: Vec<String> = all.iter().take(HEADS_SHOWN).map(place).collect();
                 if all.len() > HEADS_SHOWN {
                     places.push("...".to_owned());
                 }

@@ -210,12 +210,9 @@ pub fn lints(rules: &Rules, sources: &Sources) -> Lints {
 /// what is written once.
 fn worth_a_name(rules: &Rules, uses: &[repeated::Use]) -> Option<Diagnostic> {
     let first = &uses[0];
-    let mut spans: Vec<Span> = Vec::new();
-    for span in uses.iter().map(|one| rules.clauses[one.clause].span) {
-        if !spans.contains(&span) {
-            spans.push(span);
-        }
-    }
+    let mut spans: Vec<Span> = uses.iter().map(|one| rules.clauses[one.clause].span).collect();
+    // The alternatives of a clause follow each other.
+    spans.dedup();
     if spans.len() < 2 {
         return None;
     }
