@@ -13,6 +13,7 @@ use logicity::diag::{Code, Diagnostic, MAX_FAULTS, Sources, render, to_json};
 use logicity::files::{BUILTIN_FOLDER, ReadError, ReadFile, normalize};
 use logicity::induce::{Settings, popper};
 use std::path::Path;
+use std::sync::LazyLock;
 
 /// A text parses or gives diagnostics. If it parses, the printed and the formatted text parse to the same rules, and
 /// both operations are idempotent.
@@ -209,14 +210,9 @@ pub fn rows(bytes: &[u8]) {
         quoted: kind & 128 != 0,
         columns: Vec::new(),
     };
-    let mut sources = Sources::new();
-    let entry = sources.add(
-        "rows.dl",
-        ".decl p(x: symbol, n: number, u: unsigned, f: float, y: symbol)\n.input p\n",
-    );
-    let (program, _) = Program::load(&mut sources, entry, &RuleFiles);
-    let program = program.expect("valid rules");
+    let program = &*ROWS;
     let p = program.relation("p").expect("declared");
+    let mut sources = Sources::new();
     let source = sources.add("p.facts", String::from_utf8_lossy(bytes));
     let mut session = program.session();
     match facts::load_as(&mut session, p, &sources, source, &format) {
@@ -242,6 +238,15 @@ pub fn rows(bytes: &[u8]) {
         }
     }
 }
+
+/// One relation with a column of each type. Shared, since loading it takes longer than reading a few rows.
+static ROWS: LazyLock<Program> = LazyLock::new(|| {
+    let mut sources = Sources::new();
+    let declarations = ".decl p(x: symbol, n: number, u: unsigned, f: float, y: symbol)\n.input p\n";
+    let entry = sources.add("rows.dl", declarations);
+    let (program, _) = Program::load(&mut sources, entry, &RuleFiles);
+    program.expect("valid rules")
+});
 
 /// The content of a file with the rows.
 fn written(session: &Session, relation: RelId, format: &RowFormat) -> String {
