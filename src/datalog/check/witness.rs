@@ -7,7 +7,17 @@
 //! ```
 //!
 //! A variable in the body of `min` or `max` that also occurs outside, but is bound nowhere there, is a witness: it
-//! takes the values for which the aggregate attains its result. The rewriting works on syntax, before name resolution.
+//! takes the values for which the aggregate attains its result.
+//!
+//! A variable that only the result of an aggregate binds is another one in the body of that aggregate:
+//!
+//! ```text
+//! Last(n) :- n = max x : { Section(_, n), x = n }.
+//! becomes
+//! Last(n) :- n = max x : { Section(_, m), x = m }.
+//! ```
+//!
+//! The rewriting works on syntax, before name resolution.
 
 use std::collections::{HashMap, HashSet};
 
@@ -74,10 +84,19 @@ impl Rewriting {
                 .into_iter()
                 .map(str::to_owned),
         );
+        let others: Vec<&Literal> = body.iter().filter(|literal| own_result(literal).is_none()).collect();
+        let mut elsewhere = taken.clone();
+        if others.len() < body.len() {
+            elsewhere.extend(bound_names(&others, HashSet::new()).into_iter().map(str::to_owned));
+        }
         let witnesses: HashSet<String> = outside.difference(&bound).cloned().collect();
         let shared: HashSet<String> = bound.union(&outside).cloned().collect();
         let mut out: Vec<Literal> = Vec::with_capacity(body.len());
         for mut literal in body {
+            let own = own_result(&literal).filter(|name| !elsewhere.contains(*name));
+            if let Some(name) = own.map(str::to_owned) {
+                self.shadow(&mut literal, &name);
+            }
             // A witness of an aggregate may be one of an aggregate in its body. No other variable of this body is.
             let (outside_inner, taken) = match selection(&literal) {
                 Some(_) => (&witnesses, &bound),
@@ -87,6 +106,25 @@ impl Rewriting {
             self.literal(literal, &outside, &bound, &mut out)?;
         }
         Ok(out)
+    }
+
+    /// Renames a variable in the body of the aggregate `name = ...`: there it is another one, which is local.
+    fn shadow(&mut self, literal: &mut Literal, name: &str) {
+        let Literal::Compare { left, right, .. } = literal else {
+            return;
+        };
+        let local = TermKind::Variable(format!("+{name}.{}", self.fresh));
+        let names = Names::from([(name.to_owned(), local)]);
+        for term in [left, right] {
+            if let TermKind::Aggregate(aggregate) = &mut term.kind {
+                aggregate
+                    .body
+                    .iter_mut()
+                    .for_each(|literal| *literal = renamed(literal, &names));
+            }
+        }
+        self.fresh += 1;
+        self.any = true;
     }
 
     /// Rewrites the bodies of the aggregates in a literal.
@@ -199,6 +237,17 @@ impl Rewriting {
     }
 }
 
+/// Returns the name that the source has for a variable that the checker renamed: `x` for `+x.0.found`; `_` if none.
+pub(crate) fn written(name: &str) -> &str {
+    let Some(renamed) = name.strip_prefix('+') else {
+        return name;
+    };
+    match renamed.split_once('.') {
+        Some((written, _)) => written,
+        None => "_",
+    }
+}
+
 /// Returns the number of literals in a literal, with those of its aggregates.
 pub(crate) fn size(literal: &Literal) -> usize {
     fn of_term(term: &Term) -> usize {
@@ -216,7 +265,7 @@ pub(crate) fn size(literal: &Literal) -> usize {
     }
 }
 
-/// Returns whether the literal or an aggregate in it has the form `x = min y : { ... }`.
+/// Returns whether the literal or an aggregate in it has the form `x = min y : { ... }`, or the form `x = { ... x ... }`.
 fn has_selection(literal: &Literal) -> bool {
     fn in_term(term: &Term) -> bool {
         match &term.kind {
@@ -227,6 +276,7 @@ fn has_selection(literal: &Literal) -> bool {
         }
     }
     selection(literal).is_some()
+        || own_result(literal).is_some()
         || match literal {
             Literal::Atom { atom, .. } => atom.terms.iter().any(in_term),
             Literal::Compare { left, right, .. } => in_term(left) || in_term(right),
@@ -257,6 +307,30 @@ fn selection(literal: &Literal) -> Option<(&Term, &Aggregate, &Term)> {
     let target = aggregate.target.as_ref()?;
     let selects = matches!(aggregate.op, AggregateOp::Min | AggregateOp::Max);
     (simple && selects).then_some((result, aggregate, target))
+}
+
+/// Returns the variable x of a literal `x = count : { ... }` if it occurs in the body, but not in the target.
+fn own_result(literal: &Literal) -> Option<&str> {
+    let Literal::Compare {
+        op: Comparison::Equal,
+        left,
+        right,
+        ..
+    } = literal
+    else {
+        return None;
+    };
+    let (result, aggregate) = match (&left.kind, &right.kind) {
+        (TermKind::Variable(result), TermKind::Aggregate(aggregate)) => (result, aggregate),
+        (TermKind::Aggregate(aggregate), TermKind::Variable(result)) => (result, aggregate),
+        _ => return None,
+    };
+    let (mut in_target, mut in_body) = (false, false);
+    let target = aggregate.target.iter();
+    target.for_each(|target| names_of(target, true, &mut |name| in_target |= name == result));
+    let body = aggregate.body.iter();
+    body.for_each(|literal| names_in(literal, true, &mut |name| in_body |= name == result));
+    (in_body && !in_target).then_some(result)
 }
 
 /// Returns the names `bound`, and those that the literals bind outside of aggregates and alternatives. Results of

@@ -493,6 +493,12 @@ impl<'c> Check<'_, 'c> {
                     .help("define a predicate with these alternatives, and aggregate over that");
                 self.fault(fault);
                 self.lost = true;
+                let mut names = Vec::new();
+                names_in(literal, false, &mut |name| names.push(name));
+                for name in names {
+                    let id = self.variable(name, span);
+                    self.excuse(id);
+                }
             }
             self.literal(literal);
         }
