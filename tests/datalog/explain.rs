@@ -388,6 +388,45 @@ fn explained(text: &str, facts: &[(&str, &[&[i32]])], name: &str, row: &[i32]) -
 }
 
 #[test]
+fn explanations_name_the_variables_of_the_source() {
+    let text = "
+.decl a(x: number, g: number)
+.decl oldest, youngest, second(x: number)
+.input a
+oldest(x) :- m = max x : a(x, _), m > 1.
+youngest(x) :- m = min e : { a(x, y), e = y * 2 }, m > 1.
+second(x) :- m = max g : a(x, g), m > 1.";
+    let facts: &[(&str, &[&[i32]])] = &[("a", &[&[1, 3], &[2, 2]])];
+    let of = |name: &str, row: i32| {
+        let tree = explained(text, facts, name, &[row]);
+        tree.split_once('\n').unwrap().1.trim_end().to_owned()
+    };
+    let wanted = "\
+├─ 2 = max x : { a(x, _) }
+├─ a(2, 2)
+├─ 2 = 2
+└─ 2 > 1";
+    assert_eq!(of("oldest", 2), wanted);
+    let wanted = "\
+├─ 4 = min e : { a(x, y), e = y * 2 }
+├─ a(2, 2)
+├─ 4 = 2 * 2
+├─ 4 = 4
+└─ 4 > 1";
+    assert_eq!(of("youngest", 2), wanted);
+    let wanted = "\
+├─ 3 = max g : { a(_, g) }
+├─ a(1, 3)
+├─ 3 = 3
+└─ 3 > 1";
+    assert_eq!(of("second", 1), wanted);
+    let wanted = "\
+└─ youngest(x) :- m = min e : { a(x, y), e = y * 2 }, m > 1.  [rules.dl:6]
+   └─ nearest m = 4, e = 4: a(7, y) does not hold";
+    assert_eq!(of("youngest", 7), wanted);
+}
+
+#[test]
 fn alternatives_and_other_heads_of_an_absence_share_a_line() {
     let text = "
 .decl e(x: number)

@@ -1,5 +1,6 @@
 //! Explanations as text for readers and as JSON for programs.
 
+use crate::datalog::check::witness::written;
 use crate::datalog::check::{Atom, Clause, ClauseId, Literal, RelId, Rules, Term};
 use crate::datalog::explain::{
     Absence, AbsenceReason, Explanation, Fact, FailureKind, Miss, Node, NodeId, Obstacle, Origin, Premise,
@@ -246,8 +247,12 @@ impl<'a> ExplanationPrinter<'a> {
     ) -> impl Iterator<Item = (&'b str, Value, BaseType)> {
         let bases = self.bases(clause);
         (clause.variables.iter().zip(binding).zip(bases))
-            .filter(|((name, _), _)| *name != "_")
-            .filter_map(|((name, value), base)| Some((name.as_str(), (*value)?, base)))
+            .map(|((name, value), base)| (name, written(name), value, base))
+            // A variable within an aggregate may have the name of one outside.
+            .filter(|(name, written, ..)| {
+                *written != "_" && (name == written || !clause.variables.iter().any(|other| other == written))
+            })
+            .filter_map(|(_, written, value, base)| Some((written, (*value)?, base)))
     }
 
     /// Returns the base types of the variables of a clause.
@@ -474,11 +479,9 @@ impl<'a> ExplanationPrinter<'a> {
                 to, op, atom, column, ..
             } => {
                 let to = self.term(clause, to, self.computed_base(clause, literal), binding);
-                let rows = self.atom(clause, atom, binding, depth);
-                let of = match column {
-                    Some(column) => format!(" {}", self.column(atom.relation, *column)),
-                    None => String::new(),
-                };
+                let target = column.map(|column| (column, self.column(atom.relation, column)));
+                let rows = self.aggregated(clause, atom, binding, depth, target);
+                let of = target.map_or(String::new(), |(_, name)| format!(" {name}"));
                 format!("{to} = {}{of} : {{ {rows} }}", op.name())
             }
         }
@@ -489,7 +492,7 @@ impl<'a> ExplanationPrinter<'a> {
         let mut clauses = self.rules.clauses.iter();
         match clauses.find(|clause| self.rules.relations[rel.index()].hidden && clause.head.relation == rel) {
             Some(clause) => match clause.head.terms[column] {
-                Term::Variable(variable) => &clause.variables[variable.index()],
+                Term::Variable(variable) => written(&clause.variables[variable.index()]),
                 _ => "_",
             },
             None => &self.rules.relations[rel.index()].columns[column].name,
@@ -497,13 +500,28 @@ impl<'a> ExplanationPrinter<'a> {
     }
 
     fn atom(&self, clause: &Clause, atom: &Atom, binding: &[Option<Value>], depth: usize) -> String {
+        self.aggregated(clause, atom, binding, depth, None)
+    }
+
+    /// Returns an atom whose column `target`, if any, has that name.
+    fn aggregated(
+        &self,
+        clause: &Clause,
+        atom: &Atom,
+        binding: &[Option<Value>],
+        depth: usize,
+        target: Option<(usize, &str)>,
+    ) -> String {
         let relation = &self.rules.relations[atom.relation.index()];
         if relation.hidden && relation.derived {
             return self.unfold(atom.relation, &super::search::pattern(atom, binding), depth);
         }
         let columns = relation.columns.iter().zip(&atom.terms);
-        let terms: Vec<String> = columns
-            .map(|(column, term)| self.term(clause, term, column.base, binding))
+        let terms: Vec<String> = (columns.enumerate())
+            .map(|(index, (column, term))| match target {
+                Some((target, name)) if target == index => name.to_owned(),
+                _ => self.term(clause, term, column.base, binding),
+            })
             .collect();
         self.named_atom(atom.relation, &terms)
     }
@@ -511,7 +529,7 @@ impl<'a> ExplanationPrinter<'a> {
     fn term(&self, clause: &Clause, term: &Term, base: BaseType, binding: &[Option<Value>]) -> String {
         match (super::search::value(term, binding), term) {
             (Some(value), _) => self.value(value, base),
-            (None, Term::Variable(variable)) => clause.variables[variable.index()].clone(),
+            (None, Term::Variable(variable)) => written(&clause.variables[variable.index()]).to_owned(),
             (None, _) => "_".to_owned(),
         }
     }

@@ -15,6 +15,7 @@ mod theory;
 
 use crate::datalog::check::subsumption;
 use crate::datalog::check::subsumption::{Fact, NoConstraints, Pattern, Theory, covers, facts, within_theory};
+use crate::datalog::check::witness::written;
 use crate::datalog::check::{
     Atom, Budget, Clause, ClauseId, Comparing, Constraint, DeclaredConstraint, Literal, RelId, Rules, Term, VarId,
 };
@@ -510,7 +511,7 @@ fn shown_atom(rules: &Rules, clause: &Clause, atom: &Atom) -> String {
 fn shown_term(rules: &Rules, clause: &Clause, term: &Term, base: BaseType) -> String {
     match *term {
         Term::Wildcard => "_".to_owned(),
-        Term::Variable(VarId(id)) => clause.variables[id as usize].clone(),
+        Term::Variable(VarId(id)) => written(&clause.variables[id as usize]).to_owned(),
         Term::Constant(value) => match base {
             BaseType::Number => value.as_number().to_string(),
             BaseType::Unsigned => value.0.to_string(),
