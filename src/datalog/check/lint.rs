@@ -61,16 +61,19 @@ pub(crate) fn dead(all: &Clauses, names: &Names, faults: &mut Faults) {
             });
             written.unwrap_or(clause.head.span)
         };
+        // A clause with several heads or alternatives counts several times.
+        let mut places: Vec<Span> = clauses.into_iter().map(place).collect();
+        places.dedup();
         let mut fault = Diagnostic::new(
             Code::DEAD_CLAUSE,
             format!("this clause never fires: `{name}` is always empty"),
         )
-        .at(place(clauses[0]), "");
-        for clause in clauses.iter().take(MAX_DEAD_SHOWN).skip(1) {
-            fault = fault.also(place(clause), "nor does this one");
+        .at(places[0], "");
+        for place in places.iter().take(MAX_DEAD_SHOWN).skip(1) {
+            fault = fault.also(*place, "nor does this one");
         }
-        if clauses.len() > MAX_DEAD_SHOWN {
-            fault = fault.note(format!("nor do {} other clauses", clauses.len() - MAX_DEAD_SHOWN));
+        if places.len() > MAX_DEAD_SHOWN {
+            fault = fault.note(format!("nor do {} other clauses", places.len() - MAX_DEAD_SHOWN));
         }
         fault = fault.also(names.relation(relation).span, format!("`{name}` is declared here"));
         fault = if has_clause[relation.index()] {

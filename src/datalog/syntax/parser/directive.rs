@@ -500,7 +500,11 @@ impl Parser<'_> {
     fn old_type(&mut self, name: &Name, base: BaseType) -> TypeDefinition {
         let fault = Diagnostic::new(Code::OLD_FORM, "an old form of `.type`")
             .at(name.place.0, "")
-            .help(format!("write `.type {} <: {}`", name.text, base.name()));
+            .help(format!(
+                "write `.type {name} <: {base}`, or `.type {name} = {base}` if it takes any {base}",
+                name = name.text,
+                base = base.name()
+            ));
         self.faults.push(fault);
         TypeDefinition::Subtype(Name {
             text: base.name().to_owned(),
