@@ -143,7 +143,7 @@ impl Workspace {
     }
 
     fn checked(&self, items: Cow<'_, [Item]>, facts: Cow<'_, FactRuns>, mut faults: Faults) -> Loaded {
-        let complete = !self.gathered.incomplete;
+        let complete = !(self.gathered.incomplete || self.gathered.macros.may_declare);
         let (rules, compared) = check((items, facts), complete, self.inputs, Symbols::new(), &mut faults);
         Loaded {
             rules,

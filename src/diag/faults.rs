@@ -54,7 +54,7 @@ impl List {
 }
 
 /// A state of [`Faults`].
-#[derive(Clone, Copy, Debug)]
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(crate) struct Mark {
     errors: usize,
     warnings: usize,

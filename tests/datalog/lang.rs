@@ -406,6 +406,9 @@ fn a_missing_include_suggests_a_similar_file() {
         assert_eq!(said, [format!("did you mean `{meant}`?")], "{written}");
     }
     assert_eq!(helps(".include \"something-else.dl\""), [""; 0]);
+    assert_eq!(helps(".include \"/rules/other.dl\""), [""; 0]);
+    let wanted = "write the path from the folder of this file";
+    assert_eq!(helps("#include \"rules/other.dl\""), [wanted]);
 }
 
 #[test]

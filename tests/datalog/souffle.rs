@@ -3,6 +3,7 @@
 use crate::rule_files::RuleFiles;
 use logicity::datalog::{ast, load, parse, print};
 use logicity::diag::{Diagnostic, Sources};
+use logicity::files::ReadError;
 
 fn diagnostics(text: &str) -> Vec<(&'static str, usize, String)> {
     let mut sources = Sources::new();
@@ -190,6 +191,53 @@ fn each_unsupported_construct_has_one_diagnostic_and_ends() {
 }
 
 #[test]
+fn macros_of_all_files_stand_for_unknown_text() {
+    const MACROS: &str = "#define CLOSE(p) .decl p ## s(x: number) p ## s(x) :- p(x). \\\n  .output p ## s\n\
+                          #define BIG(x) (x > 2)\n#define NAME number\n";
+    let files = [
+        (
+            "a.dl",
+            "#include \"b.dl\"\n#include \"macros.dl\"\n.include \"c.dl\"\n.decl q(x: NAME)\nCLOSE(q)\n.output q\nq(1).\n",
+        ),
+        (
+            "b.dl",
+            ".decl p(x: number)\np(1). p(2).\nCLOSE(p)\n.decl r(x: number)\nr(x) :- p(x), BIG(x).\n.output r\nCLOSE(p)\nr(\"a\").\n",
+        ),
+        ("macros.dl", MACROS),
+        (
+            "c.dl",
+            ".include \"macros.dl\"\n.decl t(x: number)\n.output t\nt(x) :- ps(x), qs(x), BIG(x), r(x).\nt(x) :- ps(x).\nt(\"a\").\n",
+        ),
+    ];
+    let read = |path: &std::path::Path| {
+        let found = files.iter().find(|(name, _)| path == std::path::Path::new(name));
+        found.map(|(_, text)| (*text).to_owned()).ok_or(ReadError::NotFound)
+    };
+    let mut sources = Sources::new();
+    let entry = sources.add(files[0].0, files[0].1);
+    let found = load(&mut sources, entry, &read).diagnostics;
+    let places: Vec<(&str, &str, usize)> = (found.iter())
+        .map(|fault| {
+            let span = fault.primary.as_ref().unwrap().span;
+            let before = &sources.text(span.source)[..span.start as usize];
+            (
+                fault.code.name(),
+                sources.name(span.source),
+                before.matches('\n').count() + 1,
+            )
+        })
+        .collect();
+    let wanted = [
+        ("type-mismatch", "b.dl", 8),
+        ("unsupported", "macros.dl", 1),
+        ("unsupported", "macros.dl", 3),
+        ("unsupported", "macros.dl", 4),
+        ("type-mismatch", "c.dl", 6),
+    ];
+    assert_eq!(places, wanted, "{found:#?}");
+}
+
+#[test]
 fn each_unsupported_construct_has_an_alternative() {
     let lacks_help = |construct: &&&str| {
         let mut sources = Sources::new();
@@ -308,4 +356,49 @@ fn a_value_of_a_supertype_has_a_conversion() {
     let wanted = "declare both columns with one type, or convert the value: `as(x, T)`";
     assert_eq!(help, Some(wanted), "{found:?}");
     assert_eq!(diagnostics(&text("as(x, T)")), []);
+}
+
+#[test]
+fn alternatives_in_an_aggregate_are_one_fault() {
+    for target in ["y", "y + z", "-y"] {
+        let text = format!(
+            ".decl a(x: number, z: number)\n.decl m(x: number)\n.input a\n.output m\n\
+             m(n) :- n = max {target} : {{ a(x, z), (y = x; y = z) }}.\n"
+        );
+        let codes: Vec<_> = diagnostics(&text).into_iter().map(|(code, ..)| code).collect();
+        assert_eq!(codes, ["unsupported"], "{text}");
+    }
+}
+
+#[test]
+fn the_target_of_an_aggregate_may_be_defined_in_its_body() {
+    for target in ["y", "-y", "y * 2"] {
+        for body in [
+            "a(x), y = x",
+            "y = x + 1, a(x)",
+            "a(x), x + 1 = y",
+            "a(x), y = z, z = x * x",
+            "a(x), y = count : { a(z), z < x }",
+        ] {
+            let text = format!(
+                ".decl a(x: number)\n.decl m(x: number)\n.input a\n.output m\nm(n) :- n = max {target} : {{ {body} }}.\n\
+                 m(n) :- a(y), n = max {target} : {{ {body} }}, y > n.\n"
+            );
+            assert_eq!(diagnostics(&text), [], "{text}");
+        }
+    }
+}
+
+#[test]
+fn a_dead_clause_with_several_heads_is_marked_once() {
+    let mut sources = Sources::new();
+    let text = ".decl e, a, b(x: number)\n.output a, b\na(x), b(x) :- e(x).\nb(x) :- (a(x); b(x)), e(x).\n";
+    let entry = sources.add("a.dl", text);
+    let found = load(&mut sources, entry, &RuleFiles).diagnostics;
+    let dead = found
+        .iter()
+        .find(|fault| fault.code.name() == "dead-clause")
+        .expect("a warning");
+    // The other clause, and the declaration.
+    assert_eq!(dead.secondary.len(), 2, "{dead:#?}");
 }

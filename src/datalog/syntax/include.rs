@@ -1,6 +1,6 @@
 //! Includes: the files of a program as one list of items, in reading order.
 
-use std::collections::HashSet;
+use std::collections::{HashMap, HashSet};
 use std::path::{Path, PathBuf};
 
 use crate::diag::{Code, Diagnostic, Faults, SourceId, Sources, Span, similar_file};
@@ -9,6 +9,7 @@ use crate::files::{BUILTIN_FOLDER, ReadError, ReadFile, normalize};
 use crate::datalog::syntax::ast::{File, Include, Item};
 use crate::datalog::syntax::packed::FactRuns;
 use crate::datalog::syntax::parser;
+use crate::datalog::syntax::parser::Macros;
 
 /// Maximum size of a rule file in bytes.
 const MAX_TEXT_BYTES: usize = 64 << 20;
@@ -28,6 +29,8 @@ pub(crate) struct Gathered {
     pub facts: FactRuns,
     /// Whether an included file was missing. If so, its declarations may explain unknown names.
     pub incomplete: bool,
+    /// The macros of all files.
+    pub macros: Macros,
     /// The normalized paths of all files so far. Only for lookup, never iterated.
     seen: HashSet<PathBuf>,
 }
@@ -41,14 +44,28 @@ pub(crate) fn gather(
     faults: &mut Faults,
 ) {
     let key = normalize(Path::new(sources.name(entry)));
-    if gathered.seen.insert(key.clone()) {
-        let mut walk = Walk {
-            sources,
-            read,
-            faults,
-            open: vec![(key, None)],
-            gathered,
-        };
+    if !gathered.seen.insert(key.clone()) {
+        return;
+    }
+    let (items, facts, incomplete) = (gathered.items.len(), gathered.facts.len(), gathered.incomplete);
+    let mark = faults.mark();
+    let mut walk = Walk {
+        sources,
+        read,
+        faults,
+        open: vec![(key, None)],
+        included: HashMap::new(),
+        gathered,
+    };
+    walk.text(entry);
+    if !walk.gathered.macros.is_empty() && !walk.included.is_empty() {
+        // A file that uses macros is parsed before the files it includes, which define them.
+        walk.faults.rewind(mark);
+        walk.gathered.items.truncate(items);
+        walk.gathered.facts.truncate(facts);
+        walk.gathered.incomplete = incomplete;
+        let included = &walk.included;
+        walk.gathered.seen.retain(|key| !included.contains_key(key));
         walk.text(entry);
     }
 }
@@ -82,6 +99,8 @@ struct Walk<'a> {
     faults: &'a mut Faults,
     /// The files that are open, outermost first: the normalized path, and the include that led to it.
     open: Vec<(PathBuf, Option<Span>)>,
+    /// The sources that this walk has added, by normalized path.
+    included: HashMap<PathBuf, SourceId>,
     gathered: &'a mut Gathered,
 }
 
@@ -90,7 +109,7 @@ impl Walk<'_> {
         let Some(text) = small_text(self.sources, id, self.faults) else {
             return;
         };
-        let (file, mut packed) = parser::parse_packed(id, text, self.faults);
+        let (file, mut packed) = parser::parse_packed(id, text, &mut self.gathered.macros, self.faults);
         let mut runs = std::mem::take(&mut packed.runs).into_iter().peekable();
         let to = self.gathered.facts.add_file(packed);
         let mut items = file.items.into_iter().enumerate();
@@ -127,8 +146,15 @@ impl Walk<'_> {
             if self.gathered.seen.contains(&key) {
                 return;
             }
+            if let Some(&id) = self.included.get(&key) {
+                return self.open(id, key, span);
+            }
             match self.read.read(path) {
-                Ok(text) => return self.open(path, key, text, span),
+                Ok(text) => {
+                    let id = self.sources.add(path.display().to_string(), text);
+                    self.included.insert(key.clone(), id);
+                    return self.open(id, key, span);
+                }
                 Err(ReadError::NotFound) => {}
                 Err(other) => {
                     error = other;
@@ -150,6 +176,9 @@ impl Walk<'_> {
                     Some(near) => fault
                         .help(format!("did you mean `{near}`?"))
                         .fix(format!("include `{near}`"), [(span, format!("\"{near}\""))]),
+                    None if Path::new(&include.path).is_relative() && include.path.contains('/') => {
+                        fault.help("write the path from the folder of this file")
+                    }
                     None => fault,
                 }
             }
@@ -175,7 +204,7 @@ impl Walk<'_> {
         similar_file(path, beside.into_iter().chain(builtin)).map(str::to_owned)
     }
 
-    fn open(&mut self, path: &Path, key: PathBuf, text: String, span: Span) {
+    fn open(&mut self, id: SourceId, key: PathBuf, span: Span) {
         if self.open.len() >= MAX_DEPTH {
             self.gathered.incomplete = true;
             let fault = Diagnostic::new(Code::LIMIT_EXCEEDED, "includes nested too deeply")
@@ -184,7 +213,6 @@ impl Walk<'_> {
             self.faults.push(fault);
             return;
         }
-        let id = self.sources.add(path.display().to_string(), text);
         self.gathered.seen.insert(key.clone());
         self.open.push((key, Some(span)));
         self.text(id);

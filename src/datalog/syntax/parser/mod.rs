@@ -119,12 +119,19 @@ pub(crate) fn parse(source: SourceId, text: &str, faults: &mut Faults) -> File {
     parse_tokens(source, text, &lexed, faults).0
 }
 
-/// Parses one source. Facts of plain constants are apart from the other items.
-pub(crate) fn parse_packed(source: SourceId, text: &str, faults: &mut Faults) -> (File, PackedFacts) {
+/// Parses one source of several, and adds its macros. Facts of plain constants are apart from the other items.
+pub(crate) fn parse_packed(
+    source: SourceId,
+    text: &str,
+    macros: &mut Macros,
+    faults: &mut Faults,
+) -> (File, PackedFacts) {
     let lexed = lexer::lex(source, text, faults);
     let mut parser = Parser::new(source, text, &lexed, faults);
     parser.packed = Some(PackedFacts::new(source));
+    parser.macros = std::mem::take(macros);
     let file = parser.file();
+    *macros = parser.macros;
     (file, parser.packed.unwrap_or_else(|| PackedFacts::new(source)))
 }
 
@@ -140,6 +147,21 @@ pub(crate) fn parse_question(source: SourceId, text: &str, faults: &mut Faults) 
     let lexed = lexer::lex(source, text, faults);
     let mut parser = Parser::new(source, text, &lexed, faults);
     parser.question().ok()
+}
+
+/// The macros that the C preprocessor would replace.
+#[derive(Clone, Debug, Default)]
+pub(crate) struct Macros {
+    /// Only for lookup, never iterated.
+    names: HashSet<String>,
+    /// Whether a macro stands elsewhere than in a clause that parses without it, so that it may declare any name.
+    pub may_declare: bool,
+}
+
+impl Macros {
+    pub(crate) fn is_empty(&self) -> bool {
+        self.names.is_empty()
+    }
 }
 
 /// Marks a fault that the parser has reported; the caller abandons the current construct.
@@ -162,8 +184,7 @@ struct Parser<'a> {
     negations: Vec<&'static str>,
     /// The marks that the qualifiers of the last declaration imply.
     marks: Vec<Item>,
-    /// The macros that the C preprocessor would replace.
-    macros: HashSet<&'a str>,
+    macros: Macros,
     /// Whether a line marker of the C preprocessor was reported.
     marked: bool,
     /// Whether the last clause was faulty.
@@ -202,7 +223,7 @@ impl<'a> Parser<'a> {
             nesting: 0,
             negations: negations(text, &lexed.tokens),
             marks: Vec::new(),
-            macros: HashSet::new(),
+            macros: Macros::default(),
             marked: false,
             dropped: false,
             packed: None,
@@ -440,6 +461,7 @@ impl<'a> Parser<'a> {
             }
             if self.names_macro(start) {
                 // Only the preprocessor knows what was written.
+                self.macros.may_declare |= self.faults.mark() != mark || !matches!(item, Ok(Some(Item::Clause(_))));
                 self.faults.rewind(mark);
                 if matches!(item, Ok(Some(Item::Clause(_)))) {
                     item = Err(Reported);
@@ -460,7 +482,7 @@ impl<'a> Parser<'a> {
 
     /// Returns whether the tokens from `start` up to the current one name a macro.
     fn names_macro(&self, start: usize) -> bool {
-        let is_macro = |token: &Token| token.kind == Kind::Ident && self.macros.contains(self.slice(*token));
+        let is_macro = |token: &Token| token.kind == Kind::Ident && self.macros.names.contains(self.slice(*token));
         !self.macros.is_empty() && self.tokens[start..self.at].iter().any(is_macro)
     }
 
@@ -571,7 +593,7 @@ impl<'a> Parser<'a> {
                 let rest = &text[text.find(word).unwrap_or(0) + word.len()..];
                 let rest = rest.trim_start_matches([' ', '\t']);
                 let name = rest.split(|c: char| !c.is_ascii() || !lexer::is_name_part(c as u8));
-                self.macros.extend(name.into_iter().next());
+                self.macros.names.extend(name.into_iter().next().map(str::to_owned));
                 EXPAND
             }
             _ if word.starts_with(|c: char| c.is_ascii_digit()) => {
@@ -690,6 +712,9 @@ impl<'a> Parser<'a> {
             let start = token.start as usize + 1 + at;
             let fault = Diagnostic::new(Code::SYNTAX, "unknown escape in a string")
                 .at(Span::new(self.source, start..start + 1 + c.len_utf8()), "")
+                .help(format!(
+                    "write `\\\\{c}` for a backslash before `{c}`, as in a regular expression"
+                ))
                 .note(
                     "the escapes are `\\n`, `\\r`, `\\t`, `\\0`, `\\a`, `\\b`, `\\v`, `\\f`, `\\\"`, `\\'` and `\\\\`",
                 );
