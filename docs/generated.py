@@ -23,7 +23,7 @@ from typing import Any
 
 import logicity
 from logicity.commands import SUMMARIES, parser_of
-from logicity.describe import describe, environment_page
+from logicity.describe import describe, environment_page, parallel_page
 from logicity.modes import ENVIRONMENTS
 from sphinx.ext.autodoc.mock import mock  # type: ignore[attr-defined]
 
@@ -409,6 +409,12 @@ def environments() -> str:
     return "## Modes\n\n" + "\n".join(rows) + f"\n\n{tables}"
 
 
+def parallel() -> str:
+    """Return the page of the environment in which every car is controlled."""
+    imported("logicity.parallel")
+    return parallel_page()
+
+
 # --- files of the repository, and what other builds add to the site
 
 
@@ -534,6 +540,7 @@ GENERATORS: dict[str, Callable[[], str]] = {
     **{f"experiment-files-{name}": functools.partial(experiment_files, name) for name in EXPERIMENT_PARTS},
     "environments": environments,
     **{f"environment-{mode}": functools.partial(environment_page, mode) for mode in ENVIRONMENTS},
+    "environment-parallel": parallel,
     "python": python,
     "playground": playground,
     "rust": rust,

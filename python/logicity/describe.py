@@ -2,21 +2,24 @@
 
 from __future__ import annotations
 
+import inspect
 import itertools
 import json
 import os
+import re
 from collections.abc import Iterator, Mapping
 from typing import Any, TypeAlias
 
 from . import _logicity
 from .city import ACTIONS, HEADINGS
+from .env_config import EnvConfig
 from .errors import did_you_mean
 from .evaluation import load_task
 from .modes import ENVIRONMENTS
 from .rules import Program
 from .types import Clause
 
-__all__ = ["Atom", "atoms_of", "describe", "environment_page", "observation_names"]
+__all__ = ["Atom", "atoms_of", "describe", "environment_page", "observation_names", "parallel_page"]
 
 #: A predicate and its arguments, which are numbers of observed entities. Entity 0 is the ego.
 Atom: TypeAlias = tuple[str, tuple[int, ...]]
@@ -36,33 +39,6 @@ def describe() -> str:
     return "\n".join(f"### {title}\n\n{text}" for title, text in sections)
 
 
-#: The keyword arguments of `gymnasium.make`, with their defaults and meanings.
-ARGUMENTS: dict[str, tuple[object, str]] = {
-    "split": ("train", "the set of agents: `train`, `val` or `test`"),
-    "rules": (None, "a rule file that replaces the configuration's"),
-    "overrides": (None, 'changes to the configuration, such as `{"task": {"horizon": 100}}`'),
-    "observation": ("groundings", "the kind of observation: `groundings`, `state`, `relational` or `graph`"),
-    "limits": (None, 'the limits of each evaluation of the rules, such as `{"max_rows": 50_000_000}`'),
-    "oracle": (True, "whether `info` has `oracle_action`"),
-    "action_masks": (False, "whether `info` has `action_mask`; enables `action_masks()`"),
-    "episodes": ("drawn", "`drawn`, `drawn-demanding` or `recorded`"),
-    "atoms": (False, "whether `info` has `true_atoms`, strings such as `IsTiro(Car_1)`"),
-    "render_mode": (None, "`human`, `rgb_array` or `ansi`"),
-}
-
-#: The keys of `info`, with their types and meanings. The last two need an argument.
-INFO: dict[str, tuple[str, str]] = {
-    "oracle_action": ("int", "the action that the rules derive in the current state"),
-    "violations": ("bool array, one value per clause", "the clauses that the last action violated"),
-    "progress": ("float, 0 to 1", "the completed share of the route"),
-    "success": ("bool", "whether the car has reached the goal without violating a rule"),
-    "steps": ("int", "the number of steps of the episode"),
-    "seed": ("int64", "the 64 bits of the seed of the episode"),
-    "action_mask": ("int8 array of shape (4,)", "1 for each action that violates no clause, with `action_masks=True`"),
-    "true_atoms": ("tuple of strings", "the true atoms that the car observes, with `atoms=True`"),
-}
-
-
 def environment_page(mode: str) -> str:
     """Return the description of the environment of a mode as Markdown, in the order that gymnasium's pages have.
 
@@ -70,8 +46,11 @@ def environment_page(mode: str) -> str:
         mode: One of `logicity.ENVIRONMENTS`, such as `"expert"`.
 
     Raises:
+        ImportError: If gymnasium is not installed.
         ValueError: If there is no such mode.
     """
+    from .envs import SPFEnv
+
     if mode not in ENVIRONMENTS:
         raise ValueError(f"unknown mode `{mode}`{did_you_mean(mode, ENVIRONMENTS)}")
     task = _logicity.describe(load_task(mode))
@@ -79,7 +58,6 @@ def environment_page(mode: str) -> str:
     about = _logicity.read_file(f"configs/{mode}.yaml").partition("\n")[0].partition(": ")[2]
     agents = " / ".join(str(task["splits"][split]["agents"]) for split in SPLITS)
     recorded = " / ".join(str(task["splits"][split]["episodes"]) for split in SPLITS)
-    horizon, patience = task["horizon"], task["patience"]
     overview: list[tuple[object, ...]] = [
         ("import", f'`gymnasium.make("{ENVIRONMENTS[mode]}")` after `import logicity`'),
         ("action space", "`Discrete(4)`"),
@@ -87,58 +65,149 @@ def environment_page(mode: str) -> str:
         ("agents in `train` / `val` / `test`", agents),
         ("recorded episodes in `train` / `val` / `test`", recorded),
     ]
-    actions: list[tuple[object, ...]] = [
-        (number, action, distance) for number, (action, distance) in enumerate(zip(ACTIONS, (1, 2, 3, 0), strict=True))
-    ]
     meanings = {clause["label"]: clause["doc"].partition(": ")[2] for clause in _clauses(mode)}
     clauses: list[tuple[object, ...]] = [
         (at, f"`{each['clause']}`", each["action"], f"{each['reward']:g}", " ".join(meanings[each["clause"]].split()))
         for at, each in enumerate(task["constraints"])
     ]
-    arguments: list[tuple[object, ...]] = [
-        (f"`{name}`", f"`{value!r}`", meaning) for name, (value, meaning) in ARGUMENTS.items()
+    description = (
+        "The agent drives the first car of a city, the ego, along a given route among cars and pedestrians that "
+        f"follow the rules. It must reach the end of the route without violating a rule. In this mode: {about}\n\n"
+        "The rules forbid an action if a clause derives another one in the current state:\n\n"
+        + _table(("index in `violations`", "clause", "it requires", "reward for violating it", "meaning"), clauses)
+        + "\n`env.unwrapped.clauses` has the names of the clauses, and `env.unwrapped.explain()` proves the action "
+        "that the rules derive.\n"
+    )
+    start = (
+        "`reset(seed=s)` begins a sequence of drawn episodes: the seed determines the start and the goal of every "
+        "agent, the concepts of the ego, and all later random draws. Further calls of `reset()` continue the "
+        'sequence. `reset(options={"episode": n})` starts a recorded episode, and `env.unwrapped.episode` has the '
+        "start of any episode in a form that the same option accepts. All agents rest at first.\n"
+    )
+    end = (
+        "- *Termination*: the car reaches its goal, or its action violates a clause.\n"
+        f"- *Truncation*: a drawn episode has {task['horizon']} steps. A recorded one has {task['patience']} times the "
+        "number of steps that the oracle needs.\n"
+    )
+    arguments = (
+        _arguments(SPFEnv) + "\n`gymnasium.make_vec` takes the same arguments for environments that step together.\n"
+    )
+    infos = "an `info` with these keys:\n\n" + _infos(SPFEnv)
+    return _page(overview, description, {mode: task}, start, end, arguments, infos)
+
+
+def parallel_page() -> str:
+    """Variant of `environment_page` for `logicity.parallel_env`, in all modes.
+
+    Raises:
+        ImportError: If PettingZoo is not installed.
+    """
+    from .parallel import SPFParallelEnv
+
+    loaded = {mode: load_task(mode) for mode in ENVIRONMENTS}
+    tasks = {mode: _logicity.describe(task) for mode, task in loaded.items()}
+    cars: list[tuple[object, ...]] = [
+        (
+            f"`{mode}`",
+            " / ".join(str(len(_logicity.MultiCarEnv(task, split, "groundings", False).names())) for split in SPLITS),
+            f"`Box(0.0, 1.0, ({tasks[mode]['width']},), float32)`",
+            tasks[mode]["horizon"],
+        )
+        for mode, task in loaded.items()
     ]
-    infos: list[tuple[object, ...]] = [(f"`{key}`", kind, meaning) for key, (kind, meaning) in INFO.items()]
-    sections = [
-        (
-            "Description",
-            "The agent drives the first car of a city, the ego, along a given route among cars and pedestrians that "
-            f"follow the rules. It must reach the end of the route without violating a rule. In this mode: {about}\n\n"
-            "The rules forbid an action if a clause derives another one in the current state:\n\n"
-            + _table(("index in `violations`", "clause", "it requires", "reward for violating it", "meaning"), clauses)
-            + "\n`env.unwrapped.clauses` has the names of the clauses, and `env.unwrapped.explain()` proves the action "
-            "that the rules derive.\n",
-        ),
-        ("Action space", _table(("number", "action", "cells that the car moves"), actions)),
-        ("Observation space", _groundings({mode: task})),
-        ("Observations of the kind `state`", _state({mode: task})),
-        ("Rewards", _rewards({mode: task})),
-        (
-            "Information",
-            "`reset` and `step` return an `info` with these keys:\n\n" + _table(("key", "type", "value"), infos),
-        ),
-        (
-            "Starting state",
-            "`reset(seed=s)` begins a sequence of drawn episodes: the seed determines the start and the goal of every "
-            "agent, the concepts of the ego, and all later random draws. Further calls of `reset()` continue the "
-            'sequence. `reset(options={"episode": n})` starts a recorded episode, and `env.unwrapped.episode` has the '
-            "start of any episode in a form that the same option accepts. All agents rest at first.\n",
-        ),
-        (
-            "Episode end",
-            "- *Termination*: the car reaches its goal, or its action violates a clause.\n"
-            f"- *Truncation*: a drawn episode has {horizon} steps. A recorded one has {patience} times the number of "
-            "steps that the oracle needs.\n",
-        ),
-        (
-            "Arguments",
-            _table(("argument", "default", "meaning"), arguments)
-            + "\n`gymnasium.make_vec` takes the same arguments for environments that step together.\n",
-        ),
-        ("Version history", "- v0: the first version.\n"),
+    overview: list[tuple[object, ...]] = [
+        ("import", '`logicity.parallel_env("expert")`, or another mode or configuration file'),
+        ("agents", "`Car_1`, `Car_2`, ...: all cars, in `possible_agents`"),
+        ("action spaces", "`Discrete(4)`"),
+        ("observation spaces", "one for each car, all alike; see the table of modes"),
     ]
-    text = "\n".join(f"## {title}\n\n{section}" for title, section in sections)
+    description = (
+        "Every car of a city is an agent of its own, which must reach the end of its route without violating a rule. "
+        "Pedestrians follow the rules. `step` takes one action for each car in `agents`. When the episode of a car "
+        "ends, the car leaves `agents` and from then on follows the rules, so that the others still meet it.\n\n"
+        + _table(("mode", "cars in `train` / `val` / `test`", "observation space of a car", "horizon"), cars)
+        + "\n`env.clauses` has the names of the clauses that a car can violate, which the page of each mode explains. "
+        '`env.explain("Car_2")` proves the action that the rules derive for a car.\n'
+    )
+    start = (
+        "`reset(seed=s)` begins a sequence of drawn episodes, and further calls of `reset()` continue it. The seed "
+        "determines the start and the goal of every agent and all later random draws. "
+        '`reset(options={"episode": env.episode})` starts the same episode again. Recorded episodes have one '
+        "controlled car, so this environment takes none of them by number. All agents rest at first.\n"
+    )
+    end = (
+        "- *Termination* of a car: it reaches its goal, or its action violates a clause.\n"
+        "- *Truncation* of a car: the episode has as many steps as the horizon.\n\n"
+        "The episode of the environment ends when `agents` is empty.\n"
+    )
+    infos = "an `info` for each car, with these keys:\n\n" + _infos(SPFParallelEnv)
+    return _page(overview, description, tasks, start, end, _arguments(SPFParallelEnv), infos)
+
+
+def _page(
+    overview: list[tuple[object, ...]],
+    description: str,
+    tasks: dict[str, Any],
+    start: str,
+    end: str,
+    arguments: str,
+    infos: str,
+) -> str:
+    """Return the page of an environment, in the order that gymnasium's pages have."""
+    actions: list[tuple[object, ...]] = [
+        (number, action, distance) for number, (action, distance) in enumerate(zip(ACTIONS, (1, 2, 3, 0), strict=True))
+    ]
+    sections = {
+        "Description": description,
+        "Action space": _table(("number", "action", "cells that the car moves"), actions),
+        "Observation space": _groundings(tasks),
+        "Observations of the kind `state`": _state(tasks),
+        "Rewards": _rewards(tasks),
+        "Information": "`reset` and `step` return " + infos,
+        "Starting state": start,
+        "Episode end": end,
+        "Arguments": arguments,
+        "Version history": "- v0: the first version.\n",
+    }
+    text = "\n".join(f"## {title}\n\n{section}" for title, section in sections.items())
     return _table(("property", "value"), overview) + "\n" + text
+
+
+def _parameters(env_class: type) -> dict[str, inspect.Parameter]:
+    """Return the keyword arguments of a class of environments, in the order of the docstring of `SPFEnv`."""
+    own = {**inspect.signature(env_class.__init__).parameters, **inspect.signature(EnvConfig).parameters}  # type: ignore[misc]
+    return {name: own[name] for name in _documented() if name in own and name != "config"}
+
+
+def _arguments(env_class: type) -> str:
+    """Return a table of the keyword arguments of a class of environments, with the meanings that `SPFEnv` documents."""
+    rows: list[tuple[object, ...]] = [
+        (f"`{name}`", f"`{parameter.default!r}`", _documented()[name])
+        for name, parameter in _parameters(env_class).items()
+    ]
+    return _table(("argument", "default", "meaning"), rows)
+
+
+def _infos(env_class: type) -> str:
+    """Return a table of the keys of `info` in a class of environments, from the docstring of `SPFEnv`."""
+    rows: list[tuple[object, ...]] = []
+    for key, kind, needs, meaning in re.findall(r"^- `(\w+)` \((.*?)\)(, with .*?)?: (.*)", _docstring(), re.MULTILINE):
+        if all(name in _parameters(env_class) for name in re.findall(r"`(\w+)=True`", needs)):
+            rows.append((f"`{key}`", kind + needs, meaning))
+    return _table(("key", "type", "value"), rows)
+
+
+def _documented() -> dict[str, str]:
+    """Return the arguments that the docstring of `SPFEnv` documents, with their meanings."""
+    entries = _docstring().partition("\nArgs:\n")[2].partition("\n\n")[0]
+    return dict(re.findall(r"^    (\w+): (.*)", entries, re.MULTILINE))
+
+
+def _docstring() -> str:
+    """Return the docstring of `SPFEnv` with one line for each argument and each key of `info`."""
+    from .envs import SPFEnv
+
+    return re.sub(r"\n(?:  |        )(?=\S)", " ", inspect.cleandoc(SPFEnv.__doc__ or ""))
 
 
 def _clauses(mode: str) -> list[Clause]:

@@ -178,31 +178,32 @@ class SPFEnv(gymnasium.Env[Any, np.int64]):
 
     `info` has these keys:
 
-    - `oracle_action`: the action that the rules derive in the current state.
-    - `violations`: for each clause, whether the last action violated it, a bool array. `clauses` has the names of the
-      clauses in the same order.
-    - `progress`: the completed share of the route, from 0 to 1.
-    - `success`: whether the car has reached the goal without violating a rule.
-    - `steps`: the number of steps of the episode.
-    - `seed`: the 64 bits of the seed of the episode as a `numpy.int64`. `episode["seed"]` is `int(seed) % 2**64`.
-    - `action_mask`, with `action_masks=True`: for each action 1 if it violates no clause in the current state, else 0,
-      an int8 array of shape (4,), as `action_space.sample(mask)` expects.
+    - `oracle_action` (int): the action that the rules derive in the current state.
+    - `violations` (bool array, one value per clause): whether the last action violated the clause. `clauses` has the
+      names of the clauses in the same order.
+    - `progress` (float, 0 to 1): the completed share of the route.
+    - `success` (bool): whether the car has reached the goal without violating a rule.
+    - `steps` (int): the number of steps of the episode.
+    - `seed` (int64): the 64 bits of the seed of the episode. `episode["seed"]` is `int(seed) % 2**64`.
+    - `action_mask` (int8 array, one value per action), with `action_masks=True`: 1 if the action violates no clause in
+      the current state, else 0, as `action_space.sample(mask)` expects.
+    - `true_atoms` (tuple of strings), with `atoms=True`: the true atoms that the car observes, such as `IsTiro(Car_1)`.
 
     Args:
         config: A run configuration: a built-in name such as `expert`, or a path.
-        episodes: `"drawn"` generates new episodes. `"drawn-demanding"` does so, too, and omits the episodes in which
-            the oracle's run, up to the horizon, has fewer constrained steps than `task.constrained_steps` of the
+        split: The set of agents: `train`, `val` or `test`.
+        rules: A rule file that replaces the configuration's.
+        overrides: A mapping that is merged into the configuration, such as `{"task": {"horizon": 100}}`.
+        observation: The kind of observation: `groundings`, `state`, `relational` or `graph`.
+        limits: The limits of each evaluation of the rules, such as `{"max_rows": 50_000_000}`.
+        oracle: Whether `info` has `oracle_action`.
+        action_masks: Whether `info` has `action_mask`. Enables `action_masks()`.
+        episodes: `drawn` generates new episodes. `drawn-demanding` does so, too, and omits the episodes in which the
+            oracle's run, up to the horizon, has fewer constrained steps than `task.constrained_steps` of the
             configuration (default: 1). It raises `InputError` (`limit-exceeded`) if 1,000 draws in a row are omitted.
-            `"recorded"` samples the recorded episodes of the split with replacement. The seed determines all three.
-        atoms: Whether `info` has the key `true_atoms`, a tuple of strings such as `IsTiro(Car_1)`. Wrappers that
-            convert infos to tensors reject strings.
-        render_mode: `"human"`, which shows every state in a window and needs the extra `human`, `"rgb_array"` or
-            `"ansi"`.
-        options: `split`, the set of agents; `rules`, a rule file that replaces the configuration's; `overrides`, a
-            mapping that is merged into the configuration, such as `{"task": {"reward": {"overtime": -6}}}`;
-            `observation`, see above; `limits`, the limits of each evaluation of the rules, such as
-            `{"max_rows": 50_000_000}`; `oracle=False`, which removes `oracle_action` from `info`; and
-            `action_masks=True`, which adds `action_mask` to it and enables `action_masks()`.
+            `recorded` samples the recorded episodes of the split with replacement. The seed determines all three.
+        atoms: Whether `info` has `true_atoms`. Wrappers that convert infos to tensors reject strings.
+        render_mode: `human`, which shows every state in a window and needs the extra `human`, `rgb_array` or `ansi`.
 
     Raises:
         InputError: If the configuration, the rule file or an episode is invalid.

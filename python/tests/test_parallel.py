@@ -1,8 +1,10 @@
 from __future__ import annotations
 
 import copy
+import inspect
 import itertools
 import pickle
+import re
 import warnings
 from collections.abc import Callable
 from typing import Any
@@ -14,6 +16,8 @@ from gymnasium.error import InvalidAction, ResetNeeded
 from gymnasium.utils.env_checker import data_equivalence
 
 import logicity
+from logicity.describe import environment_page, parallel_page
+from logicity.env_config import EnvOptions
 
 needs("pettingzoo", "pettingzoo")
 with warnings.catch_warnings():
@@ -115,3 +119,33 @@ def test_invalid_use_raises() -> None:
         env.explain("Car_77")
     with pytest.raises(ValueError, match="mapping"):
         env.reset(options={"episode": 1})
+
+
+def test_the_page_describes_the_environment() -> None:
+    page = parallel_page()
+    sections = dict(part.split("\n", 1) for part in page.split("\n## ")[1:])
+    # The sections of the pages of the other environments, in the same order.
+    assert list(sections) == re.findall(r"^## (.*)$", environment_page("easy"), re.MULTILINE)
+
+    def column(section: str, number: int = 0) -> list[str]:
+        rows = [line.strip("| ").split(" | ") for line in sections[section].splitlines() if line.startswith("| ")]
+        return [row[number].strip("`") for row in rows[1:]]
+
+    for mode, cars, space, horizon in zip(*(column("Description", at) for at in range(4)), strict=True):
+        counts = []
+        for split in ("train", "val", "test"):
+            env = logicity.parallel_env(mode, split=split, action_masks=True)
+            counts.append(len(env.possible_agents))
+        assert cars == " / ".join(map(str, counts)) and space == repr(env.observation_space("Car_1"))
+        env.reset(seed=0)
+        # Some cars stand until the horizon without violating a rule.
+        steps = 0
+        while env.agents:
+            *_, truncated, infos = env.step(dict.fromkeys(env.agents, 3))
+            steps += 1
+        assert all(truncated.values()) and str(steps) == horizon
+    assert column("Description") == list(logicity.ENVIRONMENTS)
+    parameters = inspect.signature(type(env)).parameters.values()
+    named = {each.name for each in parameters if each.kind is each.KEYWORD_ONLY} | set(EnvOptions.__annotations__)
+    assert set(column("Arguments")) == named
+    assert set(column("Information")) == set(next(iter(infos.values())))
