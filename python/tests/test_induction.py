@@ -87,6 +87,22 @@ def test_literals_that_the_examples_leave_open_are_reported(demonstrations: logi
     assert rules.report["complete"] is True
 
 
+def test_constraints_that_the_examples_violate_are_reported(
+    demonstrations: logicity.Demonstrations, tmp_path: Path
+) -> None:
+    path = tmp_path / "false.dl"
+    path.write_text('.include "hard.dl"\n.implies IsOld, IsAmbulance\n.disjoint IsPedestrian, IsOld\n')
+    plain, rules = (logicity.induce(demonstrations[:30], "hard", rules=file) for file in (None, path))
+    assert plain.report["broken_constraints"] == []
+    broken = rules.report["broken_constraints"]
+    names = [".implies IsOld, IsAmbulance", ".disjoint IsPedestrian, IsOld"]
+    assert sorted(each["constraint"] for each in broken) == sorted(names)
+    assert all(each["first"].startswith("episode ") for each in broken)
+    assert f"the examples violate `{broken[0]['constraint']}` of the rules" in " ".join(rules.text.split("\n// "))
+    # Nothing follows from them, so the same literals are undecided.
+    assert rules.clauses == plain.clauses and rules.report["unseen"] == plain.report["unseen"]
+
+
 def test_other_objects_are_episodes() -> None:
     width = len(logicity.observation_names("easy"))
     seen = np.zeros((3, width), np.float32)

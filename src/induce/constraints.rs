@@ -29,8 +29,8 @@ pub enum Violation {
     Implies(usize, usize, Vec<usize>),
     /// Both predicates hold for these arguments.
     Disjoint(usize, usize, Vec<usize>),
-    /// None of the predicates of this covering constraint, counted from 0, holds for this entity.
-    Covering(usize, usize),
+    /// None of the predicates of this covering constraint holds for this entity.
+    Covering(Vec<usize>, usize),
     /// The predicate holds for these arguments and not in the other direction.
     Symmetric(usize, [usize; 2]),
     /// The predicate holds in both directions.
@@ -70,6 +70,52 @@ impl Constraints {
         }
     }
 
+    /// Returns the constraints that all states satisfy, and those that a state violates with the position of the first
+    /// such state.
+    pub fn tested<'a>(
+        &self,
+        vocabulary: &Vocabulary,
+        states: impl IntoIterator<Item = &'a State>,
+    ) -> (Constraints, Vec<(Violation, usize)>) {
+        let (mut kept, mut broken) = (self.clone(), Vec::new());
+        for (position, state) in states.into_iter().enumerate() {
+            while let Some(violation) = kept.violated(vocabulary, state) {
+                if !kept.remove(&violation) {
+                    break;
+                }
+                broken.push((violation, position));
+            }
+        }
+        (kept, broken)
+    }
+
+    /// Removes a violated constraint. Returns whether it was there.
+    fn remove(&mut self, violation: &Violation) -> bool {
+        let without = |list: &mut Vec<usize>, predicate: usize| {
+            let position = list.iter().position(|known| *known == predicate);
+            position.map(|position| list.remove(position)).is_some()
+        };
+        match *violation {
+            Violation::Implies(premise, conclusion, _) => {
+                let position = self.implies.iter().position(|pair| *pair == (premise, conclusion));
+                position.map(|position| self.implies.remove(position)).is_some()
+            }
+            Violation::Disjoint(one, other, _) => {
+                let has_both = |of: &Vec<usize>| of.contains(&one) && of.contains(&other);
+                let position = self.disjoint.iter().position(has_both);
+                position.map(|position| self.disjoint.remove(position)).is_some()
+            }
+            Violation::Covering(ref of, _) => {
+                let position = self.covering.iter().position(|known| known == of);
+                position.map(|position| self.covering.remove(position)).is_some()
+            }
+            Violation::Symmetric(of, _) => without(&mut self.symmetric, of),
+            Violation::Asymmetric(of, _) => without(&mut self.asymmetric, of),
+            Violation::Irreflexive(of, _) => without(&mut self.irreflexive, of),
+            Violation::Reflexive(of, _) => without(&mut self.reflexive, of),
+        }
+    }
+
     /// Returns a constraint that a state violates, if there is one.
     pub fn violated(&self, vocabulary: &Vocabulary, state: &State) -> Option<Violation> {
         let entities = state.entities();
@@ -89,10 +135,10 @@ impl Constraints {
                 }
             }
         }
-        for (index, predicates) in self.covering.iter().enumerate() {
+        for predicates in &self.covering {
             let is_bare = |entity: &usize| predicates.iter().all(|&predicate| !holds(predicate, &[*entity]));
             if let Some(entity) = (0..entities).find(is_bare) {
-                return Some(Violation::Covering(index, entity));
+                return Some(Violation::Covering(predicates.clone(), entity));
             }
         }
         for arguments in tuples(2, entities) {
@@ -134,5 +180,24 @@ impl Constraints {
             let pairs = (0..predicates.len()).flat_map(|at| (0..at).map(move |before| (before, at)));
             pairs.map(|(one, other)| (predicates[one], predicates[other]))
         })
+    }
+}
+
+impl Violation {
+    /// Returns the constraint as a rule file declares it.
+    pub fn constraint(&self, vocabulary: &Vocabulary) -> String {
+        let (word, of) = match self {
+            Violation::Implies(premise, conclusion, _) => ("implies", vec![*premise, *conclusion]),
+            Violation::Disjoint(one, other, _) => ("disjoint", vec![*one, *other]),
+            Violation::Covering(of, _) => ("covering", of.clone()),
+            Violation::Symmetric(of, _) => ("symmetric", vec![*of]),
+            Violation::Asymmetric(of, _) => ("asymmetric", vec![*of]),
+            Violation::Irreflexive(of, _) => ("irreflexive", vec![*of]),
+            Violation::Reflexive(of, _) => ("reflexive", vec![*of]),
+        };
+        let names = of
+            .iter()
+            .map(|&predicate| vocabulary.predicates()[predicate].name.as_str());
+        format!(".{word} {}", names.collect::<Vec<_>>().join(", "))
     }
 }

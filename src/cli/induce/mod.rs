@@ -15,7 +15,9 @@ use crate::diag::Sources;
 use crate::files;
 use crate::induce::{Examples, LearnedRules, NOISE_MAX, Noise, Progress, Settings, VARIABLES_MAX, learn_with, support};
 use crate::sim::LoadedCity;
-use crate::task::induction::{InductionTask, Inquiry, Origin, Questions, Recalls, only_action, report_json, rule_file};
+use crate::task::induction::{
+    InductionTask, Inquiry, Origin, Questions, Recalls, broken_constraints, only_action, report_json, rule_file,
+};
 use ask::{ASK_OPTIONS, AskOptions};
 use collect::{Collected, collect};
 use indicatif::{ProgressBar, ProgressStyle};
@@ -238,7 +240,9 @@ pub fn run(arguments: &Arguments, sources: &mut Sources) -> Result<(), Failure> 
         view::write_with(&arguments.data[0], (path, report), &mut out, page, &arguments.limits)?;
         finish(out, page)?;
     }
-    let mut remarks = only_action(&task, &support).map_or_else(String::new, |line| line + "\n");
+    let mut remarks = String::new();
+    let lines = broken_constraints(&task, &support, &origin);
+    (only_action(&task, &support).into_iter().chain(lines)).for_each(|line| remarks += &(line + "\n"));
     remarks.extend(measured.map(|it| it.text(&names)));
     print_summary(arguments, &learned, support.clauses.len(), &remarks, questions.as_ref())?;
     if let Some(questions) = questions {

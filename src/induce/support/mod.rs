@@ -6,7 +6,7 @@ mod tests;
 
 use crate::cancel::Cancel;
 use crate::induce::bits;
-use crate::induce::constraints::Constraints;
+use crate::induce::constraints::{Constraints, Violation};
 use crate::induce::examples::{Examples, State, majority};
 use crate::induce::problem::{LabeledColumns, Problem};
 use crate::induce::rules::{LearnedRules, clauses_hold};
@@ -39,6 +39,9 @@ pub struct Support {
     /// Atoms over the variables of the head that hold in no example, and atoms of predicates that never hold at all.
     /// Atoms that imply another one of them by the constraints are left out.
     pub unseen: Vec<Atom>,
+    /// The constraints that a state violates, with the number of the first example of such a state. Nothing is concluded
+    /// from them.
+    pub broken: Vec<(Violation, u64)>,
 }
 
 impl Support {
@@ -92,6 +95,7 @@ pub struct ClauseSupport {
 pub fn support(examples: &Examples, learned: &LearnedRules, constraints: &Constraints) -> Support {
     let vocabulary = examples.vocabulary();
     let states: Vec<&State> = examples.states().map(|(state, _)| state).collect();
+    let (constraints, broken) = constraints.tested(vocabulary, states.iter().copied());
     let bodies = learned.bodies();
     let action_of: Vec<usize> = (learned.actions.iter().enumerate())
         .flat_map(|(action, rules)| rules.clauses.iter().map(move |_| action))
@@ -116,8 +120,7 @@ pub fn support(examples: &Examples, learned: &LearnedRules, constraints: &Constr
                 .collect();
             let chosen = held.first().map_or(learned.actions.len(), |&clause| action_of[clause]);
             let count = tallies.iter().map(|tally| u64::from(tally.count)).sum::<u64>();
-            let there = || tallies.iter().filter(|tally| tally.count > 0);
-            let first = there().map(|tally| tally.first).min().unwrap_or(0);
+            let first = first_example(examples, state);
             let mut outranked: Vec<usize> = held.iter().map(|&clause| action_of[clause]).collect();
             outranked.dedup();
             for actions in outranked.iter().skip(1).map(|&other| [chosen, other]) {
@@ -173,7 +176,7 @@ pub fn support(examples: &Examples, learned: &LearnedRules, constraints: &Constr
         let lower: Vec<&State> = lower.into_iter().step_by(step).map(|state| states[state]).collect();
         let alone: Vec<&State> = alone[index].iter().map(|&state| states[state]).collect();
         if !alone.is_empty() && learned.is_complete {
-            let entailment = Entailment::new(vocabulary, constraints, body.variables(vocabulary));
+            let entailment = Entailment::new(vocabulary, &constraints, body.variables(vocabulary));
             (clause.undecided, clause.alternatives) = undecided(vocabulary, &entailment, body, &alone, &lower);
         }
     }
@@ -194,8 +197,18 @@ pub fn support(examples: &Examples, learned: &LearnedRules, constraints: &Constr
         by_action,
         conflicts: conflicts.into_values().collect(),
         contradictions: examples.contradictions().count(),
-        unseen: unseen(vocabulary, constraints, &states),
+        unseen: unseen(vocabulary, &constraints, &states),
+        broken: (broken.into_iter())
+            .map(|(violation, state)| (violation, first_example(examples, state)))
+            .collect(),
     }
+}
+
+/// Returns the number of the first example of a state.
+fn first_example(examples: &Examples, state: usize) -> u64 {
+    let (_, tallies) = examples.state(state).expect("a position below their number");
+    let there = tallies.iter().filter(|tally| tally.count > 0);
+    there.map(|tally| tally.first).min().unwrap_or(0)
 }
 
 /// Returns the atoms over the variables of the head that hold in no state, and one atom of each predicate that holds

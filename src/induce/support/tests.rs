@@ -187,6 +187,33 @@ proptest! {
     }
 }
 
+proptest! {
+    #![proptest_config(ProptestConfig { failure_persistence: None, ..cases(120) })]
+
+    /// Constraints that a state violates are removed, and no others.
+    #[test]
+    fn constraints_are_tested_one_by_one(seed: u64, count in 0_usize..6) {
+        let vocabulary = vocabulary();
+        let mut random = Seed(seed).stream(DRAWS, 2, 0);
+        let constraints = constraints(3, &mut random);
+        let all = valid(&vocabulary, &Constraints::default(), 2);
+        let states: Vec<State> = (0..count).map(|_| all[random.random_range(0..all.len())].clone()).collect();
+        let (kept, broken) = constraints.tested(&vocabulary, &states);
+        prop_assert!(states.iter().all(|state| kept.violated(&vocabulary, state).is_none()));
+        let size = |of: &Constraints| {
+            let unary = [&of.symmetric, &of.asymmetric, &of.irreflexive, &of.reflexive].map(Vec::len);
+            of.implies.len() + of.disjoint.len() + of.covering.len() + unary.iter().sum::<usize>()
+        };
+        prop_assert_eq!(size(&kept) + broken.len(), size(&constraints));
+        for (violation, position) in &broken {
+            let (rest, first) = constraints.tested(&vocabulary, &states[..=*position]);
+            prop_assert!(first.contains(&(violation.clone(), *position)));
+            prop_assert!(rest.violated(&vocabulary, &states[*position]).is_none());
+            prop_assert!(constraints.violated(&vocabulary, &states[*position]).is_some());
+        }
+    }
+}
+
 /// Compares the support of learned rules with counts over the examples, one by one.
 fn compare(
     vocabulary: &Vocabulary,

@@ -16,7 +16,7 @@ pub use popper::TargetRules;
 pub use recalls::Recalls;
 #[cfg(feature = "parquet")]
 pub use steps::{Step, Steps};
-pub use text::{Origin, only_action, report_json, rule_file};
+pub use text::{Origin, broken_constraints, only_action, report_json, rule_file};
 
 use crate::city::Action;
 use crate::datalog::{Constraint, RelId};

@@ -4,7 +4,7 @@ use crate::builtin;
 use crate::datalog::{self, ast};
 use crate::diag::{SourceId, Sources};
 use crate::files::BUILTIN_FOLDER;
-use crate::induce::{Atom, ClauseSupport, LearnedClause, LearnedRules, Literal, Support, Vocabulary};
+use crate::induce::{Atom, ClauseSupport, LearnedClause, LearnedRules, Literal, Support, Violation, Vocabulary};
 use crate::task::induction::InductionTask;
 use serde_json::{Value, json};
 use std::collections::BTreeMap;
@@ -157,6 +157,18 @@ pub fn only_action(task: &InductionTask, support: &Support) -> Option<String> {
     ))
 }
 
+/// Returns a sentence about each constraint of the rules that the examples violate.
+pub fn broken_constraints(task: &InductionTask, support: &Support, origin: &Origin) -> Vec<String> {
+    let sentence = |(violation, first): &(Violation, u64)| {
+        format!(
+            "Constraint: the examples violate `{}` of the rules, first in {}; nothing is concluded from it.",
+            violation.constraint(task.vocabulary()),
+            origin.describe(*first)
+        )
+    };
+    support.broken.iter().map(sentence).collect()
+}
+
 /// Returns sentences about the whole result.
 fn summary(task: &InductionTask, learned: &LearnedRules, support: &Support, origin: &Origin) -> Vec<String> {
     let mut lines = Vec::new();
@@ -173,6 +185,7 @@ fn summary(task: &InductionTask, learned: &LearnedRules, support: &Support, orig
         counts.join(", ")
     ));
     lines.extend(only_action(task, support));
+    lines.extend(broken_constraints(task, support, origin));
     if support.wrong == 0 {
         lines.push("The rules choose the action of every example.".to_owned());
     } else {
@@ -441,6 +454,12 @@ pub fn report_json(task: &InductionTask, learned: &LearnedRules, support: &Suppo
             "first": origin.describe(conflict.first),
         })
     });
+    let broken = support.broken.iter().map(|(violation, first)| {
+        json!({
+            "constraint": violation.constraint(vocabulary),
+            "first": origin.describe(*first),
+        })
+    });
     json!({
         "origin": origin.lines,
         "notes": summary(task, learned, support, origin),
@@ -451,6 +470,7 @@ pub fn report_json(task: &InductionTask, learned: &LearnedRules, support: &Suppo
         "complete": learned.is_complete,
         "conflicts": conflicts.collect::<Vec<_>>(),
         "contradictions": support.contradictions,
+        "broken_constraints": broken.collect::<Vec<_>>(),
         "unseen": atom_texts(&support.unseen, vocabulary),
         "wrong": support.wrong,
         "wrong_first": support.wrong_first.iter().map(|&example| origin.describe(example)).collect::<Vec<_>>(),
