@@ -39,6 +39,7 @@ __all__ = [
     "Session",
     "Simulation",
     "Task",
+    "ENVS_MAX",
     "THREADS_MAX",
     "NOISE_MAX",
     "VARIABLES_MAX",
@@ -51,6 +52,7 @@ ACTIONS: list[str]
 HEADINGS: list[str]
 PICTURE_SIDE: int
 REASONS: list[str]
+ENVS_MAX: int
 THREADS_MAX: int
 NOISE_MAX: float
 VARIABLES_MAX: int

@@ -435,6 +435,17 @@ def _states(core: _logicity.VectorEnv, count: int = 1) -> _States:
     ]
 
 
+def _parsed_state(state: Mapping[str, Any]) -> tuple[list[int], tuple[dict[str, Any], bytes] | None]:
+    """Return the state of an environment from the plain data of `SPFVectorEnv.state`.
+
+    Raises:
+        AttributeError, KeyError, TypeError, ValueError: If it is something else.
+    """
+    seed, begun = (checked_integer("source", number) for number in state["source"])
+    actions = bytes.fromhex(state["actions"])
+    return [seed, begun], None if state["episode"] is None else (dict(state["episode"]), actions)
+
+
 def _restore(core: _logicity.VectorEnv, states: _States, observations: Observations) -> None:
     """Restore the states of all environments."""
     for at, (source, _) in enumerate(states):
@@ -568,7 +579,7 @@ class SPFVectorEnv(VectorEnv[Any, NDArray[np.int64], NDArray[Any]]):
     SameStep, `final_obs` and `final_info` have the last observations and infos of the episodes that ended.
 
     Args:
-        num_envs: The number of environments.
+        num_envs: The number of environments, at most 65536.
         config: As for `SPFEnv`.
         episodes: As for `SPFEnv`.
         atoms: As for `SPFEnv`.
@@ -585,8 +596,8 @@ class SPFVectorEnv(VectorEnv[Any, NDArray[np.int64], NDArray[Any]]):
         InputError: If the configuration, the rule file or an episode is invalid.
         OSError: If a file cannot be read.
         TypeError: If an option is unknown.
-        ValueError: If a name is unknown, the number of environments or threads is below 1, or `max_episode_steps` is
-            not the horizon.
+        ValueError: If a name is unknown, the number of environments or threads is out of range, or `max_episode_steps`
+            is not the horizon.
     """
 
     metadata: dict[str, Any] = {"render_modes": RENDER_MODES, "render_fps": RENDER_FPS}
@@ -608,7 +619,7 @@ class SPFVectorEnv(VectorEnv[Any, NDArray[np.int64], NDArray[Any]]):
     ) -> None:
         """Load the configuration and the rules."""
         super().__init__()
-        self.num_envs = checked_integer("num_envs", num_envs, 1)
+        self.num_envs = checked_integer("num_envs", num_envs, 1, _logicity.ENVS_MAX)
         self._num_threads = checked_integer("num_threads", num_threads, 1, _logicity.THREADS_MAX)
         self.autoreset_mode = _autoreset_mode(autoreset_mode)
         self.metadata = {**self.metadata, "autoreset_mode": self.autoreset_mode}
@@ -876,12 +887,14 @@ class SPFVectorEnv(VectorEnv[Any, NDArray[np.int64], NDArray[Any]]):
 
         Raises:
             InputError: If an episode is not valid in these environments (`invalid-episode`).
-            ValueError: If the state is that of another number of environments.
+            ValueError: If the state is that of another number of environments, or not a state.
         """
         if len(state) != self.num_envs:
             raise ValueError(f"a state of {len(state)} environments, not of {self.num_envs}")
-        begun = [(each["episode"], bytes.fromhex(each["actions"])) for each in state]
-        states = [(list(each["source"]), pair if pair[0] else None) for each, pair in zip(state, begun, strict=True)]
+        try:
+            states = [_parsed_state(each) for each in state]
+        except (AttributeError, KeyError, TypeError, ValueError) as error:
+            raise ValueError("state: expected what `state` of such environments returned") from error
         core = self._make_core()
         _restore(core, states, self._observations)
         self._core = core

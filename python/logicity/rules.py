@@ -334,6 +334,7 @@ class Session:
 
         Raises:
             KeyError: If the predicate is not declared.
+            LimitError: If the rows would take more memory than `max_bytes`. No row is inserted then.
             TypeError: If a value or dtype does not match its column; bool is not a number.
             ValueError: If a number is out of range, a row or array has the wrong shape, or rules derive the predicate.
                 No row is inserted then.

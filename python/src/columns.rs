@@ -3,14 +3,25 @@
 use logicity::datalog::{BaseType, Column, Relation, Value};
 use logicity::symbol::{Symbol, Symbols};
 use numpy::{Element, PyArray1, PyArrayDescrMethods, PyReadonlyArray1, PyUntypedArray, PyUntypedArrayMethods};
+use pyo3::PyTypeInfo as _;
 use pyo3::exceptions::{PyTypeError, PyValueError};
 use pyo3::intern;
 use pyo3::prelude::*;
-use pyo3::types::{PyBool, PyDict, PyList, PyMapping, PyString, PyTuple};
+use pyo3::types::{PyBool, PyDict, PyList, PyMapping, PySlice, PyString, PyTuple};
 use std::collections::HashMap;
 
-/// The number of rows to convert between checks for signals.
+/// The number of rows to convert between checks of signals and memory.
 const ROWS_PER_CHECK: usize = 1 << 16;
+
+/// Returns the word of a string.
+type Intern<'a> = dyn Fn(&str) -> PyResult<Value> + 'a;
+
+/// What a conversion of many rows needs from their session.
+pub struct Target<'a> {
+    pub symbol: &'a Intern<'a>,
+    /// Checks that the session has memory for this number of words.
+    pub room: &'a dyn Fn(usize) -> PyResult<()>,
+}
 
 /// Rows in row-major order.
 pub struct Words {
@@ -63,10 +74,10 @@ fn float(value: f64) -> Result<Value, Misfit> {
 }
 
 /// Converts a value of a column. `symbol` interns a string.
-fn word(value: &Bound<'_, PyAny>, base: BaseType, symbol: &dyn Fn(&str) -> Value) -> PyResult<Result<Value, Misfit>> {
+fn word(value: &Bound<'_, PyAny>, base: BaseType, symbol: &Intern<'_>) -> PyResult<Result<Value, Misfit>> {
     if base == BaseType::Symbol {
         return match value.cast::<PyString>() {
-            Ok(text) => Ok(Ok(symbol(text.to_str()?))),
+            Ok(text) => Ok(Ok(symbol(text.to_str()?)?)),
             Err(_) => Ok(Err(Misfit::Type)),
         };
     }
@@ -93,7 +104,7 @@ pub fn row(
     relation: &Relation,
     values: &Bound<'_, PyAny>,
     open: bool,
-    symbol: &dyn Fn(&str) -> Value,
+    symbol: &Intern<'_>,
 ) -> PyResult<Vec<Option<Value>>> {
     // A str is a sequence of str, but never a row.
     if values.is_instance_of::<PyString>() {
@@ -103,10 +114,19 @@ pub fn row(
     let mut words = Vec::with_capacity(relation.arity());
     let mut columns = relation.columns.iter();
     let mut count = 0;
+    let misshapen = |count: &str| {
+        let (name, arity) = (&relation.name, relation.arity());
+        PyValueError::new_err(format!("a row of `{name}` must have {arity} values, not {count}"))
+    };
     for value in values.try_iter()? {
         let value = value?;
         count += 1;
-        let Some(column) = columns.next() else { continue };
+        let Some(column) = columns.next() else {
+            // An iterator without a length may have no end.
+            return Err(misshapen(
+                &values.len().map_or("more".to_owned(), |count| count.to_string()),
+            ));
+        };
         if open && value.is_none() {
             words.push(None);
             continue;
@@ -124,26 +144,23 @@ pub fn row(
             Misfit::Range => PyValueError::new_err(format!("{expects}; {value} is out of range")),
         });
     }
-    if count != relation.arity() {
-        let (name, arity) = (&relation.name, relation.arity());
-        return Err(PyValueError::new_err(format!(
-            "a row of `{name}` must have {arity} values, not {count}"
-        )));
+    match count == relation.arity() {
+        true => Ok(words),
+        false => Err(misshapen(&count.to_string())),
     }
-    Ok(words)
 }
 
 /// Converts rows in any form that `Session.insert` documents.
-pub fn rows(relation: &Relation, given: &Bound<'_, PyAny>, symbol: &dyn Fn(&str) -> Value) -> PyResult<Words> {
+pub fn rows(relation: &Relation, given: &Bound<'_, PyAny>, target: &Target<'_>) -> PyResult<Words> {
     if let Ok(array) = given.cast::<PyUntypedArray>() {
-        return of_array(relation, array, symbol);
+        return of_array(relation, array, target);
     }
     if let Ok(columns) = given.cast::<PyMapping>() {
         return of_named(
             relation,
             &columns.keys()?.try_iter()?.collect::<PyResult<Vec<_>>>()?,
             given,
-            symbol,
+            target,
         );
     }
     if given.is_instance_of::<PyString>() {
@@ -158,11 +175,13 @@ pub fn rows(relation: &Relation, given: &Bound<'_, PyAny>, symbol: &dyn Fn(&str)
         words: Vec::new(),
     };
     for values in given.try_iter()? {
-        let words = row(relation, &values?, false, symbol).map_err(|error| in_row(given.py(), found.rows, &error))?;
+        let words = row(relation, &values?, false, target.symbol);
+        let words = words.map_err(|error| in_row(given.py(), found.rows, &error))?;
         found.words.extend(words.into_iter().flatten());
         found.rows += 1;
         if found.rows.is_multiple_of(ROWS_PER_CHECK) {
             given.py().check_signals()?;
+            (target.room)(found.words.capacity())?;
         }
     }
     Ok(found)
@@ -173,17 +192,18 @@ fn in_row(py: Python<'_>, row: usize, error: &PyErr) -> PyErr {
     let message = format!("row {row}: {}", error.value(py));
     match error.is_instance_of::<PyTypeError>(py) {
         true => PyTypeError::new_err(message),
-        false if error.is_instance_of::<PyValueError>(py) => PyValueError::new_err(message),
+        // Not a subclass, such as the exception for a limit.
+        false if error.get_type(py).is(PyValueError::type_object(py)) => PyValueError::new_err(message),
         false => error.clone_ref(py),
     }
 }
 
-fn of_array(relation: &Relation, array: &Bound<'_, PyUntypedArray>, symbol: &dyn Fn(&str) -> Value) -> PyResult<Words> {
+fn of_array(relation: &Relation, array: &Bound<'_, PyUntypedArray>, target: &Target<'_>) -> PyResult<Words> {
     let (py, name, arity) = (array.py(), &relation.name, relation.arity());
     let fields = array.dtype().names();
     if let (Some(fields), 1) = (&fields, array.ndim()) {
         let fields: Vec<Bound<'_, PyAny>> = fields.iter().map(|field| PyString::new(py, field).into_any()).collect();
-        return of_named(relation, &fields, array, symbol);
+        return of_named(relation, &fields, array, target);
     }
     if fields.is_some() || array.ndim() != 2 || array.shape()[1] != arity {
         let shape = array.getattr(intern!(py, "shape"))?;
@@ -193,7 +213,7 @@ fn of_array(relation: &Relation, array: &Bound<'_, PyUntypedArray>, symbol: &dyn
     }
     let columns = array.getattr(intern!(py, "T"))?;
     let columns: PyResult<Vec<_>> = (0..arity).map(|at| columns.get_item(at)).collect();
-    of_columns(relation, &columns?, array.shape()[0], symbol)
+    of_columns(relation, &columns?, array.shape()[0], target)
 }
 
 /// Converts a mapping from column names to arrays.
@@ -201,7 +221,7 @@ fn of_named(
     relation: &Relation,
     keys: &[Bound<'_, PyAny>],
     given: &Bound<'_, PyAny>,
-    symbol: &dyn Fn(&str) -> Value,
+    target: &Target<'_>,
 ) -> PyResult<Words> {
     let mut names: Vec<String> = keys.iter().map(|key| key.extract()).collect::<PyResult<_>>()?;
     let mut wanted: Vec<&str> = relation.columns.iter().map(|column| column.name.as_str()).collect();
@@ -227,18 +247,12 @@ fn of_named(
         Some(column) => column.len()?,
         None => 0,
     };
-    of_columns(relation, &columns, rows, symbol)
+    of_columns(relation, &columns, rows, target)
 }
 
-fn of_columns(
-    relation: &Relation,
-    columns: &[Bound<'_, PyAny>],
-    rows: usize,
-    symbol: &dyn Fn(&str) -> Value,
-) -> PyResult<Words> {
+fn of_columns(relation: &Relation, columns: &[Bound<'_, PyAny>], rows: usize, target: &Target<'_>) -> PyResult<Words> {
     let arity = relation.arity();
-    let mut words = vec![Value(0); rows * arity];
-    for (at, (column, array)) in relation.columns.iter().zip(columns).enumerate() {
+    let arrays = relation.columns.iter().zip(columns).map(|(column, array)| {
         let array = array.cast::<PyUntypedArray>()?;
         if array.shape() != [rows] {
             let (expects, shape) = (expects(relation, column), array.getattr(intern!(array.py(), "shape"))?);
@@ -246,23 +260,43 @@ fn of_columns(
                 "{expects}: expected an array of shape ({rows},), not {shape}"
             )));
         }
-        let into = words.iter_mut().skip(at).step_by(arity.max(1));
-        fill(relation, column, array, symbol, into)?;
+        Ok((column, array))
+    });
+    let arrays: Vec<_> = arrays.collect::<PyResult<_>>()?;
+    // An array can have any number of rows and take no memory, if its strides are 0.
+    let count = rows.saturating_mul(arity);
+    (target.room)(count)?;
+    let mut words = vec![Value(0); count];
+    // In parts, since the conversion makes a Python object for each symbol, and a copy of numbers.
+    for first in (0..rows).step_by(ROWS_PER_CHECK) {
+        let end = rows.min(first + ROWS_PER_CHECK);
+        for (at, (column, array)) in arrays.iter().enumerate() {
+            let part = array.get_item(PySlice::new(array.py(), first.cast_signed(), end.cast_signed(), 1))?;
+            let into = words[first * arity..end * arity].iter_mut().skip(at).step_by(arity);
+            fill(
+                relation,
+                column,
+                part.cast::<PyUntypedArray>()?,
+                target.symbol,
+                (first..).zip(into),
+            )?;
+            array.py().check_signals()?;
+        }
     }
     Ok(Words { rows, words })
 }
 
-/// Converts an array to the words of a column.
+/// Converts an array to the words of a column. `into` has them by row.
 fn fill<'a>(
     relation: &Relation,
     column: &Column,
     array: &Bound<'_, PyUntypedArray>,
-    symbol: &dyn Fn(&str) -> Value,
-    into: impl Iterator<Item = &'a mut Value>,
+    symbol: &Intern<'_>,
+    into: impl Iterator<Item = (usize, &'a mut Value)>,
 ) -> PyResult<()> {
     match (column.base, array.dtype().kind()) {
         (BaseType::Symbol, b'U' | b'O' | b'T') => {
-            for (row, (value, into)) in array.call_method0("tolist")?.try_iter()?.zip(into).enumerate() {
+            for (value, (row, into)) in array.call_method0("tolist")?.try_iter()?.zip(into) {
                 let value = value?;
                 *into = match word(&value, BaseType::Symbol, symbol)? {
                     Ok(word) => word,
@@ -302,13 +336,13 @@ fn convert<'a, T: Element + Copy + std::fmt::Display>(
     column: &Column,
     (array, dtype): (&Bound<'_, PyUntypedArray>, &str),
     word: impl Fn(T) -> Result<Value, Misfit>,
-    into: impl Iterator<Item = &'a mut Value>,
+    into: impl Iterator<Item = (usize, &'a mut Value)>,
 ) -> PyResult<()> {
     let numpy = array.py().import(intern!(array.py(), "numpy"))?;
     // `require` accepts any byte order, strides and alignment.
     let array = numpy.call_method1(intern!(array.py(), "require"), (array, dtype, ("C", "A")))?;
     let array: PyReadonlyArray1<'_, T> = array.extract()?;
-    for (row, (&value, into)) in array.as_slice()?.iter().zip(into).enumerate() {
+    for (&value, (row, into)) in array.as_slice()?.iter().zip(into) {
         *into = word(value).map_err(|_| {
             PyValueError::new_err(format!(
                 "row {row}: {}; {value} is out of range",

@@ -1,12 +1,12 @@
 //! Programs and sessions.
 
-use crate::columns;
+use crate::columns::{self, Target};
 use crate::{LimitArguments, Shared, Signals, input_error, limits_of, threads_of, to_python};
 use logicity::builtin::BuiltinFiles;
 use logicity::datalog;
 use logicity::datalog::explain::{Explainer, ExplanationPrinter};
 use logicity::datalog::{ClauseId, Edb, RelId, Relation, Value, Workspace};
-use logicity::datalog::{Limits, Program, RowError, StratumStats, Threads};
+use logicity::datalog::{EvalError, Limits, Program, RowError, StratumStats, Threads};
 use logicity::diag::{Diagnostic, Sources, did_you_mean, to_json};
 use logicity::files::{ReadError, ReadFile as _};
 use pyo3::exceptions::{PyKeyError, PyRuntimeError, PyValueError};
@@ -261,7 +261,7 @@ impl PySession {
         self.session.with(|session| {
             let symbols = session.symbols();
             let row = columns::row(relation, row, false, &|text| {
-                Value(symbols.get(text).map_or(u32::MAX, |symbol| symbol.0))
+                Ok(Value(symbols.get(text).map_or(u32::MAX, |symbol| symbol.0)))
             })?;
             let row: Vec<Value> = row.into_iter().flatten().collect();
             Ok(session.contains(id, &row))
@@ -283,7 +283,7 @@ impl PySession {
                 let symbols = session.symbols();
                 Ok((
                     id,
-                    columns::row(relation, row, true, &|text| Value(symbols.intern(text).0))?,
+                    columns::row(relation, row, true, &|text| Ok(Value(symbols.intern(text).0)))?,
                 ))
             }
             None => {
@@ -361,24 +361,39 @@ impl PySession {
 impl PySession {
     fn change(&self, relation: &str, rows: &Bound<'_, PyAny>, present: bool) -> PyResult<usize> {
         let (id, relation) = self.loaded.relation(relation)?;
-        // The caller's iterator may use this session, so the session stays unlocked during the conversion.
-        let symbols = |text: &str| self.session.with(|session| Ok(session.intern(text)));
-        let failed = std::cell::RefCell::new(None);
-        let found = columns::rows(relation, rows, &|text| {
-            symbols(text).unwrap_or_else(|error| {
-                failed.borrow_mut().get_or_insert(error);
-                Value(0)
-            })
+        let (limit, rest) = self.session.with(|session| {
+            let rest = session.bytes() - session.symbols().bytes();
+            Ok((session.limits().bytes, rest))
         })?;
-        if let Some(error) = failed.into_inner() {
-            return Err(error);
-        }
+        let checked = |bytes: u64| match bytes <= limit {
+            true => Ok(()),
+            false => {
+                let fault = EvalError::TooManyInputs { limit }.into();
+                Err(input_error(rows.py(), &[fault], &self.loaded.sources))
+            }
+        };
+        // The caller's iterator may use this session, so the session stays unlocked during the conversion.
+        let target = Target {
+            symbol: &|text| {
+                self.session.with(|session| {
+                    checked(rest + session.symbols().bytes() + text.len() as u64)?;
+                    Ok(session.intern(text))
+                })
+            },
+            // The converted rows, and their copies among the pending changes.
+            room: &|words| {
+                let bytes = (words as u64).saturating_mul(2 * size_of::<Value>() as u64);
+                self.session
+                    .with(|session| checked(session.bytes().saturating_add(bytes)))
+            },
+        };
+        let found = columns::rows(relation, rows, &target)?;
         self.session.with(|session| {
             let width = relation.arity().max(1);
             let noted = match (present, relation.arity()) {
                 (true, 1..) => session.insert_all(id, found.words.chunks_exact(width)),
-                (true, 0) => (0..found.rows).try_for_each(|_| session.insert(id, &[])),
-                (false, 0) => (0..found.rows).try_for_each(|_| session.retract(id, &[])),
+                (true, 0) => (0..found.rows.min(1)).try_for_each(|_| session.insert(id, &[])),
+                (false, 0) => (0..found.rows.min(1)).try_for_each(|_| session.retract(id, &[])),
                 (false, 1..) => (found.words.chunks_exact(width)).try_for_each(|row| session.retract(id, row)),
             };
             noted.map_err(|error| row_error(&error))?;

@@ -23,6 +23,9 @@ pub fn register(module: &Bound<'_, PyModule>) -> PyResult<()> {
     module.add_class::<PyVectorEnv>()
 }
 
+/// The largest number of steps that a call collects. With distinct observations, they take some GiB.
+const STEPS_MAX: usize = 1 << 22;
+
 fn autoreset_named(name: &str) -> PyResult<Autoreset> {
     let all = [Autoreset::NextStep, Autoreset::SameStep, Autoreset::Disabled];
     one_of("autoreset mode", name, &all, |mode| match mode {
@@ -291,9 +294,13 @@ impl PyVectorEnv {
         let this = &mut *borrowed_mut(slf)?;
         let mut observations = observations.try_readwrite()?;
         let rows = this.rows(&mut observations)?;
-        let count = random.shape()[0];
+        let [count, steps] = [0, 1].map(|axis| random.shape()[axis]);
         this.check(count)?;
         this.check_ready(py)?;
+        if count.saturating_mul(steps) > STEPS_MAX {
+            let message = format!("expected at most {STEPS_MAX} steps in all environments, not {count} x {steps}");
+            return Err(PyValueError::new_err(message));
+        }
         let (width, expected) = (network.network.width(), this.vector.width());
         if width != expected {
             let message = format!("expected a network for observations of {expected} numbers, not {width}");

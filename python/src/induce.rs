@@ -208,17 +208,14 @@ fn read_steps(py: Python<'_>, path: PathBuf) -> PyResult<(String, String, String
         .map_err(|error| read_error(py, &path, &error))?;
     let read = py.detach(|| {
         let steps = Steps::open(bytes)?;
-        let limit = Limits::default().bytes;
+        // `induce` copies the steps of all episodes into one array.
+        let (needed, limit) = (steps.bytes().saturating_mul(2), Limits::default().bytes);
         let too_large = || {
-            let message = format!(
-                "the steps take {} MiB; the limit is {} MiB",
-                steps.bytes() >> 20,
-                limit >> 20
-            );
+            let message = format!("the steps take {} MiB; the limit is {} MiB", needed >> 20, limit >> 20);
             let fault = Diagnostic::new(Code::LIMIT_EXCEEDED, message);
             fault.help("split the table, or learn with `logicity induce`, which keeps the facts as bits")
         };
-        if steps.bytes() > limit {
+        if needed > limit {
             return Err(too_large());
         }
         let (mut observations, mut actions) = (Vec::new(), Vec::new());

@@ -394,6 +394,7 @@ fn did_you_mean(name: &str, known: Vec<String>) -> Option<String> {
 fn _logicity(module: &Bound<'_, PyModule>) -> PyResult<()> {
     module.add("__version__", env!("CARGO_PKG_VERSION"))?;
     module.add("THREADS_MAX", THREADS_MAX)?;
+    module.add("ENVS_MAX", ENVS_MAX)?;
     module.add_function(wrap_pyfunction!(did_you_mean, module)?)?;
     module.add_function(wrap_pyfunction!(read_file, module)?)?;
     module.add_function(wrap_pyfunction!(check_readable, module)?)?;
@@ -412,6 +413,9 @@ fn _logicity(module: &Bound<'_, PyModule>) -> PyResult<()> {
     policy::register(module)?;
     vap::register(module)
 }
+
+/// The largest number of environments that step together. More take gigabytes, and are no faster.
+const ENVS_MAX: usize = 1 << 16;
 
 /// The largest number of threads, as on the command line.
 const THREADS_MAX: usize = 1024;

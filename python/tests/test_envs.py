@@ -26,6 +26,7 @@ from numpy.typing import NDArray
 
 import logicity
 from logicity import _logicity
+from logicity.__main__ import main
 from logicity.envs import SPFEnv, SPFVectorEnv
 
 IDS = [f"logicity/SPF-{mode}-v0" for mode in logicity.MODES]
@@ -246,6 +247,34 @@ def test_a_trace_contains_the_overridden_configuration(tmp_path: Path) -> None:
         check=True,
     )
     assert "Car_1" in done.stdout
+
+
+@pytest.mark.parametrize("tampered", ["rules", "configuration"])
+def test_a_trace_with_other_content_than_its_hashes_is_refused(
+    tampered: str, tmp_path: Path, capfd: pytest.CaptureFixture[str]
+) -> None:
+    env = SPFEnv("easy")
+    env.reset(seed=1)
+    env.step(1)
+    trace, written = tmp_path / "trace.jsonl", tmp_path / "written"
+    env.write_trace(trace)
+    header, *ticks = trace.read_text().splitlines()
+    content = json.loads(header)
+    if tampered == "rules":
+        content["rule_files"][0]["text"] = "Stop(X) :- IsCar(X).\n"
+    else:
+        content["configuration"]["view"] = 7
+    trace.write_text("\n".join([json.dumps(content), *ticks]))
+    for words in (
+        ["explain", trace, "--agent", "Car_1"],
+        ["view", trace, "-o", written],
+        ["check", "--coverage", trace],
+        ["induce", trace, "-o", written],
+    ):
+        assert main(list(map(str, words))) == 1
+        said = capfd.readouterr().err
+        assert "error[trace-mismatch]" in said and tampered in said, said
+    assert not written.exists()
 
 
 def test_a_trace_replaces_own_files_only(tmp_path: Path) -> None:

@@ -78,18 +78,16 @@ impl Steps {
 
     /// Returns the number of steps.
     pub fn count(&self) -> usize {
-        usize::try_from(self.file.metadata().file_metadata().num_rows()).unwrap_or(0)
+        let groups = self.file.metadata().row_groups().iter();
+        let rows = groups.map(|group| usize::try_from(group.num_rows()).unwrap_or(0));
+        rows.fold(0, usize::saturating_add)
     }
 
     /// Returns the memory of all steps, in bytes, if a caller keeps them as numbers. A compressed table may be far
     /// smaller.
     pub fn bytes(&self) -> u64 {
-        let groups = self.file.metadata().row_groups().iter();
-        let rows: u64 = groups
-            .map(|group| group.num_rows().unsigned_abs())
-            .fold(0, u64::saturating_add);
         let numbers = self.atoms.len() * size_of::<f32>() + 2 * size_of::<i32>() + size_of::<i64>();
-        rows.saturating_mul(numbers as u64)
+        (self.count() as u64).saturating_mul(numbers as u64)
     }
 
     /// Calls a function for each step, in order.

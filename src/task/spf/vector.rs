@@ -6,7 +6,7 @@ pub use actor::{Ending, Layer, PolicyNetwork, Trajectories};
 
 use crate::cancel::Cancel;
 use crate::city::{Action, Split};
-use crate::diag::Diagnostic;
+use crate::diag::{Code, Diagnostic};
 use crate::rng::{Purpose, RngExt, Seed};
 use crate::sim::{Actions, run_polled, start_threads, threads_of};
 use crate::task::spf::{ControlMode, Env, Episode, SpfTask, reset_demanding};
@@ -482,10 +482,10 @@ impl VectorEnv {
     /// `observations` for each restored environment.
     ///
     /// # Errors
-    /// As [`VectorEnv::reset`] and [`VectorEnv::step`].
+    /// As [`VectorEnv::reset`] and [`VectorEnv::step`]; `invalid-episode` if actions follow the end of an episode.
     ///
     /// # Panics
-    /// If the length of `episodes` differs from the number of environments, or actions follow the end of an episode.
+    /// If the length of `episodes` differs from the number of environments.
     pub fn replay(
         &mut self,
         episodes: &[Option<(Arc<Episode>, Vec<Action>)>],
@@ -499,7 +499,10 @@ impl VectorEnv {
             }
             sub_env.begin(&Begin::Given(Arc::clone(start)))?;
             for &action in taken {
-                assert!(sub_env.is_ready(Autoreset::Disabled), "the episode has ended");
+                if !sub_env.is_ready(Autoreset::Disabled) {
+                    let message = "actions follow the end of the episode";
+                    return Err(Diagnostic::new(Code::INVALID_EPISODE, message));
+                }
                 sub_env.step(action, Autoreset::Disabled, view)?;
             }
             view.write(&sub_env.env, 0, row);
