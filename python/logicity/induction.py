@@ -8,7 +8,8 @@ leave open.
 from __future__ import annotations
 
 import os
-from collections.abc import Callable, Iterable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from contextlib import contextmanager
 from dataclasses import dataclass, field
 from itertools import zip_longest
 from numbers import Real
@@ -27,6 +28,7 @@ from .files import replacing
 from .modes import ENVIRONMENTS, checked_mode
 from .offline import Demonstrations
 from .rules import Program
+from .terminal import first_line
 from .types import SymbolicScene
 
 if TYPE_CHECKING:
@@ -34,6 +36,9 @@ if TYPE_CHECKING:
     from minari import MinariDataset
 
 __all__ = ["Episode", "InducedClause", "InducedRules", "induce"]
+
+#: The most bytes of the values of a Minari dataset. `induce` copies its observations into one array.
+BYTES_MAX = 2 << 30
 
 
 @runtime_checkable
@@ -266,8 +271,8 @@ def induce(
         OSError: If a file cannot be read or written.
         TypeError: If an argument or an answer has a wrong type.
         ValueError: If an argument is out of range, an answer is not an action, the shapes of demonstrations do not fit,
-            there are neither demonstrations nor an oracle, `demonstrations` is the name of a mode, or the log has
-            other questions.
+            there are neither demonstrations nor an oracle, `demonstrations` is the name of a mode, a Minari dataset is
+            damaged or too large, or the log has other questions.
     """
     limits = {
         "variables": (2, _logicity.VARIABLES_MAX),
@@ -403,26 +408,83 @@ def _load_minari(name: str | os.PathLike[str]) -> MinariDataset:
     if folder is None and (path.exists() or not isinstance(name, str)):
         raise FileNotFoundError(f"neither a Parquet table nor a Minari dataset: `{name}`")
     try:
-        import minari
+        from minari import MinariDataset
+        from minari.dataset.minari_storage import MinariStorage
+        from minari.storage import get_dataset_path
     except ImportError as error:
         raise missing_extra("offline", error) from error
 
-    if folder is not None:
-        return minari.MinariDataset(folder)
-    try:
-        return minari.load_dataset(os.fspath(name))
-    except FileNotFoundError as error:
-        message = f"neither a file nor a dataset of Minari on this machine: `{name}`"
-        raise FileNotFoundError(f"{message}; `minari download {name}` downloads a published one") from error
+    if folder is None:
+        folder = Path(get_dataset_path(os.fspath(name))) / "data"
+        if not folder.exists():
+            message = f"neither a file nor a dataset of Minari on this machine: `{name}`"
+            raise FileNotFoundError(f"{message}; `minari download {name}` downloads a published one")
+    with _reading(name):
+        storage = MinariStorage.read(folder)
+        _check_claims(storage)
+        return MinariDataset(storage)
+
+
+def _check_claims(storage: Any) -> None:
+    """Check that a Minari dataset has the episodes that it claims, and that its values fit into memory.
+
+    Raises:
+        OSError: If its file is damaged.
+        ValueError: If it claims too much.
+    """
+    file = Path(storage.data_path) / "main_data.hdf5"
+    if not file.is_file():
+        return
+    import h5py
+
+    sizes: list[int] = []
+    # A dataset without stored values takes no bytes of the file.
+    with h5py.File(file) as content:
+        count = len(content)
+        content.visititems(lambda _, item: sizes.append(item.nbytes) if hasattr(item, "nbytes") else None)
+    if not 0 <= storage.total_episodes <= count:
+        raise ValueError(f"it claims {storage.total_episodes} episodes, and has {count}")
+    if sum(sizes) > BYTES_MAX:
+        raise ValueError(f"its values take {sum(sizes) >> 20} MiB; at most {BYTES_MAX >> 20} MiB can be read")
 
 
 def _minari(dataset: MinariDataset) -> _Source:
     """Return the episodes of a Minari dataset. Its environment is known if Minari recorded one of this package."""
+    episodes, title = _episodes(dataset), f"of {dataset.id}"
     spec: gymnasium.envs.registration.EnvSpec | None = dataset.env_spec
     if spec is None or spec.namespace != "logicity":
-        return _Source(dataset, f"of {dataset.id}")
+        return _Source(episodes, title)
+    if not isinstance(spec.kwargs, Mapping):
+        raise ValueError(f"cannot read the Minari dataset `{dataset.id}`: its environment has no mapping of arguments")
     _check_observation(spec.kwargs.get("observation", "groundings"))
-    return _Source(dataset, f"of {dataset.id}", spec.kwargs.get("config"), spec.kwargs)
+    return _Source(episodes, title, spec.kwargs.get("config"), spec.kwargs)
+
+
+def _episodes(dataset: MinariDataset) -> Iterator[Any]:
+    """Yield the episodes of a Minari dataset.
+
+    Raises:
+        ValueError: If its files are damaged, or claim too much.
+    """
+    with _reading(dataset.id):
+        _check_claims(dataset.storage)
+        yield from dataset
+
+
+@contextmanager
+def _reading(name: object) -> Iterator[None]:
+    """Name the Minari dataset in the exceptions of its reader.
+
+    Raises:
+        ValueError: If the files of the dataset are damaged.
+    """
+    try:
+        yield
+    except (FileNotFoundError, MemoryError):
+        raise
+    except Exception as error:
+        reason = first_line(str(error), type(error).__name__)
+        raise ValueError(f"cannot read the Minari dataset `{name}`: {reason}") from error
 
 
 def _parquet(path: Path) -> _Source:

@@ -4,6 +4,7 @@ import json
 import pickle
 import subprocess
 import sys
+from collections.abc import Callable
 from pathlib import Path
 from types import SimpleNamespace
 from typing import Any
@@ -165,6 +166,44 @@ def test_a_minari_dataset_is_a_source(tmp_path: Path, monkeypatch: pytest.Monkey
         logicity.induce("logicity/state-v0")
     with pytest.raises(FileNotFoundError, match="none-v0"):
         logicity.induce("logicity/none-v0")
+
+
+def test_faults_of_a_minari_dataset_name_it(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    needs("minari", "offline")
+    h5py = needs("h5py", "offline")
+    monkeypatch.setenv("MINARI_DATASETS_PATH", str(tmp_path))
+    author = {"author": "A", "author_email": "a@example.org", "code_permalink": "https://example.org"}
+    logicity.demonstrations("easy", 2).to_minari("logicity/steps-v0", **author)
+    folder = tmp_path / "logicity" / "steps-v0" / "data"
+    metadata, content = (folder / name for name in ("metadata.json", "main_data.hdf5"))
+    text, data = metadata.read_text(), content.read_bytes()
+    spec = json.loads(json.loads(text)["env_spec"])
+
+    def described(**keys: Any) -> None:
+        metadata.write_text(json.dumps({**json.loads(text), **keys}))
+
+    def unallocated() -> None:
+        """Claim 32 GiB, of which the file has nothing."""
+        with h5py.File(content, "r+") as file:
+            del file["episode_0/observations"]
+            file["episode_0"].create_dataset("observations", shape=(10**8, 85), dtype="f4", chunks=(1000, 85))
+
+    faults: list[tuple[Callable[[], object], str]] = [
+        (lambda: metadata.write_text("{"), "Expecting property name"),
+        (lambda: metadata.write_text("[" * 10**6), "recursion"),
+        (lambda: described(data_format="none"), "none"),
+        (lambda: described(total_episodes=10**12), "it claims 1000000000000 episodes, and has 2"),
+        (lambda: described(env_spec=json.dumps({**spec, "kwargs": [1]})), "no mapping of arguments"),
+        (lambda: content.write_bytes(data[:1000]), "truncated"),
+        (unallocated, "its values take 32[0-9]{3} MiB; at most 2048 MiB can be read"),
+    ]
+    for damage, message in faults:
+        damage()
+        with pytest.raises(ValueError, match=f"cannot read the Minari dataset `.*steps-v0.*`: .*{message}"):
+            logicity.induce(folder)
+        metadata.write_text(text)
+        content.write_bytes(data)
+    assert len(logicity.induce(folder).clauses) > 0
 
 
 def test_the_options_of_the_environment_are_those_of_the_rules() -> None:
