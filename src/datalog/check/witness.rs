@@ -9,7 +9,7 @@
 //! A variable in the body of `min` or `max` that also occurs outside, but is bound nowhere there, is a witness: it
 //! takes the values for which the aggregate attains its result.
 //!
-//! A variable that only the result of an aggregate binds is another one in the body of that aggregate:
+//! A variable that would not be bound without the result of an aggregate is another one in the body of that aggregate:
 //!
 //! ```text
 //! Last(n) :- n = max x : { Section(_, n), x = n }.
@@ -84,19 +84,12 @@ impl Rewriting {
                 .into_iter()
                 .map(str::to_owned),
         );
-        let others: Vec<&Literal> = body.iter().filter(|literal| own_result(literal).is_none()).collect();
-        let mut elsewhere = taken.clone();
-        if others.len() < body.len() {
-            elsewhere.extend(bound_names(&others, HashSet::new()).into_iter().map(str::to_owned));
-        }
+        let shadowed = shadowed_names(&body, &bound, taken);
         let witnesses: HashSet<String> = outside.difference(&bound).cloned().collect();
         let shared: HashSet<String> = bound.union(&outside).cloned().collect();
         let mut out: Vec<Literal> = Vec::with_capacity(body.len());
-        for mut literal in body {
-            let own = own_result(&literal).filter(|name| !elsewhere.contains(*name));
-            if let Some(name) = own.map(str::to_owned) {
-                self.shadow(&mut literal, &name);
-            }
+        for (mut literal, shadowed) in body.into_iter().zip(shadowed) {
+            self.shadow(&mut literal, shadowed);
             // A witness of an aggregate may be one of an aggregate in its body. No other variable of this body is.
             let (outside_inner, taken) = match selection(&literal) {
                 Some(_) => (&witnesses, &bound),
@@ -108,19 +101,22 @@ impl Rewriting {
         Ok(out)
     }
 
-    /// Renames a variable in the body of the aggregate `name = ...`: there it is another one, which is local.
-    fn shadow(&mut self, literal: &mut Literal, name: &str) {
+    /// Renames these variables in the body of the aggregate of `x = { ... }`: there they are other ones, which are local.
+    fn shadow(&mut self, literal: &mut Literal, shadowed: Vec<String>) {
         let Literal::Compare { left, right, .. } = literal else {
             return;
         };
-        let local = TermKind::Variable(format!("+{name}.{}", self.fresh));
-        let names = Names::from([(name.to_owned(), local)]);
+        if shadowed.is_empty() {
+            return;
+        }
+        let local = |name: &str| TermKind::Variable(format!("+{name}.{}", self.fresh));
+        let names: Names = (shadowed.into_iter())
+            .map(|name| (name.clone(), local(&name)))
+            .collect();
         for term in [left, right] {
             if let TermKind::Aggregate(aggregate) = &mut term.kind {
-                aggregate
-                    .body
-                    .iter_mut()
-                    .for_each(|literal| *literal = renamed(literal, &names));
+                let body = aggregate.body.iter_mut();
+                body.for_each(|literal| *literal = renamed(literal, &names));
             }
         }
         self.fresh += 1;
@@ -265,7 +261,7 @@ pub(crate) fn size(literal: &Literal) -> usize {
     }
 }
 
-/// Returns whether the literal or an aggregate in it has the form `x = min y : { ... }`, or the form `x = { ... x ... }`.
+/// Returns whether the literal or an aggregate in it has the form `x = min y : { ... }`, or `x = count : { ... }`.
 fn has_selection(literal: &Literal) -> bool {
     fn in_term(term: &Term) -> bool {
         match &term.kind {
@@ -276,7 +272,7 @@ fn has_selection(literal: &Literal) -> bool {
         }
     }
     selection(literal).is_some()
-        || own_result(literal).is_some()
+        || equated(literal).is_some()
         || match literal {
             Literal::Atom { atom, .. } => atom.terms.iter().any(in_term),
             Literal::Compare { left, right, .. } => in_term(left) || in_term(right),
@@ -309,8 +305,8 @@ fn selection(literal: &Literal) -> Option<(&Term, &Aggregate, &Term)> {
     (simple && selects).then_some((result, aggregate, target))
 }
 
-/// Returns the variable x of a literal `x = count : { ... }` if it occurs in the body, but not in the target.
-fn own_result(literal: &Literal) -> Option<&str> {
+/// Returns the aggregate of a literal `x = count : { ... }`.
+fn equated(literal: &Literal) -> Option<&Aggregate> {
     let Literal::Compare {
         op: Comparison::Equal,
         left,
@@ -320,48 +316,104 @@ fn own_result(literal: &Literal) -> Option<&str> {
     else {
         return None;
     };
-    let (result, aggregate) = match (&left.kind, &right.kind) {
-        (TermKind::Variable(result), TermKind::Aggregate(aggregate)) => (result, aggregate),
-        (TermKind::Aggregate(aggregate), TermKind::Variable(result)) => (result, aggregate),
-        _ => return None,
+    match (&left.kind, &right.kind) {
+        (TermKind::Variable(_), TermKind::Aggregate(aggregate))
+        | (TermKind::Aggregate(aggregate), TermKind::Variable(_)) => Some(aggregate),
+        _ => None,
+    }
+}
+
+/// Returns, for each literal `x = count : { ... }`, the variables of the aggregate's body that would not be `bound`
+/// without this literal. Variables of the target are local anyway.
+fn shadowed_names(body: &[Literal], bound: &HashSet<String>, taken: &HashSet<String>) -> Vec<Vec<String>> {
+    let others = |skip: &dyn Fn(usize) -> bool| {
+        let literals = body.iter().enumerate().filter(|(index, _)| !skip(*index));
+        bound_names(
+            &literals.map(|(_, literal)| literal).collect::<Vec<_>>(),
+            HashSet::new(),
+        )
     };
-    let (mut in_target, mut in_body) = (false, false);
-    let target = aggregate.target.iter();
-    target.for_each(|target| names_of(target, true, &mut |name| in_target |= name == result));
-    let body = aggregate.body.iter();
-    body.for_each(|literal| names_in(literal, true, &mut |name| in_body |= name == result));
-    (in_body && !in_target).then_some(result)
+    let without_results = others(&|index| equated(&body[index]).is_some());
+    let shadowed = |(index, literal): (usize, &Literal)| {
+        let mut names: Vec<String> = Vec::new();
+        let Some(aggregate) = equated(literal) else {
+            return names;
+        };
+        let mut in_target = HashSet::new();
+        let target = aggregate.target.iter();
+        target.for_each(|target| names_of(target, true, &mut |name| _ = in_target.insert(name)));
+        for literal in &aggregate.body {
+            names_in(literal, true, &mut |name| {
+                let result = bound.contains(name) && !without_results.contains(name);
+                if result
+                    && !taken.contains(name)
+                    && !in_target.contains(name)
+                    && names.iter().all(|other| other != name)
+                {
+                    names.push(name.to_owned());
+                }
+            });
+        }
+        if !names.is_empty() {
+            let elsewhere = others(&|other| other == index);
+            names.retain(|name| !elsewhere.contains(name.as_str()));
+        }
+        names
+    };
+    body.iter().enumerate().map(shadowed).collect()
 }
 
 /// Returns the names `bound`, and those that the literals bind outside of aggregates and alternatives. Results of
 /// aggregates count as bound.
 pub(crate) fn bound_names<'c>(body: &[&'c Literal], mut bound: HashSet<&'c str>) -> HashSet<&'c str> {
-    loop {
-        let before = bound.len();
-        for literal in body {
-            match literal {
-                Literal::Atom { negated: false, atom } => bound.extend(atom.terms.iter().filter_map(name)),
-                Literal::Compare {
-                    op: Comparison::Equal,
-                    left,
-                    right,
-                    ..
-                } => {
-                    for (to, from) in [(left, right), (right, left)] {
-                        let mut known = true;
-                        names_of(from, false, &mut |name| known &= bound.contains(name));
-                        if known {
-                            bound.extend(name(to));
+    // The equations with unbound names: how many occurrences, and the name that the equation then binds.
+    let mut waiting: Vec<(usize, &str)> = Vec::new();
+    let mut users: HashMap<&str, Vec<usize>> = HashMap::new();
+    let mut found: Vec<&str> = Vec::new();
+    for literal in body {
+        match literal {
+            Literal::Atom { negated: false, atom } => found.extend(atom.terms.iter().filter_map(name)),
+            Literal::Compare {
+                op: Comparison::Equal,
+                left,
+                right,
+                ..
+            } => {
+                for (to, from) in [(left, right), (right, left)] {
+                    let Some(to) = name(to) else { continue };
+                    let mut unbound = Vec::new();
+                    names_of(from, false, &mut |name| {
+                        if !bound.contains(name) {
+                            unbound.push(name);
                         }
+                    });
+                    if unbound.is_empty() {
+                        found.push(to);
+                        continue;
                     }
+                    let count = unbound.len();
+                    for name in unbound {
+                        users.entry(name).or_default().push(waiting.len());
+                    }
+                    waiting.push((count, to));
                 }
-                _ => {}
             }
-        }
-        if bound.len() == before {
-            return bound;
+            _ => {}
         }
     }
+    while let Some(name) = found.pop() {
+        if !bound.insert(name) {
+            continue;
+        }
+        for &equation in users.get(name).into_iter().flatten() {
+            let (unbound, to) = &mut waiting[equation];
+            *unbound -= 1;
+            if *unbound == 0 {
+                found.push(to);
+            }
+        }
+    }
+    bound
 }
 
 fn name(term: &Term) -> Option<&str> {

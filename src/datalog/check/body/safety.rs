@@ -1,6 +1,7 @@
 //! Safety: which variables the body binds, and what could bind the others.
 
 use crate::datalog::check::rules::{Term, VarId};
+use crate::datalog::check::witness::written;
 use crate::datalog::syntax::ast;
 use crate::datalog::syntax::ast::{BaseType, Comparison, TermKind};
 use crate::diag::{Code, Diagnostic};
@@ -146,9 +147,10 @@ impl<'c> Check<'_, 'c> {
         guard: Option<Guard>,
         chosen: impl Fn(usize) -> bool,
     ) {
-        let unbound: Vec<usize> = (0..self.variables.len())
+        let mut unbound: Vec<usize> = (0..self.variables.len())
             .filter(|&index| !self.bound[index] && chosen(index))
             .collect();
+        unbound.sort_by_key(|&index| self.is_hidden(index));
         for index in unbound {
             if self.faults.full() {
                 self.sound = false;
@@ -159,14 +161,19 @@ impl<'c> Check<'_, 'c> {
             if self.variables[group].excused || self.variables[index].excused {
                 continue;
             }
-            if self.is_hidden(index) {
-                // Its operands include a reported variable.
+            let is_renamed = matches!(self.variables[index].name, Name::Written(_)) && self.is_hidden(index);
+            if self.is_hidden(index) && !(is_renamed && self.sound) {
+                // Its operands include a reported variable, or it stands for one.
                 self.sound = false;
                 continue;
             }
             let name = self.name(VarId(u32::try_from(index).expect("fewer than 2^32 variables")));
+            let name = written(&name).to_owned();
             let mut fault = Diagnostic::new(Code::UNBOUND_VARIABLE, format!("no positive atom binds `{name}`"))
                 .at(self.variables[index].first, "");
+            if is_renamed {
+                fault = fault.note("in the body of an aggregate, its result is another variable");
+            }
             if is_fact {
                 fault = fault
                     .note("a fact has no variables; a name without quotes is a variable")
