@@ -820,6 +820,21 @@ fn a_scope_guards_no_other_types() {
 
 // --- notation
 
+/// The diagnostic of a long cycle shows some of its steps.
+#[test]
+fn long_cycles_through_negation_are_shortened() {
+    let mut text = ".decl A(x: number) .input A\n".to_owned();
+    for number in 0..5000 {
+        let next = (number + 1) % 5000;
+        text += &format!(".decl P{number}(x: number) P{number}(x) :- A(x), !P{next}(x).\n");
+    }
+    let found = load_text("cycle.dl", &text).1.diagnostics;
+    let first = &found[0];
+    assert!(first.message.ends_with(" and 4983 others"), "{}", first.message);
+    assert_eq!(first.secondary.len(), 16);
+    assert_eq!(first.notes[0], "4983 further steps of the cycle are not shown");
+}
+
 #[test]
 fn negations_and_parentheses_fold() {
     let plain = expanded("Stop(X) :- IsCar(X), !IsBus(X), X != \"a\".");

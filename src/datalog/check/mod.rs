@@ -25,7 +25,7 @@ mod lint;
 pub(crate) mod names;
 mod rules;
 mod scope;
-mod strata;
+pub(crate) mod strata;
 mod subsets;
 pub(crate) mod subsumption;
 pub(crate) mod witness;

@@ -193,6 +193,16 @@ pub enum Term {
     Wildcard,
 }
 
+impl Term {
+    /// Returns the variable, if it is one.
+    pub fn variable(&self) -> Option<VarId> {
+        match self {
+            Term::Variable(id) => Some(*id),
+            Term::Constant(_) | Term::Wildcard => None,
+        }
+    }
+}
+
 /// A predicate applied to arguments.
 #[derive(Clone, Debug)]
 pub struct Atom {
@@ -284,6 +294,11 @@ impl Literal {
             Literal::Aggregate { to, atom, .. } => (&atom.terms, [Some(to), None]),
         };
         list.iter().chain(further.into_iter().flatten())
+    }
+
+    /// Returns the variables of the literal, each as often as it occurs.
+    pub fn variables(&self) -> impl Iterator<Item = VarId> {
+        self.terms().filter_map(Term::variable)
     }
 
     /// Mutable variant of `terms`.

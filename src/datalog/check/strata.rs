@@ -13,6 +13,9 @@ use crate::datalog::check::rules::{Clause, ClauseId, RelId, Relation, Stratum};
 /// Maximum number of cycles reported in one component.
 const MAX_CYCLES: usize = 8;
 
+/// Maximum number of steps that the diagnostic of a cycle shows.
+const SHOWN_MAX: usize = 16;
+
 /// Reports cycles through negation or aggregation. For each such atom on a cycle this is the shortest cycle through it,
 /// unless a reported cycle already contains it.
 pub(crate) fn check(edges: &[Edge], names: &Names, faults: &mut Faults) {
@@ -65,8 +68,14 @@ pub(crate) fn check(edges: &[Edge], names: &Names, faults: &mut Faults) {
             EdgeKind::Aggregates => format!("`{}` needs all of `{}`", name(edge.from), name(edge.to)),
         };
         let mut fault = Diagnostic::new(Code::CYCLIC_NEGATION, message).at(edge.span, step(edge));
-        for at in back {
+        for &at in back.iter().take(SHOWN_MAX) {
             fault = fault.also(edges[at].span, step(&edges[at]));
+        }
+        if back.len() > SHOWN_MAX {
+            fault = fault.note(format!(
+                "{} further steps of the cycle are not shown",
+                back.len() - SHOWN_MAX
+            ));
         }
         let help = match edge.kind {
             EdgeKind::Aggregates => format!(
@@ -88,12 +97,16 @@ pub(crate) fn check(edges: &[Edge], names: &Names, faults: &mut Faults) {
 }
 
 fn through(edge: &Edge, back: &[usize], edges: &[Edge], names: &Names) -> String {
-    let on_the_way: Vec<String> = std::iter::once(edge.to)
+    let between: Vec<RelId> = std::iter::once(edge.to)
         .chain(back.iter().map(|&step| edges[step].to))
         .filter(|&id| id != edge.from)
-        .map(|id| format!("`{}`", names.relation(id).name))
         .collect();
-    on_the_way.join(" and ")
+    let shown = between.iter().take(SHOWN_MAX);
+    let mut shown: Vec<String> = shown.map(|&id| format!("`{}`", names.relation(id).name)).collect();
+    if between.len() > SHOWN_MAX {
+        shown.push(format!("{} others", between.len() - SHOWN_MAX));
+    }
+    shown.join(" and ")
 }
 
 /// Returns the edges of a shortest path between two predicates of one component.

@@ -8,7 +8,8 @@
 //! on. Some edges grow: they compute a new value. A cycle with a growing edge has no end unless a literal bounds a value
 //! on it.
 
-use crate::datalog::check::{Clause, ClauseId, Literal, RelId, Rules, Term};
+use crate::datalog::check::strata::components;
+use crate::datalog::check::{Clause, ClauseId, Literal, RelId, Rules, Term, VarId};
 use crate::datalog::syntax::ast::{BaseType, Comparison};
 use crate::datalog::syntax::functor::Functor;
 use crate::diag::Span;
@@ -54,26 +55,28 @@ pub(crate) fn endless(rules: &Rules, clause: ClauseId) -> Option<Growth> {
     for way in WAYS {
         let clauses = stratum.clauses.iter().map(|id| &rules.clauses[id.index()]);
         let edges: Vec<Edge> = clauses.flat_map(|clause| edges(clause, &recursive, way)).collect();
-        let grows = |edge: &&Edge| matches!(edge.growth, Some((found, _)) if found == way);
-        let on_cycle = |edge: &&Edge| reaches(&edges, edge.to, edge.from);
-        if let Some(position) = edges.iter().position(|edge| grows(&edge) && on_cycle(&edge)) {
-            let (_, growth) = edges.into_iter().nth(position)?.growth?;
-            return Some(growth);
+        let home = homes(&edges);
+        let is_endless = |edge: &Edge| {
+            let grows = matches!(edge.growth, Some((found, _)) if found == way);
+            grows && home[&edge.from] == home[&edge.to]
+        };
+        if let Some(edge) = edges.into_iter().find(is_endless) {
+            return edge.growth.map(|(_, growth)| growth);
         }
     }
     None
 }
 
-fn reaches(edges: &[Edge], from: Node, to: Node) -> bool {
-    let (mut todo, mut seen) = (vec![from], BTreeSet::from([from]));
-    while let Some(node) = todo.pop() {
-        if node == to {
-            return true;
-        }
-        let next = edges.iter().filter(|edge| edge.from == node).map(|edge| edge.to);
-        todo.extend(next.filter(|node| seen.insert(*node)));
+/// Returns the strongly connected component of each node. An edge is on a cycle if both its nodes are in one component.
+fn homes(edges: &[Edge]) -> BTreeMap<Node, usize> {
+    let nodes: BTreeSet<Node> = edges.iter().flat_map(|edge| [edge.from, edge.to]).collect();
+    let number: BTreeMap<Node, usize> = nodes.into_iter().zip(0..).collect();
+    let mut successors = vec![Vec::new(); number.len()];
+    for edge in edges {
+        successors[number[&edge.from]].push(number[&edge.to]);
     }
-    false
+    let (home, _) = components(&successors);
+    number.into_iter().map(|(node, at)| (node, home[at])).collect()
 }
 
 /// Returns the ways in which the clause passes on values that nothing bounds in this direction.
@@ -87,17 +90,17 @@ fn edges(clause: &Clause, recursive: &BTreeSet<RelId>, way: Way) -> Vec<Edge> {
             continue;
         }
         for (column, term) in atom.terms.iter().enumerate() {
-            let Some(source) = variable(term) else { continue };
+            let Some(source) = term.variable() else { continue };
             let passed = passed_on(clause, source);
             if is_bounded(clause, recursive, &passed, way) {
                 continue;
             }
             for (to, term) in clause.head.terms.iter().enumerate() {
-                let Some(growth) = variable(term).and_then(|id| passed.get(&id)) else {
+                let Some(growth) = term.variable().and_then(|id| passed.get(&id)) else {
                     continue;
                 };
                 let growth = growth.map(|(way, span, base)| {
-                    let name = clause.variables.get(source).map_or("x", String::as_str);
+                    let name = clause.variables.get(source.index()).map_or("x", String::as_str);
                     let bound = match (way, base) {
                         (_, BaseType::Symbol) => format!("strlen({name}) < 100"),
                         (Way::Down, BaseType::Unsigned) => format!("{name} > 0"),
@@ -117,10 +120,10 @@ fn edges(clause: &Clause, recursive: &BTreeSet<RelId>, way: Way) -> Vec<Edge> {
     found
 }
 
-type Passed = BTreeMap<usize, Option<(Way, Span, BaseType)>>;
+type Passed = BTreeMap<VarId, Option<(Way, Span, BaseType)>>;
 
 /// Returns the variables whose values come from `source`, each with what grew it on the way.
-fn passed_on(clause: &Clause, source: usize) -> Passed {
+fn passed_on(clause: &Clause, source: VarId) -> Passed {
     let mut passed = Passed::from([(source, None)]);
     let mut changed = true;
     while std::mem::take(&mut changed) {
@@ -133,8 +136,8 @@ fn passed_on(clause: &Clause, source: usize) -> Passed {
                     ..
                 } => {
                     let pair = [(left, right), (right, left)].into_iter().find_map(|(from, to)| {
-                        let growth = passed.get(&variable(from)?)?;
-                        Some((variable(to)?, *growth)).filter(|(to, _)| !passed.contains_key(to))
+                        let growth = passed.get(&from.variable()?)?;
+                        Some((to.variable()?, *growth)).filter(|(to, _)| !passed.contains_key(to))
                     });
                     let Some(pair) = pair else { continue };
                     pair
@@ -146,8 +149,8 @@ fn passed_on(clause: &Clause, source: usize) -> Passed {
                     arguments,
                     span,
                 } => {
-                    let from = arguments.iter().find_map(|argument| passed.get(&variable(argument)?));
-                    let (Some(from), Some(to)) = (from, variable(to)) else {
+                    let from = arguments.iter().find_map(|argument| passed.get(&argument.variable()?));
+                    let (Some(from), Some(to)) = (from, to.variable()) else {
                         continue;
                     };
                     let own = grows(*functor, *base, arguments).map(|way| (way, *span, *base));
@@ -189,7 +192,7 @@ fn grows(functor: Functor, base: BaseType, arguments: &[Term]) -> Option<Way> {
 
 /// Returns whether a literal restricts one of the passed values to finitely many, or bounds it in this direction.
 fn is_bounded(clause: &Clause, recursive: &BTreeSet<RelId>, passed: &Passed, way: Way) -> bool {
-    let is_passed = |term: &Term| variable(term).is_some_and(|id| passed.contains_key(&id));
+    let is_passed = |term: &Term| term.variable().is_some_and(|id| passed.contains_key(&id));
     clause.body.iter().any(|literal| match literal {
         Literal::Positive(atom) | Literal::Guard(atom) => {
             !recursive.contains(&atom.relation) && atom.terms.iter().any(is_passed)
@@ -222,12 +225,5 @@ fn mirrored(op: Comparison) -> Comparison {
         Comparison::Greater => Comparison::Less,
         Comparison::GreaterEqual => Comparison::LessEqual,
         other => other,
-    }
-}
-
-fn variable(term: &Term) -> Option<usize> {
-    match term {
-        Term::Variable(id) => Some(id.index()),
-        _ => None,
     }
 }

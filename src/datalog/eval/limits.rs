@@ -1,6 +1,6 @@
 //! The resource limits of an evaluation and the errors when it exceeds one.
 
-use crate::datalog::check::{Clause, ClauseId, Literal, Rules, Term};
+use crate::datalog::check::{Clause, ClauseId, Literal, Rules, Term, VarId};
 use crate::datalog::eval::growth;
 use crate::datalog::syntax::ast::Comparison;
 use crate::diag::{Code, Diagnostic, Limit, Span};
@@ -164,13 +164,7 @@ impl From<EvalError> for Diagnostic {
 /// Returns the first atom that no chain of shared variables or equalities connects to the first atom. With such an atom
 /// the join is a Cartesian product.
 fn unjoined(clause: &Clause) -> Option<Span> {
-    let variables = |literal: &Literal| -> Vec<usize> {
-        let variable = |term: &Term| match term {
-            Term::Variable(variable) => Some(variable.index()),
-            _ => None,
-        };
-        literal.terms().filter_map(variable).collect()
-    };
+    let variables = |literal: &Literal| -> Vec<usize> { literal.variables().map(VarId::index).collect() };
     // By variable: the representative of the variables that it is connected to.
     let mut joined: Vec<usize> = (0..clause.variables.len()).collect();
     let positive = |literal: &&Literal| matches!(literal, Literal::Positive(_) | Literal::Guard(_));

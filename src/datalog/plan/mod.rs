@@ -234,11 +234,16 @@ impl Plans {
 /// Returns the correlated relations in an order in which each comes after those that it needs.
 fn correlated_relations(rules: &Rules) -> BTreeMap<RelId, Correlated> {
     let mut correlated: BTreeMap<RelId, Correlated> = BTreeMap::new();
+    let mut clauses_of: BTreeMap<RelId, Vec<(&Clause, ClauseId)>> = BTreeMap::new();
+    for (clause, id) in rules.clauses.iter().zip((0..).map(ClauseId)) {
+        if rules.relations[clause.head.relation.index()].parameters > 0 {
+            clauses_of.entry(clause.head.relation).or_default().push((clause, id));
+        }
+    }
     // The checker defines the predicate of an inner aggregate before that of the outer one.
     for (relation, id) in rules.relations.iter().zip((0..).map(RelId)) {
         if relation.parameters > 0 {
-            let clauses = rules.clauses.iter().zip((0..).map(ClauseId));
-            let clauses: Vec<(&Clause, ClauseId)> = clauses.filter(|(clause, _)| clause.head.relation == id).collect();
+            let clauses = clauses_of.remove(&id).unwrap_or_default();
             let each = clauses.iter().map(|(clause, _)| literals(clause, &correlated));
             let literals = each.fold(0, usize::saturating_add);
             let known = Correlated {
@@ -272,8 +277,10 @@ fn plan_stratum(rules: &Rules, stratum: &Stratum, groupings: &[Option<Grouping>]
         .collect();
     let (mut inputs, correlated) = rules.read_by(clauses.iter().copied());
     inputs.sort_unstable();
-    let recursive = inputs.iter().any(|relation| members.contains(relation));
-    inputs.retain(|relation| !members.contains(relation));
+    // The relations of a stratum are in ascending order.
+    let is_member = |relation: &RelId| members.binary_search(relation).is_ok();
+    let recursive = inputs.iter().any(is_member);
+    inputs.retain(|relation| !is_member(relation));
     inputs.dedup();
     let small = |clause: &ClauseId| is_maintainable(&rules.clauses[clause.index()]);
     let grouped = members.iter().any(|member| groupings[member.index()].is_some());

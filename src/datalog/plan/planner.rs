@@ -39,7 +39,7 @@ pub(crate) fn is_maintainable(clause: &Clause) -> bool {
     clause.body.len() <= MAINTAINED_LITERALS_MAX && !clause.body.iter().any(aggregates)
 }
 
-/// Makes all plans of a clause. `stratum` holds the relations of the head's stratum. `grouping` aggregates the head.
+/// Makes all plans of a clause. `stratum` holds the relations of the head's stratum in ascending order. `grouping` aggregates the head.
 pub(crate) fn plan_clause(
     clause: &Clause,
     stratum: &[RelId],
@@ -49,7 +49,7 @@ pub(crate) fn plan_clause(
     check_size(clause)?;
     let recursive: Vec<usize> = (0..clause.body.len())
         .filter(|&position| match &clause.body[position] {
-            Literal::Positive(atom) | Literal::Guard(atom) => stratum.contains(&atom.relation),
+            Literal::Positive(atom) | Literal::Guard(atom) => stratum.binary_search(&atom.relation).is_ok(),
             _ => false,
         })
         .collect();
@@ -253,7 +253,7 @@ impl<'a> Planner<'a> {
             .iter()
             .chain(clause.body.iter().flat_map(Literal::terms));
         terms
-            .filter_map(variable_of)
+            .filter_map(Term::variable)
             .for_each(|variable| uses[variable.index()] += 1);
         Planner {
             clause,
@@ -279,7 +279,7 @@ impl<'a> Planner<'a> {
     fn run(mut self, first: First, version: &dyn Fn(usize) -> Version) -> Result<(Plan, f64), Diagnostic> {
         let clause = self.clause;
         let head = &clause.head;
-        let head_variables: Vec<VarId> = head.terms.iter().filter_map(variable_of).collect();
+        let head_variables: Vec<VarId> = head.terms.iter().filter_map(Term::variable).collect();
         let mut fresh = None;
         let mut next = match first {
             First::Literal(position) | First::Change(position) => Some(Next::Scan(position)),
@@ -290,7 +290,7 @@ impl<'a> Planner<'a> {
         } else if let First::Parameters(count) = first {
             let terms = head.terms[..count].to_vec();
             // The body need not use a parameter that is aggregated itself.
-            let parameters = terms.iter().filter_map(variable_of);
+            let parameters = terms.iter().filter_map(Term::variable);
             parameters.for_each(|variable| self.uses[variable.index()] += 1);
             self.scan(&Atom { terms, ..head.clone() }, Version::New);
         }
@@ -382,7 +382,7 @@ impl<'a> Planner<'a> {
     }
 
     fn is_bound(&self, term: &Term) -> bool {
-        variable_of(term).is_none_or(|variable| self.bound[variable.index()])
+        term.variable().is_none_or(|variable| self.bound[variable.index()])
     }
 
     /// Places every literal whose variables are bound and that needs no scan.
@@ -507,14 +507,15 @@ impl<'a> Planner<'a> {
     /// Whether any value matches a term of a literal still to be placed. The term is a wildcard, or an unbound variable
     /// that occurs nowhere else in the rest of the clause.
     fn is_unneeded(&self, term: &Term) -> bool {
-        variable_of(term).is_none_or(|variable| !self.bound[variable.index()] && self.uses[variable.index()] == 1)
+        term.variable()
+            .is_none_or(|variable| !self.bound[variable.index()] && self.uses[variable.index()] == 1)
             && !matches!(term, Term::Constant(_))
     }
 
     /// Removes a literal from those still to be placed.
     fn placed(&mut self, position: usize) {
         self.left.retain(|&other| other != position);
-        for variable in self.clause.body[position].terms().filter_map(variable_of) {
+        for variable in self.clause.body[position].terms().filter_map(Term::variable) {
             self.uses[variable.index()] -= 1;
         }
     }
@@ -553,7 +554,7 @@ impl<'a> Planner<'a> {
             self.flow.filter(Flow::EQUAL);
         }
         let slot = self.slot(to)?;
-        if let Some(variable) = variable_of(to) {
+        if let Some(variable) = to.variable() {
             self.bound[variable.index()] = true;
         }
         Some((slot, test))
@@ -616,7 +617,7 @@ impl<'a> Planner<'a> {
         };
         let once = |atom: &Atom| {
             (atom.terms.iter())
-                .filter(|term| variable_of(term) == Some(variable))
+                .filter(|term| term.variable() == Some(variable))
                 .count()
                 == 1
         };
@@ -646,7 +647,7 @@ impl<'a> Planner<'a> {
     /// The unbound variables of the atom that the rest of the clause needs, without duplicates.
     fn new_variables(&self, atom: &Atom) -> Vec<VarId> {
         let needed = |term: &&Term| !self.is_bound(term) && !self.is_unneeded(term);
-        let mut new: Vec<VarId> = atom.terms.iter().filter(needed).filter_map(variable_of).collect();
+        let mut new: Vec<VarId> = atom.terms.iter().filter(needed).filter_map(Term::variable).collect();
         new.sort_unstable();
         new.dedup();
         new
@@ -656,7 +657,7 @@ impl<'a> Planner<'a> {
     fn key(&self, atom: &Atom) -> Vec<Known> {
         let known = |term: &Term| *term != Term::Wildcard && self.is_bound(term);
         let columns = (0..).zip(&atom.terms).filter(|(_, term)| known(term));
-        columns.map(|(column, term)| (column, variable_of(term))).collect()
+        columns.map(|(column, term)| (column, term.variable())).collect()
     }
 
     /// The estimated number of rows that match the atom; 0 if sizes are unknown.
@@ -689,7 +690,7 @@ impl<'a> Planner<'a> {
             };
             let place = (0..)
                 .zip(&atom.terms)
-                .find(|(_, term)| variable_of(term) == Some(variable));
+                .find(|(_, term)| term.variable() == Some(variable));
             let Some((column, _)) = place else { continue };
             let known: Vec<u16> = self.key(atom).iter().map(|&(column, _)| column).collect();
             let (index, order) = self.indexes.prefix(atom.relation, [&known, &[column]]);
@@ -810,12 +811,5 @@ fn positive(literal: &Literal) -> Option<&Atom> {
     match literal {
         Literal::Positive(atom) | Literal::Guard(atom) => Some(atom),
         _ => None,
-    }
-}
-
-fn variable_of(term: &Term) -> Option<VarId> {
-    match *term {
-        Term::Variable(variable) => Some(variable),
-        Term::Constant(_) | Term::Wildcard => None,
     }
 }

@@ -12,7 +12,7 @@
 //! predicates that the checker generates (hidden predicates), up to [`DEPTH_MAX`] levels deep.
 
 use crate::datalog::explain::ExplanationPrinter;
-use crate::datalog::{Atom, BaseType, Clause, ClauseId, Comparison, Literal, RelId, Rules, Term};
+use crate::datalog::{Atom, BaseType, Clause, ClauseId, Comparison, Literal, RelId, Rules, Term, VarId};
 use crate::diag::Sources;
 use crate::predicate::Definition;
 use crate::sim::World;
@@ -146,7 +146,7 @@ impl<'a> Writer<'a> {
     /// Returns the quantifiers and the conditions of a body. The variables of the head need no quantifier.
     fn body(&self, scope: &Scope<'_>, depth: usize) -> Body {
         let clause = scope.clause;
-        let mut known: BTreeSet<usize> = clause.head.terms.iter().filter_map(variable).collect();
+        let mut known: BTreeSet<VarId> = clause.head.terms.iter().filter_map(Term::variable).collect();
         // Entities that the same guard introduces share a quantifier.
         let mut groups: Vec<(String, Vec<String>)> = Vec::new();
         let mut add = |seen: String, name: String| match groups.iter_mut().find(|(known, _)| *known == seen) {
@@ -157,12 +157,15 @@ impl<'a> Writer<'a> {
         let mut guards = BTreeSet::new();
         for (index, literal) in clause.body.iter().enumerate() {
             let Literal::Guard(atom) = literal else { continue };
-            if let [Some(ego), Some(seen)] = atom.terms.iter().map(variable).collect::<Vec<_>>()[..]
+            if let [Some(ego), Some(seen)] = atom.terms.iter().map(Term::variable).collect::<Vec<_>>()[..]
                 && known.contains(&ego)
                 && known.insert(seen)
             {
                 guards.insert(index);
-                add(self.guard(atom, &scope.names[ego]), scope.names[seen].clone());
+                add(
+                    self.guard(atom, &scope.names[ego.index()]),
+                    scope.names[seen.index()].clone(),
+                );
             }
         }
         for (index, literal) in clause.body.iter().enumerate() {
@@ -170,14 +173,14 @@ impl<'a> Writer<'a> {
                 continue;
             }
             // A negated literal and an aggregate bind no variable, except the result of the aggregate.
-            let introduced: Vec<usize> = match literal {
+            let introduced: Vec<VarId> = match literal {
                 Literal::Negative(_) => Vec::new(),
-                Literal::Aggregate { to, .. } => variable(to).into_iter().collect(),
-                _ => literal.terms().filter_map(variable).collect(),
+                Literal::Aggregate { to, .. } => to.variable().into_iter().collect(),
+                _ => literal.variables().collect(),
             };
             for variable in introduced {
                 if known.insert(variable) {
-                    add(String::new(), scope.names[variable].clone());
+                    add(String::new(), scope.names[variable.index()].clone());
                 }
             }
             conditions.push(self.literal(scope, literal, depth));
@@ -250,15 +253,15 @@ impl<'a> Writer<'a> {
         let is_recursive = clauses()
             .flat_map(|clause| &clause.body)
             .any(|literal| literal.atom().is_some_and(|inner| inner.relation == atom.relation));
-        let is_plain = |clause: &Clause| clause.head.terms.iter().all(|term| variable(term).is_some());
+        let is_plain = |clause: &Clause| clause.head.terms.iter().all(|term| term.variable().is_some());
         if is_recursive || clauses().next().is_none() || !clauses().all(is_plain) {
             return self.notation(scope, literal);
         }
         let alternatives: Vec<String> = clauses()
             .map(|clause| {
                 let mut bound = vec![None; clause.variables.len()];
-                for (at, variable) in clause.head.terms.iter().filter_map(variable).enumerate() {
-                    bound[variable] = Some(self.term(scope, atom, at));
+                for (at, variable) in clause.head.terms.iter().filter_map(Term::variable).enumerate() {
+                    bound[variable.index()] = Some(self.term(scope, atom, at));
                 }
                 let inner = self.scope(clause, bound, &scope.names);
                 let Body { some, conditions } = self.body(&inner, depth + 1);
@@ -354,11 +357,4 @@ struct Body {
     some: String,
     /// The literals.
     conditions: Vec<String>,
-}
-
-fn variable(term: &Term) -> Option<usize> {
-    match term {
-        Term::Variable(variable) => Some(variable.index()),
-        _ => None,
-    }
 }

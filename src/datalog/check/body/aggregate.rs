@@ -229,7 +229,7 @@ impl<'c> Check<'_, 'c> {
                 match pending {
                     Pending::Atom {
                         negated: false, atom, ..
-                    } => binds.extend(atom.terms.iter().filter_map(variable)),
+                    } => binds.extend(atom.terms.iter().filter_map(Term::variable)),
                     Pending::Compare {
                         op: Comparison::Equal,
                         left,
@@ -550,12 +550,12 @@ fn grounding(
     let mut around = inner.to_vec();
     around.extend(context.iter().filter(|literal| usable(literal)).cloned());
     let bindable = bound_by(&around);
-    let usable = |literal: &Literal| usable(literal) && variables_of(literal).all(|id| bindable.contains(&id));
+    let usable = |literal: &Literal| usable(literal) && literal.variables().all(|id| bindable.contains(&id));
     // The variables for which a literal was taken; it may need further variables.
     let mut given = BTreeSet::new();
     loop {
         let bound = bound_by(&body);
-        let needed = body.iter().flat_map(variables_of);
+        let needed = body.iter().flat_map(Literal::variables);
         let unbound: BTreeSet<VarId> = (shared.iter().copied().chain(needed))
             .filter(|id| !bound.contains(id))
             .collect();
@@ -612,7 +612,7 @@ pub(crate) fn bound_by(literals: &[Literal]) -> BTreeSet<VarId> {
 
 /// Returns the variables that a literal binds; `None` while it lacks bound variables to bind others.
 fn binds(literal: &Literal, bound: &BTreeSet<VarId>) -> Option<Vec<VarId>> {
-    let known = |term: &Term| variable(term).is_none_or(|id| bound.contains(&id));
+    let known = |term: &Term| term.variable().is_none_or(|id| bound.contains(&id));
     let gives: Vec<&Term> = match literal {
         Literal::Positive(atom) | Literal::Guard(atom) => atom.terms.iter().collect(),
         Literal::Compare {
@@ -634,7 +634,7 @@ fn binds(literal: &Literal, bound: &BTreeSet<VarId>) -> Option<Vec<VarId>> {
         },
         Literal::Compare { .. } | Literal::Negative(_) => Vec::new(),
     };
-    Some(gives.into_iter().filter_map(variable).collect())
+    Some(gives.into_iter().filter_map(Term::variable).collect())
 }
 
 fn is_range(pending: &Pending<'_>) -> bool {
@@ -645,17 +645,4 @@ fn is_range(pending: &Pending<'_>) -> bool {
             ..
         }
     )
-}
-
-/// Returns the variable that the term is.
-pub(crate) fn variable(term: &Term) -> Option<VarId> {
-    match term {
-        Term::Variable(id) => Some(*id),
-        _ => None,
-    }
-}
-
-/// Returns the variables of the literal.
-fn variables_of(literal: &Literal) -> impl Iterator<Item = VarId> + '_ {
-    literal.terms().filter_map(variable)
 }

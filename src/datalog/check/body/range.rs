@@ -15,7 +15,7 @@ use std::collections::BTreeSet;
 
 use crate::diag::Span;
 
-use crate::datalog::check::body::aggregate::{Allowed, bound_by, variable};
+use crate::datalog::check::body::aggregate::{Allowed, bound_by};
 use crate::datalog::check::body::{Check, Finish, Pending};
 use crate::datalog::check::clauses::EdgeKind;
 use crate::datalog::check::clauses::{Known, VariableType, renumber};
@@ -63,7 +63,7 @@ impl<'c> Check<'_, 'c> {
         else {
             return None;
         };
-        let needed: BTreeSet<VarId> = arguments.iter().filter_map(variable).collect();
+        let needed: BTreeSet<VarId> = arguments.iter().filter_map(Term::variable).collect();
         // In an aggregate, a range of values that the recursion provides would make the aggregate depend on itself.
         let mut context = context.to_vec();
         if allowed == Allowed::Outside {
@@ -119,7 +119,7 @@ fn relevant(needed: &BTreeSet<VarId>, near: &[Literal], context: &[Literal]) -> 
     let mut changed = true;
     while std::mem::take(&mut changed) {
         for (literal, chosen) in all.iter().zip(&mut chosen) {
-            let ids: Vec<VarId> = literal.terms().filter_map(variable).collect();
+            let ids: Vec<VarId> = literal.variables().collect();
             if !*chosen && ids.iter().all(|id| bound.contains(id)) && ids.iter().any(|id| connected.contains(id)) {
                 connected.extend(ids);
                 *chosen = true;

@@ -26,10 +26,7 @@ impl<'c> Check<'_, 'c> {
             Pending::Atom {
                 negated: false, atom, ..
             } => {
-                binds.extend(atom.terms.iter().filter_map(|term| match term {
-                    Term::Variable(id) => Some(*id),
-                    _ => None,
-                }));
+                binds.extend(atom.terms.iter().filter_map(Term::variable));
             }
             Pending::Compare {
                 op: Comparison::Equal,

@@ -4,7 +4,7 @@
 pub(super) mod heights;
 
 use crate::cancel::Cancel;
-use crate::datalog::check::{Atom, Clause, ClauseId, Literal, RelId, Rules, Term};
+use crate::datalog::check::{Atom, Clause, ClauseId, Literal, RelId, Rules, Term, VarId};
 use crate::datalog::eval::correlated::CorrelatedValues;
 use crate::datalog::eval::output::Abort;
 use crate::datalog::explain::search::heights::Heights;
@@ -704,10 +704,7 @@ fn in_order(clause: &Clause, binding: &Binding) -> Vec<usize> {
 
 /// Returns the variables that a satisfied literal binds; `None` while it needs further bound variables.
 fn binds(literal: &Literal, bound: &[bool]) -> Option<Vec<usize>> {
-    let variable = |term: &Term| match term {
-        Term::Variable(variable) => Some(variable.index()),
-        _ => None,
-    };
+    let variable = |term: &Term| term.variable().map(VarId::index);
     let known = |term: &Term| variable(term).is_none_or(|variable| bound[variable]);
     match literal {
         Literal::Positive(atom) | Literal::Guard(atom) => Some(atom.terms.iter().filter_map(variable).collect()),
