@@ -105,74 +105,23 @@ struct Report {
     covered: Option<Coverage>,
 }
 
+/// Checks one file: a rule file, a configuration with its rules, or a map.
 fn examine(arguments: &Arguments, path: &Path, files: &dyn ReadFile, sources: &mut Sources) -> Result<Report, Failure> {
-    let mut report = Report {
-        configuration: None,
-        in_city: false,
-        program: None,
-        found: Vec::new(),
-        unfinished: Vec::new(),
-        overlaps: Vec::new(),
-        precedence: Action::SAFEST_FIRST.to_vec(),
-        covered: None,
+    let mut report = Report::new();
+    let given = match &arguments.config {
+        None => None,
+        Some(config) => Some(configuration::open_run(config, sources)?),
     };
-    let given = arguments
-        .config
-        .as_deref()
-        .map(|config| configuration::open_run(config, sources));
-    let given = given.transpose()?;
-    if let Some(given) = &given {
-        report.precedence = given.precedence().to_vec();
-    }
-    let rules: PathBuf;
-    let path = match configuration::open(path, sources)? {
-        Opened::Rules => path,
-        Opened::Faulty(faults) => {
-            report.found = faults;
-            return Ok(report);
-        }
-        Opened::Map(map) => {
-            report.configuration = Some(map);
-            return Ok(report);
-        }
-        Opened::Run(run) => {
-            if arguments.config.is_none() {
-                report.precedence = run.precedence().to_vec();
-            }
-            rules = run.rules().to_owned();
-            report.configuration = Some(run);
-            &rules
-        }
-    };
-    let loaded = match load_workspace_from(sources, path, Edb::Fixed, files) {
-        Ok(mut texts) => {
-            let inputs = inputs_of(&texts, given.is_some() || report.configuration.is_some());
-            report.in_city = inputs == Edb::Fixed;
-            texts.set_inputs(inputs);
-            texts.check()
-        }
-        Err(Failure::Input(faults)) => {
-            report.found = faults;
-            return Ok(report);
-        }
-        Err(other) => return Err(other),
-    };
-    report.found = loaded.diagnostics;
-    if !loaded.compared.complete {
-        report.unfinished.push("clauses that derive nothing new");
-    }
-    let Some(rules) = loaded.rules else {
+    let Some(path) = report.open(path, sources)? else {
         return Ok(report);
     };
-    let own = report.configuration.as_ref();
-    let city = given.as_ref().or(own).and_then(Checked::theory);
-    let examined = examine_rules(&rules, city, sources);
-    report.found.extend(examined.diagnostics);
-    if arguments.lints {
-        // Redundant literals may be there for the reader.
-        report.found.extend(examined.hints);
-        report.unfinished.extend(examined.unfinished);
+    if let Some(city) = given.as_ref().or(report.configuration.as_ref()) {
+        report.precedence = city.precedence().to_vec();
     }
+    let Some(rules) = report.load(&path, given.is_some(), files, sources)? else {
+        return Ok(report);
+    };
+    let in_city = report.lint(&rules, given.as_ref(), arguments.lints, sources);
     let program = match Program::new(rules) {
         Ok(program) => program,
         Err(fault) => {
@@ -180,22 +129,95 @@ fn examine(arguments: &Arguments, path: &Path, files: &dyn ReadFile, sources: &m
             return Ok(report);
         }
     };
-    report.overlaps = conflicts(&examined.in_city)?;
+    report.overlaps = conflicts(&in_city)?;
     let lints = conflict_lints(&report.overlaps, program.rules(), &report.precedence);
     report.found.extend(lints);
     if let Some(configuration) = &report.configuration {
         report.found.extend(configuration.bind(&program, None, sources));
     } else if let Some(given) = &given {
-        report.found.extend(given.bind(&program, Some(path), sources));
+        report.found.extend(given.bind(&program, Some(&path), sources));
     }
     if let Some(trace) = &arguments.coverage {
-        report.covered = Some(measure(arguments, trace, path, sources)?);
+        report.covered = Some(measure(arguments, trace, &path, sources)?);
     }
     report.program = Some(program);
     Ok(report)
 }
 
 impl Report {
+    fn new() -> Report {
+        Report {
+            configuration: None,
+            in_city: false,
+            program: None,
+            found: Vec::new(),
+            unfinished: Vec::new(),
+            overlaps: Vec::new(),
+            precedence: Action::SAFEST_FIRST.to_vec(),
+            covered: None,
+        }
+    }
+
+    /// Opens the file. Returns the path of the rules; `None` if there are none, or if the file is faulty.
+    fn open(&mut self, path: &Path, sources: &mut Sources) -> Result<Option<PathBuf>, Failure> {
+        Ok(match configuration::open(path, sources)? {
+            Opened::Rules => Some(path.to_owned()),
+            Opened::Faulty(faults) => {
+                self.found = faults;
+                None
+            }
+            Opened::Map(map) => {
+                self.configuration = Some(map);
+                None
+            }
+            Opened::Run(run) => {
+                let rules = run.rules().to_owned();
+                self.configuration = Some(run);
+                Some(rules)
+            }
+        })
+    }
+
+    /// Loads and checks the rules. Returns `None` for faulty ones.
+    fn load(
+        &mut self,
+        path: &Path,
+        has_city: bool,
+        files: &dyn ReadFile,
+        sources: &mut Sources,
+    ) -> Result<Option<Rules>, Failure> {
+        let mut texts = match load_workspace_from(sources, path, Edb::Fixed, files) {
+            Ok(texts) => texts,
+            Err(Failure::Input(faults)) => {
+                self.found = faults;
+                return Ok(None);
+            }
+            Err(other) => return Err(other),
+        };
+        let inputs = inputs_of(&texts, has_city || self.configuration.is_some());
+        self.in_city = inputs == Edb::Fixed;
+        texts.set_inputs(inputs);
+        let loaded = texts.check();
+        self.found = loaded.diagnostics;
+        if !loaded.compared.complete {
+            self.unfinished.push("clauses that derive nothing new");
+        }
+        Ok(loaded.rules)
+    }
+
+    /// Adds what static checks find. Returns the rules with the constraints that hold in the city.
+    fn lint(&mut self, rules: &Rules, given: Option<&Checked>, with_hints: bool, sources: &Sources) -> Rules {
+        let city = given.or(self.configuration.as_ref()).and_then(Checked::theory);
+        let examined = examine_rules(rules, city, sources);
+        self.found.extend(examined.diagnostics);
+        if with_hints {
+            // Redundant literals may be there for the reader.
+            self.found.extend(examined.hints);
+            self.unfinished.extend(examined.unfinished);
+        }
+        examined.in_city
+    }
+
     fn rules(&self) -> Option<&Rules> {
         self.program.as_ref().map(Program::rules)
     }
@@ -405,12 +427,9 @@ fn searched(equivalence: &Equivalence) -> String {
         Equivalence::NoneFound { entities: None, .. } => "0 scenes (even the smallest exceeds a limit)".to_owned(),
         Equivalence::NoneFound {
             entities: Some(most), ..
-        }
-        | Equivalence::Equivalent { entities: most } => {
-            format!("all scenes of up to {}", agents(*most))
-        }
+        } => format!("all scenes of up to {}", agents(*most)),
         Equivalence::NoneTried { scenes, .. } => format!("{scenes} scenes"),
-        Equivalence::Different(_) => String::new(),
+        Equivalence::Equivalent { .. } | Equivalence::Different(_) => String::new(),
     }
 }
 

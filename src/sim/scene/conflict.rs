@@ -6,7 +6,7 @@
 //! search, even for rules that `diff` cannot prove equivalent.
 
 use crate::city::Action;
-use crate::datalog::diff::{Difference, Equivalence, Options, diff, premises};
+use crate::datalog::diff::{Difference, Equivalence, Options, diff, unsat_core};
 use crate::datalog::naive;
 use crate::datalog::{
     Atom, BaseType, Clause, ClauseId, DeclaredConstraint, Literal, RelId, Relation, Rules, Stratum, Term, Value, VarId,
@@ -62,7 +62,7 @@ impl Overlap {
 pub enum Finding {
     /// Proved impossible.
     Excluded {
-        /// The constraints from which this follows; see [`premises`].
+        /// The constraints from which this follows; see [`unsat_core`].
         given: Vec<DeclaredConstraint>,
     },
     /// Possible.
@@ -121,7 +121,7 @@ fn find(rules: &Rules, actions: [RelId; 2]) -> Result<Finding, Vec<Diagnostic>> 
     let (with, without) = (with_conflict(rules, actions), without_conflict(rules, one));
     Ok(match diff(&with, &without, &options)? {
         Equivalence::Equivalent { .. } => {
-            let given = premises(&with, &without, &options)?;
+            let given = unsat_core(&with, &without, &options)?;
             let given = given.into_iter().map(|(constraint, _)| constraint.clone()).collect();
             Finding::Excluded { given }
         }

@@ -10,9 +10,8 @@
 //! over other entities than the roots); a derivation may be arbitrarily long (recursion); values have an order or a
 //! size (numbers, `<`).
 
-use crate::datalog::analysis::diff::ground::variables;
 use crate::datalog::analysis::diff::{Individual, Output, Side};
-use crate::datalog::check::{Atom, Clause, Literal, RelId, Term};
+use crate::datalog::check::{Atom, Clause, Literal, RelId, Term, VarId};
 use crate::datalog::syntax::ast::{BaseType, Comparison};
 use crate::datalog::value::Value;
 use indexmap::IndexSet;
@@ -136,11 +135,11 @@ impl Side<'_> {
         let mut total = 0_usize;
         for clause in self.derivations(relation)? {
             self.plain(clause)?;
-            let head: Vec<usize> = clause.head.terms.iter().filter_map(variable).collect();
-            let locals: BTreeSet<usize> = clause
+            let head: Vec<VarId> = clause.head.terms.iter().filter_map(Term::variable).collect();
+            let locals: BTreeSet<VarId> = clause
                 .body
                 .iter()
-                .flat_map(variables)
+                .flat_map(Literal::variables)
                 .filter(|id| !head.contains(id))
                 .collect();
             let (some, none) = self.wildcards(clause)?;
@@ -195,7 +194,7 @@ impl Side<'_> {
     /// fail. A negated atom with `_` may only have variables of the head; otherwise each value of another variable
     /// could need a witness.
     fn wildcards(&self, clause: &Clause) -> Option<(usize, usize)> {
-        let head: Vec<usize> = clause.head.terms.iter().filter_map(variable).collect();
+        let head: Vec<VarId> = clause.head.terms.iter().filter_map(Term::variable).collect();
         let (mut some, mut none) = (0, 0);
         for literal in &clause.body {
             let (atom, positive) = match literal {
@@ -204,7 +203,7 @@ impl Side<'_> {
                 Literal::Compare { .. } | Literal::Compute { .. } | Literal::Aggregate { .. } => continue,
             };
             let wild = atom.terms.iter().filter(|term| **term == Term::Wildcard).count();
-            let local = variables(literal).any(|id| !head.contains(&id));
+            let local = literal.variables().any(|id| !head.contains(&id));
             match (wild, positive) {
                 (0, _) => {}
                 _ if self.is_derived(atom) => return None,
@@ -240,12 +239,12 @@ impl Side<'_> {
         self.plain(clause)?;
         let mut bound: Vec<Option<Root>> = vec![None; clause.variables.len()];
         for (term, &root) in clause.head.terms.iter().zip(row) {
-            if let Some(id) = variable(term) {
-                bound[id].get_or_insert(root);
+            if let Some(id) = term.variable() {
+                bound[id.index()].get_or_insert(root);
             }
         }
-        let locals: BTreeSet<usize> = (clause.body.iter().flat_map(variables))
-            .filter(|&id| bound[id].is_none())
+        let locals: BTreeSet<VarId> = (clause.body.iter().flat_map(Literal::variables))
+            .filter(|id| bound[id.index()].is_none())
             .collect();
         let mut local = Vec::new();
         for (positive, atom) in self.derived_atoms(clause) {
@@ -267,12 +266,5 @@ impl Side<'_> {
             }
         }
         Some((locals.len(), local))
-    }
-}
-
-fn variable(term: &Term) -> Option<usize> {
-    match term {
-        Term::Variable(variable) => Some(variable.index()),
-        _ => None,
     }
 }

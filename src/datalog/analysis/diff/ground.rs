@@ -4,9 +4,9 @@
 //! gates are shared, so clauses that differ only in names and order cost nothing, and equal rules are equivalent by
 //! construction.
 
-use crate::datalog::analysis::diff::sat::{Lit, Solver};
+use crate::datalog::analysis::diff::sat::{Lit, Outcome, Solver};
 use crate::datalog::analysis::diff::{Individual, Side};
-use crate::datalog::check::{Atom, Clause, Constraint, DeclaredConstraint, Literal, RelId, Term};
+use crate::datalog::check::{Atom, Clause, Constraint, DeclaredConstraint, Literal, RelId, Term, VarId};
 use crate::datalog::syntax::ast::{BaseType, Comparison};
 use crate::datalog::value::Value;
 use std::collections::{BTreeMap, BTreeSet, HashMap};
@@ -45,6 +45,10 @@ pub(super) struct Circuit<'a> {
     unrolled: BTreeSet<(usize, usize)>,
     /// The positions of constants among the individuals, by side.
     places: [HashMap<(BaseType, Value), Option<usize>>; 2],
+    /// The literals that switch constraints on. Without any, all constraints hold.
+    switches: Vec<Lit>,
+    /// The number of the switch of a constraint, by side and position.
+    switch_of: [Vec<usize>; 2],
     /// The number of literals, and rows of literals with `_`, that may still be instantiated.
     pub(super) literals_left: usize,
     /// The number of derived facts being expanded, each for the one before.
@@ -77,6 +81,8 @@ impl<'a> Circuit<'a> {
             derived: HashMap::new(),
             unrolled: BTreeSet::new(),
             places: [HashMap::new(), HashMap::new()],
+            switches: Vec::new(),
+            switch_of: [Vec::new(), Vec::new()],
             literals_left,
             depth: 0,
         }
@@ -284,14 +290,16 @@ impl<'a> Circuit<'a> {
         let mut order: Vec<usize> = Vec::new();
         let mut ready: Vec<Vec<&'a Literal>> = vec![Vec::new()];
         for literal in &clause.body {
-            for variable in variables(literal) {
+            for variable in literal.variables().map(VarId::index) {
                 if bound[variable].is_none() && !order.contains(&variable) {
                     order.push(variable);
                     ready.push(Vec::new());
                 }
             }
-            let last = variables(literal).filter_map(|variable| order.iter().position(|&other| other == variable));
-            let at = last.max().map_or(0, |position| position + 1);
+            let places = literal
+                .variables()
+                .filter_map(|variable| order.iter().position(|&other| other == variable.index()));
+            let at = places.max().map_or(0, |position| position + 1);
             ready[at].push(literal);
         }
         let bases: Vec<BaseType> = order
@@ -434,6 +442,25 @@ impl<'a> Circuit<'a> {
 
     // --- constraints
 
+    /// Makes constraints hold only if they are switched on; see [`Circuit::solve_with`]. Comes before
+    /// [`Circuit::constraints`].
+    pub(super) fn add_switches(&mut self, switch_of: &[Vec<usize>; 2]) {
+        let count = switch_of.iter().flatten().max().map_or(0, |last| last + 1);
+        self.switches = (0..count).map(|_| self.solver.fresh()).collect();
+        self.switch_of = switch_of.clone();
+    }
+
+    /// Searches for a model with the constraints of these switches.
+    pub(super) fn solve_with(&mut self, switches: &BTreeSet<usize>, conflicts: &mut u64) -> Outcome {
+        let assumptions: Vec<Lit> = switches.iter().map(|&number| self.switches[number]).collect();
+        self.solver.solve(&assumptions, conflicts)
+    }
+
+    /// Returns whether the last search found no model because of this switch.
+    pub(super) fn has_failed(&self, switch: usize) -> bool {
+        self.solver.has_failed(self.switches[switch])
+    }
+
     /// Adds the constraints of both sides to the circuit, for all facts in it and those in the text.
     pub(super) fn constraints(&mut self) -> Result<(), TooLarge> {
         let sides = self.sides;
@@ -447,21 +474,25 @@ impl<'a> Circuit<'a> {
             if self.view == ScopeRows::Free {
                 continue;
             }
-            for DeclaredConstraint { constraint, domain, .. } in &program.rules.constraints {
+            for (at, DeclaredConstraint { domain, .. }) in program.rules.constraints.iter().enumerate() {
                 if domain.iter().any(|(relation, _)| program.scopes.contains(relation)) {
                     for value in self.of(BaseType::Symbol) {
-                        self.within(side, constraint, value, Vec::new())?;
+                        self.within(side, at, value, Vec::new())?;
                     }
                 }
             }
         }
+        let relations: [HashMap<usize, RelId>; 2] = sides.map(|program| {
+            let base = (0..).map(RelId).zip(&program.base);
+            base.filter_map(|(relation, base)| Some(((*base)?, relation))).collect()
+        });
         let mut done = 0;
         let mut queue: Vec<BaseFact> = self.atoms.keys().cloned().collect();
         while let Some((base, row)) = queue.get(done).cloned() {
             done += 1;
-            for (side, program) in sides.into_iter().enumerate() {
-                if let Some(relation) = (program.base.iter()).position(|&position| position == Some(base)) {
-                    self.constrain(side, RelId(relation as u32), &row)?;
+            for (side, relations) in relations.iter().enumerate() {
+                if let Some(&relation) = relations.get(&base) {
+                    self.constrain(side, relation, &row)?;
                 }
             }
             // The facts added in this step; all earlier ones are in the queue.
@@ -475,9 +506,10 @@ impl<'a> Circuit<'a> {
 
     /// Adds the constraints of one side that concern a fact.
     fn constrain(&mut self, side: usize, relation: RelId, row: &[usize]) -> Result<(), TooLarge> {
-        let sides = self.sides;
+        let program = self.sides[side];
         let reversed: Vec<usize> = row.iter().rev().copied().collect();
-        for DeclaredConstraint { constraint, domain, .. } in &sides[side].rules.constraints {
+        for &at in &program.constraints[relation.index()] {
+            let DeclaredConstraint { constraint, domain, .. } = &program.rules.constraints[at];
             let fact = self.base(side, relation, row)?;
             let conclusion = match *constraint {
                 Constraint::Irreflexive(a) | Constraint::Asymmetric(a) if a == relation && row[0] == row[1] => {
@@ -490,21 +522,30 @@ impl<'a> Circuit<'a> {
                 Constraint::Disjoint(a, b) if b == relation => !self.base(side, a, row)?,
                 Constraint::Covering(_) | Constraint::Reflexive(_) => {
                     for &(_, column) in domain.iter().filter(|(other, _)| *other == relation) {
-                        self.within(side, constraint, row[column], vec![!fact])?;
+                        self.within(side, at, row[column], vec![!fact])?;
                     }
                     continue;
                 }
                 _ => continue,
             };
-            self.solver.add(&[!fact, conclusion]);
+            self.require(side, at, vec![!fact, conclusion]);
         }
         Ok(())
     }
 
+    /// Adds a clause that follows from a constraint.
+    fn require(&mut self, side: usize, constraint: usize, mut clause: Vec<Lit>) {
+        if let Some(&number) = self.switch_of[side].get(constraint) {
+            clause.push(!self.switches[number]);
+        }
+        self.solver.add(&clause);
+    }
+
     /// Adds a covering or reflexive constraint for a value of its domain, as one clause with the literals of `unless`.
-    fn within(&mut self, side: usize, constraint: &Constraint, value: usize, unless: Vec<Lit>) -> Result<(), TooLarge> {
+    fn within(&mut self, side: usize, constraint: usize, value: usize, unless: Vec<Lit>) -> Result<(), TooLarge> {
         let mut clause = unless;
-        match constraint {
+        let rules = self.sides[side].rules;
+        match &rules.constraints[constraint].constraint {
             Constraint::Covering(relations) => {
                 for &relation in relations {
                     clause.push(self.base(side, relation, &[value])?);
@@ -513,7 +554,7 @@ impl<'a> Circuit<'a> {
             Constraint::Reflexive(relation) => clause.push(self.base(side, *relation, &[value, value])?),
             _ => return Ok(()),
         }
-        self.solver.add(&clause);
+        self.require(side, constraint, clause);
         Ok(())
     }
 }
@@ -527,12 +568,4 @@ struct Search<'a> {
     ready: Vec<Vec<&'a Literal>>,
     bound: Vec<Option<usize>>,
     inputs: Vec<Lit>,
-}
-
-/// Returns the variables of a literal.
-pub(super) fn variables(literal: &Literal) -> impl Iterator<Item = usize> + '_ {
-    literal.terms().filter_map(|term| match term {
-        Term::Variable(variable) => Some(variable.index()),
-        _ => None,
-    })
 }

@@ -6,18 +6,20 @@
 //! may need. If there is no difference up to that size, this *proves* the two rule sets equivalent. Before `diff`
 //! reports a scene, [`crate::datalog::naive`] evaluates it on both sides.
 //!
-//! Rules with expressions, aggregates, floats or unsigned numbers have no such circuit. For them `trial` evaluates one
-//! scene after another within a bound, first those that a circuit of the other clauses suggests. It finds differences
-//! but proves nothing.
+//! Rules with expressions, aggregates, floats or unsigned numbers have no such circuit. For them `canonical` compares
+//! the clauses. Unless these are the same on both sides, `trial` evaluates one scene after another within a bound, first
+//! those that a circuit of the other clauses suggests. It finds differences but proves nothing.
 //!
 //! The search first assumes every *scope* (a guard predicate, see `.scope`) to be complete: every entity sees every
 //! other. Only if that shows no difference may the rows of scopes vary like those of any predicate. Each of the two
 //! searches gets half of the budget.
 
 mod bound;
+mod canonical;
 mod ground;
 mod sat;
 mod trial;
+mod unsat_core;
 
 use crate::datalog::check::subsumption::within_theory;
 use crate::datalog::check::{Clause, Constraint, DeclaredConstraint, Literal, RelId, Relation, Rules, Term};
@@ -29,6 +31,8 @@ use crate::symbol::{Symbol, Symbols};
 use ground::{BaseFact, Circuit, ScopeRows, TooLarge};
 use sat::{Lit, Outcome};
 use std::collections::{BTreeSet, HashMap, HashSet};
+
+pub use unsat_core::unsat_core;
 
 /// The predicates to compare, and the limits of the search.
 #[derive(Clone, Debug)]
@@ -63,11 +67,11 @@ impl Default for Options {
 /// The result of a comparison.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub enum Equivalence {
-    /// Both sides derive the same rows in every scene of any size. A difference would show with at most `entities`
-    /// entities, and does not.
+    /// Both sides derive the same rows in every scene of any size.
     Equivalent {
-        /// The size that the search had to cover.
-        entities: usize,
+        /// The size that the search had to cover: a difference would show with at most as many entities. `None` if both
+        /// sides have the same clauses.
+        entities: Option<usize>,
     },
     /// The search found no difference in scenes of at most `entities` entities; larger scenes may show one.
     NoneFound {
@@ -120,6 +124,7 @@ pub struct Difference {
 }
 
 /// One of the two programs, prepared for the search.
+#[derive(Clone)]
 pub(crate) struct Side<'a> {
     rules: &'a Rules,
     /// The clauses, including facts, by [`RelId`].
@@ -132,6 +137,8 @@ pub(crate) struct Side<'a> {
     facts: HashSet<(RelId, Vec<usize>)>,
     /// The base predicates that serve as guards on either side.
     scopes: BTreeSet<RelId>,
+    /// The positions of the constraints that concern a fact, by [`RelId`].
+    constraints: Vec<Vec<usize>>,
 }
 
 /// A value. Strings compare as text, numbers as numbers.
@@ -187,66 +194,27 @@ const MODELS_MAX: usize = 4;
 /// If a rule set exceeds the limits of planning. If a base predicate has different columns on the two sides, or is
 /// input on one side and derived on the other. If a predicate to compare is not declared on both sides.
 pub fn diff(left: &Rules, right: &Rules, options: &Options) -> Result<Equivalence, Vec<Diagnostic>> {
-    let base = shared_base(left, right)?;
-    let outputs = outputs(left, right, options)?;
-    let rules = [left, right];
-    let mut sides = rules.map(|rules| side(rules, &base));
-    // A predicate that guards on one side is complete on both.
-    let scopes: BTreeSet<usize> = (sides.iter())
-        .flat_map(|side| side.scopes.iter().filter_map(|scope| side.base[scope.index()]))
-        .collect();
-    for side in &mut sides {
-        let shared = (side.base.iter().zip((0..).map(RelId)))
-            .filter(|(position, _)| position.is_some_and(|position| scopes.contains(&position)));
-        side.scopes = shared.map(|(_, relation)| relation).collect();
-    }
-    let sides = [&sides[0], &sides[1]];
-    let mut budget = Remaining {
-        conflicts: options.conflicts_max,
-        literals_left: options.literals_max,
-    };
-    let scoped = sides.iter().any(|side| !side.scopes.is_empty());
-    let open = match options.self_sight {
-        true => ScopeRows::Selves,
-        false => ScopeRows::Free,
-    };
-    let views: &[ScopeRows] = if scoped { &[ScopeRows::Full, open] } else { &[open] };
-    if !rules.into_iter().all(has_circuit) {
-        let models = models(sides, &outputs, options.entities_max, views[0], &mut budget);
-        return trial::search(rules, &base, &outputs, options, &models);
-    }
-
-    // In evaluation order, so that the bound of an output can use the equality of earlier ones.
-    let mut order: Vec<&Output> = outputs.iter().collect();
-    order.sort_by_key(|output| sides[0].stratum[output.ids[0].index()]);
-    let mut equal = BTreeSet::new();
-    let mut proof = Some(0);
-    let mut literals_left = bound::FACTS_MAX;
-    for output in order {
-        let needed = bound::entities(sides, output, &equal, &mut literals_left);
-        if needed.is_some() {
-            equal.insert(output.name.clone());
+    let pair = Pair::new(left, right, options)?;
+    let mut budget = Remaining::new(options);
+    let same = Equivalence::Equivalent { entities: None };
+    if ![left, right].into_iter().all(has_circuit) {
+        if canonical::same_clauses(&pair) {
+            return Ok(same);
         }
-        proof = proof.zip(needed).map(|(most, needed)| most.max(needed));
+        let models = models(&pair, options.entities_max, &mut budget);
+        return trial::search([left, right], &pair.base, &pair.outputs, options, &models);
     }
-
-    let last = proof.map_or(options.entities_max, |proof| proof.min(options.entities_max));
+    let (proof, mut cut) = pair.proof();
+    if proof.is_none_or(|proof| proof > options.entities_max) && canonical::same_clauses(&pair) {
+        return Ok(same);
+    }
+    let last = last_size(proof, options);
     let mut seen_all = Some(last);
-    let mut cut = BTreeSet::new();
-    if proof.is_none() && literals_left == 0 {
-        cut.insert(Cut::Proof);
-    }
-    for (&view, views) in views.iter().zip((1..=views.len()).rev()) {
-        // Each view gets an equal share, so that an expensive one leaves enough for the others.
-        let mut share = Remaining {
-            conflicts: budget.conflicts / views as u64,
-            literals_left: budget.literals_left / views,
-        };
-        budget.conflicts -= share.conflicts;
-        budget.literals_left -= share.literals_left;
+    for (&view, views) in pair.views.iter().zip((1..=pair.views.len()).rev()) {
+        let mut share = budget.take(views);
         for entities in 0..=last {
-            match search(sides, &outputs, entities, view, options.minimize, &mut share) {
-                Ok(Some(model)) => return Ok(Equivalence::Different(describe(sides, &base, &outputs, view, &model))),
+            match search(&pair, entities, view, options.minimize, &mut share) {
+                Ok(Some(model)) => return Ok(Equivalence::Different(describe(&pair, view, &model))),
                 Ok(None) => {}
                 Err(why) => {
                     cut.insert(why);
@@ -255,11 +223,13 @@ pub fn diff(left: &Rules, right: &Rules, options: &Options) -> Result<Equivalenc
                 }
             }
         }
-        budget.conflicts += share.conflicts;
-        budget.literals_left += share.literals_left;
+        budget.give_back(&share);
     }
     Ok(match (proof, seen_all) {
-        (Some(entities), Some(seen_all)) if entities <= seen_all => Equivalence::Equivalent { entities },
+        (Some(entities), Some(seen_all)) if entities <= seen_all => Equivalence::Equivalent {
+            entities: Some(entities),
+        },
+        _ if canonical::same_clauses(&pair) => same,
         _ => Equivalence::NoneFound {
             entities: seen_all,
             proof,
@@ -268,77 +238,15 @@ pub fn diff(left: &Rules, right: &Rules, options: &Options) -> Result<Equivalenc
     })
 }
 
-/// The maximum number of constraints of which [`premises`] finds out whether they are needed.
-const PREMISES_MAX: usize = 40;
-
-/// Returns constraints of both sides from which it follows that the sides are equivalent, each with its rules. The
-/// caller has found that [`diff`] proves them equivalent.
-///
-/// Each of the first 40 is needed: without it `diff` has no proof. Constraints with equal text on the two sides count
-/// as one.
-///
-/// # Errors
-/// As [`diff`].
-pub fn premises<'r>(
-    left: &'r Rules,
-    right: &'r Rules,
-    options: &Options,
-) -> Result<Vec<(&'r DeclaredConstraint, &'r Rules)>, Vec<Diagnostic>> {
-    let options = Options {
-        minimize: false,
-        ..options.clone()
-    };
-    let base = shared_base(left, right)?;
-    let relevant = relevant([left, right], &base, &outputs(left, right, &options)?);
-    let name = |rules: &'r Rules, relation: RelId| rules.relations[relation.index()].name.as_str();
-    let matters = |rules, one: &DeclaredConstraint| {
-        let mut named = one.constraint.relations().map(|relation| name(rules, relation));
-        named.any(|name| relevant.iter().any(|&position| base[position].name == name))
-    };
-    let mut needed: Vec<(String, &'r DeclaredConstraint, &'r Rules)> = Vec::new();
-    for rules in [left, right] {
-        for one in rules.constraints.iter().filter(|one| matters(rules, one)) {
-            let text = one.constraint.show(rules);
-            if needed.iter().all(|(known, ..)| *known != text) {
-                needed.push((text, one, rules));
-            }
-        }
-    }
-    let still_equal = |kept: &BTreeSet<&String>| -> Result<bool, Vec<Diagnostic>> {
-        let [left, right] = [left, right].map(|rules| {
-            let mut fewer = rules.clone();
-            fewer
-                .constraints
-                .retain(|one| kept.contains(&one.constraint.show(rules)));
-            fewer
-        });
-        Ok(matches!(diff(&left, &right, &options)?, Equivalence::Equivalent { .. }))
-    };
-    let mut kept: BTreeSet<&String> = BTreeSet::new();
-    if !still_equal(&kept)? {
-        kept.extend(needed.iter().map(|(text, ..)| text));
-        for (text, ..) in needed.iter().take(PREMISES_MAX) {
-            kept.remove(text);
-            if !still_equal(&kept)? {
-                kept.insert(text);
-            }
-        }
-    }
-    let kept: BTreeSet<String> = kept.into_iter().cloned().collect();
-    needed.retain(|(text, ..)| kept.contains(text));
-    Ok(needed.into_iter().map(|(_, one, rules)| (one, rules)).collect())
+/// Returns the size of the largest scenes to search, given the size for a proof.
+fn last_size(proof: Option<usize>, options: &Options) -> usize {
+    proof.map_or(options.entities_max, |proof| proof.min(options.entities_max))
 }
 
 /// Returns scenes of various sizes that would show a difference if no clause outside the circuit ever fired: one with
 /// an expression, an aggregate or a string test. They are starting points for `trial`.
-fn models(
-    sides: [&Side<'_>; 2],
-    outputs: &[Output],
-    entities_max: usize,
-    view: ScopeRows,
-    budget: &mut Remaining,
-) -> Vec<Model> {
-    let found = (0..=entities_max).map(|entities| search(sides, outputs, entities, view, true, budget));
+fn models(pair: &Pair<'_>, entities_max: usize, budget: &mut Remaining) -> Vec<Model> {
+    let found = (0..=entities_max).map(|entities| search(pair, entities, pair.views[0], true, budget));
     let found = found.map_while(Result::ok).flatten();
     found.take(MODELS_MAX).collect()
 }
@@ -351,7 +259,69 @@ fn has_circuit(rules: &Rules) -> bool {
     rules.clauses.iter().all(within_theory) && !columns.any(|column| wide(column.base))
 }
 
-// --- the shared predicates
+// --- the two programs
+
+/// Two rule sets, prepared for the search.
+struct Pair<'a> {
+    base: Vec<Base>,
+    outputs: Vec<Output>,
+    sides: [Side<'a>; 2],
+    /// The rows of scopes for which to search, in this order.
+    views: Vec<ScopeRows>,
+}
+
+impl<'a> Pair<'a> {
+    fn new(left: &'a Rules, right: &'a Rules, options: &Options) -> Result<Pair<'a>, Vec<Diagnostic>> {
+        let base = shared_base(left, right)?;
+        let outputs = outputs(left, right, options)?;
+        let mut sides = [left, right].map(|rules| side(rules, &base));
+        // A predicate that guards on one side is complete on both.
+        let scopes: BTreeSet<usize> = (sides.iter())
+            .flat_map(|side| side.scopes.iter().filter_map(|scope| side.base[scope.index()]))
+            .collect();
+        for side in &mut sides {
+            let shared = (side.base.iter().zip((0..).map(RelId)))
+                .filter(|(position, _)| position.is_some_and(|position| scopes.contains(&position)));
+            side.scopes = shared.map(|(_, relation)| relation).collect();
+        }
+        let open = match options.self_sight {
+            true => ScopeRows::Selves,
+            false => ScopeRows::Free,
+        };
+        let is_scoped = sides.iter().any(|side| !side.scopes.is_empty());
+        Ok(Pair {
+            base,
+            outputs,
+            sides,
+            views: if is_scoped {
+                vec![ScopeRows::Full, open]
+            } else {
+                vec![open]
+            },
+        })
+    }
+
+    /// Returns the size up to which an exhaustive search is a proof, if it is known, and whether a limit ended its
+    /// computation.
+    fn proof(&self) -> (Option<usize>, BTreeSet<Cut>) {
+        let sides = [&self.sides[0], &self.sides[1]];
+        // In evaluation order, so that the bound of an output can use the equality of earlier ones.
+        let mut order: Vec<&Output> = self.outputs.iter().collect();
+        order.sort_by_key(|output| sides[0].stratum[output.ids[0].index()]);
+        let mut equal = BTreeSet::new();
+        let mut proof = Some(0);
+        let mut literals_left = bound::FACTS_MAX;
+        for output in order {
+            let needed = bound::entities(sides, output, &equal, &mut literals_left);
+            if needed.is_some() {
+                equal.insert(output.name.clone());
+            }
+            proof = proof.zip(needed).map(|(most, needed)| most.max(needed));
+        }
+        let cut = (proof.is_none() && literals_left == 0).then_some(Cut::Proof);
+        (proof, cut.into_iter().collect())
+    }
+}
 
 /// A base predicate.
 struct Base {
@@ -533,7 +503,22 @@ fn side<'a>(rules: &'a Rules, base: &[Base]) -> Side<'a> {
         scopes: guards
             .filter(|relation| !rules.relations[relation.index()].derived)
             .collect(),
+        constraints: constraints_of(rules),
     }
+}
+
+/// Returns the positions of the constraints that name a predicate or have it in their domain, by predicate.
+fn constraints_of(rules: &Rules) -> Vec<Vec<usize>> {
+    let mut of = vec![Vec::new(); rules.relations.len()];
+    for (at, DeclaredConstraint { constraint, domain, .. }) in rules.constraints.iter().enumerate() {
+        let concerned: BTreeSet<RelId> = domain
+            .iter()
+            .map(|&(relation, _)| relation)
+            .chain(constraint.relations())
+            .collect();
+        concerned.into_iter().for_each(|relation| of[relation.index()].push(at));
+    }
+    of
 }
 
 // --- scenes of one size
@@ -544,6 +529,31 @@ struct Remaining {
     conflicts: u64,
     /// Literals to instantiate.
     literals_left: usize,
+}
+
+impl Remaining {
+    fn new(options: &Options) -> Remaining {
+        Remaining {
+            conflicts: options.conflicts_max,
+            literals_left: options.literals_max,
+        }
+    }
+
+    /// Takes one of `parts` equal parts, so that an expensive view leaves enough for the others.
+    fn take(&mut self, parts: usize) -> Remaining {
+        let part = Remaining {
+            conflicts: self.conflicts / parts as u64,
+            literals_left: self.literals_left / parts,
+        };
+        self.conflicts -= part.conflicts;
+        self.literals_left -= part.literals_left;
+        part
+    }
+
+    fn give_back(&mut self, rest: &Remaining) {
+        self.conflicts += rest.conflicts;
+        self.literals_left += rest.literals_left;
+    }
 }
 
 /// A scene, as indexes.
@@ -558,40 +568,71 @@ struct Model {
     smallest: bool,
 }
 
+/// Two rule sets over the individuals of scenes of one size.
+struct Scenes<'a> {
+    entities: usize,
+    individuals: Vec<Individual>,
+    sides: [Side<'a>; 2],
+}
+
+impl<'a> Scenes<'a> {
+    fn new(pair: &Pair<'a>, entities: usize) -> Scenes<'a> {
+        let individuals = individuals([&pair.sides[0], &pair.sides[1]], entities);
+        let [left, right] = &pair.sides;
+        let sides = [left, right].map(|side| Side {
+            facts: text_facts(side, &individuals),
+            ..side.clone()
+        });
+        Scenes {
+            entities,
+            individuals,
+            sides,
+        }
+    }
+
+    /// Returns a circuit for these scenes with one condition for each output row that may differ.
+    ///
+    /// With `switches`, a literal switches each constraint on: by side and position of the constraint, its number.
+    /// Constraints with the same number share one.
+    ///
+    /// # Errors
+    /// If the circuit would exceed the limits.
+    fn circuit(
+        &self,
+        outputs: &[Output],
+        view: ScopeRows,
+        switches: Option<&[Vec<usize>; 2]>,
+        budget: &mut Remaining,
+    ) -> Result<(Circuit<'_>, Vec<Question>), Cut> {
+        let most = LITERALS_MAX.min(budget.literals_left);
+        let mut circuit = Circuit::new([&self.sides[0], &self.sides[1]], &self.individuals, view, most);
+        if let Some(switches) = switches {
+            circuit.add_switches(switches);
+        }
+        let before = circuit.literals_left;
+        let asked = questions(&mut circuit, outputs, self.entities, &self.individuals);
+        let kept = circuit.constraints();
+        budget.literals_left -= before - circuit.literals_left;
+        match (asked, kept) {
+            (Ok(questions), Ok(())) => Ok((circuit, questions)),
+            _ => Err(Cut::Size),
+        }
+    }
+}
+
 /// Searches for a scene of that size that shows a difference.
 ///
 /// # Errors
 /// The limit that the search reached.
 fn search(
-    sides: [&Side<'_>; 2],
-    outputs: &[Output],
+    pair: &Pair<'_>,
     entities: usize,
     view: ScopeRows,
     minimize: bool,
     budget: &mut Remaining,
 ) -> Result<Option<Model>, Cut> {
-    let individuals = individuals(sides, entities);
-    let [left, right] = sides.map(|side| Side {
-        rules: side.rules,
-        clauses: side.clauses.clone(),
-        stratum: side.stratum.clone(),
-        base: side.base.clone(),
-        facts: text_facts(side, &individuals),
-        scopes: side.scopes.clone(),
-    });
-    let mut circuit = Circuit::new(
-        [&left, &right],
-        &individuals,
-        view,
-        LITERALS_MAX.min(budget.literals_left),
-    );
-    let before = circuit.literals_left;
-    let asked = questions(&mut circuit, outputs, entities, &individuals);
-    let kept = circuit.constraints();
-    budget.literals_left -= before - circuit.literals_left;
-    let (Ok(questions), Ok(())) = (asked, kept) else {
-        return Err(Cut::Size);
-    };
+    let scenes = Scenes::new(pair, entities);
+    let (mut circuit, questions) = scenes.circuit(&pair.outputs, view, None, budget)?;
     let any = circuit.any(questions.iter().map(|question| question.differs).collect());
     if circuit.is_no(any) {
         return Ok(None);
@@ -610,12 +651,13 @@ fn search(
         .filter(|(_, lit)| circuit.solver.is_true(**lit))
         .map(|(fact, _)| fact.clone())
         .collect();
+    drop(circuit);
     Ok(Some(Model {
         row: asked.row,
         facts,
         smallest,
         entities,
-        individuals,
+        individuals: scenes.individuals,
     }))
 }
 
@@ -785,7 +827,9 @@ fn shrink(circuit: &mut Circuit<'_>, conflicts: &mut u64) -> bool {
 }
 
 /// Describes the scene, with the rows that naive evaluation derives on each side.
-fn describe(sides: [&Side<'_>; 2], base: &[Base], outputs: &[Output], view: ScopeRows, model: &Model) -> Difference {
+fn describe(pair: &Pair<'_>, view: ScopeRows, model: &Model) -> Difference {
+    let Pair { base, outputs, .. } = pair;
+    let sides = [&pair.sides[0], &pair.sides[1]];
     let individuals = &model.individuals;
     let mut facts = model.facts.clone();
     // An incomplete scope has exactly the rows of the scene, even if there are none.

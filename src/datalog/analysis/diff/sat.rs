@@ -83,6 +83,11 @@ impl Solver {
             Outcome::Unknown
         }
     }
+
+    /// Returns whether the last search, which found no model, used this assumption.
+    pub(super) fn has_failed(&self, assumption: Lit) -> bool {
+        self.inner.unsat_core_contains_var(assumption.var())
+    }
 }
 
 #[cfg(test)]

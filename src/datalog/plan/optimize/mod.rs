@@ -134,7 +134,7 @@ pub fn lints(rules: &Rules, sources: &Sources) -> Lints {
             Finding::Subsumed { clause, by } if is_subsumed(named(clause), named(by), &NoConstraints) => continue,
             Finding::Subsumed { clause, by } => {
                 minimized += 1;
-                let given = premises(rules, &theory, named(clause), named(by), minimized <= MINIMIZED_MAX);
+                let given = unsat_core(rules, &theory, named(clause), named(by), minimized <= MINIMIZED_MAX);
                 let fault = Diagnostic::new(
                     Code::SUBSUMED_CLAUSE,
                     "another clause derives everything that this one does",
@@ -436,10 +436,10 @@ fn is_subsumed(clause: &Clause, by: &Clause, theory: &dyn Theory) -> bool {
 const MINIMIZED_MAX: usize = 100;
 
 /// The maximum number of constraints among which it searches that set.
-const PREMISES_MAX: usize = 64;
+const CORE_MAX: usize = 64;
 
 /// Returns constraints from which it follows that `by` subsumes the clause; with `minimal`, none that is not needed.
-fn premises(rules: &Rules, theory: &Constraints, clause: &Clause, by: &Clause, minimal: bool) -> Vec<usize> {
+fn unsat_core(rules: &Rules, theory: &Constraints, clause: &Clause, by: &Clause, minimal: bool) -> Vec<usize> {
     let mut used: BTreeSet<usize> = BTreeSet::new();
     for fact in facts(clause, false) {
         let closure = theory.consequences(&fact);
@@ -457,7 +457,7 @@ fn premises(rules: &Rules, theory: &Constraints, clause: &Clause, by: &Clause, m
     };
     let all = rules.constraints.iter().enumerate();
     used.extend(all.filter(|(_, one)| forbids_loops(one)).map(|(number, _)| number));
-    if !minimal || used.len() > PREMISES_MAX {
+    if !minimal || used.len() > CORE_MAX {
         return used.into_iter().collect();
     }
     for number in used.clone() {
