@@ -1,17 +1,16 @@
 //! Warnings of rules that mean something else in the city than they seem to.
 
 use crate::city::{Action, AgentKind, AgentName, AgentSet};
-use crate::config::Scenario;
 use crate::datalog::optimize::{self, Lints};
 use crate::datalog::{
     Atom, Clause, ClauseId, Constraint, DeclaredConstraint, Literal, RelId, Relation, Rules, Term, TypeId, Value, VarId,
 };
-use crate::diag::{Code, Diagnostic, Sources, Span, did_you_mean};
-use crate::predicate::{Concept, Definition, Kind, Static};
+use crate::diag::{Code, Diagnostic, Faults, MAX_FAULTS, Sources, Span, did_you_mean};
 use crate::sim::scene::conflict::{Finding, Overlap};
+use crate::sim::scene::empty::empty_predicates;
 use crate::sim::scene::theory::CityTheory;
 use crate::symbol::Symbol;
-use std::collections::{BTreeMap, BTreeSet};
+use std::collections::{BTreeMap, BTreeSet, HashMap, HashSet};
 
 /// The predicate of the shipped vocabulary that announces collisions.
 const SHIPPED_COLLISION: &str = "CollidingClose";
@@ -100,110 +99,10 @@ pub fn examine(rules: &Rules, city: Option<&CityTheory>, sources: &Sources) -> E
     Examined {
         rules: by_definition,
         in_city,
-        diagnostics,
+        diagnostics: diagnostics.into_iter().collect::<Faults>().finish(),
         hints,
         unfinished,
     }
-}
-
-/// The most clauses that one warning of an empty predicate shows.
-const SHOWN_MAX: usize = 6;
-
-/// Warns of base predicates that never hold in the city although clauses read them.
-fn empty_predicates(rules: &Rules, scenario: &Scenario, empty: &[RelId]) -> Vec<Diagnostic> {
-    let warn = |&relation: &RelId| {
-        let config = scenario
-            .predicates
-            .iter()
-            .find(|known| known.name.value == rules.relations[relation.index()].name)?;
-        let name = &config.name.value;
-        let mut labels: Vec<(Span, String)> = Vec::new();
-        // The predicates that have no rows for this reason.
-        let mut none = BTreeSet::from([relation]);
-        for clause in &rules.clauses {
-            let is_hidden = rules.relations[clause.head.relation.index()].hidden;
-            for literal in &clause.body {
-                let label = match literal {
-                    Literal::Positive(atom) if atom.relation == relation && !is_hidden => "so this clause never fires",
-                    Literal::Negative(atom) if atom.relation == relation => "so this always holds",
-                    Literal::Positive(atom) | Literal::Guard(atom) | Literal::Aggregate { atom, .. }
-                        if atom.relation == relation =>
-                    {
-                        "so this finds nothing"
-                    }
-                    _ => continue,
-                };
-                labels.extend(literal.atom().map(|atom| (atom.span, label.to_owned())));
-            }
-        }
-        while let Some(next) = emptied(rules, &none) {
-            none.insert(next);
-            let reads = |clause: &Clause| {
-                let mut atoms = clause.body.iter().filter_map(|literal| match literal {
-                    Literal::Positive(atom) if atom.relation == next => Some(atom.span),
-                    _ => None,
-                });
-                atoms.next()
-            };
-            let visible = rules
-                .clauses
-                .iter()
-                .filter(|clause| !rules.relations[clause.head.relation.index()].hidden);
-            let name = &rules.relations[next.index()].name;
-            labels.extend(
-                visible
-                    .filter_map(reads)
-                    .map(|span| (span, format!("nor does this one: `{name}` has no rows"))),
-            );
-        }
-        let mut seen = BTreeSet::new();
-        labels.retain(|(span, _)| seen.insert(*span));
-        let (first, rest) = labels.split_first()?;
-        let reason = match &config.definition {
-            Definition::Static(Static::Kind(Kind(AgentKind::Car))) => "no agent is a car".to_owned(),
-            Definition::Static(Static::Kind(Kind(AgentKind::Pedestrian))) => "no agent is a pedestrian".to_owned(),
-            Definition::Static(Static::Concept(Concept { of, concept })) => {
-                format!("no {} has the concept `{concept}`", of.name().to_lowercase())
-            }
-            _ => "there is no such situation in this city".to_owned(),
-        };
-        let message = format!("`{name}` never holds in `{}`: {reason}", scenario.name);
-        let mut fault = Diagnostic::new(Code::EMPTY_PREDICATE, message).at(first.0, first.1.clone());
-        for (span, label) in rest.iter().take(SHOWN_MAX - 1) {
-            fault = fault.also(*span, label.clone());
-        }
-        if labels.len() > SHOWN_MAX {
-            fault = fault.note(format!("{} further literals are concerned", labels.len() - SHOWN_MAX));
-        }
-        fault = fault.also(config.name.span, format!("`{name}` is defined here"));
-        Some(match &config.definition {
-            Definition::Static(Static::Concept(Concept { concept, .. })) => {
-                fault.help(format!("give agents the concept: `concepts: [{concept}]`"))
-            }
-            _ => fault,
-        })
-    };
-    empty.iter().filter_map(warn).collect()
-}
-
-/// Returns a derived predicate outside `none` all of whose clauses need a row of a predicate in `none`.
-fn emptied(rules: &Rules, none: &BTreeSet<RelId>) -> Option<RelId> {
-    let needs_none = |clause: &Clause| {
-        clause.body.iter().any(|literal| {
-            matches!(literal, Literal::Positive(atom) | Literal::Guard(atom) if none.contains(&atom.relation))
-        })
-    };
-    let mut alive: BTreeSet<RelId> = BTreeSet::new();
-    let mut dead: BTreeSet<RelId> = BTreeSet::new();
-    for clause in &rules.clauses {
-        let set = if needs_none(clause) { &mut dead } else { &mut alive };
-        set.insert(clause.head.relation);
-    }
-    let is_new = |relation: &&RelId| {
-        let declared = &rules.relations[relation.index()];
-        !none.contains(relation) && !alive.contains(relation) && !declared.input && !declared.hidden
-    };
-    dead.iter().find(is_new).copied()
 }
 
 /// Warns of outputs that are no action and that no clause reads: a city does not write them.
@@ -232,56 +131,92 @@ fn unused_outputs(rules: &Rules) -> Vec<Diagnostic> {
     unused.map(warn).collect()
 }
 
-/// The most agents among whose names [`agent_lints`] searches a similar one.
-const SIMILAR_MAX: usize = 1000;
-
 /// Returns one warning for each constant that stands for an agent, but names none of these agent sets.
 pub fn agent_lints<'s>(rules: &Rules, sets: impl Iterator<Item = &'s AgentSet>) -> Vec<Diagnostic> {
-    let sets: Vec<&AgentSet> = sets.collect();
     let action = Action::ALL.iter().find_map(|action| rules.relation(action.name()));
     let Some([agent]) = action.map(|action| rules.relations[action.index()].columns.as_slice()) else {
         return Vec::new();
     };
-    let mut found: BTreeMap<(Span, &str), Diagnostic> = BTreeMap::new();
-    for (span, value) in rules
-        .clauses
-        .iter()
-        .flat_map(|clause| agent_constants(rules, clause, agent.ty))
-    {
+    let agents = Agents::new(sets);
+    let mut faults = Faults::default();
+    let (mut reported, mut similar) = (HashSet::new(), HashMap::new());
+    for (span, value) in (rules.clauses.iter()).flat_map(|clause| agent_constants(rules, clause, agent.ty)) {
         let Some(name) = rules.symbols.text(Symbol(value.0)) else {
             continue;
         };
-        if sets.iter().any(|set| has_agent(set, name)) {
+        if agents.include(name) || !reported.insert((span, name)) {
             continue;
         }
-        let largest = AgentKind::ALL.map(|kind| sets.iter().map(|set| set.count(kind)).max().unwrap_or(0));
+        let fault = Diagnostic::new(Code::UNKNOWN_AGENT, format!("no agent has the name `{name}`"))
+            .at(span, "holds for no agent")
+            .note(format!("the agents are {}", agents.ranges));
+        // `faults` drops the warnings of further names.
+        if similar.len() < MAX_FAULTS {
+            similar.entry(name).or_insert_with(|| agents.similar(name));
+        }
+        faults.push(match similar.get(name) {
+            Some(Some(near)) => fault.help(format!("did you mean `\"{near}\"`?")),
+            _ => fault,
+        });
+    }
+    faults.finish()
+}
+
+/// The most agents of a kind among whose names a search finds a similar one.
+const SIMILAR_MAX: usize = 1000;
+
+/// The agents of some sets.
+struct Agents {
+    /// By kind: the number of agents in the largest set.
+    counts: [usize; 2],
+    /// Their names, for messages.
+    ranges: String,
+}
+
+impl Agents {
+    fn new<'s>(sets: impl Iterator<Item = &'s AgentSet>) -> Agents {
+        let mut counts = [0; 2];
+        for set in sets {
+            for (count, kind) in counts.iter_mut().zip(AgentKind::ALL) {
+                *count = set.count(kind).max(*count);
+            }
+        }
         let ranges = AgentKind::ALL
             .iter()
-            .zip(largest)
+            .zip(counts)
             .filter_map(|(kind, count)| match count {
                 0 => None,
                 1 => Some(format!("{}_1", kind.name())),
                 _ => Some(format!("{0}_1 to {0}_{count}", kind.name())),
             });
         let ranges: Vec<String> = ranges.collect();
-        let fault = Diagnostic::new(Code::UNKNOWN_AGENT, format!("no agent has the name `{name}`"))
-            .at(span, "holds for no agent")
-            .note(format!("the agents are {}", ranges.join(" and ")));
-        let names: Vec<String> = (AgentKind::ALL.into_iter().zip(largest))
-            .flat_map(|(kind, count)| {
-                (1..=count)
-                    .take(SIMILAR_MAX)
-                    .map(move |number| format!("{}_{number}", kind.name()))
-            })
-            .collect();
-        let near = did_you_mean(name, names.iter().map(String::as_str));
-        let fault = match near {
-            Some(near) => fault.help(format!("did you mean `\"{near}\"`?")),
-            None => fault,
-        };
-        found.entry((span, name)).or_insert(fault);
+        Agents {
+            counts,
+            ranges: ranges.join(" and "),
+        }
     }
-    found.into_values().collect()
+
+    /// Returns whether an agent has this name.
+    fn include(&self, name: &str) -> bool {
+        AgentKind::ALL.into_iter().zip(self.counts).any(|(kind, count)| {
+            let number = name.strip_prefix(kind.name()).and_then(|rest| rest.strip_prefix('_'));
+            let number: Option<u32> = number.and_then(|number| number.parse().ok());
+            number.is_some_and(|number| {
+                let is_spelled_so = AgentName { kind, number }.to_string() == name;
+                is_spelled_so && number >= 1 && number as usize <= count
+            })
+        })
+    }
+
+    /// Returns the name of an agent that is similar to this one.
+    fn similar(&self, name: &str) -> Option<String> {
+        let names = AgentKind::ALL.into_iter().zip(self.counts).flat_map(|(kind, count)| {
+            let numbers = 1..=count.min(SIMILAR_MAX);
+            numbers.map(move |number| format!("{}_{number}", kind.name()))
+        });
+        let names: Vec<String> = names.collect();
+        did_you_mean(name, names.iter().map(String::as_str)).map(str::to_owned)
+    }
 }
 
 /// Returns the constants of a clause in columns of this type, with the places of their atoms.
@@ -297,18 +232,6 @@ fn agent_constants<'r>(
         terms.filter_map(move |(term, column)| match term {
             Term::Constant(value) if column.ty == agent => Some((atom.span, *value)),
             _ => None,
-        })
-    })
-}
-
-/// Returns whether an agent of the set has this name.
-fn has_agent(set: &AgentSet, name: &str) -> bool {
-    AgentKind::ALL.into_iter().any(|kind| {
-        let number = name.strip_prefix(kind.name()).and_then(|rest| rest.strip_prefix('_'));
-        let number: Option<u32> = number.and_then(|number| number.parse().ok());
-        number.is_some_and(|number| {
-            let is_spelled_so = AgentName { kind, number }.to_string() == name;
-            is_spelled_so && number >= 1 && number as usize <= set.count(kind)
         })
     })
 }
