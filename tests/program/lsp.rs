@@ -1687,3 +1687,68 @@ fn rules_are_checked_in_the_city_beside_them() {
     assert_eq!(codes(unknown), [("rule-mismatch".to_owned(), 3)]);
     editor.end();
 }
+
+/// A configuration may have its rules from a base in another folder, and the editor may have changed that base.
+#[test]
+fn configurations_follow_their_bases_and_open_texts() {
+    let mut editor = Editor::start();
+    let codes = |found: &[Value]| -> Vec<String> {
+        let severe = found.iter().filter(|fault| fault["severity"] != 3);
+        severe.map(|fault| fault["code"].as_str().unwrap().to_owned()).collect()
+    };
+    let base = |kind: &str| {
+        format!(
+            "base: expert\nrules: ../taxi.dl\npredicates: {{base: standard, define: {{IsTaxi: {{kind: {kind}}}}}}}\n"
+        )
+    };
+    fs::create_dir(editor.path("shared")).unwrap();
+    fs::write(editor.path("shared/base.yaml"), base("Car")).unwrap();
+    fs::write(editor.path("city.yaml"), "base: shared/base.yaml\n").unwrap();
+    let text = ".include \"vocabulary.dl\"\n.decl IsTaxi(x: agent)\n.input IsTaxi\n.implies IsTaxi, IsCar\n\
+                Stop(X) :- CollidingClose(X, Y).\nSlow(X) :- Not(Stop(X)), IsTaxi(X).\n";
+    assert!(codes(&editor.open("taxi.dl", text)).is_empty());
+
+    let (uri, version) = (editor.uri("shared/base.yaml"), 1);
+    let document = json!({ "uri": uri, "languageId": "yaml", "version": version, "text": base("Pedestrian") });
+    editor.notify("textDocument/didOpen", json!({ "textDocument": document }));
+    assert_eq!(codes(&editor.diagnostics("taxi.dl")), ["constraint-mismatch"]);
+    let changes = json!([{ "text": base("Car") }]);
+    let change = json!({ "textDocument": { "uri": uri, "version": version + 1 }, "contentChanges": changes });
+    editor.notify("textDocument/didChange", change);
+    assert!(codes(&editor.diagnostics("taxi.dl")).is_empty());
+    let refused = editor.at("textDocument/hover", "shared/base.yaml", (0, 0), json!({}));
+    assert!(
+        refused["message"].as_str().unwrap().ends_with("is no rule file"),
+        "{refused}"
+    );
+    editor.end();
+}
+
+/// A server that needs more memory than allowed ends, and the editor starts a new one.
+#[test]
+#[cfg(target_os = "linux")]
+fn memory_is_limited() {
+    let mut server = Command::new(env!("CARGO_BIN_EXE_logicity"))
+        .args(["lsp", "--max-memory", "64"])
+        .stdin(Stdio::piped())
+        .stdout(Stdio::null())
+        .stderr(Stdio::piped())
+        .spawn()
+        .unwrap();
+    let mut to = server.stdin.take().unwrap();
+    let request = Request::new(
+        RequestId::from(1),
+        "initialize".to_owned(),
+        json!({ "capabilities": {} }),
+    );
+    Message::Request(request).write(&mut to).unwrap();
+    let text: String = (0..400_000).map(|number| format!("A({number}).\n")).collect();
+    let document = json!({ "uri": "file:///a.dl", "languageId": "logicity", "version": 1, "text": text });
+    let open = Notification::new("textDocument/didOpen".to_owned(), json!({ "textDocument": document }));
+    // The server may end before it has read everything.
+    let _ = Message::Notification(open).write(&mut to);
+    let output = server.wait_with_output().unwrap();
+    let printed = String::from_utf8(output.stderr).unwrap();
+    assert_eq!(output.status.code(), Some(1), "{printed}");
+    assert!(printed.contains("--max-memory"), "{printed}");
+}

@@ -13,13 +13,14 @@ mod navigate;
 mod outline;
 mod place;
 mod search;
+mod signature;
 mod tokens;
 mod transport;
 mod words;
 
 use crate::builtin::BuiltinFiles;
 use crate::city::Action;
-use crate::cli::Failure;
+use crate::cli::{Failure, memory};
 use crate::datalog;
 use crate::datalog::Rules;
 use crate::diag::{Diagnostic, Fix, Label, Severity, SourceId, Sources, Span};
@@ -36,7 +37,7 @@ use lsp_types::{
     SemanticTokensRangeParams, SignatureHelpParams, TextDocumentPositionParams, WorkspaceSymbolParams,
 };
 use place::{Text, path_of, uri_of};
-use search::{Programs, Workspace};
+use search::{EditorWorkspace, Programs};
 use serde::de::DeserializeOwned;
 use serde_json::{Value, json};
 use std::cell::RefCell;
@@ -52,6 +53,10 @@ pub struct Arguments {
     /// Communicate over standard input and output; this is the only transport
     #[arg(long)]
     stdio: bool,
+    /// End with code 1 if the server needs more than SIZE, in MiB or with a suffix: K, M, G, T or KiB, MiB, GiB, TiB
+    /// (powers of 1024). Limits of the system (`ulimit -v`, control groups) lower it [default: 4096]
+    #[arg(long, value_name = "SIZE", value_parser = memory)]
+    max_memory: Option<u64>,
 }
 
 pub fn run(_: &Arguments) -> Result<(), Failure> {
@@ -209,6 +214,12 @@ struct Request<'c> {
     incoming: &'c Incoming<'c>,
 }
 
+impl Request<'_> {
+    fn is_cancelled(&self) -> bool {
+        self.incoming.cancelled(self.id)
+    }
+}
+
 /// An open text.
 struct Document {
     path: PathBuf,
@@ -226,6 +237,13 @@ struct Document {
     round: u64,
     /// The last semantic tokens that the client got, with their name.
     tokens: RefCell<(String, Vec<u32>)>,
+}
+
+impl Document {
+    /// Returns whether the text is a configuration, or a part of one: the server reads it only for rules.
+    fn is_configuration(&self) -> bool {
+        city::is_configuration(&self.path)
+    }
 }
 
 /// A search for conflicts between the actions of a text.
@@ -357,8 +375,9 @@ impl Server {
         document.version = params.text_document.version;
         document.stale = true;
         document.saved = false;
+        let is_configuration = document.is_configuration();
         for other in self.documents.values_mut() {
-            other.stale |= other.analysis.depends_on(&path);
+            other.stale |= is_configuration || other.analysis.depends_on(&path);
         }
         Ok(())
     }
@@ -379,9 +398,14 @@ impl Server {
     /// conflicts.
     fn settle(&mut self) -> Vec<Message> {
         let read: &dyn ReadFile = &OpenDocuments(&self.documents);
-        let stale = self.documents.iter().filter(|(_, document)| document.stale);
+        let open = |path: &Path| self.documents.get(path).map(|document| document.text.as_str());
+        self.cities.keep_beside(self.documents.keys().map(PathBuf::as_path));
+        let stale = self
+            .documents
+            .iter()
+            .filter(|(_, document)| document.stale && !document.is_configuration());
         let analyses = stale.map(|(path, document)| {
-            let city = self.cities.of(path, read);
+            let city = self.cities.of(path, read, &open);
             let analysis = Analysis::new(
                 path,
                 document.text.as_str(),
@@ -566,7 +590,7 @@ impl Server {
             }),
             "textDocument/signatureHelp" => read(params).and_then(|it: SignatureHelpParams| {
                 let (document, byte) = self.place(&it.text_document_position_params)?;
-                Ok(complete::signature(&document.analysis, byte, &self.client).unwrap_or(Value::Null))
+                Ok(signature::signature(&document.analysis, byte, &self.client).unwrap_or(Value::Null))
             }),
             "textDocument/semanticTokens/full" => read(params).and_then(|it: SemanticTokensParams| {
                 let document = self.document(it.text_document.uri.as_str())?;
@@ -593,7 +617,11 @@ impl Server {
 
     fn document(&self, uri: &str) -> Result<&Document, Refusal> {
         let document = self.documents.get(&key(uri));
-        document.ok_or_else(|| (ErrorCode::InvalidParams, format!("`{uri}` is not open")))
+        let document = document.ok_or_else(|| (ErrorCode::InvalidParams, format!("`{uri}` is not open")))?;
+        match document.is_configuration() {
+            true => Err((ErrorCode::RequestFailed, format!("`{uri}` is no rule file"))),
+            false => Ok(document),
+        }
     }
 
     fn place(&self, at: &TextDocumentPositionParams) -> Result<(&Document, usize), Refusal> {
@@ -604,13 +632,14 @@ impl Server {
     /// Reads the programs of the workspace with files that contain one of the names, or all without names.
     fn programs(&self, names: &[&str], request: &Request<'_>) -> Result<Programs, Refusal> {
         let open = self.documents.iter();
-        let workspace = Workspace {
+        let workspace = EditorWorkspace {
             folders: &self.folders,
             open: open
+                .filter(|(_, document)| !document.is_configuration())
                 .map(|(path, document)| (path.as_path(), document.text.as_str()))
                 .collect(),
             encoding: self.client.encoding,
-            cancelled: &|| request.incoming.cancelled(request.id),
+            cancelled: &|| request.is_cancelled(),
         };
         let wanted =
             |text: &str| names.is_empty() || text.contains("include") || names.iter().any(|name| text.contains(name));

@@ -2,7 +2,7 @@
 
 use crate::cli::lsp::analysis::{Analysis, Meaning, Occurrence, Role, occurrences};
 use crate::cli::lsp::search::{Programs, RuleFile, parsed};
-use crate::cli::lsp::{Document, Refusal, Request, Server, builtin, location, markup, words};
+use crate::cli::lsp::{Document, Refusal, Request, Server, builtin, cancelled, location, markup, search, words};
 use crate::datalog;
 use crate::datalog::{BaseType, TokenKind, tokens};
 use crate::diag::Span;
@@ -105,7 +105,7 @@ impl Server {
             return Ok(Value::Null);
         }
         let programs = self.programs(&[one.meaning.name()], request)?;
-        let files = sharing(&programs, document, &one.meaning);
+        let files = sharing(&programs, document, &one.meaning, request)?;
         let mut places: Vec<(String, Range<usize>, Value)> = Vec::new();
         for file in files.iter().map(|&file| &programs.files[file]) {
             let Some(uri) = self.uri_of(&file.path) else { continue };
@@ -158,9 +158,10 @@ impl Server {
         if !programs.complete {
             return refuse("the workspace is too large to find all uses of the name: open a smaller folder".to_owned());
         }
-        let files = sharing(&programs, document, &one.meaning);
+        let files = sharing(&programs, document, &one.meaning, request)?;
         // Predicates and types share a namespace.
-        if is_base || programs.taken(&files, new).is_some() {
+        let taken = programs.taken(&files, new, &|| request.is_cancelled());
+        if is_base || taken.map_err(|search::Cancelled| cancelled())?.is_some() {
             return refuse(format!("`{new}` is already declared"));
         }
         let files = files.iter().map(|&file| &programs.files[file]);
@@ -175,9 +176,11 @@ impl Server {
         if !files.clone().any(declares) {
             return refuse(format!("`{}` is not declared", one.meaning.name()));
         }
-        let edits = files
-            .map(|file| self.edits(file, &one.meaning, new))
-            .collect::<Result<Vec<_>, _>>()?;
+        let edits = files.map(|file| match request.is_cancelled() {
+            true => Err(cancelled()),
+            false => self.edits(file, &one.meaning, new),
+        });
+        let edits = edits.collect::<Result<Vec<_>, _>>()?;
         Ok(self.edit(edits))
     }
 
@@ -189,10 +192,13 @@ impl Server {
             .filter(|one| one.meaning == *meaning)
             .map(|one| one.span.range());
         let places: Vec<Range<usize>> = places.collect();
-        let mut text = file.text.as_str().to_owned();
-        for place in places.iter().rev() {
-            text.replace_range(place.clone(), new);
+        let (old, mut text, mut done) = (file.text.as_str(), String::new(), 0);
+        for place in &places {
+            text += &old[done..place.start];
+            text += new;
+            done = place.end;
         }
+        text += &old[done..];
         let (tree, faults) = parsed(&file.path, &text);
         let kind_and_name = |one: &Occurrence| match &one.meaning {
             Meaning::Variable(_, name) => (0, name.clone()),
@@ -289,9 +295,17 @@ fn refuse<T>(message: String) -> Result<T, Refusal> {
 }
 
 /// Returns the files in which a name means the same as in a text.
-fn sharing(programs: &Programs, document: &Document, meaning: &Meaning) -> Vec<usize> {
-    let own = programs.find(&document.path);
-    own.map_or(Vec::new(), |own| programs.sharing(own, meaning))
+fn sharing(
+    programs: &Programs,
+    document: &Document,
+    meaning: &Meaning,
+    request: &Request<'_>,
+) -> Result<Vec<usize>, Refusal> {
+    let Some(own) = programs.find(&document.path) else {
+        return Ok(Vec::new());
+    };
+    let found = programs.sharing(own, meaning, &|| request.is_cancelled());
+    found.map_err(|search::Cancelled| cancelled())
 }
 
 fn is_base_type(meaning: &Meaning) -> bool {

@@ -23,7 +23,7 @@ const BYTES_MAX: usize = 256 << 20;
 const MADE_BY_TOOLS: [&str; 2] = ["CACHEDIR.TAG", "pyvenv.cfg"];
 
 /// The workspace as the editor sees it.
-pub struct Workspace<'a> {
+pub struct EditorWorkspace<'a> {
     pub folders: &'a [PathBuf],
     /// The open texts by normalized path.
     pub open: BTreeMap<&'a Path, &'a str>,
@@ -91,7 +91,7 @@ impl Programs {
     ///
     /// # Errors
     /// If the client cancels the search.
-    pub fn new(workspace: &Workspace<'_>, wanted: &dyn Fn(&str) -> bool) -> Result<Programs, Cancelled> {
+    pub fn new(workspace: &EditorWorkspace<'_>, wanted: &dyn Fn(&str) -> bool) -> Result<Programs, Cancelled> {
         let (paths, complete) = rule_files(workspace)?;
         let canonical = workspace
             .open
@@ -133,67 +133,101 @@ impl Programs {
         self.files.iter().position(|file| file.path == path)
     }
 
-    /// Returns a file and all that it includes.
-    fn reach(&self, entry: usize) -> Vec<usize> {
-        let (mut seen, mut open) = (BTreeSet::from([entry]), vec![entry]);
-        while let Some(file) = open.pop() {
-            open.extend(self.files[file].includes.iter().filter(|&&next| seen.insert(next)));
-        }
-        seen.into_iter().collect()
-    }
-
     /// Returns the files in which a predicate or a type means the same as in `file`. Without a declaration these are
     /// those of its own program.
-    pub fn sharing(&self, file: usize, meaning: &Meaning) -> Vec<usize> {
-        let mentions: Vec<bool> = self.files.iter().map(|file| file.mentions(meaning)).collect();
-        let mut groups = Groups((0..self.files.len()).collect());
-        let mut is_declared = false;
-        for entry in 0..self.files.len() {
-            let mut program = self.reach(entry);
-            program.retain(|&file| mentions[file]);
-            if program.iter().any(|&file| self.files[file].declares(meaning)) {
-                is_declared |= program.contains(&file);
-                program.windows(2).for_each(|pair| groups.join(pair[0], pair[1]));
-            }
+    ///
+    /// # Errors
+    /// If the client cancels the search.
+    pub fn sharing(
+        &self,
+        file: usize,
+        meaning: &Meaning,
+        cancelled: &dyn Fn() -> bool,
+    ) -> Result<Vec<usize>, Cancelled> {
+        let mentions = self.select(|one| one.mentions(meaning), cancelled)?;
+        let declares = self.select(|one| one.declares(meaning), cancelled)?;
+        let (includes, includers) = (self.includes(), self.includers());
+        // The files of the programs that declare the name.
+        let declaring = reached(&includes, members(&reached(&includers, members(&declares))));
+        if !declaring[file] || !mentions[file] {
+            let own = reached(&includes, [file]);
+            return Ok(members(&own).filter(|&file| mentions[file]).collect());
         }
-        let group = groups.of(file);
-        let shares = |other: &usize| mentions[*other] && groups.of(*other) == group;
-        match is_declared {
-            true => (0..self.files.len()).filter(shares).collect(),
-            false => self.reach(file).into_iter().filter(|&file| mentions[file]).collect(),
-        }
+        // In these programs, all files that mention the name share it. An include connects such files if it leads to one.
+        let leads = reached(&includers, members(&mentions));
+        let neighbors = |file: usize| -> Vec<usize> {
+            let above = includers[file].iter().filter(|&&other| declaring[other] && leads[file]);
+            let below = includes[file].iter().filter(|&&other| declaring[file] && leads[other]);
+            above.chain(below).copied().collect()
+        };
+        let connected = reached(&(0..self.files.len()).map(neighbors).collect::<Vec<_>>(), [file]);
+        Ok(members(&connected).filter(|&file| mentions[file]).collect())
     }
 
     /// Returns the first file of the programs that contain one of `files` in which `name` is a predicate or a type.
-    pub fn taken(&self, files: &[usize], name: &str) -> Option<&RuleFile> {
+    ///
+    /// # Errors
+    /// If the client cancels the search.
+    pub fn taken(
+        &self,
+        files: &[usize],
+        name: &str,
+        cancelled: &dyn Fn() -> bool,
+    ) -> Result<Option<&RuleFile>, Cancelled> {
         let meanings = [Meaning::Predicate, Meaning::Type].map(|kind| kind(name.to_owned()));
-        let mentions = |file: &&usize| meanings.iter().any(|meaning| self.files[**file].mentions(meaning));
-        let programs = (0..self.files.len()).map(|entry| self.reach(entry));
-        let mut programs = programs.filter(|program| program.iter().any(|file| files.contains(file)));
-        programs.find_map(|program| program.iter().find(mentions).map(|&file| &self.files[file]))
+        let mentions = self.select(|one| meanings.iter().any(|meaning| one.mentions(meaning)), cancelled)?;
+        let entries = reached(&self.includers(), files.iter().copied());
+        let programs = reached(&self.includes(), members(&entries));
+        let found = members(&programs).find(|&file| mentions[file]);
+        Ok(found.map(|file| &self.files[file]))
+    }
+
+    /// Returns for each file whether a test accepts it, unless the client cancels the search.
+    fn select(&self, test: impl Fn(&RuleFile) -> bool, cancelled: &dyn Fn() -> bool) -> Result<Vec<bool>, Cancelled> {
+        let tested = |file| match cancelled() {
+            true => Err(Cancelled),
+            false => Ok(test(file)),
+        };
+        self.files.iter().map(tested).collect()
+    }
+
+    /// Returns the files that each file includes.
+    fn includes(&self) -> Vec<&[usize]> {
+        self.files.iter().map(|file| file.includes.as_slice()).collect()
+    }
+
+    /// Returns the files that include each file.
+    fn includers(&self) -> Vec<Vec<usize>> {
+        let mut includers = vec![Vec::new(); self.files.len()];
+        for (at, file) in self.files.iter().enumerate() {
+            file.includes.iter().for_each(|&included| includers[included].push(at));
+        }
+        includers
     }
 }
 
-/// Disjoint sets of files: the representative of each, possibly through others.
-struct Groups(Vec<usize>);
-
-impl Groups {
-    fn of(&self, mut file: usize) -> usize {
-        while self.0[file] != file {
-            file = self.0[file];
+/// Returns for each file whether the graph leads to it from one of these files.
+fn reached(graph: &[impl AsRef<[usize]>], from: impl IntoIterator<Item = usize>) -> Vec<bool> {
+    let mut reached = vec![false; graph.len()];
+    let mut open: Vec<usize> = from.into_iter().collect();
+    while let Some(file) = open.pop() {
+        if !std::mem::replace(&mut reached[file], true) {
+            open.extend(graph[file].as_ref());
         }
-        file
     }
+    reached
+}
 
-    fn join(&mut self, one: usize, other: usize) {
-        let (one, other) = (self.of(one), self.of(other));
-        // The smaller number is nearer to the representative of long chains.
-        self.0[one.max(other)] = one.min(other);
-    }
+/// Returns the files of a set, in their order.
+fn members(set: &[bool]) -> impl Iterator<Item = usize> {
+    set.iter()
+        .enumerate()
+        .filter(|(_, is_member)| **is_member)
+        .map(|(file, _)| file)
 }
 
 struct Loader<'a> {
-    workspace: &'a Workspace<'a>,
+    workspace: &'a EditorWorkspace<'a>,
     /// The open texts by the path of their file without links.
     canonical: HashMap<PathBuf, &'a Path>,
     /// The files by path without links; `None` for those that cannot be read or are not wanted. Only for lookup.
@@ -275,7 +309,7 @@ impl Loader<'_> {
 
 /// Returns the rule files in the folders of the workspace, sorted, and whether these are all. Skips hidden folders,
 /// those made by tools, and symbolic links, which may form loops.
-fn rule_files(workspace: &Workspace<'_>) -> Result<(Vec<PathBuf>, bool), Cancelled> {
+fn rule_files(workspace: &EditorWorkspace<'_>) -> Result<(Vec<PathBuf>, bool), Cancelled> {
     let mut found = BTreeSet::new();
     let mut seen = BTreeSet::new();
     let mut open: Vec<PathBuf> = workspace.folders.to_vec();
