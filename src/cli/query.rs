@@ -1,21 +1,21 @@
 //! `logicity query`: runs a Datalog program on facts files.
 
 mod outputs;
+mod rows;
 
 use crate::cli::why;
 use crate::cli::why::Question;
 use crate::cli::{Failure, ForceOption, Inputs, LimitOptions, load_workspace, report, terminal};
-use crate::datalog::{ClauseId, Directive, Edb, EvalError, MarkKind, RelId, RowFormat, RowPlace, Rules, rewrite};
-use crate::datalog::{Delta, EvalEvent, Limits, Options, Program, RuleStats, Session, Threads, constraints, facts};
-use crate::diag::{Code, Diagnostic, MAX_FAULTS, Sources, Span};
+use crate::datalog::{ClauseId, Directive, Edb, EvalError, MarkKind, RelId, RowPlace, Rules, rewrite};
+use crate::datalog::{Delta, EvalEvent, Limits, Options, Program, RuleStats, Session, Threads, constraints};
+use crate::diag::{Code, Diagnostic, Sources};
 use crate::files;
 use crate::files::ReadError;
-use flate2::read::MultiGzDecoder;
+use rows::{decompressed, load_rows};
 use std::cell::{Cell, RefCell};
 use std::cmp::Reverse;
 use std::collections::BTreeMap;
-use std::fs::File;
-use std::io::{self, BufRead, BufReader, Read, Write};
+use std::io::{self, Read, Write};
 use std::num::NonZeroUsize;
 use std::path::{Path, PathBuf};
 use std::time::{Duration, Instant};
@@ -338,102 +338,4 @@ fn refuse_missing(program: &Program, folder: &Path) -> Result<(), Failure> {
     Err(Failure::Usage(format!(
         "{count} files of facts are missing: {missing}\nhelp: an empty file stands for a predicate without facts"
     )))
-}
-
-/// Returns the contents of a file that may be compressed with gzip, which its first two bytes show.
-fn decompressed(file: File) -> Result<Box<dyn Read>, ReadError> {
-    let mut file = BufReader::new(file);
-    let start = file.fill_buf().map_err(|error| ReadError::Io(error.to_string()))?;
-    Ok(match start.starts_with(&[0x1f, 0x8b]) {
-        true => Box::new(MultiGzDecoder::new(file)),
-        false => Box::new(file),
-    })
-}
-
-/// Loads rows block by block, so that their text is never in memory as a whole. Returns the faults, and adds the blocks
-/// that contain them to the sources. Stops at more faults than anyone reads.
-fn load_rows(
-    mut input: impl Read,
-    path: &Path,
-    (session, id, format): (&mut Session, RelId, &RowFormat),
-    sources: &mut Sources,
-    unreadable: impl Fn(ReadError) -> Failure,
-) -> Result<Vec<Diagnostic>, Failure> {
-    const BLOCK: usize = 1 << 20;
-    /// The memory of a long row: in the block, as the text of a source, and as a symbol.
-    const COPIES: u64 = 3;
-    /// The maximum length of the texts with faults.
-    const FAULTY_MAX: usize = 8 * BLOCK;
-    let limit = session.limits().bytes;
-    let exceeded = |session: &Session| {
-        let error = EvalError::TooManyInputs { limit };
-        let fault = error.diagnostic(session.program().rules());
-        Failure::from(fault.note(format!("while reading `{}`", path.display())))
-    };
-    let mut format = format.clone();
-    let (mut faults, mut faulty) = (Vec::new(), 0);
-    let (mut block, mut first_line, mut more) = (Vec::new(), 1, BLOCK);
-    loop {
-        let read = (&mut input).take(more as u64).read_to_end(&mut block);
-        let read = read.map_err(|error| unreadable(ReadError::Io(error.to_string())))?;
-        let is_last = read == 0;
-        // A block ends with a line. What remains of the block before has no line break, or one in quotes.
-        let known = if format.quoted { 0 } else { block.len() - read };
-        let end = match block[known..].iter().rposition(|&byte| byte == b'\n') {
-            _ if is_last => block.len(),
-            Some(at) => known + at + 1,
-            None => 0,
-        };
-        let invalid = std::str::from_utf8(&block[..end])
-            .err()
-            .map(|error| error.valid_up_to());
-        let text = String::from_utf8_lossy(&block[..end]);
-        let end = match is_last || invalid.is_some() {
-            true => text.len(),
-            false => facts::complete(&text, &format),
-        };
-        let text = &text[..end];
-        let mut part = Sources::new();
-        let source = part.add("", text);
-        if invalid.is_some() || facts::load_as(session, id, &part, source, &format).is_err() {
-            drop(part);
-            let source = sources.add_from(path.display().to_string(), text, first_line);
-            faulty += text.len();
-            if let Some(first) = invalid {
-                let place = Span::new(source, first..first + char::REPLACEMENT_CHARACTER.len_utf8());
-                let fault = Diagnostic::new(Code::NOT_TEXT, format!("`{}` is not UTF-8 text", path.display()));
-                let fault = fault.at(place, "invalid UTF-8 starts here");
-                faults.push(fault.help("save the file as UTF-8"));
-            }
-            // Reports the other faults of the text as well.
-            faults.extend(
-                facts::load_as(session, id, sources, source, &format)
-                    .err()
-                    .into_iter()
-                    .flatten(),
-            );
-            if invalid.is_some() || faults.len() >= MAX_FAULTS || faulty > FAULTY_MAX {
-                return Ok(faults);
-            }
-        }
-        if session.bytes() > limit {
-            return Err(exceeded(session));
-        }
-        if is_last {
-            return Ok(faults);
-        }
-        first_line += text.bytes().filter(|&byte| byte == b'\n').count();
-        if end > 0 {
-            format.headers = false;
-            more = BLOCK;
-            block.drain(..end);
-        } else {
-            // Doubles the block, so that a long row takes linear time.
-            more = block.len().max(BLOCK);
-            let needed = COPIES * block.len() as u64;
-            if block.len() > 2 * BLOCK && session.bytes().saturating_add(needed) > limit {
-                return Err(exceeded(session));
-            }
-        }
-    }
 }

@@ -67,8 +67,8 @@ pub fn screened(output: Output) -> Output {
 }
 
 /// A writer of text. Unless it is for data, the text is [`neutral`], and `U+FFFD` stands in place of bytes that are not
-/// UTF-8.
-pub struct Screen<W> {
+/// UTF-8, or of a character that is incomplete at the end.
+pub struct Screen<W: Write> {
     inner: W,
     is_neutral: bool,
     /// The beginning of a character whose other bytes are not written yet.
@@ -103,6 +103,15 @@ impl<W: Write> Write for Screen<W> {
     }
 }
 
+impl<W: Write> Drop for Screen<W> {
+    fn drop(&mut self) {
+        if !self.rest.is_empty() {
+            // A drop cannot report an error.
+            let _ = self.inner.write_all("\u{fffd}".as_bytes());
+        }
+    }
+}
+
 /// Returns where the last character begins if its bytes are incomplete, otherwise the end.
 fn end_of_characters(text: &[u8]) -> usize {
     let last = text.len().saturating_sub(3)..text.len();
@@ -130,6 +139,7 @@ mod tests {
                 screen.write_all(part).expect("memory");
                 data.write_all(part).expect("memory");
             }
+            drop((screen, data));
             assert_eq!(
                 String::from_utf8(shown).expect("text"),
                 "a\\u001b[2J\\u009b\\u202e東京😀\n"
@@ -140,6 +150,6 @@ mod tests {
         Screen::new(&mut shown, true)
             .write_all(b"\x9b31m\xff\xf0\x9f")
             .expect("memory");
-        assert_eq!(String::from_utf8(shown).expect("text"), "\u{fffd}31m\u{fffd}");
+        assert_eq!(String::from_utf8(shown).expect("text"), "\u{fffd}31m\u{fffd}\u{fffd}");
     }
 }

@@ -149,32 +149,31 @@ mod tests {
     use super::*;
     use crate::diag::{SourceId, Sources, Span};
 
-    fn fault(source: SourceId, at: usize, message: &str) -> Diagnostic {
-        Diagnostic::new(Code::UNSUPPORTED, message).at(Span::new(source, at..at + 1), "")
+    /// Adds diagnostics with these messages, each at another place.
+    fn push(faults: &mut Faults, messages: impl IntoIterator<Item = String>) {
+        let id: SourceId = Sources::new().add("a.dl", "");
+        for (at, message) in messages.into_iter().enumerate() {
+            faults.push(Diagnostic::new(Code::UNSUPPORTED, message).at(Span::new(id, at..at + 1), ""));
+        }
+    }
+
+    fn again(count: usize) -> Vec<String> {
+        vec!["again".to_owned(); count]
     }
 
     #[test]
     fn faults_that_differ_only_in_their_place_count_once() {
-        let id = Sources::new().add("a.dl", "");
         let mut faults = Faults::default();
-        for at in 0..500 {
-            faults.push(fault(id, at, "again"));
-        }
+        push(&mut faults, again(500));
         let mark = faults.mark();
-        for at in 0..MAX_FAULTS - 2 {
-            faults.push(fault(id, at, &format!("other {at}")));
-        }
+        push(&mut faults, (0..MAX_FAULTS - 2).map(|number| format!("other {number}")));
         assert!(!faults.full());
-        faults.push(fault(id, 0, "the last"));
+        push(&mut faults, ["the last".to_owned(), "beyond".to_owned()]);
         assert!(faults.full());
-        faults.push(fault(id, 1, "beyond"));
         let found = faults.clone().finish();
         assert_eq!(found.len(), 500 + MAX_FAULTS - 1 + 1);
-        assert!(
-            found
-                .iter()
-                .any(|fault| fault.message.starts_with("more than 599 errors"))
-        );
+        let mut messages = found.iter().map(|fault| fault.message.as_str());
+        assert!(messages.any(|message| message.starts_with("more than 599 errors")));
         faults.rewind(mark);
         assert!(!faults.full());
         assert_eq!(faults.finish().len(), 500);
@@ -182,11 +181,8 @@ mod tests {
 
     #[test]
     fn the_places_of_one_fault_are_bounded() {
-        let id = Sources::new().add("a.dl", "");
         let mut faults = Faults::default();
-        for at in 0..10_000 {
-            faults.push(fault(id, at, "again"));
-        }
+        push(&mut faults, again(10_000));
         assert!(faults.full());
         assert_eq!(faults.finish().len(), 1 + MAX_REPEATS + 1);
     }

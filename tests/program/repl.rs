@@ -55,6 +55,16 @@ fn facts_are_maintained_and_questions_answered() {
     assert_eq!(out, "Edge +2, Path +3\nEdge +1, Path +3\nx\n-\n1\n2\n2 rows\n");
 }
 
+/// Errors in a later input do not repeat the warnings of earlier texts.
+#[test]
+fn warnings_are_printed_once() {
+    let (_, err, code) = typed(&format!(
+        "{GRAPH}Path(x, y) :- Edge(x, y), Edge(z, y).\nPath(x, y) :- Missing(x, y).\nMissing(1).\n"
+    ));
+    assert_eq!(err.matches("singleton-variable").count(), 1, "{err}");
+    assert_eq!((err.matches("error[unknown-predicate]").count(), code), (2, 1), "{err}");
+}
+
 #[test]
 fn a_question_may_be_any_body() {
     let ask = |question: &str| good(&format!("{GRAPH}Edge(1, 2). Edge(2, 3).\n?- {question}\n"));

@@ -15,7 +15,7 @@ use crate::cli::{Failure, read};
 use crate::config::rule_file;
 use crate::datalog;
 use crate::datalog::{BaseType, Edb, Functor, Literal, RelId, Relation, Rules, Value, Workspace, ast};
-use crate::datalog::{Delta, Limits, Program, RowError, Session, facts};
+use crate::datalog::{Delta, Limits, Loaded, Program, RowError, Session, facts};
 use crate::diag::{Code, Diagnostic, SourceId, Sources, Span};
 use crate::symbol::Symbol;
 use std::collections::{BTreeSet, HashSet};
@@ -267,11 +267,8 @@ impl<'s> Workbench<'s> {
     /// Makes `texts` the program and moves the facts to it. Reports only warnings about texts from number `first_new`
     /// on.
     fn adopt(&mut self, mut workspace: Workspace, mut made: Made, first_new: usize) -> Result<Outcome, Failure> {
-        let mut loaded = workspace.check();
-        let mut rules = loaded
-            .rules
-            .take()
-            .ok_or_else(|| std::mem::take(&mut loaded.diagnostics))?;
+        let new: HashSet<SourceId> = self.sources.ids().skip(first_new).collect();
+        let (mut rules, mut warnings) = checked(&workspace, &new)?;
         let stated = self.stated_from_now_on(&rules);
         if !stated.is_empty() {
             for (name, text) in stated {
@@ -279,26 +276,16 @@ impl<'s> Workbench<'s> {
                 workspace.add(self.sources, id, &BuiltinFiles);
                 made.typed.push(id);
             }
-            loaded = workspace.check();
-            rules = loaded
-                .rules
-                .take()
-                .ok_or_else(|| std::mem::take(&mut loaded.diagnostics))?;
+            (rules, warnings) = checked(&workspace, &new)?;
         }
         let mut session = Program::new(rules)?.session();
         session.set_limits(self.limits);
         let notes = self.move_facts(&mut session);
         let (_, times) = query::timed_commit(&mut session)?;
 
-        let new: HashSet<SourceId> = self.sources.ids().skip(first_new).collect();
-        let is_new = |warning: &Diagnostic| {
-            // A predicate without rows may get some later.
-            warning.code != Code::DEAD_CLAUSE
-                && (warning.primary.as_ref()).is_none_or(|label| new.contains(&label.span.source))
-        };
         let outcome = Outcome {
             changes: compare(&self.session, &session),
-            warnings: loaded.diagnostics.into_iter().filter(is_new).collect(),
+            warnings,
             notes,
         };
         (self.workspace, self.made, self.session, self.times) = (workspace, made, session, times);
@@ -454,6 +441,25 @@ impl<'s> Workbench<'s> {
             return Err(loaded.diagnostics.into());
         };
         Ok((Program::new(rules)?, loaded.diagnostics))
+    }
+}
+
+/// Returns the rules of the texts, and the warnings about the new ones.
+///
+/// # Errors
+/// All errors, and the warnings about the new texts.
+fn checked(workspace: &Workspace, new: &HashSet<SourceId>) -> Result<(Rules, Vec<Diagnostic>), Vec<Diagnostic>> {
+    let Loaded {
+        rules, mut diagnostics, ..
+    } = workspace.check();
+    let is_new = |fault: &Diagnostic| {
+        // A predicate without rows may get some later.
+        fault.code != Code::DEAD_CLAUSE && (fault.primary.as_ref()).is_none_or(|label| new.contains(&label.span.source))
+    };
+    diagnostics.retain(|fault| fault.is_error() || is_new(fault));
+    match rules {
+        Some(rules) => Ok((rules, diagnostics)),
+        None => Err(diagnostics),
     }
 }
 
