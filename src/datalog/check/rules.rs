@@ -492,6 +492,15 @@ impl Rules {
         (read, correlated)
     }
 
+    /// Returns the clauses of each predicate, for many lookups.
+    pub(crate) fn clauses_by_head(&self) -> Vec<Vec<&Clause>> {
+        let mut by_head = vec![Vec::new(); self.relations.len()];
+        for clause in &self.clauses {
+            by_head[clause.head.relation.index()].push(clause);
+        }
+        by_head
+    }
+
     /// Returns whether the clause is a fact that is a row from the start: no clause with a body derives its predicate.
     pub(crate) fn is_row(&self, clause: &Clause) -> bool {
         clause.body.is_empty() && !self.relations[clause.head.relation.index()].derived

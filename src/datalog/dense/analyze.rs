@@ -1,11 +1,12 @@
 //! Decides which strata the dense executor can evaluate.
 
-use crate::datalog::check::{Atom, Clause, ClauseId, Literal, RelId, Rules, Stratum, Term};
+use crate::datalog::check::{Atom, ClauseId, Literal, RelId, Rules, Stratum, Term};
 use crate::datalog::dense::body::{Body, PAIR, decompose};
 use crate::datalog::dense::program::Dense;
 use crate::datalog::syntax::ast::{BaseType, Comparison};
 use crate::datalog::syntax::functor::AggregateOp;
 use crate::diag::Span;
+use std::collections::HashMap;
 use std::fmt;
 
 /// The executor of each stratum.
@@ -156,9 +157,10 @@ impl fmt::Display for Choice {
 /// A stratum is dense if the dense executor supports it and no relational stratum depends on it. So the relational
 /// executor can run first.
 pub fn choose(rules: &Rules) -> Choice {
+    let aggregates = aggregates(rules);
     let obstacles = rules.strata.iter().map(|stratum| obstacle(rules, stratum));
-    let mut relational: Vec<Option<Unsupported>> =
-        obstacles.map(|found| found.map(|one| visible(rules, one))).collect();
+    let obstacles = obstacles.map(|found| found.map(|one| visible(rules, &aggregates, one)));
+    let mut relational: Vec<Option<Unsupported>> = obstacles.collect();
     let mut home = vec![None; rules.relations.len()];
     for (position, stratum) in rules.strata.iter().enumerate() {
         for relation in &stratum.relations {
@@ -262,21 +264,11 @@ fn obstacle(rules: &Rules, stratum: &Stratum) -> Option<Unsupported> {
 
 /// Returns the reason in the clause that the author wrote: for one in a hidden predicate, the aggregate that the
 /// predicate belongs to.
-fn visible(rules: &Rules, found: Unsupported) -> Unsupported {
+fn visible(rules: &Rules, aggregates: &Aggregates, found: Unsupported) -> Unsupported {
     let head = rules.clauses[found.clause.index()].head.relation;
-    if !rules.relations[head.index()].hidden {
-        return found;
-    }
-    let aggregates = |clause: &Clause| {
-        clause.body.iter().find_map(|literal| match literal {
-            Literal::Aggregate { op, atom, .. } if atom.relation == head => Some((*op, atom.span)),
-            _ => None,
-        })
-    };
-    let mut clauses = (0..).map(ClauseId).zip(&rules.clauses);
-    let aggregate = clauses.find_map(|(id, clause)| Some((id, aggregates(clause)?)));
+    let aggregate = aggregates.get(&head).filter(|_| rules.relations[head.index()].hidden);
     match aggregate {
-        Some((clause, (op, span))) => Unsupported {
+        Some(&(clause, op, span)) => Unsupported {
             construct: Construct::Aggregate(op),
             clause,
             span,
@@ -284,6 +276,21 @@ fn visible(rules: &Rules, found: Unsupported) -> Unsupported {
         },
         None => found,
     }
+}
+
+/// The first aggregate over each predicate.
+type Aggregates = HashMap<RelId, (ClauseId, AggregateOp, Span)>;
+
+fn aggregates(rules: &Rules) -> Aggregates {
+    let mut found = Aggregates::new();
+    for (clause, id) in rules.clauses.iter().zip((0..).map(ClauseId)) {
+        for literal in &clause.body {
+            if let Literal::Aggregate { op, atom, .. } = literal {
+                found.entry(atom.relation).or_insert((id, *op, atom.span));
+            }
+        }
+    }
+    found
 }
 
 fn obstacle_in(rules: &Rules, literal: &Literal) -> Option<(Construct, Span)> {

@@ -71,19 +71,17 @@ fn complete(rules: &Rules) -> Vec<bool> {
             complete[atom.relation.index()] = true;
         }
     }
-    loop {
-        let mut changed = false;
-        for clause in &rules.clauses {
-            if complete[clause.head.relation.index()] {
-                for atom in clause.body.iter().filter_map(Literal::atom) {
-                    changed |= !std::mem::replace(&mut complete[atom.relation.index()], true);
-                }
+    let by_head = rules.clauses_by_head();
+    let mut open: Vec<usize> = (0..complete.len()).filter(|&relation| complete[relation]).collect();
+    while let Some(relation) = open.pop() {
+        let literals = by_head[relation].iter().flat_map(|clause| &clause.body);
+        for read in literals.filter_map(Literal::atom).map(|atom| atom.relation.index()) {
+            if !std::mem::replace(&mut complete[read], true) {
+                open.push(read);
             }
         }
-        if !changed {
-            return complete;
-        }
     }
+    complete
 }
 
 struct Transformer<'a> {
@@ -124,13 +122,9 @@ impl<'a> Transformer<'a> {
                 self.clause(clause, None);
             }
         }
+        let by_head = self.rules.clauses_by_head();
         while let Some((relation, adornment)) = self.waiting.pop() {
-            for clause in self
-                .rules
-                .clauses
-                .iter()
-                .filter(|clause| clause.head.relation == relation)
-            {
+            for clause in &by_head[relation.index()] {
                 self.clause(clause, Some(&adornment));
             }
         }

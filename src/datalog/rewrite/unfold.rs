@@ -11,9 +11,11 @@
 //! has variables that are not in its head. A predicate with many clauses, or one that a clause uses many times, may
 //! make too many clauses or too long ones; then it is computed, too.
 
+use crate::datalog::check::strata::components;
 use crate::datalog::check::{Atom, Clause, Literal, RelId, Rules, Term, VarId, restratified};
 use crate::datalog::rewrite::is_visible;
 use crate::datalog::syntax::ast::{BaseType, Comparison};
+use std::collections::HashMap;
 
 /// The maximum number of clauses that one clause becomes.
 const MAX_CLAUSES: usize = 64;
@@ -36,6 +38,7 @@ pub fn unfold(rules: &Rules) -> Option<(Rules, Vec<RelId>)> {
         return None;
     }
     let mut unfolder = Unfolder {
+        by_head: rules.clauses_by_head(),
         rules,
         meanings: vec![None; rules.relations.len()],
     };
@@ -43,19 +46,23 @@ pub fn unfold(rules: &Rules) -> Option<(Rules, Vec<RelId>)> {
     // strata, the meaning of a predicate contains no atom that is unfolded later, unless a cycle through others makes
     // them one stratum.
     for stratum in &rules.strata {
-        let mut waiting: Vec<RelId> = stratum.relations.clone();
-        waiting.retain(|relation| inline[relation.index()]);
-        while !waiting.is_empty() {
-            let uses = |relation: RelId, other: RelId| {
-                let clauses = rules.clauses.iter().filter(|clause| clause.head.relation == relation);
-                let mut atoms = clauses.flat_map(|clause| &clause.body).filter_map(Literal::atom);
-                atoms.any(|atom| atom.relation == other)
-            };
-            let free = |&&relation: &&RelId| !waiting.iter().any(|&other| uses(relation, other));
-            let Some(&next) = waiting.iter().find(free) else { break };
-            unfolder.define(next);
-            waiting.retain(|&relation| relation != next);
-        }
+        let members: Vec<RelId> = stratum
+            .relations
+            .iter()
+            .copied()
+            .filter(|id| inline[id.index()])
+            .collect();
+        let place: HashMap<RelId, usize> = members.iter().copied().zip(0..).collect();
+        let used = |relation: &RelId| -> Vec<usize> {
+            let clauses = unfolder.by_head[relation.index()].iter();
+            let atoms = clauses.flat_map(|clause| &clause.body).filter_map(Literal::atom);
+            atoms.filter_map(|atom| place.get(&atom.relation).copied()).collect()
+        };
+        // A component comes after those that it uses.
+        let (component, _) = components(&members.iter().map(used).collect::<Vec<_>>());
+        let mut order: Vec<usize> = (0..members.len()).collect();
+        order.sort_by_key(|&member| component[member]);
+        order.into_iter().for_each(|member| unfolder.define(members[member]));
     }
     let mut clauses: Vec<Clause> = Vec::new();
     for clause in &rules.clauses {
@@ -83,24 +90,26 @@ pub fn unfold(rules: &Rules) -> Option<(Rules, Vec<RelId>)> {
 /// Returns the inline predicates that a clause of another predicate, or of an inline one in use, still needs.
 fn used_by_others(rules: &Rules, clauses: &[Clause], inline: &[bool]) -> Vec<bool> {
     let mut used = vec![false; rules.relations.len()];
-    loop {
-        let before = used.iter().filter(|used| **used).count();
-        for clause in clauses {
-            let head = clause.head.relation.index();
-            if !inline[head] || used[head] {
-                for atom in clause.body.iter().filter_map(Literal::atom) {
-                    used[atom.relation.index()] |= inline[atom.relation.index()];
-                }
-            }
-        }
-        if used.iter().filter(|used| **used).count() == before {
-            return used;
+    let mut reads: Vec<Vec<RelId>> = vec![Vec::new(); rules.relations.len()];
+    let mut open: Vec<RelId> = Vec::new();
+    for clause in clauses {
+        let head = clause.head.relation.index();
+        let atoms = clause.body.iter().filter_map(Literal::atom).map(|atom| atom.relation);
+        let read = if inline[head] { &mut reads[head] } else { &mut open };
+        read.extend(atoms.filter(|relation| inline[relation.index()]));
+    }
+    while let Some(relation) = open.pop() {
+        if !std::mem::replace(&mut used[relation.index()], true) {
+            open.append(&mut reads[relation.index()]);
         }
     }
+    used
 }
 
 struct Unfolder<'a> {
     rules: &'a Rules,
+    /// By [`RelId`]: the clauses.
+    by_head: Vec<Vec<&'a Clause>>,
     /// By [`RelId`]: the unfolded clauses of a predicate to unfold.
     meanings: Vec<Option<Vec<Clause>>>,
 }
@@ -109,12 +118,7 @@ impl Unfolder<'_> {
     /// Unfolds the clauses of an inline predicate; their bodies replace its atoms from now on.
     fn define(&mut self, relation: RelId) {
         let mut meaning = Vec::new();
-        for clause in self
-            .rules
-            .clauses
-            .iter()
-            .filter(|clause| clause.head.relation == relation)
-        {
+        for clause in &self.by_head[relation.index()] {
             match self.expand(clause) {
                 Some(clauses) => meaning.extend(clauses),
                 None => return,
