@@ -144,5 +144,5 @@ def test_a_restored_sampler_continues_exactly(data: DemonstrationData, balanced:
     other.load_state_dict(state)
     assert all(torch.equal(other.next(), batch) for batch in expected)
     if not balanced:
-        with pytest.raises(ValueError, match="other demonstrations"):
+        with pytest.raises(ValueError, match="different demonstrations"):
             Sampler(data[torch.arange(10)], 300, seed=1).load_state_dict(state)

@@ -141,6 +141,27 @@ def test_policies_of_others_are_not_unpickled(
     assert not canary.path.exists()
 
 
+#: Faults in the state of a learner that PyTorch does not find when it loads it.
+FAULTS: dict[str, Callable[[dict[str, Any]], None]] = {
+    "setting": lambda state: state["optimizer"]["param_groups"][0].update(alpha="x"),
+    "no tensor": lambda state: state["optimizer"]["state"][0].update(square_avg=None),
+    "shape": lambda state: state["optimizer"]["state"][0].update(square_avg=torch.zeros(3)),
+    "negative": lambda state: state["optimizer"]["state"][0].update(step=-1),
+    "counter": lambda state: state["counters"].update(_n_updates=[]),
+    "episode": lambda state: state.update(episodes=[torch.zeros(3)]),
+}
+
+
+@pytest.mark.parametrize("fault", FAULTS)
+def test_faults_in_a_checkpoint_are_found_when_it_is_loaded(fault: str, run: Path, tmp_path: Path) -> None:
+    checkpoint = copied(run, tmp_path / "run")
+    state = read_tensors(checkpoint / "learner.pt", "a checkpoint")
+    FAULTS[fault](state)
+    torch.save(state, checkpoint / "learner.pt")
+    with pytest.raises(FolderError, match=f"cannot resume from {checkpoint}: .*; remove the folder"):
+        train(TrainConfig(**{**TINY, "steps": 128}), tmp_path / "run", tensorboard=False)
+
+
 @contextmanager
 def soon() -> Iterator[None]:
     """Raise in a block that takes longer than 20 seconds, such as one that waits for the writer of a pipe."""

@@ -42,7 +42,7 @@ from .learner import (
     check_shape,
 )
 from .nlm import NeuralLogicMachine
-from .storage import read_checkpoint, save_checkpoint
+from .storage import read_checkpoint, restore_optimizer, save_checkpoint
 
 if TYPE_CHECKING:
     from .config import TrainConfig
@@ -400,7 +400,7 @@ class CloningLearner(Learner):
         try:
             self._network.load_state_dict(saved["network"])
             self._average.load_state_dict(saved["average"])
-            self._optimizer.load_state_dict(saved["optimizer"])
+            restore_optimizer(self._optimizer, saved["optimizer"])
             self._sampler.load_state_dict(saved["sampler"])
             self._shuffler.set_state(saved["shuffler"])
             self._steps = int(saved["steps"])

@@ -151,8 +151,13 @@ class Sampler:
         Raises:
             ValueError: If the state is of other data.
         """
-        if len(state["order"]) and int(state["order"].max()) >= self._count:
-            raise ValueError("the state of the sampler is of other demonstrations")
+        order = state["order"]
+        if (
+            order.dtype != torch.int64
+            or order.ndim != 1
+            or (len(order) and not 0 <= order.min() <= order.max() < self._count)
+        ):
+            raise ValueError("this sampler state was saved for different demonstrations")
         self._generator.set_state(state["generator"])
         self._order = state["order"]
 

@@ -50,7 +50,7 @@ from .learner import (
     Share,
     check_shape,
 )
-from .storage import build_policy, read_checkpoint, save_checkpoint, save_policy
+from .storage import build_policy, read_checkpoint, restore_optimizer, save_checkpoint, save_policy
 
 if TYPE_CHECKING:
     from .config import TrainConfig
@@ -750,7 +750,7 @@ class Dreamer(Learner):
         for module, weights in zip(self._networks, state["networks"], strict=True):
             module.load_state_dict(weights)
         for name, optimizer in self._optimizers.items():
-            optimizer.load_state_dict(state["optimizers"][name])
+            restore_optimizer(optimizer, state["optimizers"][name])
         self._replay.restore(state["replay"])
         parts, actions, steps = state["memory"]
         self._memory = Memory(State(*parts), actions, steps)

@@ -43,7 +43,7 @@ from .learner import (
     Progress,
     check_shape,
 )
-from .storage import read_checkpoint, save_checkpoint
+from .storage import read_checkpoint, restore_optimizer, save_checkpoint
 
 if TYPE_CHECKING:
     from .config import TrainConfig
@@ -759,7 +759,7 @@ class _ActionTrainer:
         with torch.no_grad():
             for name, weight in weights.items():
                 weight.copy_(state[name])
-        self.optimizer.load_state_dict(state["optimizer"])
+        restore_optimizer(self.optimizer, state["optimizer"])
         self.best, self.quality = best, Quality(*state["quality"])
 
     def update(self, examples: Examples, progress: float, generator: torch.Generator) -> float:

@@ -46,7 +46,7 @@ from .learner import (
     Share,
     check_shape,
 )
-from .storage import build_policy, read_checkpoint, save_checkpoint, save_policy
+from .storage import build_policy, read_checkpoint, restore_optimizer, save_checkpoint, save_policy
 
 if TYPE_CHECKING:
     from .config import TrainConfig
@@ -615,8 +615,8 @@ class Shooting(Learner):
         state = read_checkpoint(folder, ShootingPolicy.algorithm)
         self._interaction.restore(state["interaction"])
         self._model.load_state_dict(state["model"])
-        self._changes_optimizer.load_state_dict(state["changes_optimizer"])
-        self._outcomes_optimizer.load_state_dict(state["outcomes_optimizer"])
+        restore_optimizer(self._changes_optimizer, state["changes_optimizer"])
+        restore_optimizer(self._outcomes_optimizer, state["outcomes_optimizer"])
         self._replay.restore(state["replay"])
         self._generator.set_state(state["generator"])
         self._curves.begin(self.steps)

@@ -46,7 +46,7 @@ from .learner import (
     Share,
 )
 from .registry import learner_class
-from .storage import build_policy, read_checkpoint, save_checkpoint, save_policy
+from .storage import build_policy, read_checkpoint, restore_optimizer, save_checkpoint, save_policy
 
 if TYPE_CHECKING:
     from ..env_config import ArrayKind
@@ -412,7 +412,7 @@ class StableBaselinesLearner(Learner):
             "counters": {name: getattr(model, name) for name in _COUNTERS if hasattr(model, name)},
             "observations": torch.from_numpy(model._last_obs),
             "starts": torch.from_numpy(model._last_episode_starts),
-            "episodes": [{name: float(episode[name]) for name in _EPISODE} for episode in model.ep_info_buffer or ()],
+            "episodes": list(map(_episode_of, model.ep_info_buffer or ())),
             "successes": [bool(success) for success in model.ep_success_buffer or ()],
             "environments": _state_of(model.env),
             "actions": model.action_space.np_random.bit_generator.state,
@@ -433,12 +433,12 @@ class StableBaselinesLearner(Learner):
         """
         state, model = read_checkpoint(folder, self.config.algorithm), self._model
         model.policy.load_state_dict(state["policy"])
-        model.policy.optimizer.load_state_dict(state["optimizer"])
+        restore_optimizer(model.policy.optimizer, state["optimizer"])
         for name in _COUNTERS:
             if hasattr(model, name):
-                setattr(model, name, state["counters"][name])
+                setattr(model, name, type(getattr(model, name))(state["counters"][name]))
         model._last_obs, model._last_episode_starts = state["observations"].numpy(), state["starts"].numpy()
-        model.ep_info_buffer = deque(state["episodes"], maxlen=model._stats_window_size)
+        model.ep_info_buffer = deque(map(_episode_of, state["episodes"]), maxlen=model._stats_window_size)
         model.ep_success_buffer = deque(state["successes"], maxlen=model._stats_window_size)
         _restore_environments(model.env, state["environments"])
         if isinstance(model, OffPolicyAlgorithm):
@@ -461,6 +461,12 @@ _COUNTERS = (
 
 #: What `VecMonitor` records of an episode: its return, its length, and when it ended.
 _EPISODE = ("r", "l", "t")
+
+
+def _episode_of(record: Mapping[str, Any]) -> dict[str, float]:
+    """Return what `VecMonitor` records of an episode as numbers."""
+    return {name: float(record[name]) for name in _EPISODE}
+
 
 #: The arrays of a replay buffer. A buffer with `optimize_memory_usage` has no `next_observations`.
 _REPLAY = ("observations", "next_observations", "actions", "rewards", "dones", "timeouts")

@@ -22,7 +22,15 @@ if TYPE_CHECKING:
     from ..env_config import ArrayKind
     from .learner import Policy
 
-__all__ = ["build_policy", "policy_hash", "read_checkpoint", "save_checkpoint", "save_policy", "weights_hash"]
+__all__ = [
+    "build_policy",
+    "policy_hash",
+    "read_checkpoint",
+    "restore_optimizer",
+    "save_checkpoint",
+    "save_policy",
+    "weights_hash",
+]
 
 #: The class of the policy that `build_policy` returns.
 Built = TypeVar("Built")
@@ -103,6 +111,27 @@ def read_checkpoint(folder: Path, algorithm: str) -> dict[str, Any]:
     if not isinstance(state, dict) or state.get("checkpoint") != CHECKPOINT or state.get("algorithm") != algorithm:
         raise ValueError(f"{path} is not a checkpoint of `{algorithm}` that this version can read")
     return state
+
+
+def restore_optimizer(optimizer: torch.optim.Optimizer, state: dict[str, Any]) -> None:
+    """Restore an optimizer from what its `state_dict` returned.
+
+    PyTorch checks neither the settings nor the shapes of the tensors, so that a faulty state would fail in a later
+    update.
+
+    Raises:
+        ValueError: If the state does not fit the optimizer.
+    """
+    settings = [{name: type(value) for name, value in group.items()} for group in optimizer.param_groups]
+    optimizer.load_state_dict(state)
+    groups = zip(optimizer.param_groups, settings, strict=True)
+    fits = all(type(group.get(name)) is kind for group, kinds in groups for name, kind in kinds.items())
+    for parameter, values in optimizer.state.items():
+        for value in values.values():
+            shape = value.shape if isinstance(value, torch.Tensor) else () if isinstance(value, (int, float)) else None
+            fits &= shape == parameter.shape or (shape == () and float(value) >= 0)
+    if not fits:
+        raise ValueError("the state of the optimizer does not fit")
 
 
 def policy_hash(policy: Policy) -> tuple[str, str]:
