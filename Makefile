@@ -174,14 +174,15 @@ msrv:
 	rustup toolchain install $(MSRV) --profile minimal
 	cargo +$(MSRV) check --locked --all-features
 
-# Not part of `make test`. Lists the files of the crate and packages it, without building the package.
+# Not part of `make test`. Lists the files of the crate, packages it, and compiles the package.
 package:
-	cargo package --locked --no-verify --list
-	cargo publish --locked --no-verify --dry-run
+	cargo package --locked --list
+	cargo publish --locked --dry-run
 
-# Uploads the crate. Needs a token of the registry.
+# Uploads the crate. Needs a token of the registry, so it compiles nothing: build scripts of dependencies would see the
+# token. `make package` has compiled the same files.
 publish:
-	cargo publish --locked
+	cargo publish --locked --no-verify
 
 # Not part of `make test`. The program with its license, documentation and SBOM (CycloneDX) as
 # target/dist/logicity-SYSTEM.tar.gz. Needs `cargo install --locked cargo-cyclonedx`.

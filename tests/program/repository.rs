@@ -205,6 +205,23 @@ fn actions_are_pinned_by_commit() {
     assert!(used >= 20, "{used}");
 }
 
+/// Jobs with a secret compile nothing: build scripts of dependencies would see it.
+#[test]
+fn no_build_script_sees_a_secret() {
+    let compiles_nothing = value("Makefile", r"^publish:\n\t(cargo publish --locked --no-verify)$");
+    assert!(!compiles_nothing.is_empty());
+    for Workflow { name, content, .. } in workflows() {
+        for (id, job) in content["jobs"].as_object().unwrap() {
+            if job.to_string().contains("secrets.") {
+                let commands = commands_of(job);
+                let is_known =
+                    |command: &String| ["rustup toolchain install", "make publish"].contains(&command.as_str());
+                assert!(commands.iter().all(is_known), "{name}: {id}: {commands:?}");
+            }
+        }
+    }
+}
+
 /// One toolchain compiles everywhere, and it is not older than the oldest supported one.
 #[test]
 fn the_toolchain_is_pinned() {
