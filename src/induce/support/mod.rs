@@ -39,8 +39,8 @@ pub struct Support {
     /// Atoms over the variables of the head that hold in no example, and atoms of predicates that never hold at all.
     /// Atoms that imply another one of them by the constraints are left out.
     pub unseen: Vec<Atom>,
-    /// The constraints that a state violates, with the number of the first example of such a state. Nothing is concluded
-    /// from them.
+    /// The constraints that a state violates, with the number of the first example of such a state. No literal is left
+    /// out because of them.
     pub broken: Vec<(Violation, u64)>,
 }
 
