@@ -122,7 +122,7 @@ def parallel_page() -> str:
         ("observation spaces", "one for each car, all alike; see the table of modes"),
     ]
     description = (
-        "Every car of a city is an agent of its own, which must reach the end of its route without violating a rule. "
+        "Every car of a city is a separate agent, which must reach the end of its route without violating a rule. "
         "Pedestrians follow the rules. `step` takes one action for each car in `agents`. When the episode of a car "
         "ends, the car leaves `agents` and from then on follows the rules, so that the others still meet it.\n\n"
         + _table(("mode", "cars in `train` / `val` / `test`", "observation space of a car", "horizon"), cars)

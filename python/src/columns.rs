@@ -7,7 +7,7 @@ use pyo3::PyTypeInfo as _;
 use pyo3::exceptions::{PyTypeError, PyValueError};
 use pyo3::intern;
 use pyo3::prelude::*;
-use pyo3::types::{PyBool, PyDict, PyList, PyMapping, PySlice, PyString, PyTuple};
+use pyo3::types::{PyBool, PyDict, PyFrozenSet, PyList, PyMapping, PySet, PySlice, PyString, PyTuple};
 use std::collections::HashMap;
 
 /// The number of rows to convert between checks of signals and memory.
@@ -106,9 +106,15 @@ pub fn row(
     open: bool,
     symbol: &Intern<'_>,
 ) -> PyResult<Vec<Option<Value>>> {
-    // A str is a sequence of str, but never a row.
-    if values.is_instance_of::<PyString>() {
-        let message = format!("a row of `{}` must be a tuple of its values, not a str", relation.name);
+    // Iterating these gives characters, keys, or values in any order.
+    let is_row = values.is_instance_of::<PyTuple>() || values.is_instance_of::<PyList>();
+    let has_no_order = || values.is_instance_of::<PySet>() || values.is_instance_of::<PyFrozenSet>();
+    if !is_row && (values.is_instance_of::<PyString>() || has_no_order() || values.cast::<PyMapping>().is_ok()) {
+        let kind = values.get_type().name()?;
+        let message = format!(
+            "a row of `{}` must be a tuple of its values, not a {kind}",
+            relation.name
+        );
         return Err(PyTypeError::new_err(message));
     }
     let mut words = Vec::with_capacity(relation.arity());

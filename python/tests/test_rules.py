@@ -231,6 +231,8 @@ BAD = [
     ("edge", [("a", "b"), ("a", "b", "c")], ValueError, "row 1: a row of `edge` must have 2 values, not 3"),
     ("edge", [("a", 1)], TypeError, "column `y` of `edge` holds symbols"),
     ("edge", ["ab"], TypeError, "not a str"),
+    ("edge", [{"x": 1, "y": 2}], TypeError, "must be a tuple of its values, not a dict"),
+    ("edge", [{1, 2}], TypeError, "must be a tuple of its values, not a set"),
     ("edge", "ab", TypeError, "not a str"),
     ("edge", [1], TypeError, "not iterable|cannot be|int"),
     ("edge", 1, TypeError, "not iterable|cannot be|int"),
