@@ -16,9 +16,13 @@ const SIDE_MAX: u32 = 2048;
 const KEPT_MAX: u32 = 384;
 /// The largest ratio of an icon's sides.
 const ASPECT_MAX: f32 = 6.0;
-/// The most XML nodes of a drawing, and the most `use` references among them.
+/// The most XML nodes of a drawing, and the most elements that it draws: each time that it refers to one counts.
 const NODES_MAX: u32 = 20_000;
-const USES_MAX: usize = 64;
+const DRAWN_MAX: usize = 20_000;
+/// The most pixels of the pictures that drawing needs besides its result: of layers, masks and tiles of patterns.
+const PIXELS_MAX: f32 = 1e8;
+/// The longest style sheets of a drawing, in bytes: each of their rules is tried on each element.
+const STYLE_MAX: usize = 16 << 10;
 /// The deepest nesting of elements, including referenced ones.
 const DEPTH_MAX: usize = 48;
 const SVG: &str = "http://www.w3.org/2000/svg";
@@ -226,7 +230,7 @@ fn drawing(bytes: &[u8]) -> Result<Pixmap, String> {
     let document = roxmltree::Document::parse_with_options(text, limits)
         .map_err(|error| format!("not an SVG drawing: {error}"))?;
     check_elements(&document)?;
-    check_depth(&document)?;
+    check_nesting(&document)?;
     let options = Options {
         image_href_resolver: ImageHrefResolver {
             resolve_data: Box::new(|_, _, _| None),
@@ -251,6 +255,15 @@ fn drawing(bytes: &[u8]) -> Result<Pixmap, String> {
     #[allow(clippy::cast_possible_truncation, clippy::cast_sign_loss)]
     let side = |length: f32| ((length * scale).round() as u32).clamp(1, KEPT_MAX);
     let mut pixmap = Pixmap::new(side(width), side(height)).ok_or("it has no size")?;
+    let pixels = pixels(
+        tree.root(),
+        Transform::from_scale(scale, scale),
+        (pixmap.width() * pixmap.height()) as f32,
+    );
+    // Also for a number that is none.
+    if !(pixels <= PIXELS_MAX) {
+        return Err("it has too many layers, masks or patterns, or too large ones".into());
+    }
     // The rasterizer panics on extreme coordinates, also in clips and masks, which have no extent here.
     let painted = catch_unwind(AssertUnwindSafe(|| {
         resvg::render(&tree, Transform::from_scale(scale, scale), &mut pixmap.as_mut());
@@ -261,7 +274,7 @@ fn drawing(bytes: &[u8]) -> Result<Pixmap, String> {
 
 /// Rejects elements with external or expensive content.
 fn check_elements(document: &roxmltree::Document<'_>) -> Result<(), String> {
-    let mut uses = 0;
+    let mut styles = 0;
     let patterns = document.descendants().any(|node| node.has_tag_name((SVG, "pattern")));
     for node in document.descendants().filter(roxmltree::Node::is_element) {
         let name = node.tag_name().name();
@@ -270,11 +283,11 @@ fn check_elements(document: &roxmltree::Document<'_>) -> Result<(), String> {
             "image" | "feImage" => return fault(format!("`{name}` embeds another picture; draw it instead")),
             "text" => return fault("text is not supported; convert it to paths".into()),
             "filter" | "foreignObject" | "script" => return fault(format!("`{name}` is not supported")),
-            "use" => uses += 1,
             _ => {}
         }
         let outside = |value: &str| value.contains("@import") || urls(value).any(|url| !url.starts_with('#'));
         let style = node.text().filter(|_| name == "style").unwrap_or_default();
+        styles += style.len();
         let foreign = node.attributes().any(|attribute| {
             let link = attribute.name() == "href" && !attribute.value().starts_with('#');
             link || outside(attribute.value())
@@ -291,10 +304,42 @@ fn check_elements(document: &roxmltree::Document<'_>) -> Result<(), String> {
             return fault("a style sheet and a `pattern`; write `fill` and `stroke` as attributes".into());
         }
     }
-    if uses > USES_MAX {
-        return Err(format!("{uses} `use` elements; the limit is {USES_MAX}"));
+    match styles > STYLE_MAX {
+        true => Err(format!("style sheets of {styles} bytes; the limit is {STYLE_MAX}")),
+        false => Ok(()),
     }
-    Ok(())
+}
+
+/// Returns the pixels of the pictures that the rasterizer makes besides the result: one of `whole` pixels for each layer
+/// and each mask, and one for each tile.
+fn pixels(group: &usvg::Group, transform: Transform, whole: f32) -> f32 {
+    let of_node = |node: &usvg::Node| match node {
+        usvg::Node::Group(group) => {
+            let transform = transform.pre_concat(group.transform());
+            let of_mask = |root: &usvg::Group| whole + pixels(root, transform, whole);
+            let clips = std::iter::successors(group.clip_path(), |clip| clip.clip_path());
+            let masks = std::iter::successors(group.mask(), |mask| mask.mask());
+            let outer: f32 = clips.map(|clip| of_mask(clip.root())).sum();
+            let outer: f32 = outer + masks.map(|mask| of_mask(mask.root())).sum::<f32>();
+            let layer = if group.should_isolate() { whole } else { 0.0 };
+            layer + outer + pixels(group, transform, whole)
+        }
+        usvg::Node::Path(path) => {
+            let fill = path.fill().map(usvg::Fill::paint);
+            let paints = fill.into_iter().chain(path.stroke().map(usvg::Stroke::paint));
+            let tile = |paint: &usvg::Paint| match paint {
+                usvg::Paint::Pattern(pattern) => {
+                    let (x, y) = transform.pre_concat(pattern.transform()).get_scale();
+                    let size = pattern.rect().width() * x * pattern.rect().height() * y;
+                    size + pixels(pattern.root(), Transform::from_scale(x, y), size)
+                }
+                _ => 0.0,
+            };
+            paints.map(tile).sum()
+        }
+        _ => 0.0,
+    };
+    group.children().iter().map(of_node).sum()
 }
 
 /// Returns the contents of `url(..)`.
@@ -304,39 +349,51 @@ fn urls(text: &str) -> impl Iterator<Item = &str> {
         .map(move |rest| rest[..inner(rest).unwrap_or(rest.len())].trim_matches([' ', '\'', '"']))
 }
 
-/// Rejects elements and references nested too deep, because the rasterizer recurses as deep.
-fn check_depth(document: &roxmltree::Document<'_>) -> Result<(), String> {
+/// Rejects elements and references that nest too deep, because the rasterizer recurses as deep, and those that multiply.
+fn check_nesting(document: &roxmltree::Document<'_>) -> Result<(), String> {
     type Node<'a> = roxmltree::Node<'a, 'a>;
-    /// Returns the depth below a node; `None` if it exceeds `left`.
+    /// Returns the depth below a node, and the number of elements drawn for it; `None` if the depth exceeds `left`.
     fn below<'a>(
         node: Node<'a>,
         left: usize,
-        ids: &BTreeMap<&str, Node<'a>>,
-        known: &mut BTreeMap<usize, usize>,
-    ) -> Option<usize> {
-        if let Some(&depth) = known.get(&node.id().get_usize()) {
-            return (depth <= left).then_some(depth);
+        ids: &BTreeMap<&str, Vec<Node<'a>>>,
+        known: &mut BTreeMap<usize, (usize, usize)>,
+    ) -> Option<(usize, usize)> {
+        if let Some(&(depth, drawn)) = known.get(&node.id().get_usize()) {
+            return (depth <= left).then_some((depth, drawn));
         }
         let left = left.checked_sub(1)?;
         let links = node.attributes().flat_map(|attribute| {
             let href = Some(attribute.value()).filter(|_| attribute.name() == "href");
             href.into_iter().chain(urls(attribute.value()))
         });
-        let targets = links.filter_map(|link| ids.get(link.strip_prefix('#')?).copied());
-        let mut deepest = 0;
+        let targets = links
+            .filter_map(|link| ids.get(link.strip_prefix('#')?))
+            .flatten()
+            .copied();
+        let (mut deepest, mut sum) = (0, 1_usize);
         for next in node.children().filter(Node::is_element).chain(targets) {
-            deepest = deepest.max(below(next, left, ids, known)?);
+            let (depth, drawn) = below(next, left, ids, known)?;
+            deepest = deepest.max(depth);
+            sum = sum.saturating_add(drawn);
         }
-        known.insert(node.id().get_usize(), deepest + 1);
-        Some(deepest + 1)
+        known.insert(node.id().get_usize(), (deepest + 1, sum));
+        Some((deepest + 1, sum))
     }
     let elements = || document.descendants().filter(Node::is_element);
-    let ids = elements()
-        .filter_map(|node| Some((node.attribute("id")?, node)))
-        .collect();
+    // Several elements may have one name; readers differ in which they choose.
+    let mut ids: BTreeMap<&str, Vec<Node<'_>>> = BTreeMap::new();
+    for node in elements() {
+        if let Some(id) = node.attribute("id") {
+            ids.entry(id).or_default().push(node);
+        }
+    }
     match below(document.root_element(), DEPTH_MAX, &ids, &mut BTreeMap::new()) {
-        Some(_) => Ok(()),
         None => Err(format!("elements and references nest more than {DEPTH_MAX} deep")),
+        Some((_, drawn)) if drawn > DRAWN_MAX => {
+            Err(format!("references repeat elements: it draws more than {DRAWN_MAX}"))
+        }
+        Some(_) => Ok(()),
     }
 }
 
@@ -397,6 +454,17 @@ mod tests {
             let before = format!("<use href='#g{}'/>", level - 1);
             all + &svg_group(level, &before.repeat(4))
         });
+        let masks: String = (1..9)
+            .map(|level| {
+                let masked = format!("<rect width='9' height='9' mask='url(#m{})'/>", level - 1);
+                format!("<mask id='m{level}'>{}</mask>", masked.repeat(8))
+            })
+            .collect();
+        let masks = masks + "<mask id='m0'/><rect width='9' height='9' mask='url(#m8)'/>";
+        let layers = "<rect width='9' height='9' opacity='0.5'/>".repeat(9_000);
+        let tile = "<pattern id='p' width='90000' height='90000' patternUnits='userSpaceOnUse'>\
+            <rect width='1' height='1'/></pattern><rect width='9' height='9' fill='url(#p)'/>";
+        let style = format!("<style>{}</style>", "rect{fill:red}   ".repeat(1_000));
         let nested = svg(&("<g>".repeat(100_000) + &"</g>".repeat(100_000)));
         let deep = svg(&("<g>".repeat(5_000) + r#"<rect width="1" height="1"/>"# + &"</g>".repeat(5_000)));
         let chain: String = (1..60)
@@ -432,8 +500,11 @@ mod tests {
                 "refers to another file",
             ),
             ("car/1.svg", svg("<style>@import 'a'</style>"), "refers to another file"),
-            ("car/1.svg", svg(&"<use href='#a'/>".repeat(65)), "65 `use` elements"),
-            ("car/1.svg", svg(&bomb), "not an SVG drawing"),
+            ("car/1.svg", svg(&bomb), "references repeat elements"),
+            ("car/1.svg", svg(&masks), "references repeat elements"),
+            ("car/1.svg", svg(&layers), "too many layers, masks or patterns"),
+            ("car/1.svg", svg(&tile), "too many layers, masks or patterns"),
+            ("car/1.svg", svg(&style), "style sheets of 17000 bytes"),
             ("car/1.svg", nested, "not an SVG drawing"),
             ("car/1.svg", deep, "more than 48 deep"),
             ("car/1.svg", chain, "more than 48 deep"),
