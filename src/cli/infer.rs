@@ -119,12 +119,16 @@ fn answer_all(
 ) -> Result<bool, Failure> {
     let (mut faulty, mut noted) = (false, false);
     while let Some(SceneLine { number, sources, scene }) = scenes.next()? {
-        let answer = match scene.clone() {
-            Ok(source) => inference.answer(&sources, source),
-            Err(fault) => Err(vec![fault]),
+        let answer = match (scene, asked) {
+            (Err(fault), _) => Err(vec![fault]),
+            (Ok(source), None) => (inference.answer(&sources, source)).map(|answer| (answer, Ok(None))),
+            (Ok(source), Some((question, rules))) => {
+                let answer = inference.answer_explained((&sources, source), (rules, question));
+                answer.map(|(answer, explained)| (answer, explained.map(Some).map_err(|faults| (faults, rules))))
+            }
         };
         match answer {
-            Ok(answer) => {
+            Ok((answer, explained)) => {
                 if let Some(reason) = answer.fallback.as_ref().filter(|_| !noted) {
                     let _ = writeln!(
                         terminal::err(),
@@ -133,21 +137,14 @@ fn answer_all(
                     );
                     noted = true;
                 }
-                let explained = match (asked, scene) {
-                    (Some((question, rules)), Ok(source)) => match inference.ground(&sources, source) {
-                        Ok(facts) => inference.explain(&facts, rules, question).map(Some),
-                        Err(faults) => Err(faults),
-                    },
-                    _ => Ok(None),
-                };
-                let written = match (explained, asked) {
-                    (Err(faults), Some((_, rules))) => {
+                let written = match explained {
+                    Err((faults, rules)) => {
                         faulty = true;
                         report(&faults, rules);
                         writeln!(out, "{}", json!({ "error": to_json(&faults, rules) }))
                     }
-                    (explained, _) => {
-                        let explanations = explained.ok().flatten().map(serde_json::Value::from);
+                    Ok(explained) => {
+                        let explanations = explained.map(serde_json::Value::from);
                         let more = explanations.iter().map(|value| ("explanations", value));
                         answer.write_json(out, more).and_then(|()| writeln!(out))
                     }

@@ -6,7 +6,7 @@ use crate::city::CityMap;
 use crate::config::{Scenario, load_map};
 use crate::datalog::dense::{BinaryFacts, BitFacts, BitState, Dense, Set, TooManySteps, TrackFirings, has};
 use crate::datalog::explain::Explainer;
-use crate::datalog::{EvalError, Limits, Program, constraints, size};
+use crate::datalog::{EvalError, Limits, Program, Session, constraints, size};
 use crate::diag::{Code, Diagnostic, Limit, SourceId, Sources, Span};
 use crate::files::ReadFile;
 use crate::predicate::Entity;
@@ -305,6 +305,35 @@ impl Inference {
         (self.decide(Cow::Owned(scene), cancel)).map_err(|fault| vec![fault.at(whole, "in this scene")])
     }
 
+    /// Evaluates the scene in `source` as [`Inference::answer`] does, with the relational executor, and explains a fact
+    /// of it from the same evaluation. The explanation is a list of JSON objects with the keys `fact`, `holds` and
+    /// `nodes`. A predicate alone asks about each ego of the scene; see [`AskedFact::read`].
+    ///
+    /// `rules` are the sources of the rules, with the question.
+    ///
+    /// # Errors
+    /// As [`Inference::answer`]; the inner ones as [`AskedFact::read`], and `limit-exceeded` if the search for an
+    /// explanation takes too many steps.
+    pub fn answer_explained(
+        &mut self,
+        (sources, source): (&Sources, SourceId),
+        (rules, question): (&Sources, SourceId),
+    ) -> Result<(Answer<'static>, Result<Vec<serde_json::Value>, Vec<Diagnostic>>), Vec<Diagnostic>> {
+        let cancel = Cancel::never();
+        let scene = self.ground_with(sources, source, &cancel)?;
+        let whole = Span::new(source, 0..sources.text(source).len());
+        let state = self.evaluated(&scene, &cancel);
+        let state = state.map_err(|fault| vec![fault.at(whole, "in this scene")])?;
+        let explained = self.explain(&scene, state.session(), (rules, question));
+        let answer = Answer {
+            vocabulary: Arc::clone(&self.vocabulary),
+            derived: self.derived(&scene, &state),
+            scene: Cow::Owned(scene),
+            fallback: None,
+        };
+        Ok((answer, explained))
+    }
+
     /// Returns the facts of the scene in `source`: the stated ones and those computed from the positions of its agents.
     ///
     /// # Errors
@@ -447,8 +476,7 @@ impl Inference {
     }
 
     fn decide<'s>(&self, scene: Cow<'s, SceneFacts>, cancel: &Cancel) -> Result<Answer<'s>, Diagnostic> {
-        let names: Vec<&str> = scene.names.iter().map(String::as_str).collect();
-        let (derived, fallback) = self.derive(&scene, &names, cancel)?;
+        let (derived, fallback) = self.derive(&scene, cancel)?;
         Ok(Answer {
             vocabulary: Arc::clone(&self.vocabulary),
             scene,
@@ -458,22 +486,23 @@ impl Inference {
     }
 
     /// Returns the derived actions of each ego and, if the dense executor gave up, the reason.
-    fn derive(
-        &self,
-        scene: &SceneFacts,
-        names: &[&str],
-        cancel: &Cancel,
-    ) -> Result<(Vec<Actions>, Option<String>), Diagnostic> {
+    fn derive(&self, scene: &SceneFacts, cancel: &Cancel) -> Result<(Vec<Actions>, Option<String>), Diagnostic> {
         let mut fallback = None;
         if let (Some(dense), false) = (&self.dense, self.check_constraints) {
-            let width = Width::of(names.len()).expect("a scene has fewer entities than the widest set");
+            let width = Width::of(scene.names.len()).expect("a scene has fewer entities than the widest set");
             match in_words!(width, W => self.derive_dense::<W>(dense, scene, cancel))? {
                 Ok(derived) => return Ok((derived, None)),
                 Err(error) if self.executor == Executor::Dense => return Err(given_up(error)),
                 Err(error) => fallback = Some(format!("the dense executor gave up: {error}")),
             }
         }
-        let mut state = self.ground_state(names.iter().copied());
+        let state = self.evaluated(scene, cancel)?;
+        Ok((self.derived(scene, &state), fallback))
+    }
+
+    /// Returns the session of a scene, after the relational executor has evaluated it.
+    fn evaluated(&self, scene: &SceneFacts, cancel: &Cancel) -> Result<GroundState, Diagnostic> {
+        let mut state = self.ground_state(scene.names.iter().map(String::as_str));
         self.evaluate(&mut state, &scene.facts, cancel)?;
         if self.check_constraints {
             // The rules are not in the caller's sources, so the diagnostic does not point to the declaration.
@@ -484,8 +513,13 @@ impl Inference {
                 return Err(broken.fold(fault, |fault, other| fault.note(other.message)));
             }
         }
+        Ok(state)
+    }
+
+    /// Returns the derived actions of each ego.
+    fn derived(&self, scene: &SceneFacts, state: &GroundState) -> Vec<Actions> {
         let derived = scene.egos.iter().map(|&ego| state.derived(&self.vocabulary, ego));
-        Ok((derived.collect(), fallback))
+        derived.collect()
     }
 
     /// Returns a session for scenes with entities of these names, without facts.
@@ -493,31 +527,21 @@ impl Inference {
         GroundState::new(&self.program, &self.vocabulary, self.limits, names)
     }
 
-    /// Explains a fact of a scene as JSON objects with the keys `fact`, `holds` and `nodes`. A predicate alone asks
-    /// about each ego of the scene; see [`AskedFact::read`].
-    ///
-    /// `sources` are those of the rules, with the question.
-    ///
-    /// # Errors
-    /// As [`AskedFact::read`] and [`Inference::answer_facts`]; `limit-exceeded` if the search for an explanation takes
-    /// too many steps.
-    pub fn explain(
+    /// Explains a fact of an evaluated scene.
+    fn explain(
         &self,
         scene: &SceneFacts,
-        sources: &Sources,
-        question: SourceId,
+        session: &Session,
+        (rules, question): (&Sources, SourceId),
     ) -> Result<Vec<serde_json::Value>, Vec<Diagnostic>> {
         let names: Vec<&str> = scene.names.iter().map(String::as_str).collect();
-        let mut state = self.ground_state(names.iter().copied());
-        (self.evaluate(&mut state, &scene.facts, &Cancel::never())).map_err(|fault| vec![fault])?;
-        let session = state.session();
         let mut explainer = Explainer::new(session);
         let mut accounts: Vec<serde_json::Value> = Vec::new();
         for &ego in &scene.egos {
             let known = (&self.scenario, session);
-            let asked = AskedFact::read(sources, question, known, &names, Some(names[ego]))?;
+            let asked = AskedFact::read(rules, question, known, &names, Some(names[ego]))?;
             let account = asked.explain(&mut explainer).map_err(|error| vec![error.into()])?;
-            let account = account.json(session, sources);
+            let account = account.json(session, rules);
             // A question with values is the same for every ego.
             if !accounts.contains(&account) {
                 accounts.push(account);
